@@ -1,0 +1,1 @@
+"""The service: settings, routes, jobs and the command line."""

@@ -1,0 +1,1 @@
+"""TensorMap's method: numpy and scipy only, no files, no HTTP, no HDF5."""

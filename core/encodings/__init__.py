@@ -1,0 +1,1 @@
+"""How a map turns an image into a signature."""

@@ -1,0 +1,84 @@
+"""The error tree of the method.
+
+TensorMapError
+├── InvalidScan             a scan that cannot be used
+│   └── TooFewReturns       not enough finite, non-zero returns are left
+├── InvalidPose             a pose that is not a rigid motion
+├── InvalidImage            an image of the wrong shape or content
+├── InvalidParameters       a build or query parameter out of its range
+├── InvalidMap              arrays that do not form a TensorMap
+├── InvalidSignature        a signature of the wrong shape or content
+├── StaleSignature          a signature made with another revision's bases
+├── UnknownSegment          a segment the map does not have
+├── SensorMismatch          a query of a sensor or grid the map was not built for
+├── EmptyDrive              a drive without a single scan to map
+└── Cancelled               the caller asked a long computation to stop
+"""
+
+__all__ = [
+    "Cancelled",
+    "EmptyDrive",
+    "InvalidImage",
+    "InvalidMap",
+    "InvalidParameters",
+    "InvalidPose",
+    "InvalidScan",
+    "InvalidSignature",
+    "SensorMismatch",
+    "StaleSignature",
+    "TensorMapError",
+    "TooFewReturns",
+    "UnknownSegment",
+]
+
+
+class TensorMapError(Exception):
+    """Base of every error this product raises on purpose."""
+
+
+class InvalidScan(TensorMapError):
+    """A scan that cannot be used."""
+
+
+class TooFewReturns(InvalidScan):
+    """Fewer finite, non-zero returns than the caller asked for."""
+
+
+class InvalidPose(TensorMapError):
+    """A pose that is not a rigid motion."""
+
+
+class InvalidImage(TensorMapError):
+    """An image whose shape, kind or values do not fit its grid."""
+
+
+class InvalidParameters(TensorMapError):
+    """A parameter out of its range."""
+
+
+class InvalidMap(TensorMapError):
+    """Arrays that do not form a TensorMap."""
+
+
+class InvalidSignature(TensorMapError):
+    """A signature whose shape or values cannot be."""
+
+
+class StaleSignature(TensorMapError):
+    """A signature made with the bases of another revision."""
+
+
+class UnknownSegment(TensorMapError):
+    """A segment that the map does not have."""
+
+
+class SensorMismatch(TensorMapError):
+    """A query of a sensor or grid that the map cannot answer."""
+
+
+class EmptyDrive(TensorMapError):
+    """A drive without a single scan."""
+
+
+class Cancelled(TensorMapError):
+    """A long computation stopped because its caller asked for it."""

@@ -1,0 +1,1 @@
+"""How well a map answers, by the paper's protocol and the field's."""

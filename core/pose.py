@@ -1,0 +1,122 @@
+"""Poses: sensor to world, `(x, y, z, qx, qy, qz, qw)`, metres and a unit quaternion."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.spatial.transform import Rotation
+
+from core.arrays import BoolArray, FloatArray
+from core.errors import InvalidPose
+
+__all__ = [
+    "UNKNOWN_POSE",
+    "Pose",
+    "heading_deg",
+    "is_known",
+    "path_length_m",
+    "pose_rows",
+    "rows_from_matrices",
+]
+
+UNKNOWN_POSE: tuple[float, ...] = (math.nan,) * 7
+
+_UNIT_TOLERANCE = 1e-3  # of a quaternion's norm and a matrix's orthonormality: text files round
+
+
+@dataclass(frozen=True)
+class Pose:
+    """Where the sensor stands in the world.
+
+    Examples:
+        >>> round(Pose.from_matrix([[0, -1, 0, 5], [1, 0, 0, 6], [0, 0, 1, 7]]).yaw_deg, 6)
+        90.0
+    """
+
+    x_m: float
+    y_m: float
+    z_m: float
+    qx: float = 0.0
+    qy: float = 0.0
+    qz: float = 0.0
+    qw: float = 1.0
+
+    def __post_init__(self) -> None:
+        if not all(math.isfinite(value) for value in self.as_tuple()):
+            raise InvalidPose(f"a pose is seven finite numbers, got {self.as_tuple()}")
+        norm = math.hypot(self.qx, self.qy, self.qz, self.qw)
+        if abs(norm - 1.0) > _UNIT_TOLERANCE:
+            raise InvalidPose(f"the quaternion has norm {norm:.6g}, wanted 1")
+
+    def as_tuple(self) -> tuple[float, float, float, float, float, float, float]:
+        """Return `(x, y, z, qx, qy, qz, qw)`."""
+        return (self.x_m, self.y_m, self.z_m, self.qx, self.qy, self.qz, self.qw)
+
+    @property
+    def yaw_deg(self) -> float:
+        """Heading of the sensor's x axis in the world's x-y plane, counter-clockwise."""
+        return float(heading_deg(np.array([self.as_tuple()]))[0])
+
+    @classmethod
+    def from_row(cls, row: ArrayLike) -> "Pose | None":
+        """Return the pose in a row of seven numbers, `None` if the row is unknown (NaN)."""
+        values = np.asarray(row, dtype=np.float64)
+        if values.shape != (7,):
+            raise InvalidPose(f"a pose row has shape {values.shape}, wanted (7,)")
+        return None if np.isnan(values).all() else cls(*values.tolist())
+
+    @classmethod
+    def from_matrix(cls, matrix: ArrayLike) -> "Pose":
+        """Return the pose of a `(3, 4)` or `(4, 4)` matrix `[R | t]`.
+
+        Raises:
+            InvalidPose: If the shape is another or R is not a rotation.
+        """
+        rows = rows_from_matrices(np.asarray(matrix, dtype=np.float64)[None])
+        return cls(*rows[0].tolist())
+
+
+def rows_from_matrices(matrices: ArrayLike) -> FloatArray:
+    """Turn `(n, 3, 4)` or `(n, 4, 4)` matrices into `(n, 7)` pose rows; NaN stays NaN.
+
+    Raises:
+        InvalidPose: If the shape is another or a matrix holds no rotation.
+    """
+    m = np.asarray(matrices, dtype=np.float64)
+    if m.ndim != 3 or m.shape[1:] not in {(3, 4), (4, 4)}:
+        raise InvalidPose(f"pose matrices have shape {m.shape[1:]}, wanted (3, 4) or (4, 4)")
+    rows = np.full((len(m), 7), np.nan)
+    known = np.isfinite(m[:, :3]).all(axis=(1, 2))
+    rotations = m[known, :3, :3]
+    residual = np.abs(rotations @ rotations.transpose(0, 2, 1) - np.eye(3)).max(initial=0.0)
+    if residual > _UNIT_TOLERANCE or (np.linalg.det(rotations) < 0).any():
+        raise InvalidPose(f"a pose matrix is no rotation: R R^T differs from I by {residual:.3g}")
+    rows[known, :3] = m[known, :3, 3]
+    if known.any():
+        rows[known, 3:] = Rotation.from_matrix(rotations).as_quat(canonical=True)
+    return rows
+
+
+def pose_rows(poses: list[Pose | None]) -> FloatArray:
+    """Stack poses into `(n, 7)`, NaN where `None`."""
+    rows = [UNKNOWN_POSE if pose is None else pose.as_tuple() for pose in poses]
+    return np.array(rows, dtype=np.float64).reshape(-1, 7)
+
+
+def is_known(rows: FloatArray) -> BoolArray:
+    """Return which of `(n, 7)` pose rows are known, `(n,)`."""
+    known: BoolArray = np.isfinite(rows).all(axis=1)
+    return known
+
+
+def heading_deg(rows: FloatArray) -> FloatArray:
+    """Return the headings of `(n, 7)` pose rows, `(n,)` degrees in -180..180, NaN where unknown."""
+    x, y, z, w = rows[:, 3:].T
+    forward_x, forward_y = 1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + z * w)
+    return np.degrees(np.arctan2(forward_y, forward_x))
+
+
+def path_length_m(rows: FloatArray) -> float:
+    """Return the length of the path through `(n, 7)` pose rows in metres, NaN if one is unknown."""
+    return float(np.linalg.norm(np.diff(rows[:, :3], axis=0), axis=1).sum())

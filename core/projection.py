@@ -1,0 +1,118 @@
+"""From a scan to a range image (paper, sec. 2.1)."""
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+
+from core.arrays import Float32Array, FloatArray, IntArray, frozen
+from core.errors import InvalidImage, InvalidScan
+from core.scan import Scan
+from core.sensor import AngularGrid, whole_and_fraction
+
+__all__ = ["RangeImage", "Reducer", "project_scan"]
+
+
+class Reducer(StrEnum):
+    """Which return a shared cell keeps; the paper leaves it open."""
+
+    LAST = "last"
+    NEAREST = "nearest"
+    FARTHEST = "farthest"
+    MEAN = "mean"
+
+
+@dataclass(frozen=True, eq=False)
+class RangeImage:
+    """Ranges on a grid; the paper's matricized scan S.
+
+    Attributes:
+        ranges_m: `(I, J)` float32 metres, finite, 0 where nothing fell.
+        grid: The lattice of elevations and azimuths.
+        outside_returns: Returns outside the grid, left out.
+    """
+
+    ranges_m: Float32Array
+    grid: AngularGrid
+    outside_returns: int = 0
+
+    def __post_init__(self) -> None:
+        ranges = np.asarray(self.ranges_m)
+        if ranges.shape != self.grid.shape:
+            raise InvalidImage(f"ranges_m has shape {ranges.shape}, the grid has {self.grid.shape}")
+        ranges = frozen(ranges, np.float32)
+        if not np.isfinite(ranges).all() or (ranges < 0).any():
+            raise InvalidImage("ranges_m holds values that are not finite or are negative")
+        if not ranges.any():
+            raise InvalidImage("ranges_m is empty: every cell is 0")
+        object.__setattr__(self, "ranges_m", ranges)
+
+
+def project_scan(scan: Scan, grid: AngularGrid, reducer: Reducer) -> RangeImage:
+    """Place each return's range at its rounded `(elevation, azimuth)` cell.
+
+    The paper leaves open which return wins a shared cell: `reducer` decides, and all reducers but
+    `last` are independent of the order of the points (`mean` up to the rounding of its sum).
+
+    Args:
+        scan: The returns, sensor at the origin.
+        grid: The lattice; returns outside it are left out and counted.
+        reducer: Which return a shared cell keeps.
+
+    Returns:
+        Ranges of shape `(I, J)` in metres, 0 where no return fell.
+
+    Raises:
+        InvalidScan: If no return falls inside the grid.
+
+    Examples:
+        >>> ahead = Scan(np.array([[10.0, 0.0, 0.0], [12.0, 0.0, 0.0]]))
+        >>> image = project_scan(ahead, AngularGrid(), Reducer.FARTHEST)
+        >>> image.ranges_m.shape, float(image.ranges_m[25, 180])
+        ((30, 361), 12.0)
+    """
+    cells, range_m = _cells_and_ranges(scan.points_m, grid)
+    if not len(cells):
+        raise InvalidScan(
+            f"none of the {len(scan)} returns falls inside the grid, elevations"
+            f" {grid.elevations_deg[0]:.4g}..{grid.elevations_deg[-1]:.4g} deg"
+        )
+    ranges_m = _reduce(cells, range_m, grid.rows * grid.columns, reducer)
+    return RangeImage(ranges_m.reshape(grid.shape), grid, outside_returns=len(scan) - len(cells))
+
+
+def _cells_and_ranges(points_m: Float32Array, grid: AngularGrid) -> tuple[IntArray, FloatArray]:
+    """Return the flat cell and the range of each return inside the grid, in the returns' order."""
+    x, y, z = points_m.T.astype(np.float64)
+    across_m = np.hypot(x, y)
+    elevation_steps = np.degrees(np.arctan2(z, across_m)) / grid.elevation_step_deg
+    whole, fraction = whole_and_fraction(grid.elevation_min_deg / grid.elevation_step_deg)
+    row = np.rint(elevation_steps - fraction).astype(np.int64) - whole
+    inside = (row >= 0) & (row < grid.rows)
+    if not inside.all():
+        row, x, y, z, across_m = (values[inside] for values in (row, x, y, z, across_m))
+    steps_a_turn = round(360.0 / grid.azimuth_step_deg)
+    azimuth_steps = np.rint(np.degrees(np.arctan2(y, x)) / grid.azimuth_step_deg)
+    column = azimuth_steps.astype(np.int64) + steps_a_turn // 2
+    if grid.wraps:
+        column %= steps_a_turn
+    return row * grid.columns + column, np.hypot(across_m, z)
+
+
+def _reduce(
+    cells: IntArray, range_m: FloatArray, cell_count: int, reducer: Reducer
+) -> Float32Array:
+    if reducer is Reducer.MEAN:
+        sums = np.bincount(cells, weights=range_m, minlength=cell_count)
+        counts = np.bincount(cells, minlength=cell_count)
+        return np.divide(sums, np.maximum(counts, 1)).astype(np.float32)
+    image = np.zeros(cell_count, dtype=np.float32)
+    values = range_m.astype(np.float32)
+    if reducer is Reducer.LAST:
+        image[cells] = values  # NumPy promises that the last of repeated indices is kept
+    elif reducer is Reducer.FARTHEST:
+        np.maximum.at(image, cells, values)
+    else:
+        image[cells] = np.inf
+        np.minimum.at(image, cells, values)
+    return image

@@ -1,0 +1,159 @@
+"""Sensors and the angular grids their scans are rounded to (paper, sec. 2.1)."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from core.arrays import FloatArray
+from core.errors import InvalidParameters
+
+__all__ = ["HDL_64E", "SENSORS", "AngularGrid", "Sensor", "sensor_named"]
+
+_MAX_CELLS = 4_000_000  # a grid of a hundredth of a degree is a typing error, not a sensor
+
+
+@dataclass(frozen=True)
+class AngularGrid:
+    """The lattice of whole steps of elevation and azimuth that returns are rounded to.
+
+    The paper's lattice is the default: one degree, elevation -25..4, azimuth -180..180, so that
+    -180 and 180 are one direction split in half. A grid that `wraps` joins them: 360 columns.
+
+    Examples:
+        >>> AngularGrid().shape
+        (30, 361)
+        >>> AngularGrid(wraps=True).shape
+        (30, 360)
+    """
+
+    elevation_min_deg: float = -25.0
+    elevation_step_deg: float = 1.0
+    rows: int = 30
+    azimuth_step_deg: float = 1.0
+    wraps: bool = False
+
+    def __post_init__(self) -> None:
+        for name in ("elevation_step_deg", "azimuth_step_deg"):
+            if not 0.0 < getattr(self, name) <= 90.0:
+                raise InvalidParameters(f"{name} is {getattr(self, name)}, wanted 0 < step <= 90")
+        if not -90.0 <= self.elevation_min_deg <= 90.0:
+            raise InvalidParameters(
+                f"elevation_min_deg is {self.elevation_min_deg}, wanted -90..90"
+            )
+        if self.rows < 1:
+            raise InvalidParameters(f"rows is {self.rows}, wanted at least 1")
+        half_turn = 180.0 / self.azimuth_step_deg
+        if abs(half_turn - round(half_turn)) > 1e-9 * half_turn:
+            raise InvalidParameters(
+                f"azimuth_step_deg is {self.azimuth_step_deg}, which does not divide 180"
+            )
+        if self.rows * self.columns > _MAX_CELLS:
+            raise InvalidParameters(
+                f"the grid has {self.rows} x {self.columns} cells, at most {_MAX_CELLS} are wanted"
+            )
+
+    @property
+    def columns(self) -> int:
+        """How many azimuths: a full turn, and the split direction once more unless it wraps."""
+        return round(360.0 / self.azimuth_step_deg) + (not self.wraps)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """`(I, J)`: elevations, azimuths."""
+        return self.rows, self.columns
+
+    @property
+    def elevations_deg(self) -> FloatArray:
+        """The elevation of each row, `(I,)`."""
+        return self.elevation_min_deg + self.elevation_step_deg * np.arange(self.rows)
+
+    @property
+    def azimuths_deg(self) -> FloatArray:
+        """The azimuth of each column, `(J,)`."""
+        return -180.0 + self.azimuth_step_deg * np.arange(self.columns)
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """A LiDAR model: its grid and how far it is believed.
+
+    Attributes:
+        name: The short name that commands, requests and maps use.
+        grid: Default lattice; one row per beam where beams are evenly spaced.
+        max_range_m: Datasheet range; returns farther away are kept, a plausibility check uses it.
+        source: Where the figures stand.
+    """
+
+    name: str
+    grid: AngularGrid
+    max_range_m: float
+    source: str
+
+
+def _even_beams(lowest_deg: float, highest_deg: float, beams: int) -> AngularGrid:
+    step = (highest_deg - lowest_deg) / (beams - 1)
+    return AngularGrid(elevation_min_deg=lowest_deg, elevation_step_deg=step, rows=beams)
+
+
+HDL_64E = Sensor(
+    "hdl-64e",
+    AngularGrid(),
+    120.0,
+    "paper, sec. 2.1: 26.3 deg of elevation, 30 whole degrees -25..4",
+)
+
+SENSORS: dict[str, Sensor] = {
+    sensor.name: sensor
+    for sensor in (
+        HDL_64E,
+        Sensor(
+            "hdl-32e",
+            _even_beams(-92.0 / 3.0, 32.0 / 3.0, 32),
+            100.0,
+            "Velodyne HDL-32E datasheet 97-0038: +10.67..-30.67 deg, 32 beams 1.33 deg apart",
+        ),
+        Sensor(
+            "vlp-16",
+            _even_beams(-15.0, 15.0, 16),
+            100.0,
+            "Velodyne VLP-16 datasheet 63-9229: +15..-15 deg, 16 beams 2 deg apart",
+        ),
+        Sensor(
+            "os0-64",
+            _even_beams(-45.0, 45.0, 64),
+            50.0,
+            "Ouster OS0 datasheet: 90 deg of elevation (+45..-45), 64 channels",
+        ),
+        Sensor(
+            "os1-64",
+            _even_beams(-22.5, 22.5, 64),
+            120.0,
+            "Ouster OS1 datasheet: 45 deg of elevation (+22.5..-22.5), 64 channels",
+        ),
+    )
+}
+
+
+def sensor_named(name: str) -> Sensor:
+    """Return the sensor of that name.
+
+    Raises:
+        InvalidParameters: If there is none; the message lists those there are.
+    """
+    try:
+        return SENSORS[name.lower()]
+    except KeyError:
+        raise InvalidParameters(
+            f"there is no sensor {name!r}; known are {', '.join(sorted(SENSORS))}"
+        ) from None
+
+
+def whole_and_fraction(offset: float) -> tuple[int, float]:
+    """Split a grid offset, in steps, so that angles themselves are rounded half to even.
+
+    `rint(angle / step - fraction) - whole` is the index; with the paper's whole-degree grid the
+    fraction is 0 and the angle is rounded as it stands.
+    """
+    whole = math.floor(offset + 0.5)
+    return whole, offset - whole
