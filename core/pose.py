@@ -106,15 +106,14 @@ def pose_rows(poses: list[Pose | None]) -> FloatArray:
 
 def is_known(rows: FloatArray) -> BoolArray:
     """Return which of `(n, 7)` pose rows are known, `(n,)`."""
-    known: BoolArray = np.isfinite(rows).all(axis=1)
-    return known
+    return np.asarray(np.isfinite(rows).all(axis=1))
 
 
 def heading_deg(rows: FloatArray) -> FloatArray:
     """Return the headings of `(n, 7)` pose rows, `(n,)` degrees in -180..180, NaN where unknown."""
     x, y, z, w = rows[:, 3:].T
     forward_x, forward_y = 1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + z * w)
-    return np.degrees(np.arctan2(forward_y, forward_x))
+    return np.asarray(np.degrees(np.arctan2(forward_y, forward_x)))
 
 
 def path_length_m(rows: FloatArray) -> float:

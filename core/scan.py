@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from core.arrays import Float32Array, frozen
+from core.arrays import BoolArray, Float32Array, frozen
 from core.errors import InvalidScan, TooFewReturns
 from core.pose import Pose
 
@@ -88,6 +88,5 @@ class Scan:
         )
 
 
-def _is_return(points_m: Float32Array) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
-    finite: np.ndarray[tuple[int], np.dtype[np.bool_]] = np.isfinite(points_m).all(axis=1)
-    return finite & points_m.any(axis=1)
+def _is_return(points_m: Float32Array) -> BoolArray:
+    return np.asarray(np.isfinite(points_m).all(axis=1) & points_m.any(axis=1))

@@ -66,12 +66,14 @@ class AngularGrid:
     @property
     def elevations_deg(self) -> FloatArray:
         """The elevation of each row, `(I,)`."""
-        return self.elevation_min_deg + self.elevation_step_deg * np.arange(self.rows)
+        return self.elevation_min_deg + self.elevation_step_deg * np.arange(
+            self.rows, dtype=np.float64
+        )
 
     @property
     def azimuths_deg(self) -> FloatArray:
         """The azimuth of each column, `(J,)`."""
-        return -180.0 + self.azimuth_step_deg * np.arange(self.columns)
+        return -180.0 + self.azimuth_step_deg * np.arange(self.columns, dtype=np.float64)
 
 
 @dataclass(frozen=True)
