@@ -1,0 +1,205 @@
+"""Where am I: the closest core tensor slice over all segments (paper, sec. 2.3)."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from core.arrays import BoolArray, FloatArray, IntArray
+from core.errors import (
+    InvalidParameters,
+    InvalidSignature,
+    StaleSignature,
+)
+from core.pose import Pose, path_length_m
+from core.projection import RangeImage
+from core.scan import Scan
+from core.signature import REVISION_PREFIX_BYTES, Signature
+from core.tensormap import TensorMap
+
+__all__ = ["AWAY_M", "AWAY_SCANS", "Localization", "Localizer", "Match"]
+
+AWAY_M = 10.0
+"""A runner-up stands at least this far from the winner: nearer ones only confirm it."""
+AWAY_SCANS = 50
+"""The same where poses are unknown, in scans of one drive (5 s at 10 Hz)."""
+
+
+@dataclass(frozen=True)
+class Match:
+    """A scan of the map, and how far the query is from it.
+
+    Attributes:
+        segment: The segment it lies on.
+        fraction: How far along the segment, 0 at its first node and 1 at its second.
+        along_m: The same in metres, `None` where a pose on the way is unknown.
+        drive: The drive it was recorded in.
+        scan_index: Its index in that drive.
+        row: Its row in the map.
+        distance: Frobenius distance of the signatures.
+        timestamp_s: When it was recorded, `None` where unknown.
+        pose: Where it was recorded, `None` where unknown.
+    """
+
+    segment: int
+    fraction: float
+    along_m: float | None
+    drive: str
+    scan_index: int
+    row: int
+    distance: float
+    timestamp_s: float | None
+    pose: Pose | None
+
+
+@dataclass(frozen=True)
+class Localization:
+    """The answer to one query.
+
+    Attributes:
+        revision: The revision that answered.
+        matches: The nearest scans, nearest first; at least one.
+        runner_up: The nearest scan *away from* the winner, `None` if the map holds none.
+        segments: The segments that were searched.
+    """
+
+    revision: str
+    matches: tuple[Match, ...]
+    runner_up: Match | None
+    segments: tuple[int, ...]
+
+    @property
+    def best(self) -> Match:
+        """The nearest scan."""
+        return self.matches[0]
+
+    @property
+    def ratio(self) -> float | None:
+        """Distance of the winner over that of the runner-up: near 1 the answer is ambiguous."""
+        if self.runner_up is None or self.runner_up.distance == 0.0:
+            return None
+        return self.best.distance / self.runner_up.distance
+
+
+class Localizer:
+    """Answers queries against one map revision; safe to share between threads."""
+
+    def __init__(self, tensor_map: TensorMap) -> None:
+        self.map = tensor_map
+        self.basis = tensor_map.basis()
+        self._positions_m = tensor_map.trajectory.poses[:, :3]
+        self._known = tensor_map.trajectory.known
+        self._drive_of_scan = tensor_map.trajectory.drive_of_scan
+        self._segment_of_scan = tensor_map.model.segment_of_scan
+        steps_m = np.linalg.norm(np.diff(self._positions_m, axis=0), axis=1)
+        self._path_m = np.concatenate(
+            [[0.0], np.where(np.isnan(steps_m), np.inf, steps_m)]
+        ).cumsum()
+
+    def localize_scan(self, scan: Scan, k: int = 1) -> Localization:
+        """Localize a scan of the map's sensor.
+
+        Args:
+            scan: The returns.
+            k: How many nearest scans to answer.
+
+        Raises:
+            InvalidScan: If no return falls inside the grid.
+            InvalidParameters: If `k` is below 1.
+        """
+        return self.localize_image(self.basis.image(scan), k)
+
+    def localize_image(self, image: RangeImage, k: int = 1) -> Localization:
+        """Localize a range image on the map's grid.
+
+        Raises:
+            SensorMismatch: If the image is on another grid.
+            InvalidParameters: If `k` is below 1.
+        """
+        return self.localize_signatures(self.basis.encode(image), k)
+
+    def localize_signatures(self, signatures: Sequence[Signature], k: int = 1) -> Localization:
+        """Localize by one or more signatures of one scan, each in its own segment's bases.
+
+        Exactly those segments are searched: a signature made with one segment's bases says
+        nothing in another's.
+
+        Raises:
+            StaleSignature: If one was made with another revision's bases.
+            UnknownSegment: If the map has no such segment.
+            InvalidSignature: If there is none, a segment comes twice or the shape is not r1 x r2.
+            InvalidParameters: If `k` is below 1.
+        """
+        if k < 1:
+            raise InvalidParameters(f"k is {k}, wanted at least 1")
+        segments = np.array([s.segment for s in signatures], dtype=np.int64)
+        self._require_answerable(signatures, segments)
+        values = np.stack([s.values for s in signatures]).astype(np.float64)
+        rows, distances = self.map.model.distances(values, segments)
+        nearest = _nearest(distances, k)
+        matches = tuple(self._match(rows[i], distances[i]) for i in nearest)
+        away = self._away_from(matches[0].row)[rows]
+        runner_up = None
+        if away.any():
+            i = int(np.where(away, distances, np.inf).argmin())
+            runner_up = self._match(rows[i], distances[i])
+        return Localization(self.map.revision, matches, runner_up, tuple(sorted(segments.tolist())))
+
+    def _require_answerable(self, signatures: Sequence[Signature], segments: IntArray) -> None:
+        if not signatures:
+            raise InvalidSignature("there is no signature to search with")
+        for signature in signatures:
+            self._require_own_revision(signature.revision)
+            if signature.values.shape != self.map.parameters.ranks:
+                raise InvalidSignature(
+                    f"the signature has shape {signature.values.shape},"
+                    f" this map's have {self.map.parameters.ranks}"
+                )
+        if len(np.unique(segments)) < len(segments):
+            raise InvalidSignature(f"a segment comes twice in {segments.tolist()}")
+
+    def _require_own_revision(self, revision: str) -> None:
+        enough = len(revision) >= 2 * REVISION_PREFIX_BYTES
+        if not enough or not self.map.revision.startswith(revision):
+            raise StaleSignature(
+                f"the signature was made with revision {revision or '(none)'},"
+                f" this one is {self.map.revision}"
+            )
+
+    def _match(self, row: int, distance: float) -> Match:
+        trajectory, topology = self.map.trajectory, self.map.topology
+        segment = int(self._segment_of_scan[row])
+        first, last = topology.node_scan[topology.edge_nodes[segment]].tolist()
+        along_m = path_length_m(trajectory.poses[first : row + 1])
+        timestamp_s = float(trajectory.timestamp_s[row])
+        return Match(
+            segment=segment,
+            fraction=(int(row) - first) / max(1, last - first),
+            along_m=None if math.isnan(along_m) else along_m,
+            drive=trajectory.drives[self._drive_of_scan[row]],
+            scan_index=int(trajectory.scan_index[row]),
+            row=int(row),
+            distance=float(distance),
+            timestamp_s=None if math.isnan(timestamp_s) else timestamp_s,
+            pose=Pose.from_row(trajectory.poses[row]),
+        )
+
+    def _away_from(self, row: int) -> BoolArray:
+        """Return which scans are away from scan `row`, `(K,)`."""
+        index = self.map.trajectory.scan_index
+        other_drive = self._drive_of_scan != self._drive_of_scan[row]
+        by_scans: BoolArray = other_drive | (np.abs(index - index[row]) >= AWAY_SCANS)
+        if not self._known[row]:
+            return by_scans
+        distance_m = np.linalg.norm(self._positions_m - self._positions_m[row], axis=1)
+        return np.where(self._known, distance_m >= AWAY_M, by_scans)
+
+
+def _nearest(distances: FloatArray, k: int) -> IntArray:
+    """Return the indices of the `k` smallest, nearest first, earlier ones first among equals."""
+    if k >= len(distances):
+        return np.argsort(distances, kind="stable")
+    bound = np.partition(distances, k - 1)[k - 1]
+    candidates = np.flatnonzero(distances <= bound)
+    return candidates[np.argsort(distances[candidates], kind="stable")][:k]

@@ -1,0 +1,30 @@
+"""How long work tells how far it is."""
+
+from typing import Protocol
+
+__all__ = ["NO_PROGRESS", "Progress"]
+
+
+class Progress(Protocol):
+    """Told of each stage of long work and of every unit done in it.
+
+    Either method may raise `core.errors.Cancelled`: the work then stops where it is.
+    """
+
+    def start(self, stage: str, total: int) -> None:
+        """A stage of `total` units begins; the one before is done."""
+
+    def advance(self, units: int = 1) -> None:
+        """`units` more of the stage are done."""
+
+
+class _NoProgress:
+    def start(self, stage: str, total: int) -> None:
+        pass
+
+    def advance(self, units: int = 1) -> None:
+        pass
+
+
+NO_PROGRESS: Progress = _NoProgress()
+"""Nobody is listening."""

@@ -1,0 +1,86 @@
+"""Where a drive is cut into segments (paper, sec. 2.2)."""
+
+import itertools
+import math
+
+import numpy as np
+
+from core.arrays import IntArray
+from core.errors import EmptyDrive, InvalidParameters
+
+__all__ = [
+    "PAPER_SEGMENTS",
+    "PAPER_SEGMENT_LENGTH",
+    "cut_drives",
+    "cut_fixed",
+    "segment_length_for",
+]
+
+PAPER_SEGMENT_LENGTH = 760  # k, sec. 3.2
+PAPER_SEGMENTS = 5  # L = 3800 / 760
+
+
+def segment_length_for(
+    scans: int, *, segment_length: int | None = None, segments: int | None = None
+) -> int:
+    """Return k for a drive of `scans` scans.
+
+    `segments` asks for L parts, k = ceil(K / L). Without either, both figures of the paper bound
+    it: at least 5 segments, none longer than 760 scans.
+
+    Raises:
+        InvalidParameters: If both are given, or one is below 1.
+    """
+    if segment_length is not None and segments is not None:
+        raise InvalidParameters("give segment_length or segments, not both")
+    for name, value in (("segment_length", segment_length), ("segments", segments)):
+        if value is not None and value < 1:
+            raise InvalidParameters(f"{name} is {value}, wanted at least 1")
+    if segment_length is not None:
+        return segment_length
+    if segments is not None:
+        return max(1, math.ceil(scans / segments))
+    return min(PAPER_SEGMENT_LENGTH, max(1, math.ceil(scans / PAPER_SEGMENTS)))
+
+
+def cut_fixed(scans: int, segment_length: int) -> IntArray:
+    """Cut `scans` scans into segments of `segment_length`, `(L + 1,)` starts and the end.
+
+    The length need not divide K, as the paper assumes: a last segment shorter than half of it
+    joins the one before.
+
+    Raises:
+        EmptyDrive: If there is no scan.
+        InvalidParameters: If the length is below 1.
+
+    Examples:
+        >>> cut_fixed(11, 4).tolist(), cut_fixed(9, 4).tolist()
+        ([0, 4, 8, 11], [0, 4, 9])
+    """
+    if scans < 1:
+        raise EmptyDrive("there is no scan to cut into segments")
+    if segment_length < 1:
+        raise InvalidParameters(f"segment_length is {segment_length}, wanted at least 1")
+    starts = np.arange(0, scans, segment_length, dtype=np.int64)
+    if len(starts) > 1 and 2 * (scans - starts[-1]) < segment_length:
+        starts = starts[:-1]
+    return np.append(starts, np.int64(scans))
+
+
+def cut_drives(drive_start: IntArray, segment_length: int) -> IntArray:
+    """Cut every drive by itself, `(L + 1,)`: no segment runs from one drive into the next.
+
+    Args:
+        drive_start: `(D + 1,)` row of each drive's first scan, and K.
+        segment_length: k, as in `cut_fixed`.
+
+    Examples:
+        >>> cut_drives(np.array([0, 4, 7]), 2).tolist()
+        [0, 2, 4, 6, 7]
+    """
+    starts = drive_start.tolist()
+    cuts = [
+        start + cut_fixed(end - start, segment_length)[:-1]
+        for start, end in itertools.pairwise(starts)
+    ]
+    return np.concatenate([*cuts, drive_start[-1:]])

@@ -1,0 +1,141 @@
+"""A TensorMap: the immutable content of one map revision (paper, fig. 2d)."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from core.arrays import FloatArray, IntArray, frozen
+from core.basis import Basis
+from core.encodings.paper import PaperModel
+from core.errors import InvalidMap
+from core.parameters import MapParameters
+from core.revision import content_digest
+from core.topology import Topology
+from core.trajectory import Trajectory
+from core.tucker import storage_elements
+
+__all__ = ["TensorMap"]
+
+
+@dataclass(frozen=True, eq=False)
+class TensorMap:
+    """Segments' models, where their scans were recorded, and the graph they form.
+
+    Attributes:
+        parameters: The choices it was built with.
+        model: Bases and signatures.
+        trajectory: Drive, time and pose of each scan.
+        topology: Nodes and edges; edge `l` is segment `l`.
+        relative_error: `(L,)` |X - X^| / |X| of each segment.
+    """
+
+    parameters: MapParameters
+    model: PaperModel
+    trajectory: Trajectory
+    topology: Topology
+    relative_error: FloatArray
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "relative_error", frozen(self.relative_error, np.float64))
+        scans, segments = len(self.model.signatures), self.model.segments
+        if len(self.trajectory) != scans:
+            raise InvalidMap(f"{scans} signatures and {len(self.trajectory)} scans")
+        if self.relative_error.shape != (segments,):
+            raise InvalidMap(f"{segments} segments and {self.relative_error.shape} errors")
+        if len(self.topology.edge_nodes) != segments:
+            raise InvalidMap(f"{segments} segments and {len(self.topology.edge_nodes)} edges")
+        if len(self.topology.node_scan) and not (
+            self.topology.node_scan.min() >= 0 and self.topology.node_scan.max() < scans
+        ):
+            raise InvalidMap("node_scan names a scan that does not exist")
+        if self.model.ranks != self.parameters.ranks:
+            raise InvalidMap(f"signatures are {self.model.ranks}, ranks {self.parameters.ranks}")
+        if self.model.grid_shape != self.parameters.grid.shape:
+            raise InvalidMap(f"bases are for {self.model.grid_shape}, not for the grid")
+
+    def __len__(self) -> int:
+        return len(self.trajectory)
+
+    @cached_property
+    def revision(self) -> str:
+        """The digest of the content, 64 hexadecimal digits."""
+        return content_digest(self.arrays(), self.attributes())
+
+    @property
+    def elements(self) -> int:
+        """How many numbers the bases and signatures are (paper, sec. 2.4)."""
+        return storage_elements(
+            self.model.segments, len(self), self.parameters.grid.shape, self.parameters.ranks
+        )
+
+    def basis(self, segments: IntArray | None = None) -> Basis:
+        """Return what a vehicle needs to make signatures, for all or some segments.
+
+        Raises:
+            UnknownSegment: If the map has no such segment.
+        """
+        if segments is None:
+            segments = np.arange(self.model.segments)
+        self.model.require_segments(segments)
+        return Basis(
+            revision=self.revision,
+            parameters=self.parameters,
+            segments=segments,
+            elevation_basis=self.model.elevation_basis[segments],
+            azimuth_basis=self.model.azimuth_basis[segments],
+        )
+
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """Return every array of the map by its name in the file."""
+        return {
+            "elevation_basis": self.model.elevation_basis,
+            "azimuth_basis": self.model.azimuth_basis,
+            "signatures": self.model.signatures,
+            "segment_start": self.model.segment_start,
+            "relative_error": self.relative_error,
+            "drive_start": self.trajectory.drive_start,
+            "scan_index": self.trajectory.scan_index,
+            "timestamp_s": self.trajectory.timestamp_s,
+            "pose": self.trajectory.poses,
+            "node_scan": self.topology.node_scan,
+            "edge_nodes": self.topology.edge_nodes,
+            "edge_length_m": self.topology.edge_length_m,
+        }
+
+    def attributes(self) -> dict[str, Any]:
+        """Return every attribute of the map, as plain values."""
+        return {**self.parameters.as_attributes(), "drives": list(self.trajectory.drives)}
+
+    @classmethod
+    def from_parts(
+        cls, arrays: Mapping[str, NDArray[Any]], attributes: Mapping[str, Any]
+    ) -> "TensorMap":
+        """Make the map of what `arrays` and `attributes` gave.
+
+        Raises:
+            InvalidMap: If something is missing or does not fit together.
+        """
+        parameters = MapParameters.from_attributes(dict(attributes))
+        try:
+            a = dict(arrays)
+            return cls(
+                parameters,
+                PaperModel(
+                    a["elevation_basis"], a["azimuth_basis"], a["signatures"], a["segment_start"]
+                ),
+                Trajectory(
+                    tuple(attributes["drives"]),
+                    a["drive_start"],
+                    a["scan_index"],
+                    a["timestamp_s"],
+                    a["pose"],
+                ),
+                Topology(a["node_scan"], a["edge_nodes"], a["edge_length_m"]),
+                a["relative_error"],
+            )
+        except KeyError as error:
+            raise InvalidMap(f"the map lacks {error}") from error

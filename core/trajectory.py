@@ -1,0 +1,111 @@
+"""Where, when and in which drive a map's scans were recorded."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from core.arrays import BoolArray, FloatArray, IntArray, frozen
+from core.errors import EmptyDrive, InvalidMap
+from core.pose import is_known
+
+__all__ = ["Trajectory"]
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """The scans of a map in order, drive after drive, without their returns.
+
+    Attributes:
+        drives: Names of the D drives.
+        drive_start: `(D + 1,)` row of each drive's first scan, and K.
+        scan_index: `(K,)` index of each scan in its own drive; gaps are allowed.
+        timestamp_s: `(K,)` seconds, NaN where unknown.
+        poses: `(K, 7)` sensor to world, NaN where unknown.
+    """
+
+    drives: tuple[str, ...]
+    drive_start: IntArray
+    scan_index: IntArray
+    timestamp_s: FloatArray
+    poses: FloatArray
+
+    def __post_init__(self) -> None:
+        for name, dtype in (
+            ("drive_start", np.int64),
+            ("scan_index", np.int64),
+            ("timestamp_s", np.float64),
+            ("poses", np.float64),
+        ):
+            object.__setattr__(self, name, frozen(getattr(self, name), dtype))
+        scans = len(self.scan_index)
+        if scans == 0:
+            raise EmptyDrive("a trajectory needs at least one scan")
+        if self.scan_index.shape != (scans,) or self.timestamp_s.shape != (scans,):
+            raise InvalidMap(f"timestamp_s has shape {self.timestamp_s.shape}, wanted ({scans},)")
+        if self.poses.shape != (scans, 7):
+            raise InvalidMap(f"poses has shape {self.poses.shape}, wanted ({scans}, 7)")
+        starts = self.drive_start
+        if (
+            starts.shape != (len(self.drives) + 1,)
+            or starts[0] != 0
+            or starts[-1] != scans
+            or (np.diff(starts) < 1).any()
+        ):
+            raise InvalidMap(
+                f"drive_start {starts.tolist()} does not cut {scans} scans"
+                f" into {len(self.drives)} drives"
+            )
+
+    def __len__(self) -> int:
+        return len(self.scan_index)
+
+    @property
+    def known(self) -> BoolArray:
+        """Which scans have a pose, `(K,)`."""
+        return is_known(self.poses)
+
+    @property
+    def drive_of_scan(self) -> IntArray:
+        """The drive of each scan, `(K,)` indices into `drives`."""
+        return np.repeat(np.arange(len(self.drives)), np.diff(self.drive_start))
+
+    @classmethod
+    def of_drive(
+        cls, name: str, timestamp_s: FloatArray, poses: FloatArray, scan_index: IntArray
+    ) -> "Trajectory":
+        """Return the trajectory of one drive."""
+        return cls((name,), np.array([0, len(scan_index)]), scan_index, timestamp_s, poses)
+
+    @classmethod
+    def concatenate(cls, parts: Sequence["Trajectory"]) -> "Trajectory":
+        """Put trajectories one after another.
+
+        Raises:
+            EmptyDrive: If there is none.
+        """
+        if not parts:
+            raise EmptyDrive("there is no drive to map")
+        offsets = np.cumsum([0] + [len(part) for part in parts])
+        starts = [
+            part.drive_start[:-1] + offset for part, offset in zip(parts, offsets, strict=False)
+        ]
+        return cls(
+            tuple(name for part in parts for name in part.drives),
+            np.concatenate([*starts, offsets[-1:]]),
+            np.concatenate([part.scan_index for part in parts]),
+            np.concatenate([part.timestamp_s for part in parts]),
+            np.concatenate([part.poses for part in parts]),
+        )
+
+    def select(self, rows: IntArray) -> "Trajectory":
+        """Return the trajectory of some rows, in rising order, leaving out drives left empty."""
+        drive = self.drive_of_scan[rows]
+        kept, counts = np.unique(drive, return_counts=True)
+        return Trajectory(
+            tuple(self.drives[i] for i in kept),
+            np.cumsum([0, *counts]),
+            self.scan_index[rows],
+            self.timestamp_s[rows],
+            self.poses[rows],
+        )
