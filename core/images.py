@@ -1,12 +1,28 @@
 """Where a build reads its images from, as often as it needs them."""
 
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
 from typing import Protocol
 
+import numpy as np
+
 from core.arrays import Float32Array, IntArray, frozen
-from core.errors import InvalidImage
+from core.drive import Drive
+from core.errors import EmptyDrive, InvalidImage, InvalidScan
+from core.progress import NO_PROGRESS, Progress
+from core.projection import RangeImage, Reducer, project_scan
+from core.scan import Scan
 from core.sensor import AngularGrid
 
-__all__ = ["ImageSource", "MemoryImages", "SelectedImages"]
+__all__ = [
+    "ImageSource",
+    "MemoryImages",
+    "ProjectedDrive",
+    "SelectedImages",
+    "Skipped",
+    "project_drive",
+    "project_each",
+]
 
 
 class ImageSource(Protocol):
@@ -61,3 +77,81 @@ class SelectedImages:
             return self._source.read(0, 0)
         first = int(rows[0])
         return self._source.read(first, int(rows[-1]) + 1)[rows - first]
+
+
+@dataclass(frozen=True)
+class Skipped:
+    """A scan that gave no image, and why."""
+
+    scan: int
+    reason: str
+
+
+@dataclass(frozen=True, eq=False)
+class ProjectedDrive:
+    """The images of a drive's usable scans.
+
+    Attributes:
+        images: One for each usable scan.
+        scans: `(n,)` their positions in the drive, rising.
+        returns: How many returns they hold together.
+        skipped: The scans that could not be used.
+    """
+
+    images: ImageSource
+    scans: IntArray
+    returns: int
+    skipped: tuple[Skipped, ...]
+
+
+def project_each(
+    drive: Drive,
+    scans: Iterable[int],
+    grid: AngularGrid,
+    reducer: Reducer,
+    progress: Progress = NO_PROGRESS,
+) -> Iterator[tuple[int, Scan, RangeImage] | Skipped]:
+    """Read and project scans one by one; one that cannot be used is told, the rest goes on."""
+    for index in scans:
+        try:
+            scan = drive.scan(index)
+            yield index, scan, project_scan(scan, grid, reducer)
+        except InvalidScan as error:
+            yield Skipped(index, str(error))
+        progress.advance()
+
+
+def project_drive(
+    drive: Drive,
+    scans: IntArray,
+    grid: AngularGrid,
+    reducer: Reducer,
+    progress: Progress = NO_PROGRESS,
+) -> ProjectedDrive:
+    """Project scans of a drive into memory, 43 kB each on the paper's grid.
+
+    Raises:
+        EmptyDrive: If not one of them is usable; the message gives the first reason.
+    """
+    progress.start("projecting", len(scans))
+    ranges_m = np.empty((len(scans), *grid.shape), np.float32)
+    kept: list[int] = []
+    skipped: list[Skipped] = []
+    returns = 0
+    for item in project_each(drive, scans.tolist(), grid, reducer, progress):
+        if isinstance(item, Skipped):
+            skipped.append(item)
+            continue
+        index, scan, image = item
+        ranges_m[len(kept)] = image.ranges_m
+        kept.append(index)
+        returns += len(scan)
+    if not kept:
+        reason = f": scan {skipped[0].scan}: {skipped[0].reason}" if skipped else ""
+        raise EmptyDrive(f"drive {drive.name} has no usable scan{reason}")
+    return ProjectedDrive(
+        MemoryImages(ranges_m[: len(kept)], grid),
+        np.array(kept, dtype=np.int64),
+        returns,
+        tuple(skipped),
+    )

@@ -1,0 +1,69 @@
+"""What a query vehicle may meet: turned, beside the mapped line, noisy (paper, sec. 3.4)."""
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from core.arrays import FloatArray
+from core.errors import InvalidParameters
+from core.scan import Scan
+
+__all__ = ["Condition", "conditions"]
+
+
+@dataclass(frozen=True)
+class Condition:
+    """A disturbance of every query scan.
+
+    The vehicle stands `lateral_m` to the left of its recorded pose (negative: right), is then
+    turned `yaw_deg` counter-clockwise, p' = Rz(-yaw) (p - (0, d, 0)), and every coordinate of its
+    returns carries Gaussian noise. As in the paper the displacement is simulated: the returns are
+    those seen from the recorded place.
+    """
+
+    yaw_deg: float = 0.0
+    lateral_m: float = 0.0
+    noise_m: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not np.isfinite([self.yaw_deg, self.lateral_m, self.noise_m]).all():
+            raise InvalidParameters(f"{self} holds a number that is not finite")
+        if self.noise_m < 0:
+            raise InvalidParameters(f"noise_m is {self.noise_m}, wanted 0 or more")
+
+    def apply(self, scan: Scan, rng: np.random.Generator) -> Scan:
+        """Return the scan as the query vehicle would have it.
+
+        Examples:
+            >>> scan = Scan(np.array([[10.0, 5.0, 0.0]]))
+            >>> beside = Condition(yaw_deg=90.0, lateral_m=5.0)
+            >>> beside.apply(scan, np.random.default_rng(0)).points_m.round(3).tolist()
+            [[0.0, -10.0, 0.0]]
+        """
+        if self == Condition():
+            return scan
+        points = scan.points_m.astype(np.float64) - (0.0, self.lateral_m, 0.0)
+        points = Rotation.from_euler("z", -self.yaw_deg, degrees=True).apply(points)
+        if self.noise_m:
+            points += rng.normal(scale=self.noise_m, size=points.shape)
+        return Scan.from_returns(points, timestamp_s=scan.timestamp_s, pose=scan.pose)
+
+    def position_m(self, pose: FloatArray) -> FloatArray:
+        """Return where the vehicle stands under this condition, `(3,)`, of a `(7,)` pose row."""
+        if not np.isfinite(pose).all():
+            return np.full(3, np.nan)
+        left = Rotation.from_quat(pose[3:]).apply([0.0, self.lateral_m, 0.0])
+        return np.asarray(pose[:3] + left)
+
+
+def conditions(
+    yaw_deg: Sequence[float], lateral_m: Sequence[float], noise_m: Sequence[float]
+) -> tuple[Condition, ...]:
+    """Return the product of three lists."""
+    return tuple(
+        Condition(yaw, lateral, noise)
+        for yaw, lateral, noise in itertools.product(yaw_deg, lateral_m, noise_m)
+    )

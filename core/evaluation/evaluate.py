@@ -1,0 +1,278 @@
+"""Build a map of one part of a drive and ask it where the other part was (paper, sec. 3)."""
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.spatial import KDTree
+
+from core.arrays import BoolArray, FloatArray, IntArray
+from core.builder import build_map
+from core.compression import Compression
+from core.drive import Drive
+from core.errors import EmptyDrive, InvalidParameters, InvalidScan
+from core.evaluation.condition import Condition
+from core.evaluation.motion import is_standing, motion_surrogate
+from core.evaluation.result import ConditionResult, Evaluation, SegmentError
+from core.evaluation.split import Interleaved, Split
+from core.images import ProjectedDrive, project_drive
+from core.localizer import Localizer
+from core.parameters import MapParameters
+from core.pose import is_known
+from core.progress import NO_PROGRESS, Progress
+from core.segmentation import cut_fixed, segment_length_for
+from core.tensormap import TensorMap
+from core.trajectory import Trajectory
+
+__all__ = ["Protocol", "evaluate"]
+
+
+@dataclass(frozen=True)
+class Protocol:
+    """How a drive is evaluated.
+
+    Attributes:
+        parameters: What the map is built with.
+        segment_length: k in scans of the drive, before the split.
+        segments: L instead, k = ceil(K / L).
+        split: Which scans are held out; not used when another drive is the query.
+        conditions: The disturbances of the queries.
+        tolerances_m: Within which a match counts as recalled.
+        seed: Of the noise; a scan's noise is the same whatever else is asked.
+    """
+
+    parameters: MapParameters = field(default_factory=MapParameters)
+    segment_length: int | None = None
+    segments: int | None = None
+    split: Split = field(default_factory=Interleaved)
+    conditions: tuple[Condition, ...] = (Condition(),)
+    tolerances_m: tuple[float, ...] = (3.0, 5.0, 10.0)
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if not self.tolerances_m or min(self.tolerances_m) <= 0:
+            raise InvalidParameters(f"tolerances_m is {self.tolerances_m}, wanted metres above 0")
+        if self.seed < 0:
+            raise InvalidParameters(f"seed is {self.seed}, wanted 0 or more")
+
+
+@dataclass(frozen=True, eq=False)
+class _Queries:
+    """The scans that are asked, and what is true of them; rows of one drive."""
+
+    drive: Drive
+    scans: IntArray
+    segment: IntArray  # -1 where no pose tells it
+    standing: BoolArray | None
+    surrogate: FloatArray
+
+
+@dataclass(frozen=True)
+class _Answer:
+    scan: int
+    segment: int
+    matched_scan: int
+    matched_segment: int
+    matched_m: FloatArray
+    seconds: float
+
+
+def evaluate(
+    drive: Drive,
+    protocol: Protocol,
+    query_drive: Drive | None = None,
+    progress: Progress = NO_PROGRESS,
+) -> Evaluation:
+    """Evaluate localization on a drive against itself, or against a second pass.
+
+    Segments are cut over all scans of the drive, then split. With a query drive the whole of
+    `drive` is the map, both share one world frame, and a query's true segment is that of the
+    nearest map scan.
+
+    Raises:
+        EmptyDrive: If a drive has no usable scan.
+        InvalidParameters: If the split leaves a segment without a map scan or nothing to ask.
+    """
+    if len(drive) == 0:
+        raise EmptyDrive(f"drive {drive.name} has no scan")
+    length = segment_length_for(
+        len(drive), segment_length=protocol.segment_length, segments=protocol.segments
+    )
+    segment_start = cut_fixed(len(drive), length)
+    held_out = (
+        protocol.split.held_out(segment_start)
+        if query_drive is None
+        else np.zeros(len(drive), dtype=bool)
+    )
+    projected = project_drive(
+        drive,
+        np.flatnonzero(~held_out),
+        protocol.parameters.grid,
+        protocol.parameters.reducer,
+        progress,
+    )
+    tensor_map = _build(drive, projected, segment_start, protocol.parameters, progress)
+    queries = (
+        _held_out_queries(drive, held_out, segment_start)
+        if query_drive is None
+        else _drive_queries(query_drive, tensor_map)
+    )
+    if not len(queries.scans):
+        raise InvalidParameters("the split holds no scan out: there is nothing to ask")
+    return Evaluation(
+        drive=drive.name,
+        query_drive=None if query_drive is None else query_drive.name,
+        encoding=str(protocol.parameters.encoding),
+        ranks=protocol.parameters.ranks,
+        segments=tensor_map.model.segments,
+        split=str(protocol.split) if query_drive is None else None,
+        reducer=str(protocol.parameters.reducer),
+        sensor=protocol.parameters.sensor,
+        sensor_height_m=protocol.parameters.sensor_height_m,
+        seed=protocol.seed,
+        map_scans=len(tensor_map),
+        standing_scans=None if queries.standing is None else int(queries.standing.sum()),
+        skipped=projected.skipped,
+        compression=Compression.of(
+            tensor_map.elements,
+            scans=len(tensor_map),
+            grid_shape=protocol.parameters.grid.shape,
+            returns=projected.returns,
+        ),
+        relative_error=tuple(tensor_map.relative_error.tolist()),
+        conditions=_ask(Localizer(tensor_map), queries, protocol, progress),
+    )
+
+
+def _build(
+    drive: Drive,
+    projected: ProjectedDrive,
+    segment_start: IntArray,
+    parameters: MapParameters,
+    progress: Progress,
+) -> TensorMap:
+    scans = projected.scans
+    map_start = np.searchsorted(scans, segment_start)
+    empty = np.flatnonzero(np.diff(map_start) == 0)
+    if len(empty):
+        raise InvalidParameters(
+            f"segment {empty[0]} is left without a map scan: take longer segments or another split"
+        )
+    trajectory = Trajectory.of_drive(
+        drive.name, drive.timestamp_s[scans], drive.poses[scans], scans
+    )
+    return build_map(projected.images, trajectory, map_start, parameters, progress)
+
+
+def _queries(drive: Drive, scans: IntArray, segment: IntArray) -> _Queries:
+    known = bool(is_known(drive.poses).all())
+    return _Queries(
+        drive,
+        scans,
+        segment,
+        is_standing(drive.poses, drive.timestamp_s)[scans] if known else None,
+        motion_surrogate(drive.poses)[scans],
+    )
+
+
+def _held_out_queries(drive: Drive, held_out: BoolArray, segment_start: IntArray) -> _Queries:
+    scans = np.flatnonzero(held_out)
+    return _queries(drive, scans, np.searchsorted(segment_start, scans, side="right") - 1)
+
+
+def _drive_queries(drive: Drive, tensor_map: TensorMap) -> _Queries:
+    scans = np.arange(len(drive))
+    mapped = tensor_map.trajectory.known
+    asked = is_known(drive.poses)
+    segment = np.full(len(drive), -1)
+    if mapped.any() and asked.any():
+        tree = KDTree(tensor_map.trajectory.poses[mapped, :3])
+        nearest = np.flatnonzero(mapped)[tree.query(drive.poses[asked, :3])[1]]
+        segment[asked] = tensor_map.model.segment_of_scan[nearest]
+    return _queries(drive, scans, segment)
+
+
+def _ask(
+    localizer: Localizer, queries: _Queries, protocol: Protocol, progress: Progress
+) -> tuple[ConditionResult, ...]:
+    """Read each query once and ask it under every condition."""
+    answers: list[list[_Answer]] = [[] for _ in protocol.conditions]
+    progress.start("localizing", len(queries.scans) * len(protocol.conditions))
+    for scan_index, segment in zip(queries.scans.tolist(), queries.segment.tolist(), strict=True):
+        try:
+            scan = queries.drive.scan(scan_index)
+        except InvalidScan:
+            progress.advance(len(protocol.conditions))
+            continue
+        for condition, given in zip(protocol.conditions, answers, strict=True):
+            rng = np.random.default_rng([protocol.seed, scan_index])
+            try:
+                disturbed = condition.apply(scan, rng)
+                begun = time.perf_counter()
+                best = localizer.localize_scan(disturbed).best
+                seconds = time.perf_counter() - begun
+            except InvalidScan:
+                progress.advance()
+                continue
+            matched_m = localizer.map.trajectory.poses[best.row, :3]
+            given.append(
+                _Answer(scan_index, segment, best.scan_index, best.segment, matched_m, seconds)
+            )
+            progress.advance()
+    return tuple(
+        _summarize(condition, given, queries, protocol.tolerances_m)
+        for condition, given in zip(protocol.conditions, answers, strict=True)
+    )
+
+
+def _summarize(
+    condition: Condition,
+    answers: Sequence[_Answer],
+    queries: _Queries,
+    tolerances_m: Sequence[float],
+) -> ConditionResult:
+    row_of = {scan: row for row, scan in enumerate(queries.scans.tolist())}
+    judged = [a for a in answers if a.segment >= 0]
+    wrong = [a for a in judged if a.matched_segment != a.segment]
+    errors = tuple(_segment_error(a, queries, row_of[a.scan]) for a in wrong)
+    standing = None if queries.standing is None else sum(bool(e.standing) for e in errors)
+    poses = queries.drive.poses
+    recorded_m = _distances_m(answers, [poses[a.scan, :3] for a in answers])
+    displaced_m = _distances_m(answers, [condition.position_m(poses[a.scan]) for a in answers])
+    return ConditionResult(
+        condition=condition,
+        queries=len(queries.scans),
+        refusals=len(queries.scans) - len(answers),
+        segment_accuracy=1.0 - len(wrong) / len(judged) if judged else None,
+        errors=errors,
+        errors_moving=None if standing is None else len(errors) - standing,
+        errors_stationary=standing,
+        recall_at_1={
+            metres: float(np.mean(recorded_m <= metres)) if len(recorded_m) else None
+            for metres in tolerances_m
+        },
+        position_error_m_median=float(np.median(displaced_m)) if len(displaced_m) else None,
+        heading_error_deg_median=None,
+        ms_per_query=1e3 * float(np.mean([a.seconds for a in answers])) if answers else None,
+    )
+
+
+def _segment_error(answer: _Answer, queries: _Queries, row: int) -> SegmentError:
+    surrogate = float(queries.surrogate[row])
+    return SegmentError(
+        scan=answer.scan,
+        matched_scan=answer.matched_scan,
+        segment=answer.segment,
+        matched_segment=answer.matched_segment,
+        standing=None if queries.standing is None else bool(queries.standing[row]),
+        motion_surrogate=None if np.isnan(surrogate) else surrogate,
+    )
+
+
+def _distances_m(answers: Sequence[_Answer], true_m: Sequence[FloatArray]) -> FloatArray:
+    """Return how far the matched places are from the true ones, where both are known."""
+    if not answers:
+        return np.empty(0)
+    distances = np.linalg.norm(np.stack([a.matched_m for a in answers]) - np.stack(true_m), axis=1)
+    return np.asarray(distances[np.isfinite(distances)])

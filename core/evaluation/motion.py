@@ -1,0 +1,55 @@
+"""Whether the vehicle moves: errors while it stands are told apart (paper, sec. 3.3)."""
+
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from core.arrays import BoolArray, FloatArray
+from core.pose import is_known
+
+__all__ = ["NOMINAL_PERIOD_S", "STANDING_M", "is_standing", "motion_surrogate"]
+
+_T = TypeVar("_T", bound=np.generic)
+
+NOMINAL_PERIOD_S = 0.1  # the paper's sensor turns at 10 Hz
+STANDING_M = 0.05  # per nominal period: 0.5 m/s
+
+
+def is_standing(poses: FloatArray, timestamp_s: FloatArray) -> BoolArray:
+    """Return which scans were taken standing: moved less than 0.05 m x (dt / 0.1 s).
+
+    The motion is that since the previous scan; the first scan's is that to the next. Where a time
+    is unknown dt is 0.1 s; where a pose is unknown nothing shows that the vehicle stands.
+
+    Args:
+        poses: `(K, 7)`.
+        timestamp_s: `(K,)`.
+    """
+    moved_m = np.linalg.norm(np.diff(poses[:, :3], axis=0), axis=1)
+    period_s = np.diff(timestamp_s)
+    period_s = np.where(np.isfinite(period_s) & (period_s > 0), period_s, NOMINAL_PERIOD_S)
+    return _since_previous(moved_m < STANDING_M * (period_s / NOMINAL_PERIOD_S), alone=False)
+
+
+def motion_surrogate(poses: FloatArray) -> FloatArray:
+    """Return the paper's surrogate of speed, `(K,)`: the norm of the change in 6-DOF pose.
+
+    The six are x, y, z in metres and roll, pitch, yaw in radians, as the Ford dataset gives them;
+    angles are differenced the short way round. NaN where a pose is unknown.
+    """
+    known = is_known(poses)
+    angles = np.full((len(poses), 3), np.nan)
+    if known.any():
+        angles[known] = Rotation.from_quat(poses[known, 3:]).as_euler("xyz")
+    turned = np.diff(angles, axis=0)
+    turned = (turned + np.pi) % (2 * np.pi) - np.pi
+    change = np.hstack([np.diff(poses[:, :3], axis=0), turned])
+    return _since_previous(np.linalg.norm(change, axis=1), alone=np.nan)
+
+
+def _since_previous(steps: NDArray[_T], alone: float) -> NDArray[_T]:
+    """Give the first scan the step to its next one; a scan `alone` has no step at all."""
+    first = steps[:1] if len(steps) else np.array([alone], dtype=steps.dtype)
+    return np.concatenate([first, steps])

@@ -1,0 +1,108 @@
+"""What an evaluation found."""
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from core.compression import Compression
+from core.evaluation.condition import Condition
+from core.images import Skipped
+
+__all__ = ["ConditionResult", "Evaluation", "SegmentError"]
+
+
+@dataclass(frozen=True)
+class SegmentError:
+    """A query that was put on a wrong segment.
+
+    Attributes:
+        scan: The query's index in its drive.
+        matched_scan: Index of the map scan that it was taken for.
+        segment: Where it belongs.
+        matched_segment: Where it was put.
+        standing: Whether the vehicle stood, `None` without poses.
+        motion_surrogate: The paper's norm of the 6-DOF change, `None` without poses.
+    """
+
+    scan: int
+    matched_scan: int
+    segment: int
+    matched_segment: int
+    standing: bool | None
+    motion_surrogate: float | None
+
+
+@dataclass(frozen=True)
+class ConditionResult:
+    """All queries under one condition; what does not apply is `None`.
+
+    Attributes:
+        condition: The disturbance.
+        queries: How many scans were asked.
+        refusals: How many got no answer; they count in none of the figures below.
+        segment_accuracy: Share of answers on the right segment.
+        errors: Answers on a wrong segment, one by one.
+        errors_moving: How many of them while the vehicle moved.
+        errors_stationary: How many while it stood.
+        recall_at_1: Share of answers whose map scan was recorded within so many metres.
+        position_error_m_median: Median distance of the answer from the displaced vehicle.
+        heading_error_deg_median: The paper's encoding estimates no heading.
+        ms_per_query: Mean wall time from returns to answer, projection included.
+    """
+
+    condition: Condition
+    queries: int
+    refusals: int
+    segment_accuracy: float | None
+    errors: tuple[SegmentError, ...]
+    errors_moving: int | None
+    errors_stationary: int | None
+    recall_at_1: dict[float, float | None]
+    position_error_m_median: float | None
+    heading_error_deg_median: float | None
+    ms_per_query: float | None
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return plain values, `errors` as their number."""
+        return {
+            **asdict(self.condition),
+            "queries": self.queries,
+            "refusals": self.refusals,
+            "segment_accuracy": self.segment_accuracy,
+            "errors": len(self.errors),
+            "errors_moving": self.errors_moving,
+            "errors_stationary": self.errors_stationary,
+            "recall_at_1": {f"{metres:g}": share for metres, share in self.recall_at_1.items()},
+            "position_error_m_median": self.position_error_m_median,
+            "heading_error_deg_median": self.heading_error_deg_median,
+            "ms_per_query": self.ms_per_query,
+            "error_scans": [asdict(error) for error in self.errors],
+        }
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """A map made of one part of a drive and asked with another, or with another drive."""
+
+    drive: str
+    query_drive: str | None
+    encoding: str
+    ranks: tuple[int, int]
+    segments: int
+    split: str | None
+    reducer: str
+    sensor: str
+    sensor_height_m: float
+    seed: int
+    map_scans: int
+    standing_scans: int | None
+    skipped: tuple[Skipped, ...]
+    compression: Compression
+    relative_error: tuple[float, ...]
+    conditions: tuple[ConditionResult, ...]
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return plain values, ready for JSON."""
+        return {
+            **asdict(self),
+            "conditions": [result.as_dict() for result in self.conditions],
+        }
