@@ -83,6 +83,12 @@ def test_a_nuscenes_file_is_not_taken_for_kitti(tmp_path: Path) -> None:
         read_scan_file(tmp_path / "LIDAR_TOP.pcd.bin", min_returns=1)
 
 
+def test_a_signalling_nan_is_a_no_return_like_any_other() -> None:
+    bits = np.array([[0x7FA00001] * 4, [0x3F800000] * 4], "<u4")
+    scan = read_scan(bits.tobytes(), suffix=".bin", min_returns=1)
+    assert (len(scan), scan.dropped_returns) == (1, 1)
+
+
 def test_names_media_types_and_suffixes_are_nobody_elses() -> None:
     for words in (
         [known.name for known in SCAN_FORMATS],
