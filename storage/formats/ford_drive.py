@@ -140,8 +140,9 @@ def read_ford_scan(
 ) -> Scan:
     """Read one `Scan*.mat`.
 
-    It is no format of the registry: a `.mat` file unpacks to whatever it claims, so it is read
-    from a disk the operator filled, and not from the network.
+    It is no format of the registry, and must not be reachable from the network: a `.mat` file
+    unpacks to whatever it claims, and SciPy 1.17.1 checks no element's type, so that one damaged
+    byte can end the process. Read only what the operator put on the disk.
 
     Raises:
         MalformedScan: If the file has no `SCAN.XYZ` of shape (3, N).

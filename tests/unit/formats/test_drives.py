@@ -162,7 +162,7 @@ class TestFord:
         with pytest.raises(MalformedScan, match=r"Scan9\.mat"):
             open_drive(ford(tmp_path / "a", **fields)).scan(0)
 
-    def test_a_damaged_file_is_malformed_wherever_the_damage_is(self, tmp_path: Path) -> None:
+    def test_a_file_cut_anywhere_is_malformed(self, tmp_path: Path) -> None:
         drive = open_drive(ford(tmp_path / "a"))
         file = tmp_path / "a" / "SCANS" / "Scan9.mat"
         whole = file.read_bytes()
