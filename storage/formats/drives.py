@@ -1,0 +1,40 @@
+"""Recorded drives: which layout a folder has."""
+
+from pathlib import Path
+
+from core.drive import Drive
+from core.errors import EmptyDrive
+from storage.formats.errors import UnknownDriveLayout
+from storage.formats.file_drive import open_scan_folder
+from storage.formats.ford_drive import open_ford_drive
+from storage.formats.kitti_drive import open_kitti_drive
+from storage.formats.registry import SCAN_FORMATS
+
+__all__ = ["open_drive"]
+
+
+def open_drive(path: Path, *, min_returns: int = 1) -> Drive:
+    """Open a recorded drive; scans are read when asked for.
+
+    Args:
+        path: A folder with `velodyne/` (KITTI odometry), with `SCANS/` (Ford Campus), or of scan
+            files, in the order of their names. Its name becomes the drive's.
+        min_returns: How many finite, non-zero returns a scan must have.
+
+    Raises:
+        UnknownDriveLayout: If the folder is neither.
+        EmptyDrive: If it has a layout and no scans.
+        MalformedDrive: If a file beside the scans cannot be used.
+    """
+    if (path / "velodyne").is_dir():
+        return open_kitti_drive(path, min_returns=min_returns)
+    if (path / "SCANS").is_dir():
+        return open_ford_drive(path, min_returns=min_returns)
+    suffixes = " ".join(suffix for known in SCAN_FORMATS for suffix in known.suffixes)
+    wanted = f"velodyne/*.bin (KITTI), SCANS/Scan*.mat (Ford Campus) or scan files ({suffixes})"
+    if not path.is_dir():
+        raise UnknownDriveLayout(f"{path} is no folder; wanted one with {wanted}")
+    try:
+        return open_scan_folder(path, min_returns=min_returns)
+    except EmptyDrive as error:
+        raise UnknownDriveLayout(f"{path} has none of {wanted}") from error

@@ -1,0 +1,58 @@
+"""The errors of scan files and recorded drives.
+
+TensorMapError
+├── InvalidScan
+│   ├── EmptyBody           no bytes at all
+│   ├── TruncatedScan       fewer bytes than the header says, or no whole number of records
+│   ├── WrongDtype          numbers of another type than metres in floating point
+│   ├── MalformedScan       a header or body that cannot be parsed
+│   └── ScanTooLarge        more returns than a reader is willing to unpack
+├── UnknownFormat           bytes that no reader claims
+├── UnknownDriveLayout      a folder that is laid out like no drive
+└── MalformedDrive          a file beside the scans that cannot be used
+"""
+
+from core.errors import InvalidScan, TensorMapError
+
+__all__ = [
+    "EmptyBody",
+    "MalformedDrive",
+    "MalformedScan",
+    "ScanTooLarge",
+    "TruncatedScan",
+    "UnknownDriveLayout",
+    "UnknownFormat",
+    "WrongDtype",
+]
+
+
+class EmptyBody(InvalidScan):
+    """No bytes where a scan was wanted."""
+
+
+class TruncatedScan(InvalidScan):
+    """Fewer bytes than the header says, or not a whole number of records."""
+
+
+class WrongDtype(InvalidScan):
+    """Numbers that are not metres in floating point."""
+
+
+class MalformedScan(InvalidScan):
+    """A header or body that cannot be parsed."""
+
+
+class ScanTooLarge(InvalidScan):
+    """A scan that would unpack to more bytes than the reader allows."""
+
+
+class UnknownFormat(TensorMapError):
+    """Bytes that no reader claims."""
+
+
+class UnknownDriveLayout(TensorMapError):
+    """A folder that is laid out like no drive."""
+
+
+class MalformedDrive(TensorMapError):
+    """Poses, times or a calibration that cannot be used."""

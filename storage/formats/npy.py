@@ -1,0 +1,144 @@
+"""NumPy arrays, `.npy`: the first three columns, or the fields x, y and z.
+
+The header is text that a client wrote: it is parsed as literals of a few kinds, without NumPy's
+fallbacks that warn, and what it claims is compared with what came before an array is made.
+"""
+
+import ast
+import math
+import re
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.lib import format as npy_format
+
+from core.arrays import Float32Array
+from storage.formats.errors import MalformedScan, TruncatedScan, WrongDtype
+
+__all__ = ["NpyFormat"]
+
+_MAGIC = b"\x93NUMPY"
+_LENGTH_BYTES = {(1, 0): 2, (2, 0): 4, (3, 0): 4}
+_MAX_HEADER_BYTES = 10_000  # NumPy's own limit
+_LITERALS = re.compile(r"(?:'[^'\\]*'|\d+(?!\w)|True|False|[{}()\[\],: ])*\n?")
+_FLOAT = re.compile(r"[<>=|]?f[248]")
+_PLAIN = re.compile(r"[<>=|]?[fiubcSUV?]\d*")
+_AXES = ("x", "y", "z")
+_WANTED = "float16, float32 or float64 metres"
+
+
+@dataclass(frozen=True)
+class NpyFormat:
+    """An array `(n, >= 3)` of floats, or a structured one with float fields x, y and z."""
+
+    name: str = "NumPy"
+    media_type: str = "application/vnd.tensormap.npy"
+    suffixes: tuple[str, ...] = (".npy",)
+    magics: tuple[bytes, ...] = (_MAGIC,)
+
+    def read(self, body: bytes) -> Float32Array:
+        """Return `(n, 3)` metres, no-returns included. Nothing is unpickled.
+
+        Raises:
+            MalformedScan: If the header or the shape is another.
+            TruncatedScan: If the array is longer than the body.
+            WrongDtype: If the array does not hold floats.
+
+        Examples:
+            >>> from io import BytesIO
+            >>> file = BytesIO()
+            >>> np.save(file, np.array([[10.0, 0.0, -1.0, 0.3]]))
+            >>> NpyFormat().read(file.getvalue())
+            array([[10.,  0., -1.]], dtype=float32)
+        """
+        header, start = _header(body)
+        dtype, shape = _dtype(header["descr"]), _shape(header["shape"])
+        if dtype.names is None and (len(shape) != 2 or shape[1] < 3):
+            raise MalformedScan(f"the array has shape {_short(shape)}, wanted (n, 3) or wider")
+        wanted, came = math.prod(shape) * dtype.itemsize, len(body) - start
+        if came < wanted:
+            raise TruncatedScan(
+                f"shape {_short(shape)} of {dtype} takes {_short(wanted)} bytes, {came} came"
+            )
+        if came > wanted:
+            raise MalformedScan(f"the array takes {wanted} bytes, {came} came")
+        if wanted == 0:
+            return np.empty((0, 3), np.float32)
+        values = np.frombuffer(body, dtype=dtype, offset=start)
+        with np.errstate(over="ignore", invalid="ignore"):  # beyond float32 is infinite: no return
+            if dtype.names is not None:
+                return np.stack([values[axis].astype(np.float32) for axis in _AXES], axis=1)
+            order: Literal["C", "F"] = "F" if header["fortran_order"] else "C"
+            return values.reshape(shape, order=order)[:, :3].astype(np.float32)
+
+
+def _header(body: bytes) -> tuple[dict[str, Any], int]:
+    """Return the header and where the array begins."""
+    if not body.startswith(_MAGIC):
+        raise MalformedScan(f"the body begins with {body[:6]!r}, .npy with {_MAGIC!r}")
+    version = tuple(body[6:8])
+    if version not in _LENGTH_BYTES:
+        raise MalformedScan(f".npy version {version} is unknown, wanted 1.0, 2.0 or 3.0")
+    begin = 8 + _LENGTH_BYTES[version]
+    length = int.from_bytes(body[8:begin], "little")
+    if len(body) < begin + length:
+        raise TruncatedScan(f"the header takes {length} bytes, {max(len(body) - begin, 0)} came")
+    if length > _MAX_HEADER_BYTES:
+        raise MalformedScan(f"the header takes {length} bytes, at most {_MAX_HEADER_BYTES} may be")
+    text = body[begin : begin + length].decode("latin-1")
+    if not _LITERALS.fullmatch(text):
+        raise MalformedScan(f"the header is no dictionary of literals: {_short(text)}")
+    try:
+        header = ast.literal_eval(text)
+    except (SyntaxError, TypeError, ValueError, MemoryError, RecursionError) as error:
+        raise MalformedScan(f"the header is no dictionary of literals: {_short(text)}") from error
+    if not isinstance(header, dict) or set(header) != {"descr", "fortran_order", "shape"}:
+        raise MalformedScan(f"the header lacks descr, fortran_order or shape: {_short(text)}")
+    return header, begin + length
+
+
+def _dtype(descr: object) -> np.dtype[Any]:
+    if isinstance(descr, str):
+        if not _FLOAT.fullmatch(descr):
+            raise WrongDtype(f"the array holds {_short(descr)}, wanted {_WANTED}")
+        return np.dtype(descr)
+    if not isinstance(descr, list):
+        raise MalformedScan(f"{_short(descr)} describes no array")
+    for field in descr:
+        match field:
+            case (str(), str(code)):
+                pass
+            case (str(), str(code), tuple(sides)) if all(type(side) is int for side in sides):
+                pass
+            case _:
+                raise MalformedScan(f"{_short(field)} describes no field")
+        if not _PLAIN.fullmatch(code):
+            raise WrongDtype(f"field {_short(field)} is no plain number")
+    try:
+        dtype = npy_format.descr_to_dtype(descr)
+    except (TypeError, ValueError, OverflowError, MemoryError) as error:
+        raise MalformedScan(f"{_short(descr)} describes no array: {error}") from error
+    names = dtype.names or ()
+    for axis in _AXES:
+        held = dtype[axis].str if axis in names else "nothing"
+        if not _FLOAT.fullmatch(held):
+            raise WrongDtype(
+                f"field {axis} holds {held}, wanted {_WANTED}; fields: {_short(names)}"
+            )
+    return dtype
+
+
+def _shape(shape: object) -> tuple[int, ...]:
+    if not isinstance(shape, tuple) or not all(type(side) is int for side in shape):
+        raise MalformedScan(f"{_short(shape)} is no shape")
+    return shape
+
+
+def _short(value: object) -> str:
+    """Return `value` for a message, cut: a client chose it."""
+    try:
+        text = repr(value)
+    except ValueError:  # an integer of more digits than Python prints
+        return "a number beyond printing"
+    return text if len(text) <= 120 else f"{text[:117]}..."

@@ -1,0 +1,130 @@
+"""NumPy's `.npy`: the header is a client's text."""
+
+import tracemalloc
+from io import BytesIO
+from typing import Literal
+
+import numpy as np
+import pytest
+
+from storage.formats.errors import MalformedScan, TruncatedScan, WrongDtype
+from storage.formats.npy import NpyFormat
+from storage.formats.registry import read_scan
+
+POINTS = np.array([[10.5, -2.25, 0.5], [np.nan, 0, 0], [-7, 3, -1.5]])
+
+
+def npy(array: np.ndarray, *, allow_pickle: bool = False) -> bytes:
+    file = BytesIO()
+    np.save(file, array, allow_pickle=allow_pickle)
+    return file.getvalue()
+
+
+def with_header(header: str, body: bytes = b"") -> bytes:
+    text = header.encode("latin-1")
+    return b"\x93NUMPY\x01\x00" + len(text).to_bytes(2, "little") + text + body
+
+
+@pytest.mark.parametrize("dtype", ["<f2", "<f4", "<f8", ">f4", ">f8"])
+@pytest.mark.parametrize("order", ["C", "F"])
+def test_floats_of_every_size_and_order_give_the_same_points(
+    dtype: str, order: Literal["C", "F"]
+) -> None:
+    wide = np.column_stack([POINTS, [0.1, 0.2, 0.3]]).astype(dtype, order=order)
+    np.testing.assert_array_equal(NpyFormat().read(npy(wide)), POINTS.astype(np.float32))
+
+
+def test_a_structured_array_gives_its_fields_x_y_z_in_that_order() -> None:
+    cloud = np.zeros((1, 3), [("intensity", "u1"), ("z", "<f8"), ("y", "<f4"), ("x", "<f4")])
+    cloud["x"], cloud["y"], cloud["z"] = POINTS.T
+    np.testing.assert_array_equal(NpyFormat().read(npy(cloud)), POINTS.astype(np.float32))
+
+
+def test_doubles_beyond_float32_are_no_returns() -> None:
+    scan = read_scan(npy(np.array([[1e300, 0, 0], [1.0, 2, 3]])), min_returns=1)
+    assert (len(scan), scan.dropped_returns) == (1, 1)
+
+
+@pytest.mark.parametrize("dtype", ["i4", "u1", "c8", "?", "f16", "S4", "M8[s]"])
+def test_arrays_of_anything_but_floats_are_refused(dtype: str) -> None:
+    with pytest.raises(WrongDtype, match="wanted float16, float32 or float64 metres"):
+        NpyFormat().read(npy(np.zeros((3, 3), dtype)))
+
+
+def test_an_array_of_objects_is_refused_unread() -> None:
+    with pytest.raises(WrongDtype):
+        NpyFormat().read(npy(np.full((3, 3), None, dtype=object), allow_pickle=True))
+
+
+def test_a_structured_array_without_float_axes_is_refused_naming_the_field() -> None:
+    with pytest.raises(WrongDtype, match="field y holds <i4"):
+        NpyFormat().read(npy(np.zeros(3, [("x", "<f4"), ("y", "<i4"), ("z", "<f4")])))
+    with pytest.raises(WrongDtype, match="field z holds nothing"):
+        NpyFormat().read(npy(np.zeros(3, [("x", "<f4"), ("y", "<f4")])))
+
+
+@pytest.mark.parametrize("shape", [(3,), (3, 2), (3, 4, 4), ()])
+def test_a_shape_other_than_rows_of_three_or_more_is_refused(shape: tuple[int, ...]) -> None:
+    with pytest.raises(MalformedScan, match="wanted"):
+        NpyFormat().read(npy(np.ones(shape)))
+
+
+def test_a_header_that_claims_terabytes_is_refused_without_taking_them() -> None:
+    body = with_header("{'descr': '<f4', 'fortran_order': False, 'shape': (10000000000000, 3)}\n")
+    tracemalloc.start()
+    try:
+        with pytest.raises(TruncatedScan, match="takes 120000000000000 bytes, 0 came"):
+            NpyFormat().read(body)
+        assert tracemalloc.get_traced_memory()[1] < 1_000_000
+    finally:
+        tracemalloc.stop()
+
+
+@pytest.mark.parametrize(
+    "header",
+    [
+        "",
+        "[]",
+        "{'descr': '<f4'}",
+        "{'descr': '<f4', 'fortran_order': False, 'shape': (-1, 3)}",
+        "{'descr': '<f4', 'fortran_order': False, 'shape': (3L, 3L)}",
+        "{'descr': '<f4', 'fortran_order': False, 'shape': 3}",
+        "{'descr': '<f4', 'fortran_order': False, 'shape': (True, 3)}",
+        "{'descr': '\\d', 'fortran_order': False, 'shape': (1, 3)}",
+        "{'descr': [('x', '<f4', 1)], 'fortran_order': False, 'shape': (1,)}",
+        "{'descr': [('x', '<f4'), ('x', '<f4')], 'fortran_order': False, 'shape': (1,)}",
+        "{'descr': {}, 'fortran_order': False, 'shape': (1, 3)}",
+        "{{}: {}}",
+        "(" * 5000,
+        "{'descr': '<f4', 'fortran_order': False, 'shape': (" + "9" * 5000 + ", 3)}",
+        "__import__('os')",
+    ],
+)
+def test_a_header_of_anything_else_is_malformed(header: str) -> None:
+    with pytest.raises(MalformedScan):
+        NpyFormat().read(with_header(header, b"\0" * 64))
+
+
+def test_an_integer_too_long_to_print_is_still_an_error_of_ours() -> None:
+    header = "{'descr': '<f4', 'fortran_order': False, 'shape': (" + "9" * 4200 + ", 99999999)}"
+    with pytest.raises(TruncatedScan):
+        NpyFormat().read(with_header(header, b"\0" * 64))
+    rows = ", ".join(["9" * 1100] * 8)
+    structured = "[('x', '<f4'), ('y', '<f4'), ('z', '<f4')]"
+    header = f"{{'descr': {structured}, 'fortran_order': False, 'shape': ({rows})}}"
+    with pytest.raises(TruncatedScan, match="beyond printing"):
+        NpyFormat().read(with_header(header, b"\0" * 64))
+
+
+def test_a_cut_or_longer_body_says_both_lengths() -> None:
+    with pytest.raises(TruncatedScan, match="takes 72 bytes, 62 came"):
+        NpyFormat().read(npy(POINTS)[:-10])
+    with pytest.raises(MalformedScan, match="takes 72 bytes, 73 came"):
+        NpyFormat().read(npy(POINTS) + b"!")
+    with pytest.raises(TruncatedScan, match="header takes"):
+        NpyFormat().read(npy(POINTS)[:40])
+
+
+def test_an_unknown_version_is_malformed() -> None:
+    with pytest.raises(MalformedScan, match=r"version \(9, 0\)"):
+        NpyFormat().read(b"\x93NUMPY\x09\x00" + npy(POINTS)[8:])
