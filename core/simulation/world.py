@@ -1,0 +1,162 @@
+"""What stands and moves in a simulated city: upright solids on flat ground."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from core.arrays import FloatArray, frozen
+from core.errors import InvalidParameters
+
+__all__ = ["Boxes", "Cylinders", "Scene", "Traffic", "World"]
+
+
+def _rows(rows: ArrayLike, columns: tuple[str, ...], sizes: tuple[str, ...]) -> FloatArray:
+    """Freeze `(n, len(columns))` rows whose `sizes` are positive."""
+    array = np.asarray(rows, dtype=np.float64).reshape(-1, len(columns))
+    if not np.isfinite(array).all():
+        raise InvalidParameters(f"a solid is {', '.join(columns)}, all finite")
+    if (array[:, [columns.index(size) for size in sizes]] <= 0.0).any():
+        raise InvalidParameters(f"a solid's {', '.join(sizes)} are positive")
+    return frozen(array, np.float64)
+
+
+def _check_upright(bottom_m: FloatArray, top_m: FloatArray) -> None:
+    if (bottom_m < 0.0).any() or (top_m <= bottom_m).any():
+        raise InvalidParameters("a solid stands on the ground or above, its top above its bottom")
+
+
+@dataclass(frozen=True, eq=False)
+class Boxes:
+    """Upright boxes: buildings, hedges, cars.
+
+    Attributes:
+        rows: `(n, 7)`: centre x and y in metres, yaw of the length in degrees counter-clockwise,
+            length, width, height of the bottom and of the top above the ground in metres.
+
+    Examples:
+        >>> wall = Boxes([[10.0, 0.0, 90.0, 8.0, 0.5, 0.0, 3.0]])
+        >>> wall.distance_m(0.0, 0.0).tolist()
+        [9.75]
+    """
+
+    rows: FloatArray
+
+    def __init__(self, rows: ArrayLike = ()) -> None:
+        columns = ("x_m", "y_m", "yaw_deg", "length_m", "width_m", "bottom_m", "top_m")
+        object.__setattr__(self, "rows", _rows(rows, columns, ("length_m", "width_m")))
+        _check_upright(self.rows[:, 5], self.rows[:, 6])
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def distance_m(self, x_m: float, y_m: float) -> FloatArray:
+        """Return how far each footprint is from a point, `(n,)` metres, 0 inside."""
+        x, y, yaw_deg, length, width = self.rows[:, :5].T
+        cos, sin = np.cos(np.radians(yaw_deg)), np.sin(np.radians(yaw_deg))
+        along = np.abs((x_m - x) * cos + (y_m - y) * sin) - length / 2.0
+        across = np.abs((y_m - y) * cos - (x_m - x) * sin) - width / 2.0
+        return np.asarray(np.hypot(np.maximum(along, 0.0), np.maximum(across, 0.0)))
+
+
+@dataclass(frozen=True, eq=False)
+class Cylinders:
+    """Upright cylinders: poles, the trunks of trees and their crowns.
+
+    Attributes:
+        rows: `(n, 5)`: centre x and y, radius, height of the bottom and of the top above the
+            ground, all in metres.
+    """
+
+    rows: FloatArray
+
+    def __init__(self, rows: ArrayLike = ()) -> None:
+        columns = ("x_m", "y_m", "radius_m", "bottom_m", "top_m")
+        object.__setattr__(self, "rows", _rows(rows, columns, ("radius_m",)))
+        _check_upright(self.rows[:, 3], self.rows[:, 4])
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """Everything that a ray can hit at one moment; the ground is z = 0 everywhere."""
+
+    boxes: Boxes = field(default_factory=Boxes)
+    cylinders: Cylinders = field(default_factory=Cylinders)
+
+
+@dataclass(frozen=True, eq=False)
+class Traffic:
+    """Cars that drive along straight lanes at a constant speed.
+
+    At the end of its lane a car enters again at the start, so a street never runs empty.
+
+    Attributes:
+        rows: `(n, 9)`: x and y of the lane's start in metres, heading in degrees, length of the
+            lane and distance along it at time 0 in metres, speed in metres per second, length,
+            width and height of the car in metres.
+
+    Examples:
+        >>> one = Traffic([[0.0, 0.0, 90.0, 100.0, 95.0, 10.0, 4.5, 1.8, 1.5]])
+        >>> one.at(2.0).rows[0, :2].round(6).tolist()
+        [0.0, 15.0]
+    """
+
+    rows: FloatArray
+
+    def __init__(self, rows: ArrayLike = ()) -> None:
+        sizes = ("lane_m", "length_m", "width_m", "height_m")
+        columns = ("x_m", "y_m", "heading_deg", "lane_m", "along_m", "speed_m_s", *sizes[1:])
+        object.__setattr__(self, "rows", _rows(rows, columns, sizes))
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def at(self, time_s: float) -> Boxes:
+        """Return the cars where they are at `time_s`."""
+        x, y, heading_deg, lane, along, speed, length, width, height = self.rows.T
+        along = np.mod(along + speed * time_s, lane)
+        x = x + along * np.cos(np.radians(heading_deg))
+        y = y + along * np.sin(np.radians(heading_deg))
+        bottom = np.zeros_like(height)
+        return Boxes(np.stack([x, y, heading_deg, length, width, bottom, height], axis=1))
+
+
+@dataclass(frozen=True, eq=False)
+class World:
+    """A city: what is built and planted, what is parked, what drives.
+
+    Attributes:
+        buildings: Houses, and the hedges and walls before them.
+        poles: Poles, the trunks of trees and their crowns.
+        parked: Cars that stand.
+        moving: Cars that drive.
+        street_x_m: Centre lines of the streets that run north, ascending.
+        street_y_m: Centre lines of the streets that run east, ascending.
+    """
+
+    buildings: Boxes = field(default_factory=Boxes)
+    poles: Cylinders = field(default_factory=Cylinders)
+    parked: Boxes = field(default_factory=Boxes)
+    moving: Traffic = field(default_factory=Traffic)
+    street_x_m: tuple[float, ...] = ()
+    street_y_m: tuple[float, ...] = ()
+
+    def at(
+        self, time_s: float, *, around_m: tuple[float, float] | None = None, give_way_m: float = 0.0
+    ) -> Scene:
+        """Return what a ray can hit at `time_s`.
+
+        Args:
+            time_s: Seconds since the drive began.
+            around_m: x and y of a vehicle that moving cars give way to, if any.
+            give_way_m: A moving car nearer to it than this is left out: simulated cars know no
+                brakes, and would drive through the vehicle.
+        """
+        moving = self.moving.at(time_s).rows
+        if around_m is not None:
+            moving = moving[Boxes(moving).distance_m(*around_m) >= give_way_m]
+        rows = np.concatenate([self.buildings.rows, self.parked.rows, moving])
+        return Scene(Boxes(rows), self.poles)
