@@ -1,0 +1,32 @@
+"""The catalog: what is stored, where, and what became of it. HDF5 holds arrays, this holds facts.
+
+Every public method is one transaction and answers with frozen records.
+"""
+
+from storage.catalog.catalog import Catalog
+from storage.catalog.records import (
+    DriveRecord,
+    IndexRange,
+    JobRecord,
+    JobState,
+    KeyRecord,
+    MapRecord,
+    Page,
+    RevisionFacts,
+    RevisionRecord,
+    ScanRecord,
+)
+
+__all__ = [
+    "Catalog",
+    "DriveRecord",
+    "IndexRange",
+    "JobRecord",
+    "JobState",
+    "KeyRecord",
+    "MapRecord",
+    "Page",
+    "RevisionFacts",
+    "RevisionRecord",
+    "ScanRecord",
+]

@@ -1,0 +1,35 @@
+"""One catalog: its database and a repository for each noun."""
+
+from storage.catalog.database import Database
+from storage.catalog.drives import Drives
+from storage.catalog.jobs import Jobs
+from storage.catalog.keys import Keys
+from storage.catalog.maps import Maps
+from storage.catalog.revisions import Revisions
+from storage.catalog.scans import Scans
+
+__all__ = ["Catalog"]
+
+
+class Catalog:
+    """Facts about maps, drives, scans, revisions, jobs and keys.
+
+    Opening one brings its schema to the newest revision. It is safe from any thread; a process
+    that was forked opens its own.
+
+    Args:
+        url: A SQLAlchemy URL, as `sqlite:////var/lib/tensormap/catalog.sqlite3`.
+    """
+
+    def __init__(self, url: str) -> None:
+        self._database = Database(url)
+        self.maps = Maps(self._database)
+        self.drives = Drives(self._database)
+        self.scans = Scans(self._database)
+        self.revisions = Revisions(self._database)
+        self.jobs = Jobs(self._database)
+        self.keys = Keys(self._database)
+
+    def close(self) -> None:
+        """Close the idle connections."""
+        self._database.close()

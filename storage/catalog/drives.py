@@ -1,0 +1,141 @@
+"""Drives in the catalog."""
+
+from collections import defaultdict
+from collections.abc import Sequence
+
+from sqlalchemy import delete, func, select
+from sqlalchemy.orm import Session
+
+from storage.catalog.database import Database
+from storage.catalog.maps import map_named
+from storage.catalog.models import Drive, Map, Scan
+from storage.catalog.pages import DEFAULT_LIMIT, one_more, page_of
+from storage.catalog.records import DriveRecord, IndexRange, Page
+from storage.errors import DriveNotFound
+
+__all__ = ["Drives", "drive_named"]
+
+
+class Drives:
+    """The drives of each map, in the order of their slugs."""
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
+
+    def get(self, map_slug: str, slug: str) -> DriveRecord:
+        """Return a drive.
+
+        Raises:
+            MapNotFound: If there is no such map.
+            DriveNotFound: If it has no such drive.
+        """
+        with self._database.reading() as session:
+            return _records(session, [drive_named(session, map_slug, slug)])[0]
+
+    def list(self, map_slug: str, after: str = "", limit: int = DEFAULT_LIMIT) -> Page[DriveRecord]:
+        """Return the drives whose slugs come after `after`.
+
+        Raises:
+            MapNotFound: If there is no such map.
+        """
+        with self._database.reading() as session:
+            query = (
+                select(Drive)
+                .where(Drive.map_id == map_named(session, map_slug).id, Drive.slug > after)
+                .order_by(Drive.slug)
+                .limit(one_more(limit))
+            )
+            records = _records(session, session.scalars(query).all())
+        return page_of(records, limit, lambda record: record.slug)
+
+    def close(self, map_slug: str, slug: str) -> DriveRecord:
+        """Let a drive take no more scans; a closed one stays closed.
+
+        Raises:
+            MapNotFound: If there is no such map.
+            DriveNotFound: If it has no such drive.
+        """
+        with self._database.writing() as session:
+            row = drive_named(session, map_slug, slug, lock=True)
+            row.closed = True
+            session.flush()
+            return _records(session, [row])[0]
+
+    def delete(self, map_slug: str, slug: str) -> DriveRecord:
+        """Remove a drive and the facts about its scans; return what it was.
+
+        Raises:
+            MapNotFound: If there is no such map.
+            DriveNotFound: If it has no such drive.
+        """
+        with self._database.writing() as session:
+            row = drive_named(session, map_slug, slug, lock=True)
+            record = _records(session, [row])[0]
+            session.execute(delete(Drive).where(Drive.id == row.id))
+            return record
+
+    def known(self) -> set[tuple[str, str]]:
+        """Return `(map id, drive id)` of every drive of every map."""
+        with self._database.reading() as session:
+            pairs = session.execute(
+                select(Map.id, Drive.id).outerjoin(Drive, Drive.map_id == Map.id)
+            )
+            return {(map_id, drive_id or "") for map_id, drive_id in pairs}
+
+
+def drive_named(session: Session, map_slug: str, slug: str, *, lock: bool = False) -> Drive:
+    """Return the row of a drive, locked until the transaction ends if asked for.
+
+    Raises:
+        MapNotFound: If there is no such map.
+        DriveNotFound: If it has no such drive.
+    """
+    of_map = map_named(session, map_slug)
+    query = select(Drive).where(Drive.map_id == of_map.id, Drive.slug == slug)
+    row = session.scalar(query.with_for_update() if lock else query)
+    if row is None:
+        raise DriveNotFound(f"map {map_slug!r} has no drive {slug[:80]!r}")
+    return row
+
+
+def _records(session: Session, rows: Sequence[Drive]) -> list[DriveRecord]:
+    """Count the scans of some drives and find their ranges, in one query.
+
+    Within a range without a gap, a scan's index minus its rank is the same number.
+    """
+    rank = func.row_number().over(partition_by=Scan.drive_id, order_by=Scan.index)
+    ranked = (
+        select(
+            Scan.drive_id, Scan.index.label("at"), Scan.returns, (Scan.index - rank).label("island")
+        )
+        .where(Scan.drive_id.in_([row.id for row in rows]))
+        .subquery()
+    )
+    islands = (
+        select(
+            ranked.c.drive_id,
+            func.min(ranked.c.at),
+            func.max(ranked.c.at),
+            func.sum(ranked.c.returns),
+        )
+        .group_by(ranked.c.drive_id, ranked.c.island)
+        .order_by(ranked.c.drive_id, func.min(ranked.c.at))
+    )
+    present: dict[str, list[IndexRange]] = defaultdict(list)
+    returns: dict[str, int] = defaultdict(int)
+    for drive_id, first, last, count in session.execute(islands):
+        present[drive_id].append(IndexRange(first, last))
+        returns[drive_id] += int(count)
+    return [
+        DriveRecord(
+            id=row.id,
+            map_id=row.map_id,
+            slug=row.slug,
+            created_at=row.created_at,
+            closed=row.closed,
+            scans=sum(span.last - span.first + 1 for span in present[row.id]),
+            returns=returns[row.id],
+            present=tuple(present[row.id]),
+        )
+        for row in rows
+    ]

@@ -1,0 +1,229 @@
+"""Jobs in the catalog: a queue that survives a restart.
+
+queued --claim--> running --finish--> done
+  |                  |-----fail----> failed
+  |--request_cancel--|---cancelled-> cancelled
+"""
+
+from collections.abc import Mapping
+from datetime import UTC, datetime
+from typing import Any
+
+from sqlalchemy import select, tuple_
+from sqlalchemy.orm import Session
+
+from core.errors import InvalidParameters
+from storage.catalog.database import Database
+from storage.catalog.maps import map_named
+from storage.catalog.models import Job
+from storage.catalog.pages import DEFAULT_LIMIT, one_more, page_of
+from storage.catalog.records import JobRecord, JobState, Page
+from storage.errors import JobNotFound, JobNotRunning
+from storage.names import new_id
+
+__all__ = ["Jobs"]
+
+
+class Jobs:
+    """The jobs of all maps, newest first."""
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
+
+    def create(
+        self, map_slug: str, parameters: Mapping[str, Any], *, kind: str = "build"
+    ) -> JobRecord:
+        """Queue a job.
+
+        Raises:
+            MapNotFound: If there is no such map.
+        """
+        with self._database.writing() as session:
+            row = Job(
+                id=new_id(),
+                map_id=map_named(session, map_slug).id,
+                kind=kind,
+                state=JobState.QUEUED,
+                stage="",
+                done_units=0,
+                total_units=0,
+                parameters=dict(parameters),
+                cancel_requested=False,
+                created_at=datetime.now(UTC),
+            )
+            session.add(row)
+            session.flush()
+            return _record(row)
+
+    def claim(self) -> JobRecord | None:
+        """Start the job that has waited longest; `None` if none waits.
+
+        No two callers are given the same job.
+        """
+        query = (
+            select(Job)
+            .where(Job.state == JobState.QUEUED)
+            .order_by(Job.created_at, Job.id)
+            .limit(1)
+            .with_for_update(skip_locked=True)
+        )
+        with self._database.writing() as session:
+            row = session.scalar(query)
+            if row is None:
+                return None
+            row.state = JobState.RUNNING
+            row.started_at = datetime.now(UTC)
+            session.flush()
+            return _record(row)
+
+    def get(self, job_id: str) -> JobRecord:
+        """Return a job.
+
+        Raises:
+            JobNotFound: If there is none of that id.
+        """
+        with self._database.reading() as session:
+            return _record(_found(session, job_id))
+
+    def list(
+        self, map_slug: str | None = None, after: str = "", limit: int = DEFAULT_LIMIT
+    ) -> Page[JobRecord]:
+        """Return the jobs, of one map or all, that are older than job `after`.
+
+        Raises:
+            MapNotFound: If there is no such map.
+            InvalidParameters: If `after` is no job.
+        """
+        with self._database.reading() as session:
+            query = select(Job)
+            if map_slug is not None:
+                query = query.where(Job.map_id == map_named(session, map_slug).id)
+            if after:
+                last = session.get(Job, after)
+                if last is None:
+                    raise InvalidParameters(f"the cursor {after[:80]!r} is no job")
+                query = query.where(
+                    tuple_(Job.created_at, Job.id) < tuple_(last.created_at, last.id)
+                )
+            query = query.order_by(Job.created_at.desc(), Job.id.desc())
+            records = [_record(row) for row in session.scalars(query.limit(one_more(limit)))]
+        return page_of(records, limit, lambda record: record.id)
+
+    def progress(self, job_id: str, stage: str, done_units: int, total_units: int) -> JobRecord:
+        """Record how far a running job is; the answer tells whether it is asked to stop.
+
+        Raises:
+            JobNotFound: If there is none of that id.
+            JobNotRunning: If it is not running.
+        """
+        with self._database.writing() as session:
+            row = _running(session, job_id)
+            row.stage, row.done_units, row.total_units = stage, done_units, total_units
+            session.flush()
+            return _record(row)
+
+    def finish(self, job_id: str, revision: str) -> JobRecord:
+        """End a running job that built `revision`.
+
+        Raises:
+            JobNotFound: If there is none of that id.
+            JobNotRunning: If it is not running.
+        """
+        return self._end(job_id, JobState.DONE, revision=revision)
+
+    def fail(self, job_id: str, error_type: str, error_detail: str) -> JobRecord:
+        """End a running job that could not be done.
+
+        Raises:
+            JobNotFound: If there is none of that id.
+            JobNotRunning: If it is not running.
+        """
+        return self._end(job_id, JobState.FAILED, error_type=error_type, error_detail=error_detail)
+
+    def cancelled(self, job_id: str) -> JobRecord:
+        """End a running job that stopped as asked.
+
+        Raises:
+            JobNotFound: If there is none of that id.
+            JobNotRunning: If it is not running.
+        """
+        return self._end(job_id, JobState.CANCELLED)
+
+    def _end(self, job_id: str, state: JobState, **facts: str) -> JobRecord:
+        with self._database.writing() as session:
+            row = _running(session, job_id)
+            for name, value in facts.items():
+                setattr(row, name, value)
+            _end_row(row, state)
+            session.flush()
+            return _record(row)
+
+    def request_cancel(self, job_id: str) -> JobRecord:
+        """Cancel a waiting job, ask a running one to stop; one that has ended stays as it is.
+
+        Raises:
+            JobNotFound: If there is none of that id.
+        """
+        with self._database.writing() as session:
+            row = _found(session, job_id, lock=True)
+            if row.state == JobState.QUEUED:
+                _end_row(row, JobState.CANCELLED)
+            elif row.state == JobState.RUNNING:
+                row.cancel_requested = True
+            session.flush()
+            return _record(row)
+
+    def requeue_interrupted(self) -> int:
+        """Queue again what ran when the server stopped; return how many jobs it was.
+
+        A job that was asked to stop is cancelled instead. Only the server calls it, at its start,
+        before a worker runs.
+        """
+        with self._database.writing() as session:
+            rows = session.scalars(select(Job).where(Job.state == JobState.RUNNING)).all()
+            for row in rows:
+                if row.cancel_requested:
+                    _end_row(row, JobState.CANCELLED)
+                else:
+                    row.state, row.stage, row.started_at = JobState.QUEUED, "", None
+                    row.done_units = row.total_units = 0
+            return sum(row.state == JobState.QUEUED for row in rows)
+
+
+def _end_row(row: Job, state: JobState) -> None:
+    row.state = state
+    row.finished_at = datetime.now(UTC)
+
+
+def _found(session: Session, job_id: str, *, lock: bool = False) -> Job:
+    row = session.get(Job, job_id, with_for_update=lock)
+    if row is None:
+        raise JobNotFound(f"there is no job {job_id[:80]!r}")
+    return row
+
+
+def _running(session: Session, job_id: str) -> Job:
+    row = _found(session, job_id, lock=True)
+    if row.state != JobState.RUNNING:
+        raise JobNotRunning(f"job {job_id} is {row.state}, not running")
+    return row
+
+
+def _record(row: Job) -> JobRecord:
+    return JobRecord(
+        id=row.id,
+        map_id=row.map_id,
+        kind=row.kind,
+        state=JobState(row.state),
+        stage=row.stage,
+        done_units=row.done_units,
+        total_units=row.total_units,
+        parameters=row.parameters,
+        error_type=row.error_type,
+        error_detail=row.error_detail,
+        revision=row.revision,
+        cancel_requested=row.cancel_requested,
+        created_at=row.created_at,
+        started_at=row.started_at,
+        finished_at=row.finished_at,
+    )

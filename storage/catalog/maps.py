@@ -1,0 +1,157 @@
+"""Maps in the catalog."""
+
+from datetime import UTC, datetime
+
+from sqlalchemy import delete, select
+from sqlalchemy.orm import Session
+
+from storage.catalog.database import Database
+from storage.catalog.models import LiveRevision, Map
+from storage.catalog.pages import DEFAULT_LIMIT, one_more, page_of
+from storage.catalog.records import MapRecord, Page
+from storage.errors import MapChanged, MapExists, MapNotFound
+from storage.names import checked_slug, new_id
+
+__all__ = ["Maps", "locked_map", "map_named"]
+
+
+class Maps:
+    """The maps, in the order of their slugs."""
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
+
+    def create(self, slug: str, description: str = "") -> MapRecord:
+        """Make an empty map.
+
+        Raises:
+            InvalidSlug: If `slug` is none.
+            MapExists: If another map has it.
+        """
+        checked_slug(slug)
+        with self._database.writing() as session:
+            _refuse_taken(session, slug)
+            row = Map(
+                id=new_id(),
+                slug=slug,
+                description=description,
+                created_at=datetime.now(UTC),
+                version=1,
+            )
+            session.add(row)
+            session.flush()
+            return _record(row, None)
+
+    def get(self, slug: str) -> MapRecord:
+        """Return a map.
+
+        Raises:
+            MapNotFound: If there is none of that slug.
+        """
+        with self._database.reading() as session:
+            row = map_named(session, slug)
+            return _record(row, _live(session, row))
+
+    def list(self, after: str = "", limit: int = DEFAULT_LIMIT) -> Page[MapRecord]:
+        """Return the maps whose slugs come after `after`."""
+        query = (
+            select(Map, LiveRevision.digest)
+            .outerjoin(LiveRevision, LiveRevision.map_id == Map.id)
+            .where(Map.slug > after)
+            .order_by(Map.slug)
+            .limit(one_more(limit))
+        )
+        with self._database.reading() as session:
+            rows = [_record(row, live) for row, live in session.execute(query)]
+        return page_of(rows, limit, lambda record: record.slug)
+
+    def update(
+        self,
+        slug: str,
+        *,
+        new_slug: str | None = None,
+        description: str | None = None,
+        if_version: int | None = None,
+    ) -> MapRecord:
+        """Change what is given; a change counts up the map's version.
+
+        Args:
+            slug: The map.
+            new_slug: What it is called from now on.
+            description: What it is about.
+            if_version: Change it only if this is still its version.
+
+        Raises:
+            MapNotFound: If there is none of that slug.
+            MapExists: If another map has the new slug.
+            MapChanged: If its version is another.
+        """
+        with self._database.writing() as session:
+            row = locked_map(session, slug, if_version)
+            if new_slug is not None and new_slug != row.slug:
+                _refuse_taken(session, checked_slug(new_slug))
+                row.slug = new_slug
+            if description is not None:
+                row.description = description
+            if session.is_modified(row):
+                row.version += 1
+            session.flush()
+            return _record(row, _live(session, row))
+
+    def delete(self, slug: str, *, if_version: int | None = None) -> MapRecord:
+        """Remove a map and all that belongs to it; return what it was.
+
+        Raises:
+            MapNotFound: If there is none of that slug.
+            MapChanged: If its version is another than `if_version`.
+        """
+        with self._database.writing() as session:
+            row = locked_map(session, slug, if_version)
+            record = _record(row, _live(session, row))
+            session.execute(delete(LiveRevision).where(LiveRevision.map_id == row.id))
+            session.execute(delete(Map).where(Map.id == row.id))
+            return record
+
+
+def map_named(session: Session, slug: str) -> Map:
+    """Return the row of a map, or raise `MapNotFound`."""
+    row = session.scalar(select(Map).where(Map.slug == slug))
+    if row is None:
+        raise MapNotFound(f"there is no map {slug[:80]!r}")
+    return row
+
+
+def locked_map(session: Session, slug: str, if_version: int | None = None) -> Map:
+    """Return the row of a map, locked until the transaction ends.
+
+    Raises:
+        MapNotFound: If there is none of that slug.
+        MapChanged: If its version is another than `if_version`.
+    """
+    # SQLite leaves FOR UPDATE out: there the whole transaction holds the one write lock.
+    row = session.scalar(select(Map).where(Map.slug == slug).with_for_update())
+    if row is None:
+        raise MapNotFound(f"there is no map {slug[:80]!r}")
+    if if_version is not None and row.version != if_version:
+        raise MapChanged(f"map {slug!r} is at version {row.version}, not {if_version}")
+    return row
+
+
+def _refuse_taken(session: Session, slug: str) -> None:
+    if session.scalar(select(Map.id).where(Map.slug == slug)) is not None:
+        raise MapExists(f"there is already a map {slug!r}")
+
+
+def _live(session: Session, row: Map) -> str | None:
+    return session.scalar(select(LiveRevision.digest).where(LiveRevision.map_id == row.id))
+
+
+def _record(row: Map, live_revision: str | None) -> MapRecord:
+    return MapRecord(
+        id=row.id,
+        slug=row.slug,
+        description=row.description,
+        created_at=row.created_at,
+        version=row.version,
+        live_revision=live_revision,
+    )

@@ -1,0 +1,184 @@
+"""The catalog's tables. Every change here comes with a migration beside it."""
+
+from datetime import UTC, datetime
+from typing import Any
+
+from sqlalchemy import (
+    JSON,
+    BigInteger,
+    DateTime,
+    Dialect,
+    ForeignKey,
+    ForeignKeyConstraint,
+    Index,
+    MetaData,
+    String,
+    Text,
+    TypeDecorator,
+    UniqueConstraint,
+)
+from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
+
+__all__ = ["Base", "Drive", "Job", "Key", "LiveRevision", "Map", "Revision", "Scan"]
+
+Id = String(32)
+Slug = String(64)
+Digest = String(64)
+
+
+class UtcDateTime(TypeDecorator[datetime]):
+    """A moment in UTC; SQLite forgets the zone and would return a naive one."""
+
+    impl = DateTime(timezone=True)
+    cache_ok = True
+
+    def process_bind_param(  # dialect: SQLAlchemy's signature
+        self,
+        value: datetime | None,
+        dialect: Dialect,  # noqa: ARG002
+    ) -> datetime | None:
+        """Refuse a naive moment, store an aware one in UTC."""
+        if value is not None and value.tzinfo is None:
+            raise ValueError(f"{value} has no time zone")
+        return None if value is None else value.astimezone(UTC)
+
+    def process_result_value(
+        self,
+        value: datetime | None,
+        dialect: Dialect,  # noqa: ARG002
+    ) -> datetime | None:
+        """Return an aware moment in UTC."""
+        if value is None:
+            return None
+        return value.replace(tzinfo=UTC) if value.tzinfo is None else value.astimezone(UTC)
+
+
+class Base(DeclarativeBase):
+    """Names every constraint, so that a later migration can drop it on any database."""
+
+    metadata = MetaData(
+        naming_convention={
+            "ix": "ix_%(table_name)s_%(column_0_N_name)s",
+            "uq": "uq_%(table_name)s_%(column_0_N_name)s",
+            "fk": "fk_%(table_name)s_%(column_0_N_name)s",
+            "pk": "pk_%(table_name)s",
+        }
+    )
+    type_annotation_map = {datetime: UtcDateTime}  # noqa: RUF012  # SQLAlchemy's own declaration
+
+
+class Map(Base):
+    """The named container of drives and revisions."""
+
+    __tablename__ = "maps"
+
+    id: Mapped[str] = mapped_column(Id, primary_key=True)
+    slug: Mapped[str] = mapped_column(Slug, unique=True)
+    description: Mapped[str] = mapped_column(Text)
+    created_at: Mapped[datetime]
+    version: Mapped[int]
+
+
+class Drive(Base):
+    """A recording that belongs to a map."""
+
+    __tablename__ = "drives"
+    __table_args__ = (UniqueConstraint("map_id", "slug"),)
+
+    id: Mapped[str] = mapped_column(Id, primary_key=True)
+    map_id: Mapped[str] = mapped_column(Id, ForeignKey("maps.id", ondelete="CASCADE"))
+    slug: Mapped[str] = mapped_column(Slug)
+    created_at: Mapped[datetime]
+    closed: Mapped[bool]
+
+
+class Scan(Base):
+    """One scan of a drive and the place of its returns."""
+
+    __tablename__ = "scans"
+
+    drive_id: Mapped[str] = mapped_column(
+        Id, ForeignKey("drives.id", ondelete="CASCADE"), primary_key=True
+    )
+    index: Mapped[int] = mapped_column("scan_index", BigInteger, primary_key=True)
+    chunk: Mapped[str] = mapped_column(String(64))
+    row: Mapped[int] = mapped_column("chunk_row")
+    digest: Mapped[str] = mapped_column(Digest)
+    returns: Mapped[int]
+    dropped_returns: Mapped[int]
+    timestamp_s: Mapped[float | None]
+    pose: Mapped[list[float] | None] = mapped_column(JSON(none_as_null=True))
+
+
+class Revision(Base):
+    """A built revision of a map; the same digest may stand in several maps."""
+
+    __tablename__ = "revisions"
+
+    map_id: Mapped[str] = mapped_column(
+        Id, ForeignKey("maps.id", ondelete="CASCADE"), primary_key=True
+    )
+    digest: Mapped[str] = mapped_column(Digest, primary_key=True)
+    file_name: Mapped[str] = mapped_column(String(100))
+    encoding: Mapped[str] = mapped_column(String(32))
+    scans: Mapped[int]
+    segments: Mapped[int]
+    parameters: Mapped[dict[str, Any]] = mapped_column(JSON)
+    size_bytes: Mapped[int] = mapped_column(BigInteger)
+    # Not a foreign key: a revision outlives the list of jobs.
+    job_id: Mapped[str | None] = mapped_column(Id)
+    created_at: Mapped[datetime]
+
+
+class LiveRevision(Base):
+    """Which revision of a map is live.
+
+    A table, not a column of maps: maps and revisions would refer to each other in a circle, which
+    SQLite cannot alter. So the database itself refuses to delete a live revision.
+    """
+
+    __tablename__ = "live_revisions"
+    __table_args__ = (
+        ForeignKeyConstraint(["map_id", "digest"], ["revisions.map_id", "revisions.digest"]),
+    )
+
+    map_id: Mapped[str] = mapped_column(
+        Id, ForeignKey("maps.id", ondelete="CASCADE"), primary_key=True
+    )
+    digest: Mapped[str] = mapped_column(Digest)
+
+
+class Job(Base):
+    """A long computation for a map."""
+
+    __tablename__ = "jobs"
+    __table_args__ = (Index(None, "created_at", "id"), Index(None, "state", "created_at"))
+
+    id: Mapped[str] = mapped_column(Id, primary_key=True)
+    map_id: Mapped[str] = mapped_column(Id, ForeignKey("maps.id", ondelete="CASCADE"), index=True)
+    kind: Mapped[str] = mapped_column(String(32))
+    state: Mapped[str] = mapped_column(String(16))
+    stage: Mapped[str] = mapped_column(String(64))
+    done_units: Mapped[int] = mapped_column(BigInteger)
+    total_units: Mapped[int] = mapped_column(BigInteger)
+    parameters: Mapped[dict[str, Any]] = mapped_column(JSON)
+    error_type: Mapped[str | None] = mapped_column(String(128))
+    error_detail: Mapped[str | None] = mapped_column(Text)
+    # Not a foreign key: a job remembers what it built after that was deleted.
+    revision: Mapped[str | None] = mapped_column(Digest)
+    cancel_requested: Mapped[bool]
+    created_at: Mapped[datetime]
+    started_at: Mapped[datetime | None]
+    finished_at: Mapped[datetime | None]
+
+
+class Key(Base):
+    """An API key."""
+
+    __tablename__ = "keys"
+
+    id: Mapped[str] = mapped_column(Id, primary_key=True)
+    secret_hash: Mapped[str] = mapped_column(String(255))
+    scopes: Mapped[list[str]] = mapped_column(JSON)
+    created_at: Mapped[datetime]
+    revoked_at: Mapped[datetime | None]

@@ -1,0 +1,204 @@
+"""What the catalog answers with: frozen facts, free of any session."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import datetime
+from enum import StrEnum
+from typing import Any, Generic, TypeVar
+
+from core.pose import Pose
+
+__all__ = [
+    "DriveRecord",
+    "IndexRange",
+    "JobRecord",
+    "JobState",
+    "KeyRecord",
+    "MapRecord",
+    "Page",
+    "RevisionFacts",
+    "RevisionRecord",
+    "ScanRecord",
+]
+
+T = TypeVar("T")
+
+BYTES_PER_RETURN = 12  # three float32
+
+
+@dataclass(frozen=True)
+class Page(Generic[T]):
+    """Some of a list.
+
+    Attributes:
+        items: In the list's order.
+        next_after: The cursor to ask for the rest with, `None` at the end.
+    """
+
+    items: tuple[T, ...]
+    next_after: str | None
+
+
+@dataclass(frozen=True)
+class MapRecord:
+    """A map: the named container of drives and revisions.
+
+    Attributes:
+        version: Counts the changes of this record, the live revision's included; for ETags.
+        live_revision: Digest of the revision that scan queries use, `None` before the first.
+    """
+
+    id: str
+    slug: str
+    description: str
+    created_at: datetime
+    version: int
+    live_revision: str | None
+
+
+@dataclass(frozen=True)
+class IndexRange:
+    """Scan indices `first` to `last`, both included."""
+
+    first: int
+    last: int
+
+
+@dataclass(frozen=True)
+class DriveRecord:
+    """A drive.
+
+    Attributes:
+        scans: How many scans it has.
+        returns: How many returns they have together.
+        present: The indices there are, as ranges in ascending order.
+    """
+
+    id: str
+    map_id: str
+    slug: str
+    created_at: datetime
+    closed: bool
+    scans: int
+    returns: int
+    present: tuple[IndexRange, ...]
+
+    @property
+    def first_index(self) -> int | None:
+        """The lowest index, `None` without a scan."""
+        return self.present[0].first if self.present else None
+
+    @property
+    def last_index(self) -> int | None:
+        """The highest index, `None` without a scan."""
+        return self.present[-1].last if self.present else None
+
+    @property
+    def gaps(self) -> tuple[IndexRange, ...]:
+        """The indices that are missing between the first and the last."""
+        pairs = zip(self.present, self.present[1:], strict=False)
+        return tuple(IndexRange(left.last + 1, right.first - 1) for left, right in pairs)
+
+    @property
+    def size_bytes(self) -> int:
+        """What the returns take; a chunk file adds some 5 KB to its own."""
+        return self.returns * BYTES_PER_RETURN
+
+
+@dataclass(frozen=True)
+class ScanRecord:
+    """A stored scan: where its returns are, and the facts about them.
+
+    Attributes:
+        index: Its index in the drive.
+        chunk: Name of its chunk file; a closed drive's scans move into bigger ones.
+        row: Its row there.
+        digest: SHA-256 of its returns, see `storage.drive_chunks.scan_digest`.
+        timestamp_s: Seconds, NaN where unknown.
+    """
+
+    index: int
+    chunk: str
+    row: int
+    digest: str
+    returns: int
+    dropped_returns: int
+    timestamp_s: float
+    pose: Pose | None
+
+
+@dataclass(frozen=True)
+class RevisionFacts:
+    """What the builder of a revision knows about it."""
+
+    encoding: str
+    scans: int
+    segments: int
+    parameters: Mapping[str, Any]
+    job_id: str | None = None
+
+
+@dataclass(frozen=True)
+class RevisionRecord:
+    """One immutable revision of a map; `file_name` is the HDF5 file that holds it."""
+
+    digest: str
+    map_id: str
+    file_name: str
+    encoding: str
+    scans: int
+    segments: int
+    parameters: Mapping[str, Any]
+    size_bytes: int
+    job_id: str | None
+    created_at: datetime
+
+
+class JobState(StrEnum):
+    """Where a job stands; the last three are final."""
+
+    QUEUED = "queued"
+    RUNNING = "running"
+    DONE = "done"
+    FAILED = "failed"
+    CANCELLED = "cancelled"
+
+
+@dataclass(frozen=True)
+class JobRecord:
+    """A long computation and how far it is.
+
+    Attributes:
+        stage: What it does now, in a word.
+        done_units: Of `total_units`, in this stage.
+        error_type: Name of the error it failed with.
+        revision: Digest of the revision it built.
+        cancel_requested: Someone asked a running job to stop.
+    """
+
+    id: str
+    map_id: str
+    kind: str
+    state: JobState
+    stage: str
+    done_units: int
+    total_units: int
+    parameters: Mapping[str, Any]
+    error_type: str | None
+    error_detail: str | None
+    revision: str | None
+    cancel_requested: bool
+    created_at: datetime
+    started_at: datetime | None
+    finished_at: datetime | None
+
+
+@dataclass(frozen=True)
+class KeyRecord:
+    """An API key; the secret itself is never stored, only its hash."""
+
+    id: str
+    secret_hash: str
+    scopes: tuple[str, ...]
+    created_at: datetime
+    revoked_at: datetime | None

@@ -1,0 +1,199 @@
+"""Revisions in the catalog, and which of a map's is live."""
+
+from datetime import UTC, datetime
+
+from sqlalchemy import delete, select, tuple_
+from sqlalchemy.orm import Session
+
+from core.errors import InvalidParameters
+from storage.catalog.database import Database
+from storage.catalog.maps import locked_map, map_named
+from storage.catalog.models import LiveRevision, Map, Revision
+from storage.catalog.pages import DEFAULT_LIMIT, one_more, page_of
+from storage.catalog.records import Page, RevisionFacts, RevisionRecord
+from storage.errors import (
+    AmbiguousRevision,
+    NoLiveRevision,
+    RevisionIsLive,
+    RevisionNotFound,
+)
+
+__all__ = ["Revisions"]
+
+_SHORTEST_PREFIX = 12  # hex digits; 48 bits, a clash among a million revisions is 1 in 500
+
+
+class Revisions:
+    """The revisions of each map, newest first."""
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
+
+    def add(
+        self,
+        map_slug: str,
+        digest: str,
+        file_name: str,
+        size_bytes: int,
+        facts: RevisionFacts,
+        *,
+        make_live: bool = False,
+    ) -> RevisionRecord:
+        """Add a revision whose file is on disk; the first one of a map becomes live.
+
+        A digest that the map has already keeps its record: its `file_name` then is another.
+
+        Raises:
+            MapNotFound: If there is no such map.
+        """
+        with self._database.writing() as session:
+            of_map = locked_map(session, map_slug)
+            row = session.get(Revision, (of_map.id, digest))
+            if row is None:
+                row = Revision(
+                    map_id=of_map.id,
+                    digest=digest,
+                    file_name=file_name,
+                    encoding=facts.encoding,
+                    scans=facts.scans,
+                    segments=facts.segments,
+                    parameters=dict(facts.parameters),
+                    size_bytes=size_bytes,
+                    job_id=facts.job_id,
+                    created_at=datetime.now(UTC),
+                )
+                session.add(row)
+                session.flush()
+            if make_live or session.get(LiveRevision, of_map.id) is None:
+                _make_live(session, of_map, digest)
+            return _record(row)
+
+    def get(self, map_slug: str, digest: str) -> RevisionRecord:
+        """Return a revision by its digest or a prefix of at least 12 digits that only it has.
+
+        Raises:
+            MapNotFound: If there is no such map.
+            RevisionNotFound: If the map has no such revision, or the prefix is shorter.
+            AmbiguousRevision: If the map has several.
+        """
+        with self._database.reading() as session:
+            return _record(_found(session, map_named(session, map_slug), digest))
+
+    def live(self, map_slug: str) -> RevisionRecord:
+        """Return the live revision.
+
+        Raises:
+            MapNotFound: If there is no such map.
+            NoLiveRevision: If it has none yet.
+        """
+        with self._database.reading() as session:
+            of_map = map_named(session, map_slug)
+            live = session.get(LiveRevision, of_map.id)
+            if live is None:
+                raise NoLiveRevision(f"map {map_slug!r} has no revision yet: build one")
+            return _record(_found(session, of_map, live.digest))
+
+    def list(
+        self, map_slug: str, after: str = "", limit: int = DEFAULT_LIMIT
+    ) -> Page[RevisionRecord]:
+        """Return the revisions that are older than the one of digest `after`.
+
+        Raises:
+            MapNotFound: If there is no such map.
+            InvalidParameters: If `after` is none of its revisions.
+        """
+        order = tuple_(Revision.created_at, Revision.digest)
+        with self._database.reading() as session:
+            of_map = map_named(session, map_slug)
+            query = select(Revision).where(Revision.map_id == of_map.id)
+            if after:
+                last = session.get(Revision, (of_map.id, after))
+                if last is None:
+                    raise InvalidParameters(f"the cursor {after[:80]!r} is no revision")
+                query = query.where(order < tuple_(last.created_at, last.digest))
+            query = query.order_by(Revision.created_at.desc(), Revision.digest.desc())
+            records = [_record(row) for row in session.scalars(query.limit(one_more(limit)))]
+        return page_of(records, limit, lambda record: record.digest)
+
+    def set_live(
+        self, map_slug: str, digest: str, *, if_version: int | None = None
+    ) -> RevisionRecord:
+        """Make a revision the live one; a change counts up the map's version.
+
+        Raises:
+            MapNotFound: If there is no such map.
+            MapChanged: If its version is another than `if_version`.
+            RevisionNotFound: If it has no such revision.
+        """
+        with self._database.writing() as session:
+            of_map = locked_map(session, map_slug, if_version)
+            row = _found(session, of_map, digest)
+            _make_live(session, of_map, row.digest)
+            return _record(row)
+
+    def delete(self, map_slug: str, digest: str) -> RevisionRecord:
+        """Remove a revision that is not live; return what it was.
+
+        Raises:
+            MapNotFound: If there is no such map.
+            RevisionNotFound: If it has no such revision.
+            RevisionIsLive: If it is the live one.
+        """
+        with self._database.writing() as session:
+            of_map = locked_map(session, map_slug)
+            row = _found(session, of_map, digest)
+            live = session.get(LiveRevision, of_map.id)
+            if live is not None and live.digest == row.digest:
+                raise RevisionIsLive(f"revision {row.digest[:12]} is live: make another live first")
+            record = _record(row)
+            session.execute(
+                delete(Revision).where(
+                    Revision.map_id == of_map.id, Revision.digest == record.digest
+                )
+            )
+            return record
+
+    def files(self, map_id: str) -> set[str]:
+        """Return the names of the files that hold the revisions of a map."""
+        with self._database.reading() as session:
+            return set(session.scalars(select(Revision.file_name).where(Revision.map_id == map_id)))
+
+
+def _make_live(session: Session, of_map: Map, digest: str) -> None:
+    live = session.get(LiveRevision, of_map.id)
+    if live is None:
+        session.add(LiveRevision(map_id=of_map.id, digest=digest))
+    elif live.digest == digest:
+        return
+    else:
+        live.digest = digest
+    of_map.version += 1
+    session.flush()
+
+
+def _found(session: Session, of_map: Map, digest: str) -> Revision:
+    wanted = digest.lower()
+    query = select(Revision).where(
+        Revision.map_id == of_map.id, Revision.digest.startswith(wanted, autoescape=True)
+    )
+    rows = session.scalars(query.limit(2)).all() if len(wanted) >= _SHORTEST_PREFIX else ()
+    if not rows:
+        raise RevisionNotFound(f"map {of_map.slug!r} has no revision {digest[:80]!r}")
+    if len(rows) > 1:
+        raise AmbiguousRevision(f"several revisions of {of_map.slug!r} begin with {digest!r}")
+    return rows[0]
+
+
+def _record(row: Revision) -> RevisionRecord:
+    return RevisionRecord(
+        digest=row.digest,
+        map_id=row.map_id,
+        file_name=row.file_name,
+        encoding=row.encoding,
+        scans=row.scans,
+        segments=row.segments,
+        parameters=row.parameters,
+        size_bytes=row.size_bytes,
+        job_id=row.job_id,
+        created_at=row.created_at,
+    )

@@ -1,0 +1,244 @@
+"""Scans in the catalog: which chunk file holds them, and the facts about them."""
+
+import math
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+
+from sqlalchemy import insert, select, update
+from sqlalchemy.exc import IntegrityError
+from sqlalchemy.orm import Session
+
+from core.pose import Pose
+from storage.catalog.database import Database
+from storage.catalog.drives import drive_named
+from storage.catalog.maps import map_named
+from storage.catalog.models import Drive, Map, Scan
+from storage.catalog.records import ScanRecord
+from storage.errors import ScanNotFound, StorageBusy
+from storage.names import checked_slug, new_id
+
+__all__ = ["LostRace", "PutTarget", "Scans"]
+
+
+class LostRace(StorageBusy):
+    """Another writer came between looking and writing: look again."""
+
+
+@dataclass(frozen=True)
+class PutTarget:
+    """Where scans go, and which of them are there already.
+
+    Attributes:
+        exists: Whether the drive does; if not, `drive_id` is the id that it will get.
+        stored: The scans that are there, of those that were asked about.
+    """
+
+    map_id: str
+    drive_id: str
+    drive_slug: str
+    exists: bool
+    closed: bool
+    stored: Mapping[int, ScanRecord]
+
+
+class Scans:
+    """The scans of each drive, in the order of their indices."""
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
+
+    def target(self, map_slug: str, drive_slug: str, indices: Collection[int]) -> PutTarget:
+        """Return where scans of these indices go.
+
+        Raises:
+            MapNotFound: If there is no such map.
+            InvalidSlug: If there is no such drive, and its name is no slug.
+        """
+        with self._database.reading() as session:
+            map_id = map_named(session, map_slug).id
+            row = session.scalar(
+                select(Drive).where(Drive.map_id == map_id, Drive.slug == drive_slug)
+            )
+            if row is None:
+                slug = checked_slug(drive_slug)
+                return PutTarget(map_id, new_id(), slug, exists=False, closed=False, stored={})
+            stored = _among(session, row.id, indices)
+            return PutTarget(
+                map_id, row.id, drive_slug, exists=True, closed=row.closed, stored=stored
+            )
+
+    def add(self, target: PutTarget, records: Sequence[ScanRecord]) -> None:
+        """Add scans whose chunk file is on disk, and their drive if it is new: all or nothing.
+
+        Raises:
+            LostRace: If the target is no longer what it was: the drive was made, closed or
+                removed, the map was removed, or one of the indices was taken.
+        """
+        try:
+            with self._database.writing() as session:
+                self._hold(session, target)
+                if _among(session, target.drive_id, {record.index for record in records}):
+                    raise LostRace(f"drive {target.drive_slug!r} got some of these scans meanwhile")
+                session.execute(
+                    insert(Scan), [_values(target.drive_id, record) for record in records]
+                )
+        except IntegrityError as error:  # databases that let two writers in at once
+            raise LostRace(f"drive {target.drive_slug!r} changed meanwhile") from error
+
+    @staticmethod
+    def _hold(session: Session, target: PutTarget) -> None:
+        """Lock the target's drive, or make it."""
+        query = select(Drive).where(Drive.map_id == target.map_id, Drive.slug == target.drive_slug)
+        row = session.scalar(query.with_for_update())
+        if target.exists:
+            if row is None or row.id != target.drive_id or row.closed != target.closed:
+                raise LostRace(f"drive {target.drive_slug!r} was closed or removed meanwhile")
+            return
+        if row is not None or session.get(Map, target.map_id) is None:
+            raise LostRace(f"drive {target.drive_slug!r} was made, or its map removed, meanwhile")
+        session.add(
+            Drive(
+                id=target.drive_id,
+                map_id=target.map_id,
+                slug=target.drive_slug,
+                created_at=datetime.now(UTC),
+                closed=False,
+            )
+        )
+        session.flush()
+
+    def get(self, drive_id: str, index: int) -> ScanRecord:
+        """Return one scan's facts.
+
+        Raises:
+            ScanNotFound: If the drive has no such scan, or is no longer there.
+        """
+        with self._database.reading() as session:
+            row = session.get(Scan, (drive_id, index))
+            if row is None:
+                raise ScanNotFound(f"there is no scan {index}")
+            return _record(row)
+
+    def of_drive(self, drive_id: str) -> list[ScanRecord]:
+        """Return the facts of all scans of a drive."""
+        query = select(Scan).where(Scan.drive_id == drive_id).order_by(Scan.index)
+        with self._database.reading() as session:
+            return [_record(row) for row in session.scalars(query)]
+
+    def set_poses(
+        self,
+        map_slug: str,
+        drive_slug: str,
+        poses: Mapping[int, Pose | None],
+        timestamps_s: Mapping[int, float],
+    ) -> None:
+        """Set poses and timestamps of scans that are there: all or nothing.
+
+        Raises:
+            MapNotFound: If there is no such map.
+            DriveNotFound: If it has no such drive.
+            ScanNotFound: If one of the scans is not there; the message names the first.
+        """
+        wanted = {*poses, *timestamps_s}
+        with self._database.writing() as session:
+            drive_id = drive_named(session, map_slug, drive_slug, lock=True).id
+            missing = sorted(wanted - _among(session, drive_id, wanted).keys())
+            if missing:
+                raise ScanNotFound(
+                    f"drive {drive_slug!r} has no scan {missing[0]}"
+                    f" ({len(missing)} of {len(wanted)} are missing)"
+                )
+            _update(session, drive_id, "pose", {i: _pose_value(p) for i, p in poses.items()})
+            _update(
+                session, drive_id, "timestamp_s", {i: _known(t) for i, t in timestamps_s.items()}
+            )
+
+    def move(self, drive_id: str, scans: Sequence[ScanRecord], chunk: str) -> set[str]:
+        """Let scans be found in another chunk file, in the order given.
+
+        Returns:
+            The chunk files that hold no scan any more.
+
+        Raises:
+            LostRace: If one of the scans is no longer where it was.
+        """
+        old = {scan.chunk for scan in scans}
+        with self._database.writing() as session:
+            stored = _among(session, drive_id, {scan.index for scan in scans})
+            for scan in scans:
+                now = stored.get(scan.index)
+                if now is None or (now.chunk, now.row) != (scan.chunk, scan.row):
+                    raise LostRace(f"scan {scan.index} was moved or removed meanwhile")
+            session.execute(
+                update(Scan),
+                [
+                    {"drive_id": drive_id, "index": scan.index, "chunk": chunk, "row": row}
+                    for row, scan in enumerate(scans)
+                ],
+            )
+            return old - _chunks(session, drive_id)
+
+    def chunks(self, drive_id: str) -> set[str]:
+        """Return the names of the chunk files that hold the scans of a drive."""
+        with self._database.reading() as session:
+            return _chunks(session, drive_id)
+
+
+def _among(session: Session, drive_id: str, indices: Collection[int]) -> dict[int, ScanRecord]:
+    """Return which of these indices are stored."""
+    if not indices:
+        return {}
+    # A span, not IN (...): a database takes only so many parameters.
+    query = select(Scan).where(
+        Scan.drive_id == drive_id, Scan.index.between(min(indices), max(indices))
+    )
+    wanted = set(indices)
+    return {row.index: _record(row) for row in session.scalars(query) if row.index in wanted}
+
+
+def _chunks(session: Session, drive_id: str) -> set[str]:
+    return set(session.scalars(select(Scan.chunk).where(Scan.drive_id == drive_id).distinct()))
+
+
+def _update(session: Session, drive_id: str, name: str, values: Mapping[int, object]) -> None:
+    if values:
+        session.execute(
+            update(Scan),
+            [{"drive_id": drive_id, "index": index, name: v} for index, v in values.items()],
+        )
+
+
+def _values(drive_id: str, record: ScanRecord) -> dict[str, object]:
+    return {
+        "drive_id": drive_id,
+        "index": record.index,
+        "chunk": record.chunk,
+        "row": record.row,
+        "digest": record.digest,
+        "returns": record.returns,
+        "dropped_returns": record.dropped_returns,
+        "timestamp_s": _known(record.timestamp_s),
+        "pose": _pose_value(record.pose),
+    }
+
+
+def _record(row: Scan) -> ScanRecord:
+    return ScanRecord(
+        index=row.index,
+        chunk=row.chunk,
+        row=row.row,
+        digest=row.digest,
+        returns=row.returns,
+        dropped_returns=row.dropped_returns,
+        timestamp_s=math.nan if row.timestamp_s is None else row.timestamp_s,
+        pose=None if row.pose is None else Pose(*row.pose),
+    )
+
+
+def _known(timestamp_s: float) -> float | None:
+    return timestamp_s if math.isfinite(timestamp_s) else None
+
+
+def _pose_value(pose: Pose | None) -> list[float] | None:
+    return None if pose is None else list(pose.as_tuple())

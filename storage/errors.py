@@ -1,0 +1,146 @@
+"""The storage branch of the error tree.
+
+StorageError                 a TensorMapError
+├── NotFound                 what was asked for is not stored
+│   ├── MapNotFound
+│   ├── DriveNotFound
+│   ├── ScanNotFound
+│   ├── RevisionNotFound
+│   ├── JobNotFound
+│   └── KeyNotFound
+├── Conflict                 what is stored does not allow it
+│   ├── MapExists            another map has this slug
+│   ├── MapChanged           the map is no longer at the version the caller saw
+│   ├── ScanConflict         other content is stored at this index
+│   ├── DriveClosed          a closed drive takes no new scans
+│   ├── NoLiveRevision       the map has no revision to answer with yet
+│   ├── RevisionIsLive       the live revision cannot be deleted
+│   ├── AmbiguousRevision    several digests begin with this prefix
+│   └── JobNotRunning        only a running job makes progress or ends
+├── InvalidSlug              a name that is no slug
+├── CorruptFile              a file that is not what was written
+├── StorageBusy              another writer kept the catalog locked for too long
+├── StorageFull              no space or quota is left
+├── StorageReadOnly          the data cannot be written here
+└── DataDirInUse             another server already owns this data directory
+"""
+
+from core.errors import TensorMapError
+
+__all__ = [
+    "AmbiguousRevision",
+    "Conflict",
+    "CorruptFile",
+    "DataDirInUse",
+    "DriveClosed",
+    "DriveNotFound",
+    "InvalidSlug",
+    "JobNotFound",
+    "JobNotRunning",
+    "KeyNotFound",
+    "MapChanged",
+    "MapExists",
+    "MapNotFound",
+    "NoLiveRevision",
+    "NotFound",
+    "RevisionIsLive",
+    "RevisionNotFound",
+    "ScanConflict",
+    "ScanNotFound",
+    "StorageBusy",
+    "StorageError",
+    "StorageFull",
+    "StorageReadOnly",
+]
+
+
+class StorageError(TensorMapError):
+    """Base of every error that storage raises on purpose."""
+
+
+class NotFound(StorageError):
+    """What was asked for is not stored."""
+
+
+class MapNotFound(NotFound):
+    """A map that is not there."""
+
+
+class DriveNotFound(NotFound):
+    """A drive that the map does not have."""
+
+
+class ScanNotFound(NotFound):
+    """A scan that the drive does not have."""
+
+
+class RevisionNotFound(NotFound):
+    """A revision that the map does not have, or no longer."""
+
+
+class JobNotFound(NotFound):
+    """A job that is not there."""
+
+
+class KeyNotFound(NotFound):
+    """A key that is not there."""
+
+
+class Conflict(StorageError):
+    """What is stored does not allow what was asked for."""
+
+
+class MapExists(Conflict):
+    """Another map has this slug."""
+
+
+class MapChanged(Conflict):
+    """The map is no longer at the version that the caller saw."""
+
+
+class ScanConflict(Conflict):
+    """Other content is stored at this index."""
+
+
+class DriveClosed(Conflict):
+    """A closed drive takes no new scans."""
+
+
+class NoLiveRevision(Conflict):
+    """The map has no revision to answer with yet."""
+
+
+class RevisionIsLive(Conflict):
+    """The live revision cannot be deleted."""
+
+
+class AmbiguousRevision(Conflict):
+    """Several digests begin with this prefix."""
+
+
+class JobNotRunning(Conflict):
+    """Only a running job makes progress or ends."""
+
+
+class InvalidSlug(StorageError):
+    """A name that is no slug."""
+
+
+class CorruptFile(StorageError):
+    """A file whose content is not what was written."""
+
+
+class StorageBusy(StorageError):
+    """Another writer held the catalog for longer than the caller waits."""
+
+
+class StorageFull(StorageError):
+    """No space or quota is left."""
+
+
+class StorageReadOnly(StorageError):
+    """The data cannot be written here."""
+
+
+class DataDirInUse(StorageError):
+    """Another server already owns this data directory."""

@@ -1,0 +1,116 @@
+"""Atomic, durable files: whole under their name or not there at all."""
+
+import errno
+import os
+import re
+import secrets
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from storage.errors import StorageFull, StorageReadOnly
+
+__all__ = ["make_folder", "named_disk_errors", "publish", "remove_parts", "sync"]
+
+_FULL = {errno.ENOSPC, errno.EDQUOT}
+_READ_ONLY = {errno.EROFS, errno.EACCES, errno.EPERM}
+# HDF5 reports a failed write while closing as a RuntimeError whose text holds the errno.
+_HDF5_ERRNO = re.compile(r"errno = (\d+)")
+
+
+@contextmanager
+def publish(path: Path) -> Iterator[Path]:
+    """Give a path to write beside `path`, then rename it there.
+
+    When the block ends, the file is fsynced, renamed and its folder fsynced: after that, it
+    survives a power cut. When anything up to the rename fails, nothing is left behind and what
+    stood at `path` before still does; when only the folder's fsync fails, the new file stands there
+    but is not promised to stay. Between two writers the last rename wins.
+
+    Raises:
+        StorageFull: If no space or quota is left.
+        StorageReadOnly: If the folder cannot be written.
+
+    Examples:
+        >>> import tempfile
+        >>> path = Path(tempfile.mkdtemp()) / "greeting.txt"
+        >>> with publish(path) as part:
+        ...     _ = part.write_text("hello")
+        ...     path.exists()
+        False
+        >>> path.read_text(), part.exists()
+        ('hello', False)
+    """
+    part = path.with_name(f".{path.name}.{secrets.token_hex(8)}.part")
+    try:
+        with named_disk_errors():
+            yield part
+            sync(part)
+            part.rename(path)
+            sync(path.parent)
+    except BaseException:
+        with suppress(OSError):
+            part.unlink(missing_ok=True)
+        raise
+
+
+@contextmanager
+def named_disk_errors() -> Iterator[None]:
+    """Raise a full or read-only disk under its own name; every other error passes.
+
+    Raises:
+        StorageFull: If no space or quota is left.
+        StorageReadOnly: If the folder cannot be written.
+    """
+    try:
+        yield
+    except (OSError, RuntimeError) as error:
+        number = _errno(error)
+        if number in _FULL:
+            raise StorageFull(f"no space is left to write: {error}") from error
+        if number in _READ_ONLY:
+            raise StorageReadOnly(f"the data directory cannot be written: {error}") from error
+        raise
+
+
+def _errno(error: OSError | RuntimeError) -> int | None:
+    if isinstance(error, OSError) and error.errno is not None:
+        return error.errno
+    found = _HDF5_ERRNO.search(str(error))
+    return int(found.group(1)) if found else None
+
+
+def sync(path: Path) -> None:
+    """Wait until a file's content, or a folder's entries, are on disk."""
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def make_folder(path: Path) -> Path:
+    """Make a folder and its parents, durably, and return it; one that is there stays.
+
+    Raises:
+        StorageFull: If no space or quota is left.
+        StorageReadOnly: If its parent cannot be written.
+    """
+    if not path.is_dir():
+        make_folder(path.parent)
+        with named_disk_errors():
+            path.mkdir(exist_ok=True)
+            sync(path.parent)
+    return path
+
+
+def remove_parts(folder: Path) -> int:
+    """Remove what writers that were killed left under `folder`; return how many files it was.
+
+    Only safe while nobody writes there.
+    """
+    removed = 0
+    for part in folder.rglob(".*.part"):
+        part.unlink(missing_ok=True)
+        removed += 1
+    return removed

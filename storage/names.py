@@ -1,0 +1,36 @@
+"""Names: the slugs that clients choose and the ids that paths are built from."""
+
+import re
+import uuid
+
+from storage.errors import InvalidSlug
+
+__all__ = ["checked_slug", "new_id"]
+
+_SLUG = re.compile(r"[a-z0-9][a-z0-9._-]{0,63}")
+
+
+def checked_slug(slug: str) -> str:
+    """Return `slug` if it is one.
+
+    Lower case only, so that no two maps differ by case alone; no slash, space or percent sign, so
+    that it stands in a URL as it is. It never stands in a path: those are built from ids.
+
+    Raises:
+        InvalidSlug: If it is not 1 to 64 of a-z, 0-9, `.`, `_`, `-`, beginning with a-z or 0-9.
+
+    Examples:
+        >>> checked_slug("2011_09_26_drive_0001")
+        '2011_09_26_drive_0001'
+    """
+    if not _SLUG.fullmatch(slug):
+        raise InvalidSlug(
+            f"{slug[:80]!r} is no slug: wanted 1 to 64 of a-z, 0-9, '.', '_' and '-',"
+            " beginning with a letter or digit"
+        )
+    return slug
+
+
+def new_id() -> str:
+    """Return a new random id, 32 hex digits."""
+    return uuid.uuid4().hex

@@ -1,0 +1,63 @@
+"""Compaction: a closed drive's many small chunk files become a few big ones."""
+
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+
+from core.scan import Scan
+from storage.catalog import Catalog, ScanRecord
+from storage.catalog.records import BYTES_PER_RETURN
+from storage.drive_chunks import write_chunk
+from storage.errors import StorageError
+from storage.names import new_id
+
+__all__ = ["compact"]
+
+_CHUNK_BYTES = 64 * 2**20  # held in memory while it is written; some 90 scans of 60,000 returns
+
+
+def compact(
+    catalog: Catalog, drive_id: str, chunks: Path, read: Callable[[ScanRecord], Scan]
+) -> None:
+    """Rewrite the chunk files of a closed drive, `chunks`, into ones of some 64 MB.
+
+    A new file is on disk before the rows move to it in one transaction, and the old ones go after
+    that: a crash leaves each scan readable and at most a file too many. To do it again does
+    nothing.
+
+    Raises:
+        LostRace: If somebody else compacts or removes the drive.
+        StorageFull: If no space is left; what is done stays done.
+    """
+    records = catalog.scans.of_drive(drive_id)
+    sizes = Counter(record.chunk for record in records)
+    for group in _groups(records):
+        if {record.chunk for record in group} == {group[0].chunk} and sizes[group[0].chunk] == len(
+            group
+        ):
+            continue
+        name = f"{new_id()}.h5"
+        scans = [(record.index, read(record)) for record in group]
+        try:
+            write_chunk(chunks / name, scans)
+            emptied = catalog.scans.move(drive_id, group, name)
+        except StorageError:  # nothing was committed, see Drives.put_scans
+            (chunks / name).unlink(missing_ok=True)
+            raise
+        for old in emptied:
+            (chunks / old).unlink(missing_ok=True)
+
+
+def _groups(records: Sequence[ScanRecord]) -> Iterator[list[ScanRecord]]:
+    """Split scans, in their order, into groups that fill a chunk."""
+    group: list[ScanRecord] = []
+    filled = 0
+    for record in records:
+        size = record.returns * BYTES_PER_RETURN
+        if group and filled + size > _CHUNK_BYTES:
+            yield group
+            group, filled = [], 0
+        group.append(record)
+        filled += size
+    if group:
+        yield group

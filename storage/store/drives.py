@@ -1,0 +1,246 @@
+"""Drives: raw scans in chunk files and the rows that name them."""
+
+import shutil
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+
+from core.errors import InvalidParameters
+from core.pose import Pose
+from core.scan import Scan
+from storage.catalog import Catalog, DriveRecord, ScanRecord
+from storage.catalog.scans import LostRace, PutTarget
+from storage.drive_chunks import read_points, scan_digest, write_chunk
+from storage.errors import (
+    CorruptFile,
+    DriveClosed,
+    ScanConflict,
+    ScanNotFound,
+    StorageBusy,
+    StorageError,
+)
+from storage.files import make_folder
+from storage.names import new_id
+from storage.store.compaction import compact
+from storage.store.layout import Layout
+from storage.store.stored_drive import StoredDrive
+
+__all__ = ["Drives", "PutResult"]
+
+# Each lost race is somebody else's progress; so many in a row is something else.
+_ATTEMPTS = 20
+_LAST_INDEX = 2**53  # beyond, JSON readers round
+
+
+@dataclass(frozen=True)
+class PutResult:
+    """What became of a scan that was put.
+
+    Attributes:
+        created: False if the same content was there already.
+        record: What is stored.
+    """
+
+    created: bool
+    record: ScanRecord
+
+
+class Drives:
+    """The drives of each map, in the order of their slugs; `get` and `list` are the catalog's."""
+
+    def __init__(self, catalog: Catalog, layout: Layout) -> None:
+        self._catalog = catalog
+        self._layout = layout
+        self.get = catalog.drives.get
+        self.list = catalog.drives.list
+
+    def put_scan(self, map_slug: str, drive_slug: str, index: int, scan: Scan) -> PutResult:
+        """Store one scan; see `put_scans`."""
+        return self.put_scans(map_slug, drive_slug, [(index, scan)])[0]
+
+    def put_scans(
+        self, map_slug: str, drive_slug: str, scans: Sequence[tuple[int, Scan]]
+    ) -> list[PutResult]:
+        """Store scans, all or none; the first scan of a drive makes the drive.
+
+        When it returns, their chunk file is fsynced and their rows are committed. To put the same
+        returns at the same index again is no error and changes nothing, in a closed drive too:
+        poses and timestamps of scans that are there are set with `put_poses`.
+
+        Raises:
+            MapNotFound: If there is no such map.
+            InvalidSlug: If the drive is new, and its name is no slug.
+            InvalidParameters: If an index is negative, too large or given twice.
+            ScanConflict: If other content is stored at an index; the message has both digests.
+            DriveClosed: If one of the scans is new and the drive is closed.
+            StorageFull: If no space is left; nothing is changed.
+        """
+        _check_indices([index for index, _ in scans])
+        by_index = {index: (scan, scan_digest(scan.points_m)) for index, scan in scans}
+        for _ in range(_ATTEMPTS):
+            target = self._catalog.scans.target(map_slug, drive_slug, by_index)
+            _refuse_conflicts(target, {index: digest for index, (_, digest) in by_index.items()})
+            fresh = [(index, scan) for index, scan in scans if index not in target.stored]
+            if fresh and target.closed:
+                raise DriveClosed(f"drive {drive_slug!r} is closed and has no scan {fresh[0][0]}")
+            name = f"{new_id()}.h5"
+            records = [
+                _new_record(name, row, index, scan, by_index[index][1])
+                for row, (index, scan) in enumerate(fresh)
+            ]
+            try:
+                self._write(target, name, fresh, records)
+            except (LostRace, FileNotFoundError):  # the latter: the drive's folder was deleted
+                continue
+            created = {record.index: record for record in records}
+            return [
+                PutResult(index in created, created.get(index) or target.stored[index])
+                for index, _ in scans
+            ]
+        raise StorageBusy(f"drive {drive_slug!r} changed {_ATTEMPTS} times while a scan was put")
+
+    def _write(
+        self,
+        target: PutTarget,
+        name: str,
+        scans: Sequence[tuple[int, Scan]],
+        records: Sequence[ScanRecord],
+    ) -> None:
+        """Write a chunk file, then the rows that name it."""
+        if not scans:
+            return
+        path = make_folder(self._layout.chunks(target.map_id, target.drive_id)) / name
+        try:
+            write_chunk(path, scans)
+            self._catalog.scans.add(target, records)
+        except StorageError:
+            # These say that nothing was committed. After any other error that is not certain, and
+            # a file too many, which the next start removes, is better than one too few.
+            path.unlink(missing_ok=True)
+            raise
+
+    def put_poses(
+        self,
+        map_slug: str,
+        drive_slug: str,
+        poses: Mapping[int, Pose | None],
+        timestamps_s: Mapping[int, float] | None = None,
+    ) -> None:
+        """Set poses, and timestamps, of scans that are there: all or none; closed drives too.
+
+        Raises:
+            MapNotFound: If there is no such map.
+            DriveNotFound: If it has no such drive.
+            ScanNotFound: If one of the scans is not there.
+        """
+        self._catalog.scans.set_poses(map_slug, drive_slug, poses, timestamps_s or {})
+
+    def close(self, map_slug: str, drive_slug: str) -> DriveRecord:
+        """Let a drive take no new scans, and pack its chunk files into bigger ones.
+
+        To close a closed drive finishes what an interrupted closing left undone.
+
+        Raises:
+            MapNotFound: If there is no such map.
+            DriveNotFound: If it has no such drive.
+            StorageFull: If no space is left to pack; the drive is closed and whole nevertheless.
+        """
+        drive = self._catalog.drives.close(map_slug, drive_slug)
+        chunks = self._layout.chunks(drive.map_id, drive.id)
+        with suppress(LostRace, ScanNotFound, FileNotFoundError):  # packed or removed by another
+            compact(self._catalog, drive.id, chunks, lambda record: self._read(drive, record.index))
+        return drive
+
+    def delete(self, map_slug: str, drive_slug: str) -> DriveRecord:
+        """Remove a drive: its rows at once, then its files.
+
+        Raises:
+            MapNotFound: If there is no such map.
+            DriveNotFound: If it has no such drive.
+        """
+        drive = self._catalog.drives.delete(map_slug, drive_slug)
+        shutil.rmtree(self._layout.drive(drive.map_id, drive.id), ignore_errors=True)
+        return drive
+
+    def scan_records(self, map_slug: str, drive_slug: str) -> list[ScanRecord]:
+        """Return the facts about every scan of a drive, in the order of their indices.
+
+        Raises:
+            MapNotFound: If there is no such map.
+            DriveNotFound: If it has no such drive.
+        """
+        return self._catalog.scans.of_drive(self.get(map_slug, drive_slug).id)
+
+    def read_scan(self, map_slug: str, drive_slug: str, index: int) -> Scan:
+        """Read one scan with its timestamp and pose.
+
+        Raises:
+            MapNotFound: If there is no such map.
+            DriveNotFound: If it has no such drive.
+            ScanNotFound: If the drive has no such scan.
+            CorruptFile: If what is stored is not what was put.
+        """
+        return self._read(self.get(map_slug, drive_slug), index)
+
+    def open(self, map_slug: str, drive_slug: str) -> StoredDrive:
+        """Return a drive as the method reads it: the scans that it has now.
+
+        Raises:
+            MapNotFound: If there is no such map.
+            DriveNotFound: If it has no such drive.
+        """
+        drive = self.get(map_slug, drive_slug)
+        records = self._catalog.scans.of_drive(drive.id)
+        return StoredDrive(drive.slug, records, lambda index: self._read(drive, index))
+
+    def _read(self, drive: DriveRecord, index: int) -> Scan:
+        chunks = self._layout.chunks(drive.map_id, drive.id)
+        record = self._catalog.scans.get(drive.id, index)
+        try:
+            points_m = read_points(chunks / record.chunk, record.row)
+        except FileNotFoundError as error:
+            moved = self._catalog.scans.get(drive.id, index)
+            if moved.chunk == record.chunk:
+                raise CorruptFile(f"the file of scan {index} is gone: {record.chunk}") from error
+            points_m = read_points(chunks / moved.chunk, moved.row)  # compaction came between
+        digest = scan_digest(points_m)
+        if digest != record.digest:
+            raise CorruptFile(
+                f"scan {index} of drive {drive.slug!r} has digest {digest}, {record.digest} was put"
+            )
+        return Scan(
+            points_m,
+            timestamp_s=record.timestamp_s,
+            pose=record.pose,
+            dropped_returns=record.dropped_returns,
+        )
+
+
+def _check_indices(indices: Sequence[int]) -> None:
+    for index in indices:
+        if not 0 <= index < _LAST_INDEX:
+            raise InvalidParameters(f"the scan index is {index}, wanted 0 <= index < 2**53")
+    if len(set(indices)) != len(indices):
+        raise InvalidParameters("a scan index is given twice")
+
+
+def _refuse_conflicts(target: PutTarget, digests: Mapping[int, str]) -> None:
+    for index, stored in target.stored.items():
+        if stored.digest != digests[index]:
+            raise ScanConflict(
+                f"scan {index} of drive {target.drive_slug!r} is stored with digest"
+                f" {stored.digest}, the one put has {digests[index]}"
+            )
+
+
+def _new_record(chunk: str, row: int, index: int, scan: Scan, digest: str) -> ScanRecord:
+    return ScanRecord(
+        index=index,
+        chunk=chunk,
+        row=row,
+        digest=digest,
+        returns=len(scan),
+        dropped_returns=scan.dropped_returns,
+        timestamp_s=scan.timestamp_s,
+        pose=scan.pose,
+    )

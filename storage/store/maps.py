@@ -1,0 +1,33 @@
+"""Maps and all their files."""
+
+import shutil
+
+from storage.catalog import Catalog, MapRecord
+from storage.store.layout import Layout
+
+__all__ = ["Maps"]
+
+
+class Maps:
+    """The maps, in the order of their slugs."""
+
+    def __init__(self, catalog: Catalog, layout: Layout) -> None:
+        self._catalog = catalog
+        self._layout = layout
+        self.create = catalog.maps.create
+        self.get = catalog.maps.get
+        self.list = catalog.maps.list
+        self.update = catalog.maps.update
+
+    def delete(self, slug: str, *, if_version: int | None = None) -> MapRecord:
+        """Remove a map with its drives, revisions and jobs: the rows at once, then the files.
+
+        What a crash leaves of the files, the next start removes.
+
+        Raises:
+            MapNotFound: If there is none of that slug.
+            MapChanged: If its version is another than `if_version`.
+        """
+        record = self._catalog.maps.delete(slug, if_version=if_version)
+        shutil.rmtree(self._layout.map(record.id), ignore_errors=True)
+        return record

@@ -1,0 +1,49 @@
+"""A drive in the store, as the method sees it."""
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from core.arrays import FloatArray, IntArray, frozen
+from core.pose import pose_rows
+from core.scan import Scan
+from storage.catalog import ScanRecord
+
+__all__ = ["StoredDrive"]
+
+
+class StoredDrive:
+    """The scans that a drive had when it was opened; satisfies `core.drive.Drive`.
+
+    Position i is the i-th scan in the order of the indices: without gaps, so that the method
+    counts 0, 1, 2 where the drive has 0, 5, 6.
+
+    Attributes:
+        name: The drive's slug.
+        scan_index: `(K,)` the index under which each scan is stored.
+        timestamp_s: `(K,)` seconds, NaN where unknown.
+        poses: `(K, 7)` pose rows, sensor to world, NaN where unknown.
+        digests: `K` SHA-256 digests of the scans' returns.
+    """
+
+    def __init__(
+        self, name: str, records: Sequence[ScanRecord], read: Callable[[int], Scan]
+    ) -> None:
+        self.name = name
+        self.scan_index: IntArray = frozen([r.index for r in records], np.int64)
+        self.timestamp_s: FloatArray = frozen([r.timestamp_s for r in records], np.float64)
+        self.poses: FloatArray = frozen(pose_rows([r.pose for r in records]), np.float64)
+        self.digests = tuple(record.digest for record in records)
+        self._read = read
+
+    def __len__(self) -> int:
+        return len(self.scan_index)
+
+    def scan(self, index: int) -> Scan:
+        """Read the scan at position `index`.
+
+        Raises:
+            ScanNotFound: If the drive was deleted meanwhile.
+            CorruptFile: If what is stored is not what was put.
+        """
+        return self._read(int(self.scan_index[index]))

@@ -1,0 +1,90 @@
+"""The store against a model: a dict from drive to a dict from index to content."""
+
+import tempfile
+from pathlib import Path
+
+import pytest
+from hypothesis import settings
+from hypothesis import strategies as st
+from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
+
+from storage.errors import DriveClosed, DriveNotFound, ScanConflict
+from storage.store import Store
+from tests.unit.storage.samples import sample_scan
+
+slugs = st.sampled_from(["monday", "tuesday"])
+indices = st.integers(0, 5)
+seeds = st.integers(0, 1)  # few, so that the same content often comes again
+
+
+class StoreMachine(RuleBasedStateMachine):
+    def __init__(self):
+        super().__init__()
+        self.folder = tempfile.TemporaryDirectory()
+        self.store = Store(Path(self.folder.name))
+        self.store.maps.create("campus")
+        self.drives: dict[str, dict[int, int]] = {}
+        self.closed: set[str] = set()
+
+    def teardown(self):
+        self.store.close()
+        self.folder.cleanup()
+
+    @rule(slug=slugs, scans=st.dictionaries(indices, seeds, min_size=1, max_size=3))
+    def put(self, slug, scans):
+        stored = self.drives.get(slug, {})
+        sent = [(index, sample_scan(seed)) for index, seed in scans.items()]
+        if any(stored.get(index, seed) != seed for index, seed in scans.items()):
+            with pytest.raises(ScanConflict):
+                self.store.drives.put_scans("campus", slug, sent)
+        elif slug in self.closed and scans.keys() - stored.keys():
+            with pytest.raises(DriveClosed):
+                self.store.drives.put_scans("campus", slug, sent)
+        else:
+            results = self.store.drives.put_scans("campus", slug, sent)
+            assert [r.created for r in results] == [index not in stored for index in scans]
+            self.drives[slug] = stored | scans
+
+    @rule(slug=slugs)
+    def close(self, slug):
+        if slug in self.drives:
+            self.store.drives.close("campus", slug)
+            self.closed.add(slug)
+        else:
+            with pytest.raises(DriveNotFound):
+                self.store.drives.close("campus", slug)
+
+    @rule(slug=slugs)
+    def delete(self, slug):
+        if self.drives.pop(slug, None) is None:
+            with pytest.raises(DriveNotFound):
+                self.store.drives.delete("campus", slug)
+        else:
+            self.store.drives.delete("campus", slug)
+            self.closed.discard(slug)
+
+    @rule()
+    def restart(self):
+        self.store.close()
+        self.store = Store(Path(self.folder.name))
+        self.store.recover()
+
+    @invariant()
+    def the_store_holds_what_the_model_holds(self):
+        listed = self.store.drives.list("campus").items
+        assert {drive.slug: drive.closed for drive in listed} == {
+            slug: slug in self.closed for slug in self.drives
+        }
+        for slug, scans in self.drives.items():
+            drive = self.store.drives.open("campus", slug)
+            assert drive.scan_index.tolist() == sorted(scans)
+            for position, index in enumerate(sorted(scans)):
+                expected = sample_scan(scans[index]).points_m
+                assert drive.scan(position).points_m.tobytes() == expected.tobytes()
+        kept = {path.name for path in self.store.layout.maps.rglob("*.h5")}
+        named = {r.chunk for s in self.drives for r in self.store.drives.scan_records("campus", s)}
+        assert kept == named
+
+
+StoreMachine.TestCase.settings = settings(max_examples=10, stateful_step_count=12, deadline=None)
+TestStore = StoreMachine.TestCase

@@ -1,0 +1,58 @@
+"""The migrations and the models are one schema."""
+
+import logging
+import sqlite3
+
+import pytest
+from alembic.autogenerate import compare_metadata
+from alembic.migration import MigrationContext
+from sqlalchemy.exc import DBAPIError
+
+from storage.catalog import Catalog
+from storage.catalog.models import Base
+from storage.errors import StorageReadOnly
+
+
+def test_the_migrations_make_what_the_models_say(tmp_path):
+    catalog = Catalog(f"sqlite:///{tmp_path / 'catalog.sqlite3'}")
+    with catalog._database.engine.connect() as connection:
+        context = MigrationContext.configure(connection, opts={"compare_server_default": True})
+        assert compare_metadata(context, Base.metadata) == []
+    catalog.close()
+
+
+def test_opening_leaves_logging_alone_and_the_database_durable(tmp_path):
+    root = logging.getLogger()
+    before = (root.level, list(root.handlers), logging.getLogger("alembic").level)
+    catalog = Catalog(f"sqlite:///{tmp_path / 'catalog.sqlite3'}")
+    assert before == (root.level, list(root.handlers), logging.getLogger("alembic").level)
+    with catalog._database.engine.connect() as connection:
+        asked = {
+            name: connection.exec_driver_sql(f"PRAGMA {name}").scalar()
+            for name in ("journal_mode", "synchronous", "foreign_keys", "busy_timeout")
+        }
+    assert asked == {
+        "journal_mode": "wal",
+        "synchronous": 2,
+        "foreign_keys": 1,
+        "busy_timeout": 30_000,
+    }
+    catalog.close()
+
+
+def test_a_migration_that_fails_leaves_the_database_as_it_was(tmp_path):
+    path = tmp_path / "catalog.sqlite3"
+    with sqlite3.connect(path) as connection:
+        connection.execute("CREATE TABLE jobs (other TEXT)")
+    connection.close()
+    with pytest.raises(DBAPIError, match="jobs"):
+        Catalog(f"sqlite:///{path}")
+    with sqlite3.connect(path) as connection:
+        tables = [name for (name,) in connection.execute("SELECT name FROM sqlite_master")]
+    connection.close()
+    assert tables == ["jobs"]
+
+
+def test_a_catalog_that_cannot_be_opened_says_so_under_a_name(tmp_path):
+    with pytest.raises(StorageReadOnly, match="unable to open"):
+        Catalog(f"sqlite:///{tmp_path / 'nowhere' / 'catalog.sqlite3'}")

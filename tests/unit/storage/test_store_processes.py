@@ -1,0 +1,93 @@
+"""The store and other processes: killed ones, and workers beside the server."""
+
+import os
+import signal
+import subprocess
+import sys
+from multiprocessing import get_context
+
+from storage.catalog import JobState, RevisionFacts
+from storage.store import Store
+from tests.unit.storage.samples import sample_scan
+
+PUT_FOR_EVER = """
+import itertools, sys
+from pathlib import Path
+from storage.store import Store
+from tests.unit.storage.samples import sample_scan
+store = Store(Path(sys.argv[1]))
+for index in itertools.count(int(sys.argv[2])):
+    store.drives.put_scan("campus", "monday", index, sample_scan(index))
+    print(index, flush=True)
+"""
+
+
+def put_until_killed(data_dir, first, acknowledgements):
+    """Start a process that puts scans, kill it in the middle, return what it acknowledged."""
+    process = subprocess.Popen(
+        [sys.executable, "-c", PUT_FOR_EVER, str(data_dir), str(first)],
+        stdout=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
+    )
+    assert process.stdout is not None
+    lines = [process.stdout.readline() for _ in range(acknowledgements)]
+    process.send_signal(signal.SIGKILL)
+    rest, _ = process.communicate()
+    return [int(line) for line in [*lines, *rest.splitlines(keepends=True)] if line.endswith("\n")]
+
+
+def test_what_a_killed_process_acknowledged_is_there_bit_for_bit(tmp_path):
+    with Store(tmp_path) as store:
+        store.maps.create("campus")
+    acknowledged: list[int] = []
+    for acknowledgements in (3, 20):
+        acknowledged += put_until_killed(
+            tmp_path,
+            first=len(acknowledged) + 1_000 * acknowledgements,
+            acknowledgements=acknowledgements,
+        )
+    with Store(tmp_path) as store:
+        store.recover()
+        present = [record.index for record in store.drives.scan_records("campus", "monday")]
+        assert set(acknowledged) <= set(present)
+        for index in present:  # a row that was committed but not yet acknowledged is whole too
+            scan = store.drives.read_scan("campus", "monday", index)
+            assert scan.points_m.tobytes() == sample_scan(index).points_m.tobytes()
+        names = [path.name for path in tmp_path.rglob("*.h5")]
+        assert len(names) == len(present)
+
+
+def work(data_dir, digest):
+    """Build as a worker does: claim, report, add a revision, finish."""
+    with Store(data_dir) as store:
+        job = store.jobs.claim()
+        assert job is not None
+        for done in range(20):
+            store.jobs.progress(job.id, "project", done, 20)
+        facts = RevisionFacts("paper", 20, 1, {}, job_id=job.id)
+        store.revisions.add("campus", digest, lambda path: path.write_bytes(b"map"), facts)
+        store.jobs.finish(job.id, digest)
+
+
+def test_workers_in_other_processes_report_while_the_server_writes(tmp_path):
+    digests = [character * 64 for character in "ab"]
+    with Store(tmp_path) as store:
+        store.recover()
+        store.maps.create("campus")
+        jobs = [store.jobs.create("campus", {}) for _ in digests]
+        spawn = get_context("spawn")
+        workers = [spawn.Process(target=work, args=(tmp_path, digest)) for digest in digests]
+        for worker in workers:
+            worker.start()
+        put = 0
+        while any(worker.is_alive() for worker in workers):
+            store.drives.put_scan("campus", "monday", put, sample_scan(put))
+            put += 1
+        for worker in workers:
+            worker.join()
+            assert worker.exitcode == 0
+        assert [store.jobs.get(job.id).state for job in jobs] == [JobState.DONE] * 2
+        assert {r.digest for r in store.revisions.list("campus").items} == set(digests)
+        assert store.maps.get("campus").live_revision in digests
+        assert store.drives.get("campus", "monday").scans == put
