@@ -1,6 +1,6 @@
 """Where a build reads its images from, as often as it needs them."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -15,10 +15,10 @@ from core.scan import Scan
 from core.sensor import AngularGrid
 
 __all__ = [
+    "ConcatenatedImages",
     "ImageSource",
     "MemoryImages",
     "ProjectedDrive",
-    "SelectedImages",
     "Skipped",
     "project_drive",
     "project_each",
@@ -59,24 +59,29 @@ class MemoryImages:
         return self._ranges_m[start:stop]
 
 
-class SelectedImages:
-    """Some rows of another source, in a rising order."""
+class ConcatenatedImages:
+    """Several sources on one grid, one after another."""
 
-    def __init__(self, source: ImageSource, rows: IntArray) -> None:
-        self.grid = source.grid
-        self._source = source
-        self._rows = rows
+    def __init__(self, parts: Sequence[ImageSource]) -> None:
+        if not parts or any(part.grid != parts[0].grid for part in parts):
+            raise InvalidImage("images can be joined on one grid only")
+        self.grid = parts[0].grid
+        self._parts = tuple(parts)
+        self._starts = np.cumsum([0, *(len(part) for part in parts)])
 
     def __len__(self) -> int:
-        return len(self._rows)
+        return int(self._starts[-1])
 
     def read(self, start: int, stop: int) -> Float32Array:
-        """Return selected images `start` up to `stop`."""
-        rows = self._rows[start:stop]
-        if not len(rows):
-            return self._source.read(0, 0)
-        first = int(rows[0])
-        return self._source.read(first, int(rows[-1]) + 1)[rows - first]
+        """Return images `start` up to `stop`, from as many parts as they lie in."""
+        pieces = [
+            part.read(max(0, start - first), min(len(part), stop - first))
+            for part, first in zip(self._parts, self._starts.tolist(), strict=False)
+            if start < first + len(part) and stop > first
+        ]
+        if not pieces:
+            return self._parts[0].read(0, 0)
+        return pieces[0] if len(pieces) == 1 else np.concatenate(pieces)
 
 
 @dataclass(frozen=True)
@@ -85,6 +90,12 @@ class Skipped:
 
     scan: int
     reason: str
+
+    @staticmethod
+    def explain(drive: str, skipped: Sequence["Skipped"]) -> str:
+        """Say that a drive has no usable scan, and why its first one is none."""
+        reason = f": scan {skipped[0].scan}: {skipped[0].reason}" if skipped else ""
+        return f"drive {drive} has no usable scan{reason}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,8 +158,7 @@ def project_drive(
         kept.append(index)
         returns += len(scan)
     if not kept:
-        reason = f": scan {skipped[0].scan}: {skipped[0].reason}" if skipped else ""
-        raise EmptyDrive(f"drive {drive.name} has no usable scan{reason}")
+        raise EmptyDrive(Skipped.explain(drive.name, skipped))
     return ProjectedDrive(
         MemoryImages(ranges_m[: len(kept)], grid),
         np.array(kept, dtype=np.int64),

@@ -1,7 +1,7 @@
 """Sensors and the angular grids their scans are rounded to (paper, sec. 2.1)."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 import numpy as np
 
@@ -62,6 +62,10 @@ class AngularGrid:
     def shape(self) -> tuple[int, int]:
         """`(I, J)`: elevations, azimuths."""
         return self.rows, self.columns
+
+    def as_attributes(self) -> dict[str, float | int | bool]:
+        """Return plain values for a file's attributes."""
+        return asdict(self)
 
     @property
     def elevations_deg(self) -> FloatArray:

@@ -48,6 +48,16 @@ class Drives:
             records = _records(session, session.scalars(query).all())
         return page_of(records, limit, lambda record: record.slug)
 
+    def slugs(self, map_slug: str) -> tuple[str, ...]:
+        """Return the slugs of all drives of a map, in their order.
+
+        Raises:
+            MapNotFound: If there is no such map.
+        """
+        with self._database.reading() as session:
+            of_map = Drive.map_id == map_named(session, map_slug).id
+            return tuple(session.scalars(select(Drive.slug).where(of_map).order_by(Drive.slug)))
+
     def close(self, map_slug: str, slug: str) -> DriveRecord:
         """Let a drive take no more scans; a closed one stays closed.
 

@@ -52,6 +52,18 @@ class Maps:
             row = map_named(session, slug)
             return _record(row, _live(session, row))
 
+    def get_by_id(self, map_id: str) -> MapRecord:
+        """Return a map by its id, whatever it is called now.
+
+        Raises:
+            MapNotFound: If it is gone.
+        """
+        with self._database.reading() as session:
+            row = session.get(Map, map_id)
+            if row is None:
+                raise MapNotFound(f"the map with id {map_id[:80]!r} is gone")
+            return _record(row, _live(session, row))
+
     def list(self, after: str = "", limit: int = DEFAULT_LIMIT) -> Page[MapRecord]:
         """Return the maps whose slugs come after `after`."""
         query = (

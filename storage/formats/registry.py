@@ -4,8 +4,6 @@ import math
 from pathlib import Path
 from typing import Protocol
 
-import numpy as np
-
 from core.arrays import Float32Array
 from core.errors import InvalidScan
 from core.pose import Pose
@@ -77,6 +75,7 @@ def read_scan(
         InvalidScan: If the reader cannot use them; a subclass says why.
 
     Examples:
+        >>> import numpy as np
         >>> body = np.array([[10, 0, -1, 0.3], [0, 0, 0, 0]], "<f4").tobytes()
         >>> scan = read_scan(body, media_type="application/vnd.tensormap.kitti", min_returns=1)
         >>> len(scan), scan.dropped_returns
@@ -85,11 +84,9 @@ def read_scan(
     scan_format = _choose(body, media_type, suffix)
     if not body:
         raise EmptyBody(f"no bytes came, wanted a {scan_format.name} scan")
-    returns_m = scan_format.read(body)
-    with np.errstate(invalid="ignore"):  # a signalling NaN is a no-return, nothing to warn of
-        return Scan.from_returns(
-            returns_m, min_returns=min_returns, timestamp_s=timestamp_s, pose=pose
-        )
+    return Scan.from_returns(
+        scan_format.read(body), min_returns=min_returns, timestamp_s=timestamp_s, pose=pose
+    )
 
 
 def read_scan_file(

@@ -4,6 +4,7 @@ import shutil
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from pathlib import Path
 
 from core.errors import InvalidParameters
 from core.pose import Pose
@@ -53,6 +54,7 @@ class Drives:
         self._layout = layout
         self.get = catalog.drives.get
         self.list = catalog.drives.list
+        self.slugs = catalog.drives.slugs
 
     def put_scan(self, map_slug: str, drive_slug: str, index: int, scan: Scan) -> PutResult:
         """Store one scan; see `put_scans`."""
@@ -170,6 +172,16 @@ class Drives:
             DriveNotFound: If it has no such drive.
         """
         return self._catalog.scans.of_drive(self.get(map_slug, drive_slug).id)
+
+    def images_folder(self, map_slug: str, drive_slug: str) -> Path:
+        """Return the folder for what builds keep of a drive; it goes with the drive.
+
+        Raises:
+            MapNotFound: If there is no such map.
+            DriveNotFound: If it has no such drive.
+        """
+        drive = self.get(map_slug, drive_slug)
+        return make_folder(self._layout.images(drive.map_id, drive.id))
 
     def read_scan(self, map_slug: str, drive_slug: str, index: int) -> Scan:
         """Read one scan with its timestamp and pose.

@@ -16,6 +16,7 @@ class Maps:
         self._layout = layout
         self.create = catalog.maps.create
         self.get = catalog.maps.get
+        self.get_by_id = catalog.maps.get_by_id
         self.list = catalog.maps.list
         self.update = catalog.maps.update
 

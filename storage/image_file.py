@@ -1,0 +1,111 @@
+"""A drive's range images in one HDF5 file, so that a build reads raw returns once."""
+
+import json
+from pathlib import Path
+from typing import Self
+
+import h5py
+import numpy as np
+
+from core.arrays import Float32Array, IntArray
+from core.drive import Drive
+from core.errors import EmptyDrive
+from core.images import Skipped, project_each
+from core.progress import NO_PROGRESS, Progress
+from core.projection import Reducer
+from core.revision import content_digest
+from core.sensor import AngularGrid
+from storage.errors import CorruptFile
+from storage.files import publish
+
+__all__ = ["ImageFile", "image_file_name", "write_image_file"]
+
+_BLOCK = 8  # images in an HDF5 chunk: 340 kB on the paper's grid, inside h5py's 1 MB cache
+
+
+class ImageFile:
+    """Images of a drive's usable scans, read block by block; a `core.images.ImageSource`.
+
+    Attributes:
+        grid: The lattice of every image.
+        scans: `(n,)` position of each image's scan in the drive.
+        skipped: The scans that could not be used.
+        returns: How many returns the usable scans hold together.
+    """
+
+    def __init__(self, path: Path, grid: AngularGrid) -> None:
+        try:
+            self._file = h5py.File(path, "r", locking=False)
+            self._images: h5py.Dataset = self._file["images"]
+            self.scans: IntArray = self._file["scans"][()]
+            self.returns = int(self._file.attrs["returns"])
+            self.skipped = tuple(Skipped(*item) for item in json.loads(self._file.attrs["skipped"]))
+        except (OSError, KeyError, ValueError, TypeError) as error:
+            raise CorruptFile(f"{path.name} holds no images: {error}") from error
+        if self._images.shape != (len(self.scans), *grid.shape):
+            raise CorruptFile(f"{path.name} holds images of shape {self._images.shape[1:]}")
+        self.grid = grid
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._file.close()
+
+    def __len__(self) -> int:
+        return len(self.scans)
+
+    def read(self, start: int, stop: int) -> Float32Array:
+        """Return images `start` up to `stop`, `(stop - start, I, J)`."""
+        images: Float32Array = self._images[start:stop]
+        return images
+
+
+def image_file_name(grid: AngularGrid, reducer: Reducer, scans_digest: str) -> str:
+    """Return the name under which a drive's images are kept.
+
+    It tells everything that the images depend on, so a file of that name is never out of date.
+    """
+    projection = content_digest({}, {"grid": grid.as_attributes(), "reducer": reducer.value})
+    return f"{reducer}-{projection[:16]}-{scans_digest[:32]}.h5"
+
+
+def write_image_file(
+    path: Path,
+    drive: Drive,
+    grid: AngularGrid,
+    reducer: Reducer,
+    progress: Progress = NO_PROGRESS,
+) -> None:
+    """Read and project every scan of a drive, and publish the images at `path`.
+
+    Raises:
+        EmptyDrive: If not one scan is usable; the message gives the first reason.
+        StorageFull: If no space is left; nothing is left behind.
+    """
+    progress.start("projecting", len(drive))
+    scans: list[int] = []
+    skipped: list[Skipped] = []
+    returns = 0
+    with publish(path) as part, h5py.File(part, "x", libver="v110") as file:
+        images = file.create_dataset(
+            "images",
+            shape=(len(drive), *grid.shape),
+            maxshape=(len(drive), *grid.shape),
+            chunks=(min(_BLOCK, max(1, len(drive))), *grid.shape),
+            dtype=np.dtype("<f4"),
+        )
+        for item in project_each(drive, range(len(drive)), grid, reducer, progress):
+            if isinstance(item, Skipped):
+                skipped.append(item)
+                continue
+            scan_index, scan, image = item
+            images[len(scans)] = image.ranges_m
+            scans.append(scan_index)
+            returns += len(scan)
+        if not scans:
+            raise EmptyDrive(Skipped.explain(drive.name, skipped))
+        images.resize(len(scans), axis=0)
+        file.create_dataset("scans", data=np.array(scans, dtype="<i8"))
+        file.attrs["returns"] = returns
+        file.attrs["skipped"] = json.dumps([[item.scan, item.reason] for item in skipped])

@@ -1,0 +1,88 @@
+"""A map revision as one immutable, packed HDF5 file (docs/reference/format.md)."""
+
+import json
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+
+from core.tensormap import TensorMap
+from storage.errors import CorruptFile
+
+__all__ = ["FORMAT", "FORMAT_VERSION", "read_map", "write_map"]
+
+FORMAT = "tensormap"
+FORMAT_VERSION = 1
+
+
+def write_map(path: Path, tensor_map: TensorMap, created_at: datetime | None = None) -> None:
+    """Write a revision to a new file and give its bytes to the disk's care.
+
+    The caller publishes it: writes beside, syncs and renames (`storage.files`).
+
+    Args:
+        path: A file that does not exist yet.
+        tensor_map: The content.
+        created_at: Kept beside the digest, outside of it.
+    """
+    with h5py.File(path, "x", libver="v110") as file:
+        for name, array in tensor_map.arrays().items():
+            file.create_dataset(name, data=np.asarray(array, array.dtype.newbyteorder("<")))
+        file.attrs["format"] = FORMAT
+        file.attrs["format_version"] = FORMAT_VERSION
+        file.attrs["attributes"] = json.dumps(tensor_map.attributes(), sort_keys=True)
+        file.attrs["digest"] = tensor_map.revision
+        file.attrs["created_at"] = (created_at or datetime.now(UTC)).isoformat()
+
+
+def read_map(path: Path) -> TensorMap:
+    """Read a revision, whole or not at all.
+
+    Raises:
+        CorruptFile: If the file is no map, lacks something or its content has another digest.
+        FileNotFoundError: If there is no such file.
+    """
+    if not path.exists():
+        raise FileNotFoundError(path)
+    try:
+        arrays, attributes, digest = _read_parts(path)
+    except (OSError, KeyError, ValueError, TypeError) as error:
+        raise CorruptFile(f"{path.name} cannot be read as a map: {error}") from error
+    tensor_map = TensorMap.from_parts(arrays, attributes)
+    if tensor_map.revision != digest:
+        raise CorruptFile(
+            f"{path.name} says it holds {digest}, its content is {tensor_map.revision}"
+        )
+    return tensor_map
+
+
+def _read_parts(path: Path) -> tuple[dict[str, Any], dict[str, Any], str]:
+    with h5py.File(path, "r", locking=False) as file:  # immutable: also on a read-only disk
+        if file.attrs.get("format") != FORMAT:
+            raise ValueError("it has no attribute format = tensormap")
+        version = int(file.attrs["format_version"])
+        if version != FORMAT_VERSION:
+            raise ValueError(f"its format version is {version}, {FORMAT_VERSION} is read here")
+        return (
+            {name: _plain(file, name) for name in file},
+            json.loads(file.attrs["attributes"]),
+            str(file.attrs["digest"]),
+        )
+
+
+def _plain(file: h5py.File, name: str) -> np.ndarray[Any, Any]:
+    """Read an array that lies in this file: no link elsewhere, no filter, no stored code."""
+    link = file.get(name, getlink=True)
+    dataset = file[name] if isinstance(link, h5py.HardLink) else None
+    if not isinstance(dataset, h5py.Dataset) or dataset.dtype.kind not in "fiu":
+        raise ValueError(f"{name} is no plain array of numbers")
+    if dataset.external or dataset.is_virtual:
+        raise ValueError(f"{name} keeps its numbers in another file")
+    if dataset.id.get_create_plist().get_nfilters():
+        raise ValueError(f"{name} is filtered; a map's arrays are contiguous")
+    if dataset.chunks is not None:
+        raise ValueError(f"{name} is chunked; a map's arrays are contiguous")
+    array: np.ndarray[Any, Any] = dataset[()]
+    return array
