@@ -1,0 +1,86 @@
+"""Request bodies: how long they may be, and how those that are not JSON are read."""
+
+from http import HTTPStatus
+from typing import Annotated, Any
+
+from fastapi import Depends, Header, Request
+from starlette.datastructures import Headers
+from starlette.exceptions import HTTPException
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from app.errors import BodyTooLarge, UnsupportedBody, problem_response
+from storage.formats.registry import SCAN_FORMATS
+
+__all__ = ["SCAN_BODY", "Body", "BodyLimit", "ContentType", "binary_body", "media_type"]
+
+ContentType = Annotated[str | None, Header(include_in_schema=False)]
+
+
+class BodyLimit:
+    """Refuse a body that is too long: at once if it says so, else when the limit is passed.
+
+    FastAPI's own `max_body_size` answers in plain text; an error of ours is a problem.
+    """
+
+    def __init__(self, app: ASGIApp, max_body_bytes: int) -> None:
+        self._app = app
+        self._max_body_bytes = max_body_bytes
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass a request on, its body within the limit."""
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+            return
+        declared = Headers(scope=scope).get("content-length", "")
+        if declared.isdecimal() and int(declared) > self._max_body_bytes:
+            error = BodyTooLarge(
+                f"the body has {declared} bytes, at most {self._max_body_bytes} are read"
+            )
+            await problem_response(error)(scope, receive, send)
+            return
+        came = 0
+
+        async def limited() -> Message:
+            nonlocal came
+            message = await receive()
+            came += len(message.get("body", b""))
+            if came > self._max_body_bytes:
+                raise HTTPException(HTTPStatus.REQUEST_ENTITY_TOO_LARGE)
+            return message
+
+        await self._app(scope, limited, send)
+
+
+async def _body(request: Request) -> bytes:
+    """Read a body whole."""
+    encoding = request.headers.get("content-encoding", "identity").strip().lower()
+    if encoding != "identity":
+        raise UnsupportedBody(f"Content-Encoding is {encoding[:40]!r}, wanted none")
+    return await request.body()
+
+
+Body = Annotated[bytes, Depends(_body)]
+
+
+def media_type(content_type: str | None) -> str:
+    """Return a Content-Type without its parameters, lower case, empty if there is none."""
+    return (content_type or "").partition(";")[0].strip().lower()
+
+
+def binary_body(**described: str) -> dict[str, Any]:
+    """Return the `openapi_extra` of a route that takes bodies of these media types."""
+    return {
+        "requestBody": {
+            "required": True,
+            "content": {
+                name: {"schema": {"type": "string", "format": "binary", "description": text}}
+                for name, text in described.items()
+            },
+        }
+    }
+
+
+SCAN_BODY = binary_body(
+    **{f.media_type: f"A scan as {f.name} ({' '.join(f.suffixes)})" for f in SCAN_FORMATS},
+    **{"application/octet-stream": "A scan whose first bytes tell its format: NumPy or PCD."},
+)

@@ -1,0 +1,268 @@
+"""From errors to `application/problem+json` (RFC 9457); the only module that knows statuses."""
+
+import logging
+import re
+from collections.abc import Iterator
+from http import HTTPStatus
+from typing import Any
+
+from fastapi import FastAPI, Request
+from fastapi.exceptions import RequestValidationError
+from fastapi.responses import JSONResponse
+from pydantic import BaseModel, ConfigDict, Field
+from starlette.exceptions import HTTPException
+
+from core import errors as core
+from storage import errors as stored
+from storage.formats import errors as formats
+
+__all__ = [
+    "STATUS",
+    "BodyTooLarge",
+    "HostNotAllowed",
+    "InvalidRequest",
+    "KeyNeeded",
+    "KeyRefused",
+    "NoSuchRoute",
+    "Problem",
+    "UnsupportedBody",
+    "add_handlers",
+    "problem_name",
+    "problem_name_of",
+    "problem_response",
+    "problems",
+]
+
+MEDIA_TYPE = "application/problem+json"
+
+_log = logging.getLogger("tensormap")
+
+
+class AppError(core.TensorMapError):
+    """Base of the errors that only a service has."""
+
+
+class InvalidRequest(AppError):
+    """A parameter or JSON body that is not as the API describes it."""
+
+
+class BodyTooLarge(AppError):
+    """A body longer than the service reads."""
+
+
+class UnsupportedBody(AppError):
+    """A body of a type or encoding that this route does not take."""
+
+
+class KeyNeeded(AppError):
+    """A request without a key, to a service that asks for one."""
+
+
+class KeyRefused(AppError):
+    """A key that this service does not know, or no longer."""
+
+
+class HostNotAllowed(AppError):
+    """A request that reached a service without keys by another name than this machine's."""
+
+
+class NoSuchRoute(AppError):
+    """A path or method that the API does not have."""
+
+
+class InternalError(AppError):
+    """A fault of the service; its log says more."""
+
+
+S = HTTPStatus
+STATUS: dict[type[core.TensorMapError], HTTPStatus] = {
+    core.InvalidScan: S.UNPROCESSABLE_ENTITY,
+    core.TooFewReturns: S.UNPROCESSABLE_ENTITY,
+    core.InvalidPose: S.UNPROCESSABLE_ENTITY,
+    core.InvalidImage: S.UNPROCESSABLE_ENTITY,
+    core.InvalidParameters: S.UNPROCESSABLE_ENTITY,
+    core.InvalidMap: S.UNPROCESSABLE_ENTITY,
+    core.InvalidSignature: S.UNPROCESSABLE_ENTITY,
+    core.StaleSignature: S.CONFLICT,
+    core.UnknownSegment: S.UNPROCESSABLE_ENTITY,
+    core.SensorMismatch: S.UNPROCESSABLE_ENTITY,
+    core.EmptyDrive: S.UNPROCESSABLE_ENTITY,
+    core.Cancelled: S.CONFLICT,
+    formats.EmptyBody: S.UNPROCESSABLE_ENTITY,
+    formats.TruncatedScan: S.UNPROCESSABLE_ENTITY,
+    formats.WrongDtype: S.UNPROCESSABLE_ENTITY,
+    formats.MalformedScan: S.UNPROCESSABLE_ENTITY,
+    formats.ScanTooLarge: S.REQUEST_ENTITY_TOO_LARGE,
+    formats.UnknownFormat: S.UNSUPPORTED_MEDIA_TYPE,
+    formats.UnknownDriveLayout: S.UNPROCESSABLE_ENTITY,
+    formats.MalformedDrive: S.UNPROCESSABLE_ENTITY,
+    stored.MapNotFound: S.NOT_FOUND,
+    stored.DriveNotFound: S.NOT_FOUND,
+    stored.ScanNotFound: S.NOT_FOUND,
+    stored.RevisionNotFound: S.NOT_FOUND,
+    stored.JobNotFound: S.NOT_FOUND,
+    stored.KeyNotFound: S.NOT_FOUND,
+    stored.MapExists: S.CONFLICT,
+    stored.MapChanged: S.PRECONDITION_FAILED,
+    stored.ScanConflict: S.CONFLICT,
+    stored.DriveClosed: S.CONFLICT,
+    stored.NoLiveRevision: S.CONFLICT,
+    stored.RevisionIsLive: S.CONFLICT,
+    stored.AmbiguousRevision: S.CONFLICT,
+    stored.JobNotRunning: S.CONFLICT,
+    stored.InvalidSlug: S.UNPROCESSABLE_ENTITY,
+    stored.CorruptFile: S.INTERNAL_SERVER_ERROR,
+    stored.StorageBusy: S.SERVICE_UNAVAILABLE,
+    stored.StorageFull: S.INSUFFICIENT_STORAGE,
+    stored.StorageReadOnly: S.SERVICE_UNAVAILABLE,
+    stored.DataDirInUse: S.SERVICE_UNAVAILABLE,
+    InvalidRequest: S.UNPROCESSABLE_ENTITY,
+    BodyTooLarge: S.REQUEST_ENTITY_TOO_LARGE,
+    UnsupportedBody: S.UNSUPPORTED_MEDIA_TYPE,
+    KeyNeeded: S.UNAUTHORIZED,
+    KeyRefused: S.UNAUTHORIZED,
+    HostNotAllowed: S.MISDIRECTED_REQUEST,
+    NoSuchRoute: S.NOT_FOUND,
+    InternalError: S.INTERNAL_SERVER_ERROR,
+}
+
+
+class FieldProblem(BaseModel):
+    """One thing that is wrong with a request."""
+
+    where: str = Field(description="Path to it, as `body/ranks/0` or `query/k`.")
+    what: str = Field(description="What was wanted.")
+
+
+class Problem(BaseModel):
+    """An error, as RFC 9457 writes it."""
+
+    model_config = ConfigDict(
+        json_schema_extra={
+            "example": {
+                "type": "/problems/map-not-found",
+                "title": "A map that is not there.",
+                "status": 404,
+                "detail": "there is no map 'campus'",
+            }
+        }
+    )
+
+    type: str = Field(description="Stable name of the error; the path explains it.")
+    title: str = Field(description="What it means, the same for every error of this type.")
+    status: int
+    detail: str = Field(description="What was wanted and what came, this time.")
+    errors: list[FieldProblem] | None = None
+
+
+def problem_name(error: type[core.TensorMapError]) -> str:
+    """Return an error's stable name.
+
+    Examples:
+        >>> problem_name(core.TooFewReturns)
+        'too-few-returns'
+    """
+    return problem_name_of(error.__name__)
+
+
+def problem_name_of(error: str) -> str:
+    """Return the stable name of the error class called `error`."""
+    return re.sub(r"(?<!^)(?=[A-Z])", "-", error).lower()
+
+
+def problems(*kinds: type[core.TensorMapError]) -> dict[int | str, dict[str, Any]]:
+    """Return the OpenAPI `responses` of a route that may end in these errors."""
+    by_status: dict[HTTPStatus, list[type[core.TensorMapError]]] = {}
+    for kind in kinds:
+        by_status.setdefault(STATUS[kind], []).append(kind)
+    return {
+        status.value: {
+            "description": "; ".join(f"`{problem_name(kind)}`: {_title(kind)}" for kind in of_it),
+            "content": {
+                MEDIA_TYPE: {
+                    "schema": Problem.model_json_schema(),
+                    "examples": {
+                        problem_name(kind): {
+                            "value": {
+                                "type": _type_of(kind),
+                                "title": _title(kind),
+                                "status": status.value,
+                                "detail": "what was wanted and what came",
+                            }
+                        }
+                        for kind in of_it
+                    },
+                }
+            },
+        }
+        for status, of_it in sorted(by_status.items())
+    }
+
+
+def problem_response(
+    error: core.TensorMapError, errors: list[dict[str, str]] | None = None
+) -> JSONResponse:
+    """Answer with an error."""
+    kind = next(kind for kind in type(error).__mro__ if kind in STATUS)
+    status = STATUS[kind]
+    content: dict[str, Any] = {
+        "type": _type_of(kind),
+        "title": _title(kind),
+        "status": status.value,
+        "detail": str(error),
+    }
+    if errors is not None:
+        content["errors"] = errors
+    headers = {"WWW-Authenticate": "Bearer"} if status is S.UNAUTHORIZED else None
+    return JSONResponse(content, status, headers, media_type=MEDIA_TYPE)
+
+
+def add_handlers(app: FastAPI) -> None:
+    """Make every error of the service a problem."""
+
+    @app.exception_handler(core.TensorMapError)
+    def known(request: Request, error: core.TensorMapError) -> JSONResponse:
+        response = problem_response(error)
+        if response.status_code >= S.INTERNAL_SERVER_ERROR:
+            _log.error("%s %s: %s", request.method, request.url.path, error, exc_info=error)
+        return response
+
+    @app.exception_handler(RequestValidationError)
+    def invalid(_request: Request, error: RequestValidationError) -> JSONResponse:
+        fields = list(_field_problems(error))
+        detail = "; ".join(f"{field['where']}: {field['what']}" for field in fields)
+        return problem_response(InvalidRequest(detail), fields)
+
+    @app.exception_handler(HTTPException)
+    def http(request: Request, error: HTTPException) -> JSONResponse:
+        if error.status_code == S.REQUEST_ENTITY_TOO_LARGE:
+            limit = request.app.state.settings.max_body_bytes
+            return problem_response(
+                BodyTooLarge(f"the body is longer than the {limit} bytes that are read")
+            )
+        if error.status_code in {S.NOT_FOUND, S.METHOD_NOT_ALLOWED}:
+            response = problem_response(
+                NoSuchRoute(f"there is no {request.method} {request.url.path}; see /docs")
+            )
+            response.headers.update(error.headers or {})
+            return response
+        return problem_response(InvalidRequest(str(error.detail)))
+
+    @app.exception_handler(Exception)
+    def unknown(request: Request, error: Exception) -> JSONResponse:
+        _log.error("%s %s failed", request.method, request.url.path, exc_info=error)
+        return problem_response(InternalError("the service failed; its log says where"))
+
+
+def _field_problems(error: RequestValidationError) -> Iterator[dict[str, str]]:
+    for found in error.errors():
+        where = "/".join(str(part) for part in found["loc"])
+        yield {"where": where, "what": str(found["msg"])}
+
+
+def _type_of(kind: type[core.TensorMapError]) -> str:
+    return f"/problems/{problem_name(kind)}"
+
+
+def _title(kind: type[core.TensorMapError]) -> str:
+    return (kind.__doc__ or "").strip().splitlines()[0]

@@ -1,0 +1,1 @@
+"""Builds that run beside the service, each in a process of its own."""

@@ -1,0 +1,65 @@
+"""What a build is asked for, as the catalog keeps it."""
+
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from core.parameters import Encoding, MapParameters
+from core.projection import Reducer
+from core.segmentation import PAPER_SEGMENT_LENGTH
+from core.sensor import HDL_64E, SENSORS
+
+__all__ = ["BuildParameters"]
+
+
+class BuildParameters(BaseModel):
+    """How a map is built; the paper's values are the defaults."""
+
+    model_config = ConfigDict(
+        extra="forbid",
+        frozen=True,
+        json_schema_extra={"example": {"drives": ["monday"], "segments": 5}},
+    )
+
+    drives: list[str] | None = Field(
+        None, min_length=1, description="Which drives, in this order; all of the map by default."
+    )
+    encoding: Encoding = Encoding.PAPER
+    ranks: tuple[int, int] = Field((5, 5), description="r1 and r2: the shape of a signature.")
+    segment_length: int | None = Field(
+        None,
+        ge=1,
+        description="k, scans in a segment. Without it and `segments`: a fifth of each drive,"
+        f" at most {PAPER_SEGMENT_LENGTH}.",
+    )
+    segments: int | None = Field(None, ge=1, description="L instead, for each drive.")
+    reducer: Reducer = Field(Reducer.LAST, description="Which return a shared cell keeps.")
+    sensor: str = Field(HDL_64E.name, description=f"One of {', '.join(sorted(SENSORS))}.")
+    sensor_height_m: float = Field(1.73, gt=0, lt=100, description="Sensor above ground.")
+    make_live: bool = Field(
+        default=False, description="Make the result live; the first one always is."
+    )
+
+    @model_validator(mode="after")
+    def _one_way_to_cut(self) -> "BuildParameters":
+        if self.segment_length is not None and self.segments is not None:
+            raise ValueError("give segment_length or segments, not both")
+        return self
+
+    def map_parameters(self) -> MapParameters:
+        """Return what the map will keep.
+
+        Raises:
+            InvalidParameters: If the sensor is unknown or a rank does not fit its grid.
+        """
+        return MapParameters.for_sensor(
+            self.sensor,
+            encoding=self.encoding,
+            ranks=self.ranks,
+            reducer=self.reducer,
+            sensor_height_m=self.sensor_height_m,
+        )
+
+    def as_json(self) -> dict[str, Any]:
+        """Return plain values."""
+        return self.model_dump(mode="json")

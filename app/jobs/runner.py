@@ -1,0 +1,120 @@
+"""Starts a process for each queued build, and sees to it that each one ends."""
+
+import logging
+import multiprocessing
+import threading
+from multiprocessing.process import BaseProcess
+
+from app.jobs.worker import run_build
+from app.settings import Settings
+from core.errors import TensorMapError
+from storage.catalog import JobRecord
+from storage.errors import JobNotFound, JobNotRunning
+from storage.store import Store
+
+__all__ = ["JobRunner"]
+
+_POLL_S = 0.2
+_CANCEL_GRACE_S = 0.8  # a worker looks for a cancel every 0.2 s, unless it is deep in one scan
+
+_log = logging.getLogger("tensormap.jobs")
+
+
+class JobRunner:
+    """Runs queued builds, `build_workers` at a time, one process each.
+
+    A process rather than a thread: a build neither slows the answers nor can take the service down,
+    and it can be ended at any point because a revision is published whole or not at all.
+    """
+
+    def __init__(self, settings: Settings, store: Store) -> None:
+        self._settings = settings
+        self._store = store
+        self._wake = threading.Event()
+        self._stopping = threading.Event()
+        self._context = multiprocessing.get_context("spawn")
+        self._threads = [
+            threading.Thread(target=self._loop, name=f"builds-{i}", daemon=True)
+            for i in range(settings.build_workers)
+        ]
+
+    def start(self) -> None:
+        """Begin with what is queued."""
+        for thread in self._threads:
+            thread.start()
+
+    @property
+    def alive(self) -> bool:
+        """Whether queued builds will be run."""
+        return all(thread.is_alive() for thread in self._threads)
+
+    def wake(self) -> None:
+        """Look at the queue now: a job was added."""
+        self._wake.set()
+
+    def stop(self) -> None:
+        """End every running build; the next start of the service queues them again."""
+        self._stopping.set()
+        self._wake.set()
+        for thread in self._threads:
+            thread.join()
+
+    def _loop(self) -> None:
+        while not self._stopping.is_set():
+            try:
+                job = self._store.jobs.claim()
+            except TensorMapError:
+                _log.exception("the queue of jobs cannot be read")
+                job = None
+            if job is None:
+                self._wake.wait(_POLL_S * 5)
+                self._wake.clear()
+            else:
+                self._run(job)
+
+    def _run(self, job: JobRecord) -> None:
+        worker = self._context.Process(
+            target=run_build,
+            args=(self._settings.data_dir, self._settings.catalog_url, job),
+            name=f"build-{job.id}",
+        )
+        worker.start()
+        try:
+            self._watch(worker, job.id)
+        finally:
+            worker.kill()
+            worker.join()
+        if not self._stopping.is_set():
+            self._settle(job.id, worker.exitcode)
+        worker.close()
+
+    def _watch(self, worker: BaseProcess, job_id: str) -> None:
+        """Wait for the worker, give it time to notice a cancel, and no longer."""
+        patience_s = _CANCEL_GRACE_S
+        while worker.is_alive() and patience_s > 0 and not self._stopping.is_set():
+            worker.join(_POLL_S)
+            if self._is_cancelled(job_id):
+                patience_s -= _POLL_S
+
+    def _is_cancelled(self, job_id: str) -> bool:
+        try:
+            return self._store.jobs.get(job_id).cancel_requested
+        except JobNotFound:  # its map was deleted
+            return True
+        except TensorMapError:
+            _log.exception("job %s cannot be read", job_id)
+            return False
+
+    def _settle(self, job_id: str, exit_code: int | None) -> None:
+        """Write down the end of a worker that could not do so itself."""
+        try:
+            if self._store.jobs.get(job_id).cancel_requested:
+                self._store.jobs.cancelled(job_id)
+            else:
+                self._store.jobs.fail(
+                    job_id, "WorkerDied", f"the build process ended with exit code {exit_code}"
+                )
+        except (JobNotFound, JobNotRunning):
+            pass  # gone with its map, or ended as it should
+        except TensorMapError:
+            _log.exception("the end of job %s cannot be written down", job_id)

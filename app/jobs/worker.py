@@ -1,0 +1,74 @@
+"""The process of one build."""
+
+import os
+import threading
+import time
+from multiprocessing import parent_process
+from multiprocessing.connection import wait
+from pathlib import Path
+
+from app.jobs.parameters import BuildParameters
+from app.pipelines import build_revision
+from app.threads import one_blas_thread
+from core.errors import Cancelled, TensorMapError
+from storage.catalog import JobRecord
+from storage.store import Store
+
+__all__ = ["run_build"]
+
+_REPORT_EVERY_S = 0.2
+
+
+def run_build(data_dir: Path, catalog_url: str | None, job: JobRecord) -> None:
+    """Run one claimed job to its end and write down how it ended."""
+    _end_with_parent()
+    one_blas_thread()
+    with Store(data_dir, catalog_url) as store:
+        progress = _JobProgress(store, job.id)
+        try:
+            parameters = BuildParameters.model_validate(job.parameters)
+            record = build_revision(store, job.map_id, parameters, progress, job_id=job.id)
+        except Cancelled:
+            store.jobs.cancelled(job.id)
+        except TensorMapError as error:
+            store.jobs.fail(job.id, type(error).__name__, str(error))
+        else:
+            store.jobs.finish(job.id, record.digest)
+
+
+class _JobProgress:
+    """Writes progress into the catalog now and then, and stops the work when asked to."""
+
+    def __init__(self, store: Store, job_id: str) -> None:
+        self._store = store
+        self._job_id = job_id
+        self._stage, self._done, self._total = "", 0, 0
+        self._reported_at = 0.0
+
+    def start(self, stage: str, total: int) -> None:
+        self._stage, self._done, self._total = stage, 0, total
+        self._report()
+
+    def advance(self, units: int = 1) -> None:
+        self._done += units
+        if self._done >= self._total or time.monotonic() - self._reported_at >= _REPORT_EVERY_S:
+            self._report()
+
+    def _report(self) -> None:
+        self._reported_at = time.monotonic()
+        job = self._store.jobs.progress(self._job_id, self._stage, self._done, self._total)
+        if job.cancel_requested:
+            raise Cancelled(f"job {self._job_id} was cancelled")
+
+
+def _end_with_parent() -> None:
+    """End this process when the service does, even if that was killed: the job is queued again."""
+    parent = parent_process()
+    if parent is None:
+        return
+
+    def watch() -> None:
+        wait([parent.sentinel])
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()

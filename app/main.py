@@ -1,0 +1,90 @@
+"""The application: `create_app(settings)`; nothing is built at import."""
+
+import logging
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from importlib.metadata import version
+
+from fastapi import FastAPI
+from fastapi_offline import FastAPIOffline
+from starlette.concurrency import run_in_threadpool
+
+from app.auth import open_access
+from app.bodies import BodyLimit
+from app.errors import add_handlers
+from app.jobs.runner import JobRunner
+from app.revisions import LoadedRevisions
+from app.routes import api, open_routes
+from app.service import Service
+from app.settings import Settings
+from app.threads import one_blas_thread
+from storage.store import Store
+
+__all__ = ["create_app"]
+
+_log = logging.getLogger("tensormap")
+
+_DESCRIPTION = """Stores LiDAR topological maps and answers *where am I?* from one scan, or from a
+signature of some 50 bytes. Post scans to a drive, build, localize."""
+
+
+def create_app(settings: Settings | None = None) -> FastAPI:
+    """Make the application.
+
+    Its store is opened when it starts and closed when it ends.
+
+    Args:
+        settings: What the operator chose; read from the environment if not given.
+    """
+    chosen = settings or Settings()
+
+    @asynccontextmanager
+    async def lifespan(app: FastAPI) -> AsyncIterator[None]:
+        one_blas_thread()
+        service = await run_in_threadpool(_start, chosen)
+        app.state.service = service
+        try:
+            yield
+        finally:
+            await run_in_threadpool(_stop, service)
+
+    app = FastAPIOffline(
+        title="TensorMap",
+        version=version("tensormap-server"),
+        description=_DESCRIPTION,
+        lifespan=lifespan,
+        separate_input_output_schemas=False,
+    )
+    app.state.settings = chosen
+    add_handlers(app)
+    app.add_middleware(BodyLimit, max_body_bytes=chosen.max_body_bytes)
+    app.include_router(api())
+    app.include_router(open_routes())
+    return app
+
+
+def _start(settings: Settings) -> Service:
+    store = Store(settings.data_dir, settings.catalog_url)
+    try:
+        store.recover()
+        access, made = open_access(settings, store)
+    except BaseException:
+        store.close()
+        raise
+    if made is not None:
+        # The one place where a key is shown: only its hash is kept.
+        print(f"Administrator key, shown this once: {made}", flush=True)  # noqa: T201
+    runner = JobRunner(settings, store)
+    runner.start()
+    return Service(
+        settings=settings,
+        store=store,
+        revisions=LoadedRevisions(store, settings.loaded_revisions),
+        runner=runner,
+        access=access,
+    )
+
+
+def _stop(service: Service) -> None:
+    service.runner.stop()
+    service.store.close()

@@ -1,0 +1,154 @@
+"""What routes, jobs and commands do: siblings over these functions."""
+
+import hashlib
+from collections.abc import Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from app.jobs.parameters import BuildParameters
+from core.builder import build_map
+from core.drive import Drive
+from core.errors import EmptyDrive
+from core.images import ConcatenatedImages, Skipped
+from core.parameters import MapParameters
+from core.progress import NO_PROGRESS, Progress
+from core.segmentation import cut_drives, segment_length_for
+from core.tensormap import TensorMap
+from core.trajectory import Trajectory
+from storage.catalog import RevisionFacts, RevisionRecord
+from storage.image_file import ImageFile, image_file_name, write_image_file
+from storage.map_file import write_map
+from storage.store import Store, StoredDrive
+
+__all__ = ["Built", "build_drive", "build_revision"]
+
+
+@dataclass(frozen=True, eq=False)
+class Built:
+    """A map and what its drives were.
+
+    Attributes:
+        tensor_map: The map.
+        returns: How many returns its scans held together.
+        skipped: Scans that could not be used, by drive.
+    """
+
+    tensor_map: TensorMap
+    returns: int
+    skipped: dict[str, tuple[Skipped, ...]]
+
+
+def build_revision(
+    store: Store,
+    map_id: str,
+    parameters: BuildParameters,
+    progress: Progress = NO_PROGRESS,
+    *,
+    job_id: str | None = None,
+) -> RevisionRecord:
+    """Build a revision of a stored map and publish it.
+
+    Images are kept beside the drive: another build with the same projection reads no raw return.
+
+    Raises:
+        MapNotFound: If the map is gone.
+        DriveNotFound: If the map lacks one of the drives.
+        EmptyDrive: If it has no drive, or one has no usable scan.
+        Cancelled: If `progress` says so; nothing is published.
+    """
+    slug = store.maps.get_by_id(map_id).slug
+    names = parameters.drives or store.drives.slugs(slug)
+    drives = [store.drives.open(slug, name) for name in names]
+    if not drives:
+        raise EmptyDrive(f"map {slug} has no drive: upload scans first")
+    map_parameters = parameters.map_parameters()
+    with ExitStack() as stack:
+        images = [
+            stack.enter_context(_stored_images(store, slug, drive, map_parameters, progress))
+            for drive in drives
+        ]
+        built = _build(drives, images, parameters, map_parameters, progress)
+    tensor_map = built.tensor_map
+    facts = RevisionFacts(
+        encoding=map_parameters.encoding,
+        scans=len(tensor_map),
+        segments=tensor_map.model.segments,
+        parameters={
+            **parameters.as_json(),
+            "returns": built.returns,
+            "skipped": {name: len(skipped) for name, skipped in built.skipped.items() if skipped},
+        },
+        job_id=job_id,
+    )
+    return store.revisions.add(
+        slug,
+        tensor_map.revision,
+        lambda path: write_map(path, tensor_map),
+        facts,
+        make_live=parameters.make_live,
+    )
+
+
+def build_drive(
+    drive: Drive, parameters: BuildParameters, progress: Progress = NO_PROGRESS
+) -> Built:
+    """Build a map of one drive, of any length: its images pass through a temporary file.
+
+    Raises:
+        EmptyDrive: If the drive has no usable scan.
+        InvalidParameters: If a parameter does not fit.
+    """
+    map_parameters = parameters.map_parameters()
+    with TemporaryDirectory(prefix="tensormap-") as folder:
+        path = Path(folder) / "images.h5"
+        write_image_file(path, drive, map_parameters.grid, map_parameters.reducer, progress)
+        with ImageFile(path, map_parameters.grid) as images:
+            return _build([drive], [images], parameters, map_parameters, progress)
+
+
+def _build(
+    drives: Sequence[Drive],
+    images: Sequence[ImageFile],
+    parameters: BuildParameters,
+    map_parameters: MapParameters,
+    progress: Progress,
+) -> Built:
+    trajectory = Trajectory.concatenate(
+        [_trajectory(drive, of_it) for drive, of_it in zip(drives, images, strict=True)]
+    )
+    longest = max(len(of_it) for of_it in images)
+    length = segment_length_for(
+        longest, segment_length=parameters.segment_length, segments=parameters.segments
+    )
+    tensor_map = build_map(
+        ConcatenatedImages(images),
+        trajectory,
+        cut_drives(trajectory.drive_start, length),
+        map_parameters,
+        progress,
+    )
+    return Built(
+        tensor_map,
+        sum(of_it.returns for of_it in images),
+        {drive.name: of_it.skipped for drive, of_it in zip(drives, images, strict=True)},
+    )
+
+
+def _trajectory(drive: Drive, images: ImageFile) -> Trajectory:
+    scans = images.scans
+    index = drive.scan_index[scans] if isinstance(drive, StoredDrive) else scans
+    return Trajectory.of_drive(drive.name, drive.timestamp_s[scans], drive.poses[scans], index)
+
+
+def _stored_images(
+    store: Store, slug: str, drive: StoredDrive, parameters: MapParameters, progress: Progress
+) -> ImageFile:
+    """Open a stored drive's images, projecting them first if they are not kept yet."""
+    digest = hashlib.sha256("\n".join(drive.digests).encode()).hexdigest()
+    name = image_file_name(parameters.grid, parameters.reducer, digest)
+    path = store.drives.images_folder(slug, drive.name) / name
+    if not path.exists():
+        write_image_file(path, drive, parameters.grid, parameters.reducer, progress)
+    return ImageFile(path, parameters.grid)

@@ -1,0 +1,97 @@
+"""Revisions in memory, ready to answer."""
+
+import threading
+from collections import OrderedDict
+from dataclasses import dataclass
+
+from core.errors import StaleSignature
+from core.localizer import Localizer
+from core.signature import REVISION_PREFIX_BYTES
+from storage.errors import AmbiguousRevision, NoLiveRevision, RevisionNotFound
+from storage.map_file import read_map
+from storage.store import Store
+
+__all__ = ["Answering", "LoadedRevisions"]
+
+
+@dataclass(frozen=True)
+class Answering:
+    """A revision that answers, and the one that is live.
+
+    Attributes:
+        localizer: Of the revision that answers.
+        live_revision: Digest of the live one; scan queries are answered by it.
+    """
+
+    localizer: Localizer
+    live_revision: str
+
+
+class LoadedRevisions:
+    """The revisions used last, read once; a revision never changes, so none grows stale.
+
+    Args:
+        store: Where they are kept.
+        limit: How many are held.
+    """
+
+    def __init__(self, store: Store, limit: int) -> None:
+        self._store = store
+        self._limit = limit
+        self._loaded: OrderedDict[tuple[str, str], Localizer] = OrderedDict()
+        self._lock = threading.Lock()
+        self._reading: dict[tuple[str, str], threading.Lock] = {}
+
+    def live(self, map_slug: str) -> Answering:
+        """Return the live revision of a map.
+
+        Raises:
+            MapNotFound: If there is no such map.
+            NoLiveRevision: If nothing was built of it yet.
+        """
+        record = self._store.maps.get(map_slug)
+        if record.live_revision is None:
+            raise NoLiveRevision(f"map {map_slug!r} has no revision yet: post a build")
+        return Answering(self._get(map_slug, record.id, record.live_revision), record.live_revision)
+
+    def named(self, map_slug: str, revision: str) -> Answering:
+        """Return the retained revision that a signature names, by digest or at least 16 digits.
+
+        Raises:
+            MapNotFound: If there is no such map.
+            NoLiveRevision: If nothing was built of it yet.
+            StaleSignature: If the map has no such revision, or no longer; names the live one.
+        """
+        record = self._store.maps.get(map_slug)
+        if record.live_revision is None:
+            raise NoLiveRevision(f"map {map_slug!r} has no revision yet: post a build")
+        stale = StaleSignature(
+            f"map {map_slug!r} has no revision {revision[:64] or '(none)'!r}, or no longer;"
+            f" live is {record.live_revision}"
+        )
+        if len(revision) < 2 * REVISION_PREFIX_BYTES:
+            raise stale
+        try:
+            digest = self._store.revisions.get(map_slug, revision).digest
+        except (RevisionNotFound, AmbiguousRevision):
+            raise stale from None
+        return Answering(self._get(map_slug, record.id, digest), record.live_revision)
+
+    def _get(self, map_slug: str, map_id: str, digest: str) -> Localizer:
+        key = (map_id, digest)
+        with self._lock:
+            if (found := self._loaded.get(key)) is not None:
+                self._loaded.move_to_end(key)
+                return found
+            reading = self._reading.setdefault(key, threading.Lock())
+        with reading:  # one reader a revision; others of it wait, all else goes on
+            with self._lock:
+                if (found := self._loaded.get(key)) is not None:
+                    return found
+            localizer = Localizer(read_map(self._store.revisions.path(map_slug, digest)))
+            with self._lock:
+                self._loaded[key] = localizer
+                self._reading.pop(key, None)
+                while len(self._loaded) > self._limit:
+                    self._loaded.popitem(last=False)
+        return localizer

@@ -1,0 +1,26 @@
+"""The HTTP API: a route parses, loads, asks, answers."""
+
+from fastapi import APIRouter, Depends
+
+from app.auth import require_access
+from app.errors import HostNotAllowed, KeyNeeded, KeyRefused, problems
+from app.routes import builds, drives, health, jobs, localizations, maps, revisions
+
+__all__ = ["api", "open_routes"]
+
+
+def api() -> APIRouter:
+    """Return every route under /v1, all behind the key."""
+    router = APIRouter(
+        prefix="/v1",
+        dependencies=[Depends(require_access)],
+        responses=problems(KeyNeeded, KeyRefused, HostNotAllowed),
+    )
+    for module in (maps, drives, builds, jobs, revisions, localizations):
+        router.include_router(module.router)
+    return router
+
+
+def open_routes() -> APIRouter:
+    """Return the routes that need no key."""
+    return health.router

@@ -1,0 +1,176 @@
+"""Localizations: where am I, by a scan, an image or a signature."""
+
+from typing import Annotated
+
+import numpy as np
+from fastapi import APIRouter, Query
+from pydantic import ValidationError
+
+from app.bodies import SCAN_BODY, Body, ContentType, binary_body, media_type
+from app.errors import InvalidRequest, UnsupportedBody, problems
+from app.revisions import Answering
+from app.routes.drives import BAD_SCAN
+from app.schemas.localizations import LocalizationOut, NearestCount, SignaturesIn
+from app.service import MapSlug, Running
+from core.errors import (
+    InvalidImage,
+    InvalidSignature,
+    SensorMismatch,
+    StaleSignature,
+    UnknownSegment,
+)
+from core.projection import RangeImage
+from core.signature import Signature, unpack_signatures
+from storage.errors import MapNotFound, NoLiveRevision
+from storage.formats.errors import EmptyBody
+from storage.formats.registry import read_scan
+
+__all__ = ["router"]
+
+router = APIRouter(tags=["localizations"], prefix="/maps/{map}/localizations")
+
+_IMAGE = "application/vnd.tensormap.image"
+_SIGNATURE = "application/vnd.tensormap.signature"
+
+SensorName = Annotated[
+    str | None,
+    Query(alias="sensor", description="The query's sensor; refused if it is not the map's."),
+]
+
+
+@router.post(
+    "/scan",
+    openapi_extra=SCAN_BODY,
+    responses=problems(MapNotFound, NoLiveRevision, SensorMismatch, InvalidRequest, *BAD_SCAN),
+)
+def localize_scan(
+    map_slug: MapSlug,
+    body: Body,
+    running: Running,
+    content_type: ContentType = None,
+    k: NearestCount = 1,
+    sensor: SensorName = None,
+) -> LocalizationOut:
+    """Localize a scan in the live revision."""
+    answering = running.revisions.live(map_slug)
+    _require_sensor(answering, sensor)
+    scan = read_scan(body, media_type=content_type, min_returns=running.settings.min_returns)
+    found = answering.localizer.localize_scan(scan, k)
+    return LocalizationOut.from_core(found, answering.live_revision)
+
+
+@router.post(
+    "/image",
+    openapi_extra=binary_body(
+        **{_IMAGE: "Ranges in metres on the map's grid, little-endian float32, row after row."}
+    ),
+    responses=problems(
+        MapNotFound,
+        NoLiveRevision,
+        SensorMismatch,
+        EmptyBody,
+        InvalidImage,
+        UnsupportedBody,
+        InvalidRequest,
+    ),
+)
+def localize_image(
+    map_slug: MapSlug,
+    body: Body,
+    running: Running,
+    content_type: ContentType = None,
+    k: NearestCount = 1,
+    sensor: SensorName = None,
+) -> LocalizationOut:
+    """Localize a range image in the live revision; its grid is in `/basis`, `parameters`."""
+    answering = running.revisions.live(map_slug)
+    _require_sensor(answering, sensor)
+    if media_type(content_type) != _IMAGE:
+        raise UnsupportedBody(f"Content-Type is {(content_type or '')[:80]!r}, wanted {_IMAGE}")
+    found = answering.localizer.localize_image(_image(body, answering), k)
+    return LocalizationOut.from_core(found, answering.live_revision)
+
+
+@router.post(
+    "/signature",
+    openapi_extra={
+        "requestBody": {
+            "required": True,
+            "content": {
+                "application/json": {"schema": SignaturesIn.model_json_schema()},
+                _SIGNATURE: {
+                    "schema": {
+                        "type": "string",
+                        "format": "binary",
+                        "description": "Packed: docs/reference/signature.md.",
+                    }
+                },
+            },
+        }
+    },
+    responses=problems(
+        MapNotFound,
+        NoLiveRevision,
+        StaleSignature,
+        UnknownSegment,
+        InvalidSignature,
+        EmptyBody,
+        UnsupportedBody,
+        InvalidRequest,
+    ),
+)
+def localize_signature(
+    map_slug: MapSlug,
+    body: Body,
+    running: Running,
+    content_type: ContentType = None,
+    k: NearestCount = 1,
+) -> LocalizationOut:
+    """Localize by signatures made with this map's bases.
+
+    The revision that they name answers, be it live or only retained; only the segments whose
+    signatures came are searched.
+    """
+    signatures = _signatures(body, content_type)
+    answering = running.revisions.named(map_slug, signatures[0].revision)
+    found = answering.localizer.localize_signatures(signatures, k)
+    return LocalizationOut.from_core(found, answering.live_revision)
+
+
+def _require_sensor(answering: Answering, sensor: str | None) -> None:
+    mapped = answering.localizer.map.parameters.sensor
+    if sensor is not None and sensor.lower() != mapped:
+        raise SensorMismatch(f"the query is of sensor {sensor[:40]!r}, the map of {mapped!r}")
+
+
+def _image(body: bytes, answering: Answering) -> RangeImage:
+    grid = answering.localizer.map.parameters.grid
+    wanted = 4 * grid.rows * grid.columns
+    if not body:
+        raise EmptyBody(f"no bytes came, wanted {wanted}")
+    if len(body) != wanted:
+        raise InvalidImage(
+            f"{len(body)} bytes came, wanted {wanted}: {grid.rows} x {grid.columns} float32"
+        )
+    return RangeImage(np.frombuffer(body, "<f4").reshape(grid.shape), grid)
+
+
+def _signatures(body: bytes, content_type: str | None) -> tuple[Signature, ...]:
+    if not body:
+        raise EmptyBody("no bytes came, wanted signatures")
+    kind = media_type(content_type)
+    if kind == _SIGNATURE:
+        return unpack_signatures(body)
+    if kind != "application/json":
+        raise UnsupportedBody(
+            f"Content-Type is {kind[:80]!r}, wanted application/json or {_SIGNATURE}"
+        )
+    try:
+        return SignaturesIn.model_validate_json(body).to_core()
+    except ValidationError as error:
+        raise InvalidRequest(
+            "; ".join(
+                f"body/{'/'.join(map(str, found['loc']))}: {found['msg']}"
+                for found in error.errors(include_url=False, include_input=False)
+            )
+        ) from None

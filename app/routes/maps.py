@@ -1,0 +1,87 @@
+"""Maps: the named containers of drives and revisions."""
+
+from typing import Annotated
+
+from fastapi import APIRouter, Header, Response, status
+
+from app.errors import InvalidRequest, problems
+from app.schemas.maps import MapIn, MapOut, MapPatch
+from app.schemas.pages import After, Limit, PageOut
+from app.service import MapSlug, Running
+from storage.errors import InvalidSlug, MapChanged, MapExists, MapNotFound
+
+__all__ = ["router"]
+
+router = APIRouter(tags=["maps"])
+
+IfMatch = Annotated[
+    str | None, Header(description="The ETag that was seen: change only that version.")
+]
+
+
+@router.post(
+    "/maps",
+    status_code=status.HTTP_201_CREATED,
+    responses=problems(InvalidSlug, MapExists, InvalidRequest),
+)
+def create_map(wanted: MapIn, running: Running, response: Response) -> MapOut:
+    """Make an empty map."""
+    record = running.store.maps.create(wanted.map, wanted.description)
+    response.headers["Location"] = f"/v1/maps/{record.slug}"
+    response.headers["ETag"] = _etag(record.version)
+    return MapOut.from_record(record)
+
+
+@router.get("/maps", responses=problems(InvalidRequest))
+def list_maps(running: Running, after: After = "", limit: Limit = 100) -> PageOut[MapOut]:
+    """List the maps by name."""
+    page = running.store.maps.list(after, limit)
+    return PageOut(items=[MapOut.from_record(r) for r in page.items], next_after=page.next_after)
+
+
+@router.get("/maps/{map}", responses=problems(MapNotFound))
+def get_map(map_slug: MapSlug, running: Running, response: Response) -> MapOut:
+    """Show a map."""
+    record = running.store.maps.get(map_slug)
+    response.headers["ETag"] = _etag(record.version)
+    return MapOut.from_record(record)
+
+
+@router.patch("/maps/{map}", responses=problems(MapNotFound, MapChanged, InvalidRequest))
+def update_map(
+    map_slug: MapSlug,
+    change: MapPatch,
+    running: Running,
+    response: Response,
+    if_match: IfMatch = None,
+) -> MapOut:
+    """Change a map's description."""
+    record = running.store.maps.update(
+        map_slug, description=change.description, if_version=_version(if_match)
+    )
+    response.headers["ETag"] = _etag(record.version)
+    return MapOut.from_record(record)
+
+
+@router.delete(
+    "/maps/{map}",
+    status_code=status.HTTP_204_NO_CONTENT,
+    responses=problems(MapNotFound, MapChanged, InvalidRequest),
+)
+def delete_map(map_slug: MapSlug, running: Running, if_match: IfMatch = None) -> None:
+    """Remove a map with its drives, revisions and jobs."""
+    running.store.maps.delete(map_slug, if_version=_version(if_match))
+
+
+def _etag(version: int) -> str:
+    return f'"{version}"'
+
+
+def _version(if_match: str | None) -> int | None:
+    """Return the version that a client saw, `None` if any will do."""
+    if if_match is None or if_match.strip() == "*":
+        return None
+    try:
+        return int(if_match.strip().removeprefix("W/").strip('"'))
+    except ValueError:
+        raise InvalidRequest(f"If-Match is {if_match[:80]!r}, wanted a map's ETag") from None

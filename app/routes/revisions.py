@@ -1,0 +1,162 @@
+"""Revisions: immutable builds of a map, one of them live, and what is read from them."""
+
+import io
+from typing import Annotated, Any
+
+import numpy as np
+from fastapi import APIRouter, Header, Path, Query, Response, status
+from fastapi.responses import FileResponse
+
+from app.errors import InvalidRequest, problems
+from app.revisions import Answering
+from app.schemas.maps import MapOut
+from app.schemas.pages import After, Limit, PageOut
+from app.schemas.revisions import BasisOut, LiveIn, RevisionOut
+from app.schemas.topology import TopologyOut
+from app.service import MapSlug, Running
+from core.errors import InvalidParameters, StaleSignature, UnknownSegment
+from storage.errors import (
+    AmbiguousRevision,
+    MapNotFound,
+    NoLiveRevision,
+    RevisionIsLive,
+    RevisionNotFound,
+)
+
+__all__ = ["router"]
+
+router = APIRouter(tags=["revisions"])
+
+RevisionId = Annotated[
+    str, Path(alias="revision", description="Digest of a revision, or at least 12 first digits.")
+]
+OneRevision = Annotated[
+    str | None, Query(alias="revision", description="Which revision; the live one by default.")
+]
+Segments = Annotated[
+    list[int] | None,
+    Query(alias="segment", description="Only these segments; may be given several times."),
+]
+
+_NPZ = "application/vnd.tensormap.basis+npz"
+_HDF5 = "application/vnd.tensormap.map+hdf5"
+
+
+@router.get(
+    "/maps/{map}/revisions", responses=problems(MapNotFound, InvalidParameters, InvalidRequest)
+)
+def list_revisions(
+    map_slug: MapSlug, running: Running, after: After = "", limit: Limit = 100
+) -> PageOut[RevisionOut]:
+    """List a map's revisions, newest first."""
+    live = running.store.maps.get(map_slug).live_revision
+    page = running.store.revisions.list(map_slug, after, limit)
+    items = [RevisionOut.from_record(record, live) for record in page.items]
+    return PageOut(items=items, next_after=page.next_after)
+
+
+@router.get(
+    "/maps/{map}/revisions/{revision}",
+    responses=problems(MapNotFound, RevisionNotFound, AmbiguousRevision),
+)
+def get_revision(map_slug: MapSlug, revision: RevisionId, running: Running) -> RevisionOut:
+    """Show a revision."""
+    live = running.store.maps.get(map_slug).live_revision
+    return RevisionOut.from_record(running.store.revisions.get(map_slug, revision), live)
+
+
+@router.get(
+    "/maps/{map}/revisions/{revision}/file",
+    response_class=FileResponse,
+    responses={
+        200: {"content": {_HDF5: {"schema": {"type": "string", "format": "binary"}}}},
+        **problems(MapNotFound, RevisionNotFound, AmbiguousRevision),
+    },
+)
+def download_revision(map_slug: MapSlug, revision: RevisionId, running: Running) -> FileResponse:
+    """Download a revision as its HDF5 file."""
+    record = running.store.revisions.get(map_slug, revision)
+    return FileResponse(
+        running.store.revisions.path(map_slug, record.digest),
+        media_type=_HDF5,
+        filename=f"{map_slug}-{record.digest[:12]}.h5",
+        headers={"ETag": f'"{record.digest}"'},
+    )
+
+
+@router.delete(
+    "/maps/{map}/revisions/{revision}",
+    status_code=status.HTTP_204_NO_CONTENT,
+    responses=problems(MapNotFound, RevisionNotFound, AmbiguousRevision, RevisionIsLive),
+)
+def delete_revision(map_slug: MapSlug, revision: RevisionId, running: Running) -> None:
+    """Remove a revision that is not live; signatures made with it are stale from then on."""
+    running.store.revisions.delete(map_slug, revision)
+
+
+@router.put(
+    "/maps/{map}/live",
+    responses=problems(MapNotFound, RevisionNotFound, AmbiguousRevision, InvalidRequest),
+)
+def make_live(map_slug: MapSlug, wanted: LiveIn, running: Running) -> MapOut:
+    """Make a revision live: to go ahead, or to roll back."""
+    running.store.revisions.set_live(map_slug, wanted.revision)
+    return MapOut.from_record(running.store.maps.get(map_slug))
+
+
+@router.get(
+    "/maps/{map}/basis",
+    response_model=BasisOut,
+    responses={
+        200: {"content": {_NPZ: {"schema": {"type": "string", "format": "binary"}}}},
+        304: {"description": "The vehicle's copy is that of this revision."},
+        **problems(MapNotFound, NoLiveRevision, StaleSignature, UnknownSegment, InvalidRequest),
+    },
+)
+def get_basis(
+    map_slug: MapSlug,
+    running: Running,
+    revision: OneRevision = None,
+    segments: Segments = None,
+    accept: Annotated[str, Header(include_in_schema=False)] = "",
+    if_none_match: Annotated[str | None, Header()] = None,
+) -> Any:  # noqa: ANN401 - JSON by its model, or bytes as they are
+    """Download what a vehicle needs to make signatures, as JSON or, on `Accept`, as NumPy's npz."""
+    answering = _answering(running, map_slug, revision)
+    tensor_map = answering.localizer.map
+    etag = f'"{tensor_map.revision}"'
+    headers = {"ETag": etag, "Vary": "Accept"}
+    if if_none_match is not None and etag in if_none_match and segments is None:
+        return Response(status_code=status.HTTP_304_NOT_MODIFIED, headers=headers)
+    wanted = None if segments is None else np.unique(np.array(segments, dtype=np.int64))
+    basis = tensor_map.basis(wanted)
+    if _NPZ not in accept:
+        return Response(
+            BasisOut.from_core(basis).model_dump_json(),
+            media_type="application/json",
+            headers=headers,
+        )
+    file = io.BytesIO()
+    np.savez(
+        file,
+        revision=np.array(basis.revision),
+        segments=basis.segments,
+        elevation_basis=basis.elevation_basis,
+        azimuth_basis=basis.azimuth_basis,
+    )
+    return Response(file.getvalue(), media_type=_NPZ, headers=headers)
+
+
+@router.get(
+    "/maps/{map}/topology",
+    responses=problems(MapNotFound, NoLiveRevision, StaleSignature, InvalidRequest),
+)
+def get_topology(map_slug: MapSlug, running: Running, revision: OneRevision = None) -> TopologyOut:
+    """Show a map as a graph: nodes where segments end, edges along them."""
+    return TopologyOut.from_core(_answering(running, map_slug, revision).localizer.map)
+
+
+def _answering(running: Running, map_slug: str, revision: str | None) -> Answering:
+    if revision is None:
+        return running.revisions.live(map_slug)
+    return running.revisions.named(map_slug, revision)

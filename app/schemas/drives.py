@@ -1,0 +1,81 @@
+"""Drives and their scans over the wire."""
+
+import math
+from datetime import datetime
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from storage.catalog import DriveRecord, IndexRange, ScanRecord
+
+__all__ = ["DriveOut", "DrivePatch", "ScanOut"]
+
+
+class IndexRangeOut(BaseModel):
+    """Scan indices `first` to `last`, both included."""
+
+    first: int
+    last: int
+
+    @classmethod
+    def from_record(cls, record: IndexRange) -> "IndexRangeOut":
+        """Show a range."""
+        return cls(first=record.first, last=record.last)
+
+
+class DriveOut(BaseModel):
+    """A recording of scans."""
+
+    drive: str
+    created_at: datetime
+    closed: bool = Field(description="A closed drive takes no new scans.")
+    scans: int
+    returns: int = Field(description="Of all scans together.")
+    size_bytes: int = Field(description="What the returns take on disk.")
+    present: list[IndexRangeOut] = Field(description="The indices that are stored.")
+    gaps: list[IndexRangeOut] = Field(description="The indices that are missing in between.")
+
+    @classmethod
+    def from_record(cls, record: DriveRecord) -> "DriveOut":
+        """Show a drive's record."""
+        return cls(
+            drive=record.slug,
+            created_at=record.created_at,
+            closed=record.closed,
+            scans=record.scans,
+            returns=record.returns,
+            size_bytes=record.size_bytes,
+            present=[IndexRangeOut.from_record(item) for item in record.present],
+            gaps=[IndexRangeOut.from_record(item) for item in record.gaps],
+        )
+
+
+class DrivePatch(BaseModel):
+    """What changes of a drive."""
+
+    model_config = ConfigDict(extra="forbid", json_schema_extra={"example": {"closed": True}})
+
+    closed: Literal[True] = Field(description="A closed drive stays closed.")
+
+
+class ScanOut(BaseModel):
+    """A stored scan, without its returns."""
+
+    scan: int = Field(description="Its index in the drive.")
+    returns: int
+    dropped_returns: int = Field(description="Returns that were not finite or zero, left out.")
+    digest: str = Field(description="SHA-256 of the returns as little-endian float32.")
+    timestamp_s: float | None
+    has_pose: bool
+
+    @classmethod
+    def from_record(cls, record: ScanRecord) -> "ScanOut":
+        """Show what is stored."""
+        return cls(
+            scan=record.index,
+            returns=record.returns,
+            dropped_returns=record.dropped_returns,
+            digest=record.digest,
+            timestamp_s=None if math.isnan(record.timestamp_s) else record.timestamp_s,
+            has_pose=record.pose is not None,
+        )

@@ -1,0 +1,58 @@
+"""Jobs over the wire."""
+
+from datetime import datetime
+
+from pydantic import BaseModel, Field
+
+from app.errors import problem_name_of
+from app.jobs.parameters import BuildParameters
+from storage.catalog import JobRecord, JobState
+
+__all__ = ["JobOut"]
+
+
+class JobErrorOut(BaseModel):
+    """Why a job failed."""
+
+    type: str
+    detail: str
+
+
+class JobOut(BaseModel):
+    """A build and how far it is."""
+
+    job: str
+    kind: str
+    state: JobState
+    stage: str = Field(description="What it does now.", examples=["projecting", "fitting"])
+    done: int = Field(description="Units of this stage that are done.")
+    total: int = Field(description="Units of this stage.")
+    parameters: BuildParameters
+    revision: str | None = Field(description="What it built, once it is done.")
+    error: JobErrorOut | None
+    created_at: datetime
+    started_at: datetime | None
+    finished_at: datetime | None
+
+    @classmethod
+    def from_record(cls, record: JobRecord) -> "JobOut":
+        """Show a job's record."""
+        error = None
+        if record.error_type is not None:
+            error = JobErrorOut(
+                type=problem_name_of(record.error_type), detail=record.error_detail or ""
+            )
+        return cls(
+            job=record.id,
+            kind=record.kind,
+            state=record.state,
+            stage=record.stage,
+            done=record.done_units,
+            total=record.total_units,
+            parameters=BuildParameters.model_validate(record.parameters),
+            revision=record.revision,
+            error=error,
+            created_at=record.created_at,
+            started_at=record.started_at,
+            finished_at=record.finished_at,
+        )

@@ -1,0 +1,20 @@
+"""Lists, a page at a time."""
+
+from typing import Annotated, Generic, TypeVar
+
+from fastapi import Query
+from pydantic import BaseModel, Field
+
+__all__ = ["After", "Limit", "PageOut"]
+
+T = TypeVar("T")
+
+After = Annotated[str, Query(description="`next_after` of the page before.", max_length=200)]
+Limit = Annotated[int, Query(ge=1, le=1000, description="How many items a page holds.")]
+
+
+class PageOut(BaseModel, Generic[T]):
+    """Some items of a list, in its order."""
+
+    items: list[T]
+    next_after: str | None = Field(description="Ask for the rest with `after`; null at the end.")

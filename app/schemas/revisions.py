@@ -1,0 +1,101 @@
+"""Revisions and bases over the wire."""
+
+from datetime import datetime
+from typing import Any
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+
+from core.basis import Basis
+from core.parameters import MapParameters
+from storage.catalog import RevisionRecord
+
+__all__ = ["BasisOut", "LiveIn", "RevisionOut"]
+
+
+class RevisionOut(BaseModel):
+    """One immutable build of a map."""
+
+    revision: str = Field(description="Digest of its content.")
+    live: bool
+    encoding: str
+    scans: int
+    segments: int
+    parameters: dict[str, Any] = Field(description="What it was built with.")
+    size_bytes: int
+    job: str | None
+    created_at: datetime
+
+    @classmethod
+    def from_record(cls, record: RevisionRecord, live_revision: str | None) -> "RevisionOut":
+        """Show a revision's record."""
+        return cls(
+            revision=record.digest,
+            live=record.digest == live_revision,
+            encoding=record.encoding,
+            scans=record.scans,
+            segments=record.segments,
+            parameters=dict(record.parameters),
+            size_bytes=record.size_bytes,
+            job=record.job_id,
+            created_at=record.created_at,
+        )
+
+
+class LiveIn(BaseModel):
+    """Which revision is to answer from now on."""
+
+    model_config = ConfigDict(
+        extra="forbid", json_schema_extra={"example": {"revision": "0f" * 32}}
+    )
+
+    revision: str = Field(description="Its digest, or at least 12 first digits.")
+
+
+class SegmentBasisOut(BaseModel):
+    """The bases of one segment."""
+
+    segment: int
+    elevation_basis: list[list[float]] = Field(description="U, I rows of r1 numbers.")
+    azimuth_basis: list[list[float]] = Field(description="V, J rows of r2 numbers.")
+
+
+class BasisOut(BaseModel):
+    """What a vehicle needs to make signatures: no place can be read from it."""
+
+    revision: str
+    parameters: dict[str, Any] = Field(description="Sensor, grid, reducer and ranks.")
+    segments: list[SegmentBasisOut]
+
+    @classmethod
+    def from_core(cls, basis: Basis) -> "BasisOut":
+        """Show bases as JSON; a float32 survives it."""
+        return cls(
+            revision=basis.revision,
+            parameters=basis.parameters.as_attributes(),
+            segments=[
+                SegmentBasisOut(
+                    segment=segment, elevation_basis=u.tolist(), azimuth_basis=v.tolist()
+                )
+                for segment, u, v in zip(
+                    basis.segments.tolist(),
+                    basis.elevation_basis,
+                    basis.azimuth_basis,
+                    strict=True,
+                )
+            ],
+        )
+
+    def to_core(self) -> Basis:
+        """Return the bases, as a vehicle uses them.
+
+        Raises:
+            InvalidMap: If they do not fit the parameters.
+        """
+        return Basis(
+            self.revision,
+            MapParameters.from_attributes(self.parameters),
+            np.array([item.segment for item in self.segments]),
+            np.array([item.elevation_basis for item in self.segments], dtype=np.float32),
+            np.array([item.azimuth_basis for item in self.segments], dtype=np.float32),
+        )

@@ -1,0 +1,46 @@
+"""What a running service holds; routes reach it through dependencies."""
+
+from dataclasses import dataclass
+from typing import Annotated
+
+from fastapi import Depends, Path, Request
+
+from app.auth import Access
+from app.jobs.runner import JobRunner
+from app.revisions import LoadedRevisions
+from app.settings import Settings
+from storage.store import Store
+
+__all__ = ["DriveSlug", "MapSlug", "Running", "Service", "running_service"]
+
+
+@dataclass(frozen=True)
+class Service:
+    """The parts of a running service.
+
+    Attributes:
+        settings: What the operator chose.
+        store: Maps, drives, revisions and jobs.
+        revisions: Those that answer queries.
+        runner: Builds.
+        access: Who may ask.
+    """
+
+    settings: Settings
+    store: Store
+    revisions: LoadedRevisions
+    runner: JobRunner
+    access: Access
+
+
+def running_service(request: Request) -> Service:
+    """Return the service that a request came to."""
+    service: Service = request.app.state.service
+    return service
+
+
+Running = Annotated[Service, Depends(running_service)]
+MapSlug = Annotated[str, Path(alias="map", description="The map's name.", examples=["campus"])]
+DriveSlug = Annotated[
+    str, Path(alias="drive", description="The drive's name.", examples=["monday"])
+]

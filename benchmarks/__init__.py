@@ -1,0 +1,1 @@
+"""Measurements with bars; `make bench` runs them all."""
