@@ -6,6 +6,7 @@ from typing import Annotated, Any
 import numpy as np
 from fastapi import APIRouter, Header, Path, Query, Response, status
 from fastapi.responses import FileResponse
+from pydantic import Field
 
 from app.errors import InvalidRequest, problems
 from app.revisions import Answering
@@ -34,7 +35,7 @@ OneRevision = Annotated[
     str | None, Query(alias="revision", description="Which revision; the live one by default.")
 ]
 Segments = Annotated[
-    list[int] | None,
+    list[Annotated[int, Field(ge=0, le=0xFFFF)]] | None,
     Query(alias="segment", description="Only these segments; may be given several times."),
 ]
 
@@ -128,8 +129,7 @@ def get_basis(
     headers = {"ETag": etag, "Vary": "Accept"}
     if if_none_match is not None and etag in if_none_match and segments is None:
         return Response(status_code=status.HTTP_304_NOT_MODIFIED, headers=headers)
-    wanted = None if segments is None else np.unique(np.array(segments, dtype=np.int64))
-    basis = tensor_map.basis(wanted)
+    basis = tensor_map.basis(segments)
     if _NPZ not in accept:
         return Response(
             BasisOut.from_core(basis).model_dump_json(),
