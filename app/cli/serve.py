@@ -38,16 +38,23 @@ def serve(
         server_header=False,
         timeout_graceful_shutdown=_GRACE_S,
     )
-    try:
-        listening = socket.create_server(
-            (settings.host, settings.port),
-            family=socket.AF_INET6 if ":" in settings.host else socket.AF_INET,
-            backlog=config.backlog,
-        )
-    except OSError as error:
-        reason = os.strerror(error.errno) if error.errno else str(error)
-        raise typer.BadParameter(
-            f"cannot listen on {settings.host}:{settings.port}: {reason}"
-        ) from None
-    with listening:
+    with _listen(settings.host, settings.port) as listening:
         uvicorn.Server(config).run(sockets=[listening])
+
+
+def _listen(host: str, port: int) -> socket.socket:
+    """Take the port before anything is opened or shown.
+
+    The protocol is named because asyncio switches Nagle's delay off for sockets that say TCP only:
+    with the default, 0, every answer comes 40 ms late.
+    """
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    listening = socket.socket(family, socket.SOCK_STREAM, socket.IPPROTO_TCP)
+    listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    try:
+        listening.bind((host, port))
+    except OSError as error:
+        listening.close()
+        reason = os.strerror(error.errno) if error.errno else str(error)
+        raise typer.BadParameter(f"cannot listen on {host}:{port}: {reason}") from None
+    return listening
