@@ -4,7 +4,7 @@ import sys
 
 import typer
 
-from app.cli import demo, evaluate, maps, serve
+from app.cli import demo, evaluate, maps, serve, simulate
 from app.threads import one_blas_thread
 from core.errors import TensorMapError
 
@@ -25,6 +25,7 @@ for command in (
     maps.signature,
     maps.inspect,
     evaluate.evaluate,
+    simulate.simulate,
 ):
     cli.command()(command)
 

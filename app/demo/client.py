@@ -15,7 +15,7 @@ from core.errors import TensorMapError
 from core.scan import Scan
 from storage.catalog import JobState
 
-__all__ = ["Client", "RequestFailed", "kitti_body"]
+__all__ = ["Client", "RequestFailed"]
 
 _KITTI = "application/vnd.tensormap.kitti"
 _SIGNATURE = "application/vnd.tensormap.signature"
@@ -112,10 +112,3 @@ class Client:
         if not answer.is_success:
             raise RequestFailed(f"{method} {path}: {answer.status_code} {answer.text}")
         return answer
-
-
-def kitti_body(scan: Scan) -> bytes:
-    """Return a scan as the bytes of a KITTI file, reflectance 0."""
-    records = np.zeros((len(scan), 4), dtype="<f4")
-    records[:, :3] = scan.points_m
-    return records.tobytes()

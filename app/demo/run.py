@@ -7,7 +7,7 @@ from typing import Protocol
 
 import numpy as np
 
-from app.demo.client import Client, kitti_body
+from app.demo.client import Client
 from app.jobs.parameters import BuildParameters
 from app.schemas.localizations import LocalizationOut
 from app.schemas.topology import TopologyOut
@@ -22,6 +22,7 @@ from core.segmentation import PAPER_SEGMENTS, cut_fixed, segment_length_for
 from core.signature import pack_signatures
 from core.tucker import storage_elements
 from storage.catalog import JobState
+from storage.formats.kitti import kitti_body
 
 __all__ = ["MAX_SCANS", "RECALL_M", "Fixes", "Outcome", "run_demo"]
 

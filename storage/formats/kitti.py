@@ -5,9 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from core.arrays import Float32Array
+from core.scan import Scan
 from storage.formats.errors import TruncatedScan, WrongDtype
 
-__all__ = ["KittiFormat"]
+__all__ = ["KittiFormat", "kitti_body"]
 
 _RECORD_BYTES = 16
 _WANTED = "float32 little-endian x y z reflectance, 16 bytes a return, in metres"
@@ -18,6 +19,13 @@ _LARGEST_M = 1e5
 # floats have 33 to 39 %, since half of a double's bits are plausible as a float and some are zero;
 # doubles that never were floats have 51 to 56 %, integers nearly all.
 _IMPLAUSIBLE_SHARE = 0.25
+
+
+def kitti_body(scan: Scan) -> bytes:
+    """Return a scan as the bytes of a KITTI file, reflectance 0."""
+    records = np.zeros((len(scan), 4), dtype="<f4")
+    records[:, :3] = scan.points_m
+    return records.tobytes()
 
 
 @dataclass(frozen=True)

@@ -7,20 +7,28 @@ point p of the lidar at scan i is Tr p in camera i, T_i Tr p in the camera world
     Tr^-1 T_i Tr p
 
 in the lidar's frame at the first scan: x forward, y left, z up. Without `calib.txt` the poses are
-taken to be the lidar's already.
+taken to be the lidar's already, and that is how a drive is written here.
 """
 
+import errno
+import secrets
+import shutil
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from core.arrays import FloatArray
+from core.drive import Drive
 from core.errors import InvalidPose
-from core.pose import UNKNOWN_POSE, Pose, rows_from_matrices
+from core.pose import UNKNOWN_POSE, Pose, is_known, rows_from_matrices
+from core.progress import NO_PROGRESS, Progress
+from storage.files import named_disk_errors
 from storage.formats.errors import MalformedDrive
 from storage.formats.file_drive import FileDrive, in_order
+from storage.formats.kitti import kitti_body
 
-__all__ = ["camera_to_lidar_poses", "open_kitti_drive"]
+__all__ = ["camera_to_lidar_poses", "open_kitti_drive", "write_kitti_drive"]
 
 
 def open_kitti_drive(path: Path, *, min_returns: int = 1) -> FileDrive:
@@ -40,6 +48,57 @@ def open_kitti_drive(path: Path, *, min_returns: int = 1) -> FileDrive:
         _poses(path / "poses.txt", path / "calib.txt", len(files)),
         min_returns,
     )
+
+
+def write_kitti_drive(drive: Drive, path: Path, progress: Progress = NO_PROGRESS) -> None:
+    """Write a drive as a new folder, whole or not at all; `open_kitti_drive` reads it back.
+
+    Reflectances are 0. Poses are the lidar's own, so no `calib.txt` is written; what is unknown is
+    `nan`, and a file that would hold nothing else is left out.
+
+    Args:
+        drive: What to write.
+        path: A folder that is empty or does not exist; its parent does.
+        progress: Told of each scan.
+
+    Raises:
+        FileExistsError: If something is at `path` already.
+        InvalidScan: If a scan of the drive cannot be read.
+        StorageFull: If no space is left.
+    """
+    if path.exists() and not (path.is_dir() and not any(path.iterdir())):
+        raise FileExistsError(errno.EEXIST, "there is something already", str(path))
+    whole = path.resolve()  # `.` has no name to write beside
+    part = whole.with_name(f".{whole.name}.{secrets.token_hex(8)}.part")
+    progress.start("writing", len(drive))
+    try:
+        with named_disk_errors():
+            (part / "velodyne").mkdir(parents=True)
+            for index in range(len(drive)):
+                file = part / "velodyne" / f"{index:06d}.bin"
+                file.write_bytes(kitti_body(drive.scan(index)))
+                progress.advance()
+            if np.isfinite(drive.timestamp_s).any():
+                _write_numbers(part / "times.txt", drive.timestamp_s[:, None])
+            if is_known(drive.poses).any():
+                _write_numbers(part / "poses.txt", _matrices(drive.poses).reshape(-1, 12))
+            part.rename(whole)
+    finally:
+        shutil.rmtree(part, ignore_errors=True)
+
+
+def _matrices(rows: FloatArray) -> FloatArray:
+    """Return `(n, 3, 4)` matrices `[R | t]` of `(n, 7)` pose rows; NaN stays NaN."""
+    matrices = np.full((len(rows), 3, 4), np.nan)
+    known = is_known(rows)
+    matrices[known, :, :3] = Rotation.from_quat(rows[known, 3:]).as_matrix()
+    matrices[known, :, 3] = rows[known, :3]
+    return matrices
+
+
+def _write_numbers(file: Path, rows: FloatArray) -> None:
+    lines = (" ".join(map(repr, row)) for row in rows.tolist())
+    file.write_text("".join(f"{line}\n" for line in lines), encoding="utf-8")
 
 
 def camera_to_lidar_poses(camera_poses: FloatArray, lidar_to_camera: FloatArray) -> FloatArray:

@@ -1,0 +1,43 @@
+"""`tensormap simulate`: a drive for those who have none."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from app.cli.console import output, progress_bar
+from core.simulation import SimulatedDrive
+from storage.formats.kitti_drive import write_kitti_drive
+
+__all__ = ["simulate"]
+
+
+def simulate(
+    folder: Annotated[
+        Path, typer.Argument(metavar="OUT", help="Folder to write; empty or not there yet.")
+    ],
+    scans: Annotated[int, typer.Option(min=1, max=1_000_000, help="How many, ten a second.")] = 60,
+    seed: Annotated[int, typer.Option(min=0, help="Of the city and its route.")] = 0,
+    traffic_seed: Annotated[
+        int | None, typer.Option(min=0, help="Of parked and moving cars. [the city's seed]")
+    ] = None,
+    lateral_m: Annotated[
+        float, typer.Option(help="Drive so far left of the line, negative right.")
+    ] = 0.0,
+    reverse: Annotated[bool, typer.Option("--reverse", help="Drive the other way.")] = False,
+) -> None:
+    """Drive through a simulated city and write the scans in KITTI odometry layout.
+
+    Two drives of one seed and as many scans follow one line in one world frame: vary the traffic,
+    the lane or the direction for a second pass.
+    """
+    drive = SimulatedDrive(
+        seed,
+        scans,
+        traffic_seed=traffic_seed,
+        lateral_offset_m=lateral_m,
+        reverse=reverse,
+    )
+    with progress_bar() as progress:
+        write_kitti_drive(drive, folder, progress)
+    output.print(f"{folder}: {scans} scans of {drive.name}", markup=False, soft_wrap=True)

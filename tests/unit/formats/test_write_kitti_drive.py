@@ -1,0 +1,73 @@
+"""A drive written in KITTI's layout is the same drive when it is opened."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from app.cli.main import cli
+from core.drive import MemoryDrive
+from core.errors import InvalidScan
+from core.pose import Pose
+from core.scan import Scan
+from core.simulation import SimulatedDrive
+from storage.formats.drives import open_drive
+from storage.formats.kitti_drive import write_kitti_drive
+
+
+def test_scans_times_and_poses_come_back_as_they_were(tmp_path: Path) -> None:
+    drive = SimulatedDrive(seed=3, scans=6, lateral_offset_m=1.5)
+    write_kitti_drive(drive, tmp_path / "town")
+    again = open_drive(tmp_path / "town")
+    assert (again.name, len(again)) == ("town", 6)
+    assert again.timestamp_s.tolist() == drive.timestamp_s.tolist()
+    np.testing.assert_allclose(again.poses, drive.poses, rtol=0, atol=1e-12)
+    for index in range(6):
+        np.testing.assert_array_equal(again.scan(index).points_m, drive.scan(index).points_m)
+
+
+def test_what_is_unknown_stays_unknown(tmp_path: Path) -> None:
+    scan = Scan.from_returns([[10.0, 0.0, 0.0]])
+    known = Scan.from_returns([[11.0, 0.0, 0.0]], timestamp_s=2.5, pose=Pose(1.0, 2.0, 3.0))
+    write_kitti_drive(MemoryDrive("half", [scan, known]), tmp_path / "half")
+    half = open_drive(tmp_path / "half")
+    assert half.scan(0).pose is None
+    assert half.scan(1).pose == known.pose
+    assert np.isnan(half.timestamp_s[0])
+    assert half.timestamp_s[1] == 2.5
+    write_kitti_drive(MemoryDrive("bare", [scan]), tmp_path / "bare")
+    assert [file.name for file in (tmp_path / "bare").iterdir()] == ["velodyne"]
+
+
+def test_a_folder_that_holds_something_is_left_alone(tmp_path: Path) -> None:
+    (tmp_path / "mine.txt").write_text("mine")
+    drive = SimulatedDrive(scans=2)
+    for taken in (tmp_path, tmp_path / "mine.txt"):
+        with pytest.raises(FileExistsError, match="something already"):
+            write_kitti_drive(drive, taken)
+    assert [file.name for file in tmp_path.iterdir()] == ["mine.txt"]
+
+
+def test_a_drive_that_breaks_off_leaves_nothing(tmp_path: Path) -> None:
+    class Broken(SimulatedDrive):
+        def scan(self, index: int) -> Scan:
+            if index == 1:
+                raise InvalidScan("the disk was bumped")
+            return super().scan(index)
+
+    with pytest.raises(InvalidScan):
+        write_kitti_drive(Broken(scans=2), tmp_path / "town")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_command_writes_a_drive_into_an_empty_folder(tmp_path: Path) -> None:
+    out = tmp_path / "town"
+    out.mkdir()
+    result = CliRunner().invoke(cli, ["simulate", str(out), "--scans", "3", "--reverse"])
+    assert result.exit_code == 0, result.output
+    assert "3 scans of simulated-0" in result.output
+    written = open_drive(out)
+    np.testing.assert_allclose(written.poses, SimulatedDrive(0, 3, reverse=True).poses, atol=1e-12)
+    again = CliRunner().invoke(cli, ["simulate", str(out)])
+    assert isinstance(again.exception, FileExistsError)
