@@ -1,6 +1,8 @@
 """A map revision as one immutable, packed HDF5 file (docs/reference/format.md)."""
 
+import errno
 import json
+import os
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -45,7 +47,7 @@ def read_map(path: Path) -> TensorMap:
         FileNotFoundError: If there is no such file.
     """
     if not path.exists():
-        raise FileNotFoundError(path)
+        raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(path))
     try:
         arrays, attributes, digest = _read_parts(path)
     except (OSError, KeyError, ValueError, TypeError) as error:

@@ -1,5 +1,7 @@
 """What commands show: tables on standard output, progress on standard error."""
 
+import os
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 
@@ -15,7 +17,15 @@ from rich.progress import (
 
 __all__ = ["BarProgress", "output", "progress_bar"]
 
-output = Console()
+_FILE_COLUMNS = 160  # a file or pipe has no width; Rich's 80 would cut figures off
+
+
+def _width() -> int | None:
+    """Return the width of what is not a terminal, `None` to let Rich find a terminal's."""
+    return None if sys.stdout.isatty() or "COLUMNS" in os.environ else _FILE_COLUMNS
+
+
+output = Console(width=_width())
 
 
 class BarProgress:

@@ -39,7 +39,14 @@ def serve(
         timeout_graceful_shutdown=_GRACE_S,
     )
     with _listen(settings.host, settings.port) as listening:
+        # Uvicorn, given a socket, names no URL.
+        typer.echo(f"TensorMap at {_url(listening)}", err=True)
         uvicorn.Server(config).run(sockets=[listening])
+
+
+def _url(listening: socket.socket) -> str:
+    host, port = listening.getsockname()[:2]
+    return f"http://[{host}]:{port}" if ":" in host else f"http://{host}:{port}"
 
 
 def _listen(host: str, port: int) -> socket.socket:

@@ -1,6 +1,7 @@
 """Revisions: immutable builds of a map, one of them live, and what is read from them."""
 
 import io
+import json
 from typing import Annotated, Any
 
 import numpy as np
@@ -140,6 +141,7 @@ def get_basis(
     np.savez(
         file,
         revision=np.array(basis.revision),
+        parameters=np.array(json.dumps(basis.parameters.as_attributes())),
         segments=basis.segments,
         elevation_basis=basis.elevation_basis,
         azimuth_basis=basis.azimuth_basis,

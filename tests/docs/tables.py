@@ -1,0 +1,92 @@
+"""The documents' tables, made of the code.
+
+`python -m tests.docs.tables` writes them anew; with `--check` it fails if one is out of date.
+"""
+
+import re
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import typer.main
+from pydantic_core import PydanticUndefined
+
+from app.cli.main import cli
+from app.errors import STATUS, problem_name
+from app.main import create_app
+from app.settings import Settings
+
+ROOT = Path(__file__).parents[2]
+_METHODS = ("get", "post", "put", "patch", "delete")
+
+
+def settings_table() -> Iterator[str]:
+    yield "| variable | default | meaning |"
+    yield "|---|---|---|"
+    for name, field in Settings.model_fields.items():
+        default = "" if field.default in (None, PydanticUndefined) else f"`{field.default}`"
+        yield f"| `TENSORMAP_{name.upper()}` | {default} | {field.description} |"
+
+
+def routes_table() -> Iterator[str]:
+    yield "| route | what it does | answers |"
+    yield "|---|---|---|"
+    for path, operations in create_app(Settings(_env_file=None)).openapi()["paths"].items():
+        for method in _METHODS:
+            if method not in operations:
+                continue
+            said = operations[method]
+            does = said["description"].split("\n")[0]
+            answers = ", ".join(sorted(said["responses"]))
+            yield f"| `{method.upper()} {path}` | {does} | {answers} |"
+
+
+def problems_table() -> Iterator[str]:
+    yield "| type | status | meaning |"
+    yield "|---|---|---|"
+    for kind, status in STATUS.items():
+        meaning = (kind.__doc__ or "").strip().splitlines()[0]
+        yield f"| `/problems/{problem_name(kind)}` | {status.value} | {meaning} |"
+
+
+def commands_table() -> Iterator[str]:
+    yield "| command | what it does |"
+    yield "|---|---|"
+    group = typer.main.get_command(cli)
+    for name, command in group.commands.items():  # type: ignore[attr-defined]  # it is a group
+        meaning = (command.help or "").strip().split("\n")[0]
+        yield f"| `tensormap {name}` | {meaning} |"
+
+
+TABLES: dict[str, tuple[Path, Callable[[], Iterator[str]]]] = {
+    "settings": (ROOT / "docs/how-to/run-the-service.md", settings_table),
+    "routes": (ROOT / "docs/reference/http-api.md", routes_table),
+    "problems": (ROOT / "docs/reference/http-api.md", problems_table),
+    "commands": (ROOT / "docs/reference/cli.md", commands_table),
+}
+
+
+def with_table(name: str) -> tuple[str, str]:
+    """Return a document as it is, and as it is with the table of the code."""
+    path, make = TABLES[name]
+    text = path.read_text()
+    begin, end = f"<!-- table: {name} -->\n", f"<!-- end of table: {name} -->"
+    if begin not in text or end not in text:
+        raise ValueError(f"{path} has no place for table {name}")
+    table = "\n".join(make())
+    wanted = re.sub(
+        re.escape(begin) + ".*?" + re.escape(end),
+        lambda _: f"{begin}\n{table}\n\n{end}",
+        text,
+        flags=re.DOTALL,
+    )
+    return text, wanted
+
+
+if __name__ == "__main__":
+    for name, (path, _) in TABLES.items():
+        found, wanted = with_table(name)
+        if "--check" in sys.argv:
+            sys.exit(f"{path} is out of date") if found != wanted else None
+        else:
+            path.write_text(wanted)

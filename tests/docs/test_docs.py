@@ -1,0 +1,85 @@
+"""Every command and program of the documents runs, and every table says what the code says."""
+
+import re
+import shutil
+from pathlib import Path
+
+import pytest
+
+from tests.docs.blocks import READ_ONLY, ROOT, Block, Runner, blocks_of
+from tests.docs.tables import TABLES, with_table
+
+DOCUMENTS = [
+    *(ROOT / name for name in ("README.md", "CONTRIBUTING.md")),
+    *sorted((ROOT / "docs").rglob("*.md")),
+]
+NOT_RUN = {
+    "make demo": "the acceptance run itself, with a target and a test of its own",
+    "make test": "runs this test",
+    "make install": "makes the environment that runs this test",
+    "make lint": "a job of its own",
+    "docker compose up": "needs a container engine",
+    "docker compose logs": "needs a container engine",
+    "export DRIVE=": "needs a recorded data set that is not ours to ship",
+}
+"""How blocks that stay unexecuted begin, and why."""
+
+
+def reason_not_to_run(block: Block) -> str | None:
+    return next((why for start, why in NOT_RUN.items() if block.text.startswith(start)), None)
+
+
+def runnable(path: Path) -> list[Block]:
+    return [block for block in blocks_of(path) if reason_not_to_run(block) is None]
+
+
+@pytest.mark.skipif(shutil.which("curl") is None, reason="the documents' examples call curl")
+@pytest.mark.parametrize(
+    "path",
+    [path for path in DOCUMENTS if any(b.language not in READ_ONLY for b in runnable(path))],
+    ids=lambda path: str(path.relative_to(ROOT)),
+)
+def test_every_block_runs_and_writes_what_it_says(path: Path, tmp_path: Path) -> None:
+    runner = Runner(tmp_path)
+    try:
+        for block in runnable(path):
+            runner.run(block)
+    finally:
+        runner.close()
+
+
+@pytest.mark.parametrize("path", DOCUMENTS, ids=lambda path: str(path.relative_to(ROOT)))
+def test_every_block_is_of_a_kind_that_is_run_or_only_read(path: Path) -> None:
+    kinds = {block.language for block in blocks_of(path)}
+    assert kinds <= {"sh", "python"} | READ_ONLY
+
+
+def test_every_exception_is_still_needed() -> None:
+    blocks = [block for path in DOCUMENTS for block in blocks_of(path)]
+    for start in NOT_RUN:
+        assert any(block.text.startswith(start) for block in blocks), start
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_a_table_says_what_the_code_says(name: str) -> None:
+    found, wanted = with_table(name)
+    assert found == wanted, "run `python -m tests.docs.tables`"
+
+
+@pytest.mark.parametrize("path", DOCUMENTS, ids=lambda path: str(path.relative_to(ROOT)))
+def test_every_link_to_a_file_leads_there(path: Path) -> None:
+    for target in re.findall(r"\]\(([^)#]+)[^)]*\)", path.read_text()):
+        if not re.match(r"[a-z]+:", target):
+            assert (path.parent / target).exists(), f"{path.name} links to {target}"
+
+
+_OUR_PATH = re.compile(r"`((?:app|core|storage|tests|docs)/[^`\s*<{]+)`")
+
+
+def test_every_module_and_path_that_is_named_exists() -> None:
+    """Paths in backquotes that begin with one of our folders are there."""
+    for path in DOCUMENTS:
+        for named in re.findall(
+            r"`((?:app|core|storage|tests|docs)/[^`\s*<{]+)`", path.read_text()
+        ):
+            assert (ROOT / named.partition(":")[0]).exists(), f"{path.name} names {named}"
