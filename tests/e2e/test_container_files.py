@@ -1,0 +1,83 @@
+"""What the Dockerfile and the compose file promise; no container engine runs here."""
+
+import itertools
+import re
+from pathlib import Path
+
+ROOT = Path(__file__).parents[2]
+DOCKERFILE = (ROOT / "Dockerfile").read_text()
+
+
+def instructions(name: str) -> list[str]:
+    whole = DOCKERFILE.replace("\\\n", " ")
+    return [line.partition(" ")[2] for line in whole.splitlines() if line.startswith(f"{name} ")]
+
+
+def compose() -> list[str]:
+    """Return the compose file's lines, without what they are indented by."""
+    text = (ROOT / "compose.yaml").read_text()
+    return [line.strip() for line in text.splitlines() if line.strip()[:1] not in {"", "#"}]
+
+
+def listed(name: str) -> list[str]:
+    """Return the items of a list in the compose file."""
+    lines = compose()
+    start = lines.index(f"{name}:") + 1
+    items = itertools.takewhile(lambda line: line.startswith("- "), lines[start:])
+    return [item.removeprefix("- ").strip('"') for item in items]
+
+
+def test_the_image_runs_as_a_user_without_rights_where_no_code_lies() -> None:
+    last_stage = DOCKERFILE[DOCKERFILE.rindex("FROM ") :]
+    assert re.search(r"^USER 10001:10001$", last_stage, re.MULTILINE)
+    assert instructions("WORKDIR")[-1] == "/data"
+    assert last_stage.index("USER ") < last_stage.index("CMD ")
+    assert re.findall(r"^COPY .*", last_stage, re.MULTILINE) == [
+        "COPY --from=build /opt/tensormap /opt/tensormap"
+    ]
+
+
+def test_the_image_serves_its_volume_on_its_port_and_asks_itself() -> None:
+    assert instructions("CMD") == ['["tensormap", "serve", "--host", "0.0.0.0", "--data", "/data"]']
+    assert instructions("VOLUME") == ["/data"]
+    assert instructions("EXPOSE") == ["8000"]
+    assert "/readyz" in instructions("HEALTHCHECK")[0]
+
+
+def test_what_the_image_is_made_of_is_named_and_fixed() -> None:
+    bases = {line.partition(" AS ")[0] for line in instructions("FROM")}
+    assert bases == {"python:3.13-slim"}
+    assert "--constraint constraints.txt" in DOCKERFILE
+    ignored = [
+        line for line in (ROOT / ".dockerignore").read_text().splitlines() if line[:1] != "#"
+    ]
+    assert ignored[0] == "*"
+    copied = {name.strip("./") for line in instructions("COPY")[:-1] for name in line.split()[:-1]}
+    assert copied == {line[1:] for line in ignored if line.startswith("!")}
+
+
+_SECRET = re.compile(r"(?i)(key|secret|password|token)[a-z_]*\s*[:=][ \t]*[^\s,]")
+
+
+def test_no_secret_stands_in_them() -> None:
+    for name in ("Dockerfile", "compose.yaml", ".dockerignore"):
+        text = (ROOT / name).read_text()
+        assert not re.search(r"(?i)(key|secret|password|token)[a-z_]*\s*[:=][ \t]*[^\s,]", text), (
+            name
+        )
+    assert "TENSORMAP_ADMIN_KEY:" in compose()
+
+
+def test_compose_takes_every_right_that_the_service_does_not_need() -> None:
+    assert "read_only: true" in compose()
+    assert listed("tmpfs") == ["/tmp"]
+    assert listed("cap_drop") == ["ALL"]
+    assert listed("security_opt") == ["no-new-privileges:true"]
+    assert not any(line.startswith(("privileged", "user:", "cap_add")) for line in compose())
+
+
+def test_compose_is_reached_from_this_machine_and_keeps_its_data() -> None:
+    assert listed("ports") == ["127.0.0.1:8000:8000"]
+    assert listed("volumes") == ["data:/data"]
+    assert "restart: unless-stopped" in compose()
+    assert "/readyz" in compose()[compose().index("healthcheck:") + 1]

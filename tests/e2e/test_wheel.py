@@ -1,0 +1,167 @@
+"""The wheel holds all that a service needs: it runs from an empty folder, without the source."""
+
+import contextlib
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+import time
+import venv
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from zipfile import ZipFile
+
+import httpx2
+import numpy as np
+import pytest
+
+ROOT = Path(__file__).parents[2]
+PACKAGES = ("app", "core", "storage")
+
+
+@dataclass(frozen=True)
+class Installed:
+    """A wheel, and an environment where nothing but it is installed."""
+
+    wheel: Path
+    folder: Path
+
+    @property
+    def command(self) -> Path:
+        return self.folder / "env/bin/tensormap"
+
+    @property
+    def environment(self) -> dict[str, str]:
+        # The dependencies come from the environment that runs this test; what points from there
+        # to our own source (.pth) counts in site folders only, not on PYTHONPATH.
+        kept = {k: v for k, v in os.environ.items() if not k.startswith("TENSORMAP_")}
+        return kept | {"PYTHONPATH": str(Path(np.__file__).parents[1])}
+
+
+@pytest.fixture(scope="module")
+def installed(tmp_path_factory: pytest.TempPathFactory) -> Installed:
+    folder = tmp_path_factory.mktemp("wheel")
+    source = folder / "source"
+    source.mkdir()
+    for name in ("pyproject.toml", "README.md", "LICENSE"):
+        shutil.copy(ROOT / name, source)
+    for name in PACKAGES:
+        shutil.copytree(ROOT / name, source / name)
+    subprocess.run(
+        [sys.executable, "-m", "pip", "wheel", "-q", "--no-deps", "--wheel-dir", str(folder), "."]
+        + (["--no-build-isolation"] if shutil.which("hatchling", path=_bin()) else []),
+        cwd=source,
+        check=True,
+    )
+    shutil.rmtree(source)
+    (wheel,) = folder.glob("*.whl")
+    venv.create(folder / "env", with_pip=False)
+    python = folder / "env/bin/python"
+    subprocess.run(
+        [sys.executable, "-m", "pip", "--python", str(python), "install", "-q", "--no-deps", wheel],
+        check=True,
+    )
+    return Installed(wheel, folder)
+
+
+def _bin() -> str:
+    return str(Path(sys.executable).parent)
+
+
+@contextmanager
+def serving(installed: Installed, folder: Path, data: str) -> Iterator[str]:
+    """Run the installed service on a free port; yields the address it says."""
+    process = subprocess.Popen(
+        [installed.command, "serve", "--port", "0", "--data", data],
+        cwd=folder,
+        env=installed.environment,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    assert process.stderr is not None
+    watchdog = threading.Timer(60, process.kill)
+    watchdog.start()
+    try:
+        said = ""
+        for line in process.stderr:
+            said += line
+            if "startup complete" in line:
+                url = re.findall(r"TensorMap at (http://\S+)", said)[0]
+                _wait_until_it_listens(url)
+                yield url
+                break
+        else:
+            pytest.fail(f"the service did not start:\n{said}")
+    finally:
+        watchdog.cancel()
+        process.send_signal(signal.SIGTERM)
+        process.communicate(timeout=30)
+
+
+def _wait_until_it_listens(url: str) -> None:
+    for _ in range(100):
+        with contextlib.suppress(httpx2.TransportError):
+            httpx2.get(f"{url}/livez")
+            return
+        time.sleep(0.1)
+
+
+def test_the_wheel_holds_the_packages_the_migrations_and_the_licence(installed: Installed) -> None:
+    with ZipFile(installed.wheel) as file:
+        names = set(file.namelist())
+    wanted = {
+        str(path.relative_to(ROOT))
+        for package in PACKAGES
+        for path in (ROOT / package).rglob("*")
+        if path.is_file() and "__pycache__" not in path.parts
+    }
+    assert any("migrations/versions/" in name for name in wanted)
+    assert wanted <= names
+    rest = names - wanted
+    assert {name.partition("/")[0] for name in rest} == {"tensormap_server-0.1.0.dist-info"}
+    assert any(name.endswith("licenses/LICENSE") for name in rest)
+
+
+def test_what_is_imported_is_what_was_installed(installed: Installed, tmp_path: Path) -> None:
+    code = "import app, core, storage; print(app.__file__, core.__file__, storage.__file__)"
+    said = subprocess.run(
+        [installed.folder / "env/bin/python", "-c", code],
+        cwd=tmp_path,
+        env=installed.environment,
+        check=True,
+        capture_output=True,
+        text=True,
+    ).stdout
+    assert all(path.startswith(str(installed.folder)) for path in said.split())
+
+
+def test_the_installed_service_makes_its_catalog_in_an_empty_folder(
+    installed: Installed, tmp_path: Path
+) -> None:
+    with serving(installed, tmp_path, "data") as url:
+        assert httpx2.get(f"{url}/readyz").json() == {"ready": True, "missing": []}
+        assert httpx2.post(f"{url}/v1/maps", json={"map": "campus"}).status_code == 201
+        assert httpx2.get(f"{url}/docs").is_success
+    assert (tmp_path / "data/catalog.sqlite3").exists()
+
+
+def test_the_installed_command_builds_and_inspects(installed: Installed, tmp_path: Path) -> None:
+    def run(*arguments: str) -> str:
+        return subprocess.run(
+            [installed.command, *arguments],
+            cwd=tmp_path,
+            env=installed.environment,
+            check=True,
+            capture_output=True,
+            text=True,
+        ).stdout
+
+    run("simulate", "town", "--scans", "10")
+    run("build", "town", "-o", "town.h5")
+    assert "revision" in run("inspect", "town.h5")
