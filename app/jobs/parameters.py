@@ -29,10 +29,11 @@ class BuildParameters(BaseModel):
     segment_length: int | None = Field(
         None,
         ge=1,
-        description="k, scans in a segment. Without it and `segments`: a fifth of each drive,"
-        f" at most {PAPER_SEGMENT_LENGTH}.",
+        description=f"k, scans in a segment; {PAPER_SEGMENT_LENGTH} without it and `segments`.",
     )
-    segments: int | None = Field(None, ge=1, description="L instead, for each drive.")
+    segments: int | None = Field(
+        None, ge=1, description="L instead: k = ceil(K / L) of the longest drive's K scans."
+    )
     reducer: Reducer = Field(Reducer.LAST, description="Which return a shared cell keeps.")
     sensor: str = Field(HDL_64E.name, description=f"One of {', '.join(sorted(SENSORS))}.")
     sensor_height_m: float = Field(1.73, gt=0, lt=100, description="Sensor above ground.")
