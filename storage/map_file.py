@@ -49,7 +49,7 @@ def read_map(path: Path) -> TensorMap:
         raise FileNotFoundError(path)
     try:
         arrays, attributes, digest = _read_parts(path)
-    except (OSError, KeyError, ValueError, TypeError) as error:
+    except (OSError, KeyError, ValueError, TypeError, RuntimeError) as error:  # HDF5 raises each
         raise CorruptFile(f"{path.name} cannot be read as a map: {error}") from error
     try:
         tensor_map = TensorMap.from_parts(arrays, attributes)
