@@ -11,7 +11,11 @@ import numpy as np
 import pytest
 
 from app.jobs import runner as runner_module
+from app.jobs.worker import run_build
+from core.scan import Scan
 from storage.catalog import JobState
+from storage.errors import JobNotFound, StorageBusy
+from storage.store import Store
 from tests.support.recording import recording, upload_scan
 from tests.support.service import problem_of, running, wait_for, whole_store
 
@@ -72,12 +76,12 @@ def test_a_map_without_scans_or_that_is_not_there_is_not_built(empty):
 def test_a_build_that_fails_says_why_and_publishes_nothing(empty):
     above = np.tile([1.0, 0.0, 100.0], (200, 1))  # 89 degrees up, where the grid ends at 4
     for index in range(3):
-        upload_scan(empty, "campus", "sky", index, type(recording().scans[0]).from_returns(above))
+        upload_scan(empty, "campus", "sky", index, Scan.from_returns(above))
     before = whole_store(empty)
     job = wait_for(empty, build(empty))
     assert job["state"] == "failed"
     assert job["error"]["type"] == "/problems/empty-drive"
-    assert "'sky'" in job["error"]["detail"] or "sky" in job["error"]["detail"]
+    assert "sky" in job["error"]["detail"]
     assert empty.get(job["error"]["type"]).status_code == 200
     maps, drives, revisions, _ = whole_store(empty)
     assert (maps, drives, revisions) == before[:3]
@@ -158,6 +162,57 @@ def test_a_stopped_service_leaves_no_worker_and_the_next_one_goes_on(tmp_path, m
     monkeypatch.undo()
     with running(tmp_path) as client:
         assert wait_for(client, job)["state"] == JobState.DONE
+
+
+@pytest.fixture
+def claimed(tmp_path):
+    """A store with one scan and a build that is claimed, as a worker finds it."""
+    with Store(tmp_path) as store:
+        store.maps.create("campus")
+        store.drives.put_scan("campus", "monday", 0, recording().scans[0])
+        store.jobs.create("campus", {})
+        job = store.jobs.claim()
+        assert job is not None
+        yield store, job
+
+
+def test_a_worker_that_is_asked_to_stop_publishes_nothing(tmp_path, claimed):
+    store, job = claimed
+    store.jobs.request_cancel(job.id)
+    run_build(tmp_path, None, job)
+    assert store.jobs.get(job.id).state == JobState.CANCELLED
+    assert store.revisions.list("campus").items == ()
+    assert not list(tmp_path.rglob("*.part"))
+
+
+def test_a_worker_whose_map_is_removed_ends_quietly(tmp_path, claimed):
+    store, job = claimed
+    store.maps.delete("campus")
+    run_build(tmp_path, None, job)
+    with pytest.raises(JobNotFound):
+        store.jobs.get(job.id)
+
+
+def test_what_is_missing_to_be_ready_is_told(empty, monkeypatch):
+    assert empty.get("/readyz").json() == {"ready": True, "missing": []}
+
+    def busy(*_args, **_options):
+        raise StorageBusy("another process holds it")
+
+    monkeypatch.setattr(empty.service.store.maps, "list", busy)
+    monkeypatch.setattr(type(empty.service.runner), "alive", False)
+    answer = empty.get("/readyz")
+    assert answer.status_code == 503
+    assert answer.json() == {
+        "ready": False,
+        "missing": [
+            "the catalog cannot be read: another process holds it",
+            "builds do not run",
+        ],
+    }
+    assert empty.get("/livez").status_code == 200
+    refused = empty.get("/v1/maps")
+    assert problem_of(refused) == (503, "storage-busy")
 
 
 def test_the_service_is_alive_while_every_thread_of_it_waits(own, monkeypatch):

@@ -97,9 +97,9 @@ def test_a_fault_of_ours_says_nothing_of_the_inside(own, monkeypatch, caplog):
         "%F0%9F%9A%97",
     ],
 )
-def test_a_name_that_is_no_slug_reaches_no_file(own, tmp_path, slug):
-    before = whole_store(own)
-    beside = sorted(path.name for path in tmp_path.iterdir())
+def test_a_name_that_is_no_slug_reaches_no_file(client, built, slug):
+    before = whole_store(client)
+    beside = sorted(path.name for path in built.data_dir.parent.iterdir())
     asked = [
         ("GET", f"/v1/maps/{slug}", None),
         ("DELETE", f"/v1/maps/{slug}", None),
@@ -115,10 +115,10 @@ def test_a_name_that_is_no_slug_reaches_no_file(own, tmp_path, slug):
         ("GET", f"/static-offline-docs/{slug}", None),
     ]
     for method, path, body in asked:
-        refused = own.request(method, path, content=body, headers=KITTI if body else None)
+        refused = client.request(method, path, content=body, headers=KITTI if body else None)
         assert refused.status_code in {404, 405, 422}, path
-    assert whole_store(own) == before
-    assert sorted(path.name for path in tmp_path.iterdir()) == beside
+    assert whole_store(client) == before
+    assert sorted(path.name for path in built.data_dir.parent.iterdir()) == beside
 
 
 @pytest.mark.parametrize("slug", ["", "..", "A", "a/b", "a\x00", "é", "a" * 65, ".a", "a b", "a\n"])

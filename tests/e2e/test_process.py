@@ -23,37 +23,18 @@ def server(tmp_path_factory):
         yield server
 
 
-def test_acknowledged_scans_survive_a_kill_bit_for_bit(tmp_path):
+def put_until_it_ends(server, acknowledged, enough):
+    """Put scan after scan, and note those whose answer came."""
     drive = recording()
-    acknowledged: list[int] = []
-    with serving(tmp_path / "data", tmp_path / "log") as server:
-        server.client.post("/v1/maps", json={"map": "campus"})
-        enough = threading.Event()
-
-        def put():
-            try:
-                for index in range(10**6):
-                    scan = drive.scans[index % len(drive)]
-                    put = upload_scan(server.client, "campus", "monday", index, scan)
-                    assert put.status_code == 201
-                    acknowledged.append(index)
-                    if index == 30:
-                        enough.set()
-            except httpx2.TransportError:
-                enough.set()  # the kill
-
-        thread = threading.Thread(target=put)
-        thread.start()
-        assert enough.wait(60)
-        server.end(signal.SIGKILL)
-        thread.join()
-    assert len(acknowledged) > 30
-    with serving(tmp_path / "data", tmp_path / "log") as server:
-        for index in acknowledged:
-            got = server.client.get(f"/v1/maps/campus/drives/monday/scans/{index}")
-            points = np.load(io.BytesIO(got.content), allow_pickle=False)
-            assert points.tobytes() == drive.scans[index % len(drive)].points_m.tobytes()
-    assert not list((tmp_path / "data").rglob("*.part"))
+    try:
+        for index in range(10**6):
+            put = upload_scan(server.client, "campus", "monday", index, drive.scans[index % 48])
+            assert put.status_code == 201
+            acknowledged.append(index)
+            if index == 30:
+                enough.set()
+    except httpx2.TransportError:
+        enough.set()  # the end
 
 
 def end_in_the_middle(server, how):
@@ -64,21 +45,35 @@ def end_in_the_middle(server, how):
     until(lambda: not any(map(is_running, children)), f"{children} are left over")
 
 
-def test_a_build_that_two_services_did_not_live_to_see_is_done_by_the_third(tmp_path):
-    job = None
-    for how in (signal.SIGTERM, signal.SIGKILL):
-        with serving(tmp_path / "data", tmp_path / "log") as server:
-            if job is None:
-                server.client.post("/v1/maps", json={"map": "campus"})
-                upload(server.client, "monday", recording(scans=6))
-                job = server.client.post("/v1/maps/campus/builds", json={}).json()["job"]
-            wait_for(server.client, job, {"running"})
-            end_in_the_middle(server, how)
-    with serving(tmp_path / "data", tmp_path / "log") as server:
-        done = wait_for(server.client, str(job))
+def test_what_was_acknowledged_outlives_a_kill_and_what_was_begun_is_done_after_it(tmp_path):
+    data_dir, log = tmp_path / "data", tmp_path / "log"
+    acknowledged: list[int] = []
+    with serving(data_dir, log) as server:
+        server.client.post("/v1/maps", json={"map": "campus"})
+        upload(server.client, "tuesday", recording(scans=6))
+        wanted = {"drives": ["tuesday"]}
+        enough = threading.Event()
+        putting = threading.Thread(target=put_until_it_ends, args=(server, acknowledged, enough))
+        putting.start()
+        assert enough.wait(60)
+        job = server.client.post("/v1/maps/campus/builds", json=wanted).json()["job"]
+        wait_for(server.client, job, {"running", "done"})
+        end_in_the_middle(server, signal.SIGKILL)
+        putting.join()
+    with serving(data_dir, log) as server:
+        wait_for(server.client, job, {"running", "done"})
+        end_in_the_middle(server, signal.SIGTERM)
+    with serving(data_dir, log) as server:
+        assert len(acknowledged) > 30
+        for index in acknowledged:
+            got = server.client.get(f"/v1/maps/campus/drives/monday/scans/{index}")
+            points = np.load(io.BytesIO(got.content), allow_pickle=False)
+            assert points.tobytes() == recording().scans[index % 48].points_m.tobytes()
+        done = wait_for(server.client, job)
         assert done["state"] == "done"
         live = server.client.get("/v1/maps/campus").json()["live_revision"]
         assert live == done["revision"]
+    assert not list(data_dir.rglob("*.part"))
 
 
 @pytest.mark.parametrize("declared", [True, False], ids=["declared", "chunked"])
