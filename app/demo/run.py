@@ -92,7 +92,7 @@ def run_demo(client: Client, drive: Drive, progress: BuildProgress) -> Outcome:
         progress: Told of each stage.
 
     Raises:
-        RequestFailed: If the service refuses something.
+        DemoFailed: If the service refuses something.
     """
     scans = min(len(drive), MAX_SCANS)
     cuts = cut_fixed(scans, segment_length_for(scans, segments=_SEGMENTS))

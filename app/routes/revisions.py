@@ -38,7 +38,7 @@ OneRevision = Annotated[
     str | None, Query(alias="revision", description="Which revision; the live one by default.")
 ]
 Segments = Annotated[
-    list[Annotated[int, Field(ge=0, le=0xFFFF)]] | None,
+    list[Annotated[int, Field(ge=0, lt=2**31)]] | None,
     Query(alias="segment", description="Only these segments; may be given several times."),
 ]
 
