@@ -84,8 +84,8 @@ def project_scan(scan: Scan, grid: AngularGrid, reducer: Reducer) -> RangeImage:
 def _cells_and_ranges(points_m: Float32Array, grid: AngularGrid) -> tuple[IntArray, FloatArray]:
     """Return the flat cell and the range of each return inside the grid, in the returns' order."""
     x, y, z = points_m.T.astype(np.float64)
-    # sqrt and arctan are vectorized where hypot and arctan2 are not, in a third to half of the
-    # time. Squares of float32 do not overflow float64, and straight up is arctan(inf).
+    # sqrt and arctan are vectorized where hypot and arctan2 are not, and take a third to half of
+    # the time. Squares of float32 do not overflow float64, and straight up is arctan(inf).
     across_m = np.sqrt(x * x + y * y)
     with np.errstate(divide="ignore"):
         elevation_steps = np.degrees(np.arctan(z / across_m)) / grid.elevation_step_deg

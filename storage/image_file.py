@@ -40,7 +40,7 @@ class ImageFile:
             self.scans: IntArray = self._file["scans"][()]
             self.returns = int(self._file.attrs["returns"])
             self.skipped = tuple(Skipped(*item) for item in json.loads(self._file.attrs["skipped"]))
-        except (OSError, KeyError, ValueError, TypeError) as error:
+        except (OSError, KeyError, ValueError, TypeError, RuntimeError) as error:
             raise CorruptFile(f"{path.name} holds no images: {error}") from error
         if self._images.shape != (len(self.scans), *grid.shape):
             raise CorruptFile(f"{path.name} holds images of shape {self._images.shape[1:]}")

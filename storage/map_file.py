@@ -10,6 +10,7 @@ from typing import Any
 import h5py
 import numpy as np
 
+from core.errors import TensorMapError
 from core.tensormap import TensorMap
 from storage.errors import CorruptFile
 
@@ -50,9 +51,12 @@ def read_map(path: Path) -> TensorMap:
         raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(path))
     try:
         arrays, attributes, digest = _read_parts(path)
-    except (OSError, KeyError, ValueError, TypeError) as error:
+    except (OSError, KeyError, ValueError, TypeError, RuntimeError) as error:  # HDF5 raises each
         raise CorruptFile(f"{path.name} cannot be read as a map: {error}") from error
-    tensor_map = TensorMap.from_parts(arrays, attributes)
+    try:
+        tensor_map = TensorMap.from_parts(arrays, attributes)
+    except TensorMapError as error:
+        raise CorruptFile(f"{path.name} holds no map: {error}") from error
     if tensor_map.revision != digest:
         raise CorruptFile(
             f"{path.name} says it holds {digest}, its content is {tensor_map.revision}"

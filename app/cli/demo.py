@@ -76,14 +76,15 @@ def _show(name: str, outcome: Outcome) -> None:
         f" ({compression.elements} elements)",
         soft_wrap=True,
     )
-    table = Table("asked by", title="Held-out scans, localized over HTTP")
+    table = Table(title="Held-out scans, localized over HTTP")
+    table.add_column("asked by", no_wrap=True)
     for heading in (
         "fixes",
         "segment accuracy",
         f"recall@1 {RECALL_M:g} m",
         "position error m",
-        "bytes per fix",
-        "ms per fix",
+        "bytes",
+        "ms",
     ):
         table.add_column(heading, justify="right")
     for fixes in outcome.fixes:

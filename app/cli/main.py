@@ -5,6 +5,7 @@ import sys
 import typer
 
 from app.cli import demo, evaluate, maps, serve, simulate
+from app.demo.errors import DemoFailed
 from app.threads import one_blas_thread
 from core.errors import TensorMapError
 
@@ -35,7 +36,7 @@ def main() -> None:
     one_blas_thread()
     try:
         cli()
-    except TensorMapError as error:
+    except (TensorMapError, DemoFailed) as error:
         sys.stderr.write(f"tensormap: {error}\n")
         sys.exit(1)
     except OSError as error:

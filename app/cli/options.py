@@ -48,7 +48,7 @@ SegmentsOption = Annotated[
     int | None,
     typer.Option(
         min=1,
-        help="L instead: k = ceil(K / L). Default: 5, none longer than 760 scans.",
+        help="L instead: k = ceil(K / L). Default: k = 760, the paper's.",
         rich_help_panel=_BUILD,
     ),
 ]

@@ -6,24 +6,20 @@ from typing import Any, Self
 import httpx2
 import numpy as np
 
+from app.demo.errors import DemoFailed
 from app.jobs.parameters import BuildParameters
 from app.schemas.jobs import JobOut
 from app.schemas.localizations import LocalizationOut
 from app.schemas.revisions import BasisOut
 from app.schemas.topology import TopologyOut
-from core.errors import TensorMapError
 from core.scan import Scan
 from storage.catalog import JobState
 
-__all__ = ["Client", "RequestFailed"]
+__all__ = ["Client"]
 
 _KITTI = "application/vnd.tensormap.kitti"
 _SIGNATURE = "application/vnd.tensormap.signature"
 _POLL_S = 0.1
-
-
-class RequestFailed(TensorMapError):
-    """The service refused a request or a build failed."""
 
 
 class Client:
@@ -68,12 +64,12 @@ class Client:
         """Wait a moment and return how far a job is.
 
         Raises:
-            RequestFailed: If it failed.
+            DemoFailed: If it failed.
         """
         time.sleep(_POLL_S)
         now = JobOut.model_validate_json(self._ask("GET", f"/v1/jobs/{job.job}").content)
         if now.state in {JobState.FAILED, JobState.CANCELLED}:
-            raise RequestFailed(f"the build is {now.state}: {now.error}")
+            raise DemoFailed(f"the build is {now.state}: {now.error}")
         return now
 
     def mapped_scans(self) -> int:
@@ -110,5 +106,5 @@ class Client:
     def _ask(self, method: str, path: str, **parts: Any) -> httpx2.Response:  # noqa: ANN401
         answer = self._http.request(method, path, **parts)
         if not answer.is_success:
-            raise RequestFailed(f"{method} {path}: {answer.status_code} {answer.text}")
+            raise DemoFailed(f"{method} {path}: {answer.status_code} {answer.text}")
         return answer

@@ -17,8 +17,9 @@ from core.drive import Drive
 from core.errors import InvalidScan
 from core.evaluation.split import Interleaved
 from core.progress import Progress
+from core.projection import Reducer
 from core.scan import Scan
-from core.segmentation import PAPER_SEGMENTS, cut_fixed, segment_length_for
+from core.segmentation import cut_fixed, segment_length_for
 from core.signature import pack_signatures
 from core.tucker import storage_elements
 from storage.catalog import JobState
@@ -30,6 +31,8 @@ MAX_SCANS = 300
 RECALL_M = 3.0
 
 _DRIVE = "recorded"
+# Longer segments are recalled better (paper, sec. 3.2): two are the fewest that can be mistaken.
+_SEGMENTS = 2
 
 
 class BuildProgress(Progress, Protocol):
@@ -90,10 +93,10 @@ def run_demo(client: Client, drive: Drive, progress: BuildProgress) -> Outcome:
         progress: Told of each stage.
 
     Raises:
-        RequestFailed: If the service refuses something.
+        DemoFailed: If the service refuses something.
     """
     scans = min(len(drive), MAX_SCANS)
-    cuts = cut_fixed(scans, segment_length_for(scans, segments=PAPER_SEGMENTS))
+    cuts = cut_fixed(scans, segment_length_for(scans, segments=_SEGMENTS))
     held_out = Interleaved(0.2).held_out(cuts)
     client.create_map(f"Demonstration: {drive.name}")
     posted, returns = 0, 0
@@ -127,7 +130,7 @@ def run_demo(client: Client, drive: Drive, progress: BuildProgress) -> Outcome:
             _ask(name, asked, drive, answer, progress)
             for name, answer in (
                 ("full scan", lambda q: _by_scan(client, q)),
-                ("signatures, segment unknown", lambda q: _by_signature(client, basis, q, None)),
+                ("signatures, all segments", lambda q: _by_signature(client, basis, q, None)),
                 ("signature, segment known", lambda q: _by_signature(client, basis, q, q.segment)),
             )
         ),
@@ -145,7 +148,7 @@ def run_demo(client: Client, drive: Drive, progress: BuildProgress) -> Outcome:
 
 def _build(client: Client, progress: BuildProgress) -> int:
     """Build the map as a job, and return how many scans it holds."""
-    job = client.build(BuildParameters(segments=PAPER_SEGMENTS))
+    job = client.build(BuildParameters(segments=_SEGMENTS, reducer=Reducer.NEAREST))
     stage = ""
     while job.state != JobState.DONE:
         job = client.follow(job)

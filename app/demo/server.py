@@ -12,23 +12,19 @@ from pathlib import Path
 
 import httpx2
 
-from core.errors import TensorMapError
+from app.demo.errors import DemoFailed
 
-__all__ = ["ServerFailed", "free_port", "running_server"]
+__all__ = ["free_port", "running_server"]
 
 _START_S = 60.0  # a cold disk reads SciPy slowly
 _STOP_S = 15.0
-
-
-class ServerFailed(TensorMapError):
-    """The service could not be started."""
 
 
 def free_port(first: int = 8000, tries: int = 100) -> int:
     """Return `first`, or the next port that is free.
 
     Raises:
-        ServerFailed: If none of `tries` ports is.
+        DemoFailed: If none of `tries` ports is.
     """
     for port in range(first, first + tries):
         try:
@@ -36,7 +32,7 @@ def free_port(first: int = 8000, tries: int = 100) -> int:
                 return port
         except OSError:
             continue
-    raise ServerFailed(f"no port from {first} to {first + tries - 1} is free")
+    raise DemoFailed(f"no port from {first} to {first + tries - 1} is free")
 
 
 @contextmanager
@@ -44,7 +40,7 @@ def running_server(data_dir: Path, port: int) -> Iterator[str]:
     """Run the service on loopback while the block runs; yields its URL.
 
     Raises:
-        ServerFailed: If it ends or does not answer; the message has what it wrote.
+        DemoFailed: If it ends or does not answer; the message has what it wrote.
     """
     url = f"http://127.0.0.1:{port}"
     log = data_dir / "server.log"
@@ -79,4 +75,4 @@ def _wait_until_ready(process: subprocess.Popen[bytes], url: str, log: Path) -> 
                 return
         except httpx2.TransportError:
             time.sleep(0.1)
-    raise ServerFailed(f"the service did not start:\n{log.read_text()}")
+    raise DemoFailed(f"the service did not start:\n{log.read_text()}")
