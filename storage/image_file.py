@@ -18,7 +18,7 @@ from core.sensor import AngularGrid
 from storage.errors import CorruptFile
 from storage.files import publish
 
-__all__ = ["ImageFile", "image_file_name", "write_image_file"]
+__all__ = ["ImageFile", "image_file_name", "remove_other_versions", "write_image_file"]
 
 _BLOCK = 8  # images in an HDF5 chunk: 340 kB on the paper's grid, inside h5py's 1 MB cache
 
@@ -68,6 +68,17 @@ def image_file_name(grid: AngularGrid, reducer: Reducer, scans_digest: str) -> s
     """
     projection = content_digest({}, {"grid": grid.as_attributes(), "reducer": reducer.value})
     return f"{reducer}-{projection[:16]}-{scans_digest[:32]}.h5"
+
+
+def remove_other_versions(path: Path) -> None:
+    """Remove the images of the same projection that the drive had with fewer scans.
+
+    Whoever reads one goes on to its end.
+    """
+    projection, _, _ = path.stem.rpartition("-")
+    for other in path.parent.glob(f"{projection}-*.h5"):
+        if other != path:
+            other.unlink(missing_ok=True)
 
 
 def write_image_file(
