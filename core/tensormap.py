@@ -46,6 +46,8 @@ class TensorMap:
             raise InvalidMap(f"{scans} signatures and {len(self.trajectory)} scans")
         if self.relative_error.shape != (segments,):
             raise InvalidMap(f"{segments} segments and {self.relative_error.shape} errors")
+        if not ((self.relative_error >= 0) & (self.relative_error <= 1)).all():
+            raise InvalidMap("relative_error holds numbers that are not within 0..1")
         if len(self.topology.edge_nodes) != segments:
             raise InvalidMap(f"{segments} segments and {len(self.topology.edge_nodes)} edges")
         if len(self.topology.node_scan) and not (

@@ -40,12 +40,12 @@ def test_a_scan_is_n_by_3(shape):
 def test_a_scan_holds_finite_returns_away_from_the_origin_only(row):
     with pytest.raises(InvalidScan, match="not finite or zero"):
         Scan(np.array([row, [1, 2, 3]], dtype=np.float32))
-    scan = Scan.from_returns(np.array([row, [1, 2, 3]]))
+    scan = Scan.from_returns(np.array([row, [1.0, 2.0, 3.0]]))
     assert (len(scan), scan.dropped_returns) == (1, 1)
 
 
 def test_a_coordinate_beyond_float32_is_no_return():
-    assert Scan.from_returns([[1e300, 0, 0], [1, 0, 0]]).dropped_returns == 1
+    assert Scan.from_returns([[1e300, 0.0, 0.0], [1.0, 0.0, 0.0]]).dropped_returns == 1
     with pytest.raises(InvalidScan, match="not finite"):
         Scan(np.array([[1e300, 0, 0]]))
 
