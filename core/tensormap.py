@@ -121,10 +121,10 @@ class TensorMap:
         Raises:
             InvalidMap: If something is missing or does not fit together.
         """
-        parameters = MapParameters.from_attributes(dict(attributes))
         try:
+            parameters = MapParameters.from_attributes(dict(attributes))
             a = dict(arrays)
-            return cls(
+            tensor_map = cls(
                 parameters,
                 PaperModel(
                     a["elevation_basis"], a["azimuth_basis"], a["signatures"], a["segment_start"]
@@ -141,3 +141,8 @@ class TensorMap:
             )
         except KeyError as error:
             raise InvalidMap(f"the map lacks {error}") from error
+        except (OverflowError, TypeError, ValueError) as error:
+            raise InvalidMap(f"the map's parts are not of their kind: {error}") from error
+        if tensor_map.attributes() != dict(attributes):
+            raise InvalidMap("the map has attributes that are unknown or not in their own form")
+        return tensor_map
