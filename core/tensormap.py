@@ -54,6 +54,12 @@ class TensorMap:
             self.topology.node_scan.min() >= 0 and self.topology.node_scan.max() < scans
         ):
             raise InvalidMap("node_scan names a scan that does not exist")
+        starts = self.model.segment_start
+        if not np.isin(self.trajectory.drive_start, starts).all():
+            raise InvalidMap("a segment runs from one drive into the next")
+        nodes = self.topology.node_scan[self.topology.edge_nodes]
+        if (nodes[:, 0] > starts[:-1]).any() or (nodes[:, 1] < starts[1:] - 1).any():
+            raise InvalidMap("a segment's scans do not lie between its edge's nodes")
         if self.model.ranks != self.parameters.ranks:
             raise InvalidMap(f"signatures are {self.model.ranks}, ranks {self.parameters.ranks}")
         if self.model.grid_shape != self.parameters.grid.shape:

@@ -270,6 +270,15 @@ def test_a_map_whose_parts_do_not_fit_is_refused(made):
         tensor_map.topology.edge_nodes,
         tensor_map.topology.edge_length_m,
     )
+    turned_round = Topology(
+        tensor_map.topology.node_scan,
+        tensor_map.topology.edge_nodes[:, ::-1],
+        tensor_map.topology.edge_length_m,
+    )
+    one = tensor_map.trajectory
+    cut_elsewhere = Trajectory(
+        one.drives, np.array([0, 20, 48]), np.r_[0:20, 0:28], one.timestamp_s, one.poses
+    )
     parts = {
         "parameters": tensor_map.parameters,
         "model": tensor_map.model,
@@ -282,6 +291,8 @@ def test_a_map_whose_parts_do_not_fit_is_refused(made):
         ({"relative_error": np.zeros(5)}, "6 segments"),
         ({"relative_error": np.full(6, np.nan)}, "relative_error"),
         ({"relative_error": np.full(6, -0.1)}, "relative_error"),
+        ({"topology": turned_round}, "do not lie between its edge's nodes"),
+        ({"trajectory": cut_elsewhere}, "runs from one drive into the next"),
         ({"topology": node_beyond}, "node_scan names a scan that does not exist"),
         ({"parameters": MapParameters(grid=tensor_map.parameters.grid, ranks=(4, 3))}, "ranks"),
         ({"parameters": MapParameters(ranks=(3, 4))}, "not for the grid"),
