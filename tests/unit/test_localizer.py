@@ -129,7 +129,7 @@ def test_exactly_the_segments_of_the_signatures_are_searched(made, localizer, se
 def test_part_of_the_basis_makes_the_same_signatures(made, localizer):
     tensor_map, images = made
     part = tensor_map.basis(np.array([4, 1]))
-    assert part.segments.tolist() == [4, 1]
+    assert set(part.segments.tolist()) == {1, 4}
     image = sample_image(tensor_map, images[0])
     whole = localizer.basis.encode(image)
     for signature in part.encode(image):
