@@ -1,4 +1,4 @@
-"""Request bodies: how long they may be, and how those that are not JSON are read."""
+"""Request bodies: which are read at all, and how those that are not JSON are."""
 
 from http import HTTPStatus
 from typing import Annotated, Any
@@ -11,13 +11,13 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from app.errors import BodyTooLarge, UnsupportedBody, problem_response
 from storage.formats.registry import SCAN_FORMATS
 
-__all__ = ["SCAN_BODY", "Body", "BodyLimit", "ContentType", "binary_body", "media_type"]
+__all__ = ["SCAN_BODY", "Body", "BodyGuard", "ContentType", "binary_body", "media_type"]
 
 ContentType = Annotated[str | None, Header(include_in_schema=False)]
 
 
-class BodyLimit:
-    """Refuse a body that is too long: at once if it says so, else when the limit is passed.
+class BodyGuard:
+    """Refuse a body that is compressed, or too long: at once if it says so, else on the way.
 
     FastAPI's own `max_body_size` answers in plain text; an error of ours is a problem.
     """
@@ -31,7 +31,13 @@ class BodyLimit:
         if scope["type"] != "http":
             await self._app(scope, receive, send)
             return
-        declared = Headers(scope=scope).get("content-length", "")
+        headers = Headers(scope=scope)
+        encoding = headers.get("content-encoding", "").strip().lower()
+        if encoding not in {"", "identity"}:
+            refused = UnsupportedBody(f"Content-Encoding is {encoding[:40]!r}, wanted none")
+            await problem_response(refused)(scope, receive, send)
+            return
+        declared = headers.get("content-length", "")
         if declared.isdecimal() and int(declared) > self._max_body_bytes:
             error = BodyTooLarge(
                 f"the body has {declared} bytes, at most {self._max_body_bytes} are read"
@@ -53,9 +59,6 @@ class BodyLimit:
 
 async def _body(request: Request) -> bytes:
     """Read a body whole."""
-    encoding = request.headers.get("content-encoding", "identity").strip().lower()
-    if encoding != "identity":
-        raise UnsupportedBody(f"Content-Encoding is {encoding[:40]!r}, wanted none")
     return await request.body()
 
 

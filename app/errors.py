@@ -11,29 +11,41 @@ from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse
 from pydantic import BaseModel, ConfigDict, Field
 from starlette.exceptions import HTTPException
+from starlette.requests import ClientDisconnect
+from starlette.responses import Response
+from starlette.routing import Match
 
 from core import errors as core
 from storage import errors as stored
 from storage.formats import errors as formats
 
 __all__ = [
+    "JSON_BODY",
+    "READING",
     "STATUS",
+    "WRITING",
     "BodyTooLarge",
     "HostNotAllowed",
     "InvalidRequest",
     "KeyNeeded",
     "KeyRefused",
+    "MethodNotAllowed",
     "NoSuchRoute",
     "Problem",
     "UnsupportedBody",
+    "WorkerDied",
     "add_handlers",
     "problem_name",
-    "problem_name_of",
     "problem_response",
+    "problem_type",
     "problems",
 ]
 
 MEDIA_TYPE = "application/problem+json"
+
+_METHODS = ("DELETE", "GET", "HEAD", "PATCH", "POST", "PUT")
+_MOST_FIELDS = 20  # a body of 100,000 poses may be wrong 700,000 times
+_MOST_CHARACTERS = 200  # of what a client sent and an answer repeats
 
 _log = logging.getLogger("tensormap")
 
@@ -67,7 +79,15 @@ class HostNotAllowed(AppError):
 
 
 class NoSuchRoute(AppError):
-    """A path or method that the API does not have."""
+    """A path that the API does not have."""
+
+
+class MethodNotAllowed(AppError):
+    """A method that this path does not have; `Allow` lists those that it has."""
+
+
+class WorkerDied(AppError):
+    """The process of a build ended before the build did."""
 
 
 class InternalError(AppError):
@@ -123,8 +143,17 @@ STATUS: dict[type[core.TensorMapError], HTTPStatus] = {
     KeyRefused: S.UNAUTHORIZED,
     HostNotAllowed: S.MISDIRECTED_REQUEST,
     NoSuchRoute: S.NOT_FOUND,
+    MethodNotAllowed: S.METHOD_NOT_ALLOWED,
+    WorkerDied: S.INTERNAL_SERVER_ERROR,
     InternalError: S.INTERNAL_SERVER_ERROR,
 }
+
+READING = (stored.StorageBusy, InternalError)
+"""How every route that reads the store may end."""
+WRITING = (*READING, stored.StorageFull, stored.StorageReadOnly)
+"""How every route that writes to it may end."""
+JSON_BODY = (InvalidRequest, BodyTooLarge, UnsupportedBody)
+"""How every route that takes JSON may end."""
 
 
 class FieldProblem(BaseModel):
@@ -162,29 +191,38 @@ def problem_name(error: type[core.TensorMapError]) -> str:
         >>> problem_name(core.TooFewReturns)
         'too-few-returns'
     """
-    return problem_name_of(error.__name__)
+    return _name_of(error.__name__)
 
 
-def problem_name_of(error: str) -> str:
-    """Return the stable name of the error class called `error`."""
+def problem_type(error: str) -> str:
+    """Return the `type` of the error class called `error`: the path that explains it.
+
+    Examples:
+        >>> problem_type("EmptyDrive")
+        '/problems/empty-drive'
+    """
+    return f"/problems/{_name_of(error)}"
+
+
+def _name_of(error: str) -> str:
     return re.sub(r"(?<!^)(?=[A-Z])", "-", error).lower()
 
 
 def problems(*kinds: type[core.TensorMapError]) -> dict[int | str, dict[str, Any]]:
     """Return the OpenAPI `responses` of a route that may end in these errors."""
     by_status: dict[HTTPStatus, list[type[core.TensorMapError]]] = {}
-    for kind in kinds:
+    for kind in dict.fromkeys(kinds):
         by_status.setdefault(STATUS[kind], []).append(kind)
     return {
         status.value: {
             "description": "; ".join(f"`{problem_name(kind)}`: {_title(kind)}" for kind in of_it),
             "content": {
                 MEDIA_TYPE: {
-                    "schema": Problem.model_json_schema(),
+                    "schema": {"$ref": "#/components/schemas/Problem"},
                     "examples": {
                         problem_name(kind): {
                             "value": {
-                                "type": _type_of(kind),
+                                "type": problem_type(kind.__name__),
                                 "title": _title(kind),
                                 "status": status.value,
                                 "detail": "what was wanted and what came",
@@ -206,15 +244,21 @@ def problem_response(
     kind = next(kind for kind in type(error).__mro__ if kind in STATUS)
     status = STATUS[kind]
     content: dict[str, Any] = {
-        "type": _type_of(kind),
+        "type": problem_type(kind.__name__),
         "title": _title(kind),
         "status": status.value,
         "detail": str(error),
     }
     if errors is not None:
         content["errors"] = errors
-    headers = {"WWW-Authenticate": "Bearer"} if status is S.UNAUTHORIZED else None
-    return JSONResponse(content, status, headers, media_type=MEDIA_TYPE)
+    return JSONResponse(content, status, _CHALLENGES.get(kind), media_type=MEDIA_TYPE)
+
+
+# RFC 6750: a request without a key is only told which scheme to use.
+_CHALLENGES: dict[type[core.TensorMapError], dict[str, str]] = {
+    KeyNeeded: {"WWW-Authenticate": "Bearer"},
+    KeyRefused: {"WWW-Authenticate": 'Bearer error="invalid_token"'},
+}
 
 
 def add_handlers(app: FastAPI) -> None:
@@ -228,10 +272,19 @@ def add_handlers(app: FastAPI) -> None:
         return response
 
     @app.exception_handler(RequestValidationError)
-    def invalid(_request: Request, error: RequestValidationError) -> JSONResponse:
+    def invalid(request: Request, error: RequestValidationError) -> JSONResponse:
+        kind = request.headers.get("content-type", "")
+        # FastAPI parses as JSON only what says that it is, and else finds bytes for a body.
+        if "json" not in kind.lower() and any(e["loc"] == ("body",) for e in error.errors()):
+            return problem_response(
+                UnsupportedBody(f"Content-Type is {kind[:80]!r}, wanted application/json")
+            )
         fields = list(_field_problems(error))
+        more = len(error.errors()) - len(fields)
         detail = "; ".join(f"{field['where']}: {field['what']}" for field in fields)
-        return problem_response(InvalidRequest(detail), fields)
+        return problem_response(
+            InvalidRequest(f"{detail}; and {more} more" if more else detail), fields
+        )
 
     @app.exception_handler(HTTPException)
     def http(request: Request, error: HTTPException) -> JSONResponse:
@@ -240,13 +293,23 @@ def add_handlers(app: FastAPI) -> None:
             return problem_response(
                 BodyTooLarge(f"the body is longer than the {limit} bytes that are read")
             )
-        if error.status_code in {S.NOT_FOUND, S.METHOD_NOT_ALLOWED}:
+        path = request.url.path[:_MOST_CHARACTERS]
+        if error.status_code == S.NOT_FOUND:
+            return problem_response(NoSuchRoute(f"there is no {path}; see /docs"))
+        if error.status_code == S.METHOD_NOT_ALLOWED:
+            allowed = ", ".join(_allowed_methods(request))
             response = problem_response(
-                NoSuchRoute(f"there is no {request.method} {request.url.path}; see /docs")
+                MethodNotAllowed(f"{path} has no {request.method[:40]}, it has {allowed}")
             )
-            response.headers.update(error.headers or {})
+            response.headers["Allow"] = allowed
             return response
         return problem_response(InvalidRequest(str(error.detail)))
+
+    @app.exception_handler(ClientDisconnect)
+    def gone(request: Request, _error: ClientDisconnect) -> Response:
+        # A vehicle drove out of reach: nobody reads the answer, and it is no fault of the service.
+        _log.info("%s %s: the client went away", request.method, request.url.path)
+        return Response(status_code=S.BAD_REQUEST)
 
     @app.exception_handler(Exception)
     def unknown(request: Request, error: Exception) -> JSONResponse:
@@ -254,14 +317,22 @@ def add_handlers(app: FastAPI) -> None:
         return problem_response(InternalError("the service failed; its log says where"))
 
 
+def _allowed_methods(request: Request) -> list[str]:
+    # Starlette's own Allow has the methods of the first route only, and ours have one each.
+    return [
+        method
+        for method in _METHODS
+        if any(
+            route.matches({**request.scope, "method": method})[0] is Match.FULL
+            for route in request.app.routes
+        )
+    ]
+
+
 def _field_problems(error: RequestValidationError) -> Iterator[dict[str, str]]:
-    for found in error.errors():
+    for found in error.errors()[:_MOST_FIELDS]:
         where = "/".join(str(part) for part in found["loc"])
-        yield {"where": where, "what": str(found["msg"])}
-
-
-def _type_of(kind: type[core.TensorMapError]) -> str:
-    return f"/problems/{problem_name(kind)}"
+        yield {"where": where[:_MOST_CHARACTERS], "what": str(found["msg"])[:_MOST_CHARACTERS]}
 
 
 def _title(kind: type[core.TensorMapError]) -> str:

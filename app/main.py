@@ -10,9 +10,10 @@ from fastapi_offline import FastAPIOffline
 from starlette.concurrency import run_in_threadpool
 
 from app.auth import open_access
-from app.bodies import BodyLimit
+from app.bodies import BodyGuard
 from app.errors import add_handlers
 from app.jobs.runner import JobRunner
+from app.openapi import complete_openapi
 from app.revisions import LoadedRevisions
 from app.routes import api, open_routes
 from app.service import Service
@@ -57,9 +58,10 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     )
     app.state.settings = chosen
     add_handlers(app)
-    app.add_middleware(BodyLimit, max_body_bytes=chosen.max_body_bytes)
+    app.add_middleware(BodyGuard, max_body_bytes=chosen.max_body_bytes)
     app.include_router(api())
     app.include_router(open_routes())
+    complete_openapi(app)
     return app
 
 

@@ -7,7 +7,9 @@ from dataclasses import dataclass
 from core.errors import StaleSignature
 from core.localizer import Localizer
 from core.signature import REVISION_PREFIX_BYTES
-from storage.errors import AmbiguousRevision, NoLiveRevision, RevisionNotFound
+from core.tensormap import TensorMap
+from storage.catalog import MapRecord
+from storage.errors import AmbiguousRevision, CorruptFile, NoLiveRevision, RevisionNotFound
 from storage.map_file import read_map
 from storage.store import Store
 
@@ -48,34 +50,51 @@ class LoadedRevisions:
         Raises:
             MapNotFound: If there is no such map.
             NoLiveRevision: If nothing was built of it yet.
+            CorruptFile: If its file is not what was written.
         """
-        record = self._store.maps.get(map_slug)
-        if record.live_revision is None:
-            raise NoLiveRevision(f"map {map_slug!r} has no revision yet: post a build")
-        return Answering(self._get(map_slug, record.id, record.live_revision), record.live_revision)
+        of_map, live = self._live(map_slug)
+        return Answering(self._get(map_slug, of_map.id, live), live)
 
     def named(self, map_slug: str, revision: str) -> Answering:
+        """Return a retained revision by its digest or a prefix of at least 12 digits.
+
+        Raises:
+            MapNotFound: If there is no such map.
+            NoLiveRevision: If nothing was built of it yet.
+            RevisionNotFound: If the map has no such revision, or no longer.
+            AmbiguousRevision: If the map has several.
+            CorruptFile: If its file is not what was written.
+        """
+        of_map, live = self._live(map_slug)
+        digest = self._store.revisions.get(map_slug, revision).digest
+        return Answering(self._get(map_slug, of_map.id, digest), live)
+
+    def of_signature(self, map_slug: str, revision: str) -> Answering:
         """Return the retained revision that a signature names, by digest or at least 16 digits.
 
         Raises:
             MapNotFound: If there is no such map.
             NoLiveRevision: If nothing was built of it yet.
             StaleSignature: If the map has no such revision, or no longer; names the live one.
+            CorruptFile: If its file is not what was written.
         """
-        record = self._store.maps.get(map_slug)
-        if record.live_revision is None:
-            raise NoLiveRevision(f"map {map_slug!r} has no revision yet: post a build")
+        _, live = self._live(map_slug)
         stale = StaleSignature(
             f"map {map_slug!r} has no revision {revision[:64] or '(none)'!r}, or no longer;"
-            f" live is {record.live_revision}"
+            f" live is {live}"
         )
         if len(revision) < 2 * REVISION_PREFIX_BYTES:
             raise stale
         try:
-            digest = self._store.revisions.get(map_slug, revision).digest
+            return self.named(map_slug, revision)
         except (RevisionNotFound, AmbiguousRevision):
             raise stale from None
-        return Answering(self._get(map_slug, record.id, digest), record.live_revision)
+
+    def _live(self, map_slug: str) -> tuple[MapRecord, str]:
+        record = self._store.maps.get(map_slug)
+        if record.live_revision is None:
+            raise NoLiveRevision(f"map {map_slug!r} has no revision yet: post a build")
+        return record, record.live_revision
 
     def _get(self, map_slug: str, map_id: str, digest: str) -> Localizer:
         key = (map_id, digest)
@@ -88,10 +107,20 @@ class LoadedRevisions:
             with self._lock:
                 if (found := self._loaded.get(key)) is not None:
                     return found
-            localizer = Localizer(read_map(self._store.revisions.path(map_slug, digest)))
+            localizer = Localizer(self._read(map_slug, digest))
             with self._lock:
                 self._loaded[key] = localizer
                 self._reading.pop(key, None)
                 while len(self._loaded) > self._limit:
                     self._loaded.popitem(last=False)
         return localizer
+
+    def _read(self, map_slug: str, digest: str) -> TensorMap:
+        try:
+            tensor_map = read_map(self._store.revisions.path(map_slug, digest))
+        except FileNotFoundError as error:
+            self._store.revisions.get(map_slug, digest)  # it may have been deleted meanwhile
+            raise CorruptFile(f"the file of revision {digest} is gone") from error
+        if tensor_map.revision != digest:
+            raise CorruptFile(f"the file of revision {digest} holds {tensor_map.revision}")
+        return tensor_map

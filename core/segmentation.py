@@ -9,7 +9,6 @@ from core.arrays import IntArray
 from core.errors import EmptyDrive, InvalidParameters
 
 __all__ = [
-    "PAPER_SEGMENTS",
     "PAPER_SEGMENT_LENGTH",
     "cut_drives",
     "cut_fixed",
@@ -17,7 +16,6 @@ __all__ = [
 ]
 
 PAPER_SEGMENT_LENGTH = 760  # k, sec. 3.2
-PAPER_SEGMENTS = 5  # L = 3800 / 760
 
 
 def segment_length_for(
@@ -26,7 +24,7 @@ def segment_length_for(
     """Return k for a drive of `scans` scans.
 
     `segments` asks for L parts: k = ceil(K / L), with which a short drive may fall into fewer.
-    Without either, both figures of the paper bound it: a fifth of the drive, at most 760 scans.
+    Without either, k is the paper's 760: longer segments are told apart better than shorter ones.
 
     Raises:
         InvalidParameters: If both are given, or one is below 1.
@@ -40,7 +38,7 @@ def segment_length_for(
         return segment_length
     if segments is not None:
         return max(1, math.ceil(scans / segments))
-    return min(PAPER_SEGMENT_LENGTH, max(1, math.ceil(scans / PAPER_SEGMENTS)))
+    return PAPER_SEGMENT_LENGTH
 
 
 def cut_fixed(scans: int, segment_length: int) -> IntArray:

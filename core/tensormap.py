@@ -1,6 +1,6 @@
 """A TensorMap: the immutable content of one map revision (paper, fig. 2d)."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -80,21 +80,22 @@ class TensorMap:
             self.model.segments, len(self), self.parameters.grid.shape, self.parameters.ranks
         )
 
-    def basis(self, segments: IntArray | None = None) -> Basis:
+    def basis(self, segments: Sequence[int] | IntArray | None = None) -> Basis:
         """Return what a vehicle needs to make signatures, for all or some segments.
 
         Raises:
             UnknownSegment: If the map has no such segment.
         """
-        if segments is None:
-            segments = np.arange(self.model.segments)
-        self.model.require_segments(segments)
+        wanted = np.arange(self.model.segments)
+        if segments is not None:
+            wanted = np.unique(np.asarray(segments, dtype=np.int64))
+            self.model.require_segments(wanted)
         return Basis(
             revision=self.revision,
             parameters=self.parameters,
-            segments=segments,
-            elevation_basis=self.model.elevation_basis[segments],
-            azimuth_basis=self.model.azimuth_basis[segments],
+            segments=wanted,
+            elevation_basis=self.model.elevation_basis[wanted],
+            azimuth_basis=self.model.azimuth_basis[wanted],
         )
 
     def arrays(self) -> dict[str, NDArray[Any]]:

@@ -8,6 +8,7 @@ from typing import Any
 import h5py
 import numpy as np
 
+from core.errors import TensorMapError
 from core.tensormap import TensorMap
 from storage.errors import CorruptFile
 
@@ -57,7 +58,6 @@ def read_map(path: Path) -> TensorMap:
 
     Raises:
         CorruptFile: If the file is no map, lacks something or its content has another digest.
-        InvalidMap: If its arrays and attributes can be read and form no map.
         FileNotFoundError: If there is no such file.
     """
     if not path.exists():
@@ -67,7 +67,10 @@ def read_map(path: Path) -> TensorMap:
     # RuntimeError is HDF5's own, and that of attributes nested too deep.
     except (OSError, RuntimeError, KeyError, ValueError, TypeError, OverflowError) as error:
         raise CorruptFile(f"{path.name} cannot be read as a map: {error}") from error
-    tensor_map = TensorMap.from_parts(arrays, attributes)
+    try:
+        tensor_map = TensorMap.from_parts(arrays, attributes)
+    except TensorMapError as error:
+        raise CorruptFile(f"{path.name} holds no map: {error}") from error
     if tensor_map.revision != digest:
         raise CorruptFile(
             f"{path.name} says it holds {digest}, its content is {tensor_map.revision}"

@@ -1,8 +1,8 @@
 """What a build is asked for, as the catalog keeps it."""
 
-from typing import Any
+from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
 from core.parameters import Encoding, MapParameters
 from core.projection import Reducer
@@ -10,6 +10,8 @@ from core.segmentation import PAPER_SEGMENT_LENGTH
 from core.sensor import HDL_64E, SENSORS
 
 __all__ = ["BuildParameters"]
+
+_MOST = 2**31 - 1  # scans
 
 
 class BuildParameters(BaseModel):
@@ -21,7 +23,7 @@ class BuildParameters(BaseModel):
         json_schema_extra={"example": {"drives": ["monday"], "segments": 5}},
     )
 
-    drives: list[str] | None = Field(
+    drives: list[Annotated[str, Field(max_length=64)]] | None = Field(
         None, min_length=1, description="Which drives, in this order; all of the map by default."
     )
     encoding: Encoding = Encoding.PAPER
@@ -29,10 +31,15 @@ class BuildParameters(BaseModel):
     segment_length: int | None = Field(
         None,
         ge=1,
-        description="k, scans in a segment. Without it and `segments`: a fifth of each drive,"
-        f" at most {PAPER_SEGMENT_LENGTH}.",
+        le=_MOST,
+        description=f"k, scans in a segment; {PAPER_SEGMENT_LENGTH} without it and `segments`.",
     )
-    segments: int | None = Field(None, ge=1, description="L instead, for each drive.")
+    segments: int | None = Field(
+        None,
+        ge=1,
+        le=_MOST,
+        description="L instead: k = ceil(K / L) of the longest drive's K scans.",
+    )
     reducer: Reducer = Field(Reducer.LAST, description="Which return a shared cell keeps.")
     sensor: str = Field(HDL_64E.name, description=f"One of {', '.join(sorted(SENSORS))}.")
     sensor_height_m: float = Field(1.73, gt=0, lt=100, description="Sensor above ground.")
@@ -45,6 +52,13 @@ class BuildParameters(BaseModel):
         if self.segment_length is not None and self.segments is not None:
             raise ValueError("give segment_length or segments, not both")
         return self
+
+    @field_validator("drives")
+    @classmethod
+    def _each_once(cls, drives: list[str] | None) -> list[str] | None:
+        if drives is not None and len(set(drives)) < len(drives):
+            raise ValueError("a drive comes twice")
+        return drives
 
     def map_parameters(self) -> MapParameters:
         """Return what the map will keep.

@@ -5,6 +5,7 @@ import multiprocessing
 import threading
 from multiprocessing.process import BaseProcess
 
+from app.errors import WorkerDied
 from app.jobs.worker import run_build
 from app.settings import Settings
 from core.errors import TensorMapError
@@ -69,8 +70,12 @@ class JobRunner:
             if job is None:
                 self._wake.wait(_POLL_S * 5)
                 self._wake.clear()
-            else:
+                continue
+            try:
                 self._run(job)
+            except (OSError, RuntimeError):  # no process: the next build may be luckier
+                _log.exception("job %s cannot be run", job.id)
+                self._settle(job.id, "no process could be started for the build; see the log")
 
     def _run(self, job: JobRecord) -> None:
         worker = self._context.Process(
@@ -85,7 +90,9 @@ class JobRunner:
             worker.kill()
             worker.join()
         if not self._stopping.is_set():
-            self._settle(job.id, worker.exitcode)
+            self._settle(
+                job.id, f"the build process ended with exit code {worker.exitcode}; see the log"
+            )
         worker.close()
 
     def _watch(self, worker: BaseProcess, job_id: str) -> None:
@@ -105,15 +112,13 @@ class JobRunner:
             _log.exception("job %s cannot be read", job_id)
             return False
 
-    def _settle(self, job_id: str, exit_code: int | None) -> None:
+    def _settle(self, job_id: str, reason: str) -> None:
         """Write down the end of a worker that could not do so itself."""
         try:
             if self._store.jobs.get(job_id).cancel_requested:
                 self._store.jobs.cancelled(job_id)
             else:
-                self._store.jobs.fail(
-                    job_id, "WorkerDied", f"the build process ended with exit code {exit_code}"
-                )
+                self._store.jobs.fail(job_id, WorkerDied.__name__, reason)
         except (JobNotFound, JobNotRunning):
             pass  # gone with its map, or ended as it should
         except TensorMapError:

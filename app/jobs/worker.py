@@ -3,6 +3,7 @@
 import os
 import threading
 import time
+from contextlib import suppress
 from multiprocessing import parent_process
 from multiprocessing.connection import wait
 from pathlib import Path
@@ -12,6 +13,7 @@ from app.pipelines import build_revision
 from app.threads import one_blas_thread
 from core.errors import Cancelled, TensorMapError
 from storage.catalog import JobRecord
+from storage.errors import JobNotFound
 from storage.store import Store
 
 __all__ = ["run_build"]
@@ -23,7 +25,7 @@ def run_build(data_dir: Path, catalog_url: str | None, job: JobRecord) -> None:
     """Run one claimed job to its end and write down how it ended."""
     _end_with_parent()
     one_blas_thread()
-    with Store(data_dir, catalog_url) as store:
+    with Store(data_dir, catalog_url) as store, suppress(JobNotFound):  # gone with its map
         progress = _JobProgress(store, job.id)
         try:
             parameters = BuildParameters.model_validate(job.parameters)

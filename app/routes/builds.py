@@ -2,7 +2,7 @@
 
 from fastapi import APIRouter, Response, status
 
-from app.errors import InvalidRequest, problems
+from app.errors import JSON_BODY, WRITING, problems
 from app.jobs.parameters import BuildParameters
 from app.schemas.jobs import JobOut
 from app.service import MapSlug, Running
@@ -17,7 +17,9 @@ router = APIRouter(tags=["builds"])
 @router.post(
     "/maps/{map}/builds",
     status_code=status.HTTP_202_ACCEPTED,
-    responses=problems(MapNotFound, DriveNotFound, EmptyDrive, InvalidParameters, InvalidRequest),
+    responses=problems(
+        MapNotFound, DriveNotFound, EmptyDrive, InvalidParameters, *JSON_BODY, *WRITING
+    ),
 )
 def build(
     map_slug: MapSlug, parameters: BuildParameters, running: Running, response: Response

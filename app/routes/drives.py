@@ -8,20 +8,28 @@ import numpy as np
 from fastapi import APIRouter, Path, Query, Response, status
 
 from app.bodies import SCAN_BODY, Body, ContentType
-from app.errors import BodyTooLarge, InvalidRequest, UnsupportedBody, problems
+from app.errors import (
+    JSON_BODY,
+    READING,
+    WRITING,
+    BodyTooLarge,
+    InvalidRequest,
+    UnsupportedBody,
+    problems,
+)
 from app.schemas.drives import DriveOut, DrivePatch, ScanOut
 from app.schemas.pages import After, Limit, PageOut
 from app.schemas.poses import PoseQuery, PosesIn, pose_from_query
 from app.service import DriveSlug, MapSlug, Running
-from core.errors import InvalidParameters, InvalidPose, InvalidScan, TooFewReturns
+from core.errors import InvalidPose, InvalidScan, TooFewReturns
 from storage.errors import (
+    CorruptFile,
     DriveClosed,
     DriveNotFound,
     InvalidSlug,
     MapNotFound,
     ScanConflict,
     ScanNotFound,
-    StorageFull,
 )
 from storage.formats.errors import (
     EmptyBody,
@@ -67,7 +75,7 @@ _NPY: dict[int | str, dict[str, Any]] = {
 }
 
 
-@router.get("/maps/{map}/drives", responses=problems(MapNotFound, InvalidRequest))
+@router.get("/maps/{map}/drives", responses=problems(MapNotFound, InvalidRequest, *READING))
 def list_drives(
     map_slug: MapSlug, running: Running, after: After = "", limit: Limit = 100
 ) -> PageOut[DriveOut]:
@@ -76,14 +84,15 @@ def list_drives(
     return PageOut(items=[DriveOut.from_record(r) for r in page.items], next_after=page.next_after)
 
 
-@router.get("/maps/{map}/drives/{drive}", responses=problems(MapNotFound, DriveNotFound))
+@router.get("/maps/{map}/drives/{drive}", responses=problems(MapNotFound, DriveNotFound, *READING))
 def get_drive(map_slug: MapSlug, drive_slug: DriveSlug, running: Running) -> DriveOut:
     """Show a drive: which scans are in, and which are missing."""
     return DriveOut.from_record(running.store.drives.get(map_slug, drive_slug))
 
 
 @router.patch(
-    "/maps/{map}/drives/{drive}", responses=problems(MapNotFound, DriveNotFound, InvalidRequest)
+    "/maps/{map}/drives/{drive}",
+    responses=problems(MapNotFound, DriveNotFound, CorruptFile, *JSON_BODY, *WRITING),
 )
 def close_drive(
     map_slug: MapSlug,
@@ -98,7 +107,7 @@ def close_drive(
 @router.delete(
     "/maps/{map}/drives/{drive}",
     status_code=status.HTTP_204_NO_CONTENT,
-    responses=problems(MapNotFound, DriveNotFound),
+    responses=problems(MapNotFound, DriveNotFound, *WRITING),
 )
 def delete_drive(map_slug: MapSlug, drive_slug: DriveSlug, running: Running) -> None:
     """Remove a drive and its scans; revisions that were built of it stay."""
@@ -116,10 +125,10 @@ def delete_drive(map_slug: MapSlug, drive_slug: DriveSlug, running: Running) -> 
             InvalidSlug,
             ScanConflict,
             DriveClosed,
-            StorageFull,
             InvalidPose,
             InvalidRequest,
             *BAD_SCAN,
+            *WRITING,
         ),
     },
 )
@@ -157,7 +166,10 @@ def put_scan(
 @router.get(
     "/maps/{map}/drives/{drive}/scans/{index}",
     response_class=Response,
-    responses={**_NPY, **problems(MapNotFound, DriveNotFound, ScanNotFound, InvalidRequest)},
+    responses={
+        **_NPY,
+        **problems(MapNotFound, DriveNotFound, ScanNotFound, CorruptFile, InvalidRequest, *READING),
+    },
 )
 def get_scan(
     map_slug: MapSlug, drive_slug: DriveSlug, index: ScanIndex, running: Running
@@ -171,9 +183,7 @@ def get_scan(
 
 @router.put(
     "/maps/{map}/drives/{drive}/poses",
-    responses=problems(
-        MapNotFound, DriveNotFound, ScanNotFound, InvalidPose, InvalidParameters, InvalidRequest
-    ),
+    responses=problems(MapNotFound, DriveNotFound, ScanNotFound, InvalidPose, *JSON_BODY, *WRITING),
 )
 def put_poses(
     map_slug: MapSlug, drive_slug: DriveSlug, wanted: PosesIn, running: Running

@@ -2,9 +2,9 @@
 
 import os
 from importlib.metadata import version
-from typing import Literal
+from typing import Annotated, Literal
 
-from fastapi import APIRouter, Response, status
+from fastapi import APIRouter, Path, Response, status
 from fastapi.responses import RedirectResponse
 from pydantic import BaseModel
 
@@ -15,6 +15,8 @@ from core.errors import TensorMapError
 __all__ = ["router"]
 
 router = APIRouter(tags=["health"])
+
+ProblemName = Annotated[str, Path(description="The last part of its type.")]
 
 
 class Live(BaseModel):
@@ -52,8 +54,9 @@ def home() -> RedirectResponse:
 
 
 @router.get("/livez")
-def livez() -> Live:
+async def livez() -> Live:
     """Tell that the process answers."""
+    # On the event loop: a server whose threads are all busy is busy, not dead.
     return Live()
 
 
@@ -81,7 +84,7 @@ def tell_version() -> Version:
 
 
 @router.get("/problems/{name}", responses=problems(NoSuchRoute))
-def explain_problem(name: str) -> ProblemPage:
+def explain_problem(name: ProblemName) -> ProblemPage:
     """Explain the `type` of a problem."""
     for kind, http_status in STATUS.items():
         if problem_name(kind) == name:

@@ -4,7 +4,7 @@ from typing import Annotated
 
 from fastapi import APIRouter, Path, Query
 
-from app.errors import InvalidRequest, problems
+from app.errors import READING, WRITING, InvalidRequest, problems
 from app.schemas.jobs import JobOut
 from app.schemas.pages import After, Limit, PageOut
 from app.service import Running
@@ -19,7 +19,7 @@ JobId = Annotated[str, Path(alias="job", description="The job's id.")]
 OfMap = Annotated[str | None, Query(alias="map", description="Only the jobs of this map.")]
 
 
-@router.get("/jobs", responses=problems(MapNotFound, InvalidParameters, InvalidRequest))
+@router.get("/jobs", responses=problems(MapNotFound, InvalidParameters, InvalidRequest, *READING))
 def list_jobs(
     running: Running, map_slug: OfMap = None, after: After = "", limit: Limit = 100
 ) -> PageOut[JobOut]:
@@ -28,13 +28,13 @@ def list_jobs(
     return PageOut(items=[JobOut.from_record(r) for r in page.items], next_after=page.next_after)
 
 
-@router.get("/jobs/{job}", responses=problems(JobNotFound))
+@router.get("/jobs/{job}", responses=problems(JobNotFound, *READING))
 def get_job(job_id: JobId, running: Running) -> JobOut:
     """Show a job and how far it is."""
     return JobOut.from_record(running.store.jobs.get(job_id))
 
 
-@router.delete("/jobs/{job}", responses=problems(JobNotFound))
+@router.delete("/jobs/{job}", responses=problems(JobNotFound, *WRITING))
 def cancel_job(job_id: JobId, running: Running) -> JobOut:
     """Cancel a job: a waiting one at once, a running one within a second; one that ended stays."""
     return JobOut.from_record(running.store.jobs.request_cancel(job_id))

@@ -4,10 +4,11 @@ from typing import Annotated
 
 import numpy as np
 from fastapi import APIRouter, Query
+from fastapi.exceptions import RequestValidationError
 from pydantic import ValidationError
 
 from app.bodies import SCAN_BODY, Body, ContentType, binary_body, media_type
-from app.errors import InvalidRequest, UnsupportedBody, problems
+from app.errors import READING, BodyTooLarge, InvalidRequest, UnsupportedBody, problems
 from app.revisions import Answering
 from app.routes.drives import BAD_SCAN
 from app.schemas.localizations import LocalizationOut, NearestCount, SignaturesIn
@@ -21,13 +22,15 @@ from core.errors import (
 )
 from core.projection import RangeImage
 from core.signature import Signature, unpack_signatures
-from storage.errors import MapNotFound, NoLiveRevision
+from storage.errors import CorruptFile, MapNotFound, NoLiveRevision
 from storage.formats.errors import EmptyBody
 from storage.formats.registry import read_scan
 
 __all__ = ["router"]
 
 router = APIRouter(tags=["localizations"], prefix="/maps/{map}/localizations")
+
+_ANSWERING = (MapNotFound, NoLiveRevision, CorruptFile, InvalidRequest, *READING)
 
 _IMAGE = "application/vnd.tensormap.image"
 _SIGNATURE = "application/vnd.tensormap.signature"
@@ -41,7 +44,7 @@ SensorName = Annotated[
 @router.post(
     "/scan",
     openapi_extra=SCAN_BODY,
-    responses=problems(MapNotFound, NoLiveRevision, SensorMismatch, InvalidRequest, *BAD_SCAN),
+    responses=problems(*_ANSWERING, SensorMismatch, *BAD_SCAN),
 )
 def localize_scan(
     map_slug: MapSlug,
@@ -65,13 +68,7 @@ def localize_scan(
         **{_IMAGE: "Ranges in metres on the map's grid, little-endian float32, row after row."}
     ),
     responses=problems(
-        MapNotFound,
-        NoLiveRevision,
-        SensorMismatch,
-        EmptyBody,
-        InvalidImage,
-        UnsupportedBody,
-        InvalidRequest,
+        *_ANSWERING, SensorMismatch, EmptyBody, InvalidImage, UnsupportedBody, BodyTooLarge
     ),
 )
 def localize_image(
@@ -97,7 +94,7 @@ def localize_image(
         "requestBody": {
             "required": True,
             "content": {
-                "application/json": {"schema": SignaturesIn.model_json_schema()},
+                "application/json": {"schema": {"$ref": "#/components/schemas/SignaturesIn"}},
                 _SIGNATURE: {
                     "schema": {
                         "type": "string",
@@ -109,14 +106,13 @@ def localize_image(
         }
     },
     responses=problems(
-        MapNotFound,
-        NoLiveRevision,
+        *_ANSWERING,
         StaleSignature,
         UnknownSegment,
         InvalidSignature,
         EmptyBody,
         UnsupportedBody,
-        InvalidRequest,
+        BodyTooLarge,
     ),
 )
 def localize_signature(
@@ -132,7 +128,7 @@ def localize_signature(
     signatures came are searched.
     """
     signatures = _signatures(body, content_type)
-    answering = running.revisions.named(map_slug, signatures[0].revision)
+    answering = running.revisions.of_signature(map_slug, signatures[0].revision)
     found = answering.localizer.localize_signatures(signatures, k)
     return LocalizationOut.from_core(found, answering.live_revision)
 
@@ -168,9 +164,7 @@ def _signatures(body: bytes, content_type: str | None) -> tuple[Signature, ...]:
     try:
         return SignaturesIn.model_validate_json(body).to_core()
     except ValidationError as error:
-        raise InvalidRequest(
-            "; ".join(
-                f"body/{'/'.join(map(str, found['loc']))}: {found['msg']}"
-                for found in error.errors(include_url=False, include_input=False)
-            )
+        found = error.errors(include_url=False, include_input=False, include_context=False)
+        raise RequestValidationError(
+            [{**item, "loc": ("body", *item["loc"])} for item in found]
         ) from None

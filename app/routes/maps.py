@@ -4,13 +4,13 @@ from typing import Annotated
 
 from fastapi import APIRouter, Header, Response, status
 
-from app.errors import InvalidRequest, problems
+from app.errors import JSON_BODY, READING, WRITING, InvalidRequest, problems
 from app.schemas.maps import MapIn, MapOut, MapPatch
 from app.schemas.pages import After, Limit, PageOut
 from app.service import MapSlug, Running
 from storage.errors import InvalidSlug, MapChanged, MapExists, MapNotFound
 
-__all__ = ["router"]
+__all__ = ["IfMatch", "etag_of", "router", "version_seen"]
 
 router = APIRouter(tags=["maps"])
 
@@ -22,32 +22,32 @@ IfMatch = Annotated[
 @router.post(
     "/maps",
     status_code=status.HTTP_201_CREATED,
-    responses=problems(InvalidSlug, MapExists, InvalidRequest),
+    responses=problems(InvalidSlug, MapExists, *JSON_BODY, *WRITING),
 )
 def create_map(wanted: MapIn, running: Running, response: Response) -> MapOut:
     """Make an empty map."""
     record = running.store.maps.create(wanted.map, wanted.description)
     response.headers["Location"] = f"/v1/maps/{record.slug}"
-    response.headers["ETag"] = _etag(record.version)
+    response.headers["ETag"] = etag_of(record.version)
     return MapOut.from_record(record)
 
 
-@router.get("/maps", responses=problems(InvalidRequest))
+@router.get("/maps", responses=problems(InvalidRequest, *READING))
 def list_maps(running: Running, after: After = "", limit: Limit = 100) -> PageOut[MapOut]:
     """List the maps by name."""
     page = running.store.maps.list(after, limit)
     return PageOut(items=[MapOut.from_record(r) for r in page.items], next_after=page.next_after)
 
 
-@router.get("/maps/{map}", responses=problems(MapNotFound))
+@router.get("/maps/{map}", responses=problems(MapNotFound, *READING))
 def get_map(map_slug: MapSlug, running: Running, response: Response) -> MapOut:
     """Show a map."""
     record = running.store.maps.get(map_slug)
-    response.headers["ETag"] = _etag(record.version)
+    response.headers["ETag"] = etag_of(record.version)
     return MapOut.from_record(record)
 
 
-@router.patch("/maps/{map}", responses=problems(MapNotFound, MapChanged, InvalidRequest))
+@router.patch("/maps/{map}", responses=problems(MapNotFound, MapChanged, *JSON_BODY, *WRITING))
 def update_map(
     map_slug: MapSlug,
     change: MapPatch,
@@ -57,28 +57,33 @@ def update_map(
 ) -> MapOut:
     """Change a map's description."""
     record = running.store.maps.update(
-        map_slug, description=change.description, if_version=_version(if_match)
+        map_slug, description=change.description, if_version=version_seen(if_match)
     )
-    response.headers["ETag"] = _etag(record.version)
+    response.headers["ETag"] = etag_of(record.version)
     return MapOut.from_record(record)
 
 
 @router.delete(
     "/maps/{map}",
     status_code=status.HTTP_204_NO_CONTENT,
-    responses=problems(MapNotFound, MapChanged, InvalidRequest),
+    responses=problems(MapNotFound, MapChanged, InvalidRequest, *WRITING),
 )
 def delete_map(map_slug: MapSlug, running: Running, if_match: IfMatch = None) -> None:
     """Remove a map with its drives, revisions and jobs."""
-    running.store.maps.delete(map_slug, if_version=_version(if_match))
+    running.store.maps.delete(map_slug, if_version=version_seen(if_match))
 
 
-def _etag(version: int) -> str:
+def etag_of(version: int) -> str:
+    """Return the ETag of a map's version."""
     return f'"{version}"'
 
 
-def _version(if_match: str | None) -> int | None:
-    """Return the version that a client saw, `None` if any will do."""
+def version_seen(if_match: str | None) -> int | None:
+    """Return the version that a client saw, `None` if any will do.
+
+    Raises:
+        InvalidRequest: If it is no ETag of a map.
+    """
     if if_match is None or if_match.strip() == "*":
         return None
     try:

@@ -6,17 +6,21 @@ from typing import Annotated, Any
 import numpy as np
 from fastapi import APIRouter, Header, Path, Query, Response, status
 from fastapi.responses import FileResponse
+from pydantic import Field
 
-from app.errors import InvalidRequest, problems
+from app.errors import JSON_BODY, READING, WRITING, InvalidRequest, problems
 from app.revisions import Answering
+from app.routes.maps import IfMatch, etag_of, version_seen
 from app.schemas.maps import MapOut
 from app.schemas.pages import After, Limit, PageOut
 from app.schemas.revisions import BasisOut, LiveIn, RevisionOut
 from app.schemas.topology import TopologyOut
 from app.service import MapSlug, Running
-from core.errors import InvalidParameters, StaleSignature, UnknownSegment
+from core.errors import InvalidParameters, UnknownSegment
 from storage.errors import (
     AmbiguousRevision,
+    CorruptFile,
+    MapChanged,
     MapNotFound,
     NoLiveRevision,
     RevisionIsLive,
@@ -34,16 +38,26 @@ OneRevision = Annotated[
     str | None, Query(alias="revision", description="Which revision; the live one by default.")
 ]
 Segments = Annotated[
-    list[int] | None,
+    list[Annotated[int, Field(ge=0, le=0xFFFF)]] | None,
     Query(alias="segment", description="Only these segments; may be given several times."),
 ]
+
+_OF_ONE = (
+    MapNotFound,
+    NoLiveRevision,
+    RevisionNotFound,
+    AmbiguousRevision,
+    CorruptFile,
+    *READING,
+)
 
 _NPZ = "application/vnd.tensormap.basis+npz"
 _HDF5 = "application/vnd.tensormap.map+hdf5"
 
 
 @router.get(
-    "/maps/{map}/revisions", responses=problems(MapNotFound, InvalidParameters, InvalidRequest)
+    "/maps/{map}/revisions",
+    responses=problems(MapNotFound, InvalidParameters, InvalidRequest, *READING),
 )
 def list_revisions(
     map_slug: MapSlug, running: Running, after: After = "", limit: Limit = 100
@@ -57,7 +71,7 @@ def list_revisions(
 
 @router.get(
     "/maps/{map}/revisions/{revision}",
-    responses=problems(MapNotFound, RevisionNotFound, AmbiguousRevision),
+    responses=problems(MapNotFound, RevisionNotFound, AmbiguousRevision, *READING),
 )
 def get_revision(map_slug: MapSlug, revision: RevisionId, running: Running) -> RevisionOut:
     """Show a revision."""
@@ -70,7 +84,7 @@ def get_revision(map_slug: MapSlug, revision: RevisionId, running: Running) -> R
     response_class=FileResponse,
     responses={
         200: {"content": {_HDF5: {"schema": {"type": "string", "format": "binary"}}}},
-        **problems(MapNotFound, RevisionNotFound, AmbiguousRevision),
+        **problems(MapNotFound, RevisionNotFound, AmbiguousRevision, *READING),
     },
 )
 def download_revision(map_slug: MapSlug, revision: RevisionId, running: Running) -> FileResponse:
@@ -87,7 +101,7 @@ def download_revision(map_slug: MapSlug, revision: RevisionId, running: Running)
 @router.delete(
     "/maps/{map}/revisions/{revision}",
     status_code=status.HTTP_204_NO_CONTENT,
-    responses=problems(MapNotFound, RevisionNotFound, AmbiguousRevision, RevisionIsLive),
+    responses=problems(MapNotFound, RevisionNotFound, AmbiguousRevision, RevisionIsLive, *WRITING),
 )
 def delete_revision(map_slug: MapSlug, revision: RevisionId, running: Running) -> None:
     """Remove a revision that is not live; signatures made with it are stale from then on."""
@@ -96,12 +110,22 @@ def delete_revision(map_slug: MapSlug, revision: RevisionId, running: Running) -
 
 @router.put(
     "/maps/{map}/live",
-    responses=problems(MapNotFound, RevisionNotFound, AmbiguousRevision, InvalidRequest),
+    responses=problems(
+        MapNotFound, RevisionNotFound, AmbiguousRevision, MapChanged, *JSON_BODY, *WRITING
+    ),
 )
-def make_live(map_slug: MapSlug, wanted: LiveIn, running: Running) -> MapOut:
+def make_live(
+    map_slug: MapSlug,
+    wanted: LiveIn,
+    running: Running,
+    response: Response,
+    if_match: IfMatch = None,
+) -> MapOut:
     """Make a revision live: to go ahead, or to roll back."""
-    running.store.revisions.set_live(map_slug, wanted.revision)
-    return MapOut.from_record(running.store.maps.get(map_slug))
+    running.store.revisions.set_live(map_slug, wanted.revision, if_version=version_seen(if_match))
+    record = running.store.maps.get(map_slug)
+    response.headers["ETag"] = etag_of(record.version)
+    return MapOut.from_record(record)
 
 
 @router.get(
@@ -110,7 +134,7 @@ def make_live(map_slug: MapSlug, wanted: LiveIn, running: Running) -> MapOut:
     responses={
         200: {"content": {_NPZ: {"schema": {"type": "string", "format": "binary"}}}},
         304: {"description": "The vehicle's copy is that of this revision."},
-        **problems(MapNotFound, NoLiveRevision, StaleSignature, UnknownSegment, InvalidRequest),
+        **problems(*_OF_ONE, UnknownSegment, InvalidRequest),
     },
 )
 def get_basis(
@@ -119,18 +143,23 @@ def get_basis(
     revision: OneRevision = None,
     segments: Segments = None,
     accept: Annotated[str, Header(include_in_schema=False)] = "",
-    if_none_match: Annotated[str | None, Header()] = None,
+    if_none_match: Annotated[
+        str | None, Header(description="ETags of the bases that the vehicle holds.")
+    ] = None,
 ) -> Any:  # noqa: ANN401 - JSON by its model, or bytes as they are
-    """Download what a vehicle needs to make signatures, as JSON or, on `Accept`, as NumPy's npz."""
-    answering = _answering(running, map_slug, revision)
-    tensor_map = answering.localizer.map
-    etag = f'"{tensor_map.revision}"'
-    headers = {"ETag": etag, "Vary": "Accept"}
-    if if_none_match is not None and etag in if_none_match and segments is None:
-        return Response(status_code=status.HTTP_304_NOT_MODIFIED, headers=headers)
-    wanted = None if segments is None else np.unique(np.array(segments, dtype=np.int64))
-    basis = tensor_map.basis(wanted)
-    if _NPZ not in accept:
+    """Download what a vehicle needs to make signatures, as JSON or, on `Accept`, as NumPy's npz.
+
+    Only the whole has an ETag: who holds that one holds every segment.
+    """
+    tensor_map = _answering(running, map_slug, revision).localizer.map
+    as_npz = _NPZ in accept
+    headers = {"Vary": "Accept"}
+    if segments is None:
+        headers["ETag"] = f'"{tensor_map.revision}{"-npz" if as_npz else ""}"'
+        if _is_held(headers["ETag"], if_none_match):
+            return Response(status_code=status.HTTP_304_NOT_MODIFIED, headers=headers)
+    basis = tensor_map.basis(segments)
+    if not as_npz:
         return Response(
             BasisOut.from_core(basis).model_dump_json(),
             media_type="application/json",
@@ -149,11 +178,16 @@ def get_basis(
 
 @router.get(
     "/maps/{map}/topology",
-    responses=problems(MapNotFound, NoLiveRevision, StaleSignature, InvalidRequest),
+    responses=problems(*_OF_ONE),
 )
 def get_topology(map_slug: MapSlug, running: Running, revision: OneRevision = None) -> TopologyOut:
     """Show a map as a graph: nodes where segments end, edges along them."""
     return TopologyOut.from_core(_answering(running, map_slug, revision).localizer.map)
+
+
+def _is_held(etag: str, if_none_match: str | None) -> bool:
+    held = {part.strip().removeprefix("W/") for part in (if_none_match or "").split(",")}
+    return etag in held or "*" in held
 
 
 def _answering(running: Running, map_slug: str, revision: str | None) -> Answering:

@@ -4,7 +4,7 @@ from datetime import datetime
 
 from pydantic import BaseModel, Field
 
-from app.errors import problem_name_of
+from app.errors import problem_type
 from app.jobs.parameters import BuildParameters
 from storage.catalog import JobRecord, JobState
 
@@ -14,7 +14,10 @@ __all__ = ["JobOut"]
 class JobErrorOut(BaseModel):
     """Why a job failed."""
 
-    type: str
+    type: str = Field(
+        description="Stable name of the error, as in a problem; the path explains it.",
+        examples=["/problems/empty-drive"],
+    )
     detail: str
 
 
@@ -40,7 +43,7 @@ class JobOut(BaseModel):
         error = None
         if record.error_type is not None:
             error = JobErrorOut(
-                type=problem_name_of(record.error_type), detail=record.error_detail or ""
+                type=problem_type(record.error_type), detail=record.error_detail or ""
             )
         return cls(
             job=record.id,

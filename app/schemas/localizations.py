@@ -1,5 +1,6 @@
 """Queries and answers over the wire."""
 
+from collections.abc import Sequence
 from typing import Annotated
 
 import numpy as np
@@ -44,6 +45,16 @@ class SignaturesIn(BaseModel):
         pattern="^[0-9a-f]{16,64}$", description="Its digest, or at least 16 first digits."
     )
     signatures: list[SegmentSignatureIn] = Field(min_length=1, max_length=0x10000)
+
+    @classmethod
+    def from_core(cls, signatures: Sequence[Signature]) -> "SignaturesIn":
+        """Show signatures of one revision as they are sent."""
+        return cls(
+            revision=signatures[0].revision,
+            signatures=[
+                SegmentSignatureIn(segment=s.segment, values=s.values.tolist()) for s in signatures
+            ],
+        )
 
     def to_core(self) -> tuple[Signature, ...]:
         """Return the signatures.

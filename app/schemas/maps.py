@@ -26,7 +26,9 @@ class MapIn(BaseModel):
 class MapPatch(BaseModel):
     """What changes of a map."""
 
-    model_config = ConfigDict(extra="forbid")
+    model_config = ConfigDict(
+        extra="forbid", json_schema_extra={"example": {"description": "Loop around the campus"}}
+    )
 
     description: str = Field(max_length=2000)
 

@@ -1,6 +1,7 @@
 """Poses over the wire."""
 
 import math
+from collections import Counter
 from typing import Annotated
 
 from fastapi import Query
@@ -43,9 +44,9 @@ class ScanPoseIn(BaseModel):
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
 
-    scan: int = Field(ge=0, description="Its index in the drive.")
+    scan: int = Field(ge=0, lt=2**53, description="Its index in the drive.")
     pose: Annotated[list[float], Field(min_length=7, max_length=7)] | None = Field(
-        None, description=f"{_ORDER}; null forgets it."
+        None, description=f"{_ORDER}; null forgets it, left as it is without it."
     )
     timestamp_s: float | None = Field(None, description="Seconds; left as it is without it.")
 
@@ -68,9 +69,14 @@ class PosesIn(BaseModel):
         Raises:
             InvalidPose: If a scan comes twice or a quaternion is not of length 1.
         """
-        poses = {item.scan: None if item.pose is None else Pose(*item.pose) for item in self.poses}
-        if len(poses) < len(self.poses):
-            raise InvalidPose("a scan comes twice")
+        twice = [scan for scan, count in Counter(i.scan for i in self.poses).items() if count > 1]
+        if twice:
+            raise InvalidPose(f"scan {twice[0]} comes twice")
+        poses = {
+            item.scan: None if item.pose is None else Pose(*item.pose)
+            for item in self.poses
+            if "pose" in item.model_fields_set
+        }
         times = {i.scan: i.timestamp_s for i in self.poses if i.timestamp_s is not None}
         return poses, times
 

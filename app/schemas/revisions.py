@@ -49,7 +49,7 @@ class LiveIn(BaseModel):
         extra="forbid", json_schema_extra={"example": {"revision": "0f" * 32}}
     )
 
-    revision: str = Field(description="Its digest, or at least 12 first digits.")
+    revision: str = Field(max_length=64, description="Its digest, or at least 12 first digits.")
 
 
 class SegmentBasisOut(BaseModel):

@@ -137,6 +137,8 @@ def evaluate(
         seed=protocol.seed,
         map_scans=len(tensor_map),
         standing_scans=None if queries.standing is None else int(queries.standing.sum()),
+        motion_surrogate_median_standing=_median_where(queries, standing=True),
+        motion_surrogate_median_moving=_median_where(queries, standing=False),
         skipped=projected.skipped,
         compression=Compression.of(
             tensor_map.elements,
@@ -178,6 +180,13 @@ def _queries(drive: Drive, scans: IntArray, segment: IntArray) -> _Queries:
         is_standing(drive.poses, drive.timestamp_s)[scans] if known else None,
         motion_surrogate(drive.poses)[scans],
     )
+
+
+def _median_where(queries: _Queries, *, standing: bool) -> float | None:
+    if queries.standing is None:
+        return None
+    surrogate = queries.surrogate[queries.standing == standing]
+    return float(np.median(surrogate)) if len(surrogate) else None
 
 
 def _held_out_queries(drive: Drive, held_out: BoolArray, segment_start: IntArray) -> _Queries:

@@ -81,7 +81,21 @@ class ConditionResult:
 
 @dataclass(frozen=True)
 class Evaluation:
-    """A map made of one part of a drive and asked with another, or with another drive."""
+    """A map made of one part of a drive and asked with another, or with another drive.
+
+    Attributes:
+        drive: Name of the mapped drive; `query_drive` is `None` if it was asked itself.
+        segments: L.
+        split: How the queries were held out, `None` with a query drive.
+        map_scans: How many scans made the map.
+        standing_scans: Queries taken standing, `None` without poses.
+        motion_surrogate_median_standing: Median norm of the 6-DOF change of those queries.
+        motion_surrogate_median_moving: The same of all others.
+        skipped: Scans that could not be mapped.
+        compression: Against the map's own images and returns.
+        relative_error: |X - X^| / |X| of each segment.
+        conditions: The figures, one entry a disturbance.
+    """
 
     drive: str
     query_drive: str | None
@@ -95,6 +109,8 @@ class Evaluation:
     seed: int
     map_scans: int
     standing_scans: int | None
+    motion_surrogate_median_standing: float | None
+    motion_surrogate_median_moving: float | None
     skipped: tuple[Skipped, ...]
     compression: Compression
     relative_error: tuple[float, ...]

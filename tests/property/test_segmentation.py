@@ -54,8 +54,8 @@ def test_l_segments_are_asked_for_and_never_more_come(scans, segments):
 
 
 @given(scan_counts)
-def test_by_default_k_is_a_fifth_of_the_drive_and_at_most_the_papers(scans):
-    assert segment_length_for(scans) == min(760, -(-scans // 5))
+def test_by_default_k_is_the_papers(scans):
+    assert segment_length_for(scans) == 760
 
 
 @pytest.mark.parametrize("length", [3800, 3801, 10**9, 2**63, 10**30])

@@ -1,6 +1,5 @@
 """Scans as users have them, one file a format."""
 
-import os
 from pathlib import Path
 
 import numpy as np
@@ -18,10 +17,10 @@ pytestmark = pytest.mark.real_data
 
 
 @pytest.fixture(scope="module")
-def native() -> Path:
-    folder = Path(os.environ.get("TENSORMAP_DATA", "")) / "native"
-    if not os.environ.get("TENSORMAP_DATA") or not folder.is_dir():
-        pytest.skip("recorded scans are needed: TENSORMAP_DATA names no folder with native/")
+def native(data_folder: Path) -> Path:
+    folder = data_folder / "native"
+    if not folder.is_dir():
+        pytest.skip("recorded scans are needed: TENSORMAP_DATA has no folder native/")
     return folder
 
 

@@ -1,0 +1,50 @@
+# The two commands to know are `make demo` and `make test`; both do all the set-up. `make help` lists all.
+
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+# Without tests and linters; the stamps are newer than what they were made of, so all is safe to repeat.
+RUNTIME := $(VENV)/.installed
+DEVELOP := $(VENV)/.installed-dev
+PIP_INSTALL := PIP_CONSTRAINT=constraints.txt $(BIN)/python -m pip install --quiet --disable-pip-version-check
+
+.DEFAULT_GOAL := help
+.PHONY: help demo test install lint bench constraints clean
+
+help: ## Show this list.
+	@grep -hE '^[a-z]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## (.*)/  make \1@\2/' | column -t -s@
+
+demo: $(RUNTIME) ## Record, post, build, localize; leaves the service running. ONCE=1 stops it, DRIVE=path uses your drive.
+	$(BIN)/tensormap demo $(if $(ONCE),--once) $(if $(DRIVE),--drive '$(DRIVE)')
+
+test: $(DEVELOP) ## Run all tests; those on recorded drives too if TENSORMAP_DATA names their folder.
+	$(BIN)/python -m pytest -n auto --dist loadgroup -q
+
+install: $(DEVELOP) ## Install the service and all that its development needs into .venv.
+
+lint: $(DEVELOP) ## Check style, types, spelling and the direction of imports.
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+	$(BIN)/codespell
+
+bench: $(DEVELOP) ## Measure against the bars in benchmarks/.
+	$(BIN)/python -m benchmarks
+
+constraints: ## Renew constraints.txt with the newest versions that pyproject.toml allows.
+	tools/make-constraints
+
+clean: ## Remove what was installed and made.
+	rm -rf $(VENV) build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache
+
+$(BIN)/python:
+	PYTHON='$(PYTHON)' tools/make-venv $(VENV)
+
+$(RUNTIME): pyproject.toml constraints.txt | $(BIN)/python
+	$(PIP_INSTALL) --editable .
+	@touch $@
+
+$(DEVELOP): pyproject.toml constraints.txt | $(BIN)/python
+	$(PIP_INSTALL) --editable '.[dev]'
+	@touch $@ $(RUNTIME)

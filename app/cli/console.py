@@ -1,0 +1,61 @@
+"""What commands show: tables on standard output, progress on standard error."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TaskID,
+    TextColumn,
+    TimeRemainingColumn,
+)
+
+__all__ = ["BarProgress", "output", "progress_bar"]
+
+output = Console()
+
+
+class BarProgress:
+    """A `core.progress.Progress` that draws one bar a stage."""
+
+    def __init__(self, bars: Progress) -> None:
+        self._bars = bars
+        self._task: TaskID | None = None
+
+    def start(self, stage: str, total: int) -> None:
+        """Begin a new bar; the one before is full."""
+        self.finish()
+        self._task = self._bars.add_task(stage, total=total)
+
+    def advance(self, units: int = 1) -> None:
+        """Move the bar."""
+        if self._task is not None:
+            self._bars.advance(self._task, units)
+
+    def move_to(self, done: int) -> None:
+        """Set the bar."""
+        if self._task is not None:
+            self._bars.update(self._task, completed=done)
+
+    def finish(self) -> None:
+        """Fill the bar: its stage is over, whatever was skipped."""
+        if self._task is not None:
+            self._bars.update(self._task, completed=self._bars.tasks[self._task].total)
+
+
+@contextmanager
+def progress_bar() -> Iterator[BarProgress]:
+    """Show progress while the block runs."""
+    columns = (
+        TextColumn("{task.description:>12}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=Console(stderr=True)) as bars:
+        bar = BarProgress(bars)
+        yield bar
+        bar.finish()

@@ -1,0 +1,100 @@
+"""`tensormap demo`: the whole service once, before your eyes."""
+
+import signal
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Annotated
+
+import typer
+from rich.table import Table
+
+from app.cli.console import output, progress_bar
+from app.cli.options import MIN_RETURNS
+from app.demo.client import Client
+from app.demo.run import MAX_SCANS, RECALL_M, Outcome, run_demo
+from app.demo.server import free_port, running_server
+from core.drive import Drive
+from core.simulation import SimulatedDrive
+from storage.formats.drives import open_drive
+
+__all__ = ["demo"]
+
+_BAR = 0.9  # of recall@1 within 3 m
+_MAP = "demo"
+
+
+def demo(
+    drive: Annotated[
+        Path | None,
+        typer.Option(metavar="DRIVE", help="A recorded drive; a simulated city without it."),
+    ] = None,
+    once: Annotated[
+        bool, typer.Option("--once", help="Stop the service and exit; non-zero below recall 0.9.")
+    ] = False,
+    port: Annotated[int, typer.Option(min=1, max=65535, help="First port to try.")] = 8000,
+    seed: Annotated[int, typer.Option(min=0, help="Of the simulated city.")] = 0,
+) -> None:
+    """Record a drive, post it, build the map, localize what was held out, and print a table."""
+    recorded: Drive
+    if drive is None:
+        recorded = SimulatedDrive(seed=seed, scans=MAX_SCANS)
+    else:
+        recorded = open_drive(drive, min_returns=MIN_RETURNS)
+    with (
+        TemporaryDirectory(prefix="tensormap-demo-") as folder,
+        running_server(Path(folder), free_port(port)) as url,
+    ):
+        with Client(url, _MAP) as client, progress_bar() as progress:
+            outcome = run_demo(client, recorded, progress)
+        _show(recorded.name, outcome)
+        if not once:
+            output.print(f"\nThe service runs at {url} (documentation: {url}/docs).")
+            output.print("Ctrl-C stops it and removes the demonstration's data.")
+            _wait()
+            return
+    recalls = [fixes.recall_at_1 for fixes in outcome.fixes if fixes.recall_at_1 is not None]
+    if recalls and min(recalls) < _BAR:
+        output.print(f"recall@1 within {RECALL_M:g} m is {min(recalls):.3f}, wanted {_BAR:g}")
+        raise typer.Exit(1)
+
+
+def _wait() -> None:
+    """Wait until the person, or whoever started this, has seen enough."""
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        signal.pause()
+    except KeyboardInterrupt:
+        output.print("stopped")
+
+
+def _show(name: str, outcome: Outcome) -> None:
+    compression = outcome.compression
+    output.print(
+        f"\n{name}: {outcome.mapped_scans} scans mapped in {outcome.segments} segments,"
+        f" {outcome.posted_bytes / 1e6:.0f} MB posted; TensorMap : tensor : returns ="
+        f" 1 : {compression.tensor_ratio:.1f} : {compression.returns_ratio:.0f}"
+        f" ({compression.elements} elements)",
+        soft_wrap=True,
+    )
+    table = Table(title="Held-out scans, localized over HTTP")
+    table.add_column("asked by", no_wrap=True)
+    for heading in (
+        "fixes",
+        "segment accuracy",
+        f"recall@1 {RECALL_M:g} m",
+        "position error m",
+        "bytes",
+        "ms",
+    ):
+        table.add_column(heading, justify="right")
+    for fixes in outcome.fixes:
+        table.add_row(
+            fixes.asked_by,
+            str(fixes.queries),
+            f"{fixes.segment_accuracy:.3f}",
+            "-" if fixes.recall_at_1 is None else f"{fixes.recall_at_1:.3f}",
+            "-" if fixes.position_error_m is None else f"{fixes.position_error_m:.2f}",
+            f"{fixes.bytes_per_fix:,.0f}",
+            f"{fixes.ms_per_fix:.1f}",
+        )
+    output.print(table)

@@ -1,0 +1,162 @@
+"""`tensormap evaluate`: how well a map of a drive answers."""
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.table import Table
+
+from app.cli.console import output, progress_bar
+from app.cli.options import (
+    MIN_RETURNS,
+    DriveArgument,
+    EncodingOption,
+    RanksOption,
+    ReducerOption,
+    SegmentLengthOption,
+    SegmentsOption,
+    SensorHeightOption,
+    SensorOption,
+    numbers,
+    ranks,
+)
+from core.errors import InvalidParameters
+from core.evaluation.condition import conditions
+from core.evaluation.evaluate import Protocol
+from core.evaluation.evaluate import evaluate as evaluate_drive
+from core.evaluation.result import Evaluation
+from core.evaluation.split import Interleaved, parse_split
+from core.parameters import Encoding, MapParameters
+from core.projection import Reducer
+from core.sensor import HDL_64E
+from storage.files import publish
+from storage.formats.drives import open_drive
+
+__all__ = ["evaluate"]
+
+_PROTOCOL = "Protocol"
+
+
+def _list_option(text: str) -> object:
+    return typer.Option(help=f"{text}, comma-separated.", rich_help_panel=_PROTOCOL)
+
+
+def evaluate(
+    drive: DriveArgument,
+    query_drive: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DRIVE2",
+            help="Ask with this drive, in the same world frame; DRIVE as a whole is the map.",
+            rich_help_panel=_PROTOCOL,
+        ),
+    ] = None,
+    encoding: EncodingOption = Encoding.PAPER,
+    ranks_text: RanksOption = "5,5",
+    segment_length: SegmentLengthOption = None,
+    segments: SegmentsOption = None,
+    reducer: ReducerOption = Reducer.LAST,
+    sensor: SensorOption = HDL_64E.name,
+    sensor_height_m: SensorHeightOption = 1.73,
+    split: Annotated[
+        str | None,
+        typer.Option(
+            help="interleaved:F[:PHASE] or every:N. [interleaved:0.2]", rich_help_panel=_PROTOCOL
+        ),
+    ] = None,
+    yaw_deg: Annotated[str, _list_option("Turn the query vehicle, counter-clockwise")] = "0",
+    lateral_m: Annotated[str, _list_option("Stand it so far to the left")] = "0",
+    noise_m: Annotated[str, _list_option("Sigma of noise on every coordinate")] = "0",
+    tolerance_m: Annotated[str, _list_option("Recall within")] = "3,5,10",
+    seed: Annotated[int, typer.Option(min=0, rich_help_panel=_PROTOCOL)] = 0,
+    json_out: Annotated[
+        Path | None, typer.Option("--json", metavar="OUT", help="Write the figures here.")
+    ] = None,
+) -> None:
+    """Build a map of one part of a drive and ask it where the other part was."""
+    if query_drive is not None and split is not None:
+        raise InvalidParameters("with --query-drive all of DRIVE is the map: leave --split out")
+    protocol = Protocol(
+        parameters=MapParameters.for_sensor(
+            sensor,
+            encoding=encoding,
+            ranks=ranks(ranks_text),
+            reducer=reducer,
+            sensor_height_m=sensor_height_m,
+        ),
+        segment_length=segment_length,
+        segments=segments,
+        split=Interleaved() if split is None else parse_split(split),
+        conditions=conditions(numbers(yaw_deg), numbers(lateral_m), numbers(noise_m)),
+        tolerances_m=numbers(tolerance_m),
+        seed=seed,
+    )
+    mapped = open_drive(drive, min_returns=MIN_RETURNS)
+    asked = None if query_drive is None else open_drive(query_drive, min_returns=MIN_RETURNS)
+    with progress_bar() as progress:
+        result = evaluate_drive(mapped, protocol, asked, progress)
+    _show(result)
+    if json_out is not None:
+        with publish(json_out) as part:
+            part.write_text(json.dumps(result.as_dict(), indent=2, allow_nan=False))
+
+
+def _show(result: Evaluation) -> None:
+    of = result.drive if result.query_drive is None else f"{result.query_drive} in {result.drive}"
+    how = "" if result.split is None else f", {result.split}"
+    output.print(
+        f"{of}: {result.map_scans} map scans in {result.segments} segments, {result.encoding}"
+        f" {result.ranks[0]}x{result.ranks[1]}, {result.reducer}{how}",
+        markup=False,
+        soft_wrap=True,
+    )
+    tolerances = list(result.conditions[0].recall_at_1)
+    table = Table("yaw", "lateral", "noise", "queries", "refused")
+    for heading in (
+        "segments right",
+        "errors",
+        "moving",
+        "standing",
+        *(f"R@1 {metres:g} m" for metres in tolerances),
+        "error m",
+        "ms",
+    ):
+        table.add_column(heading, justify="right")
+    for row in result.conditions:
+        table.add_row(
+            f"{row.condition.yaw_deg:g} deg",
+            f"{row.condition.lateral_m:g} m",
+            f"{row.condition.noise_m:g} m",
+            str(row.queries),
+            str(row.refusals),
+            _figure(row.segment_accuracy, ".3f"),
+            str(len(row.errors)),
+            _figure(row.errors_moving, "d"),
+            _figure(row.errors_stationary, "d"),
+            *(_figure(row.recall_at_1[metres], ".3f") for metres in tolerances),
+            _figure(row.position_error_m_median, ".2f"),
+            _figure(row.ms_per_query, ".1f"),
+        )
+    output.print(table)
+    moving = result.motion_surrogate_median_moving
+    standing = result.motion_surrogate_median_standing
+    if result.standing_scans is not None:
+        output.print(
+            f"standing: {result.standing_scans} queries; median 6-DOF change"
+            f" {_figure(standing, '.4f')} standing, {_figure(moving, '.4f')} moving",
+            soft_wrap=True,
+        )
+    errors = result.relative_error
+    output.print(
+        f"relative error {min(errors):.3f}..{max(errors):.3f}; compression"
+        f" 1 : {result.compression.tensor_ratio:.1f} : {result.compression.returns_ratio:.0f},"
+        f" {result.compression.elements} elements",
+        soft_wrap=True,
+    )
+    for skipped in result.skipped:
+        output.print(f"left out scan {skipped.scan}: {skipped.reason}", markup=False)
+
+
+def _figure(value: float | None, form: str) -> str:
+    return "-" if value is None else format(value, form)

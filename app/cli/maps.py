@@ -1,0 +1,183 @@
+"""`tensormap build`, `localize`, `signature` and `inspect`: maps as files, without a service."""
+
+import json
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from pydantic import ValidationError
+from rich.table import Table
+
+from app.cli.console import output, progress_bar
+from app.cli.options import (
+    MIN_RETURNS,
+    DriveArgument,
+    EncodingOption,
+    MapArgument,
+    RanksOption,
+    ReducerOption,
+    SegmentLengthOption,
+    SegmentsOption,
+    SensorHeightOption,
+    SensorOption,
+    ranks,
+)
+from app.jobs.parameters import BuildParameters
+from app.pipelines import build_drive
+from app.schemas.localizations import LocalizationOut, SignaturesIn
+from core.compression import Compression
+from core.errors import InvalidParameters
+from core.localizer import Localizer
+from core.parameters import Encoding
+from core.projection import Reducer
+from core.sensor import HDL_64E
+from core.signature import pack_signatures
+from storage.files import publish
+from storage.formats.drives import open_drive
+from storage.formats.registry import read_scan_file
+from storage.map_file import read_map, write_map
+
+__all__ = ["build", "inspect", "localize", "signature"]
+
+
+def build(
+    drive: DriveArgument,
+    output_file: Annotated[
+        Path, typer.Option("-o", "--output", metavar="MAP.h5", help="The map file to write.")
+    ],
+    encoding: EncodingOption = Encoding.PAPER,
+    ranks_text: RanksOption = "5,5",
+    segment_length: SegmentLengthOption = None,
+    segments: SegmentsOption = None,
+    reducer: ReducerOption = Reducer.LAST,
+    sensor: SensorOption = HDL_64E.name,
+    sensor_height_m: SensorHeightOption = 1.73,
+) -> None:
+    """Build a map of a recorded drive."""
+    try:
+        parameters = BuildParameters(
+            encoding=encoding,
+            ranks=ranks(ranks_text),
+            segment_length=segment_length,
+            segments=segments,
+            reducer=reducer,
+            sensor=sensor,
+            sensor_height_m=sensor_height_m,
+        )
+    except ValidationError as error:
+        raise InvalidParameters(error.errors()[0]["msg"]) from None
+    recorded = open_drive(drive, min_returns=MIN_RETURNS)
+    with progress_bar() as progress:
+        built = build_drive(recorded, parameters, progress)
+    tensor_map = built.tensor_map
+    with publish(output_file) as part:
+        write_map(part, tensor_map)
+    for skipped in built.skipped.get(recorded.name, ()):
+        output.print(f"left out scan {skipped.scan}: {skipped.reason}", markup=False)
+    compression = Compression.of(
+        tensor_map.elements,
+        scans=len(tensor_map),
+        grid_shape=tensor_map.parameters.grid.shape,
+        returns=built.returns,
+    )
+    output.print(
+        f"{output_file}: {len(tensor_map)} scans, {tensor_map.model.segments} segments,"
+        f" 1 : {compression.tensor_ratio:.1f} : {compression.returns_ratio:.0f}"
+        f" in {output_file.stat().st_size} bytes, revision {tensor_map.revision}",
+        markup=False,
+        soft_wrap=True,
+    )
+
+
+def localize(
+    map_file: MapArgument,
+    scans: Annotated[list[Path], typer.Argument(help="Scan files.", metavar="SCAN...")],
+    k: Annotated[int, typer.Option("-k", min=1, help="How many nearest scans to answer.")] = 1,
+    as_json: Annotated[bool, typer.Option("--json", help="One JSON answer a line.")] = False,
+) -> None:
+    """Localize scans in a map."""
+    localizer = Localizer(read_map(map_file))
+    table = Table("scan", "segment", "along", "map scan", "x m", "y m", "distance", "ratio")
+    for path in scans:
+        found = localizer.localize_scan(read_scan_file(path, min_returns=MIN_RETURNS), k)
+        if as_json:
+            answer = LocalizationOut.from_core(found, found.revision)
+            sys.stdout.write(f"{answer.model_dump_json()}\n")
+            continue
+        for match in found.matches:
+            table.add_row(
+                path.name,
+                str(match.segment),
+                f"{match.fraction:.3f}",
+                f"{match.drive} {match.scan_index}",
+                "-" if match.pose is None else f"{match.pose.x_m:.2f}",
+                "-" if match.pose is None else f"{match.pose.y_m:.2f}",
+                f"{match.distance:.1f}",
+                "-" if found.ratio is None else f"{found.ratio:.2f}",
+            )
+    if not as_json:
+        output.print(table)
+
+
+def signature(
+    map_file: MapArgument,
+    scan: Annotated[Path, typer.Argument(help="A scan file.", metavar="SCAN")],
+    segments: Annotated[
+        list[int] | None,
+        typer.Option("--segment", min=0, help="Only in this segment's bases; repeatable."),
+    ] = None,
+    packed: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Write them packed, ready to post.")
+    ] = None,
+) -> None:
+    """Print a scan's signatures as JSON, ready to post."""
+    basis = read_map(map_file).basis(segments)
+    signatures = basis.encode(basis.image(read_scan_file(scan, min_returns=MIN_RETURNS)))
+    if packed is not None:
+        packed.write_bytes(pack_signatures(signatures))
+    body = SignaturesIn.from_core(signatures)
+    sys.stdout.write(f"{body.model_dump_json()}\n")
+
+
+def inspect(
+    map_file: MapArgument,
+    as_json: Annotated[bool, typer.Option("--json", help="As JSON.")] = False,
+) -> None:
+    """Show what a map holds; its digest is checked."""
+    tensor_map = read_map(map_file)
+    facts = {
+        "revision": tensor_map.revision,
+        **tensor_map.attributes(),
+        "scans": len(tensor_map),
+        "segments": tensor_map.model.segments,
+        "elements": tensor_map.elements,
+        "size_bytes": map_file.stat().st_size,
+        "arrays": {
+            name: {"shape": list(array.shape), "dtype": str(array.dtype)}
+            for name, array in tensor_map.arrays().items()
+        },
+        "edges": [
+            {"segment": segment, "scans": scans, "length_m": length_m, "relative_error": error}
+            for segment, (scans, length_m, error) in enumerate(
+                zip(
+                    tensor_map.topology.edge_scans.tolist(),
+                    [None if m != m else m for m in tensor_map.topology.edge_length_m.tolist()],
+                    tensor_map.relative_error.tolist(),
+                    strict=True,
+                )
+            )
+        ],
+    }
+    if as_json:
+        sys.stdout.write(f"{json.dumps(facts, indent=2)}\n")
+        return
+    for name in ("revision", "encoding", "sensor", "reducer", "ranks", "drives", "scans"):
+        output.print(f"{name:>10}  {facts[name]}", markup=False, highlight=False)
+    table = Table("segment", "scans", "length m", "relative error")
+    for edge in facts["edges"]:
+        length = "-" if edge["length_m"] is None else f"{edge['length_m']:.1f}"
+        table.add_row(
+            str(edge["segment"]), str(edge["scans"]), length, f"{edge['relative_error']:.3f}"
+        )
+    output.print(table)

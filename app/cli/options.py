@@ -1,0 +1,95 @@
+"""Options that several commands share, and how comma-separated lists are read."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from core.parameters import Encoding
+from core.projection import Reducer
+from core.sensor import SENSORS
+
+__all__ = [
+    "MIN_RETURNS",
+    "DriveArgument",
+    "EncodingOption",
+    "MapArgument",
+    "RanksOption",
+    "ReducerOption",
+    "SegmentLengthOption",
+    "SegmentsOption",
+    "SensorHeightOption",
+    "SensorOption",
+    "numbers",
+    "ranks",
+]
+
+MIN_RETURNS = 100
+"""A scan file with fewer finite, non-zero returns is refused; the service's default too."""
+
+_BUILD = "Map"
+
+DriveArgument = Annotated[
+    Path,
+    typer.Argument(
+        help="Folder of a drive: KITTI odometry layout, Ford Campus layout, or scan files.",
+        metavar="DRIVE",
+    ),
+]
+MapArgument = Annotated[Path, typer.Argument(help="A map file.", metavar="MAP.h5")]
+EncodingOption = Annotated[Encoding, typer.Option(rich_help_panel=_BUILD)]
+RanksOption = Annotated[
+    str, typer.Option("--ranks", help="r1,r2: the shape of a signature.", rich_help_panel=_BUILD)
+]
+SegmentLengthOption = Annotated[
+    int | None, typer.Option(min=1, help="k, scans in a segment.", rich_help_panel=_BUILD)
+]
+SegmentsOption = Annotated[
+    int | None,
+    typer.Option(
+        min=1,
+        help="L instead: k = ceil(K / L). Default: k = 760, the paper's.",
+        rich_help_panel=_BUILD,
+    ),
+]
+ReducerOption = Annotated[
+    Reducer, typer.Option(help="Which return a shared cell keeps.", rich_help_panel=_BUILD)
+]
+SensorOption = Annotated[
+    str, typer.Option(help=f"One of {', '.join(sorted(SENSORS))}.", rich_help_panel=_BUILD)
+]
+SensorHeightOption = Annotated[
+    float, typer.Option(help="Sensor above ground, in metres.", rich_help_panel=_BUILD)
+]
+
+
+def numbers(text: str) -> tuple[float, ...]:
+    """Read a comma-separated list of numbers.
+
+    Raises:
+        typer.BadParameter: If something in it is none.
+
+    Examples:
+        >>> numbers("0,1,-1.5")
+        (0.0, 1.0, -1.5)
+    """
+    try:
+        return tuple(float(part) for part in text.split(","))
+    except ValueError:
+        raise typer.BadParameter(f"{text!r} is no comma-separated list of numbers") from None
+
+
+def ranks(text: str) -> tuple[int, int]:
+    """Read `r1,r2`.
+
+    Raises:
+        typer.BadParameter: If it is something else.
+
+    Examples:
+        >>> ranks("5,5")
+        (5, 5)
+    """
+    first, comma, second = text.partition(",")
+    if not (comma and first.strip().isdecimal() and second.strip().isdecimal()):
+        raise typer.BadParameter(f"{text!r} is no pair of whole numbers r1,r2")
+    return int(first), int(second)

@@ -1,0 +1,209 @@
+"""The demonstration, step by step."""
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from app.demo.client import Client, kitti_body
+from app.jobs.parameters import BuildParameters
+from app.schemas.localizations import LocalizationOut
+from app.schemas.topology import TopologyOut
+from core.basis import Basis
+from core.compression import Compression
+from core.drive import Drive
+from core.errors import InvalidScan
+from core.evaluation.split import Interleaved
+from core.progress import Progress
+from core.projection import Reducer
+from core.scan import Scan
+from core.segmentation import cut_fixed, segment_length_for
+from core.signature import pack_signatures
+from core.tucker import storage_elements
+from storage.catalog import JobState
+
+__all__ = ["MAX_SCANS", "RECALL_M", "Fixes", "Outcome", "run_demo"]
+
+MAX_SCANS = 300
+RECALL_M = 3.0
+
+_DRIVE = "recorded"
+# Longer segments are recalled better (paper, sec. 3.2): two are the fewest that can be mistaken.
+_SEGMENTS = 2
+
+
+class BuildProgress(Progress, Protocol):
+    """A progress that can also be set, as a job tells where it is."""
+
+    def move_to(self, done: int) -> None:
+        """Set how many units of the stage are done."""
+
+
+@dataclass(frozen=True)
+class Fixes:
+    """All held-out scans, asked in one way.
+
+    Attributes:
+        asked_by: What was sent.
+        queries: How many.
+        segment_accuracy: Share on the right segment.
+        recall_at_1: Share whose map scan was recorded within 3 m, `None` without poses.
+        position_error_m: Median distance of that scan, `None` without poses.
+        bytes_per_fix: Mean length of a request's body.
+        ms_per_fix: Mean time from scan to answer, signature and HTTP included.
+    """
+
+    asked_by: str
+    queries: int
+    segment_accuracy: float
+    recall_at_1: float | None
+    position_error_m: float | None
+    bytes_per_fix: float
+    ms_per_fix: float
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What the demonstration found."""
+
+    fixes: tuple[Fixes, ...]
+    compression: Compression
+    segments: int
+    mapped_scans: int
+    posted_bytes: int
+
+
+@dataclass(frozen=True, eq=False)
+class _Query:
+    index: int
+    segment: int
+    scan: Scan
+    body: bytes
+
+
+def run_demo(client: Client, drive: Drive, progress: BuildProgress) -> Outcome:
+    """Record a drive, map four fifths of it over HTTP and localize the rest.
+
+    Args:
+        client: Of a service that does not have the client's map yet.
+        drive: The drive; its first 300 scans are used.
+        progress: Told of each stage.
+
+    Raises:
+        RequestFailed: If the service refuses something.
+    """
+    scans = min(len(drive), MAX_SCANS)
+    cuts = cut_fixed(scans, segment_length_for(scans, segments=_SEGMENTS))
+    held_out = Interleaved(0.2).held_out(cuts)
+    client.create_map(f"Demonstration: {drive.name}")
+    posted, returns = 0, 0
+    queries: list[tuple[int, Scan]] = []
+    progress.start("recording and posting", scans)
+    for index in range(scans):
+        try:
+            scan = drive.scan(index)
+        except InvalidScan:  # as on the road: it is left out
+            progress.advance()
+            continue
+        if held_out[index]:
+            queries.append((index, scan))
+        else:
+            body = kitti_body(scan)
+            client.put_scan(_DRIVE, index, body, scan)
+            posted += len(body)
+            returns += len(scan)
+        progress.advance()
+    mapped = _build(client, progress)
+    basis = client.basis().to_core()
+    topology = client.topology()
+    asked = [
+        _Query(index, _segment_at(topology, index), scan, kitti_body(scan))
+        for index, scan in queries
+    ]
+    progress.start("localizing", 3 * len(asked))
+    segments = len(topology.edges)
+    return Outcome(
+        fixes=tuple(
+            _ask(name, asked, drive, answer, progress)
+            for name, answer in (
+                ("full scan", lambda q: _by_scan(client, q)),
+                ("signatures, all segments", lambda q: _by_signature(client, basis, q, None)),
+                ("signature, segment known", lambda q: _by_signature(client, basis, q, q.segment)),
+            )
+        ),
+        compression=Compression.of(
+            storage_elements(segments, mapped, basis.parameters.grid.shape, basis.parameters.ranks),
+            scans=mapped,
+            grid_shape=basis.parameters.grid.shape,
+            returns=returns,
+        ),
+        segments=segments,
+        mapped_scans=mapped,
+        posted_bytes=posted,
+    )
+
+
+def _build(client: Client, progress: BuildProgress) -> int:
+    """Build the map as a job, and return how many scans it holds."""
+    job = client.build(BuildParameters(segments=_SEGMENTS, reducer=Reducer.NEAREST))
+    stage = ""
+    while job.state != JobState.DONE:
+        job = client.follow(job)
+        if job.stage and job.stage != stage:
+            stage = job.stage
+            progress.start(f"build: {stage}", job.total)
+        if stage:
+            progress.move_to(job.done)
+    return client.mapped_scans()
+
+
+def _ask(
+    name: str,
+    queries: Sequence[_Query],
+    drive: Drive,
+    answer: Callable[[_Query], tuple[LocalizationOut, int]],
+    progress: Progress,
+) -> Fixes:
+    right, sent, error_m = [], [], []
+    begun = time.perf_counter()
+    for query in queries:
+        found, size = answer(query)
+        right.append(found.best.segment == query.segment)
+        sent.append(size)
+        if found.best.pose is not None:
+            place = (found.best.pose.x_m, found.best.pose.y_m, found.best.pose.z_m)
+            error_m.append(float(np.linalg.norm(drive.poses[query.index, :3] - place)))
+        progress.advance()
+    seconds = time.perf_counter() - begun
+    return Fixes(
+        asked_by=name,
+        queries=len(queries),
+        segment_accuracy=float(np.mean(right)),
+        recall_at_1=float(np.mean(np.array(error_m) <= RECALL_M)) if error_m else None,
+        position_error_m=float(np.median(error_m)) if error_m else None,
+        bytes_per_fix=float(np.mean(sent)),
+        ms_per_fix=1e3 * seconds / len(queries),
+    )
+
+
+def _by_scan(client: Client, query: _Query) -> tuple[LocalizationOut, int]:
+    return client.localize_scan(query.body), len(query.body)
+
+
+def _by_signature(
+    client: Client, basis: Basis, query: _Query, segment: int | None
+) -> tuple[LocalizationOut, int]:
+    """Make the signatures on the client's side and send nothing else."""
+    signatures = basis.encode(basis.image(query.scan))
+    if segment is not None:
+        signatures = tuple(s for s in signatures if s.segment == segment)
+    packed = pack_signatures(signatures)
+    return client.localize_signature(packed), len(packed)
+
+
+def _segment_at(topology: TopologyOut, index: int) -> int:
+    """Return the segment that scan `index` of the only drive lies on."""
+    starts = [topology.nodes[edge.nodes[0]].scan_index for edge in topology.edges]
+    return max(0, int(np.searchsorted(starts, index, side="right")) - 1)

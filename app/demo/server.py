@@ -1,0 +1,82 @@
+"""The service as a process of its own."""
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import httpx2
+
+from core.errors import TensorMapError
+
+__all__ = ["ServerFailed", "free_port", "running_server"]
+
+_START_S = 60.0  # a cold disk reads SciPy slowly
+_STOP_S = 15.0
+
+
+class ServerFailed(TensorMapError):
+    """The service could not be started."""
+
+
+def free_port(first: int = 8000, tries: int = 100) -> int:
+    """Return `first`, or the next port that is free.
+
+    Raises:
+        ServerFailed: If none of `tries` ports is.
+    """
+    for port in range(first, first + tries):
+        try:
+            with socket.create_server(("127.0.0.1", port)):
+                return port
+        except OSError:
+            continue
+    raise ServerFailed(f"no port from {first} to {first + tries - 1} is free")
+
+
+@contextmanager
+def running_server(data_dir: Path, port: int) -> Iterator[str]:
+    """Run the service on loopback while the block runs; yields its URL.
+
+    Raises:
+        ServerFailed: If it ends or does not answer; the message has what it wrote.
+    """
+    url = f"http://127.0.0.1:{port}"
+    log = data_dir / "server.log"
+    data_dir.mkdir(parents=True, exist_ok=True)
+    command = [sys.executable, "-m", "app.cli", "serve", "--port", str(port)]
+    # The demonstration is open to this machine, whatever is configured for the real service.
+    environment = {k: v for k, v in os.environ.items() if not k.startswith("TENSORMAP_")}
+    with log.open("wb") as sink:
+        process = subprocess.Popen(  # noqa: S603 - our own interpreter and arguments
+            [*command, "--data", str(data_dir / "data")],
+            stdout=sink,
+            stderr=subprocess.STDOUT,
+            env=environment,
+        )
+    try:
+        _wait_until_ready(process, url, log)
+        yield url
+    finally:
+        process.send_signal(signal.SIGTERM)
+        try:
+            process.wait(_STOP_S)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+
+
+def _wait_until_ready(process: subprocess.Popen[bytes], url: str, log: Path) -> None:
+    deadline = time.monotonic() + _START_S
+    while process.poll() is None and time.monotonic() < deadline:
+        try:
+            if httpx2.get(f"{url}/readyz", timeout=5.0).is_success:
+                return
+        except httpx2.TransportError:
+            time.sleep(0.1)
+    raise ServerFailed(f"the service did not start:\n{log.read_text()}")

@@ -1,0 +1,46 @@
+"""The OpenAPI document, completed where FastAPI does not know what we do."""
+
+from typing import Any
+
+from fastapi import FastAPI
+from pydantic.json_schema import models_json_schema
+
+from app.errors import Problem
+from app.schemas.localizations import SignaturesIn
+
+__all__ = ["complete_openapi"]
+
+# Named by routes that read the body, or answer, by themselves.
+_MODELS = (Problem, SignaturesIn)
+_NOT_OURS = ("HTTPValidationError", "ValidationError")
+
+
+def complete_openapi(app: FastAPI) -> None:
+    """Add the schemas that only we name, and take out FastAPI's own 422, which we never answer."""
+    described = app.openapi
+
+    def complete() -> dict[str, Any]:
+        if app.openapi_schema is None:
+            document = described()
+            schemas = document["components"]["schemas"]
+            _, ours = models_json_schema(
+                [(model, "validation") for model in _MODELS],
+                ref_template="#/components/schemas/{model}",
+            )
+            schemas.update(ours["$defs"])
+            for name in _NOT_OURS:
+                schemas.pop(name, None)
+            for path in document["paths"].values():
+                for operation in path.values():
+                    _drop_foreign_422(operation["responses"])
+        return app.openapi_schema or {}
+
+    # FastAPI's documented way to extend the document.
+    app.openapi = complete  # type: ignore[method-assign]
+
+
+def _drop_foreign_422(responses: dict[str, Any]) -> None:
+    content = responses.get("422", {}).get("content", {})
+    schema = content.get("application/json", {}).get("schema", {})
+    if schema.get("$ref", "").endswith(_NOT_OURS):
+        del responses["422"]

@@ -1,0 +1,48 @@
+"""Build a map of 100,000 generated range images, k = 760, and look at the process's memory.
+
+Bar: the process that builds peaks below 200 MB; the images alone would be 4.3 GB.
+"""
+
+import resource
+import sys
+import time
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from benchmarks.images import GeneratedImages
+from benchmarks.timing import machine
+from core.builder import build_map
+from core.parameters import MapParameters
+from core.segmentation import PAPER_SEGMENT_LENGTH, cut_fixed
+from core.trajectory import Trajectory
+
+BAR_MB = 200.0
+SCANS = 100_000
+
+
+def main() -> int:
+    """Print the peak; return 1 if it is above the bar."""
+    threadpool_limits(limits=1)
+    images = GeneratedImages(SCANS)
+    trajectory = Trajectory.of_drive(
+        "generated",
+        np.arange(SCANS, dtype=np.float64),
+        np.full((SCANS, 7), np.nan),
+        np.arange(SCANS, dtype=np.int64),
+    )
+    begun = time.perf_counter()
+    tensor_map = build_map(
+        images, trajectory, cut_fixed(SCANS, PAPER_SEGMENT_LENGTH), MapParameters()
+    )
+    seconds = time.perf_counter() - begun
+    peak_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e6
+    print(
+        f"build {SCANS} images in {tensor_map.model.segments} segments: peak {peak_mb:.0f} MB"
+        f" (bar {BAR_MB:g}), {seconds:.0f} s; {machine()}"
+    )
+    return int(peak_mb >= BAR_MB)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

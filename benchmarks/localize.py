@@ -1,0 +1,54 @@
+"""Find one range image among 3,800: by its signatures, and by comparing it with every image.
+
+Bar: at least 20 times faster than the comparison with all images, one thread each.
+"""
+
+import sys
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from benchmarks.images import GeneratedImages
+from benchmarks.timing import machine, medians_s
+from core.builder import build_map
+from core.localizer import Localizer
+from core.parameters import MapParameters
+from core.projection import RangeImage
+from core.segmentation import PAPER_SEGMENT_LENGTH, cut_fixed
+from core.trajectory import Trajectory
+
+BAR = 20.0
+SCANS = 3800
+
+
+def main() -> int:
+    """Print the ratio; return 1 if it is below the bar."""
+    threadpool_limits(limits=1)
+    source = GeneratedImages(SCANS)
+    every_image = source.read(0, SCANS)
+    trajectory = Trajectory.of_drive(
+        "generated",
+        np.arange(SCANS, dtype=np.float64),
+        np.full((SCANS, 7), np.nan),
+        np.arange(SCANS),
+    )
+    cuts = cut_fixed(SCANS, PAPER_SEGMENT_LENGTH)
+    localizer = Localizer(build_map(source, trajectory, cuts, MapParameters()))
+    query = RangeImage(every_image[1234], source.grid)
+
+    def by_images() -> int:
+        squared = np.square(every_image - query.ranges_m).sum(axis=(1, 2))
+        return int(squared.argmin())
+
+    assert localizer.localize_image(query).best.row == by_images() == 1234  # noqa: S101 - else the comparison is void
+    our_s, their_s = medians_s(lambda: localizer.localize_image(query), by_images, runs=7)
+    ratio = their_s / our_s
+    print(
+        f"localize among {SCANS} scans: {1e3 * our_s:.2f} ms, all images {1e3 * their_s:.0f} ms:"
+        f" {ratio:.0f} times faster (bar {BAR:g}); {machine()}"
+    )
+    return int(ratio < BAR)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,27 @@
+"""Two functions timed in turn, so that a machine that drifts drifts for both."""
+
+import platform
+import statistics
+import time
+from collections.abc import Callable
+
+__all__ = ["machine", "medians_s"]
+
+
+def medians_s(
+    ours: Callable[[], object], other: Callable[[], object], runs: int
+) -> tuple[float, float]:
+    """Return the median seconds of both, after one run each that is not counted."""
+    times: tuple[list[float], list[float]] = ([], [])
+    for run in range(runs + 1):
+        for function, of_it in zip((ours, other), times, strict=True):
+            begun = time.perf_counter()
+            function()
+            if run:
+                of_it.append(time.perf_counter() - begun)
+    return statistics.median(times[0]), statistics.median(times[1])
+
+
+def machine() -> str:
+    """Name the processor and the interpreter."""
+    return f"{platform.processor() or platform.machine()}, Python {platform.python_version()}"

@@ -1,0 +1,57 @@
+"""A service with a built map, made once over HTTP and copied for each test."""
+
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from tests.support.recording import recording
+from tests.support.service import running, upload, wait_for
+
+
+@dataclass(frozen=True)
+class Built:
+    """A stopped service's data: map `campus`, drive `monday`, two revisions, the first live."""
+
+    data_dir: Path
+    live: str
+    other: str
+    job: str
+
+
+@pytest.fixture(scope="session")
+def built(tmp_path_factory):
+    data_dir = tmp_path_factory.mktemp("built") / "data"
+    with running(data_dir) as client:
+        client.post("/v1/maps", json={"map": "campus"})
+        upload(client, "monday", recording())
+        jobs = [
+            client.post("/v1/maps/campus/builds", json=wanted).json()["job"]
+            for wanted in ({"segments": 3}, {"segments": 2, "reducer": "nearest"})
+        ]
+        live, other = (wait_for(client, job)["revision"] for job in jobs)
+    return Built(data_dir, live, other, jobs[0])
+
+
+@pytest.fixture(scope="session")
+def client(built):
+    """The built map, for tests that change nothing."""
+    with running(built.data_dir) as client:
+        yield client
+
+
+@pytest.fixture
+def own(tmp_path, built):
+    """A copy of the built map, for a test that changes it."""
+    shutil.copytree(built.data_dir, tmp_path / "data", ignore=shutil.ignore_patterns("*.lock"))
+    with running(tmp_path / "data") as client:
+        yield client
+
+
+@pytest.fixture
+def empty(tmp_path):
+    """A service that has the map `campus` and nothing in it."""
+    with running(tmp_path / "data") as client:
+        client.post("/v1/maps", json={"map": "campus"})
+        yield client

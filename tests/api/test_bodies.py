@@ -1,0 +1,210 @@
+"""Bodies that no scan can be read from: each its own problem, and nothing stored changes."""
+
+import gzip
+
+import numpy as np
+import pytest
+
+from tests.support.recording import KITTI, NPY, kitti, npy, recording, upload_scan
+from tests.support.service import problem_of, running, whole_store
+
+SCAN = recording(scans=1).scans[0]
+POINTS = SCAN.points_m[:200].astype(np.float64)
+UNKNOWN = {"Content-Type": "application/x-rosbag"}
+DOUBLES = np.random.default_rng(0).normal(scale=20.0, size=(400, 4))
+
+BAD = {
+    "empty": (b"", KITTI, 422, "empty-body"),
+    "truncated KITTI": (kitti(SCAN)[:-3], KITTI, 422, "truncated-scan"),
+    "truncated npy": (npy(POINTS)[:-3], NPY, 422, "truncated-scan"),
+    "all NaN": (npy(np.full((500, 3), np.nan)), NPY, 422, "too-few-returns"),
+    "all zero": (bytes(16 * 500), KITTI, 422, "too-few-returns"),
+    "integers": (npy(np.ones((500, 3), np.int32)), NPY, 422, "wrong-dtype"),
+    "doubles as KITTI": (DOUBLES.tobytes(), KITTI, 422, "wrong-dtype"),
+    "two columns": (npy(np.ones((500, 2))), NPY, 422, "malformed-scan"),
+    "text as npy": (b"x y z\n1 2 3\n", NPY, 422, "malformed-scan"),
+    "a type without a reader": (b"#ROSBAG V2.0", UNKNOWN, 415, "unknown-format"),
+    "no type and no magic": (b"\x00" * 64, {}, 415, "unknown-format"),
+    "gzip": (
+        gzip.compress(kitti(SCAN)),
+        {**KITTI, "Content-Encoding": "gzip"},
+        415,
+        "unsupported-body",
+    ),
+}
+
+
+@pytest.mark.parametrize(("body", "headers", "status", "problem"), BAD.values(), ids=BAD)
+def test_a_body_without_a_scan_is_refused_by_name_and_changes_nothing(
+    client, body, headers, status, problem
+):
+    before = whole_store(client)
+    for method, path in (
+        ("PUT", "/v1/maps/campus/drives/monday/scans/900"),
+        ("PUT", "/v1/maps/campus/drives/new/scans/0"),
+        ("POST", "/v1/maps/campus/localizations/scan"),
+    ):
+        refused = client.request(method, path, content=body, headers=headers)
+        assert problem_of(refused) == (status, problem)
+    assert whole_store(client) == before
+
+
+@pytest.fixture(scope="module")
+def small(tmp_path_factory):
+    """A service that reads bodies up to 2,000 bytes."""
+    with running(tmp_path_factory.mktemp("small"), max_body_bytes=2_000) as client:
+        client.post("/v1/maps", json={"map": "campus"})
+        yield client
+
+
+def chunks(count):
+    return (bytes(100) for _ in range(count))
+
+
+@pytest.mark.parametrize("path", ["drives/d/scans/0", "drives/d/poses"])
+@pytest.mark.parametrize("body", [bytes(2_001), chunks], ids=["declared", "chunked"])
+def test_a_body_beyond_the_limit_is_refused(small, path, body):
+    before = whole_store(small)
+    content = body(21) if callable(body) else body
+    kind = {"Content-Type": "application/json"} if path.endswith("poses") else KITTI
+    refused = small.put(f"/v1/maps/campus/{path}", content=content, headers=kind)
+    assert problem_of(refused) == (413, "body-too-large")
+    assert "2000" in refused.json()["detail"]
+    assert whole_store(small) == before
+
+
+def test_a_body_at_the_limit_is_read(small):
+    refused = small.put("/v1/maps/campus/drives/d/scans/0", content=chunks(20), headers=KITTI)
+    assert problem_of(refused) == (422, "too-few-returns")  # they are zeros
+
+
+def test_returns_that_are_none_are_left_out_and_counted(own):
+    points = POINTS.copy()
+    points[:30] = np.nan
+    points[30:50] = 0.0
+    points[50, 1] = np.inf
+    stored = own.put("/v1/maps/campus/drives/rain/scans/0", content=npy(points), headers=NPY)
+    assert stored.status_code == 201
+    assert (stored.json()["returns"], stored.json()["dropped_returns"]) == (149, 51)
+
+
+def test_a_scan_put_twice_is_stored_once(own):
+    first = upload_scan(own, "campus", "again", 3, SCAN)
+    before = whole_store(own)
+    second = upload_scan(own, "campus", "again", 3, SCAN)
+    as_npy = own.put(
+        "/v1/maps/campus/drives/again/scans/3", content=npy(SCAN.points_m), headers=NPY
+    )
+    assert [r.status_code for r in (first, second, as_npy)] == [201, 200, 200]
+    assert first.json() == second.json() == as_npy.json()
+    assert "Location" not in second.headers
+    assert whole_store(own) == before
+
+
+def test_another_scan_at_the_same_index_is_refused_and_the_first_stays(own):
+    upload_scan(own, "campus", "again", 3, SCAN)
+    before = whole_store(own)
+    refused = upload_scan(own, "campus", "again", 3, recording().scans[1])
+    assert problem_of(refused) == (409, "scan-conflict")
+    assert whole_store(own) == before
+    stored = own.service.store.drives.read_scan("campus", "again", 3)
+    assert stored.points_m.tobytes() == SCAN.points_m.tobytes()
+
+
+def test_a_closed_drive_takes_no_new_scan_and_keeps_the_old_ones(own):
+    closed = own.patch("/v1/maps/campus/drives/monday", json={"closed": True})
+    assert closed.json()["closed"] is True
+    refused = upload_scan(own, "campus", "monday", 900, SCAN)
+    assert problem_of(refused) == (409, "drive-closed")
+    assert upload_scan(own, "campus", "monday", 0, recording().scans[0]).status_code == 200
+    reopened = own.patch("/v1/maps/campus/drives/monday", json={"closed": False})
+    assert problem_of(reopened) == (422, "invalid-request")
+
+
+@pytest.mark.parametrize(
+    "pose", ["", "1,2,3", "0,0,0,0,0,0,2", "0,0,0,0,0,0,nan", "a,0,0,0,0,0,1", "1e999,0,0,0,0,0,1"]
+)
+def test_a_pose_that_is_none_is_refused(client, pose):
+    refused = upload_scan(client, "campus", "monday", 900, SCAN, params={"pose": pose})
+    assert problem_of(refused) == (422, "invalid-pose")
+
+
+@pytest.mark.parametrize(
+    ("poses", "problem"),
+    [
+        ([], (422, "invalid-request")),
+        ([{"scan": 0, "pose": [0.0] * 6}], (422, "invalid-request")),
+        ([{"scan": 0, "pose": [0.0] * 7}], (422, "invalid-pose")),
+        ([{"scan": 1}, {"scan": 1}], (422, "invalid-pose")),
+        ([{"scan": 10**30, "pose": None}], (422, "invalid-request")),
+        ([{"scan": 2**53 - 1, "pose": None}], (404, "scan-not-found")),
+        ([{"scan": 0, "pose": None}, {"scan": 900, "pose": None}], (404, "scan-not-found")),
+    ],
+)
+def test_poses_that_cannot_be_set_change_nothing(client, poses, problem):
+    before = client.service.store.drives.scan_records("campus", "monday")
+    refused = client.put("/v1/maps/campus/drives/monday/poses", json={"poses": poses})
+    assert problem_of(refused) == problem
+    assert client.service.store.drives.scan_records("campus", "monday") == before
+
+
+def test_a_thousand_things_that_are_wrong_are_not_all_repeated(client):
+    poses = [{"scan": -1, "x" * 5_000: 1} for _ in range(1_000)]
+    refused = client.put("/v1/maps/campus/drives/monday/poses", json={"poses": poses})
+    assert len(refused.json()["errors"]) == 20
+    assert "1980 more" in refused.json()["detail"]
+    assert len(refused.content) < 20_000
+
+
+@pytest.mark.parametrize(
+    ("body", "why"),
+    [
+        (b"", (422, "empty-body")),
+        (b"\x00" * 8, (422, "invalid-image")),
+        (np.full((30, 361), np.nan, "<f4").tobytes(), (422, "invalid-image")),
+        (np.full((30, 361), -1, "<f4").tobytes(), (422, "invalid-image")),
+        (np.zeros((30, 361), "<f4").tobytes(), (422, "invalid-image")),
+    ],
+)
+def test_an_image_that_is_none_is_refused(client, body, why):
+    headers = {"Content-Type": "application/vnd.tensormap.image"}
+    refused = client.post("/v1/maps/campus/localizations/image", content=body, headers=headers)
+    assert problem_of(refused) == why
+
+
+@pytest.mark.parametrize("kind", ["image", "signature"])
+def test_a_query_of_another_type_is_told_which_was_wanted(client, kind):
+    refused = client.post(f"/v1/maps/campus/localizations/{kind}", content=b"x", headers=UNKNOWN)
+    assert problem_of(refused) == (415, "unsupported-body")
+    assert "application/vnd.tensormap" in refused.json()["detail"]
+
+
+@pytest.mark.parametrize("headers", [{}, {"Content-Type": "text/plain"}])
+def test_json_that_does_not_say_so_is_refused_as_a_foreign_page_would_send_it(client, headers):
+    refused = client.post("/v1/maps", content=b'{"map": "forged"}', headers=headers)
+    assert problem_of(refused) == (415, "unsupported-body")
+    assert "application/json" in refused.json()["detail"]
+
+
+@pytest.mark.parametrize("body", [b"", b"{", b"\xff", b"[" * 100_000, b"3"])
+def test_json_that_cannot_be_read_is_refused(client, body):
+    headers = {"Content-Type": "application/json"}
+    refused = client.post("/v1/maps", content=body, headers=headers)
+    assert problem_of(refused) == (422, "invalid-request")
+
+
+@pytest.mark.parametrize(
+    ("method", "path", "body", "problem"),
+    [
+        ("POST", "", '{"map": "?"}', "invalid-slug"),
+        ("POST", "", '{"map": "x", "description": "?"}', "invalid-request"),
+        ("PUT", "/campus/live", '{"revision": "????????????"}', "invalid-request"),
+        ("POST", "/campus/builds", '{"drives": ["?"]}', "invalid-request"),
+        ("POST", "/campus/builds", '{"sensor": "?"}', "invalid-parameters"),
+    ],
+)
+def test_half_a_character_is_refused(client, method, path, body, problem):
+    half = body.replace("?", "\\ud800")
+    headers = {"Content-Type": "application/json"}
+    refused = client.request(method, f"/v1/maps{path}", content=half, headers=headers)
+    assert problem_of(refused) == (422, problem)

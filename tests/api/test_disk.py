@@ -1,0 +1,101 @@
+"""Disks that are full and files that have changed: told by name, and nothing else suffers."""
+
+import errno
+import os
+
+import pytest
+
+from app.schemas.revisions import BasisOut
+from core.signature import pack_signatures
+from storage.errors import CorruptFile
+from storage.map_file import read_map
+from tests.support.recording import KITTI, kitti, recording, upload_scan
+from tests.support.service import problem_of, whole_store
+
+PACKED = {"Content-Type": "application/vnd.tensormap.signature"}
+
+
+def localize(client, scan):
+    return client.post("/v1/maps/campus/localizations/scan", content=kitti(scan), headers=KITTI)
+
+
+def test_a_full_disk_is_told_and_nothing_is_lost(own, monkeypatch):
+    def full(_descriptor):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    before = whole_store(own)
+    scan = recording().scans[0]
+    with monkeypatch.context() as patched:
+        patched.setattr(os, "fsync", full)
+        for drive in ("monday", "new"):
+            refused = upload_scan(own, "campus", drive, 900, scan)
+            assert problem_of(refused) == (507, "storage-full")
+        assert localize(own, scan).status_code == 200
+    assert whole_store(own)[:3] == before[:3]
+    stored = {name for name in whole_store(own)[3] if name.endswith((".h5", ".part"))}
+    assert stored == {name for name in before[3] if name.endswith(".h5")}
+    assert upload_scan(own, "campus", "monday", 900, scan).status_code == 201
+
+
+@pytest.mark.parametrize("harm", ["one bit", "cut", "another", "gone", "no map"])
+def test_a_harmed_revision_is_told_and_the_others_answer(own, built, harm):
+    signature = _signature_of(own, built.other)
+    path = own.service.store.revisions.path("campus", built.live)
+    whole = path.read_bytes()
+    half = len(whole) // 2
+    if harm == "one bit":
+        path.write_bytes(whole[:half] + bytes([whole[half] ^ 1]) + whole[half + 1 :])
+    elif harm == "cut":
+        path.write_bytes(whole[:half])
+    elif harm == "another":
+        path.write_bytes(own.service.store.revisions.path("campus", built.other).read_bytes())
+    elif harm == "gone":
+        path.unlink()
+    else:
+        path.write_bytes(b"no map at all")
+    scan = recording().scans[9]
+    for _ in range(2):  # it is no better the second time
+        for refused in (localize(own, scan), own.get("/v1/maps/campus/basis")):
+            assert problem_of(refused) == (500, "corrupt-file")
+    assert own.get("/readyz").status_code == 200
+    answered = own.post(
+        "/v1/maps/campus/localizations/signature", content=signature, headers=PACKED
+    )
+    assert answered.json()["revision"] == built.other
+    own.put("/v1/maps/campus/live", json={"revision": built.other})
+    assert localize(own, scan).json()["best"]["scan_index"] == 9
+
+
+def test_a_map_file_with_a_changed_byte_is_read_as_it_was_or_not_at_all(client, built, tmp_path):
+    whole = client.service.store.revisions.path("campus", built.live).read_bytes()
+    path = tmp_path / "harmed.h5"
+    refused = 0
+    # Densely where HDF5 keeps its own structures, at the beginning, and sparsely in the arrays.
+    for at in [*range(0, 6_000, 61), *range(6_000, len(whole), len(whole) // 100)]:
+        path.write_bytes(whole[:at] + bytes([whole[at] ^ 0xFF]) + whole[at + 1 :])
+        try:
+            assert read_map(path).revision == built.live
+        except CorruptFile:
+            refused += 1
+    assert refused > 50
+
+
+def test_a_scan_whose_file_has_changed_is_not_given_back(own):
+    [chunk] = {
+        record.chunk
+        for record in own.service.store.drives.scan_records("campus", "monday")
+        if record.index == 5
+    }
+    [path] = own.service.settings.data_dir.rglob(chunk)
+    whole = bytearray(path.read_bytes())
+    whole[len(whole) // 2] ^= 1
+    path.write_bytes(whole)
+    scans = "/v1/maps/campus/drives/monday/scans"
+    assert problem_of(own.get(f"{scans}/5")) == (500, "corrupt-file")
+    assert own.get(f"{scans}/6").status_code == 200
+
+
+def _signature_of(client, revision):
+    answer = client.get("/v1/maps/campus/basis", params={"revision": revision})
+    basis = BasisOut.model_validate(answer.json()).to_core()
+    return pack_signatures(basis.encode(basis.image(recording().scans[9])))

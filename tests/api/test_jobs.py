@@ -1,0 +1,241 @@
+"""Builds as jobs: each one ends, however its process does."""
+
+import os
+import signal
+import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
+from multiprocessing import active_children
+
+import numpy as np
+import pytest
+
+from app.jobs import runner as runner_module
+from app.jobs.worker import run_build
+from core.scan import Scan
+from storage.catalog import JobState
+from storage.errors import JobNotFound, StorageBusy
+from storage.store import Store
+from tests.support.recording import recording, upload_scan
+from tests.support.service import problem_of, running, wait_for, whole_store
+
+
+def build(client, **wanted):
+    response = client.post("/v1/maps/campus/builds", json=wanted)
+    assert response.status_code == 202, response.text
+    return response.json()["job"]
+
+
+def stand_still(_data_dir, _catalog_url, _job):
+    """Be a worker that never ends."""
+    time.sleep(600)
+
+
+def fall_over(_data_dir, _catalog_url, _job):
+    """Be a worker with a fault."""
+    os._exit(3)
+
+
+@pytest.fixture
+def standing(empty, monkeypatch):
+    """A service whose workers stand still, with one scan."""
+    monkeypatch.setattr(runner_module, "run_build", stand_still)
+    upload_scan(empty, "campus", "monday", 0, recording().scans[0])
+    return empty
+
+
+@pytest.mark.parametrize(
+    ("wanted", "problem"),
+    [
+        ({"drives": ["nowhere"]}, (404, "drive-not-found")),
+        ({"drives": []}, (422, "invalid-request")),
+        ({"drives": ["monday", "monday"]}, (422, "invalid-request")),
+        ({"segments": 2, "segment_length": 3}, (422, "invalid-request")),
+        ({"segments": 0}, (422, "invalid-request")),
+        ({"segment_length": 10**30}, (422, "invalid-request")),
+        ({"ranks": [31, 5]}, (422, "invalid-parameters")),
+        ({"ranks": [5]}, (422, "invalid-request")),
+        ({"sensor": "camera"}, (422, "invalid-parameters")),
+        ({"encoding": "none"}, (422, "invalid-request")),
+        ({"colour": "red"}, (422, "invalid-request")),
+    ],
+)
+def test_a_build_that_cannot_be_is_refused_before_it_is_queued(client, wanted, problem):
+    before = client.get("/v1/jobs").json()
+    refused = client.post("/v1/maps/campus/builds", json=wanted)
+    assert problem_of(refused) == problem
+    assert client.get("/v1/jobs").json() == before
+
+
+def test_a_map_without_scans_or_that_is_not_there_is_not_built(empty):
+    assert problem_of(empty.post("/v1/maps/campus/builds", json={})) == (422, "empty-drive")
+    assert problem_of(empty.post("/v1/maps/x/builds", json={})) == (404, "map-not-found")
+    assert problem_of(empty.get("/v1/jobs/nonsense")) == (404, "job-not-found")
+
+
+def test_a_build_that_fails_says_why_and_publishes_nothing(empty):
+    above = np.tile([1.0, 0.0, 100.0], (200, 1))  # 89 degrees up, where the grid ends at 4
+    for index in range(3):
+        upload_scan(empty, "campus", "sky", index, Scan.from_returns(above))
+    before = whole_store(empty)
+    job = wait_for(empty, build(empty))
+    assert job["state"] == "failed"
+    assert job["error"]["type"] == "/problems/empty-drive"
+    assert "sky" in job["error"]["detail"]
+    assert empty.get(job["error"]["type"]).status_code == 200
+    maps, drives, revisions, _ = whole_store(empty)
+    assert (maps, drives, revisions) == before[:3]
+
+
+def test_a_worker_that_is_killed_fails_its_job_and_the_next_one_is_done(standing, monkeypatch):
+    job = build(standing)
+    wait_for(standing, job, {"running"})
+    [worker] = _workers()
+    os.kill(worker, signal.SIGKILL)
+    failed = wait_for(standing, job)
+    assert (failed["state"], failed["error"]["type"]) == ("failed", "/problems/worker-died")
+    assert "-9" in failed["error"]["detail"]
+
+    monkeypatch.setattr(runner_module, "run_build", fall_over)
+    fallen = wait_for(standing, build(standing))
+    assert "exit code 3" in fallen["error"]["detail"]
+
+    monkeypatch.undo()
+    assert wait_for(standing, build(standing))["state"] == "done"
+    assert standing.get("/readyz").json() == {"ready": True, "missing": []}
+
+
+def test_a_worker_that_cannot_be_started_fails_its_job_and_not_the_service(standing, monkeypatch):
+    monkeypatch.setattr(runner_module, "run_build", lambda *_: None)  # cannot be pickled
+
+    def refuse(*_args, **_kwargs):
+        raise OSError("no more processes")
+
+    monkeypatch.setattr(standing.service.runner._context, "Process", refuse, raising=False)
+    job = wait_for(standing, build(standing))
+    assert (job["state"], job["error"]["type"]) == ("failed", "/problems/worker-died")
+    assert standing.get("/readyz").status_code == 200
+
+
+def test_a_waiting_and_a_running_build_are_cancelled(standing):
+    first, second = build(standing), build(standing)
+    wait_for(standing, first, {"running"})
+    assert standing.get(f"/v1/jobs/{second}").json()["state"] == "queued"
+    for job in (second, first):
+        assert standing.delete(f"/v1/jobs/{job}").status_code == 200
+        assert wait_for(standing, job)["state"] == "cancelled"
+    assert not _workers()
+    again = standing.delete(f"/v1/jobs/{first}")
+    assert again.json()["state"] == "cancelled"  # one that ended stays as it is
+
+
+def test_the_jobs_of_a_map_are_listed_newest_first(standing):
+    standing.post("/v1/maps", json={"map": "other"})
+    jobs = [build(standing) for _ in range(3)]
+    listed = standing.get("/v1/jobs", params={"map": "campus", "limit": 2}).json()
+    assert [item["job"] for item in listed["items"]] == [jobs[2], jobs[1]]
+    rest = standing.get("/v1/jobs", params={"map": "campus", "after": listed["next_after"]}).json()
+    assert [item["job"] for item in rest["items"]] == [jobs[0]]
+    assert standing.get("/v1/jobs", params={"map": "other"}).json()["items"] == []
+    assert problem_of(standing.get("/v1/jobs", params={"map": "x"})) == (404, "map-not-found")
+
+
+def test_the_job_of_a_map_that_is_removed_goes_with_it(standing):
+    job = build(standing)
+    wait_for(standing, job, {"running"})
+    standing.delete("/v1/maps/campus")
+    assert problem_of(standing.get(f"/v1/jobs/{job}")) == (404, "job-not-found")
+    deadline = time.monotonic() + 30
+    while _workers():
+        assert time.monotonic() < deadline, "the worker goes on without its map"
+        time.sleep(0.02)
+
+
+def test_a_stopped_service_leaves_no_worker_and_the_next_one_goes_on(tmp_path, monkeypatch):
+    monkeypatch.setattr(runner_module, "run_build", stand_still)
+    with running(tmp_path) as client:
+        client.post("/v1/maps", json={"map": "campus"})
+        upload_scan(client, "campus", "monday", 0, recording().scans[0])
+        job = build(client)
+        wait_for(client, job, {"running"})
+    assert not _workers()
+    monkeypatch.undo()
+    with running(tmp_path) as client:
+        assert wait_for(client, job)["state"] == JobState.DONE
+
+
+@pytest.fixture
+def claimed(tmp_path):
+    """A store with one scan and a build that is claimed, as a worker finds it."""
+    with Store(tmp_path) as store:
+        store.maps.create("campus")
+        store.drives.put_scan("campus", "monday", 0, recording().scans[0])
+        store.jobs.create("campus", {})
+        job = store.jobs.claim()
+        assert job is not None
+        yield store, job
+
+
+def test_a_worker_that_is_asked_to_stop_publishes_nothing(tmp_path, claimed):
+    store, job = claimed
+    store.jobs.request_cancel(job.id)
+    run_build(tmp_path, None, job)
+    assert store.jobs.get(job.id).state == JobState.CANCELLED
+    assert store.revisions.list("campus").items == ()
+    assert not list(tmp_path.rglob("*.part"))
+
+
+def test_a_worker_whose_map_is_removed_ends_quietly(tmp_path, claimed):
+    store, job = claimed
+    store.maps.delete("campus")
+    run_build(tmp_path, None, job)
+    with pytest.raises(JobNotFound):
+        store.jobs.get(job.id)
+
+
+def test_what_is_missing_to_be_ready_is_told(empty, monkeypatch):
+    assert empty.get("/readyz").json() == {"ready": True, "missing": []}
+
+    def busy(*_args, **_options):
+        raise StorageBusy("another process holds it")
+
+    monkeypatch.setattr(empty.service.store.maps, "list", busy)
+    monkeypatch.setattr(type(empty.service.runner), "alive", False)
+    answer = empty.get("/readyz")
+    assert answer.status_code == 503
+    assert answer.json() == {
+        "ready": False,
+        "missing": [
+            "the catalog cannot be read: another process holds it",
+            "builds do not run",
+        ],
+    }
+    assert empty.get("/livez").status_code == 200
+    refused = empty.get("/v1/maps")
+    assert problem_of(refused) == (503, "storage-busy")
+
+
+def test_the_service_is_alive_while_every_thread_of_it_waits(own, monkeypatch):
+    let_go, asked = threading.Event(), threading.Semaphore(0)
+
+    def wait(*_args):
+        asked.release()
+        assert let_go.wait(60)
+        raise TimeoutError
+
+    monkeypatch.setattr(own.service.revisions, "live", wait)
+    with ThreadPoolExecutor(60) as pool:
+        try:
+            slow = [pool.submit(own.get, "/v1/maps/campus/topology") for _ in range(60)]
+            for _ in range(40):  # as many as Starlette has threads
+                assert asked.acquire(timeout=60)
+            assert own.get("/livez").json() == {"status": "live"}
+        finally:
+            let_go.set()
+        assert {answer.result().status_code for answer in slow} == {500}
+
+
+def _workers():
+    return [
+        child.pid for child in active_children() if child.name.startswith("build-") and child.pid
+    ]

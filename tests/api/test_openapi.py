@@ -1,0 +1,129 @@
+"""The API's own description: complete, whole, and readable without the internet."""
+
+import re
+from html.parser import HTMLParser
+
+import pytest
+
+from app.errors import STATUS, problem_name
+
+
+@pytest.fixture(scope="module")
+def document(client):
+    return client.get("/openapi.json").json()
+
+
+def operations(document):
+    for path, methods in document["paths"].items():
+        for method, operation in methods.items():
+            yield f"{method.upper()} {path}", operation
+
+
+def walk(node):
+    yield node
+    for below in (
+        node.values() if isinstance(node, dict) else node if isinstance(node, list) else ()
+    ):
+        yield from walk(below)
+
+
+def test_every_reference_leads_somewhere(document):
+    references = [
+        node["$ref"] for node in walk(document) if isinstance(node, dict) and "$ref" in node
+    ]
+    assert references
+    for reference in references:
+        place = document
+        for part in reference.removeprefix("#/").split("/"):
+            assert part in place, reference
+            place = place[part]
+
+
+def test_every_route_is_explained(document):
+    for name, operation in operations(document):
+        assert operation["summary"], name
+        assert operation.get("description"), name
+        assert operation["tags"], name
+        for parameter in operation.get("parameters", ()):
+            assert parameter.get("description"), (name, parameter["name"])
+
+
+def test_every_answer_has_a_schema(document):
+    for name, operation in operations(document):
+        for status, answer in operation["responses"].items():
+            assert answer["description"], (name, status)
+            if status in {"204", "304"}:
+                assert "content" not in answer, (name, status)
+                continue
+            for kind, content in answer["content"].items():
+                assert content["schema"], (name, status, kind)
+
+
+def test_every_error_is_a_problem_with_an_example_of_each(document):
+    names = {problem_name(kind): status for kind, status in STATUS.items()}
+    for name, operation in operations(document):
+        for status, answer in operation["responses"].items():
+            if int(status) < 400 or name == "GET /readyz":
+                continue
+            content = answer["content"]["application/problem+json"]
+            assert list(answer["content"]) == ["application/problem+json"], (name, status)
+            assert content["schema"] == {"$ref": "#/components/schemas/Problem"}
+            assert content["examples"]
+            for problem in content["examples"]:
+                assert names[problem] == int(status), (name, problem)
+
+
+def test_every_route_behind_the_key_says_so(document):
+    for name, operation in operations(document):
+        if " /v1/" in name:
+            assert operation["security"], name
+            assert {"401", "421", "500", "503"} <= set(operation["responses"]), name
+        else:
+            assert "security" not in operation, name
+
+
+def test_every_body_has_a_type_and_json_has_an_example(document):
+    schemas = document["components"]["schemas"]
+    for name, operation in operations(document):
+        if "requestBody" not in operation:
+            continue
+        assert {"413", "415"} <= set(operation["responses"]), name
+        for kind, content in operation["requestBody"]["content"].items():
+            if kind == "application/json":
+                schema = schemas[content["schema"]["$ref"].rpartition("/")[2]]
+                assert "example" in schema, name
+            else:
+                assert content["schema"]["format"] == "binary", name
+
+
+class Assets(HTMLParser):
+    """Collects what a page loads."""
+
+    def __init__(self):
+        super().__init__()
+        self.found = []
+
+    def handle_starttag(self, tag, attrs):
+        given = dict(attrs)
+        if tag in {"script", "img", "iframe"} and "src" in given:
+            self.found.append(given["src"])
+        if tag == "link":
+            self.found.append(given["href"])
+
+
+@pytest.mark.parametrize("page", ["/docs", "/redoc"])
+def test_the_documentation_is_read_without_the_internet(client, page):
+    response = client.get(page)
+    assert response.status_code == 200
+    assets = Assets()
+    assets.feed(response.text)
+    assert assets.found
+    for asset in assets.found:
+        assert re.match(r"/(?!/)", asset), asset
+        assert client.get(asset).status_code == 200, asset
+    # Nothing that a script in the page itself would load, either.
+    assert not re.search(r"https?://", response.text)
+
+
+def test_the_root_leads_a_person_to_the_documentation(client):
+    assert client.get("/").request.url.path == "/docs"

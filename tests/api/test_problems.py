@@ -1,0 +1,178 @@
+"""Errors: one table, one shape, each explained, none that tells of the inside."""
+
+import importlib
+import pkgutil
+
+import pytest
+
+import app
+import core
+import storage
+from app.errors import STATUS, AppError, problem_name
+from core.errors import TensorMapError
+from storage.catalog.scans import LostRace
+from storage.errors import Conflict, NotFound, StorageError
+from tests.support.recording import KITTI, recording, upload_scan
+from tests.support.service import problem_of, whole_store
+
+# Never raised themselves; LostRace never leaves the store, and is a StorageBusy if it does.
+BASES = {TensorMapError, AppError, StorageError, NotFound, Conflict, LostRace}
+
+
+def whole_tree(kind):
+    return {kind}.union(*(whole_tree(below) for below in kind.__subclasses__()))
+
+
+def test_every_error_that_is_raised_has_its_status():
+    for package in (app, core, storage):
+        for module in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):
+            # Alembic runs the migrations; a __main__ runs itself.
+            if "migrations" not in module.name and "__main__" not in module.name:
+                importlib.import_module(module.name)
+    assert whole_tree(TensorMapError) - BASES == set(STATUS)
+
+
+@pytest.mark.parametrize("kind", STATUS, ids=problem_name)
+def test_every_problem_is_explained(client, kind):
+    page = client.get(f"/problems/{problem_name(kind)}").json()
+    assert page["type"] == f"/problems/{problem_name(kind)}"
+    assert page["title"].endswith((".", "`."))
+    assert page["status"] == STATUS[kind]
+
+
+def test_a_problem_that_is_none_is_not_found(client):
+    assert problem_of(client.get("/problems/nonsense")) == (404, "no-such-route")
+
+
+def test_a_path_that_is_not_there_is_a_problem_too(client):
+    assert problem_of(client.get("/v1/nothing")) == (404, "no-such-route")
+    long = client.get("/v1/" + "x" * 5_000)
+    assert problem_of(long) == (404, "no-such-route")
+    assert len(long.content) < 1_000
+
+
+@pytest.mark.parametrize(
+    ("method", "path", "allowed"),
+    [
+        ("PUT", "/v1/maps", "GET, POST"),
+        ("POST", "/v1/maps/campus", "DELETE, GET, PATCH"),
+        ("DELETE", "/v1/maps/campus/drives/monday/scans/0", "GET, PUT"),
+        ("GET", "/v1/maps/campus/builds", "POST"),
+        ("POST", "/livez", "GET"),
+    ],
+)
+def test_a_method_that_a_path_lacks_is_told_which_it_has(client, method, path, allowed):
+    refused = client.request(method, path)
+    assert problem_of(refused) == (405, "method-not-allowed")
+    assert refused.headers["Allow"] == allowed
+
+
+def test_a_fault_of_ours_says_nothing_of_the_inside(own, monkeypatch, caplog):
+    def fault(*_args):
+        raise ZeroDivisionError("secret of the inside")
+
+    monkeypatch.setattr(own.service.store.maps, "get", fault)
+    failed = own.get("/v1/maps/campus")
+    assert problem_of(failed) == (500, "internal-error")
+    assert "secret" not in failed.text
+    assert "secret of the inside" in caplog.text  # the log does
+
+
+@pytest.mark.parametrize(
+    "slug",
+    [
+        "..%2f..%2fsecret",
+        "%2e%2e",
+        "%00",
+        "a%00b",
+        "a" * 65,
+        "a" * 10_000,
+        "Campus",
+        "%C3%A9t%C3%A9",
+        "%ff",
+        "-a",
+        ".hidden",
+        "a%20b",
+        "a;b",
+        "%F0%9F%9A%97",
+    ],
+)
+def test_a_name_that_is_no_slug_reaches_no_file(client, built, slug):
+    before = whole_store(client)
+    beside = sorted(path.name for path in built.data_dir.parent.iterdir())
+    asked = [
+        ("GET", f"/v1/maps/{slug}", None),
+        ("DELETE", f"/v1/maps/{slug}", None),
+        ("GET", f"/v1/maps/{slug}/drives", None),
+        ("PUT", f"/v1/maps/{slug}/drives/d/scans/0", bytes(range(1, 17)) * 200),
+        ("GET", f"/v1/maps/campus/drives/{slug}", None),
+        ("DELETE", f"/v1/maps/campus/drives/{slug}", None),
+        ("PUT", f"/v1/maps/campus/drives/{slug}/scans/0", bytes(range(1, 17)) * 200),
+        ("GET", f"/v1/maps/campus/revisions/{slug}/file", None),
+        ("DELETE", f"/v1/maps/campus/revisions/{slug}", None),
+        ("GET", f"/v1/jobs/{slug}", None),
+        ("GET", f"/problems/{slug}", None),
+        ("GET", f"/static-offline-docs/{slug}", None),
+    ]
+    for method, path, body in asked:
+        refused = client.request(method, path, content=body, headers=KITTI if body else None)
+        assert refused.status_code in {404, 405, 422}, path
+    assert whole_store(client) == before
+    assert sorted(path.name for path in built.data_dir.parent.iterdir()) == beside
+
+
+@pytest.mark.parametrize("slug", ["", "..", "A", "a/b", "a\x00", "é", "a" * 65, ".a", "a b", "a\n"])
+def test_a_map_is_made_only_of_a_slug(client, slug):
+    refused = client.post("/v1/maps", json={"map": slug})
+    assert problem_of(refused) == (422, "invalid-slug")
+
+
+@pytest.mark.parametrize("slug", ["0", "a.b_c-9", "a" * 64])
+def test_a_slug_names_a_map_and_a_drive(own, slug):
+    made = own.post("/v1/maps", json={"map": slug})
+    assert made.headers["Location"] == f"/v1/maps/{slug}"
+    assert upload_scan(own, slug, slug, 0, recording().scans[0]).status_code == 201
+    assert problem_of(own.post("/v1/maps", json={"map": slug})) == (409, "map-exists")
+
+
+def test_a_map_is_changed_only_at_the_version_that_was_seen(own):
+    seen = own.get("/v1/maps/campus").headers["ETag"]
+    changed = own.patch(
+        "/v1/maps/campus", json={"description": "one"}, headers={"If-Match": f"W/{seen}"}
+    )
+    assert changed.status_code == 200
+    late = {"If-Match": seen}
+    for refused in (
+        own.patch("/v1/maps/campus", json={"description": "two"}, headers=late),
+        own.delete("/v1/maps/campus", headers=late),
+    ):
+        assert problem_of(refused) == (412, "map-changed")
+    nonsense = own.delete("/v1/maps/campus", headers={"If-Match": "yesterday"})
+    assert problem_of(nonsense) == (422, "invalid-request")
+    gone = own.delete("/v1/maps/campus", headers={"If-Match": changed.headers["ETag"]})
+    assert gone.status_code == 204
+    assert problem_of(own.get("/v1/maps/campus")) == (404, "map-not-found")
+
+
+def test_lists_are_walked_page_by_page(own):
+    for name in ("a", "b", "c"):
+        own.post("/v1/maps", json={"map": name})
+    seen, after = [], ""
+    while after is not None:
+        page = own.get("/v1/maps", params={"limit": 2, "after": after}).json()
+        seen += [item["map"] for item in page["items"]]
+        after = page["next_after"]
+    assert seen == ["a", "b", "c", "campus"]
+    for limit in (0, 1001, "many"):
+        assert problem_of(own.get("/v1/maps", params={"limit": limit})) == (422, "invalid-request")
+    for path in ("/v1/jobs", "/v1/maps/campus/revisions"):
+        nonsense = own.get(path, params={"after": "nonsense"})
+        assert problem_of(nonsense) == (422, "invalid-parameters")
+
+
+def test_a_drive_is_removed_with_its_scans_and_its_revisions_stay(own, built):
+    assert own.delete("/v1/maps/campus/drives/monday").status_code == 204
+    gone = own.get("/v1/maps/campus/drives/monday/scans/0")
+    assert problem_of(gone) == (404, "drive-not-found")
+    assert own.get(f"/v1/maps/campus/revisions/{built.live}/file").status_code == 200
+    assert own.get("/v1/maps/campus/basis").status_code == 200

@@ -1,0 +1,162 @@
+"""Revisions: which one answers, and what a signature of another one is told."""
+
+import pytest
+
+from app.schemas.revisions import BasisOut
+from core.signature import pack_signatures
+from tests.support.recording import KITTI, kitti, recording, upload_scan
+from tests.support.service import problem_of, wait_for
+
+PACKED = {"Content-Type": "application/vnd.tensormap.signature"}
+
+
+def signed(client, revision):
+    """Return scan 20's packed signatures, made with the bases of a revision."""
+    answer = client.get("/v1/maps/campus/basis", params={"revision": revision})
+    basis = BasisOut.model_validate(answer.json()).to_core()
+    return pack_signatures(basis.encode(basis.image(recording().scans[20])))
+
+
+def ask(client, signature, slug="campus"):
+    return client.post(
+        f"/v1/maps/{slug}/localizations/signature", content=signature, headers=PACKED
+    )
+
+
+def test_a_second_build_is_live_only_when_it_is_made_so(client, built):
+    listed = client.get("/v1/maps/campus/revisions").json()["items"]
+    assert [(item["revision"], item["live"]) for item in listed] == [
+        (built.other, False),
+        (built.live, True),
+    ]
+    assert client.get(f"/v1/jobs/{built.job}").json()["revision"] == built.live
+
+
+def test_a_build_that_asks_for_it_is_live_at_once(own, built):
+    wanted = {"segments": 4, "make_live": True}
+    job = own.post("/v1/maps/campus/builds", json=wanted).json()["job"]
+    revision = wait_for(own, job)["revision"]
+    assert own.get("/v1/maps/campus").json()["live_revision"] == revision != built.live
+
+
+def test_live_goes_ahead_and_rolls_back(own, built):
+    def live_by_scan():
+        answer = own.post(
+            "/v1/maps/campus/localizations/scan", content=kitti(recording().scans[3]), headers=KITTI
+        )
+        return answer.json()["revision"]
+
+    for revision in (built.other, built.live):
+        made = own.put("/v1/maps/campus/live", json={"revision": revision[:12]})
+        assert made.json()["live_revision"] == revision == live_by_scan()
+        assert made.headers["ETag"] == own.get("/v1/maps/campus").headers["ETag"]
+
+
+def test_who_saw_an_older_version_does_not_switch(own, built):
+    seen = own.get("/v1/maps/campus").headers["ETag"]
+    own.patch("/v1/maps/campus", json={"description": "changed meanwhile"})
+    refused = own.put(
+        "/v1/maps/campus/live", json={"revision": built.other}, headers={"If-Match": seen}
+    )
+    assert problem_of(refused) == (412, "map-changed")
+    assert own.get("/v1/maps/campus").json()["live_revision"] == built.live
+
+
+def test_a_signature_of_a_retained_revision_is_answered_by_it_and_told_which_is_live(own, built):
+    signature = signed(own, built.live)
+    own.put("/v1/maps/campus/live", json={"revision": built.other})
+    found = ask(own, signature).json()
+    assert (found["revision"], found["live_revision"]) == (built.live, built.other)
+    assert found["best"]["scan_index"] == 20
+
+
+def test_a_signature_of_a_deleted_revision_is_stale_and_told_which_is_live(own, built):
+    signature = signed(own, built.other)
+    assert ask(own, signature).status_code == 200  # loaded, and forgotten all the same
+    assert own.delete(f"/v1/maps/campus/revisions/{built.other}").status_code == 204
+    refused = ask(own, signature)
+    assert problem_of(refused) == (409, "stale-signature")
+    assert built.live in refused.json()["detail"]
+
+
+def test_a_signature_of_another_map_is_stale(own, built):
+    own.post("/v1/maps", json={"map": "harbour"})
+    signature = signed(own, built.live)
+    assert problem_of(ask(own, signature, "harbour")) == (409, "no-live-revision")
+    upload_scan(own, "harbour", "monday", 0, recording().scans[0])
+    job = own.post("/v1/maps/harbour/builds", json={}).json()["job"]
+    live = wait_for(own, job)["revision"]
+    refused = ask(own, signature, "harbour")
+    assert problem_of(refused) == (409, "stale-signature")
+    assert live in refused.json()["detail"]
+
+
+@pytest.mark.parametrize(
+    ("change", "problem"),
+    [
+        (lambda body: body[:10], "invalid-signature"),
+        (lambda body: body[:-1], "invalid-signature"),
+        (lambda body: b"\x07" + body[1:], "invalid-signature"),
+        (lambda body: body[:9] + b"\x05\x04" + body[11:], "invalid-signature"),
+        (lambda body: body + body[11:], "invalid-signature"),
+        (lambda body: body[:11] + b"\xff\xff" + body[13:], "unknown-segment"),
+        (lambda body: body[:13] + b"\x00\x7c" + body[15:], "invalid-signature"),  # infinity
+        (lambda body: b"", "empty-body"),
+    ],
+)
+def test_a_packed_signature_that_cannot_be_is_refused_by_name(client, built, change, problem):
+    assert problem_of(ask(client, change(signed(client, built.live)))) == (422, problem)
+
+
+@pytest.mark.parametrize(
+    ("body", "problem"),
+    [
+        ({"revision": "xyz", "signatures": []}, "invalid-request"),
+        ({"signatures": [{"segment": 0, "values": [[1]]}]}, "invalid-request"),
+        ({"segment": 0, "values": [[1, 2], [3]]}, "invalid-signature"),
+        ({"segment": 0, "values": [[1, 2], [3, 4]]}, "invalid-signature"),
+        ({"segment": 0, "values": [[1e300] * 5] * 5}, "invalid-signature"),
+        ({"segment": 0, "values": [[]]}, "invalid-signature"),
+        ({"segment": 9, "values": [[1] * 5] * 5}, "unknown-segment"),
+    ],
+)
+def test_a_json_signature_that_cannot_be_is_refused_by_name(client, built, body, problem):
+    if "signatures" not in body:
+        body = {"revision": built.live, "signatures": [body]}
+    response = client.post("/v1/maps/campus/localizations/signature", json=body)
+    assert problem_of(response) == (422, problem)
+
+
+def test_what_is_wrong_with_a_json_signature_is_listed_field_by_field(client, built):
+    body = {"revision": built.live, "signatures": [{"segment": -1, "values": [["a"]]}]}
+    response = client.post("/v1/maps/campus/localizations/signature", json=body)
+    assert [item["where"] for item in response.json()["errors"]] == [
+        "body/signatures/0/segment",
+        "body/signatures/0/values/0/0",
+    ]
+
+
+def test_the_live_revision_cannot_be_deleted(own, built):
+    refused = own.delete(f"/v1/maps/campus/revisions/{built.live}")
+    assert problem_of(refused) == (409, "revision-is-live")
+    assert own.get(f"/v1/maps/campus/revisions/{built.live}/file").status_code == 200
+
+
+def test_without_a_live_revision_nothing_is_answered(empty):
+    scan = kitti(recording().scans[0])
+    for response in (
+        empty.post("/v1/maps/campus/localizations/scan", content=scan, headers=KITTI),
+        empty.get("/v1/maps/campus/basis"),
+        empty.get("/v1/maps/campus/topology"),
+    ):
+        assert problem_of(response) == (409, "no-live-revision")
+
+
+@pytest.mark.parametrize("revision", ["0" * 64, "0" * 12, "zz", "%", "_" * 12, "é" * 20, "\x00"])
+def test_a_revision_that_the_map_does_not_have_is_not_found(client, revision):
+    for response in (
+        client.get("/v1/maps/campus/basis", params={"revision": revision}),
+        client.get("/v1/maps/campus/topology", params={"revision": revision}),
+        client.put("/v1/maps/campus/live", json={"revision": revision}),
+    ):
+        assert problem_of(response) == (404, "revision-not-found")

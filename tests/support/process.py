@@ -1,0 +1,95 @@
+"""The service as a process of its own, ended by its process id."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import httpx2
+
+__all__ = ["Server", "is_running", "serving", "until"]
+
+ROOT = Path(__file__).parents[2]
+
+
+@dataclass(frozen=True)
+class Server:
+    """A service that runs.
+
+    Attributes:
+        process: Its process.
+        port: Where it listens, on loopback.
+        client: A client of it.
+        log: What it writes.
+    """
+
+    process: subprocess.Popen[str]
+    port: int
+    client: httpx2.Client
+    log: Path
+
+    def children(self) -> set[int]:
+        """Return the ids of the processes that it started."""
+        listed = Path(f"/proc/{self.process.pid}/task")
+        return {
+            int(child)
+            for task in listed.iterdir()
+            for child in (task / "children").read_text().split()
+        }
+
+    def end(self, how: signal.Signals) -> None:
+        """Send a signal and wait for its end."""
+        self.process.send_signal(how)
+        self.process.wait(30)
+
+
+@contextmanager
+def serving(data_dir: Path, log: Path) -> Iterator[Server]:
+    """Run a service until the block ends."""
+    environment = {
+        **{k: v for k, v in os.environ.items() if not k.startswith("TENSORMAP_")},
+        "PYTHONPATH": str(ROOT),
+        "TENSORMAP_DATA_DIR": str(data_dir),
+    }
+    with log.open("a") as written:
+        process = subprocess.Popen(
+            [sys.executable, "-m", "tests.support.serve"],
+            stdout=subprocess.PIPE,
+            stderr=written,
+            text=True,
+            env=environment,
+            cwd=ROOT,
+        )
+    assert process.stdout is not None
+    try:
+        port = int(process.stdout.readline())
+        with httpx2.Client(base_url=f"http://127.0.0.1:{port}", timeout=60) as client:
+            assert client.get("/readyz").status_code == 200
+            yield Server(process, port, client, log)
+    finally:
+        if process.poll() is None:
+            process.terminate()
+            process.wait(30)
+        process.stdout.close()
+
+
+def until(condition: Callable[[], bool], what: str) -> None:
+    """Wait for a condition; a minute is far more than it takes."""
+    deadline = time.monotonic() + 60
+    while not condition():
+        assert time.monotonic() < deadline, what
+        time.sleep(0.02)
+
+
+def is_running(pid: int) -> bool:
+    """Return whether a process runs; one that only waits to be reaped does not."""
+    try:
+        state = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
+    except (FileNotFoundError, ProcessLookupError):
+        return False
+    return state not in {"Z", "X"}

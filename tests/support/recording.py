@@ -1,0 +1,75 @@
+"""A short simulated drive, rendered once a session, and its bodies as a vehicle sends them."""
+
+import functools
+import io
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from core.pose import Pose
+from core.scan import Scan
+from core.simulation import SimulatedDrive, SimulatedSensor
+
+__all__ = ["KITTI", "NPY", "Recording", "kitti", "npy", "recording", "upload_scan"]
+
+KITTI = {"Content-Type": "application/vnd.tensormap.kitti"}
+NPY = {"Content-Type": "application/vnd.tensormap.npy"}
+
+
+@dataclass(frozen=True)
+class Recording:
+    """Scans of one drive, each with its pose and time."""
+
+    scans: tuple[Scan, ...]
+
+    def __len__(self) -> int:
+        return len(self.scans)
+
+    def pose(self, index: int) -> Pose:
+        """Return where scan `index` was taken."""
+        pose = self.scans[index].pose
+        assert pose is not None
+        return pose
+
+
+@functools.cache
+def recording(*, noise_seed: int = 0, scans: int = 48) -> Recording:
+    """Return a drive round a block; another noise seed passes the same places once more."""
+    drive = SimulatedDrive(
+        seed=1,
+        scans=48,
+        stops=False,
+        noise_seed=noise_seed,
+        sensor=SimulatedSensor(firings=180),
+    )
+    poses = [Pose.from_row(row) for row in drive.poses]
+    rendered = (drive.scan(index) for index in range(scans))
+    return Recording(
+        tuple(
+            Scan(scan.points_m, float(time_s), pose)
+            for scan, time_s, pose in zip(rendered, drive.timestamp_s, poses, strict=False)
+        )
+    )
+
+
+def kitti(scan: Scan) -> bytes:
+    """Return a scan as KITTI's records, without reflectance."""
+    return np.pad(scan.points_m, ((0, 0), (0, 1))).astype("<f4").tobytes()
+
+
+def npy(array: np.ndarray) -> bytes:
+    """Return an array as a NumPy file."""
+    file = io.BytesIO()
+    np.save(file, array)
+    return file.getvalue()
+
+
+def upload_scan(client, slug: str, drive: str, index: int, scan: Scan, **options: Any) -> Any:
+    """Put one scan as KITTI sends it."""
+    return client.put(
+        f"/v1/maps/{slug}/drives/{drive}/scans/{index}",
+        content=kitti(scan),
+        headers=KITTI,
+        **options,
+    )

@@ -1,0 +1,142 @@
+"""A service in this process, and a client that holds every answer against the OpenAPI document."""
+
+import functools
+import re
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from fastapi import FastAPI
+from starlette.testclient import TestClient
+
+from app.main import create_app
+from app.service import Service
+from app.settings import Settings
+from core.pose import Pose
+from tests.support.recording import KITTI, Recording, kitti
+
+__all__ = ["Client", "pose_text", "problem_of", "running", "upload", "wait_for", "whole_store"]
+
+PROBLEM = "application/problem+json"
+ENDED = {"done", "failed", "cancelled"}
+
+
+class Client(TestClient):
+    """A client on this machine; every answer to it must be one that the API documents."""
+
+    def __init__(self, app: FastAPI, **options: Any) -> None:
+        options.setdefault("base_url", "http://127.0.0.1")
+        super().__init__(app, client=("127.0.0.1", 5000), raise_server_exceptions=False, **options)
+        self.documented = _document()
+
+    @property
+    def service(self) -> Service:
+        """The parts of the service."""
+        service: Service = self.app.state.service  # type: ignore[attr-defined]
+        return service
+
+    def request(self, method, url, **options):
+        response = super().request(method, url, **options)
+        if response.status_code >= 400 and not _is_readiness(response):
+            require_problem(response)
+        self._require_documented(response)
+        return response
+
+    def _require_documented(self, response) -> None:
+        operation = self._operation(response.request)
+        if operation is None or '"/problems/no-such-route"' in response.text:
+            return
+        told = operation["responses"].get(str(response.status_code))
+        asked = f"{response.request.method} {response.request.url.path}"
+        assert told is not None, f"{asked} answered {response.status_code}: {response.text[:300]}"
+        kind = response.headers.get("content-type", "").partition(";")[0]
+        if response.content:
+            assert kind in told["content"], f"{asked} answered {kind}"
+        if kind == PROBLEM:
+            name = response.json()["type"].removeprefix("/problems/")
+            assert name in told["content"][PROBLEM]["examples"], f"{asked} ended in {name}"
+
+    def _operation(self, request):
+        raw = request.url.raw_path.decode().partition("?")[0]
+        for template, operations in self.documented["paths"].items():
+            if re.fullmatch(re.sub(r"\{\w+\}", "[^/]+", template), raw):
+                return operations.get(request.method.lower())
+        return None
+
+
+@functools.cache
+def _document() -> dict[str, Any]:
+    return create_app(Settings()).openapi()
+
+
+def _is_readiness(response) -> bool:
+    return bool(response.request.url.path == "/readyz")
+
+
+def require_problem(response) -> None:
+    """Require an error to be a problem as RFC 9457 writes it."""
+    assert response.headers["content-type"] == PROBLEM, response.text[:300]
+    problem = response.json()
+    assert problem["status"] == response.status_code
+    assert problem["type"].startswith("/problems/")
+    assert problem["title"]
+    assert problem["detail"]
+    assert "Traceback" not in response.text
+
+
+def problem_of(response) -> tuple[int, str]:
+    """Return an error's status and the name of its type."""
+    require_problem(response)
+    return response.status_code, response.json()["type"].removeprefix("/problems/")
+
+
+@contextmanager
+def running(data_dir: Path, **settings: Any) -> Iterator[Client]:
+    """Run a service on a data directory."""
+    with Client(create_app(Settings(data_dir=data_dir, **settings))) as client:
+        yield client
+
+
+def pose_text(pose: Pose) -> str:
+    """Return a pose as a query parameter."""
+    return ",".join(map(str, pose.as_tuple()))
+
+
+def upload(client, drive: str, recording: Recording, *, slug: str = "campus") -> None:
+    """Put a drive, scan by scan, with poses and times."""
+    for index, scan in enumerate(recording.scans):
+        response = client.put(
+            f"/v1/maps/{slug}/drives/{drive}/scans/{index}",
+            content=kitti(scan),
+            headers=KITTI,
+            params={"timestamp_s": scan.timestamp_s, "pose": pose_text(recording.pose(index))},
+        )
+        assert response.status_code == 201, response.text
+
+
+def wait_for(client, job: str, states: set[str] | frozenset[str] = frozenset(ENDED)) -> Any:
+    """Poll a job until it is in one of these states."""
+    deadline = time.monotonic() + 60
+    while time.monotonic() < deadline:
+        answer = client.get(f"/v1/jobs/{job}").json()
+        if answer["state"] in states:
+            return answer
+        assert answer["state"] not in ENDED, answer
+        time.sleep(0.02)
+    raise AssertionError(f"job {job} is still {answer['state']}")
+
+
+def whole_store(client: Client) -> tuple[Any, ...]:
+    """Return everything that a store holds: what its lists say, and the names of its files."""
+    maps = client.get("/v1/maps").json()["items"]
+    drives = [client.get(f"/v1/maps/{m['map']}/drives").json() for m in maps]
+    revisions = [client.get(f"/v1/maps/{m['map']}/revisions").json() for m in maps]
+    folder = client.service.settings.data_dir
+    files = sorted(
+        str(path.relative_to(folder))
+        for path in folder.rglob("*")
+        if not path.name.startswith("catalog.sqlite3")
+    )
+    return maps, drives, revisions, files
