@@ -1,6 +1,7 @@
 """What routes, jobs and commands do: siblings over these functions."""
 
 import hashlib
+import logging
 from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -18,9 +19,17 @@ from core.segmentation import cut_drives, segment_length_for
 from core.tensormap import TensorMap
 from core.trajectory import Trajectory
 from storage.catalog import RevisionFacts, RevisionRecord
-from storage.image_file import ImageFile, image_file_name, write_image_file
+from storage.errors import CorruptFile
+from storage.image_file import (
+    ImageFile,
+    image_file_name,
+    remove_other_versions,
+    write_image_file,
+)
 from storage.map_file import write_map
 from storage.store import Store, StoredDrive
+
+_log = logging.getLogger("tensormap.builds")
 
 __all__ = ["Built", "build_drive", "build_revision"]
 
@@ -148,7 +157,13 @@ def _stored_images(
     """Open a stored drive's images, projecting them first if they are not kept yet."""
     digest = hashlib.sha256("\n".join(drive.digests).encode()).hexdigest()
     name = image_file_name(parameters.grid, parameters.reducer, digest)
-    path = store.drives.images_folder(slug, drive.name) / name
-    if not path.exists():
-        write_image_file(path, drive, parameters.grid, parameters.reducer, progress)
+    folder = store.drives.images_folder(slug, drive.name)
+    path = folder / name
+    if path.exists():
+        try:
+            return ImageFile(path, parameters.grid)
+        except CorruptFile:
+            _log.warning("%s is damaged and made anew from the raw returns", path)
+    write_image_file(path, drive, parameters.grid, parameters.reducer, progress)
+    remove_other_versions(path)
     return ImageFile(path, parameters.grid)

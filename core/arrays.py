@@ -17,9 +17,11 @@ def frozen(values: ArrayLike, dtype: DTypeLike) -> NDArray[Any]:
     """Return `values` as a read-only, C-contiguous array of `dtype`.
 
     An array that already is all of that is returned as it is; the caller's own
-    writable array is never made read-only under its hands, but viewed or copied.
+    writable array is never made read-only under its hands, but viewed or copied. A number
+    beyond `dtype` becomes infinite; the types refuse that themselves.
     """
-    array = np.ascontiguousarray(values, dtype=dtype)
+    with np.errstate(over="ignore"):
+        array = np.ascontiguousarray(values, dtype=dtype)
     if array.flags.writeable:
         array = array.view()
         array.flags.writeable = False

@@ -6,7 +6,7 @@ import numpy as np
 
 from core.arrays import Float32Array, FloatArray, IntArray
 from core.encodings.paper import PaperModel
-from core.errors import InvalidParameters, SensorMismatch
+from core.errors import InvalidImage, InvalidParameters, SensorMismatch
 from core.images import ImageSource
 from core.parameters import MapParameters
 from core.progress import NO_PROGRESS, Progress
@@ -39,15 +39,16 @@ def build_map(
 
     Raises:
         SensorMismatch: If the images are on another grid.
-        InvalidParameters: If the cuts do not cover the images.
+        InvalidParameters: If the cuts do not cover the images, or a segment holds two drives.
+        InvalidImage: If the source reads other images than it was asked for.
     """
     if images.grid != parameters.grid:
         raise SensorMismatch(f"the images are on {images.grid}, wanted {parameters.grid}")
-    if len(images) != len(trajectory) or segment_start[-1] != len(images):
+    if len(images) != len(trajectory):
         raise InvalidParameters(
-            f"{len(images)} images, {len(trajectory)} scans"
-            f" and segments that end at {segment_start[-1]} do not fit together"
+            f"{len(images)} images and {len(trajectory)} scans do not fit together"
         )
+    _require_cuts(trajectory, segment_start)
     segments, (rows, columns), (r1, r2) = (
         len(segment_start) - 1,
         parameters.grid.shape,
@@ -90,10 +91,25 @@ def fit_bases(
     return grams.squared_norm, u, v
 
 
+def _require_cuts(trajectory: Trajectory, segment_start: IntArray) -> None:
+    ends = segment_start[:1].tolist() + segment_start[-1:].tolist()
+    if ends != [0, len(trajectory)] or (np.diff(segment_start) < 1).any():
+        raise InvalidParameters(
+            f"the cuts {segment_start.tolist()} do not rise from 0 to {len(trajectory)}"
+        )
+    whole = np.isin(trajectory.drive_start, segment_start)
+    if not whole.all():
+        raise InvalidParameters(f"a segment runs into drive {np.argmin(whole)}: cut drives apart")
+
+
 def _blocks(
     images: ImageSource, start: int, end: int, progress: Progress
 ) -> Iterator[tuple[int, Float32Array]]:
     for block_start in range(start, end, BLOCK_SCANS):
-        block = images.read(block_start, min(block_start + BLOCK_SCANS, end))
+        block_end = min(block_start + BLOCK_SCANS, end)
+        block = images.read(block_start, block_end)
+        wanted = (block_end - block_start, *images.grid.shape)
+        if block.shape != wanted:
+            raise InvalidImage(f"the images read {block.shape}, wanted {wanted}")
         yield block_start, block
         progress.advance(len(block))

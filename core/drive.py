@@ -58,5 +58,11 @@ class MemoryDrive:
         return iter(self._scans)
 
     def scan(self, index: int) -> Scan:
-        """Return scan `index`."""
+        """Return scan `index`.
+
+        Raises:
+            IndexError: If there is no such scan.
+        """
+        if not 0 <= index < len(self):
+            raise IndexError(f"there is no scan {index} in a drive of {len(self)}")
         return self._scans[index]

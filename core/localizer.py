@@ -76,9 +76,14 @@ class Localization:
 
     @property
     def ratio(self) -> float | None:
-        """Distance of the winner over that of the runner-up: near 1 the answer is ambiguous."""
-        if self.runner_up is None or self.runner_up.distance == 0.0:
+        """Distance of the winner over that of the runner-up: near 1 the answer is ambiguous.
+
+        `None` without a runner-up.
+        """
+        if self.runner_up is None:
             return None
+        if self.runner_up.distance == 0.0:
+            return 1.0  # both places are exactly the query
         return self.best.distance / self.runner_up.distance
 
 
@@ -92,10 +97,6 @@ class Localizer:
         self._known = tensor_map.trajectory.known
         self._drive_of_scan = tensor_map.trajectory.drive_of_scan
         self._segment_of_scan = tensor_map.model.segment_of_scan
-        steps_m = np.linalg.norm(np.diff(self._positions_m, axis=0), axis=1)
-        self._path_m = np.concatenate(
-            [[0.0], np.where(np.isnan(steps_m), np.inf, steps_m)]
-        ).cumsum()
 
     def localize_scan(self, scan: Scan, k: int = 1) -> Localization:
         """Localize a scan of the map's sensor.

@@ -1,5 +1,6 @@
 """The choices a map is built with, kept in the map."""
 
+import operator
 from dataclasses import asdict, dataclass, field
 from enum import StrEnum
 from typing import Any
@@ -40,6 +41,13 @@ class MapParameters:
     sensor_height_m: float = HDL_64E_ON_KITTI_HEIGHT_M
 
     def __post_init__(self) -> None:
+        # 2 and 2.0 metres are one choice, and must be one digest; a list of ranks is no tuple.
+        object.__setattr__(self, "encoding", Encoding(self.encoding))
+        object.__setattr__(self, "ranks", tuple(map(operator.index, self.ranks)))
+        object.__setattr__(self, "reducer", Reducer(self.reducer))
+        object.__setattr__(self, "sensor_height_m", float(self.sensor_height_m))
+        if len(self.ranks) != 2:
+            raise InvalidParameters(f"ranks is {self.ranks}, wanted (r1, r2)")
         for rank, size, name in zip(self.ranks, self.grid.shape, ("r1", "r2"), strict=True):
             if not 1 <= rank <= size:
                 raise InvalidParameters(f"{name} is {rank}, wanted 1..{size} on this grid")
@@ -78,14 +86,13 @@ class MapParameters:
             InvalidMap: If something is missing or not of its kind.
         """
         try:
-            r1, r2 = attributes["ranks"]
             return cls(
                 Encoding(attributes["encoding"]),
-                (int(r1), int(r2)),
+                attributes["ranks"],
                 Reducer(attributes["reducer"]),
                 str(attributes["sensor"]),
                 AngularGrid(**attributes["grid"]),
                 float(attributes["sensor_height_m"]),
             )
-        except (KeyError, TypeError, ValueError, InvalidParameters) as error:
+        except (KeyError, TypeError, ValueError, OverflowError, InvalidParameters) as error:
             raise InvalidMap(f"the map's parameters cannot be read: {error!r}") from error

@@ -13,6 +13,7 @@ from core.errors import InvalidPose
 __all__ = [
     "UNKNOWN_POSE",
     "Pose",
+    "first_invalid",
     "heading_deg",
     "is_known",
     "path_length_m",
@@ -89,9 +90,12 @@ def rows_from_matrices(matrices: ArrayLike) -> FloatArray:
     rows = np.full((len(m), 7), np.nan)
     known = np.isfinite(m[:, :3]).all(axis=(1, 2))
     rotations = m[known, :3, :3]
-    residual = np.abs(rotations @ rotations.transpose(0, 2, 1) - np.eye(3)).max(initial=0.0)
-    if residual > _UNIT_TOLERANCE or (np.linalg.det(rotations) < 0).any():
+    with np.errstate(over="ignore", invalid="ignore"):  # infinite or NaN then, and refused
+        residual = np.abs(rotations @ rotations.transpose(0, 2, 1) - np.eye(3)).max(initial=0.0)
+    if not residual <= _UNIT_TOLERANCE:
         raise InvalidPose(f"a pose matrix is no rotation: R R^T differs from I by {residual:.3g}")
+    if (np.linalg.det(rotations) < 0).any():
+        raise InvalidPose("a pose matrix is no rotation: it mirrors")
     rows[known, :3] = m[known, :3, 3]
     if known.any():
         rows[known, 3:] = Rotation.from_matrix(rotations).as_quat(canonical=True)
@@ -102,6 +106,15 @@ def pose_rows(poses: list[Pose | None]) -> FloatArray:
     """Stack poses into `(n, 7)`, NaN where `None`."""
     rows = [UNKNOWN_POSE if pose is None else pose.as_tuple() for pose in poses]
     return np.array(rows, dtype=np.float64).reshape(-1, 7)
+
+
+def first_invalid(rows: FloatArray) -> int | None:
+    """Return the first of `(n, 7)` pose rows that is neither wholly unknown nor a pose."""
+    unknown = np.isnan(rows).all(axis=1)
+    with np.errstate(over="ignore", invalid="ignore"):
+        off_unit = np.abs(np.linalg.norm(rows[:, 3:], axis=1) - 1.0)
+        wrong = ~unknown & ~(is_known(rows) & (off_unit <= _UNIT_TOLERANCE))
+    return int(wrong.argmax()) if wrong.any() else None
 
 
 def is_known(rows: FloatArray) -> BoolArray:
@@ -118,4 +131,6 @@ def heading_deg(rows: FloatArray) -> FloatArray:
 
 def path_length_m(rows: FloatArray) -> float:
     """Return the length of the path through `(n, 7)` pose rows in metres, NaN if one is unknown."""
+    if not is_known(rows).all():
+        return math.nan
     return float(np.linalg.norm(np.diff(rows[:, :3], axis=0), axis=1).sum())

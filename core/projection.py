@@ -63,7 +63,7 @@ def project_scan(scan: Scan, grid: AngularGrid, reducer: Reducer) -> RangeImage:
         Ranges of shape `(I, J)` in metres, 0 where no return fell.
 
     Raises:
-        InvalidScan: If no return falls inside the grid.
+        InvalidScan: If no return falls inside the grid, or a range is beyond float32.
 
     Examples:
         >>> ahead = Scan(np.array([[10.0, 0.0, 0.0], [12.0, 0.0, 0.0]]))
@@ -77,6 +77,8 @@ def project_scan(scan: Scan, grid: AngularGrid, reducer: Reducer) -> RangeImage:
             f"none of the {len(scan)} returns falls inside the grid, elevations"
             f" {grid.elevations_deg[0]:.4g}..{grid.elevations_deg[-1]:.4g} deg"
         )
+    if range_m.max() > np.finfo(np.float32).max:
+        raise InvalidScan(f"a return is {range_m.max():.3g} m away, beyond float32")
     ranges_m = _reduce(cells, range_m, grid.rows * grid.columns, reducer)
     return RangeImage(ranges_m.reshape(grid.shape), grid, outside_returns=len(scan) - len(cells))
 
@@ -105,15 +107,17 @@ def _cells_and_ranges(points_m: Float32Array, grid: AngularGrid) -> tuple[IntArr
 def _reduce(
     cells: IntArray, range_m: FloatArray, cell_count: int, reducer: Reducer
 ) -> Float32Array:
-    if reducer is Reducer.MEAN:
+    if reducer == Reducer.MEAN:
         sums = np.bincount(cells, weights=range_m, minlength=cell_count)
         counts = np.bincount(cells, minlength=cell_count)
         return np.divide(sums, np.maximum(counts, 1)).astype(np.float32)
     image = np.zeros(cell_count, dtype=np.float32)
     values = range_m.astype(np.float32)
-    if reducer is Reducer.LAST:
-        image[cells] = values  # NumPy promises that the last of repeated indices is kept
-    elif reducer is Reducer.FARTHEST:
+    if reducer == Reducer.LAST:
+        # NumPy's tutorial says that the last of repeated indices is kept, its reference promises no
+        # order: a test holds it to the former.
+        image[cells] = values
+    elif reducer == Reducer.FARTHEST:
         np.maximum.at(image, cells, values)
     else:
         image[cells] = np.inf

@@ -43,6 +43,8 @@ class Scan:
             raise InvalidScan(
                 "points_m holds returns that are not finite or zero; use Scan.from_returns"
             )
+        if math.isinf(self.timestamp_s):
+            raise InvalidScan(f"timestamp_s is {self.timestamp_s}, wanted seconds or NaN")
         object.__setattr__(self, "points_m", points)
 
     def __len__(self) -> int:

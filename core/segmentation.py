@@ -23,8 +23,8 @@ def segment_length_for(
 ) -> int:
     """Return k for a drive of `scans` scans.
 
-    `segments` asks for L parts, k = ceil(K / L). Without either, k is the paper's 760: longer
-    segments are told apart better than shorter ones.
+    `segments` asks for L parts: k = ceil(K / L), with which a short drive may fall into fewer.
+    Without either, k is the paper's 760: longer segments are told apart better than shorter ones.
 
     Raises:
         InvalidParameters: If both are given, or one is below 1.
@@ -59,7 +59,7 @@ def cut_fixed(scans: int, segment_length: int) -> IntArray:
         raise EmptyDrive("there is no scan to cut into segments")
     if segment_length < 1:
         raise InvalidParameters(f"segment_length is {segment_length}, wanted at least 1")
-    starts = np.arange(0, scans, segment_length, dtype=np.int64)
+    starts = np.arange(0, scans, min(segment_length, scans), dtype=np.int64)
     if len(starts) > 1 and 2 * (scans - starts[-1]) < segment_length:
         starts = starts[:-1]
     return np.append(starts, np.int64(scans))

@@ -10,6 +10,7 @@ from core.errors import InvalidParameters
 
 __all__ = ["HDL_64E", "SENSORS", "AngularGrid", "Sensor", "sensor_named"]
 
+_MIN_STEP_DEG = 1e-3
 _MAX_CELLS = 4_000_000  # a grid of a hundredth of a degree is a typing error, not a sensor
 
 
@@ -34,15 +35,25 @@ class AngularGrid:
     wraps: bool = False
 
     def __post_init__(self) -> None:
+        # 1 and 1.0 are one grid, and must be one digest.
+        for name in ("elevation_min_deg", "elevation_step_deg", "azimuth_step_deg"):
+            object.__setattr__(self, name, float(getattr(self, name)))
+        object.__setattr__(self, "wraps", bool(self.wraps))
         for name in ("elevation_step_deg", "azimuth_step_deg"):
-            if not 0.0 < getattr(self, name) <= 90.0:
-                raise InvalidParameters(f"{name} is {getattr(self, name)}, wanted 0 < step <= 90")
+            if not _MIN_STEP_DEG <= getattr(self, name) <= 90.0:
+                raise InvalidParameters(
+                    f"{name} is {getattr(self, name)}, wanted {_MIN_STEP_DEG}..90"
+                )
         if not -90.0 <= self.elevation_min_deg <= 90.0:
             raise InvalidParameters(
                 f"elevation_min_deg is {self.elevation_min_deg}, wanted -90..90"
             )
-        if self.rows < 1:
-            raise InvalidParameters(f"rows is {self.rows}, wanted at least 1")
+        if self.rows != self.rows // 1 or not 1 <= self.rows <= _MAX_CELLS:
+            raise InvalidParameters(f"rows is {self.rows}, wanted a whole number, at least 1")
+        object.__setattr__(self, "rows", int(self.rows))
+        highest_deg = self.elevation_min_deg + self.elevation_step_deg * (self.rows - 1)
+        if highest_deg > 90.0 + 1e-9:
+            raise InvalidParameters(f"the highest elevation is {highest_deg:g}, wanted up to 90")
         half_turn = 180.0 / self.azimuth_step_deg
         if abs(half_turn - round(half_turn)) > 1e-9 * half_turn:
             raise InvalidParameters(
@@ -87,7 +98,7 @@ class Sensor:
     Attributes:
         name: The short name that commands, requests and maps use.
         grid: Default lattice; one row per beam where beams are evenly spaced.
-        max_range_m: Datasheet range; returns farther away are kept, a plausibility check uses it.
+        max_range_m: Datasheet range; returns farther away are kept.
         source: Where the figures stand.
     """
 

@@ -1,5 +1,6 @@
 """A scan's signature: what a vehicle sends instead of its scan (paper, sec. 2.3)."""
 
+import re
 import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,6 +18,7 @@ REVISION_PREFIX_BYTES = 8
 
 _HEADER = struct.Struct("<B8sBB")  # layout, revision prefix, r1, r2
 _SEGMENT = struct.Struct("<H")
+_MAX_SEGMENT = 2**31 - 1
 _FLOAT16, _FLOAT32 = 1, 2
 _DTYPES: dict[int, np.dtype[np.floating[Any]]] = {
     _FLOAT16: np.dtype("<f2"),
@@ -39,13 +41,15 @@ class Signature:
     revision: str
 
     def __post_init__(self) -> None:
-        values = np.asarray(self.values, dtype=np.float32)
+        # Beyond float32 is infinite, and a signalling NaN is a NaN: both are refused below.
+        with np.errstate(over="ignore", invalid="ignore"):
+            values = np.asarray(self.values, dtype=np.float32)
         if values.ndim != 2 or values.size == 0:
             raise InvalidSignature(f"values has shape {values.shape}, wanted (r1, r2)")
         if not np.isfinite(values).all():
             raise InvalidSignature("values holds numbers that are not finite")
-        if self.segment < 0:
-            raise InvalidSignature(f"segment is {self.segment}, wanted 0 or more")
+        if not 0 <= self.segment <= _MAX_SEGMENT:
+            raise InvalidSignature(f"segment is {self.segment}, wanted 0..{_MAX_SEGMENT}")
         object.__setattr__(self, "values", frozen(values, np.float32))
 
 
@@ -56,7 +60,7 @@ def pack_signatures(signatures: Sequence[Signature]) -> bytes:
     one is beyond float16's range, kept as float32. Layout: docs/reference/signature.md.
 
     Raises:
-        InvalidSignature: If there is none, or revisions or shapes differ.
+        InvalidSignature: If there is none, revisions or shapes differ, or the revision is none.
 
     Examples:
         >>> one = Signature(np.eye(5, dtype=np.float32), segment=3, revision="0f" * 32)
@@ -74,12 +78,20 @@ def pack_signatures(signatures: Sequence[Signature]) -> bytes:
     if max(r1, r2) > 255 or max(s.segment for s in signatures) > 0xFFFF:
         raise InvalidSignature("ranks up to 255 and segments up to 65535 can be packed")
     largest = max(float(np.abs(s.values).max()) for s in signatures)
-    layout = _FLOAT16 if largest <= np.finfo(np.float16).max else _FLOAT32
-    prefix = bytes.fromhex(first.revision)[:REVISION_PREFIX_BYTES]
+    layout = _FLOAT16 if largest <= float(np.finfo(np.float16).max) else _FLOAT32
+    prefix = _revision_prefix(first.revision)
     parts = [_HEADER.pack(layout, prefix, r1, r2)]
     for s in signatures:
         parts += [_SEGMENT.pack(s.segment), s.values.astype(_DTYPES[layout]).tobytes()]
     return b"".join(parts)
+
+
+def _revision_prefix(revision: str) -> bytes:
+    if not re.match(f"[0-9a-f]{{{2 * REVISION_PREFIX_BYTES}}}", revision):
+        raise InvalidSignature(
+            f"the revision is {revision!r}, wanted {2 * REVISION_PREFIX_BYTES} or more hex digits"
+        )
+    return bytes.fromhex(revision[: 2 * REVISION_PREFIX_BYTES])
 
 
 def unpack_signatures(body: bytes) -> tuple[Signature, ...]:

@@ -46,12 +46,20 @@ class TensorMap:
             raise InvalidMap(f"{scans} signatures and {len(self.trajectory)} scans")
         if self.relative_error.shape != (segments,):
             raise InvalidMap(f"{segments} segments and {self.relative_error.shape} errors")
+        if not ((self.relative_error >= 0) & (self.relative_error <= 1)).all():
+            raise InvalidMap("relative_error holds numbers that are not within 0..1")
         if len(self.topology.edge_nodes) != segments:
             raise InvalidMap(f"{segments} segments and {len(self.topology.edge_nodes)} edges")
         if len(self.topology.node_scan) and not (
             self.topology.node_scan.min() >= 0 and self.topology.node_scan.max() < scans
         ):
             raise InvalidMap("node_scan names a scan that does not exist")
+        starts = self.model.segment_start
+        if not np.isin(self.trajectory.drive_start, starts).all():
+            raise InvalidMap("a segment runs from one drive into the next")
+        nodes = self.topology.node_scan[self.topology.edge_nodes]
+        if (nodes[:, 0] > starts[:-1]).any() or (nodes[:, 1] < starts[1:] - 1).any():
+            raise InvalidMap("a segment's scans do not lie between its edge's nodes")
         if self.model.ranks != self.parameters.ranks:
             raise InvalidMap(f"signatures are {self.model.ranks}, ranks {self.parameters.ranks}")
         if self.model.grid_shape != self.parameters.grid.shape:
@@ -120,10 +128,10 @@ class TensorMap:
         Raises:
             InvalidMap: If something is missing or does not fit together.
         """
-        parameters = MapParameters.from_attributes(dict(attributes))
         try:
+            parameters = MapParameters.from_attributes(dict(attributes))
             a = dict(arrays)
-            return cls(
+            tensor_map = cls(
                 parameters,
                 PaperModel(
                     a["elevation_basis"], a["azimuth_basis"], a["signatures"], a["segment_start"]
@@ -140,3 +148,8 @@ class TensorMap:
             )
         except KeyError as error:
             raise InvalidMap(f"the map lacks {error}") from error
+        except (OverflowError, TypeError, ValueError) as error:
+            raise InvalidMap(f"the map's parts are not of their kind: {error}") from error
+        if tensor_map.attributes() != dict(attributes):
+            raise InvalidMap("the map has attributes that are unknown or not in their own form")
+        return tensor_map

@@ -31,7 +31,13 @@ class Topology:
         object.__setattr__(self, "edge_nodes", frozen(self.edge_nodes, np.int64))
         object.__setattr__(self, "edge_length_m", frozen(self.edge_length_m, np.float64))
         edges = len(self.edge_length_m)
-        if self.edge_nodes.shape != (edges, 2) or self.node_scan.ndim != 1:
+        if self.node_scan.ndim != 1:
+            raise InvalidMap(f"node_scan has shape {self.node_scan.shape}, wanted (N,)")
+        if self.edge_length_m.ndim != 1:
+            raise InvalidMap(f"edge_length_m has shape {self.edge_length_m.shape}, wanted (L,)")
+        if (self.edge_length_m < 0).any() or np.isinf(self.edge_length_m).any():
+            raise InvalidMap("edge_length_m holds negative or infinite numbers")
+        if self.edge_nodes.shape != (edges, 2):
             raise InvalidMap(f"edge_nodes has shape {self.edge_nodes.shape}, wanted ({edges}, 2)")
         if edges and not (
             self.edge_nodes.min() >= 0 and self.edge_nodes.max() < len(self.node_scan)

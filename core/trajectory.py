@@ -7,7 +7,7 @@ import numpy as np
 
 from core.arrays import BoolArray, FloatArray, IntArray, frozen
 from core.errors import EmptyDrive, InvalidMap
-from core.pose import is_known
+from core.pose import first_invalid, is_known
 
 __all__ = ["Trajectory"]
 
@@ -19,7 +19,7 @@ class Trajectory:
     Attributes:
         drives: Names of the D drives.
         drive_start: `(D + 1,)` row of each drive's first scan, and K.
-        scan_index: `(K,)` index of each scan in its own drive; gaps are allowed.
+        scan_index: `(K,)` index of each scan in its own drive, rising; gaps are allowed.
         timestamp_s: `(K,)` seconds, NaN where unknown.
         poses: `(K, 7)` sensor to world, NaN where unknown.
     """
@@ -41,10 +41,20 @@ class Trajectory:
         scans = len(self.scan_index)
         if scans == 0:
             raise EmptyDrive("a trajectory needs at least one scan")
-        if self.scan_index.shape != (scans,) or self.timestamp_s.shape != (scans,):
-            raise InvalidMap(f"timestamp_s has shape {self.timestamp_s.shape}, wanted ({scans},)")
-        if self.poses.shape != (scans, 7):
-            raise InvalidMap(f"poses has shape {self.poses.shape}, wanted ({scans}, 7)")
+        for name, shape in (
+            ("scan_index", (scans,)),
+            ("timestamp_s", (scans,)),
+            ("poses", (scans, 7)),
+        ):
+            if getattr(self, name).shape != shape:
+                raise InvalidMap(f"{name} has shape {getattr(self, name).shape}, wanted {shape}")
+        if np.isinf(self.timestamp_s).any():
+            raise InvalidMap("timestamp_s holds infinite numbers")
+        wrong = first_invalid(self.poses)
+        if wrong is not None:
+            raise InvalidMap(f"the pose of row {wrong} is none: {self.poses[wrong].tolist()}")
+        if not all(isinstance(name, str) and name for name in self.drives):
+            raise InvalidMap(f"drives is {self.drives}, wanted names")
         starts = self.drive_start
         if (
             starts.shape != (len(self.drives) + 1,)
@@ -56,6 +66,9 @@ class Trajectory:
                 f"drive_start {starts.tolist()} does not cut {scans} scans"
                 f" into {len(self.drives)} drives"
             )
+        same_drive = np.diff(self.drive_of_scan) == 0
+        if self.scan_index.min() < 0 or (np.diff(self.scan_index)[same_drive] < 1).any():
+            raise InvalidMap("scan_index does not rise from 0 or more in every drive")
 
     def __len__(self) -> int:
         return len(self.scan_index)

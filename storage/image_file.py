@@ -18,7 +18,7 @@ from core.sensor import AngularGrid
 from storage.errors import CorruptFile
 from storage.files import publish
 
-__all__ = ["ImageFile", "image_file_name", "write_image_file"]
+__all__ = ["ImageFile", "image_file_name", "remove_other_versions", "write_image_file"]
 
 _BLOCK = 8  # images in an HDF5 chunk: 340 kB on the paper's grid, inside h5py's 1 MB cache
 
@@ -34,17 +34,22 @@ class ImageFile:
     """
 
     def __init__(self, path: Path, grid: AngularGrid) -> None:
+        self.grid = grid
+        self._name = path.name
         try:
             self._file = h5py.File(path, "r", locking=False)
+        except OSError as error:
+            raise CorruptFile(f"{path.name} holds no images: {error}") from error
+        try:
             self._images: h5py.Dataset = self._file["images"]
             self.scans: IntArray = self._file["scans"][()]
             self.returns = int(self._file.attrs["returns"])
             self.skipped = tuple(Skipped(*item) for item in json.loads(self._file.attrs["skipped"]))
-        except (OSError, KeyError, ValueError, TypeError, RuntimeError) as error:
+            if self._images.shape != (len(self.scans), *grid.shape):
+                raise ValueError(f"they have shape {self._images.shape}")
+        except (AttributeError, KeyError, OSError, RuntimeError, TypeError, ValueError) as error:
+            self._file.close()
             raise CorruptFile(f"{path.name} holds no images: {error}") from error
-        if self._images.shape != (len(self.scans), *grid.shape):
-            raise CorruptFile(f"{path.name} holds images of shape {self._images.shape[1:]}")
-        self.grid = grid
 
     def __enter__(self) -> Self:
         return self
@@ -56,8 +61,15 @@ class ImageFile:
         return len(self.scans)
 
     def read(self, start: int, stop: int) -> Float32Array:
-        """Return images `start` up to `stop`, `(stop - start, I, J)`."""
-        images: Float32Array = self._images[start:stop]
+        """Return images `start` up to `stop`, `(stop - start, I, J)`.
+
+        Raises:
+            CorruptFile: If they cannot be read.
+        """
+        try:
+            images: Float32Array = self._images[start:stop]
+        except (OSError, RuntimeError) as error:
+            raise CorruptFile(f"{self._name} cannot be read: {error}") from error
         return images
 
 
@@ -68,6 +80,17 @@ def image_file_name(grid: AngularGrid, reducer: Reducer, scans_digest: str) -> s
     """
     projection = content_digest({}, {"grid": grid.as_attributes(), "reducer": reducer.value})
     return f"{reducer}-{projection[:16]}-{scans_digest[:32]}.h5"
+
+
+def remove_other_versions(path: Path) -> None:
+    """Remove the images of the same projection that the drive had with fewer scans.
+
+    Whoever reads one goes on to its end.
+    """
+    projection, _, _ = path.stem.rpartition("-")
+    for other in path.parent.glob(f"{projection}-*.h5"):
+        if other != path:
+            other.unlink(missing_ok=True)
 
 
 def write_image_file(
@@ -83,6 +106,8 @@ def write_image_file(
         EmptyDrive: If not one scan is usable; the message gives the first reason.
         StorageFull: If no space is left; nothing is left behind.
     """
+    if not len(drive):
+        raise EmptyDrive(Skipped.explain(drive.name, ()))
     progress.start("projecting", len(drive))
     scans: list[int] = []
     skipped: list[Skipped] = []
@@ -92,7 +117,7 @@ def write_image_file(
             "images",
             shape=(len(drive), *grid.shape),
             maxshape=(len(drive), *grid.shape),
-            chunks=(min(_BLOCK, max(1, len(drive))), *grid.shape),
+            chunks=(min(_BLOCK, len(drive)), *grid.shape),
             dtype=np.dtype("<f4"),
         )
         for item in project_each(drive, range(len(drive)), grid, reducer, progress):

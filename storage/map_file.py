@@ -19,6 +19,21 @@ __all__ = ["FORMAT", "FORMAT_VERSION", "read_map", "write_map"]
 FORMAT = "tensormap"
 FORMAT_VERSION = 1
 
+_DTYPES = {
+    "elevation_basis": "<f4",
+    "azimuth_basis": "<f4",
+    "signatures": "<f4",
+    "segment_start": "<i8",
+    "relative_error": "<f8",
+    "drive_start": "<i8",
+    "scan_index": "<i8",
+    "timestamp_s": "<f8",
+    "pose": "<f8",
+    "node_scan": "<i8",
+    "edge_nodes": "<i8",
+    "edge_length_m": "<f8",
+}
+
 
 def write_map(path: Path, tensor_map: TensorMap, created_at: datetime | None = None) -> None:
     """Write a revision to a new file and give its bytes to the disk's care.
@@ -32,7 +47,7 @@ def write_map(path: Path, tensor_map: TensorMap, created_at: datetime | None = N
     """
     with h5py.File(path, "x", libver="v110") as file:
         for name, array in tensor_map.arrays().items():
-            file.create_dataset(name, data=np.asarray(array, array.dtype.newbyteorder("<")))
+            file.create_dataset(name, data=np.asarray(array, _DTYPES[name]))
         file.attrs["format"] = FORMAT
         file.attrs["format_version"] = FORMAT_VERSION
         file.attrs["attributes"] = json.dumps(tensor_map.attributes(), sort_keys=True)
@@ -51,7 +66,8 @@ def read_map(path: Path) -> TensorMap:
         raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(path))
     try:
         arrays, attributes, digest = _read_parts(path)
-    except (OSError, KeyError, ValueError, TypeError, RuntimeError) as error:  # HDF5 raises each
+    # RuntimeError is HDF5's own, and that of attributes nested too deep.
+    except (OSError, RuntimeError, KeyError, ValueError, TypeError, OverflowError) as error:
         raise CorruptFile(f"{path.name} cannot be read as a map: {error}") from error
     try:
         tensor_map = TensorMap.from_parts(arrays, attributes)
@@ -71,24 +87,32 @@ def _read_parts(path: Path) -> tuple[dict[str, Any], dict[str, Any], str]:
         version = int(file.attrs["format_version"])
         if version != FORMAT_VERSION:
             raise ValueError(f"its format version is {version}, {FORMAT_VERSION} is read here")
+        odd = set(file) ^ set(_DTYPES)
+        if odd:
+            raise ValueError(f"it lacks or should not hold {', '.join(sorted(odd))}")
+        size_bytes = path.stat().st_size
         return (
-            {name: _plain(file, name) for name in file},
+            {name: _plain(file, name, size_bytes) for name in file},
             json.loads(file.attrs["attributes"]),
             str(file.attrs["digest"]),
         )
 
 
-def _plain(file: h5py.File, name: str) -> np.ndarray[Any, Any]:
+def _plain(file: h5py.File, name: str, size_bytes: int) -> np.ndarray[Any, Any]:
     """Read an array that lies in this file: no link elsewhere, no filter, no stored code."""
     link = file.get(name, getlink=True)
     dataset = file[name] if isinstance(link, h5py.HardLink) else None
-    if not isinstance(dataset, h5py.Dataset) or dataset.dtype.kind not in "fiu":
+    if not isinstance(dataset, h5py.Dataset) or dataset.shape is None:
         raise ValueError(f"{name} is no plain array of numbers")
+    if dataset.dtype != np.dtype(_DTYPES[name]):
+        raise ValueError(f"{name} holds {dataset.dtype}, wanted {_DTYPES[name]}")
     if dataset.external or dataset.is_virtual:
         raise ValueError(f"{name} keeps its numbers in another file")
     if dataset.id.get_create_plist().get_nfilters():
         raise ValueError(f"{name} is filtered; a map's arrays are contiguous")
     if dataset.chunks is not None:
         raise ValueError(f"{name} is chunked; a map's arrays are contiguous")
+    if dataset.nbytes > min(dataset.id.get_storage_size(), size_bytes):
+        raise ValueError(f"{name} has more numbers than the file")
     array: np.ndarray[Any, Any] = dataset[()]
     return array

@@ -1,5 +1,6 @@
 """Build a map of one part of a drive and ask it where the other part was (paper, sec. 3)."""
 
+import math
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -51,10 +52,12 @@ class Protocol:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        if not self.tolerances_m or min(self.tolerances_m) <= 0:
+        if not self.tolerances_m or not all(0 < m < math.inf for m in self.tolerances_m):
             raise InvalidParameters(f"tolerances_m is {self.tolerances_m}, wanted metres above 0")
         if self.seed < 0:
             raise InvalidParameters(f"seed is {self.seed}, wanted 0 or more")
+        if not self.conditions:
+            raise InvalidParameters("conditions is empty, wanted at least one")
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,11 +94,12 @@ def evaluate(
     nearest map scan.
 
     Raises:
-        EmptyDrive: If a drive has no usable scan.
+        EmptyDrive: If a drive has no scan, or the map's no usable one.
         InvalidParameters: If the split leaves a segment without a map scan or nothing to ask.
     """
-    if len(drive) == 0:
-        raise EmptyDrive(f"drive {drive.name} has no scan")
+    for asked in (drive, drive if query_drive is None else query_drive):
+        if len(asked) == 0:
+            raise EmptyDrive(f"drive {asked.name} has no scan")
     length = segment_length_for(
         len(drive), segment_length=protocol.segment_length, segments=protocol.segments
     )
@@ -105,6 +109,8 @@ def evaluate(
         if query_drive is None
         else np.zeros(len(drive), dtype=bool)
     )
+    if query_drive is None and not held_out.any():
+        raise InvalidParameters("the split holds no scan out: there is nothing to ask")
     projected = project_drive(
         drive,
         np.flatnonzero(~held_out),
@@ -118,8 +124,6 @@ def evaluate(
         if query_drive is None
         else _drive_queries(query_drive, tensor_map)
     )
-    if not len(queries.scans):
-        raise InvalidParameters("the split holds no scan out: there is nothing to ask")
     return Evaluation(
         drive=drive.name,
         query_drive=None if query_drive is None else query_drive.name,

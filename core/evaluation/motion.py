@@ -30,7 +30,8 @@ def is_standing(poses: FloatArray, timestamp_s: FloatArray) -> BoolArray:
     moved_m = np.linalg.norm(np.diff(poses[:, :3], axis=0), axis=1)
     period_s = np.diff(timestamp_s)
     period_s = np.where(np.isfinite(period_s) & (period_s > 0), period_s, NOMINAL_PERIOD_S)
-    return _since_previous(moved_m < STANDING_M * (period_s / NOMINAL_PERIOD_S), alone=False)
+    standing = moved_m < STANDING_M * (period_s / NOMINAL_PERIOD_S)
+    return _since_previous(standing, len(poses), alone=False)
 
 
 def motion_surrogate(poses: FloatArray) -> FloatArray:
@@ -46,10 +47,10 @@ def motion_surrogate(poses: FloatArray) -> FloatArray:
     turned = np.diff(angles, axis=0)
     turned = (turned + np.pi) % (2 * np.pi) - np.pi
     change = np.hstack([np.diff(poses[:, :3], axis=0), turned])
-    return _since_previous(np.linalg.norm(change, axis=1), alone=np.nan)
+    return _since_previous(np.linalg.norm(change, axis=1), len(poses), alone=np.nan)
 
 
-def _since_previous(steps: NDArray[_T], alone: float) -> NDArray[_T]:
+def _since_previous(steps: NDArray[_T], scans: int, alone: float) -> NDArray[_T]:
     """Give the first scan the step to its next one; a scan `alone` has no step at all."""
     first = steps[:1] if len(steps) else np.array([alone], dtype=steps.dtype)
-    return np.concatenate([first, steps])
+    return np.concatenate([first, steps])[:scans]

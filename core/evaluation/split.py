@@ -87,9 +87,9 @@ def parse_split(text: str) -> Split:
         >>> parse_split("interleaved:0.2"), parse_split("every:2")
         (Interleaved(fraction=0.2, phase=0), Every(n=2))
     """
-    if match := re.fullmatch(r"interleaved:(0?\.\d+)(?::(\d+))?", text):
+    if match := re.fullmatch(r"interleaved:(0?\.\d+)(?::(\d{1,9}))?", text):
         return Interleaved(float(match[1]), int(match[2] or 0))
-    if match := re.fullmatch(r"every:(\d+)", text):
+    if match := re.fullmatch(r"every:(\d{1,9})", text):
         return Every(int(match[1]))
     raise InvalidParameters(
         f"the split is {text!r}, wanted interleaved:FRACTION, interleaved:FRACTION:PHASE or every:N"

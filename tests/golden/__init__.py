@@ -1,0 +1,1 @@
+"""Files written by released versions, which every later one reads."""

@@ -1,0 +1,53 @@
+"""How the golden files were made: `python -m tests.golden.make FOLDER` in the release's worktree.
+
+A released file is never made again: a new release adds its own.
+"""
+
+import sys
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+
+from core.builder import build_map
+from core.images import MemoryImages
+from core.parameters import MapParameters
+from core.projection import Reducer
+from core.sensor import AngularGrid
+from core.tensormap import TensorMap
+from core.trajectory import Trajectory
+from storage.map_file import write_map
+
+__all__ = ["golden_map", "make"]
+
+
+def golden_map() -> TensorMap:
+    """Return a map of two drives of three scans each, one of them without poses."""
+    grid = AngularGrid(
+        elevation_min_deg=-15.0, elevation_step_deg=10.0, rows=4, azimuth_step_deg=45.0
+    )
+    ranges_m = np.random.default_rng(1).uniform(1.0, 80.0, size=(6, *grid.shape))
+    poses = np.zeros((3, 7))
+    poses[:, 0], poses[:, 6] = np.arange(3), 1.0
+    return build_map(
+        MemoryImages(ranges_m.astype(np.float32), grid),
+        Trajectory.concatenate(
+            [
+                Trajectory.of_drive("monday", np.arange(3) / 10.0, poses, np.array([0, 1, 3])),
+                Trajectory.of_drive(
+                    "tuesday", np.full(3, np.nan), np.full((3, 7), np.nan), np.arange(3)
+                ),
+            ]
+        ),
+        np.array([0, 2, 3, 6]),
+        MapParameters(ranks=(2, 3), reducer=Reducer.MEAN, sensor="vlp-16", grid=grid),
+    )
+
+
+def make(folder: Path) -> None:
+    """Write this release's golden files."""
+    write_map(folder / "map-v1.h5", golden_map(), datetime(2026, 1, 1, tzinfo=UTC))
+
+
+if __name__ == "__main__":
+    make(Path(sys.argv[1]))

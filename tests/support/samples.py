@@ -1,0 +1,148 @@
+"""Small scans, drives and maps of seeded random content."""
+
+import numpy as np
+
+from core.arrays import Float32Array, FloatArray, IntArray
+from core.builder import build_map
+from core.drive import MemoryDrive
+from core.errors import InvalidScan
+from core.images import MemoryImages
+from core.parameters import MapParameters
+from core.pose import Pose
+from core.projection import RangeImage
+from core.scan import Scan
+from core.segmentation import cut_drives
+from core.sensor import AngularGrid
+from core.tensormap import TensorMap
+from core.trajectory import Trajectory
+
+__all__ = [
+    "SMALL_GRID",
+    "FaultyDrive",
+    "RecordedProgress",
+    "random_images",
+    "sample_drive",
+    "sample_image",
+    "sample_map",
+    "sample_points",
+    "straight_poses",
+]
+
+SMALL_GRID = AngularGrid(
+    elevation_min_deg=-30.0, elevation_step_deg=10.0, rows=6, azimuth_step_deg=20.0
+)
+"""6 x 19 cells."""
+
+
+def random_images(count: int, shape: tuple[int, int], seed: int = 0) -> Float32Array:
+    """Return `(count, I, J)` images with some empty cells, no two alike."""
+    rng = np.random.default_rng(seed)
+    ranges = rng.uniform(1.0, 50.0, size=(count, *shape))
+    ranges[rng.random(ranges.shape) < 0.2] = 0.0
+    ranges[:, 0, 0] = 7.0
+    return ranges.astype(np.float32)
+
+
+def straight_poses(count: int, step_m: float = 1.0) -> FloatArray:
+    """Return `(count, 7)` pose rows along x."""
+    rows = np.zeros((count, 7))
+    rows[:, 0], rows[:, 6] = step_m * np.arange(count), 1.0
+    return rows
+
+
+def sample_points(seed: int, returns: int = 60) -> Float32Array:
+    """Return `(returns, 3)` metres around the sensor, within 30 degrees of its horizon."""
+    rng = np.random.default_rng(seed)
+    azimuth = rng.uniform(-np.pi, np.pi, returns)
+    elevation = rng.uniform(-0.5, 0.4, returns)
+    range_m = rng.uniform(2.0, 60.0, returns)
+    across = range_m * np.cos(elevation)
+    return np.stack(
+        [across * np.cos(azimuth), across * np.sin(azimuth), range_m * np.sin(elevation)],
+        axis=1,
+        dtype=np.float32,
+        casting="same_kind",
+    )
+
+
+def sample_drive(count: int, seed: int = 0, *, poses: bool = True, name: str = "drive"):
+    """Return a drive of `count` unlike scans, a metre and a tenth of a second apart."""
+    rows = straight_poses(count)
+    return MemoryDrive(
+        name,
+        [
+            Scan.from_returns(
+                sample_points(1000 * seed + i),
+                timestamp_s=0.1 * i,
+                pose=Pose.from_row(rows[i]) if poses else None,
+            )
+            for i in range(count)
+        ],
+    )
+
+
+class FaultyDrive:
+    """A drive some of whose scans cannot be used."""
+
+    def __init__(self, drive: MemoryDrive, faulty: set[int]) -> None:
+        self.name, self.timestamp_s, self.poses = drive.name, drive.timestamp_s, drive.poses
+        self._drive, self._faulty = drive, faulty
+
+    def __len__(self) -> int:
+        return len(self._drive)
+
+    def scan(self, index: int) -> Scan:
+        if index in self._faulty:
+            raise InvalidScan(f"scan {index} is torn")
+        return self._drive.scan(index)
+
+
+def sample_map(
+    count: int = 24,
+    segment_length: int = 8,
+    *,
+    drives: int = 1,
+    poses: bool = True,
+    seed: int = 0,
+    grid: AngularGrid = SMALL_GRID,
+    ranks: tuple[int, int] = (3, 4),
+    step_m: float = 1.0,
+) -> tuple[TensorMap, Float32Array]:
+    """Return a map of `drives` drives of `count` random images each, and all images."""
+    parameters = MapParameters(grid=grid, ranks=ranks, sensor="hdl-64e")
+    images = random_images(count * drives, grid.shape, seed)
+    trajectory = Trajectory.concatenate(
+        [
+            Trajectory.of_drive(
+                f"drive-{d}",
+                0.1 * np.arange(count, dtype=np.float64),
+                straight_poses(count, step_m) + np.array([0, 1000.0 * d, 0, 0, 0, 0, 0])
+                if poses
+                else np.full((count, 7), np.nan),
+                np.arange(count),
+            )
+            for d in range(drives)
+        ]
+    )
+    cuts: IntArray = cut_drives(trajectory.drive_start, segment_length)
+    return build_map(MemoryImages(images, grid), trajectory, cuts, parameters), images
+
+
+def sample_image(tensor_map: TensorMap, ranges_m: Float32Array) -> RangeImage:
+    """Return a range image on the map's grid."""
+    return RangeImage(ranges_m, tensor_map.parameters.grid)
+
+
+class RecordedProgress:
+    """Writes down what it is told."""
+
+    def __init__(self) -> None:
+        self.stages: list[tuple[str, int]] = []
+        self.done: list[int] = []
+
+    def start(self, stage: str, total: int) -> None:
+        self.stages.append((stage, total))
+        self.done.append(0)
+
+    def advance(self, units: int = 1) -> None:
+        self.done[-1] += units

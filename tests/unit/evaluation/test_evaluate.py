@@ -1,0 +1,222 @@
+"""An evaluation from a drive to its figures."""
+
+import json
+
+import numpy as np
+import pytest
+
+from core.drive import MemoryDrive
+from core.errors import Cancelled, EmptyDrive, InvalidParameters
+from core.evaluation.condition import Condition
+from core.evaluation.evaluate import Protocol, evaluate
+from core.evaluation.motion import is_standing
+from core.evaluation.split import Every, Interleaved
+from core.parameters import MapParameters
+from core.scan import Scan
+from core.simulation import SimulatedDrive
+from tests.support.samples import SMALL_GRID, FaultyDrive, RecordedProgress, sample_drive
+
+SMALL = MapParameters(grid=SMALL_GRID, ranks=(3, 3))
+
+
+def in_memory(drive, *, poses=True):
+    """Return every third of a drive's returns, read once."""
+    scans = [drive.scan(i) for i in range(len(drive))]
+    return MemoryDrive(
+        drive.name,
+        [
+            Scan(s.points_m[::3], timestamp_s=s.timestamp_s, pose=s.pose if poses else None)
+            for s in scans
+        ],
+    )
+
+
+@pytest.fixture(scope="module")
+def drive():
+    return in_memory(SimulatedDrive(seed=3, scans=60, loop_m=250.0))
+
+
+@pytest.fixture(scope="module")
+def found(drive):
+    disturbed = (Condition(), Condition(yaw_deg=180.0), Condition(noise_m=2.0))
+    return evaluate(drive, Protocol(segments=4, conditions=disturbed))
+
+
+def test_the_protocol_is_the_papers_by_default():
+    assert Protocol().split == Interleaved(0.2)
+    assert Protocol().parameters.ranks == (5, 5)
+    assert Protocol().conditions == (Condition(),)
+
+
+def test_the_figures_add_up(found, drive):
+    assert found.segments == 4
+    assert (found.map_scans, found.conditions[0].queries) == (48, 12)
+    assert len(found.relative_error) == 4
+    assert found.compression.tensor_ratio == pytest.approx(
+        48 * 30 * 361 / (4 * 5 * (30 + 361) + 48 * 25)
+    )
+    standing = is_standing(drive.poses, drive.timestamp_s)
+    assert found.standing_scans == standing[np.arange(60) % 15 % 5 == 2].sum()
+    for result in found.conditions:
+        assert result.refusals == 0
+        assert result.errors_moving + result.errors_stationary == len(result.errors)
+        assert result.segment_accuracy == pytest.approx(1 - len(result.errors) / 12)
+        assert list(result.recall_at_1) == [3.0, 5.0, 10.0]
+        recalls = list(result.recall_at_1.values())
+        assert recalls == sorted(recalls)
+        assert result.ms_per_query > 0
+        for error in result.errors:
+            assert error.segment == error.scan // 15 != error.matched_segment
+            assert error.matched_scan // 15 == error.matched_segment
+            assert error.standing == standing[error.scan]
+            assert error.motion_surrogate >= 0
+
+
+def test_as_driven_a_neighbour_is_found_and_turned_round_it_is_not(found):
+    as_driven, turned, _ = found.conditions
+    assert as_driven.recall_at_1[3.0] > 0.9
+    assert as_driven.position_error_m_median < 3.0
+    assert turned.segment_accuracy < as_driven.segment_accuracy
+
+
+def test_an_evaluation_is_plain_json(found):
+    text = json.loads(json.dumps(found.as_dict(), allow_nan=False))
+    assert text["split"] == "interleaved:0.2"
+    assert list(text["conditions"][0]["recall_at_1"]) == ["3", "5", "10"]
+    assert text["conditions"][1]["yaw_deg"] == 180.0
+    assert text["conditions"][1]["errors"] == len(text["conditions"][1]["error_scans"])
+
+
+def without_times(result):
+    return {name: value for name, value in result.as_dict().items() if name != "ms_per_query"}
+
+
+def test_a_conditions_figures_do_not_depend_on_what_else_is_asked(drive, found):
+    alone = evaluate(drive, Protocol(segments=4, conditions=(Condition(noise_m=2.0),)))
+    assert without_times(alone.conditions[0]) == without_times(found.conditions[2])
+
+
+def test_another_seed_is_other_noise():
+    noisy = (Condition(noise_m=20.0),)
+    drive = sample_drive(60)
+    one, same, other = (
+        evaluate(drive, Protocol(SMALL, segments=3, conditions=noisy, seed=seed)).conditions[0]
+        for seed in (0, 0, 1)
+    )
+    assert without_times(one) == without_times(same)
+    assert without_times(one) != without_times(other)
+
+
+def test_a_drive_without_poses_has_no_figures_in_metres():
+    found = evaluate(sample_drive(40, poses=False), Protocol(SMALL, segments=4))
+    (result,) = found.conditions
+    assert found.standing_scans is None
+    assert result.segment_accuracy is not None
+    assert result.errors
+    assert result.errors_moving is result.errors_stationary is None
+    assert result.recall_at_1 == {3.0: None, 5.0: None, 10.0: None}
+    assert result.position_error_m_median is None
+    assert all(e.standing is e.motion_surrogate is None for e in result.errors)
+    json.dumps(found.as_dict(), allow_nan=False)
+
+
+def test_scans_that_cannot_be_used_are_skipped_in_the_map_and_refused_as_queries():
+    drive = FaultyDrive(sample_drive(40), {2, 3, 7, 11})  # 2 and 7 are queries, j mod 5 == 2
+    found = evaluate(drive, Protocol(SMALL, segments=4))
+    assert [item.scan for item in found.skipped] == [3, 11]
+    assert found.map_scans == 30
+    assert (found.conditions[0].queries, found.conditions[0].refusals) == (8, 2)
+
+
+def test_queries_that_a_condition_leaves_without_returns_are_refused():
+    far = (Condition(), Condition(lateral_m=1e39))
+    found = evaluate(sample_drive(40), Protocol(SMALL, segments=4, conditions=far))
+    assert [result.refusals for result in found.conditions] == [0, 8]
+    nothing = found.conditions[1]
+    assert nothing.segment_accuracy is nothing.ms_per_query is None
+    assert nothing.position_error_m_median is None
+    assert nothing.recall_at_1[3.0] is None
+    json.dumps(found.as_dict(), allow_nan=False)
+
+
+def test_a_second_drive_is_asked_against_the_whole_of_the_first():
+    drive = sample_drive(40)
+    found = evaluate(drive, Protocol(SMALL, segments=4), sample_drive(30, name="second"))
+    (result,) = found.conditions
+    assert (found.drive, found.query_drive, found.split) == ("drive", "second", None)
+    assert (found.map_scans, result.queries) == (40, 30)
+    # The same scans at the same places: each finds itself, and its segment is the nearest scan's.
+    assert result.segment_accuracy == 1.0
+    assert result.position_error_m_median == 0.0
+    assert result.recall_at_1[3.0] == 1.0
+
+
+def test_a_querys_true_segment_is_that_of_the_nearest_map_scan():
+    drive, other = sample_drive(40), sample_drive(40, seed=1, name="second")
+    (result,) = evaluate(drive, Protocol(SMALL, segments=4), other).conditions
+    assert result.errors
+    assert all(error.segment == error.scan // 10 for error in result.errors)
+
+
+def test_a_second_drive_without_poses_cannot_be_judged():
+    drive, other = sample_drive(40), sample_drive(10, poses=False)
+    (result,) = evaluate(drive, Protocol(SMALL, segments=4), other).conditions
+    assert result.segment_accuracy is None
+    assert result.errors == ()
+    assert result.refusals == 0
+
+
+def test_a_split_that_empties_a_segment_is_refused():
+    with pytest.raises(InvalidParameters, match="segment 1 is left without a map scan"):
+        evaluate(sample_drive(6), Protocol(SMALL, segment_length=1, split=Every(2)))
+
+
+def test_a_split_that_holds_nothing_out_is_refused_before_the_work():
+    progress = RecordedProgress()
+    with pytest.raises(InvalidParameters, match="nothing to ask"):
+        evaluate(sample_drive(6), Protocol(SMALL, split=Interleaved(0.01)), progress=progress)
+    assert progress.stages == []
+
+
+def test_a_drive_of_nothing_is_refused():
+    empty = MemoryDrive("empty", [])
+    with pytest.raises(EmptyDrive, match="drive empty has no scan"):
+        evaluate(empty, Protocol(SMALL))
+    with pytest.raises(EmptyDrive, match="drive empty has no scan"):
+        evaluate(sample_drive(6), Protocol(SMALL), empty)
+
+
+def test_progress_tells_every_stage_and_can_stop_it():
+    progress = RecordedProgress()
+    drive = FaultyDrive(sample_drive(40), {2, 3})
+    two = (Condition(), Condition(yaw_deg=10.0))
+    evaluate(drive, Protocol(SMALL, segments=4, conditions=two), progress=progress)
+    assert progress.stages == [("projecting", 32), ("fitting", 62), ("localizing", 16)]
+    assert progress.done == [32, 62, 16]
+
+    class Stop(RecordedProgress):
+        def start(self, stage, total):
+            if stage == "localizing":
+                raise Cancelled("enough")
+
+        def advance(self, units=1):
+            pass
+
+    with pytest.raises(Cancelled):
+        evaluate(sample_drive(40), Protocol(SMALL), progress=Stop())
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        ({"tolerances_m": ()}, "tolerances_m"),
+        ({"tolerances_m": (0.0,)}, "tolerances_m"),
+        ({"tolerances_m": (3.0, np.nan)}, "tolerances_m"),
+        ({"tolerances_m": (np.inf,)}, "tolerances_m"),
+        ({"seed": -1}, "seed is -1"),
+        ({"conditions": ()}, "conditions"),
+    ],
+)
+def test_a_protocol_that_cannot_be_is_refused(wrong, said):
+    with pytest.raises(InvalidParameters, match=said):
+        Protocol(**wrong)

@@ -1,0 +1,48 @@
+"""Files of released versions stay readable, to the bit."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from core.localizer import Localizer
+from core.projection import RangeImage
+from storage.map_file import read_map
+from tests import golden
+from tests.golden.make import golden_map
+
+FOLDER = Path(golden.__file__).parent
+
+RELEASED = {"map-v1.h5": "88c7c859161582505ada0c7eb33147ff88eaadab915a5ad414975b2cd813e9db"}
+
+
+@pytest.mark.parametrize(("name", "digest"), RELEASED.items())
+def test_a_released_file_is_read_with_the_revision_it_had(name, digest):
+    tensor_map = read_map(FOLDER / name)
+    assert tensor_map.revision == digest
+    assert tensor_map.trajectory.drives == ("monday", "tuesday")
+    assert tensor_map.trajectory.scan_index.tolist() == [0, 1, 3, 0, 1, 2]
+    assert tensor_map.topology.edge_nodes.tolist() == [[0, 1], [1, 2], [3, 4]]
+    assert tensor_map.topology.edge_length_m[:2].tolist() == [2.0, 0.0]
+    assert tensor_map.parameters.grid.shape == (4, 9)
+
+
+def test_every_golden_file_is_tested():
+    assert {path.name for path in FOLDER.glob("*.h5")} == set(RELEASED)
+
+
+def test_the_map_is_still_built_as_it_was():
+    # Signs and values to 1e-5: BLAS and LAPACK of other processors differ in the last bits.
+    released, built = read_map(FOLDER / "map-v1.h5"), golden_map()
+    for name, array in released.arrays().items():
+        np.testing.assert_allclose(built.arrays()[name], array, rtol=1e-5, atol=1e-5)
+    assert built.attributes() == released.attributes()
+
+
+def test_a_released_map_still_answers():
+    tensor_map = read_map(FOLDER / "map-v1.h5")
+    ranges_m = np.random.default_rng(1).uniform(1.0, 80.0, size=(6, 4, 9)).astype(np.float32)
+    localizer = Localizer(tensor_map)
+    for row in range(6):
+        image = RangeImage(ranges_m[row], tensor_map.parameters.grid)
+        assert localizer.localize_image(image).best.row == row

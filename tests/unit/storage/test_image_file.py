@@ -1,0 +1,82 @@
+"""Image files: whole or refused by name."""
+
+import h5py
+import numpy as np
+import pytest
+
+from core.drive import MemoryDrive
+from core.errors import Cancelled, EmptyDrive
+from core.projection import Reducer
+from core.sensor import AngularGrid
+from storage.errors import CorruptFile
+from storage.image_file import ImageFile, image_file_name, write_image_file
+from tests.support.samples import SMALL_GRID, FaultyDrive, RecordedProgress, sample_drive
+
+
+@pytest.fixture
+def path(tmp_path):
+    write_image_file(tmp_path / "images.h5", sample_drive(20), SMALL_GRID, Reducer.LAST)
+    return tmp_path / "images.h5"
+
+
+@pytest.mark.parametrize("drive", [MemoryDrive("d", []), FaultyDrive(sample_drive(2), {0, 1})])
+def test_a_drive_without_a_usable_scan_leaves_no_file(tmp_path, drive):
+    with pytest.raises(EmptyDrive, match="has no usable scan"):
+        write_image_file(tmp_path / "images.h5", drive, SMALL_GRID, Reducer.LAST)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_cancelled_projection_leaves_no_file(tmp_path):
+    class Stop(RecordedProgress):
+        def advance(self, units=1):
+            raise Cancelled("enough")
+
+    with pytest.raises(Cancelled):
+        write_image_file(tmp_path / "i.h5", sample_drive(3), SMALL_GRID, Reducer.LAST, Stop())
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_file_that_holds_no_images_is_corrupt(tmp_path):
+    (tmp_path / "text.h5").write_bytes(b"no HDF5")
+    with pytest.raises(CorruptFile, match="holds no images"):
+        ImageFile(tmp_path / "text.h5", SMALL_GRID)
+
+
+def test_images_of_another_grid_are_corrupt(path):
+    with pytest.raises(CorruptFile, match="shape"):
+        ImageFile(path, AngularGrid())
+
+
+@pytest.mark.parametrize("name", ["images", "scans"])
+def test_a_group_in_place_of_an_array_is_corrupt(path, name):
+    with h5py.File(path, "r+") as file:
+        del file[name]
+        file.create_group(name)
+    with pytest.raises(CorruptFile, match="holds no images"):
+        ImageFile(path, SMALL_GRID)
+
+
+@pytest.mark.parametrize("name", ["returns", "skipped"])
+def test_a_missing_attribute_is_corrupt(path, name):
+    with h5py.File(path, "r+") as file:
+        del file.attrs[name]
+    with pytest.raises(CorruptFile, match="holds no images"):
+        ImageFile(path, SMALL_GRID)
+
+
+def test_a_truncated_file_is_corrupt(path):
+    path.write_bytes(path.read_bytes()[:-500])
+    with pytest.raises(CorruptFile):
+        ImageFile(path, SMALL_GRID)
+
+
+def test_the_name_tells_everything_the_images_depend_on():
+    names = {
+        image_file_name(grid, reducer, digest * 32)
+        for grid in (SMALL_GRID, AngularGrid(), AngularGrid(wraps=True))
+        for reducer in Reducer
+        for digest in ("ab", "cd")
+    }
+    assert len(names) == 3 * 4 * 2
+    assert image_file_name(AngularGrid(-25, 1, 30, 1), Reducer.LAST, "ab" * 32) in names
+    assert np.char.endswith(list(names), ".h5").all()
