@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from app.cli.console import output, progress_bar
@@ -112,12 +113,16 @@ def _show(result: Evaluation) -> None:
         soft_wrap=True,
     )
     tolerances = list(result.conditions[0].recall_at_1)
-    table = Table("yaw", "lateral", "noise", "queries", "refused")
+    # No borders and short heads: all of it fits the 80 columns of a plain terminal.
+    table = Table(box=SIMPLE_HEAD, padding=0)
     for heading in (
-        "segments right",
+        "yaw deg",
+        "left m",
+        "noise m",
+        "asked",
+        "segment right",
         "errors",
         "moving",
-        "standing",
         *(f"R@1 {metres:g} m" for metres in tolerances),
         "error m",
         "ms",
@@ -125,20 +130,21 @@ def _show(result: Evaluation) -> None:
         table.add_column(heading, justify="right")
     for row in result.conditions:
         table.add_row(
-            f"{row.condition.yaw_deg:g} deg",
-            f"{row.condition.lateral_m:g} m",
-            f"{row.condition.noise_m:g} m",
+            f"{row.condition.yaw_deg:g}",
+            f"{row.condition.lateral_m:g}",
+            f"{row.condition.noise_m:g}",
             str(row.queries),
-            str(row.refusals),
             _figure(row.segment_accuracy, ".3f"),
             str(len(row.errors)),
             _figure(row.errors_moving, "d"),
-            _figure(row.errors_stationary, "d"),
             *(_figure(row.recall_at_1[metres], ".3f") for metres in tolerances),
             _figure(row.position_error_m_median, ".2f"),
             _figure(row.ms_per_query, ".1f"),
         )
     output.print(table)
+    refused = sum(row.refusals for row in result.conditions)
+    if refused:
+        output.print(f"refused: {refused} queries, counted in no figure")
     moving = result.motion_surrogate_median_moving
     standing = result.motion_surrogate_median_standing
     if result.standing_scans is not None:
