@@ -10,9 +10,7 @@ from rich.table import Table
 
 from app.cli.console import output, progress_bar
 from app.cli.options import MIN_RETURNS
-from app.demo.client import Client
-from app.demo.run import MAX_SCANS, RECALL_M, Outcome, run_demo
-from app.demo.server import free_port, running_server
+from app.demo.outcome import MAX_SCANS, RECALL_M, Outcome
 from core.drive import Drive
 from core.simulation import SimulatedDrive
 from storage.formats.drives import open_drive
@@ -35,6 +33,12 @@ def demo(
     seed: Annotated[int, typer.Option(min=0, help="Of the simulated city.")] = 0,
 ) -> None:
     """Record a drive, post it, build the map, localize what was held out, and print a table."""
+    from app.demo.client import Client  # here: no other command needs an HTTP client
+    from app.demo.run import run_demo
+    from app.demo.server import free_port, running_server
+
+    # Whoever ends this ends the service too, at any moment: the blocks below clean up.
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     recorded: Drive
     if drive is None:
         recorded = SimulatedDrive(seed=seed, scans=MAX_SCANS)
@@ -60,7 +64,6 @@ def demo(
 
 def _wait() -> None:
     """Wait until the person, or whoever started this, has seen enough."""
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         signal.pause()
     except KeyboardInterrupt:

@@ -21,6 +21,7 @@ from app.cli.options import (
     SensorOption,
     numbers,
     ranks,
+    require_folder,
 )
 from core.errors import InvalidParameters
 from core.evaluation.condition import conditions
@@ -76,6 +77,8 @@ def evaluate(
     ] = None,
 ) -> None:
     """Build a map of one part of a drive and ask it where the other part was."""
+    if json_out is not None:
+        require_folder(json_out)
     if query_drive is not None and split is not None:
         raise InvalidParameters("with --query-drive all of DRIVE is the map: leave --split out")
     protocol = Protocol(
@@ -120,7 +123,7 @@ def _show(result: Evaluation) -> None:
         "left m",
         "noise m",
         "asked",
-        "segment right",
+        "segm. right",
         "errors",
         "moving",
         *(f"R@1 {metres:g} m" for metres in tolerances),

@@ -22,9 +22,9 @@ from app.cli.options import (
     SensorHeightOption,
     SensorOption,
     ranks,
+    require_folder,
 )
 from app.jobs.parameters import BuildParameters
-from app.pipelines import build_drive
 from app.schemas.localizations import LocalizationOut, SignaturesIn
 from core.compression import Compression
 from core.errors import InvalidParameters
@@ -55,6 +55,9 @@ def build(
     sensor_height_m: SensorHeightOption = 1.73,
 ) -> None:
     """Build a map of a recorded drive."""
+    from app.pipelines import build_drive  # here: it brings the store, which no other one needs
+
+    require_folder(output_file)
     try:
         parameters = BuildParameters(
             encoding=encoding,

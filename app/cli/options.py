@@ -22,6 +22,7 @@ __all__ = [
     "SensorOption",
     "numbers",
     "ranks",
+    "require_folder",
 ]
 
 MIN_RETURNS = 100
@@ -61,6 +62,16 @@ SensorOption = Annotated[
 SensorHeightOption = Annotated[
     float, typer.Option(help="Sensor above ground, in metres.", rich_help_panel=_BUILD)
 ]
+
+
+def require_folder(path: Path) -> None:
+    """Refuse to begin long work whose result could not be written.
+
+    Raises:
+        typer.BadParameter: If the folder of `path` is not there.
+    """
+    if not path.absolute().parent.is_dir():
+        raise typer.BadParameter(f"{path} cannot be written: there is no folder {path.parent}")
 
 
 def numbers(text: str) -> tuple[float, ...]:

@@ -6,10 +6,10 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-import uvicorn
+from pydantic import ValidationError
 
-from app.main import create_app
 from app.settings import Settings
+from core.errors import InvalidParameters
 
 __all__ = ["serve"]
 
@@ -29,8 +29,11 @@ def serve(
     ] = None,
 ) -> None:
     """Start the service; `TENSORMAP_*` variables hold what no option sets."""
-    chosen: dict[str, Any] = {"host": host, "port": port, "data_dir": data}
-    settings = Settings(**{name: value for name, value in chosen.items() if value is not None})
+    import uvicorn  # here, not above: no other command needs to wait for the whole service
+
+    from app.main import create_app
+
+    settings = _settings(host=host, port=port, data_dir=data)
     config = uvicorn.Config(
         create_app(settings),
         host=settings.host,
@@ -42,6 +45,18 @@ def serve(
         # Uvicorn, given a socket, names no URL.
         typer.echo(f"TensorMap at {_url(listening)}", err=True)
         uvicorn.Server(config).run(sockets=[listening])
+
+
+def _settings(**chosen: Any) -> Settings:  # noqa: ANN401 - each setting checks its own type
+    """Return the settings of the environment, with what the options say instead."""
+    try:
+        return Settings(**{name: value for name, value in chosen.items() if value is not None})
+    except ValidationError as error:
+        wrong = "; ".join(
+            f"TENSORMAP_{str(found['loc'][0]).upper()}: {found['msg']}"
+            for found in error.errors(include_input=False)  # it may be a key
+        )
+        raise InvalidParameters(wrong) from None
 
 
 def _url(listening: socket.socket) -> str:

@@ -8,6 +8,7 @@ from typing import Protocol
 import numpy as np
 
 from app.demo.client import Client
+from app.demo.outcome import MAX_SCANS, RECALL_M, Fixes, Outcome
 from app.jobs.parameters import BuildParameters
 from app.schemas.localizations import LocalizationOut
 from app.schemas.topology import TopologyOut
@@ -25,10 +26,7 @@ from core.tucker import storage_elements
 from storage.catalog import JobState
 from storage.formats.kitti import kitti_body
 
-__all__ = ["MAX_SCANS", "RECALL_M", "Fixes", "Outcome", "run_demo"]
-
-MAX_SCANS = 300
-RECALL_M = 3.0
+__all__ = ["run_demo"]
 
 _DRIVE = "recorded"
 # Longer segments are recalled better (paper, sec. 3.2): two are the fewest that can be mistaken.
@@ -40,40 +38,6 @@ class BuildProgress(Progress, Protocol):
 
     def move_to(self, done: int) -> None:
         """Set how many units of the stage are done."""
-
-
-@dataclass(frozen=True)
-class Fixes:
-    """All held-out scans, asked in one way.
-
-    Attributes:
-        asked_by: What was sent.
-        queries: How many.
-        segment_accuracy: Share on the right segment.
-        recall_at_1: Share whose map scan was recorded within 3 m, `None` without poses.
-        position_error_m: Median distance of that scan, `None` without poses.
-        bytes_per_fix: Mean length of a request's body.
-        ms_per_fix: Mean time from scan to answer, signature and HTTP included.
-    """
-
-    asked_by: str
-    queries: int
-    segment_accuracy: float
-    recall_at_1: float | None
-    position_error_m: float | None
-    bytes_per_fix: float
-    ms_per_fix: float
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """What the demonstration found."""
-
-    fixes: tuple[Fixes, ...]
-    compression: Compression
-    segments: int
-    mapped_scans: int
-    posted_bytes: int
 
 
 @dataclass(frozen=True, eq=False)

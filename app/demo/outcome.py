@@ -1,0 +1,44 @@
+"""What a demonstration found."""
+
+from dataclasses import dataclass
+
+from core.compression import Compression
+
+__all__ = ["MAX_SCANS", "RECALL_M", "Fixes", "Outcome"]
+
+MAX_SCANS = 300
+RECALL_M = 3.0
+
+
+@dataclass(frozen=True)
+class Fixes:
+    """All held-out scans, asked in one way.
+
+    Attributes:
+        asked_by: What was sent.
+        queries: How many.
+        segment_accuracy: Share on the right segment.
+        recall_at_1: Share whose map scan was recorded within 3 m, `None` without poses.
+        position_error_m: Median distance of that scan, `None` without poses.
+        bytes_per_fix: Mean length of a request's body.
+        ms_per_fix: Mean time from scan to answer, signature and HTTP included.
+    """
+
+    asked_by: str
+    queries: int
+    segment_accuracy: float
+    recall_at_1: float | None
+    position_error_m: float | None
+    bytes_per_fix: float
+    ms_per_fix: float
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What the demonstration found."""
+
+    fixes: tuple[Fixes, ...]
+    compression: Compression
+    segments: int
+    mapped_scans: int
+    posted_bytes: int

@@ -1,0 +1,172 @@
+"""The command line as a person uses it, each command a process."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import h5py
+import pytest
+
+from app.cli.main import main
+
+ROOT = Path(__file__).parents[2]
+
+
+def tensormap(*words: str | Path, status: int = 0, **variables: str) -> str:
+    """Run a command, check how it ends, and return what it wrote on both outputs."""
+    ended = subprocess.run(
+        [sys.executable, "-m", "app.cli", *map(str, words)],
+        cwd=ROOT,
+        env={**os.environ, **variables},
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+    assert ended.returncode == status, ended.stdout + ended.stderr
+    assert "Traceback" not in ended.stderr
+    return ended.stdout + ended.stderr
+
+
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("drives") / "monday"
+    tensormap("simulate", folder, "--scans", "40", "--seed", "12")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def map_file(drive: Path) -> Path:
+    path = drive.parent / "monday.h5"
+    said = tensormap("build", drive, "-o", path, "--segments", "2", "--reducer", "nearest")
+    assert "40 scans, 2 segments" in said
+    return path
+
+
+def test_a_map_is_inspected(map_file: Path) -> None:
+    facts = json.loads(tensormap("inspect", map_file, "--json"))
+    assert (facts["scans"], facts["segments"], facts["reducer"]) == (40, 2, "nearest")
+    assert facts["arrays"]["signatures"] == {"shape": [40, 5, 5], "dtype": "float32"}
+    assert facts["revision"][:12] in tensormap("inspect", map_file)
+
+
+def test_a_scan_is_localized_where_it_was_taken(map_file: Path, drive: Path) -> None:
+    scans = [drive / "velodyne" / f"{index:06d}.bin" for index in (3, 31)]
+    lines = tensormap("localize", map_file, *scans, "-k", "2", "--json").splitlines()
+    answers = [json.loads(line) for line in lines]
+    assert [answer["best"]["scan_index"] for answer in answers] == [3, 31]
+    assert [answer["best"]["segment"] for answer in answers] == [0, 1]
+    assert all(len(answer["matches"]) == 2 for answer in answers)
+
+
+def test_a_signature_is_printed_and_packed(map_file: Path, drive: Path, tmp_path: Path) -> None:
+    scan = drive / "velodyne" / "000003.bin"
+    packed = tmp_path / "where.sig"
+    said = tensormap("signature", map_file, scan, "--segment", "1", "--packed", packed)
+    body = json.loads(said)
+    assert [item["segment"] for item in body["signatures"]] == [1]
+    assert [len(row) for row in body["signatures"][0]["values"]] == [5] * 5
+    assert len(packed.read_bytes()) == 63
+    assert len(json.loads(tensormap("signature", map_file, scan))["signatures"]) == 2
+
+
+def test_evaluate_writes_every_figure(drive: Path, tmp_path: Path) -> None:
+    out = tmp_path / "figures.json"
+    lists = ["--yaw-deg", "0,-90", "--lateral-m", "-1,1", "--noise-m", "0,0.1"]
+    tensormap("evaluate", drive, "--segments", "2", *lists, "--tolerance-m", "2.5", "--json", out)
+    found = json.loads(out.read_text())
+    assert found["drive"] == "monday"
+    assert (found["encoding"], found["ranks"], found["reducer"]) == ("paper", [5, 5], "last")
+    assert (found["segments"], found["sensor"], found["seed"]) == (2, "hdl-64e", 0)
+    assert found["sensor_height_m"] == 1.73
+    assert set(found["compression"]) == {"elements", "tensor_ratio", "returns_ratio"}
+    assert len(found["relative_error"]) == 2
+    assert [(row["yaw_deg"], row["lateral_m"], row["noise_m"]) for row in found["conditions"]] == [
+        (y, d, n) for y in (0, -90) for d in (-1, 1) for n in (0, 0.1)
+    ]
+    assert set(found["conditions"][0]) >= {
+        "queries",
+        "segment_accuracy",
+        "errors",
+        "errors_moving",
+        "errors_stationary",
+        "recall_at_1",
+        "position_error_m_median",
+        "heading_error_deg_median",
+        "ms_per_query",
+    }
+    assert set(found["conditions"][0]["recall_at_1"]) == {"2.5"}
+    assert found["conditions"][0]["queries"] == 8
+
+
+def test_evaluate_asks_with_a_second_drive(drive: Path, tmp_path: Path) -> None:
+    second, out = tmp_path / "tuesday", tmp_path / "figures.json"
+    tensormap("simulate", second, "--scans", "40", "--seed", "12", "--lateral-m", "1")
+    tensormap("evaluate", drive, "--query-drive", second, "--segments", "2", "--json", out)
+    found = json.loads(out.read_text())
+    assert (found["drive"], found["query_drive"], found["split"]) == ("monday", "tuesday", None)
+    assert found["conditions"][0]["queries"] == 40
+
+
+def test_the_demonstration_ends_by_itself_when_asked_to(drive: Path) -> None:
+    said = tensormap("demo", "--once", "--drive", drive, "--port", "8300")
+    assert "full scan" in said
+    assert "signature, segment known" in said
+    assert "63" in said
+
+
+@pytest.mark.parametrize(
+    ("words", "status", "said"),
+    [
+        (["evaluate", "{drive}", "--segments", "2", "--segment-length", "9"], 1, "not both"),
+        (["evaluate", "{drive}", "--ranks", "5"], 2, "r1,r2"),
+        (["evaluate", "{drive}", "--ranks", "31,5"], 1, "r1 is 31, wanted 1..30"),
+        (["evaluate", "{drive}", "--split", "half"], 1, "every:N"),
+        (["evaluate", "{drive}", "--yaw-deg", "0,east"], 2, "'0,east'"),
+        (["evaluate", "{drive}", "--noise-m", "-1"], 1, "wanted 0 or more"),
+        (["evaluate", "{drive}", "--sensor", "eyes"], 1, "hdl-64e"),
+        (["evaluate", "{drive}", "--query-drive", "{drive}", "--split", "every:2"], 1, "--split"),
+        (["evaluate", "{folder}/nowhere"], 1, "is no folder"),
+        (["build", "{folder}", "-o", "{folder}/x.h5"], 1, "velodyne"),
+        (["build", "{drive}", "-o", "{folder}/no/such/x.h5"], 2, "there is no folder"),
+        (["evaluate", "{drive}", "--json", "{folder}/no/such/x.json"], 2, "there is no folder"),
+        (["inspect", "{folder}/nowhere.h5"], 1, "nowhere.h5"),
+        (["inspect", "{drive}/times.txt"], 1, "cannot be read as a map"),
+        (["localize", "{map}", "{drive}/times.txt"], 1, "times.txt"),
+        (["signature", "{map}", "{drive}/velodyne/000003.bin", "--segment", "7"], 1, "0..1"),
+        (["serve", "--port", "70000"], 2, "65535"),
+    ],
+)
+def test_what_cannot_be_is_told_in_a_line(
+    words: list[str],
+    status: int,
+    said: str,
+    drive: Path,
+    map_file: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    places = {"drive": drive, "map": map_file, "folder": tmp_path}
+    monkeypatch.setattr(sys, "argv", ["tensormap", *(word.format(**places) for word in words)])
+    monkeypatch.setenv("COLUMNS", "300")
+    with pytest.raises(SystemExit) as ended:
+        main()
+    told = capsys.readouterr()
+    assert ended.value.code == status
+    assert said in " ".join(f"{told.out}{told.err}".split())
+
+
+def test_a_damaged_map_is_refused(map_file: Path, tmp_path: Path) -> None:
+    damaged = tmp_path / "damaged.h5"
+    damaged.write_bytes(map_file.read_bytes())
+    with h5py.File(damaged, "r+") as file:
+        file["signatures"][0, 0, 0] += 1
+    assert "its content is" in tensormap("inspect", damaged, status=1)
+
+
+def test_a_setting_that_cannot_be_is_named() -> None:
+    said = tensormap("serve", "--port", "0", status=1, TENSORMAP_ADMIN_KEY="short")
+    assert "TENSORMAP_ADMIN_KEY" in said
+    assert "short" not in said.replace("should", "")
