@@ -1,13 +1,15 @@
 # Build the wheel from the source, and an environment that holds nothing but it and its dependencies.
 FROM python:3.13-slim AS build
 WORKDIR /source
+# What builds the wheel is pinned too.
+ENV PIP_CONSTRAINT=/source/constraints.txt PIP_BUILD_CONSTRAINT=/source/constraints.txt
 COPY pyproject.toml README.md LICENSE constraints.txt ./
 COPY core core
 COPY storage storage
 COPY app app
 RUN python -m pip wheel --no-cache-dir --no-deps --wheel-dir /wheel . \
  && python -m venv /opt/tensormap \
- && /opt/tensormap/bin/pip install --no-cache-dir --constraint constraints.txt /wheel/*.whl
+ && /opt/tensormap/bin/pip install --no-cache-dir /wheel/*.whl
 
 FROM python:3.13-slim
 COPY --from=build /opt/tensormap /opt/tensormap

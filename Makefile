@@ -6,7 +6,7 @@ BIN := $(VENV)/bin
 # Without tests and linters; the stamps are newer than what they were made of, so all is safe to repeat.
 RUNTIME := $(VENV)/.installed
 DEVELOP := $(VENV)/.installed-dev
-PIP_INSTALL := PIP_CONSTRAINT=constraints.txt $(BIN)/python -m pip install --quiet --disable-pip-version-check
+PIP_INSTALL := PIP_CONSTRAINT=constraints.txt PIP_BUILD_CONSTRAINT=constraints.txt $(BIN)/python -m pip install --quiet --disable-pip-version-check
 
 .DEFAULT_GOAL := help
 .PHONY: help demo test install lint bench constraints clean

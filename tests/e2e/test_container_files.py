@@ -47,7 +47,7 @@ def test_the_image_serves_its_volume_on_its_port_and_asks_itself() -> None:
 def test_what_the_image_is_made_of_is_named_and_fixed() -> None:
     bases = {line.partition(" AS ")[0] for line in instructions("FROM")}
     assert bases == {"python:3.13-slim"}
-    assert "--constraint constraints.txt" in DOCKERFILE
+    assert "PIP_CONSTRAINT=/source/constraints.txt" in DOCKERFILE
     ignored = [
         line for line in (ROOT / ".dockerignore").read_text().splitlines() if line[:1] != "#"
     ]
