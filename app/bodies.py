@@ -22,9 +22,10 @@ class BodyGuard:
     FastAPI's own `max_body_size` answers in plain text; an error of ours is a problem.
     """
 
-    def __init__(self, app: ASGIApp, max_body_bytes: int) -> None:
+    def __init__(self, app: ASGIApp, max_body_bytes: int, max_json_bytes: int) -> None:
         self._app = app
         self._max_body_bytes = max_body_bytes
+        self._max_json_bytes = min(max_json_bytes, max_body_bytes)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Pass a request on, its body within the limit."""
@@ -37,11 +38,11 @@ class BodyGuard:
             refused = UnsupportedBody(f"Content-Encoding is {encoding[:40]!r}, wanted none")
             await problem_response(refused)(scope, receive, send)
             return
+        is_json = "json" in headers.get("content-type", "").lower()
+        limit = self._max_json_bytes if is_json else self._max_body_bytes
         declared = headers.get("content-length", "")
-        if declared.isdecimal() and int(declared) > self._max_body_bytes:
-            error = BodyTooLarge(
-                f"the body has {declared} bytes, at most {self._max_body_bytes} are read"
-            )
+        if declared.isdecimal() and int(declared) > limit:
+            error = BodyTooLarge(f"the body has {declared} bytes, at most {limit} are read")
             await problem_response(error)(scope, receive, send)
             return
         came = 0
@@ -50,8 +51,11 @@ class BodyGuard:
             nonlocal came
             message = await receive()
             came += len(message.get("body", b""))
-            if came > self._max_body_bytes:
-                raise HTTPException(HTTPStatus.REQUEST_ENTITY_TOO_LARGE)
+            if came > limit:
+                raise HTTPException(
+                    HTTPStatus.REQUEST_ENTITY_TOO_LARGE,
+                    f"the body is longer than the {limit} bytes that are read",
+                )
             return message
 
         await self._app(scope, limited, send)

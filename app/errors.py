@@ -289,10 +289,7 @@ def add_handlers(app: FastAPI) -> None:
     @app.exception_handler(HTTPException)
     def http(request: Request, error: HTTPException) -> JSONResponse:
         if error.status_code == S.REQUEST_ENTITY_TOO_LARGE:
-            limit = request.app.state.settings.max_body_bytes
-            return problem_response(
-                BodyTooLarge(f"the body is longer than the {limit} bytes that are read")
-            )
+            return problem_response(BodyTooLarge(str(error.detail)))
         path = request.url.path[:_MOST_CHARACTERS]
         if error.status_code == S.NOT_FOUND:
             return problem_response(NoSuchRoute(f"there is no {path}; see /docs"))

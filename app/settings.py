@@ -12,7 +12,11 @@ __all__ = ["Settings", "is_loopback"]
 class Settings(BaseSettings):
     """What an operator may choose; `TENSORMAP_` and the upper-case name is the variable."""
 
-    model_config = SettingsConfigDict(env_prefix="TENSORMAP_", frozen=True)
+    model_config = SettingsConfigDict(
+        env_prefix="TENSORMAP_",
+        frozen=True,
+        hide_input_in_errors=True,  # it may be a key
+    )
 
     host: str = Field("127.0.0.1", description="Address to listen on.")
     port: int = Field(8000, ge=0, le=65535, description="Port to listen on; 0 takes a free one.")
@@ -25,6 +29,11 @@ class Settings(BaseSettings):
     )
     max_body_bytes: int = Field(
         64 * 2**20, ge=2**10, description="The largest request body that is read."
+    )
+    max_json_bytes: int = Field(
+        4 * 2**20,
+        ge=2**10,
+        description="The largest JSON body that is read: it is parsed whole, scans are not.",
     )
     min_returns: int = Field(
         100, ge=1, description="A scan with fewer finite, non-zero returns is refused."

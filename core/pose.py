@@ -23,6 +23,7 @@ __all__ = [
 
 UNKNOWN_POSE: tuple[float, ...] = (math.nan,) * 7
 
+_FARTHEST_M = 1e8  # beyond every frame of the Earth; lengths of paths stay finite
 _UNIT_TOLERANCE = 1e-3  # of a quaternion's norm and a matrix's orthonormality: text files round
 
 
@@ -46,6 +47,11 @@ class Pose:
     def __post_init__(self) -> None:
         if not all(math.isfinite(value) for value in self.as_tuple()):
             raise InvalidPose(f"a pose is seven finite numbers, got {self.as_tuple()}")
+        farthest_m = max(abs(self.x_m), abs(self.y_m), abs(self.z_m))
+        if farthest_m > _FARTHEST_M:
+            raise InvalidPose(
+                f"a pose is {farthest_m:g} m away, at most {_FARTHEST_M:g} are wanted"
+            )
         norm = math.hypot(self.qx, self.qy, self.qz, self.qw)
         if abs(norm - 1.0) > _UNIT_TOLERANCE:
             raise InvalidPose(f"the quaternion has norm {norm:.6g}, wanted 1")

@@ -19,6 +19,7 @@ from app.cli.options import (
     SegmentsOption,
     SensorHeightOption,
     SensorOption,
+    checked,
     numbers,
     ranks,
     require_folder,
@@ -41,7 +42,9 @@ _PROTOCOL = "Protocol"
 
 
 def _list_option(text: str) -> object:
-    return typer.Option(help=f"{text}, comma-separated.", rich_help_panel=_PROTOCOL)
+    return typer.Option(
+        help=f"{text}, comma-separated.", rich_help_panel=_PROTOCOL, callback=checked(numbers)
+    )
 
 
 def evaluate(

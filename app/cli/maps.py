@@ -27,14 +27,15 @@ from app.cli.options import (
 from app.jobs.parameters import BuildParameters
 from app.schemas.localizations import LocalizationOut, SignaturesIn
 from core.compression import Compression
-from core.errors import InvalidParameters
-from core.localizer import Localizer
+from core.errors import InvalidParameters, InvalidScan
+from core.localizer import Localization, Localizer
 from core.parameters import Encoding
 from core.projection import Reducer
 from core.sensor import HDL_64E
 from core.signature import pack_signatures
 from storage.files import publish
 from storage.formats.drives import open_drive
+from storage.formats.errors import UnknownFormat
 from storage.formats.registry import read_scan_file
 from storage.map_file import read_map, write_map
 
@@ -99,11 +100,29 @@ def localize(
     k: Annotated[int, typer.Option("-k", min=1, help="How many nearest scans to answer.")] = 1,
     as_json: Annotated[bool, typer.Option("--json", help="One JSON answer a line.")] = False,
 ) -> None:
-    """Localize scans in a map."""
+    """Localize scans in a map; one that cannot be used is told, the others are answered."""
     localizer = Localizer(read_map(map_file))
+    answers: list[tuple[Path, Localization]] = []
+    unusable: list[str] = []
+    with progress_bar() as progress:
+        progress.start("localizing", len(scans))
+        for path in scans:
+            try:
+                scan = read_scan_file(path, min_returns=MIN_RETURNS)
+                answers.append((path, localizer.localize_scan(scan, k)))
+            except (InvalidScan, UnknownFormat) as error:
+                unusable.append(str(error))
+            progress.advance()
+    _show_answers(answers, as_json=as_json)
+    for reason in unusable:
+        sys.stderr.write(f"tensormap: {reason}\n")
+    if unusable:
+        raise typer.Exit(1)
+
+
+def _show_answers(answers: list[tuple[Path, Localization]], *, as_json: bool) -> None:
     table = Table("scan", "segment", "along", "map scan", "x m", "y m", "distance", "ratio")
-    for path in scans:
-        found = localizer.localize_scan(read_scan_file(path, min_returns=MIN_RETURNS), k)
+    for path, found in answers:
         if as_json:
             answer = LocalizationOut.from_core(found, found.revision)
             sys.stdout.write(f"{answer.model_dump_json()}\n")
@@ -119,7 +138,7 @@ def localize(
                 f"{match.distance:.1f}",
                 "-" if found.ratio is None else f"{found.ratio:.2f}",
             )
-    if not as_json:
+    if answers and not as_json:
         output.print(table)
 
 

@@ -1,5 +1,6 @@
 """Options that several commands share, and how comma-separated lists are read."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated
 
@@ -20,6 +21,7 @@ __all__ = [
     "SegmentsOption",
     "SensorHeightOption",
     "SensorOption",
+    "checked",
     "numbers",
     "ranks",
     "require_folder",
@@ -39,9 +41,6 @@ DriveArgument = Annotated[
 ]
 MapArgument = Annotated[Path, typer.Argument(help="A map file.", metavar="MAP.h5")]
 EncodingOption = Annotated[Encoding, typer.Option(rich_help_panel=_BUILD)]
-RanksOption = Annotated[
-    str, typer.Option("--ranks", help="r1,r2: the shape of a signature.", rich_help_panel=_BUILD)
-]
 SegmentLengthOption = Annotated[
     int | None, typer.Option(min=1, help="k, scans in a segment.", rich_help_panel=_BUILD)
 ]
@@ -74,6 +73,16 @@ def require_folder(path: Path) -> None:
         raise typer.BadParameter(f"{path} cannot be written: there is no folder {path.parent}")
 
 
+def checked(read: Callable[[str], object]) -> Callable[[str], str]:
+    """Return an option's callback that reads its text once, so that an error names the option."""
+
+    def check(text: str) -> str:
+        read(text)
+        return text
+
+    return check
+
+
 def numbers(text: str) -> tuple[float, ...]:
     """Read a comma-separated list of numbers.
 
@@ -104,3 +113,14 @@ def ranks(text: str) -> tuple[int, int]:
     if not (comma and first.strip().isdecimal() and second.strip().isdecimal()):
         raise typer.BadParameter(f"{text!r} is no pair of whole numbers r1,r2")
     return int(first), int(second)
+
+
+RanksOption = Annotated[
+    str,
+    typer.Option(
+        "--ranks",
+        help="r1,r2: the shape of a signature.",
+        rich_help_panel=_BUILD,
+        callback=checked(ranks),
+    ),
+]

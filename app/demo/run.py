@@ -8,6 +8,7 @@ from typing import Protocol
 import numpy as np
 
 from app.demo.client import Client
+from app.demo.errors import DemoFailed
 from app.demo.outcome import MAX_SCANS, RECALL_M, Fixes, Outcome
 from app.jobs.parameters import BuildParameters
 from app.schemas.localizations import LocalizationOut
@@ -62,6 +63,8 @@ def run_demo(client: Client, drive: Drive, progress: BuildProgress) -> Outcome:
     scans = min(len(drive), MAX_SCANS)
     cuts = cut_fixed(scans, segment_length_for(scans, segments=_SEGMENTS))
     held_out = Interleaved(0.2).held_out(cuts)
+    if not held_out.any():
+        raise DemoFailed(f"drive {drive.name} has {scans} scans: too few to hold one in five out")
     client.create_map(f"Demonstration: {drive.name}")
     posted, returns = 0, 0
     queries: list[tuple[int, Scan]] = []
@@ -86,7 +89,10 @@ def run_demo(client: Client, drive: Drive, progress: BuildProgress) -> Outcome:
     asked = [
         _Query(index, _segment_at(topology, index), scan, kitti_body(scan))
         for index, scan in queries
+        if _is_usable(basis, scan)
     ]
+    if not asked:
+        raise DemoFailed(f"not one held-out scan of drive {drive.name} can be projected")
     progress.start("localizing", 3 * len(asked))
     segments = len(topology.edges)
     return Outcome(
@@ -166,6 +172,15 @@ def _by_signature(
         signatures = tuple(s for s in signatures if s.segment == segment)
     packed = pack_signatures(signatures)
     return client.localize_signature(packed), len(packed)
+
+
+def _is_usable(basis: Basis, scan: Scan) -> bool:
+    """Return whether a vehicle could ask with this scan at all."""
+    try:
+        basis.image(scan)
+    except InvalidScan:
+        return False
+    return True
 
 
 def _segment_at(topology: TopologyOut, index: int) -> int:

@@ -23,9 +23,13 @@ class BuildParameters(BaseModel):
         json_schema_extra={"example": {"drives": ["monday"], "segments": 5}},
     )
 
-    drives: list[Annotated[str, Field(max_length=64)]] | None = Field(
-        None, min_length=1, description="Which drives, in this order; all of the map by default."
-    )
+    drives: (
+        Annotated[
+            list[Annotated[str, Field(max_length=64)]],
+            Field(min_length=1, max_length=1000, fail_fast=True),
+        ]
+        | None
+    ) = Field(None, description="Which drives, in this order; all of the map by default.")
     encoding: Encoding = Encoding.PAPER
     ranks: tuple[int, int] = Field((5, 5), description="r1 and r2: the shape of a signature.")
     segment_length: int | None = Field(

@@ -2,7 +2,9 @@
 
 import logging
 import multiprocessing
+import signal
 import threading
+from multiprocessing import resource_tracker
 from multiprocessing.process import BaseProcess
 
 from app.errors import WorkerDied
@@ -83,7 +85,7 @@ class JobRunner:
             args=(self._settings.data_dir, self._settings.catalog_url, job),
             name=f"build-{job.id}",
         )
-        worker.start()
+        self._start(worker)
         try:
             self._watch(worker, job.id)
         finally:
@@ -94,6 +96,21 @@ class JobRunner:
                 job.id, f"the build process ended with exit code {worker.exitcode}; see the log"
             )
         worker.close()
+
+    @staticmethod
+    def _start(worker: BaseProcess) -> None:
+        """Start a worker that is deaf to what stops the service.
+
+        Ctrl-C and a service manager signal the whole group: the worker would end first, and its
+        build would count as failed instead of being queued again. A process inherits what the
+        thread that starts it blocks; `kill` ends it all the same.
+        """
+        resource_tracker.ensure_running()  # which would unblock them when it starts by itself
+        blocked = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
+        try:
+            worker.start()
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
 
     def _watch(self, worker: BaseProcess, job_id: str) -> None:
         """Wait for the worker, give it time to notice a cancel, and no longer."""

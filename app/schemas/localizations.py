@@ -19,13 +19,19 @@ NearestCount = Annotated[
 ]
 
 
+# Bounds as in the packed form; of a list that is wrong, its first fault is told.
+_Row = Annotated[list[float], Field(max_length=255, fail_fast=True)]
+
+
 class SegmentSignatureIn(BaseModel):
     """A signature and the segment whose bases made it."""
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
 
     segment: int = Field(ge=0, le=0xFFFF)
-    values: list[list[float]] = Field(min_length=1, description="r1 rows of r2 numbers.")
+    values: list[_Row] = Field(
+        min_length=1, max_length=255, fail_fast=True, description="r1 rows of r2 numbers."
+    )
 
 
 class SignaturesIn(BaseModel):
@@ -44,7 +50,7 @@ class SignaturesIn(BaseModel):
     revision: str = Field(
         pattern="^[0-9a-f]{16,64}$", description="Its digest, or at least 16 first digits."
     )
-    signatures: list[SegmentSignatureIn] = Field(min_length=1, max_length=0x10000)
+    signatures: list[SegmentSignatureIn] = Field(min_length=1, max_length=0x10000, fail_fast=True)
 
     @classmethod
     def from_core(cls, signatures: Sequence[Signature]) -> "SignaturesIn":

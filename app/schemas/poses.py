@@ -45,7 +45,7 @@ class ScanPoseIn(BaseModel):
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
 
     scan: int = Field(ge=0, lt=2**53, description="Its index in the drive.")
-    pose: Annotated[list[float], Field(min_length=7, max_length=7)] | None = Field(
+    pose: Annotated[list[float], Field(min_length=7, max_length=7, fail_fast=True)] | None = Field(
         None, description=f"{_ORDER}; null forgets it, left as it is without it."
     )
     timestamp_s: float | None = Field(None, description="Seconds; left as it is without it.")
@@ -61,7 +61,7 @@ class PosesIn(BaseModel):
         },
     )
 
-    poses: list[ScanPoseIn] = Field(min_length=1, max_length=100_000)
+    poses: list[ScanPoseIn] = Field(min_length=1, max_length=10_000, fail_fast=True)
 
     def to_core(self) -> tuple[dict[int, Pose | None], dict[int, float]]:
         """Return poses and timestamps by scan index.

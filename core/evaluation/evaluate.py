@@ -249,7 +249,8 @@ def _summarize(
     judged = [a for a in answers if a.segment >= 0]
     wrong = [a for a in judged if a.matched_segment != a.segment]
     errors = tuple(_segment_error(a, queries, row_of[a.scan]) for a in wrong)
-    standing = None if queries.standing is None else sum(bool(e.standing) for e in errors)
+    tells = queries.standing is not None and bool(judged)
+    standing = sum(bool(e.standing) for e in errors) if tells else None
     poses = queries.drive.poses
     recorded_m = _distances_m(answers, [poses[a.scan, :3] for a in answers])
     displaced_m = _distances_m(answers, [condition.position_m(poses[a.scan]) for a in answers])

@@ -68,7 +68,7 @@ class ConditionResult:
             "queries": self.queries,
             "refusals": self.refusals,
             "segment_accuracy": self.segment_accuracy,
-            "errors": len(self.errors),
+            "errors": None if self.segment_accuracy is None else len(self.errors),
             "errors_moving": self.errors_moving,
             "errors_stationary": self.errors_stationary,
             "recall_at_1": {f"{metres:g}": share for metres, share in self.recall_at_1.items()},

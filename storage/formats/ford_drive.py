@@ -107,7 +107,10 @@ class FordDrive:
         timestamp_s = np.full(len(self), np.nan)
         poses = np.full((len(self), 7), UNKNOWN_POSE)
         for index, file in enumerate(self._files):
-            record = _read(file)
+            try:
+                record = _read(file)
+            except InvalidScan:  # told when the scan is read; the rest of the drive is whole
+                continue
             timestamp_s[index] = record.timestamp_s
             poses[index] = _laser_pose_row(record.vehicle_pose, self._laser_on_vehicle)
         return frozen(timestamp_s, np.float64), frozen(poses, np.float64)

@@ -2,6 +2,7 @@
 
 import json
 import os
+import socket
 import subprocess
 import sys
 from pathlib import Path
@@ -53,8 +54,8 @@ def test_a_map_is_inspected(map_file: Path) -> None:
 
 def test_a_scan_is_localized_where_it_was_taken(map_file: Path, drive: Path) -> None:
     scans = [drive / "velodyne" / f"{index:06d}.bin" for index in (3, 31)]
-    lines = tensormap("localize", map_file, *scans, "-k", "2", "--json").splitlines()
-    answers = [json.loads(line) for line in lines]
+    said = tensormap("localize", map_file, *scans, "-k", "2", "--json")
+    answers = [json.loads(line) for line in said.splitlines() if line.startswith("{")]
     assert [answer["best"]["scan_index"] for answer in answers] == [3, 31]
     assert [answer["best"]["segment"] for answer in answers] == [0, 1]
     assert all(len(answer["matches"]) == 2 for answer in answers)
@@ -156,6 +157,32 @@ def test_what_cannot_be_is_told_in_a_line(
     told = capsys.readouterr()
     assert ended.value.code == status
     assert said in " ".join(f"{told.out}{told.err}".split())
+
+
+def test_one_scan_that_cannot_be_used_does_not_hide_the_others(
+    map_file: Path, drive: Path, tmp_path: Path
+) -> None:
+    cut = tmp_path / "cut.bin"
+    cut.write_bytes(bytes(17))
+    good = drive / "velodyne" / "000003.bin"
+    said = tensormap("localize", map_file, cut, good, "--json", status=1)
+    assert '"scan_index":3' in said
+    assert "cut.bin: the body has 17 bytes" in said
+
+
+def test_a_demonstration_of_too_few_scans_says_so(tmp_path: Path) -> None:
+    short = tmp_path / "short"
+    tensormap("simulate", short, "--scans", "2")
+    said = tensormap("demo", "--once", "--drive", short, "--port", "8300", status=1)
+    assert "too few" in said
+
+
+def test_a_port_that_is_taken_is_told_before_anything_is_opened(tmp_path: Path) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = str(taken.getsockname()[1])
+        said = tensormap("serve", "--port", port, "--data", tmp_path / "data", status=2)
+    assert "Address already in use" in " ".join(said.split())
+    assert not (tmp_path / "data").exists()
 
 
 def test_a_damaged_map_is_refused(map_file: Path, tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 import http.client
 import io
+import os
 import signal
 import socket
 import threading
@@ -62,6 +63,10 @@ def test_what_was_acknowledged_outlives_a_kill_and_what_was_begun_is_done_after_
         putting.join()
     with serving(data_dir, log) as server:
         wait_for(server.client, job, {"running", "done"})
+        # A service manager and Ctrl-C signal the whole group, the build's process too.
+        for child in server.children():
+            os.kill(child, signal.SIGTERM)
+            os.kill(child, signal.SIGINT)
         end_in_the_middle(server, signal.SIGTERM)
     with serving(data_dir, log) as server:
         assert len(acknowledged) > 30

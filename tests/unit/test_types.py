@@ -96,6 +96,12 @@ def test_a_pose_is_seven_finite_numbers(place, value):
         Pose.from_row(numbers)
 
 
+@pytest.mark.parametrize("x_m", [1.1e8, -1e300])
+def test_a_pose_lies_on_earth(x_m):
+    with pytest.raises(InvalidPose, match=r"wanted at most 1e\+08"):
+        Pose(x_m, 0.0, 0.0)
+
+
 def test_a_row_of_nan_is_no_pose():
     assert Pose.from_row([math.nan] * 7) is None
     with pytest.raises(InvalidPose, match=r"shape \(6,\), wanted \(7,\)"):

@@ -163,6 +163,8 @@ def test_a_second_drive_without_poses_cannot_be_judged():
     (result,) = evaluate(drive, Protocol(SMALL, segments=4), other).conditions
     assert result.segment_accuracy is None
     assert result.errors == ()
+    assert result.errors_moving is result.errors_stationary is None
+    assert result.as_dict()["errors"] is None
     assert result.refusals == 0
 
 

@@ -162,6 +162,17 @@ class TestFord:
         with pytest.raises(MalformedScan, match=r"Scan9\.mat"):
             open_drive(ford(tmp_path / "a", **fields)).scan(0)
 
+    def test_a_damaged_file_leaves_the_rest_of_the_drive_whole(self, tmp_path: Path) -> None:
+        folder = ford(tmp_path / "campus")
+        files = sorted((folder / "SCANS").iterdir())
+        files[1].write_bytes(files[1].read_bytes()[:200])
+        drive = open_ford_drive(folder)
+        assert np.isfinite(drive.poses[0]).all()
+        damaged = [i for i in range(len(drive)) if np.isnan(drive.poses[i]).all()]
+        assert len(damaged) == 1
+        with pytest.raises(MalformedScan, match=files[1].name):
+            drive.scan(damaged[0])
+
     def test_a_file_cut_anywhere_is_malformed(self, tmp_path: Path) -> None:
         drive = open_drive(ford(tmp_path / "a"))
         file = tmp_path / "a" / "SCANS" / "Scan9.mat"
