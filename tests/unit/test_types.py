@@ -98,7 +98,7 @@ def test_a_pose_is_seven_finite_numbers(place, value):
 
 @pytest.mark.parametrize("x_m", [1.1e8, -1e300])
 def test_a_pose_lies_on_earth(x_m):
-    with pytest.raises(InvalidPose, match=r"wanted at most 1e\+08"):
+    with pytest.raises(InvalidPose, match="at most 1e"):
         Pose(x_m, 0.0, 0.0)
 
 
