@@ -22,6 +22,8 @@ StorageError                 a TensorMapError
 ├── StorageBusy              another writer kept the catalog locked for too long
 ├── StorageFull              no space or quota is left
 ├── StorageReadOnly          the data cannot be written here
+├── StorageUnavailable       the catalog's database fails or cannot be reached
+├── WrongCatalog             the catalog is not that of this data directory or version
 └── DataDirInUse             another server already owns this data directory
 """
 
@@ -51,6 +53,8 @@ __all__ = [
     "StorageError",
     "StorageFull",
     "StorageReadOnly",
+    "StorageUnavailable",
+    "WrongCatalog",
 ]
 
 
@@ -140,6 +144,14 @@ class StorageFull(StorageError):
 
 class StorageReadOnly(StorageError):
     """The data cannot be written here."""
+
+
+class StorageUnavailable(StorageError):
+    """The catalog's database fails or cannot be reached."""
+
+
+class WrongCatalog(StorageError):
+    """The catalog is not that of this data directory, or of another version of TensorMap."""
 
 
 class DataDirInUse(StorageError):

@@ -117,7 +117,7 @@ class Drives:
             self._catalog.scans.add(target, records)
         except StorageError:
             # These say that nothing was committed. After any other error that is not certain, and
-            # a file too many, which the next start removes, is better than one too few.
+            # a file too many, which the next start sets aside, is better than one too few.
             path.unlink(missing_ok=True)
             raise
 

@@ -54,7 +54,7 @@ def test_what_a_killed_process_acknowledged_is_there_bit_for_bit(tmp_path):
         for index in present:  # a row that was committed but not yet acknowledged is whole too
             scan = store.drives.read_scan("campus", "monday", index)
             assert scan.points_m.tobytes() == sample_scan(index).points_m.tobytes()
-        names = [path.name for path in tmp_path.rglob("*.h5")]
+        names = [path.name for path in store.layout.maps.rglob("*.h5")]
         assert len(names) == len(present)
 
 
