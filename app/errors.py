@@ -132,6 +132,7 @@ STATUS: dict[type[core.TensorMapError], HTTPStatus] = {
     stored.JobNotRunning: S.CONFLICT,
     stored.InvalidSlug: S.UNPROCESSABLE_ENTITY,
     stored.CorruptFile: S.INTERNAL_SERVER_ERROR,
+    stored.CorruptImages: S.INTERNAL_SERVER_ERROR,
     stored.StorageBusy: S.SERVICE_UNAVAILABLE,
     stored.StorageFull: S.INSUFFICIENT_STORAGE,
     stored.StorageReadOnly: S.SERVICE_UNAVAILABLE,

@@ -19,6 +19,7 @@ StorageError                 a TensorMapError
 │   └── JobNotRunning        only a running job makes progress or ends
 ├── InvalidSlug              a name that is no slug
 ├── CorruptFile              a file that is not what was written
+│   └── CorruptImages        cached images that are not; a build makes them anew
 ├── StorageBusy              another writer kept the catalog locked for too long
 ├── StorageFull              no space or quota is left
 ├── StorageReadOnly          the data cannot be written here
@@ -33,6 +34,7 @@ __all__ = [
     "AmbiguousRevision",
     "Conflict",
     "CorruptFile",
+    "CorruptImages",
     "DataDirInUse",
     "DriveClosed",
     "DriveNotFound",
@@ -132,6 +134,10 @@ class InvalidSlug(StorageError):
 
 class CorruptFile(StorageError):
     """A file whose content is not what was written."""
+
+
+class CorruptImages(CorruptFile):
+    """Cached images that are not what was written; a build makes them anew, once."""
 
 
 class StorageBusy(StorageError):

@@ -66,7 +66,9 @@ def work(data_dir, digest):
         for done in range(20):
             store.jobs.progress(job.id, "project", done, 20)
         facts = RevisionFacts("paper", 20, 1, {}, job_id=job.id)
-        store.revisions.add("campus", digest, lambda path: path.write_bytes(b"map"), facts)
+        store.revisions.add(
+            store.maps.get("campus").id, digest, lambda path: path.write_bytes(b"map"), facts
+        )
         store.jobs.finish(job.id, digest)
 
 
