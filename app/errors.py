@@ -132,9 +132,12 @@ STATUS: dict[type[core.TensorMapError], HTTPStatus] = {
     stored.JobNotRunning: S.CONFLICT,
     stored.InvalidSlug: S.UNPROCESSABLE_ENTITY,
     stored.CorruptFile: S.INTERNAL_SERVER_ERROR,
+    stored.CorruptImages: S.INTERNAL_SERVER_ERROR,
     stored.StorageBusy: S.SERVICE_UNAVAILABLE,
     stored.StorageFull: S.INSUFFICIENT_STORAGE,
     stored.StorageReadOnly: S.SERVICE_UNAVAILABLE,
+    stored.StorageUnavailable: S.SERVICE_UNAVAILABLE,
+    stored.WrongCatalog: S.SERVICE_UNAVAILABLE,
     stored.DataDirInUse: S.SERVICE_UNAVAILABLE,
     InvalidRequest: S.UNPROCESSABLE_ENTITY,
     BodyTooLarge: S.REQUEST_ENTITY_TOO_LARGE,
@@ -148,7 +151,7 @@ STATUS: dict[type[core.TensorMapError], HTTPStatus] = {
     InternalError: S.INTERNAL_SERVER_ERROR,
 }
 
-READING = (stored.StorageBusy, InternalError)
+READING = (stored.StorageBusy, stored.StorageUnavailable, InternalError)
 """How every route that reads the store may end."""
 WRITING = (*READING, stored.StorageFull, stored.StorageReadOnly)
 """How every route that writes to it may end."""

@@ -68,9 +68,8 @@ def create_app(settings: Settings | None = None) -> FastAPI:
 
 
 def _start(settings: Settings) -> Service:
-    store = Store(settings.data_dir, settings.catalog_url)
+    store = Store.serving(settings.data_dir, settings.catalog_url)
     try:
-        store.recover()
         access, made = open_access(settings, store)
     except BaseException:
         store.close()

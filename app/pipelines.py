@@ -19,7 +19,7 @@ from core.segmentation import cut_drives, segment_length_for
 from core.tensormap import TensorMap
 from core.trajectory import Trajectory
 from storage.catalog import RevisionFacts, RevisionRecord
-from storage.errors import CorruptFile
+from storage.errors import CorruptImages, NotFound
 from storage.image_file import (
     ImageFile,
     image_file_name,
@@ -60,25 +60,27 @@ def build_revision(
     """Build a revision of a stored map and publish it.
 
     Images are kept beside the drive: another build with the same projection reads no raw return.
+    Should they turn out to be damaged, they are made anew, once. The map is the one of this id to
+    the end, whatever becomes of its slug.
 
     Raises:
-        MapNotFound: If the map is gone.
-        DriveNotFound: If the map lacks one of the drives.
+        MapNotFound: If the map is gone, also if that happens during the build.
+        DriveNotFound: If the map lacks one of the drives, or no longer has it.
         EmptyDrive: If it has no drive, or one has no usable scan.
         Cancelled: If `progress` says so; nothing is published.
     """
-    slug = store.maps.get_by_id(map_id).slug
-    names = parameters.drives or store.drives.slugs(slug)
-    drives = [store.drives.open(slug, name) for name in names]
+    drives = store.drives.open_of_map(map_id, parameters.drives)
     if not drives:
+        slug = store.maps.get_by_id(map_id).slug
         raise EmptyDrive(f"map {slug} has no drive: upload scans first")
     map_parameters = parameters.map_parameters()
-    with ExitStack() as stack:
-        images = [
-            stack.enter_context(_stored_images(store, slug, drive, map_parameters, progress))
-            for drive in drives
-        ]
-        built = _build(drives, images, parameters, map_parameters, progress)
+    try:
+        built = _build_stored(store, drives, parameters, map_parameters, progress)
+    except CorruptImages as error:
+        _log.warning("%s; the images are made anew from the raw returns", error)
+        for drive in drives:
+            _images_path(store, drive, map_parameters).unlink(missing_ok=True)
+        built = _build_stored(store, drives, parameters, map_parameters, progress)
     tensor_map = built.tensor_map
     facts = RevisionFacts(
         encoding=map_parameters.encoding,
@@ -92,7 +94,7 @@ def build_revision(
         job_id=job_id,
     )
     return store.revisions.add(
-        slug,
+        map_id,
         tensor_map.revision,
         lambda path: write_map(path, tensor_map),
         facts,
@@ -115,6 +117,21 @@ def build_drive(
         write_image_file(path, drive, map_parameters.grid, map_parameters.reducer, progress)
         with ImageFile(path, map_parameters.grid) as images:
             return _build([drive], [images], parameters, map_parameters, progress)
+
+
+def _build_stored(
+    store: Store,
+    drives: Sequence[StoredDrive],
+    parameters: BuildParameters,
+    map_parameters: MapParameters,
+    progress: Progress,
+) -> Built:
+    with ExitStack() as stack:
+        images = [
+            stack.enter_context(_stored_images(store, drive, map_parameters, progress))
+            for drive in drives
+        ]
+        return _build(drives, images, parameters, map_parameters, progress)
 
 
 def _build(
@@ -152,18 +169,26 @@ def _trajectory(drive: Drive, images: ImageFile) -> Trajectory:
 
 
 def _stored_images(
-    store: Store, slug: str, drive: StoredDrive, parameters: MapParameters, progress: Progress
+    store: Store, drive: StoredDrive, parameters: MapParameters, progress: Progress
 ) -> ImageFile:
     """Open a stored drive's images, projecting them first if they are not kept yet."""
-    digest = hashlib.sha256("\n".join(drive.digests).encode()).hexdigest()
-    name = image_file_name(parameters.grid, parameters.reducer, digest)
-    folder = store.drives.images_folder(slug, drive.name)
-    path = folder / name
+    path = _images_path(store, drive, parameters)
     if path.exists():
         try:
             return ImageFile(path, parameters.grid)
-        except CorruptFile:
-            _log.warning("%s is damaged and made anew from the raw returns", path)
-    write_image_file(path, drive, parameters.grid, parameters.reducer, progress)
+        except CorruptImages as error:
+            _log.warning("%s; they are made anew from the raw returns", error)
+    try:
+        write_image_file(path, drive, parameters.grid, parameters.reducer, progress)
+    except (FileNotFoundError, NotFound):  # files go when their map or drive is deleted
+        store.maps.get_by_id(drive.map_id)
+        store.drives.images_folder(drive)
+        raise
     remove_other_versions(path)
     return ImageFile(path, parameters.grid)
+
+
+def _images_path(store: Store, drive: StoredDrive, parameters: MapParameters) -> Path:
+    digest = hashlib.sha256("\n".join(drive.digests).encode()).hexdigest()
+    name = image_file_name(parameters.grid, parameters.reducer, digest)
+    return store.drives.images_folder(drive) / name

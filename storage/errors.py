@@ -19,9 +19,12 @@ StorageError                 a TensorMapError
 │   └── JobNotRunning        only a running job makes progress or ends
 ├── InvalidSlug              a name that is no slug
 ├── CorruptFile              a file that is not what was written
+│   └── CorruptImages        cached images that are not; a build makes them anew
 ├── StorageBusy              another writer kept the catalog locked for too long
 ├── StorageFull              no space or quota is left
 ├── StorageReadOnly          the data cannot be written here
+├── StorageUnavailable       the catalog's database fails or cannot be reached
+├── WrongCatalog             the catalog is not that of this data directory or version
 └── DataDirInUse             another server already owns this data directory
 """
 
@@ -31,6 +34,7 @@ __all__ = [
     "AmbiguousRevision",
     "Conflict",
     "CorruptFile",
+    "CorruptImages",
     "DataDirInUse",
     "DriveClosed",
     "DriveNotFound",
@@ -51,6 +55,8 @@ __all__ = [
     "StorageError",
     "StorageFull",
     "StorageReadOnly",
+    "StorageUnavailable",
+    "WrongCatalog",
 ]
 
 
@@ -130,6 +136,10 @@ class CorruptFile(StorageError):
     """A file whose content is not what was written."""
 
 
+class CorruptImages(CorruptFile):
+    """Cached images that are not what was written; a build makes them anew, once."""
+
+
 class StorageBusy(StorageError):
     """Another writer held the catalog for longer than the caller waits."""
 
@@ -140,6 +150,14 @@ class StorageFull(StorageError):
 
 class StorageReadOnly(StorageError):
     """The data cannot be written here."""
+
+
+class StorageUnavailable(StorageError):
+    """The catalog's database fails or cannot be reached."""
+
+
+class WrongCatalog(StorageError):
+    """The catalog is not that of this data directory, or of another version of TensorMap."""
 
 
 class DataDirInUse(StorageError):

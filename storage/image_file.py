@@ -15,10 +15,19 @@ from core.progress import NO_PROGRESS, Progress
 from core.projection import Reducer
 from core.revision import content_digest
 from core.sensor import AngularGrid
-from storage.errors import CorruptFile
+from storage.errors import CorruptImages
 from storage.files import publish
 
-__all__ = ["ImageFile", "image_file_name", "remove_other_versions", "write_image_file"]
+__all__ = [
+    "PROJECTION_VERSION",
+    "ImageFile",
+    "image_file_name",
+    "remove_other_versions",
+    "write_image_file",
+]
+
+PROJECTION_VERSION = 1
+"""Counted up whenever the code makes other images of the same scans, or skips others."""
 
 _BLOCK = 8  # images in an HDF5 chunk: 340 kB on the paper's grid, inside h5py's 1 MB cache
 
@@ -39,7 +48,7 @@ class ImageFile:
         try:
             self._file = h5py.File(path, "r", locking=False)
         except OSError as error:
-            raise CorruptFile(f"{path.name} holds no images: {error}") from error
+            raise CorruptImages(f"{path.name} holds no images: {error}") from error
         try:
             self._images: h5py.Dataset = self._file["images"]
             self.scans: IntArray = self._file["scans"][()]
@@ -49,7 +58,7 @@ class ImageFile:
                 raise ValueError(f"they have shape {self._images.shape}")
         except (AttributeError, KeyError, OSError, RuntimeError, TypeError, ValueError) as error:
             self._file.close()
-            raise CorruptFile(f"{path.name} holds no images: {error}") from error
+            raise CorruptImages(f"{path.name} holds no images: {error}") from error
 
     def __enter__(self) -> Self:
         return self
@@ -64,21 +73,29 @@ class ImageFile:
         """Return images `start` up to `stop`, `(stop - start, I, J)`.
 
         Raises:
-            CorruptFile: If they cannot be read.
+            CorruptImages: If they cannot be read, or their checksum does not fit.
         """
         try:
             images: Float32Array = self._images[start:stop]
         except (OSError, RuntimeError) as error:
-            raise CorruptFile(f"{self._name} cannot be read: {error}") from error
+            raise CorruptImages(f"{self._name} cannot be read: {error}") from error
         return images
 
 
 def image_file_name(grid: AngularGrid, reducer: Reducer, scans_digest: str) -> str:
     """Return the name under which a drive's images are kept.
 
-    It tells everything that the images depend on, so a file of that name is never out of date.
+    It tells the scans' content, the grid, the reducer and `PROJECTION_VERSION`: a file of that name
+    is out of date only if the code was changed without counting that up.
     """
-    projection = content_digest({}, {"grid": grid.as_attributes(), "reducer": reducer.value})
+    projection = content_digest(
+        {},
+        {
+            "version": PROJECTION_VERSION,
+            "grid": grid.as_attributes(),
+            "reducer": reducer.value,
+        },
+    )
     return f"{reducer}-{projection[:16]}-{scans_digest[:32]}.h5"
 
 
@@ -119,6 +136,7 @@ def write_image_file(
             maxshape=(len(drive), *grid.shape),
             chunks=(min(_BLOCK, len(drive)), *grid.shape),
             dtype=np.dtype("<f4"),
+            fletcher32=True,  # HDF5 then refuses to read a block that has changed
         )
         for item in project_each(drive, range(len(drive)), grid, reducer, progress):
             if isinstance(item, Skipped):
@@ -131,6 +149,6 @@ def write_image_file(
         if not scans:
             raise EmptyDrive(Skipped.explain(drive.name, skipped))
         images.resize(len(scans), axis=0)
-        file.create_dataset("scans", data=np.array(scans, dtype="<i8"))
+        file.create_dataset("scans", data=np.array(scans, dtype="<i8"), fletcher32=True)
         file.attrs["returns"] = returns
         file.attrs["skipped"] = json.dumps([[item.scan, item.reason] for item in skipped])

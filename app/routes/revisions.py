@@ -10,6 +10,7 @@ from fastapi.responses import FileResponse
 from pydantic import Field
 
 from app.errors import JSON_BODY, READING, WRITING, InvalidRequest, problems
+from app.open_file import OpenFileResponse
 from app.revisions import Answering
 from app.routes.maps import IfMatch, etag_of, version_seen
 from app.schemas.maps import MapOut
@@ -85,14 +86,14 @@ def get_revision(map_slug: MapSlug, revision: RevisionId, running: Running) -> R
     response_class=FileResponse,
     responses={
         200: {"content": {_HDF5: {"schema": {"type": "string", "format": "binary"}}}},
-        **problems(MapNotFound, RevisionNotFound, AmbiguousRevision, *READING),
+        **problems(MapNotFound, RevisionNotFound, AmbiguousRevision, CorruptFile, *READING),
     },
 )
 def download_revision(map_slug: MapSlug, revision: RevisionId, running: Running) -> FileResponse:
     """Download a revision as its HDF5 file."""
-    record = running.store.revisions.get(map_slug, revision)
-    return FileResponse(
-        running.store.revisions.path(map_slug, record.digest),
+    record, file = running.store.revisions.open(map_slug, revision)
+    return OpenFileResponse(
+        file,
         media_type=_HDF5,
         filename=f"{map_slug}-{record.digest[:12]}.h5",
         headers={"ETag": f'"{record.digest}"'},

@@ -1,5 +1,7 @@
 """One catalog: its database and a repository for each noun."""
 
+from contextlib import AbstractContextManager, nullcontext
+
 from storage.catalog.database import Database
 from storage.catalog.drives import Drives
 from storage.catalog.jobs import Jobs
@@ -7,8 +9,11 @@ from storage.catalog.keys import Keys
 from storage.catalog.maps import Maps
 from storage.catalog.revisions import Revisions
 from storage.catalog.scans import Scans
+from storage.catalog.store_id import StoreIds
 
 __all__ = ["Catalog"]
+
+_ALLOWED = nullcontext()
 
 
 class Catalog:
@@ -19,10 +24,13 @@ class Catalog:
 
     Args:
         url: A SQLAlchemy URL, as `sqlite:////var/lib/tensormap/catalog.sqlite3`.
+        migrating: Held while the schema is changed, and not entered if it is the newest already;
+            what it raises leaves the schema as it is.
     """
 
-    def __init__(self, url: str) -> None:
-        self._database = Database(url)
+    def __init__(self, url: str, migrating: AbstractContextManager[object] = _ALLOWED) -> None:
+        self._database = Database(url, migrating)
+        self.store_id = StoreIds(self._database)
         self.maps = Maps(self._database)
         self.drives = Drives(self._database)
         self.scans = Scans(self._database)

@@ -7,11 +7,17 @@ from collections.abc import Iterator
 from contextlib import AbstractContextManager, closing, contextmanager, nullcontext
 
 from sqlalchemy import Connection, Engine, create_engine, event
-from sqlalchemy.exc import DBAPIError
+from sqlalchemy.exc import DBAPIError, IntegrityError, SQLAlchemyError
 from sqlalchemy.orm import Session, sessionmaker
 
-from storage.catalog.migrations import upgrade
-from storage.errors import StorageBusy, StorageError, StorageFull, StorageReadOnly
+from storage.catalog.migrations import is_newest, upgrade
+from storage.errors import (
+    StorageBusy,
+    StorageError,
+    StorageFull,
+    StorageReadOnly,
+    StorageUnavailable,
+)
 
 __all__ = ["Database"]
 
@@ -33,7 +39,7 @@ class Database:
     returns (`synchronous=FULL`).
     """
 
-    def __init__(self, url: str) -> None:
+    def __init__(self, url: str, migrating: AbstractContextManager[object]) -> None:
         self.engine = create_engine(url, pool_size=16, max_overflow=32)
         self._writer: AbstractContextManager[object] = nullcontext()
         if self.engine.dialect.name == "sqlite":
@@ -45,8 +51,16 @@ class Database:
             _enter_wal_mode(self.engine)
         writing_engine = self.engine.execution_options(tensormap_writes=True)
         self._new_writer = sessionmaker(writing_engine)
-        with _named_errors(), self._writer, writing_engine.begin() as connection:
-            upgrade(connection)
+        with _named_errors(), self.engine.connect() as connection:
+            newest = is_newest(connection)
+        if not newest:
+            with (
+                migrating,
+                _named_errors(),
+                self._writer,
+                writing_engine.begin() as connection,
+            ):
+                upgrade(connection)
 
     @contextmanager
     def reading(self) -> Iterator[Session]:
@@ -64,6 +78,7 @@ class Database:
             StorageBusy: If another process held the database for too long.
             StorageFull: If no space is left; nothing is changed.
             StorageReadOnly: If the database cannot be written.
+            StorageUnavailable: If the database fails or cannot be reached.
         """
         with _named_errors(), self._writer, self._new_writer.begin() as session:
             yield session
@@ -108,10 +123,10 @@ def _begin_sqlite(connection: Connection) -> None:
 def _named_errors() -> Iterator[None]:
     try:
         yield
-    except (DBAPIError, sqlite3.Error) as error:
+    except IntegrityError:
+        raise  # two writers met: who wrote knows what that means
+    except (SQLAlchemyError, sqlite3.Error) as error:
         cause = error.orig if isinstance(error, DBAPIError) else error
         code = getattr(cause, "sqlite_errorcode", None)
-        named = _NAMED.get(code & 0xFF) if code is not None else None
-        if named is None:
-            raise
-        raise named(f"the catalog cannot be used: {cause}") from error
+        named = _NAMED.get(code & 0xFF, StorageUnavailable) if code else StorageUnavailable
+        raise named(f"the catalog cannot be used: {cause or error}") from error

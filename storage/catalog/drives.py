@@ -7,7 +7,7 @@ from sqlalchemy import delete, func, select
 from sqlalchemy.orm import Session
 
 from storage.catalog.database import Database
-from storage.catalog.maps import map_named
+from storage.catalog.maps import map_named, map_of_id
 from storage.catalog.models import Drive, Map, Scan
 from storage.catalog.pages import DEFAULT_LIMIT, one_more, page_of
 from storage.catalog.records import DriveRecord, IndexRange, Page
@@ -57,6 +57,28 @@ class Drives:
         with self._database.reading() as session:
             of_map = Drive.map_id == map_named(session, map_slug).id
             return tuple(session.scalars(select(Drive.slug).where(of_map).order_by(Drive.slug)))
+
+    def of_map(self, map_id: str, slugs: Sequence[str] | None = None) -> Sequence[DriveRecord]:
+        """Return drives of the map of that id in the order asked for, or all in that of the slugs.
+
+        Raises:
+            MapNotFound: If the map is gone.
+            DriveNotFound: If it lacks one of the drives.
+        """
+        with self._database.reading() as session:
+            of_map = map_of_id(session, map_id)
+            query = select(Drive).where(Drive.map_id == of_map.id).order_by(Drive.slug)
+            rows = {row.slug: row for row in session.scalars(query)}
+            for slug in slugs or ():
+                if slug not in rows:
+                    raise DriveNotFound(f"map {of_map.slug!r} has no drive {slug[:80]!r}")
+            return _records(session, [rows[slug] for slug in slugs or rows])
+
+    def require(self, drive_id: str) -> None:
+        """Raise `DriveNotFound` if the drive of that id is gone."""
+        with self._database.reading() as session:
+            if session.get(Drive, drive_id) is None:
+                raise DriveNotFound(f"the drive with id {drive_id} is gone")
 
     def close(self, map_slug: str, slug: str) -> DriveRecord:
         """Let a drive take no more scans; a closed one stays closed.

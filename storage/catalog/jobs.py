@@ -21,7 +21,7 @@ from storage.catalog.records import JobRecord, JobState, Page
 from storage.errors import JobNotFound, JobNotRunning
 from storage.names import new_id
 
-__all__ = ["Jobs"]
+__all__ = ["Jobs", "finish_if_running"]
 
 
 class Jobs:
@@ -123,13 +123,18 @@ class Jobs:
             return _record(row)
 
     def finish(self, job_id: str, revision: str) -> JobRecord:
-        """End a running job that built `revision`.
+        """End a running job that built `revision`; one that is done with it already stays so.
 
         Raises:
             JobNotFound: If there is none of that id.
             JobNotRunning: If it is not running.
         """
-        return self._end(job_id, JobState.DONE, revision=revision)
+        with self._database.writing() as session:
+            row = _found(session, job_id, lock=True)
+            if (row.state, row.revision) != (JobState.DONE, revision):
+                _finish_row(_running(session, job_id), revision)
+            session.flush()
+            return _record(row)
 
     def fail(self, job_id: str, error_type: str, error_detail: str) -> JobRecord:
         """End a running job that could not be done.
@@ -188,6 +193,18 @@ class Jobs:
                     row.state, row.stage, row.started_at = JobState.QUEUED, "", None
                     row.done_units = row.total_units = 0
             return sum(row.state == JobState.QUEUED for row in rows)
+
+
+def finish_if_running(session: Session, job_id: str, revision: str) -> None:
+    """End a job that built `revision`, if it runs, within the transaction that publishes it."""
+    row = session.get(Job, job_id, with_for_update=True)
+    if row is not None and row.state == JobState.RUNNING:
+        _finish_row(row, revision)
+
+
+def _finish_row(row: Job, revision: str) -> None:
+    row.revision = revision
+    _end_row(row, JobState.DONE)
 
 
 def _end_row(row: Job, state: JobState) -> None:

@@ -12,7 +12,7 @@ from storage.catalog.records import MapRecord, Page
 from storage.errors import MapChanged, MapExists, MapNotFound
 from storage.names import checked_slug, new_id
 
-__all__ = ["Maps", "locked_map", "map_named"]
+__all__ = ["Maps", "locked_map", "map_named", "map_of_id"]
 
 
 class Maps:
@@ -59,9 +59,7 @@ class Maps:
             MapNotFound: If it is gone.
         """
         with self._database.reading() as session:
-            row = session.get(Map, map_id)
-            if row is None:
-                raise MapNotFound(f"the map with id {map_id[:80]!r} is gone")
+            row = map_of_id(session, map_id)
             return _record(row, _live(session, row))
 
     def list(self, after: str = "", limit: int = DEFAULT_LIMIT) -> Page[MapRecord]:
@@ -130,6 +128,14 @@ def map_named(session: Session, slug: str) -> Map:
     row = session.scalar(select(Map).where(Map.slug == slug))
     if row is None:
         raise MapNotFound(f"there is no map {slug[:80]!r}")
+    return row
+
+
+def map_of_id(session: Session, map_id: str, *, lock: bool = False) -> Map:
+    """Return the row of a map by its id, locked if asked for, or raise `MapNotFound`."""
+    row = session.get(Map, map_id, with_for_update=lock)
+    if row is None:
+        raise MapNotFound(f"the map with id {map_id[:80]!r} is gone")
     return row
 
 

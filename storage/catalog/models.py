@@ -19,7 +19,7 @@ from sqlalchemy import (
 )
 from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
 
-__all__ = ["Base", "Drive", "Job", "Key", "LiveRevision", "Map", "Revision", "Scan"]
+__all__ = ["Base", "Drive", "Job", "Key", "LiveRevision", "Map", "Revision", "Scan", "StoreId"]
 
 Id = String(32)
 Slug = String(64)
@@ -65,6 +65,15 @@ class Base(DeclarativeBase):
         }
     )
     type_annotation_map = {datetime: UtcDateTime}  # noqa: RUF012  # SQLAlchemy's own declaration
+
+
+class StoreId(Base):
+    """Which data directory the catalog belongs to: one row, once it belongs to one."""
+
+    __tablename__ = "store"
+
+    row: Mapped[int] = mapped_column(primary_key=True, autoincrement=False)
+    id: Mapped[str] = mapped_column(Id)
 
 
 class Map(Base):

@@ -7,7 +7,8 @@ from sqlalchemy.orm import Session
 
 from core.errors import InvalidParameters
 from storage.catalog.database import Database
-from storage.catalog.maps import locked_map, map_named
+from storage.catalog.jobs import finish_if_running
+from storage.catalog.maps import locked_map, map_named, map_of_id
 from storage.catalog.models import LiveRevision, Map, Revision
 from storage.catalog.pages import DEFAULT_LIMIT, one_more, page_of
 from storage.catalog.records import Page, RevisionFacts, RevisionRecord
@@ -31,7 +32,7 @@ class Revisions:
 
     def add(
         self,
-        map_slug: str,
+        map_id: str,
         digest: str,
         file_name: str,
         size_bytes: int,
@@ -41,13 +42,14 @@ class Revisions:
     ) -> RevisionRecord:
         """Add a revision whose file is on disk; the first one of a map becomes live.
 
-        A digest that the map has already keeps its record: its `file_name` then is another.
+        A digest that the map has already keeps its record: its `file_name` then is another. The
+        job that built it is done with the same commit: it never ends otherwise once this is true.
 
         Raises:
-            MapNotFound: If there is no such map.
+            MapNotFound: If the map is gone.
         """
         with self._database.writing() as session:
-            of_map = locked_map(session, map_slug)
+            of_map = map_of_id(session, map_id, lock=True)
             row = session.get(Revision, (of_map.id, digest))
             if row is None:
                 row = Revision(
@@ -66,6 +68,8 @@ class Revisions:
                 session.flush()
             if make_live or session.get(LiveRevision, of_map.id) is None:
                 _make_live(session, of_map, digest)
+            if facts.job_id is not None:
+                finish_if_running(session, facts.job_id, digest)
             return _record(row)
 
     def get(self, map_slug: str, digest: str) -> RevisionRecord:

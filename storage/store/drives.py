@@ -117,7 +117,7 @@ class Drives:
             self._catalog.scans.add(target, records)
         except StorageError:
             # These say that nothing was committed. After any other error that is not certain, and
-            # a file too many, which the next start removes, is better than one too few.
+            # a file too many, which the next start sets aside, is better than one too few.
             path.unlink(missing_ok=True)
             raise
 
@@ -173,14 +173,13 @@ class Drives:
         """
         return self._catalog.scans.of_drive(self.get(map_slug, drive_slug).id)
 
-    def images_folder(self, map_slug: str, drive_slug: str) -> Path:
+    def images_folder(self, drive: StoredDrive) -> Path:
         """Return the folder for what builds keep of a drive; it goes with the drive.
 
         Raises:
-            MapNotFound: If there is no such map.
-            DriveNotFound: If it has no such drive.
+            DriveNotFound: If the drive was deleted since it was opened.
         """
-        drive = self.get(map_slug, drive_slug)
+        self._catalog.drives.require(drive.id)
         return make_folder(self._layout.images(drive.map_id, drive.id))
 
     def read_scan(self, map_slug: str, drive_slug: str, index: int) -> Scan:
@@ -201,9 +200,20 @@ class Drives:
             MapNotFound: If there is no such map.
             DriveNotFound: If it has no such drive.
         """
-        drive = self.get(map_slug, drive_slug)
+        return self._open(self.get(map_slug, drive_slug))
+
+    def open_of_map(self, map_id: str, slugs: Sequence[str] | None = None) -> Sequence[StoredDrive]:
+        """Open drives of the map of that id, whatever its slug names now; all by default.
+
+        Raises:
+            MapNotFound: If the map is gone.
+            DriveNotFound: If it lacks one of the drives.
+        """
+        return [self._open(drive) for drive in self._catalog.drives.of_map(map_id, slugs)]
+
+    def _open(self, drive: DriveRecord) -> StoredDrive:
         records = self._catalog.scans.of_drive(drive.id)
-        return StoredDrive(drive.slug, records, lambda index: self._read(drive, index))
+        return StoredDrive(drive, records, lambda index: self._read(drive, index))
 
     def _read(self, drive: DriveRecord, index: int) -> Scan:
         chunks = self._layout.chunks(drive.map_id, drive.id)

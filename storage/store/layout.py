@@ -1,10 +1,12 @@
 """Where files lie under the data directory; ids stand in paths, never a client's names.
 
 catalog.sqlite3
+store-id                                       the same as in the catalog
 server.lock                                    held by the one server of this directory
 maps/<map id>/drives/<drive id>/chunks/*.h5    raw scans
 maps/<map id>/drives/<drive id>/images/        what builds cache
 maps/<map id>/revisions/<digest>.<id>.h5
+orphans/maps/...                               what a start found that no row names
 """
 
 from dataclasses import dataclass
@@ -28,6 +30,16 @@ class Layout:
     def lock(self) -> Path:
         """The file that the server of this directory holds locked."""
         return self.data_dir / "server.lock"
+
+    @property
+    def store_id(self) -> Path:
+        """The file that says which catalog belongs to this directory."""
+        return self.data_dir / "store-id"
+
+    @property
+    def orphans(self) -> Path:
+        """Where files go that no row names, under the path that they had."""
+        return self.data_dir / "orphans"
 
     @property
     def maps(self) -> Path:

@@ -23,7 +23,7 @@ class Maps:
     def delete(self, slug: str, *, if_version: int | None = None) -> MapRecord:
         """Remove a map with its drives, revisions and jobs: the rows at once, then the files.
 
-        What a crash leaves of the files, the next start removes.
+        What a crash leaves of the files, the next start moves to `orphans/`.
 
         Raises:
             MapNotFound: If there is none of that slug.

@@ -1,16 +1,22 @@
 """What a server does at its start: own the data directory, and clear up after a crash."""
 
 import fcntl
+import logging
 import os
 import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from storage.catalog import Catalog
 from storage.errors import DataDirInUse
-from storage.files import remove_parts
+from storage.files import make_folder, remove_parts
+from storage.names import new_id
 from storage.store.layout import Layout
 
 __all__ = ["ServerLock", "sweep"]
+
+_log = logging.getLogger("tensormap.storage")
 
 
 class ServerLock:
@@ -42,31 +48,59 @@ class ServerLock:
             os.close(self._descriptor)
             self._descriptor = None
 
+    @contextmanager
+    def held(self) -> Iterator[None]:
+        """Hold the lock for a block, or go on holding it.
+
+        Raises:
+            DataDirInUse: If another process, or another store of this one, holds it.
+        """
+        was_held = self._descriptor is not None
+        self.take()
+        try:
+            yield
+        finally:
+            if not was_held:
+                self.release()
+
 
 def sweep(catalog: Catalog, layout: Layout) -> None:
-    """Remove what no row names: half-written files, orphans, folders of what was deleted.
+    """Remove half-written files, and move what no row names to `orphans/`, under its old path.
+
+    Mostly that is what a crash left. Should the catalog be at fault, as after a partial restore,
+    nothing is lost.
 
     Only safe while nobody writes: a file is there before its row.
     """
     remove_parts(layout.maps)
+    orphans = list(_unnamed(catalog, layout))
+    for path in orphans:
+        aside = layout.orphans / path.relative_to(layout.data_dir)
+        make_folder(aside.parent)
+        if aside.exists():
+            aside = aside.with_name(f"{aside.name}.{new_id()[:8]}")
+        shutil.move(path, aside)
+    if orphans:
+        _log.warning(
+            "%d files or folders that the catalog does not name were moved to %s",
+            len(orphans),
+            layout.orphans,
+        )
+
+
+def _unnamed(catalog: Catalog, layout: Layout) -> Iterator[Path]:
     known = catalog.drives.known()
     maps = {map_id for map_id, _ in known}
-    for folder in layout.maps.iterdir():
-        if folder.name not in maps:
-            shutil.rmtree(folder)
+    yield from _others(layout.maps, maps)
     for map_id in maps:
-        _keep_only(layout.revisions(map_id), catalog.revisions.files(map_id))
+        yield from _others(layout.revisions(map_id), catalog.revisions.files(map_id))
         drives = {drive_id for of_map, drive_id in known if of_map == map_id}
-        _keep_only(layout.map(map_id) / "drives", drives)
+        yield from _others(layout.map(map_id) / "drives", drives)
         for drive_id in drives:
-            _keep_only(layout.chunks(map_id, drive_id), catalog.scans.chunks(drive_id))
+            yield from _others(layout.chunks(map_id, drive_id), catalog.scans.chunks(drive_id))
 
 
-def _keep_only(folder: Path, names: set[str]) -> None:
+def _others(folder: Path, names: set[str]) -> Iterator[Path]:
     for path in folder.iterdir() if folder.is_dir() else ():
-        if path.name in names:
-            continue
-        if path.is_dir():
-            shutil.rmtree(path)
-        else:
-            path.unlink()
+        if path.name not in names:
+            yield path

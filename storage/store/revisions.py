@@ -2,9 +2,10 @@
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import BinaryIO
 
 from storage.catalog import Catalog, RevisionFacts, RevisionRecord
-from storage.errors import StorageError
+from storage.errors import CorruptFile, StorageError
 from storage.files import make_folder, publish
 from storage.names import new_id
 from storage.store.layout import Layout
@@ -25,7 +26,7 @@ class Revisions:
 
     def add(
         self,
-        map_slug: str,
+        map_id: str,
         digest: str,
         write: Callable[[Path], object],
         facts: RevisionFacts,
@@ -37,17 +38,17 @@ class Revisions:
         A digest that the map has already keeps its file and record.
 
         Args:
-            map_slug: The map.
+            map_id: The map; one that was made anew under the same slug is another.
             digest: Of the revision's content, 64 hex digits.
             write: Writes the file at the path it is given.
             facts: What the builder knows about it.
             make_live: Make it live even if it is not the first.
 
         Raises:
-            MapNotFound: If there is no such map.
+            MapNotFound: If the map is gone.
             StorageFull: If no space is left; nothing is changed.
         """
-        map_id = self._catalog.maps.get(map_slug).id
+        self._catalog.maps.get_by_id(map_id)
         # Its own name for every file: one that is being deleted and one that is being added with
         # the same digest cannot meet.
         name = f"{_checked_digest(digest)}.{new_id()[:8]}.h5"
@@ -57,8 +58,11 @@ class Revisions:
                 write(part)
                 size_bytes = part.stat().st_size
             record = self._catalog.revisions.add(
-                map_slug, digest, name, size_bytes, facts, make_live=make_live
+                map_id, digest, name, size_bytes, facts, make_live=make_live
             )
+        except FileNotFoundError:  # the map's folder was removed, and its row before that
+            self._catalog.maps.get_by_id(map_id)
+            raise
         except StorageError:  # nothing was committed; after any other error, who knows: see sweep
             path.unlink(missing_ok=True)
             raise
@@ -75,6 +79,22 @@ class Revisions:
             AmbiguousRevision: If several begin with this prefix.
         """
         return self._path(self._catalog.revisions.get(map_slug, digest))
+
+    def open(self, map_slug: str, digest: str) -> tuple[RevisionRecord, BinaryIO]:
+        """Open the file of a revision: it can be read to its end, whatever is deleted meanwhile.
+
+        Raises:
+            MapNotFound: If there is no such map.
+            RevisionNotFound: If it has no such revision, or no longer.
+            AmbiguousRevision: If several begin with this prefix.
+            CorruptFile: If its file is gone.
+        """
+        record = self._catalog.revisions.get(map_slug, digest)
+        try:
+            return record, self._path(record).open("rb")
+        except FileNotFoundError as error:
+            self._catalog.revisions.get(map_slug, record.digest)  # perhaps deleted meanwhile
+            raise CorruptFile(f"the file of revision {record.digest} is gone") from error
 
     def delete(self, map_slug: str, digest: str) -> RevisionRecord:
         """Remove a revision that is not live: its row, then its file.

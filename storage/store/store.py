@@ -6,6 +6,7 @@ from typing import Self
 from storage.catalog import Catalog
 from storage.files import make_folder
 from storage.store.drives import Drives
+from storage.store.identity import check_identity
 from storage.store.layout import Layout
 from storage.store.maps import Maps
 from storage.store.recovery import ServerLock, sweep
@@ -22,11 +23,16 @@ class Store:
     row names, never a row without its file. Files are never edited.
 
     Safe from many threads. Another process opens its own store on the same directory; only the
-    server calls `recover`, once, before it serves.
+    server opens it with `Store.serving`. Whoever opens it brings the catalog's schema to the newest
+    version, unless a server of another version runs.
 
     Args:
         data_dir: Where everything lies; it is made if it is not there.
         catalog_url: A SQLAlchemy URL; SQLite in the data directory by default.
+
+    Raises:
+        DataDirInUse: If the catalog's schema is old and a server runs on it.
+        WrongCatalog: If the catalog belongs to another data directory, or to a newer version.
 
     Attributes:
         maps: The maps.
@@ -50,21 +56,52 @@ class Store:
         >>> store.close()
     """
 
-    def __init__(self, data_dir: Path, catalog_url: str | None = None) -> None:
+    def __init__(
+        self, data_dir: Path, catalog_url: str | None = None, *, lock: ServerLock | None = None
+    ) -> None:
         self.layout = Layout(data_dir.absolute())
         make_folder(self.layout.maps)
-        self.catalog = Catalog(catalog_url or f"sqlite:///{self.layout.catalog}")
+        self._lock = lock or ServerLock(self.layout.lock)
+        self.catalog = Catalog(catalog_url or f"sqlite:///{self.layout.catalog}", self._lock.held())
+        try:
+            check_identity(self.catalog, self.layout)
+        except BaseException:
+            self.catalog.close()
+            raise
         self.maps = Maps(self.catalog, self.layout)
         self.drives = Drives(self.catalog, self.layout)
         self.revisions = Revisions(self.catalog, self.layout)
         self.jobs = self.catalog.jobs
         self.keys = self.catalog.keys
-        self._lock = ServerLock(self.layout.lock)
+
+    @classmethod
+    def serving(cls, data_dir: Path, catalog_url: str | None = None) -> Self:
+        """Open a store as its server: lock the directory, then migrate, then recover.
+
+        Raises:
+            DataDirInUse: If another server runs on it; nothing is changed.
+            WrongCatalog: If the catalog belongs to another data directory, or to a newer version.
+        """
+        layout = Layout(data_dir.absolute())
+        make_folder(layout.data_dir)
+        lock = ServerLock(layout.lock)
+        lock.take()
+        try:
+            store = cls(data_dir, catalog_url, lock=lock)
+        except BaseException:
+            lock.release()
+            raise
+        try:
+            store.recover()
+        except BaseException:
+            store.close()
+            raise
+        return store
 
     def recover(self) -> None:
         """Become the server of this data directory and clear up after the last one.
 
-        Files that no row names are removed, and interrupted jobs are queued again.
+        Files that no row names are moved to `orphans/`, and interrupted jobs are queued again.
 
         Raises:
             DataDirInUse: If another server runs on it.

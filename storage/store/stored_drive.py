@@ -7,7 +7,7 @@ import numpy as np
 from core.arrays import FloatArray, IntArray, frozen
 from core.pose import pose_rows
 from core.scan import Scan
-from storage.catalog import ScanRecord
+from storage.catalog import DriveRecord, ScanRecord
 
 __all__ = ["StoredDrive"]
 
@@ -19,6 +19,8 @@ class StoredDrive:
     counts 0, 1, 2 where the drive has 0, 5, 6.
 
     Attributes:
+        id: The drive's id; one that was made anew under the same slug has another.
+        map_id: Its map's id.
         name: The drive's slug.
         scan_index: `(K,)` the index under which each scan is stored.
         timestamp_s: `(K,)` seconds, NaN where unknown.
@@ -27,9 +29,9 @@ class StoredDrive:
     """
 
     def __init__(
-        self, name: str, records: Sequence[ScanRecord], read: Callable[[int], Scan]
+        self, drive: DriveRecord, records: Sequence[ScanRecord], read: Callable[[int], Scan]
     ) -> None:
-        self.name = name
+        self.id, self.map_id, self.name = drive.id, drive.map_id, drive.slug
         self.scan_index: IntArray = frozen([r.index for r in records], np.int64)
         self.timestamp_s: FloatArray = frozen([r.timestamp_s for r in records], np.float64)
         self.poses: FloatArray = frozen(pose_rows([r.pose for r in records]), np.float64)

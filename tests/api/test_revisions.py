@@ -160,3 +160,48 @@ def test_a_revision_that_the_map_does_not_have_is_not_found(client, revision):
         client.put("/v1/maps/campus/live", json={"revision": revision}),
     ):
         assert problem_of(response) == (404, "revision-not-found")
+
+
+def test_a_revision_is_downloaded(client, built):
+    path = f"/v1/maps/campus/revisions/{built.live}/file"
+    content = client.service.store.revisions.path("campus", built.live).read_bytes()
+    whole = client.get(path)
+    assert whole.content == content
+    assert whole.headers["ETag"] == f'"{built.live}"'
+    assert built.live[:12] in whole.headers["Content-Disposition"]
+
+
+def test_a_revision_that_is_deleted_while_it_is_sent_arrives_whole(own, built, monkeypatch):
+    store = own.service.store
+    content = store.revisions.path("campus", built.other).read_bytes()
+    really_open = store.revisions.open
+
+    def open_and_delete(*args):
+        opened = really_open(*args)
+        store.revisions.delete("campus", built.other)
+        return opened
+
+    monkeypatch.setattr(store.revisions, "open", open_and_delete)
+    path = f"/v1/maps/campus/revisions/{built.other}/file"
+    assert own.get(path).content == content
+    assert problem_of(own.get(path)) == (404, "revision-not-found")
+
+
+def test_a_revision_that_is_deleted_before_it_is_opened_is_not_found(own, built, monkeypatch):
+    revisions = own.service.store.revisions
+    really_path = revisions._path
+
+    def delete_first(record):
+        monkeypatch.undo()
+        revisions.delete("campus", built.other)
+        return really_path(record)
+
+    monkeypatch.setattr(revisions, "_path", delete_first)
+    refused = own.get(f"/v1/maps/campus/revisions/{built.other}/file")
+    assert problem_of(refused) == (404, "revision-not-found")
+
+
+def test_a_revision_whose_file_is_gone_is_a_corrupt_file(own, built):
+    own.service.store.revisions.path("campus", built.other).unlink()
+    refused = own.get(f"/v1/maps/campus/revisions/{built.other}/file")
+    assert problem_of(refused) == (500, "corrupt-file")

@@ -227,7 +227,7 @@ class TestDrivesAndScans:
     def test_a_deleted_map_takes_all_it_had_with_it(self, catalog):
         catalog.maps.create("campus")
         target = add_scans(catalog, "campus", "monday", [0])
-        catalog.revisions.add("campus", A, "a.h5", 10, FACTS)
+        catalog.revisions.add(catalog.maps.get("campus").id, A, "a.h5", 10, FACTS)
         job = catalog.jobs.create("campus", {})
         catalog.maps.delete("campus")
         assert catalog.scans.of_drive(target.drive_id) == []
@@ -245,15 +245,15 @@ class TestRevisions:
     def test_the_first_revision_becomes_live_and_the_next_does_not(self, catalog):
         with pytest.raises(NoLiveRevision):
             catalog.revisions.live("campus")
-        added = catalog.revisions.add("campus", A, "a.h5", 10, FACTS)
-        catalog.revisions.add("campus", B, "b.h5", 10, FACTS)
+        added = catalog.revisions.add(catalog.maps.get("campus").id, A, "a.h5", 10, FACTS)
+        catalog.revisions.add(catalog.maps.get("campus").id, B, "b.h5", 10, FACTS)
         assert catalog.revisions.live("campus") == added
         assert catalog.maps.get("campus").live_revision == A
         assert (added.parameters, added.encoding) == ({"rank": [5, 5]}, "harmonic")
 
     def test_a_later_one_is_made_live_when_it_is_added_or_by_name(self, catalog):
-        catalog.revisions.add("campus", A, "a.h5", 10, FACTS)
-        catalog.revisions.add("campus", B, "b.h5", 10, FACTS, make_live=True)
+        catalog.revisions.add(catalog.maps.get("campus").id, A, "a.h5", 10, FACTS)
+        catalog.revisions.add(catalog.maps.get("campus").id, B, "b.h5", 10, FACTS, make_live=True)
         assert catalog.revisions.live("campus").digest == B
         assert catalog.maps.get("campus").version == 3
         catalog.revisions.set_live("campus", A[:12])
@@ -263,37 +263,39 @@ class TestRevisions:
         assert catalog.maps.get("campus").version == 4
 
     def test_making_live_refuses_a_map_that_changed(self, catalog):
-        catalog.revisions.add("campus", A, "a.h5", 10, FACTS)
+        catalog.revisions.add(catalog.maps.get("campus").id, A, "a.h5", 10, FACTS)
         with pytest.raises(MapChanged):
             catalog.revisions.set_live("campus", A, if_version=1)
 
     def test_the_same_digest_twice_keeps_the_first_record(self, catalog):
-        first = catalog.revisions.add("campus", A, "a.h5", 10, FACTS)
-        assert catalog.revisions.add("campus", A, "again.h5", 10, FACTS) == first
+        first = catalog.revisions.add(catalog.maps.get("campus").id, A, "a.h5", 10, FACTS)
+        assert (
+            catalog.revisions.add(catalog.maps.get("campus").id, A, "again.h5", 10, FACTS) == first
+        )
         assert len(catalog.revisions.list("campus").items) == 1
 
     def test_two_maps_may_have_the_same_revision(self, catalog):
         catalog.maps.create("other")
-        one = catalog.revisions.add("campus", A, "a.h5", 10, FACTS)
-        two = catalog.revisions.add("other", A, "a.h5", 10, FACTS)
+        one = catalog.revisions.add(catalog.maps.get("campus").id, A, "a.h5", 10, FACTS)
+        two = catalog.revisions.add(catalog.maps.get("other").id, A, "a.h5", 10, FACTS)
         assert one.map_id != two.map_id
 
     def test_a_unique_prefix_of_twelve_digits_names_a_revision(self, catalog):
         for digest in (A, B):
-            catalog.revisions.add("campus", digest, "x.h5", 10, FACTS)
+            catalog.revisions.add(catalog.maps.get("campus").id, digest, "x.h5", 10, FACTS)
         assert catalog.revisions.get("campus", A[:12]).digest == A
         assert catalog.revisions.get("campus", A.upper()).digest == A
         for unknown in (A[:11], "", "%" * 12, "_" * 12, "c" * 12):
             with pytest.raises(RevisionNotFound):
                 catalog.revisions.get("campus", unknown)
-        catalog.revisions.add("campus", C, "x.h5", 10, FACTS)
+        catalog.revisions.add(catalog.maps.get("campus").id, C, "x.h5", 10, FACTS)
         with pytest.raises(AmbiguousRevision):
             catalog.revisions.get("campus", A[:12])
         assert catalog.revisions.get("campus", C[:13]).digest == C
 
     def test_the_live_revision_cannot_be_deleted(self, catalog):
-        catalog.revisions.add("campus", A, "a.h5", 10, FACTS)
-        catalog.revisions.add("campus", B, "b.h5", 10, FACTS)
+        catalog.revisions.add(catalog.maps.get("campus").id, A, "a.h5", 10, FACTS)
+        catalog.revisions.add(catalog.maps.get("campus").id, B, "b.h5", 10, FACTS)
         with pytest.raises(RevisionIsLive):
             catalog.revisions.delete("campus", A)
         assert catalog.revisions.delete("campus", B).file_name == "b.h5"
@@ -303,7 +305,7 @@ class TestRevisions:
     def test_revisions_are_listed_newest_first_in_pages(self, catalog):
         digests = [f"{n:064x}" for n in (5, 3, 9, 1)]
         for digest in digests:
-            catalog.revisions.add("campus", digest, "x.h5", 10, FACTS)
+            catalog.revisions.add(catalog.maps.get("campus").id, digest, "x.h5", 10, FACTS)
         page = catalog.revisions.list("campus", limit=3)
         assert [r.digest for r in page.items] == digests[:0:-1]
         rest = catalog.revisions.list("campus", page.next_after, limit=3)

@@ -6,8 +6,9 @@ import pytest
 
 from core.drive import MemoryDrive
 from core.errors import Cancelled, EmptyDrive
-from core.projection import Reducer
+from core.projection import Reducer, project_scan
 from core.sensor import AngularGrid
+from storage import image_file
 from storage.errors import CorruptFile
 from storage.image_file import ImageFile, image_file_name, write_image_file
 from tests.support.samples import SMALL_GRID, FaultyDrive, RecordedProgress, sample_drive
@@ -68,6 +69,37 @@ def test_a_truncated_file_is_corrupt(path):
     path.write_bytes(path.read_bytes()[:-500])
     with pytest.raises(CorruptFile):
         ImageFile(path, SMALL_GRID)
+
+
+@pytest.mark.parametrize("name", ["images", "scans"])
+def test_one_bit_that_changed_is_refused(path, name):
+    with h5py.File(path, "r") as file:
+        at = file[name].id.get_chunk_info(0).byte_offset
+    content = bytearray(path.read_bytes())
+    content[at + 40] ^= 1
+    path.write_bytes(content)
+    with pytest.raises(CorruptFile), ImageFile(path, SMALL_GRID) as images:
+        images.read(0, 20)
+
+
+def test_the_name_tells_the_version_of_the_projection(monkeypatch):
+    name = image_file_name(SMALL_GRID, Reducer.LAST, "ab" * 32)
+    monkeypatch.setattr(image_file, "PROJECTION_VERSION", image_file.PROJECTION_VERSION + 1)
+    assert image_file_name(SMALL_GRID, Reducer.LAST, "ab" * 32) != name
+
+
+def test_the_projection_makes_what_its_version_made():
+    """If this fails on purpose, count `PROJECTION_VERSION` up."""
+    cells = 1 + np.arange(np.prod(SMALL_GRID.shape)).reshape(SMALL_GRID.shape)
+    scan = sample_drive(1).scan(0)
+    sums = {
+        reducer.value: float((project_scan(scan, SMALL_GRID, reducer).ranges_m * cells).sum())
+        for reducer in Reducer
+    }
+    assert image_file.PROJECTION_VERSION == 1
+    assert sums == pytest.approx(
+        {"last": 120516.07, "nearest": 106203.78, "farthest": 122701.83, "mean": 114452.8}, rel=1e-5
+    )
 
 
 def test_the_name_tells_everything_the_images_depend_on():

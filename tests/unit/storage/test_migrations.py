@@ -6,11 +6,10 @@ import sqlite3
 import pytest
 from alembic.autogenerate import compare_metadata
 from alembic.migration import MigrationContext
-from sqlalchemy.exc import DBAPIError
 
 from storage.catalog import Catalog
 from storage.catalog.models import Base
-from storage.errors import StorageReadOnly
+from storage.errors import StorageReadOnly, StorageUnavailable
 
 
 def test_the_migrations_make_what_the_models_say(tmp_path):
@@ -45,7 +44,7 @@ def test_a_migration_that_fails_leaves_the_database_as_it_was(tmp_path):
     with sqlite3.connect(path) as connection:
         connection.execute("CREATE TABLE jobs (other TEXT)")
     connection.close()
-    with pytest.raises(DBAPIError, match="jobs"):
+    with pytest.raises(StorageUnavailable, match="jobs"):
         Catalog(f"sqlite:///{path}")
     with sqlite3.connect(path) as connection:
         tables = [name for (name,) in connection.execute("SELECT name FROM sqlite_master")]

@@ -54,7 +54,7 @@ def test_what_a_killed_process_acknowledged_is_there_bit_for_bit(tmp_path):
         for index in present:  # a row that was committed but not yet acknowledged is whole too
             scan = store.drives.read_scan("campus", "monday", index)
             assert scan.points_m.tobytes() == sample_scan(index).points_m.tobytes()
-        names = [path.name for path in tmp_path.rglob("*.h5")]
+        names = [path.name for path in store.layout.maps.rglob("*.h5")]
         assert len(names) == len(present)
 
 
@@ -66,7 +66,9 @@ def work(data_dir, digest):
         for done in range(20):
             store.jobs.progress(job.id, "project", done, 20)
         facts = RevisionFacts("paper", 20, 1, {}, job_id=job.id)
-        store.revisions.add("campus", digest, lambda path: path.write_bytes(b"map"), facts)
+        store.revisions.add(
+            store.maps.get("campus").id, digest, lambda path: path.write_bytes(b"map"), facts
+        )
         store.jobs.finish(job.id, digest)
 
 

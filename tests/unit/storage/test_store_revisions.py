@@ -21,7 +21,7 @@ def files(store):
 
 
 def test_a_revision_is_a_file_and_a_row(store):
-    record = store.revisions.add("campus", A, write, FACTS)
+    record = store.revisions.add(store.maps.get("campus").id, A, write, FACTS)
     path = store.revisions.path("campus", A[:12])
     assert path.read_bytes() == b"a map"
     assert path.name.startswith(A)
@@ -30,14 +30,19 @@ def test_a_revision_is_a_file_and_a_row(store):
 
 
 def test_the_same_digest_again_keeps_the_first_file(store):
-    first = store.revisions.add("campus", A, write, FACTS)
-    assert store.revisions.add("campus", A, write, FACTS) == first
+    first = store.revisions.add(store.maps.get("campus").id, A, write, FACTS)
+    assert store.revisions.add(store.maps.get("campus").id, A, write, FACTS) == first
     assert files(store) == [first.file_name]
 
 
 def test_threads_that_add_the_same_revision_leave_one_file(store):
     with ThreadPoolExecutor(4) as pool:
-        records = list(pool.map(lambda _: store.revisions.add("campus", A, write, FACTS), range(8)))
+        records = list(
+            pool.map(
+                lambda _: store.revisions.add(store.maps.get("campus").id, A, write, FACTS),
+                range(8),
+            )
+        )
     assert len({record.file_name for record in records}) == 1
     assert files(store) == [records[0].file_name]
 
@@ -48,7 +53,7 @@ def test_a_revision_that_cannot_be_written_changes_nothing(store):
         raise ZeroDivisionError
 
     with pytest.raises(ZeroDivisionError):
-        store.revisions.add("campus", A, fail, FACTS)
+        store.revisions.add(store.maps.get("campus").id, A, fail, FACTS)
     assert files(store) == []
     with pytest.raises(RevisionNotFound):
         store.revisions.get("campus", A)
@@ -59,14 +64,14 @@ def test_a_revision_of_a_map_that_is_deleted_meanwhile_leaves_no_file(store):
         write(path)
         store.maps.delete("campus")
 
-    with pytest.raises((MapNotFound, FileNotFoundError)):
-        store.revisions.add("campus", A, delete_first, FACTS)
+    with pytest.raises(MapNotFound):
+        store.revisions.add(store.maps.get("campus").id, A, delete_first, FACTS)
     assert files(store) == []
 
 
 def test_a_deleted_revision_is_gone_and_the_live_one_stays(store):
-    store.revisions.add("campus", A, write, FACTS)
-    store.revisions.add("campus", B, write, FACTS)
+    store.revisions.add(store.maps.get("campus").id, A, write, FACTS)
+    store.revisions.add(store.maps.get("campus").id, B, write, FACTS)
     with pytest.raises(RevisionIsLive):
         store.revisions.delete("campus", A)
     store.revisions.delete("campus", B)
@@ -76,11 +81,11 @@ def test_a_deleted_revision_is_gone_and_the_live_one_stays(store):
 
 def test_a_digest_that_is_none_is_refused(store):
     with pytest.raises(ValueError, match="SHA-256"):
-        store.revisions.add("campus", "../x", write, FACTS)
+        store.revisions.add(store.maps.get("campus").id, "../x", write, FACTS)
 
 
 def test_an_orphan_revision_is_swept(store):
-    store.revisions.add("campus", A, write, FACTS)
+    store.revisions.add(store.maps.get("campus").id, A, write, FACTS)
     store.revisions.path("campus", A).with_name(f"{B}.00000000.h5").write_bytes(b"orphan")
     store.recover()
     assert len(files(store)) == 1

@@ -1,4 +1,4 @@
-"""Maps, drives, scans, revisions, jobs and keys."""
+"""The store's id, maps, drives, scans, revisions, jobs and keys."""
 
 import sqlalchemy as sa
 from alembic import op
@@ -12,6 +12,12 @@ _TIME = sa.DateTime(timezone=True)
 
 
 def upgrade() -> None:
+    op.create_table(
+        "store",
+        sa.Column("row", sa.Integer(), autoincrement=False, nullable=False),
+        sa.Column("id", sa.String(32), nullable=False),
+        sa.PrimaryKeyConstraint("row", name="pk_store"),
+    )
     op.create_table(
         "maps",
         sa.Column("id", sa.String(32), nullable=False),
@@ -117,5 +123,14 @@ def upgrade() -> None:
 
 
 def downgrade() -> None:
-    for table in ("keys", "jobs", "live_revisions", "revisions", "scans", "drives", "maps"):
+    for table in (
+        "keys",
+        "jobs",
+        "live_revisions",
+        "revisions",
+        "scans",
+        "drives",
+        "maps",
+        "store",
+    ):
         op.drop_table(table)

@@ -1,0 +1,39 @@
+"""Which data directory the catalog belongs to."""
+
+from collections.abc import Callable
+
+from sqlalchemy import select
+
+from storage.catalog.database import Database
+from storage.catalog.models import Map, StoreId
+
+__all__ = ["StoreIds"]
+
+_ROW = 1
+
+
+class StoreIds:
+    """The id that a catalog shares with its data directory."""
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
+
+    def get(self) -> str | None:
+        """Return the id, `None` before the catalog's first use."""
+        with self._database.reading() as session:
+            row = session.get(StoreId, _ROW)
+            return None if row is None else row.id
+
+    def ensure(self, make: Callable[[], str]) -> str:
+        """Return the id; a catalog without one is given what `make` returns, one caller's only."""
+        with self._database.writing() as session:
+            row = session.get(StoreId, _ROW)
+            if row is None:
+                row = StoreId(row=_ROW, id=make())
+                session.add(row)
+            return row.id
+
+    def in_use(self) -> bool:
+        """Return whether the catalog has a map."""
+        with self._database.reading() as session:
+            return session.scalar(select(Map.id).limit(1)) is not None

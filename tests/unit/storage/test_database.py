@@ -1,0 +1,62 @@
+"""A database that fails is told by name."""
+
+import shutil
+import sqlite3
+
+import pytest
+from sqlalchemy.exc import (
+    DatabaseError,
+    IntegrityError,
+    InterfaceError,
+    OperationalError,
+    PendingRollbackError,
+)
+from sqlalchemy.exc import (
+    TimeoutError as PoolTimeoutError,
+)
+
+from storage.errors import StorageUnavailable
+from storage.store import Store
+
+FAULTS = [
+    OperationalError("SELECT 1", {}, sqlite3.OperationalError("disk I/O error")),
+    OperationalError("SELECT 1", {}, ConnectionError("server closed the connection")),
+    DatabaseError("SELECT 1", {}, sqlite3.DatabaseError("malformed")),
+    InterfaceError("SELECT 1", {}, Exception("connection already closed")),
+    PoolTimeoutError("QueuePool limit of size 16 overflow 32 reached"),
+    PendingRollbackError("the connection is gone"),
+    sqlite3.OperationalError("disk I/O error"),
+]
+
+
+@pytest.mark.parametrize("fault", FAULTS, ids=lambda fault: type(fault).__name__)
+@pytest.mark.parametrize("side", ["reading", "writing"])
+def test_whatever_the_database_says_has_a_name(store, fault, side):
+    with pytest.raises(StorageUnavailable) as named, getattr(store.catalog._database, side)():
+        raise fault
+    assert named.value.__cause__ is fault
+    assert str(getattr(fault, "orig", None) or fault) in str(named.value)
+
+
+def test_two_writers_that_met_are_left_to_who_wrote(store):
+    met = IntegrityError("INSERT", {}, Exception("unique"))
+    with pytest.raises(IntegrityError), store.catalog._database.writing():
+        raise met
+
+
+def test_a_database_that_is_damaged_under_the_service_is_told_by_name(tmp_path, store):
+    for number in range(300):
+        store.maps.create(f"map-{number}")
+    data_dir = store.layout.data_dir
+    store.close()  # all is in the one file now
+    shutil.copytree(data_dir, tmp_path / "copy")
+    with Store(tmp_path / "copy") as opened:
+        path = opened.layout.catalog
+        whole = path.read_bytes()
+        # Past the header and the schema, which the open connection has read already.
+        path.write_bytes(whole[:8192] + b"\xa5" * (len(whole) - 8192))
+        opened.catalog._database.engine.dispose()
+        with pytest.raises(StorageUnavailable):
+            opened.maps.list(limit=1000)
+        with pytest.raises(StorageUnavailable):
+            opened.jobs.claim()
