@@ -19,7 +19,7 @@ from core.evaluation.condition import Condition, conditions
 from core.evaluation.evaluate import Protocol, evaluate
 from core.evaluation.split import Every, Interleaved
 from core.parameters import MapParameters
-from core.projection import Reducer
+from core.projection import RANGE_REDUCERS
 from core.simulation import SimulatedDrive
 from storage.formats.drives import open_drive
 
@@ -69,7 +69,7 @@ def _reducers(drives: Sequence[Drive]) -> None:
     print("## Which return a shared cell keeps\n")
     print("Recall@1 within 3 m, even scans mapped, odd ones asked, five segments.\n")
     rows = []
-    for reducer in Reducer:
+    for reducer in RANGE_REDUCERS:
         protocol = Protocol(MapParameters(reducer=reducer), segments=5, split=Every(2))
         recalls = [evaluate(drive, protocol).conditions[0].recall_at_1[3.0] for drive in drives]
         rows.append([f"`{reducer}`", *(f"{recall:.3f}" for recall in recalls)])

@@ -130,7 +130,9 @@ def sample_map(
 
 def sample_image(tensor_map: TensorMap, ranges_m: Float32Array) -> RangeImage:
     """Return a range image on the map's grid."""
-    return RangeImage(ranges_m, tensor_map.parameters.grid)
+    grid = tensor_map.parameters.grid
+    assert isinstance(grid, AngularGrid)
+    return RangeImage(ranges_m, grid)
 
 
 class RecordedProgress:

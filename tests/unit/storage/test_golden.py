@@ -7,6 +7,7 @@ import pytest
 
 from core.localizer import Localizer
 from core.projection import RangeImage
+from core.sensor import AngularGrid
 from storage.map_file import read_map
 from tests import golden
 from tests.golden.make import golden_map
@@ -42,7 +43,8 @@ def test_the_map_is_still_built_as_it_was():
 def test_a_released_map_still_answers():
     tensor_map = read_map(FOLDER / "map-v1.h5")
     ranges_m = np.random.default_rng(1).uniform(1.0, 80.0, size=(6, 4, 9)).astype(np.float32)
-    localizer = Localizer(tensor_map)
+    localizer, grid = Localizer(tensor_map), tensor_map.parameters.grid
+    assert isinstance(grid, AngularGrid)
     for row in range(6):
-        image = RangeImage(ranges_m[row], tensor_map.parameters.grid)
+        image = RangeImage(ranges_m[row], grid)
         assert localizer.localize_image(image).best.row == row

@@ -6,23 +6,26 @@ import pytest
 
 from core.drive import MemoryDrive
 from core.errors import Cancelled, EmptyDrive
-from core.projection import Reducer
+from core.imager import Imager
+from core.projection import RANGE_REDUCERS, Reducer
 from core.sensor import AngularGrid
 from storage.errors import CorruptFile
 from storage.image_file import ImageFile, image_file_name, write_image_file
 from tests.support.samples import SMALL_GRID, FaultyDrive, RecordedProgress, sample_drive
 
+LAST = Imager(SMALL_GRID, Reducer.LAST)
+
 
 @pytest.fixture
 def path(tmp_path):
-    write_image_file(tmp_path / "images.h5", sample_drive(20), SMALL_GRID, Reducer.LAST)
+    write_image_file(tmp_path / "images.h5", sample_drive(20), LAST)
     return tmp_path / "images.h5"
 
 
 @pytest.mark.parametrize("drive", [MemoryDrive("d", []), FaultyDrive(sample_drive(2), {0, 1})])
 def test_a_drive_without_a_usable_scan_leaves_no_file(tmp_path, drive):
     with pytest.raises(EmptyDrive, match="has no usable scan"):
-        write_image_file(tmp_path / "images.h5", drive, SMALL_GRID, Reducer.LAST)
+        write_image_file(tmp_path / "images.h5", drive, LAST)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -32,19 +35,19 @@ def test_a_cancelled_projection_leaves_no_file(tmp_path):
             raise Cancelled("enough")
 
     with pytest.raises(Cancelled):
-        write_image_file(tmp_path / "i.h5", sample_drive(3), SMALL_GRID, Reducer.LAST, Stop())
+        write_image_file(tmp_path / "i.h5", sample_drive(3), LAST, Stop())
     assert list(tmp_path.iterdir()) == []
 
 
 def test_a_file_that_holds_no_images_is_corrupt(tmp_path):
     (tmp_path / "text.h5").write_bytes(b"no HDF5")
     with pytest.raises(CorruptFile, match="holds no images"):
-        ImageFile(tmp_path / "text.h5", SMALL_GRID)
+        ImageFile(tmp_path / "text.h5", LAST)
 
 
 def test_images_of_another_grid_are_corrupt(path):
     with pytest.raises(CorruptFile, match="shape"):
-        ImageFile(path, AngularGrid())
+        ImageFile(path, Imager(AngularGrid(), Reducer.LAST))
 
 
 @pytest.mark.parametrize("name", ["images", "scans"])
@@ -53,7 +56,7 @@ def test_a_group_in_place_of_an_array_is_corrupt(path, name):
         del file[name]
         file.create_group(name)
     with pytest.raises(CorruptFile, match="holds no images"):
-        ImageFile(path, SMALL_GRID)
+        ImageFile(path, LAST)
 
 
 @pytest.mark.parametrize("name", ["returns", "skipped"])
@@ -61,22 +64,22 @@ def test_a_missing_attribute_is_corrupt(path, name):
     with h5py.File(path, "r+") as file:
         del file.attrs[name]
     with pytest.raises(CorruptFile, match="holds no images"):
-        ImageFile(path, SMALL_GRID)
+        ImageFile(path, LAST)
 
 
 def test_a_truncated_file_is_corrupt(path):
     path.write_bytes(path.read_bytes()[:-500])
     with pytest.raises(CorruptFile):
-        ImageFile(path, SMALL_GRID)
+        ImageFile(path, LAST)
 
 
 def test_the_name_tells_everything_the_images_depend_on():
     names = {
-        image_file_name(grid, reducer, digest * 32)
+        image_file_name(Imager(grid, reducer), digest * 32)
         for grid in (SMALL_GRID, AngularGrid(), AngularGrid(wraps=True))
-        for reducer in Reducer
+        for reducer in RANGE_REDUCERS
         for digest in ("ab", "cd")
     }
     assert len(names) == 3 * 4 * 2
-    assert image_file_name(AngularGrid(-25, 1, 30, 1), Reducer.LAST, "ab" * 32) in names
+    assert image_file_name(Imager(AngularGrid(-25, 1, 30, 1), Reducer.LAST), "ab" * 32) in names
     assert np.char.endswith(list(names), ".h5").all()
