@@ -6,8 +6,10 @@ import pytest
 
 from core.drive import MemoryDrive
 from core.errors import Cancelled, EmptyDrive
+from core.height_image import HEIGHT_REDUCERS
 from core.imager import Imager
 from core.projection import RANGE_REDUCERS, Reducer
+from core.rings import RingGrid
 from core.sensor import AngularGrid
 from storage.errors import CorruptFile
 from storage.image_file import ImageFile, image_file_name, write_image_file
@@ -80,6 +82,26 @@ def test_the_name_tells_everything_the_images_depend_on():
         for reducer in RANGE_REDUCERS
         for digest in ("ab", "cd")
     }
-    assert len(names) == 3 * 4 * 2
+    names |= {
+        image_file_name(Imager(RingGrid(), reducer, height_m, lateral), digest * 32)
+        for reducer in HEIGHT_REDUCERS
+        for height_m in (1.73, 1.8)
+        for lateral in (None, (0.0,), (-1.0, 0.0))
+        for digest in ("ab", "cd")
+    }
+    assert len(names) == 3 * 4 * 2 + 2 * 2 * 3 * 2
     assert image_file_name(Imager(AngularGrid(-25, 1, 30, 1), Reducer.LAST), "ab" * 32) in names
     assert np.char.endswith(list(names), ".h5").all()
+
+
+def test_renderings_are_read_back_as_they_were_made(tmp_path):
+    imager = Imager(RingGrid(), Reducer.MEAN, 1.73, (-1.0, 0.0, 2.0))
+    drive = sample_drive(20)
+    write_image_file(tmp_path / "renderings.h5", drive, imager)
+    with ImageFile(tmp_path / "renderings.h5", imager) as images:
+        read = images.read(3, 7)
+        assert read.shape == (4, 3, 20, 360)
+        for row in range(4):
+            np.testing.assert_array_equal(read[row], imager.render(drive.scan(3 + row)))
+    with pytest.raises(CorruptFile, match="shape"):
+        ImageFile(tmp_path / "renderings.h5", Imager(RingGrid(), Reducer.MEAN))
