@@ -1,6 +1,6 @@
 """The tables of docs/decisions/0010-harmonic-encoding.md, from a recorded and simulated drives.
 
-    python -m benchmarks.harmonic DRIVES
+    python -m benchmarks.harmonic DRIVES [recorded|cities]
 
 DRIVES is a folder of drives in the KITTI odometry layout that holds `kitti00`. The simulated
 cities have seeds on which nothing was chosen.
@@ -15,7 +15,9 @@ from threadpoolctl import threadpool_limits
 
 from benchmarks.accuracy import commit, print_table
 from benchmarks.timing import machine
+from core.arrays import FloatArray, IntArray
 from core.builder import build_map
+from core.displacement import left_of_m
 from core.drive import Drive, MemoryDrive
 from core.evaluation.condition import Condition, conditions
 from core.evaluation.evaluate import Protocol, evaluate
@@ -23,9 +25,11 @@ from core.evaluation.result import Evaluation
 from core.evaluation.split import Every
 from core.imager import ImageKind
 from core.images import project_drive
-from core.localizer import Localizer
+from core.localizer import Localizer, Match
 from core.parameters import Distance, Encoding, MapParameters
+from core.pose import heading_deg
 from core.projection import Reducer
+from core.segmentation import cut_fixed, segment_length_for
 from core.signature import Packing, pack_signatures, unpack_signatures
 from core.simulation import SimulatedDrive
 from core.trajectory import Trajectory
@@ -76,15 +80,18 @@ SETTINGS: dict[str, MapParameters] = {
 }
 
 
-def main(folder: Path) -> None:
+def main(folder: Path, part: str = "") -> None:
     """Print the tables."""
     threadpool_limits(limits=1)
     print(f"Printed by `python -m benchmarks.harmonic DRIVES` at commit {commit()} on {machine()}.")
+    if part in {"", "cities"}:
+        _cities()
+    if part == "cities":
+        return
     recorded = open_drive(folder / "kitti00", min_returns=100)
     drive = MemoryDrive(recorded.name, [recorded.scan(i) for i in range(len(recorded))])
     _recorded(drive)
     _packed(drive)
-    _cities()
 
 
 def _evaluate(drive: Drive, parameters: MapParameters) -> Evaluation:
@@ -139,14 +146,10 @@ def _described(condition: Condition) -> str:
     return ", ".join(filter(None, parts)) or "as driven"
 
 
-def _packed(drive: Drive) -> None:
+def _packed(drive: MemoryDrive) -> None:
     print("## Signatures on the road, `kitti00`\n")
     print("The same with the default, the signature as it is and packed; bytes of the body.\n")
-    parameters = harmonic()
-    mapped = np.arange(0, len(drive), 2)
-    images = project_drive(drive, mapped, parameters.imager).images
-    trajectory = Trajectory.of_drive("d", drive.timestamp_s[mapped], drive.poses[mapped], mapped)
-    localizer = Localizer(build_map(images, trajectory, np.array([0, len(mapped)]), parameters))
+    localizer = _localizer(drive, harmonic(), np.arange(0, len(drive), 2))
     ways: tuple[Packing | None, ...] = (None, Packing.FLOAT16, Packing.INT8)
     hits = np.zeros((len(CONDITIONS), len(ways)))
     size = [0] * len(ways)
@@ -184,23 +187,45 @@ def _cities() -> None:
     for seed in SEEDS:
         city = SimulatedDrive(seed=seed, scans=CITY_SCANS)
         mapped = MemoryDrive(city.name, [city.scan(i) for i in range(len(city))])
+        localizers = [_localizer(mapped, SETTINGS[name], np.arange(CITY_SCANS)) for name in names]
         for offset_m in OFFSETS_M:
             for reverse in (False, True):
                 asked = _second_pass(seed, offset_m, reverse=reverse)
                 found = [
-                    evaluate(mapped, Protocol(SETTINGS[name], segments=5), asked).conditions[0]
-                    for name in names
+                    [localizer.localize_scan(scan).best for scan in asked]
+                    for localizer in localizers
                 ]
-                default = found[1]
                 rows.append(
                     [
                         f"{seed}, {offset_m:g} m{', against' if reverse else ''}",
-                        *(f"{of_it.recall_at_1[5.0]:.3f}" for of_it in found),
-                        f"{default.heading_error_deg_median:.2f}",
-                        f"{default.lateral_error_m_median:.2f}",
+                        *(f"{_recall(of_it, asked.poses, within_m=5.0):.3f}" for of_it in found),
+                        *_errors_of_default(found[1], asked.poses),
                     ]
                 )
     print_table(["seed, offset", *names, "default: heading error deg", "lateral error m"], rows)
+
+
+def _localizer(drive: MemoryDrive, parameters: MapParameters, rows: IntArray) -> Localizer:
+    images = project_drive(drive, rows, parameters.imager).images
+    trajectory = Trajectory.of_drive("d", drive.timestamp_s[rows], drive.poses[rows], rows)
+    length = segment_length_for(len(rows), segments=5)
+    return Localizer(build_map(images, trajectory, cut_fixed(len(rows), length), parameters))
+
+
+def _recall(matches: Sequence[Match], poses: FloatArray, *, within_m: float) -> float:
+    places = np.array([[m.pose.x_m, m.pose.y_m, m.pose.z_m] for m in matches if m.pose])
+    return float(np.mean(np.linalg.norm(places - poses[:, :3], axis=1) <= within_m))
+
+
+def _errors_of_default(matches: Sequence[Match], poses: FloatArray) -> tuple[str, str]:
+    turns = np.array([m.heading_deg for m in matches]) - heading_deg(poses)
+    beside = [
+        m.lateral_m - left_of_m(np.array(m.pose.as_tuple()), pose)
+        for m, pose in zip(matches, poses, strict=True)
+        if m.pose is not None and m.lateral_m is not None
+    ]
+    turn = np.median(np.abs((turns + 180.0) % 360.0 - 180.0))
+    return f"{turn:.2f}", f"{np.median(np.abs(beside)):.2f}"
 
 
 def _second_pass(seed: int, offset_m: float, *, reverse: bool) -> MemoryDrive:
@@ -216,4 +241,4 @@ def _second_pass(seed: int, offset_m: float, *, reverse: bool) -> MemoryDrive:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]))
+    main(Path(sys.argv[1]), *sys.argv[2:])
