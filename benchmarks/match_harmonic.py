@@ -19,7 +19,7 @@ from core.localizer import Localizer
 from core.parameters import Encoding, MapParameters
 from core.segmentation import PAPER_SEGMENT_LENGTH, cut_fixed
 from core.signature import Signature
-from core.simulation import SimulatedDrive
+from core.simulation import SimulatedDrive, SimulatedSensor
 from core.trajectory import Trajectory
 
 BAR_MS = 1.0
@@ -29,7 +29,9 @@ SCANS = 3800
 def main() -> int:
     """Print the time; return 1 if it is above the bar."""
     threadpool_limits(limits=1)
-    drive = SimulatedDrive(seed=1, scans=2 * SCANS, loop_m=4000.0)
+    drive = SimulatedDrive(
+        seed=1, scans=2 * SCANS, loop_m=4000.0, sensor=SimulatedSensor(firings=360)
+    )
     parameters = MapParameters.for_sensor(encoding=Encoding.HARMONIC)
     mapped = np.arange(0, 2 * SCANS, 2)
     images = project_drive(drive, mapped, parameters.imager).images

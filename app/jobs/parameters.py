@@ -21,7 +21,10 @@ class BuildParameters(BaseModel):
     model_config = ConfigDict(
         extra="forbid",
         frozen=True,
-        json_schema_extra={"example": {"drives": ["monday"], "segments": 5}},
+        json_schema_extra={
+            "example": {"drives": ["monday"], "segments": 5},
+            "examples": [{"encoding": "harmonic", "lateral_renderings_m": [-3, -1.5, 0, 1.5, 3]}],
+        },
     )
 
     drives: list[Annotated[str, Field(max_length=64)]] | None = Field(

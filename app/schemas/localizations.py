@@ -70,7 +70,18 @@ class SignaturesIn(BaseModel):
             "example": {
                 "revision": "0f" * 32,
                 "signatures": [{"segment": 3, "values": [[950.1, -3.2], [12.5, 60.8]]}],
-            }
+            },
+            "examples": [
+                {
+                    "revision": "0f" * 32,
+                    "signatures": [
+                        {
+                            "values_real": [[85.2, -3.1], [10.4, 6.2]],
+                            "values_imag": [[0.0, 7.5], [0.0, -1.9]],
+                        }
+                    ],
+                },
+            ],
         },
     )
 
