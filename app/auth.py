@@ -63,13 +63,13 @@ class Access:
 def open_access(settings: Settings, store: Store) -> tuple[Access, str | None]:
     """Return who may ask, and a key that was made just now and must be shown once.
 
-    The key of the settings opens the service. Without one, on another address than loopback, the
-    first start makes a key and keeps only its hash. Once a key was made it is asked for on
-    loopback too.
+    The key of the settings opens the service, and no other: to set one is how a made key that was
+    lost or seen is put out of use. Without one, on another address than loopback, the first start
+    makes a key and keeps only its hash. Once a key was made it is asked for on loopback too.
     """
-    hashes = {key.secret_hash for key in store.keys.list() if key.revoked_at is None}
     if settings.admin_key is not None:
-        hashes.add(_hash(settings.admin_key.get_secret_value()))
+        return Access(frozenset({_hash(settings.admin_key.get_secret_value())})), None
+    hashes = {key.secret_hash for key in store.keys.list() if key.revoked_at is None}
     made = None
     if not hashes and not is_loopback(settings.host):
         made = make_admin_key(store)

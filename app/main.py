@@ -26,7 +26,7 @@ __all__ = ["create_app"]
 _log = logging.getLogger("tensormap")
 
 _DESCRIPTION = """Stores LiDAR topological maps and answers *where am I?* from one scan, or from a
-signature of some 50 bytes. Post scans to a drive, build, localize."""
+signature of some 60 bytes. Post scans to a drive, build, localize."""
 
 
 def create_app(settings: Settings | None = None) -> FastAPI:

@@ -7,6 +7,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 from app.jobs.parameters import BuildParameters
 from core.builder import build_map
@@ -88,6 +89,7 @@ def build_revision(
         segments=tensor_map.model.segments,
         parameters={
             **parameters.as_json(),
+            **_resolved(map_parameters),
             "returns": built.returns,
             "skipped": {name: len(skipped) for name, skipped in built.skipped.items() if skipped},
         },
@@ -114,8 +116,8 @@ def build_drive(
     map_parameters = parameters.map_parameters()
     with TemporaryDirectory(prefix="tensormap-") as folder:
         path = Path(folder) / "images.h5"
-        write_image_file(path, drive, map_parameters.grid, map_parameters.reducer, progress)
-        with ImageFile(path, map_parameters.grid) as images:
+        write_image_file(path, drive, map_parameters.imager, progress)
+        with ImageFile(path, map_parameters.imager) as images:
             return _build([drive], [images], parameters, map_parameters, progress)
 
 
@@ -168,6 +170,17 @@ def _trajectory(drive: Drive, images: ImageFile) -> Trajectory:
     return Trajectory.of_drive(drive.name, drive.timestamp_s[scans], drive.poses[scans], index)
 
 
+def _resolved(parameters: MapParameters) -> dict[str, Any]:
+    """Return what was chosen for options that were left open."""
+    offsets = parameters.lateral_renderings_m
+    return {
+        "reducer": parameters.reducer.value,
+        "image": parameters.image.value,
+        "distance": None if parameters.distance is None else parameters.distance.value,
+        "lateral_renderings_m": None if offsets is None else list(offsets),
+    }
+
+
 def _stored_images(
     store: Store, drive: StoredDrive, parameters: MapParameters, progress: Progress
 ) -> ImageFile:
@@ -175,20 +188,20 @@ def _stored_images(
     path = _images_path(store, drive, parameters)
     if path.exists():
         try:
-            return ImageFile(path, parameters.grid)
+            return ImageFile(path, parameters.imager)
         except CorruptImages as error:
             _log.warning("%s; they are made anew from the raw returns", error)
     try:
-        write_image_file(path, drive, parameters.grid, parameters.reducer, progress)
+        write_image_file(path, drive, parameters.imager, progress)
     except (FileNotFoundError, NotFound):  # files go when their map or drive is deleted
         store.maps.get_by_id(drive.map_id)
         store.drives.images_folder(drive)
         raise
     remove_other_versions(path)
-    return ImageFile(path, parameters.grid)
+    return ImageFile(path, parameters.imager)
 
 
 def _images_path(store: Store, drive: StoredDrive, parameters: MapParameters) -> Path:
     digest = hashlib.sha256("\n".join(drive.digests).encode()).hexdigest()
-    name = image_file_name(parameters.grid, parameters.reducer, digest)
+    name = image_file_name(parameters.imager, digest)
     return store.drives.images_folder(drive) / name

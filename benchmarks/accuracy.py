@@ -19,9 +19,11 @@ from core.evaluation.condition import Condition, conditions
 from core.evaluation.evaluate import Protocol, evaluate
 from core.evaluation.split import Every, Interleaved
 from core.parameters import MapParameters
-from core.projection import Reducer
+from core.projection import RANGE_REDUCERS
 from core.simulation import SimulatedDrive
 from storage.formats.drives import open_drive
+
+__all__ = ["commit", "print_table"]
 
 SEEDS = (101, 102, 103)
 
@@ -39,7 +41,7 @@ def main(folder: Path) -> None:
     print("# Accuracy\n")
     print("What the paper's encoding, 5x5, reaches; printed by\n")
     print("```text\npython -m benchmarks.accuracy DRIVES\n```\n")
-    print(f"at commit {_commit()} on {machine()}. `kitti00` and `kit_muehlburger` are recorded")
+    print(f"at commit {commit()} on {machine()}. `kitti00` and `kit_muehlburger` are recorded")
     print("drives of a Velodyne HDL-64E on a car; each simulated city is a drive of 300 scans.\n")
     _segments(open_drive(folder / "kit_muehlburger", min_returns=100))
     kitti00 = open_drive(folder / "kitti00", min_returns=100)
@@ -62,18 +64,18 @@ def _segments(drive: Drive) -> None:
             found = evaluate(drive, Protocol(segment_length=length, split=split)).conditions[0]
             cells.append(f"{len(found.errors)}, {found.errors_moving} of {found.queries}")
         rows.append([str(length), *cells])
-    _table(["k", *(f"phase {phase}" for phase in phases)], rows)
+    print_table(["k", *(f"phase {phase}" for phase in phases)], rows)
 
 
 def _reducers(drives: Sequence[Drive]) -> None:
     print("## Which return a shared cell keeps\n")
     print("Recall@1 within 3 m, even scans mapped, odd ones asked, five segments.\n")
     rows = []
-    for reducer in Reducer:
+    for reducer in RANGE_REDUCERS:
         protocol = Protocol(MapParameters(reducer=reducer), segments=5, split=Every(2))
         recalls = [evaluate(drive, protocol).conditions[0].recall_at_1[3.0] for drive in drives]
         rows.append([f"`{reducer}`", *(f"{recall:.3f}" for recall in recalls)])
-    _table(["reducer", *(drive.name for drive in drives)], rows)
+    print_table(["reducer", *(drive.name for drive in drives)], rows)
 
 
 def _disturbances(drives: Sequence[Drive]) -> None:
@@ -86,10 +88,11 @@ def _disturbances(drives: Sequence[Drive]) -> None:
     for index, condition in enumerate(DISTURBANCES):
         what = f"{condition.yaw_deg:g} deg, {condition.lateral_m:g} m, {condition.noise_m:g} m"
         rows.append([what, *(f"{of_it[index].recall_at_1[3.0]:.2f}" for of_it in found)])
-    _table(["yaw, lateral, noise", *(drive.name for drive in drives)], rows)
+    print_table(["yaw, lateral, noise", *(drive.name for drive in drives)], rows)
 
 
-def _table(head: Iterable[str], rows: Iterable[Iterable[str]]) -> None:
+def print_table(head: Iterable[str], rows: Iterable[Iterable[str]]) -> None:
+    """Print a table in Markdown."""
     columns = list(head)
     print(f"| {' | '.join(columns)} |")
     print(f"|{'---|' * len(columns)}")
@@ -98,7 +101,8 @@ def _table(head: Iterable[str], rows: Iterable[Iterable[str]]) -> None:
     print()
 
 
-def _commit() -> str:
+def commit() -> str:
+    """Name the commit that is checked out."""
     command = ["git", "describe", "--always", "--dirty"]
     return subprocess.run(command, check=True, capture_output=True, text=True).stdout.strip()
 

@@ -1,33 +1,81 @@
 """What a vehicle downloads once to make signatures on board."""
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from core.arrays import Float32Array, IntArray, frozen
+from core.encodings.harmonic import encode
 from core.errors import InvalidMap, SensorMismatch
+from core.height_image import HeightImage
+from core.imager import Image, ImageKind
 from core.parameters import MapParameters
-from core.projection import RangeImage, project_scan
 from core.scan import Scan
 from core.signature import Signature
 
-__all__ = ["Basis"]
+__all__ = ["Basis", "HarmonicBasis", "PaperBasis"]
 
 
 @dataclass(frozen=True, eq=False)
-class Basis:
-    """The bases of some segments of one revision; no scan's place can be read from them.
+class Basis(ABC):
+    """How one revision makes signatures of scans; no scan's place can be read from it.
 
     Attributes:
         revision: Digest of the map revision.
         parameters: How scans become images; grid, reducer and sensor.
+    """
+
+    revision: str
+    parameters: MapParameters
+
+    @abstractmethod
+    def encode(self, image: Image) -> tuple[Signature, ...]:
+        """Return the image's signatures (paper, sec. 2.3).
+
+        Raises:
+            SensorMismatch: If the image is of another kind or on another grid.
+        """
+
+    @abstractmethod
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """Return every array by its name."""
+
+    def image(self, scan: Scan, sensor_height_m: float | None = None) -> Image:
+        """Project a scan as the map's own scans were.
+
+        Args:
+            scan: The returns.
+            sensor_height_m: Of this scan's sensor, if it is mounted otherwise than the map's.
+
+        Raises:
+            InvalidScan: If no return falls inside the grid.
+        """
+        return self.parameters.imager.image(scan, sensor_height_m)
+
+    def require_grid(self, image: Image) -> None:
+        """Raise `SensorMismatch` unless the image is of this map's kind and on its grid."""
+        kind = ImageKind.HEIGHT if isinstance(image, HeightImage) else ImageKind.RANGE
+        if kind != self.parameters.image:
+            raise SensorMismatch(
+                f"the image is a {kind} image, the map is of {self.parameters.image} images"
+            )
+        if image.grid != self.parameters.grid:
+            raise SensorMismatch(f"the image is on {image.grid}, the map on {self.parameters.grid}")
+
+
+@dataclass(frozen=True, eq=False)
+class PaperBasis(Basis):
+    """The bases of some segments of one revision in the paper's encoding.
+
+    Attributes:
         segments: `(S,)` which segments these are.
         elevation_basis: `(S, I, r1)` float32.
         azimuth_basis: `(S, J, r2)` float32.
     """
 
-    revision: str
-    parameters: MapParameters
     segments: IntArray
     elevation_basis: Float32Array
     azimuth_basis: Float32Array
@@ -43,29 +91,50 @@ class Basis:
         if self.azimuth_basis.shape != (count, columns, r2):
             raise InvalidMap(f"azimuth_basis has shape {self.azimuth_basis.shape}")
 
-    def image(self, scan: Scan) -> RangeImage:
-        """Project a scan as the map's own scans were.
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """Return every array by its name."""
+        return {
+            "segments": self.segments,
+            "elevation_basis": self.elevation_basis,
+            "azimuth_basis": self.azimuth_basis,
+        }
 
-        Raises:
-            InvalidScan: If no return falls inside the grid.
-        """
-        return project_scan(scan, self.parameters.grid, self.parameters.reducer)
-
-    def encode(self, image: RangeImage) -> tuple[Signature, ...]:
-        """Return the image's signature in each segment's bases (paper, sec. 2.3).
-
-        Raises:
-            SensorMismatch: If the image is on another grid.
-        """
+    def encode(self, image: Image) -> tuple[Signature, ...]:
+        """Return the image's signature in each segment's bases."""
         self.require_grid(image)
-        ranges = image.ranges_m.astype(np.float64)
-        values = self.elevation_basis.transpose(0, 2, 1) @ ranges @ self.azimuth_basis
+        values = (
+            self.elevation_basis.transpose(0, 2, 1)
+            @ image.cells.astype(np.float64)
+            @ self.azimuth_basis
+        )
         return tuple(
             Signature(slice_.astype(np.float32), segment, self.revision)
             for slice_, segment in zip(values, self.segments.tolist(), strict=True)
         )
 
-    def require_grid(self, image: RangeImage) -> None:
-        """Raise `SensorMismatch` unless the image is on this map's grid."""
-        if image.grid != self.parameters.grid:
-            raise SensorMismatch(f"the image is on {image.grid}, the map on {self.parameters.grid}")
+
+@dataclass(frozen=True, eq=False)
+class HarmonicBasis(Basis):
+    """The one basis of a revision in the harmonic encoding; the azimuth factor is a formula.
+
+    Attributes:
+        radial_basis: `(I, r1)` float32.
+    """
+
+    radial_basis: Float32Array
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "radial_basis", frozen(self.radial_basis, np.float32))
+        wanted = (self.parameters.grid.rows, self.parameters.ranks[0])
+        if self.radial_basis.shape != wanted:
+            raise InvalidMap(f"radial_basis has shape {self.radial_basis.shape}, wanted {wanted}")
+
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """Return every array by its name."""
+        return {"radial_basis": self.radial_basis}
+
+    def encode(self, image: Image) -> tuple[Signature, ...]:
+        """Return the image's one signature, good for all segments."""
+        self.require_grid(image)
+        values = encode(image.cells, self.radial_basis, self.parameters.ranks[1])
+        return (Signature(values.astype(np.complex64), None, self.revision),)

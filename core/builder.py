@@ -1,10 +1,12 @@
 """From images to a TensorMap (paper, sec. 2.2), in two passes that hold a block at a time."""
 
+import itertools
 from collections.abc import Iterator
 
 import numpy as np
 
 from core.arrays import Float32Array, FloatArray, IntArray
+from core.encodings.harmonic import HarmonicModel, encode, energy
 from core.encodings.paper import PaperModel
 from core.errors import InvalidImage, InvalidParameters, SensorMismatch
 from core.images import ImageSource
@@ -13,7 +15,7 @@ from core.progress import NO_PROGRESS, Progress
 from core.tensormap import TensorMap
 from core.topology import Topology
 from core.trajectory import Trajectory
-from core.tucker import BLOCK_SCANS, Grams, leading_basis, project, relative_error
+from core.tucker import BLOCK_SCANS, Grams, leading_basis, project, relative_error, row_gram
 
 __all__ = ["build_map", "fit_bases"]
 
@@ -27,8 +29,9 @@ def build_map(
 ) -> TensorMap:
     """Fit each segment's model and pack them all.
 
-    Segments are independent and each is summed in blocks that begin at its first scan, so the
-    result depends on nothing but the images and the cuts.
+    Each segment is summed in blocks that begin at its first scan, and segments in their order, so
+    the result depends on nothing but the images and the cuts. In the paper's encoding segments are
+    independent; in the harmonic one they share a basis.
 
     Args:
         images: One image a scan of the trajectory, on the parameters' grid.
@@ -49,6 +52,18 @@ def build_map(
             f"{len(images)} images and {len(trajectory)} scans do not fit together"
         )
     _require_cuts(trajectory, segment_start)
+    fit = _fit_paper if parameters.distance is None else _fit_harmonic
+    progress.start("fitting", 2 * len(images))
+    model, errors = fit(images, segment_start, parameters, progress)
+    return TensorMap(
+        parameters, model, trajectory, Topology.of_segments(trajectory, segment_start), errors
+    )
+
+
+def _fit_paper(
+    images: ImageSource, segment_start: IntArray, parameters: MapParameters, progress: Progress
+) -> tuple[PaperModel, FloatArray]:
+    """Fit each segment's own bases, one segment after the other."""
     segments, (rows, columns), (r1, r2) = (
         len(segment_start) - 1,
         parameters.grid.shape,
@@ -58,36 +73,69 @@ def build_map(
     azimuth_basis = np.empty((segments, columns, r2), np.float32)
     signatures = np.empty((len(images), r1, r2), np.float32)
     errors = np.empty(segments)
-    progress.start("fitting", 2 * len(images))
-    for segment, (start, end) in enumerate(
-        zip(segment_start[:-1].tolist(), segment_start[1:].tolist(), strict=True)
-    ):
-        squared_norm, u, v = fit_bases(images, start, end, parameters.ranks, progress)
-        for block_start, block in _blocks(images, start, end, progress):
+    for segment, (start, end) in enumerate(itertools.pairwise(segment_start.tolist())):
+        squared_norm, u, v = fit_bases(images, start, end, parameters, progress)
+        for block_start, block in _blocks(images, start, end, parameters, progress):
             signatures[block_start : block_start + len(block)] = project(block, u, v)
         elevation_basis[segment], azimuth_basis[segment] = u, v
         errors[segment] = relative_error(squared_norm, signatures[start:end])
-    return TensorMap(
-        parameters,
-        PaperModel(elevation_basis, azimuth_basis, signatures, segment_start),
-        trajectory,
-        Topology.of_segments(trajectory, segment_start),
-        errors,
-    )
+    return PaperModel(elevation_basis, azimuth_basis, signatures, segment_start), errors
+
+
+def _fit_harmonic(
+    images: ImageSource, segment_start: IntArray, parameters: MapParameters, progress: Progress
+) -> tuple[HarmonicModel, FloatArray]:
+    """Fit one radial basis to all renderings of all scans, then encode them.
+
+    A segment's relative error is sqrt(1 - sum |G|^2 / sum |S|^2) over its scans' renderings, |G|
+    in the weighted norm: U and the harmonics are orthonormal, so that is what they leave out.
+    """
+    if parameters.distance is None or parameters.lateral_renderings_m is None:
+        raise InvalidParameters("a harmonic map wants distance and lateral_renderings_m")
+    (rows, columns), (r1, r2) = parameters.grid.shape, parameters.ranks
+    spans = list(itertools.pairwise(segment_start.tolist()))
+    gram = np.zeros((rows, rows))
+    squared_norm = np.zeros(len(spans))
+    for segment, (start, end) in enumerate(spans):
+        of_segment = np.zeros((rows, rows))
+        for _, block in _blocks(images, start, end, parameters, progress):
+            of_segment += row_gram(block.reshape(-1, rows, columns))
+        squared_norm[segment] = np.trace(of_segment)
+        gram += of_segment
+    radial_basis = leading_basis(gram, r1).astype(np.float32)
+    signatures = np.empty((len(images), len(parameters.lateral_renderings_m), r1, r2), np.complex64)
+    errors = np.zeros(len(spans))
+    for segment, (start, end) in enumerate(spans):
+        kept = 0.0
+        for block_start, block in _blocks(images, start, end, parameters, progress):
+            encoded = encode(block, radial_basis, r2)
+            signatures[block_start : block_start + len(block)] = encoded
+            kept += float(energy(encoded, columns).sum())
+        if squared_norm[segment] > 0.0:
+            errors[segment] = np.sqrt(max(0.0, 1.0 - kept / squared_norm[segment]))
+    return HarmonicModel(
+        radial_basis,
+        signatures,
+        np.array(parameters.lateral_renderings_m),
+        segment_start,
+        columns,
+        parameters.distance,
+    ), errors
 
 
 def fit_bases(
     images: ImageSource,
     start: int,
     end: int,
-    ranks: tuple[int, int],
+    parameters: MapParameters,
     progress: Progress = NO_PROGRESS,
 ) -> tuple[float, FloatArray, FloatArray]:
     """Return |X|^2, U `(I, r1)` and V `(J, r2)` of the images `start` up to `end`."""
     grams = Grams.zero(images.grid.shape)
-    for _, block in _blocks(images, start, end, progress):
+    for _, block in _blocks(images, start, end, parameters, progress):
         grams += Grams.of(block)
-    u, v = leading_basis(grams.elevation, ranks[0]), leading_basis(grams.azimuth, ranks[1])
+    r1, r2 = parameters.ranks
+    u, v = leading_basis(grams.elevation, r1), leading_basis(grams.azimuth, r2)
     return grams.squared_norm, u, v
 
 
@@ -103,12 +151,12 @@ def _require_cuts(trajectory: Trajectory, segment_start: IntArray) -> None:
 
 
 def _blocks(
-    images: ImageSource, start: int, end: int, progress: Progress
+    images: ImageSource, start: int, end: int, parameters: MapParameters, progress: Progress
 ) -> Iterator[tuple[int, Float32Array]]:
     for block_start in range(start, end, BLOCK_SCANS):
         block_end = min(block_start + BLOCK_SCANS, end)
         block = images.read(block_start, block_end)
-        wanted = (block_end - block_start, *images.grid.shape)
+        wanted = (block_end - block_start, *parameters.imager.shape)
         if block.shape != wanted:
             raise InvalidImage(f"the images read {block.shape}, wanted {wanted}")
         yield block_start, block

@@ -9,10 +9,9 @@ import numpy as np
 from core.arrays import Float32Array, IntArray, frozen
 from core.drive import Drive
 from core.errors import EmptyDrive, InvalidImage, InvalidScan
+from core.imager import Grid, Imager
 from core.progress import NO_PROGRESS, Progress
-from core.projection import RangeImage, Reducer, project_scan
 from core.scan import Scan
-from core.sensor import AngularGrid
 
 __all__ = [
     "ConcatenatedImages",
@@ -26,37 +25,37 @@ __all__ = [
 
 
 class ImageSource(Protocol):
-    """Range images on one grid, in the order of the map's scans.
+    """Images on one grid, in the order of the map's scans; one a scan, or its D renderings.
 
     A build reads them twice, block by block, so that it never holds them all.
     """
 
     @property
-    def grid(self) -> AngularGrid:
+    def grid(self) -> Grid:
         """The lattice of every image."""
 
     def __len__(self) -> int:
         """Return how many images there are."""
 
     def read(self, start: int, stop: int) -> Float32Array:
-        """Return images `start` up to `stop`, `(stop - start, I, J)` float32 metres."""
+        """Return those of scans `start` up to `stop`, `(stop - start, [D,] I, J)` float32."""
 
 
 class MemoryImages:
-    """Images held in memory, `(n, I, J)`."""
+    """Images held in memory, `(n, I, J)`, or renderings, `(n, D, I, J)`."""
 
-    def __init__(self, ranges_m: Float32Array, grid: AngularGrid) -> None:
-        if ranges_m.ndim != 3 or ranges_m.shape[1:] != grid.shape:
-            raise InvalidImage(f"images have shape {ranges_m.shape[1:]}, the grid {grid.shape}")
+    def __init__(self, cells: Float32Array, grid: Grid) -> None:
+        if cells.ndim not in {3, 4} or cells.shape[-2:] != grid.shape:
+            raise InvalidImage(f"images have shape {cells.shape[1:]}, the grid {grid.shape}")
         self.grid = grid
-        self._ranges_m: Float32Array = frozen(ranges_m, "float32")
+        self._cells: Float32Array = frozen(cells, "float32")
 
     def __len__(self) -> int:
-        return len(self._ranges_m)
+        return len(self._cells)
 
     def read(self, start: int, stop: int) -> Float32Array:
         """Return images `start` up to `stop`."""
-        return self._ranges_m[start:stop]
+        return self._cells[start:stop]
 
 
 class ConcatenatedImages:
@@ -118,15 +117,14 @@ class ProjectedDrive:
 def project_each(
     drive: Drive,
     scans: Iterable[int],
-    grid: AngularGrid,
-    reducer: Reducer,
+    imager: Imager,
     progress: Progress = NO_PROGRESS,
-) -> Iterator[tuple[int, Scan, RangeImage] | Skipped]:
-    """Read and project scans one by one; one that cannot be used is told, the rest goes on."""
+) -> Iterator[tuple[int, Scan, Float32Array] | Skipped]:
+    """Read and render scans one by one; one that cannot be used is told, the rest goes on."""
     for index in scans:
         try:
             scan = drive.scan(index)
-            yield index, scan, project_scan(scan, grid, reducer)
+            yield index, scan, imager.render(scan)
         except InvalidScan as error:
             yield Skipped(index, str(error))
         progress.advance()
@@ -135,32 +133,30 @@ def project_each(
 def project_drive(
     drive: Drive,
     scans: IntArray,
-    grid: AngularGrid,
-    reducer: Reducer,
+    imager: Imager,
     progress: Progress = NO_PROGRESS,
 ) -> ProjectedDrive:
-    """Project scans of a drive into memory, 43 kB each on the paper's grid.
+    """Project scans of a drive into memory, 43 kB an image on the paper's grid.
 
     Raises:
         EmptyDrive: If not one of them is usable; the message gives the first reason.
     """
     progress.start("projecting", len(scans))
-    ranges_m = np.empty((len(scans), *grid.shape), np.float32)
+    cells = np.empty((len(scans), *imager.shape), np.float32)
     kept: list[int] = []
     skipped: list[Skipped] = []
     returns = 0
-    for item in project_each(drive, scans.tolist(), grid, reducer, progress):
+    for item in project_each(drive, scans.tolist(), imager, progress):
         if isinstance(item, Skipped):
             skipped.append(item)
             continue
-        index, scan, image = item
-        ranges_m[len(kept)] = image.ranges_m
+        index, scan, cells[len(kept)] = item
         kept.append(index)
         returns += len(scan)
     if not kept:
         raise EmptyDrive(Skipped.explain(drive.name, skipped))
     return ProjectedDrive(
-        MemoryImages(ranges_m[: len(kept)], grid),
+        MemoryImages(cells[: len(kept)], imager.grid),
         np.array(kept, dtype=np.int64),
         returns,
         tuple(skipped),

@@ -1,4 +1,4 @@
-"""Where am I: the closest core tensor slice over all segments (paper, sec. 2.3)."""
+"""Where am I: the map's scan with the closest signature (paper, sec. 2.3)."""
 
 import math
 from collections.abc import Sequence
@@ -6,14 +6,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from core.arrays import BoolArray, FloatArray, IntArray
+from core.arrays import BoolArray
+from core.displacement import pose_beside
+from core.encodings.model import Found
 from core.errors import (
     InvalidParameters,
     InvalidSignature,
     StaleSignature,
 )
+from core.imager import Image
 from core.pose import Pose, path_length_m
-from core.projection import RangeImage
 from core.scan import Scan
 from core.signature import REVISION_PREFIX_BYTES, Signature
 from core.tensormap import TensorMap
@@ -37,9 +39,13 @@ class Match:
         drive: The drive it was recorded in.
         scan_index: Its index in that drive.
         row: Its row in the map.
-        distance: Frobenius distance of the signatures.
+        distance: Between the signatures, in the measure of the map.
         timestamp_s: When it was recorded, `None` where unknown.
         pose: Where it was recorded, `None` where unknown.
+        turn_deg: How far the query is turned from it, counter-clockwise, -180..180; `None` where
+            the encoding does not tell, as the paper's.
+        lateral_m: How far to the left of it the query stands, `None` likewise.
+        estimated_pose: Where the query stands: `pose` displaced and turned; `None` likewise.
     """
 
     segment: int
@@ -51,6 +57,16 @@ class Match:
     distance: float
     timestamp_s: float | None
     pose: Pose | None
+    turn_deg: float | None = None
+    lateral_m: float | None = None
+    estimated_pose: Pose | None = None
+
+    @property
+    def heading_deg(self) -> float | None:
+        """Heading of the query in the world, counter-clockwise, `None` where not estimated."""
+        if self.estimated_pose is None or self.turn_deg is None:
+            return None
+        return self.estimated_pose.yaw_deg
 
 
 @dataclass(frozen=True)
@@ -98,24 +114,28 @@ class Localizer:
         self._drive_of_scan = tensor_map.trajectory.drive_of_scan
         self._segment_of_scan = tensor_map.model.segment_of_scan
 
-    def localize_scan(self, scan: Scan, k: int = 1) -> Localization:
+    def localize_scan(
+        self, scan: Scan, k: int = 1, sensor_height_m: float | None = None
+    ) -> Localization:
         """Localize a scan of the map's sensor.
 
         Args:
             scan: The returns.
             k: How many nearest scans to answer.
+            sensor_height_m: Of this scan, if its sensor is mounted otherwise than the map's; only
+                height images depend on it.
 
         Raises:
             InvalidScan: If no return falls inside the grid.
             InvalidParameters: If `k` is below 1.
         """
-        return self.localize_image(self.basis.image(scan), k)
+        return self.localize_image(self.basis.image(scan, sensor_height_m), k)
 
-    def localize_image(self, image: RangeImage, k: int = 1) -> Localization:
-        """Localize a range image on the map's grid.
+    def localize_image(self, image: Image, k: int = 1) -> Localization:
+        """Localize an image of the map's kind and grid.
 
         Raises:
-            SensorMismatch: If the image is on another grid.
+            SensorMismatch: If the image is of another kind or grid.
             InvalidParameters: If `k` is below 1.
         """
         return self.localize_signatures(self.basis.encode(image), k)
@@ -124,30 +144,25 @@ class Localizer:
         """Localize by one or more signatures of one scan, each in its own segment's bases.
 
         Exactly those segments are searched: a signature made with one segment's bases says
-        nothing in another's.
+        nothing in another's. A harmonic signature is one for all segments.
 
         Raises:
             StaleSignature: If one was made with another revision's bases.
             UnknownSegment: If the map has no such segment.
-            InvalidSignature: If there is none, a segment comes twice or the shape is not r1 x r2.
+            InvalidSignature: If there is none, a segment comes twice, the shape is not r1 x r2 or
+                they are of another encoding.
             InvalidParameters: If `k` is below 1.
         """
         if k < 1:
             raise InvalidParameters(f"k is {k}, wanted at least 1")
-        segments = np.array([s.segment for s in signatures], dtype=np.int64)
-        self._require_answerable(signatures, segments)
-        values = np.stack([s.values for s in signatures]).astype(np.float64)
-        rows, distances = self.map.model.distances(values, segments)
-        nearest = _nearest(distances, k)
-        matches = tuple(self._match(rows[i], distances[i]) for i in nearest)
-        away = self._away_from(matches[0].row)[rows]
-        runner_up = None
-        if away.any():
-            i = int(np.where(away, distances, np.inf).argmin())
-            runner_up = self._match(rows[i], distances[i])
-        return Localization(self.map.revision, matches, runner_up, tuple(sorted(segments.tolist())))
+        self._require_answerable(signatures)
+        search = self.map.model.search(signatures)
+        matches = tuple(self._match(found) for found in search.nearest(k))
+        away = search.nearest(1, self._away_from(matches[0].row))
+        runner_up = self._match(away[0]) if away else None
+        return Localization(self.map.revision, matches, runner_up, search.segments)
 
-    def _require_answerable(self, signatures: Sequence[Signature], segments: IntArray) -> None:
+    def _require_answerable(self, signatures: Sequence[Signature]) -> None:
         if not signatures:
             raise InvalidSignature("there is no signature to search with")
         for signature in signatures:
@@ -157,8 +172,6 @@ class Localizer:
                     f"the signature has shape {signature.values.shape},"
                     f" this map's have {self.map.parameters.ranks}"
                 )
-        if len(np.unique(segments)) < len(segments):
-            raise InvalidSignature(f"a segment comes twice in {segments.tolist()}")
 
     def _require_own_revision(self, revision: str) -> None:
         enough = len(revision) >= 2 * REVISION_PREFIX_BYTES
@@ -168,7 +181,8 @@ class Localizer:
                 f" this one is {self.map.revision}"
             )
 
-    def _match(self, row: int, distance: float) -> Match:
+    def _match(self, found: Found) -> Match:
+        row = found.row
         trajectory, topology = self.map.trajectory, self.map.topology
         segment = int(self._segment_of_scan[row])
         first, last = topology.node_scan[topology.edge_nodes[segment]].tolist()
@@ -176,15 +190,24 @@ class Localizer:
         timestamp_s = float(trajectory.timestamp_s[row])
         return Match(
             segment=segment,
-            fraction=(int(row) - first) / max(1, last - first),
+            fraction=(row - first) / max(1, last - first),
             along_m=None if math.isnan(along_m) else along_m,
             drive=trajectory.drives[self._drive_of_scan[row]],
             scan_index=int(trajectory.scan_index[row]),
-            row=int(row),
-            distance=float(distance),
+            row=row,
+            distance=found.distance,
             timestamp_s=None if math.isnan(timestamp_s) else timestamp_s,
             pose=Pose.from_row(trajectory.poses[row]),
+            turn_deg=found.turn_deg,
+            lateral_m=found.lateral_m,
+            estimated_pose=self._estimated_pose(found),
         )
+
+    def _estimated_pose(self, found: Found) -> Pose | None:
+        if found.lateral_m is None:
+            return None
+        recorded = self.map.trajectory.poses[found.row]
+        return Pose.from_row(pose_beside(recorded, found.lateral_m, found.turn_deg or 0.0))
 
     def _away_from(self, row: int) -> BoolArray:
         """Return which scans are away from scan `row`, `(K,)`."""
@@ -195,12 +218,3 @@ class Localizer:
             return by_scans
         distance_m = np.linalg.norm(self._positions_m - self._positions_m[row], axis=1)
         return np.where(self._known, distance_m >= AWAY_M, by_scans)
-
-
-def _nearest(distances: FloatArray, k: int) -> IntArray:
-    """Return the indices of the `k` smallest, nearest first, earlier ones first among equals."""
-    if k >= len(distances):
-        return np.argsort(distances, kind="stable")
-    bound = np.partition(distances, k - 1)[k - 1]
-    candidates = np.flatnonzero(distances <= bound)
-    return candidates[np.argsort(distances[candidates], kind="stable")][:k]

@@ -1,23 +1,39 @@
 """The choices a map is built with, kept in the map."""
 
 import operator
-from dataclasses import asdict, dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import Any
 
 from core.errors import InvalidMap, InvalidParameters
+from core.imager import Grid, ImageKind, Imager, grid_from_attributes
 from core.projection import Reducer
+from core.rings import RingGrid
 from core.sensor import HDL_64E, AngularGrid, sensor_named
 
-__all__ = ["Encoding", "MapParameters"]
+__all__ = ["LATERAL_RENDERINGS_M", "Distance", "Encoding", "MapParameters"]
 
 HDL_64E_ON_KITTI_HEIGHT_M = 1.73  # KITTI's sensor set-up: above ground
+LATERAL_RENDERINGS_M = (-3.0, -1.5, 0.0, 1.5, 3.0)
+"""A lane to either side: docs/decisions/0010-harmonic-encoding.md."""
 
 
 class Encoding(StrEnum):
     """How images become signatures."""
 
     PAPER = "paper"
+    HARMONIC = "harmonic"
+
+
+class Distance(StrEnum):
+    """How far apart two harmonic signatures g and G are, `max` their best correlation.
+
+    `plain` is |g|^2 + |G|^2 - 2 max, `normalised` 1 - max / (|g| |G|).
+    """
+
+    PLAIN = "plain"
+    NORMALISED = "normalised"
 
 
 @dataclass(frozen=True)
@@ -29,16 +45,21 @@ class MapParameters:
         ranks: `(r1, r2)`, the shape of a signature; the paper's 5 x 5.
         reducer: Which return a shared cell keeps.
         sensor: Name of the sensor that recorded the drives.
-        grid: Its lattice.
+        grid: The lattice of images: the sensor's own, or rings.
         sensor_height_m: Height of the sensor above ground.
+        distance: How harmonic signatures are compared, `None` in the paper's encoding.
+        lateral_renderings_m: From where, metres to the left, a harmonic map's scans are also
+            rendered; `None` in the paper's encoding.
     """
 
     encoding: Encoding = Encoding.PAPER
     ranks: tuple[int, int] = (5, 5)
     reducer: Reducer = Reducer.LAST
     sensor: str = HDL_64E.name
-    grid: AngularGrid = field(default_factory=lambda: HDL_64E.grid)
+    grid: Grid = field(default_factory=lambda: HDL_64E.grid)
     sensor_height_m: float = HDL_64E_ON_KITTI_HEIGHT_M
+    distance: Distance | None = None
+    lateral_renderings_m: tuple[float, ...] | None = None
 
     def __post_init__(self) -> None:
         # 2 and 2.0 metres are one choice, and must be one digest; a list of ranks is no tuple.
@@ -48,13 +69,45 @@ class MapParameters:
         object.__setattr__(self, "sensor_height_m", float(self.sensor_height_m))
         if len(self.ranks) != 2:
             raise InvalidParameters(f"ranks is {self.ranks}, wanted (r1, r2)")
-        for rank, size, name in zip(self.ranks, self.grid.shape, ("r1", "r2"), strict=True):
+        rows, columns = self.grid.shape
+        if self.encoding == Encoding.HARMONIC:
+            self._require_harmonic()
+            columns = columns // 2 + 1
+        else:
+            self._require_paper()
+        for rank, size, name in zip(self.ranks, (rows, columns), ("r1", "r2"), strict=True):
             if not 1 <= rank <= size:
                 raise InvalidParameters(f"{name} is {rank}, wanted 1..{size} on this grid")
         if not 0.0 < self.sensor_height_m < 100.0:
             raise InvalidParameters(
                 f"sensor_height_m is {self.sensor_height_m}, wanted above 0 and below 100"
             )
+
+    def _require_harmonic(self) -> None:
+        if not self.grid.wraps:
+            raise InvalidParameters("a harmonic map's grid wraps: a turn must not have a seam")
+        if self.distance is None or self.lateral_renderings_m is None:
+            raise InvalidParameters("a harmonic map wants distance and lateral_renderings_m")
+        object.__setattr__(self, "distance", Distance(self.distance))
+        object.__setattr__(self, "lateral_renderings_m", self.imager.lateral_renderings_m)
+
+    def _require_paper(self) -> None:
+        if not isinstance(self.grid, AngularGrid):
+            raise InvalidParameters("the paper's encoding is of range images, not of height images")
+        for name in ("distance", "lateral_renderings_m"):
+            if getattr(self, name) is not None:
+                raise InvalidParameters(f"{name} is of the harmonic encoding, not of the paper's")
+        self.imager  # noqa: B018  # refuses a reducer of other images
+
+    @property
+    def imager(self) -> Imager:
+        """How scans become images."""
+        return Imager(self.grid, self.reducer, self.sensor_height_m, self.lateral_renderings_m)
+
+    @property
+    def image(self) -> ImageKind:
+        """What kind of image that is."""
+        return self.imager.kind
 
     @classmethod
     def for_sensor(
@@ -63,20 +116,58 @@ class MapParameters:
         *,
         encoding: Encoding = Encoding.PAPER,
         ranks: tuple[int, int] = (5, 5),
-        reducer: Reducer = Reducer.LAST,
+        reducer: Reducer | None = None,
         sensor_height_m: float = HDL_64E_ON_KITTI_HEIGHT_M,
+        image: ImageKind | None = None,
+        distance: Distance | None = None,
+        lateral_renderings_m: Sequence[float] | None = None,
     ) -> "MapParameters":
-        """Return parameters on a known sensor's own grid.
+        """Return parameters for a known sensor; what is not given is the encoding's own default.
+
+        The paper's are range images, `last`; the harmonic's are mean heights, `normalised`, and
+        five renderings.
 
         Raises:
-            InvalidParameters: If the sensor is unknown or a value is out of its range.
+            InvalidParameters: If the sensor is unknown, a value is out of its range or is not one
+                of this encoding.
         """
         known = sensor_named(sensor)
-        return cls(encoding, ranks, reducer, known.name, known.grid, sensor_height_m)
+        harmonic = encoding == Encoding.HARMONIC
+        if image is None:
+            image = ImageKind.HEIGHT if harmonic else ImageKind.RANGE
+        if reducer is None:
+            reducer = Reducer.MEAN if harmonic else Reducer.LAST
+        if harmonic and distance is None:
+            distance = Distance.NORMALISED
+        if harmonic and lateral_renderings_m is None:
+            lateral_renderings_m = LATERAL_RENDERINGS_M
+        on_sensor = replace(known.grid, wraps=True) if harmonic else known.grid
+        return cls(
+            encoding,
+            ranks,
+            reducer,
+            known.name,
+            RingGrid() if image == ImageKind.HEIGHT else on_sensor,
+            sensor_height_m,
+            distance,
+            None if lateral_renderings_m is None else tuple(lateral_renderings_m),
+        )
 
     def as_attributes(self) -> dict[str, Any]:
-        """Return plain values for a file's attributes."""
-        return {**asdict(self), "ranks": list(self.ranks)}
+        """Return plain values for a file's attributes; those of a paper map are the paper's."""
+        attributes: dict[str, Any] = {
+            "encoding": self.encoding.value,
+            "ranks": list(self.ranks),
+            "reducer": self.reducer.value,
+            "sensor": self.sensor,
+            "grid": self.grid.as_attributes(),
+            "sensor_height_m": self.sensor_height_m,
+        }
+        if self.distance is not None and self.lateral_renderings_m is not None:
+            attributes["image"] = self.image.value
+            attributes["distance"] = self.distance.value
+            attributes["lateral_renderings_m"] = list(self.lateral_renderings_m)
+        return attributes
 
     @classmethod
     def from_attributes(cls, attributes: dict[str, Any]) -> "MapParameters":
@@ -86,13 +177,21 @@ class MapParameters:
             InvalidMap: If something is missing or not of its kind.
         """
         try:
+            encoding = Encoding(attributes["encoding"])
+            of_harmonic: tuple[Any, ...] = ()
+            if encoding == Encoding.HARMONIC:
+                of_harmonic = (
+                    Distance(attributes["distance"]),
+                    tuple(map(float, attributes["lateral_renderings_m"])),
+                )
             return cls(
-                Encoding(attributes["encoding"]),
+                encoding,
                 attributes["ranks"],
                 Reducer(attributes["reducer"]),
                 str(attributes["sensor"]),
-                AngularGrid(**attributes["grid"]),
+                grid_from_attributes(attributes["grid"]),
                 float(attributes["sensor_height_m"]),
+                *of_harmonic,
             )
         except (KeyError, TypeError, ValueError, OverflowError, InvalidParameters) as error:
             raise InvalidMap(f"the map's parameters cannot be read: {error!r}") from error

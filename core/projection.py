@@ -6,20 +6,27 @@ from enum import StrEnum
 import numpy as np
 
 from core.arrays import Float32Array, FloatArray, IntArray, frozen
-from core.errors import InvalidImage, InvalidScan
+from core.errors import InvalidImage, InvalidParameters, InvalidScan
 from core.scan import Scan
 from core.sensor import AngularGrid, whole_and_fraction
 
-__all__ = ["RangeImage", "Reducer", "project_scan"]
+__all__ = ["RANGE_REDUCERS", "RangeImage", "Reducer", "project_scan"]
 
 
 class Reducer(StrEnum):
-    """Which return a shared cell keeps; the paper leaves it open."""
+    """Which return a shared cell keeps; the paper leaves it open.
+
+    `highest` is for height images only.
+    """
 
     LAST = "last"
     NEAREST = "nearest"
     FARTHEST = "farthest"
     MEAN = "mean"
+    HIGHEST = "highest"
+
+
+RANGE_REDUCERS = (Reducer.LAST, Reducer.NEAREST, Reducer.FARTHEST, Reducer.MEAN)
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,6 +54,11 @@ class RangeImage:
             raise InvalidImage("ranges_m is empty: every cell is 0")
         object.__setattr__(self, "ranges_m", ranges)
 
+    @property
+    def cells(self) -> Float32Array:
+        """`(I, J)`, the matrix that is encoded."""
+        return self.ranges_m
+
 
 def project_scan(scan: Scan, grid: AngularGrid, reducer: Reducer) -> RangeImage:
     """Place each return's range at its rounded `(elevation, azimuth)` cell.
@@ -64,6 +76,7 @@ def project_scan(scan: Scan, grid: AngularGrid, reducer: Reducer) -> RangeImage:
 
     Raises:
         InvalidScan: If no return falls inside the grid, or a range is beyond float32.
+        InvalidParameters: If the reducer is none of range images.
 
     Examples:
         >>> ahead = Scan(np.array([[10.0, 0.0, 0.0], [12.0, 0.0, 0.0]]))
@@ -71,6 +84,10 @@ def project_scan(scan: Scan, grid: AngularGrid, reducer: Reducer) -> RangeImage:
         >>> image.ranges_m.shape, float(image.ranges_m[25, 180])
         ((30, 361), 12.0)
     """
+    if reducer not in RANGE_REDUCERS:
+        raise InvalidParameters(
+            f"a range image is reduced by {', '.join(RANGE_REDUCERS)}, not by {reducer}"
+        )
     cells, range_m = _cells_and_ranges(scan.points_m, grid)
     if not len(cells):
         raise InvalidScan(

@@ -9,14 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.arrays import FloatArray, IntArray, frozen
-from core.basis import Basis
+from core.basis import Basis, HarmonicBasis, PaperBasis
+from core.encodings.harmonic import HarmonicModel
 from core.encodings.paper import PaperModel
 from core.errors import InvalidMap
-from core.parameters import MapParameters
+from core.parameters import Encoding, MapParameters
 from core.revision import content_digest
 from core.topology import Topology
 from core.trajectory import Trajectory
-from core.tucker import storage_elements
 
 __all__ = ["TensorMap"]
 
@@ -27,21 +27,21 @@ class TensorMap:
 
     Attributes:
         parameters: The choices it was built with.
-        model: Bases and signatures.
+        model: Bases and signatures, in the encoding of the parameters.
         trajectory: Drive, time and pose of each scan.
         topology: Nodes and edges; edge `l` is segment `l`.
-        relative_error: `(L,)` |X - X^| / |X| of each segment.
+        relative_error: `(L,)` |X - X^| / |X| of each segment's images, renderings included.
     """
 
     parameters: MapParameters
-    model: PaperModel
+    model: PaperModel | HarmonicModel
     trajectory: Trajectory
     topology: Topology
     relative_error: FloatArray
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "relative_error", frozen(self.relative_error, np.float64))
-        scans, segments = len(self.model.signatures), self.model.segments
+        scans, segments = len(self.model), self.model.segments
         if len(self.trajectory) != scans:
             raise InvalidMap(f"{scans} signatures and {len(self.trajectory)} scans")
         if self.relative_error.shape != (segments,):
@@ -64,6 +64,18 @@ class TensorMap:
             raise InvalidMap(f"signatures are {self.model.ranks}, ranks {self.parameters.ranks}")
         if self.model.grid_shape != self.parameters.grid.shape:
             raise InvalidMap(f"bases are for {self.model.grid_shape}, not for the grid")
+        self._require_encoding()
+
+    def _require_encoding(self) -> None:
+        harmonic = isinstance(self.model, HarmonicModel)
+        if harmonic != (self.parameters.encoding == Encoding.HARMONIC):
+            raise InvalidMap(f"the model is not of the encoding {self.parameters.encoding}")
+        if isinstance(self.model, HarmonicModel):
+            if self.model.measure != self.parameters.distance:
+                raise InvalidMap("the model's distance is not that of the parameters")
+            offsets = tuple(self.model.lateral_offset_m.tolist())
+            if offsets != self.parameters.lateral_renderings_m:
+                raise InvalidMap(f"lateral_offset_m is {offsets}, not that of the parameters")
 
     def __len__(self) -> int:
         return len(self.trajectory)
@@ -76,12 +88,12 @@ class TensorMap:
     @property
     def elements(self) -> int:
         """How many numbers the bases and signatures are (paper, sec. 2.4)."""
-        return storage_elements(
-            self.model.segments, len(self), self.parameters.grid.shape, self.parameters.ranks
-        )
+        return self.model.elements
 
     def basis(self, segments: Sequence[int] | IntArray | None = None) -> Basis:
         """Return what a vehicle needs to make signatures, for all or some segments.
+
+        A harmonic map has one basis for all of them.
 
         Raises:
             UnknownSegment: If the map has no such segment.
@@ -90,7 +102,9 @@ class TensorMap:
         if segments is not None:
             wanted = np.unique(np.asarray(segments, dtype=np.int64))
             self.model.require_segments(wanted)
-        return Basis(
+        if isinstance(self.model, HarmonicModel):
+            return HarmonicBasis(self.revision, self.parameters, self.model.radial_basis)
+        return PaperBasis(
             revision=self.revision,
             parameters=self.parameters,
             segments=wanted,
@@ -101,10 +115,7 @@ class TensorMap:
     def arrays(self) -> dict[str, NDArray[Any]]:
         """Return every array of the map by its name in the file."""
         return {
-            "elevation_basis": self.model.elevation_basis,
-            "azimuth_basis": self.model.azimuth_basis,
-            "signatures": self.model.signatures,
-            "segment_start": self.model.segment_start,
+            **self.model.arrays(),
             "relative_error": self.relative_error,
             "drive_start": self.trajectory.drive_start,
             "scan_index": self.trajectory.scan_index,
@@ -133,9 +144,7 @@ class TensorMap:
             a = dict(arrays)
             tensor_map = cls(
                 parameters,
-                PaperModel(
-                    a["elevation_basis"], a["azimuth_basis"], a["signatures"], a["segment_start"]
-                ),
+                _model(parameters, a),
                 Trajectory(
                     tuple(attributes["drives"]),
                     a["drive_start"],
@@ -153,3 +162,18 @@ class TensorMap:
         if tensor_map.attributes() != dict(attributes):
             raise InvalidMap("the map has attributes that are unknown or not in their own form")
         return tensor_map
+
+
+def _model(parameters: MapParameters, a: dict[str, NDArray[Any]]) -> PaperModel | HarmonicModel:
+    if parameters.distance is None:
+        return PaperModel(
+            a["elevation_basis"], a["azimuth_basis"], a["signatures"], a["segment_start"]
+        )
+    return HarmonicModel(
+        a["radial_basis"],
+        a["signatures"],
+        a["lateral_offset_m"],
+        a["segment_start"],
+        parameters.grid.columns,
+        parameters.distance,
+    )

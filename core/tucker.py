@@ -14,7 +14,15 @@ from scipy.linalg import eigh
 from core.arrays import Float32Array, FloatArray
 from core.errors import InvalidParameters
 
-__all__ = ["BLOCK_SCANS", "Grams", "leading_basis", "project", "relative_error", "storage_elements"]
+__all__ = [
+    "BLOCK_SCANS",
+    "Grams",
+    "leading_basis",
+    "project",
+    "relative_error",
+    "row_gram",
+    "storage_elements",
+]
 
 BLOCK_SCANS = 32  # 2.8 MB of float64 on the paper's grid: inside a cache, yet long enough for BLAS
 
@@ -69,6 +77,18 @@ class Grams:
     def squared_norm(self) -> float:
         """|X|^2, the sum of all squared cells."""
         return float(np.trace(self.elevation))
+
+
+def row_gram(images: Float32Array | FloatArray) -> FloatArray:
+    """Return the sum of S S^T of `(n, I, J)` images, `(I, I)`, summed in float64.
+
+    It is additive over images, its trace is |X|^2, and turning an image leaves it as it is.
+    """
+    total = np.zeros((images.shape[1], images.shape[1]))
+    for block in _blocks(images):
+        by_row = block.reshape(block.shape[0], -1)
+        total += by_row @ by_row.T
+    return total
 
 
 def leading_basis(gram: FloatArray, rank: int) -> FloatArray:

@@ -1,4 +1,4 @@
-"""A drive's range images in one HDF5 file, so that a build reads raw returns once."""
+"""A drive's images in one HDF5 file, so that a build reads raw returns once."""
 
 import json
 from pathlib import Path
@@ -10,11 +10,10 @@ import numpy as np
 from core.arrays import Float32Array, IntArray
 from core.drive import Drive
 from core.errors import EmptyDrive
+from core.imager import Grid, Imager
 from core.images import Skipped, project_each
 from core.progress import NO_PROGRESS, Progress
-from core.projection import Reducer
 from core.revision import content_digest
-from core.sensor import AngularGrid
 from storage.errors import CorruptImages
 from storage.files import publish
 
@@ -42,8 +41,8 @@ class ImageFile:
         returns: How many returns the usable scans hold together.
     """
 
-    def __init__(self, path: Path, grid: AngularGrid) -> None:
-        self.grid = grid
+    def __init__(self, path: Path, imager: Imager) -> None:
+        self.grid: Grid = imager.grid
         self._name = path.name
         try:
             self._file = h5py.File(path, "r", locking=False)
@@ -54,7 +53,7 @@ class ImageFile:
             self.scans: IntArray = self._file["scans"][()]
             self.returns = int(self._file.attrs["returns"])
             self.skipped = tuple(Skipped(*item) for item in json.loads(self._file.attrs["skipped"]))
-            if self._images.shape != (len(self.scans), *grid.shape):
+            if self._images.shape != (len(self.scans), *imager.shape):
                 raise ValueError(f"they have shape {self._images.shape}")
         except (AttributeError, KeyError, OSError, RuntimeError, TypeError, ValueError) as error:
             self._file.close()
@@ -70,7 +69,7 @@ class ImageFile:
         return len(self.scans)
 
     def read(self, start: int, stop: int) -> Float32Array:
-        """Return images `start` up to `stop`, `(stop - start, I, J)`.
+        """Return those of scans `start` up to `stop`, `(stop - start, [D,] I, J)`.
 
         Raises:
             CorruptImages: If they cannot be read, or their checksum does not fit.
@@ -82,21 +81,14 @@ class ImageFile:
         return images
 
 
-def image_file_name(grid: AngularGrid, reducer: Reducer, scans_digest: str) -> str:
+def image_file_name(imager: Imager, scans_digest: str) -> str:
     """Return the name under which a drive's images are kept.
 
     It tells the scans' content, the grid, the reducer and `PROJECTION_VERSION`: a file of that name
     is out of date only if the code was changed without counting that up.
     """
-    projection = content_digest(
-        {},
-        {
-            "version": PROJECTION_VERSION,
-            "grid": grid.as_attributes(),
-            "reducer": reducer.value,
-        },
-    )
-    return f"{reducer}-{projection[:16]}-{scans_digest[:32]}.h5"
+    projection = content_digest({}, {"version": PROJECTION_VERSION, **imager.as_attributes()})
+    return f"{imager.reducer}-{projection[:16]}-{scans_digest[:32]}.h5"
 
 
 def remove_other_versions(path: Path) -> None:
@@ -113,8 +105,7 @@ def remove_other_versions(path: Path) -> None:
 def write_image_file(
     path: Path,
     drive: Drive,
-    grid: AngularGrid,
-    reducer: Reducer,
+    imager: Imager,
     progress: Progress = NO_PROGRESS,
 ) -> None:
     """Read and project every scan of a drive, and publish the images at `path`.
@@ -129,21 +120,22 @@ def write_image_file(
     scans: list[int] = []
     skipped: list[Skipped] = []
     returns = 0
+    renderings = imager.shape[0] if imager.lateral_renderings_m is not None else 1
+    block = max(1, _BLOCK // renderings)
     with publish(path) as part, h5py.File(part, "x", libver="v110") as file:
         images = file.create_dataset(
             "images",
-            shape=(len(drive), *grid.shape),
-            maxshape=(len(drive), *grid.shape),
-            chunks=(min(_BLOCK, len(drive)), *grid.shape),
+            shape=(len(drive), *imager.shape),
+            maxshape=(len(drive), *imager.shape),
+            chunks=(min(block, len(drive)), *imager.shape),
             dtype=np.dtype("<f4"),
             fletcher32=True,  # HDF5 then refuses to read a block that has changed
         )
-        for item in project_each(drive, range(len(drive)), grid, reducer, progress):
+        for item in project_each(drive, range(len(drive)), imager, progress):
             if isinstance(item, Skipped):
                 skipped.append(item)
                 continue
-            scan_index, scan, image = item
-            images[len(scans)] = image.ranges_m
+            scan_index, scan, images[len(scans)] = item
             scans.append(scan_index)
             returns += len(scan)
         if not scans:

@@ -11,6 +11,7 @@ import h5py
 import numpy as np
 
 from core.errors import TensorMapError
+from core.parameters import Encoding
 from core.tensormap import TensorMap
 from storage.errors import CorruptFile
 
@@ -19,10 +20,7 @@ __all__ = ["FORMAT", "FORMAT_VERSION", "read_map", "write_map"]
 FORMAT = "tensormap"
 FORMAT_VERSION = 1
 
-_DTYPES = {
-    "elevation_basis": "<f4",
-    "azimuth_basis": "<f4",
-    "signatures": "<f4",
+_OF_ALL = {
     "segment_start": "<i8",
     "relative_error": "<f8",
     "drive_start": "<i8",
@@ -32,6 +30,20 @@ _DTYPES = {
     "node_scan": "<i8",
     "edge_nodes": "<i8",
     "edge_length_m": "<f8",
+}
+_DTYPES = {
+    Encoding.PAPER: {
+        "elevation_basis": "<f4",
+        "azimuth_basis": "<f4",
+        "signatures": "<f4",
+        **_OF_ALL,
+    },
+    Encoding.HARMONIC: {
+        "radial_basis": "<f4",
+        "signatures": "<c8",
+        "lateral_offset_m": "<f8",
+        **_OF_ALL,
+    },
 }
 
 
@@ -45,9 +57,10 @@ def write_map(path: Path, tensor_map: TensorMap, created_at: datetime | None = N
         tensor_map: The content.
         created_at: Kept beside the digest, outside of it.
     """
+    dtypes = _DTYPES[tensor_map.parameters.encoding]
     with h5py.File(path, "x", libver="v110") as file:
         for name, array in tensor_map.arrays().items():
-            file.create_dataset(name, data=np.asarray(array, _DTYPES[name]))
+            file.create_dataset(name, data=np.asarray(array, dtypes[name]))
         file.attrs["format"] = FORMAT
         file.attrs["format_version"] = FORMAT_VERSION
         file.attrs["attributes"] = json.dumps(tensor_map.attributes(), sort_keys=True)
@@ -87,25 +100,27 @@ def _read_parts(path: Path) -> tuple[dict[str, Any], dict[str, Any], str]:
         version = int(file.attrs["format_version"])
         if version != FORMAT_VERSION:
             raise ValueError(f"its format version is {version}, {FORMAT_VERSION} is read here")
-        odd = set(file) ^ set(_DTYPES)
+        attributes = json.loads(file.attrs["attributes"])
+        dtypes = _DTYPES[Encoding(attributes["encoding"])]
+        odd = set(file) ^ set(dtypes)
         if odd:
             raise ValueError(f"it lacks or should not hold {', '.join(sorted(odd))}")
         size_bytes = path.stat().st_size
         return (
-            {name: _plain(file, name, size_bytes) for name in file},
-            json.loads(file.attrs["attributes"]),
+            {name: _plain(file, name, dtypes[name], size_bytes) for name in file},
+            attributes,
             str(file.attrs["digest"]),
         )
 
 
-def _plain(file: h5py.File, name: str, size_bytes: int) -> np.ndarray[Any, Any]:
+def _plain(file: h5py.File, name: str, dtype: str, size_bytes: int) -> np.ndarray[Any, Any]:
     """Read an array that lies in this file: no link elsewhere, no filter, no stored code."""
     link = file.get(name, getlink=True)
     dataset = file[name] if isinstance(link, h5py.HardLink) else None
     if not isinstance(dataset, h5py.Dataset) or dataset.shape is None:
         raise ValueError(f"{name} is no plain array of numbers")
-    if dataset.dtype != np.dtype(_DTYPES[name]):
-        raise ValueError(f"{name} holds {dataset.dtype}, wanted {_DTYPES[name]}")
+    if dataset.dtype != np.dtype(dtype):
+        raise ValueError(f"{name} holds {dataset.dtype}, wanted {dtype}")
     if dataset.external or dataset.is_virtual:
         raise ValueError(f"{name} keeps its numbers in another file")
     if dataset.id.get_create_plist().get_nfilters():

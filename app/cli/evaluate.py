@@ -11,8 +11,11 @@ from rich.table import Table
 from app.cli.console import output, progress_bar
 from app.cli.options import (
     MIN_RETURNS,
+    DistanceOption,
     DriveArgument,
     EncodingOption,
+    ImageOption,
+    LateralRenderingsOption,
     RanksOption,
     ReducerOption,
     SegmentLengthOption,
@@ -31,7 +34,6 @@ from core.evaluation.evaluate import evaluate as evaluate_drive
 from core.evaluation.result import Evaluation
 from core.evaluation.split import Interleaved, parse_split
 from core.parameters import Encoding, MapParameters
-from core.projection import Reducer
 from core.sensor import HDL_64E
 from storage.files import publish
 from storage.formats.drives import open_drive
@@ -61,7 +63,10 @@ def evaluate(
     ranks_text: RanksOption = "5,5",
     segment_length: SegmentLengthOption = None,
     segments: SegmentsOption = None,
-    reducer: ReducerOption = Reducer.LAST,
+    reducer: ReducerOption = None,
+    image: ImageOption = None,
+    distance: DistanceOption = None,
+    lateral_renderings: LateralRenderingsOption = None,
     sensor: SensorOption = HDL_64E.name,
     sensor_height_m: SensorHeightOption = 1.73,
     split: Annotated[
@@ -91,6 +96,11 @@ def evaluate(
             ranks=ranks(ranks_text),
             reducer=reducer,
             sensor_height_m=sensor_height_m,
+            image=image,
+            distance=distance,
+            lateral_renderings_m=(
+                None if lateral_renderings is None else numbers(lateral_renderings)
+            ),
         ),
         segment_length=segment_length,
         segments=segments,
@@ -114,7 +124,7 @@ def _show(result: Evaluation) -> None:
     how = "" if result.split is None else f", {result.split}"
     output.print(
         f"{of}: {result.map_scans} map scans in {result.segments} segments, {result.encoding}"
-        f" {result.ranks[0]}x{result.ranks[1]}, {result.reducer}{how}",
+        f" {result.ranks[0]}x{result.ranks[1]}, {result.reducer} {result.image}{how}",
         markup=False,
         soft_wrap=True,
     )
@@ -131,6 +141,7 @@ def _show(result: Evaluation) -> None:
         "moving",
         *(f"R@1 {metres:g} m" for metres in tolerances),
         "error m",
+        *(() if result.distance is None else ("heading deg", "lateral m")),
         "ms",
     ):
         table.add_column(heading, justify="right")
@@ -145,6 +156,14 @@ def _show(result: Evaluation) -> None:
             _figure(row.errors_moving, "d"),
             *(_figure(row.recall_at_1[metres], ".3f") for metres in tolerances),
             _figure(row.position_error_m_median, ".2f"),
+            *(
+                ()
+                if result.distance is None
+                else (
+                    _figure(row.heading_error_deg_median, ".2f"),
+                    _figure(row.lateral_error_m_median, ".2f"),
+                )
+            ),
             _figure(row.ms_per_query, ".1f"),
         )
     output.print(table)

@@ -1,6 +1,8 @@
 """The commands, and how each one ends."""
 
 import sys
+from importlib.metadata import version
+from typing import Annotated
 
 import typer
 
@@ -29,6 +31,22 @@ for command in (
     simulate.simulate,
 ):
     cli.command()(command)
+
+
+def _show_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"tensormap {version('tensormap-server')}")
+        raise typer.Exit
+
+
+@cli.callback()
+def about(
+    _version: Annotated[
+        bool,
+        typer.Option("--version", help="Tell the release.", is_eager=True, callback=_show_version),
+    ] = False,
+) -> None:
+    """LiDAR topological maps: build them, serve them, ask them where you are."""
 
 
 def main() -> None:

@@ -12,8 +12,11 @@ from rich.table import Table
 from app.cli.console import output, progress_bar
 from app.cli.options import (
     MIN_RETURNS,
+    DistanceOption,
     DriveArgument,
     EncodingOption,
+    ImageOption,
+    LateralRenderingsOption,
     MapArgument,
     RanksOption,
     ReducerOption,
@@ -21,6 +24,7 @@ from app.cli.options import (
     SegmentsOption,
     SensorHeightOption,
     SensorOption,
+    numbers,
     ranks,
     require_folder,
 )
@@ -30,9 +34,8 @@ from core.compression import Compression
 from core.errors import InvalidParameters, InvalidScan
 from core.localizer import Localization, Localizer
 from core.parameters import Encoding
-from core.projection import Reducer
 from core.sensor import HDL_64E
-from core.signature import pack_signatures
+from core.signature import Packing, pack_signatures
 from storage.files import publish
 from storage.formats.drives import open_drive
 from storage.formats.errors import UnknownFormat
@@ -51,7 +54,10 @@ def build(
     ranks_text: RanksOption = "5,5",
     segment_length: SegmentLengthOption = None,
     segments: SegmentsOption = None,
-    reducer: ReducerOption = Reducer.LAST,
+    reducer: ReducerOption = None,
+    image: ImageOption = None,
+    distance: DistanceOption = None,
+    lateral_renderings: LateralRenderingsOption = None,
     sensor: SensorOption = HDL_64E.name,
     sensor_height_m: SensorHeightOption = 1.73,
 ) -> None:
@@ -68,6 +74,11 @@ def build(
             reducer=reducer,
             sensor=sensor,
             sensor_height_m=sensor_height_m,
+            image=image,
+            distance=distance,
+            lateral_renderings_m=(
+                None if lateral_renderings is None else list(numbers(lateral_renderings))
+            ),
         )
     except ValidationError as error:
         raise InvalidParameters(error.errors()[0]["msg"]) from None
@@ -98,6 +109,12 @@ def localize(
     map_file: MapArgument,
     scans: Annotated[list[Path], typer.Argument(help="Scan files.", metavar="SCAN...")],
     k: Annotated[int, typer.Option("-k", min=1, help="How many nearest scans to answer.")] = 1,
+    sensor_height_m: Annotated[
+        float | None,
+        typer.Option(
+            min=0.01, max=99.99, help="Of these scans' sensor, if mounted otherwise than the map's."
+        ),
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="One JSON answer a line.")] = False,
 ) -> None:
     """Localize scans in a map; one that cannot be used is told, the others are answered."""
@@ -109,33 +126,38 @@ def localize(
         for path in scans:
             try:
                 scan = read_scan_file(path, min_returns=MIN_RETURNS)
-                answers.append((path, localizer.localize_scan(scan, k)))
+                answers.append((path, localizer.localize_scan(scan, k, sensor_height_m)))
             except (InvalidScan, UnknownFormat) as error:
                 unusable.append(str(error))
             progress.advance()
-    _show_answers(answers, as_json=as_json)
+    turns = localizer.map.parameters.distance is not None
+    _show_answers(answers, as_json=as_json, turns=turns)
     for reason in unusable:
         sys.stderr.write(f"tensormap: {reason}\n")
     if unusable:
         raise typer.Exit(1)
 
 
-def _show_answers(answers: list[tuple[Path, Localization]], *, as_json: bool) -> None:
-    table = Table("scan", "segment", "along", "map scan", "x m", "y m", "distance", "ratio")
+def _show_answers(answers: list[tuple[Path, Localization]], *, as_json: bool, turns: bool) -> None:
+    table = Table("scan", "segment", "along", "map scan", "x m", "y m")
+    for heading in (*(("turn deg", "left m") if turns else ()), "distance", "ratio"):
+        table.add_column(heading)
     for path, found in answers:
         if as_json:
             answer = LocalizationOut.from_core(found, found.revision)
             sys.stdout.write(f"{answer.model_dump_json()}\n")
             continue
         for match in found.matches:
+            place = match.pose if match.estimated_pose is None else match.estimated_pose
             table.add_row(
                 path.name,
                 str(match.segment),
                 f"{match.fraction:.3f}",
                 f"{match.drive} {match.scan_index}",
-                "-" if match.pose is None else f"{match.pose.x_m:.2f}",
-                "-" if match.pose is None else f"{match.pose.y_m:.2f}",
-                f"{match.distance:.1f}",
+                "-" if place is None else f"{place.x_m:.2f}",
+                "-" if place is None else f"{place.y_m:.2f}",
+                *((_figure(match.turn_deg), _figure(match.lateral_m)) if turns else ()),
+                f"{match.distance:.4f}" if turns else f"{match.distance:.1f}",
                 "-" if found.ratio is None else f"{found.ratio:.2f}",
             )
     if answers and not as_json:
@@ -152,12 +174,18 @@ def signature(
     packed: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Write them packed, ready to post.")
     ] = None,
+    packing: Annotated[
+        Packing | None, typer.Option(help="How numbers are packed. [float16; harmonic: int8]")
+    ] = None,
 ) -> None:
     """Print a scan's signatures as JSON, ready to post."""
-    basis = read_map(map_file).basis(segments)
+    tensor_map = read_map(map_file)
+    if segments is not None and tensor_map.parameters.distance is not None:
+        raise InvalidParameters("a harmonic signature is one for all segments: leave --segment out")
+    basis = tensor_map.basis(segments)
     signatures = basis.encode(basis.image(read_scan_file(scan, min_returns=MIN_RETURNS)))
     if packed is not None:
-        packed.write_bytes(pack_signatures(signatures))
+        packed.write_bytes(pack_signatures(signatures, packing))
     body = SignaturesIn.from_core(signatures)
     sys.stdout.write(f"{body.model_dump_json()}\n")
 
@@ -203,3 +231,7 @@ def inspect(
             str(edge["segment"]), str(edge["scans"]), length, f"{edge['relative_error']:.3f}"
         )
     output.print(table)
+
+
+def _figure(value: float | None) -> str:
+    return "-" if value is None else f"{value:.1f}"

@@ -6,14 +6,18 @@ from typing import Annotated
 
 import typer
 
-from core.parameters import Encoding
+from core.imager import ImageKind
+from core.parameters import Distance, Encoding
 from core.projection import Reducer
 from core.sensor import SENSORS
 
 __all__ = [
     "MIN_RETURNS",
+    "DistanceOption",
     "DriveArgument",
     "EncodingOption",
+    "ImageOption",
+    "LateralRenderingsOption",
     "MapArgument",
     "RanksOption",
     "ReducerOption",
@@ -53,7 +57,25 @@ SegmentsOption = Annotated[
     ),
 ]
 ReducerOption = Annotated[
-    Reducer, typer.Option(help="Which return a shared cell keeps.", rich_help_panel=_BUILD)
+    Reducer | None,
+    typer.Option(help="What a shared cell keeps. [last; harmonic: mean]", rich_help_panel=_BUILD),
+]
+ImageOption = Annotated[
+    ImageKind | None,
+    typer.Option(help="What is encoded. [range; harmonic: height]", rich_help_panel=_BUILD),
+]
+DistanceOption = Annotated[
+    Distance | None,
+    typer.Option(help="How harmonic signatures are compared. [normalised]", rich_help_panel=_BUILD),
+]
+LateralRenderingsOption = Annotated[
+    str | None,
+    typer.Option(
+        "--lateral-renderings",
+        help="From where a harmonic map's scans are rendered, metres to the left,"
+        " comma-separated. [-3,-1.5,0,1.5,3]",
+        rich_help_panel=_BUILD,
+    ),
 ]
 SensorOption = Annotated[
     str, typer.Option(help=f"One of {', '.join(sorted(SENSORS))}.", rich_help_panel=_BUILD)
@@ -67,8 +89,10 @@ def require_folder(path: Path) -> None:
     """Refuse to begin long work whose result could not be written.
 
     Raises:
-        typer.BadParameter: If the folder of `path` is not there.
+        typer.BadParameter: If the folder of `path` is not there, or `path` is one itself.
     """
+    if path.is_dir():
+        raise typer.BadParameter(f"{path} is a folder, wanted a file to write")
     if not path.absolute().parent.is_dir():
         raise typer.BadParameter(f"{path} cannot be written: there is no folder {path.parent}")
 

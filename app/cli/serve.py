@@ -33,6 +33,7 @@ def serve(
     import uvicorn  # here, not above: no other command needs to wait for the whole service
 
     from app.main import create_app
+    from storage.store import Store
 
     settings = _settings(host=host, port=port, data_dir=data)
     config = uvicorn.Config(
@@ -43,6 +44,8 @@ def serve(
         timeout_graceful_shutdown=_GRACE_S,
     )
     with _listen(settings.host, settings.port) as listening:
+        # What refuses to start says so in a line here; from inside Uvicorn it is a traceback.
+        Store.serving(settings.data_dir, settings.catalog_url).close()
         # Uvicorn, given a socket, names no URL.
         typer.echo(f"TensorMap at {_url(listening)}", err=True)
         uvicorn.Server(config).run(sockets=[listening])

@@ -25,6 +25,7 @@ def simulate(
         float, typer.Option(help="Drive so far left of the line, negative right.")
     ] = 0.0,
     reverse: Annotated[bool, typer.Option("--reverse", help="Drive the other way.")] = False,
+    stops: Annotated[bool, typer.Option("--stops", help="Stand at junctions for a while.")] = False,
 ) -> None:
     """Drive through a simulated city and write the scans in KITTI odometry layout.
 
@@ -37,6 +38,7 @@ def simulate(
         traffic_seed=traffic_seed,
         lateral_offset_m=lateral_m,
         reverse=reverse,
+        stops=stops,
     )
     with progress_bar() as progress:
         write_kitti_drive(drive, folder, progress)

@@ -13,16 +13,18 @@ from app.demo.outcome import MAX_SCANS, RECALL_M, Fixes, Outcome
 from app.jobs.parameters import BuildParameters
 from app.schemas.localizations import LocalizationOut
 from app.schemas.topology import TopologyOut
-from core.basis import Basis
+from core.basis import Basis, HarmonicBasis
 from core.compression import Compression
 from core.drive import Drive
+from core.encodings.harmonic import harmonic_elements
 from core.errors import InvalidScan
 from core.evaluation.split import Interleaved
+from core.parameters import Encoding, MapParameters
 from core.progress import Progress
 from core.projection import Reducer
 from core.scan import Scan
 from core.segmentation import cut_fixed, segment_length_for
-from core.signature import pack_signatures
+from core.signature import Packing, pack_signatures
 from core.tucker import storage_elements
 from storage.catalog import JobState
 from storage.formats.kitti import kitti_body
@@ -49,13 +51,16 @@ class _Query:
     body: bytes
 
 
-def run_demo(client: Client, drive: Drive, progress: BuildProgress) -> Outcome:
+def run_demo(
+    client: Client, drive: Drive, progress: BuildProgress, encoding: Encoding = Encoding.PAPER
+) -> Outcome:
     """Record a drive, map four fifths of it over HTTP and localize the rest.
 
     Args:
         client: Of a service that does not have the client's map yet.
         drive: The drive; its first 300 scans are used.
         progress: Told of each stage.
+        encoding: Of the map.
 
     Raises:
         DemoFailed: If the service refuses something.
@@ -83,7 +88,7 @@ def run_demo(client: Client, drive: Drive, progress: BuildProgress) -> Outcome:
             posted += len(body)
             returns += len(scan)
         progress.advance()
-    mapped = _build(client, progress)
+    mapped = _build(client, progress, encoding)
     basis = client.basis().to_core()
     topology = client.topology()
     asked = [
@@ -93,19 +98,13 @@ def run_demo(client: Client, drive: Drive, progress: BuildProgress) -> Outcome:
     ]
     if not asked:
         raise DemoFailed(f"not one held-out scan of drive {drive.name} can be projected")
-    progress.start("localizing", 3 * len(asked))
     segments = len(topology.edges)
+    ways = _ways(client, basis)
+    progress.start("localizing", len(ways) * len(asked))
     return Outcome(
-        fixes=tuple(
-            _ask(name, asked, drive, answer, progress)
-            for name, answer in (
-                ("full scan", lambda q: _by_scan(client, q)),
-                ("signatures, all segments", lambda q: _by_signature(client, basis, q, None)),
-                ("signature, segment known", lambda q: _by_signature(client, basis, q, q.segment)),
-            )
-        ),
+        fixes=tuple(_ask(name, asked, drive, answer, progress) for name, answer in ways.items()),
         compression=Compression.of(
-            storage_elements(segments, mapped, basis.parameters.grid.shape, basis.parameters.ranks),
+            _elements(basis.parameters, segments, mapped),
             scans=mapped,
             grid_shape=basis.parameters.grid.shape,
             returns=returns,
@@ -116,9 +115,35 @@ def run_demo(client: Client, drive: Drive, progress: BuildProgress) -> Outcome:
     )
 
 
-def _build(client: Client, progress: BuildProgress) -> int:
+def _ways(
+    client: Client, basis: Basis
+) -> dict[str, Callable[[_Query], tuple[LocalizationOut, int]]]:
+    """Return the ways to ask, by what is sent."""
+    whole = {"full scan": lambda q: _by_scan(client, q)}
+    if isinstance(basis, HarmonicBasis):
+        return {
+            **whole,
+            "signature, float16": lambda q: _by_signature(client, basis, q, None, Packing.FLOAT16),
+            "signature, int8": lambda q: _by_signature(client, basis, q, None, Packing.INT8),
+        }
+    return {
+        **whole,
+        "signatures, all segments": lambda q: _by_signature(client, basis, q, None),
+        "signature, segment known": lambda q: _by_signature(client, basis, q, q.segment),
+    }
+
+
+def _elements(parameters: MapParameters, segments: int, scans: int) -> int:
+    shape, ranks = parameters.grid.shape, parameters.ranks
+    if parameters.lateral_renderings_m is None:
+        return storage_elements(segments, scans, shape, ranks)
+    return harmonic_elements(scans, len(parameters.lateral_renderings_m), shape[0], ranks)
+
+
+def _build(client: Client, progress: BuildProgress, encoding: Encoding) -> int:
     """Build the map as a job, and return how many scans it holds."""
-    job = client.build(BuildParameters(segments=_SEGMENTS, reducer=Reducer.NEAREST))
+    reducer = Reducer.NEAREST if encoding == Encoding.PAPER else None
+    job = client.build(BuildParameters(encoding=encoding, segments=_SEGMENTS, reducer=reducer))
     stage = ""
     while job.state != JobState.DONE:
         job = client.follow(job)
@@ -143,7 +168,7 @@ def _ask(
         found, size = answer(query)
         right.append(found.best.segment == query.segment)
         sent.append(size)
-        if found.best.pose is not None:
+        if found.best.pose is not None:  # of the map's scan: recall is of places, not of estimates
             place = (found.best.pose.x_m, found.best.pose.y_m, found.best.pose.z_m)
             error_m.append(float(np.linalg.norm(drive.poses[query.index, :3] - place)))
         progress.advance()
@@ -164,13 +189,17 @@ def _by_scan(client: Client, query: _Query) -> tuple[LocalizationOut, int]:
 
 
 def _by_signature(
-    client: Client, basis: Basis, query: _Query, segment: int | None
+    client: Client,
+    basis: Basis,
+    query: _Query,
+    segment: int | None,
+    packing: Packing | None = None,
 ) -> tuple[LocalizationOut, int]:
     """Make the signatures on the client's side and send nothing else."""
     signatures = basis.encode(basis.image(query.scan))
     if segment is not None:
         signatures = tuple(s for s in signatures if s.segment == segment)
-    packed = pack_signatures(signatures)
+    packed = pack_signatures(signatures, packing)
     return client.localize_signature(packed), len(packed)
 
 

@@ -4,7 +4,8 @@ from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
-from core.parameters import Encoding, MapParameters
+from core.imager import ImageKind
+from core.parameters import LATERAL_RENDERINGS_M, Distance, Encoding, MapParameters
 from core.projection import Reducer
 from core.segmentation import PAPER_SEGMENT_LENGTH
 from core.sensor import HDL_64E, SENSORS
@@ -15,12 +16,15 @@ _MOST = 2**31 - 1  # scans
 
 
 class BuildParameters(BaseModel):
-    """How a map is built; the paper's values are the defaults."""
+    """How a map is built; the paper's values are the defaults, or the harmonic encoding's own."""
 
     model_config = ConfigDict(
         extra="forbid",
         frozen=True,
-        json_schema_extra={"example": {"drives": ["monday"], "segments": 5}},
+        json_schema_extra={
+            "example": {"drives": ["monday"], "segments": 5},
+            "examples": [{"encoding": "harmonic", "lateral_renderings_m": [-3, -1.5, 0, 1.5, 3]}],
+        },
     )
 
     drives: (
@@ -30,7 +34,10 @@ class BuildParameters(BaseModel):
         ]
         | None
     ) = Field(None, description="Which drives, in this order; all of the map by default.")
-    encoding: Encoding = Encoding.PAPER
+    encoding: Encoding = Field(
+        Encoding.PAPER,
+        description="`paper`: bases of each segment; `harmonic`: one for the map.",
+    )
     ranks: tuple[int, int] = Field((5, 5), description="r1 and r2: the shape of a signature.")
     segment_length: int | None = Field(
         None,
@@ -44,7 +51,24 @@ class BuildParameters(BaseModel):
         le=_MOST,
         description="L instead: k = ceil(K / L) of the longest drive's K scans.",
     )
-    reducer: Reducer = Field(Reducer.LAST, description="Which return a shared cell keeps.")
+    reducer: Reducer | None = Field(
+        None,
+        description="What a shared cell keeps: `last`, `nearest`, `farthest` or `mean` range,"
+        " `mean` or `highest` height. By default `last`; in a harmonic map `mean`.",
+    )
+    image: ImageKind | None = Field(
+        None, description="What is encoded. By default `range`; in a harmonic map `height`."
+    )
+    distance: Distance | None = Field(
+        None, description="How harmonic signatures are compared; `normalised` by default."
+    )
+    lateral_renderings_m: list[float] | None = Field(
+        None,
+        min_length=1,
+        max_length=64,
+        description="From where a harmonic map's scans are rendered, metres to the left, rising;"
+        f" {list(LATERAL_RENDERINGS_M)} by default, [0] for none.",
+    )
     sensor: str = Field(HDL_64E.name, description=f"One of {', '.join(sorted(SENSORS))}.")
     sensor_height_m: float = Field(1.73, gt=0, lt=100, description="Sensor above ground.")
     make_live: bool = Field(
@@ -68,7 +92,8 @@ class BuildParameters(BaseModel):
         """Return what the map will keep.
 
         Raises:
-            InvalidParameters: If the sensor is unknown or a rank does not fit its grid.
+            InvalidParameters: If the sensor is unknown, a rank does not fit its grid or something
+                is not of this encoding.
         """
         return MapParameters.for_sensor(
             self.sensor,
@@ -76,6 +101,9 @@ class BuildParameters(BaseModel):
             ranks=self.ranks,
             reducer=self.reducer,
             sensor_height_m=self.sensor_height_m,
+            image=self.image,
+            distance=self.distance,
+            lateral_renderings_m=self.lateral_renderings_m,
         )
 
     def as_json(self) -> dict[str, Any]:

@@ -11,7 +11,12 @@ from app.bodies import SCAN_BODY, Body, ContentType, binary_body, media_type
 from app.errors import READING, BodyTooLarge, InvalidRequest, UnsupportedBody, problems
 from app.revisions import Answering
 from app.routes.drives import BAD_SCAN
-from app.schemas.localizations import LocalizationOut, NearestCount, SignaturesIn
+from app.schemas.localizations import (
+    ENCODING_TAGS,
+    LocalizationOut,
+    NearestCount,
+    SignaturesIn,
+)
 from app.service import MapSlug, Running
 from core.errors import (
     InvalidImage,
@@ -20,7 +25,10 @@ from core.errors import (
     StaleSignature,
     UnknownSegment,
 )
+from core.height_image import HeightImage
+from core.imager import Image, ImageKind
 from core.projection import RangeImage
+from core.rings import RingGrid
 from core.signature import Signature, unpack_signatures
 from storage.errors import CorruptFile, MapNotFound, NoLiveRevision
 from storage.formats.errors import EmptyBody
@@ -35,6 +43,19 @@ _ANSWERING = (MapNotFound, NoLiveRevision, CorruptFile, InvalidRequest, *READING
 _IMAGE = "application/vnd.tensormap.image"
 _SIGNATURE = "application/vnd.tensormap.signature"
 
+SensorHeight = Annotated[
+    float | None,
+    Query(
+        gt=0,
+        lt=100,
+        description="The query's sensor above ground, metres, if it is mounted otherwise than the"
+        " map's; only maps of height images depend on it.",
+    ),
+]
+Kind = Annotated[
+    ImageKind | None,
+    Query(alias="image", description="The image's kind; refused if it is not the map's."),
+]
 SensorName = Annotated[
     str | None,
     Query(alias="sensor", description="The query's sensor; refused if it is not the map's."),
@@ -53,19 +74,23 @@ def localize_scan(
     content_type: ContentType = None,
     k: NearestCount = 1,
     sensor: SensorName = None,
+    sensor_height_m: SensorHeight = None,
 ) -> LocalizationOut:
     """Localize a scan in the live revision."""
     answering = running.revisions.live(map_slug)
     _require_sensor(answering, sensor)
     scan = read_scan(body, media_type=content_type, min_returns=running.settings.min_returns)
-    found = answering.localizer.localize_scan(scan, k)
+    found = answering.localizer.localize_scan(scan, k, sensor_height_m)
     return LocalizationOut.from_core(found, answering.live_revision)
 
 
 @router.post(
     "/image",
     openapi_extra=binary_body(
-        **{_IMAGE: "Ranges in metres on the map's grid, little-endian float32, row after row."}
+        **{
+            _IMAGE: "Ranges, or heights above ground, in metres on the map's grid, little-endian"
+            " float32, row after row."
+        }
     ),
     responses=problems(
         *_ANSWERING, SensorMismatch, EmptyBody, InvalidImage, UnsupportedBody, BodyTooLarge
@@ -78,10 +103,12 @@ def localize_image(
     content_type: ContentType = None,
     k: NearestCount = 1,
     sensor: SensorName = None,
+    kind: Kind = None,
 ) -> LocalizationOut:
-    """Localize a range image in the live revision; its grid is in `/basis`, `parameters`."""
+    """Localize an image in the live revision; its kind and grid are in `/basis`, `parameters`."""
     answering = running.revisions.live(map_slug)
     _require_sensor(answering, sensor)
+    _require_kind(answering, kind)
     if media_type(content_type) != _IMAGE:
         raise UnsupportedBody(f"Content-Type is {(content_type or '')[:80]!r}, wanted {_IMAGE}")
     found = answering.localizer.localize_image(_image(body, answering), k)
@@ -139,7 +166,13 @@ def _require_sensor(answering: Answering, sensor: str | None) -> None:
         raise SensorMismatch(f"the query is of sensor {sensor[:40]!r}, the map of {mapped!r}")
 
 
-def _image(body: bytes, answering: Answering) -> RangeImage:
+def _require_kind(answering: Answering, kind: ImageKind | None) -> None:
+    mapped = answering.localizer.map.parameters.image
+    if kind is not None and kind != mapped:
+        raise SensorMismatch(f"the image is a {kind} image, the map is of {mapped} images")
+
+
+def _image(body: bytes, answering: Answering) -> Image:
     grid = answering.localizer.map.parameters.grid
     wanted = 4 * grid.rows * grid.columns
     if not body:
@@ -148,7 +181,8 @@ def _image(body: bytes, answering: Answering) -> RangeImage:
         raise InvalidImage(
             f"{len(body)} bytes came, wanted {wanted}: {grid.rows} x {grid.columns} float32"
         )
-    return RangeImage(np.frombuffer(body, "<f4").reshape(grid.shape), grid)
+    cells = np.frombuffer(body, "<f4").reshape(grid.shape)
+    return HeightImage(cells, grid) if isinstance(grid, RingGrid) else RangeImage(cells, grid)
 
 
 def _signatures(body: bytes, content_type: str | None) -> tuple[Signature, ...]:
@@ -166,5 +200,9 @@ def _signatures(body: bytes, content_type: str | None) -> tuple[Signature, ...]:
     except ValidationError as error:
         found = error.errors(include_url=False, include_input=False, include_context=False)
         raise RequestValidationError(
-            [{**item, "loc": ("body", *item["loc"])} for item in found]
+            # The encoding was told by the fields' names: it is no place in the body.
+            [
+                {**item, "loc": ("body", *(p for p in item["loc"] if p not in ENCODING_TAGS))}
+                for item in found
+            ]
         ) from None

@@ -1,18 +1,23 @@
 """Queries and answers over the wire."""
 
 from collections.abc import Sequence
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 from fastapi import Query
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag
 
 from app.schemas.poses import PoseOut
+from core.arrays import Complex64Array
 from core.errors import InvalidSignature
 from core.localizer import Localization, Match
+from core.parameters import Encoding
 from core.signature import Signature
 
-__all__ = ["LocalizationOut", "NearestCount", "SignaturesIn"]
+__all__ = ["ENCODING_TAGS", "LocalizationOut", "NearestCount", "SignaturesIn"]
+
+ENCODING_TAGS = {Encoding.PAPER.value, Encoding.HARMONIC.value}
+"""Told apart by these in errors of pydantic's, where they stand between an item and its fields."""
 
 NearestCount = Annotated[
     int, Query(alias="k", ge=1, le=1000, description="How many nearest scans to answer.")
@@ -34,8 +39,42 @@ class SegmentSignatureIn(BaseModel):
     )
 
 
+class HarmonicSignatureIn(BaseModel):
+    """A signature made with a harmonic map's basis, good for all its segments."""
+
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+
+    values_real: list[_Row] = Field(
+        min_length=1,
+        max_length=255,
+        fail_fast=True,
+        description="Real parts, r1 rows of r2 numbers.",
+    )
+    values_imag: list[_Row] = Field(
+        min_length=1,
+        max_length=255,
+        fail_fast=True,
+        description="Imaginary parts, of the same shape; the first column is 0.",
+    )
+
+
+def _encoding_of(item: Any) -> str:  # noqa: ANN401 - whatever a client sends
+    if isinstance(item, dict):
+        harmonic = bool({"values_real", "values_imag"} & item.keys())
+    else:
+        harmonic = isinstance(item, HarmonicSignatureIn)
+    return (Encoding.HARMONIC if harmonic else Encoding.PAPER).value
+
+
+SignatureIn = Annotated[
+    Annotated[SegmentSignatureIn, Tag(Encoding.PAPER.value)]
+    | Annotated[HarmonicSignatureIn, Tag(Encoding.HARMONIC.value)],
+    Discriminator(_encoding_of),
+]
+
+
 class SignaturesIn(BaseModel):
-    """One scan's signatures, made with one revision's bases."""
+    """One scan's signatures, made with one revision's bases; a harmonic map's is one."""
 
     model_config = ConfigDict(
         extra="forbid",
@@ -43,23 +82,32 @@ class SignaturesIn(BaseModel):
             "example": {
                 "revision": "0f" * 32,
                 "signatures": [{"segment": 3, "values": [[950.1, -3.2], [12.5, 60.8]]}],
-            }
+            },
+            "examples": [
+                {
+                    "revision": "0f" * 32,
+                    "signatures": [
+                        {
+                            "values_real": [[85.2, -3.1], [10.4, 6.2]],
+                            "values_imag": [[0.0, 7.5], [0.0, -1.9]],
+                        }
+                    ],
+                },
+            ],
         },
     )
 
     revision: str = Field(
         pattern="^[0-9a-f]{16,64}$", description="Its digest, or at least 16 first digits."
     )
-    signatures: list[SegmentSignatureIn] = Field(min_length=1, max_length=0x10000, fail_fast=True)
+    signatures: list[SignatureIn] = Field(min_length=1, max_length=0x10000, fail_fast=True)
 
     @classmethod
     def from_core(cls, signatures: Sequence[Signature]) -> "SignaturesIn":
         """Show signatures of one revision as they are sent."""
         return cls(
             revision=signatures[0].revision,
-            signatures=[
-                SegmentSignatureIn(segment=s.segment, values=s.values.tolist()) for s in signatures
-            ],
+            signatures=[_shown(signature) for signature in signatures],
         )
 
     def to_core(self) -> tuple[Signature, ...]:
@@ -70,12 +118,34 @@ class SignaturesIn(BaseModel):
         """
         signatures = []
         for item in self.signatures:
+            if isinstance(item, HarmonicSignatureIn):
+                signatures.append(Signature(_complex(item), None, self.revision))
+                continue
             if len({len(row) for row in item.values}) > 1:
                 raise InvalidSignature(f"the rows of segment {item.segment} differ in length")
             with np.errstate(over="ignore"):  # infinite then, and refused as such
                 values = np.array(item.values, dtype=np.float64).astype(np.float32)
             signatures.append(Signature(values, item.segment, self.revision))
         return tuple(signatures)
+
+
+def _shown(signature: Signature) -> SegmentSignatureIn | HarmonicSignatureIn:
+    values = signature.values
+    if signature.segment is None:
+        return HarmonicSignatureIn(
+            values_real=values.real.tolist(), values_imag=values.imag.tolist()
+        )
+    return SegmentSignatureIn(segment=signature.segment, values=values.tolist())
+
+
+def _complex(item: HarmonicSignatureIn) -> Complex64Array:
+    lengths = {len(row) for row in (*item.values_real, *item.values_imag)}
+    if len(lengths) > 1 or len(item.values_real) != len(item.values_imag):
+        raise InvalidSignature("values_real and values_imag are not of one shape r1 x r2")
+    values = np.zeros((len(item.values_real), lengths.pop()), np.complex64)
+    with np.errstate(over="ignore"):  # infinite then, and refused as such
+        values.real, values.imag = item.values_real, item.values_imag
+    return values
 
 
 class MatchOut(BaseModel):
@@ -86,9 +156,24 @@ class MatchOut(BaseModel):
     along_m: float | None = Field(description="The same in metres; null without poses.")
     drive: str
     scan_index: int = Field(description="Its index in that drive.")
-    distance: float = Field(description="Frobenius distance of the signatures.")
+    distance: float = Field(
+        description="Of the signatures: Frobenius; in a harmonic map the one it was built with."
+    )
     timestamp_s: float | None
     pose: PoseOut | None
+    turn_deg: float | None = Field(
+        description="How far the query is turned from that scan, counter-clockwise, -180..180; null"
+        " in the paper's encoding."
+    )
+    lateral_m: float | None = Field(
+        description="How far to the left of that scan the query stands; null likewise."
+    )
+    heading_deg: float | None = Field(
+        description="Estimated heading of the query in the world; null likewise or without poses."
+    )
+    estimated_pose: PoseOut | None = Field(
+        description="Where the query stands: that scan's pose, displaced and turned; null likewise."
+    )
 
     @classmethod
     def from_core(cls, match: Match) -> "MatchOut":
@@ -102,13 +187,19 @@ class MatchOut(BaseModel):
             distance=match.distance,
             timestamp_s=match.timestamp_s,
             pose=None if match.pose is None else PoseOut.from_core(match.pose),
+            turn_deg=match.turn_deg,
+            lateral_m=match.lateral_m,
+            heading_deg=match.heading_deg,
+            estimated_pose=(
+                None if match.estimated_pose is None else PoseOut.from_core(match.estimated_pose)
+            ),
         )
 
 
 class LocalizationOut(BaseModel):
     """Where the query was taken, as far as the map can tell.
 
-    The paper's encoding always names its nearest scan, for a query from elsewhere too: a `ratio`
+    It always names its nearest scan, for a query from elsewhere too: a `ratio`
     near 1 says that another place is as near.
     """
 

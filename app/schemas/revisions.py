@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from core.basis import Basis
+from core.basis import Basis, HarmonicBasis, PaperBasis
 from core.parameters import MapParameters
 from storage.catalog import RevisionRecord
 
@@ -64,8 +64,18 @@ class BasisOut(BaseModel):
     """What a vehicle needs to make signatures: no place can be read from it."""
 
     revision: str
-    parameters: dict[str, Any] = Field(description="Sensor, grid, reducer and ranks.")
-    segments: list[SegmentBasisOut]
+    parameters: dict[str, Any] = Field(
+        description="Encoding, sensor, grid, reducer and ranks; of a harmonic map also the image's"
+        " kind and how signatures are compared."
+    )
+    segments: list[SegmentBasisOut] = Field(
+        description="The paper's bases, one entry a segment; none of a harmonic map."
+    )
+    radial_basis: list[list[float]] | None = Field(
+        None,
+        description="U of a harmonic map, I rows of r1 numbers. The azimuth factor is a formula:"
+        " f_m(j) = exp(-2 pi i m j / J) / sqrt(J), m < r2.",
+    )
 
     @classmethod
     def from_core(cls, basis: Basis) -> "BasisOut":
@@ -73,6 +83,7 @@ class BasisOut(BaseModel):
         return cls(
             revision=basis.revision,
             parameters=basis.parameters.as_attributes(),
+            radial_basis=basis.radial_basis.tolist() if isinstance(basis, HarmonicBasis) else None,
             segments=[
                 SegmentBasisOut(
                     segment=segment, elevation_basis=u.tolist(), azimuth_basis=v.tolist()
@@ -83,7 +94,9 @@ class BasisOut(BaseModel):
                     basis.azimuth_basis,
                     strict=True,
                 )
-            ],
+            ]
+            if isinstance(basis, PaperBasis)
+            else [],
         )
 
     def to_core(self) -> Basis:
@@ -92,9 +105,14 @@ class BasisOut(BaseModel):
         Raises:
             InvalidMap: If they do not fit the parameters.
         """
-        return Basis(
+        parameters = MapParameters.from_attributes(self.parameters)
+        if self.radial_basis is not None:
+            return HarmonicBasis(
+                self.revision, parameters, np.array(self.radial_basis, dtype=np.float32)
+            )
+        return PaperBasis(
             self.revision,
-            MapParameters.from_attributes(self.parameters),
+            parameters,
             np.array([item.segment for item in self.segments]),
             np.array([item.elevation_basis for item in self.segments], dtype=np.float32),
             np.array([item.azimuth_basis for item in self.segments], dtype=np.float32),

@@ -1,13 +1,19 @@
 """The paper's encoding: each segment has bases of its own (paper, sec. 2.2 and 2.3)."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from core.arrays import Float32Array, FloatArray, IntArray, frozen
-from core.errors import InvalidMap, UnknownSegment
+from core.arrays import BoolArray, Float32Array, FloatArray, IntArray, frozen
+from core.encodings.model import Found, Segmented, nearest
+from core.errors import InvalidMap, InvalidSignature
+from core.signature import Signature
+from core.tucker import storage_elements
 
-__all__ = ["PaperModel", "SegmentModel"]
+__all__ = ["PaperModel", "PaperSearch", "SegmentModel"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,7 +34,7 @@ class SegmentModel:
 
 
 @dataclass(frozen=True, eq=False)
-class PaperModel:
+class PaperModel(Segmented):
     """All segments' models, packed.
 
     Attributes:
@@ -47,30 +53,23 @@ class PaperModel:
         for name in ("elevation_basis", "azimuth_basis", "signatures"):
             object.__setattr__(self, name, frozen(getattr(self, name), np.float32))
         object.__setattr__(self, "segment_start", frozen(self.segment_start, np.int64))
-        starts = self.segment_start
-        if starts.ndim != 1 or len(starts) < 2 or starts[0] != 0 or (np.diff(starts) < 1).any():
-            raise InvalidMap("segment_start does not rise from 0 through every segment")
         if any(a.ndim != 3 for a in (self.elevation_basis, self.azimuth_basis, self.signatures)):
             raise InvalidMap("bases and signatures have three axes each")
-        segments, (scans, r1, r2) = len(starts) - 1, self.signatures.shape
-        if (
-            starts[-1] != scans
-            or self.elevation_basis.shape[::2] != (segments, r1)
-            or self.azimuth_basis.shape[::2] != (segments, r2)
+        scans, r1, r2 = self.signatures.shape
+        self._require_rising(scans)
+        segments = self.segments
+        if self.elevation_basis.shape[::2] != (segments, r1) or self.azimuth_basis.shape[::2] != (
+            segments,
+            r2,
         ):
             raise InvalidMap(
                 f"elevation_basis {self.elevation_basis.shape}, azimuth_basis"
                 f" {self.azimuth_basis.shape}, signatures {self.signatures.shape} and"
-                f" segment_start {starts.shape} do not fit together"
+                f" segment_start {self.segment_start.shape} do not fit together"
             )
         for name in ("elevation_basis", "azimuth_basis", "signatures"):
             if not np.isfinite(getattr(self, name)).all():
                 raise InvalidMap(f"{name} holds numbers that are not finite")
-
-    @property
-    def segments(self) -> int:
-        """L, how many segments there are."""
-        return len(self.segment_start) - 1
 
     @property
     def ranks(self) -> tuple[int, int]:
@@ -83,17 +82,34 @@ class PaperModel:
         return self.elevation_basis.shape[1], self.azimuth_basis.shape[1]
 
     @property
-    def segment_of_scan(self) -> IntArray:
-        """The segment of each scan, `(K,)`."""
-        return np.repeat(np.arange(self.segments), np.diff(self.segment_start))
+    def elements(self) -> int:
+        """How many numbers the bases and signatures are (paper, sec. 2.4)."""
+        return storage_elements(self.segments, len(self), self.grid_shape, self.ranks)
 
-    def require_segments(self, segments: IntArray) -> None:
-        """Raise `UnknownSegment` unless the map has every one of `segments`."""
-        unknown = segments[(segments < 0) | (segments >= self.segments)]
-        if len(unknown):
-            raise UnknownSegment(
-                f"there is no segment {unknown[0]}; the map has 0..{self.segments - 1}"
-            )
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """Return every array by its name in the file."""
+        return {
+            "elevation_basis": self.elevation_basis,
+            "azimuth_basis": self.azimuth_basis,
+            "signatures": self.signatures,
+            "segment_start": self.segment_start,
+        }
+
+    def search(self, signatures: Sequence[Signature]) -> "PaperSearch":
+        """Compare one scan's signatures with those of their segments.
+
+        Raises:
+            InvalidSignature: If a segment comes twice or a signature is harmonic.
+            UnknownSegment: If the map has no such segment.
+        """
+        segments = [s.segment for s in signatures if s.segment is not None]
+        if len(segments) < len(signatures):
+            raise InvalidSignature("the signature is harmonic, this map is of the paper's encoding")
+        if len(set(segments)) < len(segments):
+            raise InvalidSignature(f"a segment comes twice in {segments}")
+        values = np.stack([s.values for s in signatures]).astype(np.float64)
+        rows, distances = self.distances(values, np.array(segments, dtype=np.int64))
+        return PaperSearch(tuple(sorted(segments)), rows, distances)
 
     def distances(self, signatures: FloatArray, segments: IntArray) -> tuple[IntArray, FloatArray]:
         """Return the rows of the segments' scans, `(n,)`, and their Frobenius distances, `(n,)`.
@@ -123,4 +139,29 @@ class PaperModel:
             self.azimuth_basis[index].astype(np.float64),
             self.signatures[start:end].astype(np.float64),
             int(start),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class PaperSearch:
+    """Distances of a query to the scans of the segments that it has signatures of.
+
+    Attributes:
+        segments: These segments, rising.
+        rows: `(n,)` rows of their scans.
+        distances: `(n,)` in the Frobenius norm.
+    """
+
+    segments: tuple[int, ...]
+    rows: IntArray
+    distances: FloatArray
+
+    def nearest(self, k: int, among: BoolArray | None = None) -> tuple[Found, ...]:
+        """Return the `k` nearest scans, nearest first."""
+        rows, distances = self.rows, self.distances
+        if among is not None:
+            kept = among[rows]
+            rows, distances = rows[kept], distances[kept]
+        return tuple(
+            Found(int(rows[i]), float(distances[i])) for i in nearest(distances, k).tolist()
         )

@@ -5,9 +5,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from core.arrays import FloatArray
+from core.displacement import pose_beside, seen_from_beside
 from core.errors import InvalidParameters
 from core.scan import Scan
 
@@ -45,18 +45,14 @@ class Condition:
         """
         if self == Condition():
             return scan
-        points = scan.points_m.astype(np.float64) - (0.0, self.lateral_m, 0.0)
-        points = Rotation.from_euler("z", -self.yaw_deg, degrees=True).apply(points)
+        points = seen_from_beside(scan.points_m, self.lateral_m, self.yaw_deg)
         if self.noise_m:
             points += rng.normal(scale=self.noise_m, size=points.shape)
         return Scan.from_returns(points, timestamp_s=scan.timestamp_s, pose=scan.pose)
 
-    def position_m(self, pose: FloatArray) -> FloatArray:
-        """Return where the vehicle stands under this condition, `(3,)`, of a `(7,)` pose row."""
-        if not np.isfinite(pose).all():
-            return np.full(3, np.nan)
-        left = Rotation.from_quat(pose[3:]).apply([0.0, self.lateral_m, 0.0])
-        return np.asarray(pose[:3] + left)
+    def pose(self, recorded: FloatArray) -> FloatArray:
+        """Return where the vehicle stands under this condition, of `(7,)` pose rows both."""
+        return pose_beside(recorded, self.lateral_m, self.yaw_deg)
 
 
 def conditions(

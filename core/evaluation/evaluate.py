@@ -11,6 +11,7 @@ from scipy.spatial import KDTree
 from core.arrays import BoolArray, FloatArray, IntArray
 from core.builder import build_map
 from core.compression import Compression
+from core.displacement import left_of_m
 from core.drive import Drive
 from core.errors import EmptyDrive, InvalidParameters, InvalidScan
 from core.evaluation.condition import Condition
@@ -20,7 +21,7 @@ from core.evaluation.split import Interleaved, Split
 from core.images import ProjectedDrive, project_drive
 from core.localizer import Localizer
 from core.parameters import MapParameters
-from core.pose import is_known
+from core.pose import heading_deg, is_known
 from core.progress import NO_PROGRESS, Progress
 from core.segmentation import cut_fixed, segment_length_for
 from core.tensormap import TensorMap
@@ -77,7 +78,10 @@ class _Answer:
     segment: int
     matched_scan: int
     matched_segment: int
-    matched_m: FloatArray
+    matched: FloatArray  # (7,) pose row of the map's scan
+    estimated: FloatArray  # (7,) pose row of the vehicle, the map's scan where there is no better
+    heading_told: bool
+    lateral_m: float | None
     seconds: float
 
 
@@ -114,8 +118,7 @@ def evaluate(
     projected = project_drive(
         drive,
         np.flatnonzero(~held_out),
-        protocol.parameters.grid,
-        protocol.parameters.reducer,
+        protocol.parameters.imager,
         progress,
     )
     tensor_map = _build(drive, projected, segment_start, protocol.parameters, progress)
@@ -132,6 +135,11 @@ def evaluate(
         segments=tensor_map.model.segments,
         split=str(protocol.split) if query_drive is None else None,
         reducer=str(protocol.parameters.reducer),
+        image=str(protocol.parameters.image),
+        distance=None
+        if protocol.parameters.distance is None
+        else str(protocol.parameters.distance),
+        lateral_renderings_m=protocol.parameters.lateral_renderings_m,
         sensor=protocol.parameters.sensor,
         sensor_height_m=protocol.parameters.sensor_height_m,
         seed=protocol.seed,
@@ -228,9 +236,20 @@ def _ask(
             except InvalidScan:
                 progress.advance()
                 continue
-            matched_m = localizer.map.trajectory.poses[best.row, :3]
+            matched = localizer.map.trajectory.poses[best.row]
+            estimated = best.estimated_pose
             given.append(
-                _Answer(scan_index, segment, best.scan_index, best.segment, matched_m, seconds)
+                _Answer(
+                    scan_index,
+                    segment,
+                    best.scan_index,
+                    best.segment,
+                    matched,
+                    matched if estimated is None else np.array(estimated.as_tuple()),
+                    best.heading_deg is not None,
+                    best.lateral_m,
+                    seconds,
+                )
             )
             progress.advance()
     return tuple(
@@ -252,8 +271,19 @@ def _summarize(
     tells = queries.standing is not None and bool(judged)
     standing = sum(bool(e.standing) for e in errors) if tells else None
     poses = queries.drive.poses
-    recorded_m = _distances_m(answers, [poses[a.scan, :3] for a in answers])
-    displaced_m = _distances_m(answers, [condition.position_m(poses[a.scan]) for a in answers])
+    true = [condition.pose(poses[a.scan]) for a in answers]
+    recorded_m = _distances_m([a.matched for a in answers], [poses[a.scan] for a in answers])
+    displaced_m = _distances_m([a.estimated for a in answers], true)
+    turned = [
+        _heading_error_deg(a.estimated, pose)
+        for a, pose in zip(answers, true, strict=True)
+        if a.heading_told
+    ]
+    beside = [
+        abs(a.lateral_m - left_of_m(a.matched, pose))
+        for a, pose in zip(answers, true, strict=True)
+        if a.lateral_m is not None
+    ]
     return ConditionResult(
         condition=condition,
         queries=len(queries.scans),
@@ -266,8 +296,9 @@ def _summarize(
             metres: float(np.mean(recorded_m <= metres)) if len(recorded_m) else None
             for metres in tolerances_m
         },
-        position_error_m_median=float(np.median(displaced_m)) if len(displaced_m) else None,
-        heading_error_deg_median=None,
+        position_error_m_median=_median(displaced_m),
+        heading_error_deg_median=_median(np.array(turned)),
+        lateral_error_m_median=_median(np.array(beside)),
         ms_per_query=1e3 * float(np.mean([a.seconds for a in answers])) if answers else None,
     )
 
@@ -284,9 +315,20 @@ def _segment_error(answer: _Answer, queries: _Queries, row: int) -> SegmentError
     )
 
 
-def _distances_m(answers: Sequence[_Answer], true_m: Sequence[FloatArray]) -> FloatArray:
-    """Return how far the matched places are from the true ones, where both are known."""
-    if not answers:
+def _distances_m(found: Sequence[FloatArray], true: Sequence[FloatArray]) -> FloatArray:
+    """Return how far the found poses are from the true ones, where both are known."""
+    if not found:
         return np.empty(0)
-    distances = np.linalg.norm(np.stack([a.matched_m for a in answers]) - np.stack(true_m), axis=1)
+    distances = np.linalg.norm(np.stack(found)[:, :3] - np.stack(true)[:, :3], axis=1)
     return np.asarray(distances[np.isfinite(distances)])
+
+
+def _heading_error_deg(estimated: FloatArray, true: FloatArray) -> float:
+    found, wanted = heading_deg(np.stack([estimated, true])).tolist()
+    error: float = abs((found - wanted + 180.0) % 360.0 - 180.0)
+    return error
+
+
+def _median(values: FloatArray) -> float | None:
+    known = values[np.isfinite(values)]
+    return float(np.median(known)) if len(known) else None

@@ -44,8 +44,12 @@ class ConditionResult:
         errors_moving: How many of them while the vehicle moved.
         errors_stationary: How many while it stood.
         recall_at_1: Share of answers whose map scan was recorded within so many metres.
-        position_error_m_median: Median distance of the answer from the displaced vehicle.
-        heading_error_deg_median: The paper's encoding estimates no heading.
+        position_error_m_median: Median distance of the estimated position, or of the matched scan
+            where none is estimated, from the displaced vehicle.
+        heading_error_deg_median: Median error of the estimated heading; the paper's encoding
+            estimates none.
+        lateral_error_m_median: Median error of the estimated offset to the left of the matched
+            scan; the paper's encoding estimates none.
         ms_per_query: Mean wall time from returns to answer, projection included.
     """
 
@@ -59,6 +63,7 @@ class ConditionResult:
     recall_at_1: dict[float, float | None]
     position_error_m_median: float | None
     heading_error_deg_median: float | None
+    lateral_error_m_median: float | None
     ms_per_query: float | None
 
     def as_dict(self) -> dict[str, Any]:
@@ -74,6 +79,7 @@ class ConditionResult:
             "recall_at_1": {f"{metres:g}": share for metres, share in self.recall_at_1.items()},
             "position_error_m_median": self.position_error_m_median,
             "heading_error_deg_median": self.heading_error_deg_median,
+            "lateral_error_m_median": self.lateral_error_m_median,
             "ms_per_query": self.ms_per_query,
             "error_scans": [asdict(error) for error in self.errors],
         }
@@ -87,6 +93,8 @@ class Evaluation:
         drive: Name of the mapped drive; `query_drive` is `None` if it was asked itself.
         segments: L.
         split: How the queries were held out, `None` with a query drive.
+        distance: How harmonic signatures are compared, `None` in the paper's encoding.
+        lateral_renderings_m: From where the map's scans were rendered, `None` likewise.
         map_scans: How many scans made the map.
         standing_scans: Queries taken standing, `None` without poses.
         motion_surrogate_median_standing: Median norm of the 6-DOF change of those queries.
@@ -104,6 +112,9 @@ class Evaluation:
     segments: int
     split: str | None
     reducer: str
+    image: str
+    distance: str | None
+    lateral_renderings_m: tuple[float, ...] | None
     sensor: str
     sensor_height_m: float
     seed: int

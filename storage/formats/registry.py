@@ -139,7 +139,9 @@ def _choose(body: bytes, media_type: str | None, suffix: str | None) -> ScanForm
         raise EmptyBody("no bytes came, wanted a scan")
     else:
         found = [known for known in SCAN_FORMATS if body.startswith(known.magics)]
-        what = f"a body without a type that begins with {body[:8]!r}"
+        what = (
+            f"a body that begins with {body[:8]!r} and whose type is not told; set the Content-Type"
+        )
     if not found:
         known_types = ", ".join(
             f"{known.media_type} ({' '.join(known.suffixes)})" for known in SCAN_FORMATS

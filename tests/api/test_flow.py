@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from app.schemas.revisions import BasisOut
-from core.basis import Basis
+from core.basis import PaperBasis
 from core.localizer import Localizer
 from core.parameters import MapParameters
 from core.signature import pack_signatures
@@ -82,7 +82,7 @@ def test_scan_image_and_signature_of_one_place_agree_with_each_other_and_with_th
         answers = [
             localize(client, "scan?k=3", content=kitti(scan), headers=KITTI),
             localize(
-                client, "image?k=3", content=image.ranges_m.astype("<f4").tobytes(), headers=IMAGE
+                client, "image?k=3", content=image.cells.astype("<f4").tobytes(), headers=IMAGE
             ),
             localize(client, "signature?k=3", json=as_json(signatures)),
         ]
@@ -104,6 +104,7 @@ def test_scan_image_and_signature_of_one_place_agree_with_each_other_and_with_th
 
 def test_one_signature_searches_its_own_segment_only(client):
     basis = BasisOut.model_validate(client.get("/v1/maps/campus/basis?segment=1").json()).to_core()
+    assert isinstance(basis, PaperBasis)
     assert basis.segments.tolist() == [1]
     [signature] = basis.encode(basis.image(recording().scans[20]))
     found = localize(client, "signature", json=as_json([signature]))
@@ -116,7 +117,7 @@ def test_the_basis_is_the_same_as_json_and_as_npz(client):
     as_npz = client.get("/v1/maps/campus/basis", headers=NPZ)
     assert as_npz.headers["ETag"] != whole.headers["ETag"]
     with np.load(io.BytesIO(as_npz.content), allow_pickle=False) as arrays:
-        from_npz = Basis(
+        from_npz = PaperBasis(
             str(arrays["revision"]),
             MapParameters.from_attributes(whole.json()["parameters"]),
             arrays["segments"],

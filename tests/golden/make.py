@@ -11,14 +11,15 @@ import numpy as np
 
 from core.builder import build_map
 from core.images import MemoryImages
-from core.parameters import MapParameters
+from core.parameters import Distance, Encoding, MapParameters
 from core.projection import Reducer
+from core.rings import RingGrid
 from core.sensor import AngularGrid
 from core.tensormap import TensorMap
 from core.trajectory import Trajectory
 from storage.map_file import write_map
 
-__all__ = ["golden_map", "make"]
+__all__ = ["golden_harmonic_map", "golden_map", "make"]
 
 
 def golden_map() -> TensorMap:
@@ -44,9 +45,31 @@ def golden_map() -> TensorMap:
     )
 
 
+def golden_harmonic_map() -> TensorMap:
+    """Return the same drives in the harmonic encoding, two renderings each."""
+    paper = golden_map()
+    parameters = MapParameters(
+        encoding=Encoding.HARMONIC,
+        ranks=(2, 3),
+        reducer=Reducer.HIGHEST,
+        sensor="vlp-16",
+        grid=RingGrid(ring_m=10.0, rings=4, azimuth_step_deg=45.0),
+        distance=Distance.NORMALISED,
+        lateral_renderings_m=(-1.5, 0.0),
+    )
+    heights_m = np.random.default_rng(2).uniform(0.0, 5.0, size=(6, *parameters.imager.shape))
+    return build_map(
+        MemoryImages(heights_m.astype(np.float32), parameters.grid),
+        paper.trajectory,
+        paper.model.segment_start,
+        parameters,
+    )
+
+
 def make(folder: Path) -> None:
     """Write this release's golden files."""
     write_map(folder / "map-v1.h5", golden_map(), datetime(2026, 1, 1, tzinfo=UTC))
+    write_map(folder / "harmonic-v1.h5", golden_harmonic_map(), datetime(2026, 1, 1, tzinfo=UTC))
 
 
 if __name__ == "__main__":

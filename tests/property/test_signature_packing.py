@@ -79,7 +79,8 @@ def test_a_truncated_body_is_refused(length):
 
 
 @pytest.mark.parametrize(
-    ("byte", "value", "said"), [(0, 3, "layout 3"), (9, 0, "0 x 5"), (10, 0, "5 x 0")]
+    ("byte", "value", "said"),
+    [(0, 5, "layout 5"), (0, 0, "layout 0"), (9, 0, "0 x 5"), (10, 0, "5 x 0")],
 )
 def test_a_header_that_cannot_be_is_refused(byte, value, said):
     body = bytearray(pack_signatures([sample()]))

@@ -7,9 +7,10 @@ from core.builder import build_map
 from core.drive import MemoryDrive
 from core.errors import InvalidScan
 from core.images import MemoryImages
-from core.parameters import MapParameters
+from core.parameters import Distance, Encoding, MapParameters
 from core.pose import Pose
-from core.projection import RangeImage
+from core.projection import RangeImage, Reducer
+from core.rings import RingGrid
 from core.scan import Scan
 from core.segmentation import cut_drives
 from core.sensor import AngularGrid
@@ -22,6 +23,7 @@ __all__ = [
     "RecordedProgress",
     "random_images",
     "sample_drive",
+    "sample_harmonic_map",
     "sample_image",
     "sample_map",
     "sample_points",
@@ -128,9 +130,27 @@ def sample_map(
     return build_map(MemoryImages(images, grid), trajectory, cuts, parameters), images
 
 
+def sample_harmonic_map(
+    count: int = 24, segment_length: int = 8, *, drives: int = 1, poses: bool = True, seed: int = 0
+) -> tuple[TensorMap, Float32Array]:
+    """Return a harmonic map of random height images, and its renderings `(K, 3, 6, 18)`."""
+    grid = RingGrid(ring_m=10.0, rings=6, azimuth_step_deg=20.0)
+    parameters = MapParameters(
+        Encoding.HARMONIC, (3, 4), Reducer.MEAN, "hdl-64e", grid, 1.73, Distance.NORMALISED,
+        (-2.0, 0.0, 2.0),
+    )  # fmt: skip
+    images = random_images(3 * count * drives, grid.shape, seed).reshape(-1, 3, *grid.shape)
+    paper, _ = sample_map(count, segment_length, drives=drives, poses=poses, seed=seed)
+    return build_map(
+        MemoryImages(images, grid), paper.trajectory, paper.model.segment_start, parameters
+    ), images
+
+
 def sample_image(tensor_map: TensorMap, ranges_m: Float32Array) -> RangeImage:
     """Return a range image on the map's grid."""
-    return RangeImage(ranges_m, tensor_map.parameters.grid)
+    grid = tensor_map.parameters.grid
+    assert isinstance(grid, AngularGrid)
+    return RangeImage(ranges_m, grid)
 
 
 class RecordedProgress:

@@ -6,7 +6,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from core.builder import build_map
+from core.encodings.paper import PaperModel
 from core.errors import Cancelled, EmptyDrive, InvalidImage, InvalidParameters, SensorMismatch
+from core.imager import Imager
 from core.images import ConcatenatedImages, MemoryImages, project_drive
 from core.parameters import MapParameters
 from core.projection import Reducer
@@ -137,6 +139,8 @@ def test_a_drive_built_alone_has_the_models_it_has_among_others():
         together.parameters,
     )
     np.testing.assert_array_equal(alone.model.signatures, together.model.signatures[24:])
+    assert isinstance(alone.model, PaperModel)
+    assert isinstance(together.model, PaperModel)
     np.testing.assert_array_equal(alone.model.elevation_basis, together.model.elevation_basis[3:])
     assert together.topology.edge_nodes.tolist() == [[0, 1], [1, 2], [2, 3], [4, 5], [5, 6], [6, 7]]
     assert together.topology.node_scan.tolist() == [0, 8, 16, 23, 24, 32, 40, 47]
@@ -207,7 +211,7 @@ def test_images_are_joined_on_one_grid_only():
 def test_projecting_a_drive_skips_what_cannot_be_used_and_says_why():
     drive = FaultyDrive(sample_drive(8), {2, 5})
     progress = RecordedProgress()
-    projected = project_drive(drive, np.arange(1, 8), SMALL_GRID, Reducer.MEAN, progress)
+    projected = project_drive(drive, np.arange(1, 8), Imager(SMALL_GRID, Reducer.MEAN), progress)
     assert projected.scans.tolist() == [1, 3, 4, 6, 7]
     assert len(projected.images) == 5
     assert [(item.scan, item.reason) for item in projected.skipped] == [
@@ -221,16 +225,17 @@ def test_projecting_a_drive_skips_what_cannot_be_used_and_says_why():
 def test_a_drive_without_a_usable_scan_is_refused_with_the_first_reason():
     drive = FaultyDrive(sample_drive(3), {0, 1, 2})
     with pytest.raises(EmptyDrive, match="drive drive has no usable scan: scan 0: scan 0 is torn"):
-        project_drive(drive, np.arange(3), SMALL_GRID, Reducer.LAST)
+        project_drive(drive, np.arange(3), Imager(SMALL_GRID, Reducer.LAST))
 
 
 def test_an_image_file_gives_back_the_images_of_the_drive(tmp_path):
     drive = FaultyDrive(sample_drive(20), {0, 9})
-    expected = project_drive(drive, np.arange(20), SMALL_GRID, Reducer.NEAREST)
+    nearest = Imager(SMALL_GRID, Reducer.NEAREST)
+    expected = project_drive(drive, np.arange(20), nearest)
     progress = RecordedProgress()
-    write_image_file(tmp_path / "images.h5", drive, SMALL_GRID, Reducer.NEAREST, progress)
+    write_image_file(tmp_path / "images.h5", drive, nearest, progress)
     assert (progress.stages, progress.done) == ([("projecting", 20)], [20])
-    with ImageFile(tmp_path / "images.h5", SMALL_GRID) as images:
+    with ImageFile(tmp_path / "images.h5", nearest) as images:
         assert len(images) == 18
         assert images.grid == SMALL_GRID
         np.testing.assert_array_equal(images.scans, expected.scans)

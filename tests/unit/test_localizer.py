@@ -62,7 +62,7 @@ def test_every_map_image_finds_itself(made, localizer):
 def test_a_scan_its_image_and_its_signatures_get_one_answer():
     drive = sample_drive(20)
     parameters = MapParameters(grid=AngularGrid(-30.0, 10.0, 6, 20.0), ranks=(3, 3))
-    projected = project_drive(drive, np.arange(20), parameters.grid, parameters.reducer)
+    projected = project_drive(drive, np.arange(20), parameters.imager)
     trajectory = Trajectory.of_drive("d", drive.timestamp_s, drive.poses, np.arange(20))
     localizer = Localizer(build_map(projected.images, trajectory, cut_fixed(20, 5), parameters))
     for row in range(20):
@@ -248,7 +248,7 @@ def test_packed_signatures_find_what_the_whole_ones_do():
     drive = SimulatedDrive(seed=2, scans=120, stops=False)
     mapped = np.arange(0, 120, 2)
     parameters = MapParameters()
-    projected = project_drive(drive, mapped, parameters.grid, parameters.reducer)
+    projected = project_drive(drive, mapped, parameters.imager)
     trajectory = Trajectory.of_drive("d", drive.timestamp_s[mapped], drive.poses[mapped], mapped)
     localizer = Localizer(build_map(projected.images, trajectory, cut_fixed(60, 20), parameters))
     asked = np.arange(1, 120, 2)

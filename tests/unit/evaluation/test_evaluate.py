@@ -11,7 +11,7 @@ from core.evaluation.condition import Condition
 from core.evaluation.evaluate import Protocol, evaluate
 from core.evaluation.motion import is_standing
 from core.evaluation.split import Every, Interleaved
-from core.parameters import MapParameters
+from core.parameters import Encoding, MapParameters
 from core.scan import Scan
 from core.simulation import SimulatedDrive
 from tests.support.samples import SMALL_GRID, FaultyDrive, RecordedProgress, sample_drive
@@ -222,3 +222,27 @@ def test_progress_tells_every_stage_and_can_stop_it():
 def test_a_protocol_that_cannot_be_is_refused(wrong, said):
     with pytest.raises(InvalidParameters, match=said):
         Protocol(**wrong)
+
+
+def test_the_harmonic_encoding_tells_heading_and_offset_and_says_what_it_was_built_with(drive):
+    parameters = MapParameters.for_sensor(
+        encoding=Encoding.HARMONIC, lateral_renderings_m=(-2.0, 0.0, 2.0)
+    )
+    disturbed = (Condition(), Condition(yaw_deg=-120.0, lateral_m=2.0))
+    found = evaluate(drive, Protocol(parameters, segments=2, conditions=disturbed))
+    written = json.loads(json.dumps(found.as_dict(), allow_nan=False))
+    assert written["encoding"] == "harmonic"
+    assert (written["image"], written["reducer"]) == ("height", "mean")
+    assert written["distance"] == "normalised"
+    assert written["lateral_renderings_m"] == [-2.0, 0.0, 2.0]
+    for row in written["conditions"]:
+        assert row["recall_at_1"]["3"] >= 0.9
+        assert row["heading_error_deg_median"] <= 2.0
+        assert row["lateral_error_m_median"] <= 0.75
+        assert row["position_error_m_median"] <= 2.0
+
+
+def test_the_papers_encoding_tells_neither(found):
+    assert (found.image, found.distance, found.lateral_renderings_m) == ("range", None, None)
+    for row in found.conditions:
+        assert (row.heading_error_deg_median, row.lateral_error_m_median) == (None, None)

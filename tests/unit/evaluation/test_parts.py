@@ -132,7 +132,7 @@ def test_the_returns_stay_where_they_are_in_the_world(yaw_deg, lateral_m):
     pose = np.concatenate([[100.0, 50.0, 2.0], recorded.as_quat()])
     standing = Rotation.from_euler("z", 40.0 + yaw_deg, degrees=True)
     in_world = recorded.apply(points) + pose[:3]
-    again = standing.apply(applied(condition, points)) + condition.position_m(pose)
+    again = standing.apply(applied(condition, points)) + condition.pose(pose)[:3]
     np.testing.assert_allclose(again, in_world, atol=1e-4)
 
 
@@ -146,7 +146,7 @@ def test_noise_has_the_spread_asked_for_and_is_reproducible():
 
 
 def test_the_place_of_an_unknown_pose_is_unknown():
-    assert np.isnan(Condition(lateral_m=2.0).position_m(np.full(7, np.nan))).all()
+    assert np.isnan(Condition(lateral_m=2.0).pose(np.full(7, np.nan))).all()
 
 
 @pytest.mark.parametrize(

@@ -6,24 +6,29 @@ import pytest
 
 from core.drive import MemoryDrive
 from core.errors import Cancelled, EmptyDrive
-from core.projection import Reducer, project_scan
+from core.height_image import HEIGHT_REDUCERS
+from core.imager import Imager
+from core.projection import RANGE_REDUCERS, Reducer, project_scan
+from core.rings import RingGrid
 from core.sensor import AngularGrid
 from storage import image_file
 from storage.errors import CorruptFile
 from storage.image_file import ImageFile, image_file_name, write_image_file
 from tests.support.samples import SMALL_GRID, FaultyDrive, RecordedProgress, sample_drive
 
+LAST = Imager(SMALL_GRID, Reducer.LAST)
+
 
 @pytest.fixture
 def path(tmp_path):
-    write_image_file(tmp_path / "images.h5", sample_drive(20), SMALL_GRID, Reducer.LAST)
+    write_image_file(tmp_path / "images.h5", sample_drive(20), LAST)
     return tmp_path / "images.h5"
 
 
 @pytest.mark.parametrize("drive", [MemoryDrive("d", []), FaultyDrive(sample_drive(2), {0, 1})])
 def test_a_drive_without_a_usable_scan_leaves_no_file(tmp_path, drive):
     with pytest.raises(EmptyDrive, match="has no usable scan"):
-        write_image_file(tmp_path / "images.h5", drive, SMALL_GRID, Reducer.LAST)
+        write_image_file(tmp_path / "images.h5", drive, LAST)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -33,19 +38,19 @@ def test_a_cancelled_projection_leaves_no_file(tmp_path):
             raise Cancelled("enough")
 
     with pytest.raises(Cancelled):
-        write_image_file(tmp_path / "i.h5", sample_drive(3), SMALL_GRID, Reducer.LAST, Stop())
+        write_image_file(tmp_path / "i.h5", sample_drive(3), LAST, Stop())
     assert list(tmp_path.iterdir()) == []
 
 
 def test_a_file_that_holds_no_images_is_corrupt(tmp_path):
     (tmp_path / "text.h5").write_bytes(b"no HDF5")
     with pytest.raises(CorruptFile, match="holds no images"):
-        ImageFile(tmp_path / "text.h5", SMALL_GRID)
+        ImageFile(tmp_path / "text.h5", LAST)
 
 
 def test_images_of_another_grid_are_corrupt(path):
     with pytest.raises(CorruptFile, match="shape"):
-        ImageFile(path, AngularGrid())
+        ImageFile(path, Imager(AngularGrid(), Reducer.LAST))
 
 
 @pytest.mark.parametrize("name", ["images", "scans"])
@@ -54,7 +59,7 @@ def test_a_group_in_place_of_an_array_is_corrupt(path, name):
         del file[name]
         file.create_group(name)
     with pytest.raises(CorruptFile, match="holds no images"):
-        ImageFile(path, SMALL_GRID)
+        ImageFile(path, LAST)
 
 
 @pytest.mark.parametrize("name", ["returns", "skipped"])
@@ -62,13 +67,13 @@ def test_a_missing_attribute_is_corrupt(path, name):
     with h5py.File(path, "r+") as file:
         del file.attrs[name]
     with pytest.raises(CorruptFile, match="holds no images"):
-        ImageFile(path, SMALL_GRID)
+        ImageFile(path, LAST)
 
 
 def test_a_truncated_file_is_corrupt(path):
     path.write_bytes(path.read_bytes()[:-500])
     with pytest.raises(CorruptFile):
-        ImageFile(path, SMALL_GRID)
+        ImageFile(path, LAST)
 
 
 @pytest.mark.parametrize("name", ["images", "scans"])
@@ -78,14 +83,14 @@ def test_one_bit_that_changed_is_refused(path, name):
     content = bytearray(path.read_bytes())
     content[at + 40] ^= 1
     path.write_bytes(content)
-    with pytest.raises(CorruptFile), ImageFile(path, SMALL_GRID) as images:
+    with pytest.raises(CorruptFile), ImageFile(path, LAST) as images:
         images.read(0, 20)
 
 
 def test_the_name_tells_the_version_of_the_projection(monkeypatch):
-    name = image_file_name(SMALL_GRID, Reducer.LAST, "ab" * 32)
+    name = image_file_name(LAST, "ab" * 32)
     monkeypatch.setattr(image_file, "PROJECTION_VERSION", image_file.PROJECTION_VERSION + 1)
-    assert image_file_name(SMALL_GRID, Reducer.LAST, "ab" * 32) != name
+    assert image_file_name(LAST, "ab" * 32) != name
 
 
 def test_the_projection_makes_what_its_version_made():
@@ -94,7 +99,7 @@ def test_the_projection_makes_what_its_version_made():
     scan = sample_drive(1).scan(0)
     sums = {
         reducer.value: float((project_scan(scan, SMALL_GRID, reducer).ranges_m * cells).sum())
-        for reducer in Reducer
+        for reducer in RANGE_REDUCERS
     }
     assert image_file.PROJECTION_VERSION == 1
     assert sums == pytest.approx(
@@ -104,11 +109,31 @@ def test_the_projection_makes_what_its_version_made():
 
 def test_the_name_tells_everything_the_images_depend_on():
     names = {
-        image_file_name(grid, reducer, digest * 32)
+        image_file_name(Imager(grid, reducer), digest * 32)
         for grid in (SMALL_GRID, AngularGrid(), AngularGrid(wraps=True))
-        for reducer in Reducer
+        for reducer in RANGE_REDUCERS
         for digest in ("ab", "cd")
     }
-    assert len(names) == 3 * 4 * 2
-    assert image_file_name(AngularGrid(-25, 1, 30, 1), Reducer.LAST, "ab" * 32) in names
+    names |= {
+        image_file_name(Imager(RingGrid(), reducer, height_m, lateral), digest * 32)
+        for reducer in HEIGHT_REDUCERS
+        for height_m in (1.73, 1.8)
+        for lateral in (None, (0.0,), (-1.0, 0.0))
+        for digest in ("ab", "cd")
+    }
+    assert len(names) == 3 * 4 * 2 + 2 * 2 * 3 * 2
+    assert image_file_name(Imager(AngularGrid(-25, 1, 30, 1), Reducer.LAST), "ab" * 32) in names
     assert np.char.endswith(list(names), ".h5").all()
+
+
+def test_renderings_are_read_back_as_they_were_made(tmp_path):
+    imager = Imager(RingGrid(), Reducer.MEAN, 1.73, (-1.0, 0.0, 2.0))
+    drive = sample_drive(20)
+    write_image_file(tmp_path / "renderings.h5", drive, imager)
+    with ImageFile(tmp_path / "renderings.h5", imager) as images:
+        read = images.read(3, 7)
+        assert read.shape == (4, 3, 20, 360)
+        for row in range(4):
+            np.testing.assert_array_equal(read[row], imager.render(drive.scan(3 + row)))
+    with pytest.raises(CorruptFile, match="shape"):
+        ImageFile(tmp_path / "renderings.h5", Imager(RingGrid(), Reducer.MEAN))

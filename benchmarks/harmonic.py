@@ -1,0 +1,244 @@
+"""The tables of docs/decisions/0010-harmonic-encoding.md, from a recorded and simulated drives.
+
+    python -m benchmarks.harmonic DRIVES [recorded|cities]
+
+DRIVES is a folder of drives in the KITTI odometry layout that holds `kitti00`. The simulated
+cities have seeds on which nothing was chosen.
+"""
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from benchmarks.accuracy import commit, print_table
+from benchmarks.timing import machine
+from core.arrays import FloatArray, IntArray
+from core.builder import build_map
+from core.displacement import left_of_m
+from core.drive import Drive, MemoryDrive
+from core.evaluation.condition import Condition, conditions
+from core.evaluation.evaluate import Protocol, evaluate
+from core.evaluation.result import Evaluation
+from core.evaluation.split import Every
+from core.imager import ImageKind
+from core.images import project_drive
+from core.localizer import Localizer, Match
+from core.parameters import Distance, Encoding, MapParameters
+from core.pose import heading_deg
+from core.projection import Reducer
+from core.segmentation import cut_fixed, segment_length_for
+from core.signature import Packing, pack_signatures, unpack_signatures
+from core.simulation import SimulatedDrive
+from core.trajectory import Trajectory
+from storage.formats.drives import open_drive
+
+SEEDS = (101, 102, 103)
+OFFSETS_M = (2.0, -2.0, 3.0, -3.0)
+CITY_SCANS = 300
+ASKED_EVERY = 5  # of a second pass: its neighbours, 0.1 s apart, say little more
+
+CONDITIONS: tuple[Condition, ...] = (
+    *conditions((0, 10, 90, 180), (0,), (0,)),
+    *conditions((0,), (1, -1, 2, -2, 2.25, -2.25, 3, -3), (0,)),
+    *conditions((180,), (3, -3), (0,)),
+    *conditions((0,), (0,), (0.5, 1.0)),
+)
+
+
+def harmonic(
+    reducer: Reducer | None = None,
+    distance: Distance | None = None,
+    lateral_renderings_m: Sequence[float] | None = None,
+    image: ImageKind | None = None,
+    ranks: tuple[int, int] = (5, 5),
+) -> MapParameters:
+    """Return parameters that differ from the default in what is given."""
+    return MapParameters.for_sensor(
+        encoding=Encoding.HARMONIC,
+        reducer=reducer,
+        distance=distance,
+        lateral_renderings_m=lateral_renderings_m,
+        image=image,
+        ranks=ranks,
+    )
+
+
+ALONE = (0.0,)
+SETTINGS: dict[str, MapParameters] = {
+    "paper, `last`": MapParameters(),
+    "**default**": harmonic(),
+    "without renderings": harmonic(lateral_renderings_m=ALONE),
+    "`plain`": harmonic(distance=Distance.PLAIN),
+    "`highest`": harmonic(Reducer.HIGHEST),
+    "`highest`, `plain`, without": harmonic(Reducer.HIGHEST, Distance.PLAIN, ALONE),
+    "range, `mean`": harmonic(image=ImageKind.RANGE),
+    "4x4": harmonic(ranks=(4, 4)),
+    "6x6": harmonic(ranks=(6, 6)),
+}
+
+
+def main(folder: Path, part: str = "") -> None:
+    """Print the tables."""
+    threadpool_limits(limits=1)
+    print(f"Printed by `python -m benchmarks.harmonic DRIVES` at commit {commit()} on {machine()}.")
+    if part in {"", "cities"}:
+        _cities()
+    if part == "cities":
+        return
+    recorded = open_drive(folder / "kitti00", min_returns=100)
+    drive = MemoryDrive(recorded.name, [recorded.scan(i) for i in range(len(recorded))])
+    _recorded(drive)
+    _packed(drive)
+
+
+def _evaluate(drive: Drive, parameters: MapParameters) -> Evaluation:
+    protocol = Protocol(parameters, segments=5, split=Every(2), conditions=CONDITIONS)
+    return evaluate(drive, protocol)
+
+
+def _recorded(drive: Drive) -> None:
+    print("\n## `kitti00`\n")
+    print(
+        "Recall@1 within 3 m, even scans mapped, odd ones asked, five segments, 5x5; each setting"
+    )
+    print(
+        "differs from the default, mean height, `normalised`, five renderings, in what it says.\n"
+    )
+    found = {name: _evaluate(drive, parameters) for name, parameters in SETTINGS.items()}
+    of_default = found["**default**"]
+    rows = []
+    for index, condition in enumerate(CONDITIONS):
+        default = of_default.conditions[index]
+        rows.append(
+            [
+                _described(condition),
+                *(f"{of_it.conditions[index].recall_at_1[3.0]:.3f}" for of_it in found.values()),
+                f"{default.heading_error_deg_median:.2f}",
+                f"{default.lateral_error_m_median:.2f}",
+                f"{default.position_error_m_median:.2f}",
+            ]
+        )
+    rows.append(["elements", *(f"{i.compression.elements}" for i in found.values()), "", "", ""])
+    rows.append(
+        ["relative error", *(f"{max(i.relative_error):.2f}" for i in found.values()), "", "", ""]
+    )
+    print_table(
+        [
+            "query",
+            *SETTINGS,
+            "default: heading error deg",
+            "lateral error m",
+            "position error m",
+        ],
+        rows,
+    )
+
+
+def _described(condition: Condition) -> str:
+    parts = [
+        f"yaw {condition.yaw_deg:g} deg" if condition.yaw_deg else "",
+        f"d = {condition.lateral_m:g} m" if condition.lateral_m else "",
+        f"noise {condition.noise_m:g} m" if condition.noise_m else "",
+    ]
+    return ", ".join(filter(None, parts)) or "as driven"
+
+
+def _packed(drive: MemoryDrive) -> None:
+    print("## Signatures on the road, `kitti00`\n")
+    print("The same with the default, the signature as it is and packed; bytes of the body.\n")
+    localizer = _localizer(drive, harmonic(), np.arange(0, len(drive), 2))
+    ways: tuple[Packing | None, ...] = (None, Packing.FLOAT16, Packing.INT8)
+    hits = np.zeros((len(CONDITIONS), len(ways)))
+    size = [0] * len(ways)
+    asked = range(1, len(drive), 2)
+    for scan_index in asked:
+        scan = drive.scan(scan_index)
+        for row, condition in enumerate(CONDITIONS):
+            disturbed = condition.apply(scan, np.random.default_rng([0, scan_index]))
+            signatures = localizer.basis.encode(localizer.basis.image(disturbed))
+            for column, way in enumerate(ways):
+                sent = signatures
+                if way is not None:
+                    body = pack_signatures(signatures, way)
+                    sent, size[column] = unpack_signatures(body), len(body)
+                best = localizer.localize_signatures(sent).best
+                place = localizer.map.trajectory.poses[best.row, :3]
+                hits[row, column] += np.linalg.norm(place - drive.poses[scan_index, :3]) <= 3.0
+    rows = [
+        [_described(condition), *(f"{share:.3f}" for share in of_it / len(asked))]
+        for condition, of_it in zip(CONDITIONS, hits, strict=True)
+    ]
+    rows.append(["all", *(f"{share:.4f}" for share in hits.mean(axis=0) / len(asked))])
+    print_table(
+        ["query", "complex64", *(f"{w}, {n} bytes" for w, n in zip(ways, size, strict=True) if w)],
+        rows,
+    )
+
+
+def _cities() -> None:
+    print("## Simulated cities\n")
+    print(f"Recall@1 within 5 m: {CITY_SCANS} scans mapped, a second pass asked that truly drives")
+    print("beside the mapped line, in its direction and against it, other cars parked.\n")
+    names = ("paper, `last`", "**default**", "without renderings", "`plain`", "`highest`")
+    rows = []
+    for seed in SEEDS:
+        city = SimulatedDrive(seed=seed, scans=CITY_SCANS)
+        mapped = MemoryDrive(city.name, [city.scan(i) for i in range(len(city))])
+        localizers = [_localizer(mapped, SETTINGS[name], np.arange(CITY_SCANS)) for name in names]
+        for offset_m in OFFSETS_M:
+            for reverse in (False, True):
+                asked = _second_pass(seed, offset_m, reverse=reverse)
+                found = [
+                    [localizer.localize_scan(scan).best for scan in asked]
+                    for localizer in localizers
+                ]
+                rows.append(
+                    [
+                        f"{seed}, {offset_m:g} m{', against' if reverse else ''}",
+                        *(f"{_recall(of_it, asked.poses, within_m=5.0):.3f}" for of_it in found),
+                        *_errors_of_default(found[1], asked.poses),
+                    ]
+                )
+    print_table(["seed, offset", *names, "default: heading error deg", "lateral error m"], rows)
+
+
+def _localizer(drive: MemoryDrive, parameters: MapParameters, rows: IntArray) -> Localizer:
+    images = project_drive(drive, rows, parameters.imager).images
+    trajectory = Trajectory.of_drive("d", drive.timestamp_s[rows], drive.poses[rows], rows)
+    length = segment_length_for(len(rows), segments=5)
+    return Localizer(build_map(images, trajectory, cut_fixed(len(rows), length), parameters))
+
+
+def _recall(matches: Sequence[Match], poses: FloatArray, *, within_m: float) -> float:
+    places = np.array([[m.pose.x_m, m.pose.y_m, m.pose.z_m] for m in matches if m.pose])
+    return float(np.mean(np.linalg.norm(places - poses[:, :3], axis=1) <= within_m))
+
+
+def _errors_of_default(matches: Sequence[Match], poses: FloatArray) -> tuple[str, str]:
+    turns = np.array([m.heading_deg for m in matches]) - heading_deg(poses)
+    beside = [
+        m.lateral_m - left_of_m(np.array(m.pose.as_tuple()), pose)
+        for m, pose in zip(matches, poses, strict=True)
+        if m.pose is not None and m.lateral_m is not None
+    ]
+    turn = np.median(np.abs((turns + 180.0) % 360.0 - 180.0))
+    return f"{turn:.2f}", f"{np.median(np.abs(beside)):.2f}"
+
+
+def _second_pass(seed: int, offset_m: float, *, reverse: bool) -> MemoryDrive:
+    drive = SimulatedDrive(
+        seed=seed,
+        scans=CITY_SCANS,
+        lateral_offset_m=offset_m,
+        reverse=reverse,
+        traffic_seed=seed + 1000,
+    )
+    scans = [drive.scan(i) for i in range(0, len(drive), ASKED_EVERY)]
+    return MemoryDrive(drive.name, scans)
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]), *sys.argv[2:])

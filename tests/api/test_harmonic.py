@@ -1,0 +1,217 @@
+"""A harmonic map over HTTP: the same routes, and an answer that tells heading and offset."""
+
+import io
+
+import numpy as np
+import pytest
+
+from app.schemas.revisions import BasisOut
+from core.basis import HarmonicBasis
+from core.localizer import Localizer
+from core.signature import Packing, pack_signatures
+from storage.map_file import read_map
+from tests.api.test_flow import IMAGE, NPZ, PACKED, localize
+from tests.support.recording import KITTI, kitti, recording
+from tests.support.service import problem_of, running, upload, wait_for
+
+
+@pytest.fixture(scope="module")
+def client(tmp_path_factory):
+    """A service whose only revision is harmonic."""
+    with running(tmp_path_factory.mktemp("harmonic") / "data") as client:
+        client.post("/v1/maps", json={"map": "campus"})
+        upload(client, "monday", recording())
+        wanted = {"segments": 2, "encoding": "harmonic", "lateral_renderings_m": [-1.5, 0, 1.5]}
+        queued = client.post("/v1/maps/campus/builds", json=wanted)
+        assert wait_for(client, queued.json()["job"])["state"] == "done"
+        yield client
+
+
+@pytest.fixture(scope="module")
+def basis(client):
+    return BasisOut.model_validate(client.get("/v1/maps/campus/basis").json()).to_core()
+
+
+def as_json(signature):
+    return {
+        "revision": signature.revision,
+        "signatures": [
+            {
+                "values_real": signature.values.real.tolist(),
+                "values_imag": signature.values.imag.tolist(),
+            }
+        ],
+    }
+
+
+def test_the_revision_tells_what_it_was_built_with(client):
+    [revision] = client.get("/v1/maps/campus/revisions").json()["items"]
+    assert revision["encoding"] == "harmonic"
+    chosen = {name: revision["parameters"][name] for name in ("reducer", "image", "distance")}
+    assert chosen == {"reducer": "mean", "image": "height", "distance": "normalised"}
+    assert revision["parameters"]["lateral_renderings_m"] == [-1.5, 0.0, 1.5]
+
+
+def test_scan_image_and_signature_agree_with_each_other_and_with_the_method(client, basis):
+    core = Localizer(read_map(client.service.store.revisions.path("campus", basis.revision)))
+    for scan in recording(noise_seed=7, scans=6).scans:
+        image = basis.image(scan)
+        [signature] = basis.encode(image)
+        answers = [
+            localize(client, "scan?k=3", content=kitti(scan), headers=KITTI),
+            localize(
+                client, "image?k=3", content=image.cells.astype("<f4").tobytes(), headers=IMAGE
+            ),
+            localize(client, "signature?k=3", json=as_json(signature)),
+        ]
+        assert answers[0] == answers[1] == answers[2]
+        wanted = core.localize_scan(scan, k=3)
+        best = answers[0]["best"]
+        assert (best["scan_index"], best["distance"]) == (
+            wanted.best.scan_index,
+            wanted.best.distance,
+        )
+        assert (best["turn_deg"], best["lateral_m"], best["heading_deg"]) == (
+            wanted.best.turn_deg,
+            wanted.best.lateral_m,
+            wanted.best.heading_deg,
+        )
+        assert best["estimated_pose"]["yaw_deg"] == best["heading_deg"]
+        assert answers[0]["segments_searched"] == [0, 1]
+        for packing, size in ((Packing.INT8, 60), (Packing.FLOAT16, 101)):
+            body = pack_signatures([signature], packing)
+            assert len(body) == size
+            packed = localize(client, "signature", content=body, headers=PACKED)
+            assert abs(packed["best"]["scan_index"] - best["scan_index"]) <= 1
+
+
+def test_a_vehicle_that_is_turned_gets_its_heading(client):
+    scan = recording().scans[20]
+    turned = np.stack([scan.points_m[:, 1], -scan.points_m[:, 0], scan.points_m[:, 2]], axis=1)
+    body = np.pad(turned, ((0, 0), (0, 1))).astype("<f4").tobytes()
+    best = localize(client, "scan", content=body, headers=KITTI)["best"]
+    assert (best["scan_index"], best["lateral_m"]) == (20, 0.0)
+    assert best["turn_deg"] == pytest.approx(90.0, abs=0.5)
+    expected = (best["pose"]["yaw_deg"] + 90.0 + 180.0) % 360.0 - 180.0
+    assert best["heading_deg"] == pytest.approx(expected, abs=0.5)
+
+
+def test_a_sensor_mounted_otherwise_says_so(client):
+    scan = recording().scans[20]
+    lower = scan.points_m - np.array([0.0, 0.0, 0.6], np.float32)
+    body = np.pad(lower, ((0, 0), (0, 1))).astype("<f4").tobytes()
+    told = localize(client, "scan?sensor_height_m=2.33", content=body, headers=KITTI)["best"]
+    untold = localize(client, "scan", content=body, headers=KITTI)["best"]
+    assert told["scan_index"] == 20
+    assert told["distance"] < 1e-3 < untold["distance"]
+
+
+@pytest.mark.parametrize("height", ["0", "-1", "100", "nan", "high"])
+def test_a_height_that_cannot_be_is_refused(client, height):
+    response = client.post(
+        f"/v1/maps/campus/localizations/scan?sensor_height_m={height}",
+        content=kitti(recording().scans[0]),
+        headers=KITTI,
+    )
+    assert problem_of(response) == (422, "invalid-request")
+
+
+def test_the_basis_is_one_small_matrix_in_either_form(client, basis):
+    assert isinstance(basis, HarmonicBasis)
+    assert basis.radial_basis.shape == (20, 5)
+    shown = client.get("/v1/maps/campus/basis").json()
+    assert shown["segments"] == []
+    assert shown["parameters"]["image"] == "height"
+    with np.load(io.BytesIO(client.get("/v1/maps/campus/basis", headers=NPZ).content)) as arrays:
+        np.testing.assert_array_equal(arrays["radial_basis"], basis.radial_basis)
+        assert str(arrays["revision"]) == basis.revision
+    some = client.get("/v1/maps/campus/basis?segment=1").json()
+    assert some["radial_basis"] == shown["radial_basis"]
+
+
+def test_images_of_another_kind_or_grid_are_refused_by_name(client):
+    image = np.ones((20, 360), "<f4").tobytes()
+    for query, body, problem in (
+        ("?image=range", image, "sensor-mismatch"),
+        ("", np.ones((30, 361), "<f4").tobytes(), "invalid-image"),
+        ("", bytes(4 * 7200), "invalid-image"),
+        ("?image=photo", image, "invalid-request"),
+    ):
+        response = client.post(
+            f"/v1/maps/campus/localizations/image{query}", content=body, headers=IMAGE
+        )
+        assert problem_of(response) == (422, problem)
+    assert localize(client, "image?image=height", content=image, headers=IMAGE)
+
+
+def test_signatures_that_cannot_be_are_refused_by_name(client, basis):
+    [signature] = basis.encode(basis.image(recording().scans[0]))
+    good = as_json(signature)
+    item = good["signatures"][0]
+    for signatures, problem in (
+        ([item, item], "invalid-signature"),
+        ([{"segment": 0, "values": item["values_real"]}], "invalid-signature"),
+        ([{**item, "values_real": item["values_real"][:4]}], "invalid-signature"),
+        ([{**item, "values_imag": item["values_real"]}], "invalid-signature"),
+        ([{"values_real": item["values_real"]}], "invalid-request"),
+        ([{**item, "segment": 1}], "invalid-request"),
+    ):
+        response = client.post(
+            "/v1/maps/campus/localizations/signature", json={**good, "signatures": signatures}
+        )
+        assert problem_of(response) == (422, problem), signatures
+    stale = {**good, "revision": "f" * 64}
+    response = client.post("/v1/maps/campus/localizations/signature", json=stale)
+    assert problem_of(response) == (409, "stale-signature")
+
+
+def test_a_signature_packed_for_another_encoding_is_refused(client, basis):
+    [signature] = basis.encode(basis.image(recording().scans[0]))
+    body = bytearray(pack_signatures([signature], Packing.FLOAT16))
+    body[0] = 1  # layout 1: the paper's, which reads a segment first
+    response = client.post(
+        "/v1/maps/campus/localizations/signature",
+        content=bytes(body[: 11 + 2 + 50]),
+        headers=PACKED,
+    )
+    assert problem_of(response) == (422, "invalid-signature")
+
+
+@pytest.mark.parametrize(
+    "wanted",
+    [
+        {"encoding": "harmonic", "ranks": [5, 182]},
+        {"encoding": "harmonic", "reducer": "last"},
+        {"encoding": "harmonic", "image": "range", "reducer": "highest"},
+        {"encoding": "harmonic", "lateral_renderings_m": [1, 0]},
+        {"distance": "plain"},
+        {"image": "height"},
+        {"lateral_renderings_m": [0]},
+    ],
+)
+def test_a_build_whose_options_do_not_go_together_is_refused_at_once(client, wanted):
+    response = client.post("/v1/maps/campus/builds", json=wanted)
+    assert problem_of(response) == (422, "invalid-parameters")
+
+
+@pytest.mark.parametrize(
+    "wanted",
+    [
+        {"image": "range", "reducer": "nearest", "distance": "plain", "lateral_renderings_m": [0]},
+        {"image": "height", "reducer": "highest", "ranks": [4, 7]},
+    ],
+)
+def test_every_choice_is_built_and_answers(empty, wanted):
+    upload(empty, "monday", recording())
+    queued = empty.post("/v1/maps/campus/builds", json={"encoding": "harmonic", **wanted})
+    assert wait_for(empty, queued.json()["job"])["state"] == "done"
+    scan = recording().scans[11]
+    assert localize(empty, "scan", content=kitti(scan), headers=KITTI)["best"]["scan_index"] == 11
+    basis = BasisOut.model_validate(empty.get("/v1/maps/campus/basis").json()).to_core()
+    image = basis.image(scan)
+    body = image.cells.astype("<f4").tobytes()
+    kind = wanted["image"]
+    found = localize(empty, f"image?image={kind}", content=body, headers=IMAGE)
+    assert found["best"]["scan_index"] == 11
+    packed = pack_signatures(basis.encode(image))
+    assert localize(empty, "signature", content=packed, headers=PACKED)["best"]["scan_index"] == 11
