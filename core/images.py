@@ -14,13 +14,16 @@ from core.progress import NO_PROGRESS, Progress
 from core.scan import Scan
 
 __all__ = [
+    "Cells",
     "ConcatenatedImages",
     "ImageSource",
     "MemoryImages",
+    "Projected",
     "ProjectedDrive",
     "Skipped",
     "project_drive",
     "project_each",
+    "project_into",
 ]
 
 
@@ -97,21 +100,33 @@ class Skipped:
         return f"drive {drive} has no usable scan{reason}"
 
 
+class Cells(Protocol):
+    """Where images are put, one a row: an array in memory, or a dataset in a file."""
+
+    def __setitem__(self, row: int, image: Float32Array) -> None:
+        """Keep an image."""
+
+
 @dataclass(frozen=True, eq=False)
-class ProjectedDrive:
-    """The images of a drive's usable scans.
+class Projected:
+    """Which scans of a drive gave an image.
 
     Attributes:
-        images: One for each usable scan.
-        scans: `(n,)` their positions in the drive, rising.
+        scans: `(n,)` positions of the usable scans in the drive, rising.
         returns: How many returns they hold together.
         skipped: The scans that could not be used.
     """
 
-    images: ImageSource
     scans: IntArray
     returns: int
     skipped: tuple[Skipped, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class ProjectedDrive(Projected):
+    """The images of a drive's usable scans, one for each."""
+
+    images: ImageSource
 
 
 def project_each(
@@ -130,6 +145,41 @@ def project_each(
         progress.advance()
 
 
+def project_into(
+    cells: Cells,
+    drive: Drive,
+    scans: Sequence[int],
+    imager: Imager,
+    progress: Progress = NO_PROGRESS,
+) -> Projected:
+    """Project scans of a drive one by one into the first rows of `cells`.
+
+    Args:
+        cells: `(n, [D,] I, J)` for n scans.
+        drive: The drive.
+        scans: Which of its scans, rising.
+        imager: How a scan becomes an image.
+        progress: Told of each scan.
+
+    Raises:
+        EmptyDrive: If not one of them is usable; the message gives the first reason.
+    """
+    progress.start("projecting", len(scans))
+    kept: list[int] = []
+    skipped: list[Skipped] = []
+    returns = 0
+    for item in project_each(drive, scans, imager, progress):
+        if isinstance(item, Skipped):
+            skipped.append(item)
+            continue
+        index, scan, cells[len(kept)] = item
+        kept.append(index)
+        returns += len(scan)
+    if not kept:
+        raise EmptyDrive(Skipped.explain(drive.name, skipped))
+    return Projected(np.array(kept, dtype=np.int64), returns, tuple(skipped))
+
+
 def project_drive(
     drive: Drive,
     scans: IntArray,
@@ -141,23 +191,7 @@ def project_drive(
     Raises:
         EmptyDrive: If not one of them is usable; the message gives the first reason.
     """
-    progress.start("projecting", len(scans))
     cells = np.empty((len(scans), *imager.shape), np.float32)
-    kept: list[int] = []
-    skipped: list[Skipped] = []
-    returns = 0
-    for item in project_each(drive, scans.tolist(), imager, progress):
-        if isinstance(item, Skipped):
-            skipped.append(item)
-            continue
-        index, scan, cells[len(kept)] = item
-        kept.append(index)
-        returns += len(scan)
-    if not kept:
-        raise EmptyDrive(Skipped.explain(drive.name, skipped))
-    return ProjectedDrive(
-        MemoryImages(cells[: len(kept)], imager.grid),
-        np.array(kept, dtype=np.int64),
-        returns,
-        tuple(skipped),
-    )
+    told = project_into(cells, drive, scans.tolist(), imager, progress)
+    images = MemoryImages(cells[: len(told.scans)], imager.grid)
+    return ProjectedDrive(told.scans, told.returns, told.skipped, images)

@@ -11,7 +11,7 @@ from core.arrays import Float32Array, IntArray
 from core.drive import Drive
 from core.errors import EmptyDrive
 from core.imager import Grid, Imager
-from core.images import Skipped, project_each
+from core.images import Skipped, project_into
 from core.progress import NO_PROGRESS, Progress
 from core.revision import content_digest
 from storage.errors import CorruptImages
@@ -116,10 +116,6 @@ def write_image_file(
     """
     if not len(drive):
         raise EmptyDrive(Skipped.explain(drive.name, ()))
-    progress.start("projecting", len(drive))
-    scans: list[int] = []
-    skipped: list[Skipped] = []
-    returns = 0
     renderings = imager.shape[0] if imager.lateral_renderings_m is not None else 1
     block = max(1, _BLOCK // renderings)
     with publish(path) as part, h5py.File(part, "x", libver="v110") as file:
@@ -131,16 +127,8 @@ def write_image_file(
             dtype=np.dtype("<f4"),
             fletcher32=True,  # HDF5 then refuses to read a block that has changed
         )
-        for item in project_each(drive, range(len(drive)), imager, progress):
-            if isinstance(item, Skipped):
-                skipped.append(item)
-                continue
-            scan_index, scan, images[len(scans)] = item
-            scans.append(scan_index)
-            returns += len(scan)
-        if not scans:
-            raise EmptyDrive(Skipped.explain(drive.name, skipped))
-        images.resize(len(scans), axis=0)
-        file.create_dataset("scans", data=np.array(scans, dtype="<i8"), fletcher32=True)
-        file.attrs["returns"] = returns
-        file.attrs["skipped"] = json.dumps([[item.scan, item.reason] for item in skipped])
+        told = project_into(images, drive, range(len(drive)), imager, progress)
+        images.resize(len(told.scans), axis=0)
+        file.create_dataset("scans", data=told.scans.astype("<i8"), fletcher32=True)
+        file.attrs["returns"] = told.returns
+        file.attrs["skipped"] = json.dumps([[item.scan, item.reason] for item in told.skipped])

@@ -50,11 +50,24 @@ def test_a_place_is_recalled_whatever_the_heading_lane_and_noise(
     assert recall >= (0.95 if condition.noise_m == 1.0 else 0.98)
     assert row.heading_error_deg_median is not None
     assert row.heading_error_deg_median <= 2.0
-    if condition.lateral_m:
-        assert row.lateral_error_m_median is not None
-        # 2.25 m lies half-way between renderings: 0.75 m off, and the recorded line wobbles.
-        if abs(condition.lateral_m) != 2.25:  # halfway between renderings: decision 10, Open
-            assert row.lateral_error_m_median <= 0.75
+
+
+MISSED = pytest.mark.xfail(
+    strict=True, reason="half-way between renderings: 0.752 m, open in decision 10"
+)
+
+
+@pytest.mark.parametrize(
+    "condition",
+    [pytest.param(c, marks=MISSED) if c.lateral_m == -2.25 else c for c in BESIDE],
+    ids=str,
+)
+def test_the_answer_tells_how_far_beside_the_line_the_vehicle_is(
+    found: dict[Condition, ConditionResult], condition: Condition
+) -> None:
+    error_m = found[condition].lateral_error_m_median
+    assert error_m is not None
+    assert error_m <= 0.75
 
 
 def test_a_signature_of_60_bytes_loses_next_to_nothing(drives: Drives) -> None:
