@@ -90,8 +90,7 @@ def test_a_build_that_fails_says_why_and_publishes_nothing(empty):
 def test_a_worker_that_is_killed_fails_its_job_and_the_next_one_is_done(standing, monkeypatch):
     job = build(standing)
     wait_for(standing, job, {"running"})
-    [worker] = _workers()
-    os.kill(worker, signal.SIGKILL)
+    os.kill(_one_worker(), signal.SIGKILL)
     failed = wait_for(standing, job)
     assert (failed["state"], failed["error"]["type"]) == ("failed", "/problems/worker-died")
     assert "-9" in failed["error"]["detail"]
@@ -233,6 +232,16 @@ def test_the_service_is_alive_while_every_thread_of_it_waits(own, monkeypatch):
         finally:
             let_go.set()
         assert {answer.result().status_code for answer in slow} == {500}
+
+
+def _one_worker():
+    """Return the process of the running job: it is started a moment after the job is claimed."""
+    deadline = time.monotonic() + 60
+    while not (workers := _workers()):
+        assert time.monotonic() < deadline, "no worker was started"
+        time.sleep(0.02)
+    [worker] = workers
+    return worker
 
 
 def _workers():
