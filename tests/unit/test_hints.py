@@ -11,6 +11,7 @@ from core.height_image import HeightImage
 from core.hints import HeadingHint, Hints, OdometryHint, PositionHint, Prior, ScanOfMap
 from core.images import MemoryImages
 from core.localizer import Localizer
+from core.rings import RingGrid
 from core.trajectory import Trajectory
 from core.trust.verdict import Refusal
 from tests.support.samples import (
@@ -122,7 +123,9 @@ def _map_of(images, like):
 def test_a_harmonic_map_is_held_to_the_heading_of_the_answer():
     tensor_map, images = sample_harmonic_map(count=40, segment_length=20)
     localizer = Localizer(tensor_map)
-    query = HeightImage(images[7, 1], tensor_map.parameters.grid)
+    grid = tensor_map.parameters.grid
+    assert isinstance(grid, RingGrid)
+    query = HeightImage(images[7, 1], grid)
     ahead = localizer.localize_image(query, hints=Hints(heading=HeadingHint(3.0, 2.0)))
     assert ahead.best.row == 7
     back = localizer.localize_image(query, k=40, hints=Hints(heading=HeadingHint(180.0, 2.0)))

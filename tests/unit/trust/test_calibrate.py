@@ -56,7 +56,7 @@ def test_a_place_of_the_map_is_probable_and_one_of_elsewhere_is_not(made):
     assert np.mean([found.localized for found in of_unknown]) < 0.1
     assert {found.verdict.reason for found in of_unknown} & {"unknown_place", "ambiguous"}
     probable = [found.verdict.probability for found in of_known]
-    assert np.median(probable) > 0.9
+    assert np.median(np.array(probable, dtype=np.float64)) > 0.9
 
 
 def test_a_standard_deviation_is_told_where_poses_are_known(made):
