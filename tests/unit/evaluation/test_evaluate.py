@@ -193,7 +193,12 @@ def test_progress_tells_every_stage_and_can_stop_it():
     drive = FaultyDrive(sample_drive(40), {2, 3})
     two = (Condition(), Condition(yaw_deg=10.0))
     evaluate(drive, Protocol(SMALL, segments=4, conditions=two), progress=progress)
-    assert progress.stages == [("projecting", 32), ("fitting", 62), ("calibrating", 31), ("localizing", 16)]
+    assert progress.stages == [
+        ("projecting", 32),
+        ("fitting", 62),
+        ("calibrating", 31),
+        ("localizing", 16),
+    ]
     assert progress.done == [32, 62, 31, 16]
 
     class Stop(RecordedProgress):
