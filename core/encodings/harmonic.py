@@ -261,11 +261,10 @@ class HarmonicSearch:
         if not len(lower):
             return ()
         rows = np.arange(len(self._model)) if among is None else np.flatnonzero(among)
-        bound = lower.min(axis=1)
-        first = nearest(bound, max(k, _FIRST))
+        first = nearest(lower, max(k, _FIRST))
         distances, turn_deg = self.exact(rows[first])
         reached = nearest(distances.min(axis=1), k)
-        left = bound <= distances.min(axis=1)[reached[-1]]
+        left = lower <= distances.min(axis=1)[reached[-1]]
         left[first] = False
         searched = rows[first]
         if left.any():
@@ -308,17 +307,18 @@ class HarmonicSearch:
 
     @cached_property
     def _lower_bounds(self) -> FloatArray:
-        """Below which no rendering's distance can be, `(K, D)`."""
+        """Below which the distance of none of a scan's renderings can be, `(K,)`."""
         model = self._model
         unit = (self._values / (self._norm or 1.0) * np.sqrt(self._weights)).astype(np.complex64)
         correlation = np.zeros(model.norms.size, np.float32)
         for of_query, of_map in zip(unit.T, model.units, strict=True):
             product = of_query @ of_map
             correlation += np.sqrt(product.real**2 + product.imag**2)
-        share = correlation.reshape(model.norms.shape).astype(np.float64) + _SLACK
+        share = correlation.reshape(model.norms.shape)
         if model.measure == Distance.NORMALISED:
-            return 1.0 - share
-        plain = self._plain(share * (self._norm * model.norms), model.norms)
+            return np.asarray(1.0 - (share.max(axis=1).astype(np.float64) + _SLACK))
+        at_most = (share.astype(np.float64) + _SLACK) * (self._norm * model.norms)
+        plain: FloatArray = self._plain(at_most, model.norms).min(axis=1)
         return plain * (1.0 - _ROUNDING)
 
     def exact(self, rows: IntArray) -> tuple[FloatArray, FloatArray]:
