@@ -7,9 +7,10 @@ from typing import Self
 import h5py
 import numpy as np
 
-from core.arrays import Float32Array, IntArray
+from core.arrays import Float32Array, FloatArray, IntArray
 from core.drive import Drive
 from core.errors import EmptyDrive
+from core.grams import drive_gram
 from core.imager import Grid, Imager
 from core.images import Skipped, project_into
 from core.progress import NO_PROGRESS, Progress
@@ -28,6 +29,7 @@ __all__ = [
 PROJECTION_VERSION = 1
 """Counted up whenever the code makes other images of the same scans, or skips others."""
 
+_ROW_GRAM = "row_gram"
 _BLOCK = 8  # images in an HDF5 chunk: 340 kB on the paper's grid, inside h5py's 1 MB cache
 
 
@@ -80,6 +82,25 @@ class ImageFile:
             raise CorruptImages(f"{self._name} cannot be read: {error}") from error
         return images
 
+    def row_gram(self, progress: Progress = NO_PROGRESS) -> FloatArray:
+        """Return the sum of S S^T over all renderings, `(I, I)`; reads no image if it is kept.
+
+        Files of renderings keep it beside them; in one that was written before they did, it is
+        summed when it is asked for.
+
+        Raises:
+            CorruptImages: If it cannot be read, or its checksum does not fit.
+        """
+        try:
+            if _ROW_GRAM in self._file:
+                kept: FloatArray = self._file[_ROW_GRAM][()]
+                if kept.shape != (self.grid.rows, self.grid.rows):
+                    raise ValueError(f"{_ROW_GRAM} has shape {kept.shape}")
+                return kept
+        except (AttributeError, OSError, RuntimeError, TypeError, ValueError) as error:
+            raise CorruptImages(f"{self._name} cannot be read: {error}") from error
+        return drive_gram(self, 0, len(self), progress)
+
 
 def image_file_name(imager: Imager, scans_digest: str) -> str:
     """Return the name under which a drive's images are kept.
@@ -130,5 +151,24 @@ def write_image_file(
         told = project_into(images, drive, range(len(drive)), imager, progress)
         images.resize(len(told.scans), axis=0)
         file.create_dataset("scans", data=told.scans.astype("<i8"), fletcher32=True)
+        if imager.lateral_renderings_m is not None:
+            written = _Written(images, imager.grid)
+            gram = drive_gram(written, 0, len(written))
+            file.create_dataset(_ROW_GRAM, data=gram.astype("<f8"), fletcher32=True)
         file.attrs["returns"] = told.returns
         file.attrs["skipped"] = json.dumps([[item.scan, item.reason] for item in told.skipped])
+
+
+class _Written:
+    """Images that are being written, read back; a `core.images.ImageSource`."""
+
+    def __init__(self, images: h5py.Dataset, grid: Grid) -> None:
+        self.grid = grid
+        self._images = images
+
+    def __len__(self) -> int:
+        return len(self._images)
+
+    def read(self, start: int, stop: int) -> Float32Array:
+        images: Float32Array = self._images[start:stop]
+        return images
