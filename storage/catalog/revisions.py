@@ -66,11 +66,9 @@ class Revisions:
                 )
                 session.add(row)
                 session.flush()
-                session.add_all(
-                    RevisionBasis(map_id=of_map.id, basis=basis, digest=digest)
-                    for basis in dict.fromkeys(facts.bases)
-                )
-                session.flush()
+            for basis in facts.bases:  # also of one from before they were written down
+                session.merge(RevisionBasis(map_id=of_map.id, basis=basis, digest=digest))
+            session.flush()
             if make_live or session.get(LiveRevision, of_map.id) is None:
                 _make_live(session, of_map, digest)
             if facts.job_id is not None:

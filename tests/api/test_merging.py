@@ -7,7 +7,7 @@ import pytest
 from app.schemas.localizations import SignaturesIn
 from app.schemas.revisions import BasisOut
 from core.signature import pack_signatures
-from storage.catalog.models import Drive
+from storage.catalog.models import Drive, RevisionBasis
 from tests.api.test_flow import PACKED, localize
 from tests.support.recording import Recording, recording
 from tests.support.service import problem_of, running, upload, wait_for, whole_store
@@ -178,3 +178,23 @@ def test_a_base_that_is_not_there_or_whose_drive_is_gone_is_told(campus, tmp_pat
     assert problem_of(gone) == (404, "drive-not-found")
     assert "name it in remove" in gone.json()["detail"]
     built(campus, base="live", add=["alpha"], remove=["monday"])
+
+
+def test_a_damaged_live_revision_is_told_and_refit_goes_on_without_it(campus, encoding):
+    live = campus.get("/v1/maps/campus").json()["live_revision"]
+    path = campus.service.store.revisions.path("campus", live)
+    path.write_bytes(b"no map at all")
+    wanted = {"drives": ["alpha"], "encoding": encoding}
+    if encoding == "harmonic":
+        refused = campus.post(BUILDS, json=wanted)
+        assert problem_of(refused) == (500, "corrupt-file")
+        assert "refit" in refused.json()["detail"]
+    built(campus, **wanted, refit=True)
+
+
+def test_a_revision_from_before_bases_were_written_down_answers_while_it_is_live(campus):
+    held = basis_of(campus)
+    with campus.service.store.catalog._database.writing() as session:
+        session.query(RevisionBasis).delete()
+    signatures = as_json(held.encode(held.image(recording().scans[6])))
+    assert localize(campus, "signature", json=signatures)["revision"] == held.revision
