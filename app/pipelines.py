@@ -18,6 +18,7 @@ from core.parameters import MapParameters
 from core.progress import NO_PROGRESS, Progress
 from core.segmentation import cut_drives, segment_length_for
 from core.tensormap import TensorMap
+from core.topology import cut_at_meetings
 from core.trajectory import Trajectory
 from storage.catalog import RevisionFacts, RevisionRecord
 from storage.errors import CorruptImages, NotFound
@@ -153,7 +154,7 @@ def _build(
     tensor_map = build_map(
         ConcatenatedImages(images),
         trajectory,
-        cut_drives(trajectory.drive_start, length),
+        cut_at_meetings(trajectory, cut_drives(trajectory.drive_start, length)),
         map_parameters,
         progress,
     )
