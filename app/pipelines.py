@@ -14,9 +14,9 @@ from core.builder import build_map
 from core.drive import Drive
 from core.errors import EmptyDrive
 from core.images import ConcatenatedImages, Skipped
-from core.parameters import MapParameters
+from core.parameters import MapParameters, Segmentation
 from core.progress import NO_PROGRESS, Progress
-from core.segmentation import cut_drives, segment_length_for
+from core.segmentation import cut_drives, cut_unequal, segment_length_for
 from core.tensormap import TensorMap
 from core.topology import cut_at_meetings
 from core.trajectory import Trajectory
@@ -151,12 +151,14 @@ def _build(
     length = segment_length_for(
         longest, segment_length=parameters.segment_length, segments=parameters.segments
     )
+    joined = ConcatenatedImages(images)
+    cuts = (
+        cut_unequal(joined, trajectory, length, map_parameters, progress)
+        if map_parameters.segmentation == Segmentation.UNEQUAL
+        else cut_drives(trajectory.drive_start, length)
+    )
     tensor_map = build_map(
-        ConcatenatedImages(images),
-        trajectory,
-        cut_at_meetings(trajectory, cut_drives(trajectory.drive_start, length)),
-        map_parameters,
-        progress,
+        joined, trajectory, cut_at_meetings(trajectory, cuts), map_parameters, progress
     )
     return Built(
         tensor_map,

@@ -92,6 +92,7 @@ class Evaluation:
     Attributes:
         drive: Name of the mapped drive; `query_drive` is `None` if it was asked itself.
         segments: L.
+        segmentation: How they were cut.
         split: How the queries were held out, `None` with a query drive.
         distance: How harmonic signatures are compared, `None` in the paper's encoding.
         lateral_renderings_m: From where the map's scans were rendered, `None` likewise.
@@ -110,6 +111,7 @@ class Evaluation:
     encoding: str
     ranks: tuple[int, int]
     segments: int
+    segmentation: str
     split: str | None
     reducer: str
     image: str

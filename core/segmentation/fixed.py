@@ -1,4 +1,4 @@
-"""Where a drive is cut into segments (paper, sec. 2.2)."""
+"""Segments of one length (paper, sec. 2.2)."""
 
 import itertools
 import math

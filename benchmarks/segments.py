@@ -1,0 +1,88 @@
+"""Unequal segments against equal ones at equal storage: the table of decision 13.
+
+    python -m benchmarks.segments DRIVES
+
+DRIVES is a folder of drives in the KITTI odometry layout that holds `kitti00` and
+`kit_muehlburger`. The simulated cities have seeds on which nothing was chosen. For every drive the
+unequal segments of a k come first; the equal ones are as many, so that both maps hold the same
+number of elements.
+"""
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from benchmarks.accuracy import commit, print_table
+from benchmarks.timing import machine
+from core.drive import Drive, MemoryDrive
+from core.evaluation.evaluate import Protocol, evaluate
+from core.evaluation.result import Evaluation
+from core.evaluation.split import Every, Interleaved, Split
+from core.parameters import Encoding, MapParameters, Segmentation
+from core.simulation import SimulatedDrive
+from storage.formats.drives import open_drive
+
+SEEDS = (101, 102, 103)
+SEGMENTS = (5, 10)  # k = ceil(K / L); unequal segments are about as many
+CITY_SCANS = 300
+
+
+def main(folder: Path) -> None:
+    """Print the tables."""
+    threadpool_limits(limits=1)
+    print(f"Printed by `python -m benchmarks.segments DRIVES` at commit {commit()} on {machine()}.")
+    drives: list[tuple[Drive, Split]] = [
+        (_in_memory(open_drive(folder / "kitti00", min_returns=100)), Every(2)),
+        (_in_memory(open_drive(folder / "kit_muehlburger", min_returns=100)), Interleaved()),
+        *((_in_memory(SimulatedDrive(seed=seed, scans=CITY_SCANS)), Every(2)) for seed in SEEDS),
+    ]
+    for encoding in Encoding:
+        print(f"\n## `{encoding}`\n")
+        rows = []
+        for drive, split in drives:
+            for segments in SEGMENTS if encoding == Encoding.PAPER else SEGMENTS[:1]:
+                rows.append(_compared(drive, split, encoding, segments))
+        print_table(
+            [
+                "drive, split", "k", "L", "elements", "segment accuracy: equal", "unequal",
+                "recall@1 3 m: equal", "unequal", "relative error, mean: equal", "unequal",
+                "worst: equal", "unequal",
+            ],
+            rows,
+        )  # fmt: skip
+
+
+def _compared(drive: Drive, split: Split, encoding: Encoding, segments: int) -> list[str]:
+    parameters = MapParameters.for_sensor(encoding=encoding, segmentation=Segmentation.UNEQUAL)
+    unequal = evaluate(drive, Protocol(parameters, segments=segments, split=split))
+    fixed = replace(parameters, segmentation=Segmentation.FIXED)
+    equal = evaluate(drive, Protocol(fixed, segments=unequal.segments, split=split))
+    if equal.compression.elements != unequal.compression.elements:
+        raise RuntimeError(f"{drive.name}: {equal.segments} and {unequal.segments} segments")
+    both = (equal, unequal)
+    return [
+        f"`{drive.name}`, {split}",
+        str(-(-len(drive) // segments)),
+        str(unequal.segments),
+        str(unequal.compression.elements),
+        *(f"{_accuracy(found):.3f}" for found in both),
+        *(f"{found.conditions[0].recall_at_1[3.0]:.3f}" for found in both),
+        *(f"{np.mean(found.relative_error):.3f}" for found in both),
+        *(f"{max(found.relative_error):.3f}" for found in both),
+    ]
+
+
+def _accuracy(found: Evaluation) -> float:
+    accuracy = found.conditions[0].segment_accuracy
+    return float("nan") if accuracy is None else accuracy
+
+
+def _in_memory(drive: Drive) -> MemoryDrive:
+    return MemoryDrive(drive.name, [drive.scan(i) for i in range(len(drive))])
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]))
