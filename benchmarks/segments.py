@@ -41,10 +41,10 @@ def main(folder: Path) -> None:
     ]
     for encoding in Encoding:
         print(f"\n## `{encoding}`\n")
-        rows = []
-        for drive, split in drives:
-            for segments in SEGMENTS if encoding == Encoding.PAPER else SEGMENTS[:1]:
-                rows.append(_compared(drive, split, encoding, segments))
+        counts = SEGMENTS if encoding == Encoding.PAPER else SEGMENTS[:1]
+        rows = [
+            _compared(drive, split, encoding, count) for drive, split in drives for count in counts
+        ]
         print_table(
             [
                 "drive, split", "k", "L", "elements", "segment accuracy: equal", "unequal",

@@ -59,8 +59,7 @@ def cut_unequal(
     """Cut every drive where its surroundings change or it turns, `(L + 1,)` starts and the end.
 
     A segment has k/2 to 2k scans; only a drive shorter than that is one by itself. It ends at the
-    first turn, else where a block is a surprise, else, at 2k, before the block that was most of
-    one. Images are read once, a block at a time.
+    first block that is a surprise, or at a turn before, or at 2k. Images are read block by block.
 
     Args:
         images: One image a scan of the trajectory, or its renderings: the one nearest to the line
@@ -80,9 +79,10 @@ def cut_unequal(
     limits = length_limits(segment_length)
     corners = turns(trajectory)
     progress.start("segmenting", len(images))
+    reader = _Reader(images, parameters, progress)
     cuts: list[int] = []
     for start, end in itertools.pairwise(trajectory.drive_start.tolist()):
-        cuts += _cut_drive(_Reader(images, parameters, progress), start, end, limits, corners)
+        cuts += _cut_drive(reader, start, end, limits, corners)
     return np.array([*cuts, len(trajectory)], dtype=np.int64)
 
 
