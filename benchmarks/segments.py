@@ -5,7 +5,7 @@
 DRIVES is a folder of drives in the KITTI odometry layout that holds `kitti00` and
 `kit_muehlburger`. The simulated cities have seeds on which nothing was chosen. For every drive the
 unequal segments of a k come first; the equal ones are as many, so that both maps hold the same
-number of elements.
+number of elements. Even scans are mapped, odd ones asked.
 """
 
 import sys
@@ -20,7 +20,7 @@ from benchmarks.timing import machine
 from core.drive import Drive, MemoryDrive
 from core.evaluation.evaluate import Protocol, evaluate
 from core.evaluation.result import Evaluation
-from core.evaluation.split import Every, Interleaved, Split
+from core.evaluation.split import Every
 from core.parameters import Encoding, MapParameters, Segmentation
 from core.simulation import SimulatedDrive
 from storage.formats.drives import open_drive
@@ -34,20 +34,18 @@ def main(folder: Path) -> None:
     """Print the tables."""
     threadpool_limits(limits=1)
     print(f"Printed by `python -m benchmarks.segments DRIVES` at commit {commit()} on {machine()}.")
-    drives: list[tuple[Drive, Split]] = [
-        (_in_memory(open_drive(folder / "kitti00", min_returns=100)), Every(2)),
-        (_in_memory(open_drive(folder / "kit_muehlburger", min_returns=100)), Interleaved()),
-        *((_in_memory(SimulatedDrive(seed=seed, scans=CITY_SCANS)), Every(2)) for seed in SEEDS),
+    recorded = [
+        open_drive(folder / name, min_returns=100) for name in ("kitti00", "kit_muehlburger")
     ]
+    cities = [SimulatedDrive(seed=seed, scans=CITY_SCANS) for seed in SEEDS]
+    drives = [_in_memory(drive) for drive in (*recorded, *cities)]
     for encoding in Encoding:
         print(f"\n## `{encoding}`\n")
         counts = SEGMENTS if encoding == Encoding.PAPER else SEGMENTS[:1]
-        rows = [
-            _compared(drive, split, encoding, count) for drive, split in drives for count in counts
-        ]
+        rows = [_compared(drive, encoding, count) for drive in drives for count in counts]
         print_table(
             [
-                "drive, split", "k", "L", "elements", "segment accuracy: equal", "unequal",
+                "drive", "k", "L", "elements", "segment accuracy: equal", "unequal",
                 "recall@1 3 m: equal", "unequal", "relative error, mean: equal", "unequal",
                 "worst: equal", "unequal",
             ],
@@ -55,7 +53,8 @@ def main(folder: Path) -> None:
         )  # fmt: skip
 
 
-def _compared(drive: Drive, split: Split, encoding: Encoding, segments: int) -> list[str]:
+def _compared(drive: Drive, encoding: Encoding, segments: int) -> list[str]:
+    split = Every(2)  # the same scans whatever the cuts
     parameters = MapParameters.for_sensor(encoding=encoding, segmentation=Segmentation.UNEQUAL)
     unequal = evaluate(drive, Protocol(parameters, segments=segments, split=split))
     fixed = replace(parameters, segmentation=Segmentation.FIXED)
@@ -64,7 +63,7 @@ def _compared(drive: Drive, split: Split, encoding: Encoding, segments: int) -> 
         raise RuntimeError(f"{drive.name}: {equal.segments} and {unequal.segments} segments")
     both = (equal, unequal)
     return [
-        f"`{drive.name}`, {split}",
+        f"`{drive.name}`",
         str(-(-len(drive) // segments)),
         str(unequal.segments),
         str(unequal.compression.elements),

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from core.evaluation.evaluate import Protocol, evaluate
-from core.evaluation.split import Every, Interleaved, Split
+from core.evaluation.split import Every
 from core.parameters import Encoding, MapParameters, Segmentation
 from core.segmentation import cut_drives
 from core.segmentation.turns import turns
@@ -51,14 +51,13 @@ def test_a_recorded_drive_driven_back_beside_itself_adds_no_edge(drives: Drives,
     assert np.isclose(found.edge_length_m.sum(), once.edge_length_m.sum(), rtol=0.03)
 
 
-@pytest.mark.parametrize(
-    ("name", "split"), [("kitti00", Every(2)), ("kit_muehlburger", Interleaved())]
-)
+@pytest.mark.parametrize("name", ["kitti00", "kit_muehlburger"])
 @pytest.mark.parametrize("encoding", Encoding)
 def test_unequal_segments_keep_to_equal_storage_and_recall_as_much(
-    drives: Drives, name: str, split: Split, encoding: Encoding
+    drives: Drives, name: str, encoding: Encoding
 ) -> None:
     unequal = MapParameters.for_sensor(encoding=encoding, segmentation=Segmentation.UNEQUAL)
+    split = Every(2)  # the same scans whatever the cuts
     found = evaluate(drives.open(name), Protocol(unequal, segments=5, split=split))
     fixed = MapParameters.for_sensor(encoding=encoding)
     equal = evaluate(drives.open(name), Protocol(fixed, segments=found.segments, split=split))
