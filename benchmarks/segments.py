@@ -1,6 +1,6 @@
 """Unequal segments against equal ones at equal storage: the table of decision 13.
 
-    python -m benchmarks.segments DRIVES
+    python -m benchmarks.segments DRIVES [NAME ...]
 
 DRIVES is a folder of drives in the KITTI odometry layout that holds `kitti00` and
 `kit_muehlburger`. The simulated cities have seeds on which nothing was chosen. For every drive the
@@ -25,20 +25,17 @@ from core.parameters import Encoding, MapParameters, Segmentation
 from core.simulation import SimulatedDrive
 from storage.formats.drives import open_drive
 
-SEEDS = (101, 102, 103)
+RECORDED = ("kitti00", "kit_muehlburger")
+DRIVES = (*RECORDED, "simulated-101", "simulated-102", "simulated-103")
 SEGMENTS = (5, 10)  # k = ceil(K / L); unequal segments are about as many
 CITY_SCANS = 300
 
 
-def main(folder: Path) -> None:
-    """Print the tables."""
+def main(folder: Path, *names: str) -> None:
+    """Print the tables, of some drives or all of them."""
     threadpool_limits(limits=1)
     print(f"Printed by `python -m benchmarks.segments DRIVES` at commit {commit()} on {machine()}.")
-    recorded = [
-        open_drive(folder / name, min_returns=100) for name in ("kitti00", "kit_muehlburger")
-    ]
-    cities = [SimulatedDrive(seed=seed, scans=CITY_SCANS) for seed in SEEDS]
-    drives = [_in_memory(drive) for drive in (*recorded, *cities)]
+    drives = [_in_memory(_drive(folder, name)) for name in names or DRIVES]
     for encoding in Encoding:
         print(f"\n## `{encoding}`\n")
         counts = SEGMENTS if encoding == Encoding.PAPER else SEGMENTS[:1]
@@ -51,6 +48,12 @@ def main(folder: Path) -> None:
             ],
             rows,
         )  # fmt: skip
+
+
+def _drive(folder: Path, name: str) -> Drive:
+    if name in RECORDED:
+        return open_drive(folder / name, min_returns=100)
+    return SimulatedDrive(seed=int(name.removeprefix("simulated-")), scans=CITY_SCANS)
 
 
 def _compared(drive: Drive, encoding: Encoding, segments: int) -> list[str]:
@@ -84,4 +87,4 @@ def _in_memory(drive: Drive) -> MemoryDrive:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]))
+    main(Path(sys.argv[1]), *sys.argv[2:])
