@@ -16,10 +16,11 @@ from core.builder import build_map
 from core.drive import Drive
 from core.images import ConcatenatedImages, Probes, Skipped
 from core.merging import BasisFit, basis_fits
-from core.parameters import MapParameters
+from core.parameters import MapParameters, Segmentation
 from core.progress import NO_PROGRESS, Progress
-from core.segmentation import cut_drives, segment_length_for
+from core.segmentation import cut_drives, cut_unequal, segment_length_for
 from core.tensormap import TensorMap
+from core.topology import cut_at_meetings
 from core.trajectory import Trajectory
 from storage.catalog import RevisionFacts, RevisionRecord
 from storage.errors import CorruptImages, NotFound
@@ -188,13 +189,19 @@ def _build(
     length = segment_length_for(
         longest, segment_length=parameters.segment_length, segments=parameters.segments
     )
+    joined = ConcatenatedImages(images)
+    cuts = (
+        cut_unequal(joined, trajectory, length, map_parameters, progress)
+        if map_parameters.segmentation == Segmentation.UNEQUAL
+        else cut_drives(trajectory.drive_start, length)
+    )
     grams: dict[str, FloatArray] | None = None
     if map_parameters.distance is not None:
         grams = {d.name: i.detail_gram() for d, i in zip(drives, images, strict=True)}
     tensor_map = build_map(
-        ConcatenatedImages(images),
+        joined,
         trajectory,
-        cut_drives(trajectory.drive_start, length),
+        cut_at_meetings(trajectory, cuts),
         map_parameters,
         progress,
         _probes(images, map_parameters),

@@ -16,7 +16,7 @@ from core.images import ImageSource, Probes
 from core.parameters import MapParameters
 from core.progress import NO_PROGRESS, Progress
 from core.tensormap import TensorMap
-from core.topology import Topology
+from core.topology import join_segments
 from core.trajectory import Trajectory
 from core.trust.calibrate import calibrate
 from core.tucker import BLOCK_SCANS, Grams, leading_basis, project, relative_error
@@ -44,7 +44,8 @@ def build_map(
     Args:
         images: One image a scan of the trajectory, on the parameters' grid.
         trajectory: Drive, time and pose of each scan.
-        segment_start: `(L + 1,)` rows where segments begin, and K.
+        segment_start: `(L + 1,)` rows where segments begin, and K; those that
+            `core.topology.cut_at_meetings` gives share edges where drives meet.
         parameters: Ranks and all that queries must share with the map.
         progress: Told of every image of each pass; may raise `Cancelled`.
         probes: Disturbed scans of the trajectory; without them the map is not calibrated.
@@ -75,7 +76,7 @@ def build_map(
     progress.start("fitting", len(images) if one_pass else 2 * len(images))
     model, errors = fit(images, segment_start, parameters, progress)
     tensor_map = TensorMap(
-        parameters, model, trajectory, Topology.of_segments(trajectory, segment_start), errors
+        parameters, model, trajectory, join_segments(trajectory, segment_start), errors
     )
     if probes is None:
         return tensor_map

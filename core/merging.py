@@ -11,7 +11,7 @@ from core.encodings.paper import PaperModel
 from core.errors import BasisMismatch, EmptyDrive, InvalidParameters, UnknownDrive
 from core.grams import fit_radial_basis, radial_error
 from core.tensormap import TensorMap
-from core.topology import Topology
+from core.topology import join_segments
 from core.trajectory import Trajectory
 
 __all__ = ["BasisFit", "basis_fits", "merge_maps", "without_drives"]
@@ -94,7 +94,7 @@ def merge_maps(maps: Sequence[TensorMap]) -> TensorMap:
         first.parameters,
         model,
         trajectory,
-        Topology.of_segments(trajectory, model.segment_start),
+        join_segments(trajectory, model.segment_start),
         np.concatenate([part.relative_error for part in maps]),
     )
 
@@ -141,7 +141,7 @@ def without_drives(tensor_map: TensorMap, names: Collection[str]) -> TensorMap:
         tensor_map.parameters,
         of_kept,
         trajectory,
-        Topology.of_segments(trajectory, of_kept.segment_start),
+        join_segments(trajectory, of_kept.segment_start),
         tensor_map.relative_error[segments],
     )
 

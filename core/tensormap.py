@@ -21,7 +21,7 @@ from core.encodings.paper import PaperModel
 from core.errors import InvalidMap
 from core.parameters import Encoding, MapParameters
 from core.revision import content_digest
-from core.topology import Topology, segment_ends
+from core.topology import JOINED, Topology, segment_ends
 from core.trajectory import Trajectory
 from core.trust.calibration import Calibration
 
@@ -220,16 +220,10 @@ def _calibration(attributes: Mapping[str, Any]) -> Calibration | None:
 
 
 def _topology(a: dict[str, NDArray[Any]]) -> Topology:
-    return Topology(
-        a["node_scan"],
-        a["edge_nodes"],
-        a["edge_length_m"],
-        **{
-            name: a[name]
-            for name in ("edge_scans", "edge_of_segment", "segment_reversed")
-            if name in a
-        },
-    )
+    joined = {name: a[name] for name in JOINED if name in a}
+    if joined and not np.isin(joined["segment_reversed"], (0, 1)).all():
+        raise InvalidMap("segment_reversed holds other numbers than 0 and 1")
+    return Topology(a["node_scan"], a["edge_nodes"], a["edge_length_m"], **joined)
 
 
 def _model(parameters: MapParameters, a: dict[str, NDArray[Any]]) -> PaperModel | HarmonicModel:

@@ -18,6 +18,7 @@ from app.cli.options import (
     LateralRenderingsOption,
     RanksOption,
     ReducerOption,
+    SegmentationOption,
     SegmentLengthOption,
     SegmentsOption,
     SensorHeightOption,
@@ -33,7 +34,7 @@ from core.evaluation.evaluate import Protocol
 from core.evaluation.evaluate import evaluate as evaluate_drive
 from core.evaluation.result import Evaluation
 from core.evaluation.split import Interleaved, parse_split
-from core.parameters import Encoding, MapParameters
+from core.parameters import Encoding, MapParameters, Segmentation
 from core.sensor import HDL_64E
 from storage.files import publish
 from storage.formats.drives import open_drive
@@ -69,6 +70,7 @@ def evaluate(
     ] = None,
     encoding: EncodingOption = Encoding.PAPER,
     ranks_text: RanksOption = "5,5",
+    segmentation: SegmentationOption = Segmentation.FIXED,
     segment_length: SegmentLengthOption = None,
     segments: SegmentsOption = None,
     reducer: ReducerOption = None,
@@ -109,6 +111,7 @@ def evaluate(
             lateral_renderings_m=(
                 None if lateral_renderings is None else numbers(lateral_renderings)
             ),
+            segmentation=segmentation,
         ),
         segment_length=segment_length,
         segments=segments,
@@ -131,9 +134,11 @@ def evaluate(
 def _show(result: Evaluation) -> None:
     of = result.drive if result.query_drive is None else f"{result.query_drive} in {result.drive}"
     how = "" if result.split is None else f", {result.split}"
+    unequal = "unequal " if result.segmentation == Segmentation.UNEQUAL else ""
     output.print(
-        f"{of}: {result.map_scans} map scans in {result.segments} segments, {result.encoding}"
-        f" {result.ranks[0]}x{result.ranks[1]}, {result.reducer} {result.image}{how}",
+        f"{of}: {result.map_scans} map scans in {result.segments} {unequal}segments,"
+        f" {result.encoding} {result.ranks[0]}x{result.ranks[1]},"
+        f" {result.reducer} {result.image}{how}",
         markup=False,
         soft_wrap=True,
     )

@@ -1,6 +1,7 @@
 """`tensormap build`, `localize`, `signature` and `inspect`: maps as files, without a service."""
 
 import json
+import math
 import sys
 from pathlib import Path
 from typing import Annotated
@@ -20,6 +21,7 @@ from app.cli.options import (
     MapArgument,
     RanksOption,
     ReducerOption,
+    SegmentationOption,
     SegmentLengthOption,
     SegmentsOption,
     SensorHeightOption,
@@ -31,15 +33,18 @@ from app.cli.options import (
 from app.jobs.parameters import BuildParameters
 from app.schemas.hints import hints_of
 from app.schemas.localizations import LocalizationOut, SignaturesIn
+from app.schemas.topology import TopologyOut
 from core.arrays import Float32Array
 from core.basis import harmonic_basis_digest
 from core.compression import Compression
 from core.encodings.harmonic import HarmonicModel
 from core.errors import InvalidParameters, InvalidScan
 from core.localizer import Localization, Localizer
-from core.parameters import Encoding
+from core.parameters import Encoding, Segmentation
+from core.pose import path_length_m
 from core.sensor import HDL_64E
 from core.signature import Packing, pack_signatures
+from core.tensormap import TensorMap
 from storage.files import publish
 from storage.formats.drives import open_drive
 from storage.formats.errors import UnknownFormat
@@ -58,6 +63,7 @@ def build(
     ],
     encoding: EncodingOption = Encoding.PAPER,
     ranks_text: RanksOption = "5,5",
+    segmentation: SegmentationOption = Segmentation.FIXED,
     segment_length: SegmentLengthOption = None,
     segments: SegmentsOption = None,
     reducer: ReducerOption = None,
@@ -84,6 +90,7 @@ def build(
         parameters = BuildParameters(
             encoding=encoding,
             ranks=ranks(ranks_text),
+            segmentation=segmentation,
             segment_length=segment_length,
             segments=segments,
             reducer=reducer,
@@ -304,36 +311,53 @@ def inspect(
         **tensor_map.attributes(),
         "scans": len(tensor_map),
         "segments": tensor_map.model.segments,
+        "segmentation": tensor_map.parameters.segmentation.value,
         "elements": tensor_map.elements,
         "size_bytes": map_file.stat().st_size,
         "arrays": {
             name: {"shape": list(array.shape), "dtype": str(array.dtype)}
             for name, array in tensor_map.arrays().items()
         },
-        "edges": [
-            {"segment": segment, "scans": scans, "length_m": length_m, "relative_error": error}
-            for segment, (scans, length_m, error) in enumerate(
-                zip(
-                    tensor_map.topology.edge_scans.tolist(),
-                    [None if m != m else m for m in tensor_map.topology.edge_length_m.tolist()],
-                    tensor_map.relative_error.tolist(),
-                    strict=True,
-                )
-            )
-        ],
+        "nodes": len(tensor_map.topology.node_scan),
+        "edges": [edge.model_dump() for edge in TopologyOut.from_core(tensor_map).edges],
     }
     if as_json:
         sys.stdout.write(f"{json.dumps(facts, indent=2)}\n")
         return
-    for name in ("revision", "basis", "encoding", "sensor", "reducer", "ranks", "drives", "scans"):
-        output.print(f"{name:>10}  {facts[name]}", markup=False, highlight=False)
-    table = Table("segment", "scans", "length m", "relative error")
-    for edge in facts["edges"]:
-        length = "-" if edge["length_m"] is None else f"{edge['length_m']:.1f}"
-        table.add_row(
-            str(edge["segment"]), str(edge["scans"]), length, f"{edge['relative_error']:.3f}"
-        )
+    for name in (
+        "revision",
+        "basis",
+        "encoding",
+        "sensor",
+        "reducer",
+        "ranks",
+        "drives",
+        "scans",
+        "segmentation",
+    ):
+        output.print(f"{name:>12}  {facts[name]}", markup=False, highlight=False)
+    edges = facts["edges"]
+    output.print(f"{'graph':>12}  {facts['nodes']} nodes, {len(edges)} edges", highlight=False)
+    table = Table("edge", "nodes", "segment", "scans", "length m", "relative error")
+    for edge in edges:
+        first, last = edge["nodes"]
+        for of_it in edge["segments"]:
+            nodes = (last, first) if of_it["reversed"] else (first, last)
+            row = of_it["segment"], of_it["scans"]
+            length_m = path_length_m(tensor_map.trajectory.poses[slice(*_rows(tensor_map, row[0]))])
+            table.add_row(
+                str(edge["edge"]),
+                f"{nodes[0]} - {nodes[1]}",
+                *map(str, row),
+                "-" if math.isnan(length_m) else f"{length_m:.1f}",
+                f"{of_it['relative_error']:.3f}",
+            )
     output.print(table)
+
+
+def _rows(tensor_map: TensorMap, segment: int) -> tuple[int, int]:
+    first, last = tensor_map.segment_ends[segment].tolist()
+    return first, last + 1
 
 
 def _figure(value: float | None) -> str:

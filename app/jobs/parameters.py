@@ -7,7 +7,7 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator, model_valida
 
 from core.errors import InvalidParameters
 from core.imager import ImageKind
-from core.parameters import LATERAL_RENDERINGS_M, Distance, Encoding, MapParameters
+from core.parameters import LATERAL_RENDERINGS_M, Distance, Encoding, MapParameters, Segmentation
 from core.projection import Reducer
 from core.segmentation import PAPER_SEGMENT_LENGTH
 from core.sensor import HDL_64E, SENSORS
@@ -69,6 +69,11 @@ class BuildParameters(BaseModel):
         description="`paper`: bases of each segment; `harmonic`: one for the map.",
     )
     ranks: tuple[int, int] = Field((5, 5), description="r1 and r2: the shape of a signature.")
+    segmentation: Segmentation = Field(
+        Segmentation.FIXED,
+        description="`fixed`: k scans each; `unequal`: k/2 to 2k, ending where the drive turns or"
+        " one model explains the scans no more. Where drives meet both are cut besides.",
+    )
     segment_length: int | None = Field(
         None,
         ge=1,
@@ -174,6 +179,7 @@ class BuildParameters(BaseModel):
             image=self.image,
             distance=self.distance,
             lateral_renderings_m=self.lateral_renderings_m,
+            segmentation=self.segmentation,
         )
 
     def as_json(self) -> dict[str, Any]:

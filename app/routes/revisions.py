@@ -187,7 +187,7 @@ def get_basis(
     responses=problems(*_OF_ONE),
 )
 def get_topology(map_slug: MapSlug, running: Running, revision: OneRevision = None) -> TopologyOut:
-    """Show a map as a graph: nodes where segments end, edges along them."""
+    """Show a map as a graph: nodes where segments end and drives meet, edges along streets."""
     return TopologyOut.from_core(_answering(running, map_slug, revision).localizer.map)
 
 

@@ -21,11 +21,11 @@ from core.evaluation.result import ConditionResult, Evaluation, SegmentError
 from core.evaluation.split import Interleaved, Split
 from core.images import ProjectedDrive, project_drive
 from core.localizer import Localization, Localizer
-from core.parameters import MapParameters
+from core.parameters import MapParameters, Segmentation
 from core.places import AWAY_M
 from core.pose import heading_deg, is_known
 from core.progress import NO_PROGRESS, Progress
-from core.segmentation import cut_fixed, segment_length_for
+from core.segmentation import cut_fixed, cut_unequal, segment_length_for
 from core.tensormap import TensorMap
 from core.trajectory import Trajectory
 
@@ -98,7 +98,8 @@ def evaluate(
 ) -> Evaluation:
     """Evaluate localization on a drive against itself, or against a second pass.
 
-    Segments are cut over all scans of the drive, then split. With a query drive the whole of
+    Segments are cut over all scans of the drive, then split; unlike a build's, not where the drive
+    meets itself, which models do not depend on. With a query drive the whole of
     `drive` is the map, both share one world frame, and a query's true segment is that of the
     nearest map scan. Scans of `unknown` drives, which share no place with the map, are asked under
     the same conditions: whatever the map answers them is wrong.
@@ -113,7 +114,7 @@ def evaluate(
     length = segment_length_for(
         len(drive), segment_length=protocol.segment_length, segments=protocol.segments
     )
-    segment_start = cut_fixed(len(drive), length)
+    segment_start = _cut(drive, length, protocol.parameters, progress)
     held_out = (
         protocol.split.held_out(segment_start)
         if query_drive is None
@@ -141,6 +142,7 @@ def evaluate(
         encoding=str(protocol.parameters.encoding),
         ranks=protocol.parameters.ranks,
         segments=tensor_map.model.segments,
+        segmentation=str(protocol.parameters.segmentation),
         split=str(protocol.split) if query_drive is None else None,
         reducer=str(protocol.parameters.reducer),
         image=str(protocol.parameters.image),
@@ -165,6 +167,20 @@ def evaluate(
         relative_error=tuple(tensor_map.relative_error.tolist()),
         conditions=_ask(Localizer(tensor_map), queries, unknown, protocol, progress),
     )
+
+
+def _cut(drive: Drive, length: int, parameters: MapParameters, progress: Progress) -> IntArray:
+    """Return `(L + 1,)` scans of the drive at which segments begin, and their number."""
+    if parameters.segmentation == Segmentation.FIXED:
+        return cut_fixed(len(drive), length)
+    everything = np.arange(len(drive))
+    projected = project_drive(drive, everything, parameters.imager, progress)
+    scans = projected.scans
+    trajectory = Trajectory.of_drive(
+        drive.name, drive.timestamp_s[scans], drive.poses[scans], scans
+    )
+    cuts = cut_unequal(projected.images, trajectory, length, parameters, progress)
+    return np.concatenate([[0], scans[cuts[1:-1]], [len(drive)]])
 
 
 def _build(

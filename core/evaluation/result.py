@@ -98,6 +98,7 @@ class Evaluation:
         unknown_drives: Names of the drives whose places the map does not have.
         calibrated: Whether the map tells probabilities.
         segments: L.
+        segmentation: How they were cut.
         split: How the queries were held out, `None` with a query drive.
         distance: How harmonic signatures are compared, `None` in the paper's encoding.
         lateral_renderings_m: From where the map's scans were rendered, `None` likewise.
@@ -118,6 +119,7 @@ class Evaluation:
     encoding: str
     ranks: tuple[int, int]
     segments: int
+    segmentation: str
     split: str | None
     reducer: str
     image: str
