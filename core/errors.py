@@ -9,6 +9,7 @@ TensorMapError
 ├── InvalidMap              arrays that do not form a TensorMap
 ├── InvalidSignature        a signature of the wrong shape or content
 ├── StaleSignature          a signature made with another revision's bases
+├── StaleObservation        an observation that is not newer than the track's last one
 ├── UnknownSegment          a segment the map does not have
 ├── SensorMismatch          a query of a sensor or grid the map was not built for
 ├── EmptyDrive              a drive without a single scan to map
@@ -25,6 +26,7 @@ __all__ = [
     "InvalidScan",
     "InvalidSignature",
     "SensorMismatch",
+    "StaleObservation",
     "StaleSignature",
     "TensorMapError",
     "TooFewReturns",
@@ -66,6 +68,10 @@ class InvalidSignature(TensorMapError):
 
 class StaleSignature(TensorMapError):
     """A signature made with the bases of another revision."""
+
+
+class StaleObservation(TensorMapError):
+    """An observation that is not newer than the last one of its track."""
 
 
 class UnknownSegment(TensorMapError):

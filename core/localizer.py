@@ -8,7 +8,7 @@ import numpy as np
 
 from core.arrays import BoolArray
 from core.displacement import pose_beside
-from core.encodings.model import Found
+from core.encodings.model import Found, Search
 from core.errors import (
     InvalidParameters,
     InvalidSignature,
@@ -155,12 +155,22 @@ class Localizer:
         """
         if k < 1:
             raise InvalidParameters(f"k is {k}, wanted at least 1")
-        self._require_answerable(signatures)
-        search = self.map.model.search(signatures)
+        search = self.search(signatures)
         matches = tuple(self._match(found) for found in search.nearest(k))
         away = search.nearest(1, self._away_from(matches[0].row))
         runner_up = self._match(away[0]) if away else None
         return Localization(self.map.revision, matches, runner_up, search.segments)
+
+    def search(self, signatures: Sequence[Signature]) -> Search:
+        """Compare one scan's signatures with the map's, and answer nothing yet.
+
+        Raises:
+            StaleSignature: If one was made with another revision's bases.
+            UnknownSegment: If the map has no such segment.
+            InvalidSignature: As `localize_signatures` does.
+        """
+        self._require_answerable(signatures)
+        return self.map.model.search(signatures)
 
     def _require_answerable(self, signatures: Sequence[Signature]) -> None:
         if not signatures:
