@@ -17,6 +17,7 @@ from core.parameters import Encoding, MapParameters
 from core.revision import content_digest
 from core.topology import Topology
 from core.trajectory import Trajectory
+from core.trust.calibration import Calibration
 
 __all__ = ["TensorMap"]
 
@@ -31,6 +32,7 @@ class TensorMap:
         trajectory: Drive, time and pose of each scan.
         topology: Nodes and edges; edge `l` is segment `l`.
         relative_error: `(L,)` |X - X^| / |X| of each segment's images, renderings included.
+        calibration: From distances to probabilities; `None` where the map cannot tell.
     """
 
     parameters: MapParameters
@@ -38,6 +40,7 @@ class TensorMap:
     trajectory: Trajectory
     topology: Topology
     relative_error: FloatArray
+    calibration: Calibration | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "relative_error", frozen(self.relative_error, np.float64))
@@ -128,7 +131,10 @@ class TensorMap:
 
     def attributes(self) -> dict[str, Any]:
         """Return every attribute of the map, as plain values."""
-        return {**self.parameters.as_attributes(), "drives": list(self.trajectory.drives)}
+        attributes = {**self.parameters.as_attributes(), "drives": list(self.trajectory.drives)}
+        if self.calibration is not None:
+            attributes["calibration"] = self.calibration.as_attributes()
+        return attributes
 
     @classmethod
     def from_parts(
@@ -154,6 +160,7 @@ class TensorMap:
                 ),
                 Topology(a["node_scan"], a["edge_nodes"], a["edge_length_m"]),
                 a["relative_error"],
+                _calibration(attributes),
             )
         except KeyError as error:
             raise InvalidMap(f"the map lacks {error}") from error
@@ -162,6 +169,12 @@ class TensorMap:
         if tensor_map.attributes() != dict(attributes):
             raise InvalidMap("the map has attributes that are unknown or not in their own form")
         return tensor_map
+
+
+def _calibration(attributes: Mapping[str, Any]) -> Calibration | None:
+    if "calibration" not in attributes:  # a file of before there was any, or of gone returns
+        return None
+    return Calibration.from_attributes(attributes["calibration"])
 
 
 def _model(parameters: MapParameters, a: dict[str, NDArray[Any]]) -> PaperModel | HarmonicModel:
