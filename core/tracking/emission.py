@@ -6,18 +6,17 @@ from typing import Protocol
 import numpy as np
 
 from core.arrays import BoolArray, FloatArray
-from core.encodings.harmonic import HarmonicModel, HarmonicSearch
-from core.encodings.model import Search
-from core.encodings.paper import PaperModel, PaperSearch
+from core.encodings.harmonic import HarmonicModel
+from core.encodings.paper import PaperModel
 from core.signature import Signature
 from core.tensormap import TensorMap
 
-__all__ = ["DistanceSpread", "Emission", "LikelihoodRatio", "distances_of", "own_signatures"]
+__all__ = ["DistanceSpread", "Emission", "LikelihoodRatio", "own_signatures"]
 
 _SAMPLED = 32  # scans of the map that are compared with all others
 _ELSEWHERE_M = 10.0
 _ELSEWHERE_SCANS = 50  # 5 s at 10 Hz; counts where poses are unknown
-_RARE_SIGMA = 2.5  # below the mean: 1 scan elsewhere in 160 is as near
+_RARE_SIGMA = 2.2  # below the mean: 1 scan elsewhere in 70 is as near
 _SLOPE = 4.0  # twice as far from the query is 16 times less likely
 _MOST = 8.0  # nats: no single observation decides alone, whatever it says
 
@@ -62,7 +61,7 @@ class DistanceSpread:
         near: list[float] = []
         for row in rows.tolist():
             search = tensor_map.model.search(own_signatures(tensor_map, row))
-            distances = distances_of(tensor_map, search)
+            distances = search.distances()
             away.append(distances[_elsewhere(tensor_map, row)])
             after = row + 1
             if after < len(tensor_map) and drive[after] == drive[row]:
@@ -117,19 +116,7 @@ class Emission:
     def of_map(cls, tensor_map: TensorMap) -> "Emission":
         """Return the emission of a map, by its calibration where it has one."""
         spread = DistanceSpread.of_map(tensor_map)
-        calibration = getattr(tensor_map, "calibration", None)
-        return cls(spread if calibration is None else calibration, spread)
-
-
-def distances_of(tensor_map: TensorMap, search: Search) -> FloatArray:
-    """Return the distances to all scans, `(K,)`, infinite for those that are not searched."""
-    if isinstance(search, HarmonicSearch):
-        return np.asarray(search.exact(np.arange(len(tensor_map)))[0].min(axis=1))
-    if isinstance(search, PaperSearch):
-        distances = np.full(len(tensor_map), np.inf)
-        distances[search.rows] = search.distances
-        return distances
-    raise TypeError(f"there is no search {type(search).__name__}")
+        return cls(tensor_map.calibration or spread, spread)
 
 
 def own_signatures(tensor_map: TensorMap, row: int) -> tuple[Signature, ...]:

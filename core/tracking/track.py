@@ -14,7 +14,7 @@ from core.localizer import Localizer
 from core.pose import Pose
 from core.signature import Signature
 from core.tracking.belief import Belief
-from core.tracking.emission import Emission, distances_of
+from core.tracking.emission import Emission
 from core.tracking.graph import TravelGraph
 from core.tracking.motion import Motion
 from core.tracking.place import Place, gathered
@@ -26,7 +26,7 @@ __all__ = ["Observation", "Track", "Tracker"]
 _FIRST_FIX = 3  # observations: one alone is a localization, and two may err alike
 _SURE = 0.9  # of being at one place, to tell it; of a direction too
 _ELSEWHERE = 0.5  # of being outside of the map, to say so
-_MOVE_ODDS = 0.75  # of a standing vehicle being beyond the place that was told, to move the answer
+_MOVE_ODDS = 0.9  # of a standing vehicle being beyond the place that was told, to move the answer
 _SLOWEST, _FASTEST = 0.1, 10.0  # times between observations, as shares of the usual one
 _TIMES_KEPT = 15
 
@@ -138,6 +138,11 @@ class Track:
         return self._tracker.map.revision
 
     @property
+    def localizer(self) -> Localizer:
+        """Of that revision."""
+        return self._tracker.localizer
+
+    @property
     def belief(self) -> Belief:
         """What is believed now."""
         return self._belief
@@ -153,7 +158,7 @@ class Track:
         """
         self._order.require_newer(observation)
         search = self._tracker.localizer.search(observation.signatures)
-        distances = distances_of(self._tracker.map, search)
+        distances = search.distances()
         belief = self._belief
         if self._observations:
             belief = belief.predicted(
