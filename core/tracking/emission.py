@@ -17,6 +17,7 @@ _SAMPLED = 32  # scans of the map that are compared with all others
 _ELSEWHERE_M = 10.0
 _ELSEWHERE_SCANS = 50  # 5 s at 10 Hz; counts where poses are unknown
 _RARE_SIGMA = 2.2  # below the mean: 1 scan elsewhere in 70 is as near
+_WITHIN = 3.0  # by how much the map's own spacing is nearer than what is rare elsewhere, at least
 _SLOPE = 4.0  # twice as far from the query is 16 times less likely
 _MOST = 8.0  # nats: no single observation decides alone, whatever it says
 
@@ -49,8 +50,11 @@ class DistanceSpread:
 
     def log_likelihood_ratio(self, distances: FloatArray) -> FloatArray:
         """Return a ratio that is even where distances to elsewhere become rare."""
-        even = self.log_mean - _RARE_SIGMA * self.log_sigma
-        return np.asarray(_SLOPE * (even - np.log(distances + self.resolution)))
+        return np.asarray(_SLOPE * (self._even - np.log(distances + self.resolution)))
+
+    @property
+    def _even(self) -> float:
+        return self.log_mean - _RARE_SIGMA * self.log_sigma
 
     @classmethod
     def of_map(cls, tensor_map: TensorMap) -> "DistanceSpread":
@@ -74,8 +78,11 @@ class DistanceSpread:
             typical = float(np.median(steps)) if len(steps) else 1e-3
             return cls(typical, float(np.log(10.0 * typical)), 0.3)
         logs = np.log(far)
-        resolution = float(np.median(steps)) if len(steps) else 1e-2 * float(np.median(far))
-        return cls(resolution, float(logs.mean()), max(float(logs.std()), 0.05))
+        log_mean, log_sigma = float(logs.mean()), max(float(logs.std()), 0.05)
+        # A map of few scans, far apart, must not make its own places unlikely.
+        finest = float(np.exp(log_mean - _RARE_SIGMA * log_sigma)) / _WITHIN
+        resolution = min(float(np.median(steps)), finest) if len(steps) else finest
+        return cls(resolution, log_mean, log_sigma)
 
 
 @dataclass(frozen=True)
@@ -105,7 +112,7 @@ class Emission:
             return np.ones(len(distances))
         nearest = float(distances[compared].min())
         resolution = self.spread.resolution
-        on_map = float(self.ratio.log_likelihood_ratio(np.array([nearest + resolution]))[0])
+        on_map = float(self.ratio.log_likelihood_ratio(np.array([nearest]))[0])
         relative = np.full(len(distances), -_MOST)
         relative[compared] = -_SLOPE * np.log(
             (distances[compared] + resolution) / (nearest + resolution)

@@ -38,11 +38,10 @@ class Place:
     rows: slice
     weight: FloatArray
 
-    def beyond(self, position: float) -> tuple[float, float]:
-        """Return what is believed of rows before `position`, and of rows after it."""
+    def beyond(self, row: int) -> tuple[float, float]:
+        """Return what is believed of the rows before `row`, and of those after it."""
         rows = np.arange(self.rows.start, self.rows.stop)
-        before = float(self.weight[rows < position].sum())
-        return before, float(self.weight[rows > position].sum())
+        return float(self.weight[rows < row].sum()), float(self.weight[rows > row].sum())
 
 
 def gathered(belief: Belief, tensor_map: TensorMap) -> Place:

@@ -217,7 +217,7 @@ class Track:
         told = self._told
         if told is None or not place.rows.start <= told <= place.rows.stop - 1:
             return place.position
-        before, after = place.beyond(told)
+        before, after = place.beyond(math.floor(told + 0.5))
         return place.position if max(before, after) > _MOVE_ODDS else told
 
     def _doubt(self, belief: Belief, place: Place) -> Doubt | None:
