@@ -78,8 +78,6 @@ class TravelGraph:
             raise InvalidParameters(
                 "a cut lies between the last scan before it and the first after"
             )
-        last = np.isin(starts[1:], tensor_map.trajectory.drive_start)
-        ends = np.stack([starts[:-1], starts[1:] - last], axis=1)
         steps = _steps_m(tensor_map)
         scans = len(tensor_map)
         links = _links(tensor_map)
@@ -91,7 +89,9 @@ class TravelGraph:
         step_m: FloatArray = np.bincount(links[:, 0], share * known, 2 * scans).astype(np.float64)
         step_m[np.unique(links[np.isnan(length), 0])] = np.nan
         along_m = np.concatenate([[0.0], np.cumsum(steps)])
-        return cls(tensor_map.model.segment_of_scan, cuts, ends, ahead, step_m, along_m)
+        return cls(
+            tensor_map.model.segment_of_scan, cuts, tensor_map.segment_ends, ahead, step_m, along_m
+        )
 
 
 def _steps_m(tensor_map: TensorMap) -> FloatArray:
@@ -104,24 +104,26 @@ def _steps_m(tensor_map: TensorMap) -> FloatArray:
 def _links(tensor_map: TensorMap) -> NDArray[np.int64]:
     """Return every `(place, place one scan ahead)`, `(n, 2)`; at least one from each place."""
     starts = tensor_map.model.segment_start
-    edge_nodes = tensor_map.topology.edge_nodes
     within = np.ones(len(tensor_map), bool)
     within[starts[1:] - 1] = False
     rows = np.flatnonzero(within)
     links = [np.stack([2 * rows, 2 * rows + 2], 1), np.stack([2 * rows + 3, 2 * rows + 1], 1)]
-    # A segment's two ends: the place in which one comes to it, and the one that begins there.
-    ends: dict[int, list[tuple[int, int]]] = {}
-    for segment, (begin, end) in enumerate(edge_nodes.tolist()):
-        first, last = int(starts[segment]), int(starts[segment + 1]) - 1
-        ends.setdefault(begin, []).append((2 * first + 1, 2 * first))
-        ends.setdefault(end, []).append((2 * last, 2 * last + 1))
-    met = [
-        (leaving, entered)
-        for at_node in ends.values()
-        for here, (leaving, _) in enumerate(at_node)
-        for entered in [e for there, (_, e) in enumerate(at_node) if there != here] or [leaving]
-    ]
+    met: list[tuple[int, int]] = []
+    for segment in range(len(starts) - 1):
+        for forward in (True, False):
+            leaving = _end_place(starts, segment, forward=forward)
+            entered = [
+                # To enter a segment is to leave it the other way round, turned about.
+                _end_place(starts, entry.segment, forward=not entry.forward) ^ 1
+                for entry in tensor_map.topology.neighbours(segment, forward=forward)
+            ]
+            met += [(leaving, place) for place in entered or [leaving]]
     return np.concatenate([*links, np.array(met, dtype=np.int64).reshape(-1, 2)])
+
+
+def _end_place(starts: IntArray, segment: int, *, forward: bool) -> int:
+    """Return the place at which a segment is left."""
+    return 2 * int(starts[segment + 1] - 1) if forward else 2 * int(starts[segment]) + 1
 
 
 def _link_m(tensor_map: TensorMap, steps: FloatArray, one: int, two: int) -> float:
