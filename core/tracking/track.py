@@ -8,8 +8,10 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from core.arrays import FloatArray
 from core.displacement import pose_beside
+from core.encodings.harmonic import HarmonicSearch
 from core.encodings.model import Found, Search
 from core.errors import InvalidParameters, StaleObservation
+from core.estimate import estimate
 from core.localizer import Localizer
 from core.pose import Pose
 from core.signature import Signature
@@ -188,6 +190,10 @@ class Track:
         among[row] = True
         # A query of the paper's encoding may not hold the signature of this scan's segment.
         found = next(iter(search.nearest(1, among)), None) or Found(row, math.nan)
+        stands = estimate(search, trajectory, found) if isinstance(search, HarmonicSearch) else None
+        turn_deg, lateral_m = (
+            (None, None) if stands is None else (stands.turn_deg, stands.lateral_m)
+        )
         reason = self._doubt(belief, place)
         segment = tracker.graph.segment_at(position)
         return TrackStep(
@@ -207,9 +213,9 @@ class Track:
             standing=standing,
             along_sigma_m=_sigma_m(tracker.graph.along_m, place),
             along_sigma_scans=place.sigma,
-            turn_deg=found.turn_deg,
-            lateral_m=found.lateral_m,
-            pose=_pose(trajectory.poses, position, row, found),
+            turn_deg=turn_deg,
+            lateral_m=lateral_m,
+            pose=_pose(trajectory.poses, position, row, lateral_m or 0.0, turn_deg or 0.0),
         )
 
     def _held(self, place: Place) -> float:
@@ -247,7 +253,9 @@ def _sigma_m(along_m: FloatArray, place: Place) -> float | None:
     return float(np.sqrt(place.weight @ (metres - mean_m) ** 2))
 
 
-def _pose(poses: FloatArray, position: float, row: int, found: Found) -> Pose | None:
+def _pose(
+    poses: FloatArray, position: float, row: int, lateral_m: float, turn_deg: float
+) -> Pose | None:
     """Return the pose at a position between rows, displaced and turned as the match says."""
     low = min(max(math.floor(position), 0), len(poses) - 1)
     low = min(low, row)
@@ -260,4 +268,4 @@ def _pose(poses: FloatArray, position: float, row: int, found: Found) -> Pose | 
     between = np.concatenate(
         [(1.0 - share) * pair[0, :3] + share * pair[1, :3], turned.as_quat(canonical=True)]
     )
-    return Pose.from_row(pose_beside(between, found.lateral_m or 0.0, found.turn_deg or 0.0))
+    return Pose.from_row(pose_beside(between, lateral_m, turn_deg))
