@@ -1,0 +1,266 @@
+"""The tables of docs/reference/comparison.md, from recorded and simulated drives.
+
+    python -m benchmarks.compare DRIVES > docs/reference/comparison.md
+    python -m benchmarks.compare DRIVES recorded|cities|loops
+
+DRIVES is a folder of drives in the KITTI odometry layout that holds `kitti00` and
+`kit_muehlburger`. Nothing was chosen on the simulated cities' seeds. `map-closures` takes part
+where its package is installed.
+"""
+
+import sys
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from threadpoolctl import threadpool_limits
+
+from app.peers.roster import contestants, default_methods
+from app.provenance import commit, machine, provenance
+from benchmarks.accuracy import print_table
+from core.drive import Drive, MemoryDrive
+from core.evaluation.compare import ComparisonProtocol, compare
+from core.evaluation.comparison import Comparison, MethodResult, MethodUnderCondition
+from core.evaluation.condition import Condition, conditions
+from core.evaluation.pairing import HeldOut, LoopClosing, SecondPass
+from core.evaluation.split import Every
+from core.sensor import HDL_64E
+from core.simulation import SimulatedDrive
+from storage.formats.drives import open_drive
+
+SEEDS = (101, 102, 103)
+SCANS = 300
+ASKED_EVERY = 5  # of a second pass: its neighbours, 0.1 s apart, say little more
+SEGMENTS = 5
+PASSES = ((2.0, False), (2.0, True), (3.0, False), (3.0, True))
+
+CONDITIONS: tuple[Condition, ...] = (
+    *conditions((0, 10, 90, 180), (0,), (0,)),
+    *conditions((0,), (1, -1, 2, -2, 2.25, -2.25, 3, -3), (0,)),
+    *conditions((180,), (3, -3), (0,)),
+    *conditions((0,), (0,), (0.5, 1.0)),
+)
+HALF = HeldOut(Every(2))
+PARTS = ("recorded", "cities", "loops")
+
+
+def main(folder: Path, part: str = "") -> None:
+    """Print the page, or one part of it."""
+    threadpool_limits(limits=1)
+    if not part:
+        _head()
+    if part in {"", "recorded"}:
+        _recorded(folder)
+    if part in {"", "cities"}:
+        _cities()
+    if part in {"", "loops"}:
+        _loops()
+
+
+def _head() -> None:
+    of = provenance()
+    print("# Comparison with other methods\n")
+    print("What our encodings and other methods of place recognition reach on the same scans;")
+    print("printed by\n")
+    print("```text\npython -m benchmarks.compare DRIVES\n```\n")
+    print(f"at commit {commit()} on {machine()}, one thread, Python {of['python']}, NumPy")
+    print(f"{of['numpy']}. `tensormap compare` prints the same figures of your own drives:")
+    print("[Compare methods](../how-to/compare-methods.md). How the others were re-derived:")
+    print("[decision 16](../decisions/0016-peers.md).\n")
+    print("- **R@1** within so many metres: of the queries that have a place so near, the share")
+    print("  whose answer is one. **F1**: the greatest over all thresholds of the score, which is")
+    print("  the distance, negated. **AP**: average precision, the area under precision over")
+    print("  recall as a sum of steps. **AUROC**: of findable queries against another drive's.")
+    print("- **Bytes sent**: what a vehicle sends, ours packed (the paper's encoding one signature")
+    print("  for each segment), others' numbers as float32. **Bytes kept**: arrays of the places,")
+    print("  bases included, a place. **ms**: medians from returns to descriptor and from there to")
+    print("  the answer. `map-closures` does both in one call and is made for maps of many scans;")
+    print("  here it gets single ones, as all do, and leaves most queries unanswered.\n")
+    print("Configuration: every method's defaults, five segments.\n")
+    rows = [
+        [f"`{one.name}`", ", ".join(f"{k} {v}" for k, v in one.configuration().items())]
+        for one in contestants(
+            default_methods(), sensor=HDL_64E.name, sensor_height_m=1.73, segment_length=SCANS
+        )
+    ]
+    print_table(["method", "configuration"], rows)
+
+
+def _run(
+    drive: Drive,
+    protocol: ComparisonProtocol,
+    query_drive: Drive | None = None,
+    unknown_drive: Drive | None = None,
+) -> Comparison:
+    """Compare, each condition by itself for what slows down with every query."""
+    of_drive = contestants(
+        default_methods(),
+        sensor=HDL_64E.name,
+        sensor_height_m=1.73,
+        segment_length=-(-len(drive) // SEGMENTS),
+    )
+    keeps = [one for one in of_drive if one.name == "map-closures"]
+    others = [one for one in of_drive if one.name != "map-closures"]
+    result = compare(drive, others, protocol, query_drive, unknown_drive)
+    for one in keeps:
+        parts = [
+            compare(drive, [one], replace(protocol, conditions=(c,)), query_drive, unknown_drive)
+            for c in protocol.conditions
+        ]
+        rows = tuple(part.methods[0].conditions[0] for part in parts)
+        joined = replace(parts[0].methods[0], conditions=rows)
+        result = replace(result, methods=(*result.methods, joined))
+    return result
+
+
+def _recorded(folder: Path) -> None:
+    kitti00 = open_drive(folder / "kitti00", min_returns=100)
+    muehlburger = open_drive(folder / "kit_muehlburger", min_returns=100)
+    print("## `kitti00`, as driven\n")
+    print("Recorded, 250 scans of an HDL-64E: even ones are places, odd ones asked. Unknown:")
+    print(f"`kit_muehlburger`, every {ASKED_EVERY}th scan.\n")
+    protocol = ComparisonProtocol(HALF, unknown_every=ASKED_EVERY)
+    _print_methods(_run(kitti00, protocol, unknown_drive=muehlburger).methods, 3.0)
+    print("## `kitti00`, turned, beside, noisy\n")
+    print("R@1 within 3 m; the vehicle is turned and stands to the left of its scan (its returns")
+    print("are moved, nothing new is seen), or every coordinate has noise.\n")
+    _print_conditions(_run(kitti00, ComparisonProtocol(HALF, CONDITIONS)))
+    print("## `kit_muehlburger`\n")
+    print("Recorded, 501 scans at 10 Hz, the first 188 standing; even ones are places.\n")
+    turned = conditions((0, 180), (0,), (0,)) + conditions((0,), (2, -2), (0,))
+    found = _run(muehlburger, ComparisonProtocol(HALF, turned))
+    _print_methods(found.methods, 3.0)
+    print("R@1 within 3 m:\n")
+    _print_conditions(found)
+
+
+def _cities() -> None:
+    print("## Simulated cities, second passes\n")
+    print(
+        f"R@1 within 5 m: {SCANS} scans are places; a second pass truly drives beside their line,"
+    )
+    print(f"in its direction and against it, other cars parked; every {ASKED_EVERY}th scan asked.")
+    print()
+    rows, found = [], []
+    for seed in SEEDS:
+        city = _in_memory(SimulatedDrive(seed=seed, scans=SCANS))
+        other = _in_memory(SimulatedDrive(seed=seed + 100, scans=SCANS), ASKED_EVERY)
+        for offset_m, reverse in PASSES:
+            second = SimulatedDrive(
+                seed=seed,
+                scans=SCANS,
+                lateral_offset_m=offset_m,
+                reverse=reverse,
+                traffic_seed=seed + 1000,
+            )
+            asked = _in_memory(second, ASKED_EVERY)
+            result = _run(city, ComparisonProtocol(SecondPass()), asked, other)
+            found.append(result)
+            rows.append(
+                [
+                    f"{seed}, {offset_m:g} m{', against' if reverse else ''}",
+                    *(
+                        _figure(method.conditions[0].recall_at_1[5.0], ".3f")
+                        for method in result.methods
+                    ),
+                ]
+            )
+    names = [f"`{method.name}`" for method in found[0].methods]
+    print_table(["seed, offset", *names], rows)
+    print("Means over these passes, 5 m; unknown is another city's drive.\n")
+    _print_means(found, 5.0)
+
+
+def _loops() -> None:
+    print("## Simulated cities, closing loops\n")
+    print(f"One drive of {SCANS} scans that comes back to where it began, with stops; each scan is")
+    print("asked among the earlier ones but the last 50. Means over the seeds")
+    print(f"{', '.join(map(str, SEEDS))}; our bases are fitted to the whole drive.\n")
+    found = [
+        _run(
+            _in_memory(SimulatedDrive(seed=seed, scans=SCANS)),
+            ComparisonProtocol(LoopClosing(recent_scans=50)),
+        )
+        for seed in SEEDS
+    ]
+    asked = [result.methods[0].conditions[0] for result in found]
+    of = ", ".join(f"{row.findable[3.0]} of {row.queries}" for row in asked)
+    print(f"Findable within 3 m: {of} queries.\n")
+    _print_means(found, 3.0)
+
+
+def _in_memory(drive: SimulatedDrive, every: int = 1) -> MemoryDrive:
+    return MemoryDrive(drive.name, [drive.scan(i) for i in range(0, len(drive), every)])
+
+
+def _print_conditions(result: Comparison) -> None:
+    rows = [
+        [
+            _described(of_first.condition),
+            *(
+                _figure(method.conditions[column].recall_at_1[3.0], ".3f")
+                for method in result.methods
+            ),
+        ]
+        for column, of_first in enumerate(result.methods[0].conditions)
+    ]
+    print_table(["query", *(f"`{method.name}`" for method in result.methods)], rows)
+
+
+def _print_methods(methods: Sequence[MethodResult], metres: float) -> None:
+    rows = [_row(method, method.conditions[:1], metres) for method in methods]
+    print_table(_columns(metres), rows)
+
+
+def _print_means(found: Sequence[Comparison], metres: float) -> None:
+    rows = []
+    for index, method in enumerate(found[0].methods):
+        every = [result.methods[index].conditions[0] for result in found]
+        rows.append(_row(method, every, metres))
+    print_table(_columns(metres), rows)
+
+
+def _columns(metres: float) -> list[str]:
+    return [
+        "method", "R@1 3 m", "5 m", "10 m", f"F1 {metres:g} m", f"AP {metres:g} m", "AUROC",
+        "turn error deg", "bytes sent", "bytes kept", "ms describe", "ms match", "unanswered",
+    ]  # fmt: skip
+
+
+def _row(
+    method: MethodResult, conditions: Sequence[MethodUnderCondition], metres: float
+) -> list[str]:
+    def mean(values: Sequence[float | None]) -> float | None:
+        known = [value for value in values if value is not None]
+        return sum(known) / len(known) if known else None
+
+    return [
+        f"`{method.name}`",
+        *(_figure(mean([c.recall_at_1[m] for c in conditions]), ".3f") for m in (3.0, 5.0, 10.0)),
+        _figure(mean([c.max_f1[metres] for c in conditions]), ".3f"),
+        _figure(mean([c.average_precision[metres] for c in conditions]), ".3f"),
+        _figure(mean([c.novelty_auroc for c in conditions]), ".3f"),
+        _figure(mean([c.heading_error_deg_median for c in conditions]), ".1f"),
+        _figure(method.sent_bytes, ".0f"),
+        _figure(method.stored_bytes, ".0f"),
+        _figure(mean([c.describe_ms_median for c in conditions]), ".1f"),
+        _figure(mean([c.match_ms_median for c in conditions]), ".2f"),
+        str(sum(c.unanswered + c.refusals for c in conditions)),
+    ]
+
+
+def _described(condition: Condition) -> str:
+    parts = [
+        f"yaw {condition.yaw_deg:g} deg" if condition.yaw_deg else "",
+        f"d = {condition.lateral_m:g} m" if condition.lateral_m else "",
+        f"noise {condition.noise_m:g} m" if condition.noise_m else "",
+    ]
+    return ", ".join(filter(None, parts)) or "as driven"
+
+
+def _figure(value: float | None, form: str) -> str:
+    return "" if value is None else format(value, form)
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]), *sys.argv[2:])
