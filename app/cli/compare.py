@@ -61,7 +61,7 @@ def compare(
         bool,
         typer.Option(
             "--loop",
-            help="Close loops: ask every scan among the earlier ones but the most recent.",
+            help="Close loops: ask every scan among the earlier ones that are not recent.",
             rich_help_panel=_PROTOCOL,
         ),
     ] = False,
@@ -69,14 +69,14 @@ def compare(
         int | None,
         typer.Option(
             min=1,
-            help=f"With --loop, how many scans are too recent. [{RECENT_SCANS}]",
+            help=f"With --loop, how many scans earlier a place must be. [{RECENT_SCANS}]",
             rich_help_panel=_PROTOCOL,
         ),
     ] = None,
     recent_s: Annotated[
         float | None,
         typer.Option(
-            help="With --loop, how many seconds instead; the field's is 30.",
+            help="With --loop, how many seconds instead, for example 30.",
             rich_help_panel=_PROTOCOL,
         ),
     ] = None,

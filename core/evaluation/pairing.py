@@ -12,10 +12,9 @@ from core.errors import EmptyDrive, InvalidParameters
 from core.evaluation.split import Interleaved, Split
 from core.segmentation import PAPER_SEGMENT_LENGTH, cut_fixed
 
-__all__ = ["HeldOut", "LoopClosing", "Paired", "Pairing", "SecondPass"]
+__all__ = ["RECENT_SCANS", "HeldOut", "LoopClosing", "Paired", "Pairing", "SecondPass"]
 
 RECENT_SCANS = 50
-RECENT_S = 30.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,10 +96,10 @@ class SecondPass:
 
 @dataclass(frozen=True)
 class LoopClosing:
-    """Every scan of a drive is asked as it comes, among the earlier ones but the most recent.
+    """Every scan of a drive is asked as it comes, among the earlier ones that are not recent.
 
     Attributes:
-        recent_scans: How many scans before a query are left out.
+        recent_scans: How many scans before its query a place is at least.
         recent_s: Or how many seconds; one of the two is given.
     """
 
@@ -131,16 +130,14 @@ class LoopClosing:
             first_excluded = np.searchsorted(time_s, time_s - (self.recent_s or 0.0), side="right")
         asked = first_excluded > 0
         if not asked.any():
-            raise InvalidParameters(
-                f"no scan of drive {drive.name} has a place before it, {self}: exclude less"
-            )
+            raise InvalidParameters(f"drive {drive.name} is too short for {self}: exclude less")
         return Paired(scans, scans[asked], first_excluded[asked])
 
     def __str__(self) -> str:
         recent = (
             f"{self.recent_s:g} s" if self.recent_scans is None else f"{self.recent_scans} scans"
         )
-        return f"loop closing, the last {recent} excluded"
+        return f"loop closing, with places at least {recent} before"
 
 
 def _length(drive: Drive) -> int:
