@@ -85,12 +85,17 @@ def _head() -> None:
     print("  part in the first table only.\n")
     print("Configuration: every method's defaults, five segments.\n")
     rows = [
-        [f"`{one.name}`", ", ".join(f"{k} {v}" for k, v in one.configuration().items())]
+        [f"`{one.name}`", _described_parameters(one)]
         for one in contestants(
             default_methods(), sensor=HDL_64E.name, sensor_height_m=1.73, segment_length=SCANS
         )
     ]
     print_table(["method", "configuration"], rows)
+
+
+def _described_parameters(one: Contestant) -> str:
+    chosen = {k: v for k, v in one.configuration().items() if k != "segment_length"}
+    return ", ".join(f"{name} {value}" for name, value in chosen.items())
 
 
 def _contestants(drive: Drive, names: Sequence[str]) -> tuple[Contestant, ...]:

@@ -19,8 +19,8 @@ def cloud(seed=0, count=400):
 def naive(points, p, q, l, t):  # noqa: E741 - the paper's letters
     """Count return by return on each plane; the frame is NumPy's SVD."""
     centred = points - points.mean(axis=0)
-    axes = np.linalg.svd(centred, full_matrices=False)[2][:2]
-    axes = [a if ((centred @ a) ** 3).sum() >= 0 else -a for a in axes]
+    unsigned = np.linalg.svd(centred, full_matrices=False)[2][:2]
+    axes = [a if ((centred @ a) ** 3).sum() >= 0 else -a for a in unsigned]
     aligned = centred @ np.stack([*axes, np.cross(*axes)]).T
     farthest = np.linalg.norm(aligned, axis=1).max()
     signature = np.zeros((p * q, l * t))
