@@ -34,7 +34,7 @@ class Match:
 
     Attributes:
         segment: The segment it lies on.
-        fraction: How far along the segment, 0 at its first node and 1 at its second.
+        fraction: How far along the segment, 0 where it begins and 1 where it ends.
         along_m: The same in metres, `None` where a pose on the way is unknown.
         drive: The drive it was recorded in.
         scan_index: Its index in that drive.
@@ -183,9 +183,9 @@ class Localizer:
 
     def _match(self, found: Found) -> Match:
         row = found.row
-        trajectory, topology = self.map.trajectory, self.map.topology
+        trajectory = self.map.trajectory
         segment = int(self._segment_of_scan[row])
-        first, last = topology.node_scan[topology.edge_nodes[segment]].tolist()
+        first, last = self.map.segment_ends[segment].tolist()
         along_m = path_length_m(trajectory.poses[first : row + 1])
         timestamp_s = float(trajectory.timestamp_s[row])
         return Match(

@@ -39,6 +39,7 @@ __all__ = [
 
 _SAMPLES_A_WAVE = 12  # of the shortest wave: the parabola then errs by less than 0.1 deg
 _FIRST = 4  # scans that are searched before the bound decides on the others
+_EXACT_SCANS = 1024  # searched over headings at once: 10 MB of them
 _SLACK = 1e-5  # of the bound, in single precision, as a share of |g| |G|: ten times its rounding
 _ROUNDING = 1e-12  # of sums in double precision
 
@@ -241,6 +242,15 @@ class HarmonicSearch:
             turn_deg = np.concatenate([turn_deg, more[1]])
         in_order = np.argsort(searched)
         return self._ranked(searched[in_order], distances[in_order], turn_deg[in_order], k)
+
+    def distances(self, among: BoolArray | None = None) -> FloatArray:
+        """Return the distance of each scan's nearest rendering, `(K,)`, infinite if not asked."""
+        distances = np.full(len(self._model), np.inf)
+        rows = np.arange(len(distances)) if among is None else np.flatnonzero(among)
+        for start in range(0, len(rows), _EXACT_SCANS):
+            block = rows[start : start + _EXACT_SCANS]
+            distances[block] = self.exact(block)[0].min(axis=1)
+        return distances
 
     def nearest_by_brute_force(self, k: int) -> tuple[Found, ...]:
         """Return what `nearest` does, having searched the headings of every rendering."""
