@@ -232,7 +232,7 @@ def _show(result: Comparison) -> None:
         output.print(table)
     output.print(
         "F1: the greatest over all thresholds. AP: average precision, the area under precision over"
-        " recall by steps. Milliseconds: medians, one thread.",
+        " recall by steps. Milliseconds: medians of processor time, one thread.",
         soft_wrap=True,
     )
     refused = [(method.name, row) for method in result.methods for row in method.conditions]

@@ -28,8 +28,8 @@ class MethodUnderCondition:
         novelty_auroc: Probability that a findable query (within the greatest distance) scores above
             a query of the unknown drive.
         heading_error_deg_median: Over right answers (within the greatest distance) that tell one.
-        describe_ms_median: Wall time from returns to descriptor.
-        match_ms_median: Wall time from descriptor to answer.
+        describe_ms_median: Processor time from returns to descriptor.
+        match_ms_median: Processor time from descriptor to answer.
     """
 
     condition: Condition
