@@ -6,7 +6,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from core.arrays import Float32Array, FloatArray, IntArray
-from core.encodings.harmonic import HarmonicModel, encode, energy
+from core.encodings.harmonic import HarmonicModel, detail_gram, encode, energy
 from core.encodings.paper import PaperModel
 from core.errors import InvalidImage, InvalidParameters, SensorMismatch
 from core.images import ImageSource
@@ -15,7 +15,7 @@ from core.progress import NO_PROGRESS, Progress
 from core.tensormap import TensorMap
 from core.topology import Topology
 from core.trajectory import Trajectory
-from core.tucker import BLOCK_SCANS, Grams, leading_basis, project, relative_error, row_gram
+from core.tucker import BLOCK_SCANS, Grams, leading_basis, project, relative_error
 
 __all__ = ["build_map", "fit_bases"]
 
@@ -99,8 +99,8 @@ def _fit_harmonic(
     for segment, (start, end) in enumerate(spans):
         of_segment = np.zeros((rows, rows))
         for _, block in _blocks(images, start, end, parameters, progress):
-            of_segment += row_gram(block.reshape(-1, rows, columns))
-        squared_norm[segment] = np.trace(of_segment)
+            of_segment += detail_gram(block.reshape(-1, rows, columns))
+            squared_norm[segment] += float(np.square(block, dtype=np.float64).sum())
         gram += of_segment
     radial_basis = leading_basis(gram, r1).astype(np.float32)
     signatures = np.empty((len(images), len(parameters.lateral_renderings_m), r1, r2), np.complex64)
