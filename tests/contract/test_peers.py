@@ -18,7 +18,6 @@ PEERS = {
     "scan context, ring key": (ScanContext(candidates=3), 1200, True),
     "solid": (Solid(), 100, True),
     "m2dp": (M2dp(), 192, False),
-    "m2dp of all returns": (M2dp(voxel_m=0.0), 192, False),
 }
 
 
