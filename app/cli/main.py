@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from app.cli import demo, evaluate, loop_closure, maps, merge, serve, simulate
+from app.cli import compare, demo, evaluate, loop_closure, maps, merge, serve, simulate
 from app.demo.errors import DemoFailed
 from app.threads import one_blas_thread
 from core.errors import TensorMapError
@@ -30,6 +30,7 @@ for command in (
     maps.signature,
     maps.inspect,
     evaluate.evaluate,
+    compare.compare,
     simulate.simulate,
 ):
     cli.command()(command)
