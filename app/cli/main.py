@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from app.cli import demo, evaluate, maps, serve, simulate
+from app.cli import demo, evaluate, maps, report, serve, simulate
 from app.demo.errors import DemoFailed
 from app.threads import one_blas_thread
 from core.errors import TensorMapError
@@ -28,6 +28,7 @@ for command in (
     maps.signature,
     maps.inspect,
     evaluate.evaluate,
+    report.report,
     simulate.simulate,
 ):
     cli.command()(command)

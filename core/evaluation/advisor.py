@@ -19,7 +19,7 @@ from core.evaluation.sweep import SweepPoint
 __all__ = ["FEWEST_JUDGED", "Advice", "Axis", "Verdict", "advise", "standard_error"]
 
 FEWEST_JUDGED = 30
-"""With fewer held-out scans one standard error is 5 points and more: nothing is told apart."""
+"""With fewer held-out scans one standard error at 90 % is more than 5 points."""
 
 
 class Verdict(StrEnum):
@@ -97,7 +97,7 @@ def standard_error(share: float, judged: int) -> float:
 
     Examples:
         >>> round(standard_error(0.9, 100), 4), round(standard_error(1.0, 50), 4)
-        (0.03, 0.0136)
+        (0.0302, 0.0137)
     """
     hits, misses = share * judged + 0.5, (1.0 - share) * judged + 0.5
     total = hits + misses
@@ -239,8 +239,8 @@ def _reasons(
         )
     if verdict == Verdict.TOO_FEW:
         reasons.append(
-            f"The evidence does not decide: only {judged} scans were judged, and fewer than"
-            f" {FEWEST_JUDGED} tell nothing apart. Take a longer drive."
+            f"The evidence does not decide: only {judged} scans were judged, and at least"
+            f" {FEWEST_JUDGED} are wanted. Take a longer drive."
         )
     elif verdict == Verdict.SIZE_ONLY:
         reasons.append(
