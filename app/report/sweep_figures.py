@@ -102,7 +102,7 @@ def trade_off_figure(study: EncodingStudy) -> Figure:
         if advice.best is not None and advice.standard_error is not None:
             axes.axhline(
                 100 * (advice.best.mean_accuracy - advice.standard_error),
-                color=MUTED, linestyle="--", linewidth=1.0, label="one std. error below best",
+                color=MUTED, linestyle="--", linewidth=1.0, label="1 std. error below best",
             )  # fmt: skip
         if advice.max_bytes_per_scan is not None:
             axes.axvline(advice.max_bytes_per_scan, color=MUTED, linewidth=1.0, label="budget")
@@ -116,7 +116,7 @@ def trade_off_figure(study: EncodingStudy) -> Figure:
         axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
         axes.set_xlabel("map bytes per scan (log)")
         axes.set_ylabel("right answers, %")
-        drawing.legend(columns=4)
+        drawing.legend(columns=3)
     alt = (
         f"{len(swept.points)} candidates between"
         f" {min(p.bytes_per_scan for p in swept.points):.0f} and"
@@ -145,7 +145,7 @@ def _against(
     key: str,
     at_most: float | None = None,
 ) -> Panel:
-    """Draw a quantity on the one scale of all panels that show it; up to `at_most` if it ends."""
+    """Draw a quantity; one that is never more than `at_most`, on one scale in all panels."""
     name, other = _AXES[varied], _AXES[1 - varied]
     with Drawing.on(key) as drawing:
         axes = drawing.axes
@@ -167,9 +167,10 @@ def _against(
         axes.xaxis.set_major_locator(FixedLocator(tried))
         axes.xaxis.set_major_formatter(ScalarFormatter())
         axes.xaxis.set_minor_locator(NullLocator())
-        low, high = (pick(map(quantity, swept.points)) for pick in (min, max))
-        margin = 0.04 * ((high if at_most is None else at_most) - low) or 1.0
-        axes.set_ylim(low - margin, (high if at_most is None else at_most) + margin)
+        if at_most is not None:
+            low = min(map(quantity, swept.points))
+            margin = 0.04 * (at_most - low) or 1.0
+            axes.set_ylim(low - margin, at_most + margin)
         axes.set_xlabel(f"{name} (log)")
         axes.set_ylabel(label)
         drawing.legend()

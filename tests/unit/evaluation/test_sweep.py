@@ -46,6 +46,11 @@ def exam(encoding, recorded=None, split=None, most=None):
     return Exam.of_drive(recorded, held_out, asked, parameters(encoding), CONDITIONS)
 
 
+@functools.cache
+def swept(encoding):
+    return sweep(exam(encoding), judge(), GRID)
+
+
 def judge(recorded=None, **options):
     recorded = recorded or drive()
     return Judge(recorded.poses, recorded.timestamp_s, **options)
@@ -71,7 +76,7 @@ def test_signatures_of_small_ranks_are_the_leading_block_of_those_of_large_ones(
 @pytest.mark.parametrize("encoding", Encoding)
 @pytest.mark.parametrize(("ranks", "k"), [((2, 4), 10), ((5, 5), 10), ((5, 2), 25)])
 def test_a_candidate_has_the_figures_that_evaluate_finds(encoding, ranks, k) -> None:
-    found = sweep(exam(encoding), judge(), GRID).at(ranks, k)
+    found = swept(encoding).at(ranks, k)
     assert found is not None
     wanted = evaluate(
         drive(),
@@ -87,7 +92,7 @@ def test_a_candidate_has_the_figures_that_evaluate_finds(encoding, ranks, k) -> 
 
 @pytest.mark.parametrize("encoding", Encoding)
 def test_larger_ranks_leave_a_smaller_error_and_take_more_bytes(encoding) -> None:
-    points = sweep(exam(encoding), judge(), GRID).points
+    points = swept(encoding).points
     assert len(points) == 3 * 3 * 2
     for one in points:
         for two in points:
