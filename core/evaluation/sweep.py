@@ -13,7 +13,13 @@ from typing import Any
 import numpy as np
 
 from core.arrays import FloatArray, IntArray
-from core.encodings.harmonic import HarmonicModel, encode, energy, harmonic_elements
+from core.encodings.harmonic import (
+    HarmonicModel,
+    detail_gram,
+    encode,
+    energy,
+    harmonic_elements,
+)
 from core.errors import InvalidParameters
 from core.evaluation.exam import Exam
 from core.evaluation.judge import Judge
@@ -21,7 +27,7 @@ from core.parameters import Encoding
 from core.progress import NO_PROGRESS, Progress
 from core.segmentation import cut_fixed
 from core.signature import Signature
-from core.tucker import BLOCK_SCANS, Grams, leading_basis, project, row_gram, storage_elements
+from core.tucker import BLOCK_SCANS, Grams, leading_basis, project, storage_elements
 
 __all__ = ["BYTES_A_NUMBER", "Sweep", "SweepGrid", "SweepPoint", "leading_sums", "sweep"]
 
@@ -264,11 +270,12 @@ def _harmonic_answers(
         raise InvalidParameters("a harmonic map wants distance and lateral_renderings_m")
     image_rows, columns = parameters.grid.shape
     scans = len(exam.mapped.scans)
-    gram = np.zeros((image_rows, image_rows))
+    gram, squared_norm = np.zeros((image_rows, image_rows)), 0.0
     progress.start("summing", 2 * scans)
     for start in range(0, scans, BLOCK_SCANS):
         images = exam.mapped.images.read(start, min(start + BLOCK_SCANS, scans))
-        gram += row_gram(images.reshape(-1, image_rows, columns))
+        gram += detail_gram(images.reshape(-1, image_rows, columns))
+        squared_norm += float(np.square(images, dtype=np.float64).sum())
         progress.advance(len(images))
     u = leading_basis(gram, grid.r1[-1]).astype(np.float32)
     parts = []
@@ -293,7 +300,7 @@ def _harmonic_answers(
             measure=parameters.distance,
         )
         kept = float(energy(stored[..., :r1, :r2], columns).sum())
-        errors[a, b] = np.sqrt(max(0.0, 1.0 - kept / float(np.trace(gram))))
+        errors[a, b] = np.sqrt(max(0.0, 1.0 - kept / squared_norm))
         for q, values in enumerate(asked[:, :r1, :r2]):
             rows[q, a, b] = model.search([Signature(values, None, "")]).nearest(1)[0].row
             progress.advance()
