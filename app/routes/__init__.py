@@ -10,6 +10,7 @@ from app.routes import (
     health,
     jobs,
     localizations,
+    loop_closures,
     maps,
     revisions,
     track_stream,
@@ -26,7 +27,7 @@ def api() -> APIRouter:
         dependencies=[Depends(require_access)],
         responses=problems(KeyNeeded, KeyRefused, HostNotAllowed),
     )
-    for module in (maps, drives, builds, jobs, revisions, localizations, tracks):
+    for module in (maps, drives, builds, jobs, revisions, localizations, loop_closures, tracks):
         router.include_router(module.router)
     return router
 
