@@ -85,7 +85,9 @@ class DistanceSpread:
 class Emission:
     """The likelihood of an observation at each scan of the map, and outside of it.
 
-    Whether the vehicle is on the map at all is told by the calibrated ratio of the nearest scan.
+    Whether the vehicle is on the map at all is told by the calibrated ratio of the nearest scan,
+    less what it is for the nearest of all scans elsewhere: it is of one scan, and the nearest of
+    thousands is near by chance.
     Which scan it is is told by the distances relative to the nearest one, more cautiously:
     consecutive observations err alike, and what is finer than the map's own scans tells little.
 
@@ -108,7 +110,8 @@ class Emission:
             return np.ones(len(distances))
         nearest = float(distances[compared].min())
         resolution = self.spread.resolution
-        on_map = float(self.ratio.log_likelihood_ratio(np.array([nearest]))[0])
+        told, usual = self.ratio.log_likelihood_ratio(np.array([nearest, self.spread.even]))
+        on_map = float(told - usual)
         relative = np.full(len(distances), -_MOST)
         relative[compared] = -_SLOPE * np.log(
             (distances[compared] + resolution) / (nearest + resolution)
