@@ -13,7 +13,7 @@ from app.jobs.parameters import BuildParameters
 from core.builder import build_map
 from core.drive import Drive
 from core.errors import EmptyDrive
-from core.images import ConcatenatedImages, Skipped
+from core.images import ConcatenatedImages, Probes, Skipped
 from core.parameters import MapParameters, Segmentation
 from core.progress import NO_PROGRESS, Progress
 from core.segmentation import cut_drives, cut_unequal, segment_length_for
@@ -92,6 +92,7 @@ def build_revision(
             **parameters.as_json(),
             **_resolved(map_parameters),
             "returns": built.returns,
+            "calibrated": tensor_map.calibration is not None,
             "skipped": {name: len(skipped) for name, skipped in built.skipped.items() if skipped},
         },
         job_id=job_id,
@@ -158,13 +159,25 @@ def _build(
         else cut_drives(trajectory.drive_start, length)
     )
     tensor_map = build_map(
-        joined, trajectory, cut_at_meetings(trajectory, cuts), map_parameters, progress
+        joined,
+        trajectory,
+        cut_at_meetings(trajectory, cuts),
+        map_parameters,
+        progress,
+        _probes(images, map_parameters),
     )
     return Built(
         tensor_map,
         sum(of_it.returns for of_it in images),
         {drive.name: of_it.skipped for drive, of_it in zip(drives, images, strict=True)},
     )
+
+
+def _probes(images: Sequence[ImageFile], parameters: MapParameters) -> Probes | None:
+    """Return the probes of all drives; `None` if one has none, its returns being gone."""
+    parts = [(of_it.scans, of_it.probed, of_it.probes) for of_it in images]
+    told = [(scans, probed, probes) for scans, probed, probes in parts if probes is not None]
+    return Probes.of_drives(told, parameters.imager) if len(told) == len(parts) else None
 
 
 def _trajectory(drive: Drive, images: ImageFile) -> Trajectory:
@@ -189,17 +202,25 @@ def _stored_images(
 ) -> ImageFile:
     """Open a stored drive's images, projecting them first if they are not kept yet."""
     path = _images_path(store, drive, parameters)
+    kept: ImageFile | None = None
     if path.exists():
         try:
-            return ImageFile(path, parameters.imager)
+            kept = ImageFile(path, parameters.imager)
+            if kept.probes is not None:
+                return kept
         except CorruptImages as error:
             _log.warning("%s; they are made anew from the raw returns", error)
     try:
         write_image_file(path, drive, parameters.imager, progress)
     except (FileNotFoundError, NotFound):  # files go when their map or drive is deleted
+        if kept is not None:
+            _log.warning("drive %s: its returns are gone, and there are no probes", drive.name)
+            return kept
         store.maps.get_by_id(drive.map_id)
         store.drives.images_folder(drive)
         raise
+    if kept is not None:
+        kept.close()
     remove_other_versions(path)
     return ImageFile(path, parameters.imager)
 

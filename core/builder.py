@@ -2,20 +2,22 @@
 
 import itertools
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
 from core.arrays import Float32Array, FloatArray, IntArray
-from core.encodings.harmonic import HarmonicModel, encode, energy
+from core.encodings.harmonic import HarmonicModel, detail_gram, encode, energy
 from core.encodings.paper import PaperModel
 from core.errors import InvalidImage, InvalidParameters, SensorMismatch
-from core.images import ImageSource
+from core.images import ImageSource, Probes
 from core.parameters import MapParameters
 from core.progress import NO_PROGRESS, Progress
 from core.tensormap import TensorMap
 from core.topology import join_segments
 from core.trajectory import Trajectory
-from core.tucker import BLOCK_SCANS, Grams, leading_basis, project, relative_error, row_gram
+from core.trust.calibrate import calibrate
+from core.tucker import BLOCK_SCANS, Grams, leading_basis, project, relative_error
 
 __all__ = ["build_map", "fit_bases"]
 
@@ -26,8 +28,9 @@ def build_map(
     segment_start: IntArray,
     parameters: MapParameters,
     progress: Progress = NO_PROGRESS,
+    probes: Probes | None = None,
 ) -> TensorMap:
-    """Fit each segment's model and pack them all.
+    """Fit each segment's model, pack them all and find out how far the map can be trusted.
 
     Each segment is summed in blocks that begin at its first scan, and segments in their order, so
     the result depends on nothing but the images and the cuts. In the paper's encoding segments are
@@ -40,6 +43,7 @@ def build_map(
             `core.topology.cut_at_meetings` gives share edges where drives meet.
         parameters: Ranks and all that queries must share with the map.
         progress: Told of every image of both passes; may raise `Cancelled`.
+        probes: Disturbed scans of the trajectory; without them the map is not calibrated.
 
     Raises:
         SensorMismatch: If the images are on another grid.
@@ -56,9 +60,12 @@ def build_map(
     fit = _fit_paper if parameters.distance is None else _fit_harmonic
     progress.start("fitting", 2 * len(images))
     model, errors = fit(images, segment_start, parameters, progress)
-    return TensorMap(
+    tensor_map = TensorMap(
         parameters, model, trajectory, join_segments(trajectory, segment_start), errors
     )
+    if probes is None:
+        return tensor_map
+    return replace(tensor_map, calibration=calibrate(tensor_map, probes, progress))
 
 
 def _fit_paper(
@@ -100,8 +107,8 @@ def _fit_harmonic(
     for segment, (start, end) in enumerate(spans):
         of_segment = np.zeros((rows, rows))
         for _, block in _blocks(images, start, end, parameters, progress):
-            of_segment += row_gram(block.reshape(-1, rows, columns))
-        squared_norm[segment] = np.trace(of_segment)
+            of_segment += detail_gram(block.reshape(-1, rows, columns))
+            squared_norm[segment] += float(np.square(block, dtype=np.float64).sum())
         gram += of_segment
     radial_basis = leading_basis(gram, r1).astype(np.float32)
     signatures = np.empty((len(images), len(parameters.lateral_renderings_m), r1, r2), np.complex64)

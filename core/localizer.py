@@ -6,26 +6,26 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from core.arrays import BoolArray
-from core.displacement import pose_beside
-from core.encodings.model import Found
+from core.candidates import deviation_of, find_candidates
+from core.encodings.harmonic import HarmonicSearch
+from core.encodings.model import Found, Search
 from core.errors import (
     InvalidParameters,
     InvalidSignature,
     StaleSignature,
 )
+from core.estimate import estimate
+from core.hints import NO_HINTS, Hints, Prior
 from core.imager import Image
+from core.places import AWAY_M, AWAY_SCANS
 from core.pose import Pose, path_length_m
 from core.scan import Scan
 from core.signature import REVISION_PREFIX_BYTES, Signature
 from core.tensormap import TensorMap
+from core.trust.spread import Deviation
+from core.trust.verdict import Verdict
 
 __all__ = ["AWAY_M", "AWAY_SCANS", "Localization", "Localizer", "Match"]
-
-AWAY_M = 10.0
-"""A runner-up stands at least this far from the winner: nearer ones only confirm it."""
-AWAY_SCANS = 50
-"""The same where poses are unknown, in scans of one drive (5 s at 10 Hz)."""
 
 
 @dataclass(frozen=True)
@@ -78,12 +78,21 @@ class Localization:
         matches: The nearest scans, nearest first; at least one.
         runner_up: The nearest scan *away from* the winner, `None` if the map holds none.
         segments: The segments that were searched.
+        verdict: Whether it is an answer at all, and how likely it is right.
+        deviation: How far off it may be if it is right, `None` where the map cannot tell.
     """
 
     revision: str
     matches: tuple[Match, ...]
     runner_up: Match | None
     segments: tuple[int, ...]
+    verdict: Verdict
+    deviation: Deviation | None
+
+    @property
+    def localized(self) -> bool:
+        """Whether the best match may be taken for where the query was made."""
+        return self.verdict.localized
 
     @property
     def best(self) -> Match:
@@ -94,13 +103,21 @@ class Localization:
     def ratio(self) -> float | None:
         """Distance of the winner over that of the runner-up: near 1 the answer is ambiguous.
 
-        `None` without a runner-up.
+        `None` without a runner-up; at most 1, though hints may prefer a winner that is farther.
         """
         if self.runner_up is None:
             return None
         if self.runner_up.distance == 0.0:
             return 1.0  # both places are exactly the query
-        return self.best.distance / self.runner_up.distance
+        return min(1.0, self.best.distance / self.runner_up.distance)
+
+    @property
+    def position_covariance_m2(self) -> tuple[float, float, float] | None:
+        """xx, xy and yy of the best position in the map's frame, `None` where not known."""
+        place = self.best.pose if self.best.estimated_pose is None else self.best.estimated_pose
+        if self.deviation is None or place is None or self.best.pose is None:
+            return None
+        return self.deviation.covariance_m2(self.best.pose.yaw_deg)
 
 
 class Localizer:
@@ -109,13 +126,16 @@ class Localizer:
     def __init__(self, tensor_map: TensorMap) -> None:
         self.map = tensor_map
         self.basis = tensor_map.basis()
-        self._positions_m = tensor_map.trajectory.poses[:, :3]
-        self._known = tensor_map.trajectory.known
         self._drive_of_scan = tensor_map.trajectory.drive_of_scan
         self._segment_of_scan = tensor_map.model.segment_of_scan
 
     def localize_scan(
-        self, scan: Scan, k: int = 1, sensor_height_m: float | None = None
+        self,
+        scan: Scan,
+        k: int = 1,
+        sensor_height_m: float | None = None,
+        hints: Hints = NO_HINTS,
+        min_probability: float | None = None,
     ) -> Localization:
         """Localize a scan of the map's sensor.
 
@@ -124,23 +144,42 @@ class Localizer:
             k: How many nearest scans to answer.
             sensor_height_m: Of this scan, if its sensor is mounted otherwise than the map's; only
                 height images depend on it.
+            hints: What is known of the place beforehand.
+            min_probability: Below it the answer is a refusal; the map's threshold by default.
 
         Raises:
             InvalidScan: If no return falls inside the grid.
-            InvalidParameters: If `k` is below 1.
+            InvalidParameters: If `k` is below 1, `min_probability` not within 0..1 or a hint says
+                nothing in this map.
+            UnknownSegment: If a hint names a segment that the map does not have.
         """
-        return self.localize_image(self.basis.image(scan, sensor_height_m), k)
+        image = self.basis.image(scan, sensor_height_m)
+        return self.localize_image(image, k, hints, min_probability)
 
-    def localize_image(self, image: Image, k: int = 1) -> Localization:
+    def localize_image(
+        self,
+        image: Image,
+        k: int = 1,
+        hints: Hints = NO_HINTS,
+        min_probability: float | None = None,
+    ) -> Localization:
         """Localize an image of the map's kind and grid.
 
         Raises:
             SensorMismatch: If the image is of another kind or grid.
-            InvalidParameters: If `k` is below 1.
+            InvalidParameters: As `localize_scan`.
+            UnknownSegment: Likewise.
         """
-        return self.localize_signatures(self.basis.encode(image), k)
+        cells = int(np.count_nonzero(image.cells))
+        return self._localize(self.basis.encode(image), k, hints, min_probability, cells)
 
-    def localize_signatures(self, signatures: Sequence[Signature], k: int = 1) -> Localization:
+    def localize_signatures(
+        self,
+        signatures: Sequence[Signature],
+        k: int = 1,
+        hints: Hints = NO_HINTS,
+        min_probability: float | None = None,
+    ) -> Localization:
         """Localize by one or more signatures of one scan, each in its own segment's bases.
 
         Exactly those segments are searched: a signature made with one segment's bases says
@@ -151,16 +190,33 @@ class Localizer:
             UnknownSegment: If the map has no such segment.
             InvalidSignature: If there is none, a segment comes twice, the shape is not r1 x r2 or
                 they are of another encoding.
-            InvalidParameters: If `k` is below 1.
+            InvalidParameters: As `localize_scan`.
         """
+        return self._localize(signatures, k, hints, min_probability, None)
+
+    def _localize(
+        self,
+        signatures: Sequence[Signature],
+        k: int,
+        hints: Hints,
+        min_probability: float | None,
+        occupied_cells: int | None,
+    ) -> Localization:
         if k < 1:
             raise InvalidParameters(f"k is {k}, wanted at least 1")
         self._require_answerable(signatures)
+        prior = None if hints == NO_HINTS else Prior(hints, self.map)
         search = self.map.model.search(signatures)
-        matches = tuple(self._match(found) for found in search.nearest(k))
-        away = search.nearest(1, self._away_from(matches[0].row))
-        runner_up = self._match(away[0]) if away else None
-        return Localization(self.map.revision, matches, runner_up, search.segments)
+        candidates = find_candidates(self.map, search, k, prior)
+        verdict = candidates.judge(self.map.calibration, min_probability, occupied_cells)
+        return Localization(
+            self.map.revision,
+            tuple(self._match(search, found) for found in candidates.matches),
+            None if candidates.runner_up is None else self._match(search, candidates.runner_up),
+            search.segments,
+            verdict,
+            deviation_of(self.map, search, candidates.matches[0]),
+        )
 
     def _require_answerable(self, signatures: Sequence[Signature]) -> None:
         if not signatures:
@@ -181,13 +237,16 @@ class Localizer:
                 f" this one is {self.map.revision}"
             )
 
-    def _match(self, found: Found) -> Match:
+    def _match(self, search: Search, found: Found) -> Match:
         row = found.row
         trajectory = self.map.trajectory
         segment = int(self._segment_of_scan[row])
         first, last = self.map.segment_ends[segment].tolist()
         along_m = path_length_m(trajectory.poses[first : row + 1])
         timestamp_s = float(trajectory.timestamp_s[row])
+        stands = None
+        if isinstance(search, HarmonicSearch):
+            stands = estimate(search, trajectory, found)
         return Match(
             segment=segment,
             fraction=(row - first) / max(1, last - first),
@@ -198,23 +257,7 @@ class Localizer:
             distance=found.distance,
             timestamp_s=None if math.isnan(timestamp_s) else timestamp_s,
             pose=Pose.from_row(trajectory.poses[row]),
-            turn_deg=found.turn_deg,
-            lateral_m=found.lateral_m,
-            estimated_pose=self._estimated_pose(found),
+            turn_deg=None if stands is None else stands.turn_deg,
+            lateral_m=None if stands is None else stands.lateral_m,
+            estimated_pose=None if stands is None else stands.pose,
         )
-
-    def _estimated_pose(self, found: Found) -> Pose | None:
-        if found.lateral_m is None:
-            return None
-        recorded = self.map.trajectory.poses[found.row]
-        return Pose.from_row(pose_beside(recorded, found.lateral_m, found.turn_deg or 0.0))
-
-    def _away_from(self, row: int) -> BoolArray:
-        """Return which scans are away from scan `row`, `(K,)`."""
-        index = self.map.trajectory.scan_index
-        other_drive = self._drive_of_scan != self._drive_of_scan[row]
-        by_scans: BoolArray = other_drive | (np.abs(index - index[row]) >= AWAY_SCANS)
-        if not self._known[row]:
-            return by_scans
-        distance_m = np.linalg.norm(self._positions_m - self._positions_m[row], axis=1)
-        return np.where(self._known, distance_m >= AWAY_M, by_scans)

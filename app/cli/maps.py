@@ -31,6 +31,7 @@ from app.cli.options import (
     require_folder,
 )
 from app.jobs.parameters import BuildParameters
+from app.schemas.hints import hints_of
 from app.schemas.localizations import LocalizationOut, SignaturesIn
 from app.schemas.topology import TopologyOut
 from core.compression import Compression
@@ -48,6 +49,8 @@ from storage.formats.registry import read_scan_file
 from storage.map_file import read_map, write_map
 
 __all__ = ["build", "inspect", "localize", "signature"]
+
+_HINTS = "Hints"
 
 
 def build(
@@ -110,6 +113,8 @@ def build(
         markup=False,
         soft_wrap=True,
     )
+    if tensor_map.calibration is None:
+        output.print("not calibrated: too few scans, or too close together, to learn trust from")
 
 
 def localize(
@@ -122,9 +127,65 @@ def localize(
             min=0.01, max=99.99, help="Of these scans' sensor, if mounted otherwise than the map's."
         ),
     ] = None,
+    min_probability: Annotated[
+        float | None,
+        typer.Option(min=0, max=1, help="Refuse what is less probable. [the map's threshold]"),
+    ] = None,
+    x_m: Annotated[
+        float | None, typer.Option(help="Where the vehicle is about.", rich_help_panel=_HINTS)
+    ] = None,
+    y_m: Annotated[float | None, typer.Option(rich_help_panel=_HINTS)] = None,
+    position_sigma_m: Annotated[
+        float | None, typer.Option(help="Standard deviation of both.", rich_help_panel=_HINTS)
+    ] = None,
+    heading_deg: Annotated[
+        float | None,
+        typer.Option(help="Which way it looks, from the map's x.", rich_help_panel=_HINTS),
+    ] = None,
+    heading_sigma_deg: Annotated[
+        float | None, typer.Option(help="Its standard deviation.", rich_help_panel=_HINTS)
+    ] = None,
+    travelled_m: Annotated[
+        float | None, typer.Option(help="Driven since the last fix.", rich_help_panel=_HINTS)
+    ] = None,
+    travelled_sigma_m: Annotated[
+        float | None, typer.Option(help="Its standard deviation.", rich_help_panel=_HINTS)
+    ] = None,
+    since_drive: Annotated[
+        str | None, typer.Option(help="The last fix: a scan's drive,", rich_help_panel=_HINTS)
+    ] = None,
+    since_scan: Annotated[
+        int | None, typer.Option(min=0, help="and its index;", rich_help_panel=_HINTS)
+    ] = None,
+    since_x_m: Annotated[
+        float | None, typer.Option(help="or where it was,", rich_help_panel=_HINTS)
+    ] = None,
+    since_y_m: Annotated[float | None, typer.Option(help="and y.", rich_help_panel=_HINTS)] = None,
+    segment: Annotated[
+        list[int] | None,
+        typer.Option(min=0, help="It is on this segment; repeatable.", rich_help_panel=_HINTS),
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="One JSON answer a line.")] = False,
 ) -> None:
-    """Localize scans in a map; one that cannot be used is told, the others are answered."""
+    """Localize scans in a map; one that cannot be used is told, the others are answered.
+
+    Hints are of all the scans. A scan that is not localized is no error: it is answered, with
+    the reason.
+    """
+    hints = hints_of(
+        x_m,
+        y_m,
+        position_sigma_m,
+        heading_deg,
+        heading_sigma_deg,
+        travelled_m,
+        travelled_sigma_m,
+        since_drive,
+        since_scan,
+        since_x_m,
+        since_y_m,
+        segment,
+    )
     localizer = Localizer(read_map(map_file))
     answers: list[tuple[Path, Localization]] = []
     unusable: list[str] = []
@@ -133,7 +194,8 @@ def localize(
         for path in scans:
             try:
                 scan = read_scan_file(path, min_returns=MIN_RETURNS)
-                answers.append((path, localizer.localize_scan(scan, k, sensor_height_m)))
+                found = localizer.localize_scan(scan, k, sensor_height_m, hints, min_probability)
+                answers.append((path, found))
             except (InvalidScan, UnknownFormat) as error:
                 unusable.append(str(error))
             progress.advance()
@@ -147,7 +209,7 @@ def localize(
 
 def _show_answers(answers: list[tuple[Path, Localization]], *, as_json: bool, turns: bool) -> None:
     table = Table("scan", "segment", "along", "map scan", "x m", "y m")
-    for heading in (*(("turn deg", "left m") if turns else ()), "distance", "ratio"):
+    for heading in (*(("turn deg", "left m") if turns else ()), "distance", "ratio", "probable"):
         table.add_column(heading)
     for path, found in answers:
         if as_json:
@@ -166,9 +228,16 @@ def _show_answers(answers: list[tuple[Path, Localization]], *, as_json: bool, tu
                 *((_figure(match.turn_deg), _figure(match.lateral_m)) if turns else ()),
                 f"{match.distance:.4f}" if turns else f"{match.distance:.1f}",
                 "-" if found.ratio is None else f"{found.ratio:.2f}",
+                _trust(found),
             )
     if answers and not as_json:
         output.print(table)
+
+
+def _trust(found: Localization) -> str:
+    probability = found.verdict.probability
+    shown = "-" if probability is None else f"{probability:.2f}"
+    return shown if found.verdict.reason is None else f"{shown} no: {found.verdict.reason}"
 
 
 def signature(

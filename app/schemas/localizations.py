@@ -13,6 +13,7 @@ from core.errors import InvalidSignature
 from core.localizer import Localization, Match
 from core.parameters import Encoding
 from core.signature import Signature
+from core.trust.verdict import Refusal
 
 __all__ = ["ENCODING_TAGS", "LocalizationOut", "NearestCount", "SignaturesIn"]
 
@@ -196,15 +197,45 @@ class MatchOut(BaseModel):
         )
 
 
+class CovarianceOut(BaseModel):
+    """Of the position, in the map's frame."""
+
+    xx_m2: float
+    xy_m2: float
+    yy_m2: float
+
+
 class LocalizationOut(BaseModel):
     """Where the query was taken, as far as the map can tell.
 
-    It always names its nearest scan, for a query from elsewhere too: a `ratio`
-    near 1 says that another place is as near.
+    It names its nearest scan for a query from elsewhere too, to be looked at: only with
+    `localized` true is it an answer.
     """
 
     revision: str = Field(description="The revision that answered.")
     live_revision: str = Field(description="The revision that is live now.")
+    localized: bool = Field(description="Whether the best match may be taken for the place.")
+    reason: Refusal | None = Field(
+        description="Why not. `unknown_place`: nothing is near enough; `ambiguous`: it is, but"
+        " another place nearly as much; `too_few_returns`: the image is too empty;"
+        " `outside_prior`: nothing fits the hints, or elsewhere fits far better;"
+        " `not_calibrated`: `min_probability` was asked of a map that cannot tell."
+    )
+    probability: float | None = Field(
+        description="That the best match is right, if a query is as likely in the map as"
+        " elsewhere; null from a map that was not calibrated: it refuses nothing."
+    )
+    along_std_m: float | None = Field(
+        description="If it is right: standard deviation of the position along the path; null"
+        " without calibration or poses."
+    )
+    lateral_std_m: float | None = Field(description="The same across the path.")
+    heading_std_deg: float | None = Field(
+        description="The same of the heading; null in the paper's encoding."
+    )
+    position_covariance: CovarianceOut | None = Field(
+        description="The two of them in the map's frame."
+    )
     best: MatchOut
     matches: list[MatchOut] = Field(description="The k nearest scans, nearest first.")
     runner_up: MatchOut | None = Field(description="The nearest scan away from the best one.")
@@ -214,9 +245,25 @@ class LocalizationOut(BaseModel):
     @classmethod
     def from_core(cls, found: Localization, live_revision: str) -> "LocalizationOut":
         """Show an answer."""
+        deviation, covariance = found.deviation, found.position_covariance_m2
         return cls(
             revision=found.revision,
             live_revision=live_revision,
+            localized=found.localized,
+            reason=found.verdict.reason,
+            probability=found.verdict.probability,
+            along_std_m=None if deviation is None else deviation.along_m,
+            lateral_std_m=None if deviation is None else deviation.lateral_m,
+            heading_std_deg=(
+                None
+                if deviation is None or found.best.heading_deg is None
+                else deviation.heading_deg
+            ),
+            position_covariance=(
+                None
+                if covariance is None
+                else CovarianceOut(xx_m2=covariance[0], xy_m2=covariance[1], yy_m2=covariance[2])
+            ),
             best=MatchOut.from_core(found.best),
             matches=[MatchOut.from_core(match) for match in found.matches],
             runner_up=None if found.runner_up is None else MatchOut.from_core(found.runner_up),

@@ -8,6 +8,7 @@ from core.drive import MemoryDrive
 from core.errors import Cancelled, EmptyDrive
 from core.height_image import HEIGHT_REDUCERS
 from core.imager import Imager
+from core.images import project_drive
 from core.projection import RANGE_REDUCERS, Reducer, project_scan
 from core.rings import RingGrid
 from core.sensor import AngularGrid
@@ -137,3 +138,27 @@ def test_renderings_are_read_back_as_they_were_made(tmp_path):
             np.testing.assert_array_equal(read[row], imager.render(drive.scan(3 + row)))
     with pytest.raises(CorruptFile, match="shape"):
         ImageFile(tmp_path / "renderings.h5", Imager(RingGrid(), Reducer.MEAN))
+
+
+def test_probes_are_kept_beside_the_images(path):
+    projected = project_drive(sample_drive(20), np.arange(20), LAST)
+    with ImageFile(path, LAST) as images:
+        assert images.probes is not None
+        assert images.probed.tolist() == projected.probed.tolist()
+        assert (images.probes.read(0, 20) == projected.probes.read(0, 20)).all()
+
+
+def test_a_file_of_other_probes_still_has_its_images(path):
+    with h5py.File(path, "r+") as file:
+        file.attrs["probe_version"] = image_file.PROBE_VERSION + 1
+    with ImageFile(path, LAST) as images:
+        assert images.probes is None
+        assert len(images) == 20
+
+
+@pytest.mark.parametrize("name", ["probes", "probed"])
+def test_a_file_that_lacks_its_probes_is_corrupt(path, name):
+    with h5py.File(path, "r+") as file:
+        del file[name]
+    with pytest.raises(CorruptFile, match="holds no images"):
+        ImageFile(path, LAST)
