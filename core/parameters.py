@@ -12,7 +12,14 @@ from core.projection import Reducer
 from core.rings import RingGrid
 from core.sensor import HDL_64E, AngularGrid, sensor_named
 
-__all__ = ["LATERAL_RENDERINGS_M", "Distance", "Encoding", "MapParameters", "Segmentation"]
+__all__ = [
+    "HDL_64E_ON_KITTI_HEIGHT_M",
+    "LATERAL_RENDERINGS_M",
+    "Distance",
+    "Encoding",
+    "MapParameters",
+    "Segmentation",
+]
 
 HDL_64E_ON_KITTI_HEIGHT_M = 1.73  # KITTI's sensor set-up: above ground
 LATERAL_RENDERINGS_M = (-3.0, -1.5, 0.0, 1.5, 3.0)

@@ -14,7 +14,7 @@ from app.cli.console import output, progress_bar
 from app.cli.options import (
     MIN_RETURNS,
     DistanceOption,
-    DriveArgument,
+    DrivesArgument,
     EncodingOption,
     ImageOption,
     LateralRenderingsOption,
@@ -34,7 +34,10 @@ from app.jobs.parameters import BuildParameters
 from app.schemas.hints import hints_of
 from app.schemas.localizations import LocalizationOut, SignaturesIn
 from app.schemas.topology import TopologyOut
+from core.arrays import Float32Array
+from core.basis import harmonic_basis_digest
 from core.compression import Compression
+from core.encodings.harmonic import HarmonicModel
 from core.errors import InvalidParameters, InvalidScan
 from core.localizer import Localization, Localizer
 from core.parameters import Encoding, Segmentation
@@ -54,7 +57,7 @@ _HINTS = "Hints"
 
 
 def build(
-    drive: DriveArgument,
+    drives: DrivesArgument,
     output_file: Annotated[
         Path, typer.Option("-o", "--output", metavar="MAP.h5", help="The map file to write.")
     ],
@@ -69,9 +72,18 @@ def build(
     lateral_renderings: LateralRenderingsOption = None,
     sensor: SensorOption = HDL_64E.name,
     sensor_height_m: SensorHeightOption = 1.73,
+    keep_basis: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="MAP.h5",
+            help="Keep this harmonic map's basis: signatures made with it stay good, and the two"
+            " can be merged.",
+            rich_help_panel="Map",
+        ),
+    ] = None,
 ) -> None:
-    """Build a map of a recorded drive."""
-    from app.pipelines import build_drive  # here: it brings the store, which no other one needs
+    """Build a map of one or more recorded drives."""
+    from app.pipelines import build_drives  # here: it brings the store, which no other one needs
 
     require_folder(output_file)
     try:
@@ -92,14 +104,22 @@ def build(
         )
     except ValidationError as error:
         raise InvalidParameters(error.errors()[0]["msg"]) from None
-    recorded = open_drive(drive, min_returns=MIN_RETURNS)
+    radial_basis = None if keep_basis is None else _basis_of(keep_basis, parameters)
+    recorded = [open_drive(drive, min_returns=MIN_RETURNS) for drive in drives]
+    twice = {drive.name for drive in recorded if [d.name for d in recorded].count(drive.name) > 1}
+    if twice:
+        raise InvalidParameters(f"two of the drives are called {min(twice)!r}: rename a folder")
     with progress_bar() as progress:
-        built = build_drive(recorded, parameters, progress)
+        built = build_drives(recorded, parameters, progress, radial_basis=radial_basis)
     tensor_map = built.tensor_map
     with publish(output_file) as part:
         write_map(part, tensor_map)
-    for skipped in built.skipped.get(recorded.name, ()):
-        output.print(f"left out scan {skipped.scan}: {skipped.reason}", markup=False)
+    for name, of_it in built.skipped.items():
+        of_drive = f" of {name}" if len(recorded) > 1 else ""
+        for skipped in of_it:
+            output.print(f"left out scan {skipped.scan}{of_drive}: {skipped.reason}", markup=False)
+    for note in built.notes:
+        output.print(note, markup=False, soft_wrap=True)
     compression = Compression.of(
         tensor_map.elements,
         scans=len(tensor_map),
@@ -115,6 +135,19 @@ def build(
     )
     if tensor_map.calibration is None:
         output.print("not calibrated: too few scans, or too close together, to learn trust from")
+
+
+def _basis_of(map_file: Path, parameters: BuildParameters) -> Float32Array:
+    """Return the radial basis of a map whose signatures are made as these parameters say."""
+    kept = read_map(map_file)
+    if not isinstance(kept.model, HarmonicModel):
+        raise InvalidParameters(f"{map_file} is of the paper's encoding, it has no basis to keep")
+    u = kept.model.radial_basis
+    if harmonic_basis_digest(parameters.map_parameters(), u) != kept.basis_digest:
+        raise InvalidParameters(
+            f"{map_file} makes signatures otherwise: {kept.parameters.as_attributes()}"
+        )
+    return u
 
 
 def localize(
@@ -274,6 +307,7 @@ def inspect(
     tensor_map = read_map(map_file)
     facts = {
         "revision": tensor_map.revision,
+        "basis": tensor_map.basis_digest,
         **tensor_map.attributes(),
         "scans": len(tensor_map),
         "segments": tensor_map.model.segments,
@@ -292,6 +326,7 @@ def inspect(
         return
     for name in (
         "revision",
+        "basis",
         "encoding",
         "sensor",
         "reducer",

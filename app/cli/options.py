@@ -15,6 +15,7 @@ __all__ = [
     "MIN_RETURNS",
     "DistanceOption",
     "DriveArgument",
+    "DrivesArgument",
     "EncodingOption",
     "ImageOption",
     "LateralRenderingsOption",
@@ -42,6 +43,13 @@ DriveArgument = Annotated[
     typer.Argument(
         help="Folder of a drive: KITTI odometry layout, Ford Campus layout, or scan files.",
         metavar="DRIVE",
+    ),
+]
+DrivesArgument = Annotated[
+    list[Path],
+    typer.Argument(
+        help="Folders of drives: KITTI odometry layout, Ford Campus layout, or scan files.",
+        metavar="DRIVE...",
     ),
 ]
 MapArgument = Annotated[Path, typer.Argument(help="A map file.", metavar="MAP.h5")]

@@ -166,8 +166,9 @@ def localize_signature(
 ) -> LocalizationOut:
     """Localize by signatures made with this map's bases.
 
-    The revision that they name answers, be it live or only retained; only the segments whose
-    signatures came are searched.
+    They name a basis, and the live revision answers if it has it, else the newest retained one
+    that does; or they name a revision, and that one answers. Only the segments whose signatures
+    came are searched.
     """
     signatures = _signatures(body, content_type)
     answering = running.revisions.of_signature(map_slug, signatures[0].revision)

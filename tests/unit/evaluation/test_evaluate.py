@@ -253,26 +253,6 @@ def test_the_papers_encoding_tells_neither(found):
         assert (row.heading_error_deg_median, row.lateral_error_m_median) == (None, None)
 
 
-@pytest.mark.parametrize("encoding", Encoding)
-def test_unequal_segments_are_cut_over_all_scans_and_told(encoding):
-    parameters = MapParameters.for_sensor(
-        encoding=encoding, ranks=(2, 2), segmentation=Segmentation.UNEQUAL
-    )
-    found = evaluate(sample_drive(40), Protocol(parameters, segments=4))
-    assert found.as_dict()["segmentation"] == "unequal"
-    assert found.segments >= 2
-    assert found.map_scans == 32
-    assert len(found.conditions[0].errors) <= 8
-
-
-def test_a_scan_that_cannot_be_used_is_in_no_unequal_segments_model():
-    parameters = MapParameters(ranks=(2, 2), segmentation=Segmentation.UNEQUAL)
-    drive = FaultyDrive(sample_drive(40), {0, 17, 39})
-    found = evaluate(drive, Protocol(parameters, segments=4, split=Every(2)))
-    assert found.map_scans + found.conditions[0].queries == 39
-    assert [skipped.scan for skipped in found.skipped] == [0]
-
-
 def test_unknown_places_are_asked_and_the_probabilities_judged(drive):
     elsewhere = in_memory(SimulatedDrive(seed=8, scans=20))
     protocol = Protocol(MapParameters.for_sensor(encoding=Encoding.HARMONIC), segments=4)
@@ -299,3 +279,23 @@ def test_without_poses_no_probability_is_judged(drive):
 def test_an_unknown_drive_without_a_scan_is_refused(drive):
     with pytest.raises(EmptyDrive):
         evaluate(drive, Protocol(segments=4), unknown=[MemoryDrive("none", [])])
+
+
+@pytest.mark.parametrize("encoding", Encoding)
+def test_unequal_segments_are_cut_over_all_scans_and_told(encoding):
+    parameters = MapParameters.for_sensor(
+        encoding=encoding, ranks=(2, 2), segmentation=Segmentation.UNEQUAL
+    )
+    found = evaluate(sample_drive(40), Protocol(parameters, segments=4))
+    assert found.as_dict()["segmentation"] == "unequal"
+    assert found.segments >= 2
+    assert found.map_scans == 32
+    assert len(found.conditions[0].errors) <= 8
+
+
+def test_a_scan_that_cannot_be_used_is_in_no_unequal_segments_model():
+    parameters = MapParameters(ranks=(2, 2), segmentation=Segmentation.UNEQUAL)
+    drive = FaultyDrive(sample_drive(40), {0, 17, 39})
+    found = evaluate(drive, Protocol(parameters, segments=4, split=Every(2)))
+    assert found.map_scans + found.conditions[0].queries == 39
+    assert [skipped.scan for skipped in found.skipped] == [0]
