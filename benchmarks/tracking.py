@@ -47,11 +47,12 @@ def main(folder: Path, only: str = "") -> int:
 
 def _recorded(drive: Drive) -> list[str]:
     print("### `kit_muehlburger`\n")
-    print("Held-out scans as one drive; wrong segments told, standing + moving, of observations;")
-    print("in brackets without tracking.\n")
+    print("Held-out scans as one drive: wrong segments told, standing + moving, of how many were")
+    print("told, of how many observations; how many were not told and would have been wrong; in")
+    print("brackets wrong segments of single localizations.\n")
     missed = []
+    rows = []
     for encoding in (Encoding.HARMONIC, Encoding.PAPER):
-        rows = []
         for length in LENGTHS:
             cells = []
             for phase in range(5):
@@ -66,13 +67,14 @@ def _recorded(drive: Drive) -> list[str]:
                 )
                 track, alone = found.tracks[0], found.conditions[0]
                 cells.append(
-                    f"{track.errors_stationary} + {track.errors_moving} of {track.localized}"
+                    f"{track.errors_stationary} + {track.errors_moving} of {track.segments_told}"
+                    f" of {track.observations}, {track.unsure_wrong}"
                     f" ({alone.errors_stationary} + {alone.errors_moving})"
                 )
                 if encoding == Encoding.HARMONIC and track.errors:
                     missed.append(f"{length}, phase {phase}: {track.errors}")
             rows.append([f"{encoding}, k = {length}", *cells])
-        print_table(["", *(f"phase {phase}" for phase in range(5))], rows)
+    print_table(["", *(f"phase {phase}" for phase in range(5))], rows)
     return missed
 
 
@@ -128,7 +130,7 @@ def _cells(track: TrackResult) -> list[str]:
     return [
         f"{track.localized} of {track.observations}",
         str(track.first_fix or "none"),
-        str(len(track.errors)),
+        f"{len(track.errors)} of {track.segments_told}",
         " / ".join("-" if v is None else f"{v:.3f}" for v in track.recall_at_1.values()),
         _figure(track.position_error_m_median),
         f"{_figure(track.standing_found)} / {_figure(track.standing_false)}",

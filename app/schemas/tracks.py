@@ -44,6 +44,12 @@ class TrackStepOut(BaseModel):
     localized: bool
     reason: Doubt | None = Field(description="Why not; null if it is.")
     segment: int
+    segment_probability: float = Field(
+        description="Of that segment, as far as the place is right; near a cut two are as likely."
+    )
+    segment_sure: bool = Field(
+        description="Whether it is told: localized, and that probability is 0.9 or more."
+    )
     fraction: float = Field(
         description="How far along the segment: 0 where it begins, 1 at its end."
     )
@@ -84,6 +90,8 @@ class TrackStepOut(BaseModel):
             localized=step.localized,
             reason=step.reason,
             segment=step.segment,
+            segment_probability=step.segment_probability,
+            segment_sure=step.segment_sure,
             fraction=step.fraction,
             drive=step.drive,
             scan_index=step.scan_index,

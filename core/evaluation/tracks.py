@@ -45,20 +45,24 @@ class Asked:
 
 @dataclass(frozen=True)
 class TrackError:
-    """An observation for which a wrong segment was told.
+    """An observation that was put on a wrong segment.
 
     Attributes:
+        observation: Which one, from 0.
         scan: Its index in its drive.
         segment: Where it belongs.
         told_segment: Where it was put.
         told_scan: Index of the map scan nearest to that place.
+        probability: Of the segment, as it was told.
         standing: Whether the vehicle stood, `None` without poses.
     """
 
+    observation: int
     scan: int
     segment: int
     told_segment: int
     told_scan: int
+    probability: float
     standing: bool | None
 
 
@@ -70,12 +74,14 @@ class TrackResult:
         condition: The disturbance.
         observations: How many were taken.
         refusals: How many scans gave none.
-        localized: For how many a place was told; the figures below are of these.
+        localized: For how many a place was told; recall and error are of these.
         not_localized: Why none was told, how often.
         first_fix: How many observations it took until a place was told.
         errors: Wrong segments that were told.
         errors_moving: How many of them while the vehicle moved.
         errors_stationary: How many while it stood.
+        segments_told: How many segments were told: a place was, and its segment is sure, 0.9.
+        unsure_wrong: How many were not told because two were likely, and the likelier was wrong.
         recall_at_1: Share whose map scan was recorded within so many metres.
         position_error_m_median: Median distance of the estimated position.
         standing_found: Share of the standing vehicle's observations that were told as such.
@@ -96,6 +102,8 @@ class TrackResult:
     errors: tuple[TrackError, ...]
     errors_moving: int | None
     errors_stationary: int | None
+    segments_told: int
+    unsure_wrong: int
     recall_at_1: dict[float, float | None]
     position_error_m_median: float | None
     standing_found: float | None
@@ -196,7 +204,8 @@ def track_drive(
     steps = [track.observe(observation) for observation in observations]
     seconds = time.perf_counter() - begun
     localized = np.array([step.localized for step in steps], dtype=bool)
-    errors = _errors(tracker, asked, steps)
+    wrong = _wrong(tracker, asked, steps)
+    errors = tuple(error for error in wrong if steps[error.observation].segment_sure)
     standing = asked.standing
     told_standing = np.array([step.standing for step in steps], dtype=bool)
     true = [condition.pose(asked.drive.poses[scan]) for scan in asked.scans.tolist()]
@@ -221,6 +230,8 @@ def track_drive(
         errors=errors,
         errors_moving=None if stationary is None else len(errors) - stationary,
         errors_stationary=stationary,
+        segments_told=sum(step.segment_sure for step in steps),
+        unsure_wrong=len(wrong) - len(errors),
         recall_at_1={metres: _share(recorded_m <= metres, recorded_m) for metres in tolerances_m},
         position_error_m_median=_median(displaced_m),
         standing_found=None if standing is None else _rate(told_standing[standing]),
@@ -235,13 +246,15 @@ def track_drive(
     )
 
 
-def _errors(tracker: Tracker, asked: Asked, steps: Sequence[TrackStep]) -> tuple[TrackError, ...]:
+def _wrong(tracker: Tracker, asked: Asked, steps: Sequence[TrackStep]) -> tuple[TrackError, ...]:
     return tuple(
         TrackError(
+            observation=index,
             scan=int(asked.scans[index]),
             segment=int(asked.segment[index]),
             told_segment=step.segment,
             told_scan=int(tracker.map.trajectory.scan_index[step.row]),
+            probability=step.segment_probability,
             standing=None if asked.standing is None else bool(asked.standing[index]),
         )
         for index, step in enumerate(steps)

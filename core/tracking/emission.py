@@ -16,8 +16,10 @@ __all__ = ["DistanceSpread", "Emission", "LikelihoodRatio", "own_signatures"]
 _SAMPLED = 32  # scans of the map that are compared with all others
 _ELSEWHERE_M = 10.0
 _ELSEWHERE_SCANS = 50  # 5 s at 10 Hz; counts where poses are unknown
-_RARE_SIGMA = 2.2  # below the mean: 1 scan elsewhere in 70 is as near
-_WITHIN = 3.0  # by how much the map's own spacing is nearer than what is rare elsewhere, at least
+_RARE = 0.1  # quantile: a tenth of the map's scans have one elsewhere that is as near
+_RESOLVED = 0.5  # of what one scan changes to the next
+_FAR = 10.0
+_TINY = 1e-6
 _SLOPE = 4.0  # twice as far from the query is 16 times less likely
 _MOST = 8.0  # nats: no single observation decides alone, whatever it says
 
@@ -33,63 +35,59 @@ class LikelihoodRatio(Protocol):
 class DistanceSpread:
     """How distances spread in a map: what is known without a calibration.
 
-    The logarithm of the distance to a place elsewhere is taken as normal. A query at the very
-    place may be as near as the map's own next scan, or in another lane and another year many times
-    as far, so its distances are taken as spread evenly below those elsewhere.
+    A query from elsewhere has a nearest scan too. How near that is, the map tells by its own scans:
+    the nearest one to each of them that was recorded elsewhere.
 
     Attributes:
-        resolution: Median distance between consecutive scans of the map, above 0: differences
-            below it tell little.
-        log_mean: Mean of the logarithms of distances elsewhere.
-        log_sigma: Their standard deviation, above 0.
+        resolution: What a scan of the map changes to the next, halved; above 0. Differences below
+            it tell little.
+        even: The distance that speaks for this scan as much as for elsewhere, above 0.
     """
 
     resolution: float
-    log_mean: float
-    log_sigma: float
+    even: float
 
     def log_likelihood_ratio(self, distances: FloatArray) -> FloatArray:
-        """Return a ratio that is even where distances to elsewhere become rare."""
-        return np.asarray(_SLOPE * (self._even - np.log(distances + self.resolution)))
-
-    @property
-    def _even(self) -> float:
-        return self.log_mean - _RARE_SIGMA * self.log_sigma
+        """Return a ratio that falls with a power of the distance and is 0 at `even`."""
+        return np.asarray(_SLOPE * np.log(self.even / np.maximum(distances, _TINY * self.even)))
 
     @classmethod
     def of_map(cls, tensor_map: TensorMap) -> "DistanceSpread":
         """Learn it from the map's own signatures, some of them against all."""
         rows = np.unique(np.linspace(0, len(tensor_map) - 1, _SAMPLED).astype(np.int64))
         drive, segment = tensor_map.trajectory.drive_of_scan, tensor_map.model.segment_of_scan
-        away: list[FloatArray] = []
-        near: list[float] = []
+        elsewhere: list[float] = []
+        steps: list[float] = []
         for row in rows.tolist():
             search = tensor_map.model.search(own_signatures(tensor_map, row))
             distances = search.distances()
-            away.append(distances[_elsewhere(tensor_map, row)])
+            away = distances[_elsewhere(tensor_map, row)]
+            elsewhere.append(float(away.min(initial=np.inf)))
             after = row + 1
-            if after < len(tensor_map) and drive[after] == drive[row]:
-                # The paper's signatures of two segments compare where either has the scan.
-                near.append(float(distances[after if segment[after] == segment[row] else row]))
-        far = np.concatenate(away)
-        far = far[np.isfinite(far) & (far > 0.0)]
-        steps = np.array([step for step in near if 0.0 < step < np.inf])
-        if not len(far):  # one place only: nothing tells how far elsewhere is
-            typical = float(np.median(steps)) if len(steps) else 1e-3
-            return cls(typical, float(np.log(10.0 * typical)), 0.3)
-        logs = np.log(far)
-        log_mean, log_sigma = float(logs.mean()), max(float(logs.std()), 0.05)
-        # A map of few scans, far apart, must not make its own places unlikely.
-        finest = float(np.exp(log_mean - _RARE_SIGMA * log_sigma)) / _WITHIN
-        resolution = min(float(np.median(steps)), finest) if len(steps) else finest
-        return cls(resolution, log_mean, log_sigma)
+            # The paper's signatures of two segments do not compare.
+            if (
+                after < len(tensor_map)
+                and drive[after] == drive[row]
+                and segment[after] == segment[row]
+            ):
+                steps.append(float(distances[after]))
+        nearest = [distance for distance in elsewhere if 0.0 < distance < np.inf]
+        changes = [distance for distance in steps if 0.0 < distance < np.inf]
+        if not nearest:  # one place only: nothing tells how far elsewhere is
+            even = _FAR * (float(np.median(changes)) if changes else 1.0)
+        else:
+            even = float(np.quantile(nearest, _RARE))
+        resolution = _RESOLVED * float(np.median(changes)) if changes else even
+        return cls(min(resolution, even), even)
 
 
 @dataclass(frozen=True)
 class Emission:
     """The likelihood of an observation at each scan of the map, and outside of it.
 
-    Whether the vehicle is on the map at all is told by the calibrated ratio of the nearest scan.
+    Whether the vehicle is on the map at all is told by the calibrated ratio of the nearest scan,
+    less what it is for the nearest of all scans elsewhere: it is of one scan, and the nearest of
+    thousands is near by chance.
     Which scan it is is told by the distances relative to the nearest one, more cautiously:
     consecutive observations err alike, and what is finer than the map's own scans tells little.
 
@@ -112,7 +110,8 @@ class Emission:
             return np.ones(len(distances))
         nearest = float(distances[compared].min())
         resolution = self.spread.resolution
-        on_map = float(self.ratio.log_likelihood_ratio(np.array([nearest]))[0])
+        told, usual = self.ratio.log_likelihood_ratio(np.array([nearest, self.spread.even]))
+        on_map = float(told - usual)
         relative = np.full(len(distances), -_MOST)
         relative[compared] = -_SLOPE * np.log(
             (distances[compared] + resolution) / (nearest + resolution)

@@ -5,7 +5,10 @@ from enum import StrEnum
 
 from core.pose import Pose
 
-__all__ = ["Direction", "Doubt", "TrackStep"]
+__all__ = ["SURE", "Direction", "Doubt", "TrackStep"]
+
+SURE = 0.9
+"""A place, a segment or a direction is told from this probability on."""
 
 
 class Direction(StrEnum):
@@ -35,6 +38,8 @@ class TrackStep:
         localized: Whether the belief is gathered in one place of the map.
         reason: Why not, `None` if it is.
         segment: The segment.
+        segment_probability: Of that segment, as far as the place is right. Near a cut, and where
+            the mapping vehicle itself stood at one, two segments are as likely.
         fraction: How far along it, 0 where it begins and 1 where it ends.
         position: In rows of the map, between scans too.
         row: The nearest scan's row in the map.
@@ -58,6 +63,7 @@ class TrackStep:
     localized: bool
     reason: Doubt | None
     segment: int
+    segment_probability: float
     fraction: float
     position: float
     row: int
@@ -72,3 +78,8 @@ class TrackStep:
     turn_deg: float | None
     lateral_m: float | None
     pose: Pose | None
+
+    @property
+    def segment_sure(self) -> bool:
+        """Whether the segment is told, and not only the likelier one of two that meet there."""
+        return self.localized and self.segment_probability >= SURE

@@ -21,12 +21,11 @@ from core.tracking.graph import TravelGraph
 from core.tracking.motion import Motion
 from core.tracking.place import Place, gathered
 from core.tracking.standing import Standing, StandingDetector
-from core.tracking.step import Direction, Doubt, TrackStep
+from core.tracking.step import SURE, Direction, Doubt, TrackStep
 
 __all__ = ["Observation", "Track", "Tracker"]
 
 _FIRST_FIX = 3  # observations: one alone is a localization, and two may err alike
-_SURE = 0.9  # of being at one place, to tell it; of a direction too
 _ELSEWHERE = 0.5  # of being outside of the map, to say so
 _MOVE_ODDS = 0.9  # of a standing vehicle being beyond the place that was told, to move the answer
 _SLOWEST, _FASTEST = 0.1, 10.0  # times between observations, as shares of the usual one
@@ -203,6 +202,7 @@ class Track:
             reason=reason,
             segment=segment,
             fraction=_fraction(tracker, segment, position),
+            segment_probability=_share_of(tracker, place, segment),
             position=position,
             row=row,
             drive=trajectory.drives[int(trajectory.drive_of_scan[row])],
@@ -231,7 +231,7 @@ class Track:
             return Doubt.UNKNOWN_PLACE
         if self._observations < _FIRST_FIX:
             return Doubt.CONVERGING
-        return None if place.probability >= _SURE else Doubt.AMBIGUOUS
+        return None if place.probability >= SURE else Doubt.AMBIGUOUS
 
 
 def _fraction(tracker: Tracker, segment: int, position: float) -> float:
@@ -239,10 +239,17 @@ def _fraction(tracker: Tracker, segment: int, position: float) -> float:
     return min(max((position - begin) / max(1, end - begin), 0.0), 1.0)
 
 
+def _share_of(tracker: Tracker, place: Place, segment: int) -> float:
+    """Return how much of what is believed near a place is of one segment."""
+    rows = range(place.rows.start, place.rows.stop)
+    within = [tracker.graph.segment_at(row) == segment for row in rows]
+    return min(1.0, float(place.weight[within].sum()))
+
+
 def _direction(place: Place) -> Direction | None:
-    if place.along >= _SURE:
+    if place.along >= SURE:
         return Direction.ALONG
-    return Direction.AGAINST if place.along <= 1.0 - _SURE else None
+    return Direction.AGAINST if place.along <= 1.0 - SURE else None
 
 
 def _sigma_m(along_m: FloatArray, place: Place) -> float | None:
