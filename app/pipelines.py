@@ -189,7 +189,7 @@ def _build(
     )
     grams: dict[str, FloatArray] | None = None
     if map_parameters.distance is not None:
-        grams = {d.name: i.row_gram() for d, i in zip(drives, images, strict=True)}
+        grams = {d.name: i.detail_gram() for d, i in zip(drives, images, strict=True)}
     tensor_map = build_map(
         ConcatenatedImages(images),
         trajectory,

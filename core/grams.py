@@ -1,14 +1,15 @@
-"""What a radial basis is fitted to: the sum of S S^T of each drive, which adds over drives."""
+"""What a radial basis is fitted to: the Gram matrix of each drive, which adds over drives."""
 
 from collections.abc import Mapping
 
 import numpy as np
 
 from core.arrays import Float32Array, FloatArray
+from core.encodings.harmonic import detail_gram
 from core.errors import InvalidImage
 from core.images import ImageSource
 from core.progress import NO_PROGRESS, Progress
-from core.tucker import BLOCK_SCANS, leading_basis, row_gram
+from core.tucker import BLOCK_SCANS, leading_basis
 
 __all__ = ["drive_gram", "fit_radial_basis", "radial_error", "sum_of_grams"]
 
@@ -16,7 +17,7 @@ __all__ = ["drive_gram", "fit_radial_basis", "radial_error", "sum_of_grams"]
 def drive_gram(
     images: ImageSource, start: int, end: int, progress: Progress = NO_PROGRESS
 ) -> FloatArray:
-    """Return the sum of S S^T over the images, or all renderings, of one drive, `(I, I)`.
+    """Return `detail_gram` of the images, or all renderings, of one drive, `(I, I)`.
 
     It is summed in blocks that begin at the drive's first scan, so it is the same to the bit
     whether the drive is read alone or among others, and by whichever worker.
@@ -36,7 +37,7 @@ def drive_gram(
         block = images.read(first, min(first + BLOCK_SCANS, end))
         if block.shape[-2:] != (rows, columns):
             raise InvalidImage(f"the images read {block.shape}, the grid is {rows} x {columns}")
-        gram += row_gram(block.reshape(-1, rows, columns))
+        gram += detail_gram(block.reshape(-1, rows, columns))
         progress.advance(len(block))
     return gram
 
@@ -70,7 +71,7 @@ def fit_radial_basis(grams: Mapping[str, FloatArray], rank: int) -> Float32Array
 
 
 def radial_error(gram: FloatArray, u: Float32Array | FloatArray) -> float:
-    """Return |S - U U^T S| / |S| over all images that were summed: what U alone leaves out.
+    """Return |S - U U^T S| / |S| of the fine detail S of all images: what U alone leaves out.
 
     Examples:
         >>> radial_error(np.diag([9.0, 16.0]), np.eye(2)[:, 1:])

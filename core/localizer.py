@@ -7,14 +7,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from core.arrays import BoolArray
-from core.displacement import pose_beside
-from core.encodings.model import Found
+from core.encodings.harmonic import HarmonicSearch
+from core.encodings.model import Found, Search
 from core.errors import (
     InvalidParameters,
     InvalidSignature,
     StaleSignature,
     UnknownSegment,
 )
+from core.estimate import estimate
 from core.imager import Image
 from core.pose import Pose, path_length_m
 from core.scan import Scan
@@ -35,7 +36,7 @@ class Match:
 
     Attributes:
         segment: The segment it lies on.
-        fraction: How far along the segment, 0 at its first node and 1 at its second.
+        fraction: How far along the segment, 0 where it begins and 1 where it ends.
         along_m: The same in metres, `None` where a pose on the way is unknown.
         drive: The drive it was recorded in.
         scan_index: Its index in that drive.
@@ -158,9 +159,9 @@ class Localizer:
             raise InvalidParameters(f"k is {k}, wanted at least 1")
         self._require_answerable(signatures)
         search = self.map.model.search(signatures)
-        matches = tuple(self._match(found) for found in search.nearest(k))
+        matches = tuple(self._match(search, found) for found in search.nearest(k))
         away = search.nearest(1, self._away_from(matches[0].row))
-        runner_up = self._match(away[0]) if away else None
+        runner_up = self._match(search, away[0]) if away else None
         return Localization(self.map.revision, matches, runner_up, search.segments)
 
     def compare(self, signatures: Sequence[Signature], row: int) -> Found:
@@ -222,13 +223,16 @@ class Localizer:
                 f"basis {named} is of segments 0..{held}, the signature of {signature.segment}"
             )
 
-    def _match(self, found: Found) -> Match:
+    def _match(self, search: Search, found: Found) -> Match:
         row = found.row
-        trajectory, topology = self.map.trajectory, self.map.topology
+        trajectory = self.map.trajectory
         segment = int(self._segment_of_scan[row])
-        first, last = topology.node_scan[topology.edge_nodes[segment]].tolist()
+        first, last = self.map.segment_ends[segment].tolist()
         along_m = path_length_m(trajectory.poses[first : row + 1])
         timestamp_s = float(trajectory.timestamp_s[row])
+        stands = None
+        if isinstance(search, HarmonicSearch):
+            stands = estimate(search, trajectory, found)
         return Match(
             segment=segment,
             fraction=(row - first) / max(1, last - first),
@@ -239,16 +243,10 @@ class Localizer:
             distance=found.distance,
             timestamp_s=None if math.isnan(timestamp_s) else timestamp_s,
             pose=Pose.from_row(trajectory.poses[row]),
-            turn_deg=found.turn_deg,
-            lateral_m=found.lateral_m,
-            estimated_pose=self._estimated_pose(found),
+            turn_deg=None if stands is None else stands.turn_deg,
+            lateral_m=None if stands is None else stands.lateral_m,
+            estimated_pose=None if stands is None else stands.pose,
         )
-
-    def _estimated_pose(self, found: Found) -> Pose | None:
-        if found.lateral_m is None:
-            return None
-        recorded = self.map.trajectory.poses[found.row]
-        return Pose.from_row(pose_beside(recorded, found.lateral_m, found.turn_deg or 0.0))
 
     def _away_from(self, row: int) -> BoolArray:
         """Return which scans are away from scan `row`, `(K,)`."""

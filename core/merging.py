@@ -26,7 +26,7 @@ class BasisFit:
 
     Attributes:
         drive: Its name.
-        kept_error: |S - U U^T S| / |S| over the renderings of its scans, U kept.
+        kept_error: |S - U U^T S| / |S| of the fine detail S of its scans' renderings, U kept.
         refitted_error: The same with U fitted anew to all drives that are at hand.
     """
 
@@ -41,8 +41,8 @@ class BasisFit:
 
     def __str__(self) -> str:
         return (
-            f"the basis that was kept leaves out {self.kept_error:.3f} of drive {self.drive},"
-            f" one fitted anew would leave out {self.refitted_error:.3f}"
+            f"the basis that was kept leaves out {self.kept_error:.3f} of the detail of drive"
+            f" {self.drive}, one fitted anew would leave out {self.refitted_error:.3f}"
         )
 
 

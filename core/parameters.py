@@ -130,8 +130,8 @@ class MapParameters:
     ) -> "MapParameters":
         """Return parameters for a known sensor; what is not given is the encoding's own default.
 
-        The paper's are range images, `last`; the harmonic's are mean heights, `normalised`, and
-        five renderings.
+        The paper's are range images, `last`; the harmonic's are heights, `highest`, or on request
+        ranges, `mean`, `normalised`, and five renderings.
 
         Raises:
             InvalidParameters: If the sensor is unknown, a value is out of its range or is not one
@@ -142,7 +142,8 @@ class MapParameters:
         if image is None:
             image = ImageKind.HEIGHT if harmonic else ImageKind.RANGE
         if reducer is None:
-            reducer = Reducer.MEAN if harmonic else Reducer.LAST
+            of_range = Reducer.MEAN if harmonic else Reducer.LAST
+            reducer = Reducer.HIGHEST if image == ImageKind.HEIGHT else of_range
         if harmonic and distance is None:
             distance = Distance.NORMALISED
         if harmonic and lateral_renderings_m is None:

@@ -21,8 +21,9 @@ from core.encodings.paper import PaperModel
 from core.errors import InvalidMap
 from core.parameters import Encoding, MapParameters
 from core.revision import content_digest
-from core.topology import Topology
+from core.topology import Topology, segment_ends
 from core.trajectory import Trajectory
+from core.trust.calibration import Calibration
 
 __all__ = ["TensorMap"]
 
@@ -35,8 +36,9 @@ class TensorMap:
         parameters: The choices it was built with.
         model: Bases and signatures, in the encoding of the parameters.
         trajectory: Drive, time and pose of each scan.
-        topology: Nodes and edges; edge `l` is segment `l`.
+        topology: Nodes, edges, and the edge along which each segment runs.
         relative_error: `(L,)` |X - X^| / |X| of each segment's images, renderings included.
+        calibration: From distances to probabilities; `None` where the map cannot tell.
     """
 
     parameters: MapParameters
@@ -44,6 +46,7 @@ class TensorMap:
     trajectory: Trajectory
     topology: Topology
     relative_error: FloatArray
+    calibration: Calibration | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "relative_error", frozen(self.relative_error, np.float64))
@@ -54,8 +57,10 @@ class TensorMap:
             raise InvalidMap(f"{segments} segments and {self.relative_error.shape} errors")
         if not ((self.relative_error >= 0) & (self.relative_error <= 1)).all():
             raise InvalidMap("relative_error holds numbers that are not within 0..1")
-        if len(self.topology.edge_nodes) != segments:
-            raise InvalidMap(f"{segments} segments and {len(self.topology.edge_nodes)} edges")
+        if len(self.topology.edge_of_segment) != segments:
+            raise InvalidMap(
+                f"{segments} segments and {len(self.topology.edge_of_segment)} in the graph"
+            )
         if len(self.topology.node_scan) and not (
             self.topology.node_scan.min() >= 0 and self.topology.node_scan.max() < scans
         ):
@@ -63,14 +68,25 @@ class TensorMap:
         starts = self.model.segment_start
         if not np.isin(self.trajectory.drive_start, starts).all():
             raise InvalidMap("a segment runs from one drive into the next")
-        nodes = self.topology.node_scan[self.topology.edge_nodes]
-        if (nodes[:, 0] > starts[:-1]).any() or (nodes[:, 1] < starts[1:] - 1).any():
-            raise InvalidMap("a segment's scans do not lie between its edge's nodes")
+        self._require_nodes()
         if self.model.ranks != self.parameters.ranks:
             raise InvalidMap(f"signatures are {self.model.ranks}, ranks {self.parameters.ranks}")
         if self.model.grid_shape != self.parameters.grid.shape:
             raise InvalidMap(f"bases are for {self.model.grid_shape}, not for the grid")
         self._require_encoding()
+
+    def _require_nodes(self) -> None:
+        nodes, starts = (
+            self.topology.node_scan[self.topology.segment_nodes],
+            self.model.segment_start,
+        )
+        if self.topology.is_plain:
+            if (nodes[:, 0] > starts[:-1]).any() or (nodes[:, 1] < starts[1:] - 1).any():
+                raise InvalidMap("a segment's scans do not lie between its edge's nodes")
+        elif (nodes > self.segment_ends).any() or not np.isin(
+            self.topology.node_scan, self.segment_ends
+        ).all():
+            raise InvalidMap("a node does not stand at the first segment end that came there")
 
     def _require_encoding(self) -> None:
         harmonic = isinstance(self.model, HarmonicModel)
@@ -107,6 +123,11 @@ class TensorMap:
     def basis_digest(self) -> str:
         """What names the basis of all segments."""
         return self.basis_digests[-1]
+
+    @cached_property
+    def segment_ends(self) -> IntArray:
+        """Rows of the scans at which each segment begins and ends, `(L, 2)`."""
+        return segment_ends(self.trajectory.drive_start, self.model.segment_start)
 
     @property
     def elements(self) -> int:
@@ -147,14 +168,15 @@ class TensorMap:
             "scan_index": self.trajectory.scan_index,
             "timestamp_s": self.trajectory.timestamp_s,
             "pose": self.trajectory.poses,
-            "node_scan": self.topology.node_scan,
-            "edge_nodes": self.topology.edge_nodes,
-            "edge_length_m": self.topology.edge_length_m,
+            **self.topology.arrays(),
         }
 
     def attributes(self) -> dict[str, Any]:
         """Return every attribute of the map, as plain values."""
-        return {**self.parameters.as_attributes(), "drives": list(self.trajectory.drives)}
+        attributes = {**self.parameters.as_attributes(), "drives": list(self.trajectory.drives)}
+        if self.calibration is not None:
+            attributes["calibration"] = self.calibration.as_attributes()
+        return attributes
 
     @classmethod
     def from_parts(
@@ -178,8 +200,9 @@ class TensorMap:
                     a["timestamp_s"],
                     a["pose"],
                 ),
-                Topology(a["node_scan"], a["edge_nodes"], a["edge_length_m"]),
+                _topology(a),
                 a["relative_error"],
+                _calibration(attributes),
             )
         except KeyError as error:
             raise InvalidMap(f"the map lacks {error}") from error
@@ -188,6 +211,25 @@ class TensorMap:
         if tensor_map.attributes() != dict(attributes):
             raise InvalidMap("the map has attributes that are unknown or not in their own form")
         return tensor_map
+
+
+def _calibration(attributes: Mapping[str, Any]) -> Calibration | None:
+    if "calibration" not in attributes:  # a file of before there was any, or of gone returns
+        return None
+    return Calibration.from_attributes(attributes["calibration"])
+
+
+def _topology(a: dict[str, NDArray[Any]]) -> Topology:
+    return Topology(
+        a["node_scan"],
+        a["edge_nodes"],
+        a["edge_length_m"],
+        **{
+            name: a[name]
+            for name in ("edge_scans", "edge_of_segment", "segment_reversed")
+            if name in a
+        },
+    )
 
 
 def _model(parameters: MapParameters, a: dict[str, NDArray[Any]]) -> PaperModel | HarmonicModel:

@@ -29,7 +29,7 @@ __all__ = [
 PROJECTION_VERSION = 1
 """Counted up whenever the code makes other images of the same scans, or skips others."""
 
-_ROW_GRAM = "row_gram"
+_DETAIL_GRAM = "detail_gram"
 _BLOCK = 8  # images in an HDF5 chunk: 340 kB on the paper's grid, inside h5py's 1 MB cache
 
 
@@ -82,8 +82,8 @@ class ImageFile:
             raise CorruptImages(f"{self._name} cannot be read: {error}") from error
         return images
 
-    def row_gram(self, progress: Progress = NO_PROGRESS) -> FloatArray:
-        """Return the sum of S S^T over all renderings, `(I, I)`; reads no image if it is kept.
+    def detail_gram(self, progress: Progress = NO_PROGRESS) -> FloatArray:
+        """Return the Gram matrix of all renderings, `(I, I)`; reads no image if it is kept.
 
         Files of renderings keep it beside them; in one that was written before they did, it is
         summed when it is asked for.
@@ -92,10 +92,10 @@ class ImageFile:
             CorruptImages: If it cannot be read, or its checksum does not fit.
         """
         try:
-            if _ROW_GRAM in self._file:
-                kept: FloatArray = self._file[_ROW_GRAM][()]
+            if _DETAIL_GRAM in self._file:
+                kept: FloatArray = self._file[_DETAIL_GRAM][()]
                 if kept.shape != (self.grid.rows, self.grid.rows):
-                    raise ValueError(f"{_ROW_GRAM} has shape {kept.shape}")
+                    raise ValueError(f"{_DETAIL_GRAM} has shape {kept.shape}")
                 return kept
         except (AttributeError, OSError, RuntimeError, TypeError, ValueError) as error:
             raise CorruptImages(f"{self._name} cannot be read: {error}") from error
@@ -154,7 +154,7 @@ def write_image_file(
         if imager.lateral_renderings_m is not None:
             written = _Written(images, imager.grid)
             gram = drive_gram(written, 0, len(written))
-            file.create_dataset(_ROW_GRAM, data=gram.astype("<f8"), fletcher32=True)
+            file.create_dataset(_DETAIL_GRAM, data=gram.astype("<f8"), fletcher32=True)
         file.attrs["returns"] = told.returns
         file.attrs["skipped"] = json.dumps([[item.scan, item.reason] for item in told.skipped])
 

@@ -46,6 +46,9 @@ _DTYPES = {
     },
 }
 
+_OF_JOINED = {"edge_scans": "<i8", "edge_of_segment": "<i8", "segment_reversed": "|i1"}
+"""All three or none: a map whose segments are its edges has none of them."""
+
 
 def write_map(path: Path, tensor_map: TensorMap, created_at: datetime | None = None) -> None:
     """Write a revision to a new file and give its bytes to the disk's care.
@@ -57,7 +60,7 @@ def write_map(path: Path, tensor_map: TensorMap, created_at: datetime | None = N
         tensor_map: The content.
         created_at: Kept beside the digest, outside of it.
     """
-    dtypes = _DTYPES[tensor_map.parameters.encoding]
+    dtypes = {**_DTYPES[tensor_map.parameters.encoding], **_OF_JOINED}
     with h5py.File(path, "x", libver="v110") as file:
         for name, array in tensor_map.arrays().items():
             file.create_dataset(name, data=np.asarray(array, dtypes[name]))
@@ -102,6 +105,8 @@ def _read_parts(path: Path) -> tuple[dict[str, Any], dict[str, Any], str]:
             raise ValueError(f"its format version is {version}, {FORMAT_VERSION} is read here")
         attributes = json.loads(file.attrs["attributes"])
         dtypes = _DTYPES[Encoding(attributes["encoding"])]
+        if any(name in file for name in _OF_JOINED):
+            dtypes = {**dtypes, **_OF_JOINED}
         odd = set(file) ^ set(dtypes)
         if odd:
             raise ValueError(f"it lacks or should not hold {', '.join(sorted(odd))}")

@@ -26,19 +26,24 @@ from core.encodings.model import Found, Segmented, nearest
 from core.errors import InvalidMap, InvalidSignature
 from core.parameters import Distance
 from core.signature import Signature
+from core.tucker import row_gram
 
 __all__ = [
     "HarmonicModel",
     "HarmonicSearch",
     "azimuth_factor",
+    "detail_gram",
     "encode",
     "energy",
     "harmonic_elements",
     "weights",
 ]
 
+_DETAIL_DEG = 24.0  # finer than this is detail: J / 15 columns, the waves from harmonic 15 on
+_TIES = 1e-6  # of the whole image's Gram: it decides where an image has no detail
 _SAMPLES_A_WAVE = 12  # of the shortest wave: the parabola then errs by less than 0.1 deg
 _FIRST = 4  # scans that are searched before the bound decides on the others
+_EXACT_SCANS = 1024  # searched over headings at once: 10 MB of them
 _SLACK = 1e-5  # of the bound, in single precision, as a share of |g| |G|: ten times its rounding
 _ROUNDING = 1e-12  # of sums in double precision
 
@@ -96,6 +101,30 @@ def energy(signatures: NDArray[np.complexfloating[Any, Any]], columns: int) -> F
     squared = np.square(signatures.real, dtype=np.float64)
     squared += np.square(signatures.imag, dtype=np.float64)
     return np.asarray(squared.sum(axis=-2) @ weights(columns, signatures.shape[-1]))
+
+
+def detail_gram(images: Float32Array | FloatArray) -> FloatArray:
+    """Return the Gram matrix whose leading eigenvectors are U, of `(n, I, J)` images, `(I, I)`.
+
+    It is S S^T without the waves longer than 24 degrees. Broad waves hold the most energy: heights
+    of rings that every street has. A basis that is fitted to them describes all places alike; one
+    that is fitted to edges and poles keeps the rings by which places differ, and its signatures
+    tell them apart though they hold broad waves only. The sum is additive over images, and turning
+    an image leaves it as it is, but for rounding.
+
+    Examples:
+        >>> edge, even = np.zeros((2, 1, 2, 360))
+        >>> edge[0, 0, :9], even[0, 1] = 1.0, 5.0
+        >>> gram = detail_gram(np.stack([edge[0] + even[0]]))
+        >>> bool(gram[0, 0] > 100 * gram[1, 1])
+        True
+    """
+    columns = images.shape[2]
+    factor = azimuth_factor(columns, max(1, min(round(360.0 / _DETAIL_DEG), columns // 2)))
+    factor *= np.sqrt(weights(columns, factor.shape[1]))
+    broad = np.concatenate([factor.real, factor.imag[:, 1:]], axis=1)
+    whole = row_gram(images)
+    return whole * (1.0 + _TIES) - row_gram(images.astype(np.float64) @ broad)
 
 
 @dataclass(frozen=True, eq=False)
@@ -221,17 +250,21 @@ class HarmonicSearch:
         """All of them: the basis is shared."""
         return tuple(range(self._model.segments))
 
+    @property
+    def lateral_offset_m(self) -> FloatArray:
+        """How far to the left of the line each rendering is seen from, `(D,)`."""
+        return self._model.lateral_offset_m
+
     def nearest(self, k: int, among: BoolArray | None = None) -> tuple[Found, ...]:
         """Return the `k` nearest scans, each by its nearest rendering, nearest first."""
         lower = self._lower_bounds if among is None else self._lower_bounds[among]
         if not len(lower):
             return ()
         rows = np.arange(len(self._model)) if among is None else np.flatnonzero(among)
-        bound = lower.min(axis=1)
-        first = nearest(bound, max(k, _FIRST))
+        first = nearest(lower, max(k, _FIRST))
         distances, turn_deg = self.exact(rows[first])
         reached = nearest(distances.min(axis=1), k)
-        left = bound <= distances.min(axis=1)[reached[-1]]
+        left = lower <= distances.min(axis=1)[reached[-1]]
         left[first] = False
         searched = rows[first]
         if left.any():
@@ -241,6 +274,15 @@ class HarmonicSearch:
             turn_deg = np.concatenate([turn_deg, more[1]])
         in_order = np.argsort(searched)
         return self._ranked(searched[in_order], distances[in_order], turn_deg[in_order], k)
+
+    def distances(self, among: BoolArray | None = None) -> FloatArray:
+        """Return the distance of each scan's nearest rendering, `(K,)`, infinite if not asked."""
+        distances = np.full(len(self._model), np.inf)
+        rows = np.arange(len(distances)) if among is None else np.flatnonzero(among)
+        for start in range(0, len(rows), _EXACT_SCANS):
+            block = rows[start : start + _EXACT_SCANS]
+            distances[block] = self.exact(block)[0].min(axis=1)
+        return distances
 
     def nearest_by_brute_force(self, k: int) -> tuple[Found, ...]:
         """Return what `nearest` does, having searched the headings of every rendering."""
@@ -265,17 +307,18 @@ class HarmonicSearch:
 
     @cached_property
     def _lower_bounds(self) -> FloatArray:
-        """Below which no rendering's distance can be, `(K, D)`."""
+        """Below which the distance of none of a scan's renderings can be, `(K,)`."""
         model = self._model
         unit = (self._values / (self._norm or 1.0) * np.sqrt(self._weights)).astype(np.complex64)
         correlation = np.zeros(model.norms.size, np.float32)
         for of_query, of_map in zip(unit.T, model.units, strict=True):
             product = of_query @ of_map
             correlation += np.sqrt(product.real**2 + product.imag**2)
-        share = correlation.reshape(model.norms.shape).astype(np.float64) + _SLACK
+        share = correlation.reshape(model.norms.shape)
         if model.measure == Distance.NORMALISED:
-            return 1.0 - share
-        plain = self._plain(share * (self._norm * model.norms), model.norms)
+            return np.asarray(1.0 - (share.max(axis=1).astype(np.float64) + _SLACK))
+        at_most = (share.astype(np.float64) + _SLACK) * (self._norm * model.norms)
+        plain: FloatArray = self._plain(at_most, model.norms).min(axis=1)
         return plain * (1.0 - _ROUNDING)
 
     def exact(self, rows: IntArray) -> tuple[FloatArray, FloatArray]:

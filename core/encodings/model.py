@@ -47,6 +47,15 @@ class Search(Protocol):
             among: `(K,)` which rows of the map come into question; all of them without it.
         """
 
+    def distances(self, among: BoolArray | None = None) -> FloatArray:
+        """Return the exact distance of each scan, `(K,)`, that of its nearest rendering.
+
+        Infinite where a scan was not asked for, or is not compared by this query.
+
+        Args:
+            among: `(K,)` which rows are asked for; all of them without it.
+        """
+
 
 class Model(Protocol):
     """The bases and signatures of a map in one encoding."""

@@ -109,7 +109,7 @@ class PaperModel(Segmented):
             raise InvalidSignature(f"a segment comes twice in {segments}")
         values = np.stack([s.values for s in signatures]).astype(np.float64)
         rows, distances = self.distances(values, np.array(segments, dtype=np.int64))
-        return PaperSearch(tuple(sorted(segments)), rows, distances)
+        return PaperSearch(tuple(sorted(segments)), rows, distances, len(self))
 
     def distances(self, signatures: FloatArray, segments: IntArray) -> tuple[IntArray, FloatArray]:
         """Return the rows of the segments' scans, `(n,)`, and their Frobenius distances, `(n,)`.
@@ -149,19 +149,27 @@ class PaperSearch:
     Attributes:
         segments: These segments, rising.
         rows: `(n,)` rows of their scans.
-        distances: `(n,)` in the Frobenius norm.
+        distances_of_rows: `(n,)` in the Frobenius norm.
+        scans: K, how many the map has.
     """
 
     segments: tuple[int, ...]
     rows: IntArray
-    distances: FloatArray
+    distances_of_rows: FloatArray
+    scans: int
 
     def nearest(self, k: int, among: BoolArray | None = None) -> tuple[Found, ...]:
         """Return the `k` nearest scans, nearest first."""
-        rows, distances = self.rows, self.distances
+        rows, distances = self.rows, self.distances_of_rows
         if among is not None:
             kept = among[rows]
             rows, distances = rows[kept], distances[kept]
         return tuple(
             Found(int(rows[i]), float(distances[i])) for i in nearest(distances, k).tolist()
         )
+
+    def distances(self, among: BoolArray | None = None) -> FloatArray:
+        """Return the distance of each scan, `(K,)`, infinite if not asked or in no segment here."""
+        distances = np.full(self.scans, np.inf)
+        distances[self.rows] = self.distances_of_rows
+        return distances if among is None else np.where(among, distances, np.inf)

@@ -48,7 +48,7 @@ def test_the_revision_tells_what_it_was_built_with(client):
     [revision] = client.get("/v1/maps/campus/revisions").json()["items"]
     assert revision["encoding"] == "harmonic"
     chosen = {name: revision["parameters"][name] for name in ("reducer", "image", "distance")}
-    assert chosen == {"reducer": "mean", "image": "height", "distance": "normalised"}
+    assert chosen == {"reducer": "highest", "image": "height", "distance": "normalised"}
     assert revision["parameters"]["lateral_renderings_m"] == [-1.5, 0.0, 1.5]
 
 
@@ -103,7 +103,7 @@ def test_a_sensor_mounted_otherwise_says_so(client):
     told = localize(client, "scan?sensor_height_m=2.33", content=body, headers=KITTI)["best"]
     untold = localize(client, "scan", content=body, headers=KITTI)["best"]
     assert told["scan_index"] == 20
-    assert told["distance"] < 1e-3 < untold["distance"]
+    assert told["distance"] < 0.1 * untold["distance"]
 
 
 @pytest.mark.parametrize("height", ["0", "-1", "100", "nan", "high"])

@@ -52,16 +52,7 @@ def test_a_place_is_recalled_whatever_the_heading_lane_and_noise(
     assert row.heading_error_deg_median <= 2.0
 
 
-MISSED = pytest.mark.xfail(
-    strict=True, reason="half-way between renderings: 0.752 m, open in decision 10"
-)
-
-
-@pytest.mark.parametrize(
-    "condition",
-    [pytest.param(c, marks=MISSED) if c.lateral_m == -2.25 else c for c in BESIDE],
-    ids=str,
-)
+@pytest.mark.parametrize("condition", BESIDE, ids=str)
 def test_the_answer_tells_how_far_beside_the_line_the_vehicle_is(
     found: dict[Condition, ConditionResult], condition: Condition
 ) -> None:

@@ -151,27 +151,27 @@ def renderings(tmp_path):
 def test_the_sum_that_is_kept_is_that_of_the_images_and_reads_none(renderings, monkeypatch):
     path, imager = renderings
     with ImageFile(path, imager) as images:
-        kept = images.row_gram()
+        kept = images.detail_gram()
         assert kept.tobytes() == drive_gram(images, 0, len(images)).tobytes()
         monkeypatch.setattr(images, "read", None)  # none is read again
-        assert images.row_gram().tobytes() == kept.tobytes()
+        assert images.detail_gram().tobytes() == kept.tobytes()
     with h5py.File(path, "r+") as file:
-        del file["row_gram"]  # as files were before
+        del file["detail_gram"]  # as files were before
     with ImageFile(path, imager) as images:
-        assert images.row_gram().tobytes() == kept.tobytes()
+        assert images.detail_gram().tobytes() == kept.tobytes()
 
 
 def test_a_sum_that_is_not_what_was_written_is_refused(renderings):
     path, imager = renderings
     with h5py.File(path, "r") as file:
-        at = file["row_gram"].id.get_chunk_info(0).byte_offset
+        at = file["detail_gram"].id.get_chunk_info(0).byte_offset
     whole = bytearray(path.read_bytes())
     whole[at + 9] ^= 1
     path.write_bytes(whole)
     with ImageFile(path, imager) as images, pytest.raises(CorruptImages, match="cannot be read"):
-        images.row_gram()
+        images.detail_gram()
     with h5py.File(path, "r+") as file:
-        del file["row_gram"]
-        file["row_gram"] = np.zeros((3, 3))
+        del file["detail_gram"]
+        file["detail_gram"] = np.zeros((3, 3))
     with ImageFile(path, imager) as images, pytest.raises(CorruptImages, match="shape"):
-        images.row_gram()
+        images.detail_gram()

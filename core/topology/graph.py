@@ -1,0 +1,221 @@
+"""The map as a graph: nodes where segments end, edges along segments (paper, sec. 1)."""
+
+from collections import defaultdict
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from core.arrays import BoolArray, FloatArray, IntArray, frozen
+from core.errors import InvalidMap
+from core.pose import path_length_m
+from core.trajectory import Trajectory
+
+__all__ = ["Entry", "Topology", "segment_ends"]
+
+
+@dataclass(frozen=True, order=True)
+class Entry:
+    """A segment, and at which of its ends it is entered.
+
+    Attributes:
+        segment: Its number.
+        forward: Entered at its first scan and driven as it was recorded; else from its last scan
+            backwards.
+    """
+
+    segment: int
+    forward: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Topology:
+    """Nodes, edges, and which segments run along an edge.
+
+    Where a street was driven once, an edge is a segment. Where it was driven again, in either
+    direction, those segments share an edge; its length is that of the first of them, which runs
+    along it forwards.
+
+    Attributes:
+        node_scan: `(N,)` the map row whose scan stands at the node: the first that came there.
+        edge_nodes: `(E, 2)` the nodes where an edge begins and ends.
+        edge_length_m: `(E,)` length of the path in metres, NaN where a pose on it is unknown.
+        edge_scans: `(E,)` length in scans, from node to node; from `node_scan` by default.
+        edge_of_segment: `(L,)` the edge along which each segment runs; edge `l` is segment `l` by
+            default.
+        segment_reversed: `(L,)` whether it runs from the edge's second node to its first; none by
+            default.
+
+    Raises:
+        InvalidMap: If they do not fit together.
+    """
+
+    node_scan: IntArray
+    edge_nodes: IntArray
+    edge_length_m: FloatArray
+    edge_scans: IntArray = None  # type: ignore[assignment]  # set at birth
+    edge_of_segment: IntArray = None  # type: ignore[assignment]
+    segment_reversed: BoolArray = None  # type: ignore[assignment]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "node_scan", frozen(self.node_scan, np.int64))
+        object.__setattr__(self, "edge_nodes", frozen(self.edge_nodes, np.int64))
+        object.__setattr__(self, "edge_length_m", frozen(self.edge_length_m, np.float64))
+        self._require_edges()
+        self._set_default("edge_scans", self._path_scans(), np.int64)
+        self._set_default("edge_of_segment", np.arange(self.edges), np.int64)
+        self._set_default("segment_reversed", np.zeros(len(self.edge_of_segment)), np.bool_)
+        self._require_segments()
+
+    def _set_default(self, name: str, default: NDArray[Any], dtype: Any) -> None:  # noqa: ANN401
+        given = getattr(self, name)
+        object.__setattr__(self, name, frozen(default if given is None else given, dtype))
+
+    def _require_edges(self) -> None:
+        edges = len(self.edge_length_m)
+        if self.node_scan.ndim != 1:
+            raise InvalidMap(f"node_scan has shape {self.node_scan.shape}, wanted (N,)")
+        if self.edge_length_m.ndim != 1:
+            raise InvalidMap(f"edge_length_m has shape {self.edge_length_m.shape}, wanted (E,)")
+        if (self.edge_length_m < 0).any() or np.isinf(self.edge_length_m).any():
+            raise InvalidMap("edge_length_m holds negative or infinite numbers")
+        if self.edge_nodes.shape != (edges, 2):
+            raise InvalidMap(f"edge_nodes has shape {self.edge_nodes.shape}, wanted ({edges}, 2)")
+        if edges and not (
+            self.edge_nodes.min() >= 0 and self.edge_nodes.max() < len(self.node_scan)
+        ):
+            raise InvalidMap("edge_nodes names a node that does not exist")
+
+    def _require_segments(self) -> None:
+        if self.edge_scans.shape != (self.edges,):
+            raise InvalidMap(
+                f"edge_scans has shape {self.edge_scans.shape}, wanted ({self.edges},)"
+            )
+        of_segment = self.edge_of_segment
+        if of_segment.ndim != 1 or self.segment_reversed.shape != of_segment.shape:
+            raise InvalidMap(
+                f"edge_of_segment {of_segment.shape} and segment_reversed"
+                f" {self.segment_reversed.shape} do not fit together"
+            )
+        edges, first = np.unique(of_segment, return_index=True)
+        if not np.array_equal(edges, np.arange(self.edges)) or (np.diff(first) < 1).any():
+            raise InvalidMap("edge_of_segment does not name every edge, in the order of segments")
+        if self.segment_reversed[first].any():
+            raise InvalidMap("the first segment of an edge runs along it backwards")
+        if not self.is_plain and (self.edge_scans < 0).any():
+            raise InvalidMap("edge_scans holds negative numbers")
+
+    def _path_scans(self) -> IntArray:
+        return np.asarray(np.diff(self.node_scan[self.edge_nodes], axis=1)[:, 0])
+
+    @property
+    def edges(self) -> int:
+        """E, how many edges there are."""
+        return len(self.edge_length_m)
+
+    @cached_property
+    def is_plain(self) -> bool:
+        """Whether nothing is joined: edge `l` is segment `l`, nodes tell how long it is."""
+        return (
+            len(self.edge_of_segment) == self.edges
+            and not self.segment_reversed.any()
+            and np.array_equal(self.edge_scans, self._path_scans())
+        )
+
+    @cached_property
+    def segment_nodes(self) -> IntArray:
+        """The nodes where each segment begins and ends, in its own direction, `(L, 2)`."""
+        nodes = self.edge_nodes[self.edge_of_segment]
+        turned = np.where(self.segment_reversed[:, None], nodes[:, ::-1], nodes)
+        return np.asarray(frozen(turned, np.int64))
+
+    def segments_at(self, node: int) -> tuple[Entry, ...]:
+        """Return every segment that can be entered at a node, in order.
+
+        One that begins and ends there comes twice.
+
+        Raises:
+            IndexError: If there is no such node.
+        """
+        if not 0 <= node < len(self.node_scan):
+            raise IndexError(f"node {node} of a graph of {len(self.node_scan)}")
+        return self._entries.get(node, ())
+
+    def neighbours(self, segment: int, *, forward: bool = True) -> tuple[Entry, ...]:
+        """Return where a vehicle may go on at the end of a segment, without turning round.
+
+        Args:
+            segment: The segment it drives along.
+            forward: As it was recorded, so that it comes to its last scan; else to its first.
+
+        Returns:
+            Segments that are entered at that node, in order; none that lead back along the edge
+            that it came by.
+
+        Raises:
+            IndexError: If there is no such segment.
+        """
+        if not 0 <= segment < len(self.edge_of_segment):
+            raise IndexError(f"segment {segment} of a map of {len(self.edge_of_segment)}")
+        edge, along = self.edge_of_segment[segment], forward != self.segment_reversed[segment]
+        return tuple(
+            entry
+            for entry in self.segments_at(int(self.segment_nodes[segment, int(forward)]))
+            if self.edge_of_segment[entry.segment] != edge
+            or (entry.forward != self.segment_reversed[entry.segment]) == along
+        )
+
+    @cached_property
+    def _entries(self) -> dict[int, tuple[Entry, ...]]:
+        entries: dict[int, list[Entry]] = defaultdict(list)
+        for segment, (first, last) in enumerate(self.segment_nodes.tolist()):
+            entries[first].append(Entry(segment, forward=True))
+            entries[last].append(Entry(segment, forward=False))
+        return {node: tuple(sorted(found)) for node, found in entries.items()}
+
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """Return every array by its name in the file; a plain graph has three."""
+        arrays: dict[str, NDArray[Any]] = {
+            "node_scan": self.node_scan,
+            "edge_nodes": self.edge_nodes,
+            "edge_length_m": self.edge_length_m,
+        }
+        if not self.is_plain:
+            arrays["edge_scans"] = self.edge_scans
+            arrays["edge_of_segment"] = self.edge_of_segment
+            arrays["segment_reversed"] = self.segment_reversed.astype(np.int8)
+        return arrays
+
+    @classmethod
+    def of_segments(cls, trajectory: Trajectory, segment_start: IntArray) -> "Topology":
+        """Join each segment to the next one of its drive, and nothing else.
+
+        A node stands at a segment's first scan, which is where the one before ends; a drive's
+        last segment ends at its last scan.
+        """
+        node_scan: list[int] = []
+        edge_nodes: list[tuple[int, int]] = []
+        lengths_m: list[float] = []
+        starts = set(trajectory.drive_start[:-1].tolist())
+        for first, last in segment_ends(trajectory.drive_start, segment_start).tolist():
+            if first in starts:
+                node_scan.append(first)
+            node_scan.append(last)
+            edge_nodes.append((len(node_scan) - 2, len(node_scan) - 1))
+            lengths_m.append(path_length_m(trajectory.poses[first : last + 1]))
+        return cls(np.array(node_scan), np.array(edge_nodes), np.array(lengths_m))
+
+
+def segment_ends(drive_start: IntArray, segment_start: IntArray) -> IntArray:
+    """Return the rows of the scans at which each segment begins and ends, `(L, 2)`.
+
+    It ends where the next one of its drive begins; a drive's last segment at its last scan.
+
+    Examples:
+        >>> segment_ends(np.array([0, 4, 6]), np.array([0, 2, 4, 6])).tolist()
+        [[0, 2], [2, 3], [4, 5]]
+    """
+    ends = segment_start[1:]
+    return np.stack([segment_start[:-1], ends - np.isin(ends, drive_start)], axis=1)

@@ -1,0 +1,66 @@
+"""Logistic regression that stays finite where classes separate."""
+
+import numpy as np
+from scipy.optimize import minimize
+from scipy.special import expit
+
+from core.arrays import BoolArray, FloatArray
+from core.errors import InvalidParameters
+
+__all__ = ["fit_logistic"]
+
+_RIDGE = 1.0  # of slopes in standard deviations of their feature, against one sample's loss
+
+
+def fit_logistic(features: FloatArray, right: BoolArray, falling: BoolArray) -> FloatArray:
+    """Fit log-odds = w_0 + sum w_i x_i to samples that are right or not.
+
+    Two things keep it finite where the classes separate. The targets are not 1 and 0 but
+    (n_right + 1) / (n_right + 2) and 1 / (n_wrong + 2), what a uniform prior leaves of them (Platt,
+    1999), and slopes have a ridge.
+
+    Args:
+        features: `(n, f)`, finite.
+        right: `(n,)`, both kinds present.
+        falling: `(f,)` features that can only speak against: their slope is at most 0.
+
+    Returns:
+        `(1 + f,)` the intercept and the slopes.
+
+    Raises:
+        InvalidParameters: If the shapes do not fit, a feature is not finite, or all samples are of
+            one kind.
+
+    Examples:
+        >>> distance = np.array([[0.1], [0.2], [0.8], [0.9]])
+        >>> right = np.array([True, True, False, False])
+        >>> intercept, slope = fit_logistic(distance, right, np.array([True]))
+        >>> bool(slope < 0.0), round(float(-intercept / slope), 3)
+        (True, 0.5)
+    """
+    samples, count = features.shape
+    if right.shape != (samples,) or falling.shape != (count,):
+        raise InvalidParameters(
+            f"features {features.shape}, right {right.shape} and falling {falling.shape} do not"
+            " fit together"
+        )
+    if not np.isfinite(features).all():
+        raise InvalidParameters("a feature is not finite")
+    of_right = int(right.sum())
+    if of_right in {0, samples}:
+        raise InvalidParameters(f"{of_right} of {samples} samples are right: both kinds are wanted")
+    target = np.where(right, (of_right + 1) / (of_right + 2), 1 / (samples - of_right + 2))
+    mean, scale = features.mean(axis=0), features.std(axis=0)
+    scale = np.where(scale > 0.0, scale, 1.0)
+    design = np.column_stack([np.ones(samples), (features - mean) / scale])
+    ridge = np.array([0.0, *[_RIDGE] * count])
+
+    def loss(weights: FloatArray) -> tuple[float, FloatArray]:
+        odds = design @ weights
+        value = (np.logaddexp(0.0, odds) - target * odds).sum() + 0.5 * ridge @ weights**2
+        return float(value), design.T @ (expit(odds) - target) + ridge * weights
+
+    bounds = [(None, None), *((None, 0.0 if falls else None) for falls in falling.tolist())]
+    found = minimize(loss, np.zeros(1 + count), jac=True, method="L-BFGS-B", bounds=bounds)
+    slopes = found.x[1:] / scale
+    return np.array([found.x[0] - slopes @ mean, *slopes])
