@@ -104,6 +104,8 @@ STATUS: dict[type[core.TensorMapError], HTTPStatus] = {
     core.InvalidMap: S.UNPROCESSABLE_ENTITY,
     core.InvalidSignature: S.UNPROCESSABLE_ENTITY,
     core.StaleSignature: S.CONFLICT,
+    core.BasisMismatch: S.CONFLICT,
+    core.UnknownDrive: S.NOT_FOUND,
     core.UnknownSegment: S.UNPROCESSABLE_ENTITY,
     core.SensorMismatch: S.UNPROCESSABLE_ENTITY,
     core.EmptyDrive: S.UNPROCESSABLE_ENTITY,

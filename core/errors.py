@@ -9,6 +9,8 @@ TensorMapError
 ├── InvalidMap              arrays that do not form a TensorMap
 ├── InvalidSignature        a signature of the wrong shape or content
 ├── StaleSignature          a signature made with another revision's bases
+├── BasisMismatch           maps whose bases differ, where one was wanted
+├── UnknownDrive            a drive the map does not have
 ├── UnknownSegment          a segment the map does not have
 ├── SensorMismatch          a query of a sensor or grid the map was not built for
 ├── EmptyDrive              a drive without a single scan to map
@@ -16,6 +18,7 @@ TensorMapError
 """
 
 __all__ = [
+    "BasisMismatch",
     "Cancelled",
     "EmptyDrive",
     "InvalidImage",
@@ -28,6 +31,7 @@ __all__ = [
     "StaleSignature",
     "TensorMapError",
     "TooFewReturns",
+    "UnknownDrive",
     "UnknownSegment",
 ]
 
@@ -65,7 +69,15 @@ class InvalidSignature(TensorMapError):
 
 
 class StaleSignature(TensorMapError):
-    """A signature made with the bases of another revision."""
+    """A signature made with bases that no revision at hand has."""
+
+
+class BasisMismatch(TensorMapError):
+    """Maps whose bases differ cannot be merged without their images."""
+
+
+class UnknownDrive(TensorMapError):
+    """A drive that the map does not hold."""
 
 
 class UnknownSegment(TensorMapError):

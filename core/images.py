@@ -6,18 +6,20 @@ from typing import Protocol
 
 import numpy as np
 
-from core.arrays import Float32Array, IntArray, frozen
+from core.arrays import Float32Array, FloatArray, IntArray, frozen
 from core.drive import Drive
-from core.errors import EmptyDrive, InvalidImage, InvalidScan
+from core.errors import EmptyDrive, InvalidImage, InvalidParameters, InvalidScan
 from core.imager import Grid, Imager
 from core.progress import NO_PROGRESS, Progress
 from core.scan import Scan
+from core.trust.probe import probe_image, probed_among, standing_of_probe
 
 __all__ = [
     "Cells",
     "ConcatenatedImages",
     "ImageSource",
     "MemoryImages",
+    "Probes",
     "Projected",
     "ProjectedDrive",
     "Skipped",
@@ -108,6 +110,63 @@ class Cells(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
+class Probes:
+    """Disturbed scans of a map, to find out how far its answers can be trusted.
+
+    Attributes:
+        rows: `(p,)` rows of the map whose scans they are, rising.
+        standing: `(p, 2)` how far to the left of its scan each stands, metres, and its turn,
+            degrees counter-clockwise.
+        images: Their images, one each, without renderings.
+    """
+
+    rows: IntArray
+    standing: FloatArray
+    images: ImageSource
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "rows", frozen(self.rows, np.int64))
+        object.__setattr__(self, "standing", frozen(self.standing, np.float64))
+        count = len(self.images)
+        if self.rows.shape != (count,) or self.standing.shape != (count, 2):
+            raise InvalidParameters(
+                f"rows {self.rows.shape} and standing {self.standing.shape} are not those of"
+                f" {count} probes"
+            )
+        if not np.isfinite(self.standing).all():
+            raise InvalidParameters("standing holds numbers that are not finite")
+        if (np.diff(self.rows) < 1).any() or (self.rows < 0).any():
+            raise InvalidParameters("rows of probes do not rise from 0 or more")
+
+    @classmethod
+    def of_drives(
+        cls, drives: Sequence[tuple[IntArray, IntArray, ImageSource]], imager: Imager
+    ) -> "Probes":
+        """Return the probes of a map of drives, one after another.
+
+        Args:
+            drives: Of each the positions of its mapped scans, rising, those of its probed ones,
+                and the probes' images.
+            imager: Of the map.
+        """
+        first = np.cumsum([0, *(len(scans) for scans, _, _ in drives)])
+        rows = [
+            start + np.searchsorted(scans, probed)
+            for start, (scans, probed, _) in zip(first.tolist(), drives, strict=False)
+        ]
+        standing = [
+            standing_of_probe(position, imager)
+            for _, probed, _ in drives
+            for position in probed.tolist()
+        ]
+        return cls(
+            np.concatenate(rows),
+            np.array(standing).reshape(-1, 2),
+            ConcatenatedImages([images for _, _, images in drives]),
+        )
+
+
+@dataclass(frozen=True, eq=False)
 class Projected:
     """Which scans of a drive gave an image.
 
@@ -115,18 +174,25 @@ class Projected:
         scans: `(n,)` positions of the usable scans in the drive, rising.
         returns: How many returns they hold together.
         skipped: The scans that could not be used.
+        probed: `(p,)` positions of those of which a probe was made, rising.
     """
 
     scans: IntArray
     returns: int
     skipped: tuple[Skipped, ...]
+    probed: IntArray
 
 
 @dataclass(frozen=True, eq=False)
 class ProjectedDrive(Projected):
-    """The images of a drive's usable scans, one for each."""
+    """The images of a drive's usable scans, one for each, and those of its probes."""
 
     images: ImageSource
+    probes: ImageSource
+
+    def probes_of_map(self, imager: Imager) -> Probes:
+        """Return the probes as those of a map of this drive's usable scans and no others."""
+        return Probes.of_drives([(self.scans, self.probed, self.probes)], imager)
 
 
 def project_each(
@@ -147,15 +213,17 @@ def project_each(
 
 def project_into(
     cells: Cells,
+    probe_cells: Cells,
     drive: Drive,
     scans: Sequence[int],
     imager: Imager,
     progress: Progress = NO_PROGRESS,
 ) -> Projected:
-    """Project scans of a drive one by one into the first rows of `cells`.
+    """Project scans of a drive one by one into the first rows of `cells`, and probes of some.
 
     Args:
         cells: `(n, [D,] I, J)` for n scans.
+        probe_cells: `(p, I, J)` for as many of them as `probed_among` gives.
         drive: The drive.
         scans: Which of its scans, rising.
         imager: How a scan becomes an image.
@@ -166,7 +234,9 @@ def project_into(
     """
     progress.start("projecting", len(scans))
     kept: list[int] = []
+    probed: list[int] = []
     skipped: list[Skipped] = []
+    to_probe = set(probed_among(np.array(scans, dtype=np.int64)).tolist())
     returns = 0
     for item in project_each(drive, scans, imager, progress):
         if isinstance(item, Skipped):
@@ -175,9 +245,14 @@ def project_into(
         index, scan, cells[len(kept)] = item
         kept.append(index)
         returns += len(scan)
+        if index in to_probe and (probe := probe_image(scan, index, imager)) is not None:
+            probe_cells[len(probed)] = probe.cells
+            probed.append(index)
     if not kept:
         raise EmptyDrive(Skipped.explain(drive.name, skipped))
-    return Projected(np.array(kept, dtype=np.int64), returns, tuple(skipped))
+    return Projected(
+        np.array(kept, dtype=np.int64), returns, tuple(skipped), np.array(probed, dtype=np.int64)
+    )
 
 
 def project_drive(
@@ -192,6 +267,13 @@ def project_drive(
         EmptyDrive: If not one of them is usable; the message gives the first reason.
     """
     cells = np.empty((len(scans), *imager.shape), np.float32)
-    told = project_into(cells, drive, scans.tolist(), imager, progress)
-    images = MemoryImages(cells[: len(told.scans)], imager.grid)
-    return ProjectedDrive(told.scans, told.returns, told.skipped, images)
+    probe_cells = np.empty((len(probed_among(scans)), *imager.grid.shape), np.float32)
+    told = project_into(cells, probe_cells, drive, scans.tolist(), imager, progress)
+    return ProjectedDrive(
+        told.scans,
+        told.returns,
+        told.skipped,
+        told.probed,
+        MemoryImages(cells[: len(told.scans)], imager.grid),
+        MemoryImages(probe_cells[: len(told.probed)], imager.grid),
+    )

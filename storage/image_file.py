@@ -7,17 +7,20 @@ from typing import Self
 import h5py
 import numpy as np
 
-from core.arrays import Float32Array, IntArray
+from core.arrays import Float32Array, FloatArray, IntArray
 from core.drive import Drive
 from core.errors import EmptyDrive
+from core.grams import drive_gram
 from core.imager import Grid, Imager
-from core.images import Skipped, project_into
+from core.images import ImageSource, Skipped, project_into
 from core.progress import NO_PROGRESS, Progress
 from core.revision import content_digest
+from core.trust.probe import probed_among
 from storage.errors import CorruptImages
 from storage.files import publish
 
 __all__ = [
+    "PROBE_VERSION",
     "PROJECTION_VERSION",
     "ImageFile",
     "image_file_name",
@@ -28,6 +31,10 @@ __all__ = [
 PROJECTION_VERSION = 1
 """Counted up whenever the code makes other images of the same scans, or skips others."""
 
+PROBE_VERSION = 1
+"""Counted up whenever the code makes other probes of the same scans; images stay what they are."""
+
+_DETAIL_GRAM = "detail_gram"
 _BLOCK = 8  # images in an HDF5 chunk: 340 kB on the paper's grid, inside h5py's 1 MB cache
 
 
@@ -39,6 +46,8 @@ class ImageFile:
         scans: `(n,)` position of each image's scan in the drive.
         skipped: The scans that could not be used.
         returns: How many returns the usable scans hold together.
+        probes: Images of disturbed scans, `None` in a file of another version of the probes.
+        probed: `(p,)` position of each probe's scan in the drive.
     """
 
     def __init__(self, path: Path, imager: Imager) -> None:
@@ -55,6 +64,13 @@ class ImageFile:
             self.skipped = tuple(Skipped(*item) for item in json.loads(self._file.attrs["skipped"]))
             if self._images.shape != (len(self.scans), *imager.shape):
                 raise ValueError(f"they have shape {self._images.shape}")
+            self.probes: ImageSource | None = None
+            self.probed: IntArray = np.empty(0, np.int64)
+            if self._file.attrs.get("probe_version") == PROBE_VERSION:
+                self.probed = self._file["probed"][()]
+                self.probes = _Stored(self._file["probes"], self.grid, path.name)
+                if self._file["probes"].shape != (len(self.probed), *self.grid.shape):
+                    raise ValueError(f"probes have shape {self._file['probes'].shape}")
         except (AttributeError, KeyError, OSError, RuntimeError, TypeError, ValueError) as error:
             self._file.close()
             raise CorruptImages(f"{path.name} holds no images: {error}") from error
@@ -63,6 +79,10 @@ class ImageFile:
         return self
 
     def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Let the file go."""
         self._file.close()
 
     def __len__(self) -> int:
@@ -74,11 +94,48 @@ class ImageFile:
         Raises:
             CorruptImages: If they cannot be read, or their checksum does not fit.
         """
+        return _read(self._images, start, stop, self._name)
+
+    def detail_gram(self, progress: Progress = NO_PROGRESS) -> FloatArray:
+        """Return what a radial basis is fitted to, `(I, I)`; reads no image if it is kept.
+
+        Files of renderings keep it beside them; in one that was written before they did, it is
+        summed when it is asked for.
+
+        Raises:
+            CorruptImages: If it cannot be read, or its checksum does not fit.
+        """
         try:
-            images: Float32Array = self._images[start:stop]
-        except (OSError, RuntimeError) as error:
+            if _DETAIL_GRAM in self._file:
+                kept: FloatArray = self._file[_DETAIL_GRAM][()]
+                if kept.shape != (self.grid.rows, self.grid.rows):
+                    raise ValueError(f"{_DETAIL_GRAM} has shape {kept.shape}")
+                return kept
+        except (AttributeError, OSError, RuntimeError, TypeError, ValueError) as error:
             raise CorruptImages(f"{self._name} cannot be read: {error}") from error
-        return images
+        return drive_gram(self, 0, len(self), progress)
+
+
+class _Stored:
+    """Images in an open file, read block by block; a `core.images.ImageSource`."""
+
+    def __init__(self, images: h5py.Dataset, grid: Grid, name: str) -> None:
+        self.grid = grid
+        self._images, self._name = images, name
+
+    def __len__(self) -> int:
+        return len(self._images)
+
+    def read(self, start: int, stop: int) -> Float32Array:
+        return _read(self._images, start, stop, self._name)
+
+
+def _read(images: h5py.Dataset, start: int, stop: int, name: str) -> Float32Array:
+    try:
+        block: Float32Array = images[start:stop]
+    except (OSError, RuntimeError) as error:
+        raise CorruptImages(f"{name} cannot be read: {error}") from error
+    return block
 
 
 def image_file_name(imager: Imager, scans_digest: str) -> str:
@@ -108,7 +165,7 @@ def write_image_file(
     imager: Imager,
     progress: Progress = NO_PROGRESS,
 ) -> None:
-    """Read and project every scan of a drive, and publish the images at `path`.
+    """Read and project every scan of a drive, and publish the images and probes at `path`.
 
     Raises:
         EmptyDrive: If not one scan is usable; the message gives the first reason.
@@ -127,8 +184,26 @@ def write_image_file(
             dtype=np.dtype("<f4"),
             fletcher32=True,  # HDF5 then refuses to read a block that has changed
         )
-        told = project_into(images, drive, range(len(drive)), imager, progress)
+        probe_shape = (len(probed_among(np.arange(len(drive)))), *imager.grid.shape)
+        probes = file.create_dataset(
+            "probes",
+            shape=probe_shape,
+            maxshape=probe_shape,
+            chunks=(1, *imager.grid.shape),
+            dtype=np.dtype("<f4"),
+            fletcher32=True,
+        )
+        told = project_into(images, probes, drive, range(len(drive)), imager, progress)
         images.resize(len(told.scans), axis=0)
+        probes.resize(len(told.probed), axis=0)
+        file.create_dataset(
+            "probed", data=told.probed.astype("<i8"), fletcher32=bool(told.probed.size)
+        )
+        file.attrs["probe_version"] = PROBE_VERSION
         file.create_dataset("scans", data=told.scans.astype("<i8"), fletcher32=True)
+        if imager.lateral_renderings_m is not None:
+            written = _Stored(images, imager.grid, path.name)
+            gram = drive_gram(written, 0, len(written))
+            file.create_dataset(_DETAIL_GRAM, data=gram.astype("<f8"), fletcher32=True)
         file.attrs["returns"] = told.returns
         file.attrs["skipped"] = json.dumps([[item.scan, item.reason] for item in told.skipped])

@@ -18,6 +18,7 @@ from app.cli.options import (
     LateralRenderingsOption,
     RanksOption,
     ReducerOption,
+    SegmentationOption,
     SegmentLengthOption,
     SegmentsOption,
     SensorHeightOption,
@@ -33,7 +34,7 @@ from core.evaluation.evaluate import Protocol
 from core.evaluation.evaluate import evaluate as evaluate_drive
 from core.evaluation.result import Evaluation
 from core.evaluation.split import Interleaved, parse_split
-from core.parameters import Encoding, MapParameters
+from core.parameters import Encoding, MapParameters, Segmentation
 from core.sensor import HDL_64E
 from storage.files import publish
 from storage.formats.drives import open_drive
@@ -59,8 +60,17 @@ def evaluate(
             rich_help_panel=_PROTOCOL,
         ),
     ] = None,
+    unknown: Annotated[
+        list[Path] | None,
+        typer.Option(
+            metavar="DRIVE3",
+            help="Ask with this drive too, of places that are not in the map; repeatable.",
+            rich_help_panel=_PROTOCOL,
+        ),
+    ] = None,
     encoding: EncodingOption = Encoding.PAPER,
     ranks_text: RanksOption = "5,5",
+    segmentation: SegmentationOption = Segmentation.FIXED,
     segment_length: SegmentLengthOption = None,
     segments: SegmentsOption = None,
     reducer: ReducerOption = None,
@@ -101,6 +111,7 @@ def evaluate(
             lateral_renderings_m=(
                 None if lateral_renderings is None else numbers(lateral_renderings)
             ),
+            segmentation=segmentation,
         ),
         segment_length=segment_length,
         segments=segments,
@@ -111,8 +122,9 @@ def evaluate(
     )
     mapped = open_drive(drive, min_returns=MIN_RETURNS)
     asked = None if query_drive is None else open_drive(query_drive, min_returns=MIN_RETURNS)
+    elsewhere = [open_drive(path, min_returns=MIN_RETURNS) for path in unknown or ()]
     with progress_bar() as progress:
-        result = evaluate_drive(mapped, protocol, asked, progress)
+        result = evaluate_drive(mapped, protocol, asked, progress, elsewhere)
     _show(result)
     if json_out is not None:
         with publish(json_out) as part:
@@ -122,9 +134,11 @@ def evaluate(
 def _show(result: Evaluation) -> None:
     of = result.drive if result.query_drive is None else f"{result.query_drive} in {result.drive}"
     how = "" if result.split is None else f", {result.split}"
+    unequal = "unequal " if result.segmentation == Segmentation.UNEQUAL else ""
     output.print(
-        f"{of}: {result.map_scans} map scans in {result.segments} segments, {result.encoding}"
-        f" {result.ranks[0]}x{result.ranks[1]}, {result.reducer} {result.image}{how}",
+        f"{of}: {result.map_scans} map scans in {result.segments} {unequal}segments,"
+        f" {result.encoding} {result.ranks[0]}x{result.ranks[1]},"
+        f" {result.reducer} {result.image}{how}",
         markup=False,
         soft_wrap=True,
     )
@@ -167,6 +181,7 @@ def _show(result: Evaluation) -> None:
             _figure(row.ms_per_query, ".1f"),
         )
     output.print(table)
+    _show_reliability(result)
     refused = sum(row.refusals for row in result.conditions)
     if refused:
         output.print(f"refused: {refused} queries, counted in no figure")
@@ -187,6 +202,56 @@ def _show(result: Evaluation) -> None:
     )
     for skipped in result.skipped:
         output.print(f"left out scan {skipped.scan}: {skipped.reason}", markup=False)
+
+
+def _show_reliability(result: Evaluation) -> None:
+    if not result.calibrated:
+        output.print("not calibrated: the map is too small to learn trust from")
+        return
+    judged = [
+        (row.condition, row.reliability) for row in result.conditions if row.reliability is not None
+    ]
+    if not judged:
+        return
+    table = Table(box=SIMPLE_HEAD, padding=0)
+    for heading in (
+        "yaw deg",
+        "left m",
+        "noise m",
+        "AUROC",
+        "av. prec.",
+        "ECE",
+        "adapt.",
+        "mixed",
+        "adapt.",
+        "refused right",
+        "wrong",
+        "unknown",
+    ):
+        table.add_column(heading, justify="right")
+    for condition, of_it in judged:
+        table.add_row(
+            f"{condition.yaw_deg:g}",
+            f"{condition.lateral_m:g}",
+            f"{condition.noise_m:g}",
+            _figure(of_it.auroc, ".3f"),
+            _figure(of_it.average_precision, ".3f"),
+            _figure(of_it.ece, ".3f"),
+            _figure(of_it.ece_adaptive, ".3f"),
+            _figure(of_it.ece_mixed, ".3f"),
+            _figure(of_it.ece_mixed_adaptive, ".3f"),
+            _figure(of_it.refused_right, ".3f"),
+            _figure(of_it.refused_wrong, ".3f"),
+            _figure(of_it.refused_unknown, ".3f"),
+        )
+    output.print(table)
+    if result.unknown_drives:
+        output.print(
+            f"unknown places: {', '.join(result.unknown_drives)},"
+            f" {judged[0][1].unknown_queries} queries",
+            markup=False,
+            soft_wrap=True,
+        )
 
 
 def _figure(value: float | None, form: str) -> str:

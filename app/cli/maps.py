@@ -1,6 +1,7 @@
 """`tensormap build`, `localize`, `signature` and `inspect`: maps as files, without a service."""
 
 import json
+import math
 import sys
 from pathlib import Path
 from typing import Annotated
@@ -13,13 +14,14 @@ from app.cli.console import output, progress_bar
 from app.cli.options import (
     MIN_RETURNS,
     DistanceOption,
-    DriveArgument,
+    DrivesArgument,
     EncodingOption,
     ImageOption,
     LateralRenderingsOption,
     MapArgument,
     RanksOption,
     ReducerOption,
+    SegmentationOption,
     SegmentLengthOption,
     SegmentsOption,
     SensorHeightOption,
@@ -29,13 +31,20 @@ from app.cli.options import (
     require_folder,
 )
 from app.jobs.parameters import BuildParameters
+from app.schemas.hints import hints_of
 from app.schemas.localizations import LocalizationOut, SignaturesIn
+from app.schemas.topology import TopologyOut
+from core.arrays import Float32Array
+from core.basis import harmonic_basis_digest
 from core.compression import Compression
+from core.encodings.harmonic import HarmonicModel
 from core.errors import InvalidParameters, InvalidScan
 from core.localizer import Localization, Localizer
-from core.parameters import Encoding
+from core.parameters import Encoding, Segmentation
+from core.pose import path_length_m
 from core.sensor import HDL_64E
 from core.signature import Packing, pack_signatures
+from core.tensormap import TensorMap
 from storage.files import publish
 from storage.formats.drives import open_drive
 from storage.formats.errors import UnknownFormat
@@ -44,14 +53,17 @@ from storage.map_file import read_map, write_map
 
 __all__ = ["build", "inspect", "localize", "signature"]
 
+_HINTS = "Hints"
+
 
 def build(
-    drive: DriveArgument,
+    drives: DrivesArgument,
     output_file: Annotated[
         Path, typer.Option("-o", "--output", metavar="MAP.h5", help="The map file to write.")
     ],
     encoding: EncodingOption = Encoding.PAPER,
     ranks_text: RanksOption = "5,5",
+    segmentation: SegmentationOption = Segmentation.FIXED,
     segment_length: SegmentLengthOption = None,
     segments: SegmentsOption = None,
     reducer: ReducerOption = None,
@@ -60,15 +72,25 @@ def build(
     lateral_renderings: LateralRenderingsOption = None,
     sensor: SensorOption = HDL_64E.name,
     sensor_height_m: SensorHeightOption = 1.73,
+    keep_basis: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="MAP.h5",
+            help="Keep this harmonic map's basis: signatures made with it stay good, and the two"
+            " can be merged.",
+            rich_help_panel="Map",
+        ),
+    ] = None,
 ) -> None:
-    """Build a map of a recorded drive."""
-    from app.pipelines import build_drive  # here: it brings the store, which no other one needs
+    """Build a map of one or more recorded drives."""
+    from app.pipelines import build_drives  # here: it brings the store, which no other one needs
 
     require_folder(output_file)
     try:
         parameters = BuildParameters(
             encoding=encoding,
             ranks=ranks(ranks_text),
+            segmentation=segmentation,
             segment_length=segment_length,
             segments=segments,
             reducer=reducer,
@@ -82,14 +104,22 @@ def build(
         )
     except ValidationError as error:
         raise InvalidParameters(error.errors()[0]["msg"]) from None
-    recorded = open_drive(drive, min_returns=MIN_RETURNS)
+    radial_basis = None if keep_basis is None else _basis_of(keep_basis, parameters)
+    recorded = [open_drive(drive, min_returns=MIN_RETURNS) for drive in drives]
+    twice = {drive.name for drive in recorded if [d.name for d in recorded].count(drive.name) > 1}
+    if twice:
+        raise InvalidParameters(f"two of the drives are called {min(twice)!r}: rename a folder")
     with progress_bar() as progress:
-        built = build_drive(recorded, parameters, progress)
+        built = build_drives(recorded, parameters, progress, radial_basis=radial_basis)
     tensor_map = built.tensor_map
     with publish(output_file) as part:
         write_map(part, tensor_map)
-    for skipped in built.skipped.get(recorded.name, ()):
-        output.print(f"left out scan {skipped.scan}: {skipped.reason}", markup=False)
+    for name, of_it in built.skipped.items():
+        of_drive = f" of {name}" if len(recorded) > 1 else ""
+        for skipped in of_it:
+            output.print(f"left out scan {skipped.scan}{of_drive}: {skipped.reason}", markup=False)
+    for note in built.notes:
+        output.print(note, markup=False, soft_wrap=True)
     compression = Compression.of(
         tensor_map.elements,
         scans=len(tensor_map),
@@ -103,6 +133,21 @@ def build(
         markup=False,
         soft_wrap=True,
     )
+    if tensor_map.calibration is None:
+        output.print("not calibrated: too few scans, or too close together, to learn trust from")
+
+
+def _basis_of(map_file: Path, parameters: BuildParameters) -> Float32Array:
+    """Return the radial basis of a map whose signatures are made as these parameters say."""
+    kept = read_map(map_file)
+    if not isinstance(kept.model, HarmonicModel):
+        raise InvalidParameters(f"{map_file} is of the paper's encoding, it has no basis to keep")
+    u = kept.model.radial_basis
+    if harmonic_basis_digest(parameters.map_parameters(), u) != kept.basis_digest:
+        raise InvalidParameters(
+            f"{map_file} makes signatures otherwise: {kept.parameters.as_attributes()}"
+        )
+    return u
 
 
 def localize(
@@ -115,9 +160,65 @@ def localize(
             min=0.01, max=99.99, help="Of these scans' sensor, if mounted otherwise than the map's."
         ),
     ] = None,
+    min_probability: Annotated[
+        float | None,
+        typer.Option(min=0, max=1, help="Refuse what is less probable. [the map's threshold]"),
+    ] = None,
+    x_m: Annotated[
+        float | None, typer.Option(help="Where the vehicle is about.", rich_help_panel=_HINTS)
+    ] = None,
+    y_m: Annotated[float | None, typer.Option(rich_help_panel=_HINTS)] = None,
+    position_sigma_m: Annotated[
+        float | None, typer.Option(help="Standard deviation of both.", rich_help_panel=_HINTS)
+    ] = None,
+    heading_deg: Annotated[
+        float | None,
+        typer.Option(help="Which way it looks, from the map's x.", rich_help_panel=_HINTS),
+    ] = None,
+    heading_sigma_deg: Annotated[
+        float | None, typer.Option(help="Its standard deviation.", rich_help_panel=_HINTS)
+    ] = None,
+    travelled_m: Annotated[
+        float | None, typer.Option(help="Driven since the last fix.", rich_help_panel=_HINTS)
+    ] = None,
+    travelled_sigma_m: Annotated[
+        float | None, typer.Option(help="Its standard deviation.", rich_help_panel=_HINTS)
+    ] = None,
+    since_drive: Annotated[
+        str | None, typer.Option(help="The last fix: a scan's drive,", rich_help_panel=_HINTS)
+    ] = None,
+    since_scan: Annotated[
+        int | None, typer.Option(min=0, help="and its index;", rich_help_panel=_HINTS)
+    ] = None,
+    since_x_m: Annotated[
+        float | None, typer.Option(help="or where it was,", rich_help_panel=_HINTS)
+    ] = None,
+    since_y_m: Annotated[float | None, typer.Option(help="and y.", rich_help_panel=_HINTS)] = None,
+    segment: Annotated[
+        list[int] | None,
+        typer.Option(min=0, help="It is on this segment; repeatable.", rich_help_panel=_HINTS),
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="One JSON answer a line.")] = False,
 ) -> None:
-    """Localize scans in a map; one that cannot be used is told, the others are answered."""
+    """Localize scans in a map; one that cannot be used is told, the others are answered.
+
+    Hints are of all the scans. A scan that is not localized is no error: it is answered, with
+    the reason.
+    """
+    hints = hints_of(
+        x_m,
+        y_m,
+        position_sigma_m,
+        heading_deg,
+        heading_sigma_deg,
+        travelled_m,
+        travelled_sigma_m,
+        since_drive,
+        since_scan,
+        since_x_m,
+        since_y_m,
+        segment,
+    )
     localizer = Localizer(read_map(map_file))
     answers: list[tuple[Path, Localization]] = []
     unusable: list[str] = []
@@ -126,7 +227,8 @@ def localize(
         for path in scans:
             try:
                 scan = read_scan_file(path, min_returns=MIN_RETURNS)
-                answers.append((path, localizer.localize_scan(scan, k, sensor_height_m)))
+                found = localizer.localize_scan(scan, k, sensor_height_m, hints, min_probability)
+                answers.append((path, found))
             except (InvalidScan, UnknownFormat) as error:
                 unusable.append(str(error))
             progress.advance()
@@ -140,7 +242,7 @@ def localize(
 
 def _show_answers(answers: list[tuple[Path, Localization]], *, as_json: bool, turns: bool) -> None:
     table = Table("scan", "segment", "along", "map scan", "x m", "y m")
-    for heading in (*(("turn deg", "left m") if turns else ()), "distance", "ratio"):
+    for heading in (*(("turn deg", "left m") if turns else ()), "distance", "ratio", "probable"):
         table.add_column(heading)
     for path, found in answers:
         if as_json:
@@ -159,9 +261,16 @@ def _show_answers(answers: list[tuple[Path, Localization]], *, as_json: bool, tu
                 *((_figure(match.turn_deg), _figure(match.lateral_m)) if turns else ()),
                 f"{match.distance:.4f}" if turns else f"{match.distance:.1f}",
                 "-" if found.ratio is None else f"{found.ratio:.2f}",
+                _trust(found),
             )
     if answers and not as_json:
         output.print(table)
+
+
+def _trust(found: Localization) -> str:
+    probability = found.verdict.probability
+    shown = "-" if probability is None else f"{probability:.2f}"
+    return shown if found.verdict.reason is None else f"{shown} no: {found.verdict.reason}"
 
 
 def signature(
@@ -198,39 +307,57 @@ def inspect(
     tensor_map = read_map(map_file)
     facts = {
         "revision": tensor_map.revision,
+        "basis": tensor_map.basis_digest,
         **tensor_map.attributes(),
         "scans": len(tensor_map),
         "segments": tensor_map.model.segments,
+        "segmentation": tensor_map.parameters.segmentation.value,
         "elements": tensor_map.elements,
         "size_bytes": map_file.stat().st_size,
         "arrays": {
             name: {"shape": list(array.shape), "dtype": str(array.dtype)}
             for name, array in tensor_map.arrays().items()
         },
-        "edges": [
-            {"segment": segment, "scans": scans, "length_m": length_m, "relative_error": error}
-            for segment, (scans, length_m, error) in enumerate(
-                zip(
-                    tensor_map.topology.edge_scans.tolist(),
-                    [None if m != m else m for m in tensor_map.topology.edge_length_m.tolist()],
-                    tensor_map.relative_error.tolist(),
-                    strict=True,
-                )
-            )
-        ],
+        "nodes": len(tensor_map.topology.node_scan),
+        "edges": [edge.model_dump() for edge in TopologyOut.from_core(tensor_map).edges],
     }
     if as_json:
         sys.stdout.write(f"{json.dumps(facts, indent=2)}\n")
         return
-    for name in ("revision", "encoding", "sensor", "reducer", "ranks", "drives", "scans"):
-        output.print(f"{name:>10}  {facts[name]}", markup=False, highlight=False)
-    table = Table("segment", "scans", "length m", "relative error")
-    for edge in facts["edges"]:
-        length = "-" if edge["length_m"] is None else f"{edge['length_m']:.1f}"
-        table.add_row(
-            str(edge["segment"]), str(edge["scans"]), length, f"{edge['relative_error']:.3f}"
-        )
+    for name in (
+        "revision",
+        "basis",
+        "encoding",
+        "sensor",
+        "reducer",
+        "ranks",
+        "drives",
+        "scans",
+        "segmentation",
+    ):
+        output.print(f"{name:>12}  {facts[name]}", markup=False, highlight=False)
+    edges = facts["edges"]
+    output.print(f"{'graph':>12}  {facts['nodes']} nodes, {len(edges)} edges", highlight=False)
+    table = Table("edge", "nodes", "segment", "scans", "length m", "relative error")
+    for edge in edges:
+        first, last = edge["nodes"]
+        for of_it in edge["segments"]:
+            nodes = (last, first) if of_it["reversed"] else (first, last)
+            row = of_it["segment"], of_it["scans"]
+            length_m = path_length_m(tensor_map.trajectory.poses[slice(*_rows(tensor_map, row[0]))])
+            table.add_row(
+                str(edge["edge"]),
+                f"{nodes[0]} - {nodes[1]}",
+                *map(str, row),
+                "-" if math.isnan(length_m) else f"{length_m:.1f}",
+                f"{of_it['relative_error']:.3f}",
+            )
     output.print(table)
+
+
+def _rows(tensor_map: TensorMap, segment: int) -> tuple[int, int]:
+    first, last = tensor_map.segment_ends[segment].tolist()
+    return first, last + 1
 
 
 def _figure(value: float | None) -> str:

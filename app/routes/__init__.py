@@ -4,7 +4,7 @@ from fastapi import APIRouter, Depends
 
 from app.auth import require_access
 from app.errors import HostNotAllowed, KeyNeeded, KeyRefused, problems
-from app.routes import builds, drives, health, jobs, localizations, maps, revisions
+from app.routes import builds, drives, health, jobs, localizations, loop_closures, maps, revisions
 
 __all__ = ["api", "open_routes"]
 
@@ -16,7 +16,7 @@ def api() -> APIRouter:
         dependencies=[Depends(require_access)],
         responses=problems(KeyNeeded, KeyRefused, HostNotAllowed),
     )
-    for module in (maps, drives, builds, jobs, revisions, localizations):
+    for module in (maps, drives, builds, jobs, revisions, localizations, loop_closures):
         router.include_router(module.router)
     return router
 

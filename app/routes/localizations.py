@@ -11,6 +11,7 @@ from app.bodies import SCAN_BODY, Body, ContentType, binary_body, media_type
 from app.errors import READING, BodyTooLarge, InvalidRequest, UnsupportedBody, problems
 from app.revisions import Answering
 from app.routes.drives import BAD_SCAN
+from app.schemas.hints import HintsIn, MinProbability
 from app.schemas.localizations import (
     ENCODING_TAGS,
     LocalizationOut,
@@ -20,6 +21,7 @@ from app.schemas.localizations import (
 from app.service import MapSlug, Running
 from core.errors import (
     InvalidImage,
+    InvalidParameters,
     InvalidSignature,
     SensorMismatch,
     StaleSignature,
@@ -38,7 +40,15 @@ __all__ = ["router"]
 
 router = APIRouter(tags=["localizations"], prefix="/maps/{map}/localizations")
 
-_ANSWERING = (MapNotFound, NoLiveRevision, CorruptFile, InvalidRequest, *READING)
+_ANSWERING = (
+    MapNotFound,
+    NoLiveRevision,
+    CorruptFile,
+    InvalidRequest,
+    InvalidParameters,
+    UnknownSegment,
+    *READING,
+)
 
 _IMAGE = "application/vnd.tensormap.image"
 _SIGNATURE = "application/vnd.tensormap.signature"
@@ -71,16 +81,18 @@ def localize_scan(
     map_slug: MapSlug,
     body: Body,
     running: Running,
+    hints: HintsIn,
     content_type: ContentType = None,
     k: NearestCount = 1,
     sensor: SensorName = None,
     sensor_height_m: SensorHeight = None,
+    min_probability: MinProbability = None,
 ) -> LocalizationOut:
     """Localize a scan in the live revision."""
     answering = running.revisions.live(map_slug)
     _require_sensor(answering, sensor)
     scan = read_scan(body, media_type=content_type, min_returns=running.settings.min_returns)
-    found = answering.localizer.localize_scan(scan, k, sensor_height_m)
+    found = answering.localizer.localize_scan(scan, k, sensor_height_m, hints, min_probability)
     return LocalizationOut.from_core(found, answering.live_revision)
 
 
@@ -100,10 +112,12 @@ def localize_image(
     map_slug: MapSlug,
     body: Body,
     running: Running,
+    hints: HintsIn,
     content_type: ContentType = None,
     k: NearestCount = 1,
     sensor: SensorName = None,
     kind: Kind = None,
+    min_probability: MinProbability = None,
 ) -> LocalizationOut:
     """Localize an image in the live revision; its kind and grid are in `/basis`, `parameters`."""
     answering = running.revisions.live(map_slug)
@@ -111,7 +125,7 @@ def localize_image(
     _require_kind(answering, kind)
     if media_type(content_type) != _IMAGE:
         raise UnsupportedBody(f"Content-Type is {(content_type or '')[:80]!r}, wanted {_IMAGE}")
-    found = answering.localizer.localize_image(_image(body, answering), k)
+    found = answering.localizer.localize_image(_image(body, answering), k, hints, min_probability)
     return LocalizationOut.from_core(found, answering.live_revision)
 
 
@@ -135,7 +149,6 @@ def localize_image(
     responses=problems(
         *_ANSWERING,
         StaleSignature,
-        UnknownSegment,
         InvalidSignature,
         EmptyBody,
         UnsupportedBody,
@@ -146,17 +159,20 @@ def localize_signature(
     map_slug: MapSlug,
     body: Body,
     running: Running,
+    hints: HintsIn,
     content_type: ContentType = None,
     k: NearestCount = 1,
+    min_probability: MinProbability = None,
 ) -> LocalizationOut:
     """Localize by signatures made with this map's bases.
 
-    The revision that they name answers, be it live or only retained; only the segments whose
-    signatures came are searched.
+    They name a basis, and the live revision answers if it has it, else the newest retained one
+    that does; or they name a revision, and that one answers. Only the segments whose signatures
+    came are searched.
     """
     signatures = _signatures(body, content_type)
     answering = running.revisions.of_signature(map_slug, signatures[0].revision)
-    found = answering.localizer.localize_signatures(signatures, k)
+    found = answering.localizer.localize_signatures(signatures, k, hints, min_probability)
     return LocalizationOut.from_core(found, answering.live_revision)
 
 

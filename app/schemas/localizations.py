@@ -5,7 +5,7 @@ from typing import Annotated, Any
 
 import numpy as np
 from fastapi import Query
-from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag
+from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, model_validator
 
 from app.schemas.poses import PoseOut
 from core.arrays import Complex64Array
@@ -13,6 +13,7 @@ from core.errors import InvalidSignature
 from core.localizer import Localization, Match
 from core.parameters import Encoding
 from core.signature import Signature
+from core.trust.verdict import Refusal
 
 __all__ = ["ENCODING_TAGS", "LocalizationOut", "NearestCount", "SignaturesIn"]
 
@@ -74,18 +75,21 @@ SignatureIn = Annotated[
 
 
 class SignaturesIn(BaseModel):
-    """One scan's signatures, made with one revision's bases; a harmonic map's is one."""
+    """One scan's signatures, made with one basis; a harmonic map's is one.
+
+    They name that basis, or a revision that has it.
+    """
 
     model_config = ConfigDict(
         extra="forbid",
         json_schema_extra={
             "example": {
-                "revision": "0f" * 32,
+                "basis": "0f" * 32,
                 "signatures": [{"segment": 3, "values": [[950.1, -3.2], [12.5, 60.8]]}],
             },
             "examples": [
                 {
-                    "revision": "0f" * 32,
+                    "basis": "0f" * 32,
                     "signatures": [
                         {
                             "values_real": [[85.2, -3.1], [10.4, 6.2]],
@@ -97,16 +101,32 @@ class SignaturesIn(BaseModel):
         },
     )
 
-    revision: str = Field(
-        pattern="^[0-9a-f]{16,64}$", description="Its digest, or at least 16 first digits."
+    basis: Annotated[str, Field(pattern="^[0-9a-f]{16,64}$")] | None = Field(
+        None,
+        description="Digest of the basis that made them, or at least 16 first digits: any revision"
+        " that has it answers, the live one first.",
+    )
+    revision: Annotated[str, Field(pattern="^[0-9a-f]{16,64}$")] | None = Field(
+        None, description="Instead: digest of the revision that is to answer."
     )
     signatures: list[SignatureIn] = Field(min_length=1, max_length=0x10000, fail_fast=True)
 
+    @model_validator(mode="after")
+    def _one_name(self) -> "SignaturesIn":
+        if (self.basis is None) == (self.revision is None):
+            raise ValueError("give the basis that made the signatures, or else a revision")
+        return self
+
+    @property
+    def named(self) -> str:
+        """What they name."""
+        return self.basis or self.revision or ""
+
     @classmethod
     def from_core(cls, signatures: Sequence[Signature]) -> "SignaturesIn":
-        """Show signatures of one revision as they are sent."""
+        """Show signatures of one basis as they are sent."""
         return cls(
-            revision=signatures[0].revision,
+            basis=signatures[0].revision,
             signatures=[_shown(signature) for signature in signatures],
         )
 
@@ -119,13 +139,13 @@ class SignaturesIn(BaseModel):
         signatures = []
         for item in self.signatures:
             if isinstance(item, HarmonicSignatureIn):
-                signatures.append(Signature(_complex(item), None, self.revision))
+                signatures.append(Signature(_complex(item), None, self.named))
                 continue
             if len({len(row) for row in item.values}) > 1:
                 raise InvalidSignature(f"the rows of segment {item.segment} differ in length")
             with np.errstate(over="ignore"):  # infinite then, and refused as such
                 values = np.array(item.values, dtype=np.float64).astype(np.float32)
-            signatures.append(Signature(values, item.segment, self.revision))
+            signatures.append(Signature(values, item.segment, self.named))
         return tuple(signatures)
 
 
@@ -196,15 +216,45 @@ class MatchOut(BaseModel):
         )
 
 
+class CovarianceOut(BaseModel):
+    """Of the position, in the map's frame."""
+
+    xx_m2: float
+    xy_m2: float
+    yy_m2: float
+
+
 class LocalizationOut(BaseModel):
     """Where the query was taken, as far as the map can tell.
 
-    It always names its nearest scan, for a query from elsewhere too: a `ratio`
-    near 1 says that another place is as near.
+    It names its nearest scan for a query from elsewhere too, to be looked at: only with
+    `localized` true is it an answer.
     """
 
     revision: str = Field(description="The revision that answered.")
     live_revision: str = Field(description="The revision that is live now.")
+    localized: bool = Field(description="Whether the best match may be taken for the place.")
+    reason: Refusal | None = Field(
+        description="Why not. `unknown_place`: nothing is near enough; `ambiguous`: it is, but"
+        " another place nearly as much; `too_few_returns`: the image is too empty;"
+        " `outside_prior`: nothing fits the hints, or elsewhere fits far better;"
+        " `not_calibrated`: `min_probability` was asked of a map that cannot tell."
+    )
+    probability: float | None = Field(
+        description="That the best match is right, if a query is as likely in the map as"
+        " elsewhere; null from a map that was not calibrated: it refuses nothing."
+    )
+    along_std_m: float | None = Field(
+        description="If it is right: standard deviation of the position along the path; null"
+        " without calibration or poses."
+    )
+    lateral_std_m: float | None = Field(description="The same across the path.")
+    heading_std_deg: float | None = Field(
+        description="The same of the heading; null in the paper's encoding."
+    )
+    position_covariance: CovarianceOut | None = Field(
+        description="The two of them in the map's frame."
+    )
     best: MatchOut
     matches: list[MatchOut] = Field(description="The k nearest scans, nearest first.")
     runner_up: MatchOut | None = Field(description="The nearest scan away from the best one.")
@@ -214,9 +264,25 @@ class LocalizationOut(BaseModel):
     @classmethod
     def from_core(cls, found: Localization, live_revision: str) -> "LocalizationOut":
         """Show an answer."""
+        deviation, covariance = found.deviation, found.position_covariance_m2
         return cls(
             revision=found.revision,
             live_revision=live_revision,
+            localized=found.localized,
+            reason=found.verdict.reason,
+            probability=found.verdict.probability,
+            along_std_m=None if deviation is None else deviation.along_m,
+            lateral_std_m=None if deviation is None else deviation.lateral_m,
+            heading_std_deg=(
+                None
+                if deviation is None or found.best.heading_deg is None
+                else deviation.heading_deg
+            ),
+            position_covariance=(
+                None
+                if covariance is None
+                else CovarianceOut(xx_m2=covariance[0], xy_m2=covariance[1], yy_m2=covariance[2])
+            ),
             best=MatchOut.from_core(found.best),
             matches=[MatchOut.from_core(match) for match in found.matches],
             runner_up=None if found.runner_up is None else MatchOut.from_core(found.runner_up),

@@ -16,14 +16,16 @@ from core.drive import Drive
 from core.errors import EmptyDrive, InvalidParameters, InvalidScan
 from core.evaluation.condition import Condition
 from core.evaluation.motion import is_standing, motion_surrogate
+from core.evaluation.reliability import Judged, Reliability, reliability
 from core.evaluation.result import ConditionResult, Evaluation, SegmentError
 from core.evaluation.split import Interleaved, Split
 from core.images import ProjectedDrive, project_drive
-from core.localizer import Localizer
-from core.parameters import MapParameters
+from core.localizer import Localization, Localizer
+from core.parameters import MapParameters, Segmentation
+from core.places import AWAY_M
 from core.pose import heading_deg, is_known
 from core.progress import NO_PROGRESS, Progress
-from core.segmentation import cut_fixed, segment_length_for
+from core.segmentation import cut_fixed, cut_unequal, segment_length_for
 from core.tensormap import TensorMap
 from core.trajectory import Trajectory
 
@@ -83,6 +85,8 @@ class _Answer:
     heading_told: bool
     lateral_m: float | None
     seconds: float
+    probability: float | None
+    localized: bool
 
 
 def evaluate(
@@ -90,24 +94,27 @@ def evaluate(
     protocol: Protocol,
     query_drive: Drive | None = None,
     progress: Progress = NO_PROGRESS,
+    unknown: Sequence[Drive] = (),
 ) -> Evaluation:
     """Evaluate localization on a drive against itself, or against a second pass.
 
-    Segments are cut over all scans of the drive, then split. With a query drive the whole of
+    Segments are cut over all scans of the drive, then split; unlike a build's, not where the drive
+    meets itself, which models do not depend on. With a query drive the whole of
     `drive` is the map, both share one world frame, and a query's true segment is that of the
-    nearest map scan.
+    nearest map scan. Scans of `unknown` drives, which share no place with the map, are asked under
+    the same conditions: whatever the map answers them is wrong.
 
     Raises:
         EmptyDrive: If a drive has no scan, or the map's no usable one.
         InvalidParameters: If the split leaves a segment without a map scan or nothing to ask.
     """
-    for asked in (drive, drive if query_drive is None else query_drive):
+    for asked in (drive, drive if query_drive is None else query_drive, *unknown):
         if len(asked) == 0:
             raise EmptyDrive(f"drive {asked.name} has no scan")
     length = segment_length_for(
         len(drive), segment_length=protocol.segment_length, segments=protocol.segments
     )
-    segment_start = cut_fixed(len(drive), length)
+    segment_start = _cut(drive, length, protocol.parameters, progress)
     held_out = (
         protocol.split.held_out(segment_start)
         if query_drive is None
@@ -130,9 +137,12 @@ def evaluate(
     return Evaluation(
         drive=drive.name,
         query_drive=None if query_drive is None else query_drive.name,
+        unknown_drives=tuple(of_unknown.name for of_unknown in unknown),
+        calibrated=tensor_map.calibration is not None,
         encoding=str(protocol.parameters.encoding),
         ranks=protocol.parameters.ranks,
         segments=tensor_map.model.segments,
+        segmentation=str(protocol.parameters.segmentation),
         split=str(protocol.split) if query_drive is None else None,
         reducer=str(protocol.parameters.reducer),
         image=str(protocol.parameters.image),
@@ -155,8 +165,22 @@ def evaluate(
             returns=projected.returns,
         ),
         relative_error=tuple(tensor_map.relative_error.tolist()),
-        conditions=_ask(Localizer(tensor_map), queries, protocol, progress),
+        conditions=_ask(Localizer(tensor_map), queries, unknown, protocol, progress),
     )
+
+
+def _cut(drive: Drive, length: int, parameters: MapParameters, progress: Progress) -> IntArray:
+    """Return `(L + 1,)` scans of the drive at which segments begin, and their number."""
+    if parameters.segmentation == Segmentation.FIXED:
+        return cut_fixed(len(drive), length)
+    everything = np.arange(len(drive))
+    projected = project_drive(drive, everything, parameters.imager, progress)
+    scans = projected.scans
+    trajectory = Trajectory.of_drive(
+        drive.name, drive.timestamp_s[scans], drive.poses[scans], scans
+    )
+    cuts = cut_unequal(projected.images, trajectory, length, parameters, progress)
+    return np.concatenate([[0], scans[cuts[1:-1]], [len(drive)]])
 
 
 def _build(
@@ -176,7 +200,8 @@ def _build(
     trajectory = Trajectory.of_drive(
         drive.name, drive.timestamp_s[scans], drive.poses[scans], scans
     )
-    return build_map(projected.images, trajectory, map_start, parameters, progress)
+    probes = projected.probes_of_map(parameters.imager)
+    return build_map(projected.images, trajectory, map_start, parameters, progress, probes)
 
 
 def _queries(drive: Drive, scans: IntArray, segment: IntArray) -> _Queries:
@@ -215,52 +240,84 @@ def _drive_queries(drive: Drive, tensor_map: TensorMap) -> _Queries:
 
 
 def _ask(
-    localizer: Localizer, queries: _Queries, protocol: Protocol, progress: Progress
+    localizer: Localizer,
+    queries: _Queries,
+    unknown: Sequence[Drive],
+    protocol: Protocol,
+    progress: Progress,
 ) -> tuple[ConditionResult, ...]:
     """Read each query once and ask it under every condition."""
     answers: list[list[_Answer]] = [[] for _ in protocol.conditions]
-    progress.start("localizing", len(queries.scans) * len(protocol.conditions))
-    for scan_index, segment in zip(queries.scans.tolist(), queries.segment.tolist(), strict=True):
-        try:
-            scan = queries.drive.scan(scan_index)
-        except InvalidScan:
-            progress.advance(len(protocol.conditions))
-            continue
-        for condition, given in zip(protocol.conditions, answers, strict=True):
-            rng = np.random.default_rng([protocol.seed, scan_index])
-            try:
-                disturbed = condition.apply(scan, rng)
-                begun = time.perf_counter()
-                best = localizer.localize_scan(disturbed).best
-                seconds = time.perf_counter() - begun
-            except InvalidScan:
-                progress.advance()
-                continue
-            matched = localizer.map.trajectory.poses[best.row]
-            estimated = best.estimated_pose
-            given.append(
-                _Answer(
-                    scan_index,
-                    segment,
-                    best.scan_index,
-                    best.segment,
-                    matched,
-                    matched if estimated is None else np.array(estimated.as_tuple()),
-                    best.heading_deg is not None,
-                    best.lateral_m,
-                    seconds,
-                )
-            )
-            progress.advance()
+    scans = len(queries.scans) + sum(len(drive) for drive in unknown)
+    progress.start("localizing", scans * len(protocol.conditions))
+    segments = dict(zip(queries.scans.tolist(), queries.segment.tolist(), strict=True))
+    for scan_index, segment in segments.items():
+        for given, asked in zip(
+            answers, _asked(localizer, queries.drive, scan_index, protocol, progress), strict=True
+        ):
+            if asked is not None:
+                given.append(_answer(localizer, *asked, scan_index, segment))
+    elsewhere: list[list[Localization]] = [[] for _ in protocol.conditions]
+    for drive in unknown:
+        for scan_index in range(len(drive)):
+            for told, asked in zip(
+                elsewhere, _asked(localizer, drive, scan_index, protocol, progress), strict=True
+            ):
+                if asked is not None:
+                    told.append(asked[0])
     return tuple(
-        _summarize(condition, given, queries, protocol.tolerances_m)
-        for condition, given in zip(protocol.conditions, answers, strict=True)
+        _summarize(condition, given, told, queries, protocol.tolerances_m)
+        for condition, given, told in zip(protocol.conditions, answers, elsewhere, strict=True)
+    )
+
+
+def _asked(
+    localizer: Localizer, drive: Drive, scan_index: int, protocol: Protocol, progress: Progress
+) -> list[tuple[Localization, float] | None]:
+    """Return the answers to a scan under every condition and their seconds; `None` for none."""
+    try:
+        scan = drive.scan(scan_index)
+    except InvalidScan:
+        progress.advance(len(protocol.conditions))
+        return [None] * len(protocol.conditions)
+    answers: list[tuple[Localization, float] | None] = []
+    for condition in protocol.conditions:
+        rng = np.random.default_rng([protocol.seed, scan_index])
+        try:
+            disturbed = condition.apply(scan, rng)
+            begun = time.perf_counter()
+            found = localizer.localize_scan(disturbed)
+            answers.append((found, time.perf_counter() - begun))
+        except InvalidScan:
+            answers.append(None)
+        progress.advance()
+    return answers
+
+
+def _answer(
+    localizer: Localizer, found: Localization, seconds: float, scan_index: int, segment: int
+) -> _Answer:
+    best = found.best
+    matched, estimated = localizer.map.trajectory.poses[best.row], best.estimated_pose
+    return _Answer(
+        scan_index,
+        segment,
+        best.scan_index,
+        best.segment,
+        matched,
+        matched if estimated is None else np.array(estimated.as_tuple()),
+        best.heading_deg is not None,
+        best.lateral_m,
+        seconds,
+        found.verdict.probability,
+        found.localized,
     )
 
 
 def _summarize(
     condition: Condition,
     answers: Sequence[_Answer],
+    elsewhere: Sequence[Localization],
     queries: _Queries,
     tolerances_m: Sequence[float],
 ) -> ConditionResult:
@@ -299,8 +356,34 @@ def _summarize(
         position_error_m_median=_median(displaced_m),
         heading_error_deg_median=_median(np.array(turned)),
         lateral_error_m_median=_median(np.array(beside)),
+        reliability=_reliability(answers, elsewhere, true),
         ms_per_query=1e3 * float(np.mean([a.seconds for a in answers])) if answers else None,
     )
+
+
+def _reliability(
+    answers: Sequence[_Answer], elsewhere: Sequence[Localization], true: Sequence[FloatArray]
+) -> Reliability | None:
+    """Judge probabilities; a match is right within `AWAY_M`, as it is when they are learned."""
+    known = [
+        Judged(
+            answer.probability,
+            answer.localized,
+            bool(np.linalg.norm(answer.matched[:3] - pose[:3]) < AWAY_M),
+        )
+        for answer, pose in zip(answers, true, strict=True)
+        if answer.probability is not None
+        and np.isfinite(answer.matched).all()
+        and np.isfinite(pose).all()
+    ]
+    if not known:
+        return None
+    unknown = [
+        Judged(found.verdict.probability, found.localized, right=False)
+        for found in elsewhere
+        if found.verdict.probability is not None
+    ]
+    return reliability(known, unknown)
 
 
 def _segment_error(answer: _Answer, queries: _Queries, row: int) -> SegmentError:

@@ -5,6 +5,7 @@ from typing import Any
 
 from core.compression import Compression
 from core.evaluation.condition import Condition
+from core.evaluation.reliability import Reliability
 from core.images import Skipped
 
 __all__ = ["ConditionResult", "Evaluation", "SegmentError"]
@@ -51,6 +52,7 @@ class ConditionResult:
         lateral_error_m_median: Median error of the estimated offset to the left of the matched
             scan; the paper's encoding estimates none.
         ms_per_query: Mean wall time from returns to answer, projection included.
+        reliability: Of the probabilities; `None` without calibration or poses.
     """
 
     condition: Condition
@@ -65,6 +67,7 @@ class ConditionResult:
     heading_error_deg_median: float | None
     lateral_error_m_median: float | None
     ms_per_query: float | None
+    reliability: Reliability | None
 
     def as_dict(self) -> dict[str, Any]:
         """Return plain values, `errors` as their number."""
@@ -81,6 +84,7 @@ class ConditionResult:
             "heading_error_deg_median": self.heading_error_deg_median,
             "lateral_error_m_median": self.lateral_error_m_median,
             "ms_per_query": self.ms_per_query,
+            "reliability": None if self.reliability is None else self.reliability.as_dict(),
             "error_scans": [asdict(error) for error in self.errors],
         }
 
@@ -91,7 +95,10 @@ class Evaluation:
 
     Attributes:
         drive: Name of the mapped drive; `query_drive` is `None` if it was asked itself.
+        unknown_drives: Names of the drives whose places the map does not have.
+        calibrated: Whether the map tells probabilities.
         segments: L.
+        segmentation: How they were cut.
         split: How the queries were held out, `None` with a query drive.
         distance: How harmonic signatures are compared, `None` in the paper's encoding.
         lateral_renderings_m: From where the map's scans were rendered, `None` likewise.
@@ -107,9 +114,12 @@ class Evaluation:
 
     drive: str
     query_drive: str | None
+    unknown_drives: tuple[str, ...]
+    calibrated: bool
     encoding: str
     ranks: tuple[int, int]
     segments: int
+    segmentation: str
     split: str | None
     reducer: str
     image: str

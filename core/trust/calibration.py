@@ -1,8 +1,9 @@
 """How far a map's answers can be trusted, learned from its own scans when it was built."""
 
 import math
+import operator
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ from scipy.special import expit
 
 from core.arrays import FloatArray
 from core.errors import InvalidMap, InvalidParameters
+from core.trust.spread import Spread
 
 __all__ = ["MIN_PROBABILITY", "Calibration"]
 
@@ -33,6 +35,8 @@ class Calibration:
         alone: Intercept and slope where there is no runner-up.
         likelihood: Intercept and slope of the log-likelihood ratio of a single scan's distance.
         threshold: Below this probability an answer is a refusal, 0..1.
+        least_cells: An image with fewer occupied cells shows too little to be localized.
+        spread: How far off right answers are; `None` where poses are unknown.
     """
 
     floor: float
@@ -40,6 +44,8 @@ class Calibration:
     alone: tuple[float, float]
     likelihood: tuple[float, float]
     threshold: float = MIN_PROBABILITY
+    least_cells: int = 0
+    spread: Spread | None = None
 
     def __post_init__(self) -> None:
         for name, length in (("both", 3), ("alone", 2), ("likelihood", 2)):
@@ -55,13 +61,35 @@ class Calibration:
             raise InvalidParameters(f"floor is {self.floor}, wanted above 0")
         if not 0.0 <= self.threshold <= 1.0:
             raise InvalidParameters(f"threshold is {self.threshold}, wanted 0..1")
+        object.__setattr__(self, "least_cells", operator.index(self.least_cells))
+        if self.least_cells < 0:
+            raise InvalidParameters(f"least_cells is {self.least_cells}, wanted at least 0")
 
-    def probability(self, distance: float, ratio: float | None) -> float:
+    def with_spread(self, spread: Spread | None) -> "Calibration":
+        """Return this calibration with another spread."""
+        return replace(self, spread=spread)
+
+    @staticmethod
+    def log_ratio(distance: FloatArray, runner_up: FloatArray, floor: float) -> FloatArray:
+        """Return the logarithm of the ratio of distances, as `probability` takes it.
+
+        It is that of the distances themselves, but never below that of `floor` to `floor` and the
+        distance: an exact match is not certain.
+        """
+        ratio = np.divide(distance, runner_up, out=np.ones_like(distance), where=runner_up > 0)
+        return np.asarray(np.log(np.maximum(ratio, floor / (distance + floor))))
+
+    def probability(self, distance: float, ratio: float | None, share: float = 1.0) -> float:
         """Return how likely the best match is right, above 0 and below 1.
+
+        The best of fewer scans is less likely to be as near as that by chance: with a share s of
+        them searched, wrong answers so near are s times as frequent, and the odds 1 / s times as
+        good, up to those of a single scan's likelihood ratio.
 
         Args:
             distance: Of the best match, at least 0.
             ratio: Of it to that of the runner-up away from it, 0..1, `None` without one.
+            share: Of the map's scans, how many came into question; above 0, at most 1.
 
         Raises:
             InvalidParameters: If one is NaN or out of its range.
@@ -73,6 +101,8 @@ class Calibration:
         """
         if not distance >= 0.0:
             raise InvalidParameters(f"distance is {distance}, wanted at least 0")
+        if not 0.0 < share <= 1.0:
+            raise InvalidParameters(f"share is {share}, wanted above 0 and at most 1")
         far = math.log(distance + self.floor)
         if ratio is None:
             odds = self.alone[0] + self.alone[1] * far
@@ -82,6 +112,9 @@ class Calibration:
             odds = self.both[0] + self.both[1] * far + self.both[2] * alike
         else:
             raise InvalidParameters(f"ratio is {ratio}, wanted 0..1")
+        # A single scan is judged by its own likelihood: no share makes the odds better than that.
+        alone = float(self.log_likelihood_ratio(np.array(distance)))
+        odds = max(odds, min(odds - math.log(share), alone))
         return min(max(float(expit(odds)), math.ulp(0.0)), _SURE)
 
     def log_likelihood_ratio(self, distances: FloatArray) -> FloatArray:
@@ -97,10 +130,13 @@ class Calibration:
 
     def as_attributes(self) -> dict[str, Any]:
         """Return plain values for a file's attributes."""
-        return {
+        attributes = {
             name: list(value) if isinstance(value, tuple) else value
             for name, value in asdict(self).items()
         }
+        if self.spread is not None:
+            attributes["spread"] = self.spread.as_attributes()
+        return attributes
 
     @classmethod
     def from_attributes(cls, attributes: Mapping[str, Any]) -> "Calibration":
@@ -113,6 +149,12 @@ class Calibration:
             odd = set(attributes) ^ {field.name for field in fields(cls)}
             if odd:
                 raise ValueError(f"it lacks or should not hold {', '.join(sorted(odd))}")
-            return cls(**attributes)
+            spread = attributes["spread"]
+            return cls(
+                **{
+                    **attributes,
+                    "spread": None if spread is None else Spread.from_attributes(spread),
+                }
+            )
         except (TypeError, ValueError, OverflowError, InvalidParameters) as error:
             raise InvalidMap(f"the map's calibration cannot be read: {error}") from error

@@ -6,7 +6,7 @@ from core.arrays import Float32Array, FloatArray, IntArray
 from core.builder import build_map
 from core.drive import MemoryDrive
 from core.errors import InvalidScan
-from core.images import MemoryImages
+from core.images import MemoryImages, Probes
 from core.parameters import Distance, Encoding, MapParameters
 from core.pose import Pose
 from core.projection import RangeImage, Reducer
@@ -21,12 +21,15 @@ __all__ = [
     "SMALL_GRID",
     "FaultyDrive",
     "RecordedProgress",
+    "calibrated_map",
+    "noisy_probes",
     "random_images",
     "sample_drive",
     "sample_harmonic_map",
     "sample_image",
     "sample_map",
     "sample_points",
+    "smooth_images",
     "straight_poses",
 ]
 
@@ -168,3 +171,39 @@ class RecordedProgress:
 
     def advance(self, units: int = 1) -> None:
         self.done[-1] += units
+
+
+def smooth_images(count: int, shape: tuple[int, int], seed: int = 0) -> Float32Array:
+    """Return `(count, I, J)` images that change from one random image to the next in 8 steps."""
+    keys = random_images(count // 8 + 2, shape, seed).astype(np.float64)
+    at = np.arange(count) / 8
+    low = at.astype(np.int64)
+    share = (at - low)[:, None, None]
+    return ((1.0 - share) * keys[low] + share * keys[low + 1]).astype(np.float32)
+
+
+def calibrated_map(count: int = 120, *, poses: bool = True, seed: int = 0) -> TensorMap:
+    """Return a paper map of smooth images a metre apart, calibrated on noisy ones."""
+    images = smooth_images(count, SMALL_GRID.shape, seed)
+    trajectory = Trajectory.of_drive(
+        "smooth",
+        0.1 * np.arange(count, dtype=np.float64),
+        straight_poses(count) if poses else np.full((count, 7), np.nan),
+        np.arange(count),
+    )
+    parameters = MapParameters(grid=SMALL_GRID, ranks=(3, 4), sensor="hdl-64e")
+    return build_map(
+        MemoryImages(images, SMALL_GRID),
+        trajectory,
+        np.array([0, count // 2, count]),
+        parameters,
+        probes=noisy_probes(images, seed),
+    )
+
+
+def noisy_probes(images: Float32Array, seed: int = 0) -> Probes:
+    """Return a probe of every second image, with noise."""
+    rows = np.arange(0, len(images), 2)
+    noise = np.random.default_rng(seed).normal(scale=0.5, size=images[rows].shape)
+    noisy = np.maximum(images[rows] + noise, 0.1).astype(np.float32)
+    return Probes(rows, np.zeros((len(rows), 2)), MemoryImages(noisy, SMALL_GRID))

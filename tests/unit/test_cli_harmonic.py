@@ -75,3 +75,24 @@ def test_a_segment_is_nothing_that_a_harmonic_signature_has(map_file, folder):
 def test_options_of_the_other_encoding_are_refused(folder, tmp_path):
     with pytest.raises(InvalidParameters, match="distance"):
         run("build", folder, "-o", tmp_path / "map.h5", "--distance", "plain")
+
+
+def test_a_build_says_that_it_is_not_calibrated_and_what_then_is_answered(folder, tmp_path):
+    path = tmp_path / "map.h5"
+    assert "not calibrated" in run("build", folder, "-o", path, "--segments", "2")
+    scan = folder / "000007.bin"
+    answer = json.loads(run("localize", path, scan, "--json"))
+    assert (answer["localized"], answer["probability"]) == (True, None)
+    wanting = json.loads(run("localize", path, scan, "--min-probability", "0.5", "--json"))
+    assert (wanting["localized"], wanting["reason"]) == (False, "not_calibrated")
+    assert "no: not_calibrated" in run("localize", path, scan, "--min-probability", "0.5")
+
+
+def test_localize_takes_hints(map_file, folder):
+    scan = folder / "000007.bin"
+    answer = json.loads(run("localize", map_file, scan, "-k", "3", "--segment", "0", "--json"))
+    assert {match["segment"] for match in answer["matches"]} == {0}
+    with pytest.raises(InvalidParameters, match="no poses"):
+        run("localize", map_file, scan, *["--x-m", "1", "--y-m", "2", "--position-sigma-m", "3"])
+    with pytest.raises(InvalidParameters, match="incomplete"):
+        run("localize", map_file, scan, "--x-m", "1")

@@ -4,13 +4,15 @@ import h5py
 import pytest
 
 from app.jobs.parameters import BuildParameters
-from app.pipelines import build_revision
+from app.pipelines import Built, build_revision
+from core.merging import BasisFit
 from core.progress import Progress
 from storage.catalog import JobState
 from storage.errors import CorruptFile, JobNotRunning, MapNotFound
 from storage.image_file import write_image_file
 from storage.store import Store
 from tests.support.recording import recording
+from tests.support.samples import sample_harmonic_map
 
 SCANS = 8
 PARAMETERS = BuildParameters(segments=2)
@@ -100,12 +102,12 @@ def test_a_map_that_is_renamed_during_a_build_gets_its_revision(store):
 
 def test_images_that_were_damaged_are_made_anew_and_the_revision_is_the_same(store):
     _, whole = stages_of(store)
-    assert stages_of(store)[0] == ["fitting"]  # from the images that are kept
+    assert stages_of(store)[0] == ["fitting", "calibrating"]  # from the images that are kept
     damage(store)
     seen, again = stages_of(store)
-    assert seen == ["fitting", "projecting", "fitting"]
+    assert seen == ["fitting", "projecting", "fitting", "calibrating"]
     assert again.digest == whole.digest
-    assert stages_of(store)[0] == ["fitting"]
+    assert stages_of(store)[0] == ["fitting", "calibrating"]
 
 
 def test_images_that_are_damaged_each_time_end_the_build(store, monkeypatch):
@@ -140,3 +142,38 @@ def test_a_job_is_done_at_the_moment_its_revision_is_published(store):
     ended = store.jobs.get(job.id)
     assert (ended.state, ended.revision) == (JobState.DONE, record.digest)
     assert store.jobs.finish(job.id, record.digest) == ended  # what a worker that lives does
+
+
+def test_images_without_probes_are_made_anew_and_without_returns_the_map_is_not_calibrated(
+    store, monkeypatch
+):
+    seen, _ = stages_of(store)
+    assert seen == ["projecting", "fitting", "calibrating"]
+    seen, _ = stages_of(store)
+    assert seen == ["fitting", "calibrating"]
+    drop_probes(store)
+    seen, _ = stages_of(store)
+    assert seen == ["projecting", "fitting", "calibrating"]
+    drop_probes(store)
+
+    def gone(*_):
+        raise FileNotFoundError("the returns are gone")
+
+    monkeypatch.setattr("app.pipelines.write_image_file", gone)
+    seen, record = stages_of(store)
+    assert seen == ["fitting"]
+    assert record.parameters["calibrated"] is False
+
+
+def drop_probes(store):
+    [path] = store.layout.maps.rglob("images/*.h5")
+    with h5py.File(path, "r+") as file:
+        del file.attrs["probe_version"], file["probes"], file["probed"]
+
+
+def test_a_basis_that_fits_a_drive_badly_is_noted():
+    tensor_map, _ = sample_harmonic_map(8)
+    fits = BasisFit("monday", 0.80, 0.70), BasisFit("tuesday", 0.76, 0.70)
+    [note] = Built(tensor_map, 0, {}, fits, 8).notes
+    assert "monday" in note
+    assert "refit" in note

@@ -11,7 +11,7 @@ from core.evaluation.condition import Condition
 from core.evaluation.evaluate import Protocol, evaluate
 from core.evaluation.motion import is_standing
 from core.evaluation.split import Every, Interleaved
-from core.parameters import Encoding, MapParameters
+from core.parameters import Encoding, MapParameters, Segmentation
 from core.scan import Scan
 from core.simulation import SimulatedDrive
 from tests.support.samples import SMALL_GRID, FaultyDrive, RecordedProgress, sample_drive
@@ -193,8 +193,13 @@ def test_progress_tells_every_stage_and_can_stop_it():
     drive = FaultyDrive(sample_drive(40), {2, 3})
     two = (Condition(), Condition(yaw_deg=10.0))
     evaluate(drive, Protocol(SMALL, segments=4, conditions=two), progress=progress)
-    assert progress.stages == [("projecting", 32), ("fitting", 62), ("localizing", 16)]
-    assert progress.done == [32, 62, 16]
+    assert progress.stages == [
+        ("projecting", 32),
+        ("fitting", 62),
+        ("calibrating", 31),
+        ("localizing", 16),
+    ]
+    assert progress.done == [32, 62, 31, 16]
 
     class Stop(RecordedProgress):
         def start(self, stage, total):
@@ -246,3 +251,51 @@ def test_the_papers_encoding_tells_neither(found):
     assert (found.image, found.distance, found.lateral_renderings_m) == ("range", None, None)
     for row in found.conditions:
         assert (row.heading_error_deg_median, row.lateral_error_m_median) == (None, None)
+
+
+def test_unknown_places_are_asked_and_the_probabilities_judged(drive):
+    elsewhere = in_memory(SimulatedDrive(seed=8, scans=20))
+    protocol = Protocol(MapParameters.for_sensor(encoding=Encoding.HARMONIC), segments=4)
+    found = evaluate(drive, protocol, unknown=[elsewhere])
+    assert found.calibrated
+    assert found.unknown_drives == (elsewhere.name,)
+    of_it = found.conditions[0].reliability
+    assert of_it is not None
+    assert of_it.unknown_queries == 20
+    assert of_it.auroc is not None
+    assert of_it.auroc > 0.9
+    assert of_it.refused_unknown is not None
+    written = json.loads(json.dumps(found.as_dict(), allow_nan=False))
+    assert written["conditions"][0]["reliability"]["auroc"] == of_it.auroc
+    assert written["unknown_drives"] == [elsewhere.name]
+
+
+def test_without_poses_no_probability_is_judged(drive):
+    blind = in_memory(drive, poses=False)
+    found = evaluate(blind, Protocol(segments=4))
+    assert found.conditions[0].reliability is None
+
+
+def test_an_unknown_drive_without_a_scan_is_refused(drive):
+    with pytest.raises(EmptyDrive):
+        evaluate(drive, Protocol(segments=4), unknown=[MemoryDrive("none", [])])
+
+
+@pytest.mark.parametrize("encoding", Encoding)
+def test_unequal_segments_are_cut_over_all_scans_and_told(encoding):
+    parameters = MapParameters.for_sensor(
+        encoding=encoding, ranks=(2, 2), segmentation=Segmentation.UNEQUAL
+    )
+    found = evaluate(sample_drive(40), Protocol(parameters, segments=4))
+    assert found.as_dict()["segmentation"] == "unequal"
+    assert found.segments >= 2
+    assert found.map_scans == 32
+    assert len(found.conditions[0].errors) <= 8
+
+
+def test_a_scan_that_cannot_be_used_is_in_no_unequal_segments_model():
+    parameters = MapParameters(ranks=(2, 2), segmentation=Segmentation.UNEQUAL)
+    drive = FaultyDrive(sample_drive(40), {0, 17, 39})
+    found = evaluate(drive, Protocol(parameters, segments=4, split=Every(2)))
+    assert found.map_scans + found.conditions[0].queries == 39
+    assert [skipped.scan for skipped in found.skipped] == [0]

@@ -6,13 +6,15 @@ import pytest
 
 from core.drive import MemoryDrive
 from core.errors import Cancelled, EmptyDrive
+from core.grams import drive_gram
 from core.height_image import HEIGHT_REDUCERS
 from core.imager import Imager
+from core.images import project_drive
 from core.projection import RANGE_REDUCERS, Reducer, project_scan
 from core.rings import RingGrid
 from core.sensor import AngularGrid
 from storage import image_file
-from storage.errors import CorruptFile
+from storage.errors import CorruptFile, CorruptImages
 from storage.image_file import ImageFile, image_file_name, write_image_file
 from tests.support.samples import SMALL_GRID, FaultyDrive, RecordedProgress, sample_drive
 
@@ -137,3 +139,64 @@ def test_renderings_are_read_back_as_they_were_made(tmp_path):
             np.testing.assert_array_equal(read[row], imager.render(drive.scan(3 + row)))
     with pytest.raises(CorruptFile, match="shape"):
         ImageFile(tmp_path / "renderings.h5", Imager(RingGrid(), Reducer.MEAN))
+
+
+def test_probes_are_kept_beside_the_images(path):
+    projected = project_drive(sample_drive(20), np.arange(20), LAST)
+    with ImageFile(path, LAST) as images:
+        assert images.probes is not None
+        assert images.probed.tolist() == projected.probed.tolist()
+        assert (images.probes.read(0, 20) == projected.probes.read(0, 20)).all()
+
+
+def test_a_file_of_other_probes_still_has_its_images(path):
+    with h5py.File(path, "r+") as file:
+        file.attrs["probe_version"] = image_file.PROBE_VERSION + 1
+    with ImageFile(path, LAST) as images:
+        assert images.probes is None
+        assert len(images) == 20
+
+
+@pytest.mark.parametrize("name", ["probes", "probed"])
+def test_a_file_that_lacks_its_probes_is_corrupt(path, name):
+    with h5py.File(path, "r+") as file:
+        del file[name]
+    with pytest.raises(CorruptFile, match="holds no images"):
+        ImageFile(path, LAST)
+
+
+@pytest.fixture
+def renderings(tmp_path):
+    """Images of a drive with lateral renderings, and beside them what a basis is fitted to."""
+    imager = Imager(RingGrid(), Reducer.MEAN, 1.73, (-1.5, 0.0, 1.5))
+    write_image_file(tmp_path / "renderings.h5", sample_drive(40), imager)
+    return tmp_path / "renderings.h5", imager
+
+
+def test_the_sum_that_is_kept_is_that_of_the_images_and_reads_none(renderings, monkeypatch):
+    path, imager = renderings
+    with ImageFile(path, imager) as images:
+        kept = images.detail_gram()
+        assert kept.tobytes() == drive_gram(images, 0, len(images)).tobytes()
+        monkeypatch.setattr(images, "read", None)  # none is read again
+        assert images.detail_gram().tobytes() == kept.tobytes()
+    with h5py.File(path, "r+") as file:
+        del file["detail_gram"]  # as files were before
+    with ImageFile(path, imager) as images:
+        assert images.detail_gram().tobytes() == kept.tobytes()
+
+
+def test_a_sum_that_is_not_what_was_written_is_refused(renderings):
+    path, imager = renderings
+    with h5py.File(path, "r") as file:
+        at = file["detail_gram"].id.get_chunk_info(0).byte_offset
+    whole = bytearray(path.read_bytes())
+    whole[at + 9] ^= 1
+    path.write_bytes(whole)
+    with ImageFile(path, imager) as images, pytest.raises(CorruptImages, match="cannot be read"):
+        images.detail_gram()
+    with h5py.File(path, "r+") as file:
+        del file["detail_gram"]
+        file["detail_gram"] = np.zeros((3, 3))
+    with ImageFile(path, imager) as images, pytest.raises(CorruptImages, match="shape"):
+        images.detail_gram()

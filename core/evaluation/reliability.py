@@ -1,0 +1,192 @@
+"""Whether a probability tells known places from unknown ones, and whether it is one."""
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from core.arrays import BoolArray, FloatArray
+from core.errors import InvalidParameters
+from core.evaluation import retrieval
+
+__all__ = [
+    "Judged",
+    "Reliability",
+    "auroc",
+    "average_precision",
+    "expected_calibration_error",
+    "reliability",
+]
+
+BINS = 10
+
+
+def auroc(positive: FloatArray, negative: FloatArray) -> float:
+    """Return how likely a positive scores above a negative, equal scores counting half.
+
+    Raises:
+        InvalidParameters: If there is none of a kind, or a score is not finite.
+
+    Examples:
+        >>> auroc(np.array([0.9, 0.5]), np.array([0.5, 0.1]))
+        0.875
+    """
+    _scores(positive, negative)
+    found = retrieval.auroc(positive, negative)
+    assert found is not None  # noqa: S101 - that there are both was asked above
+    return found
+
+
+def average_precision(positive: FloatArray, negative: FloatArray) -> float:
+    """Return sum_n (R_n - R_(n-1)) P_n over thresholds at every score, the greatest first.
+
+    Equal scores are passed at once. Nothing is interpolated.
+
+    Raises:
+        InvalidParameters: If there is none of a kind, or a score is not finite.
+
+    Examples:
+        >>> round(average_precision(np.array([0.9, 0.5]), np.array([0.7])), 6)
+        0.833333
+    """
+    scores = _scores(positive, negative)
+    is_positive = np.arange(len(scores)) < len(positive)
+    return retrieval.precision_recall(scores, is_positive, len(positive)).average_precision
+
+
+def expected_calibration_error(
+    probability: FloatArray,
+    right: BoolArray,
+    *,
+    adaptive: bool = False,
+    weight: FloatArray | None = None,
+) -> float:
+    """Return how far probabilities are from the share that is right, in the mean over ten bins.
+
+    Args:
+        probability: `(n,)` within 0..1, at least one.
+        right: `(n,)`.
+        adaptive: Bins of about as many samples each, instead of as wide each.
+        weight: `(n,)` how much each sample counts; all the same by default.
+
+    Raises:
+        InvalidParameters: If there is no sample, or a probability is none.
+
+    Examples:
+        >>> expected_calibration_error(np.array([0.9, 0.9, 0.1]), np.array([True, False, False]))
+        0.3
+    """
+    if not len(probability) or not ((probability >= 0.0) & (probability <= 1.0)).all():
+        raise InvalidParameters("probability wants at least one number, all of them within 0..1")
+    weight = np.ones(len(probability)) if weight is None else weight
+    if adaptive:
+        order = np.argsort(probability, kind="stable")
+        bins = np.empty(len(order), np.int64)
+        bins[order] = np.arange(len(order)) * BINS // len(order)
+    else:
+        bins = np.minimum((probability * BINS).astype(np.int64), BINS - 1)
+    gap = np.bincount(bins, weights=weight * (probability - right), minlength=BINS)
+    return float(np.abs(gap).sum() / weight.sum())
+
+
+def _scores(positive: FloatArray, negative: FloatArray) -> FloatArray:
+    if not len(positive) or not len(negative):
+        raise InvalidParameters(
+            f"there are {len(positive)} positives and {len(negative)} negatives, both are wanted"
+        )
+    scores = np.concatenate([positive, negative])
+    if not np.isfinite(scores).all():
+        raise InvalidParameters("a score is not finite")
+    return scores
+
+
+@dataclass(frozen=True)
+class Judged:
+    """What one query was answered.
+
+    Attributes:
+        probability: That its best match is right.
+        localized: Whether it was an answer.
+        right: Whether the best match is right.
+    """
+
+    probability: float
+    localized: bool
+    right: bool
+
+
+@dataclass(frozen=True)
+class Reliability:
+    """How far probabilities can be relied on; what does not apply is `None`.
+
+    Attributes:
+        unknown_queries: How many scans of places that are not in the map were asked.
+        auroc: How likely a query of the map scores above one of elsewhere.
+        average_precision: Of queries of the map among both.
+        ece: Expected calibration error of queries of the map alone, ten bins as wide each.
+        ece_adaptive: The same, bins of as many queries each.
+        ece_mixed: As `ece`, queries of the map and of elsewhere counting half each.
+        ece_mixed_adaptive: The same, bins of as many queries each.
+        refused_right: Share of the right answers that were refused.
+        refused_wrong: Share of the wrong answers that were, of queries of the map.
+        refused_unknown: Share of the queries of elsewhere that were.
+    """
+
+    unknown_queries: int
+    auroc: float | None
+    average_precision: float | None
+    ece: float | None
+    ece_adaptive: float | None
+    ece_mixed: float | None
+    ece_mixed_adaptive: float | None
+    refused_right: float | None
+    refused_wrong: float | None
+    refused_unknown: float | None
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return plain values."""
+        return asdict(self)
+
+
+def reliability(known: Sequence[Judged], unknown: Sequence[Judged]) -> Reliability:
+    """Sum up what queries of the map and of elsewhere were answered."""
+    of_known, of_unknown = (
+        np.array([judged.probability for judged in group], dtype=np.float64)
+        for group in (known, unknown)
+    )
+    right = np.array([judged.right for judged in known], dtype=bool)
+    both = np.concatenate([of_known, of_unknown])
+    all_right = np.concatenate([right, np.zeros(len(unknown), dtype=bool)])
+    told = bool(known) and bool(unknown)
+    weight = np.repeat(
+        [1.0 / max(1, len(known)), 1.0 / max(1, len(unknown))], [len(known), len(unknown)]
+    )
+    ece, mixed = (
+        [
+            expected_calibration_error(*samples, adaptive=adaptive, weight=counts)
+            if samples_there
+            else None
+            for adaptive in (False, True)
+        ]
+        for samples, counts, samples_there in (
+            ((of_known, right), None, bool(known)),
+            ((both, all_right), weight, told),
+        )
+    )
+    return Reliability(
+        unknown_queries=len(unknown),
+        auroc=auroc(of_known, of_unknown) if told else None,
+        average_precision=average_precision(of_known, of_unknown) if told else None,
+        ece=ece[0],
+        ece_adaptive=ece[1],
+        ece_mixed=mixed[0],
+        ece_mixed_adaptive=mixed[1],
+        refused_right=_refused([judged for judged in known if judged.right]),
+        refused_wrong=_refused([judged for judged in known if not judged.right]),
+        refused_unknown=_refused(unknown),
+    )
+
+
+def _refused(group: Sequence[Judged]) -> float | None:
+    return float(np.mean([not judged.localized for judged in group])) if group else None

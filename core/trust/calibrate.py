@@ -1,0 +1,249 @@
+"""From probes of a map to its calibration: positives, and the same where their place is missing.
+
+A *positive* asks the map for a probe of scan i with the scans nearest to i left out: a vehicle
+never stands exactly where one was recorded, nor among the same parked cars. It is right if the
+match is within `AWAY_M` of i. A *negative* asks with i's whole neighbourhood left out: whatever
+matches is wrong.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from core.arrays import BoolArray, FloatArray
+from core.displacement import pose_beside
+from core.encodings.model import Found, Search
+from core.height_image import HeightImage
+from core.imager import Image
+from core.images import Probes
+from core.places import AWAY_M, away_from, close_along_m
+from core.pose import heading_deg
+from core.progress import NO_PROGRESS, Progress
+from core.projection import RangeImage
+from core.rings import RingGrid
+from core.tensormap import TensorMap
+from core.trust.calibration import Calibration
+from core.trust.logistic import fit_logistic
+from core.trust.probe import probed_among
+from core.trust.spread import Spread, along_spread_m, fit_variance
+
+__all__ = ["MOST_PROBES", "calibrate"]
+
+MOST_PROBES = 400
+"""How many probes of a map are asked at most, evenly spread over its drives."""
+
+_LEFT_OUT_M, _LEFT_OUT_SCANS = 2.0, 2
+_RIGHT_SCANS = 15  # where poses are unknown, as `AWAY_M` is where they are known
+_ELSEWHERE_M, _ELSEWHERE_SCANS = 25.0, 50
+_LEAST = 10  # samples of each kind; fewer are no evidence
+_HERE_SCANS = 2  # of each probe, the nearest in place and as many elsewhere, compared by distance
+_FLOOR = 0.05  # of the median distance of right answers
+_SPARSE = 0.5  # of the fewest occupied cells that a probe has
+_SAME_PLACE_M = 0.1
+_SEED = 20_003
+
+
+@dataclass(frozen=True)
+class _Answer:
+    """The best distance, the runner-up's away from it, and whether the best is right."""
+
+    distance: float
+    runner_up: float | None
+    right: bool
+
+
+@dataclass(frozen=True, eq=False)
+class _Error:
+    """How far off a right answer is, and what its neighbours say of that."""
+
+    distance: float
+    along_m: FloatArray
+    distances: FloatArray
+    errors: tuple[float, float, float]  # along, lateral, heading
+
+
+def calibrate(
+    tensor_map: TensorMap, probes: Probes, progress: Progress = NO_PROGRESS
+) -> Calibration | None:
+    """Learn how far a map's answers can be trusted.
+
+    It depends on nothing but the map and its probes.
+
+    Args:
+        tensor_map: Whose calibration it becomes.
+        probes: Of its own scans.
+        progress: Told of each probe.
+
+    Returns:
+        The calibration; `None` if the map is too small to learn from: fewer than ten right answers
+        or ten wrong ones, as a map all of whose scans are one neighbourhood gives.
+    """
+    trajectory, basis = tensor_map.trajectory, tensor_map.basis()
+    asked = probed_among(np.arange(len(probes.rows)), MOST_PROBES).tolist()
+    rng = np.random.default_rng(_SEED)
+    answers: list[_Answer] = []
+    at_scan: list[tuple[float, bool]] = []
+    errors: list[_Error] = []
+    least_cells = math.inf
+    progress.start("calibrating", len(asked))
+    for probe in asked:
+        row = int(probes.rows[probe])
+        image = _image(tensor_map, probes, probe)
+        search = tensor_map.model.search(basis.encode(image))
+        least_cells = min(least_cells, int(np.count_nonzero(image.cells)))
+        beside = away_from(trajectory, row, _LEFT_OUT_M, _LEFT_OUT_SCANS)
+        here = beside & ~away_from(trajectory, row, AWAY_M, _RIGHT_SCANS)
+        elsewhere = away_from(trajectory, row, _ELSEWHERE_M, _ELSEWHERE_SCANS)
+        if here.any():
+            found, answer = _ask(tensor_map, search, beside, here)
+            answers.append(answer)
+            if answer.right:
+                errors += _error(tensor_map, search, found, beside, row, probes.standing[probe])
+        if elsewhere.any():
+            answers.append(_ask(tensor_map, search, elsewhere, ~elsewhere)[1])
+        if here.any() and elsewhere.any():
+            at_scan += _at_scan(tensor_map, search, row, here, elsewhere, rng)
+        progress.advance()
+    right = sum(answer.right for answer in answers)
+    if min(right, len(answers) - right) < _LEAST or not at_scan:
+        return None
+    return _fitted(answers, at_scan, errors, int(_SPARSE * least_cells))
+
+
+def _image(tensor_map: TensorMap, probes: Probes, probe: int) -> Image:
+    cells, grid = probes.images.read(probe, probe + 1)[0], tensor_map.parameters.grid
+    return HeightImage(cells, grid) if isinstance(grid, RingGrid) else RangeImage(cells, grid)
+
+
+def _ask(
+    tensor_map: TensorMap, search: Search, among: BoolArray, right: BoolArray
+) -> tuple[Found, _Answer]:
+    (found,) = search.nearest(1, among)
+    away = search.nearest(1, among & away_from(tensor_map.trajectory, found.row))
+    runner_up = away[0].distance if away else None
+    return found, _Answer(found.distance, runner_up, bool(right[found.row]))
+
+
+def _at_scan(
+    tensor_map: TensorMap,
+    search: Search,
+    row: int,
+    here: BoolArray,
+    elsewhere: BoolArray,
+    rng: np.random.Generator,
+) -> list[tuple[float, bool]]:
+    """Return distances of some scans of the probe's place, and of as many elsewhere."""
+    trajectory = tensor_map.trajectory
+    close = np.flatnonzero(here)
+    gap = np.abs(close - row).astype(np.float64)
+    if trajectory.known[row]:
+        gap_m = np.linalg.norm(trajectory.poses[close, :3] - trajectory.poses[row, :3], axis=1)
+        gap = np.where(np.isnan(gap_m), np.inf, gap_m)
+    close = close[np.argsort(gap, kind="stable")[:_HERE_SCANS]]
+    far = rng.choice(np.flatnonzero(elsewhere), len(close))
+    asked = np.zeros(len(trajectory), dtype=bool)
+    asked[close] = asked[far] = True
+    distances = search.distances(asked)
+    return [
+        *((float(distances[i]), True) for i in close.tolist()),
+        *((float(distances[i]), False) for i in far.tolist()),
+    ]
+
+
+def _error(
+    tensor_map: TensorMap,
+    search: Search,
+    found: Found,
+    among: BoolArray,
+    row: int,
+    standing: FloatArray,
+) -> list[_Error]:
+    """Return how far off the place is that a match tells; nothing where poses are unknown."""
+    poses = tensor_map.trajectory.poses
+    true = pose_beside(poses[row], *standing.tolist())
+    matched = poses[found.row]
+    near = close_along_m(tensor_map.trajectory, found.row)
+    if near is None or not np.isfinite(true).all():
+        return []
+    estimated = pose_beside(matched, found.lateral_m or 0.0, found.turn_deg or 0.0)
+    rows, along_m = near
+    kept = among[rows]
+    asked = np.zeros(len(poses), dtype=bool)
+    asked[rows[kept]] = True
+    x_m, y_m = (estimated - true)[:2].tolist()
+    turn = float(heading_deg(estimated[None])[0] - heading_deg(true[None])[0])
+    # The winner's own path is what `along` and `lateral` are of, whichever way the probe looks.
+    path = math.radians(heading_deg(matched[None])[0])
+    forward_m = x_m * math.cos(path) + y_m * math.sin(path)
+    return [
+        _Error(
+            found.distance,
+            along_m[kept],
+            search.distances(asked)[rows[kept]],
+            (
+                _as_if_complete_m(forward_m, poses, row, among),
+                y_m * math.cos(path) - x_m * math.sin(path),
+                (turn + 180.0) % 360.0 - 180.0,
+            ),
+        )
+    ]
+
+
+def _as_if_complete_m(forward_m: float, poses: FloatArray, row: int, among: BoolArray) -> float:
+    """Return an error along the path as it would be with the scans that were left out.
+
+    Those that were asked begin a gap away, which is no fault of the match; a vehicle is up to half
+    a step from a scan of the map, evenly distributed, which a probe is not.
+    """
+    away_m = np.linalg.norm(poses[:, :3] - poses[row, :3], axis=1)
+    away_m = np.where(np.isnan(away_m), np.inf, away_m)
+    gap_m = float(away_m[among].min())
+    step_m = float(away_m[away_m > _SAME_PLACE_M].min())
+    return math.copysign(
+        math.hypot(max(abs(forward_m) - gap_m, 0.0), step_m / math.sqrt(12.0)), forward_m
+    )
+
+
+def _fitted(
+    answers: list[_Answer],
+    at_scan: list[tuple[float, bool]],
+    errors: list[_Error],
+    least_cells: int,
+) -> Calibration:
+    distance = np.array([answer.distance for answer in answers])
+    right = np.array([answer.right for answer in answers])
+    typical = float(np.median(distance[right])) or float(distance.max()) or 1.0
+    floor = _FLOOR * typical
+    far = np.log(distance + floor)
+    alone = fit_logistic(far[:, None], right, np.array([True]))
+    told = np.array([answer.runner_up is not None for answer in answers])
+    runner_up = np.array([answer.runner_up or 0.0 for answer in answers])
+    both = np.array([alone[0], alone[1], 0.0])
+    if min(right[told].sum(), (~right[told]).sum()) >= _LEAST:
+        alike = Calibration.log_ratio(distance[told], runner_up[told], floor)
+        features = np.column_stack([far[told], alike])
+        both = fit_logistic(features, right[told], np.array([True, True]))
+    of_scan = np.array([d for d, _ in at_scan])
+    here = np.array([is_here for _, is_here in at_scan])
+    likelihood = fit_logistic(np.log(of_scan + floor)[:, None], here, np.array([True]))
+    calibration = Calibration(
+        floor, tuple(both), tuple(alone), tuple(likelihood), least_cells=least_cells
+    )
+    return calibration.with_spread(_spread(calibration, errors, typical))
+
+
+def _spread(calibration: Calibration, errors: list[_Error], typical: float) -> Spread | None:
+    if len(errors) < _LEAST:
+        return None
+    along, lateral, turn = np.array([error.errors for error in errors]).T
+    spread = np.array(
+        [along_spread_m(e.along_m, calibration.log_likelihood_ratio(e.distances)) for e in errors]
+    )
+    far = np.maximum(1.0, np.array([error.distance for error in errors]) / typical)
+    return Spread(
+        typical,
+        fit_variance(along, spread),
+        fit_variance(lateral, far),
+        fit_variance(turn, far),
+    )

@@ -1,0 +1,165 @@
+"""How far off an answer that is right may be: along the path, beside it, and in heading."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields
+from typing import Any
+
+import numpy as np
+from scipy.optimize import minimize
+
+from core.arrays import FloatArray
+from core.errors import InvalidMap, InvalidParameters
+
+__all__ = ["Deviation", "Spread", "along_spread_m", "fit_variance"]
+
+_LEAST_RELATIVE = 1e-3  # of the errors' root mean square: no standard deviation is 0
+
+
+@dataclass(frozen=True)
+class Deviation:
+    """Standard deviations of an estimated place, seen from the vehicle.
+
+    Attributes:
+        along_m: Forward and backward.
+        lateral_m: To the left and right.
+        heading_deg: Of the heading.
+    """
+
+    along_m: float
+    lateral_m: float
+    heading_deg: float
+
+    def covariance_m2(self, heading_deg: float) -> tuple[float, float, float]:
+        """Return xx, xy and yy of the position in the map's frame.
+
+        Args:
+            heading_deg: Of the vehicle in the map, counter-clockwise from x.
+
+        Examples:
+            >>> xx, xy, yy = Deviation(2.0, 0.5, 1.0).covariance_m2(90.0)
+            >>> round(xx, 9), round(xy, 9), round(yy, 9)
+            (0.25, 0.0, 4.0)
+        """
+        cos, sin = math.cos(math.radians(heading_deg)), math.sin(math.radians(heading_deg))
+        along, lateral = self.along_m**2, self.lateral_m**2
+        return (
+            along * cos * cos + lateral * sin * sin,
+            (along - lateral) * cos * sin,
+            along * sin * sin + lateral * cos * cos,
+        )
+
+
+@dataclass(frozen=True)
+class Spread:
+    """Variances as a constant and a part that grows: s^2 = a^2 + (b x)^2.
+
+    Along the path x is how far the scans around the winner that fit the query are spread; beside
+    it and in heading x is the best distance over a typical one, at least 1: that a match nearer
+    than most is more exact than they are is not claimed.
+
+    Attributes:
+        typical: A right answer's median distance, above 0.
+        along_m: a in metres, b a number.
+        lateral_m: a and b in metres.
+        heading_deg: a and b in degrees.
+    """
+
+    typical: float
+    along_m: tuple[float, float]
+    lateral_m: tuple[float, float]
+    heading_deg: tuple[float, float]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "typical", float(self.typical))
+        if not (math.isfinite(self.typical) and self.typical > 0.0):
+            raise InvalidParameters(f"typical is {self.typical}, wanted above 0")
+        for name in ("along_m", "lateral_m", "heading_deg"):
+            values = tuple(float(value) for value in getattr(self, name))
+            object.__setattr__(self, name, values)
+            if len(values) != 2 or not all(math.isfinite(v) and v >= 0.0 for v in values):
+                raise InvalidParameters(f"{name} is {values}, wanted two numbers of at least 0")
+
+    def deviation(self, distance: float, spread_m: float) -> Deviation:
+        """Return the standard deviations of an answer.
+
+        Args:
+            distance: Of the best match.
+            spread_m: Of the scans around it: `along_spread_m`.
+        """
+        far = max(1.0, distance / self.typical)
+        return Deviation(
+            math.hypot(self.along_m[0], self.along_m[1] * spread_m),
+            math.hypot(self.lateral_m[0], self.lateral_m[1] * far),
+            math.hypot(self.heading_deg[0], self.heading_deg[1] * far),
+        )
+
+    def as_attributes(self) -> dict[str, Any]:
+        """Return plain values for a file's attributes."""
+        return {
+            name: list(value) if isinstance(value, tuple) else value
+            for name, value in asdict(self).items()
+        }
+
+    @classmethod
+    def from_attributes(cls, attributes: Mapping[str, Any]) -> "Spread":
+        """Read what `as_attributes` gave.
+
+        Raises:
+            InvalidMap: If something is missing, unknown or not of its kind.
+        """
+        try:
+            odd = set(attributes) ^ {field.name for field in fields(cls)}
+            if odd:
+                raise ValueError(f"it lacks or should not hold {', '.join(sorted(odd))}")
+            return cls(**attributes)
+        except (TypeError, ValueError, OverflowError, InvalidParameters) as error:
+            raise InvalidMap(f"the map's spread cannot be read: {error}") from error
+
+
+def along_spread_m(along_m: FloatArray, log_likelihood: FloatArray) -> float:
+    """Return how far scans are spread along the path, each weighted by how well it fits.
+
+    Args:
+        along_m: `(n,)` where the scans stand along the path, at least one.
+        log_likelihood: `(n,)` log-likelihood ratios of their distances.
+
+    Examples:
+        >>> along_spread_m(np.array([-1.0, 0.0, 1.0]), np.array([0.0, 30.0, 0.0])) < 1e-5
+        True
+        >>> along_spread_m(np.array([-1.0, 1.0]), np.array([2.0, 2.0]))
+        1.0
+    """
+    weights = np.exp(log_likelihood - log_likelihood.max())
+    weights /= weights.sum()
+    mean_m = weights @ along_m
+    return float(np.sqrt(weights @ (along_m - mean_m) ** 2))
+
+
+def fit_variance(errors: FloatArray, grows: FloatArray) -> tuple[float, float]:
+    """Return a and b under which errors of variance a^2 + (b x)^2 are most likely.
+
+    Args:
+        errors: `(n,)` at least one, of mean 0.
+        grows: `(n,)` x, at least 0.
+
+    Examples:
+        >>> rng = np.random.default_rng(0)
+        >>> x = rng.uniform(0.0, 2.0, 10_000)
+        >>> a, b = fit_variance(rng.normal(scale=np.hypot(0.5, 1.5 * x)), x)
+        >>> round(a, 1), round(b, 1)
+        (0.5, 1.5)
+    """
+    total = float(np.mean(errors**2))
+    if total == 0.0:
+        return 0.0, 0.0
+    least = _LEAST_RELATIVE**2 * total
+    scale = float(np.mean(grows**2)) or 1.0
+
+    def loss(parts: FloatArray) -> float:
+        variance = least + total * (parts[0] + parts[1] * grows**2 / scale)
+        return float(np.sum(np.log(variance) + errors**2 / variance))
+
+    found = minimize(loss, np.array([0.5, 0.5]), method="L-BFGS-B", bounds=[(0.0, None)] * 2)
+    constant, growing = found.x.tolist()
+    return math.sqrt(least + total * constant), math.sqrt(total * growing / scale)

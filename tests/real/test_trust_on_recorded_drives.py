@@ -1,0 +1,28 @@
+"""Known places are told from unknown ones on recorded drives."""
+
+import pytest
+
+from core.evaluation.evaluate import Protocol, evaluate
+from core.evaluation.split import Every
+from core.parameters import Encoding, MapParameters
+from tests.real.conftest import Drives
+
+pytestmark = pytest.mark.real_data
+
+
+def test_scans_of_another_town_are_told_from_those_of_the_map(drives: Drives) -> None:
+    parameters = MapParameters.for_sensor(encoding=Encoding.HARMONIC)
+    found = evaluate(
+        drives.open("kitti00"),
+        Protocol(parameters, segments=5, split=Every(2)),
+        unknown=[drives.open("kit_muehlburger")],
+    )
+    of_it = found.conditions[0].reliability
+    assert of_it is not None
+    assert of_it.unknown_queries == 501
+    assert of_it.auroc is not None
+    assert of_it.auroc >= 0.98
+    assert of_it.refused_right is not None
+    assert of_it.refused_right <= 0.05
+    assert of_it.refused_unknown is not None
+    assert of_it.refused_unknown >= 0.95

@@ -1,0 +1,93 @@
+"""AUROC, average precision and calibration errors, against values computed by hand."""
+
+import numpy as np
+import pytest
+
+from core.errors import InvalidParameters
+from core.evaluation.reliability import (
+    Judged,
+    auroc,
+    average_precision,
+    expected_calibration_error,
+    reliability,
+)
+
+
+def test_the_auroc_counts_pairs_and_equal_scores_half():
+    # 6 pairs: 0.9 beats all three, 0.4 beats 0.1 and 0.3 and ties with 0.4.
+    assert auroc(np.array([0.9, 0.4]), np.array([0.1, 0.3, 0.4])) == pytest.approx(5.5 / 6)
+    assert auroc(np.array([1.0]), np.array([0.0])) == 1.0
+    assert auroc(np.array([0.0]), np.array([1.0])) == 0.0
+    assert auroc(np.full(3, 0.5), np.full(2, 0.5)) == 0.5
+
+
+def test_the_average_precision_adds_precision_where_recall_rises():
+    # Ranked + - + -: precision 1 at recall 1/2, 2/3 at 1.
+    assert average_precision(np.array([0.9, 0.6]), np.array([0.7, 0.1])) == pytest.approx(5 / 6)
+    # All equal: one threshold, precision is the share of positives.
+    assert average_precision(np.full(1, 0.5), np.full(3, 0.5)) == 0.25
+
+
+def test_the_calibration_error_is_the_mean_gap_of_the_bins():
+    # Bin 9: two of mean 0.95, half right: 0.45. Bin 0: two of mean 0.05, none right: 0.05.
+    probability = np.array([0.95, 0.95, 0.02, 0.08])
+    right = np.array([True, False, False, False])
+    assert expected_calibration_error(probability, right) == pytest.approx(0.25)
+    assert expected_calibration_error(np.array([1.0]), np.array([True])) == 0.0
+
+
+def test_adaptive_bins_hold_as_many_samples_each():
+    # 20 samples: pairs. In bins as wide, all in one: its mean gap is 0.
+    probability = np.linspace(0.50, 0.59, 20)
+    right = np.arange(20) % 2 == 0
+    wide = expected_calibration_error(probability, right)
+    assert wide == pytest.approx(abs(probability.mean() - 0.5))
+    right = np.arange(20) < 10
+    pairs = probability.reshape(10, 2).mean(axis=1)
+    expected = np.abs(pairs - right[::2]).mean()
+    assert expected_calibration_error(probability, right, adaptive=True) == pytest.approx(expected)
+
+
+def test_weights_count_samples_more_or_less():
+    probability, right = np.array([0.95, 0.05]), np.array([False, False])
+    weighted = expected_calibration_error(probability, right, weight=np.array([1.0, 3.0]))
+    assert weighted == pytest.approx((0.95 + 3 * 0.05) / 4)
+
+
+@pytest.mark.parametrize(
+    ("positive", "negative"), [([], [0.1]), ([0.1], []), ([np.nan], [0.1]), ([0.1], [np.inf])]
+)
+def test_scores_of_one_kind_alone_or_none_are_refused(positive, negative):
+    for measure in (auroc, average_precision):
+        with pytest.raises(InvalidParameters):
+            measure(np.array(positive), np.array(negative))
+
+
+@pytest.mark.parametrize("probability", [[], [1.5], [-0.1], [np.nan]])
+def test_what_is_no_probability_is_refused(probability):
+    with pytest.raises(InvalidParameters, match="probability"):
+        expected_calibration_error(np.array(probability), np.ones(len(probability), bool))
+
+
+def test_refusals_are_counted_among_right_wrong_and_unknown():
+    known = [
+        Judged(0.9, localized=True, right=True),
+        Judged(0.3, localized=False, right=True),
+        Judged(0.2, localized=False, right=False),
+    ]
+    unknown = [Judged(0.6, localized=True, right=False), Judged(0.1, localized=False, right=False)]
+    found = reliability(known, unknown)
+    assert (found.refused_right, found.refused_wrong, found.refused_unknown) == (0.5, 1.0, 0.5)
+    assert found.unknown_queries == 2
+    assert found.auroc == pytest.approx(4 / 6)
+    # Each known counts 1/6, each unknown 1/4; every one has a bin of its own.
+    gaps = (0.1 + 0.7 + 0.2) / 6 + (0.6 + 0.1) / 4
+    assert found.ece_mixed == pytest.approx(gaps)
+
+
+def test_without_unknown_places_only_the_known_are_judged():
+    found = reliability([Judged(0.9, localized=True, right=True)], [])
+    assert found.auroc is None
+    assert found.ece_mixed is None
+    assert found.refused_wrong is None
+    assert found.ece == pytest.approx(0.1)
