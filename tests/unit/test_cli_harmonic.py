@@ -38,7 +38,7 @@ def run(*arguments):
 
 def test_inspect_shows_what_it_was_built_with(map_file):
     facts = json.loads(run("inspect", map_file, "--json"))
-    assert (facts["encoding"], facts["image"], facts["reducer"]) == ("harmonic", "height", "mean")
+    assert (facts["encoding"], facts["image"], facts["reducer"]) == ("harmonic", "height", "highest")
     assert facts["lateral_renderings_m"] == [-1.5, 0.0, 1.5]
     assert facts["arrays"]["signatures"] == {"shape": [12, 3, 5, 5], "dtype": "complex64"}
     assert "harmonic" in run("inspect", map_file)

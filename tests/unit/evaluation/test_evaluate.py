@@ -237,7 +237,7 @@ def test_the_harmonic_encoding_tells_heading_and_offset_and_says_what_it_was_bui
     found = evaluate(drive, Protocol(parameters, segments=2, conditions=disturbed))
     written = json.loads(json.dumps(found.as_dict(), allow_nan=False))
     assert written["encoding"] == "harmonic"
-    assert (written["image"], written["reducer"]) == ("height", "mean")
+    assert (written["image"], written["reducer"]) == ("height", "highest")
     assert written["distance"] == "normalised"
     assert written["lateral_renderings_m"] == [-2.0, 0.0, 2.0]
     for row in written["conditions"]:
