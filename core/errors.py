@@ -11,6 +11,7 @@ TensorMapError
 ├── StaleSignature          a signature made with another revision's bases
 ├── BasisMismatch           maps whose bases differ, where one was wanted
 ├── UnknownDrive            a drive the map does not have
+├── StaleObservation        an observation that is not newer than the track's last one
 ├── UnknownSegment          a segment the map does not have
 ├── SensorMismatch          a query of a sensor or grid the map was not built for
 ├── EmptyDrive              a drive without a single scan to map
@@ -28,6 +29,7 @@ __all__ = [
     "InvalidScan",
     "InvalidSignature",
     "SensorMismatch",
+    "StaleObservation",
     "StaleSignature",
     "TensorMapError",
     "TooFewReturns",
@@ -78,6 +80,10 @@ class BasisMismatch(TensorMapError):
 
 class UnknownDrive(TensorMapError):
     """A drive that the map does not hold."""
+
+
+class StaleObservation(TensorMapError):
+    """An observation that is not newer than the last one of its track."""
 
 
 class UnknownSegment(TensorMapError):

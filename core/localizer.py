@@ -205,9 +205,8 @@ class Localizer:
     ) -> Localization:
         if k < 1:
             raise InvalidParameters(f"k is {k}, wanted at least 1")
-        self._require_answerable(signatures)
         prior = None if hints == NO_HINTS else Prior(hints, self.map)
-        search = self.map.model.search(signatures)
+        search = self.search(signatures)
         candidates = find_candidates(self.map, search, k, prior)
         verdict = candidates.judge(self.map.calibration, min_probability, occupied_cells)
         return Localization(
@@ -230,15 +229,25 @@ class Localizer:
         """
         if not 0 <= row < len(self.map):
             raise InvalidParameters(f"row is {row}, the map has 0..{len(self.map) - 1}")
-        self._require_answerable(signatures)
         among = np.zeros(len(self.map), dtype=np.bool_)
         among[row] = True
-        found = self.map.model.search(signatures).nearest(1, among)
+        found = self.search(signatures).nearest(1, among)
         if not found:
             raise InvalidSignature(
                 f"the scan is of segment {self._segment_of_scan[row]}, none of the signatures is"
             )
         return found[0]
+
+    def search(self, signatures: Sequence[Signature]) -> Search:
+        """Compare one scan's signatures with the map's, and answer nothing yet.
+
+        Raises:
+            StaleSignature: If one was made with another revision's bases.
+            UnknownSegment: If the map has no such segment.
+            InvalidSignature: As `localize_signatures` does.
+        """
+        self._require_answerable(signatures)
+        return self.map.model.search(signatures)
 
     def _require_answerable(self, signatures: Sequence[Signature]) -> None:
         if not signatures:

@@ -9,6 +9,7 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from app.cli.console import output, progress_bar
+from app.cli.evaluate_tracks import show_tracks
 from app.cli.options import (
     MIN_RETURNS,
     DistanceOption,
@@ -90,6 +91,14 @@ def evaluate(
     noise_m: Annotated[str, _list_option("Sigma of noise on every coordinate")] = "0",
     tolerance_m: Annotated[str, _list_option("Recall within")] = "3,5,10",
     seed: Annotated[int, typer.Option(min=0, rich_help_panel=_PROTOCOL)] = 0,
+    track: Annotated[
+        bool,
+        typer.Option(
+            "--track",
+            help="Also ask them one after another, as one vehicle's drive.",
+            rich_help_panel=_PROTOCOL,
+        ),
+    ] = False,
     json_out: Annotated[
         Path | None, typer.Option("--json", metavar="OUT", help="Write the figures here.")
     ] = None,
@@ -119,6 +128,7 @@ def evaluate(
         conditions=conditions(numbers(yaw_deg), numbers(lateral_m), numbers(noise_m)),
         tolerances_m=numbers(tolerance_m),
         seed=seed,
+        track=track,
     )
     mapped = open_drive(drive, min_returns=MIN_RETURNS)
     asked = None if query_drive is None else open_drive(query_drive, min_returns=MIN_RETURNS)
@@ -182,6 +192,7 @@ def _show(result: Evaluation) -> None:
         )
     output.print(table)
     _show_reliability(result)
+    show_tracks(result)
     refused = sum(row.refusals for row in result.conditions)
     if refused:
         output.print(f"refused: {refused} queries, counted in no figure")

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from app.cli import compare, demo, evaluate, loop_closure, maps, merge, serve, simulate
+from app.cli import compare, demo, evaluate, loop_closure, maps, merge, report, serve, simulate
 from app.demo.errors import DemoFailed
 from app.threads import one_blas_thread
 from core.errors import TensorMapError
@@ -31,6 +31,7 @@ for command in (
     maps.inspect,
     evaluate.evaluate,
     compare.compare,
+    report.report,
     simulate.simulate,
 ):
     cli.command()(command)

@@ -19,6 +19,7 @@ from core.evaluation.motion import is_standing, motion_surrogate
 from core.evaluation.reliability import Judged, Reliability, reliability
 from core.evaluation.result import ConditionResult, Evaluation, SegmentError
 from core.evaluation.split import Interleaved, Split
+from core.evaluation.tracks import Asked, cut_position, evaluate_tracks
 from core.images import ProjectedDrive, project_drive
 from core.localizer import Localization, Localizer
 from core.parameters import MapParameters, Segmentation
@@ -27,6 +28,7 @@ from core.pose import heading_deg, is_known
 from core.progress import NO_PROGRESS, Progress
 from core.segmentation import cut_fixed, cut_unequal, segment_length_for
 from core.tensormap import TensorMap
+from core.tracking.track import Tracker
 from core.trajectory import Trajectory
 
 __all__ = ["Protocol", "evaluate"]
@@ -43,6 +45,7 @@ class Protocol:
         split: Which scans are held out; not used when another drive is the query.
         conditions: The disturbances of the queries.
         tolerances_m: Within which a match counts as recalled.
+        track: Whether the queries are also tracked, as one vehicle's drive.
         seed: Of the noise; a scan's noise is the same whatever else is asked.
     """
 
@@ -53,6 +56,7 @@ class Protocol:
     conditions: tuple[Condition, ...] = (Condition(),)
     tolerances_m: tuple[float, ...] = (3.0, 5.0, 10.0)
     seed: int = 0
+    track: bool = False
 
     def __post_init__(self) -> None:
         if not self.tolerances_m or not all(0 < m < math.inf for m in self.tolerances_m):
@@ -134,6 +138,8 @@ def evaluate(
         if query_drive is None
         else _drive_queries(query_drive, tensor_map)
     )
+    localizer = Localizer(tensor_map)
+    cuts = None if query_drive is not None else cut_position(projected.scans, segment_start)
     return Evaluation(
         drive=drive.name,
         query_drive=None if query_drive is None else query_drive.name,
@@ -165,7 +171,17 @@ def evaluate(
             returns=projected.returns,
         ),
         relative_error=tuple(tensor_map.relative_error.tolist()),
-        conditions=_ask(Localizer(tensor_map), queries, unknown, protocol, progress),
+        conditions=_ask(localizer, queries, unknown, protocol, progress),
+        tracks=evaluate_tracks(
+            Tracker(localizer, cut_position=cuts),
+            Asked(queries.drive, queries.scans, queries.segment, queries.standing),
+            protocol.conditions,
+            protocol.tolerances_m,
+            protocol.seed,
+            progress,
+        )
+        if protocol.track
+        else (),
     )
 
 

@@ -6,6 +6,7 @@ from typing import Any
 from core.compression import Compression
 from core.evaluation.condition import Condition
 from core.evaluation.reliability import Reliability
+from core.evaluation.tracks import TrackResult
 from core.images import Skipped
 
 __all__ = ["ConditionResult", "Evaluation", "SegmentError"]
@@ -110,6 +111,7 @@ class Evaluation:
         compression: Against the map's own images and returns.
         relative_error: |X - X^| / |X| of each segment.
         conditions: The figures, one entry a disturbance.
+        tracks: The same of the queries tracked as one drive; empty if that was not asked.
     """
 
     drive: str
@@ -136,10 +138,12 @@ class Evaluation:
     compression: Compression
     relative_error: tuple[float, ...]
     conditions: tuple[ConditionResult, ...]
+    tracks: tuple[TrackResult, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
         """Return plain values, ready for JSON."""
         return {
             **asdict(self),
             "conditions": [result.as_dict() for result in self.conditions],
+            "tracks": [result.as_dict() for result in self.tracks],
         }
