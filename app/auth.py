@@ -5,6 +5,7 @@ import hmac
 import secrets
 from dataclasses import dataclass
 from typing import Annotated
+from urllib.parse import urlsplit
 
 from fastapi import Depends, Request
 from fastapi.security import HTTPAuthorizationCredentials, HTTPBearer
@@ -48,6 +49,29 @@ class Access:
             if not any(hmac.compare_digest(given, known) for known in self.key_hashes):
                 raise KeyRefused("this service does not know the key that was sent")
 
+    def check_stream(self, connection: HTTPConnection) -> None:
+        """Let a stream through or not, before it is accepted.
+
+        A browser lets any page open a stream to any host, and says only in `Origin` which page it
+        was: without keys, pages from elsewhere are refused. With keys no page can send one.
+
+        Raises:
+            HostNotAllowed: As `check` does, and for a page from elsewhere.
+            KeyNeeded: If the service has keys and none came.
+            KeyRefused: If the key is not one of them.
+        """
+        scheme, _, key = connection.headers.get("authorization", "").partition(" ")
+        bearer = key.strip() if scheme.lower() == "bearer" else ""
+        self.check(connection, bearer or None)
+        origin = connection.headers.get("origin")
+        if not self.key_hashes and origin is not None:
+            page = _host_of(origin)
+            if not is_loopback(page):
+                raise HostNotAllowed(
+                    "a service without keys answers pages of this machine only, not of"
+                    f" {origin[:80]!r}; set TENSORMAP_ADMIN_KEY"
+                )
+
     @staticmethod
     def _check_is_local(connection: HTTPConnection) -> None:
         name = connection.url.hostname or ""
@@ -90,6 +114,13 @@ async def require_access(
     """Check the key of a request; a dependency of every route under /v1."""
     access: Access = request.app.state.service.access
     access.check(request, None if bearer is None else bearer.credentials)
+
+
+def _host_of(origin: str) -> str:
+    try:
+        return urlsplit(origin).hostname or ""
+    except ValueError:
+        return ""
 
 
 def _hash(key: str) -> str:

@@ -32,6 +32,8 @@ __all__ = [
     "MethodNotAllowed",
     "NoSuchRoute",
     "Problem",
+    "TooManyTracks",
+    "TrackNotFound",
     "UnsupportedBody",
     "WorkerDied",
     "add_handlers",
@@ -86,6 +88,14 @@ class MethodNotAllowed(AppError):
     """A method that this path does not have; `Allow` lists those that it has."""
 
 
+class TrackNotFound(AppError):
+    """A track that is not there, or no longer."""
+
+
+class TooManyTracks(AppError):
+    """A new track, while as many are kept as this service may."""
+
+
 class WorkerDied(AppError):
     """The process of a build ended before the build did."""
 
@@ -104,6 +114,9 @@ STATUS: dict[type[core.TensorMapError], HTTPStatus] = {
     core.InvalidMap: S.UNPROCESSABLE_ENTITY,
     core.InvalidSignature: S.UNPROCESSABLE_ENTITY,
     core.StaleSignature: S.CONFLICT,
+    core.BasisMismatch: S.CONFLICT,
+    core.UnknownDrive: S.NOT_FOUND,
+    core.StaleObservation: S.CONFLICT,
     core.UnknownSegment: S.UNPROCESSABLE_ENTITY,
     core.SensorMismatch: S.UNPROCESSABLE_ENTITY,
     core.EmptyDrive: S.UNPROCESSABLE_ENTITY,
@@ -147,6 +160,8 @@ STATUS: dict[type[core.TensorMapError], HTTPStatus] = {
     HostNotAllowed: S.MISDIRECTED_REQUEST,
     NoSuchRoute: S.NOT_FOUND,
     MethodNotAllowed: S.METHOD_NOT_ALLOWED,
+    TrackNotFound: S.NOT_FOUND,
+    TooManyTracks: S.SERVICE_UNAVAILABLE,
     WorkerDied: S.INTERNAL_SERVER_ERROR,
     InternalError: S.INTERNAL_SERVER_ERROR,
 }

@@ -15,10 +15,11 @@ from app.errors import add_handlers
 from app.jobs.runner import JobRunner
 from app.openapi import complete_openapi
 from app.revisions import LoadedRevisions
-from app.routes import api, open_routes
+from app.routes import api, open_routes, streams
 from app.service import Service
 from app.settings import Settings
 from app.threads import one_blas_thread
+from app.tracks import Tracks
 from storage.store import Store
 
 __all__ = ["create_app"]
@@ -62,6 +63,7 @@ def create_app(settings: Settings | None = None) -> FastAPI:
         BodyGuard, max_body_bytes=chosen.max_body_bytes, max_json_bytes=chosen.max_json_bytes
     )
     app.include_router(api())
+    app.include_router(streams())
     app.include_router(open_routes())
     complete_openapi(app)
     return app
@@ -85,6 +87,7 @@ def _start(settings: Settings) -> Service:
         revisions=LoadedRevisions(store, settings.loaded_revisions),
         runner=runner,
         access=access,
+        tracks=Tracks(settings.max_tracks, settings.track_idle_s),
     )
 
 

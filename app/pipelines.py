@@ -10,14 +10,17 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from app.jobs.parameters import BuildParameters
+from app.plans import KeptBasis, Plan, plan_build
+from core.arrays import Float32Array, FloatArray
 from core.builder import build_map
 from core.drive import Drive
-from core.errors import EmptyDrive
 from core.images import ConcatenatedImages, Probes, Skipped
-from core.parameters import MapParameters
+from core.merging import BasisFit, basis_fits
+from core.parameters import MapParameters, Segmentation
 from core.progress import NO_PROGRESS, Progress
-from core.segmentation import cut_drives, segment_length_for
+from core.segmentation import cut_drives, cut_unequal, segment_length_for
 from core.tensormap import TensorMap
+from core.topology import cut_at_meetings
 from core.trajectory import Trajectory
 from storage.catalog import RevisionFacts, RevisionRecord
 from storage.errors import CorruptImages, NotFound
@@ -32,7 +35,7 @@ from storage.store import Store, StoredDrive
 
 _log = logging.getLogger("tensormap.builds")
 
-__all__ = ["Built", "build_drive", "build_revision"]
+__all__ = ["Built", "build_drive", "build_drives", "build_revision"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,11 +46,20 @@ class Built:
         tensor_map: The map.
         returns: How many returns its scans held together.
         skipped: Scans that could not be used, by drive.
+        fits: How well a basis that was kept fits each drive; none if it was fitted.
+        segment_length: k that drives were cut with.
     """
 
     tensor_map: TensorMap
     returns: int
     skipped: dict[str, tuple[Skipped, ...]]
+    fits: tuple[BasisFit, ...]
+    segment_length: int
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What whoever asked for the build should know."""
+        return tuple(f"{fit}: consider a build with refit" for fit in self.fits if fit.much_worse)
 
 
 def build_revision(
@@ -69,32 +81,36 @@ def build_revision(
         DriveNotFound: If the map lacks one of the drives, or no longer has it.
         EmptyDrive: If it has no drive, or one has no usable scan.
         Cancelled: If `progress` says so; nothing is published.
+        TensorMapError: What `app.plans.plan_build` raises.
     """
-    drives = store.drives.open_of_map(map_id, parameters.drives)
-    if not drives:
-        slug = store.maps.get_by_id(map_id).slug
-        raise EmptyDrive(f"map {slug} has no drive: upload scans first")
-    map_parameters = parameters.map_parameters()
+    plan = plan_build(store, map_id, parameters)
+    drives = store.drives.open_of_map(map_id, plan.drives)
+    map_parameters = plan.parameters.map_parameters()
     try:
-        built = _build_stored(store, drives, parameters, map_parameters, progress)
+        built = _build_stored(store, drives, plan, map_parameters, progress)
     except CorruptImages as error:
         _log.warning("%s; the images are made anew from the raw returns", error)
         for drive in drives:
             _images_path(store, drive, map_parameters).unlink(missing_ok=True)
-        built = _build_stored(store, drives, parameters, map_parameters, progress)
+        built = _build_stored(store, drives, plan, map_parameters, progress)
     tensor_map = built.tensor_map
     facts = RevisionFacts(
         encoding=map_parameters.encoding,
         scans=len(tensor_map),
         segments=tensor_map.model.segments,
         parameters={
-            **parameters.as_json(),
+            **plan.parameters.as_json(),
             **_resolved(map_parameters),
+            "drives": list(plan.drives),
+            "segment_length": built.segment_length,
+            "basis": _provenance(tensor_map, plan.kept, built.fits),
             "returns": built.returns,
             "calibrated": tensor_map.calibration is not None,
             "skipped": {name: len(skipped) for name, skipped in built.skipped.items() if skipped},
         },
         job_id=job_id,
+        bases=tensor_map.basis_digests,
+        notes=built.notes,
     )
     return store.revisions.add(
         map_id,
@@ -108,24 +124,44 @@ def build_revision(
 def build_drive(
     drive: Drive, parameters: BuildParameters, progress: Progress = NO_PROGRESS
 ) -> Built:
-    """Build a map of one drive, of any length: its images pass through a temporary file.
+    """Build a map of one drive; see `build_drives`."""
+    return build_drives([drive], parameters, progress)
+
+
+def build_drives(
+    drives: Sequence[Drive],
+    parameters: BuildParameters,
+    progress: Progress = NO_PROGRESS,
+    *,
+    radial_basis: Float32Array | None = None,
+) -> Built:
+    """Build a map of drives of any length: their images pass through temporary files.
+
+    Args:
+        drives: No two of one name.
+        parameters: How; only what tells the map's own parameters and cuts.
+        progress: Told of every scan.
+        radial_basis: U to keep, of a harmonic map.
 
     Raises:
-        EmptyDrive: If the drive has no usable scan.
+        EmptyDrive: If a drive has no usable scan.
         InvalidParameters: If a parameter does not fit.
+        InvalidMap: If two drives have one name.
     """
     map_parameters = parameters.map_parameters()
-    with TemporaryDirectory(prefix="tensormap-") as folder:
-        path = Path(folder) / "images.h5"
-        write_image_file(path, drive, map_parameters.imager, progress)
-        with ImageFile(path, map_parameters.imager) as images:
-            return _build([drive], [images], parameters, map_parameters, progress)
+    with TemporaryDirectory(prefix="tensormap-") as folder, ExitStack() as stack:
+        images = []
+        for position, drive in enumerate(drives):
+            path = Path(folder) / f"{position}.h5"
+            write_image_file(path, drive, map_parameters.imager, progress)
+            images.append(stack.enter_context(ImageFile(path, map_parameters.imager)))
+        return _build(drives, images, parameters, map_parameters, progress, radial_basis)
 
 
 def _build_stored(
     store: Store,
     drives: Sequence[StoredDrive],
-    parameters: BuildParameters,
+    plan: Plan,
     map_parameters: MapParameters,
     progress: Progress,
 ) -> Built:
@@ -134,7 +170,8 @@ def _build_stored(
             stack.enter_context(_stored_images(store, drive, map_parameters, progress))
             for drive in drives
         ]
-        return _build(drives, images, parameters, map_parameters, progress)
+        kept = None if plan.kept is None else plan.kept.radial_basis
+        return _build(drives, images, plan.parameters, map_parameters, progress, kept)
 
 
 def _build(
@@ -143,6 +180,7 @@ def _build(
     parameters: BuildParameters,
     map_parameters: MapParameters,
     progress: Progress,
+    radial_basis: Float32Array | None = None,
 ) -> Built:
     trajectory = Trajectory.concatenate(
         [_trajectory(drive, of_it) for drive, of_it in zip(drives, images, strict=True)]
@@ -151,18 +189,32 @@ def _build(
     length = segment_length_for(
         longest, segment_length=parameters.segment_length, segments=parameters.segments
     )
+    joined = ConcatenatedImages(images)
+    cuts = (
+        cut_unequal(joined, trajectory, length, map_parameters, progress)
+        if map_parameters.segmentation == Segmentation.UNEQUAL
+        else cut_drives(trajectory.drive_start, length)
+    )
+    grams: dict[str, FloatArray] | None = None
+    if map_parameters.distance is not None:
+        grams = {d.name: i.detail_gram() for d, i in zip(drives, images, strict=True)}
     tensor_map = build_map(
-        ConcatenatedImages(images),
+        joined,
         trajectory,
-        cut_drives(trajectory.drive_start, length),
+        cut_at_meetings(trajectory, cuts),
         map_parameters,
         progress,
         _probes(images, map_parameters),
+        radial_basis=radial_basis,
+        grams=grams,
     )
+    fits = () if radial_basis is None or grams is None else basis_fits(radial_basis, grams)
     return Built(
         tensor_map,
         sum(of_it.returns for of_it in images),
         {drive.name: of_it.skipped for drive, of_it in zip(drives, images, strict=True)},
+        fits,
+        length,
     )
 
 
@@ -177,6 +229,24 @@ def _trajectory(drive: Drive, images: ImageFile) -> Trajectory:
     scans = images.scans
     index = drive.scan_index[scans] if isinstance(drive, StoredDrive) else scans
     return Trajectory.of_drive(drive.name, drive.timestamp_s[scans], drive.poses[scans], index)
+
+
+def _provenance(
+    tensor_map: TensorMap, kept: KeptBasis | None, fits: Sequence[BasisFit]
+) -> dict[str, Any]:
+    """Tell where the basis comes from, and how well it fits what it was not fitted to."""
+    return {
+        "digest": tensor_map.basis_digest,
+        "kept_from": None if kept is None else kept.revision,
+        "fits": [
+            {
+                "drive": fit.drive,
+                "kept_error": round(fit.kept_error, 6),
+                "refitted_error": round(fit.refitted_error, 6),
+            }
+            for fit in fits
+        ],
+    }
 
 
 def _resolved(parameters: MapParameters) -> dict[str, Any]:

@@ -70,24 +70,35 @@ class LoadedRevisions:
         return Answering(self._get(map_slug, of_map.id, digest), live)
 
     def of_signature(self, map_slug: str, revision: str) -> Answering:
-        """Return the retained revision that a signature names, by digest or at least 16 digits.
+        """Return the revision that answers signatures which name a basis or a revision.
+
+        That of a basis is the live one if it has it, else the newest retained one that does.
+
+        Args:
+            map_slug: The map.
+            revision: Digest of the basis or revision, or at least 16 first digits.
 
         Raises:
             MapNotFound: If there is no such map.
             NoLiveRevision: If nothing was built of it yet.
-            StaleSignature: If the map has no such revision, or no longer; names the live one.
+            StaleSignature: If the map has nothing of that name, or no longer; names the live one.
             CorruptFile: If its file is not what was written.
         """
-        _, live = self._live(map_slug)
+        of_map, live = self._live(map_slug)
         stale = StaleSignature(
-            f"map {map_slug!r} has no revision {revision[:64] or '(none)'!r}, or no longer;"
-            f" live is {live}"
+            f"map {map_slug!r} has no revision or basis {revision[:64] or '(none)'!r}, or no"
+            f" longer; live is {live}"
         )
         if len(revision) < 2 * REVISION_PREFIX_BYTES:
             raise stale
+        holder = self._store.revisions.with_basis(map_slug, revision)
         try:
-            return self.named(map_slug, revision)
+            return self.named(map_slug, revision if holder is None else holder.digest)
         except (RevisionNotFound, AmbiguousRevision):
+            # A revision from before bases had names of their own has none in the catalog.
+            localizer = self._get(map_slug, of_map.id, live)
+            if localizer.answers(revision):
+                return Answering(localizer, live)
             raise stale from None
 
     def _live(self, map_slug: str) -> tuple[MapRecord, str]:

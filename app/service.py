@@ -9,6 +9,7 @@ from app.auth import Access
 from app.jobs.runner import JobRunner
 from app.revisions import LoadedRevisions
 from app.settings import Settings
+from app.tracks import Tracks
 from storage.store import Store
 
 __all__ = ["DriveSlug", "MapSlug", "Running", "Service", "running_service"]
@@ -24,6 +25,7 @@ class Service:
         revisions: Those that answer queries.
         runner: Builds.
         access: Who may ask.
+        tracks: Vehicles that are followed.
     """
 
     settings: Settings
@@ -31,6 +33,7 @@ class Service:
     revisions: LoadedRevisions
     runner: JobRunner
     access: Access
+    tracks: Tracks
 
 
 def running_service(request: Request) -> Service:

@@ -42,6 +42,12 @@ class Settings(BaseSettings):
     loaded_revisions: int = Field(
         8, ge=1, description="How many revisions are kept in memory to answer queries."
     )
+    max_tracks: int = Field(
+        1000, ge=1, description="How many vehicles are tracked at once; another is refused."
+    )
+    track_idle_s: float = Field(
+        600.0, gt=0.0, description="How many seconds after its last use a track is forgotten."
+    )
 
 
 def is_loopback(host: str) -> bool:

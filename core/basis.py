@@ -13,10 +13,59 @@ from core.errors import InvalidMap, SensorMismatch
 from core.height_image import HeightImage
 from core.imager import Image, ImageKind
 from core.parameters import MapParameters
+from core.revision import content_digest
 from core.scan import Scan
 from core.signature import Signature
 
-__all__ = ["Basis", "HarmonicBasis", "PaperBasis"]
+__all__ = [
+    "Basis",
+    "HarmonicBasis",
+    "PaperBasis",
+    "harmonic_basis_digest",
+    "paper_basis_digests",
+]
+
+_OF_SIGNATURES = (
+    "encoding",
+    "image",
+    "ranks",
+    "reducer",
+    "sensor",
+    "grid",
+    "sensor_height_m",
+)
+"""The parameters that a signature depends on; how signatures are compared is none of them."""
+
+
+def harmonic_basis_digest(parameters: MapParameters, radial_basis: Float32Array) -> str:
+    """Return what names a harmonic basis: equal ones make equal signatures of every scan."""
+    return content_digest({"radial_basis": radial_basis}, _of_signatures(parameters))
+
+
+def paper_basis_digests(
+    parameters: MapParameters, elevation_basis: Float32Array, azimuth_basis: Float32Array
+) -> tuple[str, ...]:
+    """Return what names the bases of the first 1, 2, ... L segments, `L` digests.
+
+    Each is made of the one before and one segment more. So who holds the bases of a map's first
+    segments holds a part of every map that continues with others: adding a drive at the end leaves
+    the digest of what was there as it was.
+
+    Args:
+        parameters: Of the map.
+        elevation_basis: `(L, I, r1)`.
+        azimuth_basis: `(L, J, r2)`.
+    """
+    digests: list[str] = []
+    for u, v in zip(elevation_basis, azimuth_basis, strict=True):
+        before = {"before": digests[-1]} if digests else _of_signatures(parameters)
+        digests.append(content_digest({"elevation_basis": u, "azimuth_basis": v}, before))
+    return tuple(digests)
+
+
+def _of_signatures(parameters: MapParameters) -> dict[str, Any]:
+    attributes = {**parameters.as_attributes(), "image": parameters.image.value}
+    return {name: attributes[name] for name in _OF_SIGNATURES}
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,10 +74,13 @@ class Basis(ABC):
 
     Attributes:
         revision: Digest of the map revision.
+        digest: What names the basis, the same in every revision that has it; signatures made with
+            it name it.
         parameters: How scans become images; grid, reducer and sensor.
     """
 
     revision: str
+    digest: str
     parameters: MapParameters
 
     @abstractmethod
@@ -70,6 +122,8 @@ class Basis(ABC):
 class PaperBasis(Basis):
     """The bases of some segments of one revision in the paper's encoding.
 
+    Its digest is that of the bases of all segments of the revision.
+
     Attributes:
         segments: `(S,)` which segments these are.
         elevation_basis: `(S, I, r1)` float32.
@@ -108,7 +162,7 @@ class PaperBasis(Basis):
             @ self.azimuth_basis
         )
         return tuple(
-            Signature(slice_.astype(np.float32), segment, self.revision)
+            Signature(slice_.astype(np.float32), segment, self.digest)
             for slice_, segment in zip(values, self.segments.tolist(), strict=True)
         )
 
@@ -128,6 +182,9 @@ class HarmonicBasis(Basis):
         wanted = (self.parameters.grid.rows, self.parameters.ranks[0])
         if self.radial_basis.shape != wanted:
             raise InvalidMap(f"radial_basis has shape {self.radial_basis.shape}, wanted {wanted}")
+        own = harmonic_basis_digest(self.parameters, self.radial_basis)
+        if self.digest != own:
+            raise InvalidMap(f"the basis says it is {self.digest}, its content is {own}")
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """Return every array by its name."""
@@ -137,4 +194,4 @@ class HarmonicBasis(Basis):
         """Return the image's one signature, good for all segments."""
         self.require_grid(image)
         values = encode(image.cells, self.radial_basis, self.parameters.ranks[1])
-        return (Signature(values.astype(np.complex64), None, self.revision),)
+        return (Signature(values.astype(np.complex64), None, self.digest),)

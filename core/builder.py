@@ -1,20 +1,22 @@
 """From images to a TensorMap (paper, sec. 2.2), in two passes that hold a block at a time."""
 
 import itertools
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
 from core.arrays import Float32Array, FloatArray, IntArray
-from core.encodings.harmonic import HarmonicModel, detail_gram, encode, energy
+from core.encodings.harmonic import HarmonicModel, encode, energy
 from core.encodings.paper import PaperModel
 from core.errors import InvalidImage, InvalidParameters, SensorMismatch
+from core.grams import drive_gram, fit_radial_basis
 from core.images import ImageSource, Probes
 from core.parameters import MapParameters
 from core.progress import NO_PROGRESS, Progress
 from core.tensormap import TensorMap
-from core.topology import Topology
+from core.topology import join_segments
 from core.trajectory import Trajectory
 from core.trust.calibrate import calibrate
 from core.tucker import BLOCK_SCANS, Grams, leading_basis, project, relative_error
@@ -29,6 +31,9 @@ def build_map(
     parameters: MapParameters,
     progress: Progress = NO_PROGRESS,
     probes: Probes | None = None,
+    *,
+    radial_basis: Float32Array | None = None,
+    grams: Mapping[str, FloatArray] | None = None,
 ) -> TensorMap:
     """Fit each segment's model, pack them all and find out how far the map can be trusted.
 
@@ -39,13 +44,19 @@ def build_map(
     Args:
         images: One image a scan of the trajectory, on the parameters' grid.
         trajectory: Drive, time and pose of each scan.
-        segment_start: `(L + 1,)` rows where segments begin, and K.
+        segment_start: `(L + 1,)` rows where segments begin, and K; those that
+            `core.topology.cut_at_meetings` gives share edges where drives meet.
         parameters: Ranks and all that queries must share with the map.
-        progress: Told of every image of both passes; may raise `Cancelled`.
+        progress: Told of every image of each pass; may raise `Cancelled`.
         probes: Disturbed scans of the trajectory; without them the map is not calibrated.
+        radial_basis: `(I, r1)` U to keep, of a harmonic map: signatures that were made with it
+            stay good, and there is one pass only. It is fitted without.
+        grams: What `drive_gram` gave for every drive, by name: U is fitted to these, and there is
+            one pass only.
 
     Raises:
         SensorMismatch: If the images are on another grid.
+        InvalidParameters: If the radial basis or the sums do not fit the parameters or drives.
         InvalidParameters: If the cuts do not cover the images, or a segment holds two drives.
         InvalidImage: If the source reads other images than it was asked for.
     """
@@ -56,11 +67,16 @@ def build_map(
             f"{len(images)} images and {len(trajectory)} scans do not fit together"
         )
     _require_cuts(trajectory, segment_start)
-    fit = _fit_paper if parameters.distance is None else _fit_harmonic
-    progress.start("fitting", 2 * len(images))
+    fit: Callable[..., tuple[PaperModel | HarmonicModel, FloatArray]] = _fit_paper
+    if parameters.distance is not None:
+        fit = partial(_fit_harmonic, trajectory, radial_basis, grams)
+    elif radial_basis is not None or grams is not None:
+        raise InvalidParameters("the paper's encoding has no radial basis: segments have their own")
+    one_pass = radial_basis is not None or grams is not None
+    progress.start("fitting", len(images) if one_pass else 2 * len(images))
     model, errors = fit(images, segment_start, parameters, progress)
     tensor_map = TensorMap(
-        parameters, model, trajectory, Topology.of_segments(trajectory, segment_start), errors
+        parameters, model, trajectory, join_segments(trajectory, segment_start), errors
     )
     if probes is None:
         return tensor_map
@@ -90,9 +106,15 @@ def _fit_paper(
 
 
 def _fit_harmonic(
-    images: ImageSource, segment_start: IntArray, parameters: MapParameters, progress: Progress
+    trajectory: Trajectory,
+    radial_basis: Float32Array | None,
+    grams: Mapping[str, FloatArray] | None,
+    images: ImageSource,
+    segment_start: IntArray,
+    parameters: MapParameters,
+    progress: Progress,
 ) -> tuple[HarmonicModel, FloatArray]:
-    """Fit one radial basis to all renderings of all scans, then encode them.
+    """Fit one radial basis to all renderings of all scans unless it is given, and encode them.
 
     A segment's relative error is sqrt(1 - sum |G|^2 / sum |S|^2) over its scans' renderings, |G|
     in the weighted norm: U and the harmonics are orthonormal, so that is what they leave out.
@@ -100,26 +122,28 @@ def _fit_harmonic(
     if parameters.distance is None or parameters.lateral_renderings_m is None:
         raise InvalidParameters("a harmonic map wants distance and lateral_renderings_m")
     (rows, columns), (r1, r2) = parameters.grid.shape, parameters.ranks
-    spans = list(itertools.pairwise(segment_start.tolist()))
-    gram = np.zeros((rows, rows))
-    squared_norm = np.zeros(len(spans))
-    for segment, (start, end) in enumerate(spans):
-        of_segment = np.zeros((rows, rows))
-        for _, block in _blocks(images, start, end, parameters, progress):
-            of_segment += detail_gram(block.reshape(-1, rows, columns))
-            squared_norm[segment] += float(np.square(block, dtype=np.float64).sum())
-        gram += of_segment
-    radial_basis = leading_basis(gram, r1).astype(np.float32)
+    if radial_basis is None:
+        if grams is None:
+            spans = itertools.pairwise(trajectory.drive_start.tolist())
+            grams = {
+                name: drive_gram(images, start, end, progress)
+                for name, (start, end) in zip(trajectory.drives, spans, strict=True)
+            }
+        _require_grams(grams, trajectory, rows)
+        radial_basis = fit_radial_basis(grams, r1)
+    if radial_basis.shape != (rows, r1):
+        raise InvalidParameters(f"radial_basis is {radial_basis.shape}, wanted {(rows, r1)}")
     signatures = np.empty((len(images), len(parameters.lateral_renderings_m), r1, r2), np.complex64)
-    errors = np.zeros(len(spans))
-    for segment, (start, end) in enumerate(spans):
-        kept = 0.0
+    errors = np.zeros(len(segment_start) - 1)
+    for segment, (start, end) in enumerate(itertools.pairwise(segment_start.tolist())):
+        kept = whole = 0.0
         for block_start, block in _blocks(images, start, end, parameters, progress):
             encoded = encode(block, radial_basis, r2)
             signatures[block_start : block_start + len(block)] = encoded
             kept += float(energy(encoded, columns).sum())
-        if squared_norm[segment] > 0.0:
-            errors[segment] = np.sqrt(max(0.0, 1.0 - kept / squared_norm[segment]))
+            whole += float(np.square(block, dtype=np.float64).sum())
+        if whole > 0.0:
+            errors[segment] = np.sqrt(max(0.0, 1.0 - kept / whole))
     return HarmonicModel(
         radial_basis,
         signatures,
@@ -128,6 +152,16 @@ def _fit_harmonic(
         columns,
         parameters.distance,
     ), errors
+
+
+def _require_grams(grams: Mapping[str, FloatArray], trajectory: Trajectory, rows: int) -> None:
+    if set(grams) != set(trajectory.drives):
+        raise InvalidParameters(
+            f"the sums are of drives {sorted(grams)}, wanted {sorted(trajectory.drives)}"
+        )
+    for name, gram in grams.items():
+        if gram.shape != (rows, rows):
+            raise InvalidParameters(f"the sum of drive {name} is {gram.shape}, wanted {rows} rows")
 
 
 def fit_bases(

@@ -9,6 +9,9 @@ TensorMapError
 ├── InvalidMap              arrays that do not form a TensorMap
 ├── InvalidSignature        a signature of the wrong shape or content
 ├── StaleSignature          a signature made with another revision's bases
+├── BasisMismatch           maps whose bases differ, where one was wanted
+├── UnknownDrive            a drive the map does not have
+├── StaleObservation        an observation that is not newer than the track's last one
 ├── UnknownSegment          a segment the map does not have
 ├── SensorMismatch          a query of a sensor or grid the map was not built for
 ├── EmptyDrive              a drive without a single scan to map
@@ -16,6 +19,7 @@ TensorMapError
 """
 
 __all__ = [
+    "BasisMismatch",
     "Cancelled",
     "EmptyDrive",
     "InvalidImage",
@@ -25,9 +29,11 @@ __all__ = [
     "InvalidScan",
     "InvalidSignature",
     "SensorMismatch",
+    "StaleObservation",
     "StaleSignature",
     "TensorMapError",
     "TooFewReturns",
+    "UnknownDrive",
     "UnknownSegment",
 ]
 
@@ -65,7 +71,19 @@ class InvalidSignature(TensorMapError):
 
 
 class StaleSignature(TensorMapError):
-    """A signature made with the bases of another revision."""
+    """A signature made with bases that no revision at hand has."""
+
+
+class BasisMismatch(TensorMapError):
+    """Maps whose bases differ cannot be merged without their images."""
+
+
+class UnknownDrive(TensorMapError):
+    """A drive that the map does not hold."""
+
+
+class StaleObservation(TensorMapError):
+    """An observation that is not newer than the last one of its track."""
 
 
 class UnknownSegment(TensorMapError):

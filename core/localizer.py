@@ -13,6 +13,7 @@ from core.errors import (
     InvalidParameters,
     InvalidSignature,
     StaleSignature,
+    UnknownSegment,
 )
 from core.estimate import estimate
 from core.hints import NO_HINTS, Hints, Prior
@@ -186,8 +187,8 @@ class Localizer:
         nothing in another's. A harmonic signature is one for all segments.
 
         Raises:
-            StaleSignature: If one was made with another revision's bases.
-            UnknownSegment: If the map has no such segment.
+            StaleSignature: If one names neither this revision nor a basis that it has.
+            UnknownSegment: If the map, or the basis that it names, has no such segment.
             InvalidSignature: If there is none, a segment comes twice, the shape is not r1 x r2 or
                 they are of another encoding.
             InvalidParameters: As `localize_scan`.
@@ -204,9 +205,8 @@ class Localizer:
     ) -> Localization:
         if k < 1:
             raise InvalidParameters(f"k is {k}, wanted at least 1")
-        self._require_answerable(signatures)
         prior = None if hints == NO_HINTS else Prior(hints, self.map)
-        search = self.map.model.search(signatures)
+        search = self.search(signatures)
         candidates = find_candidates(self.map, search, k, prior)
         verdict = candidates.judge(self.map.calibration, min_probability, occupied_cells)
         return Localization(
@@ -218,23 +218,73 @@ class Localizer:
             deviation_of(self.map, search, candidates.matches[0]),
         )
 
+    def compare(self, signatures: Sequence[Signature], row: int) -> Found:
+        """Compare a scan's signatures with one scan of the map.
+
+        Raises:
+            StaleSignature: If one names neither this revision nor a basis that it has.
+            UnknownSegment: If the map, or the basis that it names, has no such segment.
+            InvalidSignature: If none is of the scan's segment, or as in `localize_signatures`.
+            InvalidParameters: If the map has no such row.
+        """
+        if not 0 <= row < len(self.map):
+            raise InvalidParameters(f"row is {row}, the map has 0..{len(self.map) - 1}")
+        among = np.zeros(len(self.map), dtype=np.bool_)
+        among[row] = True
+        found = self.search(signatures).nearest(1, among)
+        if not found:
+            raise InvalidSignature(
+                f"the scan is of segment {self._segment_of_scan[row]}, none of the signatures is"
+            )
+        return found[0]
+
+    def search(self, signatures: Sequence[Signature]) -> Search:
+        """Compare one scan's signatures with the map's, and answer nothing yet.
+
+        Raises:
+            StaleSignature: If one was made with another revision's bases.
+            UnknownSegment: If the map has no such segment.
+            InvalidSignature: As `localize_signatures` does.
+        """
+        self._require_answerable(signatures)
+        return self.map.model.search(signatures)
+
     def _require_answerable(self, signatures: Sequence[Signature]) -> None:
         if not signatures:
             raise InvalidSignature("there is no signature to search with")
         for signature in signatures:
-            self._require_own_revision(signature.revision)
+            self._require_own_basis(signature)
             if signature.values.shape != self.map.parameters.ranks:
                 raise InvalidSignature(
                     f"the signature has shape {signature.values.shape},"
                     f" this map's have {self.map.parameters.ranks}"
                 )
 
-    def _require_own_revision(self, revision: str) -> None:
-        enough = len(revision) >= 2 * REVISION_PREFIX_BYTES
-        if not enough or not self.map.revision.startswith(revision):
+    def answers(self, named: str) -> bool:
+        """Return whether signatures that name this revision or basis can be answered here.
+
+        Args:
+            named: A digest of 64 hexadecimal digits, or at least its first 16.
+        """
+        if len(named) < 2 * REVISION_PREFIX_BYTES:
+            return False
+        own = (self.map.revision, *self.map.basis_digests)
+        return any(digest.startswith(named) for digest in own)
+
+    def _require_own_basis(self, signature: Signature) -> None:
+        named = signature.revision
+        if not self.answers(named):
             raise StaleSignature(
-                f"the signature was made with revision {revision or '(none)'},"
-                f" this one is {self.map.revision}"
+                f"the signature was made with revision or basis {named or '(none)'}, this one is"
+                f" {self.map.revision} with basis {self.map.basis_digest}"
+            )
+        digests = self.map.basis_digests
+        if signature.segment is None or self.map.revision.startswith(named):
+            return
+        held = [digest.startswith(named) for digest in digests].index(True)
+        if held < signature.segment < len(digests):  # beyond, the map has no such segment itself
+            raise UnknownSegment(
+                f"basis {named} is of segments 0..{held}, the signature of {signature.segment}"
             )
 
     def _match(self, search: Search, found: Found) -> Match:

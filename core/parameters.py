@@ -12,7 +12,14 @@ from core.projection import Reducer
 from core.rings import RingGrid
 from core.sensor import HDL_64E, AngularGrid, sensor_named
 
-__all__ = ["LATERAL_RENDERINGS_M", "Distance", "Encoding", "MapParameters"]
+__all__ = [
+    "HDL_64E_ON_KITTI_HEIGHT_M",
+    "LATERAL_RENDERINGS_M",
+    "Distance",
+    "Encoding",
+    "MapParameters",
+    "Segmentation",
+]
 
 HDL_64E_ON_KITTI_HEIGHT_M = 1.73  # KITTI's sensor set-up: above ground
 LATERAL_RENDERINGS_M = (-3.0, -1.5, 0.0, 1.5, 3.0)
@@ -24,6 +31,13 @@ class Encoding(StrEnum):
 
     PAPER = "paper"
     HARMONIC = "harmonic"
+
+
+class Segmentation(StrEnum):
+    """How drives are cut into segments."""
+
+    FIXED = "fixed"
+    UNEQUAL = "unequal"
 
 
 class Distance(StrEnum):
@@ -50,6 +64,7 @@ class MapParameters:
         distance: How harmonic signatures are compared, `None` in the paper's encoding.
         lateral_renderings_m: From where, metres to the left, a harmonic map's scans are also
             rendered; `None` in the paper's encoding.
+        segmentation: How drives were cut into segments. Queries do not depend on it.
     """
 
     encoding: Encoding = Encoding.PAPER
@@ -60,12 +75,14 @@ class MapParameters:
     sensor_height_m: float = HDL_64E_ON_KITTI_HEIGHT_M
     distance: Distance | None = None
     lateral_renderings_m: tuple[float, ...] | None = None
+    segmentation: Segmentation = Segmentation.FIXED
 
     def __post_init__(self) -> None:
         # 2 and 2.0 metres are one choice, and must be one digest; a list of ranks is no tuple.
         object.__setattr__(self, "encoding", Encoding(self.encoding))
         object.__setattr__(self, "ranks", tuple(map(operator.index, self.ranks)))
         object.__setattr__(self, "reducer", Reducer(self.reducer))
+        object.__setattr__(self, "segmentation", Segmentation(self.segmentation))
         object.__setattr__(self, "sensor_height_m", float(self.sensor_height_m))
         if len(self.ranks) != 2:
             raise InvalidParameters(f"ranks is {self.ranks}, wanted (r1, r2)")
@@ -121,6 +138,7 @@ class MapParameters:
         image: ImageKind | None = None,
         distance: Distance | None = None,
         lateral_renderings_m: Sequence[float] | None = None,
+        segmentation: Segmentation = Segmentation.FIXED,
     ) -> "MapParameters":
         """Return parameters for a known sensor; what is not given is the encoding's own default.
 
@@ -152,6 +170,7 @@ class MapParameters:
             sensor_height_m,
             distance,
             None if lateral_renderings_m is None else tuple(lateral_renderings_m),
+            segmentation,
         )
 
     def as_attributes(self) -> dict[str, Any]:
@@ -168,6 +187,8 @@ class MapParameters:
             attributes["image"] = self.image.value
             attributes["distance"] = self.distance.value
             attributes["lateral_renderings_m"] = list(self.lateral_renderings_m)
+        if self.segmentation != Segmentation.FIXED:  # which is what files do not name
+            attributes["segmentation"] = self.segmentation.value
         return attributes
 
     @classmethod
@@ -179,12 +200,12 @@ class MapParameters:
         """
         try:
             encoding = Encoding(attributes["encoding"])
-            of_harmonic: tuple[Any, ...] = ()
+            of_harmonic: dict[str, Any] = {}
             if encoding == Encoding.HARMONIC:
-                of_harmonic = (
-                    Distance(attributes["distance"]),
-                    tuple(map(float, attributes["lateral_renderings_m"])),
-                )
+                of_harmonic = {
+                    "distance": Distance(attributes["distance"]),
+                    "lateral_renderings_m": tuple(map(float, attributes["lateral_renderings_m"])),
+                }
             return cls(
                 encoding,
                 attributes["ranks"],
@@ -192,7 +213,8 @@ class MapParameters:
                 str(attributes["sensor"]),
                 grid_from_attributes(attributes["grid"]),
                 float(attributes["sensor_height_m"]),
-                *of_harmonic,
+                **of_harmonic,
+                segmentation=Segmentation(attributes.get("segmentation", Segmentation.FIXED)),
             )
         except (KeyError, TypeError, ValueError, OverflowError, InvalidParameters) as error:
             raise InvalidMap(f"the map's parameters cannot be read: {error!r}") from error

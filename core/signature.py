@@ -22,7 +22,8 @@ __all__ = [
 ]
 
 REVISION_PREFIX_BYTES = 8
-"""How much of the revision's digest a packed query carries: 64 bits name one among billions."""
+"""How much of the digest of a basis or revision a packed query carries: 64 bits name one among
+billions."""
 
 _HEADER = struct.Struct("<B8sBB")  # layout, revision prefix, r1, r2
 _SEGMENT = struct.Struct("<H")
@@ -51,7 +52,8 @@ class Signature:
         values: `(r1, r2)`, finite; float32, or complex64 with a real first column if harmonic.
         segment: Whose bases made it; in another segment's the numbers say nothing. `None` if
             harmonic: that basis is the whole map's.
-        revision: Digest (or its first digits) of the map revision that holds the bases.
+        revision: Digest (or its first digits) of the basis that made it, or of a map revision
+            that holds it: two digests are never the same, so one field names either.
     """
 
     values: Float32Array | Complex64Array

@@ -9,13 +9,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.arrays import FloatArray, IntArray, frozen
-from core.basis import Basis, HarmonicBasis, PaperBasis
+from core.basis import (
+    Basis,
+    HarmonicBasis,
+    PaperBasis,
+    harmonic_basis_digest,
+    paper_basis_digests,
+)
 from core.encodings.harmonic import HarmonicModel
 from core.encodings.paper import PaperModel
 from core.errors import InvalidMap
 from core.parameters import Encoding, MapParameters
 from core.revision import content_digest
-from core.topology import Topology, segment_ends
+from core.topology import JOINED, Topology, segment_ends
 from core.trajectory import Trajectory
 from core.trust.calibration import Calibration
 
@@ -106,6 +112,23 @@ class TensorMap:
         """Rows of the scans at which each segment begins and ends, `(L, 2)`."""
         return segment_ends(self.trajectory.drive_start, self.model.segment_start)
 
+    @cached_property
+    def basis_digests(self) -> tuple[str, ...]:
+        """What names the bases that this map answers to, 64 hexadecimal digits each.
+
+        One of a harmonic map; of the paper's those of its first 1, 2, ... L segments.
+        """
+        if isinstance(self.model, HarmonicModel):
+            return (harmonic_basis_digest(self.parameters, self.model.radial_basis),)
+        return paper_basis_digests(
+            self.parameters, self.model.elevation_basis, self.model.azimuth_basis
+        )
+
+    @property
+    def basis_digest(self) -> str:
+        """What names the basis of all segments."""
+        return self.basis_digests[-1]
+
     @property
     def elements(self) -> int:
         """How many numbers the bases and signatures are (paper, sec. 2.4)."""
@@ -124,9 +147,12 @@ class TensorMap:
             wanted = np.unique(np.asarray(segments, dtype=np.int64))
             self.model.require_segments(wanted)
         if isinstance(self.model, HarmonicModel):
-            return HarmonicBasis(self.revision, self.parameters, self.model.radial_basis)
+            return HarmonicBasis(
+                self.revision, self.basis_digest, self.parameters, self.model.radial_basis
+            )
         return PaperBasis(
             revision=self.revision,
+            digest=self.basis_digest,
             parameters=self.parameters,
             segments=wanted,
             elevation_basis=self.model.elevation_basis[wanted],
@@ -194,16 +220,10 @@ def _calibration(attributes: Mapping[str, Any]) -> Calibration | None:
 
 
 def _topology(a: dict[str, NDArray[Any]]) -> Topology:
-    return Topology(
-        a["node_scan"],
-        a["edge_nodes"],
-        a["edge_length_m"],
-        **{
-            name: a[name]
-            for name in ("edge_scans", "edge_of_segment", "segment_reversed")
-            if name in a
-        },
-    )
+    joined = {name: a[name] for name in JOINED if name in a}
+    if joined and not np.isin(joined["segment_reversed"], (0, 1)).all():
+        raise InvalidMap("segment_reversed holds other numbers than 0 and 1")
+    return Topology(a["node_scan"], a["edge_nodes"], a["edge_length_m"], **joined)
 
 
 def _model(parameters: MapParameters, a: dict[str, NDArray[Any]]) -> PaperModel | HarmonicModel:

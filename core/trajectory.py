@@ -17,7 +17,7 @@ class Trajectory:
     """The scans of a map in order, drive after drive, without their returns.
 
     Attributes:
-        drives: Names of the D drives.
+        drives: Names of the D drives, no two alike.
         drive_start: `(D + 1,)` row of each drive's first scan, and K.
         scan_index: `(K,)` index of each scan in its own drive, rising; gaps are allowed.
         timestamp_s: `(K,)` seconds, NaN where unknown.
@@ -55,6 +55,8 @@ class Trajectory:
             raise InvalidMap(f"the pose of row {wrong} is none: {self.poses[wrong].tolist()}")
         if not all(isinstance(name, str) and name for name in self.drives):
             raise InvalidMap(f"drives is {self.drives}, wanted names")
+        if len(set(self.drives)) < len(self.drives):
+            raise InvalidMap(f"a drive comes twice in {list(self.drives)}")
         starts = self.drive_start
         if (
             starts.shape != (len(self.drives) + 1,)
@@ -82,6 +84,14 @@ class Trajectory:
     def drive_of_scan(self) -> IntArray:
         """The drive of each scan, `(K,)` indices into `drives`."""
         return np.repeat(np.arange(len(self.drives)), np.diff(self.drive_start))
+
+    def row_of(self, drive: str, scan_index: int) -> int | None:
+        """Return the row of a drive's scan, `None` if it is not here."""
+        if drive not in self.drives:
+            return None
+        start, end = self.drive_start[self.drives.index(drive) :][:2].tolist()
+        row = start + int(np.searchsorted(self.scan_index[start:end], scan_index))
+        return row if row < end and self.scan_index[row] == scan_index else None
 
     @classmethod
     def of_drive(

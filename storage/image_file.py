@@ -7,9 +7,10 @@ from typing import Self
 import h5py
 import numpy as np
 
-from core.arrays import Float32Array, IntArray
+from core.arrays import Float32Array, FloatArray, IntArray
 from core.drive import Drive
 from core.errors import EmptyDrive
+from core.grams import drive_gram
 from core.imager import Grid, Imager
 from core.images import ImageSource, Skipped, project_into
 from core.progress import NO_PROGRESS, Progress
@@ -33,6 +34,7 @@ PROJECTION_VERSION = 1
 PROBE_VERSION = 1
 """Counted up whenever the code makes other probes of the same scans; images stay what they are."""
 
+_DETAIL_GRAM = "detail_gram"
 _BLOCK = 8  # images in an HDF5 chunk: 340 kB on the paper's grid, inside h5py's 1 MB cache
 
 
@@ -66,7 +68,7 @@ class ImageFile:
             self.probed: IntArray = np.empty(0, np.int64)
             if self._file.attrs.get("probe_version") == PROBE_VERSION:
                 self.probed = self._file["probed"][()]
-                self.probes = _ProbeImages(self._file["probes"], self.grid, path.name)
+                self.probes = _Stored(self._file["probes"], self.grid, path.name)
                 if self._file["probes"].shape != (len(self.probed), *self.grid.shape):
                     raise ValueError(f"probes have shape {self._file['probes'].shape}")
         except (AttributeError, KeyError, OSError, RuntimeError, TypeError, ValueError) as error:
@@ -94,9 +96,28 @@ class ImageFile:
         """
         return _read(self._images, start, stop, self._name)
 
+    def detail_gram(self, progress: Progress = NO_PROGRESS) -> FloatArray:
+        """Return what a radial basis is fitted to, `(I, I)`; reads no image if it is kept.
 
-class _ProbeImages:
-    """The probes of an image file."""
+        Files of renderings keep it beside them; in one that was written before they did, it is
+        summed when it is asked for.
+
+        Raises:
+            CorruptImages: If it cannot be read, or its checksum does not fit.
+        """
+        try:
+            if _DETAIL_GRAM in self._file:
+                kept: FloatArray = self._file[_DETAIL_GRAM][()]
+                if kept.shape != (self.grid.rows, self.grid.rows):
+                    raise ValueError(f"{_DETAIL_GRAM} has shape {kept.shape}")
+                return kept
+        except (AttributeError, OSError, RuntimeError, TypeError, ValueError) as error:
+            raise CorruptImages(f"{self._name} cannot be read: {error}") from error
+        return drive_gram(self, 0, len(self), progress)
+
+
+class _Stored:
+    """Images in an open file, read block by block; a `core.images.ImageSource`."""
 
     def __init__(self, images: h5py.Dataset, grid: Grid, name: str) -> None:
         self.grid = grid
@@ -180,5 +201,9 @@ def write_image_file(
         )
         file.attrs["probe_version"] = PROBE_VERSION
         file.create_dataset("scans", data=told.scans.astype("<i8"), fletcher32=True)
+        if imager.lateral_renderings_m is not None:
+            written = _Stored(images, imager.grid, path.name)
+            gram = drive_gram(written, 0, len(written))
+            file.create_dataset(_DETAIL_GRAM, data=gram.astype("<f8"), fletcher32=True)
         file.attrs["returns"] = told.returns
         file.attrs["skipped"] = json.dumps([[item.scan, item.reason] for item in told.skipped])

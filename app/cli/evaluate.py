@@ -9,6 +9,7 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from app.cli.console import output, progress_bar
+from app.cli.evaluate_tracks import show_tracks
 from app.cli.options import (
     MIN_RETURNS,
     DistanceOption,
@@ -18,6 +19,7 @@ from app.cli.options import (
     LateralRenderingsOption,
     RanksOption,
     ReducerOption,
+    SegmentationOption,
     SegmentLengthOption,
     SegmentsOption,
     SensorHeightOption,
@@ -33,7 +35,7 @@ from core.evaluation.evaluate import Protocol
 from core.evaluation.evaluate import evaluate as evaluate_drive
 from core.evaluation.result import Evaluation
 from core.evaluation.split import Interleaved, parse_split
-from core.parameters import Encoding, MapParameters
+from core.parameters import Encoding, MapParameters, Segmentation
 from core.sensor import HDL_64E
 from storage.files import publish
 from storage.formats.drives import open_drive
@@ -69,6 +71,7 @@ def evaluate(
     ] = None,
     encoding: EncodingOption = Encoding.PAPER,
     ranks_text: RanksOption = "5,5",
+    segmentation: SegmentationOption = Segmentation.FIXED,
     segment_length: SegmentLengthOption = None,
     segments: SegmentsOption = None,
     reducer: ReducerOption = None,
@@ -88,6 +91,14 @@ def evaluate(
     noise_m: Annotated[str, _list_option("Sigma of noise on every coordinate")] = "0",
     tolerance_m: Annotated[str, _list_option("Recall within")] = "3,5,10",
     seed: Annotated[int, typer.Option(min=0, rich_help_panel=_PROTOCOL)] = 0,
+    track: Annotated[
+        bool,
+        typer.Option(
+            "--track",
+            help="Also ask them one after another, as one vehicle's drive.",
+            rich_help_panel=_PROTOCOL,
+        ),
+    ] = False,
     json_out: Annotated[
         Path | None, typer.Option("--json", metavar="OUT", help="Write the figures here.")
     ] = None,
@@ -109,6 +120,7 @@ def evaluate(
             lateral_renderings_m=(
                 None if lateral_renderings is None else numbers(lateral_renderings)
             ),
+            segmentation=segmentation,
         ),
         segment_length=segment_length,
         segments=segments,
@@ -116,6 +128,7 @@ def evaluate(
         conditions=conditions(numbers(yaw_deg), numbers(lateral_m), numbers(noise_m)),
         tolerances_m=numbers(tolerance_m),
         seed=seed,
+        track=track,
     )
     mapped = open_drive(drive, min_returns=MIN_RETURNS)
     asked = None if query_drive is None else open_drive(query_drive, min_returns=MIN_RETURNS)
@@ -131,9 +144,11 @@ def evaluate(
 def _show(result: Evaluation) -> None:
     of = result.drive if result.query_drive is None else f"{result.query_drive} in {result.drive}"
     how = "" if result.split is None else f", {result.split}"
+    unequal = "unequal " if result.segmentation == Segmentation.UNEQUAL else ""
     output.print(
-        f"{of}: {result.map_scans} map scans in {result.segments} segments, {result.encoding}"
-        f" {result.ranks[0]}x{result.ranks[1]}, {result.reducer} {result.image}{how}",
+        f"{of}: {result.map_scans} map scans in {result.segments} {unequal}segments,"
+        f" {result.encoding} {result.ranks[0]}x{result.ranks[1]},"
+        f" {result.reducer} {result.image}{how}",
         markup=False,
         soft_wrap=True,
     )
@@ -177,6 +192,7 @@ def _show(result: Evaluation) -> None:
         )
     output.print(table)
     _show_reliability(result)
+    show_tracks(result)
     refused = sum(row.refusals for row in result.conditions)
     if refused:
         output.print(f"refused: {refused} queries, counted in no figure")

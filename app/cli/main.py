@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from app.cli import demo, evaluate, maps, serve, simulate
+from app.cli import compare, demo, evaluate, loop_closure, maps, merge, report, serve, simulate
 from app.demo.errors import DemoFailed
 from app.threads import one_blas_thread
 from core.errors import TensorMapError
@@ -24,10 +24,14 @@ for command in (
     serve.serve,
     demo.demo,
     maps.build,
+    merge.merge,
     maps.localize,
+    loop_closure.loop_closure,
     maps.signature,
     maps.inspect,
     evaluate.evaluate,
+    compare.compare,
+    report.report,
     simulate.simulate,
 ):
     cli.command()(command)

@@ -1,6 +1,7 @@
 """`tensormap build`, `localize`, `signature` and `inspect`: maps as files, without a service."""
 
 import json
+import math
 import sys
 from pathlib import Path
 from typing import Annotated
@@ -13,13 +14,14 @@ from app.cli.console import output, progress_bar
 from app.cli.options import (
     MIN_RETURNS,
     DistanceOption,
-    DriveArgument,
+    DrivesArgument,
     EncodingOption,
     ImageOption,
     LateralRenderingsOption,
     MapArgument,
     RanksOption,
     ReducerOption,
+    SegmentationOption,
     SegmentLengthOption,
     SegmentsOption,
     SensorHeightOption,
@@ -31,12 +33,18 @@ from app.cli.options import (
 from app.jobs.parameters import BuildParameters
 from app.schemas.hints import hints_of
 from app.schemas.localizations import LocalizationOut, SignaturesIn
+from app.schemas.topology import TopologyOut
+from core.arrays import Float32Array
+from core.basis import harmonic_basis_digest
 from core.compression import Compression
+from core.encodings.harmonic import HarmonicModel
 from core.errors import InvalidParameters, InvalidScan
 from core.localizer import Localization, Localizer
-from core.parameters import Encoding
+from core.parameters import Encoding, Segmentation
+from core.pose import path_length_m
 from core.sensor import HDL_64E
 from core.signature import Packing, pack_signatures
+from core.tensormap import TensorMap
 from storage.files import publish
 from storage.formats.drives import open_drive
 from storage.formats.errors import UnknownFormat
@@ -49,12 +57,13 @@ _HINTS = "Hints"
 
 
 def build(
-    drive: DriveArgument,
+    drives: DrivesArgument,
     output_file: Annotated[
         Path, typer.Option("-o", "--output", metavar="MAP.h5", help="The map file to write.")
     ],
     encoding: EncodingOption = Encoding.PAPER,
     ranks_text: RanksOption = "5,5",
+    segmentation: SegmentationOption = Segmentation.FIXED,
     segment_length: SegmentLengthOption = None,
     segments: SegmentsOption = None,
     reducer: ReducerOption = None,
@@ -63,15 +72,25 @@ def build(
     lateral_renderings: LateralRenderingsOption = None,
     sensor: SensorOption = HDL_64E.name,
     sensor_height_m: SensorHeightOption = 1.73,
+    keep_basis: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="MAP.h5",
+            help="Keep this harmonic map's basis: signatures made with it stay good, and the two"
+            " can be merged.",
+            rich_help_panel="Map",
+        ),
+    ] = None,
 ) -> None:
-    """Build a map of a recorded drive."""
-    from app.pipelines import build_drive  # here: it brings the store, which no other one needs
+    """Build a map of one or more recorded drives."""
+    from app.pipelines import build_drives  # here: it brings the store, which no other one needs
 
     require_folder(output_file)
     try:
         parameters = BuildParameters(
             encoding=encoding,
             ranks=ranks(ranks_text),
+            segmentation=segmentation,
             segment_length=segment_length,
             segments=segments,
             reducer=reducer,
@@ -85,14 +104,22 @@ def build(
         )
     except ValidationError as error:
         raise InvalidParameters(error.errors()[0]["msg"]) from None
-    recorded = open_drive(drive, min_returns=MIN_RETURNS)
+    radial_basis = None if keep_basis is None else _basis_of(keep_basis, parameters)
+    recorded = [open_drive(drive, min_returns=MIN_RETURNS) for drive in drives]
+    twice = {drive.name for drive in recorded if [d.name for d in recorded].count(drive.name) > 1}
+    if twice:
+        raise InvalidParameters(f"two of the drives are called {min(twice)!r}: rename a folder")
     with progress_bar() as progress:
-        built = build_drive(recorded, parameters, progress)
+        built = build_drives(recorded, parameters, progress, radial_basis=radial_basis)
     tensor_map = built.tensor_map
     with publish(output_file) as part:
         write_map(part, tensor_map)
-    for skipped in built.skipped.get(recorded.name, ()):
-        output.print(f"left out scan {skipped.scan}: {skipped.reason}", markup=False)
+    for name, of_it in built.skipped.items():
+        of_drive = f" of {name}" if len(recorded) > 1 else ""
+        for skipped in of_it:
+            output.print(f"left out scan {skipped.scan}{of_drive}: {skipped.reason}", markup=False)
+    for note in built.notes:
+        output.print(note, markup=False, soft_wrap=True)
     compression = Compression.of(
         tensor_map.elements,
         scans=len(tensor_map),
@@ -108,6 +135,19 @@ def build(
     )
     if tensor_map.calibration is None:
         output.print("not calibrated: too few scans, or too close together, to learn trust from")
+
+
+def _basis_of(map_file: Path, parameters: BuildParameters) -> Float32Array:
+    """Return the radial basis of a map whose signatures are made as these parameters say."""
+    kept = read_map(map_file)
+    if not isinstance(kept.model, HarmonicModel):
+        raise InvalidParameters(f"{map_file} is of the paper's encoding, it has no basis to keep")
+    u = kept.model.radial_basis
+    if harmonic_basis_digest(parameters.map_parameters(), u) != kept.basis_digest:
+        raise InvalidParameters(
+            f"{map_file} makes signatures otherwise: {kept.parameters.as_attributes()}"
+        )
+    return u
 
 
 def localize(
@@ -267,39 +307,57 @@ def inspect(
     tensor_map = read_map(map_file)
     facts = {
         "revision": tensor_map.revision,
+        "basis": tensor_map.basis_digest,
         **tensor_map.attributes(),
         "scans": len(tensor_map),
         "segments": tensor_map.model.segments,
+        "segmentation": tensor_map.parameters.segmentation.value,
         "elements": tensor_map.elements,
         "size_bytes": map_file.stat().st_size,
         "arrays": {
             name: {"shape": list(array.shape), "dtype": str(array.dtype)}
             for name, array in tensor_map.arrays().items()
         },
-        "edges": [
-            {"segment": segment, "scans": scans, "length_m": length_m, "relative_error": error}
-            for segment, (scans, length_m, error) in enumerate(
-                zip(
-                    tensor_map.topology.edge_scans.tolist(),
-                    [None if m != m else m for m in tensor_map.topology.edge_length_m.tolist()],
-                    tensor_map.relative_error.tolist(),
-                    strict=True,
-                )
-            )
-        ],
+        "nodes": len(tensor_map.topology.node_scan),
+        "edges": [edge.model_dump() for edge in TopologyOut.from_core(tensor_map).edges],
     }
     if as_json:
         sys.stdout.write(f"{json.dumps(facts, indent=2)}\n")
         return
-    for name in ("revision", "encoding", "sensor", "reducer", "ranks", "drives", "scans"):
-        output.print(f"{name:>10}  {facts[name]}", markup=False, highlight=False)
-    table = Table("segment", "scans", "length m", "relative error")
-    for edge in facts["edges"]:
-        length = "-" if edge["length_m"] is None else f"{edge['length_m']:.1f}"
-        table.add_row(
-            str(edge["segment"]), str(edge["scans"]), length, f"{edge['relative_error']:.3f}"
-        )
+    for name in (
+        "revision",
+        "basis",
+        "encoding",
+        "sensor",
+        "reducer",
+        "ranks",
+        "drives",
+        "scans",
+        "segmentation",
+    ):
+        output.print(f"{name:>12}  {facts[name]}", markup=False, highlight=False)
+    edges = facts["edges"]
+    output.print(f"{'graph':>12}  {facts['nodes']} nodes, {len(edges)} edges", highlight=False)
+    table = Table("edge", "nodes", "segment", "scans", "length m", "relative error")
+    for edge in edges:
+        first, last = edge["nodes"]
+        for of_it in edge["segments"]:
+            nodes = (last, first) if of_it["reversed"] else (first, last)
+            row = of_it["segment"], of_it["scans"]
+            length_m = path_length_m(tensor_map.trajectory.poses[slice(*_rows(tensor_map, row[0]))])
+            table.add_row(
+                str(edge["edge"]),
+                f"{nodes[0]} - {nodes[1]}",
+                *map(str, row),
+                "-" if math.isnan(length_m) else f"{length_m:.1f}",
+                f"{of_it['relative_error']:.3f}",
+            )
     output.print(table)
+
+
+def _rows(tensor_map: TensorMap, segment: int) -> tuple[int, int]:
+    first, last = tensor_map.segment_ends[segment].tolist()
+    return first, last + 1
 
 
 def _figure(value: float | None) -> str:

@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from core.imager import ImageKind
-from core.parameters import Distance, Encoding
+from core.parameters import Distance, Encoding, Segmentation
 from core.projection import Reducer
 from core.sensor import SENSORS
 
@@ -15,6 +15,7 @@ __all__ = [
     "MIN_RETURNS",
     "DistanceOption",
     "DriveArgument",
+    "DrivesArgument",
     "EncodingOption",
     "ImageOption",
     "LateralRenderingsOption",
@@ -22,6 +23,7 @@ __all__ = [
     "RanksOption",
     "ReducerOption",
     "SegmentLengthOption",
+    "SegmentationOption",
     "SegmentsOption",
     "SensorHeightOption",
     "SensorOption",
@@ -43,8 +45,22 @@ DriveArgument = Annotated[
         metavar="DRIVE",
     ),
 ]
+DrivesArgument = Annotated[
+    list[Path],
+    typer.Argument(
+        help="Folders of drives: KITTI odometry layout, Ford Campus layout, or scan files.",
+        metavar="DRIVE...",
+    ),
+]
 MapArgument = Annotated[Path, typer.Argument(help="A map file.", metavar="MAP.h5")]
 EncodingOption = Annotated[Encoding, typer.Option(rich_help_panel=_BUILD)]
+SegmentationOption = Annotated[
+    Segmentation,
+    typer.Option(
+        help="k scans each, or k/2 to 2k: cut where the drive turns or its surroundings change.",
+        rich_help_panel=_BUILD,
+    ),
+]
 SegmentLengthOption = Annotated[
     int | None, typer.Option(min=1, help="k, scans in a segment.", rich_help_panel=_BUILD)
 ]

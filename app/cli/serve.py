@@ -41,6 +41,8 @@ def serve(
         host=settings.host,
         port=settings.port,
         server_header=False,
+        ws="websockets-sansio",  # what `auto` takes too, if the package is there: say so, or fail
+        ws_max_size=settings.max_json_bytes,
         timeout_graceful_shutdown=_GRACE_S,
     )
     with _listen(settings.host, settings.port) as listening:

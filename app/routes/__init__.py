@@ -4,9 +4,20 @@ from fastapi import APIRouter, Depends
 
 from app.auth import require_access
 from app.errors import HostNotAllowed, KeyNeeded, KeyRefused, problems
-from app.routes import builds, drives, health, jobs, localizations, maps, revisions
+from app.routes import (
+    builds,
+    drives,
+    health,
+    jobs,
+    localizations,
+    loop_closures,
+    maps,
+    revisions,
+    track_stream,
+    tracks,
+)
 
-__all__ = ["api", "open_routes"]
+__all__ = ["api", "open_routes", "streams"]
 
 
 def api() -> APIRouter:
@@ -16,8 +27,19 @@ def api() -> APIRouter:
         dependencies=[Depends(require_access)],
         responses=problems(KeyNeeded, KeyRefused, HostNotAllowed),
     )
-    for module in (maps, drives, builds, jobs, revisions, localizations):
+    for module in (maps, drives, builds, jobs, revisions, localizations, loop_closures, tracks):
         router.include_router(module.router)
+    return router
+
+
+def streams() -> APIRouter:
+    """Return every stream under /v1.
+
+    FastAPI's dependencies for keys are of requests: a stream checks its caller by itself, before
+    it is accepted.
+    """
+    router = APIRouter(prefix="/v1")
+    router.include_router(track_stream.router)
     return router
 
 

@@ -4,10 +4,18 @@ from fastapi import APIRouter, Response, status
 
 from app.errors import JSON_BODY, WRITING, problems
 from app.jobs.parameters import BuildParameters
+from app.plans import plan_build
 from app.schemas.jobs import JobOut
 from app.service import MapSlug, Running
-from core.errors import EmptyDrive, InvalidParameters
-from storage.errors import DriveNotFound, MapNotFound
+from core.errors import EmptyDrive, InvalidParameters, UnknownDrive
+from storage.errors import (
+    AmbiguousRevision,
+    CorruptFile,
+    DriveNotFound,
+    MapNotFound,
+    NoLiveRevision,
+    RevisionNotFound,
+)
 
 __all__ = ["router"]
 
@@ -18,7 +26,17 @@ router = APIRouter(tags=["builds"])
     "/maps/{map}/builds",
     status_code=status.HTTP_202_ACCEPTED,
     responses=problems(
-        MapNotFound, DriveNotFound, EmptyDrive, InvalidParameters, *JSON_BODY, *WRITING
+        MapNotFound,
+        DriveNotFound,
+        UnknownDrive,
+        NoLiveRevision,
+        RevisionNotFound,
+        AmbiguousRevision,
+        EmptyDrive,
+        InvalidParameters,
+        CorruptFile,
+        *JSON_BODY,
+        *WRITING,
     ),
 )
 def build(
@@ -26,17 +44,16 @@ def build(
 ) -> JobOut:
     """Queue a build; follow it at `Location`.
 
-    What can be refused now is refused now: unknown drives, a map without scans, parameters that do
-    not fit the sensor.
+    What can be refused now is refused now: unknown drives, a base that is not there, a map without
+    scans, parameters that do not fit the sensor.
+
+    With `base`, the new revision is that one with the drives of `add` after its own and without
+    those of `remove`. A harmonic map keeps its basis, so that the signatures of vehicles stay good,
+    until `refit` asks for another. Nothing that is stored is removed.
     """
-    parameters.map_parameters()
-    drives = parameters.drives or running.store.drives.slugs(map_slug)
-    for drive in drives:
-        if running.store.drives.get(map_slug, drive).scans == 0:
-            raise EmptyDrive(f"drive {drive!r} has no scan")
-    if not drives:
-        raise EmptyDrive(f"map {map_slug!r} has no drive: upload scans first")
-    job = running.store.jobs.create(map_slug, parameters.as_json())
+    record = running.store.maps.get(map_slug)
+    plan = plan_build(running.store, record.id, parameters)
+    job = running.store.jobs.create(map_slug, plan.parameters.as_json())
     running.runner.wake()
     response.headers["Location"] = f"/v1/jobs/{job.id}"
     return JobOut.from_record(job)

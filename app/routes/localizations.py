@@ -28,7 +28,7 @@ from core.errors import (
     UnknownSegment,
 )
 from core.height_image import HeightImage
-from core.imager import Image, ImageKind
+from core.imager import Grid, Image, ImageKind
 from core.projection import RangeImage
 from core.rings import RingGrid
 from core.signature import Signature, unpack_signatures
@@ -36,7 +36,14 @@ from storage.errors import CorruptFile, MapNotFound, NoLiveRevision
 from storage.formats.errors import EmptyBody
 from storage.formats.registry import read_scan
 
-__all__ = ["router"]
+__all__ = [
+    "IMAGE_TYPE",
+    "SIGNATURE_TYPE",
+    "SensorHeight",
+    "read_image",
+    "read_signatures",
+    "router",
+]
 
 router = APIRouter(tags=["localizations"], prefix="/maps/{map}/localizations")
 
@@ -50,8 +57,8 @@ _ANSWERING = (
     *READING,
 )
 
-_IMAGE = "application/vnd.tensormap.image"
-_SIGNATURE = "application/vnd.tensormap.signature"
+IMAGE_TYPE = "application/vnd.tensormap.image"
+SIGNATURE_TYPE = "application/vnd.tensormap.signature"
 
 SensorHeight = Annotated[
     float | None,
@@ -100,8 +107,8 @@ def localize_scan(
     "/image",
     openapi_extra=binary_body(
         **{
-            _IMAGE: "Ranges, or heights above ground, in metres on the map's grid, little-endian"
-            " float32, row after row."
+            IMAGE_TYPE: "Ranges, or heights above ground, in metres on the map's grid, little-"
+            "endian float32, row after row."
         }
     ),
     responses=problems(
@@ -123,9 +130,10 @@ def localize_image(
     answering = running.revisions.live(map_slug)
     _require_sensor(answering, sensor)
     _require_kind(answering, kind)
-    if media_type(content_type) != _IMAGE:
-        raise UnsupportedBody(f"Content-Type is {(content_type or '')[:80]!r}, wanted {_IMAGE}")
-    found = answering.localizer.localize_image(_image(body, answering), k, hints, min_probability)
+    if media_type(content_type) != IMAGE_TYPE:
+        raise UnsupportedBody(f"Content-Type is {(content_type or '')[:80]!r}, wanted {IMAGE_TYPE}")
+    image = read_image(body, answering.localizer.map.parameters.grid)
+    found = answering.localizer.localize_image(image, k, hints, min_probability)
     return LocalizationOut.from_core(found, answering.live_revision)
 
 
@@ -136,7 +144,7 @@ def localize_image(
             "required": True,
             "content": {
                 "application/json": {"schema": {"$ref": "#/components/schemas/SignaturesIn"}},
-                _SIGNATURE: {
+                SIGNATURE_TYPE: {
                     "schema": {
                         "type": "string",
                         "format": "binary",
@@ -166,10 +174,11 @@ def localize_signature(
 ) -> LocalizationOut:
     """Localize by signatures made with this map's bases.
 
-    The revision that they name answers, be it live or only retained; only the segments whose
-    signatures came are searched.
+    They name a basis, and the live revision answers if it has it, else the newest retained one
+    that does; or they name a revision, and that one answers. Only the segments whose signatures
+    came are searched.
     """
-    signatures = _signatures(body, content_type)
+    signatures = read_signatures(body, content_type)
     answering = running.revisions.of_signature(map_slug, signatures[0].revision)
     found = answering.localizer.localize_signatures(signatures, k, hints, min_probability)
     return LocalizationOut.from_core(found, answering.live_revision)
@@ -187,8 +196,13 @@ def _require_kind(answering: Answering, kind: ImageKind | None) -> None:
         raise SensorMismatch(f"the image is a {kind} image, the map is of {mapped} images")
 
 
-def _image(body: bytes, answering: Answering) -> Image:
-    grid = answering.localizer.map.parameters.grid
+def read_image(body: bytes, grid: Grid) -> Image:
+    """Read an image of a map's grid.
+
+    Raises:
+        EmptyBody: If no bytes came.
+        InvalidImage: If they are not as many as the grid has cells.
+    """
     wanted = 4 * grid.rows * grid.columns
     if not body:
         raise EmptyBody(f"no bytes came, wanted {wanted}")
@@ -200,15 +214,23 @@ def _image(body: bytes, answering: Answering) -> Image:
     return HeightImage(cells, grid) if isinstance(grid, RingGrid) else RangeImage(cells, grid)
 
 
-def _signatures(body: bytes, content_type: str | None) -> tuple[Signature, ...]:
+def read_signatures(body: bytes, content_type: str | None) -> tuple[Signature, ...]:
+    """Read one scan's signatures, packed or as JSON.
+
+    Raises:
+        EmptyBody: If no bytes came.
+        UnsupportedBody: If they are of another type.
+        InvalidSignature: If they are not packed as they should be.
+        RequestValidationError: If the JSON is not as the API describes it.
+    """
     if not body:
         raise EmptyBody("no bytes came, wanted signatures")
     kind = media_type(content_type)
-    if kind == _SIGNATURE:
+    if kind == SIGNATURE_TYPE:
         return unpack_signatures(body)
     if kind != "application/json":
         raise UnsupportedBody(
-            f"Content-Type is {kind[:80]!r}, wanted application/json or {_SIGNATURE}"
+            f"Content-Type is {kind[:80]!r}, wanted application/json or {SIGNATURE_TYPE}"
         )
     try:
         return SignaturesIn.model_validate_json(body).to_core()

@@ -135,7 +135,7 @@ def make_live(
     response_model=BasisOut,
     responses={
         200: {"content": {_NPZ: {"schema": {"type": "string", "format": "binary"}}}},
-        304: {"description": "The vehicle's copy is that of this revision."},
+        304: {"description": "The vehicle's copy is the basis of this revision."},
         **problems(*_OF_ONE, UnknownSegment, InvalidRequest),
     },
 )
@@ -151,15 +151,17 @@ def get_basis(
 ) -> Any:  # noqa: ANN401 - JSON by its model, or bytes as they are
     """Download what a vehicle needs to make signatures, as JSON or, on `Accept`, as NumPy's npz.
 
-    Only the whole has an ETag: who holds that one holds every segment. A harmonic map has one
-    basis for all its segments, and answers with it whichever are asked for.
+    Only the whole has an ETag: who holds that one holds every segment. It names the basis, not the
+    revision, and is weak: revisions that share the basis share it, so that a vehicle downloads
+    nothing anew when a drive was added. A harmonic map has one basis for all its segments, and
+    answers with it whichever are asked for.
     """
     tensor_map = _answering(running, map_slug, revision).localizer.map
     as_npz = _NPZ in accept
     headers = {"Vary": "Accept"}
     if segments is None:
-        headers["ETag"] = f'"{tensor_map.revision}{"-npz" if as_npz else ""}"'
-        if _is_held(headers["ETag"], if_none_match):
+        headers["ETag"] = f'W/"{tensor_map.basis_digest}{"-npz" if as_npz else ""}"'
+        if _is_held(headers["ETag"].removeprefix("W/"), if_none_match):
             return Response(status_code=status.HTTP_304_NOT_MODIFIED, headers=headers)
     basis = tensor_map.basis(segments)
     if not as_npz:
@@ -174,6 +176,7 @@ def get_basis(
         # None of the arrays is called allow_pickle.
         **basis.arrays(),  # type: ignore[arg-type]
         revision=np.array(basis.revision),
+        basis=np.array(basis.digest),
         parameters=np.array(json.dumps(basis.parameters.as_attributes())),
     )
     return Response(file.getvalue(), media_type=_NPZ, headers=headers)
@@ -184,7 +187,7 @@ def get_basis(
     responses=problems(*_OF_ONE),
 )
 def get_topology(map_slug: MapSlug, running: Running, revision: OneRevision = None) -> TopologyOut:
-    """Show a map as a graph: nodes where segments end, edges along them."""
+    """Show a map as a graph: nodes where segments end and drives meet, edges along streets."""
     return TopologyOut.from_core(_answering(running, map_slug, revision).localizer.map)
 
 

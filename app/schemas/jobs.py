@@ -32,6 +32,9 @@ class JobOut(BaseModel):
     total: int = Field(description="Units of this stage.")
     parameters: BuildParameters
     revision: str | None = Field(description="What it built, once it is done.")
+    notes: list[str] = Field(
+        description="What whoever asked for it should know, such as a basis that fits badly."
+    )
     error: JobErrorOut | None
     created_at: datetime
     started_at: datetime | None
@@ -54,6 +57,7 @@ class JobOut(BaseModel):
             total=record.total_units,
             parameters=BuildParameters.model_validate(record.parameters),
             revision=record.revision,
+            notes=list(record.notes),
             error=error,
             created_at=record.created_at,
             started_at=record.started_at,

@@ -5,7 +5,7 @@ from typing import Annotated, Any
 
 import numpy as np
 from fastapi import Query
-from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag
+from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, model_validator
 
 from app.schemas.poses import PoseOut
 from core.arrays import Complex64Array
@@ -75,18 +75,21 @@ SignatureIn = Annotated[
 
 
 class SignaturesIn(BaseModel):
-    """One scan's signatures, made with one revision's bases; a harmonic map's is one."""
+    """One scan's signatures, made with one basis; a harmonic map's is one.
+
+    They name that basis, or a revision that has it.
+    """
 
     model_config = ConfigDict(
         extra="forbid",
         json_schema_extra={
             "example": {
-                "revision": "0f" * 32,
+                "basis": "0f" * 32,
                 "signatures": [{"segment": 3, "values": [[950.1, -3.2], [12.5, 60.8]]}],
             },
             "examples": [
                 {
-                    "revision": "0f" * 32,
+                    "basis": "0f" * 32,
                     "signatures": [
                         {
                             "values_real": [[85.2, -3.1], [10.4, 6.2]],
@@ -98,16 +101,32 @@ class SignaturesIn(BaseModel):
         },
     )
 
-    revision: str = Field(
-        pattern="^[0-9a-f]{16,64}$", description="Its digest, or at least 16 first digits."
+    basis: Annotated[str, Field(pattern="^[0-9a-f]{16,64}$")] | None = Field(
+        None,
+        description="Digest of the basis that made them, or at least 16 first digits: any revision"
+        " that has it answers, the live one first.",
+    )
+    revision: Annotated[str, Field(pattern="^[0-9a-f]{16,64}$")] | None = Field(
+        None, description="Instead: digest of the revision that is to answer."
     )
     signatures: list[SignatureIn] = Field(min_length=1, max_length=0x10000, fail_fast=True)
 
+    @model_validator(mode="after")
+    def _one_name(self) -> "SignaturesIn":
+        if (self.basis is None) == (self.revision is None):
+            raise ValueError("give the basis that made the signatures, or else a revision")
+        return self
+
+    @property
+    def named(self) -> str:
+        """What they name."""
+        return self.basis or self.revision or ""
+
     @classmethod
     def from_core(cls, signatures: Sequence[Signature]) -> "SignaturesIn":
-        """Show signatures of one revision as they are sent."""
+        """Show signatures of one basis as they are sent."""
         return cls(
-            revision=signatures[0].revision,
+            basis=signatures[0].revision,
             signatures=[_shown(signature) for signature in signatures],
         )
 
@@ -120,13 +139,13 @@ class SignaturesIn(BaseModel):
         signatures = []
         for item in self.signatures:
             if isinstance(item, HarmonicSignatureIn):
-                signatures.append(Signature(_complex(item), None, self.revision))
+                signatures.append(Signature(_complex(item), None, self.named))
                 continue
             if len({len(row) for row in item.values}) > 1:
                 raise InvalidSignature(f"the rows of segment {item.segment} differ in length")
             with np.errstate(over="ignore"):  # infinite then, and refused as such
                 values = np.array(item.values, dtype=np.float64).astype(np.float32)
-            signatures.append(Signature(values, item.segment, self.revision))
+            signatures.append(Signature(values, item.segment, self.named))
         return tuple(signatures)
 
 

@@ -64,6 +64,10 @@ class BasisOut(BaseModel):
     """What a vehicle needs to make signatures: no place can be read from it."""
 
     revision: str
+    basis: str = Field(
+        description="Digest of the basis: what signatures made with it name. Revisions that share"
+        " the basis share it."
+    )
     parameters: dict[str, Any] = Field(
         description="Encoding, sensor, grid, reducer and ranks; of a harmonic map also the image's"
         " kind and how signatures are compared."
@@ -82,6 +86,7 @@ class BasisOut(BaseModel):
         """Show bases as JSON; a float32 survives it."""
         return cls(
             revision=basis.revision,
+            basis=basis.digest,
             parameters=basis.parameters.as_attributes(),
             radial_basis=basis.radial_basis.tolist() if isinstance(basis, HarmonicBasis) else None,
             segments=[
@@ -108,10 +113,14 @@ class BasisOut(BaseModel):
         parameters = MapParameters.from_attributes(self.parameters)
         if self.radial_basis is not None:
             return HarmonicBasis(
-                self.revision, parameters, np.array(self.radial_basis, dtype=np.float32)
+                self.revision,
+                self.basis,
+                parameters,
+                np.array(self.radial_basis, dtype=np.float32),
             )
         return PaperBasis(
             self.revision,
+            self.basis,
             parameters,
             np.array([item.segment for item in self.segments]),
             np.array([item.elevation_basis for item in self.segments], dtype=np.float32),

@@ -12,7 +12,7 @@ __all__ = ["TopologyOut"]
 
 
 class NodeOut(BaseModel):
-    """A node of the graph: where segments end."""
+    """A node of the graph: where segments end, drives turn or meet."""
 
     node: int
     drive: str
@@ -20,14 +20,25 @@ class NodeOut(BaseModel):
     pose: PoseOut | None
 
 
-class EdgeOut(BaseModel):
-    """An edge of the graph: a segment."""
+class EdgeSegmentOut(BaseModel):
+    """A segment that runs along an edge."""
 
     segment: int
-    nodes: tuple[int, int]
-    scans: int = Field(description="Length in scans, from node to node.")
-    length_m: float | None = Field(description="Length in metres; null without poses.")
+    reversed: bool = Field(description="Whether it runs from the edge's second node to its first.")
+    scans: int = Field(description="Its length in scans, from node to node.")
     relative_error: float = Field(description="|X - X^| / |X| of its model.")
+
+
+class EdgeOut(BaseModel):
+    """An edge of the graph: a street between two nodes, driven once or more."""
+
+    edge: int
+    segment: int = Field(description="The first segment along it.")
+    nodes: tuple[int, int]
+    scans: int = Field(description="Length in scans, from node to node, of its first segment.")
+    length_m: float | None = Field(description="The same in metres; null without poses.")
+    relative_error: float = Field(description="|X - X^| / |X| of the model of that segment.")
+    segments: list[EdgeSegmentOut] = Field(description="All segments along it, in order.")
 
 
 class TopologyOut(BaseModel):
@@ -41,11 +52,11 @@ class TopologyOut(BaseModel):
     def from_core(cls, tensor_map: TensorMap) -> "TopologyOut":
         """Show a map's graph."""
         topology = tensor_map.topology
+        along = _along(tensor_map)
         edges = zip(
             topology.edge_nodes.tolist(),
             topology.edge_scans.tolist(),
             topology.edge_length_m.tolist(),
-            tensor_map.relative_error.tolist(),
             strict=True,
         )
         return cls(
@@ -55,15 +66,37 @@ class TopologyOut(BaseModel):
             ],
             edges=[
                 EdgeOut(
-                    segment=segment,
+                    edge=edge,
+                    segment=along[edge][0].segment,
                     nodes=(first, last),
                     scans=scans,
                     length_m=None if math.isnan(length_m) else length_m,
-                    relative_error=error,
+                    relative_error=along[edge][0].relative_error,
+                    segments=along[edge],
                 )
-                for segment, ((first, last), scans, length_m, error) in enumerate(edges)
+                for edge, ((first, last), scans, length_m) in enumerate(edges)
             ],
         )
+
+
+def _along(tensor_map: TensorMap) -> list[list[EdgeSegmentOut]]:
+    topology = tensor_map.topology
+    along: list[list[EdgeSegmentOut]] = [[] for _ in range(topology.edges)]
+    for segment, (edge, turned, (first, last), error) in enumerate(
+        zip(
+            topology.edge_of_segment.tolist(),
+            topology.segment_reversed.tolist(),
+            tensor_map.segment_ends.tolist(),
+            tensor_map.relative_error.tolist(),
+            strict=True,
+        )
+    ):
+        along[edge].append(
+            EdgeSegmentOut(
+                segment=segment, reversed=turned, scans=last - first, relative_error=error
+            )
+        )
+    return along
 
 
 def _node(tensor_map: TensorMap, node: int, row: int) -> NodeOut:

@@ -26,21 +26,17 @@ from core.encodings.model import Found, Segmented, nearest
 from core.errors import InvalidMap, InvalidSignature
 from core.parameters import Distance
 from core.signature import Signature
-from core.tucker import row_gram
 
 __all__ = [
     "HarmonicModel",
     "HarmonicSearch",
     "azimuth_factor",
-    "detail_gram",
     "encode",
     "energy",
     "harmonic_elements",
     "weights",
 ]
 
-_DETAIL_DEG = 24.0  # finer than this is detail: J / 15 columns, the waves from harmonic 15 on
-_TIES = 1e-6  # of the whole image's Gram: it decides where an image has no detail
 _SAMPLES_A_WAVE = 12  # of the shortest wave: the parabola then errs by less than 0.1 deg
 _FIRST = 4  # scans that are searched before the bound decides on the others
 _EXACT_SCANS = 1024  # searched over headings at once: 10 MB of them
@@ -101,30 +97,6 @@ def energy(signatures: NDArray[np.complexfloating[Any, Any]], columns: int) -> F
     squared = np.square(signatures.real, dtype=np.float64)
     squared += np.square(signatures.imag, dtype=np.float64)
     return np.asarray(squared.sum(axis=-2) @ weights(columns, signatures.shape[-1]))
-
-
-def detail_gram(images: Float32Array | FloatArray) -> FloatArray:
-    """Return the Gram matrix whose leading eigenvectors are U, of `(n, I, J)` images, `(I, I)`.
-
-    It is S S^T without the waves longer than 24 degrees. Broad waves hold the most energy: heights
-    of rings that every street has. A basis that is fitted to them describes all places alike; one
-    that is fitted to edges and poles keeps the rings by which places differ, and its signatures
-    tell them apart though they hold broad waves only. The sum is additive over images, and turning
-    an image leaves it as it is, but for rounding.
-
-    Examples:
-        >>> edge, even = np.zeros((2, 1, 2, 360))
-        >>> edge[0, 0, :9], even[0, 1] = 1.0, 5.0
-        >>> gram = detail_gram(np.stack([edge[0] + even[0]]))
-        >>> bool(gram[0, 0] > 100 * gram[1, 1])
-        True
-    """
-    columns = images.shape[2]
-    factor = azimuth_factor(columns, max(1, min(round(360.0 / _DETAIL_DEG), columns // 2)))
-    factor *= np.sqrt(weights(columns, factor.shape[1]))
-    broad = np.concatenate([factor.real, factor.imag[:, 1:]], axis=1)
-    whole = row_gram(images)
-    return whole * (1.0 + _TIES) - row_gram(images.astype(np.float64) @ broad)
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,14 +19,16 @@ from core.evaluation.motion import is_standing, motion_surrogate
 from core.evaluation.reliability import Judged, Reliability, reliability
 from core.evaluation.result import ConditionResult, Evaluation, SegmentError
 from core.evaluation.split import Interleaved, Split
+from core.evaluation.tracks import Asked, cut_position, evaluate_tracks
 from core.images import ProjectedDrive, project_drive
 from core.localizer import Localization, Localizer
-from core.parameters import MapParameters
+from core.parameters import MapParameters, Segmentation
 from core.places import AWAY_M
 from core.pose import heading_deg, is_known
 from core.progress import NO_PROGRESS, Progress
-from core.segmentation import cut_fixed, segment_length_for
+from core.segmentation import cut_fixed, cut_unequal, segment_length_for
 from core.tensormap import TensorMap
+from core.tracking.track import Tracker
 from core.trajectory import Trajectory
 
 __all__ = ["Protocol", "evaluate"]
@@ -43,6 +45,7 @@ class Protocol:
         split: Which scans are held out; not used when another drive is the query.
         conditions: The disturbances of the queries.
         tolerances_m: Within which a match counts as recalled.
+        track: Whether the queries are also tracked, as one vehicle's drive.
         seed: Of the noise; a scan's noise is the same whatever else is asked.
     """
 
@@ -53,6 +56,7 @@ class Protocol:
     conditions: tuple[Condition, ...] = (Condition(),)
     tolerances_m: tuple[float, ...] = (3.0, 5.0, 10.0)
     seed: int = 0
+    track: bool = False
 
     def __post_init__(self) -> None:
         if not self.tolerances_m or not all(0 < m < math.inf for m in self.tolerances_m):
@@ -98,7 +102,8 @@ def evaluate(
 ) -> Evaluation:
     """Evaluate localization on a drive against itself, or against a second pass.
 
-    Segments are cut over all scans of the drive, then split. With a query drive the whole of
+    Segments are cut over all scans of the drive, then split; unlike a build's, not where the drive
+    meets itself, which models do not depend on. With a query drive the whole of
     `drive` is the map, both share one world frame, and a query's true segment is that of the
     nearest map scan. Scans of `unknown` drives, which share no place with the map, are asked under
     the same conditions: whatever the map answers them is wrong.
@@ -113,7 +118,7 @@ def evaluate(
     length = segment_length_for(
         len(drive), segment_length=protocol.segment_length, segments=protocol.segments
     )
-    segment_start = cut_fixed(len(drive), length)
+    segment_start = _cut(drive, length, protocol.parameters, progress)
     held_out = (
         protocol.split.held_out(segment_start)
         if query_drive is None
@@ -133,6 +138,8 @@ def evaluate(
         if query_drive is None
         else _drive_queries(query_drive, tensor_map)
     )
+    localizer = Localizer(tensor_map)
+    cuts = None if query_drive is not None else cut_position(projected.scans, segment_start)
     return Evaluation(
         drive=drive.name,
         query_drive=None if query_drive is None else query_drive.name,
@@ -141,6 +148,7 @@ def evaluate(
         encoding=str(protocol.parameters.encoding),
         ranks=protocol.parameters.ranks,
         segments=tensor_map.model.segments,
+        segmentation=str(protocol.parameters.segmentation),
         split=str(protocol.split) if query_drive is None else None,
         reducer=str(protocol.parameters.reducer),
         image=str(protocol.parameters.image),
@@ -163,8 +171,32 @@ def evaluate(
             returns=projected.returns,
         ),
         relative_error=tuple(tensor_map.relative_error.tolist()),
-        conditions=_ask(Localizer(tensor_map), queries, unknown, protocol, progress),
+        conditions=_ask(localizer, queries, unknown, protocol, progress),
+        tracks=evaluate_tracks(
+            Tracker(localizer, cut_position=cuts),
+            Asked(queries.drive, queries.scans, queries.segment, queries.standing),
+            protocol.conditions,
+            protocol.tolerances_m,
+            protocol.seed,
+            progress,
+        )
+        if protocol.track
+        else (),
     )
+
+
+def _cut(drive: Drive, length: int, parameters: MapParameters, progress: Progress) -> IntArray:
+    """Return `(L + 1,)` scans of the drive at which segments begin, and their number."""
+    if parameters.segmentation == Segmentation.FIXED:
+        return cut_fixed(len(drive), length)
+    everything = np.arange(len(drive))
+    projected = project_drive(drive, everything, parameters.imager, progress)
+    scans = projected.scans
+    trajectory = Trajectory.of_drive(
+        drive.name, drive.timestamp_s[scans], drive.poses[scans], scans
+    )
+    cuts = cut_unequal(projected.images, trajectory, length, parameters, progress)
+    return np.concatenate([[0], scans[cuts[1:-1]], [len(drive)]])
 
 
 def _build(

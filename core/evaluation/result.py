@@ -6,6 +6,7 @@ from typing import Any
 from core.compression import Compression
 from core.evaluation.condition import Condition
 from core.evaluation.reliability import Reliability
+from core.evaluation.tracks import TrackResult
 from core.images import Skipped
 
 __all__ = ["ConditionResult", "Evaluation", "SegmentError"]
@@ -98,6 +99,7 @@ class Evaluation:
         unknown_drives: Names of the drives whose places the map does not have.
         calibrated: Whether the map tells probabilities.
         segments: L.
+        segmentation: How they were cut.
         split: How the queries were held out, `None` with a query drive.
         distance: How harmonic signatures are compared, `None` in the paper's encoding.
         lateral_renderings_m: From where the map's scans were rendered, `None` likewise.
@@ -109,6 +111,7 @@ class Evaluation:
         compression: Against the map's own images and returns.
         relative_error: |X - X^| / |X| of each segment.
         conditions: The figures, one entry a disturbance.
+        tracks: The same of the queries tracked as one drive; empty if that was not asked.
     """
 
     drive: str
@@ -118,6 +121,7 @@ class Evaluation:
     encoding: str
     ranks: tuple[int, int]
     segments: int
+    segmentation: str
     split: str | None
     reducer: str
     image: str
@@ -134,10 +138,12 @@ class Evaluation:
     compression: Compression
     relative_error: tuple[float, ...]
     conditions: tuple[ConditionResult, ...]
+    tracks: tuple[TrackResult, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
         """Return plain values, ready for JSON."""
         return {
             **asdict(self),
             "conditions": [result.as_dict() for result in self.conditions],
+            "tracks": [result.as_dict() for result in self.tracks],
         }

@@ -1,5 +1,6 @@
 """The map as a graph: nodes where segments end and drives meet, edges along segments."""
 
-from core.topology.graph import Entry, Topology, segment_ends
+from core.topology.graph import JOINED, Entry, Topology, segment_ends
+from core.topology.joining import cut_at_meetings, join_segments
 
-__all__ = ["Entry", "Topology", "segment_ends"]
+__all__ = ["JOINED", "Entry", "Topology", "cut_at_meetings", "join_segments", "segment_ends"]

@@ -13,7 +13,10 @@ from core.errors import InvalidMap
 from core.pose import path_length_m
 from core.trajectory import Trajectory
 
-__all__ = ["Entry", "Topology", "segment_ends"]
+__all__ = ["JOINED", "Entry", "Topology", "segment_ends"]
+
+JOINED = ("edge_scans", "edge_of_segment", "segment_reversed")
+"""Arrays that only a joined graph has in its file: all three or none."""
 
 
 @dataclass(frozen=True, order=True)

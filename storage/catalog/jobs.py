@@ -5,7 +5,7 @@ queued --claim--> running --finish--> done
   |--request_cancel--|---cancelled-> cancelled
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from typing import Any
 
@@ -195,10 +195,13 @@ class Jobs:
             return sum(row.state == JobState.QUEUED for row in rows)
 
 
-def finish_if_running(session: Session, job_id: str, revision: str) -> None:
+def finish_if_running(
+    session: Session, job_id: str, revision: str, notes: Sequence[str] = ()
+) -> None:
     """End a job that built `revision`, if it runs, within the transaction that publishes it."""
     row = session.get(Job, job_id, with_for_update=True)
     if row is not None and row.state == JobState.RUNNING:
+        row.notes = list(notes)
         _finish_row(row, revision)
 
 
@@ -243,4 +246,5 @@ def _record(row: Job) -> JobRecord:
         created_at=row.created_at,
         started_at=row.started_at,
         finished_at=row.finished_at,
+        notes=tuple(row.notes or ()),
     )

@@ -19,7 +19,18 @@ from sqlalchemy import (
 )
 from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
 
-__all__ = ["Base", "Drive", "Job", "Key", "LiveRevision", "Map", "Revision", "Scan", "StoreId"]
+__all__ = [
+    "Base",
+    "Drive",
+    "Job",
+    "Key",
+    "LiveRevision",
+    "Map",
+    "Revision",
+    "RevisionBasis",
+    "Scan",
+    "StoreId",
+]
 
 Id = String(32)
 Slug = String(64)
@@ -139,6 +150,21 @@ class Revision(Base):
     created_at: Mapped[datetime]
 
 
+class RevisionBasis(Base):
+    """A basis that a revision answers to; many revisions may share one."""
+
+    __tablename__ = "revision_bases"
+    __table_args__ = (
+        ForeignKeyConstraint(
+            ["map_id", "digest"], ["revisions.map_id", "revisions.digest"], ondelete="CASCADE"
+        ),
+    )
+
+    map_id: Mapped[str] = mapped_column(Id, primary_key=True)
+    basis: Mapped[str] = mapped_column(Digest, primary_key=True)
+    digest: Mapped[str] = mapped_column(Digest, primary_key=True)
+
+
 class LiveRevision(Base):
     """Which revision of a map is live.
 
@@ -176,6 +202,7 @@ class Job(Base):
     # Not a foreign key: a job remembers what it built after that was deleted.
     revision: Mapped[str | None] = mapped_column(Digest)
     cancel_requested: Mapped[bool]
+    notes: Mapped[list[str] | None] = mapped_column(JSON(none_as_null=True))
     created_at: Mapped[datetime]
     started_at: Mapped[datetime | None]
     finished_at: Mapped[datetime | None]

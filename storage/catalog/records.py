@@ -129,13 +129,20 @@ class ScanRecord:
 
 @dataclass(frozen=True)
 class RevisionFacts:
-    """What the builder of a revision knows about it."""
+    """What the builder of a revision knows about it.
+
+    Attributes:
+        bases: Digests of the bases that it answers to.
+        notes: What the job that built it tells besides.
+    """
 
     encoding: str
     scans: int
     segments: int
     parameters: Mapping[str, Any]
     job_id: str | None = None
+    bases: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -174,6 +181,7 @@ class JobRecord:
         error_type: Name of the error it failed with.
         revision: Digest of the revision it built.
         cancel_requested: Someone asked a running job to stop.
+        notes: What it tells about what it built.
     """
 
     id: str
@@ -191,6 +199,7 @@ class JobRecord:
     created_at: datetime
     started_at: datetime | None
     finished_at: datetime | None
+    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

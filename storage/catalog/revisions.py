@@ -9,7 +9,7 @@ from core.errors import InvalidParameters
 from storage.catalog.database import Database
 from storage.catalog.jobs import finish_if_running
 from storage.catalog.maps import locked_map, map_named, map_of_id
-from storage.catalog.models import LiveRevision, Map, Revision
+from storage.catalog.models import LiveRevision, Map, Revision, RevisionBasis
 from storage.catalog.pages import DEFAULT_LIMIT, one_more, page_of
 from storage.catalog.records import Page, RevisionFacts, RevisionRecord
 from storage.errors import (
@@ -66,10 +66,13 @@ class Revisions:
                 )
                 session.add(row)
                 session.flush()
+            for basis in facts.bases:  # also of one from before they were written down
+                session.merge(RevisionBasis(map_id=of_map.id, basis=basis, digest=digest))
+            session.flush()
             if make_live or session.get(LiveRevision, of_map.id) is None:
                 _make_live(session, of_map, digest)
             if facts.job_id is not None:
-                finish_if_running(session, facts.job_id, digest)
+                finish_if_running(session, facts.job_id, digest, facts.notes)
             return _record(row)
 
     def get(self, map_slug: str, digest: str) -> RevisionRecord:
@@ -82,6 +85,55 @@ class Revisions:
         """
         with self._database.reading() as session:
             return _record(_found(session, map_named(session, map_slug), digest))
+
+    def of_map(self, map_id: str, digest: str) -> RevisionRecord:
+        """Return a revision of the map of that id, whatever its slug names now; else as `get`.
+
+        Raises:
+            MapNotFound: If the map is gone.
+            RevisionNotFound: If it has no such revision, or the prefix is shorter than 12 digits.
+            AmbiguousRevision: If it has several.
+        """
+        with self._database.reading() as session:
+            return _record(_found(session, map_of_id(session, map_id), digest))
+
+    def with_basis(self, map_slug: str, basis: str) -> RevisionRecord | None:
+        """Return the revision that answers to a basis: the live one or else the newest.
+
+        `None` if there is none.
+
+        Args:
+            map_slug: The map.
+            basis: Its digest or a prefix of at least 12 digits.
+
+        Raises:
+            MapNotFound: If there is no such map.
+        """
+        wanted = basis.lower()
+        with self._database.reading() as session:
+            of_map = map_named(session, map_slug)
+            if len(wanted) < _SHORTEST_PREFIX:
+                return None
+            held = select(RevisionBasis.digest).where(
+                RevisionBasis.map_id == of_map.id,
+                RevisionBasis.basis.startswith(wanted, autoescape=True),
+            )
+            row = session.scalar(
+                select(Revision)
+                .outerjoin(
+                    LiveRevision,
+                    (LiveRevision.map_id == Revision.map_id)
+                    & (LiveRevision.digest == Revision.digest),
+                )
+                .where(Revision.map_id == of_map.id, Revision.digest.in_(held))
+                .order_by(
+                    LiveRevision.digest.is_(None),
+                    Revision.created_at.desc(),
+                    Revision.digest.desc(),
+                )
+                .limit(1)
+            )
+            return None if row is None else _record(row)
 
     def live(self, map_slug: str) -> RevisionRecord:
         """Return the live revision.

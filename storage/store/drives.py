@@ -55,6 +55,7 @@ class Drives:
         self.get = catalog.drives.get
         self.list = catalog.drives.list
         self.slugs = catalog.drives.slugs
+        self.of_map = catalog.drives.of_map
 
     def put_scan(self, map_slug: str, drive_slug: str, index: int, scan: Scan) -> PutResult:
         """Store one scan; see `put_scans`."""

@@ -14,7 +14,7 @@ __all__ = ["Revisions"]
 
 
 class Revisions:
-    """The revisions of each map, newest first; `list`, `get` and `live` are the catalog's."""
+    """The revisions of each map, newest first; what only reads rows is the catalog's."""
 
     def __init__(self, catalog: Catalog, layout: Layout) -> None:
         self._catalog = catalog
@@ -22,6 +22,8 @@ class Revisions:
         self.list = catalog.revisions.list
         self.get = catalog.revisions.get
         self.live = catalog.revisions.live
+        self.of_map = catalog.revisions.of_map
+        self.with_basis = catalog.revisions.with_basis
         self.set_live = catalog.revisions.set_live
 
     def add(
@@ -78,7 +80,7 @@ class Revisions:
             RevisionNotFound: If it has no such revision.
             AmbiguousRevision: If several begin with this prefix.
         """
-        return self._path(self._catalog.revisions.get(map_slug, digest))
+        return self.path_of(self._catalog.revisions.get(map_slug, digest))
 
     def open(self, map_slug: str, digest: str) -> tuple[RevisionRecord, BinaryIO]:
         """Open the file of a revision: it can be read to its end, whatever is deleted meanwhile.
@@ -91,7 +93,7 @@ class Revisions:
         """
         record = self._catalog.revisions.get(map_slug, digest)
         try:
-            return record, self._path(record).open("rb")
+            return record, self.path_of(record).open("rb")
         except FileNotFoundError as error:
             self._catalog.revisions.get(map_slug, record.digest)  # perhaps deleted meanwhile
             raise CorruptFile(f"the file of revision {record.digest} is gone") from error
@@ -107,10 +109,11 @@ class Revisions:
             RevisionIsLive: If it is the live one.
         """
         record = self._catalog.revisions.delete(map_slug, digest)
-        self._path(record).unlink(missing_ok=True)
+        self.path_of(record).unlink(missing_ok=True)
         return record
 
-    def _path(self, record: RevisionRecord) -> Path:
+    def path_of(self, record: RevisionRecord) -> Path:
+        """Return where the file of a revision is."""
         return self._layout.revisions(record.map_id) / record.file_name
 
 

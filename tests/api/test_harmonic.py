@@ -34,7 +34,7 @@ def basis(client):
 
 def as_json(signature):
     return {
-        "revision": signature.revision,
+        "basis": signature.revision,
         "signatures": [
             {
                 "values_real": signature.values.real.tolist(),
@@ -160,7 +160,7 @@ def test_signatures_that_cannot_be_are_refused_by_name(client, basis):
             "/v1/maps/campus/localizations/signature", json={**good, "signatures": signatures}
         )
         assert problem_of(response) == (422, problem), signatures
-    stale = {**good, "revision": "f" * 64}
+    stale = {**good, "basis": "f" * 64}
     response = client.post("/v1/maps/campus/localizations/signature", json=stale)
     assert problem_of(response) == (409, "stale-signature")
 

@@ -189,14 +189,14 @@ def test_a_revision_that_is_deleted_while_it_is_sent_arrives_whole(own, built, m
 
 def test_a_revision_that_is_deleted_before_it_is_opened_is_not_found(own, built, monkeypatch):
     revisions = own.service.store.revisions
-    really_path = revisions._path
+    really_path = revisions.path_of
 
     def delete_first(record):
         monkeypatch.undo()
         revisions.delete("campus", built.other)
         return really_path(record)
 
-    monkeypatch.setattr(revisions, "_path", delete_first)
+    monkeypatch.setattr(revisions, "path_of", delete_first)
     refused = own.get(f"/v1/maps/campus/revisions/{built.other}/file")
     assert problem_of(refused) == (404, "revision-not-found")
 

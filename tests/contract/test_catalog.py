@@ -2,6 +2,7 @@
 
 import math
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from datetime import UTC
 
 import pytest
@@ -273,6 +274,50 @@ class TestRevisions:
             catalog.revisions.add(catalog.maps.get("campus").id, A, "again.h5", 10, FACTS) == first
         )
         assert len(catalog.revisions.list("campus").items) == 1
+
+    def test_a_basis_names_the_live_revision_that_has_it_or_else_the_newest(self, catalog):
+        map_id = catalog.maps.get("campus").id
+        shared = replace(FACTS, bases=("1" * 64, "2" * 64))
+        for digest in (A, B, C):
+            catalog.revisions.add(map_id, digest, f"{digest}.h5", 10, shared)
+        catalog.revisions.add(map_id, "d" * 64, "d.h5", 10, replace(FACTS, bases=("3" * 64,)))
+        assert catalog.revisions.with_basis("campus", "2" * 64).digest == A
+        catalog.revisions.set_live("campus", "d" * 64)
+        assert catalog.revisions.with_basis("campus", "2" * 16).digest == C
+        catalog.revisions.delete("campus", C)
+        assert catalog.revisions.with_basis("campus", "1" * 64).digest == B
+        for unknown in ("4" * 64, "1" * 11, "", "%" * 16, "_" * 16):
+            assert catalog.revisions.with_basis("campus", unknown) is None
+        catalog.maps.create("other")
+        assert catalog.revisions.with_basis("other", "1" * 64) is None
+        with pytest.raises(MapNotFound):
+            catalog.revisions.with_basis("nowhere", "1" * 64)
+
+    def test_bases_are_added_to_a_revision_from_before_they_were_written_down(self, catalog):
+        map_id = catalog.maps.get("campus").id
+        catalog.revisions.add(map_id, A, "a.h5", 10, FACTS)
+        for _ in range(2):
+            catalog.revisions.add(map_id, A, "a.h5", 10, replace(FACTS, bases=("1" * 64,)))
+        assert catalog.revisions.with_basis("campus", "1" * 64).digest == A
+
+    def test_a_job_keeps_the_notes_of_what_it_built(self, catalog):
+        catalog.jobs.create("campus", {})
+        job = catalog.jobs.claim()
+        assert job.notes == ()
+        facts = replace(FACTS, job_id=job.id, notes=("it fits badly",))
+        catalog.revisions.add(catalog.maps.get("campus").id, A, "a.h5", 10, facts)
+        done = catalog.jobs.get(job.id)
+        assert (done.state, done.notes) == (JobState.DONE, ("it fits badly",))
+
+    def test_a_revision_is_found_by_its_maps_id(self, catalog):
+        map_id = catalog.maps.get("campus").id
+        added = catalog.revisions.add(map_id, A, "a.h5", 10, FACTS)
+        assert catalog.revisions.of_map(map_id, A[:12]) == added
+        with pytest.raises(RevisionNotFound):
+            catalog.revisions.of_map(map_id, B)
+        catalog.maps.delete("campus")
+        with pytest.raises(MapNotFound):
+            catalog.revisions.of_map(map_id, A)
 
     def test_two_maps_may_have_the_same_revision(self, catalog):
         catalog.maps.create("other")

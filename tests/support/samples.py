@@ -70,14 +70,16 @@ def sample_points(seed: int, returns: int = 60) -> Float32Array:
     )
 
 
-def sample_drive(count: int, seed: int = 0, *, poses: bool = True, name: str = "drive"):
+def sample_drive(
+    count: int, seed: int = 0, *, poses: bool = True, name: str = "drive", returns: int = 60
+):
     """Return a drive of `count` unlike scans, a metre and a tenth of a second apart."""
     rows = straight_poses(count)
     return MemoryDrive(
         name,
         [
             Scan.from_returns(
-                sample_points(1000 * seed + i),
+                sample_points(1000 * seed + i, returns),
                 timestamp_s=0.1 * i,
                 pose=Pose.from_row(rows[i]) if poses else None,
             )

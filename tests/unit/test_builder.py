@@ -28,9 +28,9 @@ from tests.support.samples import (
 PARAMETERS = MapParameters(grid=SMALL_GRID, ranks=(3, 4))
 
 
-def trajectory_of(count):
+def trajectory_of(count, name="drive-0"):
     return Trajectory.of_drive(
-        "drive-0", 0.1 * np.arange(count, dtype=np.float64), straight_poses(count), np.arange(count)
+        name, 0.1 * np.arange(count, dtype=np.float64), straight_poses(count), np.arange(count)
     )
 
 
@@ -163,7 +163,7 @@ def test_cuts_that_do_not_cover_the_images_are_refused(cuts):
 
 
 def test_a_segment_over_two_drives_is_refused():
-    joined = Trajectory.concatenate([trajectory_of(5), trajectory_of(5)])
+    joined = Trajectory.concatenate([trajectory_of(5), trajectory_of(5, "drive-1")])
     source = MemoryImages(random_images(10, SMALL_GRID.shape), SMALL_GRID)
     with pytest.raises(InvalidParameters, match="drive"):
         build_map(source, joined, np.array([0, 7, 10]), PARAMETERS)

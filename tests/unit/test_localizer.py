@@ -136,7 +136,7 @@ def test_part_of_the_basis_makes_the_same_signatures(made, localizer):
         np.testing.assert_allclose(
             signature.values, whole[signature.segment].values, rtol=1e-5, atol=1e-4
         )
-        assert signature.revision == tensor_map.revision
+        assert signature.revision == tensor_map.basis_digest
     with pytest.raises(UnknownSegment, match=r"no segment 6; the map has 0\.\.5"):
         tensor_map.basis(np.array([6]))
 

@@ -4,13 +4,15 @@ import h5py
 import pytest
 
 from app.jobs.parameters import BuildParameters
-from app.pipelines import build_revision
+from app.pipelines import Built, build_revision
+from core.merging import BasisFit
 from core.progress import Progress
 from storage.catalog import JobState
 from storage.errors import CorruptFile, JobNotRunning, MapNotFound
 from storage.image_file import write_image_file
 from storage.store import Store
 from tests.support.recording import recording
+from tests.support.samples import sample_harmonic_map
 
 SCANS = 8
 PARAMETERS = BuildParameters(segments=2)
@@ -167,3 +169,11 @@ def drop_probes(store):
     [path] = store.layout.maps.rglob("images/*.h5")
     with h5py.File(path, "r+") as file:
         del file.attrs["probe_version"], file["probes"], file["probed"]
+
+
+def test_a_basis_that_fits_a_drive_badly_is_noted():
+    tensor_map, _ = sample_harmonic_map(8)
+    fits = BasisFit("monday", 0.80, 0.70), BasisFit("tuesday", 0.76, 0.70)
+    [note] = Built(tensor_map, 0, {}, fits, 8).notes
+    assert "monday" in note
+    assert "refit" in note

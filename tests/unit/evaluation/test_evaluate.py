@@ -11,7 +11,7 @@ from core.evaluation.condition import Condition
 from core.evaluation.evaluate import Protocol, evaluate
 from core.evaluation.motion import is_standing
 from core.evaluation.split import Every, Interleaved
-from core.parameters import Encoding, MapParameters
+from core.parameters import Encoding, MapParameters, Segmentation
 from core.scan import Scan
 from core.simulation import SimulatedDrive
 from tests.support.samples import SMALL_GRID, FaultyDrive, RecordedProgress, sample_drive
@@ -279,3 +279,23 @@ def test_without_poses_no_probability_is_judged(drive):
 def test_an_unknown_drive_without_a_scan_is_refused(drive):
     with pytest.raises(EmptyDrive):
         evaluate(drive, Protocol(segments=4), unknown=[MemoryDrive("none", [])])
+
+
+@pytest.mark.parametrize("encoding", Encoding)
+def test_unequal_segments_are_cut_over_all_scans_and_told(encoding):
+    parameters = MapParameters.for_sensor(
+        encoding=encoding, ranks=(2, 2), segmentation=Segmentation.UNEQUAL
+    )
+    found = evaluate(sample_drive(40), Protocol(parameters, segments=4))
+    assert found.as_dict()["segmentation"] == "unequal"
+    assert found.segments >= 2
+    assert found.map_scans == 32
+    assert len(found.conditions[0].errors) <= 8
+
+
+def test_a_scan_that_cannot_be_used_is_in_no_unequal_segments_model():
+    parameters = MapParameters(ranks=(2, 2), segmentation=Segmentation.UNEQUAL)
+    drive = FaultyDrive(sample_drive(40), {0, 17, 39})
+    found = evaluate(drive, Protocol(parameters, segments=4, split=Every(2)))
+    assert found.map_scans + found.conditions[0].queries == 39
+    assert [skipped.scan for skipped in found.skipped] == [0]

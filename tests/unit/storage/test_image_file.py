@@ -6,6 +6,7 @@ import pytest
 
 from core.drive import MemoryDrive
 from core.errors import Cancelled, EmptyDrive
+from core.grams import drive_gram
 from core.height_image import HEIGHT_REDUCERS
 from core.imager import Imager
 from core.images import project_drive
@@ -13,7 +14,7 @@ from core.projection import RANGE_REDUCERS, Reducer, project_scan
 from core.rings import RingGrid
 from core.sensor import AngularGrid
 from storage import image_file
-from storage.errors import CorruptFile
+from storage.errors import CorruptFile, CorruptImages
 from storage.image_file import ImageFile, image_file_name, write_image_file
 from tests.support.samples import SMALL_GRID, FaultyDrive, RecordedProgress, sample_drive
 
@@ -162,3 +163,40 @@ def test_a_file_that_lacks_its_probes_is_corrupt(path, name):
         del file[name]
     with pytest.raises(CorruptFile, match="holds no images"):
         ImageFile(path, LAST)
+
+
+@pytest.fixture
+def renderings(tmp_path):
+    """Images of a drive with lateral renderings, and beside them what a basis is fitted to."""
+    imager = Imager(RingGrid(), Reducer.MEAN, 1.73, (-1.5, 0.0, 1.5))
+    write_image_file(tmp_path / "renderings.h5", sample_drive(40), imager)
+    return tmp_path / "renderings.h5", imager
+
+
+def test_the_sum_that_is_kept_is_that_of_the_images_and_reads_none(renderings, monkeypatch):
+    path, imager = renderings
+    with ImageFile(path, imager) as images:
+        kept = images.detail_gram()
+        assert kept.tobytes() == drive_gram(images, 0, len(images)).tobytes()
+        monkeypatch.setattr(images, "read", None)  # none is read again
+        assert images.detail_gram().tobytes() == kept.tobytes()
+    with h5py.File(path, "r+") as file:
+        del file["detail_gram"]  # as files were before
+    with ImageFile(path, imager) as images:
+        assert images.detail_gram().tobytes() == kept.tobytes()
+
+
+def test_a_sum_that_is_not_what_was_written_is_refused(renderings):
+    path, imager = renderings
+    with h5py.File(path, "r") as file:
+        at = file["detail_gram"].id.get_chunk_info(0).byte_offset
+    whole = bytearray(path.read_bytes())
+    whole[at + 9] ^= 1
+    path.write_bytes(whole)
+    with ImageFile(path, imager) as images, pytest.raises(CorruptImages, match="cannot be read"):
+        images.detail_gram()
+    with h5py.File(path, "r+") as file:
+        del file["detail_gram"]
+        file["detail_gram"] = np.zeros((3, 3))
+    with ImageFile(path, imager) as images, pytest.raises(CorruptImages, match="shape"):
+        images.detail_gram()

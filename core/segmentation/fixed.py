@@ -1,4 +1,4 @@
-"""Where a drive is cut into segments (paper, sec. 2.2)."""
+"""Segments of one length (paper, sec. 2.2)."""
 
 import itertools
 import math
@@ -23,7 +23,8 @@ def segment_length_for(
 ) -> int:
     """Return k for a drive of `scans` scans.
 
-    `segments` asks for L parts: k = ceil(K / L), with which a short drive may fall into fewer.
+    `segments` asks for L parts: k = ceil(K / L), with which a short drive may fall into fewer, and
+    unequal segments into more or fewer.
     Without either, k is the paper's 760: longer segments are told apart better than shorter ones.
 
     Raises:

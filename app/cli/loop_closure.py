@@ -1,0 +1,90 @@
+"""`tensormap loop-closure`: are proposed closures between scans of drives true?"""
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.table import Table
+
+from app.cli.console import output, progress_bar
+from app.cli.options import MIN_RETURNS, DriveArgument
+from app.schemas.loop_closures import LoopClosureOut
+from core.drive import Drive
+from core.errors import InvalidParameters
+from core.loop_closure import ACCEPT_FROM, check_scans
+from core.parameters import HDL_64E_ON_KITTI_HEIGHT_M
+from core.scan import Scan
+from storage.formats.drives import open_drive
+
+__all__ = ["loop_closure"]
+
+
+def loop_closure(
+    drive: DriveArgument,
+    pairs: Annotated[
+        list[str], typer.Argument(help="Two scans each, counted from 0.", metavar="I,J...")
+    ],
+    second_drive: Annotated[
+        Path | None,
+        typer.Option(metavar="DRIVE", help="The drive of the second scans, if it is another."),
+    ] = None,
+    sensor_height_m: Annotated[
+        float, typer.Option(min=0.01, max=99.99, help="Sensor above ground, in metres.")
+    ] = HDL_64E_ON_KITTI_HEIGHT_M,
+    accept_from: Annotated[
+        float, typer.Option(min=0.501, max=1.0, help="The least probability to accept.")
+    ] = ACCEPT_FROM,
+    as_json: Annotated[bool, typer.Option("--json", help="One JSON answer a line.")] = False,
+) -> None:
+    """Judge proposed loop closures by the returns of both scans."""
+    proposed = [_pair(text) for text in pairs]
+    recorded = open_drive(drive, min_returns=MIN_RETURNS)
+    other = recorded
+    if second_drive is not None:
+        other = open_drive(second_drive, min_returns=MIN_RETURNS)
+    table = Table("first", "second", "verdict", "probability", "turn deg", "ahead m", "left m")
+    with progress_bar() as progress:
+        progress.start("judging", len(proposed))
+        for first, second in proposed:
+            found = check_scans(_scan(recorded, first), _scan(other, second), sensor_height_m)
+            shown = LoopClosureOut.from_core(found, accept_from)
+            progress.advance()
+            if as_json:
+                sys.stdout.write(f"{shown.model_dump_json()}\n")
+                continue
+            table.add_row(
+                f"{recorded.name} {first}",
+                f"{other.name} {second}",
+                shown.verdict.value,
+                f"{found.probability:.3f}",
+                f"{found.turn_deg:.0f}",
+                f"{found.forward_m:.1f}",
+                f"{found.lateral_m:.1f}",
+            )
+    if not as_json:
+        output.print(table)
+
+
+def _scan(drive: Drive, index: int) -> Scan:
+    if index >= len(drive):
+        raise InvalidParameters(
+            f"drive {drive.name} has no scan {index}, it has 0..{len(drive) - 1}"
+        )
+    return drive.scan(index)
+
+
+def _pair(text: str) -> tuple[int, int]:
+    """Read `I,J`.
+
+    Raises:
+        InvalidParameters: If it is something else.
+
+    Examples:
+        >>> _pair("3,47")
+        (3, 47)
+    """
+    first, comma, second = (part.strip() for part in text.partition(","))
+    if not (comma and first.isdecimal() and second.isdecimal()):
+        raise InvalidParameters(f"{text!r} is no pair of scans I,J")
+    return int(first), int(second)

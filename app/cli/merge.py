@@ -1,0 +1,48 @@
+"""`tensormap merge`: several map files into one, exactly; or one without some of its drives."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from app.cli.console import output
+from app.cli.options import require_folder
+from core.errors import UnknownDrive
+from core.merging import merge_maps, without_drives
+from storage.files import publish
+from storage.map_file import read_map, write_map
+
+__all__ = ["merge"]
+
+
+def merge(
+    map_files: Annotated[list[Path], typer.Argument(help="Map files.", metavar="MAP.h5...")],
+    output_file: Annotated[
+        Path, typer.Option("-o", "--output", metavar="MAP.h5", help="The map file to write.")
+    ],
+    without: Annotated[
+        list[str] | None,
+        typer.Option("--without", metavar="DRIVE", help="Leave this drive out; repeatable."),
+    ] = None,
+) -> None:
+    """Merge maps of one encoding and basis, drive after drive; no number of them changes."""
+    require_folder(output_file)
+    maps = [read_map(path) for path in map_files]
+    left_out = set(without or ())
+    unknown = left_out.difference(*(part.trajectory.drives for part in maps))
+    if unknown:
+        raise UnknownDrive(f"none of the maps has a drive {min(unknown)!r}")
+    # A map of which nothing is left adds nothing; if that is true of all, the last one says so.
+    kept = [part for part in maps if set(part.trajectory.drives) - left_out] or maps[-1:]
+    merged = merge_maps(
+        [without_drives(part, left_out & set(part.trajectory.drives)) for part in kept]
+    )
+    with publish(output_file) as part:
+        write_map(part, merged)
+    output.print(
+        f"{output_file}: {', '.join(merged.trajectory.drives)}: {len(merged)} scans,"
+        f" {merged.model.segments} segments, basis {merged.basis_digest[:16]},"
+        f" revision {merged.revision}",
+        markup=False,
+        soft_wrap=True,
+    )

@@ -1,0 +1,49 @@
+"""What made a published figure: release, commit, machine."""
+
+import platform
+import subprocess
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import scipy
+
+__all__ = ["commit", "machine", "provenance"]
+
+_SOURCE = Path(__file__).parents[1]
+
+
+def provenance() -> dict[str, Any]:
+    """Return release, commit, machine and versions as plain values."""
+    return {
+        "tensormap": version("tensormap-server"),
+        "commit": commit(),
+        "machine": machine(),
+        "python": platform.python_version(),
+        "numpy": np.__version__,
+        "scipy": scipy.__version__,
+        "threads": 1,
+    }
+
+
+def commit() -> str | None:
+    """Name the commit that runs, `-dirty` if files were changed; `None` outside a checkout."""
+    if not (_SOURCE / ".git").exists():
+        return None
+    command = ["git", "-C", str(_SOURCE), "describe", "--always", "--dirty"]
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, check=True)  # noqa: S603 - no foreign input
+    except (OSError, subprocess.CalledProcessError):
+        return None
+    return done.stdout.strip()
+
+
+def machine() -> str:
+    """Name the processor as the system does."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+    except OSError:
+        lines = []
+    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    return names[0] if names else platform.processor() or platform.machine()

@@ -1,0 +1,124 @@
+"""Matplotlib figures as `svg` elements that follow the page's colours and fonts."""
+
+import io
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+from xml.etree import ElementTree as ET
+
+import matplotlib as mpl
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure as Canvas
+
+__all__ = ["ACCENT", "ERROR", "GOOD", "GRID", "INK", "MARKERS", "MUTED", "SERIES", "Drawing"]
+
+# Colours that nobody else uses stand for variables of the page, which has two sets of them.
+_VARIABLES = {
+    "#010201": "ink",
+    "#010202": "muted",
+    "#010203": "grid",
+    "#010204": "accent",
+    "#010205": "error",
+    "#010206": "good",
+    **{f"#01021{i}": f"series-{i}" for i in range(6)},
+}
+INK, MUTED, GRID, ACCENT, ERROR, GOOD = list(_VARIABLES)[:6]
+SERIES = tuple(list(_VARIABLES)[6:])
+MARKERS = ("o", "s", "^", "D", "v", "P")
+"""One a series: colour alone does not tell them apart for everybody."""
+
+_STYLE: dict[Any, Any] = {
+    "svg.fonttype": "none",
+    "svg.hashsalt": "tensormap",  # the same figure is the same text
+    "font.family": "sans-serif",
+    "font.size": 10.0,
+    "axes.edgecolor": GRID,
+    "axes.labelcolor": INK,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.unicode_minus": True,
+    "grid.color": GRID,
+    "grid.linewidth": 0.6,
+    "xtick.color": GRID,
+    "ytick.color": GRID,
+    "xtick.labelcolor": INK,
+    "ytick.labelcolor": INK,
+    "text.color": INK,
+    "legend.frameon": False,
+    "legend.fontsize": 8.5,
+    "lines.linewidth": 1.6,
+    "lines.markersize": 4.5,
+}
+_SVG = "{http://www.w3.org/2000/svg}"
+_LINK = "{http://www.w3.org/1999/xlink}href"
+_FONT = re.compile(r"(font:[^;]*?\d+(?:\.\d+)?px)[^;]*")
+_COLOUR = re.compile("|".join(_VARIABLES))
+
+
+class Drawing:
+    """One panel being drawn.
+
+    Attributes:
+        axes: What is drawn on.
+        svg: The `svg` element, once the block of `on` has ended.
+    """
+
+    def __init__(self, canvas: Canvas) -> None:
+        self._canvas = canvas
+        self.axes: Axes = canvas.subplots()
+        self.svg = ""
+
+    @classmethod
+    @contextmanager
+    def on(cls, key: str, *, height_in: float = 3.0) -> Iterator["Drawing"]:
+        """Give axes of 4.6 inches, narrow enough to be read on a telephone.
+
+        Args:
+            key: Distinguishes the panel's element ids from those of all others in the page.
+            height_in: How high the panel is.
+        """
+        with mpl.rc_context():
+            mpl.rcdefaults()  # a person's own matplotlibrc is for their figures
+            mpl.rcParams.update(_STYLE)
+            canvas = Canvas(figsize=(4.6, height_in), layout="constrained")
+            drawing = cls(canvas)
+            yield drawing
+            text = io.StringIO()
+            canvas.savefig(text, format="svg", transparent=True, metadata={"Date": None})
+        drawing.svg = _for_page(text.getvalue(), key)
+
+    def legend(self, columns: int = 5) -> None:
+        """Explain the marks above the axes, where they cover nothing."""
+        self._canvas.legend(
+            loc="outside upper left", ncols=columns, columnspacing=1.2, handlelength=1.4,
+            handletextpad=0.5,
+        )  # fmt: skip
+
+
+def _for_page(text: str, key: str) -> str:
+    root = ET.fromstring(text)  # noqa: S314  # Matplotlib wrote it just now
+    for tag in (f"{_SVG}metadata", f"{_SVG}style"):
+        for parent in root.iter():
+            for child in parent.findall(tag):
+                parent.remove(child)
+    for element in root.iter():
+        element.tag = element.tag.removeprefix(_SVG)
+        link = element.attrib.pop(_LINK, None)
+        if link is not None:
+            element.set("href", f"#{key}-{link.removeprefix('#')}")
+        if "id" in element.attrib:
+            element.set("id", f"{key}-{element.attrib['id']}")
+        for name, value in element.attrib.items():
+            element.set(name, _for_theme(value.replace("url(#", f"url(#{key}-")))
+    for name in ("width", "height", "version"):
+        root.attrib.pop(name, None)
+    root.set("aria-hidden", "true")  # the panel's own words are read instead
+    return ET.tostring(root, encoding="unicode")
+
+
+def _for_theme(style: str) -> str:
+    style = _FONT.sub(r"\1 system-ui, sans-serif", style)
+    return _COLOUR.sub(lambda found: f"var(--{_VARIABLES[found[0]]})", style)

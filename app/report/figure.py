@@ -1,0 +1,83 @@
+"""What a report shows: figures of panels, each with the numbers behind it."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from core.errors import InvalidParameters
+
+__all__ = ["Figure", "Panel", "Table", "percent", "shown"]
+
+
+@dataclass(frozen=True)
+class Panel:
+    """One drawing.
+
+    Attributes:
+        title: What it shows, in a few words.
+        alt: What there is to see in it, for those who do not see it.
+        svg: The drawing, an `svg` element.
+    """
+
+    title: str
+    alt: str
+    svg: str
+
+
+@dataclass(frozen=True)
+class Table:
+    """Numbers behind a figure, as they are written."""
+
+    caption: str
+    headings: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+
+    def __post_init__(self) -> None:
+        if any(len(row) != len(self.headings) for row in self.rows):
+            raise InvalidParameters(f"table {self.caption!r}: a row does not fit the headings")
+
+
+@dataclass(frozen=True)
+class Figure:
+    """Panels that belong together.
+
+    Attributes:
+        key: Its address in the page.
+        title: What it shows.
+        caption: How to read it, units and definitions included.
+        panels: The drawings; none if there is nothing to draw, and the caption says why.
+        tables: The numbers.
+    """
+
+    key: str
+    title: str
+    caption: str
+    panels: tuple[Panel, ...]
+    tables: tuple[Table, ...] = ()
+
+
+def percent(share: float) -> str:
+    """Write a share.
+
+    Examples:
+        >>> percent(0.925), percent(1)
+        ('92.5 %', '100.0 %')
+    """
+    return f"{100 * share:.1f} %"
+
+
+def shown(values: Sequence[object]) -> tuple[str, ...]:
+    """Write a table's row; what is unknown is a dash.
+
+    Examples:
+        >>> shown([3, 0.12345, float("nan"), None, True, "x"])
+        ('3', '0.123', '–', '–', 'yes', 'x')
+    """
+    return tuple(_one(value) for value in values)
+
+
+def _one(value: object) -> str:
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, float):
+        return "–" if value != value else f"{value:.3f}".rstrip("0").rstrip(".")
+    return "–" if value is None else str(value)

@@ -1,0 +1,114 @@
+"""The report as one HTML file: no network, no script, all figures and numbers inside."""
+
+from dataclasses import dataclass
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup
+
+from app.report.answer_figures import (
+    answers_figure,
+    confusion_figure,
+    curves_figure,
+    relative_error_figure,
+)
+from app.report.figure import Figure
+from app.report.map_figures import nodes_figure
+from app.report.sweep_figures import accuracy_figure, size_figure, trade_off_figure
+from core.evaluation.advisor import Verdict
+from core.evaluation.study import EncodingStudy, Study
+from core.progress import NO_PROGRESS, Progress
+
+__all__ = ["VERDICTS", "render_report"]
+
+VERDICTS = {
+    Verdict.DECIDED: "Recommended",
+    Verdict.SIZE_ONLY: "Smallest of equals: the evidence does not decide",
+    Verdict.TOO_FEW: "Too few scans: the evidence does not decide",
+    Verdict.NOTHING_FITS: "Nothing fits the budget",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class _Section:
+    name: str
+    study: EncodingStudy
+    verdict: str
+    figures: tuple[Figure, ...]
+
+
+def render_report(
+    study: Study, provenance: dict[str, str], progress: Progress = NO_PROGRESS
+) -> str:
+    """Draw everything and return the page.
+
+    Whatever comes from the drive (its name, reasons why scans were skipped) is escaped.
+    """
+    progress.start("drawing", 2 + 6 * len(study.encodings))
+    common = []
+    for draw_common in (curves_figure, nodes_figure):
+        common.append(draw_common(study))
+        progress.advance()
+    sections = []
+    for of in study.encodings:
+        figures = []
+        for draw in (
+            trade_off_figure,
+            accuracy_figure,
+            size_figure,
+            lambda of: answers_figure(study, of),
+            relative_error_figure,
+            confusion_figure,
+        ):
+            figures.append(draw(of))
+            progress.advance()
+        sections.append(
+            _Section(str(of.parameters.encoding), of, VERDICTS[of.advice.verdict], tuple(figures))
+        )
+    environment = Environment(
+        loader=PackageLoader("app.report", ""),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters["drawing"] = Markup  # of our own drawings only, never of the drive's words
+    return environment.get_template("report.html.j2").render(
+        study=study,
+        sections=sections,
+        common=common,
+        provenance=provenance,
+        configuration=_configuration(study),
+    )
+
+
+def _configuration(study: Study) -> list[tuple[str, str]]:
+    rows = [
+        ("drive", study.drive),
+        ("scans", str(study.scans)),
+        ("path", "unknown: no poses" if study.length_m is None else f"{study.length_m:.0f} m"),
+        ("standing scans", str(int(study.standing.sum()))),
+        ("held out", f"{study.split}, of the drive as a whole"),
+        ("a right answer", study.criterion),
+        ("seed of the noise", str(study.seed)),
+    ]
+    for of in study.encodings:
+        parameters = of.parameters
+        said = [
+            f"sensor {parameters.sensor}",
+            f"{parameters.reducer} {parameters.image} images of"
+            f" {parameters.grid.shape[0]} x {parameters.grid.shape[1]}",
+            f"{parameters.ranks[0]} x {parameters.ranks[1]}, k = {of.segment_length}"
+            f" ({of.segments} segments)" + ("" if of.recommended else ", not the recommended one"),
+            f"{of.sweep.map_scans} scans mapped, {of.sweep.asked} asked, {of.sweep.judged} judged",
+        ]
+        if parameters.distance is not None and parameters.lateral_renderings_m is not None:
+            places = ", ".join(f"{m:g}" for m in parameters.lateral_renderings_m)
+            said += [
+                f"{parameters.distance} distance",
+                f"sensor {parameters.sensor_height_m:g} m above ground",
+                f"rendered from {places} m to the left",
+            ]
+        if of.refused:
+            said.append(f"{len(of.refused)} scans could not be asked")
+        rows.append((str(parameters.encoding), "; ".join(said)))
+    return rows

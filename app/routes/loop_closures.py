@@ -1,0 +1,45 @@
+"""Loop closures: is a proposed one true?"""
+
+from fastapi import APIRouter
+
+from app.closures import judge_closures
+from app.errors import JSON_BODY, READING, problems
+from app.schemas.loop_closures import LoopClosureOut, LoopClosuresIn, LoopClosuresOut
+from app.service import MapSlug, Running
+from core.errors import InvalidScan, InvalidSignature, StaleSignature, UnknownSegment
+from storage.errors import CorruptFile, DriveNotFound, MapNotFound, NoLiveRevision, ScanNotFound
+
+__all__ = ["router"]
+
+router = APIRouter(tags=["loop closures"])
+
+
+@router.post(
+    "/maps/{map}/loop-closures",
+    responses=problems(
+        MapNotFound,
+        DriveNotFound,
+        ScanNotFound,
+        NoLiveRevision,
+        StaleSignature,
+        UnknownSegment,
+        InvalidSignature,
+        InvalidScan,
+        CorruptFile,
+        *JSON_BODY,
+        *READING,
+    ),
+)
+def check_loop_closures(
+    map_slug: MapSlug, wanted: LoopClosuresIn, running: Running
+) -> LoopClosuresOut:
+    """Judge proposed closures before they bend a map.
+
+    Two stored scans are judged by their returns, laid over each other in every heading: reliable,
+    and independent of the map's encoding. A scan of which only signatures came is judged by these,
+    which tells far less.
+    """
+    found = judge_closures(running.store, running.revisions, map_slug, wanted)
+    return LoopClosuresOut(
+        closures=[LoopClosureOut.from_core(closure, wanted.accept_from) for closure in found]
+    )

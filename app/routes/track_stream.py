@@ -1,0 +1,88 @@
+"""A track over one connection: packed signatures in, answers out."""
+
+from typing import Annotated
+
+from fastapi import APIRouter, Path, WebSocket, WebSocketDisconnect, status
+from pydantic import ValidationError
+from starlette.concurrency import run_in_threadpool
+
+from app.errors import BodyTooLarge, InvalidRequest, TrackNotFound, problem_response
+from app.routes.tracks import track_of
+from app.schemas.tracks import ObservationIn, TrackStepOut
+from app.service import Service
+from core.errors import TensorMapError
+from core.signature import unpack_signatures
+from core.tracking.track import Observation
+from storage.errors import MapNotFound
+
+__all__ = ["router"]
+
+router = APIRouter(tags=["tracks"])
+
+
+@router.websocket("/maps/{map}/tracks/{track}/stream")
+async def stream(
+    websocket: WebSocket,
+    map_slug: Annotated[str, Path(alias="map")],
+    track_id: Annotated[str, Path(alias="track")],
+) -> None:
+    """Take observations as they come, and answer each one.
+
+    A binary message is packed signatures, a text one is the JSON of `ObservationIn`. An observation
+    that is refused is answered with the problem that HTTP would answer, and the stream goes on.
+    """
+    service: Service = websocket.app.state.service
+    try:
+        service.access.check_stream(websocket)
+        await run_in_threadpool(track_of, service, map_slug, track_id)
+    except TensorMapError as error:
+        await websocket.send_denial_response(problem_response(error))
+        return
+    await websocket.accept()
+    try:
+        while True:
+            await _answer(websocket, service, map_slug, track_id)
+    except WebSocketDisconnect:
+        return
+
+
+async def _answer(websocket: WebSocket, service: Service, map_slug: str, track_id: str) -> None:
+    message = await websocket.receive()
+    if message["type"] == "websocket.disconnect":
+        raise WebSocketDisconnect(message.get("code", status.WS_1000_NORMAL_CLOSURE))
+    body: bytes | str = message.get("bytes") or message.get("text") or b""
+    try:
+        answer = await run_in_threadpool(_observe, service, map_slug, track_id, body)
+    except TensorMapError as error:
+        await websocket.send_text(bytes(problem_response(error).body).decode())
+        if isinstance(error, BodyTooLarge):
+            await _close(websocket, status.WS_1009_MESSAGE_TOO_BIG)
+        if isinstance(error, (TrackNotFound, MapNotFound)):
+            await _close(websocket, status.WS_1008_POLICY_VIOLATION)
+        return
+    await websocket.send_text(answer)
+
+
+async def _close(websocket: WebSocket, code: int) -> None:
+    await websocket.close(code)
+    raise WebSocketDisconnect(code)
+
+
+def _observe(service: Service, map_slug: str, track_id: str, body: bytes | str) -> str:
+    limit = service.settings.max_json_bytes
+    if len(body) > limit:
+        raise BodyTooLarge(f"the message has {len(body)} bytes, at most {limit} are read")
+    found, live = track_of(service, map_slug, track_id)
+    step = found.observe(_observation(body))
+    return TrackStepOut.from_core(found.id, step, live).model_dump_json()
+
+
+def _observation(body: bytes | str) -> Observation:
+    if isinstance(body, bytes):
+        return Observation(unpack_signatures(body))
+    try:
+        return ObservationIn.model_validate_json(body).to_observation()
+    except ValidationError as error:
+        found = error.errors(include_url=False, include_input=False, include_context=False)[0]
+        where = "/".join(map(str, found["loc"]))
+        raise InvalidRequest(f"{where}: {found['msg']}"[:200]) from None

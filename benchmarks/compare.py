@@ -1,0 +1,282 @@
+"""The tables of docs/reference/comparison.md, from recorded and simulated drives.
+
+    python -m benchmarks.compare DRIVES > docs/reference/comparison.md
+    python -m benchmarks.compare DRIVES head|kitti00|conditions|muehlburger|cities|loops
+
+DRIVES is a folder of drives in the KITTI odometry layout that holds `kitti00` and
+`kit_muehlburger`. Nothing was chosen on the simulated cities' seeds. `map-closures` takes part in
+`kitti00` where its package is installed.
+"""
+
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from threadpoolctl import threadpool_limits
+
+from app.peers.roster import METHODS, contestants, default_methods
+from app.provenance import commit, machine, provenance
+from benchmarks.accuracy import print_table
+from core.arrays import IntArray
+from core.drive import Drive, MemoryDrive
+from core.evaluation.compare import ComparisonProtocol, compare
+from core.evaluation.comparison import Comparison, MethodResult, MethodUnderCondition
+from core.evaluation.condition import Condition, conditions
+from core.evaluation.contestants import Contestant, Enrolled
+from core.evaluation.pairing import HeldOut, LoopClosing, SecondPass
+from core.evaluation.split import Every
+from core.progress import NO_PROGRESS, Progress
+from core.sensor import HDL_64E
+from core.simulation import SimulatedDrive
+from storage.formats.drives import open_drive
+
+SEEDS = (101, 102, 103)
+SCANS = 300
+ASKED_EVERY = 10  # of a second pass: its neighbours, 0.1 s apart, say little more
+SEGMENTS = 5
+PASSES = ((2.0, False), (2.0, True), (3.0, False), (3.0, True))
+
+CONDITIONS: tuple[Condition, ...] = (
+    *conditions((0, 10, 90, 180), (0,), (0,)),
+    *conditions((0,), (1, -1, 2, -2, 2.25, -2.25, 3, -3), (0,)),
+    *conditions((180,), (3, -3), (0,)),
+    *conditions((0,), (0,), (0.5, 1.0)),
+)
+HALF = HeldOut(Every(2))
+
+
+def main(folder: Path, part: str = "") -> None:
+    """Print the page, or one part of it."""
+    threadpool_limits(limits=1)
+    parts: dict[str, Callable[[], None]] = {
+        "head": _head,
+        "kitti00": lambda: _kitti00(folder),
+        "conditions": lambda: _conditions(folder),
+        "muehlburger": lambda: _muehlburger(folder),
+        "cities": _cities,
+        "loops": _loops,
+    }
+    for name, print_part in parts.items():
+        if part in {"", name}:
+            print_part()
+
+
+def _head() -> None:
+    of = provenance()
+    print("# Comparison with other methods\n")
+    print("What our encodings and other methods of place recognition reach on the same scans;")
+    print("printed by\n")
+    print("```text\npython -m benchmarks.compare DRIVES\n```\n")
+    print(f"at commit {commit()} on {machine()}, one thread, Python {of['python']}, NumPy")
+    print(f"{of['numpy']}. `tensormap compare` prints the same figures of your own drives:")
+    print("[Compare methods](../how-to/compare-methods.md). How the others were re-derived:")
+    print("[decision 16](../decisions/0016-peers.md).\n")
+    print("- **R@1** within so many metres: of the queries that have a place so near, the share")
+    print("  whose answer is one. **F1**: the greatest over all thresholds of the score, which is")
+    print("  the distance, negated. **AP**: average precision, the area under precision over")
+    print("  recall as a sum of steps. **AUROC**: of findable queries against another drive's.")
+    print("- **Bytes sent**: what a vehicle sends, ours packed (the paper's encoding one signature")
+    print("  for each segment), others' numbers as float32. **Bytes kept**: arrays of the places,")
+    print("  bases included, a place. **ms**: medians of processor time from returns to")
+    print("  descriptor and from there to the answer.")
+    print("- `map-closures` describes and matches in one call. It is made for maps of many scans;")
+    print("  here it gets single ones, as all do, leaves most queries unanswered, and so takes")
+    print("  part in the first table only.\n")
+    print("Configuration: every method's defaults, five segments.\n")
+    rows = [
+        [f"`{one.name}`", _described_parameters(one)]
+        for one in contestants(
+            default_methods(), sensor=HDL_64E.name, sensor_height_m=1.73, segment_length=SCANS
+        )
+    ]
+    print_table(["method", "configuration"], rows)
+
+
+def _described_parameters(one: Contestant) -> str:
+    chosen = {k: v for k, v in one.configuration().items() if k != "segment_length"}
+    return ", ".join(f"{name} {value}" for name, value in chosen.items())
+
+
+def _contestants(drive: Drive, names: Sequence[str]) -> tuple[Contestant, ...]:
+    return contestants(
+        names,
+        sensor=HDL_64E.name,
+        sensor_height_m=1.73,
+        segment_length=-(-len(drive) // SEGMENTS),
+    )
+
+
+def _kitti00(folder: Path) -> None:
+    print("## `kitti00`, as driven\n")
+    print("Recorded, 250 scans of an HDL-64E: even ones are places, odd ones asked. Unknown:")
+    print(f"`kit_muehlburger`, every {ASKED_EVERY}th scan.\n")
+    drive = open_drive(folder / "kitti00", min_returns=100)
+    unknown = open_drive(folder / "kit_muehlburger", min_returns=100)
+    protocol = ComparisonProtocol(HALF, unknown_every=ASKED_EVERY)
+    every = _contestants(drive, default_methods())
+    _print_means([compare(drive, every, protocol, unknown_drive=unknown)], 3.0)
+
+
+def _conditions(folder: Path) -> None:
+    print("## `kitti00`, turned, beside, noisy\n")
+    print("R@1 within 3 m; the vehicle is turned and stands to the left of its scan (its returns")
+    print("are moved, nothing new is seen), or every coordinate has noise. M2DP centres returns:")
+    print("moved ones are the same to it, and only a true second pass, below, tries it.\n")
+    drive = open_drive(folder / "kitti00", min_returns=100)
+    found = compare(drive, _contestants(drive, METHODS[:-1]), ComparisonProtocol(HALF, CONDITIONS))
+    _print_conditions(found)
+
+
+def _muehlburger(folder: Path) -> None:
+    print("## `kit_muehlburger`\n")
+    print("Recorded, 501 scans at 10 Hz, the first 188 standing; even ones are places.\n")
+    drive = open_drive(folder / "kit_muehlburger", min_returns=100)
+    found = compare(drive, _contestants(drive, METHODS[:-1]), ComparisonProtocol(HALF))
+    _print_means([found], 3.0)
+
+
+def _cities() -> None:
+    print("## Simulated cities, second passes\n")
+    print(
+        f"R@1 within 5 m: {SCANS} scans are places; a second pass truly drives beside their line,"
+    )
+    print(
+        f"in its direction and against it, other cars parked; every {ASKED_EVERY}th scan asked.\n"
+    )
+    rows, found = [], []
+    for seed in SEEDS:
+        city = _in_memory(SimulatedDrive(seed=seed, scans=SCANS))
+        other = _in_memory(SimulatedDrive(seed=seed + 100, scans=SCANS), ASKED_EVERY)
+        methods = [_Once(one) for one in _contestants(city, METHODS[:-1])]
+        for number, (offset_m, reverse) in enumerate(PASSES):
+            second = SimulatedDrive(
+                seed=seed,
+                scans=SCANS,
+                lateral_offset_m=offset_m,
+                reverse=reverse,
+                traffic_seed=seed + 1000,
+            )
+            asked = _in_memory(second, ASKED_EVERY)
+            unknown = None if number else other
+            result = compare(city, methods, ComparisonProtocol(SecondPass()), asked, unknown)
+            found.append(result)
+            rows.append(
+                [
+                    f"{seed}, {offset_m:g} m{', against' if reverse else ''}",
+                    *(
+                        _figure(method.conditions[0].recall_at_1[5.0], ".3f")
+                        for method in result.methods
+                    ),
+                ]
+            )
+    print_table(["seed, offset", *(f"`{name}`" for name in METHODS[:-1])], rows)
+    print(
+        "Means over these passes; the AUROC is of the first of each seed, against another city.\n"
+    )
+    _print_means(found, 5.0)
+
+
+def _loops() -> None:
+    print("## Simulated cities, closing loops\n")
+    print(f"One drive of {SCANS} scans that comes back to where it began; each scan is asked among")
+    print("those at least 50 before it. Means over the seeds")
+    print(f"{', '.join(map(str, SEEDS))}; our bases are fitted to the whole drive.\n")
+    found = []
+    for seed in SEEDS:
+        drive = _in_memory(SimulatedDrive(seed=seed, scans=SCANS))
+        methods = _contestants(drive, METHODS[:-1])
+        found.append(compare(drive, methods, ComparisonProtocol(LoopClosing(recent_scans=50))))
+    asked = [result.methods[0].conditions[0] for result in found]
+    of = ", ".join(f"{row.findable[3.0]} of {row.queries}" for row in asked)
+    print(f"Findable within 3 m: {of} queries.\n")
+    _print_means(found, 3.0)
+
+
+class _Once:
+    """A method that enrols one drive once, however often it is asked to."""
+
+    def __init__(self, contestant: Contestant) -> None:
+        self._contestant = contestant
+        self._enrolled: Enrolled | None = None
+        self.name = contestant.name
+
+    def configuration(self) -> dict[str, Any]:
+        return self._contestant.configuration()
+
+    def enrol(self, drive: Drive, scans: IntArray, progress: Progress = NO_PROGRESS) -> Enrolled:
+        if self._enrolled is None:
+            self._enrolled = self._contestant.enrol(drive, scans, progress)
+        return self._enrolled
+
+
+def _in_memory(drive: SimulatedDrive, every: int = 1) -> MemoryDrive:
+    return MemoryDrive(drive.name, [drive.scan(i) for i in range(0, len(drive), every)])
+
+
+def _print_conditions(result: Comparison) -> None:
+    rows = [
+        [
+            _described(of_first.condition),
+            *(
+                _figure(method.conditions[column].recall_at_1[3.0], ".3f")
+                for method in result.methods
+            ),
+        ]
+        for column, of_first in enumerate(result.methods[0].conditions)
+    ]
+    print_table(["query", *(f"`{method.name}`" for method in result.methods)], rows)
+
+
+def _print_means(found: Sequence[Comparison], metres: float) -> None:
+    rows = []
+    for index, method in enumerate(found[0].methods):
+        every = [result.methods[index].conditions[0] for result in found]
+        rows.append(_row(method, every, metres))
+    print_table(_columns(metres), rows)
+
+
+def _columns(metres: float) -> list[str]:
+    return [
+        "method", "R@1 3 m", "5 m", "10 m", f"F1 {metres:g} m", f"AP {metres:g} m", "AUROC",
+        "turn error deg", "bytes sent", "bytes kept", "ms describe", "ms match", "unanswered",
+    ]  # fmt: skip
+
+
+def _row(
+    method: MethodResult, conditions: Sequence[MethodUnderCondition], metres: float
+) -> list[str]:
+    def mean(values: Sequence[float | None]) -> float | None:
+        known = [value for value in values if value is not None]
+        return sum(known) / len(known) if known else None
+
+    return [
+        f"`{method.name}`",
+        *(_figure(mean([c.recall_at_1[m] for c in conditions]), ".3f") for m in (3.0, 5.0, 10.0)),
+        _figure(mean([c.max_f1[metres] for c in conditions]), ".3f"),
+        _figure(mean([c.average_precision[metres] for c in conditions]), ".3f"),
+        _figure(mean([c.novelty_auroc for c in conditions]), ".3f"),
+        _figure(mean([c.heading_error_deg_median for c in conditions]), ".1f"),
+        _figure(method.sent_bytes, ".0f"),
+        _figure(method.stored_bytes, ".0f"),
+        _figure(mean([c.describe_ms_median for c in conditions]), ".1f"),
+        _figure(mean([c.match_ms_median for c in conditions]), ".2f"),
+        str(sum(c.unanswered + c.refusals for c in conditions)),
+    ]
+
+
+def _described(condition: Condition) -> str:
+    parts = [
+        f"yaw {condition.yaw_deg:g} deg" if condition.yaw_deg else "",
+        f"d = {condition.lateral_m:g} m" if condition.lateral_m else "",
+        f"noise {condition.noise_m:g} m" if condition.noise_m else "",
+    ]
+    return ", ".join(filter(None, parts)) or "as driven"
+
+
+def _figure(value: float | None, form: str) -> str:
+    return "" if value is None else format(value, form)
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]), *sys.argv[2:])

@@ -1,0 +1,275 @@
+"""The tables of docs/decisions/0015-loop-closures.md: proposed closures, true and false.
+
+    python -m benchmarks.loop_closures DRIVES [fit]
+
+DRIVES is a folder of drives in the KITTI odometry layout that holds `kitti00`. `fit` prints the
+coefficients of the logistic curve in core/loop_closure.py, from cities of other seeds. Without it,
+the curve is judged on cities on whose seeds nothing was chosen, and on `kitti00`; the command fails
+if a bar is missed.
+"""
+
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from benchmarks.accuracy import commit, print_table
+from benchmarks.timing import machine
+from core.arrays import FloatArray, IntArray
+from core.builder import build_map
+from core.drive import Drive, MemoryDrive
+from core.images import project_drive
+from core.localizer import Localizer
+from core.loop_closure import ACCEPT_FROM, LoopClosure, Verdict, check_scans
+from core.parameters import Encoding, MapParameters
+from core.pose import heading_deg
+from core.scan import Scan
+from core.segmentation import cut_fixed
+from core.simulation import SimulatedDrive
+from core.trajectory import Trajectory
+from storage.formats.drives import open_drive
+
+FIT_SEEDS = (11, 12, 13, 14)
+SEEDS = (201, 202, 203)
+PASSES: tuple[tuple[float, bool], ...] = tuple(
+    (offset_m, reverse) for offset_m in (0.0, 2.0, -3.0) for reverse in (False, True)
+)
+SCANS = 300
+MAPPED_EVERY = 2
+ASKED_EVERY = 25
+FALSE_FOR_EACH_TRUE = 3
+TRUE_WITHIN_M = 5.0
+FALSE_BEYOND_M = 10.0
+SENSOR_HEIGHT_M = 1.73
+WORST_AUROC = 0.98
+WORST_PRECISION = 0.99
+DISTURBANCES = ("as scanned", "a third hidden", "one return in four")
+
+
+@dataclass(frozen=True)
+class Judged:
+    """A proposed closure, what it is and what was found.
+
+    Attributes:
+        seed: Of the city; 0 is the recorded drive.
+        disturbance: Of the second scan.
+        is_true: Whether the scans stand at one place.
+        similarity: Of their signatures, one minus the normalised distance.
+        closure: What the check says.
+        turn_error_deg: Of the turn; NaN of a false closure.
+        place_error_m: Of the displacement; NaN likewise.
+    """
+
+    seed: int
+    disturbance: str
+    is_true: bool
+    similarity: float
+    closure: LoopClosure
+    turn_error_deg: float
+    place_error_m: float
+
+
+def main(folder: Path, part: str = "") -> int:
+    """Print the tables; return 1 if a bar is missed."""
+    threadpool_limits(limits=1)
+    print(
+        f"Printed by `python -m benchmarks.loop_closures DRIVES{' ' + part if part else ''}` at"
+        f" commit {commit()} on {machine()}.\n"
+    )
+    if part == "fit":
+        _fit([judged for seed in FIT_SEEDS for judged in _city(seed)])
+        return 0
+    found = [judged for seed in SEEDS for judged in _city(seed)]
+    found += _recorded(folder)
+    return _report(found)
+
+
+def _city(seed: int) -> Iterator[Judged]:
+    """Propose closures between a drive and second passes beside it, either way, other cars."""
+    mapped = _in_memory(SimulatedDrive(seed=seed, scans=SCANS), MAPPED_EVERY)
+    localizer = _localizer(mapped)
+    for offset_m, reverse in PASSES:
+        second = SimulatedDrive(
+            seed=seed,
+            scans=SCANS,
+            lateral_offset_m=offset_m,
+            reverse=reverse,
+            traffic_seed=seed + 1000,
+        )
+        asked = _in_memory(second, ASKED_EVERY)
+        for row in range(len(asked)):
+            yield from _proposed(seed, mapped, localizer, asked.scan(row), TRUE_WITHIN_M, row)
+
+
+def _recorded(folder: Path) -> Iterator[Judged]:
+    """Propose closures between the even and every tenth odd scan, as driven and turned."""
+    drive = open_drive(folder / "kitti00", min_returns=100)
+    mapped = _in_memory(drive, 2)
+    localizer = _localizer(mapped)
+    for row in range(1, len(drive), 10):
+        yield from _proposed(0, mapped, localizer, drive.scan(row), 3.0, row)
+
+
+def _proposed(
+    seed: int, mapped: MemoryDrive, localizer: Localizer, asked: Scan, within_m: float, row: int
+) -> Iterator[Judged]:
+    """Yield the nearest place, and the likest ones that are elsewhere, for each disturbance."""
+    if asked.pose is None:
+        return
+    place = np.array(asked.pose.as_tuple())
+    apart_m = np.linalg.norm(mapped.poses[:, :3] - place[:3], axis=1)
+    nearest = int(apart_m.argmin())
+    if apart_m[nearest] > within_m:
+        return
+    elsewhere = apart_m > FALSE_BEYOND_M
+    for disturbance in DISTURBANCES:
+        scan = _disturbed(asked, disturbance, np.random.default_rng([seed, row]))
+        signatures = localizer.basis.encode(localizer.basis.image(scan))
+        search = localizer.map.model.search(signatures)
+        likest = [found.row for found in search.nearest(FALSE_FOR_EACH_TRUE, elsewhere)]
+        for candidate in (nearest, *likest):
+            closure = check_scans(mapped.scan(candidate), scan, SENSOR_HEIGHT_M)
+            errors = np.nan, np.nan
+            if candidate == nearest:
+                errors = _errors(mapped.poses[candidate], place, closure)
+            yield Judged(
+                seed,
+                disturbance,
+                candidate == nearest,
+                1.0 - localizer.compare(signatures, candidate).distance,
+                closure,
+                *errors,
+            )
+
+
+def _disturbed(scan: Scan, disturbance: str, rng: np.random.Generator) -> Scan:
+    points_m = scan.points_m
+    if disturbance == "a third hidden":  # by a lorry, say
+        azimuth_deg = np.degrees(np.arctan2(points_m[:, 1], points_m[:, 0]))
+        points_m = points_m[(azimuth_deg - rng.uniform(0.0, 360.0)) % 360.0 > 120.0]
+    elif disturbance == "one return in four":
+        points_m = points_m[rng.random(len(points_m)) < 0.25]
+    return Scan(points_m, scan.timestamp_s, scan.pose)
+
+
+def _errors(first: FloatArray, second: FloatArray, closure: LoopClosure) -> tuple[float, float]:
+    yaw_deg, other_deg = heading_deg(np.stack([first, second]))
+    turn_deg = other_deg - yaw_deg - (closure.turn_deg or 0.0)
+    cos, sin = np.cos(np.radians(yaw_deg)), np.sin(np.radians(yaw_deg))
+    x, y = second[:2] - first[:2]
+    ahead_m, left_m = cos * x + sin * y, cos * y - sin * x
+    off_m = np.hypot(ahead_m - (closure.forward_m or 0.0), left_m - (closure.lateral_m or 0.0))
+    return float(abs((turn_deg + 180.0) % 360.0 - 180.0)), float(off_m)
+
+
+def _in_memory(drive: Drive, every: int) -> MemoryDrive:
+    return MemoryDrive(drive.name, [drive.scan(i) for i in range(0, len(drive), every)])
+
+
+def _localizer(drive: MemoryDrive) -> Localizer:
+    parameters = MapParameters.for_sensor(encoding=Encoding.HARMONIC)
+    rows: IntArray = np.arange(len(drive))
+    images = project_drive(drive, rows, parameters.imager).images
+    trajectory = Trajectory.of_drive("d", drive.timestamp_s, drive.poses, rows)
+    return Localizer(build_map(images, trajectory, cut_fixed(len(rows), 760), parameters))
+
+
+def _evidence(judged: list[Judged]) -> FloatArray:
+    return np.array([[j.closure.image_similarity or 0.0, j.closure.overlap or 0.0] for j in judged])
+
+
+def _fit(judged: list[Judged]) -> None:
+    """Fit the curve by Newton's method; true and false closures weigh the same.
+
+    A weak ridge keeps it finite where the evidence divides them without an error.
+    """
+    features = _evidence(judged)
+    middle, scale = features.mean(axis=0), features.std(axis=0)
+    design = np.column_stack([np.ones(len(features)), (features - middle) / scale])
+    truth = np.array([j.is_true for j in judged], dtype=np.float64)
+    weight = np.where(truth > 0, 0.5 / truth.mean(), 0.5 / (1.0 - truth.mean()))
+    ridge = np.diag([0.0, 1.0, 1.0])
+    beta = np.zeros(3)
+    for _ in range(50):
+        odds = 1.0 / (1.0 + np.exp(-design @ beta))
+        slope = design.T @ (weight * (truth - odds)) - ridge @ beta
+        curvature = (design * (weight * odds * (1.0 - odds))[:, None]).T @ design + ridge
+        beta += np.linalg.solve(curvature, slope)
+    of = beta[1:] / scale
+    print(
+        f"_INTERCEPT, _OF_SIMILARITY, _OF_OVERLAP ="
+        f" {beta[0] - of @ middle:.1f}, {of[0]:.1f}, {of[1]:.1f}"
+        f"  # of {int(truth.sum())} true and {int((1 - truth).sum())} false closures,"
+        f" seeds {', '.join(map(str, FIT_SEEDS))}"
+    )
+
+
+def _report(found: list[Judged]) -> int:
+    missed = 0
+    rows = []
+    for name, of_it in _groups(found):
+        truth = np.array([j.is_true for j in of_it])
+        p = np.array([j.closure.probability or 0.0 for j in of_it])
+        accepted = np.array([j.closure.verdict() == Verdict.ACCEPTED for j in of_it])
+        rejected = np.array([j.closure.verdict() == Verdict.REJECTED for j in of_it])
+        auroc = _auroc(p[truth], p[~truth])
+        precision = float(truth[accepted].mean()) if accepted.any() else float("nan")
+        missed += auroc < WORST_AUROC or not precision >= WORST_PRECISION
+        similarity = np.array([j.similarity for j in of_it])
+        evidence = _evidence(of_it)
+        rows.append(
+            [
+                name,
+                f"{int(truth.sum())} / {int((~truth).sum())}",
+                f"{_auroc(similarity[truth], similarity[~truth]):.3f}",
+                *(f"{_auroc(column[truth], column[~truth]):.4f}" for column in evidence.T),
+                f"{auroc:.4f}",
+                f"{precision:.4f}",
+                f"{accepted[truth].mean():.3f}",
+                f"{rejected[~truth].mean():.3f}",
+                f"{np.mean((p - truth) ** 2):.4f}",
+                f"{np.nanmedian([j.turn_error_deg for j in of_it]):.2f}",
+                f"{np.nanmedian([j.place_error_m for j in of_it]):.2f}",
+            ]
+        )
+    print_table(
+        [
+            "second scan",
+            "true / false",
+            "AUROC: signature",
+            "images",
+            "from above",
+            "**probability**",
+            f"precision at {ACCEPT_FROM:g}",
+            "true ones accepted",
+            "false ones rejected",
+            "Brier score",
+            "turn error deg",
+            "place error m",
+        ],
+        rows,
+    )
+    bars = f"AUROC >= {WORST_AUROC}, precision of accepted >= {WORST_PRECISION} in every row"
+    print(f"\n{bars}: {'missed ' + str(missed) + ' times' if missed else 'kept'}.")
+    return 1 if missed else 0
+
+
+def _groups(found: list[Judged]) -> Iterator[tuple[str, list[Judged]]]:
+    for seed in sorted({j.seed for j in found}, key=lambda seed: (seed == 0, seed)):
+        for disturbance in DISTURBANCES:
+            name = f"city {seed}" if seed else "`kitti00`"
+            of_it = [j for j in found if (j.seed, j.disturbance) == (seed, disturbance)]
+            yield f"{name}, {disturbance}", of_it
+
+
+def _auroc(of_true: FloatArray, of_false: FloatArray) -> float:
+    """Return how probably a true closure scores above a false one; a draw is half of that."""
+    above = (of_true[:, None] > of_false[None, :]).mean()
+    return float(above + 0.5 * (of_true[:, None] == of_false[None, :]).mean())
+
+
+if __name__ == "__main__":
+    sys.exit(main(Path(sys.argv[1]), *sys.argv[2:]))

@@ -1,0 +1,273 @@
+"""Which {r1, r2, k} to take, and how far the evidence carries (paper, sec. 3.2).
+
+The paper looks for the parameters of "highest accuracy, while being efficient in terms of the
+storage requirements". As a rule: of all candidates whose accuracy on held-out scans is within one
+standard error of the best one's, take the smallest. Among hundreds of candidates some small one
+answers well by luck; a larger rank keeps all that a smaller one does, so a candidate is only taken
+if its neighbours of the next larger r1 and r2 are within that error too.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from enum import StrEnum
+from typing import Any
+
+from core.errors import InvalidParameters
+from core.evaluation.sweep import SweepPoint
+
+__all__ = ["FEWEST_JUDGED", "Advice", "Axis", "Verdict", "advise", "standard_error"]
+
+FEWEST_JUDGED = 30
+"""With fewer held-out scans one standard error at 90 % is more than 5 points."""
+
+
+class Verdict(StrEnum):
+    """How far the evidence carries."""
+
+    DECIDED = "decided"
+    SIZE_ONLY = "size_only"
+    TOO_FEW = "too_few"
+    NOTHING_FITS = "nothing_fits"
+
+
+@dataclass(frozen=True)
+class Axis:
+    """What the evidence says of one parameter, the other two as recommended.
+
+    Attributes:
+        name: `r1`, `r2` or `k`.
+        chosen: The recommended value.
+        tied: Values within one standard error of the best candidate.
+        worse: Values that are not.
+    """
+
+    name: str
+    chosen: int
+    tied: tuple[int, ...]
+    worse: tuple[int, ...]
+
+    @property
+    def decided(self) -> bool:
+        """Whether some value was ruled out."""
+        return bool(self.worse)
+
+
+@dataclass(frozen=True)
+class Advice:
+    """A recommendation and its reasons.
+
+    Attributes:
+        verdict: How far the evidence carries.
+        recommended: The smallest candidate within one standard error of the best that larger ranks
+            confirm, `None` if none fits the budget.
+        best: The most accurate candidate that fits, the smallest among equals.
+        standard_error: Of the best one's accuracy.
+        judged: Held-out scans that were judged.
+        fitting: How many candidates fit the budget.
+        tied: How many of them are within one standard error of the best.
+        max_bytes_per_scan: The budget, `None` without one.
+        smallest_bytes_per_scan: Of all candidates.
+        axes: What the evidence says of r1, r2 and k.
+        reasons: The same in sentences.
+    """
+
+    verdict: Verdict
+    recommended: SweepPoint | None
+    best: SweepPoint | None
+    standard_error: float | None
+    judged: int
+    fitting: int
+    tied: int
+    max_bytes_per_scan: float | None
+    smallest_bytes_per_scan: float
+    axes: tuple[Axis, ...]
+    reasons: tuple[str, ...]
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return plain values, ready for JSON."""
+        return asdict(self) | {"verdict": self.verdict.value}
+
+
+def standard_error(share: float, judged: int) -> float:
+    """Return the standard deviation of a share's Jeffreys posterior: above 0 even at 1.0.
+
+    A scan that is asked under several conditions counts once; its mean answer varies no more than
+    one answer does, so this is the standard error at most.
+
+    Examples:
+        >>> round(standard_error(0.9, 100), 4), round(standard_error(1.0, 50), 4)
+        (0.0302, 0.0137)
+    """
+    hits, misses = share * judged + 0.5, (1.0 - share) * judged + 0.5
+    total = hits + misses
+    return math.sqrt(hits * misses / (total * total * (total + 1.0)))
+
+
+def advise(
+    points: Sequence[SweepPoint], judged: int, max_bytes_per_scan: float | None = None
+) -> Advice:
+    """Recommend a candidate.
+
+    Candidates are ordered by storage; among equally large ones the more accurate comes first, then
+    the one of longer segments, which the paper prefers, then of smaller ranks.
+
+    Args:
+        points: The candidates; those of one segment only come into question if there are no others,
+            since a map of one segment says nothing of where along the way the vehicle is.
+        judged: Held-out scans behind each accuracy.
+        max_bytes_per_scan: Leave out candidates that are larger.
+
+    Raises:
+        InvalidParameters: If there is no candidate, or the budget is not above 0.
+    """
+    if not points:
+        raise InvalidParameters("there is no candidate to recommend")
+    if max_bytes_per_scan is not None and not max_bytes_per_scan > 0:
+        raise InvalidParameters(f"max_bytes_per_scan is {max_bytes_per_scan}, wanted above 0")
+    candidates = [p for p in points if p.segments > 1] or list(points)
+    smallest = min(p.bytes_per_scan for p in candidates)
+    budget = math.inf if max_bytes_per_scan is None else max_bytes_per_scan
+    fitting = [p for p in candidates if p.bytes_per_scan <= budget]
+    if not fitting:
+        reason = f"No candidate fits {budget:g} bytes per scan: the smallest takes {smallest:.0f}."
+        return Advice(
+            Verdict.NOTHING_FITS, None, None, None, judged, 0, 0,
+            max_bytes_per_scan, smallest, (), (reason,),
+        )  # fmt: skip
+    ordered = sorted(fitting, key=_smallest_first)
+    best = max(ordered, key=lambda p: p.mean_accuracy)  # the first, so the smallest, of equals
+    error = standard_error(best.mean_accuracy, judged)
+    bar = best.mean_accuracy - error - 1e-12
+    tied = [p for p in ordered if p.mean_accuracy >= bar]
+    supported = _supported(candidates, tied, bar)
+    recommended = supported[0]
+    ruled_out = [
+        p
+        for p in ordered
+        if p.mean_accuracy < bar and p.bytes_per_scan <= recommended.bytes_per_scan
+    ]
+    verdict = Verdict.DECIDED if ruled_out else Verdict.SIZE_ONLY
+    if judged < FEWEST_JUDGED:
+        verdict = Verdict.TOO_FEW
+    axes = _axes(ordered, recommended, bar)
+    return Advice(
+        verdict=verdict,
+        recommended=recommended,
+        best=best,
+        standard_error=error,
+        judged=judged,
+        fitting=len(fitting),
+        tied=len(tied),
+        max_bytes_per_scan=max_bytes_per_scan,
+        smallest_bytes_per_scan=smallest,
+        axes=axes,
+        reasons=tuple(
+            _reasons(verdict, recommended, best, error, judged, len(tied), fitting, ruled_out, axes)
+        ),
+    )
+
+
+def _smallest_first(point: SweepPoint) -> tuple[float, float, int, tuple[int, int]]:
+    return point.elements, -point.mean_accuracy, -point.segment_length, point.ranks
+
+
+def _supported(
+    candidates: Sequence[SweepPoint], tied: Sequence[SweepPoint], bar: float
+) -> list[SweepPoint]:
+    """Return the tied candidates whose neighbours of larger ranks, where tried, are tied as well.
+
+    Neighbours beyond the budget count too. If there is none, the best one is returned alone.
+    """
+    at = {(p.segment_length, p.ranks): p.mean_accuracy for p in candidates}
+    r1 = sorted({p.ranks[0] for p in candidates})
+    r2 = sorted({p.ranks[1] for p in candidates})
+
+    def above(values: Sequence[int], rank: int) -> int:
+        return next((v for v in values if v > rank), rank)
+
+    def is_supported(p: SweepPoint) -> bool:
+        more = ((above(r1, p.ranks[0]), p.ranks[1]), (p.ranks[0], above(r2, p.ranks[1])))
+        return all(at.get((p.segment_length, ranks), 1.0) >= bar for ranks in more)
+
+    supported = [p for p in tied if is_supported(p)]
+    return supported or [max(tied, key=lambda p: p.mean_accuracy)]
+
+
+def _axes(ordered: Sequence[SweepPoint], chosen: SweepPoint, bar: float) -> tuple[Axis, ...]:
+    def values(point: SweepPoint) -> tuple[int, int, int]:
+        return (*point.ranks, point.segment_length)
+
+    own = values(chosen)
+    axes = []
+    for axis, name in enumerate(("r1", "r2", "k")):
+        along = [
+            p
+            for p in ordered
+            if all(values(p)[other] == own[other] for other in range(3) if other != axis)
+        ]
+        tied = sorted(values(p)[axis] for p in along if p.mean_accuracy >= bar)
+        worse = sorted(values(p)[axis] for p in along if p.mean_accuracy < bar)
+        axes.append(Axis(name, own[axis], tuple(tied), tuple(worse)))
+    return tuple(axes)
+
+
+def _reasons(
+    verdict: Verdict,
+    chosen: SweepPoint,
+    best: SweepPoint,
+    error: float,
+    judged: int,
+    tied: int,
+    fitting: Sequence[SweepPoint],
+    ruled_out: Sequence[SweepPoint],
+    axes: Sequence[Axis],
+) -> list[str]:
+    reasons = [
+        f"The best of {len(fitting)} candidates, {_named(best)}, answers"
+        f" {100 * best.mean_accuracy:.1f} % of {judged} held-out scans right, with a standard error"
+        f" of {100 * error:.1f} points.",
+        f"{tied} of them are within one standard error of it; {_named(chosen)} is the smallest of"
+        f" those that larger ranks confirm, with {chosen.bytes_per_scan:.0f} bytes per scan and"
+        f" {100 * chosen.mean_accuracy:.1f} %.",
+    ]
+    if ruled_out:
+        nearest = max(ruled_out, key=lambda p: p.mean_accuracy)
+        reasons.append(
+            f"{len(ruled_out)} candidates as small or smaller are less accurate than that; the best"
+            f" of them, {_named(nearest)}, reaches {100 * nearest.mean_accuracy:.1f} %."
+        )
+    if verdict == Verdict.TOO_FEW:
+        reasons.append(
+            f"The evidence does not decide: only {judged} scans were judged, and at least"
+            f" {FEWEST_JUDGED} are wanted. Take a longer drive."
+        )
+    elif verdict == Verdict.SIZE_ONLY:
+        reasons.append(
+            "The evidence does not decide: no candidate that is smaller was less accurate. This one"
+            " is chosen for its size alone; ask harder questions, such as a"
+            " second drive over the same streets, before you rely on it."
+        )
+    reasons += [_of_axis(axis) for axis in axes]
+    return reasons
+
+
+def _of_axis(axis: Axis) -> str:
+    if not axis.worse:
+        if len(axis.tied) == 1:
+            return f"{axis.name}: only {axis.chosen} was tried with the others as recommended."
+        return (
+            f"{axis.name}: the evidence does not decide, {_listed(axis.tied)} are equally accurate"
+            " with the others as recommended."
+        )
+    if len(axis.tied) == 1:
+        return f"{axis.name}: {axis.chosen}; {_listed(axis.worse)} are less accurate."
+    return f"{axis.name}: {_listed(axis.tied)} are equally accurate, {_listed(axis.worse)} less."
+
+
+def _listed(values: Sequence[int]) -> str:
+    return ", ".join(map(str, values))
+
+
+def _named(point: SweepPoint) -> str:
+    return f"{{r1, r2, k}} = {{{point.ranks[0]}, {point.ranks[1]}, {point.segment_length}}}"

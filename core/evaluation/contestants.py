@@ -1,0 +1,175 @@
+"""What takes part in a comparison: our encodings, peers, and whatever else keeps the contract."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, Protocol
+
+import numpy as np
+
+from core.arrays import IntArray
+from core.builder import build_map
+from core.drive import Drive
+from core.errors import EmptyDrive, InvalidScan
+from core.images import Skipped, project_drive
+from core.parameters import MapParameters
+from core.peers.descriptor import Nearest, PlaceDescriptor, sent_bytes
+from core.progress import NO_PROGRESS, Progress
+from core.scan import Scan
+from core.segmentation import cut_fixed
+from core.signature import Signature, pack_signatures
+from core.tensormap import TensorMap
+from core.trajectory import Trajectory
+
+__all__ = ["Ask", "Contestant", "DescribedPlaces", "Enrolled", "MappedPlaces"]
+
+Ask = Callable[[int | None], Nearest | None]
+"""A described query: given how many of the first rows may be searched (`None`: all), the nearest
+place among them, or `None` where the method has no answer."""
+
+
+class Enrolled(Protocol):
+    """The places of a drive as one method keeps them."""
+
+    @property
+    def scans(self) -> IntArray:
+        """Which scans of the drive the places are, rising; those that could not be used lack."""
+
+    @property
+    def sent_bytes(self) -> float | None:
+        """What a vehicle sends for a query; `None` where that has no fixed size."""
+
+    @property
+    def stored_bytes(self) -> float | None:
+        """What is kept, a place; `None` where the method does not tell."""
+
+    def describe(self, scan: Scan) -> Ask:
+        """Describe a query; what is returned does the matching.
+
+        Raises:
+            InvalidScan: If the scan cannot be described.
+        """
+
+
+class Contestant(Protocol):
+    """A method of place recognition."""
+
+    @property
+    def name(self) -> str:
+        """A short name, for tables and options."""
+
+    def configuration(self) -> dict[str, Any]:
+        """Return all parameters as plain values."""
+
+    def enrol(self, drive: Drive, scans: IntArray, progress: Progress = NO_PROGRESS) -> Enrolled:
+        """Make places of some scans of a drive.
+
+        Args:
+            drive: The drive.
+            scans: Which of its scans, rising.
+            progress: Told of each scan.
+
+        Raises:
+            EmptyDrive: If not one of them is usable.
+        """
+
+
+@dataclass(frozen=True, eq=False)
+class DescribedPlaces:
+    """A peer whose descriptors have a fixed shape, as a `Contestant`."""
+
+    descriptor: PlaceDescriptor
+
+    @property
+    def name(self) -> str:
+        """The peer's name."""
+        return self.descriptor.name
+
+    def configuration(self) -> dict[str, Any]:
+        """Return the peer's parameters."""
+        return self.descriptor.configuration()
+
+    def enrol(self, drive: Drive, scans: IntArray, progress: Progress = NO_PROGRESS) -> Enrolled:
+        """Describe the scans one by one; one that cannot be used is left out."""
+        progress.start(self.name, len(scans))
+        kept, described, skipped = [], [], []
+        for index in scans.tolist():
+            try:
+                described.append(self.descriptor.describe(drive.scan(index)))
+                kept.append(index)
+            except InvalidScan as error:
+                skipped.append(Skipped(index, str(error)))
+            progress.advance()
+        if not kept:
+            raise EmptyDrive(Skipped.explain(drive.name, skipped))
+        places = self.descriptor.places(np.stack(described))
+
+        def describe(scan: Scan) -> Ask:
+            return partial(places.nearest, self.descriptor.describe(scan))
+
+        return _Enrolled(
+            np.array(kept, dtype=np.int64),
+            sent_bytes(self.descriptor),
+            places.stored_bytes / len(kept),
+            describe,
+        )
+
+
+@dataclass(frozen=True)
+class MappedPlaces:
+    """A TensorMap as a `Contestant`.
+
+    The bases are fitted to all enrolled scans at once, also when queries may only be compared with
+    earlier ones: a map is built after its drive.
+
+    Attributes:
+        parameters: What the map is built with.
+        segment_length: k in scans of the drive, as in an evaluation.
+    """
+
+    parameters: MapParameters
+    segment_length: int
+
+    @property
+    def name(self) -> str:
+        """The encoding."""
+        return self.parameters.encoding.value
+
+    def configuration(self) -> dict[str, Any]:
+        """Return the map's parameters."""
+        return {**self.parameters.as_attributes(), "segment_length": self.segment_length}
+
+    def enrol(self, drive: Drive, scans: IntArray, progress: Progress = NO_PROGRESS) -> Enrolled:
+        """Build a map of the scans."""
+        projected = project_drive(drive, scans, self.parameters.imager, progress)
+        kept = projected.scans
+        trajectory = Trajectory.of_drive(
+            drive.name, drive.timestamp_s[kept], drive.poses[kept], kept
+        )
+        segment_start = cut_fixed(len(drive), self.segment_length)
+        cuts = np.unique(np.searchsorted(kept, segment_start))
+        tensor_map = build_map(projected.images, trajectory, cuts, self.parameters, progress)
+        basis = tensor_map.basis()
+        first = basis.encode(basis.image(drive.scan(int(kept[0]))))
+        stored = sum(array.nbytes for array in tensor_map.model.arrays().values())
+
+        def describe(scan: Scan) -> Ask:
+            return partial(_nearest_in_map, tensor_map, basis.encode(basis.image(scan)))
+
+        return _Enrolled(kept, len(pack_signatures(first)), stored / len(kept), describe)
+
+
+def _nearest_in_map(
+    tensor_map: TensorMap, signatures: tuple[Signature, ...], before: int | None
+) -> Nearest | None:
+    among = None if before is None else np.arange(len(tensor_map)) < before
+    found = tensor_map.model.search(signatures).nearest(1, among)
+    return Nearest(found[0].row, found[0].distance, found[0].turn_deg) if found else None
+
+
+@dataclass(frozen=True, eq=False)
+class _Enrolled:
+    scans: IntArray
+    sent_bytes: float | None
+    stored_bytes: float | None
+    describe: Callable[[Scan], Ask]

@@ -1,0 +1,80 @@
+"""Which answers count as right, whatever the map's ranks and cuts."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from core.arrays import BoolArray, FloatArray, IntArray, frozen
+from core.errors import InvalidParameters
+from core.evaluation.motion import is_standing
+from core.pose import is_known
+
+__all__ = ["Judge"]
+
+
+@dataclass(frozen=True, eq=False)
+class Judge:
+    """Compares the scan that was asked with the scan of the same drive that was answered.
+
+    With poses an answer is right if both were recorded within `tolerance_m`; where one of the two
+    is unknown, if their indices differ by at most `tolerance_scans`. Whether it is right does not
+    depend on the segments, so answers of maps that are cut differently can be compared.
+
+    Attributes:
+        poses: `(K, 7)` of the drive, NaN where unknown.
+        timestamp_s: `(K,)`, NaN where unknown.
+        tolerance_m: Metres.
+        tolerance_scans: Scans.
+    """
+
+    poses: FloatArray
+    timestamp_s: FloatArray
+    tolerance_m: float = 3.0
+    tolerance_scans: int = 3
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "poses", frozen(self.poses, np.float64))
+        object.__setattr__(self, "timestamp_s", frozen(self.timestamp_s, np.float64))
+        if not 0.0 < self.tolerance_m < np.inf:
+            raise InvalidParameters(f"tolerance_m is {self.tolerance_m}, wanted metres above 0")
+        if self.tolerance_scans < 0:
+            raise InvalidParameters(f"tolerance_scans is {self.tolerance_scans}, wanted 0 or more")
+
+    @property
+    def by_place(self) -> bool:
+        """Whether every scan's place is known."""
+        return bool(is_known(self.poses).all())
+
+    @property
+    def criterion(self) -> str:
+        """What counts as right, in words."""
+        near = f"within {self.tolerance_scans} scans of the one asked"
+        if self.by_place:
+            return f"the matched scan was recorded within {self.tolerance_m:g} m"
+        if is_known(self.poses).any():
+            return f"the matched scan was recorded within {self.tolerance_m:g} m, or is {near}"
+        return f"the matched scan is {near}"
+
+    @property
+    def standing(self) -> BoolArray:
+        """Which scans were taken standing, `(K,)`; none where no pose tells."""
+        return is_standing(self.poses, self.timestamp_s)
+
+    def distance_m(self, asked: IntArray, answered: IntArray) -> FloatArray:
+        """Return how far apart two scans were recorded, NaN where that is not known."""
+        apart = self.poses[asked, :3] - self.poses[answered, :3]
+        return np.asarray(np.linalg.norm(apart, axis=-1))
+
+    def right(self, asked: IntArray, answered: IntArray) -> BoolArray:
+        """Return which answers are right; indices broadcast against each other.
+
+        Examples:
+            >>> poses = np.zeros((3, 7))
+            >>> poses[:, 0], poses[:, 6] = [0.0, 2.0, 9.0], 1.0
+            >>> judge = Judge(poses, np.arange(3.0))
+            >>> judge.right(np.array([0, 0]), np.array([1, 2])).tolist()
+            [True, False]
+        """
+        apart_m = self.distance_m(asked, answered)
+        near = np.abs(asked - answered) <= self.tolerance_scans
+        return np.where(np.isnan(apart_m), near, apart_m <= self.tolerance_m)

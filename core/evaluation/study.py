@@ -1,0 +1,198 @@
+"""What a study of a drive found: the numbers that a report shows (paper, sec. 3)."""
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from core.arrays import BoolArray, FloatArray, IntArray
+from core.compression import Compression
+from core.evaluation.advisor import Advice
+from core.evaluation.condition import Condition
+from core.evaluation.sweep import Sweep
+from core.parameters import MapParameters
+from core.pose import path_length_m
+
+__all__ = ["Answers", "CurvePoint", "EncodingStudy", "Study"]
+
+
+@dataclass(frozen=True, eq=False)
+class Answers:
+    """What a map answered to the scans that were asked as driven; row by row.
+
+    Attributes:
+        scan: The scans that were asked.
+        segment: Where they belong.
+        matched_scan: The map scan that each was taken for.
+        matched_segment: Where that lies.
+        distance_m: How far apart the two were recorded, NaN where unknown.
+        right: Which answers are right, by the study's criterion.
+        standing: Which scans were taken standing.
+    """
+
+    scan: IntArray
+    segment: IntArray
+    matched_scan: IntArray
+    matched_segment: IntArray
+    distance_m: FloatArray
+    right: BoolArray
+    standing: BoolArray
+
+    @property
+    def wrong_segment(self) -> BoolArray:
+        """Which were put on a wrong segment."""
+        return np.asarray(self.segment != self.matched_segment)
+
+    def confusion(self, segments: int) -> IntArray:
+        """Return how often segment `i` was taken for `j`, `(L, L)`; standing scans too."""
+        counts = np.zeros((segments, segments), dtype=np.int64)
+        np.add.at(counts, (self.segment, self.matched_segment), 1)
+        return counts
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return plain values, ready for JSON."""
+        return {
+            name: _plain(getattr(self, name))
+            for name in (
+                "scan", "segment", "matched_scan", "matched_segment", "distance_m", "right",
+                "standing",
+            )
+        }  # fmt: skip
+
+
+@dataclass(frozen=True)
+class CurvePoint:
+    """Accuracy under one disturbance.
+
+    Attributes:
+        condition: The disturbance.
+        judged: Answers that count.
+        right: How many of them are right.
+        on_segment: How many are on the right segment.
+    """
+
+    condition: Condition
+    judged: int
+    right: int
+    on_segment: int
+
+
+@dataclass(frozen=True, eq=False)
+class EncodingStudy:
+    """A drive in one encoding.
+
+    Attributes:
+        parameters: Of the map whose answers are shown, ranks included.
+        sweep: All candidates.
+        advice: Which one to take.
+        segment_length: k of the map that is shown.
+        segment_start: `(L + 1,)` the drive's scans where its segments begin, and K.
+        recommended: Whether that map is the recommended candidate.
+        relative_error: `(L,)` of its segments.
+        compression: Of that map.
+        answers: To the scans held out, as driven.
+        curves: Accuracy under each disturbance.
+        refused: Scans held out that could not be asked.
+    """
+
+    parameters: MapParameters
+    sweep: Sweep
+    advice: Advice
+    segment_length: int
+    segment_start: IntArray
+    recommended: bool
+    relative_error: FloatArray
+    compression: Compression
+    answers: Answers
+    curves: tuple[CurvePoint, ...]
+    refused: tuple[int, ...]
+
+    @property
+    def segments(self) -> int:
+        """L of the map that is shown."""
+        return len(self.segment_start) - 1
+
+    def curve(self, quantity: str) -> tuple[CurvePoint, ...]:
+        """Return the points along one disturbance, the others 0, by rising value."""
+        others = {"yaw_deg", "lateral_m", "noise_m"} - {quantity}
+        along = [p for p in self.curves if not any(getattr(p.condition, o) for o in others)]
+        return tuple(sorted(along, key=lambda p: float(getattr(p.condition, quantity))))
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return plain values, ready for JSON."""
+        return {
+            "parameters": self.parameters.as_attributes(),
+            "segment_length": self.segment_length,
+            "segment_start": self.segment_start.tolist(),
+            "recommended": self.recommended,
+            "advice": self.advice.as_dict(),
+            "sweep": self.sweep.as_dict(),
+            "relative_error": self.relative_error.tolist(),
+            "compression": asdict(self.compression),
+            "answers": self.answers.as_dict(),
+            "confusion": self.answers.confusion(self.segments).tolist(),
+            "curves": [asdict(point) for point in self.curves],
+            "refused": list(self.refused),
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class Study:
+    """What was found of a drive.
+
+    Attributes:
+        drive: Its name.
+        timestamp_s: `(K,)`.
+        poses: `(K, 7)`.
+        surrogate: `(K,)` the paper's norm of the 6-DOF change, NaN where unknown.
+        standing: `(K,)` taken standing.
+        split: How scans were held out.
+        criterion: What counts as a right answer.
+        seed: Of the noise.
+        skipped: Mapped scans that could not be used, and why.
+        encodings: The figures of each.
+    """
+
+    drive: str
+    timestamp_s: FloatArray
+    poses: FloatArray
+    surrogate: FloatArray
+    standing: BoolArray
+    split: str
+    criterion: str
+    seed: int
+    skipped: tuple[tuple[int, str], ...]
+    encodings: tuple[EncodingStudy, ...]
+
+    @property
+    def scans(self) -> int:
+        """K."""
+        return len(self.poses)
+
+    @property
+    def length_m(self) -> float | None:
+        """Length of the path, `None` where a pose is unknown."""
+        length_m = path_length_m(self.poses)
+        return None if np.isnan(length_m) else length_m
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return plain values, ready for JSON."""
+        return {
+            "drive": self.drive,
+            "scans": self.scans,
+            "length_m": self.length_m,
+            "split": self.split,
+            "criterion": self.criterion,
+            "seed": self.seed,
+            "skipped": [{"scan": scan, "reason": reason} for scan, reason in self.skipped],
+            "timestamp_s": _plain(self.timestamp_s),
+            "position_m": [_plain(row) for row in self.poses[:, :3]],
+            "motion_surrogate": _plain(self.surrogate),
+            "standing": self.standing.tolist(),
+            "encodings": [encoding.as_dict() for encoding in self.encodings],
+        }
+
+
+def _plain(values: FloatArray | IntArray | BoolArray) -> list[Any]:
+    """Return a list in which an unknown number is `None`: JSON has no NaN."""
+    return [None if value != value else value for value in values.tolist()]

@@ -1,0 +1,249 @@
+"""Study a drive: sweep the parameters, recommend some, and ask that map harder (paper, sec. 3)."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from core.arrays import IntArray
+from core.builder import build_map
+from core.compression import Compression
+from core.drive import Drive
+from core.errors import EmptyDrive, InvalidParameters, InvalidScan
+from core.evaluation.advisor import advise
+from core.evaluation.condition import Condition
+from core.evaluation.exam import Exam, held_out_scans
+from core.evaluation.judge import Judge
+from core.evaluation.motion import motion_surrogate
+from core.evaluation.split import Interleaved, Split
+from core.evaluation.study import Answers, CurvePoint, EncodingStudy, Study
+from core.evaluation.sweep import SweepGrid, map_cuts, sweep
+from core.localizer import Localizer
+from core.parameters import MapParameters
+from core.progress import NO_PROGRESS, Progress
+from core.segmentation import cut_fixed
+from core.tensormap import TensorMap
+
+__all__ = ["StudyProtocol", "segment_lengths_for", "study_drive"]
+
+SWEPT_CONDITIONS = (Condition(), Condition(lateral_m=1.0))
+"""As driven, and where the paper finds its limit: nearly every setting answers the first."""
+
+
+@dataclass(frozen=True)
+class StudyProtocol:
+    """How a drive is studied.
+
+    Attributes:
+        parameters: Of the maps, one for each encoding; their ranks are used if no others are
+            recommended.
+        r1: Ranks that are tried where images have them.
+        r2: The same in azimuth.
+        segment_lengths: k that are tried; without them, five made for the drive's length.
+        ranks: Show this setting's answers instead of the recommended one's.
+        segment_length: The same for k.
+        split: Which scans are held out.
+        max_questions: At most so many of them are asked.
+        noise_m: Sigmas of noise on every coordinate.
+        lateral_m: Translations to the left.
+        yaw_deg: Turns, counter-clockwise.
+        max_bytes_per_scan: The advisor's budget.
+        tolerance_m: Within which an answer is right.
+        seed: Of the noise.
+    """
+
+    parameters: tuple[MapParameters, ...]
+    r1: tuple[int, ...] = (2, 3, 4, 5, 6, 8, 10, 15, 25)
+    r2: tuple[int, ...] = (2, 3, 4, 5, 6, 8, 10, 15, 25)
+    segment_lengths: tuple[int, ...] | None = None
+    ranks: tuple[int, int] | None = None
+    segment_length: int | None = None
+    split: Split = field(default_factory=Interleaved)
+    max_questions: int = 200
+    noise_m: tuple[float, ...] = (0.0, 0.05, 0.1, 0.2, 0.5, 1.0)
+    lateral_m: tuple[float, ...] = (-3.0, -2.0, -1.0, -0.5, 0.0, 0.5, 1.0, 2.0, 3.0)
+    yaw_deg: tuple[float, ...] = (0.0, 5.0, 10.0, 45.0, 90.0, 180.0)
+    max_bytes_per_scan: float | None = None
+    tolerance_m: float = 3.0
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if not self.parameters:
+            raise InvalidParameters("parameters is empty, wanted those of at least one encoding")
+        if self.max_questions < 1:
+            raise InvalidParameters(f"max_questions is {self.max_questions}, wanted 1 or more")
+        if self.max_bytes_per_scan is not None and not self.max_bytes_per_scan > 0:
+            raise InvalidParameters(
+                f"max_bytes_per_scan is {self.max_bytes_per_scan}, wanted above 0"
+            )
+
+
+def segment_lengths_for(scans: int) -> tuple[int, ...]:
+    """Return the k that are tried on a drive: about 20, 12, 8, 5 and 2 segments.
+
+    Each is at least 10 and a multiple of 5, so that a split of 80:20 falls on every segment alike.
+
+    Examples:
+        >>> segment_lengths_for(3800), segment_lengths_for(60)
+        ((190, 315, 475, 760, 1900), (10, 30))
+    """
+    lengths = {max(10, 5 * round(scans / segments / 5)) for segments in (20, 12, 8, 5, 2)}
+    return tuple(sorted(lengths))
+
+
+def study_drive(drive: Drive, protocol: StudyProtocol, progress: Progress = NO_PROGRESS) -> Study:
+    """Sweep the parameters on a drive, recommend some, and ask the recommended map harder.
+
+    Raises:
+        EmptyDrive: If the drive has no scan, or no usable one.
+        InvalidParameters: If the split leaves nothing to ask, or a segment without a map scan.
+    """
+    if len(drive) == 0:
+        raise EmptyDrive(f"drive {drive.name} has no scan")
+    held_out, asked = held_out_scans(drive, protocol.split, protocol.max_questions)
+    judge = Judge(drive.poses, drive.timestamp_s, protocol.tolerance_m)
+    exams: list[Exam] = []
+    found: list[EncodingStudy] = []
+    for parameters in protocol.parameters:
+        named = _Named(progress, str(parameters.encoding))
+        exam = Exam.of_drive(
+            drive, held_out, asked, parameters, SWEPT_CONDITIONS, seed=protocol.seed, progress=named
+        )
+        exams.append(exam)
+        found.append(_study_encoding(drive, exam, judge, protocol, named))
+    skipped = {(s.scan, s.reason) for exam in exams for s in exam.mapped.skipped}
+    return Study(
+        drive=drive.name,
+        timestamp_s=drive.timestamp_s,
+        poses=drive.poses,
+        surrogate=motion_surrogate(drive.poses),
+        standing=judge.standing,
+        split=str(protocol.split),
+        criterion=judge.criterion,
+        seed=protocol.seed,
+        skipped=tuple(sorted(skipped)),
+        encodings=tuple(found),
+    )
+
+
+class _Named:
+    """Puts the encoding's name before each stage."""
+
+    def __init__(self, progress: Progress, name: str) -> None:
+        self._progress = progress
+        self._name = name
+
+    def start(self, stage: str, total: int) -> None:
+        self._progress.start(f"{self._name}: {stage}", total)
+
+    def advance(self, units: int = 1) -> None:
+        self._progress.advance(units)
+
+
+def _study_encoding(
+    drive: Drive, exam: Exam, judge: Judge, protocol: StudyProtocol, progress: Progress
+) -> EncodingStudy:
+    lengths = protocol.segment_lengths or segment_lengths_for(len(drive))
+    swept = sweep(exam, judge, SweepGrid(protocol.r1, protocol.r2, lengths), progress)
+    advice = advise(swept.points, swept.judged, protocol.max_bytes_per_scan)
+    ranks, length = protocol.ranks, protocol.segment_length
+    if ranks is None:
+        ranks = advice.recommended.ranks if advice.recommended else exam.parameters.ranks
+    if length is None:
+        length = advice.recommended.segment_length if advice.recommended else lengths[-1]
+    parameters = replace(exam.parameters, ranks=ranks)
+    segment_start = cut_fixed(len(drive), length)
+    tensor_map = build_map(
+        exam.mapped.images, exam.trajectory, map_cuts(exam, length), parameters, progress
+    )
+    answers, curves = _ask(drive, exam, judge, tensor_map, segment_start, protocol, progress)
+    return EncodingStudy(
+        parameters=parameters,
+        sweep=swept,
+        advice=advice,
+        segment_length=length,
+        segment_start=segment_start,
+        recommended=advice.recommended is not None
+        and (ranks, length) == (advice.recommended.ranks, advice.recommended.segment_length),
+        relative_error=tensor_map.relative_error,
+        compression=Compression.of(
+            tensor_map.elements,
+            scans=len(tensor_map),
+            grid_shape=parameters.grid.shape,
+            returns=exam.mapped.returns,
+        ),
+        answers=answers,
+        curves=curves,
+        refused=exam.refused,
+    )
+
+
+def _disturbances(protocol: StudyProtocol) -> tuple[Condition, ...]:
+    """Return every disturbance once, as driven first."""
+    return tuple(
+        dict.fromkeys(
+            (
+                Condition(),
+                *(Condition(noise_m=sigma_m) for sigma_m in protocol.noise_m),
+                *(Condition(lateral_m=left_m) for left_m in protocol.lateral_m),
+                *(Condition(yaw_deg=turn_deg) for turn_deg in protocol.yaw_deg),
+            )
+        )
+    )
+
+
+def _ask(
+    drive: Drive,
+    exam: Exam,
+    judge: Judge,
+    tensor_map: TensorMap,
+    segment_start: IntArray,
+    protocol: StudyProtocol,
+    progress: Progress,
+) -> tuple[Answers, tuple[CurvePoint, ...]]:
+    """Ask the map all of the exam's scans, each under every disturbance."""
+    asked = _disturbances(protocol)
+    localizer = Localizer(tensor_map)
+    matched = np.full((len(asked), len(exam.asked)), -1)
+    progress.start("localizing", matched.size)
+    for q, index in enumerate(exam.asked.tolist()):
+        scan = drive.scan(index)
+        for c, condition in enumerate(asked):
+            rng = np.random.default_rng([protocol.seed, index])
+            try:
+                best = localizer.localize_scan(condition.apply(scan, rng)).best
+                matched[c, q] = best.scan_index
+            except InvalidScan:
+                pass  # a disturbed scan without an answer is in no curve
+            progress.advance()
+    answers = [_answers(exam, judge, rows, segment_start) for rows in matched]
+    return answers[0], tuple(_curve_points(asked, answers))
+
+
+def _answers(exam: Exam, judge: Judge, matched: IntArray, segment_start: IntArray) -> Answers:
+    given = matched >= 0
+    scan, found = exam.asked[given], matched[given]
+    return Answers(
+        scan=scan,
+        segment=np.searchsorted(segment_start, scan, side="right") - 1,
+        matched_scan=found,
+        matched_segment=np.searchsorted(segment_start, found, side="right") - 1,
+        distance_m=judge.distance_m(scan, found),
+        right=judge.right(scan, found),
+        standing=judge.standing[scan],
+    )
+
+
+def _curve_points(asked: Sequence[Condition], answers: Sequence[Answers]) -> list[CurvePoint]:
+    points = []
+    for condition, given in zip(asked, answers, strict=True):
+        judged = ~given.standing if not given.standing.all() else np.ones_like(given.standing)
+        points.append(
+            CurvePoint(
+                condition=condition,
+                judged=int(judged.sum()),
+                right=int(given.right[judged].sum()),
+                on_segment=int((~given.wrong_segment)[judged].sum()),
+            )
+        )
+    return points

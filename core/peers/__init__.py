@@ -1,0 +1,1 @@
+"""Place recognition by others, re-derived from their papers, to compare with."""

@@ -1,0 +1,205 @@
+"""Drives that meet become one graph: where segments are cut for it, and what is joined."""
+
+import itertools
+from collections.abc import Iterator
+
+import numpy as np
+
+from core.arrays import BoolArray, FloatArray, IntArray
+from core.pose import path_length_m
+from core.topology.graph import Topology, segment_ends
+from core.topology.streets import Place, Streets, Stretch, find_streets
+from core.trajectory import Trajectory
+
+__all__ = ["cut_at_meetings", "join_segments"]
+
+CUT_M = 10.0
+"""A segment that ends this near a meeting place ends there."""
+NODE_M = 15.0
+"""How far apart two segment ends at one place of a street are at most: both may be beside it."""
+
+
+def cut_at_meetings(trajectory: Trajectory, segment_start: IntArray) -> IntArray:
+    """Cut segments where drives meet, `(L' + 1,)` starts and the end.
+
+    A segment ends where a drive enters or leaves a street that was driven before, and where two
+    streets cross. Along a street that was driven before, a drive is cut where that street is: so
+    its segments are the street's. Elsewhere all cuts stay. Without poses nothing is cut.
+
+    Args:
+        trajectory: Of all drives.
+        segment_start: `(L + 1,)` rows where segments begin, and K; no segment holds two drives.
+    """
+    streets = find_streets(trajectory)
+    if not streets.stretches and not streets.meetings:
+        return segment_start
+    cuts = _Cuts(streets, trajectory.drive_start, segment_start)
+    for stretch in streets.stretches:
+        for end in (0, -1):
+            cuts.add(Place(stretch.street, float(stretch.street_arc_m[end])))
+            cuts.add(Place(stretch.line, float(stretch.arc_m[end])))
+    for meeting in streets.meetings:
+        cuts.add(meeting.first)
+        cuts.add(meeting.second)
+    for stretch in streets.stretches:
+        cuts.copy(stretch)
+    return np.array(sorted(cuts.rows), dtype=np.int64)
+
+
+class _Cuts:
+    """The rows at which a trajectory is cut."""
+
+    def __init__(self, streets: Streets, drive_start: IntArray, segment_start: IntArray) -> None:
+        self._lines = streets.lines
+        self._ends = set(drive_start.tolist())
+        self.rows: set[int] = {
+            row
+            for row in segment_start.tolist()
+            if row in self._ends or not any(self._replaced(s, row) for s in streets.stretches)
+        }
+
+    def _replaced(self, stretch: Stretch, row: int) -> bool:
+        line = self._lines[stretch.line]
+        if not line.row[0] <= row <= line.row[-1]:
+            return False
+        arc_m = float(line.arc_at(row))
+        return bool(stretch.arc_m[0] - CUT_M < arc_m < stretch.arc_m[-1] + CUT_M)
+
+    def add(self, place: Place) -> None:
+        """Cut at a place, unless a cut is near."""
+        arc_m = self._cuts_of(place.line)
+        if not (np.abs(arc_m - place.arc_m) <= CUT_M).any():
+            self.rows.add(self._lines[place.line].row_at(place.arc_m))
+
+    def copy(self, stretch: Stretch) -> None:
+        """Cut a stretch where its street is cut."""
+        arc_m = self._cuts_of(stretch.street)
+        ends = stretch.street_arc_m[[0, -1]]
+        first, last = sorted(int(np.abs(arc_m - end).argmin()) for end in ends)
+        line = self._lines[stretch.line]
+        for beside_m in stretch.on_line_m(arc_m[first + 1 : last]).tolist():
+            self.rows.add(line.row_at(beside_m))
+
+    def _cuts_of(self, number: int) -> FloatArray:
+        """Return where a line is cut, in order; with its end, if its drive ends there."""
+        line = self._lines[number]
+        first, last = int(line.row[0]), int(line.row[-1])
+        arc_m = line.arc_at(np.array(sorted(r for r in self.rows if first <= r <= last), int))
+        return np.append(arc_m, line.length_m) if last + 1 in self._ends else arc_m
+
+
+def join_segments(trajectory: Trajectory, segment_start: IntArray) -> Topology:
+    """Make a graph of segments: a street that is driven again is no second one.
+
+    Ends of segments at one place become one node, and a segment that runs along an earlier one
+    from end to end, in either direction, shares its edge. What was driven once is a path of edges,
+    as in `Topology.of_segments`, and so is everything without poses.
+
+    Args:
+        trajectory: Of all drives.
+        segment_start: `(L + 1,)` as `cut_at_meetings` gives it; where drives meet amid a segment,
+            it keeps an edge of its own.
+    """
+    streets = find_streets(trajectory)
+    plain = Topology.of_segments(trajectory, segment_start)
+    if not streets.stretches and not streets.meetings:
+        return plain
+    nodes = _Nodes(streets, plain)
+    edge_of, turned = _shared_edges(streets, plain, nodes)
+    first_of_edge = np.unique(edge_of, return_index=True)[1]
+    ends = segment_ends(trajectory.drive_start, segment_start)
+    number = nodes.numbers()
+    merged = number[plain.edge_nodes]
+    node_scan = np.full(number.max() + 1, len(trajectory))
+    np.minimum.at(node_scan, merged, ends)
+    return Topology(
+        node_scan,
+        merged[first_of_edge],
+        np.array([path_length_m(trajectory.poses[a : b + 1]) for a, b in ends[first_of_edge]]),
+        np.diff(ends[first_of_edge], axis=1)[:, 0],
+        edge_of,
+        turned,
+    )
+
+
+class _Nodes:
+    """The nodes of a plain graph, those at one place linked."""
+
+    def __init__(self, streets: Streets, plain: Topology) -> None:
+        self._lines = streets.lines
+        self._row = plain.node_scan
+        self._first = list(range(len(plain.node_scan)))
+        self.beside: list[dict[int, int]] = [
+            dict(self._pairs(stretch)) for stretch in streets.stretches
+        ]
+        for pairs in self.beside:
+            for own, of_street in pairs.items():
+                self._link(own, of_street)
+        for meeting in streets.meetings:
+            self._link_places(meeting.first, meeting.second)
+
+    def _on_line(self, number: int, from_m: float, to_m: float) -> tuple[IntArray, FloatArray]:
+        """Return the nodes on a part of a line, and how far along it they are."""
+        line = self._lines[number]
+        nodes = np.flatnonzero((self._row >= line.row[0]) & (self._row <= line.row[-1]))
+        arc_m = line.arc_at(self._row[nodes])
+        inside = (arc_m >= from_m) & (arc_m <= to_m)
+        return nodes[inside], arc_m[inside]
+
+    def _pairs(self, stretch: Stretch) -> Iterator[tuple[int, int]]:
+        """Yield nodes of a line and of the street beside it, each the other's nearest."""
+        own, arc_m = self._on_line(
+            stretch.line, stretch.arc_m[0] - NODE_M, stretch.arc_m[-1] + NODE_M
+        )
+        from_m, to_m = sorted(stretch.street_arc_m[[0, -1]].tolist())
+        street, street_arc_m = self._on_line(stretch.street, from_m - NODE_M, to_m + NODE_M)
+        if not len(own) or not len(street):
+            return
+        apart_m = np.abs(stretch.on_street_m(arc_m)[:, None] - street_arc_m)
+        # Beyond its ends a stretch tells no place: what is nearer to an end is taken there.
+        apart_m += np.maximum(stretch.arc_m[0] - arc_m, arc_m - stretch.arc_m[-1]).clip(0)[:, None]
+        for i, j in enumerate(apart_m.argmin(axis=1).tolist()):
+            if apart_m[i, j] <= NODE_M and apart_m[:, j].argmin() == i:
+                yield int(own[i]), int(street[j])
+
+    def _link_places(self, first: Place, second: Place) -> None:
+        found = []
+        for place in (first, second):
+            nodes, arc_m = self._on_line(place.line, place.arc_m - NODE_M, place.arc_m + NODE_M)
+            if not len(nodes):
+                return
+            found.append(int(nodes[np.abs(arc_m - place.arc_m).argmin()]))
+        self._link(found[0], found[1])
+
+    def _link(self, node: int, other: int) -> None:
+        first, second = sorted((self.first(node), self.first(other)))
+        self._first[second] = first
+
+    def first(self, node: int) -> int:
+        """Return the first node at the same place."""
+        while self._first[node] != node:
+            node = self._first[node]
+        return node
+
+    def numbers(self) -> IntArray:
+        """Return the number of each plain node in the joined graph."""
+        firsts = [self.first(node) for node in range(len(self._first))]
+        return np.unique(firsts, return_inverse=True)[1].reshape(-1)
+
+
+def _shared_edges(streets: Streets, plain: Topology, nodes: _Nodes) -> tuple[IntArray, BoolArray]:
+    """Return each segment's edge, and whether it runs along it backwards."""
+    segments = plain.edges
+    by_nodes = {tuple(pair): segment for segment, pair in enumerate(plain.edge_nodes.tolist())}
+    along = np.arange(segments)
+    turned = np.zeros(segments, dtype=np.bool_)
+    for stretch, beside in zip(streets.stretches, nodes.beside, strict=True):
+        for own, other in itertools.pairwise(sorted(beside)):
+            segment = by_nodes.get((own, other))
+            street = (beside[own], beside[other])
+            of_street = by_nodes.get(street[::-1] if stretch.reversed else street)
+            if segment is None or of_street is None or of_street >= segment:
+                continue
+            along[segment] = along[of_street]
+            turned[segment] = turned[of_street] ^ stretch.reversed
+    return np.unique(along, return_inverse=True)[1].reshape(-1), turned

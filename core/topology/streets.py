@@ -1,0 +1,327 @@
+"""Where a drive runs along a street that was driven before, and where streets cross.
+
+Found by poses alone. A false join puts a vehicle on a street where it is not, a missed one only
+keeps a street twice: so a street is the same one only where two lines run beside one another, at
+one height, for long enough and nearly parallel.
+"""
+
+import math
+from collections import defaultdict
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from scipy.spatial import KDTree
+
+from core.arrays import BoolArray, FloatArray, IntArray
+from core.topology.lines import SAMPLE_M, Line, driven_lines
+from core.trajectory import Trajectory
+
+__all__ = ["Meeting", "Place", "Streets", "Stretch", "find_streets"]
+
+BESIDE_M = 8.0
+"""How far apart two lines of one street are at most: two lanes and a half."""
+LEVEL_M = 2.5
+"""How far above one another: a bridge clears 4.5 m, a storey of a car park 3 m."""
+PARALLEL_DEG = 20.0
+"""Between their directions, either way round, at every place of a stretch."""
+MEAN_PARALLEL_DEG = 10.0
+"""The same on average: lines that cross at more than that are two streets."""
+STRETCH_M = 25.0
+"""How long they run beside one another at least."""
+AGAIN_M = 30.0
+"""How far a drive went at least before it comes the same way again."""
+_PARALLEL = math.cos(math.radians(PARALLEL_DEG))
+_GAP_M = 12.0  # of a stretch, in which no line beside is found
+_SLIP_M = 6.0  # by which two lines of one street may differ in length from sample to sample
+
+
+@dataclass(frozen=True)
+class Place:
+    """A place on a line: the line's number, and how far along it."""
+
+    line: int
+    arc_m: float
+
+
+@dataclass(frozen=True)
+class Meeting:
+    """One place on two lines."""
+
+    first: Place
+    second: Place
+
+
+@dataclass(frozen=True, eq=False)
+class Stretch:
+    """Where a line runs along an earlier one, or along its own earlier part.
+
+    Attributes:
+        line: The later line.
+        arc_m: `(n,)` places on it, rising.
+        street: The earlier line, which came there first.
+        street_arc_m: `(n,)` the places on it beside those; rising, or falling if it is driven in
+            the opposite direction.
+    """
+
+    line: int
+    arc_m: FloatArray
+    street: int
+    street_arc_m: FloatArray
+
+    @property
+    def reversed(self) -> bool:
+        """Whether the street is driven in the opposite direction."""
+        return bool(self.street_arc_m[-1] < self.street_arc_m[0])
+
+    def on_street_m(self, arc_m: FloatArray) -> FloatArray:
+        """Return the places on the street beside places on the line."""
+        return np.asarray(np.interp(arc_m, self.arc_m, self.street_arc_m))
+
+    def on_line_m(self, street_arc_m: FloatArray) -> FloatArray:
+        """Return the places on the line beside places on the street."""
+        order = slice(None, None, -1) if self.reversed else slice(None)
+        return np.asarray(np.interp(street_arc_m, self.street_arc_m[order], self.arc_m[order]))
+
+
+@dataclass(frozen=True, eq=False)
+class Streets:
+    """All lines of a trajectory, and where they meet."""
+
+    lines: tuple[Line, ...]
+    stretches: tuple[Stretch, ...]
+    meetings: tuple[Meeting, ...]
+
+
+def find_streets(trajectory: Trajectory) -> Streets:
+    """Find where drives meet, themselves or one another.
+
+    Lines are followed in the order of the drives. What is driven for the first time is a street;
+    what runs along a street is a stretch of it, never a street itself. Nothing but positions and
+    their order counts.
+    """
+    lines = driven_lines(trajectory)
+    search = _Search(lines)
+    stretches = [stretch for line in range(len(lines)) for stretch in search.follow(line)]
+    joined, between = _without_gaps(stretches)
+    return Streets(lines, tuple(joined), (*between, *_crossings(lines, search.first_time)))
+
+
+class _Sample(NamedTuple):
+    """A sample of a street."""
+
+    street: int
+    arc_m: float
+    x: float
+    y: float
+    z: float
+    tangent_x: float
+    tangent_y: float
+
+
+class _Beside(NamedTuple):
+    """A sample of a street beside a sample of another line."""
+
+    apart_m: float
+    street: int
+    arc_m: float
+    degrees: float
+    backwards: bool
+
+
+def _goes_on(last: _Beside, beside: _Beside, driven_m: float) -> bool:
+    """Whether a street goes on there, after about as far as was driven."""
+    ahead_m = (beside.arc_m - last.arc_m) * (-1.0 if last.backwards else 1.0)
+    return (
+        (beside.street, beside.backwards) == (last.street, last.backwards)
+        and ahead_m >= 0.0
+        and abs(ahead_m - driven_m) <= _SLIP_M
+    )
+
+
+class _Search:
+    """Streets in a grid of square cells, filled as lines are followed."""
+
+    def __init__(self, lines: tuple[Line, ...]) -> None:
+        self._lines = lines
+        self._samples = [
+            np.column_stack([line.sample_arc_m, line.sample_m, line.tangent]).tolist()
+            for line in lines
+        ]
+        self.first_time = [np.ones(len(line.sample_arc_m), dtype=bool) for line in lines]
+        self._cells: dict[tuple[int, int], list[_Sample]] = defaultdict(list)
+
+    def follow(self, number: int) -> Iterator[Stretch]:
+        """Yield the stretches of a line, and keep the rest of it as streets."""
+        line = self._lines[number]
+        sample = 0
+        while sample < len(line.sample_arc_m):
+            stretch = self._longest_from(number, sample)
+            if stretch is None:
+                self._keep(number, sample)
+                sample += 1
+                continue
+            begin, end = np.searchsorted(line.sample_arc_m, stretch.arc_m[[0, -1]]).tolist()
+            for before in range(sample, begin):
+                self._keep(number, before)
+            self.first_time[number][begin : end + 1] = False
+            yield _turning_at_once(stretch)
+            sample = end + 1
+
+    def _longest_from(self, number: int, sample: int) -> Stretch | None:
+        """Return the longest stretch that begins at a sample, along any street beside it."""
+        begun: list[_Beside] = []
+        for beside in self._beside(number, sample):
+            if not any(
+                (one.street, one.backwards) == (beside.street, beside.backwards)
+                and abs(one.arc_m - beside.arc_m) <= 2.0 * BESIDE_M
+                for one in begun
+            ):
+                begun.append(beside)
+        found = [self._along(number, sample, first) for first in begun]
+        return max(
+            (stretch for stretch in found if stretch is not None),
+            key=lambda stretch: stretch.arc_m[-1],
+            default=None,
+        )
+
+    def _along(self, number: int, sample: int, first: _Beside) -> Stretch | None:
+        """Follow a line beside a street as long as that goes; `None` if it is no stretch."""
+        sample_arc_m = self._lines[number].sample_arc_m
+        samples, beside = [sample], [first]
+        while sample + 1 < len(sample_arc_m):
+            sample += 1
+            driven_m = float(sample_arc_m[sample] - sample_arc_m[samples[-1]])
+            if driven_m > _GAP_M:
+                break
+            goes_on = [o for o in self._beside(number, sample) if _goes_on(beside[-1], o, driven_m)]
+            if goes_on:
+                samples.append(sample)
+                beside.append(goes_on[0])
+        if np.mean([one.degrees for one in beside]) > MEAN_PARALLEL_DEG:
+            return None
+        arc_m, street_arc_m = sample_arc_m[samples], np.array([one.arc_m for one in beside])
+        # Before a street's end and after it the nearest sample is the end itself, for a while.
+        begin = int(np.flatnonzero(street_arc_m == street_arc_m[0])[-1])
+        end = int(np.flatnonzero(street_arc_m == street_arc_m[-1])[0])
+        lengths_m = np.abs([arc_m[end] - arc_m[begin], street_arc_m[end] - street_arc_m[begin]])
+        if begin >= end or lengths_m.min() < STRETCH_M:
+            return None
+        inside = slice(begin, end + 1)
+        return Stretch(number, arc_m[inside], first.street, street_arc_m[inside])
+
+    def _beside(self, number: int, sample: int) -> list[_Beside]:
+        """Return the samples of streets beside a sample, nearest first."""
+        here = self._sample(number, sample)
+        column, row = self._cell(here)
+        found = []
+        for cell in [(column + i, row + j) for i in (-1, 0, 1) for j in (-1, 0, 1)]:
+            for other in self._cells.get(cell, ()):
+                apart_m = math.hypot(other.x - here.x, other.y - here.y)
+                if apart_m > BESIDE_M or abs(other.z - here.z) > LEVEL_M:
+                    continue
+                along = here.tangent_x * other.tangent_x + here.tangent_y * other.tangent_y
+                if abs(along) < _PARALLEL:
+                    continue
+                if along > 0 and other.street == number and here.arc_m - other.arc_m < AGAIN_M:
+                    continue
+                degrees = math.degrees(math.acos(min(1.0, abs(along))))
+                found.append(_Beside(apart_m, other.street, other.arc_m, degrees, along < 0))
+        return sorted(found)
+
+    def _keep(self, number: int, sample: int) -> None:
+        kept = self._sample(number, sample)
+        self._cells[self._cell(kept)].append(kept)
+
+    def _sample(self, number: int, sample: int) -> _Sample:
+        return _Sample(number, *self._samples[number][sample])
+
+    @staticmethod
+    def _cell(sample: _Sample) -> tuple[int, int]:
+        return math.floor(sample.x / BESIDE_M), math.floor(sample.y / BESIDE_M)
+
+
+def _turning_at_once(stretch: Stretch) -> Stretch:
+    """Let a stretch begin where the vehicle turned round, if it came back the way it had come."""
+    turned_m = stretch.arc_m[0] - stretch.street_arc_m[0]
+    if stretch.line != stretch.street or not stretch.reversed or turned_m > AGAIN_M:
+        return stretch
+    middle_m = (stretch.arc_m[0] + stretch.street_arc_m[0]) / 2.0
+    return Stretch(
+        stretch.line,
+        np.concatenate([[middle_m], stretch.arc_m]),
+        stretch.street,
+        np.concatenate([[middle_m], stretch.street_arc_m]),
+    )
+
+
+def _without_gaps(stretches: list[Stretch]) -> tuple[list[Stretch], list[Meeting]]:
+    """Let a stretch begin where the one before ends, if nearly so: their streets meet there."""
+    joined: list[Stretch] = []
+    meetings: list[Meeting] = []
+    for found in stretches:
+        stretch, before = found, joined[-1] if joined else None
+        if (
+            before is not None
+            and before.line == stretch.line
+            and stretch.arc_m[0] - before.arc_m[-1] < _GAP_M
+        ):
+            arc_m = np.concatenate([before.arc_m[-1:], stretch.arc_m])
+            street_arc_m = np.concatenate([stretch.street_arc_m[:1], stretch.street_arc_m])
+            stretch = Stretch(stretch.line, arc_m, stretch.street, street_arc_m)
+            meetings.append(
+                Meeting(
+                    Place(before.street, float(before.street_arc_m[-1])),
+                    Place(stretch.street, float(stretch.street_arc_m[0])),
+                )
+            )
+        joined.append(stretch)
+    return joined, meetings
+
+
+def _crossings(lines: tuple[Line, ...], first_time: list[BoolArray]) -> Iterator[Meeting]:
+    """Yield where streets cross on one level, in the order of their places."""
+    pieces = [
+        np.stack([np.full(len(at), number), at], axis=1)
+        for number, first in enumerate(first_time)
+        for at in [np.flatnonzero(first[:-1] & first[1:])]
+    ]
+    if not pieces:
+        return
+    piece: IntArray = np.concatenate(pieces)
+    if len(piece) < 2:
+        return
+    begin = np.stack([lines[line].sample_m[at] for line, at in piece.tolist()])
+    step = np.stack([lines[line].sample_m[at + 1] for line, at in piece.tolist()]) - begin
+    middle_m = (begin + step / 2.0)[:, :2]
+    pairs = np.sort(KDTree(middle_m).query_pairs(SAMPLE_M, output_type="ndarray"), axis=1)
+    for first, second in pairs[np.lexsort(pairs.T[::-1])].tolist():
+        (line, at), (other, other_at) = piece[first].tolist(), piece[second].tolist()
+        at_m, other_m = lines[line].sample_arc_m[at], lines[other].sample_arc_m[other_at]
+        if line == other and other_m - at_m < AGAIN_M:
+            continue
+        share = _where_crossing(begin[first], step[first], begin[second], step[second])
+        if share is not None:
+            yield Meeting(
+                Place(line, float(at_m + share[0] * np.linalg.norm(step[first]))),
+                Place(other, float(other_m + share[1] * np.linalg.norm(step[second]))),
+            )
+
+
+def _where_crossing(
+    begin: FloatArray, step: FloatArray, other: FloatArray, other_step: FloatArray
+) -> tuple[float, float] | None:
+    """Return at which share of both steps they cross, seen from above; `None` if they do not."""
+    area = float(step[0] * other_step[1] - step[1] * other_step[0])
+    lengths = float(np.hypot(*step[:2]) * np.hypot(*other_step[:2]))
+    if abs(area) <= lengths * math.sin(math.radians(PARALLEL_DEG)):
+        return None
+    away = other - begin
+    share = float(away[0] * other_step[1] - away[1] * other_step[0]) / area
+    other_share = float(away[0] * step[1] - away[1] * step[0]) / area
+    if not (0.0 <= share < 1.0 and 0.0 <= other_share < 1.0):
+        return None
+    if abs(away[2] + other_share * other_step[2] - share * step[2]) > LEVEL_M:
+        return None
+    return share, other_share

@@ -1,0 +1,79 @@
+"""What is believed of a vehicle's place, direction and pace: the state of a Bayes filter."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from core.arrays import FloatArray, frozen
+from core.errors import InvalidParameters
+from core.tracking.graph import TravelGraph
+from core.tracking.motion import Motion, predict
+
+__all__ = ["Belief"]
+
+_SUM_TOLERANCE = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class Belief:
+    """A distribution over places and paces, and being elsewhere than in the map; sums to 1.
+
+    Attributes:
+        at: `(2K, P)`, of each place and pace; place `2 row` is a scan passed along its segment,
+            `2 row + 1` against it.
+        elsewhere: Of being outside of the map.
+    """
+
+    at: FloatArray
+    elsewhere: float
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "at", frozen(self.at, np.float64))
+        object.__setattr__(self, "elsewhere", float(self.elsewhere))
+        total = float(self.at.sum()) + self.elsewhere
+        if not (abs(total - 1.0) <= _SUM_TOLERANCE and self.at.min() >= 0 <= self.elsewhere):
+            raise InvalidParameters(f"a belief is probabilities that sum to 1, these to {total}")
+
+    @property
+    def of_scan(self) -> FloatArray:
+        """The probability of each scan of the map, `(K,)`."""
+        return np.asarray(self.at.sum(axis=1).reshape(-1, 2).sum(axis=1))
+
+    @property
+    def along(self) -> FloatArray:
+        """The probability of each scan, passed along its segment, `(K,)`."""
+        return np.asarray(self.at[::2].sum(axis=1))
+
+    @classmethod
+    def unknown(cls, graph: TravelGraph, motion: Motion) -> "Belief":
+        """Return the belief before any observation: half of it outside of the map."""
+        shape = (graph.places, len(motion.pace))
+        return cls(np.full(shape, 0.5 / (shape[0] * shape[1])), 0.5)
+
+    def predicted(
+        self,
+        graph: TravelGraph,
+        motion: Motion,
+        scale: float = 1.0,
+        travelled_m: float | None = None,
+    ) -> "Belief":
+        """Return what is believed one observation later, before it is seen; see `predict`."""
+        moved = predict(self.at, graph, motion, scale, travelled_m)
+        within = float(moved.sum())
+        anywhere = motion.jumps * within + motion.leaves * self.elsewhere
+        at = (1.0 - motion.jumps - motion.leaves) * moved + anywhere / moved.size
+        elsewhere = (1.0 - motion.leaves) * self.elsewhere + motion.leaves * within
+        return _normalized(at, elsewhere)
+
+    def updated(self, likelihood: FloatArray) -> "Belief":
+        """Return the belief after an observation.
+
+        Args:
+            likelihood: `(2K, P)` or broadcast to it, finite and at least 0; elsewhere it is 1.
+        """
+        return _normalized(self.at * likelihood, self.elsewhere)
+
+
+def _normalized(at: FloatArray, elsewhere: float) -> Belief:
+    total = float(at.sum()) + elsewhere
+    return Belief(at / total, elsewhere / total)

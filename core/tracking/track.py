@@ -1,0 +1,278 @@
+"""Tracks: a vehicle's observations, one after another, in one revision of a map."""
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.spatial.transform import Rotation, Slerp
+
+from core.arrays import FloatArray
+from core.displacement import pose_beside
+from core.encodings.harmonic import HarmonicSearch
+from core.encodings.model import Found, Search
+from core.errors import InvalidParameters, StaleObservation
+from core.estimate import estimate
+from core.localizer import Localizer
+from core.pose import Pose
+from core.signature import Signature
+from core.tracking.belief import Belief
+from core.tracking.emission import Emission
+from core.tracking.graph import TravelGraph
+from core.tracking.motion import Motion
+from core.tracking.place import Place, gathered
+from core.tracking.standing import Standing, StandingDetector
+from core.tracking.step import SURE, Direction, Doubt, TrackStep
+
+__all__ = ["Observation", "Track", "Tracker"]
+
+_FIRST_FIX = 3  # observations: one alone is a localization, and two may err alike
+_ELSEWHERE = 0.5  # of being outside of the map, to say so
+_MOVE_ODDS = 0.9  # of a standing vehicle being beyond the place that was told, to move the answer
+_SLOWEST, _FASTEST = 0.1, 10.0  # times between observations, as shares of the usual one
+_TIMES_KEPT = 15
+
+
+@dataclass(frozen=True, eq=False)
+class Observation:
+    """What a vehicle sends at one moment.
+
+    Attributes:
+        signatures: Of one scan.
+        timestamp_s: When it was made, by the vehicle's own clock; rises if given.
+        sequence: Its number; rises if given.
+        travelled_m: Odometry since the last observation, negative backwards.
+
+    Raises:
+        InvalidParameters: If a number is not finite or below its range.
+    """
+
+    signatures: tuple[Signature, ...]
+    timestamp_s: float | None = None
+    sequence: int | None = None
+    travelled_m: float | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("timestamp_s", "travelled_m"):
+            value = getattr(self, name)
+            if value is not None and not math.isfinite(value):
+                raise InvalidParameters(f"{name} is {value}, wanted a finite number")
+        if self.sequence is not None and self.sequence < 0:
+            raise InvalidParameters(f"sequence is {self.sequence}, wanted 0 or more")
+
+
+class Tracker:
+    """What all tracks in one revision share; safe to share between threads.
+
+    Args:
+        localizer: Of the revision.
+        motion: How vehicles move.
+        cut_position: Where segments were cut, see `TravelGraph.of_map`.
+    """
+
+    def __init__(
+        self,
+        localizer: Localizer,
+        motion: Motion | None = None,
+        cut_position: FloatArray | None = None,
+    ) -> None:
+        self.localizer = localizer
+        self.map = localizer.map
+        self.motion = motion or Motion()
+        self.graph = TravelGraph.of_map(self.map, cut_position)
+        self.emission = Emission.of_map(self.map)
+        self.standing = Standing.of_map(self.map)
+
+
+@dataclass
+class _Order:
+    """Which observation came last, and how long one usually takes."""
+
+    timestamp_s: float | None = None
+    sequence: int | None = None
+    periods_s: list[float] = field(default_factory=list)
+
+    def require_newer(self, observation: Observation) -> None:
+        for name in ("timestamp_s", "sequence"):
+            last, given = getattr(self, name), getattr(observation, name)
+            if last is not None and given is not None and given <= last:
+                raise StaleObservation(
+                    f"the observation's {name} is {given}, the track's last one had {last}"
+                )
+
+    def scale(self, observation: Observation) -> float:
+        """Return how long it is since the last one, as a share of the usual time."""
+        if self.timestamp_s is None or observation.timestamp_s is None or not self.periods_s:
+            return 1.0
+        usual_s = float(np.median(self.periods_s))
+        share = (observation.timestamp_s - self.timestamp_s) / usual_s
+        return min(max(share, _SLOWEST), _FASTEST)
+
+    def keep(self, observation: Observation) -> None:
+        if observation.timestamp_s is not None:
+            if self.timestamp_s is not None:
+                self.periods_s.append(observation.timestamp_s - self.timestamp_s)
+                del self.periods_s[:-_TIMES_KEPT]
+            self.timestamp_s = observation.timestamp_s
+        if observation.sequence is not None:
+            self.sequence = observation.sequence
+
+
+class Track:
+    """One vehicle in one revision of a map; not for several threads at once.
+
+    A Bayes filter over the scans of the map, the direction in which they are passed and how many
+    are passed from one observation to the next. An observation that is refused changes nothing.
+    """
+
+    def __init__(self, tracker: Tracker) -> None:
+        self._tracker = tracker
+        self._order = _Order()
+        self._belief = Belief.unknown(tracker.graph, tracker.motion)
+        self._detector = StandingDetector(tracker.standing)
+        self._observations = 0
+        self._told: float | None = None
+        self.last: TrackStep | None = None
+
+    @property
+    def revision(self) -> str:
+        """The revision that the track is in, from its first observation to its last."""
+        return self._tracker.map.revision
+
+    @property
+    def localizer(self) -> Localizer:
+        """Of that revision."""
+        return self._tracker.localizer
+
+    @property
+    def belief(self) -> Belief:
+        """What is believed now."""
+        return self._belief
+
+    def observe(self, observation: Observation) -> TrackStep:
+        """Take the next observation.
+
+        Raises:
+            StaleObservation: If its timestamp or sequence number is not above the last one's.
+            StaleSignature: If a signature was made with another revision's bases.
+            UnknownSegment: If the map has no such segment.
+            InvalidSignature: If the signatures are not of this map, or not of one scan.
+        """
+        self._order.require_newer(observation)
+        search = self._tracker.localizer.search(observation.signatures)
+        distances = search.distances()
+        belief = self._belief
+        if self._observations:
+            belief = belief.predicted(
+                self._tracker.graph,
+                self._tracker.motion,
+                self._order.scale(observation),
+                observation.travelled_m,
+            )
+        standing = self._detector.update(observation.signatures)
+        belief = belief.updated(
+            np.repeat(self._tracker.emission.likelihood(distances), 2)[:, None]
+            * self._tracker.standing.likelihood(self._tracker.motion.pace, standing=standing)
+        )
+        self._order.keep(observation)
+        self._observations += 1
+        self._belief = belief
+        self.last = self._step(belief, search, standing=standing)
+        return self.last
+
+    def _step(self, belief: Belief, search: Search, *, standing: bool) -> TrackStep:
+        tracker, trajectory = self._tracker, self._tracker.map.trajectory
+        place = gathered(belief, tracker.map)
+        position = self._held(place) if standing else place.position
+        self._told = position
+        row = min(max(math.floor(position + 0.5), place.rows.start), place.rows.stop - 1)
+        among = np.zeros(len(tracker.map), bool)
+        among[row] = True
+        # A query of the paper's encoding may not hold the signature of this scan's segment.
+        found = next(iter(search.nearest(1, among)), None) or Found(row, math.nan)
+        stands = estimate(search, trajectory, found) if isinstance(search, HarmonicSearch) else None
+        turn_deg, lateral_m = (
+            (None, None) if stands is None else (stands.turn_deg, stands.lateral_m)
+        )
+        reason = self._doubt(belief, place)
+        segment = tracker.graph.segment_at(position)
+        return TrackStep(
+            revision=self.revision,
+            observations=self._observations,
+            localized=reason is None,
+            reason=reason,
+            segment=segment,
+            fraction=_fraction(tracker, segment, position),
+            segment_probability=_share_of(tracker, place, segment),
+            position=position,
+            row=row,
+            drive=trajectory.drives[int(trajectory.drive_of_scan[row])],
+            scan_index=int(trajectory.scan_index[row]),
+            distance=found.distance if math.isfinite(found.distance) else None,
+            probability=place.probability,
+            direction=_direction(place),
+            standing=standing,
+            along_sigma_m=_sigma_m(tracker.graph.along_m, place),
+            along_sigma_scans=place.sigma,
+            turn_deg=turn_deg,
+            lateral_m=lateral_m,
+            pose=_pose(trajectory.poses, position, row, lateral_m or 0.0, turn_deg or 0.0),
+        )
+
+    def _held(self, place: Place) -> float:
+        """Return where a standing vehicle is: where it was, unless most is believed beyond."""
+        told = self._told
+        if told is None or not place.rows.start <= told <= place.rows.stop - 1:
+            return place.position
+        before, after = place.beyond(math.floor(told + 0.5))
+        return place.position if max(before, after) > _MOVE_ODDS else told
+
+    def _doubt(self, belief: Belief, place: Place) -> Doubt | None:
+        if belief.elsewhere > _ELSEWHERE:
+            return Doubt.UNKNOWN_PLACE
+        if self._observations < _FIRST_FIX:
+            return Doubt.CONVERGING
+        return None if place.probability >= SURE else Doubt.AMBIGUOUS
+
+
+def _fraction(tracker: Tracker, segment: int, position: float) -> float:
+    begin, end = map(int, tracker.graph.segment_ends[segment])
+    return min(max((position - begin) / max(1, end - begin), 0.0), 1.0)
+
+
+def _share_of(tracker: Tracker, place: Place, segment: int) -> float:
+    """Return how much of what is believed near a place is of one segment."""
+    rows = range(place.rows.start, place.rows.stop)
+    within = [tracker.graph.segment_at(row) == segment for row in rows]
+    return min(1.0, float(place.weight[within].sum()))
+
+
+def _direction(place: Place) -> Direction | None:
+    if place.along >= SURE:
+        return Direction.ALONG
+    return Direction.AGAINST if place.along <= 1.0 - SURE else None
+
+
+def _sigma_m(along_m: FloatArray, place: Place) -> float | None:
+    metres = along_m[place.rows]
+    if np.isnan(metres).any():
+        return None
+    mean_m = float(place.weight @ metres)
+    return float(np.sqrt(place.weight @ (metres - mean_m) ** 2))
+
+
+def _pose(
+    poses: FloatArray, position: float, row: int, lateral_m: float, turn_deg: float
+) -> Pose | None:
+    """Return the pose at a position between rows, displaced and turned as the match says."""
+    low = min(max(math.floor(position), 0), len(poses) - 1)
+    low = min(low, row)
+    high = min(low + 1, len(poses) - 1)
+    pair = poses[[low, high]]
+    if not np.isfinite(pair).all():
+        return Pose.from_row(poses[row])
+    share = min(max(position - low, 0.0), 1.0)
+    turned = Slerp([0.0, 1.0], Rotation.from_quat(pair[:, 3:]))(share)
+    between = np.concatenate(
+        [(1.0 - share) * pair[0, :3] + share * pair[1, :3], turned.as_quat(canonical=True)]
+    )
+    return Pose.from_row(pose_beside(between, lateral_m, turn_deg))

@@ -1,0 +1,127 @@
+"""Proposed loop closures over HTTP."""
+
+import json
+
+import pytest
+from typer.testing import CliRunner
+
+from app.cli.main import cli
+from app.schemas.localizations import SignaturesIn
+from app.schemas.revisions import BasisOut
+from core.errors import InvalidParameters
+from core.loop_closure import check_scans
+from tests.support.recording import kitti, recording
+from tests.support.service import problem_of
+
+CLOSURES = "/v1/maps/campus/loop-closures"
+
+
+def stored(index, drive="monday"):
+    return {"drive": drive, "scan_index": index}
+
+
+def signatures_of(client, scan):
+    basis = BasisOut.model_validate(client.get("/v1/maps/campus/basis").json()).to_core()
+    sent = SignaturesIn.from_core(basis.encode(basis.image(scan)))
+    return sent.model_dump(exclude_none=True)
+
+
+def test_stored_scans_are_judged_in_a_batch_in_their_order(client):
+    proposals = [{"first": stored(3), "second": stored(second)} for second in (3, 4, 25)]
+    answer = client.post(CLOSURES, json={"proposals": proposals})
+    assert answer.status_code == 200, answer.text
+    same, next_one, elsewhere = answer.json()["closures"]
+    assert same["verdict"] == "accepted"
+    assert (same["turn_deg"], same["forward_m"], same["lateral_m"]) == (0.0, 0.0, 0.0)
+    assert next_one["forward_m"] == pytest.approx(1.5, abs=0.5)  # a tenth of a second on
+    assert elsewhere["verdict"] == "rejected"
+    scans = recording().scans
+    wanted = check_scans(scans[3], scans[25], 1.73)
+    assert elsewhere["overlap"] == wanted.overlap
+    assert elsewhere["probability"] == wanted.probability
+    assert elsewhere["signature_distance"] is None
+
+
+def test_a_signature_is_judged_without_a_probability_where_the_map_has_none(client):
+    second = signatures_of(client, recording(noise_seed=7).scans[3])
+    body = {"proposals": [{"first": stored(row), "second": second} for row in (3, 25)]}
+    same, elsewhere = client.post(CLOSURES, json=body).json()["closures"]
+    assert same["signature_distance"] < elsewhere["signature_distance"]
+    assert (same["probability"], same["verdict"]) == (None, "undecided")
+    assert same["overlap"] is None
+
+
+def test_a_threshold_decides_what_is_accepted(client):
+    body = {"proposals": [{"first": stored(3), "second": stored(5)}]}
+    [strict] = client.post(CLOSURES, json={**body, "accept_from": 1.0}).json()["closures"]
+    [loose] = client.post(CLOSURES, json={**body, "accept_from": 0.51}).json()["closures"]
+    assert strict["probability"] == loose["probability"]
+    assert strict["verdict"] == "undecided"
+    assert loose["verdict"] == "accepted"
+
+
+@pytest.mark.parametrize(
+    ("change", "problem"),
+    [
+        ({"proposals": []}, (422, "invalid-request")),
+        ({"accept_from": 0.5}, (422, "invalid-request")),
+        ({"sensor_height_m": 0}, (422, "invalid-request")),
+        ({"proposals": [{"first": stored(3)}]}, (422, "invalid-request")),
+        ({"proposals": [{"first": stored(3), "second": {"drive": 7}}]}, (422, "invalid-request")),
+        (
+            {"proposals": [{"first": stored(3, "friday"), "second": stored(4)}]},
+            (404, "drive-not-found"),
+        ),
+        ({"proposals": [{"first": stored(3), "second": stored(99)}]}, (404, "scan-not-found")),
+    ],
+)
+def test_a_proposal_that_cannot_be_is_refused(client, change, problem):
+    body = {"proposals": [{"first": stored(3), "second": stored(4)}], **change}
+    assert problem_of(client.post(CLOSURES, json=body)) == problem
+
+
+def test_signatures_that_cannot_be_judged_are_refused(client):
+    second = signatures_of(client, recording().scans[3])
+
+    def answer(first, second):
+        return client.post(CLOSURES, json={"proposals": [{"first": first, "second": second}]})
+
+    assert problem_of(answer(stored(99), second)) == (404, "scan-not-found")
+    assert problem_of(answer(stored(3, "friday"), second)) == (404, "scan-not-found")
+    stale = {**second, "basis": "0" * 64}
+    assert problem_of(answer(stored(3), stale)) == (409, "stale-signature")
+    other_segment = {**second, "signatures": second["signatures"][1:]}
+    assert problem_of(answer(stored(3), other_segment)) == (422, "invalid-signature")
+
+
+def test_no_revision_is_needed_where_the_mount_is_told(empty):
+    for index, scan in enumerate(recording().scans[:2]):
+        empty.put(
+            f"/v1/maps/campus/drives/monday/scans/{index}",
+            content=kitti(scan),
+            headers={"Content-Type": "application/vnd.tensormap.kitti"},
+        )
+    body = {"proposals": [{"first": stored(0), "second": stored(1)}]}
+    assert problem_of(empty.post(CLOSURES, json=body)) == (409, "no-live-revision")
+    told = empty.post(CLOSURES, json={**body, "sensor_height_m": 1.73})
+    assert told.status_code == 200
+
+
+def test_the_command_judges_pairs_of_scans(tmp_path):
+    for index, scan in enumerate(recording().scans[:26]):
+        (tmp_path / f"{index:06}.bin").write_bytes(kitti(scan))
+
+    def run(*arguments):
+        result = CliRunner().invoke(cli, ["loop-closure", str(tmp_path), *arguments])
+        if result.exception is not None:
+            raise result.exception
+        return result.stdout
+
+    lines = run("3,3", "3,25", "--second-drive", str(tmp_path), "--json").splitlines()
+    assert [json.loads(line)["verdict"] for line in lines] == ["accepted", "rejected"]
+    assert "accepted" in run("3,3")
+    with pytest.raises(InvalidParameters, match=r"no scan 26, it has 0\.\.25"):
+        run("3,26")
+    for wrong in ("3", "3,x", "a,3"):
+        with pytest.raises(InvalidParameters, match="no pair of scans"):
+            run(wrong)

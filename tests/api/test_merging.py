@@ -1,0 +1,200 @@
+"""Drives added to a map, aged and left out, while vehicles keep the basis that they hold."""
+
+from datetime import UTC, datetime, timedelta
+
+import pytest
+
+from app.schemas.localizations import SignaturesIn
+from app.schemas.revisions import BasisOut
+from core.signature import pack_signatures
+from storage.catalog.models import Drive, RevisionBasis
+from tests.api.test_flow import PACKED, localize
+from tests.support.recording import Recording, recording
+from tests.support.service import problem_of, running, upload, wait_for, whole_store
+
+BUILDS = "/v1/maps/campus/builds"
+
+
+def as_json(signatures):
+    return SignaturesIn.from_core(signatures).model_dump(exclude_none=True)
+
+
+def built(client, **wanted):
+    """Build and return the job that is done."""
+    queued = client.post(BUILDS, json=wanted)
+    assert queued.status_code == 202, queued.text
+    job = wait_for(client, queued.json()["job"])
+    assert job["state"] == "done", job
+    return job
+
+
+def revision_of(client, job):
+    return client.get(f"/v1/maps/campus/revisions/{job['revision']}").json()
+
+
+def basis_of(client):
+    return BasisOut.model_validate(client.get("/v1/maps/campus/basis").json()).to_core()
+
+
+@pytest.fixture(params=["harmonic", "paper"])
+def encoding(request):
+    return request.param
+
+
+@pytest.fixture
+def campus(tmp_path, encoding):
+    """A map of the first half of a drive, live, and the second half stored beside it."""
+    with running(tmp_path / "data") as client:
+        client.post("/v1/maps", json={"map": "campus"})
+        halves = recording().scans[:24], recording().scans[24:]
+        upload(client, "monday", Recording(halves[0]))
+        upload(client, "alpha", Recording(halves[1]))  # before monday in the alphabet
+        built(client, drives=["monday"], segment_length=8, encoding=encoding)
+        yield client
+
+
+def test_a_vehicle_keeps_its_basis_when_a_drive_is_added(campus, encoding):
+    held = basis_of(campus)
+    etag = campus.get("/v1/maps/campus/basis").headers["ETag"]
+    added = built(campus, base="live", add=["alpha"], make_live=True)
+    assert added["revision"] != held.revision
+    record = revision_of(campus, added)
+    assert record["live"]
+    assert record["parameters"]["drives"] == ["monday", "alpha"]
+
+    scan = recording(noise_seed=7).scans[6]
+    signatures = held.encode(held.image(scan))
+    for found in (
+        localize(campus, "signature", content=pack_signatures(signatures), headers=PACKED),
+        localize(campus, "signature", json=as_json(signatures)),
+    ):
+        assert found["revision"] == found["live_revision"] == added["revision"]
+        assert (found["best"]["drive"], found["best"]["scan_index"]) == ("monday", 6)
+    pinned = {**as_json(signatures), "revision": held.revision}
+    del pinned["basis"]
+    assert localize(campus, "signature", json=pinned)["revision"] == held.revision
+
+    again = campus.get("/v1/maps/campus/basis", headers={"If-None-Match": etag})
+    if encoding == "paper":  # it lacks the new drive's segments, and no more
+        assert again.status_code == 200
+        now = basis_of(campus)
+        kept = now.elevation_basis[: len(held.segments)]
+        assert kept.tobytes() == held.elevation_basis.tobytes()
+        return
+    assert (again.status_code, again.headers["ETag"]) == (304, etag)
+    elsewhere = recording(noise_seed=7).scans[24 + 10]
+    found = localize(campus, "signature", json=as_json(held.encode(held.image(elsewhere))))
+    assert (found["best"]["drive"], found["best"]["scan_index"]) == ("alpha", 10)
+
+
+def test_a_basis_is_refitted_on_request_only_and_a_rollback_answers_the_old_one(campus, encoding):
+    if encoding == "paper":
+        pytest.skip("the paper's segments have bases of their own")
+    held, first = basis_of(campus), campus.get("/v1/maps/campus").json()["live_revision"]
+    signatures = as_json(held.encode(held.image(recording().scans[6])))
+    plain = built(campus, encoding="harmonic", segment_length=8)  # without base: all drives
+    told = revision_of(campus, plain)["parameters"]["basis"]
+    assert (told["digest"], told["kept_from"]) == (held.digest, first)
+    assert [fit["drive"] for fit in told["fits"]] == ["alpha", "monday"]
+    of_new, of_old = told["fits"]
+    assert of_new["kept_error"] > of_new["refitted_error"]
+    assert of_old["kept_error"] < of_old["refitted_error"]  # it was fitted to that one alone
+
+    refitted = built(campus, base="live", add=["alpha"], refit=True, make_live=True)
+    told = revision_of(campus, refitted)["parameters"]["basis"]
+    assert told["digest"] != held.digest
+    assert (told["kept_from"], told["fits"]) == (None, [])
+    found = localize(campus, "signature", json=signatures)
+    assert found["revision"] == plain["revision"]  # the newest that has the basis
+    assert found["live_revision"] == refitted["revision"]
+    campus.delete(f"/v1/maps/campus/revisions/{plain['revision']}")
+    assert localize(campus, "signature", json=signatures)["revision"] == first
+    campus.delete(f"/v1/maps/campus/revisions/{first}")
+    stale = campus.post("/v1/maps/campus/localizations/signature", json=signatures)
+    assert problem_of(stale) == (409, "stale-signature")
+    assert refitted["revision"] in stale.json()["detail"]
+
+
+def test_removing_a_drive_leaves_it_stored_and_the_others_as_they_were(campus):
+    both = built(campus, base="live", add=["alpha"], make_live=True)
+    one = built(campus, base="live", remove=["alpha"])
+    first = campus.get("/v1/maps/campus/revisions").json()["items"][-1]
+    assert one["revision"] == first["revision"]  # the same content is the same revision
+    assert campus.get("/v1/maps/campus/drives/alpha").json()["scans"] == 24
+    other = revision_of(campus, built(campus, base=both["revision"], remove=["monday"]))
+    assert other["parameters"]["drives"] == ["alpha"]
+    assert other["parameters"]["segment_length"] == 8
+
+
+def test_old_drives_are_left_out_when_an_age_is_given(campus, encoding):
+    built(campus, base="live", add=["alpha"], make_live=True)
+    with campus.service.store.catalog._database.writing() as session:
+        monday = session.query(Drive).filter_by(slug="monday").one()
+        monday.created_at = datetime.now(UTC) - timedelta(days=40)
+    before = campus.get("/v1/maps/campus/drives").json()
+    aged = revision_of(campus, built(campus, base="live", max_age_days=30))
+    assert aged["parameters"]["drives"] == ["alpha"]
+    young = revision_of(campus, built(campus, encoding=encoding, max_age_days=50))
+    assert young["parameters"]["drives"] == ["alpha", "monday"]
+    assert campus.get("/v1/maps/campus/drives").json() == before
+    nothing = campus.post(BUILDS, json={"drives": ["monday"], "max_age_days": 30})
+    assert problem_of(nothing) == (422, "empty-drive")
+
+
+@pytest.mark.parametrize(
+    ("wanted", "problem"),
+    [
+        ({"add": ["alpha"]}, (422, "invalid-request")),
+        ({"remove": ["monday"]}, (422, "invalid-request")),
+        ({"base": "live"}, (422, "invalid-request")),
+        ({"base": "newest", "add": ["alpha"]}, (422, "invalid-request")),
+        ({"base": "live", "drives": ["alpha"]}, (422, "invalid-request")),
+        ({"base": "live", "add": ["alpha"], "remove": ["alpha"]}, (422, "invalid-request")),
+        ({"base": "live", "add": ["alpha", "alpha"]}, (422, "invalid-request")),
+        ({"base": "live", "max_age_days": 0, "add": ["alpha"]}, (422, "invalid-request")),
+        ({"base": "live", "add": ["nowhere"]}, (404, "drive-not-found")),
+        ({"base": "live", "remove": ["alpha"]}, (404, "unknown-drive")),
+        ({"base": "0" * 64, "add": ["alpha"]}, (404, "revision-not-found")),
+        ({"base": "live", "remove": ["monday"]}, (422, "empty-drive")),
+        ({"base": "live", "add": ["alpha"], "ranks": [4, 4]}, (422, "invalid-parameters")),
+        ({"base": "live", "add": ["alpha"], "segments": 2}, (422, "invalid-parameters")),
+    ],
+)
+def test_a_change_that_cannot_be_is_refused_and_changes_nothing(campus, encoding, wanted, problem):
+    if encoding == "paper" and problem[1] == "invalid-request":
+        pytest.skip("the schema is the same for both")
+    before = whole_store(campus)
+    assert problem_of(campus.post(BUILDS, json=wanted)) == problem
+    assert whole_store(campus) == before
+
+
+def test_a_base_that_is_not_there_or_whose_drive_is_gone_is_told(campus, tmp_path):
+    with running(tmp_path / "other") as empty:
+        empty.post("/v1/maps", json={"map": "campus"})
+        none = empty.post(BUILDS, json={"base": "live", "add": ["alpha"]})
+        assert problem_of(none) == (409, "no-live-revision")
+    campus.delete("/v1/maps/campus/drives/monday")
+    gone = campus.post(BUILDS, json={"base": "live", "add": ["alpha"]})
+    assert problem_of(gone) == (404, "drive-not-found")
+    assert "name it in remove" in gone.json()["detail"]
+    built(campus, base="live", add=["alpha"], remove=["monday"])
+
+
+def test_a_damaged_live_revision_is_told_and_refit_goes_on_without_it(campus, encoding):
+    live = campus.get("/v1/maps/campus").json()["live_revision"]
+    path = campus.service.store.revisions.path("campus", live)
+    path.write_bytes(b"no map at all")
+    wanted = {"drives": ["alpha"], "encoding": encoding}
+    if encoding == "harmonic":
+        refused = campus.post(BUILDS, json=wanted)
+        assert problem_of(refused) == (500, "corrupt-file")
+        assert "refit" in refused.json()["detail"]
+    built(campus, **wanted, refit=True)
+
+
+def test_a_revision_from_before_bases_were_written_down_answers_while_it_is_live(campus):
+    held = basis_of(campus)
+    with campus.service.store.catalog._database.writing() as session:
+        session.query(RevisionBasis).delete()
+    signatures = as_json(held.encode(held.image(recording().scans[6])))
+    assert localize(campus, "signature", json=signatures)["revision"] == held.revision

@@ -1,0 +1,284 @@
+"""Tracks over HTTP and over a stream: a vehicle's observations, one after another."""
+
+import threading
+
+import numpy as np
+import pytest
+from starlette.testclient import WebSocketDenialResponse
+from starlette.websockets import WebSocketDisconnect
+
+from app.schemas.revisions import BasisOut
+from core.signature import pack_signatures
+from tests.support.recording import KITTI, kitti, recording
+from tests.support.service import problem_of, running, upload, wait_for
+
+PACKED = {"Content-Type": "application/vnd.tensormap.signature"}
+IMAGE = {"Content-Type": "application/vnd.tensormap.image"}
+TRACKS = "/v1/maps/campus/tracks"
+KEY = "correct horse battery staple"
+
+
+def fill(client, encoding):
+    client.post("/v1/maps", json={"map": "campus"})
+    upload(client, "monday", recording())
+    wanted = {"segments": 3, "encoding": encoding}
+    queued = client.post("/v1/maps/campus/builds", json=wanted)
+    assert wait_for(client, queued.json()["job"])["state"] == "done"
+
+
+@pytest.fixture(scope="module", params=["paper", "harmonic"])
+def client(tmp_path_factory, request):
+    with running(tmp_path_factory.mktemp("tracks") / "data", max_tracks=40) as client:
+        fill(client, request.param)
+        yield client
+
+
+@pytest.fixture(scope="module")
+def basis(client):
+    return BasisOut.model_validate(client.get("/v1/maps/campus/basis").json()).to_core()
+
+
+@pytest.fixture
+def track(client):
+    created = client.post(TRACKS)
+    assert created.status_code == 201, created.text
+    assert created.headers["Location"] == f"{TRACKS}/{created.json()['track']}"
+    yield created.headers["Location"]
+    client.delete(created.headers["Location"])
+
+
+def observe(client, track, index, **params):
+    scan = recording(noise_seed=7).scans[index]
+    answer = client.post(f"{track}/observations", content=kitti(scan), headers=KITTI, params=params)
+    assert answer.status_code == 200, answer.text
+    return answer.json()
+
+
+def signatures(basis, index):
+    return basis.encode(basis.image(recording(noise_seed=7).scans[index]))
+
+
+def open_stream(client, path, **options):
+    # Starlette's client goes to its own name otherwise, whatever its base URL.
+    return client.websocket_connect(f"ws://127.0.0.1{path}", **options)
+
+
+def as_json(signatures):
+    shown = [
+        {"segment": s.segment, "values": s.values.tolist()}
+        if s.segment is not None
+        else {"values_real": s.values.real.tolist(), "values_imag": s.values.imag.tolist()}
+        for s in signatures
+    ]
+    return {"revision": signatures[0].revision, "signatures": shown}
+
+
+def test_a_drive_is_followed_scan_by_scan(client, track):
+    answers = [observe(client, track, index, timestamp_s=0.1 * index) for index in range(16)]
+    assert [a["observations"] for a in answers] == list(range(1, 17))
+    assert (answers[0]["localized"], answers[0]["reason"]) == (False, "converging")
+    assert answers[-1]["localized"]
+    assert answers[-1]["reason"] is None
+    assert all(abs(a["scan_index"] - i) <= 1 for i, a in enumerate(answers) if a["localized"])
+    last = answers[-1]
+    assert last["direction"] == "along"
+    assert not last["standing"]
+    assert last["probability"] > 0.9
+    assert 0.0 <= last["fraction"] <= 1.0
+    assert last["along_variance_m2"] == pytest.approx(last["along_sigma_m"] ** 2)
+    true = recording().pose(15)
+    assert np.hypot(last["pose"]["x_m"] - true.x_m, last["pose"]["y_m"] - true.y_m) < 3.0
+    shown = client.get(track).json()
+    assert shown["last"] == last
+    assert shown["revision"] == shown["live_revision"] == last["revision"]
+
+
+def test_scan_image_and_signatures_of_either_form_are_told_the_same(client, basis):
+    ways = {
+        "scan": lambda i: {"content": kitti(recording(noise_seed=7).scans[i]), "headers": KITTI},
+        "image": lambda i: {
+            "content": basis.image(recording(noise_seed=7).scans[i]).cells.astype("<f4").tobytes(),
+            "headers": IMAGE,
+        },
+        "json": lambda i: {"json": as_json(signatures(basis, i))},
+    }
+    told = []
+    for way in ways.values():
+        track = client.post(TRACKS).headers["Location"]
+        steps = [client.post(f"{track}/observations", **way(i)).json() for i in range(5)]
+        told.append([{**step, "track": ""} for step in steps])
+        client.delete(track)
+    assert told[0] == told[1] == told[2]
+
+
+def test_a_packed_signature_is_an_observation_too(client, basis, track):
+    for index in range(6):
+        body = pack_signatures(signatures(basis, index))
+        answer = client.post(f"{track}/observations", content=body, headers=PACKED)
+        assert answer.status_code == 200, answer.text
+    assert abs(answer.json()["scan_index"] - 5) <= 1
+
+
+def test_a_repeated_or_older_observation_is_refused_and_changes_nothing(client, track):
+    observe(client, track, 0, timestamp_s=1.0, sequence=4)
+    before = client.get(track).json()
+    scan = {"content": kitti(recording().scans[1]), "headers": KITTI}
+    for stale in ({"timestamp_s": 1.0}, {"timestamp_s": 0.5}, {"sequence": 4}, {"sequence": 0}):
+        refused = client.post(f"{track}/observations", params=stale, **scan)
+        assert problem_of(refused) == (409, "stale-observation")
+    assert client.get(track).json() == before
+    assert observe(client, track, 1, timestamp_s=1.1, sequence=5)["observations"] == 2
+
+
+def test_what_is_no_observation_is_refused_by_name_and_changes_nothing(client, basis, track):
+    observe(client, track, 0)
+    before = client.get(track).json()
+    url = f"{track}/observations"
+    stale = {**as_json(signatures(basis, 0)), "revision": "0" * 64}
+    assert problem_of(client.post(url, json=stale)) == (409, "stale-signature")
+    assert problem_of(client.post(url, json={"revision": "x"})) == (422, "invalid-request")
+    assert problem_of(client.post(url, content=b"", headers=PACKED)) == (422, "empty-body")
+    assert problem_of(client.post(url, content=b"abc", headers=PACKED))[1] == "invalid-signature"
+    assert problem_of(client.post(url, content=b"abc", headers=IMAGE)) == (422, "invalid-image")
+    assert (
+        problem_of(client.post(url, content=b"abc", headers={"Content-Type": "text/x"}))[0] == 415
+    )
+    few = {"content": kitti(recording().scans[0])[: 16 * 20], "headers": KITTI}
+    assert problem_of(client.post(url, **few)) == (422, "too-few-returns")
+    for wrong in ({"timestamp_s": "nan"}, {"sequence": -1}, {"travelled_m": "inf"}):
+        refused = client.post(url, params=wrong, content=b"x", headers=PACKED)
+        assert problem_of(refused) == (422, "invalid-request")
+    assert client.get(track).json() == before
+
+
+def test_a_track_that_is_not_there_is_told_so(client, track):
+    client.delete(track)
+    for response in (client.get(track), client.delete(track), client.get(f"{TRACKS}/none")):
+        assert problem_of(response) == (404, "track-not-found")
+    assert problem_of(client.post("/v1/maps/none/tracks")) == (404, "map-not-found")
+    assert problem_of(client.post(TRACKS, params={"revision": "f" * 64}))[1] == "revision-not-found"
+
+
+def test_threads_that_observe_at_once_are_taken_one_after_another(client, track):
+    threads = [threading.Thread(target=observe, args=(client, track, index)) for index in range(6)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert client.get(track).json()["last"]["observations"] == 6
+
+
+# The stream
+
+
+def test_a_stream_answers_each_packed_signature(client, basis, track):
+    with open_stream(client, f"{track}/stream") as stream:
+        for index in range(6):
+            stream.send_bytes(pack_signatures(signatures(basis, index)))
+            answer = stream.receive_json()
+            assert answer["observations"] == index + 1
+    assert abs(answer["scan_index"] - 5) <= 1
+    assert client.get(track).json()["last"] == answer
+
+
+def test_a_stream_takes_json_and_goes_on_after_a_refusal(client, basis, track):
+    with open_stream(client, f"{track}/stream") as stream:
+        stream.send_json({**as_json(signatures(basis, 0)), "sequence": 3, "timestamp_s": 1.0})
+        assert stream.receive_json()["observations"] == 1
+        stream.send_json({**as_json(signatures(basis, 1)), "sequence": 3})
+        assert stream.receive_json()["type"] == "/problems/stale-observation"
+        for nonsense in ("{", '{"revision": 1}', "[]"):
+            stream.send_text(nonsense)
+            assert stream.receive_json()["type"] == "/problems/invalid-request"
+        stream.send_bytes(b"")
+        assert stream.receive_json()["type"] == "/problems/invalid-signature"
+        stream.send_bytes(pack_signatures(signatures(basis, 1)))
+        assert stream.receive_json()["observations"] == 2
+
+
+def test_a_stream_of_no_track_is_refused_before_it_opens(client):
+    with (
+        pytest.raises(WebSocketDenialResponse) as refused,
+        open_stream(client, f"{TRACKS}/none/stream"),
+    ):
+        pass
+    assert refused.value.status_code == 404
+    assert refused.value.json()["type"] == "/problems/track-not-found"
+
+
+def test_a_stream_ends_with_its_track(client, basis, track):
+    with open_stream(client, f"{track}/stream") as stream:
+        client.delete(track)
+        stream.send_bytes(pack_signatures(signatures(basis, 0)))
+        assert stream.receive_json()["type"] == "/problems/track-not-found"
+        with pytest.raises(WebSocketDisconnect) as closed:
+            stream.receive_json()
+    assert closed.value.code == 1008
+
+
+@pytest.mark.parametrize(
+    "headers",
+    [
+        {"Host": "maps.example"},
+        {"Origin": "https://maps.example"},
+        {"Origin": "null"},
+        {"Origin": "http://127.0.0.1.maps.example"},
+    ],
+)
+def test_a_page_from_elsewhere_cannot_open_a_stream_of_an_open_service(client, track, headers):
+    with (
+        pytest.raises(WebSocketDenialResponse) as refused,
+        open_stream(client, f"{track}/stream", headers=headers),
+    ):
+        pass
+    assert refused.value.status_code == 421
+    assert refused.value.json()["type"] == "/problems/host-not-allowed"
+
+
+def test_a_page_of_this_machine_can(client, track):
+    headers = {"Origin": "http://localhost:8000"}
+    with open_stream(client, f"{track}/stream", headers=headers):
+        pass
+
+
+# Limits and keys
+
+
+def test_a_stream_without_the_key_is_refused_before_it_opens(tmp_path):
+    with running(tmp_path / "data", admin_key=KEY) as client:
+        for headers, name in (
+            ({}, "key-needed"),
+            ({"Authorization": f"Basic {KEY}"}, "key-needed"),
+            ({"Authorization": f"Bearer {KEY}x"}, "key-refused"),
+            ({"Authorization": f"Bearer {KEY}"}, "map-not-found"),
+        ):
+            with (
+                pytest.raises(WebSocketDenialResponse) as refused,
+                open_stream(client, f"{TRACKS}/none/stream", headers=headers),
+            ):
+                pass
+            assert refused.value.json()["type"] == f"/problems/{name}"
+
+
+def test_tracks_are_bounded_forgotten_when_idle_and_pinned_to_their_revision(tmp_path):
+    with running(tmp_path / "data", max_tracks=2, max_json_bytes=2000) as client:
+        fill(client, "harmonic")
+        one, _ = (client.post(TRACKS).headers["Location"] for _ in range(2))
+        assert problem_of(client.post(TRACKS)) == (503, "too-many-tracks")
+        pinned = observe(client, one, 0)["revision"]
+        again = {"segments": 4, "encoding": "harmonic", "make_live": True}
+        job = client.post("/v1/maps/campus/builds", json=again).json()["job"]
+        live = wait_for(client, job)["revision"]
+        answer = observe(client, one, 1)
+        assert (answer["revision"], answer["live_revision"]) == (pinned, live)
+        assert pinned != live
+        with open_stream(client, f"{one}/stream") as stream:
+            stream.send_bytes(bytes(2001))
+            assert stream.receive_json()["type"] == "/problems/body-too-large"
+            with pytest.raises(WebSocketDisconnect) as closed:
+                stream.receive_json()
+        assert closed.value.code == 1009
+        client.service.tracks._clock = lambda: 1e12
+        assert problem_of(client.get(one)) == (404, "track-not-found")
+        assert client.post(TRACKS).json()["revision"] == live
+        assert len(client.service.tracks) == 1

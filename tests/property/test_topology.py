@@ -1,0 +1,223 @@
+"""The laws of the graph: what meets is joined, what does not is kept apart."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from core.arrays import FloatArray, IntArray
+from core.segmentation import cut_drives
+from core.topology import Topology, cut_at_meetings, join_segments, segment_ends
+from core.trajectory import Trajectory
+
+steps_m = st.floats(0.8, 4.0)
+lengths = st.integers(12, 80)  # scans in a segment
+
+
+def along(corners_m: list[tuple[float, float]], step_m: float) -> FloatArray:
+    """Return `(K, 7)` poses along a line through corners, facing the way they are driven."""
+    corners = np.array(corners_m, dtype=np.float64)
+    arc_m = np.cumsum([0.0, *np.linalg.norm(np.diff(corners, axis=0), axis=1)])
+    at_m = np.append(np.arange(0.0, arc_m[-1], step_m), arc_m[-1])
+    rows = np.zeros((len(at_m), 7))
+    rows[:, 0], rows[:, 1] = (np.interp(at_m, arc_m, axis) for axis in corners.T)
+    side = np.searchsorted(arc_m, at_m, side="left").clip(1, len(corners) - 1) - 1
+    heading = np.arctan2(*(np.diff(corners, axis=0)[side].T[::-1]))
+    rows[:, 5], rows[:, 6] = np.sin(heading / 2), np.cos(heading / 2)
+    return rows
+
+
+def trajectory(*drives: FloatArray) -> Trajectory:
+    return Trajectory.concatenate(
+        [
+            Trajectory.of_drive(f"d{i}", np.arange(len(p)) / 10.0, p, np.arange(len(p)))
+            for i, p in enumerate(drives)
+        ]
+    )
+
+
+def graph(mapped: Trajectory, length: int) -> tuple[Topology, IntArray]:
+    cuts = cut_at_meetings(mapped, cut_drives(mapped.drive_start, length))
+    return join_segments(mapped, cuts), cuts
+
+
+def pieces(found: Topology) -> int:
+    """Return in how many parts the graph falls."""
+    part = list(range(len(found.node_scan)))
+    for first, last in found.edge_nodes.tolist():
+        old, new = part[first], part[last]
+        part = [new if one == old else one for one in part]
+    return len(set(part))
+
+
+@st.composite
+def wanderings(draw: st.DrawFn) -> FloatArray:
+    """Draw a drive through a grid of streets 60 m apart, which crosses and repeats itself."""
+    column, row = 0, 0
+    corners = [(0.0, 0.0)]
+    for turn in draw(st.lists(st.sampled_from("NESW"), min_size=1, max_size=14)):
+        column += {"E": 1, "W": -1}.get(turn, 0)
+        row += {"N": 1, "S": -1}.get(turn, 0)
+        corners.append((60.0 * column, 60.0 * row))
+    return along(corners, draw(steps_m))
+
+
+@settings(max_examples=40)
+@given(wanderings(), lengths)
+def test_the_graph_of_one_drive_is_connected_and_holds_every_segment(poses, length):
+    mapped = trajectory(poses)
+    found, cuts = graph(mapped, length)
+    assert pieces(found) == 1
+    assert len(found.edge_of_segment) == len(cuts) - 1
+    assert (cuts[0], cuts[-1]) == (0, len(poses))
+    assert (np.diff(cuts) >= 1).all()
+    nodes = found.segment_nodes
+    assert nodes[1:, 0].tolist() == nodes[:-1, 1].tolist()  # a segment begins where one ended
+
+
+@settings(max_examples=40)
+@given(wanderings(), lengths)
+def test_no_street_of_a_grid_is_in_the_graph_twice(poses, length):
+    found, _ = graph(trajectory(poses), length)
+    corners = np.round(poses[:, :2] / 60.0, 9)
+    passed = {
+        frozenset([tuple(np.floor(middle).astype(int)), tuple(np.ceil(middle).astype(int))])
+        for middle in (corners[1:] + corners[:-1]) / 2.0
+        if (np.ceil(middle) - np.floor(middle)).sum() == 1
+    }
+    streets_m = 60.0 * len(passed)
+    assert np.nansum(found.edge_length_m) <= streets_m + 15.0 * len(passed)
+
+
+@settings(max_examples=40)
+@given(wanderings(), lengths)
+def test_cutting_where_drives_meet_is_done_once(poses, length):
+    mapped = trajectory(poses)
+    _, cuts = graph(mapped, length)
+    assert cut_at_meetings(mapped, cuts).tolist() == cuts.tolist()
+
+
+@settings(max_examples=40)
+@given(wanderings(), lengths, st.floats(-3.0, 3.0), st.floats(-1e4, 1e4))
+def test_the_graph_is_the_same_wherever_the_world_has_its_origin(poses, length, turn, shift_m):
+    moved = poses.copy()
+    c, s = np.cos(turn), np.sin(turn)
+    moved[:, :2] = poses[:, :2] @ np.array([[c, s], [-s, c]]) + shift_m
+    (here, cuts), (there, moved_cuts) = graph(trajectory(poses), length), graph(
+        trajectory(moved), length
+    )  # fmt: skip
+    assert np.abs(cuts - moved_cuts).max() <= 1 if len(cuts) == len(moved_cuts) else False
+    assert here.edge_of_segment.tolist() == there.edge_of_segment.tolist()
+    assert here.edge_nodes.tolist() == there.edge_nodes.tolist()
+    np.testing.assert_allclose(here.edge_length_m.sum(), there.edge_length_m.sum(), rtol=0.1)
+
+
+@settings(max_examples=40)
+@given(wanderings(), lengths)
+def test_neither_names_nor_times_nor_headings_of_scans_decide(poses, length):
+    mapped = trajectory(poses)
+    turned = poses.copy()
+    turned[:, 3:] = [0.0, 0.0, 0.0, 1.0]
+    other = Trajectory.of_drive("x", np.full(len(poses), np.nan), turned, np.arange(len(poses)) * 3)
+    (here, cuts), (there, other_cuts) = graph(mapped, length), graph(other, length)
+    assert cuts.tolist() == other_cuts.tolist()
+    for name, array in here.arrays().items():
+        np.testing.assert_array_equal(array, there.arrays()[name])
+
+
+@given(steps_m, lengths, st.integers(80, 400))
+def test_there_and_back_gives_half_the_edges(step_m, length, far_m):
+    there = along([(0.0, 0.0), (float(far_m), 0.0)], step_m)
+    alone, _ = graph(trajectory(there), length)
+    for mapped in (
+        trajectory(there, there[::-1]),
+        trajectory(there, there[::-1] + np.array([0, 4.0, 0, 0, 0, 0, 0])),
+    ):
+        found, _ = graph(mapped, length)
+        assert 2 * found.edges == len(found.edge_of_segment)
+        assert found.edges == alone.edges
+        assert found.edge_length_m.tolist() == alone.edge_length_m.tolist()
+        half = found.edges
+        assert found.edge_of_segment.tolist() == [*range(half), *range(half)[::-1]]
+        assert found.segment_reversed.tolist() == [False] * half + [True] * half
+
+
+@given(steps_m, lengths, st.integers(80, 400))
+def test_a_drive_that_turns_round_comes_back_along_the_same_edges(step_m, length, far_m):
+    found, _ = graph(trajectory(along([(0, 0), (far_m, 0), (0, 0)], step_m)), length)
+    assert 2 * found.edges == len(found.edge_of_segment)
+    # A line is thinned to steps of a metre, so that a vehicle that stands does not jitter.
+    assert abs(found.edge_length_m.sum() - far_m) <= 2.0 * step_m + 1.0
+    assert found.segment_reversed.sum() == found.edges
+    assert found.segment_nodes[0, 0] == found.segment_nodes[-1, 1] == 0
+
+
+@given(steps_m, lengths, st.floats(35.0, 145.0), st.integers(60, 200))
+def test_streets_that_cross_share_a_node_and_no_edge(step_m, length, degrees, half_m):
+    # A figure of eight: two streets that cross at the origin, their ends far apart.
+    c, s = np.cos(np.radians(degrees)) * half_m, np.sin(np.radians(degrees)) * half_m
+    eight = along([(-half_m, 0), (half_m, 0), (half_m, 300), (c, 300), (c, s), (-c, -s)], step_m)
+    mapped = trajectory(eight)
+    plain = Topology.of_segments(mapped, cut_drives(mapped.drive_start, length))
+    found, _ = graph(mapped, length)
+    assert found.edges == len(found.edge_of_segment) >= plain.edges
+    nodes, times = np.unique(found.segment_nodes, return_counts=True)
+    crossings = nodes[times == 4]
+    places_m = eight[found.node_scan[crossings], :2]
+    assert (np.linalg.norm(places_m, axis=1) <= 10.0 + step_m).any()
+    np.testing.assert_allclose(
+        found.edge_length_m.sum(), np.linalg.norm(np.diff(eight[:, :2], axis=0), axis=1).sum()
+    )
+
+
+@given(steps_m, lengths)
+def test_a_bridge_is_no_crossing(step_m, length):
+    over = along([(-100, 0), (100, 0), (100, 100), (0, 100), (0, -100)], step_m)
+    over[:, 2] = np.interp(np.arange(len(over)), [0, len(over) * 0.4, len(over) - 1], [0, 5, 5])
+    found, _ = graph(trajectory(over), length)
+    assert found.is_plain
+
+
+@given(steps_m, lengths, st.floats(9.0, 50.0))
+def test_streets_beside_one_another_stay_two(step_m, length, apart_m):
+    one = along([(0, 0), (200, 0)], step_m)
+    mapped = trajectory(one, one + np.array([0, apart_m, 0, 0, 0, 0, 0]))
+    assert graph(mapped, length)[0].is_plain
+
+
+@settings(max_examples=40)
+@given(wanderings(), lengths)
+def test_without_poses_nothing_is_cut_and_nothing_joined(poses, length):
+    mapped = trajectory(np.full_like(poses, np.nan))
+    found, cuts = graph(mapped, length)
+    assert found.is_plain
+    assert cuts.tolist() == cut_drives(mapped.drive_start, length).tolist()
+
+
+@settings(max_examples=40)
+@given(wanderings(), lengths, st.data())
+def test_what_was_driven_once_is_cut_where_it_was_and_lengths_are_those_of_paths(
+    poses, length, data
+):
+    unknown = data.draw(st.lists(st.integers(0, len(poses) - 1), max_size=3))
+    poses = poses.copy()
+    poses[unknown] = np.nan
+    mapped = trajectory(poses)
+    found, cuts = graph(mapped, length)
+    ends = segment_ends(mapped.drive_start, cuts)
+    for edge in range(found.edges):
+        first = int(np.flatnonzero(found.edge_of_segment == edge)[0])
+        a, b = ends[first].tolist()
+        assert found.edge_scans[edge] == b - a
+        steps = np.linalg.norm(np.diff(poses[a : b + 1, :3], axis=0), axis=1).sum()
+        np.testing.assert_allclose(found.edge_length_m[edge], steps)
+
+
+@pytest.mark.parametrize("drives", [1, 2, 5])
+def test_a_street_driven_again_adds_no_edge_however_often(drives):
+    loop = along([(0, 0), (150, 0), (150, 90), (0, 90), (0, 0)], 1.5)
+    once, _ = graph(trajectory(loop), 40)
+    found, _ = graph(trajectory(*[loop + 0.3 * i * np.eye(7)[1] for i in range(drives)]), 40)
+    assert found.edges == once.edges
+    assert len(found.edge_of_segment) == drives * once.edges
+    assert pieces(found) == 1

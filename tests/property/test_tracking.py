@@ -1,0 +1,134 @@
+"""The laws of the filter: probabilities stay probabilities, and a map's own drive is followed."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from core.localizer import Localizer
+from core.tracking.belief import Belief
+from core.tracking.emission import own_signatures
+from core.tracking.graph import TravelGraph
+from core.tracking.motion import Motion
+from core.tracking.step import Direction
+from core.tracking.track import Observation, Track, Tracker
+from tests.support.samples import sample_harmonic_map, sample_map
+
+MAKERS = {"paper": sample_map, "harmonic": sample_harmonic_map}
+TRACKERS = {
+    (name, drives): Tracker(Localizer(make(count=40, segment_length=10, drives=drives)[0]))
+    for name, make in MAKERS.items()
+    for drives in (1, 2)
+}
+trackers = st.sampled_from(list(TRACKERS.values()))
+seeds = st.integers(0, 2**32 - 1)
+scales = st.floats(0.05, 20.0)
+metres = st.none() | st.floats(-200.0, 200.0)
+
+
+def belief_of(seed, tracker):
+    """Return any belief, some of it exactly 0."""
+    rng = np.random.default_rng(seed)
+    at = rng.uniform(size=(tracker.graph.places, len(tracker.motion.pace)))
+    at = at * rng.integers(0, 2, at.shape)
+    elsewhere = rng.uniform()
+    total = at.sum() + elsewhere
+    return Belief(at / total, elsewhere / total)
+
+
+def feed(tracker, rows, **options):
+    track = Track(tracker)
+    return [track.observe(Observation(own_signatures(tracker.map, row), **options)) for row in rows]
+
+
+def require_probabilities(belief):
+    assert np.isfinite(belief.at).all()
+    assert belief.at.min() >= 0.0 <= belief.elsewhere
+    assert belief.at.sum() + belief.elsewhere == pytest.approx(1.0, abs=1e-9)
+
+
+@given(trackers, seeds, scales, metres)
+def test_a_predicted_belief_sums_to_one(tracker, seed, scale, travelled_m):
+    belief = belief_of(seed, tracker)
+    require_probabilities(belief.predicted(tracker.graph, tracker.motion, scale, travelled_m))
+
+
+@given(trackers, seeds)
+def test_an_updated_belief_sums_to_one_whatever_the_distances_are(tracker, seed):
+    rng = np.random.default_rng(seed)
+    distances = np.exp(rng.uniform(-600, 600, len(tracker.map)))
+    distances[rng.integers(0, 2, len(distances)) == 0] = rng.choice([0.0, np.inf])
+    likelihood = tracker.emission.likelihood(distances)
+    assert np.isfinite(likelihood).all()
+    require_probabilities(belief_of(seed, tracker).updated(np.repeat(likelihood, 2)[:, None]))
+
+
+@given(trackers)
+def test_every_place_leads_on_with_all_that_is_at_it(tracker):
+    assert tracker.graph.ahead.sum(axis=0) == pytest.approx(1.0)
+
+
+@given(trackers, st.integers(0, 10), st.integers(1, 4))
+def test_the_maps_own_scans_are_followed_exactly(tracker, start, stride):
+    rows = list(range(start, 40, stride))
+    for row, step in list(zip(rows, feed(tracker, rows), strict=True))[3:]:
+        assert (step.row, step.segment) == (row, row // 10)
+        assert step.localized
+    assert step.direction == Direction.ALONG
+
+
+@given(trackers, st.integers(30, 39), st.integers(1, 3))
+def test_backwards_they_are_followed_against_their_direction(tracker, start, stride):
+    rows = list(range(start, -1, -stride))
+    for row, step in list(zip(rows, feed(tracker, rows), strict=True))[3:]:
+        assert step.row == row
+    assert step.direction == Direction.AGAINST
+
+
+@given(trackers, st.integers(0, 39))
+def test_a_vehicle_that_stands_is_told_one_place_that_does_not_move(tracker, row):
+    steps = feed(tracker, [row] * 8)
+    assert all(step.standing for step in steps[2:])
+    assert {(step.row, step.segment) for step in steps[3:]} == {(row, row // 10)}
+    assert len({step.position for step in steps[3:]}) == 1
+
+
+@given(trackers, st.lists(st.integers(0, 39), min_size=1, max_size=8))
+def test_equal_drives_are_told_equal_answers_and_tracks_do_not_disturb_each_other(tracker, rows):
+    one, other, stranger = Track(tracker), Track(tracker), Track(tracker)
+    for row in rows:
+        observation = Observation(own_signatures(tracker.map, row))
+        first = one.observe(observation)
+        stranger.observe(Observation(own_signatures(tracker.map, 39 - row)))
+        assert other.observe(observation) == first
+
+
+@given(trackers, seeds, st.sampled_from([0.0, 3.0, -3.0, 10.0]))
+def test_odometry_moves_a_known_place_by_that_many_metres(tracker, seed, travelled_m):
+    row = 15 + seed % 8
+    at = np.zeros((tracker.graph.places, len(tracker.motion.pace)))
+    at[2 * row] = 1.0 / at.shape[1]
+    moved = Belief(at, 0.0).predicted(tracker.graph, tracker.motion, 1.0, travelled_m)
+    assert moved.of_scan.argmax() == row + travelled_m
+
+
+@given(st.integers(1, 6), st.integers(1, 3))
+def test_segments_that_meet_lead_into_each_other_both_ways(length, drives):
+    graph = TravelGraph.of_map(
+        sample_map(count=2 * length, segment_length=length, drives=drives)[0]
+    )
+    for drive in range(drives):
+        last, first = 2 * length * drive + length - 1, 2 * length * drive + length
+        assert graph.ahead[[2 * first], [2 * last]] == 1.0
+        assert graph.ahead[[2 * last + 1], [2 * first + 1]] == 1.0
+        end = 2 * length * (drive + 1) - 1
+        assert graph.ahead[[2 * end], [2 * end]] == 1.0
+
+
+@given(scales)
+def test_what_is_passed_at_each_pace_is_a_distribution(scale):
+    passed = Motion().passed(scale)
+    assert passed.min() >= 0.0
+    assert passed.sum(axis=1) == pytest.approx(1.0)
+    assert passed[0, 0] == 1.0
+    assert Motion().pace_change().sum(axis=1) == pytest.approx(1.0)

@@ -1,0 +1,57 @@
+"""The report on a recorded drive: its sweep agrees with `tensormap evaluate`."""
+
+import pytest
+
+from app.report.page import render_report
+from app.report.provenance import provenance
+from core.evaluation.advisor import Verdict
+from core.evaluation.evaluate import Protocol, evaluate
+from core.evaluation.study import Study
+from core.evaluation.study_drive import StudyProtocol, study_drive
+from core.parameters import Encoding, MapParameters
+from tests.real.conftest import Drives
+
+pytestmark = pytest.mark.real_data
+
+FEW = {
+    "r1": (2, 5, 8),
+    "r2": (2, 5, 8),
+    "segment_lengths": (50, 125),
+    "noise_m": (0.0, 0.5),
+    "lateral_m": (0.0,),
+    "yaw_deg": (0.0, 90.0),
+}
+
+
+@pytest.fixture(scope="module")
+def study(drives: Drives) -> Study:
+    parameters = tuple(MapParameters.for_sensor(encoding=encoding) for encoding in Encoding)
+    return study_drive(drives.open("kitti00"), StudyProtocol(parameters, **FEW))  # type: ignore[arg-type]
+
+
+def test_the_sweep_agrees_with_evaluate(study: Study, drives: Drives) -> None:
+    protocol = Protocol(MapParameters.for_sensor(), segment_length=50)
+    wanted = evaluate(drives.open("kitti00"), protocol)
+    found = study.encodings[0].sweep.at((5, 5), 50)
+    assert found is not None
+    row = wanted.conditions[0]
+    assert found.segment_accuracy == row.segment_accuracy
+    assert found.accuracy[0] == row.recall_at_1[3.0]
+    assert found.elements == wanted.compression.elements
+
+
+def test_the_advice_is_decided_and_says_what_a_turn_and_noise_do(study: Study) -> None:
+    paper, harmonic = study.encodings
+    for of in (paper, harmonic):
+        assert of.advice.verdict == Verdict.DECIDED
+        assert of.advice.recommended is not None
+        assert of.advice.recommended.ranks != (2, 2)
+    assert harmonic.curve("yaw_deg")[-1].right >= 0.95 * harmonic.sweep.judged
+    assert paper.curve("yaw_deg")[-1].right <= 0.2 * paper.sweep.judged
+
+
+def test_the_page_shows_the_driven_line(study: Study) -> None:
+    page = render_report(study, provenance())
+    assert "250 scans, 443 m" in page
+    assert 'id="nodes"' in page
+    assert "176 m by 270 m" in page

@@ -1,0 +1,148 @@
+"""The advisor on constructed candidates, where the right advice is known."""
+
+import json
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from core.errors import InvalidParameters
+from core.evaluation.advisor import FEWEST_JUDGED, Verdict, advise, standard_error
+from core.evaluation.sweep import SweepPoint
+
+
+def point(r1, r2, accuracy, *, k=100, segments=5, elements=None):
+    elements = 1000 * r1 * r2 // k if elements is None else elements
+    return SweepPoint(
+        ranks=(r1, r2),
+        segment_length=k,
+        segments=segments,
+        elements=elements,
+        bytes_per_scan=4 * elements / 10,
+        relative_error=0.5,
+        segment_accuracy=accuracy,
+        accuracy=(accuracy, accuracy),
+    )
+
+
+RANKS = (2, 4, 8)
+
+
+def grid(accuracy, **options):
+    """Candidates of all ranks, each with `accuracy(r1, r2)`."""
+    return [point(r1, r2, accuracy(r1, r2), **options) for r1 in RANKS for r2 in RANKS]
+
+
+def test_it_takes_the_smallest_of_those_that_cannot_be_told_from_the_best() -> None:
+    points = grid(lambda r1, r2: {4: 0.6, 8: 0.8, 16: 0.97, 32: 0.975, 64: 0.98}[r1 * r2])
+    advice = advise(points, judged=100)
+    assert advice.verdict == Verdict.DECIDED
+    assert advice.best == points[-1]
+    assert advice.recommended is not None
+    assert advice.recommended.ranks in {(4, 4), (2, 8)}
+    assert any("less accurate" in reason for reason in advice.reasons)
+
+
+def test_more_evidence_pays_for_a_larger_map() -> None:
+    points = grid(lambda r1, r2: 0.98 if r1 * r2 < 64 else 0.99)
+    few = advise(points, judged=50).recommended
+    many = advise(points, judged=5000).recommended
+    assert few is not None
+    assert many is not None
+    assert (few.ranks, many.ranks) == ((2, 2), (8, 8))
+
+
+def test_if_all_are_equally_accurate_it_says_that_the_evidence_does_not_decide() -> None:
+    advice = advise(grid(lambda r1, r2: 1.0), judged=100)
+    assert advice.verdict == Verdict.SIZE_ONLY
+    assert advice.recommended is not None
+    assert advice.recommended.ranks == (2, 2)
+    assert not any(axis.decided for axis in advice.axes)
+    assert any("does not decide" in reason for reason in advice.reasons)
+
+
+def test_few_scans_are_never_called_a_decision() -> None:
+    points = grid(lambda r1, r2: 0.2 if r1 == 2 else 1.0)
+    assert advise(points, FEWEST_JUDGED - 1).verdict == Verdict.TOO_FEW
+    assert advise(points, FEWEST_JUDGED).verdict == Verdict.DECIDED
+
+
+def test_a_lucky_small_candidate_is_not_taken_when_larger_ranks_do_worse() -> None:
+    lucky = grid(lambda r1, r2: 1.0 if (r1, r2) == (2, 2) else 0.7 if min(r1, r2) == 2 else 0.995)
+    advice = advise(lucky, judged=100)
+    assert advice.best is not None
+    assert advice.best.ranks == (2, 2)
+    assert advice.recommended is not None
+    assert advice.recommended.ranks == (4, 4)
+
+
+def test_the_best_is_taken_where_nothing_confirms_anything() -> None:
+    alone = grid(lambda r1, r2: 1.0 if (r1, r2) == (4, 4) else 0.5)
+    assert advise(alone, judged=100).recommended == point(4, 4, 1.0)
+
+
+def test_a_budget_leaves_out_what_is_larger() -> None:
+    points = grid(lambda r1, r2: min(r1, r2) / 8)
+    best = advise(points, judged=100).recommended
+    assert best is not None
+    assert best.ranks == (8, 8)
+    budget = next(p.bytes_per_scan for p in points if p.ranks == (4, 4))
+    small = advise(points, judged=100, max_bytes_per_scan=budget).recommended
+    assert small is not None
+    assert small.ranks == (4, 4)
+
+
+def test_a_budget_that_nothing_fits_is_named_with_the_smallest_there_is() -> None:
+    advice = advise(grid(lambda r1, r2: 1.0), judged=100, max_bytes_per_scan=1.0)
+    assert (advice.verdict, advice.recommended) == (Verdict.NOTHING_FITS, None)
+    assert f"{advice.smallest_bytes_per_scan:.0f}" in advice.reasons[0]
+    json.dumps(advice.as_dict(), allow_nan=False)
+
+
+def test_a_map_of_one_segment_is_taken_only_if_there_is_no_other() -> None:
+    one, two = point(2, 2, 1.0, k=200, segments=1), point(2, 2, 1.0, k=100, segments=2)
+    assert advise([one, two], judged=100).recommended == two
+    assert advise([one], judged=100).recommended == one
+
+
+def test_of_equally_large_and_accurate_ones_longer_segments_are_taken() -> None:
+    short, long = (point(2, 2, 0.9, k=k, elements=50) for k in (50, 100))
+    advice = advise([short, long], judged=100)
+    assert advice.recommended == long
+    assert [axis.name for axis in advice.axes if axis.decided] == []
+
+
+@given(
+    st.lists(
+        st.tuples(st.sampled_from(RANKS), st.sampled_from(RANKS), st.integers(0, 50)), min_size=1
+    ),
+    st.integers(1, 500),
+)
+def test_the_advice_is_never_more_than_one_standard_error_below_the_best(drawn, judged) -> None:
+    accuracy = {(r1, r2): hits / 50 for r1, r2, hits in drawn}
+    points = [point(r1, r2, share) for (r1, r2), share in accuracy.items()]
+    advice = advise(points, judged)
+    assert advice.recommended is not None
+    assert advice.best is not None
+    assert advice.standard_error is not None
+    assert advice.best.mean_accuracy == max(accuracy.values())
+    assert (
+        advice.recommended.mean_accuracy >= advice.best.mean_accuracy - advice.standard_error - 1e-9
+    )
+
+
+@given(st.integers(1, 300), st.data())
+def test_a_standard_error_is_never_zero_and_falls_with_evidence(judged, data) -> None:
+    share = data.draw(st.integers(0, judged)) / judged
+    assert 0 < standard_error(share, 10 * judged) < standard_error(share, judged) < 0.5
+
+
+@pytest.mark.parametrize("budget", [0.0, -1.0, float("nan")])
+def test_a_budget_that_is_none_is_refused(budget) -> None:
+    with pytest.raises(InvalidParameters, match="max_bytes_per_scan"):
+        advise([point(2, 2, 1.0)], 10, budget)
+
+
+def test_nothing_to_choose_from_is_refused() -> None:
+    with pytest.raises(InvalidParameters, match="no candidate"):
+        advise([], 10)

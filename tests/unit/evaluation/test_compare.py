@@ -1,0 +1,262 @@
+"""Methods on the same scans: what is right, what may be compared, what counts."""
+
+import json
+
+import numpy as np
+import pytest
+
+from core.drive import MemoryDrive
+from core.errors import EmptyDrive, InvalidParameters, InvalidScan
+from core.evaluation.compare import ComparisonProtocol, compare
+from core.evaluation.condition import Condition, conditions
+from core.evaluation.contestants import DescribedPlaces, MappedPlaces
+from core.evaluation.pairing import HeldOut, LoopClosing, SecondPass
+from core.evaluation.split import Every
+from core.parameters import Encoding, MapParameters
+from core.peers.descriptor import Nearest
+from core.peers.m2dp import M2dp
+from core.peers.scan_context import ScanContext
+from core.peers.solid import Solid
+from core.pose import Pose
+from core.scan import Scan
+from tests.support.samples import FaultyDrive, RecordedProgress, sample_drive
+
+
+class Places:
+    """Answers that were written down: query timestamp in tenths -> (place, distance, turn)."""
+
+    sent_bytes, stored_bytes = 7.0, 9.0
+
+    def __init__(self, scans, answers, asked):
+        self.scans, self._answers, self._asked = scans, answers, asked
+
+    def describe(self, scan):
+        key = round(10 * scan.timestamp_s)
+        if key < 0:
+            raise InvalidScan("nothing there")
+
+        def ask(before):
+            self._asked.append((key, before))
+            found = self._answers.get(key)
+            return None if found is None else Nearest(*found)
+
+        return ask
+
+
+class Told:
+    """A contestant that answers as it is told."""
+
+    def __init__(self, answers, name="told"):
+        self.name, self._answers, self.asked = name, answers, []
+
+    def configuration(self):
+        return {"answers": len(self._answers)}
+
+    def enrol(self, drive, scans, progress=None):
+        return Places(scans, self._answers, self.asked)
+
+
+def line(xs, name="line", step=1):
+    """A drive along x, one scan a tenth of a second."""
+    return MemoryDrive(
+        name,
+        [
+            Scan(np.array([[5.0, 0.0, 1.0]]), timestamp_s=0.1 * step * i, pose=Pose(x, 0.0, 0.0))
+            for i, x in enumerate(xs)
+        ],
+    )
+
+
+def test_figures_by_hand():
+    # Places 0 and 2 at 0 m and 20 m; queries 1 at 2 m, 3 at 24 m, 5 at 90 m: nothing is near that.
+    drive = line([0.0, 2.0, 20.0, 24.0, 50.0, 90.0])
+    told = Told({1: (0, 0.1), 3: (1, 0.3), 5: (2, 0.2)})
+    protocol = ComparisonProtocol(HeldOut(Every(2)), tolerances_m=(3.0, 5.0))
+    elsewhere = line([500.0, 501.0], step=4)
+    told._answers[0], told._answers[4] = (0, 0.15), (1, 0.9)
+    [method] = compare(drive, [told], protocol, unknown_drive=elsewhere).methods
+    [row] = method.conditions
+    assert (method.places, method.sent_bytes, method.stored_bytes) == (3, 7.0, 9.0)
+    assert (row.queries, row.refusals, row.unanswered) == (3, 0, 0)
+    assert row.findable == {3.0: 1, 5.0: 2}
+    assert row.recall_at_1 == {3.0: 1.0, 5.0: 1.0}
+    assert row.max_f1 == {3.0: 1.0, 5.0: pytest.approx(4 / 5)}
+    assert row.average_precision[5.0] == pytest.approx(0.5 + 0.5 * 2 / 3)
+    # Findable: 0.1 and 0.3; elsewhere: 0.15 and 0.9. Three of four pairs are in order.
+    assert row.novelty_auroc == 0.75
+    assert row.heading_error_deg_median is None
+
+
+def test_no_answer_and_no_description_are_wrong():
+    drive = line([0.0, 1.0, 2.0, 3.0, 4.0, 5.0])
+    faulty = FaultyDrive(drive, {3})
+    told = Told({1: (0, 0.1)})
+    [method] = compare(faulty, [told], ComparisonProtocol(HeldOut(Every(2)))).methods
+    row = method.conditions[0]
+    assert (row.queries, row.refusals, row.unanswered) == (3, 1, 1)
+    assert row.recall_at_1[3.0] == pytest.approx(1 / 3)
+    assert row.max_f1[3.0] == pytest.approx(0.5)
+
+
+def test_the_heading_is_that_of_the_turned_vehicle():
+    drive = line([0.0, 1.0, 2.0, 3.0])
+    told = Told({1: (0, 0.1, 88.0), 3: (1, 0.1, None)})
+    protocol = ComparisonProtocol(HeldOut(Every(2)), (Condition(yaw_deg=90.0),))
+    [method] = compare(drive, [told], protocol).methods
+    assert method.conditions[0].heading_error_deg_median == pytest.approx(2.0)
+
+
+def test_a_loop_is_closed_with_places_that_are_not_recent():
+    drive = line([0.0, 10.0, 20.0, 1.0, 10.5])
+    told = Told({2: (0, 0.5), 3: (0, 0.1), 4: (1, 0.2)})
+    protocol = ComparisonProtocol(LoopClosing(recent_scans=2))
+    [method] = compare(drive, [told], protocol).methods
+    assert told.asked == [(2, 1), (3, 2), (4, 3)]
+    row = method.conditions[0]
+    assert row.queries == 3
+    assert row.findable[3.0] == 2
+    assert (row.recall_at_1[3.0], row.max_f1[3.0]) == (1.0, 1.0)
+
+
+def test_recent_is_told_in_seconds_too():
+    drive = line([0.0] * 6)
+    told = Told({})
+    compare(drive, [told], ComparisonProtocol(LoopClosing(recent_scans=None, recent_s=0.35)))
+    assert told.asked == [(4, 1), (5, 2)]
+
+
+def test_a_second_pass_asks_another_drive_of_the_whole_map():
+    told = Told({0: (1, 0.1), 2: (0, 0.1)})
+    result = compare(
+        line([0.0, 9.0]), [told], ComparisonProtocol(SecondPass(every=2)), line([8, 7, 6], "b")
+    )
+    assert told.asked == [(0, None), (2, None)]
+    assert result.methods[0].conditions[0].recall_at_1 == {3.0: 0.5, 5.0: 0.5, 10.0: 1.0}
+    assert (result.drive, result.query_drive) == ("line", "b")
+
+
+@pytest.mark.parametrize(
+    ("pairing", "query", "says"),
+    [
+        (HeldOut(), "b", "split none"),
+        (SecondPass(), None, "wants a query drive"),
+        (LoopClosing(), "b", "within one drive"),
+        (LoopClosing(recent_scans=90), None, "exclude less"),
+        (HeldOut(Every(90)), None, None),
+    ],
+)
+def test_a_protocol_that_does_not_fit_the_drives_is_refused(pairing, query, says):
+    drive = line([0.0, 1.0, 2.0])
+    asked = None if query is None else line([0.0], query)
+    if says is None:
+        compare(drive, [Told({})], ComparisonProtocol(pairing), asked)
+        return
+    with pytest.raises(InvalidParameters, match=says):
+        compare(drive, [Told({})], ComparisonProtocol(pairing), asked)
+
+
+def test_nonsense_is_refused():
+    drive = line([0.0, 1.0, 2.0])
+    with pytest.raises(InvalidParameters, match="each once"):
+        compare(drive, [Told({}), Told({})], ComparisonProtocol(HeldOut(Every(2))))
+    with pytest.raises(InvalidParameters, match="without a pose"):
+        compare(sample_drive(4, poses=False), [Told({})], ComparisonProtocol(HeldOut(Every(2))))
+    with pytest.raises(EmptyDrive):
+        compare(MemoryDrive("empty", []), [Told({})], ComparisonProtocol(HeldOut(Every(2))))
+    with pytest.raises(InvalidParameters, match="leaves no place"):
+        compare(line([0.0]), [Told({})], ComparisonProtocol(HeldOut(Every(2))))
+    without_time = MemoryDrive("d", [Scan(s.points_m, pose=s.pose) for s in drive])
+    with pytest.raises(InvalidParameters, match="exclude by scans"):
+        compare(without_time, [Told({})], ComparisonProtocol(LoopClosing(None, 30.0)))
+    for wrong in (
+        {"tolerances_m": ()},
+        {"tolerances_m": (0.0,)},
+        {"conditions": ()},
+        {"unknown_every": 0},
+        {"seed": -1},
+    ):
+        with pytest.raises(InvalidParameters):
+            ComparisonProtocol(**wrong)
+    for recent in ((None, None), (5, 3.0), (0, None), (None, -1.0), (None, np.inf)):
+        with pytest.raises(InvalidParameters):
+            LoopClosing(*recent)
+    with pytest.raises(InvalidParameters):
+        SecondPass(0)
+
+
+def contestants():
+    return [
+        MappedPlaces(MapParameters(), 6),
+        MappedPlaces(MapParameters.for_sensor(encoding=Encoding.HARMONIC), 6),
+        DescribedPlaces(ScanContext()),
+        DescribedPlaces(ScanContext(candidates=3)),
+        DescribedPlaces(Solid()),
+        DescribedPlaces(M2dp()),
+    ]
+
+
+@pytest.mark.parametrize("contestant", contestants(), ids=lambda c: c.name)
+class TestContestants:
+    def test_a_scan_of_the_drive_is_found_again(self, contestant):
+        drive = sample_drive(8)
+        enrolled = contestant.enrol(drive, np.arange(8))
+        for index in range(8):
+            found = enrolled.describe(drive.scan(index))(None)
+            assert found is not None
+            assert found.row == index
+
+    def test_rows_are_the_usable_scans_and_before_counts_them(self, contestant):
+        progress = RecordedProgress()
+        drive = FaultyDrive(sample_drive(9), {2, 4})
+        enrolled = contestant.enrol(drive, np.arange(1, 9), progress)
+        assert enrolled.scans.tolist() == [1, 3, 5, 6, 7, 8]
+        assert progress.stages[0][1] == progress.done[0] == 8
+        found = enrolled.describe(sample_drive(9).scan(7))(2)
+        assert found is not None
+        assert found.row < 2
+        assert enrolled.describe(sample_drive(9).scan(7))(0) is None
+
+    def test_bytes_are_told(self, contestant):
+        enrolled = contestant.enrol(sample_drive(8), np.arange(8))
+        assert enrolled.sent_bytes is not None
+        assert enrolled.stored_bytes is not None
+        assert 0 < enrolled.sent_bytes <= 4800
+        assert enrolled.stored_bytes > 0
+
+    def test_a_drive_without_a_usable_scan_is_refused(self, contestant):
+        with pytest.raises(EmptyDrive, match="no usable scan"):
+            contestant.enrol(FaultyDrive(sample_drive(2), {0, 1}), np.arange(2))
+
+
+def test_the_whole_is_plain_values_and_tells_its_progress():
+    progress = RecordedProgress()
+    protocol = ComparisonProtocol(
+        HeldOut(Every(2), 6), conditions((0, 90), (0,), (0.01,)), unknown_every=2
+    )
+    result = compare(
+        sample_drive(12), contestants(), protocol, unknown_drive=sample_drive(5, seed=3),
+        progress=progress,
+    )  # fmt: skip
+    written = json.loads(json.dumps(result.as_dict(), allow_nan=False))
+    assert [method["name"] for method in written["methods"]] == [
+        "paper", "harmonic", "scan-context", "scan-context-ring-key", "solid", "m2dp"
+    ]  # fmt: skip
+    row = written["methods"][2]["conditions"][1]
+    assert (row["yaw_deg"], row["noise_m"], row["queries"]) == (90.0, 0.01, 6)
+    assert set(row["recall_at_1"]) == {"3", "5", "10"}
+    assert ("asking", 6 * 2 * 6) in progress.stages
+    assert ("asking elsewhere", 3 * 2 * 6) in progress.stages
+    assert progress.done == [total for _, total in progress.stages]
+
+
+def test_ours_are_found_as_evaluate_finds_them():
+    """The same held-out scans of the same map, the same recall."""
+    from core.evaluation.evaluate import Protocol, evaluate
+
+    drive = sample_drive(16)
+    asked = conditions((0,), (0, 1), (0,))
+    evaluated = evaluate(drive, Protocol(segment_length=4, split=Every(2), conditions=asked))
+    protocol = ComparisonProtocol(HeldOut(Every(2), 4), asked)
+    [compared] = compare(drive, [MappedPlaces(MapParameters(), 4)], protocol).methods
+    for one, other in zip(evaluated.conditions, compared.conditions, strict=True):
+        assert one.recall_at_1 == other.recall_at_1

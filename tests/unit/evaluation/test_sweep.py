@@ -1,0 +1,164 @@
+"""The sweep answers as maps do that are built one by one."""
+
+import functools
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from core.builder import build_map
+from core.drive import MemoryDrive
+from core.encodings.harmonic import HarmonicModel
+from core.encodings.paper import PaperModel
+from core.errors import InvalidParameters
+from core.evaluation.condition import Condition
+from core.evaluation.evaluate import Protocol, evaluate
+from core.evaluation.exam import Exam, held_out_scans
+from core.evaluation.judge import Judge
+from core.evaluation.split import Every, Interleaved
+from core.evaluation.sweep import SweepGrid, leading_sums, map_cuts, sweep
+from core.parameters import Encoding, MapParameters
+from core.scan import Scan
+from tests.support.recording import recording
+
+GRID = SweepGrid(r1=(2, 3, 5), r2=(2, 4, 5), segment_lengths=(10, 25))
+CONDITIONS = (Condition(), Condition(lateral_m=1.0))
+
+
+@functools.cache
+def drive(scans=40):
+    return MemoryDrive("d", recording(scans=scans).scans)
+
+
+def parameters(encoding, ranks=(5, 5)):
+    return MapParameters.for_sensor(
+        encoding=encoding,
+        ranks=ranks,
+        lateral_renderings_m=(-1.5, 0.0, 1.5) if encoding == Encoding.HARMONIC else None,
+    )
+
+
+@functools.cache
+def exam(encoding, recorded=None, split=None, most=None):
+    recorded = recorded or drive()
+    held_out, asked = held_out_scans(recorded, split or Interleaved(), most)
+    return Exam.of_drive(recorded, held_out, asked, parameters(encoding), CONDITIONS)
+
+
+@functools.cache
+def swept(encoding):
+    return sweep(exam(encoding), judge(), GRID)
+
+
+def judge(recorded=None, **options):
+    recorded = recorded or drive()
+    return Judge(recorded.poses, recorded.timestamp_s, **options)
+
+
+@pytest.mark.parametrize("encoding", Encoding)
+def test_signatures_of_small_ranks_are_the_leading_block_of_those_of_large_ones(encoding) -> None:
+    of = exam(encoding)
+    small, large = (
+        build_map(
+            of.mapped.images, of.trajectory, map_cuts(of, 10), parameters(encoding, ranks)
+        ).model
+        for ranks in ((3, 4), (5, 8))
+    )
+    block = large.signatures[..., :3, :4]
+    np.testing.assert_allclose(block, small.signatures, atol=1e-3 * np.abs(block).max())
+    if isinstance(small, PaperModel) and isinstance(large, PaperModel):
+        np.testing.assert_allclose(large.azimuth_basis[..., :4], small.azimuth_basis, atol=1e-5)
+    if isinstance(small, HarmonicModel) and isinstance(large, HarmonicModel):
+        np.testing.assert_allclose(large.radial_basis[:, :3], small.radial_basis, atol=1e-5)
+
+
+@pytest.mark.parametrize("encoding", Encoding)
+@pytest.mark.parametrize(("ranks", "k"), [((2, 4), 10), ((5, 5), 10), ((5, 2), 25)])
+def test_a_candidate_has_the_figures_that_evaluate_finds(encoding, ranks, k) -> None:
+    found = swept(encoding).at(ranks, k)
+    assert found is not None
+    wanted = evaluate(
+        drive(),
+        Protocol(parameters(encoding, ranks), segment_length=k, conditions=CONDITIONS),
+    )
+    assert found.segments == wanted.segments
+    assert found.elements == wanted.compression.elements
+    assert found.bytes_per_scan == pytest.approx(4 * found.elements / wanted.map_scans)
+    assert found.segment_accuracy == wanted.conditions[0].segment_accuracy
+    assert found.accuracy == tuple(row.recall_at_1[3.0] for row in wanted.conditions)
+    assert min(wanted.relative_error) <= found.relative_error <= max(wanted.relative_error)
+
+
+@pytest.mark.parametrize("encoding", Encoding)
+def test_larger_ranks_leave_a_smaller_error_and_take_more_bytes(encoding) -> None:
+    points = swept(encoding).points
+    assert len(points) == 3 * 3 * 2
+    for one in points:
+        for two in points:
+            if one.segment_length == two.segment_length and all(
+                np.less_equal(one.ranks, two.ranks)
+            ):
+                assert one.relative_error >= two.relative_error - 1e-12
+                assert one.bytes_per_scan <= two.bytes_per_scan
+
+
+def test_ranks_that_images_do_not_have_are_left_out() -> None:
+    of = exam(Encoding.HARMONIC)
+    found = sweep(of, judge(), SweepGrid((2, 20, 21), (2, 500), (10,)))
+    assert [p.ranks for p in found.points] == [(2, 2), (20, 2)]
+    with pytest.raises(InvalidParameters, match="r1"):
+        sweep(of, judge(), SweepGrid((21,), (2,), (10,)))
+
+
+@given(
+    st.integers(1, 5), st.integers(1, 6), st.data()
+)  # fmt: skip
+def test_leading_sums_are_sums_over_leading_blocks(rows, columns, data) -> None:
+    blocks = np.random.default_rng(rows * columns).random((3, rows, columns))
+    r1 = sorted(data.draw(st.sets(st.integers(1, rows), min_size=1)))
+    r2 = sorted(data.draw(st.sets(st.integers(1, columns), min_size=1)))
+    sums = leading_sums(blocks, r1, r2)
+    for a, first in enumerate(r1):
+        for b, second in enumerate(r2):
+            np.testing.assert_allclose(
+                sums[:, a, b], blocks[:, :first, :second].sum(axis=(1, 2)), rtol=1e-12
+            )
+
+
+def test_the_same_scans_are_held_out_whatever_the_segments_and_few_are_spread_evenly() -> None:
+    held_out, asked = held_out_scans(drive(), Every(2), 4)
+    assert held_out.sum() == 20
+    assert asked.tolist() == [1, 13, 27, 39]
+    with pytest.raises(InvalidParameters, match="some must be asked"):
+        held_out_scans(drive(1), Every(2), None)
+
+
+def test_without_poses_an_answer_is_right_near_the_scan_that_was_asked() -> None:
+    unknown = MemoryDrive("d", [Scan(scan.points_m) for scan in recording(scans=40).scans])
+    by_index = judge(unknown, tolerance_scans=2)
+    assert not by_index.by_place
+    assert "2 scans" in by_index.criterion
+    assert by_index.right(np.array([5, 5]), np.array([7, 8])).tolist() == [True, False]
+    found = sweep(exam(Encoding.PAPER, unknown), by_index, GRID)
+    assert found.judged == found.asked == 8
+    assert all(0.0 <= p.mean_accuracy <= 1.0 for p in found.points)
+
+
+def test_scans_that_cannot_be_asked_are_told_and_not_counted() -> None:
+    scans = list(recording(scans=40).scans)
+    scans[2] = Scan(np.array([[0.0, 0.0, 50.0]] * 5), pose=scans[2].pose)  # straight up
+    of = exam(Encoding.PAPER, MemoryDrive("d", scans))
+    assert of.refused == (2,)
+    assert len(of.asked) == 7
+
+
+def test_a_segment_without_a_map_scan_is_refused() -> None:
+    with pytest.raises(InvalidParameters, match="k = 1 segment 1 is left"):
+        sweep(exam(Encoding.PAPER, split=Every(2)), judge(), SweepGrid((2,), (2,), (1,)))
+
+
+@pytest.mark.parametrize("wrong", [(), (0,), (-1, 3)])
+def test_a_grid_without_whole_numbers_above_0_is_refused(wrong) -> None:
+    with pytest.raises(InvalidParameters, match="r2"):
+        SweepGrid((2,), wrong, (10,))
