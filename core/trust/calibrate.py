@@ -1,9 +1,8 @@
 """From probes of a map to its calibration: positives, and the same where their place is missing.
 
-A *positive* asks the map for a probe of scan i with the scans nearest to i left out: a vehicle
-never stands exactly where one was recorded, nor among the same parked cars. It is right if the
-match is within `AWAY_M` of i. A *negative* asks with i's whole neighbourhood left out: whatever
-matches is wrong.
+A *positive* asks the map for a probe of scan i with i and what was recorded within a metre left
+out: a vehicle never stands exactly there. It is right if the match is within `AWAY_M` of i. A
+*negative* asks with i's whole neighbourhood left out: whatever matches is wrong.
 """
 
 import math
@@ -33,7 +32,7 @@ __all__ = ["MOST_PROBES", "calibrate"]
 MOST_PROBES = 400
 """How many probes of a map are asked at most, evenly spread over its drives."""
 
-_LEFT_OUT_M, _LEFT_OUT_SCANS = 2.0, 2
+_LEFT_OUT_M, _LEFT_OUT_SCANS = 1.0, 1
 _RIGHT_SCANS = 15  # where poses are unknown, as `AWAY_M` is where they are known
 _ELSEWHERE_M, _ELSEWHERE_SCANS = 25.0, 50
 _LEAST = 10  # samples of each kind; fewer are no evidence

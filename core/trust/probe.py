@@ -14,8 +14,8 @@ PROBES = 200
 """How many scans of a drive are probed at most, evenly spread."""
 
 _STANDING, _DISTURBED = 20_001, 20_002  # seeds, together with a scan's position in its drive
-_NOISE_M = 0.05
-_CARS = 2  # that hide something, at most
+_NOISE_M, _ALONE_NOISE_M = 0.5, 0.05
+_CARS = 4  # that hide something, at most
 _CAR_AHEAD_M = (3.0, 12.0)  # horizontal distance of its near side
 _CAR_ACROSS_M = (1.8, 4.5)  # from behind, from the side
 _CAR_TOP_M = 1.5  # above the ground
@@ -47,8 +47,8 @@ def probe_image(scan: Scan, position: int, imager: Imager) -> Image | None:
 def probe_scan(scan: Scan, position: int, imager: Imager) -> Scan:
     """Disturb a scan, always in the same way for the same position.
 
-    Up to two cars hide what is behind them, the vehicle stands where `standing_of_probe` says,
-    and returns carry noise of up to 0.05 m.
+    Up to four cars hide what is behind them, the vehicle stands where `standing_of_probe` says,
+    and returns carry noise of up to 0.5 m (5 cm in a map without renderings).
 
     Args:
         scan: As recorded.
@@ -63,7 +63,8 @@ def probe_scan(scan: Scan, position: int, imager: Imager) -> Scan:
     for _ in range(int(rng.integers(0, _CARS, endpoint=True))):
         points = _behind_a_car(points, imager.sensor_height_m, rng)
     points = seen_from_beside(points, *standing_of_probe(position, imager))
-    points += rng.normal(scale=rng.uniform(0.0, _NOISE_M), size=points.shape)
+    most_m = _ALONE_NOISE_M if imager.lateral_renderings_m is None else _NOISE_M
+    points += rng.normal(scale=rng.uniform(0.0, most_m), size=points.shape)
     return Scan.from_returns(points)
 
 

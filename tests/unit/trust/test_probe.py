@@ -24,12 +24,16 @@ def test_a_probe_is_the_same_however_often_it_is_made():
     assert not np.array_equal(one.points_m, probe_scan(scan, 8, RENDERED).points_m)
 
 
-def test_a_probe_stands_where_it_says_but_for_noise_and_what_cars_hide():
-    wall = Scan(np.array([[30.0, 2.0, 20.0], [-20.0, 15.0, 20.0]]))  # above every car
-    for position in range(20):
-        left_m, turn_deg = standing_of_probe(position, RENDERED)
-        seen = seen_from_beside(wall.points_m, left_m, turn_deg)
-        assert np.abs(probe_scan(wall, position, RENDERED).points_m - seen).max() < 0.25
+def test_a_probe_stands_where_it_says_but_for_noise():
+    above_cars = np.array([[30.0, 2.0, 20.0], [-20.0, 15.0, 20.0]])
+    for imager, most_m in ((RENDERED, 0.5), (ALONE, 0.05)):
+        for position in range(20):
+            left_m, turn_deg = standing_of_probe(position, imager)
+            seen = seen_from_beside(np.repeat(above_cars, 500, axis=0), left_m, turn_deg)
+            probe = probe_scan(Scan(np.repeat(above_cars, 500, axis=0)), position, imager)
+            off_m = probe.points_m - seen
+            assert np.abs(off_m.reshape(2, 500, 3).mean(axis=1)).max() < 0.2 * most_m
+            assert off_m.std() < 1.05 * most_m
 
 
 def test_renderings_are_asked_from_their_reach_in_any_heading_and_the_papers_map_as_it_was_driven():
@@ -51,13 +55,13 @@ def test_a_car_hides_what_is_behind_it_and_nothing_else():
         left_m, turn_deg = standing_of_probe(position, RENDERED)
         seen = seen_from_beside(low, left_m, turn_deg)
         probe = probe_scan(Scan(low.astype(np.float32)), position, RENDERED).points_m
-        moved = np.linalg.norm(probe - seen, axis=1) > 1.0
+        moved = np.hypot(*seen.T[:2]) - np.hypot(*probe.T[:2]) > 3.0
         shortened += moved.any()
         # What is hidden is now in front, in the same direction from where it was recorded.
         back = seen_from_beside(probe, 0.0, -turn_deg) + np.array([0.0, left_m, 0.0])
-        assert (np.hypot(*back[moved, :2].T) < 13.0).all()
+        assert (np.hypot(*back[moved, :2].T) < 14.0).all()
         turned = np.arctan2(back[moved, 1], back[moved, 0]) - np.arctan2(*low[moved, 1::-1].T)
-        assert (np.abs((turned + np.pi) % (2 * np.pi) - np.pi) < 0.1).all()
+        assert (np.abs((turned + np.pi) % (2 * np.pi) - np.pi) < 0.6).all()  # noise, near by
     assert 10 <= shortened < 30
 
 
