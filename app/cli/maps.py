@@ -265,12 +265,19 @@ def _show_answers(answers: list[tuple[Path, Localization]], *, as_json: bool, tu
             )
     if answers and not as_json:
         output.print(table)
+        for path, found in answers:
+            if not found.localized:
+                output.print(
+                    f"{path.name} is not localized: {found.verdict.reason}",
+                    markup=False,
+                    soft_wrap=True,
+                )
 
 
 def _trust(found: Localization) -> str:
     probability = found.verdict.probability
     shown = "-" if probability is None else f"{probability:.2f}"
-    return shown if found.verdict.reason is None else f"{shown} no: {found.verdict.reason}"
+    return shown if found.localized else f"{shown} no"
 
 
 def signature(

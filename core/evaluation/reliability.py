@@ -8,51 +8,16 @@ import numpy as np
 
 from core.arrays import BoolArray, FloatArray
 from core.errors import InvalidParameters
-from core.evaluation import retrieval
+from core.evaluation.retrieval import auroc, precision_recall
 
 __all__ = [
     "Judged",
     "Reliability",
-    "auroc",
-    "average_precision",
     "expected_calibration_error",
     "reliability",
 ]
 
 BINS = 10
-
-
-def auroc(positive: FloatArray, negative: FloatArray) -> float:
-    """Return how likely a positive scores above a negative, equal scores counting half.
-
-    Raises:
-        InvalidParameters: If there is none of a kind, or a score is not finite.
-
-    Examples:
-        >>> auroc(np.array([0.9, 0.5]), np.array([0.5, 0.1]))
-        0.875
-    """
-    _scores(positive, negative)
-    found = retrieval.auroc(positive, negative)
-    assert found is not None  # noqa: S101 - that there are both was asked above
-    return found
-
-
-def average_precision(positive: FloatArray, negative: FloatArray) -> float:
-    """Return sum_n (R_n - R_(n-1)) P_n over thresholds at every score, the greatest first.
-
-    Equal scores are passed at once. Nothing is interpolated.
-
-    Raises:
-        InvalidParameters: If there is none of a kind, or a score is not finite.
-
-    Examples:
-        >>> round(average_precision(np.array([0.9, 0.5]), np.array([0.7])), 6)
-        0.833333
-    """
-    scores = _scores(positive, negative)
-    is_positive = np.arange(len(scores)) < len(positive)
-    return retrieval.precision_recall(scores, is_positive, len(positive)).average_precision
 
 
 def expected_calibration_error(
@@ -88,17 +53,6 @@ def expected_calibration_error(
         bins = np.minimum((probability * BINS).astype(np.int64), BINS - 1)
     gap = np.bincount(bins, weights=weight * (probability - right), minlength=BINS)
     return float(np.abs(gap).sum() / weight.sum())
-
-
-def _scores(positive: FloatArray, negative: FloatArray) -> FloatArray:
-    if not len(positive) or not len(negative):
-        raise InvalidParameters(
-            f"there are {len(positive)} positives and {len(negative)} negatives, both are wanted"
-        )
-    scores = np.concatenate([positive, negative])
-    if not np.isfinite(scores).all():
-        raise InvalidParameters("a score is not finite")
-    return scores
 
 
 @dataclass(frozen=True)
@@ -177,7 +131,11 @@ def reliability(known: Sequence[Judged], unknown: Sequence[Judged]) -> Reliabili
     return Reliability(
         unknown_queries=len(unknown),
         auroc=auroc(of_known, of_unknown) if told else None,
-        average_precision=average_precision(of_known, of_unknown) if told else None,
+        average_precision=(
+            precision_recall(both, np.arange(len(both)) < len(known), len(known)).average_precision
+            if told
+            else None
+        ),
         ece=ece[0],
         ece_adaptive=ece[1],
         ece_mixed=mixed[0],

@@ -85,7 +85,8 @@ def test_a_build_says_that_it_is_not_calibrated_and_what_then_is_answered(folder
     assert (answer["localized"], answer["probability"]) == (True, None)
     wanting = json.loads(run("localize", path, scan, "--min-probability", "0.5", "--json"))
     assert (wanting["localized"], wanting["reason"]) == (False, "not_calibrated")
-    assert "no: not_calibrated" in run("localize", path, scan, "--min-probability", "0.5")
+    shown = run("localize", path, scan, "--min-probability", "0.5")
+    assert "000007.bin is not localized: not_calibrated" in shown
 
 
 def test_localize_takes_hints(map_file, folder):

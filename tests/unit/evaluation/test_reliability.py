@@ -1,4 +1,4 @@
-"""AUROC, average precision and calibration errors, against values computed by hand."""
+"""Calibration errors and refusals, against values computed by hand."""
 
 import numpy as np
 import pytest
@@ -6,26 +6,9 @@ import pytest
 from core.errors import InvalidParameters
 from core.evaluation.reliability import (
     Judged,
-    auroc,
-    average_precision,
     expected_calibration_error,
     reliability,
 )
-
-
-def test_the_auroc_counts_pairs_and_equal_scores_half():
-    # 6 pairs: 0.9 beats all three, 0.4 beats 0.1 and 0.3 and ties with 0.4.
-    assert auroc(np.array([0.9, 0.4]), np.array([0.1, 0.3, 0.4])) == pytest.approx(5.5 / 6)
-    assert auroc(np.array([1.0]), np.array([0.0])) == 1.0
-    assert auroc(np.array([0.0]), np.array([1.0])) == 0.0
-    assert auroc(np.full(3, 0.5), np.full(2, 0.5)) == 0.5
-
-
-def test_the_average_precision_adds_precision_where_recall_rises():
-    # Ranked + - + -: precision 1 at recall 1/2, 2/3 at 1.
-    assert average_precision(np.array([0.9, 0.6]), np.array([0.7, 0.1])) == pytest.approx(5 / 6)
-    # All equal: one threshold, precision is the share of positives.
-    assert average_precision(np.full(1, 0.5), np.full(3, 0.5)) == 0.25
 
 
 def test_the_calibration_error_is_the_mean_gap_of_the_bins():
@@ -54,15 +37,6 @@ def test_weights_count_samples_more_or_less():
     assert weighted == pytest.approx((0.95 + 3 * 0.05) / 4)
 
 
-@pytest.mark.parametrize(
-    ("positive", "negative"), [([], [0.1]), ([0.1], []), ([np.nan], [0.1]), ([0.1], [np.inf])]
-)
-def test_scores_of_one_kind_alone_or_none_are_refused(positive, negative):
-    for measure in (auroc, average_precision):
-        with pytest.raises(InvalidParameters):
-            measure(np.array(positive), np.array(negative))
-
-
 @pytest.mark.parametrize("probability", [[], [1.5], [-0.1], [np.nan]])
 def test_what_is_no_probability_is_refused(probability):
     with pytest.raises(InvalidParameters, match="probability"):
@@ -80,6 +54,8 @@ def test_refusals_are_counted_among_right_wrong_and_unknown():
     assert (found.refused_right, found.refused_wrong, found.refused_unknown) == (0.5, 1.0, 0.5)
     assert found.unknown_queries == 2
     assert found.auroc == pytest.approx(4 / 6)
+    # Scores fall as known, unknown, known, known, unknown.
+    assert found.average_precision == pytest.approx((1 + 2 / 3 + 3 / 4) / 3)
     # Each known counts 1/6, each unknown 1/4; every one has a bin of its own.
     gaps = (0.1 + 0.7 + 0.2) / 6 + (0.6 + 0.1) / 4
     assert found.ece_mixed == pytest.approx(gaps)
