@@ -15,7 +15,6 @@ import numpy as np
 from core.arrays import FloatArray, IntArray
 from core.encodings.harmonic import (
     HarmonicModel,
-    detail_gram,
     encode,
     energy,
     harmonic_elements,
@@ -23,6 +22,7 @@ from core.encodings.harmonic import (
 from core.errors import InvalidParameters
 from core.evaluation.exam import Exam
 from core.evaluation.judge import Judge
+from core.grams import detail_gram
 from core.parameters import Encoding
 from core.progress import NO_PROGRESS, Progress
 from core.segmentation import cut_fixed
