@@ -121,7 +121,8 @@ def _kitti00(folder: Path) -> None:
 def _conditions(folder: Path) -> None:
     print("## `kitti00`, turned, beside, noisy\n")
     print("R@1 within 3 m; the vehicle is turned and stands to the left of its scan (its returns")
-    print("are moved, nothing new is seen), or every coordinate has noise.\n")
+    print("are moved, nothing new is seen), or every coordinate has noise. M2DP centres returns:")
+    print("moved ones are the same to it, and only a true second pass, below, tries it.\n")
     drive = open_drive(folder / "kitti00", min_returns=100)
     found = compare(drive, _contestants(drive, METHODS[:-1]), ComparisonProtocol(HALF, CONDITIONS))
     _print_conditions(found)

@@ -73,7 +73,7 @@ def estimate(search: HarmonicSearch, trajectory: Trajectory, found: Found) -> Es
         [[pose_beside(poses[i], left_m)[:3] for left_m in offsets_m] for i in rows]
     )
     stands = pose_beside(poses[found.row], 0.0, turn_deg or 0.0)
-    stands[:3] = np.einsum("nd,ndx->x", weights, seen_from_m)
+    stands[:3] = np.einsum("kd,kdx->x", weights, seen_from_m)
     return Estimate(turn_deg, left_of_m(poses[found.row], stands), Pose.from_row(stands))
 
 

@@ -39,7 +39,7 @@ _APART_DEG = 10.0  # between them
 _AROUND_DEG = np.arange(-2.0, 3.0)  # of each: columns of an image are a degree wide
 
 # Of a logistic curve, fitted to simulated drives: docs/decisions/0015-loop-closures.md.
-_INTERCEPT, _OF_SIMILARITY, _OF_OVERLAP = -21.0, 15.0, 30.0
+_INTERCEPT, _OF_SIMILARITY, _OF_OVERLAP = -19.5, 16.6, 31.6
 
 
 class Verdict(StrEnum):

@@ -41,8 +41,8 @@ class BasisFit:
 
     def __str__(self) -> str:
         return (
-            f"the basis that was kept leaves out {self.kept_error:.3f} of drive {self.drive},"
-            f" one fitted anew would leave out {self.refitted_error:.3f}"
+            f"the basis that was kept leaves out {self.kept_error:.3f} of the detail of drive"
+            f" {self.drive}, one fitted anew would leave out {self.refitted_error:.3f}"
         )
 
 

@@ -5,10 +5,10 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from scipy.stats import rankdata
 
 from core.arrays import BoolArray, FloatArray
 from core.errors import InvalidParameters
+from core.evaluation import retrieval
 
 __all__ = [
     "Judged",
@@ -32,10 +32,10 @@ def auroc(positive: FloatArray, negative: FloatArray) -> float:
         >>> auroc(np.array([0.9, 0.5]), np.array([0.5, 0.1]))
         0.875
     """
-    scores = _scores(positive, negative)
-    ranks = rankdata(scores)[: len(positive)]
-    least = len(positive) * (len(positive) + 1) / 2
-    return float((ranks.sum() - least) / (len(positive) * len(negative)))
+    _scores(positive, negative)
+    found = retrieval.auroc(positive, negative)
+    assert found is not None  # noqa: S101 - that there are both was asked above
+    return found
 
 
 def average_precision(positive: FloatArray, negative: FloatArray) -> float:
@@ -52,12 +52,7 @@ def average_precision(positive: FloatArray, negative: FloatArray) -> float:
     """
     scores = _scores(positive, negative)
     is_positive = np.arange(len(scores)) < len(positive)
-    order = np.argsort(-scores, kind="stable")
-    last_of_equals = np.append(np.diff(scores[order]) != 0.0, True)
-    taken = np.flatnonzero(last_of_equals) + 1
-    true = np.cumsum(is_positive[order])[last_of_equals]
-    gained = np.diff(true, prepend=0) / len(positive)
-    return float(gained @ (true / taken))
+    return retrieval.precision_recall(scores, is_positive, len(positive)).average_precision
 
 
 def expected_calibration_error(
