@@ -9,7 +9,7 @@ from core.encodings.harmonic import azimuth_factor, weights
 from core.errors import InvalidImage
 from core.images import ImageSource
 from core.progress import NO_PROGRESS, Progress
-from core.tucker import BLOCK_SCANS, leading_basis
+from core.tucker import BLOCK_SCANS, leading_basis, row_gram
 
 __all__ = ["detail_gram", "drive_gram", "fit_radial_basis", "radial_error", "sum_of_grams"]
 

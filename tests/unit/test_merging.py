@@ -8,7 +8,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from core.builder import build_map
-from core.encodings.harmonic import detail_gram
 from core.errors import (
     BasisMismatch,
     EmptyDrive,
@@ -18,7 +17,7 @@ from core.errors import (
     UnknownDrive,
     UnknownSegment,
 )
-from core.grams import drive_gram, fit_radial_basis, radial_error, sum_of_grams
+from core.grams import detail_gram, drive_gram, fit_radial_basis, radial_error, sum_of_grams
 from core.height_image import HeightImage
 from core.images import ConcatenatedImages, MemoryImages
 from core.localizer import Localizer
