@@ -29,12 +29,12 @@ def observed(tracker, row, **told):
 
 def test_the_first_observations_are_not_yet_a_fix(tracker):
     track = Track(tracker)
-    steps = [track.observe(observed(tracker, row)) for row in range(4)]
-    assert [step.localized for step in steps] == [False, False, True, True]
-    assert steps[0].reason == Doubt.CONVERGING
-    assert steps[3].observations == 4
-    assert track.last == steps[3]
-    assert steps[3].segment_sure
+    steps = [track.observe(observed(tracker, row)) for row in range(8)]
+    assert not any(step.localized for step in steps[:2])
+    assert all(step.localized and step.segment_sure for step in steps[5:])
+    assert steps[1].reason == Doubt.CONVERGING
+    assert [step.observations for step in steps] == list(range(1, 9))
+    assert track.last == steps[-1]
 
 
 @pytest.mark.parametrize("name", ["timestamp_s", "sequence"])
@@ -79,7 +79,7 @@ def test_a_vehicle_that_is_carried_off_is_found_again(tracker):
     found = [
         step.localized and step.row == row for row, step in zip(range(25, 35), steps, strict=True)
     ]
-    assert all(found[4:])
+    assert all(found[6:])
 
 
 def test_a_signature_from_elsewhere_is_an_unknown_place():
