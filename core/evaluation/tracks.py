@@ -282,14 +282,13 @@ def _recovery(
         return ()
     poses = asked.drive.poses[asked.scans]
     found: list[int | None] = []
-    for start in np.linspace(0, count // 2 - _BEFORE - 1, _KIDNAPPINGS).astype(int).tolist():
+    for start in np.linspace(0, count // 2 - _AFTER, _KIDNAPPINGS).astype(int).tolist():
         track = Track(tracker)
         for observation in observations[start : start + _BEFORE]:
             track.observe(observation)
         there = start + count // 2
-        end = min(count, there + _AFTER)
         found.append(None)
-        for index in range(there, end):
+        for index in range(there, there + _AFTER):
             step = track.observe(observations[index])
             if step.localized and _is_right(tracker, step, poses[index], asked.segment[index]):
                 found[-1] = index - there + 1

@@ -25,7 +25,7 @@ from core.tracking.step import SURE, Direction, Doubt, TrackStep
 
 __all__ = ["Observation", "Track", "Tracker"]
 
-_FIRST_FIX = 3  # observations: one alone is a localization, and two may err alike
+_FIRST_FIX = 3  # observations in a row that agree: one alone is a localization, two may err alike
 _ELSEWHERE = 0.5  # of being outside of the map, to say so
 _MOVE_ODDS = 0.9  # of a standing vehicle being beyond the place that was told, to move the answer
 _SLOWEST, _FASTEST = 0.1, 10.0  # times between observations, as shares of the usual one
@@ -130,6 +130,7 @@ class Track:
         self._belief = Belief.unknown(tracker.graph, tracker.motion)
         self._detector = StandingDetector(tracker.standing)
         self._observations = 0
+        self._agreeing = 0
         self._told: float | None = None
         self.last: TrackStep | None = None
 
@@ -227,11 +228,13 @@ class Track:
         return place.position if max(before, after) > _MOVE_ODDS else told
 
     def _doubt(self, belief: Belief, place: Place) -> Doubt | None:
+        self._agreeing = self._agreeing + 1 if place.probability >= SURE else 0
+        if self._agreeing >= _FIRST_FIX:
+            return None
         if belief.elsewhere > _ELSEWHERE:
             return Doubt.UNKNOWN_PLACE
-        if self._observations < _FIRST_FIX:
-            return Doubt.CONVERGING
-        return None if place.probability >= SURE else Doubt.AMBIGUOUS
+        few = self._agreeing or self._observations < _FIRST_FIX
+        return Doubt.CONVERGING if few else Doubt.AMBIGUOUS
 
 
 def _fraction(tracker: Tracker, segment: int, position: float) -> float:

@@ -1,0 +1,74 @@
+"""The stream of a track through the real server: its library, its limits, its refusals."""
+
+import json
+import os
+
+import pytest
+from websockets.exceptions import ConnectionClosedError, InvalidStatus
+from websockets.sync.client import connect
+
+from app.schemas.revisions import BasisOut
+from core.signature import pack_signatures
+from tests.support.process import serving
+from tests.support.recording import recording
+from tests.support.service import upload, wait_for
+
+TRACKS = "/v1/maps/campus/tracks"
+
+
+@pytest.fixture(scope="module")
+def server(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("stream")
+    with serving(folder / "data", folder / "log") as server:
+        server.client.post("/v1/maps", json={"map": "campus"})
+        upload(server.client, "monday", recording())
+        wanted = {"segments": 2, "encoding": "harmonic"}
+        job = server.client.post("/v1/maps/campus/builds", json=wanted).json()["job"]
+        assert wait_for(server.client, job)["state"] == "done"
+        yield server
+
+
+@pytest.fixture
+def url(server):
+    track = server.client.post(TRACKS).json()["track"]
+    return f"ws://127.0.0.1:{server.port}{TRACKS}/{track}/stream"
+
+
+def test_packed_signatures_are_answered_one_by_one(server, url):
+    basis = BasisOut.model_validate(server.client.get("/v1/maps/campus/basis").json()).to_core()
+    with connect(url) as stream:
+        for index in range(6):
+            stream.send(pack_signatures(basis.encode(basis.image(recording().scans[index]))))
+            told = json.loads(stream.recv())
+        assert (told["observations"], told["scan_index"], told["localized"]) == (6, 5, True)
+    log = server.log.read_text()
+    assert "Traceback" not in log, log
+    assert "Warning" not in log, log
+
+
+def test_a_message_beyond_the_limit_closes_the_stream(url):
+    with connect(url, max_size=None) as stream:
+        stream.send(os.urandom(5 * 2**20))
+        told = stream.recv()  # this server takes the message, and refuses it by name
+        assert json.loads(told)["type"] == "/problems/body-too-large"
+        with pytest.raises(ConnectionClosedError):
+            stream.recv()
+        assert stream.close_code == 1009
+
+
+@pytest.mark.parametrize("headers", [{"Origin": "https://maps.example"}, {"Host": "maps.example"}])
+def test_a_page_from_elsewhere_is_refused_before_the_stream_opens(url, headers):
+    with (
+        pytest.raises(InvalidStatus) as refused,
+        connect(url, additional_headers=headers),
+    ):
+        pass
+    assert refused.value.response.status_code in {400, 421}
+    assert "Origin" not in headers or b"host-not-allowed" in (refused.value.response.body or b"")
+
+
+def test_a_stream_of_no_track_is_told_so(server):
+    none = f"ws://127.0.0.1:{server.port}{TRACKS}/none/stream"
+    with pytest.raises(InvalidStatus) as refused, connect(none):
+        pass
+    assert refused.value.response.status_code == 404

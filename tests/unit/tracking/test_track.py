@@ -1,0 +1,177 @@
+"""Tracks: order, limits of what is told, and what a map without poses can say."""
+
+import numpy as np
+import pytest
+
+from app.errors import TooManyTracks, TrackNotFound
+from app.tracks import Tracks
+from core.errors import InvalidParameters, InvalidSignature, StaleObservation, StaleSignature
+from core.localizer import Localizer
+from core.signature import Signature
+from core.tracking.belief import Belief
+from core.tracking.emission import Emission, own_signatures
+from core.tracking.graph import TravelGraph
+from core.tracking.motion import Motion
+from core.tracking.standing import change
+from core.tracking.step import Doubt
+from core.tracking.track import Observation, Track, Tracker
+from tests.support.samples import sample_harmonic_map, sample_map
+
+
+@pytest.fixture(scope="module", params=[sample_map, sample_harmonic_map])
+def tracker(request):
+    return Tracker(Localizer(request.param(count=40, segment_length=10)[0]))
+
+
+def observed(tracker, row, **told):
+    return Observation(own_signatures(tracker.map, row), **told)
+
+
+def test_the_first_observations_are_not_yet_a_fix(tracker):
+    track = Track(tracker)
+    steps = [track.observe(observed(tracker, row)) for row in range(8)]
+    assert not any(step.localized for step in steps[:2])
+    assert all(step.localized and step.segment_sure for step in steps[5:])
+    assert steps[1].reason == Doubt.CONVERGING
+    assert [step.observations for step in steps] == list(range(1, 9))
+    assert track.last == steps[-1]
+
+
+@pytest.mark.parametrize("name", ["timestamp_s", "sequence"])
+def test_an_observation_that_is_not_newer_is_refused_and_changes_nothing(tracker, name):
+    track = Track(tracker)
+    track.observe(observed(tracker, 3, **{name: 5}))
+    belief = track.belief
+    for stale in (5, 4):
+        with pytest.raises(StaleObservation, match=f"{name} is {stale}"):
+            track.observe(observed(tracker, 4, **{name: stale}))
+    own = own_signatures(tracker.map, 3)[0]
+    of_another = Observation((Signature(own.values, own.segment, "f" * 64),))
+    with pytest.raises(StaleSignature):
+        track.observe(of_another)
+    with pytest.raises(InvalidSignature):
+        track.observe(Observation(()))
+    assert track.belief is belief
+    assert track.observe(observed(tracker, 4, **{name: 6})).observations == 2
+
+
+@pytest.mark.parametrize(
+    "told", [{"timestamp_s": np.nan}, {"travelled_m": np.inf}, {"sequence": -1}]
+)
+def test_an_observation_refuses_nonsense(tracker, told):
+    with pytest.raises(InvalidParameters):
+        observed(tracker, 0, **told)
+
+
+def test_without_poses_scans_are_told_and_no_metres_are_claimed():
+    tracker = Tracker(Localizer(sample_harmonic_map(count=30, segment_length=10, poses=False)[0]))
+    track = Track(tracker)
+    steps = [track.observe(observed(tracker, row, travelled_m=1.0)) for row in range(6)]
+    assert steps[-1].localized
+    assert (steps[-1].row, steps[-1].pose, steps[-1].along_sigma_m) == (5, None, None)
+
+
+def test_a_vehicle_that_is_carried_off_is_found_again(tracker):
+    track = Track(tracker)
+    for row in range(8):
+        track.observe(observed(tracker, row))
+    steps = [track.observe(observed(tracker, row)) for row in range(25, 35)]
+    found = [
+        step.localized and step.row == row for row, step in zip(range(25, 35), steps, strict=True)
+    ]
+    assert all(found[6:])
+
+
+def test_a_signature_from_elsewhere_is_an_unknown_place():
+    mapped, _ = sample_harmonic_map(count=40, segment_length=10)
+    tracker = Tracker(Localizer(mapped))
+    track = Track(tracker)
+    rng = np.random.default_rng(5)
+    for _ in range(8):
+        values = rng.normal(size=(3, 4)) + 1j * rng.normal(size=(3, 4))
+        values[:, 0] = values[:, 0].real
+        step = track.observe(
+            Observation((Signature(values.astype(np.complex64), None, mapped.revision),))
+        )
+    assert not step.localized
+    assert step.reason == Doubt.UNKNOWN_PLACE
+
+
+def test_odometry_tells_a_stop_from_a_drive_where_scans_do_not(tracker):
+    track = Track(tracker)
+    for row in range(10):
+        track.observe(observed(tracker, row, travelled_m=1.0))
+    belief = track.belief.predicted(tracker.graph, tracker.motion, 1.0, 0.0)
+    assert int(belief.of_scan.argmax()) == 9
+    belief = track.belief.predicted(tracker.graph, tracker.motion, 1.0, 4.0)
+    assert int(belief.of_scan.argmax()) == 13
+
+
+def test_a_segment_that_meets_two_others_leads_to_both():
+    graph = TravelGraph.of_map(sample_map(count=30, segment_length=10)[0])
+    assert graph.segment_at(9.4) == 0
+    assert graph.segment_at(9.6) == 1
+    assert graph.segment_at(-3.0) == 0
+    assert graph.segment_at(99.0) == 2
+
+
+def test_cuts_that_do_not_lie_between_segments_are_refused():
+    mapped, _ = sample_map(count=30, segment_length=10)
+    with pytest.raises(InvalidParameters, match="cut lies between"):
+        TravelGraph.of_map(mapped, np.array([-0.5, 12.0, 19.5, 29.5]))
+
+
+def test_signatures_of_one_scan_have_not_changed_and_those_of_another_have(tracker):
+    here, there = own_signatures(tracker.map, 3), own_signatures(tracker.map, 4)
+    assert change(here, here) == pytest.approx(0.0, abs=1e-7)
+    assert (change(here, there) or 0.0) > 0.01
+    assert change(here, ()) is None
+
+
+def test_where_nothing_was_compared_nothing_is_told(tracker):
+    likelihood = Emission.of_map(tracker.map).likelihood(np.full(40, np.inf))
+    assert (likelihood == 1.0).all()
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"pace": np.array([1.0, 2.0])},
+        {"pace": np.array([0.0, 2.0, 1.0])},
+        {"keeps": 0.99, "drifts": 0.02},
+        {"jumps": 0.0},
+        {"spread": 0.0},
+    ],
+)
+def test_a_motion_refuses_nonsense(wrong):
+    with pytest.raises(InvalidParameters):
+        Motion(**wrong)
+
+
+def test_a_belief_refuses_what_does_not_sum_to_one():
+    with pytest.raises(InvalidParameters, match="sum to 1"):
+        Belief(np.full((4, 2), 0.2), 0.5)
+    with pytest.raises(InvalidParameters):
+        Belief(np.array([[2.0, -1.0]]), 0.0)
+
+
+# Tracks that a service keeps
+
+
+def test_tracks_of_one_revision_share_what_is_learnt_of_it_and_are_forgotten_when_idle(tracker):
+    now = [0.0]
+    tracks = Tracks(limit=2, idle_s=60.0, clock=lambda: now[0])
+    one, two = (tracks.create("m", tracker.localizer) for _ in range(2))
+    assert one.track._tracker is two.track._tracker
+    with pytest.raises(TooManyTracks):
+        tracks.create("m", tracker.localizer)
+    now[0] = 50.0
+    assert tracks.get("m", one.id) is one
+    with pytest.raises(TrackNotFound):
+        tracks.get("another map", one.id)
+    now[0] = 100.0
+    with pytest.raises(TrackNotFound, match="forgotten 60 s"):
+        tracks.get("m", two.id)
+    assert len(tracks) == 1
+    tracks.delete("m", one.id)
+    assert len(tracks) == 0
