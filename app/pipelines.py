@@ -59,7 +59,7 @@ class Built:
     @property
     def notes(self) -> tuple[str, ...]:
         """What whoever asked for the build should know."""
-        return tuple(f"{fit}: consider a build with refit" for fit in self.fits if fit.much_worse)
+        return tuple(f"{fit}: consider to fit it anew" for fit in self.fits if fit.much_worse)
 
 
 def build_revision(

@@ -34,12 +34,13 @@ ACCEPT_FROM = 0.99
 """A false closure bends a whole map: it is accepted only if this probable."""
 
 _GRID = RingGrid()
+_LEAST = 1e-6
 _PEAKS = 3  # headings that are tried: opposite directions of a street look alike from within
 _APART_DEG = 10.0  # between them
 _AROUND_DEG = np.arange(-2.0, 3.0)  # of each: columns of an image are a degree wide
 
 # Of a logistic curve, fitted to simulated drives: docs/decisions/0015-loop-closures.md.
-_INTERCEPT, _OF_SIMILARITY, _OF_OVERLAP = -19.5, 16.6, 31.6
+_INTERCEPT, _OF_SIMILARITY, _OF_OVERLAP = -7.0, 8.8, 10.6
 
 
 class Verdict(StrEnum):
@@ -68,8 +69,9 @@ class LoopClosure:
             where the evidence does not tell, as the paper's signatures.
         forward_m: How far ahead of the first the second stands; `None` likewise.
         lateral_m: How far to its left; `None` likewise.
-        image_similarity: Cosine of the height images in the best heading, `None` without returns.
-        overlap: Cosine of the views from above as they lie best, `None` without returns.
+        image_similarity: Of the height images in the best heading, at most 1, what they have in
+            common in any heading taken off; `None` without returns.
+        overlap: Of the views from above as they lie best, at most 1, likewise.
         signature_distance: In the measure of the map, `None` without signatures.
     """
 
@@ -89,7 +91,7 @@ class LoopClosure:
         """Return what to do with it.
 
         Args:
-            accept_from: The least probability to accept; it is rejected from one minus that down.
+            accept_from: The least probability to accept; below a half it is rejected.
 
         Raises:
             InvalidParameters: If that is not above 0.5 and at most 1.
@@ -100,7 +102,7 @@ class LoopClosure:
             return Verdict.UNDECIDED
         if self.probability >= accept_from:
             return Verdict.ACCEPTED
-        return Verdict.REJECTED if self.probability <= 1.0 - accept_from else Verdict.UNDECIDED
+        return Verdict.REJECTED if self.probability < 0.5 else Verdict.UNDECIDED
 
 
 def check_scans(
@@ -171,7 +173,7 @@ def closure_probability(image_similarity: float, overlap: float) -> float:
     """Return how probable a closure of that evidence is.
 
     Examples:
-        >>> closure_probability(0.7, 0.7) > 0.99, closure_probability(0.3, 0.3) < 0.01
+        >>> closure_probability(0.7, 0.7) > 0.99, closure_probability(0.2, 0.2) < 0.1
         (True, True)
     """
     return _logistic(_INTERCEPT + _OF_SIMILARITY * image_similarity + _OF_OVERLAP * overlap)
@@ -180,7 +182,11 @@ def closure_probability(image_similarity: float, overlap: float) -> float:
 def _images_alike(
     first: Scan, second: Scan, first_height_m: float, second_height_m: float
 ) -> tuple[float, FloatArray]:
-    """Return the best cosine over headings and sides, and the headings that are worth a try."""
+    """Return how alike the images are at best, and the headings that are worth a try.
+
+    Over headings and sides, the cosine is at best so far above that of the middle heading, as a
+    share of what it could be above that.
+    """
     query = _heights(second, second_height_m)
     spectrum = np.fft.rfft(query, axis=1)
     norm = float(np.linalg.norm(query))
@@ -192,8 +198,10 @@ def _images_alike(
         view = _heights(aside, first_height_m)
         product = (spectrum * np.conj(np.fft.rfft(view, axis=1))).sum(axis=0)
         cosines = np.fft.irfft(product, _GRID.columns) / (norm * float(np.linalg.norm(view)))
-        if cosines.max() > best:
-            best, correlation = float(cosines.max()), cosines
+        by_chance = float(np.median(cosines))
+        above = (float(cosines.max()) - by_chance) / max(1.0 - by_chance, _LEAST)
+        if above > best:
+            best, correlation = above, cosines
     return min(1.0, best), _headings(correlation)
 
 

@@ -16,7 +16,7 @@ from core.trajectory import Trajectory
 
 __all__ = ["BasisFit", "basis_fits", "merge_maps", "without_drives"]
 
-_MUCH_WORSE = 1.1
+_MUCH_WORSE = 1.02
 """Of the error that a refitted basis leaves: docs/decisions/0014-merging-and-basis-identity.md."""
 
 

@@ -19,6 +19,7 @@ _PADDED = 192  # cells of the transforms: a shift by up to 32 cells does not wra
 _MOST_CELLS = 10  # of a shift, along each axis: 5 m, as far apart as two scans of one place are
 _LOWEST_M, _HIGHEST_M = 0.5, 8.0  # above ground: neither the road nor crowns of trees
 _APART_M = 0.2  # nearer returns count once, before they are turned
+_LEAST = 1e-6
 _BLUR_CELLS = 0.8  # so that a wall on the border of two cells meets itself
 
 
@@ -27,7 +28,9 @@ class Alignment:
     """How a second view lies to a first one.
 
     Attributes:
-        overlap: Cosine of the two views, 0..1, as they lie best.
+        overlap: 0..1 as they lie best: how far the cosine of the two views is above what it is in
+            the middle of all shifts, as a share of what it could be above that. Dense surroundings
+            overlap by chance more than sparse ones do, and that is taken off.
         turn_deg: How far the second sensor is turned from the first, counter-clockwise.
         forward_m: How far ahead of the first it stands.
         lateral_m: How far to its left.
@@ -106,7 +109,8 @@ def align_overhead(
         product = fft.irfft2(spectrum * np.conj(turned), (_PADDED, _PADDED))
         near = product[np.ix_(shifts % _PADDED, shifts % _PADDED)]
         row, column = np.unravel_index(near.argmax(), near.shape)
-        overlap = float(near[row, column]) / norm
+        by_chance = float(np.median(near)) / norm
+        overlap = (float(near[row, column]) / norm - by_chance) / max(1.0 - by_chance, _LEAST)
         if overlap > best.overlap:
             best = Alignment(
                 min(1.0, overlap),

@@ -53,7 +53,7 @@ class LoopClosuresIn(BaseModel):
         ACCEPT_FROM,
         gt=0.5,
         le=1,
-        description="The least probability to accept; rejected from one minus that down.",
+        description="The least probability to accept; below 0.5 it is rejected.",
     )
     sensor_height_m: float | None = Field(
         None,
@@ -77,10 +77,10 @@ class LoopClosureOut(BaseModel):
     forward_m: float | None = Field(description="How far ahead of the first the second stands.")
     lateral_m: float | None = Field(description="How far to its left.")
     image_similarity: float | None = Field(
-        description="Cosine of the height images in the best heading; null without returns."
+        description="Of the height images in the best heading, at most 1; null without returns."
     )
     overlap: float | None = Field(
-        description="Cosine of the views from above as they lie best; null without returns."
+        description="Of the views from above as they lie best, at most 1; null without returns."
     )
     signature_distance: float | None = Field(
         description="In the measure of the map; null where returns were compared."

@@ -120,7 +120,8 @@ def test_the_verdict_follows_the_threshold():
     likely = LoopClosure(0.97)
     assert likely.verdict() == Verdict.UNDECIDED
     assert likely.verdict(0.95) == Verdict.ACCEPTED
-    assert LoopClosure(0.04).verdict(0.95) == Verdict.REJECTED
+    assert LoopClosure(0.5).verdict() == Verdict.UNDECIDED
+    assert LoopClosure(0.49).verdict() == Verdict.REJECTED
     assert LoopClosure(None).verdict() == Verdict.UNDECIDED
     for wrong in (0.5, 1.01, float("nan")):
         with pytest.raises(InvalidParameters, match="accept_from"):

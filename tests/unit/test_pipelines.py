@@ -176,4 +176,4 @@ def test_a_basis_that_fits_a_drive_badly_is_noted():
     fits = BasisFit("monday", 0.80, 0.70), BasisFit("tuesday", 0.76, 0.70)
     [note] = Built(tensor_map, 0, {}, fits, 8).notes
     assert "monday" in note
-    assert "refit" in note
+    assert "fit it anew" in note
