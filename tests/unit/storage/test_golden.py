@@ -18,7 +18,7 @@ FOLDER = Path(golden.__file__).parent
 
 RELEASED = {
     "map-v1.h5": "88c7c859161582505ada0c7eb33147ff88eaadab915a5ad414975b2cd813e9db",
-    "harmonic-v1.h5": "488389e9010defce2dd037ca942984924fd1abe5b6cabfe3b06f230416d4d242",
+    "harmonic-v1.h5": "1816d48cfae92fe00cb73253f623f52c6fc6d287615bfc16c426f9414c60f9ba",
 }
 MADE = {"map-v1.h5": golden_map, "harmonic-v1.h5": golden_harmonic_map}
 
