@@ -231,10 +231,9 @@ class Track:
         self._agreeing = self._agreeing + 1 if place.probability >= SURE else 0
         if self._agreeing >= _FIRST_FIX:
             return None
-        if belief.elsewhere > _ELSEWHERE:
-            return Doubt.UNKNOWN_PLACE
-        few = self._agreeing or self._observations < _FIRST_FIX
-        return Doubt.CONVERGING if few else Doubt.AMBIGUOUS
+        if self._agreeing or self._observations < _FIRST_FIX:
+            return Doubt.CONVERGING
+        return Doubt.UNKNOWN_PLACE if belief.elsewhere > _ELSEWHERE else Doubt.AMBIGUOUS
 
 
 def _fraction(tracker: Tracker, segment: int, position: float) -> float:
