@@ -204,7 +204,7 @@ def _show(result: Comparison) -> None:
         )
         tolerances = list(of_first.recall_at_1)
         table = Table(box=SIMPLE_HEAD, padding=0)
-        table.add_column("method")
+        table.add_column("method", no_wrap=True)
         for heading in (
             *(f"R@1 {metres:g} m" for metres in tolerances),
             f"F1 {tolerances[0]:g} m",

@@ -35,7 +35,9 @@ class JobRunner:
         self._store = store
         self._wake = threading.Event()
         self._stopping = threading.Event()
-        self._context = multiprocessing.get_context("spawn")
+        # Processes are forked from one that has loaded all that a build needs, and nothing else.
+        self._context = multiprocessing.get_context("forkserver")
+        self._context.set_forkserver_preload([run_build.__module__])
         self._threads = [
             threading.Thread(target=self._loop, name=f"builds-{i}", daemon=True)
             for i in range(settings.build_workers)

@@ -11,7 +11,7 @@ from app.schemas.revisions import BasisOut
 from core.errors import InvalidParameters
 from core.loop_closure import check_scans
 from tests.support.recording import kitti, recording
-from tests.support.service import problem_of
+from tests.support.service import problem_of, upload, wait_for
 
 CLOSURES = "/v1/maps/campus/loop-closures"
 
@@ -42,13 +42,31 @@ def test_stored_scans_are_judged_in_a_batch_in_their_order(client):
     assert elsewhere["signature_distance"] is None
 
 
-def test_a_signature_is_judged_without_a_probability_where_the_map_has_none(client):
+def signature_closures(client, first_rows):
+    """Judge the signature of scan 3, seen with other noise, against stored scans."""
     second = signatures_of(client, recording(noise_seed=7).scans[3])
-    body = {"proposals": [{"first": stored(row), "second": second} for row in (3, 25)]}
-    same, elsewhere = client.post(CLOSURES, json=body).json()["closures"]
+    body = {"proposals": [{"first": stored(row), "second": second} for row in first_rows]}
+    answer = client.post(CLOSURES, json=body)
+    assert answer.status_code == 200, answer.text
+    return answer.json()["closures"]
+
+
+def test_a_signature_is_judged_by_the_calibration_of_the_map(client):
+    same, elsewhere = signature_closures(client, (3, 25))
     assert same["signature_distance"] < elsewhere["signature_distance"]
-    assert (same["probability"], same["verdict"]) == (None, "undecided")
+    assert same["probability"] > 0.9 > elsewhere["probability"]
     assert same["overlap"] is None
+
+
+def test_a_signature_is_judged_without_a_probability_where_the_map_is_too_small_for_one(empty):
+    upload(empty, "monday", recording(scans=6))
+    job = empty.post("/v1/maps/campus/builds", json={"segments": 1}).json()["job"]
+    revision = wait_for(empty, job)["revision"]
+    facts = empty.get(f"/v1/maps/campus/revisions/{revision}").json()
+    assert facts["parameters"]["calibrated"] is False
+    same, other = signature_closures(empty, (3, 0))
+    assert same["signature_distance"] < other["signature_distance"]
+    assert (same["probability"], same["verdict"]) == (None, "undecided")
 
 
 def test_a_threshold_decides_what_is_accepted(client):

@@ -1,6 +1,7 @@
 """The commands that put several drives into one map."""
 
 import json
+from dataclasses import replace
 
 import pytest
 from typer.testing import CliRunner
@@ -45,7 +46,8 @@ def test_merged_files_are_the_map_of_both_drives(maps, folders, tmp_path):
     assert "monday, tuesday: 20 scans" in told
     run("build", *folders, "-o", tmp_path / "whole.h5", *HARMONIC, "--keep-basis", maps[0])
     merged = read_map(tmp_path / "both.h5")
-    assert merged.revision == read_map(tmp_path / "whole.h5").revision
+    whole = read_map(tmp_path / "whole.h5")
+    assert merged.revision == replace(whole, calibration=None).revision  # files hold no probes
     facts = json.loads(run("inspect", tmp_path / "both.h5", "--json"))
     assert facts["basis"] == read_map(maps[0]).basis_digest
 
@@ -53,7 +55,8 @@ def test_merged_files_are_the_map_of_both_drives(maps, folders, tmp_path):
 def test_a_drive_is_left_out_of_a_file(maps, tmp_path):
     run("merge", *maps, "-o", tmp_path / "both.h5")
     run("merge", tmp_path / "both.h5", "--without", "monday", "-o", tmp_path / "one.h5")
-    assert read_map(tmp_path / "one.h5").revision == read_map(maps[1]).revision
+    tuesday = replace(read_map(maps[1]), calibration=None)
+    assert read_map(tmp_path / "one.h5").revision == tuesday.revision
 
 
 def test_files_that_cannot_be_merged_are_refused_and_nothing_is_written(maps, folders, tmp_path):

@@ -173,7 +173,7 @@ def drop_probes(store):
 
 def test_a_basis_that_fits_a_drive_badly_is_noted():
     tensor_map, _ = sample_harmonic_map(8)
-    fits = BasisFit("monday", 0.80, 0.70), BasisFit("tuesday", 0.76, 0.70)
+    fits = BasisFit("monday", 0.80, 0.70), BasisFit("tuesday", 0.71, 0.70)
     [note] = Built(tensor_map, 0, {}, fits, 8).notes
     assert "monday" in note
     assert "fit it anew" in note
