@@ -204,7 +204,7 @@ def _build(
         cut_at_meetings(trajectory, cuts),
         map_parameters,
         progress,
-        _probes(images, map_parameters),
+        _probes(images),
         radial_basis=radial_basis,
         grams=grams,
     )
@@ -218,11 +218,14 @@ def _build(
     )
 
 
-def _probes(images: Sequence[ImageFile], parameters: MapParameters) -> Probes | None:
+def _probes(images: Sequence[ImageFile]) -> Probes | None:
     """Return the probes of all drives; `None` if one has none, its returns being gone."""
-    parts = [(of_it.scans, of_it.probed, of_it.probes) for of_it in images]
-    told = [(scans, probed, probes) for scans, probed, probes in parts if probes is not None]
-    return Probes.of_drives(told, parameters.imager) if len(told) == len(parts) else None
+    told = [
+        (of_it.scans, of_it.probed, of_it.standing, of_it.probes)
+        for of_it in images
+        if of_it.probes is not None
+    ]
+    return Probes.of_drives(told) if len(told) == len(images) else None
 
 
 def _trajectory(drive: Drive, images: ImageFile) -> Trajectory:

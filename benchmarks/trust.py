@@ -125,7 +125,7 @@ def _localizer(drive: Drive, rows: IntArray, parameters: MapParameters) -> Local
     projected = project_drive(drive, rows, parameters.imager)
     trajectory = Trajectory.of_drive(drive.name, drive.timestamp_s[rows], drive.poses[rows], rows)
     cuts = cut_fixed(len(rows), segment_length_for(len(rows), segments=5))
-    probes = projected.probes_of_map(parameters.imager)
+    probes = projected.probes_of_map()
     return Localizer(build_map(projected.images, trajectory, cuts, parameters, probes=probes))
 
 

@@ -9,22 +9,24 @@ __all__ = ["left_of_m", "pose_beside", "seen_from_beside"]
 
 
 def seen_from_beside(
-    points_m: Float32Array | FloatArray, left_m: float, turn_deg: float = 0.0
+    points_m: Float32Array | FloatArray, left_m: float, turn_deg: float = 0.0, ahead_m: float = 0.0
 ) -> FloatArray:
-    """Return points as a sensor sees them that stands `left_m` to the left and is then turned.
+    """Return points as a sensor sees them that stands to the left and ahead, and is then turned.
 
-    p' = Rz(-turn) (p - (0, left, 0)), the turn counter-clockwise. The points are those seen from
-    the recorded place: what only the displaced sensor would see is missing.
+    p' = Rz(-turn) (p - (ahead, left, 0)), the turn counter-clockwise. The points are those seen
+    from the recorded place: what only the displaced sensor would see is missing.
 
     Examples:
         >>> seen_from_beside(np.array([[10.0, 5.0, 0.0]]), 5.0, 90.0).round(3).tolist()
         [[0.0, -10.0, 0.0]]
     """
-    points = points_m.astype(np.float64) - (0.0, left_m, 0.0)
+    points = points_m.astype(np.float64) - (ahead_m, left_m, 0.0)
     return np.asarray(Rotation.from_euler("z", -turn_deg, degrees=True).apply(points))
 
 
-def pose_beside(row: FloatArray, left_m: float, turn_deg: float = 0.0) -> FloatArray:
+def pose_beside(
+    row: FloatArray, left_m: float, turn_deg: float = 0.0, ahead_m: float = 0.0
+) -> FloatArray:
     """Return the `(7,)` pose row of that sensor, of the `(7,)` row of the recorded place.
 
     An unknown row (NaN) stays unknown.
@@ -38,7 +40,7 @@ def pose_beside(row: FloatArray, left_m: float, turn_deg: float = 0.0) -> FloatA
         return np.full(7, np.nan)
     recorded = Rotation.from_quat(row[3:])
     turned = recorded * Rotation.from_euler("z", turn_deg, degrees=True)
-    position_m = row[:3] + recorded.apply([0.0, left_m, 0.0])
+    position_m = row[:3] + recorded.apply([ahead_m, left_m, 0.0])
     return np.concatenate([position_m, turned.as_quat(canonical=True)])
 
 

@@ -12,7 +12,7 @@ from core.errors import EmptyDrive, InvalidImage, InvalidParameters, InvalidScan
 from core.imager import Grid, Imager
 from core.progress import NO_PROGRESS, Progress
 from core.scan import Scan
-from core.trust.probe import probe_image, probed_among, standing_of_probe
+from core.trust.probe import Standing, probe_image, probed_among, standing_of_probe
 
 __all__ = [
     "Cells",
@@ -115,8 +115,8 @@ class Probes:
 
     Attributes:
         rows: `(p,)` rows of the map whose scans they are, rising.
-        standing: `(p, 2)` how far to the left of its scan each stands, metres, and its turn,
-            degrees counter-clockwise.
+        standing: `(p, 3)` how far ahead of its scan and to its left each stands, metres, and its
+            turn, degrees counter-clockwise.
         images: Their images, one each, without renderings.
     """
 
@@ -128,7 +128,7 @@ class Probes:
         object.__setattr__(self, "rows", frozen(self.rows, np.int64))
         object.__setattr__(self, "standing", frozen(self.standing, np.float64))
         count = len(self.images)
-        if self.rows.shape != (count,) or self.standing.shape != (count, 2):
+        if self.rows.shape != (count,) or self.standing.shape != (count, 3):
             raise InvalidParameters(
                 f"rows {self.rows.shape} and standing {self.standing.shape} are not those of"
                 f" {count} probes"
@@ -140,29 +140,23 @@ class Probes:
 
     @classmethod
     def of_drives(
-        cls, drives: Sequence[tuple[IntArray, IntArray, ImageSource]], imager: Imager
+        cls, drives: Sequence[tuple[IntArray, IntArray, FloatArray, ImageSource]]
     ) -> "Probes":
         """Return the probes of a map of drives, one after another.
 
         Args:
             drives: Of each the positions of its mapped scans, rising, those of its probed ones,
-                and the probes' images.
-            imager: Of the map.
+                where the probes stand, and their images.
         """
-        first = np.cumsum([0, *(len(scans) for scans, _, _ in drives)])
+        first = np.cumsum([0, *(len(scans) for scans, *_ in drives)])
         rows = [
             start + np.searchsorted(scans, probed)
-            for start, (scans, probed, _) in zip(first.tolist(), drives, strict=False)
-        ]
-        standing = [
-            standing_of_probe(position, imager)
-            for _, probed, _ in drives
-            for position in probed.tolist()
+            for start, (scans, probed, *_) in zip(first.tolist(), drives, strict=False)
         ]
         return cls(
             np.concatenate(rows),
-            np.array(standing).reshape(-1, 2),
-            ConcatenatedImages([images for _, _, images in drives]),
+            np.concatenate([standing for _, _, standing, _ in drives]),
+            ConcatenatedImages([images for *_, images in drives]),
         )
 
 
@@ -175,12 +169,14 @@ class Projected:
         returns: How many returns they hold together.
         skipped: The scans that could not be used.
         probed: `(p,)` positions of those of which a probe was made, rising.
+        standing: `(p, 3)` where the probes stand, as in `Probes`.
     """
 
     scans: IntArray
     returns: int
     skipped: tuple[Skipped, ...]
     probed: IntArray
+    standing: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,9 +186,9 @@ class ProjectedDrive(Projected):
     images: ImageSource
     probes: ImageSource
 
-    def probes_of_map(self, imager: Imager) -> Probes:
+    def probes_of_map(self) -> Probes:
         """Return the probes as those of a map of this drive's usable scans and no others."""
-        return Probes.of_drives([(self.scans, self.probed, self.probes)], imager)
+        return Probes.of_drives([(self.scans, self.probed, self.standing, self.probes)])
 
 
 def project_each(
@@ -235,8 +231,11 @@ def project_into(
     progress.start("projecting", len(scans))
     kept: list[int] = []
     probed: list[int] = []
+    standing: list[Standing] = []
     skipped: list[Skipped] = []
     to_probe = set(probed_among(np.array(scans, dtype=np.int64)).tolist())
+    row_of = {index: row for row, index in enumerate(scans)}
+    poses = drive.poses[list(scans)]
     returns = 0
     for item in project_each(drive, scans, imager, progress):
         if isinstance(item, Skipped):
@@ -245,13 +244,21 @@ def project_into(
         index, scan, cells[len(kept)] = item
         kept.append(index)
         returns += len(scan)
-        if index in to_probe and (probe := probe_image(scan, index, imager)) is not None:
+        if index not in to_probe:
+            continue
+        stands = standing_of_probe(index, imager, poses, row_of[index])
+        if (probe := probe_image(scan, index, imager, stands)) is not None:
             probe_cells[len(probed)] = probe.cells
             probed.append(index)
+            standing.append(stands)
     if not kept:
         raise EmptyDrive(Skipped.explain(drive.name, skipped))
     return Projected(
-        np.array(kept, dtype=np.int64), returns, tuple(skipped), np.array(probed, dtype=np.int64)
+        np.array(kept, dtype=np.int64),
+        returns,
+        tuple(skipped),
+        np.array(probed, dtype=np.int64),
+        np.array(standing, dtype=np.float64).reshape(-1, 3),
     )
 
 
@@ -274,6 +281,7 @@ def project_drive(
         told.returns,
         told.skipped,
         told.probed,
+        told.standing,
         MemoryImages(cells[: len(told.scans)], imager.grid),
         MemoryImages(probe_cells[: len(told.probed)], imager.grid),
     )

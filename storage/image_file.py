@@ -31,7 +31,7 @@ __all__ = [
 PROJECTION_VERSION = 1
 """Counted up whenever the code makes other images of the same scans, or skips others."""
 
-PROBE_VERSION = 1
+PROBE_VERSION = 2
 """Counted up whenever the code makes other probes of the same scans; images stay what they are."""
 
 _DETAIL_GRAM = "detail_gram"
@@ -48,6 +48,7 @@ class ImageFile:
         returns: How many returns the usable scans hold together.
         probes: Images of disturbed scans, `None` in a file of another version of the probes.
         probed: `(p,)` position of each probe's scan in the drive.
+        standing: `(p, 3)` where each probe stands, as in `core.images.Probes`.
     """
 
     def __init__(self, path: Path, imager: Imager) -> None:
@@ -66,11 +67,15 @@ class ImageFile:
                 raise ValueError(f"they have shape {self._images.shape}")
             self.probes: ImageSource | None = None
             self.probed: IntArray = np.empty(0, np.int64)
+            self.standing: FloatArray = np.empty((0, 3))
             if self._file.attrs.get("probe_version") == PROBE_VERSION:
                 self.probed = self._file["probed"][()]
+                self.standing = self._file["standing"][()]
                 self.probes = _Stored(self._file["probes"], self.grid, path.name)
                 if self._file["probes"].shape != (len(self.probed), *self.grid.shape):
                     raise ValueError(f"probes have shape {self._file['probes'].shape}")
+                if self.standing.shape != (len(self.probed), 3):
+                    raise ValueError(f"standing has shape {self.standing.shape}")
         except (AttributeError, KeyError, OSError, RuntimeError, TypeError, ValueError) as error:
             self._file.close()
             raise CorruptImages(f"{path.name} holds no images: {error}") from error
@@ -196,9 +201,9 @@ def write_image_file(
         told = project_into(images, probes, drive, range(len(drive)), imager, progress)
         images.resize(len(told.scans), axis=0)
         probes.resize(len(told.probed), axis=0)
-        file.create_dataset(
-            "probed", data=told.probed.astype("<i8"), fletcher32=bool(told.probed.size)
-        )
+        checked = bool(told.probed.size)  # HDF5 keeps no checksum of nothing
+        file.create_dataset("probed", data=told.probed.astype("<i8"), fletcher32=checked)
+        file.create_dataset("standing", data=told.standing.astype("<f8"), fletcher32=checked)
         file.attrs["probe_version"] = PROBE_VERSION
         file.create_dataset("scans", data=told.scans.astype("<i8"), fletcher32=True)
         if imager.lateral_renderings_m is not None:

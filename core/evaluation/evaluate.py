@@ -216,7 +216,7 @@ def _build(
     trajectory = Trajectory.of_drive(
         drive.name, drive.timestamp_s[scans], drive.poses[scans], scans
     )
-    probes = projected.probes_of_map(parameters.imager)
+    probes = projected.probes_of_map()
     return build_map(projected.images, trajectory, map_start, parameters, progress, probes)
 
 

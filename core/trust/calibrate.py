@@ -24,7 +24,7 @@ from core.rings import RingGrid
 from core.tensormap import TensorMap
 from core.trust.calibration import Calibration
 from core.trust.logistic import fit_logistic
-from core.trust.probe import probed_among
+from core.trust.probe import LEFT_OUT_M, probed_among
 from core.trust.spread import Spread, along_spread_m, fit_variance
 
 __all__ = ["MOST_PROBES", "calibrate"]
@@ -32,14 +32,13 @@ __all__ = ["MOST_PROBES", "calibrate"]
 MOST_PROBES = 400
 """How many probes of a map are asked at most, evenly spread over its drives."""
 
-_LEFT_OUT_M, _LEFT_OUT_SCANS = 1.0, 1
+_LEFT_OUT_SCANS = 1  # where poses are unknown, as `LEFT_OUT_M` is where they are known
 _RIGHT_SCANS = 15  # where poses are unknown, as `AWAY_M` is where they are known
 _ELSEWHERE_M, _ELSEWHERE_SCANS = 25.0, 50
 _LEAST = 10  # samples of each kind; fewer are no evidence
 _HERE_SCANS = 2  # of each probe, the nearest in place and as many elsewhere, compared by distance
 _FLOOR = 0.05  # of the median distance of right answers
 _SPARSE = 0.5  # of the fewest occupied cells that a probe has
-_SAME_PLACE_M = 0.1
 _SEED = 20_003
 
 
@@ -91,7 +90,7 @@ def calibrate(
         image = _image(tensor_map, probes, probe)
         search = tensor_map.model.search(basis.encode(image))
         least_cells = min(least_cells, int(np.count_nonzero(image.cells)))
-        beside = away_from(trajectory, row, _LEFT_OUT_M, _LEFT_OUT_SCANS)
+        beside = away_from(trajectory, row, LEFT_OUT_M, _LEFT_OUT_SCANS)
         here = beside & ~away_from(trajectory, row, AWAY_M, _RIGHT_SCANS)
         elsewhere = away_from(trajectory, row, _ELSEWHERE_M, _ELSEWHERE_SCANS)
         if here.any():
@@ -160,7 +159,8 @@ def _error(
 ) -> list[_Error]:
     """Return how far off the place is that a match tells; nothing where poses are unknown."""
     poses = tensor_map.trajectory.poses
-    true = pose_beside(poses[row], *standing.tolist())
+    ahead_m, left_m, turn_deg = standing.tolist()
+    true = pose_beside(poses[row], left_m, turn_deg, ahead_m)
     matched = poses[found.row]
     near = close_along_m(tensor_map.trajectory, found.row)
     if near is None or not np.isfinite(true).all():
@@ -181,27 +181,12 @@ def _error(
             along_m[kept],
             search.distances(asked)[rows[kept]],
             (
-                _as_if_complete_m(forward_m, poses, row, among),
+                forward_m,
                 y_m * math.cos(path) - x_m * math.sin(path),
                 (turn + 180.0) % 360.0 - 180.0,
             ),
         )
     ]
-
-
-def _as_if_complete_m(forward_m: float, poses: FloatArray, row: int, among: BoolArray) -> float:
-    """Return an error along the path as it would be with the scans that were left out.
-
-    Those that were asked begin a gap away, which is no fault of the match; a vehicle is up to half
-    a step from a scan of the map, evenly distributed, which a probe is not.
-    """
-    away_m = np.linalg.norm(poses[:, :3] - poses[row, :3], axis=1)
-    away_m = np.where(np.isnan(away_m), np.inf, away_m)
-    gap_m = float(away_m[among].min())
-    step_m = float(away_m[away_m > _SAME_PLACE_M].min())
-    return math.copysign(
-        math.hypot(max(abs(forward_m) - gap_m, 0.0), step_m / math.sqrt(12.0)), forward_m
-    )
 
 
 def _fitted(
@@ -220,7 +205,7 @@ def _fitted(
     runner_up = np.array([answer.runner_up or 0.0 for answer in answers])
     both = np.array([alone[0], alone[1], 0.0])
     if min(right[told].sum(), (~right[told]).sum()) >= _LEAST:
-        alike = Calibration.log_ratio(distance[told], runner_up[told], floor)
+        alike = Calibration.ratio(distance[told], runner_up[told])
         features = np.column_stack([far[told], alike])
         both = fit_logistic(features, right[told], np.array([True, True]))
     of_scan = np.array([d for d, _ in at_scan])

@@ -30,8 +30,8 @@ class Calibration:
 
     Attributes:
         floor: Added to every distance, above 0: differences below it say nothing.
-        both: Intercept, slope of the best distance's logarithm and slope of that of its ratio to
-            the runner-up's; slopes are at most 0.
+        both: Intercept, slope of the best distance's logarithm and slope of its ratio to the
+            runner-up's; slopes are at most 0.
         alone: Intercept and slope where there is no runner-up.
         likelihood: Intercept and slope of the log-likelihood ratio of a single scan's distance.
         threshold: Below this probability an answer is a refusal, 0..1.
@@ -70,14 +70,9 @@ class Calibration:
         return replace(self, spread=spread)
 
     @staticmethod
-    def log_ratio(distance: FloatArray, runner_up: FloatArray, floor: float) -> FloatArray:
-        """Return the logarithm of the ratio of distances, as `probability` takes it.
-
-        It is that of the distances themselves, but never below that of `floor` to `floor` and the
-        distance: an exact match is not certain.
-        """
-        ratio = np.divide(distance, runner_up, out=np.ones_like(distance), where=runner_up > 0)
-        return np.asarray(np.log(np.maximum(ratio, floor / (distance + floor))))
+    def ratio(distance: FloatArray, runner_up: FloatArray) -> FloatArray:
+        """Return the ratios of distances, 1 where the runner-up's is 0."""
+        return np.divide(distance, runner_up, out=np.ones_like(distance), where=runner_up > 0)
 
     def probability(self, distance: float, ratio: float | None, share: float = 1.0) -> float:
         """Return how likely the best match is right, above 0 and below 1.
@@ -95,9 +90,9 @@ class Calibration:
             InvalidParameters: If one is NaN or out of its range.
 
         Examples:
-            >>> trust = Calibration(0.001, (-9.0, -3.0, -2.0), (-9.0, -3.5), (-9.0, -3.5))
+            >>> trust = Calibration(0.001, (-5.0, -3.0, -5.0), (-9.0, -3.5), (-9.0, -3.5))
             >>> round(trust.probability(0.02, 0.3), 3), round(trust.probability(0.2, 0.9), 3)
-            (0.993, 0.018)
+            (0.994, 0.009)
         """
         if not distance >= 0.0:
             raise InvalidParameters(f"distance is {distance}, wanted at least 0")
@@ -107,9 +102,7 @@ class Calibration:
         if ratio is None:
             odds = self.alone[0] + self.alone[1] * far
         elif 0.0 <= ratio <= 1.0:
-            # A ratio of exactly 0 is a distance of 0, which the floor keeps from being certain.
-            alike = math.log(max(ratio, self.floor / (distance + self.floor)))
-            odds = self.both[0] + self.both[1] * far + self.both[2] * alike
+            odds = self.both[0] + self.both[1] * far + self.both[2] * ratio
         else:
             raise InvalidParameters(f"ratio is {ratio}, wanted 0..1")
         # A single scan is judged by its own likelihood: no share makes the odds better than that.

@@ -206,4 +206,4 @@ def noisy_probes(images: Float32Array, seed: int = 0) -> Probes:
     rows = np.arange(0, len(images), 2)
     noise = np.random.default_rng(seed).normal(scale=0.5, size=images[rows].shape)
     noisy = np.maximum(images[rows] + noise, 0.1).astype(np.float32)
-    return Probes(rows, np.zeros((len(rows), 2)), MemoryImages(noisy, SMALL_GRID))
+    return Probes(rows, np.zeros((len(rows), 3)), MemoryImages(noisy, SMALL_GRID))

@@ -18,8 +18,8 @@ CALIBRATION = Calibration(
 )
 
 
-def test_a_probability_is_the_logistic_of_the_logarithms():
-    odds = -9.0 - 3.0 * np.log(0.051) - 2.0 * np.log(0.4)
+def test_a_probability_is_the_logistic_of_the_logarithm_of_the_distance_and_of_the_ratio():
+    odds = -9.0 - 3.0 * np.log(0.051) - 2.0 * 0.4
     assert CALIBRATION.probability(0.05, 0.4) == pytest.approx(1 / (1 + np.exp(-odds)))
     odds = -9.0 - 3.5 * np.log(0.051)
     assert CALIBRATION.probability(0.05, None) == pytest.approx(1 / (1 + np.exp(-odds)))
