@@ -19,7 +19,7 @@ from core.drive import Drive
 from core.encodings.harmonic import harmonic_elements
 from core.errors import InvalidScan
 from core.evaluation.split import Interleaved
-from core.parameters import Encoding, MapParameters
+from core.parameters import DEFAULT_ENCODING, Encoding, MapParameters
 from core.progress import Progress
 from core.projection import Reducer
 from core.scan import Scan
@@ -52,7 +52,7 @@ class _Query:
 
 
 def run_demo(
-    client: Client, drive: Drive, progress: BuildProgress, encoding: Encoding = Encoding.PAPER
+    client: Client, drive: Drive, progress: BuildProgress, encoding: Encoding = DEFAULT_ENCODING
 ) -> Outcome:
     """Record a drive, map four fifths of it over HTTP and localize the rest.
 

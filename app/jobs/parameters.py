@@ -7,7 +7,14 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator, model_valida
 
 from core.errors import InvalidParameters
 from core.imager import ImageKind
-from core.parameters import LATERAL_RENDERINGS_M, Distance, Encoding, MapParameters, Segmentation
+from core.parameters import (
+    DEFAULT_ENCODING,
+    LATERAL_RENDERINGS_M,
+    Distance,
+    Encoding,
+    MapParameters,
+    Segmentation,
+)
 from core.projection import Reducer
 from core.segmentation import PAPER_SEGMENT_LENGTH
 from core.sensor import HDL_64E, SENSORS
@@ -65,8 +72,9 @@ class BuildParameters(BaseModel):
         " default that of `base`, or of the live revision if its parameters are the same, is kept.",
     )
     encoding: Encoding = Field(
-        Encoding.PAPER,
-        description="`paper`: bases of each segment; `harmonic`: one for the map.",
+        DEFAULT_ENCODING,
+        description="`harmonic`: one basis for the map, answers in any direction and lane; `paper`:"
+        " bases of each segment.",
     )
     ranks: tuple[int, int] = Field((5, 5), description="r1 and r2: the shape of a signature.")
     segmentation: Segmentation = Field(
