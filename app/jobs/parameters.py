@@ -97,10 +97,10 @@ class BuildParameters(BaseModel):
     reducer: Reducer | None = Field(
         None,
         description="What a shared cell keeps: `last`, `nearest`, `farthest` or `mean` range,"
-        " `mean` or `highest` height. By default `last`; in a harmonic map `mean`.",
+        " `mean` or `highest` height. By default `highest`, of ranges `mean`; in paper maps `last`.",
     )
     image: ImageKind | None = Field(
-        None, description="What is encoded. By default `range`; in a harmonic map `height`."
+        None, description="What is encoded. By default `height`; in a paper map `range`."
     )
     distance: Distance | None = Field(
         None, description="How harmonic signatures are compared; `normalised` by default."
