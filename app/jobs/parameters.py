@@ -97,7 +97,7 @@ class BuildParameters(BaseModel):
     reducer: Reducer | None = Field(
         None,
         description="What a shared cell keeps: `last`, `nearest`, `farthest` or `mean` range,"
-        " `mean` or `highest` height. By default `highest`, of ranges `mean`; in paper maps `last`.",
+        " `mean` or `highest` height. By default `highest`, of ranges `mean`; of paper `last`.",
     )
     image: ImageKind | None = Field(
         None, description="What is encoded. By default `height`; in a paper map `range`."
