@@ -9,7 +9,7 @@ from fastapi import FastAPI
 from fastapi_offline import FastAPIOffline
 from starlette.concurrency import run_in_threadpool
 
-from app.auth import open_access
+from app.access.access import open_access
 from app.bodies import BodyGuard
 from app.errors import add_handlers
 from app.jobs.runner import JobRunner

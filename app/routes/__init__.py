@@ -2,13 +2,14 @@
 
 from fastapi import APIRouter, Depends
 
-from app.auth import require_access
-from app.errors import HostNotAllowed, KeyNeeded, KeyRefused, problems
+from app.access.dependency import require_access
+from app.errors import HostNotAllowed, KeyNeeded, KeyRefused, ScopeMissing, problems
 from app.routes import (
     builds,
     drives,
     health,
     jobs,
+    keys,
     localizations,
     loop_closures,
     maps,
@@ -21,13 +22,23 @@ __all__ = ["api", "open_routes", "streams"]
 
 
 def api() -> APIRouter:
-    """Return every route under /v1, all behind the key."""
+    """Return every route under /v1, all behind the key; each declares the scope that it needs."""
     router = APIRouter(
         prefix="/v1",
         dependencies=[Depends(require_access)],
-        responses=problems(KeyNeeded, KeyRefused, HostNotAllowed),
+        responses=problems(KeyNeeded, KeyRefused, HostNotAllowed, ScopeMissing),
     )
-    for module in (maps, drives, builds, jobs, revisions, localizations, loop_closures, tracks):
+    for module in (
+        maps,
+        drives,
+        builds,
+        jobs,
+        revisions,
+        localizations,
+        loop_closures,
+        tracks,
+        keys,
+    ):
         router.include_router(module.router)
     return router
 

@@ -9,6 +9,7 @@ from fastapi import APIRouter, Header, Path, Query, Response, status
 from fastapi.responses import FileResponse
 from pydantic import Field
 
+from app.access.scopes import Scope, needs
 from app.errors import JSON_BODY, READING, WRITING, InvalidRequest, problems
 from app.open_file import OpenFileResponse
 from app.revisions import Answering
@@ -59,6 +60,7 @@ _HDF5 = "application/vnd.tensormap.map+hdf5"
 
 @router.get(
     "/maps/{map}/revisions",
+    dependencies=[needs(Scope.MAPS_READ)],
     responses=problems(MapNotFound, InvalidParameters, InvalidRequest, *READING),
 )
 def list_revisions(
@@ -73,6 +75,7 @@ def list_revisions(
 
 @router.get(
     "/maps/{map}/revisions/{revision}",
+    dependencies=[needs(Scope.MAPS_READ)],
     responses=problems(MapNotFound, RevisionNotFound, AmbiguousRevision, *READING),
 )
 def get_revision(map_slug: MapSlug, revision: RevisionId, running: Running) -> RevisionOut:
@@ -83,6 +86,7 @@ def get_revision(map_slug: MapSlug, revision: RevisionId, running: Running) -> R
 
 @router.get(
     "/maps/{map}/revisions/{revision}/file",
+    dependencies=[needs(Scope.MAPS_READ)],
     response_class=FileResponse,
     responses={
         200: {"content": {_HDF5: {"schema": {"type": "string", "format": "binary"}}}},
@@ -102,6 +106,7 @@ def download_revision(map_slug: MapSlug, revision: RevisionId, running: Running)
 
 @router.delete(
     "/maps/{map}/revisions/{revision}",
+    dependencies=[needs(Scope.MAPS_WRITE)],
     status_code=status.HTTP_204_NO_CONTENT,
     responses=problems(MapNotFound, RevisionNotFound, AmbiguousRevision, RevisionIsLive, *WRITING),
 )
@@ -112,6 +117,7 @@ def delete_revision(map_slug: MapSlug, revision: RevisionId, running: Running) -
 
 @router.put(
     "/maps/{map}/live",
+    dependencies=[needs(Scope.MAPS_WRITE)],
     responses=problems(
         MapNotFound, RevisionNotFound, AmbiguousRevision, MapChanged, *JSON_BODY, *WRITING
     ),
@@ -132,6 +138,7 @@ def make_live(
 
 @router.get(
     "/maps/{map}/basis",
+    dependencies=[needs(Scope.MAPS_READ, Scope.LOCALIZE)],
     response_model=BasisOut,
     responses={
         200: {"content": {_NPZ: {"schema": {"type": "string", "format": "binary"}}}},
@@ -184,6 +191,7 @@ def get_basis(
 
 @router.get(
     "/maps/{map}/topology",
+    dependencies=[needs(Scope.MAPS_READ)],
     responses=problems(*_OF_ONE),
 )
 def get_topology(map_slug: MapSlug, running: Running, revision: OneRevision = None) -> TopologyOut:

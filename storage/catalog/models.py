@@ -214,7 +214,12 @@ class Key(Base):
     __tablename__ = "keys"
 
     id: Mapped[str] = mapped_column(Id, primary_key=True)
-    secret_hash: Mapped[str] = mapped_column(String(255))
+    name: Mapped[str] = mapped_column(String(100))
+    secret_hash: Mapped[str] = mapped_column(String(255), unique=True)
     scopes: Mapped[list[str]] = mapped_column(JSON)
+    # Slugs, not ids: a key may be made before its map. None: all maps.
+    maps: Mapped[list[str] | None] = mapped_column(JSON(none_as_null=True))
+    first_run: Mapped[bool]
     created_at: Mapped[datetime]
+    expires_at: Mapped[datetime | None]
     revoked_at: Mapped[datetime | None]

@@ -3,9 +3,10 @@
 import math
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from datetime import UTC
+from datetime import UTC, datetime, timedelta
 
 import pytest
+from sqlalchemy.exc import IntegrityError
 
 from core.errors import InvalidParameters
 from core.pose import Pose
@@ -445,12 +446,58 @@ class TestKeys:
         key = catalog.keys.add("hash", ["write", "read", "read"])
         assert (key.secret_hash, key.scopes) == ("hash", ("read", "write"))
         assert catalog.keys.get(key.id) == key
-        assert catalog.keys.list() == (key,)
+        assert catalog.keys.with_hash("hash") == key
+        assert catalog.keys.with_hash("other") is None
+        assert catalog.keys.list().items == (key,)
         revoked = catalog.keys.revoke(key.id)
         assert revoked.revoked_at >= key.created_at
         assert catalog.keys.revoke(key.id) == revoked
+        assert catalog.keys.ever_made()
         with pytest.raises(KeyNotFound):
             catalog.keys.get("0" * 32)
+
+    def test_a_key_keeps_its_limits_and_opens_until_it_ends(self, catalog):
+        assert not catalog.keys.ever_made()
+        now = datetime.now(UTC)
+        key = catalog.keys.add(
+            "hash",
+            ["localize"],
+            key_id="ab12",
+            name="fleet",
+            maps=["campus", "airport", "campus"],
+            expires_at=now + timedelta(hours=1),
+        )
+        assert catalog.keys.get("ab12") == key
+        assert (key.name, key.maps, key.first_run) == ("fleet", ("airport", "campus"), False)
+        assert key.opens_at(now)
+        assert not key.opens_at(now + timedelta(hours=1))
+        assert not catalog.keys.revoke("ab12").opens_at(now)
+        with pytest.raises(IntegrityError):
+            catalog.keys.add("hash", ["localize"])
+
+    def test_keys_are_listed_a_page_at_a_time_in_the_order_of_their_making(self, catalog):
+        ids = [catalog.keys.add(f"hash {i}", ["localize"]).id for i in range(3)]
+        page = catalog.keys.list(limit=2)
+        assert [key.id for key in page.items] == ids[:2]
+        rest = catalog.keys.list(page.next_after)
+        assert ([key.id for key in rest.items], rest.next_after) == (ids[2:], None)
+        with pytest.raises(InvalidParameters):
+            catalog.keys.list("0" * 32)
+
+
+class TestLimitedLists:
+    def test_maps_and_jobs_are_listed_of_the_named_maps_only(self, catalog):
+        for slug in ("airport", "campus", "dock"):
+            catalog.maps.create(slug)
+        jobs = {slug: catalog.jobs.create(slug, {}).id for slug in ("campus", "dock")}
+        some = ["dock", "airport", "nowhere"]
+        first = catalog.maps.list(limit=1, slugs=some)
+        assert [record.slug for record in first.items] == ["airport"]
+        rest = catalog.maps.list(first.next_after, slugs=some)
+        assert [record.slug for record in rest.items] == ["dock"]
+        assert [job.id for job in catalog.jobs.list(slugs=some).items] == [jobs["dock"]]
+        assert catalog.jobs.list("campus", slugs=some).items == ()
+        assert catalog.maps.list(slugs=[]).items == ()
 
 
 class TestOpening:
