@@ -10,6 +10,7 @@ from fastapi_offline import FastAPIOffline
 from starlette.concurrency import run_in_threadpool
 
 from app.access.access import open_access
+from app.access.trail import AuditTrail
 from app.bodies import BodyGuard
 from app.errors import add_handlers
 from app.jobs.runner import JobRunner
@@ -62,6 +63,7 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     app.add_middleware(
         BodyGuard, max_body_bytes=chosen.max_body_bytes, max_json_bytes=chosen.max_json_bytes
     )
+    app.add_middleware(AuditTrail)
     app.include_router(api())
     app.include_router(streams())
     app.include_router(open_routes())

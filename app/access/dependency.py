@@ -8,6 +8,7 @@ from fastapi.security import HTTPAuthorizationCredentials
 from app.access.access import Access
 from app.access.caller import Caller
 from app.access.scopes import Scope, bearer_scheme, needed_by
+from app.access.trail import sign
 
 __all__ = ["Asking", "require_access", "stream_caller"]
 
@@ -19,6 +20,7 @@ def require_access(
     """Check the key of a request against what its route needs, and the map that it names."""
     access: Access = request.app.state.service.access
     caller = access.caller_of(request)
+    sign(request, caller)
     caller.require(needed_by(request.scope["route"]))
     if (map_slug := request.path_params.get("map")) is not None:
         caller.require_map(map_slug)

@@ -5,6 +5,7 @@ from fastapi import APIRouter, Depends
 from app.access.dependency import require_access
 from app.errors import HostNotAllowed, KeyNeeded, KeyRefused, ScopeMissing, problems
 from app.routes import (
+    audit,
     builds,
     drives,
     health,
@@ -38,6 +39,7 @@ def api() -> APIRouter:
         loop_closures,
         tracks,
         keys,
+        audit,
     ):
         router.include_router(module.router)
     return router

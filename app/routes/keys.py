@@ -7,6 +7,7 @@ from fastapi import APIRouter, Path, Response, status
 
 from app.access.scopes import Scope, needs
 from app.access.secrets import new_secret, secret_hash
+from app.access.trail import note
 from app.errors import JSON_BODY, READING, WRITING, InvalidRequest, problems
 from app.schemas.keys import KeyIn, KeyMade, KeyOut
 from app.schemas.pages import After, Limit, PageOut
@@ -35,6 +36,7 @@ def make_key(wanted: KeyIn, running: Running, response: Response) -> KeyMade:
     """
     _require_sense(wanted, is_first=running.access.is_open)
     made = new_secret()
+    note(_in_short(made.id, wanted))
     record = running.store.keys.add(
         secret_hash(made.text),
         wanted.scopes,
@@ -75,6 +77,12 @@ def revoke_key(key_id: KeyId, running: Running) -> KeyOut:
     service with `TENSORMAP_ADMIN_KEY` to make another.
     """
     return KeyOut.from_record(running.store.keys.revoke(key_id))
+
+
+def _in_short(key_id: str, wanted: KeyIn) -> str:
+    maps = "all maps" if wanted.maps is None else f"maps {', '.join(sorted(wanted.maps))}"
+    end = "" if wanted.expires_at is None else f" until {wanted.expires_at.isoformat()}"
+    return f"key {key_id}: {', '.join(sorted(wanted.scopes))} of {maps}{end}"
 
 
 def _require_sense(wanted: KeyIn, *, is_first: bool) -> None:

@@ -6,6 +6,7 @@ from fastapi import APIRouter, Header, Response, status
 
 from app.access.dependency import Asking
 from app.access.scopes import Scope, needs
+from app.access.trail import note
 from app.errors import JSON_BODY, READING, WRITING, InvalidRequest, problems
 from app.schemas.maps import MapIn, MapOut, MapPatch
 from app.schemas.pages import After, Limit, PageOut
@@ -29,6 +30,7 @@ IfMatch = Annotated[
 )
 def create_map(wanted: MapIn, running: Running, response: Response, asking: Asking) -> MapOut:
     """Make an empty map."""
+    note("", map_slug=wanted.map)
     asking.require_new_map(wanted.map)
     record = running.store.maps.create(wanted.map, wanted.description)
     response.headers["Location"] = f"/v1/maps/{record.slug}"

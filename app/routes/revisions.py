@@ -10,6 +10,7 @@ from fastapi.responses import FileResponse
 from pydantic import Field
 
 from app.access.scopes import Scope, needs
+from app.access.trail import note
 from app.errors import JSON_BODY, READING, WRITING, InvalidRequest, problems
 from app.open_file import OpenFileResponse
 from app.revisions import Answering
@@ -130,6 +131,7 @@ def make_live(
     if_match: IfMatch = None,
 ) -> MapOut:
     """Make a revision live: to go ahead, or to roll back."""
+    note(f"revision {wanted.revision}")
     running.store.revisions.set_live(map_slug, wanted.revision, if_version=version_seen(if_match))
     record = running.store.maps.get(map_slug)
     response.headers["ETag"] = etag_of(record.version)

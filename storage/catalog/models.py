@@ -20,6 +20,8 @@ from sqlalchemy import (
 from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
 
 __all__ = [
+    "AuditEntry",
+    "AuditHead",
     "Base",
     "Drive",
     "Job",
@@ -223,3 +225,30 @@ class Key(Base):
     created_at: Mapped[datetime]
     expires_at: Mapped[datetime | None]
     revoked_at: Mapped[datetime | None]
+
+
+class AuditEntry(Base):
+    """What somebody changed, or was refused to; no row is ever changed or removed."""
+
+    __tablename__ = "audit"
+
+    seq: Mapped[int] = mapped_column(BigInteger, primary_key=True, autoincrement=False)
+    at: Mapped[datetime]
+    # No foreign keys: the log outlives what it is about.
+    key_id: Mapped[str] = mapped_column(Id, index=True)
+    action: Mapped[str] = mapped_column(String(300))
+    subject: Mapped[str] = mapped_column(String(300))
+    map_slug: Mapped[str | None] = mapped_column(Slug, index=True)
+    detail: Mapped[str] = mapped_column(String(300))
+    outcome: Mapped[str] = mapped_column(String(100))
+    hash: Mapped[str] = mapped_column(Digest)
+
+
+class AuditHead(Base):
+    """How long the audit log is: one row, locked by whoever adds to it."""
+
+    __tablename__ = "audit_head"
+
+    row: Mapped[int] = mapped_column(primary_key=True, autoincrement=False)
+    seq: Mapped[int] = mapped_column(BigInteger)
+    hash: Mapped[str] = mapped_column(Digest)

@@ -40,6 +40,7 @@ class Store:
         revisions: What was built of them, and which is live.
         jobs: What is being built.
         keys: Who may ask for what.
+        audit: Who changed what.
 
     Examples:
         >>> import tempfile
@@ -73,6 +74,7 @@ class Store:
         self.revisions = Revisions(self.catalog, self.layout)
         self.jobs = self.catalog.jobs
         self.keys = self.catalog.keys
+        self.audit = self.catalog.audit
 
     @classmethod
     def serving(cls, data_dir: Path, catalog_url: str | None = None) -> Self:

@@ -1,4 +1,4 @@
-"""What a key is called, which maps it is limited to and when it ends."""
+"""What a key is called, is limited to and when it ends; the audit log."""
 
 import sqlalchemy as sa
 from alembic import op
@@ -23,9 +23,34 @@ def upgrade() -> None:
         batch.alter_column("name", existing_type=sa.String(100), nullable=False)
         batch.alter_column("first_run", existing_type=sa.Boolean(), nullable=False)
         batch.create_unique_constraint("uq_keys_secret_hash", ["secret_hash"])
+    op.create_table(
+        "audit",
+        sa.Column("seq", sa.BigInteger(), autoincrement=False, nullable=False),
+        sa.Column("at", _TIME, nullable=False),
+        sa.Column("key_id", sa.String(32), nullable=False),
+        sa.Column("action", sa.String(300), nullable=False),
+        sa.Column("subject", sa.String(300), nullable=False),
+        sa.Column("map_slug", sa.String(64), nullable=True),
+        sa.Column("detail", sa.String(300), nullable=False),
+        sa.Column("outcome", sa.String(100), nullable=False),
+        sa.Column("hash", sa.String(64), nullable=False),
+        sa.PrimaryKeyConstraint("seq", name="pk_audit"),
+    )
+    op.create_index("ix_audit_key_id", "audit", ["key_id"])
+    op.create_index("ix_audit_map_slug", "audit", ["map_slug"])
+    head = op.create_table(
+        "audit_head",
+        sa.Column("row", sa.Integer(), autoincrement=False, nullable=False),
+        sa.Column("seq", sa.BigInteger(), nullable=False),
+        sa.Column("hash", sa.String(64), nullable=False),
+        sa.PrimaryKeyConstraint("row", name="pk_audit_head"),
+    )
+    op.bulk_insert(head, [{"row": 1, "seq": 0, "hash": "0" * 64}])
 
 
 def downgrade() -> None:
+    op.drop_table("audit_head")
+    op.drop_table("audit")
     with op.batch_alter_table("keys") as batch:
         batch.drop_constraint("uq_keys_secret_hash", type_="unique")
         for column in ("name", "maps", "first_run", "expires_at"):
