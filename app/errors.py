@@ -34,6 +34,7 @@ __all__ = [
     "NoSuchRoute",
     "Problem",
     "ScopeMissing",
+    "TooManyRequests",
     "TooManyTracks",
     "TrackNotFound",
     "UnsupportedBody",
@@ -96,6 +97,14 @@ class ScopeMissing(AppError):
         super().__init__(detail)
         wanted = f', scope="{" ".join(scopes)}"' if scopes else ""
         self.headers = {"WWW-Authenticate": f'Bearer error="insufficient_scope"{wanted}'}
+
+
+class TooManyRequests(AppError):
+    """More requests than a key may make in this time; `Retry-After` says when it may again."""
+
+    def __init__(self, detail: str, wait_s: int, headers: Mapping[str, str]) -> None:
+        super().__init__(detail)
+        self.headers = {"Retry-After": str(wait_s), **headers}
 
 
 class HostNotAllowed(AppError):
@@ -180,6 +189,7 @@ STATUS: dict[type[core.TensorMapError], HTTPStatus] = {
     KeyNeeded: S.UNAUTHORIZED,
     KeyRefused: S.UNAUTHORIZED,
     ScopeMissing: S.FORBIDDEN,
+    TooManyRequests: S.TOO_MANY_REQUESTS,
     HostNotAllowed: S.MISDIRECTED_REQUEST,
     NoSuchRoute: S.NOT_FOUND,
     MethodNotAllowed: S.METHOD_NOT_ALLOWED,

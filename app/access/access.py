@@ -1,12 +1,15 @@
 """Who may ask: everyone on this machine, or whoever holds a key."""
 
 import hmac
+from collections.abc import Collection
 from datetime import UTC, datetime
 from urllib.parse import urlsplit
 
 from starlette.requests import HTTPConnection
 
-from app.access.caller import Caller, everyone_here, the_operator
+from app.access.answer_headers import RATE_STATE
+from app.access.caller import EVERYONE_ID, Caller, everyone_here, the_operator
+from app.access.rate_limits import NO_LIMITS, RateLimits
 from app.access.scopes import Scope
 from app.access.secrets import is_well_formed, new_secret, secret_hash
 from app.errors import HostNotAllowed, KeyNeeded, KeyRefused
@@ -25,10 +28,20 @@ class Access:
     Args:
         store: Where the keys are kept.
         operator_key: The key of the settings.
+        limits: How often each may ask.
+        allowed_origins: Of pages elsewhere that may ask.
     """
 
-    def __init__(self, store: Store, operator_key: str | None = None) -> None:
+    def __init__(
+        self,
+        store: Store,
+        operator_key: str | None = None,
+        limits: RateLimits = NO_LIMITS,
+        allowed_origins: Collection[str] = (),
+    ) -> None:
         self._store = store
+        self._allowed_origins = frozenset(allowed_origins)
+        self._limits = limits
         self._operator_hash = None if operator_key is None else secret_hash(operator_key)
         self._has_keys = False  # once it has it always has
 
@@ -49,12 +62,33 @@ class Access:
             KeyRefused: If the key is none of them, or no longer.
         """
         if self.is_open:
-            _require_local(connection)
+            _require_local(connection, self._allowed_origins)
             return everyone_here()
         sent = _bearer_of(connection)
         if not sent:
             raise KeyNeeded("send a key of this service as `Authorization: Bearer KEY`")
         return self._holder(sent)
+
+    def admit(self, connection: HTTPConnection) -> Caller:
+        """Return who asks, if it is not too often.
+
+        Without a good key, an address stands for one.
+
+        Raises:
+            TooManyRequests: If it is.
+            TensorMapError: What `caller_of` raises.
+        """
+        address = f"address {connection.client.host if connection.client else ''}"
+        try:
+            caller = self.caller_of(connection)
+        except (KeyNeeded, KeyRefused):
+            self._take(connection, address)
+            raise
+        self._take(connection, address if caller.key_id == EVERYONE_ID else caller.key_id)
+        return caller
+
+    def _take(self, connection: HTTPConnection, who: str) -> None:
+        setattr(connection.state, RATE_STATE, self._limits.take(who))
 
     def _holder(self, sent: str) -> Caller:
         given = secret_hash(sent)
@@ -84,12 +118,14 @@ def open_access(settings: Settings, store: Store) -> tuple[Access, str | None]:
     On another address than loopback, and without a key of the settings or an administrator's, one
     is made and only its hash is kept.
     """
+    limits = RateLimits(settings.requests_per_s, settings.request_burst)
     if settings.admin_key is not None:
-        return Access(store, settings.admin_key.get_secret_value()), None
+        operator_key = settings.admin_key.get_secret_value()
+        return Access(store, operator_key, limits, settings.allowed_origins), None
     made = None
     if not is_loopback(settings.host) and not _has_administrator(store):
         made = make_first_key(store)
-    return Access(store), made
+    return Access(store, None, limits, settings.allowed_origins), made
 
 
 def make_first_key(store: Store) -> str:
@@ -121,7 +157,7 @@ def _bearer_of(connection: HTTPConnection) -> str:
     return sent.strip() if scheme.lower() == "bearer" else ""
 
 
-def _require_local(connection: HTTPConnection) -> None:
+def _require_local(connection: HTTPConnection, allowed_origins: frozenset[str]) -> None:
     """Refuse what is not of this machine.
 
     A browser lets any page send simple requests and open streams to any host, and says only in
@@ -136,7 +172,9 @@ def _require_local(connection: HTTPConnection) -> None:
                 " set TENSORMAP_ADMIN_KEY"
             )
     origin = connection.headers.get("origin")
-    if origin is not None and not is_loopback(_host_of(origin)):
+    if origin is None or origin in allowed_origins:
+        return
+    if not is_loopback(_host_of(origin)):
         raise HostNotAllowed(
             "a service without keys answers pages of this machine only, not of"
             f" {origin[:80]!r}; set TENSORMAP_ADMIN_KEY"

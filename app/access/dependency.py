@@ -19,7 +19,7 @@ def require_access(
 ) -> None:
     """Check the key of a request against what its route needs, and the map that it names."""
     access: Access = request.app.state.service.access
-    caller = access.caller_of(request)
+    caller = access.admit(request)
     sign(request, caller)
     caller.require(needed_by(request.scope["route"]))
     if (map_slug := request.path_params.get("map")) is not None:
@@ -32,13 +32,14 @@ def stream_caller(websocket: WebSocket, *scopes: Scope, map_slug: str) -> Caller
 
     Raises:
         HostNotAllowed: As `Access.caller_of` does, and so on.
+        TooManyRequests: If it asks too often.
         KeyNeeded: If the service has keys and none came.
         KeyRefused: If the key is none of them, or no longer.
         ScopeMissing: If it allows none of the scopes.
         MapNotFound: If it is limited to other maps.
     """
     access: Access = websocket.app.state.service.access
-    caller = access.caller_of(websocket)
+    caller = access.admit(websocket)
     caller.require(scopes)
     caller.require_map(map_slug)
     return caller

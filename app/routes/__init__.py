@@ -3,7 +3,14 @@
 from fastapi import APIRouter, Depends
 
 from app.access.dependency import require_access
-from app.errors import HostNotAllowed, KeyNeeded, KeyRefused, ScopeMissing, problems
+from app.errors import (
+    HostNotAllowed,
+    KeyNeeded,
+    KeyRefused,
+    ScopeMissing,
+    TooManyRequests,
+    problems,
+)
 from app.routes import (
     audit,
     builds,
@@ -27,7 +34,7 @@ def api() -> APIRouter:
     router = APIRouter(
         prefix="/v1",
         dependencies=[Depends(require_access)],
-        responses=problems(KeyNeeded, KeyRefused, HostNotAllowed, ScopeMissing),
+        responses=problems(KeyNeeded, KeyRefused, HostNotAllowed, ScopeMissing, TooManyRequests),
     )
     for module in (
         maps,
