@@ -2,22 +2,25 @@
 
 import hmac
 from collections.abc import Collection
+from dataclasses import replace
 from datetime import UTC, datetime
 from urllib.parse import urlsplit
 
 from starlette.requests import HTTPConnection
 
 from app.access.answer_headers import RATE_STATE
-from app.access.caller import EVERYONE_ID, Caller, everyone_here, the_operator
+from app.access.caller import EVERYONE_ID, OPERATOR_ID, Caller, everyone_here, the_operator
 from app.access.rate_limits import NO_LIMITS, RateLimits
 from app.access.scopes import Scope
-from app.access.secrets import is_well_formed, new_secret, secret_hash
+from app.access.secrets import is_token, is_well_formed, new_secret, secret_hash
 from app.errors import HostNotAllowed, KeyNeeded, KeyRefused
 from app.settings import Settings, is_loopback
-from storage.catalog import KeyRecord
+from storage.catalog import KeyRecord, TokenRecord
 from storage.store import Store
 
 __all__ = ["Access", "make_first_key", "open_access"]
+
+_MOMENT = "%Y-%m-%dT%H:%M:%SZ"
 
 
 class Access:
@@ -93,23 +96,49 @@ class Access:
     def _holder(self, sent: str) -> Caller:
         given = secret_hash(sent)
         if self._operator_hash is not None and hmac.compare_digest(given, self._operator_hash):
-            return the_operator()
+            return the_operator(given)
+        if not is_well_formed(sent):
+            raise _unknown()
         # The hash of 256 random bits is looked up: how long that takes tells nothing about them.
-        found = self._store.keys.with_hash(given) if is_well_formed(sent) else None
-        if found is None or not hmac.compare_digest(given, found.secret_hash):
-            raise KeyRefused("this service does not know the key that was sent")
-        self._require_in_use(found)
-        maps = None if found.maps is None else frozenset(found.maps)
-        return Caller(found.id, frozenset(map(Scope, found.scopes)), maps)
+        return self._holder_of_token(given) if is_token(sent) else self._holder_of_key(given)
+
+    def _holder_of_key(self, given: str) -> Caller:
+        key = self._store.keys.with_hash(given)
+        if key is None or not hmac.compare_digest(given, key.secret_hash):
+            raise _unknown()
+        self._require_in_use(key)
+        return _caller(key.id, key, given)
+
+    def _holder_of_token(self, given: str) -> Caller:
+        token, key = self._store.tokens.with_hash(given) or (None, None)
+        if token is None or not hmac.compare_digest(given, token.secret_hash):
+            raise _unknown()
+        if datetime.now(UTC) >= token.expires_at:
+            raise KeyRefused(f"token {token.id} expired at {token.expires_at:{_MOMENT}}")
+        if key is not None:
+            self._require_in_use(key)
+        elif token.key_hash != self._operator_hash:
+            raise KeyRefused(f"the key of token {token.id} is no longer that of the settings")
+        caller = _caller(OPERATOR_ID if key is None else key.id, token, token.key_hash)
+        return replace(caller, by_token=True)
 
     def _require_in_use(self, key: KeyRecord) -> None:
         if key.revoked_at is not None:
-            raise KeyRefused(f"key {key.id} was revoked at {key.revoked_at:%Y-%m-%dT%H:%M:%SZ}")
+            raise KeyRefused(f"key {key.id} was revoked at {key.revoked_at:{_MOMENT}}")
         if not key.opens_at(datetime.now(UTC)):
-            raise KeyRefused(f"key {key.id} expired at {key.expires_at:%Y-%m-%dT%H:%M:%SZ}")
+            raise KeyRefused(f"key {key.id} expired at {key.expires_at:{_MOMENT}}")
         if key.first_run and self._operator_hash is not None:
             # To set a key is how a made one that was lost or seen is put out of use.
             raise KeyRefused(f"key {key.id} is out of use while TENSORMAP_ADMIN_KEY is set")
+
+
+def _caller(key_id: str, held: KeyRecord | TokenRecord, key_hash: str) -> Caller:
+    maps = None if held.maps is None else frozenset(held.maps)
+    return Caller(key_id, frozenset(map(Scope, held.scopes)), maps, key_hash)
+
+
+def _unknown() -> KeyRefused:
+    return KeyRefused("this service does not know the key that was sent")
 
 
 def open_access(settings: Settings, store: Store) -> tuple[Access, str | None]:

@@ -1,7 +1,8 @@
 """Who asks, and what that one may."""
 
 from collections.abc import Collection
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import NoReturn
 
 from app.access.scopes import Scope
 from app.errors import ScopeMissing
@@ -21,11 +22,15 @@ class Caller:
         key_id: Id of the key; `operator` for the key of the settings, `everyone` without keys.
         scopes: What the key allows.
         maps: Slugs of the maps that it is limited to, `None` for all.
+        key_hash: Hash of the key, `None` without keys.
+        by_token: What came is a token that was exchanged for the key.
     """
 
     key_id: str
     scopes: frozenset[Scope]
     maps: frozenset[str] | None = None
+    key_hash: str | None = field(default=None, repr=False)
+    by_token: bool = False
 
     def may(self, *scopes: Scope) -> bool:
         """Return whether one of these scopes is allowed."""
@@ -38,11 +43,23 @@ class Caller:
             ScopeMissing: If the key has none of them.
         """
         if not self.may(*scopes):
-            wanted = " or ".join(scopes)
-            raise ScopeMissing(
-                f"key {self.key_id} allows {', '.join(sorted(self.scopes))}; this needs {wanted}",
-                scopes=tuple(scopes),
-            )
+            self._refuse(" or ".join(scopes), scopes)
+
+    def require_all(self, scopes: Collection[Scope]) -> None:
+        """Let through who has all of these scopes.
+
+        Raises:
+            ScopeMissing: If the key lacks one of them.
+        """
+        if not all(self.may(scope) for scope in scopes):
+            self._refuse(" and ".join(sorted(scopes)), scopes)
+
+    def _refuse(self, wanted: str, scopes: Collection[Scope]) -> NoReturn:
+        held = f"{'token of ' if self.by_token else ''}key {self.key_id}"
+        raise ScopeMissing(
+            f"{held} allows {', '.join(sorted(self.scopes))}; this needs {wanted}",
+            scopes=tuple(scopes),
+        )
 
     def sees(self, map_slug: str) -> bool:
         """Return whether a map is within the key's limits."""
@@ -76,6 +93,6 @@ def everyone_here() -> Caller:
     return Caller(EVERYONE_ID, frozenset({Scope.ADMIN}))
 
 
-def the_operator() -> Caller:
+def the_operator(key_hash: str) -> Caller:
     """Return who holds the key of the settings."""
-    return Caller(OPERATOR_ID, frozenset({Scope.ADMIN}))
+    return Caller(OPERATOR_ID, frozenset({Scope.ADMIN}), key_hash=key_hash)

@@ -22,6 +22,7 @@ from app.routes import (
     loop_closures,
     maps,
     revisions,
+    tokens,
     track_stream,
     tracks,
 )
@@ -46,6 +47,7 @@ def api() -> APIRouter:
         loop_closures,
         tracks,
         keys,
+        tokens,
         audit,
     ):
         router.include_router(module.router)

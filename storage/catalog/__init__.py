@@ -18,6 +18,7 @@ from storage.catalog.records import (
     RevisionRecord,
     ScanRecord,
 )
+from storage.catalog.tokens import TokenRecord
 
 __all__ = [
     "Act",
@@ -35,5 +36,6 @@ __all__ = [
     "RevisionFacts",
     "RevisionRecord",
     "ScanRecord",
+    "TokenRecord",
     "on_behalf",
 ]

@@ -11,6 +11,7 @@ from storage.catalog.maps import Maps
 from storage.catalog.revisions import Revisions
 from storage.catalog.scans import Scans
 from storage.catalog.store_id import StoreIds
+from storage.catalog.tokens import Tokens
 
 __all__ = ["Catalog"]
 
@@ -38,6 +39,7 @@ class Catalog:
         self.revisions = Revisions(self._database)
         self.jobs = Jobs(self._database)
         self.keys = Keys(self._database)
+        self.tokens = Tokens(self._database)
         self.audit = Audit(self._database)
 
     def close(self) -> None:

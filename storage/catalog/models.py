@@ -32,6 +32,7 @@ __all__ = [
     "RevisionBasis",
     "Scan",
     "StoreId",
+    "Token",
 ]
 
 Id = String(32)
@@ -225,6 +226,21 @@ class Key(Base):
     created_at: Mapped[datetime]
     expires_at: Mapped[datetime | None]
     revoked_at: Mapped[datetime | None]
+
+
+class Token(Base):
+    """What was exchanged for a key for a short time."""
+
+    __tablename__ = "tokens"
+
+    id: Mapped[str] = mapped_column(Id, primary_key=True)
+    secret_hash: Mapped[str] = mapped_column(String(255), unique=True)
+    # Not a foreign key: it may be the key of the settings, which is in no table.
+    key_hash: Mapped[str] = mapped_column(String(255))
+    scopes: Mapped[list[str]] = mapped_column(JSON)
+    maps: Mapped[list[str] | None] = mapped_column(JSON(none_as_null=True))
+    created_at: Mapped[datetime]
+    expires_at: Mapped[datetime] = mapped_column(index=True)
 
 
 class AuditEntry(Base):

@@ -60,6 +60,7 @@ OPENED_BY = {
     "GET /v1/keys/{key}": set(),
     "DELETE /v1/keys/{key}": set(),
     "GET /v1/audit": set(),
+    "POST /v1/tokens": {READ, WRITE, LOCALIZE},
 }
 """Which scopes open a route, besides `admin`, which opens all."""
 

@@ -496,6 +496,24 @@ class TestKeys:
             catalog.keys.list("0" * 32)
 
 
+class TestTokens:
+    def test_a_token_is_found_with_its_key_until_one_is_added_after_its_end(self, catalog):
+        now = datetime.now(UTC)
+        key = catalog.keys.add("key hash", ["localize"])
+        hour = now + timedelta(hours=1)
+        token = catalog.tokens.add("t1", "hash 1", "key hash", ["localize"], ["dock"], hour)
+        assert (token.scopes, token.maps, token.expires_at) == (("localize",), ("dock",), hour)
+        assert catalog.tokens.with_hash("hash 1") == (token, key)
+        revoked = catalog.keys.revoke(key.id)
+        assert catalog.tokens.with_hash("hash 1") == (token, revoked)
+        ended = catalog.tokens.add("t2", "hash 2", "of the settings", ["localize"], None, now)
+        assert catalog.tokens.with_hash("hash 2") == (ended, None)
+        catalog.tokens.add("t3", "hash 3", "key hash", ["localize"], None, hour)
+        assert catalog.tokens.with_hash("hash 2") is None
+        assert catalog.tokens.with_hash("hash 1") is not None
+        assert catalog.tokens.with_hash("key hash") is None
+
+
 class TestLimitedLists:
     def test_maps_and_jobs_are_listed_of_the_named_maps_only(self, catalog):
         for slug in ("airport", "campus", "dock"):

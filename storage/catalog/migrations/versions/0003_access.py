@@ -1,4 +1,4 @@
-"""What a key is called, is limited to and when it ends; the audit log."""
+"""What a key is called, is limited to and when it ends; tokens; the audit log."""
 
 import sqlalchemy as sa
 from alembic import op
@@ -23,6 +23,19 @@ def upgrade() -> None:
         batch.alter_column("name", existing_type=sa.String(100), nullable=False)
         batch.alter_column("first_run", existing_type=sa.Boolean(), nullable=False)
         batch.create_unique_constraint("uq_keys_secret_hash", ["secret_hash"])
+    op.create_table(
+        "tokens",
+        sa.Column("id", sa.String(32), nullable=False),
+        sa.Column("secret_hash", sa.String(255), nullable=False),
+        sa.Column("key_hash", sa.String(255), nullable=False),
+        sa.Column("scopes", sa.JSON(), nullable=False),
+        sa.Column("maps", sa.JSON(), nullable=True),
+        sa.Column("created_at", _TIME, nullable=False),
+        sa.Column("expires_at", _TIME, nullable=False),
+        sa.PrimaryKeyConstraint("id", name="pk_tokens"),
+        sa.UniqueConstraint("secret_hash", name="uq_tokens_secret_hash"),
+    )
+    op.create_index("ix_tokens_expires_at", "tokens", ["expires_at"])
     op.create_table(
         "audit",
         sa.Column("seq", sa.BigInteger(), autoincrement=False, nullable=False),
@@ -51,6 +64,7 @@ def upgrade() -> None:
 def downgrade() -> None:
     op.drop_table("audit_head")
     op.drop_table("audit")
+    op.drop_table("tokens")
     with op.batch_alter_table("keys") as batch:
         batch.drop_constraint("uq_keys_secret_hash", type_="unique")
         for column in ("name", "maps", "first_run", "expires_at"):
