@@ -2,12 +2,14 @@
 
 from typing import Annotated
 
-from fastapi import APIRouter, Path, Query
+from fastapi import APIRouter, Header, Path, Query, Request, Response, status
+from starlette.responses import StreamingResponse
 
 from app.access.caller import Caller
 from app.access.dependency import Asking
 from app.access.scopes import Scope, needs
 from app.errors import READING, WRITING, InvalidRequest, problems
+from app.job_events import event_id, events_of
 from app.schemas.jobs import JobOut
 from app.schemas.pages import After, Limit, PageOut
 from app.service import Running, Service
@@ -19,7 +21,12 @@ __all__ = ["job_of", "router"]
 
 router = APIRouter(tags=["builds"])
 
+_EVENTS = "text/event-stream"
+
 JobId = Annotated[str, Path(alias="job", description="The job's id.")]
+LastEventId = Annotated[
+    str | None, Header(max_length=200, description="Of the last event that the client was told.")
+]
 OfMap = Annotated[str | None, Query(alias="map", description="Only the jobs of this map.")]
 
 
@@ -46,6 +53,45 @@ def list_jobs(
 def get_job(job_id: JobId, running: Running, asking: Asking) -> JobOut:
     """Show a job and how far it is."""
     return JobOut.from_record(job_of(running, asking, job_id))
+
+
+@router.get(
+    "/jobs/{job}/events",
+    dependencies=[needs(Scope.MAPS_READ, Scope.MAPS_WRITE)],
+    response_class=Response,
+    responses={
+        200: {
+            "description": "The job whenever it has got further.",
+            "content": {_EVENTS: {"schema": {"type": "string"}}},
+        },
+        204: {"description": "It has ended, and the client was told so: do not come back."},
+        **problems(JobNotFound, InvalidRequest, *READING),
+    },
+)
+def follow_job(
+    job_id: JobId,
+    running: Running,
+    asking: Asking,
+    request: Request,
+    last_event_id: LastEventId = None,
+) -> Response:
+    """Follow a job: an event now and whenever it has got further, each the whole job as JSON.
+
+    The stream ends when the job has, or the key is revoked. `Last-Event-ID`, as a browser sends it
+    when it comes back, leaves out what was seen.
+    """
+    record = job_of(running, asking, job_id)
+    if record.ended and last_event_id == event_id(record):
+        return Response(status_code=status.HTTP_204_NO_CONTENT)
+
+    def read() -> JobRecord:
+        running.access.caller_of(request)
+        return running.store.jobs.get(job_id)
+
+    events = events_of(read, last_event_id)
+    # Proxies that buffer would hold back what is meant for now.
+    headers = {"Cache-Control": "no-store", "X-Accel-Buffering": "no"}
+    return StreamingResponse(events, media_type=_EVENTS, headers=headers)
 
 
 @router.delete(

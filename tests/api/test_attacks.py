@@ -1,9 +1,9 @@
 """Holes that services of this kind had, each tried on ours.
 
-Elsewhere: a key before the first request on an open address, and Host names: test_access.py; origins
-and preflights: test_limits_and_browsers.py; links, filters and external storage in HDF5:
-test_map_file.py; a kill after an acknowledged write, paths and Host over a socket: test_process.py;
-the address that is listened on: test_listening.py.
+Elsewhere: test_access.py, a key before the first request on an open address, and Host names;
+test_limits_and_browsers.py, origins and preflights; test_map_file.py, links, filters and external
+storage in HDF5; test_process.py, a kill after an acknowledged write, and paths over a socket;
+test_listening.py, the address that is listened on.
 """
 
 import ast
@@ -66,6 +66,7 @@ def test_no_name_leads_to_a_file(own, secret, name):
         own.delete(f"/v1/maps/campus/revisions/{name}"),
         own.delete(f"/v1/maps/{name}"),
         own.post("/v1/maps", json={"map": name}),
+        own.get(f"/v1/jobs/{name}/events"),
         own.put("/v1/maps/campus/live", json={"revision": name}),
         own.post("/v1/maps/campus/builds", json={"drives": [name]}),
         own.get("/v1/maps/campus/basis", params={"revision": name}),
@@ -136,6 +137,7 @@ def test_no_body_runs(own, tmp_path, media_type):
             ("POST", "localizations/scan"),
             ("POST", "localizations/signature"),
             ("POST", "localizations/image"),
+            ("POST", "revisions"),
         ):
             answer = own.request(
                 method,

@@ -2,6 +2,8 @@
 
 import re
 import shutil
+import threading
+import time
 from datetime import UTC, datetime, timedelta
 
 import pytest
@@ -15,6 +17,7 @@ from app.access.scopes import Scope, needs
 from app.access.secrets import secret_hash
 from app.main import create_app
 from app.settings import Settings
+from tests.support.process import until
 from tests.support.recording import KITTI, kitti, recording
 from tests.support.service import Client, problem_of, running
 
@@ -39,7 +42,9 @@ OPENED_BY = {
     "GET /v1/jobs": {READ, WRITE},
     "GET /v1/jobs/{job}": {READ, WRITE},
     "DELETE /v1/jobs/{job}": {WRITE},
+    "GET /v1/jobs/{job}/events": {READ, WRITE},
     "GET /v1/maps/{map}/revisions": {READ},
+    "POST /v1/maps/{map}/revisions": {WRITE},
     "GET /v1/maps/{map}/revisions/{revision}": {READ},
     "GET /v1/maps/{map}/revisions/{revision}/file": {READ},
     "DELETE /v1/maps/{map}/revisions/{revision}": {WRITE},
@@ -292,6 +297,32 @@ def test_a_stream_ends_when_its_key_is_revoked(client):
     assert closed.value.code == 1008
 
 
+def stand_still(_data_dir, _catalog_url, _job):
+    """Be a worker that never ends."""
+    time.sleep(600)
+
+
+def test_the_events_of_a_job_end_when_the_key_is_revoked(tmp_path, built, monkeypatch):
+    monkeypatch.setattr("app.jobs.runner.run_build", stand_still)
+    shutil.copytree(built.data_dir, tmp_path / "data", ignore=shutil.ignore_patterns("*.lock"))
+    with running(tmp_path / "data", admin_key=ADMIN_KEY) as client:
+        made = make(client, WRITE)
+        headers = bearer(made["secret"])
+        queued = client.post("/v1/maps/campus/builds", json={"segments": 2}, headers=headers)
+        job, store = queued.json()["job"], client.service.store
+
+        def revoke_when_it_runs():
+            until(lambda: store.jobs.get(job).state == "running", "it does not run")
+            store.keys.revoke(made["key"])
+
+        revoking = threading.Thread(target=revoke_when_it_runs)
+        revoking.start()
+        told = client.get(f"/v1/jobs/{job}/events", headers=headers)
+        revoking.join()
+        assert told.status_code == 200
+        assert store.jobs.get(job).state == "running"
+
+
 # Limits to maps
 
 
@@ -333,8 +364,8 @@ def test_a_job_of_another_map_is_not_there(client, of_dock):
     of_campus = holder(client, READ, WRITE, maps=["campus"])
     path = f"/v1/jobs/{job['job']}"
     assert client.get(path, headers=of_campus).json() == job
-    for method in ("GET", "DELETE"):
-        assert problem_of(client.request(method, path, headers=of_dock)) == (404, "job-not-found")
+    for method, what in (("GET", path), ("GET", f"{path}/events"), ("DELETE", path)):
+        assert problem_of(client.request(method, what, headers=of_dock)) == (404, "job-not-found")
 
 
 def test_a_key_makes_no_map_but_its_own(client, of_dock):

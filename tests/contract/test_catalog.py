@@ -603,8 +603,9 @@ class TestAudit:
             ("DELETE FROM audit WHERE seq = 3", 2, "3 is gone"),
             ("DELETE FROM audit WHERE seq = 1", 0, "1 is gone"),
             ("DELETE FROM audit WHERE seq = 5", 4, "had 5 entries, 4 are left"),
+            ("UPDATE audit SET seq = 9 WHERE seq = 2", 1, "2 is gone; 3 follows"),
             ("DELETE FROM audit", 0, "had 5 entries, 0 are left"),
-            ("UPDATE audit SET seq = 9 WHERE seq = 5", 4, "5 is gone; 9 follows"),
+            ("UPDATE audit SET seq = 9 WHERE seq = 5", 4, "had 5 entries, 4 are left"),
         ],
     )
     def test_a_changed_or_removed_entry_is_found(self, catalog, statement, good, fault):
