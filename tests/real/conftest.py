@@ -12,10 +12,10 @@ from storage.formats.drives import open_drive
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Keep these tests on one worker, so that the drives are unpacked once."""
+    """Keep the tests of a module on one worker: they share what takes long to make."""
     for item in items:
         if "real_data" in item.keywords:
-            item.add_marker(pytest.mark.xdist_group("real_data"))
+            item.add_marker(pytest.mark.xdist_group(item.path.stem))
 
 
 @pytest.fixture(scope="session")
@@ -31,7 +31,7 @@ def data_folder() -> Path:
 
 @pytest.fixture(scope="session")
 def drives_folder(data_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder of drives in the KITTI odometry layout; packed ones are unpacked once."""
+    """A folder of drives in the KITTI odometry layout; packed ones are unpacked."""
     unpack = data_folder / "unpack.py"
     if not unpack.is_file():
         return data_folder
