@@ -10,6 +10,7 @@ from fastapi_offline import FastAPIOffline
 from starlette.concurrency import run_in_threadpool
 
 from app.access.access import open_access
+from app.access.admission import Admission
 from app.access.answer_headers import AnswerHeaders
 from app.access.origins import allow_origins
 from app.access.trail import AuditTrail
@@ -65,6 +66,7 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     app.add_middleware(
         BodyGuard, max_body_bytes=chosen.max_body_bytes, max_json_bytes=chosen.max_json_bytes
     )
+    app.add_middleware(Admission)
     app.add_middleware(AuditTrail)
     app.add_middleware(AnswerHeaders)
     allow_origins(app, chosen.allowed_origins)

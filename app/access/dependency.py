@@ -6,25 +6,25 @@ from fastapi import Depends, Request, WebSocket
 from fastapi.security import HTTPAuthorizationCredentials
 
 from app.access.access import Access
+from app.access.admission import CALLER_STATE
 from app.access.caller import Caller
 from app.access.scopes import Scope, bearer_scheme, needed_by
 from app.access.trail import sign
+from app.errors import KeyNeeded
 
 __all__ = ["Asking", "require_access", "stream_caller"]
 
 
-def require_access(
+async def require_access(
     request: Request,
     _: Annotated[HTTPAuthorizationCredentials | None, Depends(bearer_scheme)],
 ) -> None:
-    """Check the key of a request against what its route needs, and the map that it names."""
-    access: Access = request.app.state.service.access
-    caller = access.admit(request)
+    """Check whoever was admitted against what the route needs, and the map that it names."""
+    caller = await _caller_of(request)
     sign(request, caller)
     caller.require(needed_by(request.scope["route"]))
     if (map_slug := request.path_params.get("map")) is not None:
         caller.require_map(map_slug)
-    request.state.caller = caller
 
 
 def stream_caller(websocket: WebSocket, *scopes: Scope, map_slug: str) -> Caller:
@@ -46,7 +46,9 @@ def stream_caller(websocket: WebSocket, *scopes: Scope, map_slug: str) -> Caller
 
 
 async def _caller_of(request: Request) -> Caller:
-    caller: Caller = request.state.caller
+    caller: Caller | None = getattr(request.state, CALLER_STATE, None)
+    if caller is None:  # `Admission` is not there, or does not know this path
+        raise KeyNeeded("nobody has looked at the key of this request")
     return caller
 
 

@@ -17,6 +17,7 @@ from app.access.scopes import Scope, needs
 from app.access.secrets import secret_hash
 from app.main import create_app
 from app.settings import Settings
+from storage.errors import StorageUnavailable
 from tests.support.process import until
 from tests.support.recording import KITTI, kitti, recording
 from tests.support.service import Client, problem_of, running
@@ -193,6 +194,39 @@ def test_a_refusal_tells_which_scope_would_do(client, holders):
         'Bearer error="insufficient_scope", scope="maps:read localize"'
     )
     assert "needs maps:read or localize" in refused.json()["detail"]
+
+
+def test_nothing_is_read_of_a_request_without_a_key(client):
+    whole = {"Content-Type": "application/json"}
+    for headers in (whole, {**whole, **bearer("x" * 50)}, {**whole, "Content-Encoding": "gzip"}):
+        refused = client.post("/v1/maps", content=b'{"map": [[[', headers=headers)
+        assert problem_of(refused)[0] == 401
+    assert problem_of(client.get("/v1/nothing"))[0] == 401
+    assert problem_of(client.get("/v1/nothing", headers=ADMIN)) == (404, "no-such-route")
+
+
+def test_while_keys_cannot_be_looked_up_nobody_gets_in(client, monkeypatch, caplog):
+    def fail(*_):
+        raise StorageUnavailable("the catalog is away")
+
+    reader = holder(client, READ)
+    monkeypatch.setattr(client.service.store.keys, "with_hash", fail)
+    refused = client.get("/v1/maps", headers=reader)
+    assert problem_of(refused) == (503, "storage-unavailable")
+    assert "who asks" in caplog.text
+
+
+def test_a_route_that_nobody_guards_is_closed(tmp_path):
+    app = create_app(Settings(data_dir=tmp_path, admin_key=ADMIN_KEY))
+    router = APIRouter(prefix="/v2", dependencies=[Depends(require_access)])
+
+    @router.get("/maps", dependencies=[needs(READ)])
+    def maps() -> str:
+        return "told"
+
+    app.include_router(router)
+    with Client(app) as client:
+        assert problem_of(client.get("/v2/maps", headers=ADMIN)) == (401, "key-needed")
 
 
 # Secrets

@@ -1,0 +1,46 @@
+"""The key comes first: nothing of a request is read, parsed or looked at before it."""
+
+import logging
+from http import HTTPStatus
+
+from starlette.concurrency import run_in_threadpool
+from starlette.requests import HTTPConnection
+from starlette.types import ASGIApp, Receive, Scope, Send
+
+from app.access.access import Access
+from app.errors import problem_response
+from core.errors import TensorMapError
+
+__all__ = ["CALLER_STATE", "Admission"]
+
+CALLER_STATE = "tensormap.caller"
+_BEHIND_THE_KEY = "/v1"
+
+_log = logging.getLogger("tensormap.access")
+
+
+class Admission:
+    """Finds out who asks before the framework parses a body, and refuses who has no key.
+
+    Dependencies come too late for that: FastAPI parses JSON first.
+    """
+
+    def __init__(self, app: ASGIApp) -> None:
+        self._app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass a request on with its caller."""
+        if scope["type"] != "http" or not scope["path"].startswith(_BEHIND_THE_KEY):
+            await self._app(scope, receive, send)
+            return
+        access: Access = scope["app"].state.service.access
+        state = scope.setdefault("state", {})
+        try:
+            state[CALLER_STATE] = await run_in_threadpool(access.admit, HTTPConnection(scope))
+        except TensorMapError as error:
+            response = problem_response(error)
+            if response.status_code >= HTTPStatus.INTERNAL_SERVER_ERROR:
+                _log.exception("who asks for %s cannot be found out", scope["path"])
+            await response(scope, receive, send)
+            return
+        await self._app(scope, receive, send)
