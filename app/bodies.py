@@ -88,6 +88,12 @@ def binary_body(**described: str) -> dict[str, Any]:
 
 
 SCAN_BODY = binary_body(
-    **{f.media_type: f"A scan as {f.name} ({' '.join(f.suffixes)})" for f in SCAN_FORMATS},
-    **{"application/octet-stream": "A scan whose first bytes tell its format: NumPy or PCD."},
+    **{
+        f.media_type: f"A scan as {f.name} ({' '.join(f.suffixes) or 'no suffix'})"
+        for f in SCAN_FORMATS
+    },
+    **{
+        "application/octet-stream": "A scan whose first bytes tell its format: "
+        + ", ".join(f.name for f in SCAN_FORMATS if f.magics)
+    },
 )

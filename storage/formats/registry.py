@@ -8,10 +8,17 @@ from core.arrays import Float32Array
 from core.errors import InvalidScan
 from core.pose import Pose
 from core.scan import Scan
+from storage.formats.delimited import CsvFormat
 from storage.formats.errors import EmptyBody, UnknownFormat
+from storage.formats.ford import FordFormat
 from storage.formats.kitti import KittiFormat
+from storage.formats.las import LasFormat
 from storage.formats.npy import NpyFormat
+from storage.formats.ouster import OusterFormat
 from storage.formats.pcd import PcdFormat
+from storage.formats.ply import PlyFormat
+from storage.formats.records import NcltFormat, NuscenesFormat
+from storage.formats.velodyne import VelodyneFormat
 
 __all__ = ["SCAN_FORMATS", "ScanFormat", "is_scan_file", "read_scan", "read_scan_file"]
 
@@ -45,7 +52,19 @@ class ScanFormat(Protocol):
         """
 
 
-SCAN_FORMATS: tuple[ScanFormat, ...] = (KittiFormat(), NpyFormat(), PcdFormat())
+SCAN_FORMATS: tuple[ScanFormat, ...] = (
+    KittiFormat(),
+    NpyFormat(),
+    PcdFormat(),
+    PlyFormat(),
+    CsvFormat(),
+    LasFormat(),
+    NuscenesFormat(),
+    NcltFormat(),
+    FordFormat(),
+    VelodyneFormat(),
+    OusterFormat(),
+)
 
 
 def read_scan(
@@ -93,18 +112,27 @@ def read_scan_file(
     path: Path,
     *,
     min_returns: int,
+    media_type: str | None = None,
     timestamp_s: float = math.nan,
     pose: Pose | None = None,
 ) -> Scan:
     """Read one scan file, its format by its suffix; errors name the file.
 
+    A media type decides instead where one is given: of a `.bin` that is not KITTI's. A `.pcap`
+    with a `.json` of the same name beside it is an Ouster's, whose metadata that is.
+
     Raises:
         UnknownFormat: If no reader claims the file.
         InvalidScan: If the reader cannot use it; a subclass says why.
     """
+    metadata = path.with_suffix(".json")
+    body = path.read_bytes()
+    if path.suffix.lower() == ".pcap" and media_type is None and metadata.is_file():
+        body, media_type = metadata.read_bytes() + body, OusterFormat().media_type
     try:
         return read_scan(
-            path.read_bytes(),
+            body,
+            media_type=media_type,
             suffix=_suffix(path),
             min_returns=min_returns,
             timestamp_s=timestamp_s,
@@ -121,8 +149,8 @@ def is_scan_file(path: Path) -> bool:
 
 
 def _suffix(path: Path) -> str:
-    # nuScenes' `.pcd.bin` is neither: its records hold five floats, and read as KITTI's four they
-    # would be plausible nonsense.
+    # nuScenes' `.pcd.bin` is not KITTI's `.bin`: its records hold five floats, and read as four
+    # they would be plausible nonsense.
     name = path.name.lower()
     return ".pcd.bin" if name.endswith(".pcd.bin") else path.suffix.lower()
 
@@ -144,7 +172,8 @@ def _choose(body: bytes, media_type: str | None, suffix: str | None) -> ScanForm
         )
     if not found:
         known_types = ", ".join(
-            f"{known.media_type} ({' '.join(known.suffixes)})" for known in SCAN_FORMATS
+            f"{known.media_type} ({' '.join(known.suffixes) or 'no suffix'})"
+            for known in SCAN_FORMATS
         )
         raise UnknownFormat(f"no reader for {what}; wanted one of {known_types}")
     return found[0]
