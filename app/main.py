@@ -59,9 +59,7 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     )
     app.state.settings = chosen
     add_handlers(app)
-    app.add_middleware(
-        BodyGuard, max_body_bytes=chosen.max_body_bytes, max_json_bytes=chosen.max_json_bytes
-    )
+    app.add_middleware(BodyGuard, settings=chosen)
     app.include_router(api())
     app.include_router(streams())
     app.include_router(open_routes())

@@ -27,7 +27,6 @@ from app.cli.options import (
     SegmentsOption,
     SensorHeightOption,
     SensorOption,
-    media_type_of,
     numbers,
     ranks,
     require_folder,
@@ -50,7 +49,7 @@ from core.tensormap import TensorMap
 from storage.files import publish
 from storage.formats.drives import open_drive
 from storage.formats.errors import UnknownFormat
-from storage.formats.registry import read_scan_file
+from storage.formats.registry import media_type_of, read_scan_file
 from storage.map_file import read_map, write_map
 
 __all__ = ["build", "inspect", "localize", "signature"]
@@ -222,7 +221,7 @@ def localize(
         since_y_m,
         segment,
     )
-    media_type = media_type_of(format_name)
+    media_type = None if format_name is None else media_type_of(format_name)
     localizer = Localizer(read_map(map_file))
     answers: list[tuple[Path, Localization]] = []
     unusable: list[str] = []
@@ -304,7 +303,7 @@ def signature(
     if segments is not None and tensor_map.parameters.distance is not None:
         raise InvalidParameters("a harmonic signature is one for all segments: leave --segment out")
     basis = tensor_map.basis(segments)
-    media_type = media_type_of(format_name)
+    media_type = None if format_name is None else media_type_of(format_name)
     read = read_scan_file(scan, min_returns=MIN_RETURNS, media_type=media_type)
     signatures = basis.encode(basis.image(read))
     if packed is not None:

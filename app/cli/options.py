@@ -10,8 +10,7 @@ from core.imager import ImageKind
 from core.parameters import Distance, Encoding, Segmentation
 from core.projection import Reducer
 from core.sensor import SENSORS
-from storage.formats.errors import UnknownFormat
-from storage.formats.registry import SCAN_FORMATS
+from storage.formats.registry import FORMAT_NAMES
 
 __all__ = [
     "MIN_RETURNS",
@@ -31,7 +30,6 @@ __all__ = [
     "SensorHeightOption",
     "SensorOption",
     "checked",
-    "media_type_of",
     "numbers",
     "ranks",
     "require_folder",
@@ -41,7 +39,6 @@ MIN_RETURNS = 100
 """A scan file with fewer finite, non-zero returns is refused; the service's default too."""
 
 _BUILD = "Map"
-_FORMATS = {known.media_type.rpartition(".")[2]: known.media_type for known in SCAN_FORMATS}
 
 DriveArgument = Annotated[
     Path,
@@ -64,7 +61,7 @@ FormatOption = Annotated[
     str | None,
     typer.Option(
         "--format",
-        help=f"What the scan files are, if their suffixes do not tell: {', '.join(_FORMATS)}.",
+        help=f"What the scan files are, if their suffixes do not tell: {', '.join(FORMAT_NAMES)}.",
     ),
 ]
 EncodingOption = Annotated[Encoding, typer.Option(rich_help_panel=_BUILD)]
@@ -113,17 +110,6 @@ SensorOption = Annotated[
 SensorHeightOption = Annotated[
     float, typer.Option(help="Sensor above ground, in metres.", rich_help_panel=_BUILD)
 ]
-
-
-def media_type_of(name: str | None) -> str | None:
-    """Return the media type of a format by its short name, as `nclt`; `None` of none.
-
-    Raises:
-        UnknownFormat: If there is no such format.
-    """
-    if name is not None and name not in _FORMATS:
-        raise UnknownFormat(f"there is no format {name!r}; wanted one of {', '.join(_FORMATS)}")
-    return None if name is None else _FORMATS[name]
 
 
 def require_folder(path: Path) -> None:

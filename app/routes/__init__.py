@@ -15,6 +15,7 @@ from app.routes import (
     revisions,
     track_stream,
     tracks,
+    uploads,
 )
 
 __all__ = ["api", "open_routes", "streams"]
@@ -27,7 +28,17 @@ def api() -> APIRouter:
         dependencies=[Depends(require_access)],
         responses=problems(KeyNeeded, KeyRefused, HostNotAllowed),
     )
-    for module in (maps, drives, builds, jobs, revisions, localizations, loop_closures, tracks):
+    for module in (
+        maps,
+        drives,
+        uploads,
+        builds,
+        jobs,
+        revisions,
+        localizations,
+        loop_closures,
+        tracks,
+    ):
         router.include_router(module.router)
     return router
 

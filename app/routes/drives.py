@@ -9,12 +9,11 @@ from fastapi import APIRouter, Path, Query, Response, status
 
 from app.bodies import SCAN_BODY, Body, ContentType
 from app.errors import (
+    ANY_BODY,
     JSON_BODY,
     READING,
     WRITING,
-    BodyTooLarge,
     InvalidRequest,
-    UnsupportedBody,
     problems,
 )
 from app.schemas.drives import DriveOut, DrivePatch, ScanOut
@@ -53,8 +52,7 @@ BAD_SCAN = (
     TooFewReturns,
     InvalidScan,
     UnknownFormat,
-    UnsupportedBody,
-    BodyTooLarge,
+    *ANY_BODY,
     ScanTooLarge,
 )
 

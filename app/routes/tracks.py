@@ -7,12 +7,11 @@ from fastapi import APIRouter, Path, Query, Response
 
 from app.bodies import SCAN_BODY, Body, ContentType, media_type
 from app.errors import (
+    ANY_BODY,
     READING,
-    BodyTooLarge,
     InvalidRequest,
     TooManyTracks,
     TrackNotFound,
-    UnsupportedBody,
     problems,
 )
 from app.routes.drives import BAD_SCAN
@@ -149,8 +148,7 @@ def delete_track(map_slug: MapSlug, track_id: TrackId, running: Running) -> None
         InvalidRequest,
         SensorMismatch,
         EmptyBody,
-        UnsupportedBody,
-        BodyTooLarge,
+        *ANY_BODY,
         *BAD_SCAN,
         *READING,
     ),

@@ -81,8 +81,8 @@ class NcltFormat:
 
         Examples:
             >>> record = np.array([((22000, 20000, 20000), 9, 3)], _NCLT_RECORD)
-            >>> NcltFormat().read(record.tobytes())
-            array([[ 9.998, -0.004, -0.957]], dtype=float32)
+            >>> NcltFormat().read(record.tobytes()).tolist()[0]  # forward, left, up
+            [9.99..., -0.00..., -0.95...]
         """
         _whole(body, _NCLT_RECORD.itemsize, _NCLT)
         records = np.frombuffer(body, dtype=_NCLT_RECORD)

@@ -1,7 +1,7 @@
 """From the bytes of a scan file to a scan, by media type, suffix or magic."""
 
 import math
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import Protocol
 
 from core.arrays import Float32Array
@@ -20,7 +20,16 @@ from storage.formats.ply import PlyFormat
 from storage.formats.records import NcltFormat, NuscenesFormat
 from storage.formats.velodyne import VelodyneFormat
 
-__all__ = ["SCAN_FORMATS", "ScanFormat", "is_scan_file", "read_scan", "read_scan_file"]
+__all__ = [
+    "FORMAT_NAMES",
+    "SCAN_FORMATS",
+    "ScanFormat",
+    "is_scan_file",
+    "media_type_of",
+    "read_scan",
+    "read_scan_file",
+    "suffix_of",
+]
 
 _ANY_BYTES = "application/octet-stream"
 
@@ -65,6 +74,8 @@ SCAN_FORMATS: tuple[ScanFormat, ...] = (
     VelodyneFormat(),
     OusterFormat(),
 )
+FORMAT_NAMES = {known.media_type.rpartition(".")[2]: known.media_type for known in SCAN_FORMATS}
+"""Media types by their last word."""
 
 
 def read_scan(
@@ -133,7 +144,7 @@ def read_scan_file(
         return read_scan(
             body,
             media_type=media_type,
-            suffix=_suffix(path),
+            suffix=suffix_of(path.name),
             min_returns=min_returns,
             timestamp_s=timestamp_s,
             pose=pose,
@@ -145,14 +156,31 @@ def read_scan_file(
 def is_scan_file(path: Path) -> bool:
     """Return whether the name ends as a scan file's; hidden files are none."""
     ends = {suffix for scan_format in SCAN_FORMATS for suffix in scan_format.suffixes}
-    return not path.name.startswith(".") and _suffix(path) in ends
+    return not path.name.startswith(".") and suffix_of(path.name) in ends
 
 
-def _suffix(path: Path) -> str:
+def media_type_of(name: str) -> str:
+    """Return the media type of a format by its short name, the last word of its type.
+
+    Raises:
+        UnknownFormat: If there is no such format.
+
+    Examples:
+        >>> media_type_of("nclt")
+        'application/vnd.tensormap.nclt'
+    """
+    if name not in FORMAT_NAMES:
+        wanted = ", ".join(FORMAT_NAMES)
+        raise UnknownFormat(f"there is no format {name[:80]!r}; wanted one of {wanted}")
+    return FORMAT_NAMES[name]
+
+
+def suffix_of(file_name: str) -> str:
+    """Return how the name of a scan file ends, with the dot, lower case."""
     # nuScenes' `.pcd.bin` is not KITTI's `.bin`: its records hold five floats, and read as four
     # they would be plausible nonsense.
-    name = path.name.lower()
-    return ".pcd.bin" if name.endswith(".pcd.bin") else path.suffix.lower()
+    name = file_name.lower()
+    return ".pcd.bin" if name.endswith(".pcd.bin") else PurePath(name).suffix
 
 
 def _choose(body: bytes, media_type: str | None, suffix: str | None) -> ScanFormat:

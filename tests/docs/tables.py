@@ -64,7 +64,8 @@ def formats_table() -> Iterator[str]:
     yield "|---|---|---|---|"
     for known in SCAN_FORMATS:
         suffixes = " ".join(f"`{suffix}`" for suffix in known.suffixes)
-        yield f"| {known.name} | `{known.media_type}` | {suffixes} | {'yes' if known.magics else ''} |"
+        told = "yes" if known.magics else ""
+        yield f"| {known.name} | `{known.media_type}` | {suffixes} | {told} |"
 
 
 TABLES: dict[str, tuple[Path, Callable[[], Iterator[str]]]] = {
