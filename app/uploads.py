@@ -1,7 +1,7 @@
 """Many scans in one body: a tar stream of scan files that are named by their index."""
 
 import re
-from collections.abc import AsyncIterator, Iterator
+from collections.abc import AsyncIterator, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import PurePosixPath
@@ -9,6 +9,7 @@ from tempfile import TemporaryFile
 from typing import IO
 
 from anyio import from_thread
+from starlette.requests import ClientDisconnect
 
 from app.errors import MalformedUpload, problem_name
 from app.tar_stream import TarMember, TarStream
@@ -25,6 +26,7 @@ __all__ = ["BodyReader", "SetAside", "Upload", "spooled", "store_scans"]
 _NAME = re.compile(r"(\d{1,16})\.\w+(\.\w+)?", re.ASCII)
 _PLAIN = ".bin"
 _LAST_INDEX = 2**53
+_GROUP_BYTES, _GROUP_SCANS = 4 * 2**20, 256
 _MOST_TOLD = 1000
 _MOST_CHARACTERS = 200
 
@@ -119,7 +121,7 @@ def store_scans(
     media_type: str | None,
     min_returns: int,
 ) -> Upload:
-    """Store the scans of a tar stream, each by itself, as they come.
+    """Store the scans of a tar stream as they come, small ones some at a time.
 
     A file's name is its scan's index, `000012.pcd`; its format is that of `media_type`, or of its
     suffix. What cannot be used is set aside and the rest goes on. When it returns, what is stored
@@ -133,24 +135,66 @@ def store_scans(
         StorageFull: If no space is left; scans that came before are stored.
     """
     upload = Upload()
+    group = _Group(store, map_slug, drive_slug, upload)
     try:
         for member in archive:
             try:
-                index = _index(member)
-                scan = _scan(member, media_type, min_returns)
-                result = store.drives.put_scan(map_slug, drive_slug, index, scan)
-            except (InvalidScan, UnknownFormat, ScanConflict, DriveClosed) as error:
+                group.add(member.name, _index(member), _scan(member, media_type, min_returns))
+            except (InvalidScan, UnknownFormat) as error:
                 upload.refuse(member.name, error)
-                continue
-            (upload.stored if result.created else upload.present).append(index)
+    except ClientDisconnect:
+        group.store()  # what came need not come again
+        raise
     except MalformedUpload as error:
+        group.store()
         raise MalformedUpload(
             f"{error}; {len(upload.stored)} scans were stored, {len(upload.present)} were there"
             f" and {upload.set_aside_count} were set aside before"
         ) from error
+    group.store()
     if not (upload.stored or upload.present or upload.set_aside):
         raise MalformedUpload("the tar stream holds no file; wanted scans named by their index")
     return upload
+
+
+class _Group:
+    """Scans that are stored together: to make a small one durable costs more than to write it."""
+
+    def __init__(self, store: Store, map_slug: str, drive_slug: str, upload: Upload) -> None:
+        self._drives = store.drives
+        self._target = map_slug, drive_slug
+        self._upload = upload
+        self._scans: dict[int, tuple[str, Scan]] = {}
+        self._bytes = 0
+
+    def add(self, name: str, index: int, scan: Scan) -> None:
+        """Take a scan; store those that there are if they are enough."""
+        if index in self._scans:
+            self.store()
+        self._scans[index] = name, scan
+        self._bytes += scan.points_m.nbytes
+        if self._bytes >= _GROUP_BYTES or len(self._scans) >= _GROUP_SCANS:
+            self.store()
+
+    def store(self) -> None:
+        """Store the scans: together, or each by itself if one of them stands in the way."""
+        scans, self._scans, self._bytes = self._scans, {}, 0
+        try:
+            self._put(scans)
+        except (ScanConflict, DriveClosed):
+            for index, (name, scan) in scans.items():
+                try:
+                    self._put({index: (name, scan)})
+                except (ScanConflict, DriveClosed) as error:
+                    self._upload.refuse(name, error)
+
+    def _put(self, scans: Mapping[int, tuple[str, Scan]]) -> None:
+        if not scans:
+            return
+        pairs = [(index, scan) for index, (_, scan) in scans.items()]
+        for result in self._drives.put_scans(*self._target, pairs):
+            told = self._upload.stored if result.created else self._upload.present
+            told.append(result.record.index)
 
 
 def _index(member: TarMember) -> int:

@@ -75,7 +75,7 @@ def post_scans(
 ) -> UploadOut:
     """Store many scans, sent as a tar stream; one that cannot be used stops none of the others.
 
-    Each scan is stored as it comes, and read into memory alone. When the answer is there the scans
+    Scans are stored as they come, a few megabytes at a time. When the answer is there the scans
     that it names are on disk; when it is not, ask which are in and send the others, or all again.
     With a `Content-Digest` nothing is stored before the whole body has come and is what it says.
     """

@@ -85,10 +85,10 @@ def test_what_cannot_be_used_is_set_aside_with_its_reason_and_the_rest_goes_on(e
         ("000002.bin", "unknown-format"),
         ("readme.txt", "unknown-format"),
         ("000003.npy", "too-few-returns"),
-        ("000004.npy", "scan-conflict"),
         ("000005.xyz", "unknown-format"),
         (f"{2**53}.npy", "unknown-format"),
         ("000006.npy", "empty-body"),
+        ("000004.npy", "scan-conflict"),
     ]
     assert "?format=kitti" in told["set_aside"][1]["detail"]
     assert empty.get(f"{DRIVE}/scans").json()["present"] == ranges((0, 0), (4, 5))
