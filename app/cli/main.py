@@ -6,7 +6,18 @@ from typing import Annotated
 
 import typer
 
-from app.cli import compare, demo, evaluate, loop_closure, maps, merge, report, serve, simulate
+from app.cli import (
+    audit,
+    compare,
+    demo,
+    evaluate,
+    loop_closure,
+    maps,
+    merge,
+    report,
+    serve,
+    simulate,
+)
 from app.demo.errors import DemoFailed
 from app.threads import one_blas_thread
 from core.errors import TensorMapError
@@ -35,6 +46,7 @@ for command in (
     simulate.simulate,
 ):
     cli.command()(command)
+cli.add_typer(audit.audit, name="audit")
 
 
 def _show_version(wanted: bool) -> None:

@@ -64,7 +64,13 @@ FormatOption = Annotated[
         help=f"What the scan files are, if their suffixes do not tell: {', '.join(FORMAT_NAMES)}.",
     ),
 ]
-EncodingOption = Annotated[Encoding, typer.Option(rich_help_panel=_BUILD)]
+EncodingOption = Annotated[
+    Encoding | None,
+    typer.Option(
+        help="By default harmonic, or paper with a reducer that only the paper's has.",
+        rich_help_panel=_BUILD,
+    ),
+]
 SegmentationOption = Annotated[
     Segmentation,
     typer.Option(

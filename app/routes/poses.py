@@ -6,6 +6,7 @@ from fastapi import APIRouter, Query
 from fastapi.exceptions import RequestValidationError
 from pydantic import ValidationError
 
+from app.access.scopes import Scope, needs
 from app.bodies import Body, ContentType, binary_body, media_type
 from app.errors import JSON_BODY, WRITING, UnsupportedBody, problems
 from app.pose_files import POSE_TYPES, read_poses
@@ -29,6 +30,7 @@ First = Annotated[
 
 @router.put(
     "/maps/{map}/drives/{drive}/poses",
+    dependencies=[needs(Scope.MAPS_WRITE)],
     openapi_extra={
         "requestBody": {
             "required": True,

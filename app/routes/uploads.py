@@ -6,6 +6,7 @@ from typing import Annotated
 
 from fastapi import APIRouter, Query, Request
 
+from app.access.scopes import Scope, needs
 from app.bodies import ContentType, binary_body, media_type
 from app.errors import (
     ANY_BODY,
@@ -43,6 +44,7 @@ FormatName = Annotated[
 
 @router.get(
     "/maps/{map}/drives/{drive}/scans",
+    dependencies=[needs(Scope.MAPS_READ)],
     responses=problems(MapNotFound, DriveNotFound, *READING),
 )
 def list_scans(map_slug: MapSlug, drive_slug: DriveSlug, running: Running) -> PresentOut:
@@ -52,6 +54,7 @@ def list_scans(map_slug: MapSlug, drive_slug: DriveSlug, running: Running) -> Pr
 
 @router.post(
     "/maps/{map}/drives/{drive}/scans",
+    dependencies=[needs(Scope.MAPS_WRITE)],
     openapi_extra=binary_body(
         **{_TAR: "A tar stream of scan files, each named by its index, as `000012.pcd`."}
     ),

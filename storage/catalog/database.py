@@ -10,6 +10,8 @@ from sqlalchemy import Connection, Engine, create_engine, event
 from sqlalchemy.exc import DBAPIError, IntegrityError, SQLAlchemyError
 from sqlalchemy.orm import Session, sessionmaker
 
+from storage.catalog import audit_chain
+from storage.catalog.acts import current_act
 from storage.catalog.migrations import is_newest, upgrade
 from storage.errors import (
     StorageBusy,
@@ -72,7 +74,8 @@ class Database:
     def writing(self) -> Iterator[Session]:
         """Give a session that commits when the block ends and rolls back when it raises.
 
-        On SQLite no other writer comes between its reads and its writes.
+        On SQLite no other writer comes between its reads and its writes. What is done on behalf of
+        an `Act` is in the audit log with the same commit.
 
         Raises:
             StorageBusy: If another process held the database for too long.
@@ -80,8 +83,13 @@ class Database:
             StorageReadOnly: If the database cannot be written.
             StorageUnavailable: If the database fails or cannot be reached.
         """
+        act = current_act()
         with _named_errors(), self._writer, self._new_writer.begin() as session:
             yield session
+            if act is not None and not act.recorded:
+                audit_chain.append(session, act, audit_chain.DONE)
+        if act is not None:
+            act.recorded = True
 
     def close(self) -> None:
         """Close the idle connections."""

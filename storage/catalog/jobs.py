@@ -5,7 +5,7 @@ queued --claim--> running --finish--> done
   |--request_cancel--|---cancelled-> cancelled
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from datetime import UTC, datetime
 from typing import Any
 
@@ -15,7 +15,7 @@ from sqlalchemy.orm import Session
 from core.errors import InvalidParameters
 from storage.catalog.database import Database
 from storage.catalog.maps import map_named
-from storage.catalog.models import Job
+from storage.catalog.models import Job, Map
 from storage.catalog.pages import DEFAULT_LIMIT, one_more, page_of
 from storage.catalog.records import JobRecord, JobState, Page
 from storage.errors import JobNotFound, JobNotRunning
@@ -86,9 +86,14 @@ class Jobs:
             return _record(_found(session, job_id))
 
     def list(
-        self, map_slug: str | None = None, after: str = "", limit: int = DEFAULT_LIMIT
+        self,
+        map_slug: str | None = None,
+        after: str = "",
+        limit: int = DEFAULT_LIMIT,
+        *,
+        slugs: Collection[str] | None = None,
     ) -> Page[JobRecord]:
-        """Return the jobs, of one map or all, that are older than job `after`.
+        """Return the jobs, of one map, of the maps `slugs` or all, that are older than `after`.
 
         Raises:
             MapNotFound: If there is no such map.
@@ -98,6 +103,8 @@ class Jobs:
             query = select(Job)
             if map_slug is not None:
                 query = query.where(Job.map_id == map_named(session, map_slug).id)
+            if slugs is not None:
+                query = query.where(Job.map_id.in_(select(Map.id).where(Map.slug.in_(slugs))))
             if after:
                 last = session.get(Job, after)
                 if last is None:
@@ -118,6 +125,8 @@ class Jobs:
         """
         with self._database.writing() as session:
             row = _running(session, job_id)
+            if stage != row.stage:
+                row.stage_started_at = datetime.now(UTC)
             row.stage, row.done_units, row.total_units = stage, done_units, total_units
             session.flush()
             return _record(row)
@@ -191,6 +200,7 @@ class Jobs:
                     _end_row(row, JobState.CANCELLED)
                 else:
                     row.state, row.stage, row.started_at = JobState.QUEUED, "", None
+                    row.stage_started_at = None
                     row.done_units = row.total_units = 0
             return sum(row.state == JobState.QUEUED for row in rows)
 
@@ -247,4 +257,5 @@ def _record(row: Job) -> JobRecord:
         started_at=row.started_at,
         finished_at=row.finished_at,
         notes=tuple(row.notes or ()),
+        stage_started_at=row.stage_started_at,
     )
