@@ -21,15 +21,19 @@ from storage import errors as stored
 from storage.formats import errors as formats
 
 __all__ = [
+    "ANY_BODY",
     "JSON_BODY",
     "READING",
     "STATUS",
     "WRITING",
     "BodyTooLarge",
+    "DigestMismatch",
     "HostNotAllowed",
     "InvalidRequest",
     "KeyNeeded",
     "KeyRefused",
+    "MalformedBody",
+    "MalformedUpload",
     "MethodNotAllowed",
     "NoSuchRoute",
     "Problem",
@@ -75,6 +79,18 @@ class BodyTooLarge(AppError):
 
 class UnsupportedBody(AppError):
     """A body of a type or encoding that this route does not take."""
+
+
+class MalformedBody(AppError):
+    """A compressed body that does not decompress."""
+
+
+class DigestMismatch(AppError):
+    """A body that is not what its Content-Digest says."""
+
+
+class MalformedUpload(AppError):
+    """A body of many scans that is no tar stream, or breaks off; what came before is stored."""
 
 
 class KeyNeeded(AppError):
@@ -186,6 +202,9 @@ STATUS: dict[type[core.TensorMapError], HTTPStatus] = {
     InvalidRequest: S.UNPROCESSABLE_ENTITY,
     BodyTooLarge: S.REQUEST_ENTITY_TOO_LARGE,
     UnsupportedBody: S.UNSUPPORTED_MEDIA_TYPE,
+    MalformedBody: S.BAD_REQUEST,
+    DigestMismatch: S.BAD_REQUEST,
+    MalformedUpload: S.UNPROCESSABLE_ENTITY,
     KeyNeeded: S.UNAUTHORIZED,
     KeyRefused: S.UNAUTHORIZED,
     ScopeMissing: S.FORBIDDEN,
@@ -203,7 +222,9 @@ READING = (stored.StorageBusy, stored.StorageUnavailable, InternalError)
 """How every route that reads the store may end."""
 WRITING = (*READING, stored.StorageFull, stored.StorageReadOnly)
 """How every route that writes to it may end."""
-JSON_BODY = (InvalidRequest, BodyTooLarge, UnsupportedBody)
+ANY_BODY = (BodyTooLarge, UnsupportedBody, MalformedBody, DigestMismatch)
+"""How every route that reads a body may end."""
+JSON_BODY = (InvalidRequest, *ANY_BODY)
 """How every route that takes JSON may end."""
 
 
@@ -333,6 +354,8 @@ def add_handlers(app: FastAPI) -> None:
 
     @app.exception_handler(HTTPException)
     def http(request: Request, error: HTTPException) -> JSONResponse:
+        if isinstance(error.__cause__, core.TensorMapError):  # met while the body was read
+            return problem_response(error.__cause__)
         if error.status_code == S.REQUEST_ENTITY_TOO_LARGE:
             return problem_response(BodyTooLarge(str(error.detail)))
         path = request.url.path[:_MOST_CHARACTERS]

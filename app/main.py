@@ -63,9 +63,7 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     )
     app.state.settings = chosen
     add_handlers(app)
-    app.add_middleware(
-        BodyGuard, max_body_bytes=chosen.max_body_bytes, max_json_bytes=chosen.max_json_bytes
-    )
+    app.add_middleware(BodyGuard, settings=chosen)
     app.add_middleware(Admission)
     app.add_middleware(AuditTrail)
     app.add_middleware(AnswerHeaders)

@@ -7,11 +7,12 @@ from pydantic.json_schema import models_json_schema
 
 from app.errors import Problem
 from app.schemas.localizations import SignaturesIn
+from app.schemas.poses import PosesIn
 
 __all__ = ["complete_openapi"]
 
 # Named by routes that read the body, or answer, by themselves.
-_MODELS = (Problem, SignaturesIn)
+_MODELS = (Problem, SignaturesIn, PosesIn)
 _NOT_OURS = ("HTTPValidationError", "ValidationError")
 
 

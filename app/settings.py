@@ -34,6 +34,17 @@ class Settings(BaseSettings):
     max_body_bytes: int = Field(
         64 * 2**20, ge=2**10, description="The largest request body that is read."
     )
+    max_decoded_bytes: int = Field(
+        256 * 2**20,
+        ge=2**10,
+        description="What a compressed request body may unpack to.",
+    )
+    max_upload_bytes: int = Field(
+        64 * 2**30,
+        ge=2**10,
+        description="The largest body of many scans, unpacked; each scan in it may have"
+        " TENSORMAP_MAX_BODY_BYTES.",
+    )
     max_json_bytes: int = Field(
         4 * 2**20,
         ge=2**10,

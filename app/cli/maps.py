@@ -16,6 +16,7 @@ from app.cli.options import (
     DistanceOption,
     DrivesArgument,
     EncodingOption,
+    FormatOption,
     ImageOption,
     LateralRenderingsOption,
     MapArgument,
@@ -48,7 +49,7 @@ from core.tensormap import TensorMap
 from storage.files import publish
 from storage.formats.drives import open_drive
 from storage.formats.errors import UnknownFormat
-from storage.formats.registry import read_scan_file
+from storage.formats.registry import media_type_of, read_scan_file
 from storage.map_file import read_map, write_map
 
 __all__ = ["build", "inspect", "localize", "signature"]
@@ -198,6 +199,7 @@ def localize(
         list[int] | None,
         typer.Option(min=0, help="It is on this segment; repeatable.", rich_help_panel=_HINTS),
     ] = None,
+    format_name: FormatOption = None,
     as_json: Annotated[bool, typer.Option("--json", help="One JSON answer a line.")] = False,
 ) -> None:
     """Localize scans in a map; one that cannot be used is told, the others are answered.
@@ -219,6 +221,7 @@ def localize(
         since_y_m,
         segment,
     )
+    media_type = None if format_name is None else media_type_of(format_name)
     localizer = Localizer(read_map(map_file))
     answers: list[tuple[Path, Localization]] = []
     unusable: list[str] = []
@@ -226,7 +229,7 @@ def localize(
         progress.start("localizing", len(scans))
         for path in scans:
             try:
-                scan = read_scan_file(path, min_returns=MIN_RETURNS)
+                scan = read_scan_file(path, min_returns=MIN_RETURNS, media_type=media_type)
                 found = localizer.localize_scan(scan, k, sensor_height_m, hints, min_probability)
                 answers.append((path, found))
             except (InvalidScan, UnknownFormat) as error:
@@ -293,13 +296,16 @@ def signature(
     packing: Annotated[
         Packing | None, typer.Option(help="How numbers are packed. [float16; harmonic: int8]")
     ] = None,
+    format_name: FormatOption = None,
 ) -> None:
     """Print a scan's signatures as JSON, ready to post."""
     tensor_map = read_map(map_file)
     if segments is not None and tensor_map.parameters.distance is not None:
         raise InvalidParameters("a harmonic signature is one for all segments: leave --segment out")
     basis = tensor_map.basis(segments)
-    signatures = basis.encode(basis.image(read_scan_file(scan, min_returns=MIN_RETURNS)))
+    media_type = None if format_name is None else media_type_of(format_name)
+    read = read_scan_file(scan, min_returns=MIN_RETURNS, media_type=media_type)
+    signatures = basis.encode(basis.image(read))
     if packed is not None:
         packed.write_bytes(pack_signatures(signatures, packing))
     body = SignaturesIn.from_core(signatures)

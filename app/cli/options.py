@@ -10,6 +10,7 @@ from core.imager import ImageKind
 from core.parameters import Distance, Encoding, Segmentation
 from core.projection import Reducer
 from core.sensor import SENSORS
+from storage.formats.registry import FORMAT_NAMES
 
 __all__ = [
     "MIN_RETURNS",
@@ -17,6 +18,7 @@ __all__ = [
     "DriveArgument",
     "DrivesArgument",
     "EncodingOption",
+    "FormatOption",
     "ImageOption",
     "LateralRenderingsOption",
     "MapArgument",
@@ -41,18 +43,27 @@ _BUILD = "Map"
 DriveArgument = Annotated[
     Path,
     typer.Argument(
-        help="Folder of a drive: KITTI odometry layout, Ford Campus layout, or scan files.",
+        help="Folder of a drive: KITTI odometry, NCLT or Ford Campus layout, or scan files; or a"
+        " Velodyne .pcap.",
         metavar="DRIVE",
     ),
 ]
 DrivesArgument = Annotated[
     list[Path],
     typer.Argument(
-        help="Folders of drives: KITTI odometry layout, Ford Campus layout, or scan files.",
+        help="Folders of drives: KITTI odometry, NCLT or Ford Campus layout, or scan files; or"
+        " Velodyne .pcap files.",
         metavar="DRIVE...",
     ),
 ]
 MapArgument = Annotated[Path, typer.Argument(help="A map file.", metavar="MAP.h5")]
+FormatOption = Annotated[
+    str | None,
+    typer.Option(
+        "--format",
+        help=f"What the scan files are, if their suffixes do not tell: {', '.join(FORMAT_NAMES)}.",
+    ),
+]
 EncodingOption = Annotated[
     Encoding | None,
     typer.Option(

@@ -21,10 +21,12 @@ from app.routes import (
     localizations,
     loop_closures,
     maps,
+    poses,
     revisions,
     tokens,
     track_stream,
     tracks,
+    uploads,
 )
 
 __all__ = ["api", "open_routes", "streams"]
@@ -40,6 +42,8 @@ def api() -> APIRouter:
     for module in (
         maps,
         drives,
+        uploads,
+        poses,
         builds,
         jobs,
         revisions,

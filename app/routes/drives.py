@@ -10,17 +10,16 @@ from fastapi import APIRouter, Path, Query, Response, status
 from app.access.scopes import Scope, needs
 from app.bodies import SCAN_BODY, Body, ContentType
 from app.errors import (
+    ANY_BODY,
     JSON_BODY,
     READING,
     WRITING,
-    BodyTooLarge,
     InvalidRequest,
-    UnsupportedBody,
     problems,
 )
 from app.schemas.drives import DriveOut, DrivePatch, ScanOut
 from app.schemas.pages import After, Limit, PageOut
-from app.schemas.poses import PoseQuery, PosesIn, pose_from_query
+from app.schemas.poses import PoseQuery, pose_from_query
 from app.service import DriveSlug, MapSlug, Running
 from core.errors import InvalidPose, InvalidScan, TooFewReturns
 from storage.errors import (
@@ -54,8 +53,7 @@ BAD_SCAN = (
     TooFewReturns,
     InvalidScan,
     UnknownFormat,
-    UnsupportedBody,
-    BodyTooLarge,
+    *ANY_BODY,
     ScanTooLarge,
 )
 
@@ -192,17 +190,3 @@ def get_scan(
     file = io.BytesIO()
     np.save(file, scan.points_m, allow_pickle=False)
     return Response(file.getvalue(), media_type="application/vnd.tensormap.npy")
-
-
-@router.put(
-    "/maps/{map}/drives/{drive}/poses",
-    dependencies=[needs(Scope.MAPS_WRITE)],
-    responses=problems(MapNotFound, DriveNotFound, ScanNotFound, InvalidPose, *JSON_BODY, *WRITING),
-)
-def put_poses(
-    map_slug: MapSlug, drive_slug: DriveSlug, wanted: PosesIn, running: Running
-) -> DriveOut:
-    """Set poses and timestamps of stored scans: all or none."""
-    poses, timestamps_s = wanted.to_core()
-    running.store.drives.put_poses(map_slug, drive_slug, poses, timestamps_s)
-    return DriveOut.from_record(running.store.drives.get(map_slug, drive_slug))

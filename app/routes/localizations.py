@@ -9,7 +9,7 @@ from pydantic import ValidationError
 
 from app.access.scopes import Scope, needs
 from app.bodies import SCAN_BODY, Body, ContentType, binary_body, media_type
-from app.errors import READING, BodyTooLarge, InvalidRequest, UnsupportedBody, problems
+from app.errors import ANY_BODY, READING, InvalidRequest, UnsupportedBody, problems
 from app.revisions import Answering
 from app.routes.drives import BAD_SCAN
 from app.schemas.hints import HintsIn, MinProbability
@@ -114,9 +114,7 @@ def localize_scan(
             "endian float32, row after row."
         }
     ),
-    responses=problems(
-        *_ANSWERING, SensorMismatch, EmptyBody, InvalidImage, UnsupportedBody, BodyTooLarge
-    ),
+    responses=problems(*_ANSWERING, SensorMismatch, EmptyBody, InvalidImage, *ANY_BODY),
 )
 def localize_image(
     map_slug: MapSlug,
@@ -163,8 +161,7 @@ def localize_image(
         StaleSignature,
         InvalidSignature,
         EmptyBody,
-        UnsupportedBody,
-        BodyTooLarge,
+        *ANY_BODY,
     ),
 )
 def localize_signature(

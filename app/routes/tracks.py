@@ -8,12 +8,11 @@ from fastapi import APIRouter, Path, Query, Response
 from app.access.scopes import Scope, needs
 from app.bodies import SCAN_BODY, Body, ContentType, media_type
 from app.errors import (
+    ANY_BODY,
     READING,
-    BodyTooLarge,
     InvalidRequest,
     TooManyTracks,
     TrackNotFound,
-    UnsupportedBody,
     problems,
 )
 from app.routes.drives import BAD_SCAN
@@ -157,8 +156,7 @@ def delete_track(map_slug: MapSlug, track_id: TrackId, running: Running) -> None
         InvalidRequest,
         SensorMismatch,
         EmptyBody,
-        UnsupportedBody,
-        BodyTooLarge,
+        *ANY_BODY,
         *BAD_SCAN,
         *READING,
     ),

@@ -24,6 +24,7 @@ __all__ = [
     "AuditHead",
     "Base",
     "Drive",
+    "ExpectedPose",
     "Job",
     "Key",
     "LiveRevision",
@@ -129,6 +130,19 @@ class Scan(Base):
     digest: Mapped[str] = mapped_column(Digest)
     returns: Mapped[int]
     dropped_returns: Mapped[int]
+    timestamp_s: Mapped[float | None]
+    pose: Mapped[list[float] | None] = mapped_column(JSON(none_as_null=True))
+
+
+class ExpectedPose(Base):
+    """Where and when a scan that is still to come was taken; it goes when the scan is there."""
+
+    __tablename__ = "expected_poses"
+
+    drive_id: Mapped[str] = mapped_column(
+        Id, ForeignKey("drives.id", ondelete="CASCADE"), primary_key=True
+    )
+    index: Mapped[int] = mapped_column("scan_index", BigInteger, primary_key=True)
     timestamp_s: Mapped[float | None]
     pose: Mapped[list[float] | None] = mapped_column(JSON(none_as_null=True))
 

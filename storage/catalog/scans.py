@@ -12,6 +12,7 @@ from sqlalchemy.orm import Session
 from core.pose import Pose
 from storage.catalog.database import Database
 from storage.catalog.drives import drive_named
+from storage.catalog.expected_poses import expect, met
 from storage.catalog.maps import map_named
 from storage.catalog.models import Drive, Map, Scan
 from storage.catalog.records import ScanRecord
@@ -68,8 +69,13 @@ class Scans:
                 map_id, row.id, drive_slug, exists=True, closed=row.closed, stored=stored
             )
 
-    def add(self, target: PutTarget, records: Sequence[ScanRecord]) -> None:
+    def add(self, target: PutTarget, records: Sequence[ScanRecord]) -> list[ScanRecord]:
         """Add scans whose chunk file is on disk, and their drive if it is new: all or nothing.
+
+        A scan without a pose or time gets the one that was expected of it.
+
+        Returns:
+            What is stored.
 
         Raises:
             LostRace: If the target is no longer what it was: the drive was made, closed or
@@ -80,9 +86,11 @@ class Scans:
                 self._hold(session, target)
                 if _among(session, target.drive_id, {record.index for record in records}):
                     raise LostRace(f"drive {target.drive_slug!r} got some of these scans meanwhile")
+                records = met(session, target.drive_id, records)
                 session.execute(
                     insert(Scan), [_values(target.drive_id, record) for record in records]
                 )
+                return list(records)
         except IntegrityError as error:  # databases that let two writers in at once
             raise LostRace(f"drive {target.drive_slug!r} changed meanwhile") from error
 
@@ -153,6 +161,49 @@ class Scans:
             _update(
                 session, drive_id, "timestamp_s", {i: _known(t) for i, t in timestamps_s.items()}
             )
+
+    def expect_poses(
+        self,
+        target: PutTarget,
+        poses: Mapping[int, Pose | None],
+        timestamps_s: Mapping[int, float],
+    ) -> None:
+        """Set poses and timestamps of scans that are there, and keep those of scans to come.
+
+        Raises:
+            LostRace: If the target is no longer what it was.
+            ScanNotFound: If the drive is closed and lacks one of the scans.
+        """
+        wanted = {*poses, *timestamps_s}
+        try:
+            with self._database.writing() as session:
+                self._hold(session, target)
+                there = _among(session, target.drive_id, wanted).keys()
+                missing = wanted - there
+                if missing and target.closed:
+                    raise ScanNotFound(
+                        f"drive {target.drive_slug!r} is closed and has no scan {min(missing)}"
+                    )
+                for name, values in (
+                    ("pose", {i: _pose_value(pose) for i, pose in poses.items()}),
+                    ("timestamp_s", {i: _known(t) for i, t in timestamps_s.items()}),
+                ):
+                    _update(
+                        session,
+                        target.drive_id,
+                        name,
+                        {index: value for index, value in values.items() if index in there},
+                    )
+                expect(
+                    session,
+                    target.drive_id,
+                    {
+                        index: (_pose_value(poses.get(index)), timestamps_s.get(index))
+                        for index in missing
+                    },
+                )
+        except IntegrityError as error:  # databases that let two writers in at once
+            raise LostRace(f"drive {target.drive_slug!r} changed meanwhile") from error
 
     def move(self, drive_id: str, scans: Sequence[ScanRecord], chunk: str) -> set[str]:
         """Let scans be found in another chunk file, in the order given.

@@ -4,8 +4,9 @@ from pathlib import Path
 
 from core.drive import Drive
 from core.errors import EmptyDrive
+from storage.formats.captured_drive import open_captured_drive
 from storage.formats.errors import UnknownDriveLayout
-from storage.formats.file_drive import open_scan_folder
+from storage.formats.file_drive import open_nclt_drive, open_scan_folder
 from storage.formats.ford_drive import open_ford_drive
 from storage.formats.kitti_drive import open_kitti_drive
 from storage.formats.registry import SCAN_FORMATS
@@ -17,23 +18,32 @@ def open_drive(path: Path, *, min_returns: int = 1) -> Drive:
     """Open a recorded drive; scans are read when asked for.
 
     Args:
-        path: A folder with `velodyne/` (KITTI odometry), with `SCANS/` (Ford Campus), or of scan
-            files, in the order of their names. Its name becomes the drive's.
+        path: A folder with `velodyne/` (KITTI odometry), `velodyne_sync/` (NCLT) or `SCANS/` (Ford
+            Campus), or of scan files, in the order of their names; or a capture, `.pcap`, of which
+            each full turn is a scan. Its name becomes the drive's.
         min_returns: How many finite, non-zero returns a scan must have.
 
     Raises:
-        UnknownDriveLayout: If the folder is neither.
+        UnknownDriveLayout: If it is none of these.
+        InvalidScan: If a capture cannot be read; a subclass says why.
         EmptyDrive: If it has a layout and no scans.
         MalformedDrive: If a file beside the scans cannot be used.
     """
+    if path.suffix.lower() == ".pcap" and path.is_file():
+        return open_captured_drive(path, min_returns=min_returns)
     if (path / "velodyne").is_dir():
         return open_kitti_drive(path, min_returns=min_returns)
+    if (path / "velodyne_sync").is_dir():
+        return open_nclt_drive(path, min_returns=min_returns)
     if (path / "SCANS").is_dir():
         return open_ford_drive(path, min_returns=min_returns)
     suffixes = " ".join(suffix for known in SCAN_FORMATS for suffix in known.suffixes)
-    wanted = f"velodyne/*.bin (KITTI), SCANS/Scan*.mat (Ford Campus) or scan files ({suffixes})"
+    wanted = (
+        "velodyne/*.bin (KITTI), velodyne_sync/*.bin (NCLT), SCANS/Scan*.mat (Ford Campus) or scan"
+        f" files ({suffixes})"
+    )
     if not path.is_dir():
-        raise UnknownDriveLayout(f"{path} is no folder; wanted one with {wanted}")
+        raise UnknownDriveLayout(f"{path} is no folder and no .pcap; wanted a folder with {wanted}")
     try:
         return open_scan_folder(path, min_returns=min_returns)
     except EmptyDrive as error:

@@ -12,9 +12,10 @@ from core.errors import EmptyDrive
 from core.pose import UNKNOWN_POSE, Pose
 from core.scan import Scan
 from storage.formats.errors import MalformedDrive
+from storage.formats.records import NcltFormat
 from storage.formats.registry import is_scan_file, read_scan_file
 
-__all__ = ["FileDrive", "in_order", "open_scan_folder"]
+__all__ = ["FileDrive", "in_order", "open_nclt_drive", "open_scan_folder"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,6 +28,7 @@ class FileDrive:
         timestamp_s: `(K,)` seconds, NaN where unknown.
         poses: `(K, 7)` pose rows, sensor to world, NaN where unknown.
         min_returns: How many returns a scan must have.
+        media_type: What the files are, if their suffix does not tell.
     """
 
     name: str
@@ -34,6 +36,7 @@ class FileDrive:
     timestamp_s: FloatArray
     poses: FloatArray
     min_returns: int = 1
+    media_type: str | None = None
 
     def __post_init__(self) -> None:
         count = len(self.files)
@@ -59,6 +62,7 @@ class FileDrive:
         return read_scan_file(
             self.files[index],
             min_returns=self.min_returns,
+            media_type=self.media_type,
             timestamp_s=float(self.timestamp_s[index]),
             pose=Pose.from_row(self.poses[index]),
         )
@@ -77,6 +81,25 @@ def open_scan_folder(path: Path, *, min_returns: int = 1) -> FileDrive:
         np.full(len(files), np.nan),
         np.full((len(files), 7), UNKNOWN_POSE),
         min_returns,
+    )
+
+
+def open_nclt_drive(path: Path, *, min_returns: int = 1) -> FileDrive:
+    """Open a drive of NCLT: `velodyne_sync/*.bin`, named by microseconds; poses are unknown.
+
+    Raises:
+        EmptyDrive: If there are no scans.
+    """
+    files = in_order(
+        file for file in (path / "velodyne_sync").glob("*.bin") if not file.name.startswith(".")
+    )
+    return FileDrive(
+        path.resolve().name,
+        files,
+        np.array([float(f.stem) / 1e6 if f.stem.isdecimal() else np.nan for f in files]),
+        np.full((len(files), 7), UNKNOWN_POSE),
+        min_returns,
+        NcltFormat().media_type,
     )
 
 

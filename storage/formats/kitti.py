@@ -8,7 +8,7 @@ from core.arrays import Float32Array
 from core.scan import Scan
 from storage.formats.errors import TruncatedScan, WrongDtype
 
-__all__ = ["KittiFormat", "kitti_body"]
+__all__ = ["KittiFormat", "kitti_body", "refuse_implausible"]
 
 _RECORD_BYTES = 16
 _WANTED = "float32 little-endian x y z reflectance, 16 bytes a return, in metres"
@@ -54,13 +54,22 @@ class KittiFormat:
                 f" {_RECORD_BYTES} and {len(body) % _RECORD_BYTES} left over; wanted {_WANTED}"
             )
         returns_m = np.frombuffer(body, dtype="<f4").reshape(-1, 4)[:, :3].astype(np.float32)
-        share = _implausible_share(returns_m)
-        if share > _IMPLAUSIBLE_SHARE:
-            raise WrongDtype(
-                f"{share:.0%} of the coordinates are under {_SMALLEST_M:g} m, over"
-                f" {_LARGEST_M:g} m or not numbers: is this float64 or integers? Wanted {_WANTED}"
-            )
+        refuse_implausible(returns_m, _WANTED)
         return returns_m
+
+
+def refuse_implausible(returns_m: Float32Array, wanted: str) -> None:
+    """Refuse `(n, 3)` coordinates that no lidar measures: numbers of another type, read as float32.
+
+    Raises:
+        WrongDtype: If too many are tiny, huge or not finite; the message says what was `wanted`.
+    """
+    share = _implausible_share(returns_m)
+    if share > _IMPLAUSIBLE_SHARE:
+        raise WrongDtype(
+            f"{share:.0%} of the coordinates are under {_SMALLEST_M:g} m, over"
+            f" {_LARGEST_M:g} m or not numbers: is this float64 or integers? Wanted {wanted}"
+        )
 
 
 def _implausible_share(returns_m: Float32Array) -> float:

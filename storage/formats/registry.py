@@ -1,19 +1,35 @@
 """From the bytes of a scan file to a scan, by media type, suffix or magic."""
 
 import math
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import Protocol
 
 from core.arrays import Float32Array
 from core.errors import InvalidScan
 from core.pose import Pose
 from core.scan import Scan
+from storage.formats.delimited import CsvFormat
 from storage.formats.errors import EmptyBody, UnknownFormat
+from storage.formats.ford import FordFormat
 from storage.formats.kitti import KittiFormat
+from storage.formats.las import LasFormat
 from storage.formats.npy import NpyFormat
+from storage.formats.ouster import OusterFormat
 from storage.formats.pcd import PcdFormat
+from storage.formats.ply import PlyFormat
+from storage.formats.records import NcltFormat, NuscenesFormat
+from storage.formats.velodyne import VelodyneFormat
 
-__all__ = ["SCAN_FORMATS", "ScanFormat", "is_scan_file", "read_scan", "read_scan_file"]
+__all__ = [
+    "FORMAT_NAMES",
+    "SCAN_FORMATS",
+    "ScanFormat",
+    "is_scan_file",
+    "media_type_of",
+    "read_scan",
+    "read_scan_file",
+    "suffix_of",
+]
 
 _ANY_BYTES = "application/octet-stream"
 
@@ -45,7 +61,21 @@ class ScanFormat(Protocol):
         """
 
 
-SCAN_FORMATS: tuple[ScanFormat, ...] = (KittiFormat(), NpyFormat(), PcdFormat())
+SCAN_FORMATS: tuple[ScanFormat, ...] = (
+    KittiFormat(),
+    NpyFormat(),
+    PcdFormat(),
+    PlyFormat(),
+    CsvFormat(),
+    LasFormat(),
+    NuscenesFormat(),
+    NcltFormat(),
+    FordFormat(),
+    VelodyneFormat(),
+    OusterFormat(),
+)
+FORMAT_NAMES = {known.media_type.rpartition(".")[2]: known.media_type for known in SCAN_FORMATS}
+"""Media types by their last word."""
 
 
 def read_scan(
@@ -93,19 +123,28 @@ def read_scan_file(
     path: Path,
     *,
     min_returns: int,
+    media_type: str | None = None,
     timestamp_s: float = math.nan,
     pose: Pose | None = None,
 ) -> Scan:
     """Read one scan file, its format by its suffix; errors name the file.
 
+    A media type decides instead where one is given: of a `.bin` that is not KITTI's. A `.pcap`
+    with a `.json` of the same name beside it is an Ouster's, whose metadata that is.
+
     Raises:
         UnknownFormat: If no reader claims the file.
         InvalidScan: If the reader cannot use it; a subclass says why.
     """
+    metadata = path.with_suffix(".json")
+    body = path.read_bytes()
+    if path.suffix.lower() == ".pcap" and media_type is None and metadata.is_file():
+        body, media_type = metadata.read_bytes() + body, OusterFormat().media_type
     try:
         return read_scan(
-            path.read_bytes(),
-            suffix=_suffix(path),
+            body,
+            media_type=media_type,
+            suffix=suffix_of(path.name),
             min_returns=min_returns,
             timestamp_s=timestamp_s,
             pose=pose,
@@ -117,14 +156,31 @@ def read_scan_file(
 def is_scan_file(path: Path) -> bool:
     """Return whether the name ends as a scan file's; hidden files are none."""
     ends = {suffix for scan_format in SCAN_FORMATS for suffix in scan_format.suffixes}
-    return not path.name.startswith(".") and _suffix(path) in ends
+    return not path.name.startswith(".") and suffix_of(path.name) in ends
 
 
-def _suffix(path: Path) -> str:
-    # nuScenes' `.pcd.bin` is neither: its records hold five floats, and read as KITTI's four they
-    # would be plausible nonsense.
-    name = path.name.lower()
-    return ".pcd.bin" if name.endswith(".pcd.bin") else path.suffix.lower()
+def media_type_of(name: str) -> str:
+    """Return the media type of a format by its short name, the last word of its type.
+
+    Raises:
+        UnknownFormat: If there is no such format.
+
+    Examples:
+        >>> media_type_of("nclt")
+        'application/vnd.tensormap.nclt'
+    """
+    if name not in FORMAT_NAMES:
+        wanted = ", ".join(FORMAT_NAMES)
+        raise UnknownFormat(f"there is no format {name[:80]!r}; wanted one of {wanted}")
+    return FORMAT_NAMES[name]
+
+
+def suffix_of(file_name: str) -> str:
+    """Return how the name of a scan file ends, with the dot, lower case."""
+    # nuScenes' `.pcd.bin` is not KITTI's `.bin`: its records hold five floats, and read as four
+    # they would be plausible nonsense.
+    name = file_name.lower()
+    return ".pcd.bin" if name.endswith(".pcd.bin") else PurePath(name).suffix
 
 
 def _choose(body: bytes, media_type: str | None, suffix: str | None) -> ScanFormat:
@@ -144,7 +200,8 @@ def _choose(body: bytes, media_type: str | None, suffix: str | None) -> ScanForm
         )
     if not found:
         known_types = ", ".join(
-            f"{known.media_type} ({' '.join(known.suffixes)})" for known in SCAN_FORMATS
+            f"{known.media_type} ({' '.join(known.suffixes) or 'no suffix'})"
+            for known in SCAN_FORMATS
         )
         raise UnknownFormat(f"no reader for {what}; wanted one of {known_types}")
     return found[0]

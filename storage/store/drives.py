@@ -92,7 +92,7 @@ class Drives:
                 for row, (index, scan) in enumerate(fresh)
             ]
             try:
-                self._write(target, name, fresh, records)
+                records = self._write(target, name, fresh, records)
             except (LostRace, FileNotFoundError):  # the latter: the drive's folder was deleted
                 continue
             created = {record.index: record for record in records}
@@ -108,14 +108,14 @@ class Drives:
         name: str,
         scans: Sequence[tuple[int, Scan]],
         records: Sequence[ScanRecord],
-    ) -> None:
-        """Write a chunk file, then the rows that name it."""
+    ) -> list[ScanRecord]:
+        """Write a chunk file, then the rows that name it; return these."""
         if not scans:
-            return
+            return []
         path = make_folder(self._layout.chunks(target.map_id, target.drive_id)) / name
         try:
             write_chunk(path, scans)
-            self._catalog.scans.add(target, records)
+            return self._catalog.scans.add(target, records)
         except StorageError:
             # These say that nothing was committed. After any other error that is not certain, and
             # a file too many, which the next start sets aside, is better than one too few.
@@ -137,6 +137,29 @@ class Drives:
             ScanNotFound: If one of the scans is not there.
         """
         self._catalog.scans.set_poses(map_slug, drive_slug, poses, timestamps_s or {})
+
+    def expect_poses(
+        self,
+        map_slug: str,
+        drive_slug: str,
+        poses: Mapping[int, Pose | None],
+        timestamps_s: Mapping[int, float] | None = None,
+    ) -> None:
+        """Set poses, and timestamps, of scans that are there and of those to come: all or none.
+
+        A scan that comes with a pose or time of its own keeps it. The drive is made if it is new.
+
+        Raises:
+            MapNotFound: If there is no such map.
+            InvalidSlug: If the drive is new, and its name is no slug.
+            ScanNotFound: If the drive is closed and lacks one of the scans.
+        """
+        for _ in range(_ATTEMPTS):
+            target = self._catalog.scans.target(map_slug, drive_slug, ())
+            with suppress(LostRace):
+                self._catalog.scans.expect_poses(target, poses, timestamps_s or {})
+                return
+        raise StorageBusy(f"drive {drive_slug!r} changed {_ATTEMPTS} times while poses were put")
 
     def close(self, map_slug: str, drive_slug: str) -> DriveRecord:
         """Let a drive take no new scans, and pack its chunk files into bigger ones.

@@ -15,6 +15,7 @@ from app.cli.main import cli
 from app.errors import STATUS, problem_name
 from app.main import create_app
 from app.settings import Settings
+from storage.formats.registry import SCAN_FORMATS
 
 ROOT = Path(__file__).parents[2]
 _METHODS = ("get", "post", "put", "patch", "delete")
@@ -58,10 +59,20 @@ def commands_table() -> Iterator[str]:
         yield f"| `tensormap {name}` | {meaning} |"
 
 
+def formats_table() -> Iterator[str]:
+    yield "| format | `Content-Type` | files | told by its first bytes |"
+    yield "|---|---|---|---|"
+    for known in SCAN_FORMATS:
+        suffixes = " ".join(f"`{suffix}`" for suffix in known.suffixes)
+        told = "yes" if known.magics else ""
+        yield f"| {known.name} | `{known.media_type}` | {suffixes} | {told} |"
+
+
 TABLES: dict[str, tuple[Path, Callable[[], Iterator[str]]]] = {
     "settings": (ROOT / "docs/how-to/run-the-service.md", settings_table),
     "routes": (ROOT / "docs/reference/http-api.md", routes_table),
     "problems": (ROOT / "docs/reference/http-api.md", problems_table),
+    "formats": (ROOT / "docs/reference/formats.md", formats_table),
     "commands": (ROOT / "docs/reference/cli.md", commands_table),
 }
 

@@ -4,15 +4,18 @@ import struct
 from contextlib import suppress
 from io import BytesIO
 
+import laspy
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from pypcd4.pypcd4 import Encoding, PointCloud
+from scipy.io import savemat
 
 from core.errors import TensorMapError
 from core.scan import Scan
+from storage.formats.records import NuscenesFormat
 from storage.formats.registry import SCAN_FORMATS, read_scan
 
 COORDINATES = st.floats(0.125, 200.0, width=32) | st.floats(-200.0, -0.125, width=32)
@@ -35,11 +38,58 @@ def pcd(points: np.ndarray, encoding: Encoding) -> bytes:
     return file.getvalue()
 
 
+def nuscenes(points: np.ndarray) -> bytes:
+    rings = np.arange(len(points)) % 32
+    return np.column_stack([points, np.zeros(len(points)), rings]).astype("<f4").tobytes()
+
+
+def ply(points: np.ndarray, order: str) -> bytes:
+    encoding = {"<": "binary_little_endian", ">": "binary_big_endian", "": "ascii"}[order]
+    axes = "".join(f"property float {axis}\n" for axis in "xyz")
+    head = f"ply\nformat {encoding} 1.0\nelement vertex {len(points)}\n{axes}end_header\n"
+    return head.encode() + (points.astype(f"{order}f4").tobytes() if order else b"")
+
+
+def ply_ascii(points: np.ndarray) -> bytes:
+    return ply(points, "") + b"".join(b"%r %r %r\n" % tuple(row) for row in points.tolist())
+
+
+def csv(points: np.ndarray) -> bytes:
+    return b"x,y,z\n" + b"".join(b"%r,%r,%r\n" % tuple(row) for row in points.tolist())
+
+
+def ford(points: np.ndarray, *, compress: bool) -> bytes:
+    file = BytesIO()
+    scan = {"timestamp_laser": 5e5, "XYZ": points.T.astype(np.float64), "X_wv": np.zeros((6, 1))}
+    # SciPy writes to open files too, its stubs do not know.
+    variables = {"other": np.eye(2), "SCAN": scan}
+    savemat(file, variables, do_compression=compress)  # type: ignore[arg-type]
+    return file.getvalue()
+
+
+def las(points: np.ndarray) -> bytes:
+    header = laspy.LasHeader(point_format=0, version="1.2")
+    header.scales = np.full(3, 1e-4)
+    data = laspy.LasData(header)
+    data.x, data.y, data.z = points.T.astype(np.float64)
+    file = BytesIO()
+    data.write(file, do_compress=False)
+    return file.getvalue()
+
+
 WRITERS = {
     "kitti": (SCAN_FORMATS[0].media_type, kitti),
     "npy": (None, npy),
     "npy doubles": (None, lambda points: npy(points.astype(np.float64))),
     "npy columns": (None, lambda points: npy(np.asfortranarray(points))),
+    "nuscenes": (NuscenesFormat().media_type, nuscenes),
+    "ply ascii": (None, ply_ascii),
+    "ply binary": (None, lambda points: ply(points, "<")),
+    "ply binary, big end first": (None, lambda points: ply(points, ">")),
+    "csv": (None, csv),
+    "ford": (None, lambda points: ford(points, compress=False)),
+    "ford compressed": (None, lambda points: ford(points, compress=True)),
+    "las": (None, las),
     "pcd ascii": (None, lambda points: pcd(points, Encoding.ASCII)),
     "pcd binary": (None, lambda points: pcd(points, Encoding.BINARY)),
     "pcd compressed": (None, lambda points: pcd(points, Encoding.BINARY_COMPRESSED)),
@@ -82,7 +132,8 @@ def gives_a_scan_or_an_error_of_ours(body: bytes, media_type: str | None) -> Non
 def test_what_is_written_is_read(kind: str, points: np.ndarray) -> None:
     media_type, write = WRITERS[kind]
     scan = read_scan(write(points), media_type=media_type, min_returns=1)
-    atol = 1e-6 if kind == "pcd ascii" else 0  # its writer prints ten digits after the point
+    # Its writer prints ten digits after the point; LAS counts steps, here of 0.1 mm.
+    atol = {"pcd ascii": 1e-6, "las": 1e-4}.get(kind, 0)
     np.testing.assert_allclose(scan.points_m, points, rtol=0, atol=atol)
 
 

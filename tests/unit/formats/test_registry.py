@@ -38,7 +38,7 @@ def test_without_a_type_the_magic_decides(media_type: str | None) -> None:
 
 @pytest.mark.parametrize(
     "asked",
-    [{}, {"media_type": "text/csv"}, {"suffix": ".xyz"}, {"suffix": ".pcd.bin"}],
+    [{}, {"media_type": "text/csv"}, {"suffix": ".xyz"}, {"suffix": ".pcapng"}],
 )
 def test_what_no_reader_claims_is_answered_with_all_media_types(asked: dict[str, str]) -> None:
     with pytest.raises(UnknownFormat) as caught:
@@ -78,9 +78,17 @@ def test_a_file_is_read_by_its_suffix_and_errors_name_it(tmp_path: Path) -> None
 
 
 def test_a_nuscenes_file_is_not_taken_for_kitti(tmp_path: Path) -> None:
-    (tmp_path / "LIDAR_TOP.pcd.bin").write_bytes(bytes(80))
-    with pytest.raises(UnknownFormat):
-        read_scan_file(tmp_path / "LIDAR_TOP.pcd.bin", min_returns=1)
+    rows = np.array([[10.0, 1.0, -1.0, 7.0, ring] for ring in range(4)], "<f4")
+    (tmp_path / "LIDAR_TOP.pcd.bin").write_bytes(rows.tobytes())
+    scan = read_scan_file(tmp_path / "LIDAR_TOP.pcd.bin", min_returns=1)
+    np.testing.assert_array_equal(scan.points_m, rows[:, :3])
+
+
+def test_records_without_a_header_are_never_guessed() -> None:
+    nuscenes = np.array([[10.0, 1.0, -1.0, 7.0, 3.0]] * 4, "<f4").tobytes()
+    for body in (ROWS.tobytes(), nuscenes):
+        with pytest.raises(UnknownFormat, match="set the Content-Type"):
+            read_scan(body, min_returns=1)
 
 
 def test_a_signalling_nan_is_a_no_return_like_any_other() -> None:

@@ -1,0 +1,161 @@
+"""A tar stream, read as it comes: one file in memory at a time, and that of bounded size.
+
+Python's `tarfile` reads extended headers of any size into memory; a stranger's stream needs less
+trust and less of the format: ustar headers, and the long names of GNU and PAX.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+from app.errors import MalformedUpload
+
+__all__ = ["TarMember", "TarStream"]
+
+_BLOCK = 512
+_SKIP_BYTES = 2**16
+_MAX_HEADER_BYTES = 2**16
+_FILE, _FOLDER = {b"0", b"\0", b"7"}, b"5"
+_GNU_NAME, _PAX, _PAX_GLOBAL = b"L", b"x", b"g"
+_SIZE_LIMIT = 2**53
+
+
+@dataclass(frozen=True)
+class TarMember:
+    """A file in the stream.
+
+    Attributes:
+        name: Its path, as the archive has it.
+        content: Its bytes; `None` if it is longer than may be, or no plain file.
+        reason: Why there is no content.
+    """
+
+    name: str
+    content: bytes | None
+    reason: str = ""
+
+
+class TarStream:
+    """The files of a tar stream, in their order; folders are passed over.
+
+    Args:
+        read: Gives up to so many bytes of the body, none at its end.
+        most_bytes: How long a file may be.
+
+    Raises:
+        MalformedUpload: While it is read, if it is no tar stream or breaks off.
+    """
+
+    def __init__(self, read: Callable[[int], bytes], most_bytes: int) -> None:
+        self._read = read
+        self._most_bytes = most_bytes
+
+    def __iter__(self) -> Iterator[TarMember]:
+        """Give the files, each once."""
+        long_name: str | None = None
+        while (header := self._header()) is not None:
+            size, kind = _size(header), header[156:157]
+            if kind in {_GNU_NAME, _PAX, _PAX_GLOBAL}:
+                if size > _MAX_HEADER_BYTES:
+                    raise MalformedUpload(f"a header of the tar stream takes {size} bytes")
+                content = self._content(size)
+                if kind == _GNU_NAME:
+                    long_name = _text(content)
+                elif kind == _PAX:
+                    long_name = _pax_name(content) or long_name
+                continue
+            name, long_name = long_name or _name(header), None
+            if kind not in _FILE:
+                self._skip(size)
+                if kind != _FOLDER:
+                    yield TarMember(name, None, "it is a link or device, no file")
+            elif size > self._most_bytes:
+                self._skip(size)
+                yield TarMember(
+                    name, None, f"it has {size} bytes, at most {self._most_bytes} are read"
+                )
+            else:
+                yield TarMember(name, self._content(size))
+
+    def _header(self) -> bytes | None:
+        """Return the next header, `None` at the end of the stream."""
+        block = self._exactly(_BLOCK, "its next header")
+        if block is None or not block.strip(b"\0"):
+            self._drain()  # a block of zeros ends the archive, what follows is padding
+            return None
+        # The sum is of bytes, with blanks where it stands itself; some wrote it of signed ones.
+        wanted = _octal(block[148:156])
+        rest = block[:148] + b" " * 8 + block[156:]
+        if wanted not in {sum(rest), sum(b - 256 * (b > 127) for b in rest)}:
+            raise MalformedUpload(
+                f"a header begins with {block[:8]!r} and its checksum is wrong: is the body a tar"
+                " stream?"
+            )
+        return block
+
+    def _content(self, size: int) -> bytes:
+        content = self._exactly(size, "a file") if size else b""
+        if content is None:
+            raise MalformedUpload(f"the tar stream breaks off before a file of {size} bytes")
+        self._skip(-size % _BLOCK, exact=False)
+        return content
+
+    def _skip(self, size: int, *, exact: bool = True) -> None:
+        left = size + (-size % _BLOCK if exact else 0)
+        while left:
+            chunk = self._read(min(left, _SKIP_BYTES))
+            if not chunk:
+                raise MalformedUpload("the tar stream breaks off within a file")
+            left -= len(chunk)
+
+    def _drain(self) -> None:
+        while self._read(_SKIP_BYTES):
+            pass
+
+    def _exactly(self, size: int, what: str) -> bytes | None:
+        """Return so many bytes, `None` if the stream has ended before the first of them."""
+        parts = bytearray()
+        while len(parts) < size:
+            chunk = self._read(min(size - len(parts), 2**20))
+            if not chunk:
+                if not parts:
+                    return None
+                raise MalformedUpload(
+                    f"the tar stream breaks off within {what}: {len(parts)} of {size} bytes came"
+                )
+            parts += chunk
+        return bytes(parts)
+
+
+def _size(header: bytes) -> int:
+    field = header[124:136]
+    size = int.from_bytes(field[1:], "big") if field[0] == 0x80 else _octal(field)
+    if not 0 <= size < _SIZE_LIMIT:
+        raise MalformedUpload(f"the size of a file in the tar stream is {field!r}")
+    return size
+
+
+def _octal(field: bytes) -> int:
+    digits = field.strip(b" \0")
+    try:
+        return int(digits or b"0", 8) if digits.isdigit() or not digits else -1
+    except ValueError:
+        return -1
+
+
+def _name(header: bytes) -> str:
+    name, prefix = _text(header[:100]), _text(header[345:500])
+    return f"{prefix}/{name}" if prefix and header[257:262] == b"ustar" else name
+
+
+def _text(field: bytes) -> str:
+    return field.partition(b"\0")[0].decode("utf-8", "replace")
+
+
+def _pax_name(content: bytes) -> str | None:
+    """Return the path in a PAX header: lines `LENGTH KEY=VALUE`."""
+    for line in content.split(b"\n"):
+        _, _, pair = line.partition(b" ")
+        key, _, value = pair.partition(b"=")
+        if key == b"path":
+            return _text(value)
+    return None

@@ -1,0 +1,125 @@
+"""Poses as files have them, before and after their scans."""
+
+import numpy as np
+import pytest
+
+from app.pose_files import CSV, KITTI, TUM
+from core.pose import Pose
+from tests.support.recording import recording, upload_scan
+from tests.support.service import pose_text, problem_of, whole_store
+
+DRIVE = "/v1/maps/campus/drives/monday"
+SCANS = recording(scans=4).scans
+# Turned to the left by 90 degrees, at (1, 2, 3); unknown; ahead, at (4, 5, 6).
+KITTI_LINES = f"0 -1 0 1 1 0 0 2 0 0 1 3\n{'nan ' * 12}\n1 0 0 4 0 1 0 5 0 0 1 6\n"
+HALF = 0.5**0.5
+
+
+def put(client, body, kind, **params):
+    return client.put(f"{DRIVE}/poses", content=body, headers={"Content-Type": kind}, params=params)
+
+
+def records(client):
+    return client.service.store.drives.scan_records("campus", "monday")
+
+
+def same(pose, *wanted):
+    np.testing.assert_allclose(pose.as_tuple(), wanted, atol=1e-12)
+
+
+@pytest.mark.parametrize("when", ["before", "after", "between"])
+def test_kittis_poses_are_those_of_scans_that_are_in_and_to_come(empty, when):
+    early = {"before": 0, "between": 1, "after": 3}[when]
+    for index in range(early):
+        upload_scan(empty, "campus", "monday", index, SCANS[index])
+    told = put(empty, KITTI_LINES, KITTI)
+    assert (told.status_code, told.json()["scans"]) == (200, early)
+    stored = [upload_scan(empty, "campus", "monday", i, SCANS[i]).json() for i in range(early, 3)]
+    assert [item["has_pose"] for item in stored] == [True, False, True][early:]
+    turned, unknown, ahead = records(empty)
+    same(turned.pose, 1, 2, 3, 0, 0, HALF, HALF)
+    assert unknown.pose is None
+    same(ahead.pose, 4, 5, 6, 0, 0, 0, 1)
+
+
+def test_tums_lines_have_times_and_begin_where_they_are_told_to(empty):
+    upload_scan(empty, "campus", "monday", 2, SCANS[2])
+    body = "# t x y z qx qy qz qw\n10.5 1 2 3 0 0 0 1\n\n11.5 4 5 6 0 0 1 0 # turned\n"
+    put(empty, body, TUM, first=2)
+    upload_scan(empty, "campus", "monday", 3, SCANS[3])
+    second, third = records(empty)
+    assert (second.index, second.timestamp_s, third.index, third.timestamp_s) == (2, 10.5, 3, 11.5)
+    same(second.pose, 1, 2, 3, 0, 0, 0, 1)
+    same(third.pose, 4, 5, 6, 0, 0, 1, 0)
+
+
+def test_a_table_names_its_scans(empty):
+    upload_scan(empty, "campus", "monday", 0, SCANS[0])
+    body = "x,y,z,qw,qx,qy,qz,scan,timestamp_s\r\n7,8,9,1,0,0,0,3,3.5\r\n1,2,3,1,0,0,0,0,\r\n"
+    put(empty, body, CSV)
+    upload_scan(empty, "campus", "monday", 3, SCANS[3])
+    first, last = records(empty)
+    assert np.isnan(first.timestamp_s)
+    assert last.timestamp_s == 3.5
+    same(first.pose, 1, 2, 3, 0, 0, 0, 1)
+    same(last.pose, 7, 8, 9, 0, 0, 0, 1)
+
+
+def test_a_scan_keeps_what_it_says_itself_and_a_later_file_what_an_earlier_one_said(empty):
+    put(empty, "1 1 1 1 0 0 0 1\n2 2 2 2 0 0 0 1\n", TUM)
+    put(empty, "5 5 5 5 0 0 0 1\n", TUM)
+    own = Pose(9.0, 9.0, 9.0)
+    upload_scan(empty, "campus", "monday", 0, SCANS[0], params={"pose": pose_text(own)})
+    upload_scan(empty, "campus", "monday", 1, SCANS[1], params={"timestamp_s": 7.5})
+    first, second = records(empty)
+    assert (first.pose, first.timestamp_s) == (own, 5.0)
+    assert (second.pose, second.timestamp_s) == (Pose(2.0, 2.0, 2.0), 7.5)
+
+
+def test_a_drive_that_has_only_poses_is_empty_and_a_build_says_so(empty):
+    told = put(empty, KITTI_LINES, KITTI).json()
+    assert (told["scans"], told["present"]) == (0, [])
+    assert empty.get(f"{DRIVE}/scans").json()["present"] == []
+    assert empty.delete(DRIVE).status_code == 204
+
+
+def test_a_closed_drive_expects_nothing(empty):
+    upload_scan(empty, "campus", "monday", 0, SCANS[0])
+    empty.patch(DRIVE, json={"closed": True})
+    assert put(empty, "1 1 1 1 0 0 0 1\n", TUM).status_code == 200
+    assert problem_of(put(empty, KITTI_LINES, KITTI)) == (404, "scan-not-found")
+    assert records(empty)[0].pose == Pose(1.0, 1.0, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("body", "kind", "problem"),
+    [
+        ("", KITTI, (422, "invalid-pose")),
+        ("# nothing\n", TUM, (422, "invalid-pose")),
+        ("1 2 3\n", KITTI, (422, "invalid-pose")),
+        (f"{KITTI_LINES}2 0 0 4 0 1 0 5 0 0 1 6\n", KITTI, (422, "invalid-pose")),
+        ("1 1 1 1 0 0 0 1\n1 1 1 1 0 0 0 2\n", TUM, (422, "invalid-pose")),
+        ("1 1 1 1 0 0 0 one\n", TUM, (422, "invalid-pose")),
+        ("1 2 3\n", CSV, (422, "invalid-pose")),
+        ("scan,x,y,z,qx,qy,qz,qw\n0,1,2,3,0,0,0\n", CSV, (422, "invalid-pose")),
+        ("scan,x,y,z,qx,qy,qz,qw\n-1,1,2,3,0,0,0,1\n", CSV, (422, "invalid-pose")),
+        ("scan,x,y,z,qx,qy,qz,qw\n" + "0,1,2,3,0,0,0,1\n" * 2, CSV, (422, "invalid-pose")),
+        ("scan,x,y,z,qx,qy,qz,qw\n9" + "9" * 15 + ",1,2,3,0,0,0,1\n", CSV, (422, "invalid-pose")),
+        ("1 1 1 1 0 0 0 1\n", "text/plain", (415, "unsupported-body")),
+        ("{", "application/json", (422, "invalid-request")),
+    ],
+)
+def test_a_file_that_is_wrong_in_one_line_changes_nothing(empty, body, kind, problem):
+    upload_scan(empty, "campus", "monday", 0, SCANS[0])
+    before = whole_store(empty), records(empty)
+    assert problem_of(put(empty, body, kind)) == problem
+    assert (whole_store(empty), records(empty)) == before
+
+
+def test_poses_for_a_map_that_is_not_there_are_refused(empty):
+    refused = empty.put(
+        "/v1/maps/none/drives/monday/poses",
+        content="1 1 1 1 0 0 0 1\n",
+        headers={"Content-Type": TUM},
+    )
+    assert problem_of(refused) == (404, "map-not-found")

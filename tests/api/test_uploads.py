@@ -1,0 +1,296 @@
+"""Many scans in one body, bodies that are packed, and bodies that say what they are."""
+
+import base64
+import gzip
+import hashlib
+import io
+import tarfile
+
+import numpy as np
+import pytest
+import zstandard
+
+from tests.support.recording import KITTI, kitti, npy, recording
+from tests.support.service import problem_of, running, whole_store
+
+SCANS = recording(scans=6).scans
+DRIVE = "/v1/maps/campus/drives/monday"
+TAR = {"Content-Type": "application/x-tar"}
+
+
+def tar(files, *, style=tarfile.USTAR_FORMAT):
+    """Return a tar of `(name, content)`."""
+    body = io.BytesIO()
+    with tarfile.open(fileobj=body, mode="w", format=style) as archive:
+        for name, content in files:
+            member = tarfile.TarInfo(name)
+            member.size = len(content)
+            archive.addfile(member, io.BytesIO(content))
+    return body.getvalue()
+
+
+def digest(body, algorithm="sha256"):
+    value = base64.b64encode(hashlib.new(algorithm, body).digest()).decode()
+    return {"Content-Digest": f"{algorithm[:3]}-{algorithm[3:]}=:{value}:"}
+
+
+def npy_files(indices=range(6)):
+    return [(f"{index:06}.npy", npy(SCANS[index].points_m)) for index in indices]
+
+
+def ranges(*pairs):
+    return [{"first": first, "last": last} for first, last in pairs]
+
+
+def test_what_an_archive_holds_is_stored_bit_for_bit_and_a_second_time_is_there(empty):
+    files = [(f"velodyne/{i:06}.bin", kitti(scan)) for i, scan in enumerate(SCANS) if i != 3]
+    first = empty.post(
+        f"{DRIVE}/scans", content=tar(files), headers=TAR, params={"format": "kitti"}
+    ).json()
+    assert (first["scans_stored"], first["scans_present"], first["files_set_aside"]) == (5, 0, 0)
+    assert first["stored"] == ranges((0, 2), (4, 5))
+    told = empty.get(f"{DRIVE}/scans").json()
+    assert (told["scans"], told["closed"]) == (5, False)
+    assert (told["present"], told["gaps"]) == (ranges((0, 2), (4, 5)), ranges((3, 3)))
+    before = whole_store(empty)
+    again = empty.post(f"{DRIVE}/scans", content=tar(files), params={"format": "kitti"}).json()
+    assert (again["scans_stored"], again["present"]) == (0, ranges((0, 2), (4, 5)))
+    assert whole_store(empty) == before
+    for index in (0, 1, 2, 4, 5):
+        got = np.load(io.BytesIO(empty.get(f"{DRIVE}/scans/{index}").content))
+        assert got.tobytes() == SCANS[index].points_m.tobytes()
+
+
+def test_what_cannot_be_used_is_set_aside_with_its_reason_and_the_rest_goes_on(empty):
+    empty.post(f"{DRIVE}/scans", content=tar(npy_files([4])))
+    files = [
+        ("000000.npy", npy(SCANS[0].points_m)),
+        ("000001.npy", npy(SCANS[1].points_m)[:-5]),
+        ("000002.bin", kitti(SCANS[2])),
+        ("readme.txt", b"hello"),
+        ("000003.npy", npy(SCANS[3].points_m[:9])),
+        ("000004.npy", npy(SCANS[3].points_m)),
+        ("000005.xyz", b"1 2 3"),
+        (f"{2**53}.npy", npy(SCANS[0].points_m)),
+        ("000006.npy", b""),
+        ("5.npy", npy(SCANS[5].points_m)),
+    ]
+    told = empty.post(f"{DRIVE}/scans", content=tar(files), headers=TAR).json()
+    assert told["stored"] == ranges((0, 0), (5, 5))
+    assert told["files_set_aside"] == 8
+    assert [
+        (item["file"], item["type"].removeprefix("/problems/")) for item in told["set_aside"]
+    ] == [
+        ("000001.npy", "truncated-scan"),
+        ("000002.bin", "unknown-format"),
+        ("readme.txt", "unknown-format"),
+        ("000003.npy", "too-few-returns"),
+        ("000005.xyz", "unknown-format"),
+        (f"{2**53}.npy", "unknown-format"),
+        ("000006.npy", "empty-body"),
+        ("000004.npy", "scan-conflict"),
+    ]
+    assert "?format=kitti" in told["set_aside"][1]["detail"]
+    assert empty.get(f"{DRIVE}/scans").json()["present"] == ranges((0, 0), (4, 5))
+
+
+@pytest.mark.parametrize("style", [tarfile.USTAR_FORMAT, tarfile.GNU_FORMAT, tarfile.PAX_FORMAT])
+def test_names_may_be_long_and_links_and_folders_are_no_scans(empty, style):
+    body = io.BytesIO()
+    with tarfile.open(fileobj=body, mode="w", format=style) as archive:
+        folder = tarfile.TarInfo("ä" * 40 + "/velodyne")
+        folder.type = tarfile.DIRTYPE
+        link = tarfile.TarInfo("000001.npy")
+        link.type, link.linkname = tarfile.SYMTYPE, "/etc/passwd"
+        long_name = tarfile.TarInfo("a" * 90 + "/" + "b" * 60 + "/000000.npy")
+        content = npy(SCANS[0].points_m)
+        long_name.size = len(content)
+        for member in (folder, link):
+            archive.addfile(member)
+        archive.addfile(long_name, io.BytesIO(content))
+    told = empty.post(f"{DRIVE}/scans", content=body.getvalue(), headers=TAR).json()
+    assert told["stored"] == ranges((0, 0))
+    assert [item["file"] for item in told["set_aside"]] == ["000001.npy"]
+
+
+def test_a_closed_drive_takes_what_it_has_and_nothing_else(empty):
+    empty.post(f"{DRIVE}/scans", content=tar(npy_files([0, 1])))
+    empty.patch(DRIVE, json={"closed": True})
+    told = empty.post(f"{DRIVE}/scans", content=tar(npy_files([0, 1, 2]))).json()
+    assert told["present"] == ranges((0, 1))
+    assert [item["type"] for item in told["set_aside"]] == ["/problems/drive-closed"]
+    assert empty.get(f"{DRIVE}/scans").json()["closed"] is True
+
+
+@pytest.mark.parametrize("cut", [100, 512, 700, -1024 - 100])
+def test_an_archive_that_breaks_off_is_told_and_what_came_before_is_stored(empty, cut):
+    whole = tar(npy_files([0, 1]))
+    second = whole.index(b"000001.npy")
+    end = second + cut if cut > 0 else len(whole.rstrip(b"\0")) - 400
+    refused = empty.post(f"{DRIVE}/scans", content=whole[:end], headers=TAR)
+    assert problem_of(refused) == (422, "malformed-upload")
+    assert "1 scans were stored" in refused.json()["detail"]
+    assert empty.get(f"{DRIVE}/scans").json()["present"] == ranges((0, 0))
+
+
+def header(name=b"000000.npy", size=b"00000000010\0", kind=b"0"):
+    block = name.ljust(100, b"\0") + b"0000644\0" + b"0000000\0" * 2 + size.ljust(12, b"\0")
+    block += b"0" * 12 + b" " * 8 + kind
+    block = block.ljust(512, b"\0")
+    return block[:148] + b"%06o\0 " % sum(block) + block[156:]
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        b"",
+        bytes(1024),
+        b"hello",
+        kitti(SCANS[0]),
+        header(size=b"\x80" + b"\xff" * 11),
+        header(size=b"zzz"),
+        header(size=b"77777777777"),
+        header(kind=b"x", size=b"77777777777"),
+        header(kind=b"L", size=b"00001000000"),
+        header(kind=b"5"),
+    ],
+)
+def test_what_is_no_archive_is_refused_and_changes_nothing(empty, body):
+    before = whole_store(empty)
+    refused = empty.post(f"{DRIVE}/scans", content=body, headers=TAR)
+    assert problem_of(refused) == (422, "malformed-upload")
+    assert whole_store(empty) == before
+
+
+def test_a_file_that_is_too_long_is_passed_over_unread(tmp_path):
+    with running(tmp_path / "data", max_body_bytes=20_000) as client:
+        client.post("/v1/maps", json={"map": "campus"})
+        small = npy(SCANS[0].points_m[:200])
+        body = tar([("0.npy", npy(np.ones((9_000, 3), np.float32))), ("1.npy", small)])
+        assert len(body) > 100_000  # the archive itself may be longer than one scan
+        told = client.post(f"{DRIVE}/scans", content=body, headers=TAR).json()
+        assert told["stored"] == ranges((1, 1))
+        assert told["set_aside"][0]["type"] == "/problems/scan-too-large"
+
+
+def test_an_upload_has_a_limit_of_its_own(tmp_path):
+    with running(tmp_path / "data", max_upload_bytes=20_000) as client:
+        client.post("/v1/maps", json={"map": "campus"})
+        body = tar(npy_files([0, 1]))
+        for content in (body, (body[i : i + 999] for i in range(0, len(body), 999))):
+            refused = client.post(f"{DRIVE}/scans", content=content, headers=TAR)
+            assert problem_of(refused) == (413, "body-too-large")
+        packed = gzip.compress(bytes(10**6))
+        refused = client.post(
+            f"{DRIVE}/scans", content=packed, headers={**TAR, "Content-Encoding": "gzip"}
+        )
+        assert problem_of(refused) == (413, "body-too-large")
+
+
+def test_what_is_not_there_or_not_meant_is_refused_before_the_body_is_read(empty):
+    def post(path, **options):
+        return problem_of(empty.post(path, content=tar(npy_files([0])), **options))
+
+    assert post("/v1/maps/none/drives/monday/scans") == (404, "map-not-found")
+    assert post("/v1/maps/campus/drives/No%20Slug/scans") == (422, "invalid-slug")
+    assert post(f"{DRIVE}/scans", headers=KITTI) == (415, "unsupported-body")
+    assert post(f"{DRIVE}/scans", params={"format": "bag"}) == (415, "unknown-format")
+    assert problem_of(empty.get(f"{DRIVE}/scans")) == (404, "drive-not-found")
+
+
+PACKED = {
+    "gzip": gzip.compress,
+    "x-gzip": gzip.compress,
+    "zstd": zstandard.ZstdCompressor(write_checksum=True).compress,
+}
+
+
+@pytest.mark.parametrize("encoding", PACKED)
+@pytest.mark.parametrize("members", [1, 2])
+def test_a_packed_body_is_the_body(empty, encoding, members):
+    body = kitti(SCANS[0])
+    parts = [body] if members == 1 else [body[:1000], body[1000:]]
+    packed = b"".join(PACKED[encoding](part) for part in parts)
+    headers = {**KITTI, "Content-Encoding": encoding, **digest(packed)}
+    put = empty.put(f"{DRIVE}/scans/0", content=packed, headers=headers)
+    assert put.status_code == 201
+    plain = empty.put(f"{DRIVE}/scans/0", content=body, headers=KITTI)
+    assert (plain.status_code, plain.json()) == (200, put.json())
+    archive = PACKED[encoding](tar(npy_files([1, 2])))
+    pieces = (archive[at : at + 777] for at in range(0, len(archive), 777))
+    told = empty.post(
+        f"{DRIVE}/scans", content=pieces, headers={**TAR, "Content-Encoding": encoding}
+    ).json()
+    assert told["stored"] == ranges((1, 2))
+    poses = PACKED[encoding](b'{"poses": [{"scan": 0, "timestamp_s": 7.5}]}')
+    headers = {"Content-Type": "application/json", "Content-Encoding": encoding}
+    assert empty.put(f"{DRIVE}/poses", content=poses, headers=headers).status_code == 200
+
+
+@pytest.mark.parametrize("encoding", ["gzip", "zstd"])
+def test_a_body_that_does_not_unpack_is_refused_and_changes_nothing(empty, encoding):
+    before = whole_store(empty)
+    whole = PACKED[encoding](kitti(SCANS[0]))
+    headers = {**KITTI, "Content-Encoding": encoding}
+    for body in (b"", b"hello", whole[:-3], whole[:9], whole[:500] + bytes(50) + whole[550:]):
+        refused = empty.put(f"{DRIVE}/scans/0", content=body, headers=headers)
+        assert problem_of(refused)[0] in {400, 422}
+        if body != b"":
+            assert problem_of(refused) == (400, "malformed-body")
+    json_headers = {"Content-Type": "application/json", "Content-Encoding": encoding}
+    refused = empty.put(f"{DRIVE}/poses", content=b"hello", headers=json_headers)
+    assert problem_of(refused) == (400, "malformed-body")
+    assert whole_store(empty) == before
+
+
+@pytest.mark.parametrize("encoding", ["gzip", "zstd"])
+def test_a_bomb_is_stopped_at_the_cap(tmp_path, encoding):
+    with running(tmp_path / "data", max_decoded_bytes=100_000) as client:
+        client.post("/v1/maps", json={"map": "campus"})
+        bomb = PACKED[encoding](bytes(30_000_000))
+        assert len(bomb) < 50_000
+        headers = {**KITTI, "Content-Encoding": encoding}
+        refused = client.put(f"{DRIVE}/scans/0", content=bomb, headers=headers)
+        assert problem_of(refused) == (413, "body-too-large")
+        assert "unpacks to more than the 100000 bytes" in refused.json()["detail"]
+        headers = {"Content-Type": "application/json", "Content-Encoding": encoding}
+        refused = client.put(f"{DRIVE}/poses", content=bomb, headers=headers)
+        assert problem_of(refused) == (413, "body-too-large")
+
+
+@pytest.mark.parametrize("encoding", ["br", "gzip, gzip", "zip"])
+def test_an_encoding_that_is_unknown_is_refused(empty, encoding):
+    headers = {**KITTI, "Content-Encoding": encoding}
+    refused = empty.put(f"{DRIVE}/scans/0", content=kitti(SCANS[0]), headers=headers)
+    assert problem_of(refused) == (415, "unsupported-body")
+
+
+@pytest.mark.parametrize("algorithm", ["sha256", "sha512"])
+def test_a_body_that_is_what_its_digest_says_is_taken(empty, algorithm):
+    body, archive = kitti(SCANS[0]), tar(npy_files([1, 2]))
+    put = empty.put(f"{DRIVE}/scans/0", content=body, headers={**KITTI, **digest(body, algorithm)})
+    assert put.status_code == 201
+    headers = {**TAR, **digest(archive, algorithm)}
+    told = empty.post(f"{DRIVE}/scans", content=archive, headers=headers).json()
+    assert told["stored"] == ranges((1, 2))
+
+
+@pytest.mark.parametrize(
+    "told",
+    [digest(b"another")["Content-Digest"], "sha-256=:A:", "sha-256", "sha-256=:====:", "x"],
+)
+def test_a_body_that_is_not_is_refused_and_changes_nothing(empty, told):
+    before = whole_store(empty)
+    headers = {"Content-Digest": told}
+    put = empty.put(f"{DRIVE}/scans/0", content=kitti(SCANS[0]), headers={**KITTI, **headers})
+    post = empty.post(f"{DRIVE}/scans", content=tar(npy_files([1, 2])), headers={**TAR, **headers})
+    poses = empty.put(f"{DRIVE}/poses", json={"poses": [{"scan": 0}]}, headers=headers)
+    for refused in (put, post, poses):
+        assert problem_of(refused) == (400, "digest-mismatch")
+    assert whole_store(empty) == before
+
+
+def test_a_digest_that_we_do_not_know_is_passed_over(empty):
+    headers = {**KITTI, "Content-Digest": "md5=:AAAA:"}
+    put = empty.put(f"{DRIVE}/scans/0", content=kitti(SCANS[0]), headers=headers)
+    assert put.status_code == 201

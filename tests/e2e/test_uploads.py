@@ -1,0 +1,134 @@
+"""A thousand scans by eight clients at once, over connections that are cut."""
+
+import io
+import random
+import signal
+import socket
+import tarfile
+import threading
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import h5py
+import httpx2
+import numpy as np
+import pytest
+
+from storage.drive_chunks import scan_digest
+from storage.store import Store
+from tests.support.process import serving
+from tests.support.recording import NPY, npy
+
+SCANS, CLIENTS, RETURNS = 1000, 8, 100
+DRIVE = "/v1/maps/campus/drives/monday"
+
+
+def points(index: int) -> np.ndarray:
+    """Return the returns of a scan that no other scan has."""
+    return np.random.default_rng(index).normal(scale=20, size=(RETURNS, 3)).astype(np.float32)
+
+
+def archive(indices: list[int]) -> bytes:
+    body = io.BytesIO()
+    with tarfile.open(fileobj=body, mode="w", format=tarfile.USTAR_FORMAT) as written:
+        for index in indices:
+            content = npy(points(index))
+            member = tarfile.TarInfo(f"{index:06}.npy")
+            member.size = len(content)
+            written.addfile(member, io.BytesIO(content))
+    return body.getvalue()
+
+
+def cut_off(port: int, chance: random.Random, method: str, path: str, body: bytes) -> None:
+    """Send a request up to some byte of its body, perhaps all, and go away without an answer."""
+    head = f"{method} {path} HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Length: {len(body)}\r\n"
+    kind = NPY["Content-Type"] if method == "PUT" else "application/x-tar"
+    request = f"{head}Content-Type: {kind}\r\n\r\n".encode() + body
+    with socket.create_connection(("127.0.0.1", port)) as connection:
+        connection.sendall(request[: chance.randint(1, len(request))])
+        if chance.random() < 0.5:  # a reset, not an end
+            connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, b"\1\0\0\0\0\0\0\0")
+
+
+@pytest.fixture
+def server(tmp_path):
+    with serving(tmp_path / "data", tmp_path / "log") as server:
+        server.client.post("/v1/maps", json={"map": "campus"})
+        yield server
+
+
+class Fleet:
+    """Eight vehicles; each uploads its share and some of its neighbour's."""
+
+    def __init__(self, server) -> None:
+        self.server = server
+        self.cuts = 0
+        self.count = threading.Lock()
+
+    def drive(self, number: int) -> None:
+        chance = random.Random(number)
+        share = SCANS // CLIENTS
+        mine = [(number * share + i) % SCANS for i in range(share + 10)]
+        chance.shuffle(mine)
+        with httpx2.Client(base_url=f"http://127.0.0.1:{self.server.port}", timeout=60) as client:
+            while missing := self.missing(client, mine):
+                batch = missing[: chance.randint(1, 60)]
+                if len(batch) == 1:
+                    path = f"{DRIVE}/scans/{batch[0]}"
+                    method, body = "PUT", npy(points(batch[0]))
+                else:
+                    path, method, body = f"{DRIVE}/scans", "POST", archive(batch)
+                if chance.random() < 0.4:
+                    cut_off(self.server.port, chance, method, path, body)
+                    with self.count:
+                        self.cuts += 1
+                    continue
+                headers = NPY if method == "PUT" else {"Content-Type": "application/x-tar"}
+                answer = client.request(method, path, content=body, headers=headers)
+                assert answer.status_code in {200, 201}, answer.text
+                if method == "POST":
+                    told = answer.json()
+                    assert told["files_set_aside"] == 0, told
+                    assert told["scans_stored"] + told["scans_present"] == len(batch)
+
+    @staticmethod
+    def missing(client: httpx2.Client, wanted: list[int]) -> list[int]:
+        told = client.get(f"{DRIVE}/scans")
+        if told.status_code == 404:
+            return wanted
+        present = [(r["first"], r["last"]) for r in told.json()["present"]]
+        return [i for i in wanted if not any(first <= i <= last for first, last in present)]
+
+
+def test_a_thousand_scans_by_eight_clients_over_cut_connections_are_a_thousand_scans(server):
+    fleet = Fleet(server)
+    with ThreadPoolExecutor(CLIENTS) as clients:
+        for done in [clients.submit(fleet.drive, number) for number in range(CLIENTS)]:
+            done.result()
+    assert fleet.cuts > 10
+    told = server.client.get(f"{DRIVE}/scans").json()
+    assert (told["scans"], told["present"]) == (SCANS, [{"first": 0, "last": SCANS - 1}])
+    assert told["gaps"] == []
+    log = server.log.read_text()
+    assert "Traceback" not in log, log[-3000:]
+    server.end(signal.SIGTERM)
+    data_dir = server.log.parent / "data"
+    assert not list(data_dir.rglob("*.part"))
+    assert_bit_for_bit(data_dir)
+
+
+def assert_bit_for_bit(data_dir: Path) -> None:
+    """Require each scan on disk to be what was sent, each file opened once."""
+    with Store(data_dir) as store:
+        records = store.drives.scan_records("campus", "monday")
+    assert [record.index for record in records] == list(range(SCANS))
+    files = {path.name: path for path in data_dir.rglob("chunks/*.h5")}
+    assert set(files) == {record.chunk for record in records}
+    for name, path in files.items():
+        with h5py.File(path) as file:
+            stored, starts = file["points_m"][:], file["scan_start"][:]
+        for record in records:
+            if record.chunk == name:
+                came = stored[starts[record.row] : starts[record.row + 1]]
+                assert came.tobytes() == points(record.index).tobytes()
+                assert record.digest == scan_digest(came)
