@@ -14,7 +14,7 @@ from sqlalchemy.orm import Session
 
 from core.errors import InvalidParameters
 from storage.catalog.database import Database
-from storage.catalog.maps import map_named
+from storage.catalog.maps import held_map, map_named
 from storage.catalog.models import Job
 from storage.catalog.pages import DEFAULT_LIMIT, one_more, page_of
 from storage.catalog.records import JobRecord, JobState, Page
@@ -41,7 +41,7 @@ class Jobs:
         with self._database.writing() as session:
             row = Job(
                 id=new_id(),
-                map_id=map_named(session, map_slug).id,
+                map_id=held_map(session, map_slug).id,
                 kind=kind,
                 state=JobState.QUEUED,
                 stage="",

@@ -165,6 +165,8 @@ class Scans:
         """
         old = {scan.chunk for scan in scans}
         with self._database.writing() as session:
+            if session.get(Drive, drive_id, with_for_update=True) is None:
+                raise LostRace("the drive was removed meanwhile")
             stored = _among(session, drive_id, {scan.index for scan in scans})
             for scan in scans:
                 now = stored.get(scan.index)

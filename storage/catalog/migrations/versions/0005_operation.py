@@ -1,0 +1,24 @@
+"""Slugs are in the order of their bytes on PostgreSQL too, whatever language it speaks."""
+
+from alembic import op
+
+revision = "0005"
+down_revision = "0002"
+branch_labels = None
+depends_on = None
+
+_TABLES = ("maps", "drives")
+
+
+def upgrade() -> None:
+    _collate('"C"')
+
+
+def downgrade() -> None:
+    _collate('"default"')
+
+
+def _collate(name: str) -> None:
+    if op.get_bind().dialect.name == "postgresql":  # SQLite compares bytes anyway
+        for table in _TABLES:
+            op.execute(f"ALTER TABLE {table} ALTER COLUMN slug TYPE VARCHAR(64) COLLATE {name}")
