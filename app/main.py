@@ -13,6 +13,8 @@ from app.auth import open_access
 from app.bodies import BodyGuard
 from app.errors import add_handlers
 from app.jobs.runner import JobRunner
+from app.metrics import Metrics
+from app.observing import RequestObserver
 from app.openapi import complete_openapi
 from app.revisions import LoadedRevisions
 from app.routes import api, open_routes, streams
@@ -39,11 +41,12 @@ def create_app(settings: Settings | None = None) -> FastAPI:
         settings: What the operator chose; read from the environment if not given.
     """
     chosen = settings or Settings()
+    metrics = Metrics()
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
         one_blas_thread()
-        service = await run_in_threadpool(_start, chosen)
+        service = await run_in_threadpool(_start, chosen, metrics)
         app.state.service = service
         try:
             yield
@@ -62,6 +65,7 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     app.add_middleware(
         BodyGuard, max_body_bytes=chosen.max_body_bytes, max_json_bytes=chosen.max_json_bytes
     )
+    app.add_middleware(RequestObserver, metrics=metrics)  # the last one added is the outermost
     app.include_router(api())
     app.include_router(streams())
     app.include_router(open_routes())
@@ -69,7 +73,7 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     return app
 
 
-def _start(settings: Settings) -> Service:
+def _start(settings: Settings, metrics: Metrics) -> Service:
     store = Store.serving(settings.data_dir, settings.catalog_url)
     try:
         access, made = open_access(settings, store)
@@ -79,7 +83,7 @@ def _start(settings: Settings) -> Service:
     if made is not None:
         # The one place where a key is shown: only its hash is kept.
         print(f"Administrator key, shown this once: {made}", flush=True)  # noqa: T201
-    runner = JobRunner(settings, store)
+    runner = JobRunner(settings, store, ended=metrics.built)
     runner.start()
     return Service(
         settings=settings,
@@ -88,6 +92,7 @@ def _start(settings: Settings) -> Service:
         runner=runner,
         access=access,
         tracks=Tracks(settings.max_tracks, settings.track_idle_s),
+        metrics=metrics,
     )
 
 

@@ -74,6 +74,7 @@ def _observe(service: Service, map_slug: str, track_id: str, body: bytes | str) 
         raise BodyTooLarge(f"the message has {len(body)} bytes, at most {limit} are read")
     found, live = track_of(service, map_slug, track_id)
     step = found.observe(_observation(body))
+    service.metrics.localized("track", step.reason)
     return TrackStepOut.from_core(found.id, step, live).model_dump_json()
 
 

@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from typing import Any
 
-from sqlalchemy import select, tuple_
+from sqlalchemy import func, select, tuple_
 from sqlalchemy.orm import Session
 
 from core.errors import InvalidParameters
@@ -108,6 +108,16 @@ class Jobs:
             query = query.order_by(Job.created_at.desc(), Job.id.desc())
             records = [_record(row) for row in session.scalars(query.limit(one_more(limit)))]
         return page_of(records, limit, lambda record: record.id)
+
+    def counts(self) -> Mapping[JobState, int]:
+        """Return how many jobs wait and run; those that ended are not counted."""
+        query = (
+            select(Job.state, func.count())
+            .where(Job.state.in_([JobState.QUEUED, JobState.RUNNING]))
+            .group_by(Job.state)
+        )
+        with self._database.reading() as session:
+            return {JobState(state): count for state, count in session.execute(query)}
 
     def progress(self, job_id: str, stage: str, done_units: int, total_units: int) -> JobRecord:
         """Record how far a running job is; the answer tells whether it is asked to stop.

@@ -5,7 +5,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 
-from sqlalchemy import insert, select, update
+from sqlalchemy import func, insert, select, update
 from sqlalchemy.exc import IntegrityError
 from sqlalchemy.orm import Session
 
@@ -14,7 +14,7 @@ from storage.catalog.database import Database
 from storage.catalog.drives import drive_named
 from storage.catalog.maps import map_named
 from storage.catalog.models import Drive, Map, Scan
-from storage.catalog.records import ScanRecord
+from storage.catalog.records import BYTES_PER_RETURN, ScanRecord
 from storage.errors import ScanNotFound, StorageBusy
 from storage.names import checked_slug, new_id
 
@@ -180,6 +180,11 @@ class Scans:
                 ],
             )
             return old - _chunks(session, drive_id)
+
+    def size_bytes(self) -> int:
+        """Return the size of the returns of all scans of all drives together."""
+        with self._database.reading() as session:
+            return int(session.scalar(select(func.sum(Scan.returns))) or 0) * BYTES_PER_RETURN
 
     def chunks(self, drive_id: str) -> set[str]:
         """Return the names of the chunk files that hold the scans of a drive."""

@@ -110,6 +110,13 @@ class Store:
         sweep(self.catalog, self.layout)
         self.jobs.requeue_interrupted()
 
+    def stored_bytes(self) -> dict[str, int]:
+        """Return the size of all raw returns, `scans`, and of the files of all `revisions`."""
+        return {
+            "scans": self.catalog.scans.size_bytes(),
+            "revisions": self.catalog.revisions.size_bytes(),
+        }
+
     def close(self) -> None:
         """Close the catalog and let another server have the data directory."""
         self.catalog.close()
