@@ -21,7 +21,7 @@ from storage.errors import (
     StorageBusy,
     StorageError,
 )
-from storage.files import make_folder
+from storage.files import discard, make_folder
 from storage.names import new_id
 from storage.store.compaction import compact
 from storage.store.layout import Layout
@@ -129,7 +129,7 @@ class Drives:
         except StorageError:
             # These say that nothing was committed. After any other error that is not certain, and
             # a file too many, which the next start sets aside, is better than one too few.
-            path.unlink(missing_ok=True)
+            discard(path)
             raise
 
     def put_poses(

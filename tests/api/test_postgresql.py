@@ -51,6 +51,18 @@ def test_a_catalog_that_goes_away_is_told_and_comes_back(postgresql: Cluster, tm
         assert client.get("/readyz").status_code == 200
 
 
+def test_a_catalog_that_may_only_be_read_is_told(postgresql: Cluster, tmp_path) -> None:
+    url = postgresql.new_database()
+    name = url.partition("?")[0].rpartition("/")[2]
+    with running(tmp_path / "data", catalog_url=url) as client:
+        client.post("/v1/maps", json={"map": "campus"})
+        postgresql.run(f"ALTER DATABASE {name} SET default_transaction_read_only = on", "postgres")
+        client.service.store.catalog._database.engine.dispose()
+        made = client.post("/v1/maps", json={"map": "new"})
+        assert problem_of(made) == (503, "storage-read-only")
+        assert [item["map"] for item in client.get("/v1/maps").json()["items"]] == ["campus"]
+
+
 def localize(client, index):
     body = kitti(recording(scans=12).scans[index])
     answer = client.post("/v1/maps/campus/localizations/scan", content=body, headers=KITTI)
