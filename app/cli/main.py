@@ -6,7 +6,18 @@ from typing import Annotated
 
 import typer
 
-from app.cli import compare, demo, evaluate, loop_closure, maps, merge, report, serve, simulate
+from app.cli import (
+    backup,
+    compare,
+    demo,
+    evaluate,
+    loop_closure,
+    maps,
+    merge,
+    report,
+    serve,
+    simulate,
+)
 from app.demo.errors import DemoFailed
 from app.threads import one_blas_thread
 from core.errors import TensorMapError
@@ -22,6 +33,8 @@ cli = typer.Typer(
 )
 for command in (
     serve.serve,
+    backup.backup,
+    backup.restore,
     demo.demo,
     maps.build,
     merge.merge,
