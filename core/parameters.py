@@ -13,12 +13,14 @@ from core.rings import RingGrid
 from core.sensor import HDL_64E, AngularGrid, sensor_named
 
 __all__ = [
+    "DEFAULT_ENCODING",
     "HDL_64E_ON_KITTI_HEIGHT_M",
     "LATERAL_RENDERINGS_M",
     "Distance",
     "Encoding",
     "MapParameters",
     "Segmentation",
+    "encoding_with",
 ]
 
 HDL_64E_ON_KITTI_HEIGHT_M = 1.73  # KITTI's sensor set-up: above ground
@@ -31,6 +33,22 @@ class Encoding(StrEnum):
 
     PAPER = "paper"
     HARMONIC = "harmonic"
+
+
+DEFAULT_ENCODING = Encoding.HARMONIC
+"""Of what is built without saying: docs/decisions/0010-harmonic-encoding.md."""
+
+_OF_THE_PAPER = {Reducer.LAST, Reducer.NEAREST, Reducer.FARTHEST}
+
+
+def encoding_with(reducer: Reducer | None) -> Encoding:
+    """Return the default encoding, or the paper's if only that has such a reducer.
+
+    Examples:
+        >>> encoding_with(None).value, encoding_with(Reducer.LAST).value
+        ('harmonic', 'paper')
+    """
+    return Encoding.PAPER if reducer in _OF_THE_PAPER else DEFAULT_ENCODING
 
 
 class Segmentation(StrEnum):
@@ -52,7 +70,7 @@ class Distance(StrEnum):
 
 @dataclass(frozen=True)
 class MapParameters:
-    """What a query must share with the map to be answered by it.
+    """What a query must share with the map to be answered by it; by default as in the paper.
 
     Attributes:
         encoding: How images become signatures.
@@ -131,7 +149,7 @@ class MapParameters:
         cls,
         sensor: str = HDL_64E.name,
         *,
-        encoding: Encoding = Encoding.PAPER,
+        encoding: Encoding = DEFAULT_ENCODING,
         ranks: tuple[int, int] = (5, 5),
         reducer: Reducer | None = None,
         sensor_height_m: float = HDL_64E_ON_KITTI_HEIGHT_M,

@@ -12,7 +12,7 @@ from app.cli.console import output, progress_bar
 from app.cli.options import MIN_RETURNS
 from app.demo.outcome import MAX_SCANS, RECALL_M, Outcome
 from core.drive import Drive
-from core.parameters import Encoding
+from core.parameters import DEFAULT_ENCODING, Encoding
 from core.simulation import SimulatedDrive
 from storage.formats.drives import open_drive
 
@@ -32,7 +32,7 @@ def demo(
     ] = False,
     port: Annotated[int, typer.Option(min=1, max=65535, help="First port to try.")] = 8000,
     seed: Annotated[int, typer.Option(min=0, help="Of the simulated city.")] = 0,
-    encoding: Annotated[Encoding, typer.Option(help="Of the map.")] = Encoding.PAPER,
+    encoding: Annotated[Encoding, typer.Option(help="Of the map.")] = DEFAULT_ENCODING,
 ) -> None:
     """Record a drive, post it, build the map, localize what was held out, and print a table."""
     from app.demo.client import Client  # here: no other command needs an HTTP client

@@ -35,7 +35,7 @@ from core.evaluation.evaluate import Protocol
 from core.evaluation.evaluate import evaluate as evaluate_drive
 from core.evaluation.result import Evaluation
 from core.evaluation.split import Interleaved, parse_split
-from core.parameters import Encoding, MapParameters, Segmentation
+from core.parameters import MapParameters, Segmentation, encoding_with
 from core.sensor import HDL_64E
 from storage.files import publish
 from storage.formats.drives import open_drive
@@ -69,7 +69,7 @@ def evaluate(
             rich_help_panel=_PROTOCOL,
         ),
     ] = None,
-    encoding: EncodingOption = Encoding.PAPER,
+    encoding: EncodingOption = None,
     ranks_text: RanksOption = "5,5",
     segmentation: SegmentationOption = Segmentation.FIXED,
     segment_length: SegmentLengthOption = None,
@@ -111,7 +111,7 @@ def evaluate(
     protocol = Protocol(
         parameters=MapParameters.for_sensor(
             sensor,
-            encoding=encoding,
+            encoding=encoding or encoding_with(reducer),
             ranks=ranks(ranks_text),
             reducer=reducer,
             sensor_height_m=sensor_height_m,

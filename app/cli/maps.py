@@ -40,7 +40,7 @@ from core.compression import Compression
 from core.encodings.harmonic import HarmonicModel
 from core.errors import InvalidParameters, InvalidScan
 from core.localizer import Localization, Localizer
-from core.parameters import Encoding, Segmentation
+from core.parameters import Segmentation, encoding_with
 from core.pose import path_length_m
 from core.sensor import HDL_64E
 from core.signature import Packing, pack_signatures
@@ -61,7 +61,7 @@ def build(
     output_file: Annotated[
         Path, typer.Option("-o", "--output", metavar="MAP.h5", help="The map file to write.")
     ],
-    encoding: EncodingOption = Encoding.PAPER,
+    encoding: EncodingOption = None,
     ranks_text: RanksOption = "5,5",
     segmentation: SegmentationOption = Segmentation.FIXED,
     segment_length: SegmentLengthOption = None,
@@ -88,7 +88,7 @@ def build(
     require_folder(output_file)
     try:
         parameters = BuildParameters(
-            encoding=encoding,
+            encoding=encoding or encoding_with(reducer),
             ranks=ranks(ranks_text),
             segmentation=segmentation,
             segment_length=segment_length,

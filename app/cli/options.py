@@ -53,7 +53,13 @@ DrivesArgument = Annotated[
     ),
 ]
 MapArgument = Annotated[Path, typer.Argument(help="A map file.", metavar="MAP.h5")]
-EncodingOption = Annotated[Encoding, typer.Option(rich_help_panel=_BUILD)]
+EncodingOption = Annotated[
+    Encoding | None,
+    typer.Option(
+        help="By default harmonic, or paper with a reducer that only the paper's has.",
+        rich_help_panel=_BUILD,
+    ),
+]
 SegmentationOption = Annotated[
     Segmentation,
     typer.Option(

@@ -7,7 +7,14 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator, model_valida
 
 from core.errors import InvalidParameters
 from core.imager import ImageKind
-from core.parameters import LATERAL_RENDERINGS_M, Distance, Encoding, MapParameters, Segmentation
+from core.parameters import (
+    DEFAULT_ENCODING,
+    LATERAL_RENDERINGS_M,
+    Distance,
+    Encoding,
+    MapParameters,
+    Segmentation,
+)
 from core.projection import Reducer
 from core.segmentation import PAPER_SEGMENT_LENGTH
 from core.sensor import HDL_64E, SENSORS
@@ -65,8 +72,9 @@ class BuildParameters(BaseModel):
         " default that of `base`, or of the live revision if its parameters are the same, is kept.",
     )
     encoding: Encoding = Field(
-        Encoding.PAPER,
-        description="`paper`: bases of each segment; `harmonic`: one for the map.",
+        DEFAULT_ENCODING,
+        description="`harmonic`: one basis for the map, answers in any direction and lane; `paper`:"
+        " bases of each segment.",
     )
     ranks: tuple[int, int] = Field((5, 5), description="r1 and r2: the shape of a signature.")
     segmentation: Segmentation = Field(
@@ -89,10 +97,10 @@ class BuildParameters(BaseModel):
     reducer: Reducer | None = Field(
         None,
         description="What a shared cell keeps: `last`, `nearest`, `farthest` or `mean` range,"
-        " `mean` or `highest` height. By default `last`; in a harmonic map `mean`.",
+        " `mean` or `highest` height. By default `highest`, of ranges `mean`; of paper `last`.",
     )
     image: ImageKind | None = Field(
-        None, description="What is encoded. By default `range`; in a harmonic map `height`."
+        None, description="What is encoded. By default `height`; in a paper map `range`."
     )
     distance: Distance | None = Field(
         None, description="How harmonic signatures are compared; `normalised` by default."

@@ -2,9 +2,11 @@
 
 from typing import Annotated
 
-from fastapi import APIRouter, Path, Query
+from fastapi import APIRouter, Header, Path, Query, Response, status
+from starlette.responses import StreamingResponse
 
 from app.errors import READING, WRITING, InvalidRequest, problems
+from app.job_events import event_id, events_of
 from app.schemas.jobs import JobOut
 from app.schemas.pages import After, Limit, PageOut
 from app.service import Running
@@ -15,7 +17,12 @@ __all__ = ["router"]
 
 router = APIRouter(tags=["builds"])
 
+_EVENTS = "text/event-stream"
+
 JobId = Annotated[str, Path(alias="job", description="The job's id.")]
+LastEventId = Annotated[
+    str | None, Header(max_length=200, description="Of the last event that the client was told.")
+]
 OfMap = Annotated[str | None, Query(alias="map", description="Only the jobs of this map.")]
 
 
@@ -32,6 +39,30 @@ def list_jobs(
 def get_job(job_id: JobId, running: Running) -> JobOut:
     """Show a job and how far it is."""
     return JobOut.from_record(running.store.jobs.get(job_id))
+
+
+@router.get(
+    "/jobs/{job}/events",
+    response_class=Response,
+    responses={
+        200: {"description": "The job whenever it has got further.", "content": {_EVENTS: {}}},
+        204: {"description": "It has ended, and the client was told so: do not come back."},
+        **problems(JobNotFound, InvalidRequest, *READING),
+    },
+)
+def follow_job(job_id: JobId, running: Running, last_event_id: LastEventId = None) -> Response:
+    """Follow a job: an event now and whenever it has got further, each the whole job as JSON.
+
+    The stream ends when the job has. `Last-Event-ID`, as a browser sends it when it comes back,
+    leaves out what was seen.
+    """
+    record = running.store.jobs.get(job_id)
+    if record.ended and last_event_id == event_id(record):
+        return Response(status_code=status.HTTP_204_NO_CONTENT)
+    events = events_of(lambda: running.store.jobs.get(job_id), last_event_id)
+    # Proxies that buffer would hold back what is meant for now.
+    headers = {"Cache-Control": "no-store", "X-Accel-Buffering": "no"}
+    return StreamingResponse(events, media_type=_EVENTS, headers=headers)
 
 
 @router.delete("/jobs/{job}", responses=problems(JobNotFound, *WRITING))

@@ -9,7 +9,17 @@ from fastapi import APIRouter, Header, Path, Query, Response, status
 from fastapi.responses import FileResponse
 from pydantic import Field
 
-from app.errors import JSON_BODY, READING, WRITING, InvalidRequest, problems
+from app.bodies import Body, ContentType, binary_body, media_type
+from app.errors import (
+    JSON_BODY,
+    READING,
+    WRITING,
+    BodyTooLarge,
+    InvalidRequest,
+    UnsupportedBody,
+    problems,
+)
+from app.imports import import_revision
 from app.open_file import OpenFileResponse
 from app.revisions import Answering
 from app.routes.maps import IfMatch, etag_of, version_seen
@@ -18,7 +28,7 @@ from app.schemas.pages import After, Limit, PageOut
 from app.schemas.revisions import BasisOut, LiveIn, RevisionOut
 from app.schemas.topology import TopologyOut
 from app.service import MapSlug, Running
-from core.errors import InvalidParameters, UnknownSegment
+from core.errors import InvalidMap, InvalidParameters, UnknownSegment
 from storage.errors import (
     AmbiguousRevision,
     CorruptFile,
@@ -28,6 +38,7 @@ from storage.errors import (
     RevisionIsLive,
     RevisionNotFound,
 )
+from storage.formats.errors import EmptyBody
 
 __all__ = ["router"]
 
@@ -42,6 +53,10 @@ OneRevision = Annotated[
 Segments = Annotated[
     list[Annotated[int, Field(ge=0, lt=2**31)]] | None,
     Query(alias="segment", description="Only these segments; may be given several times."),
+]
+
+MakeLive = Annotated[
+    bool | None, Query(description="Make it live; the first one of a map always is.")
 ]
 
 _OF_ONE = (
@@ -69,6 +84,47 @@ def list_revisions(
     page = running.store.revisions.list(map_slug, after, limit)
     items = [RevisionOut.from_record(record, live) for record in page.items]
     return PageOut(items=items, next_after=page.next_after)
+
+
+@router.post(
+    "/maps/{map}/revisions",
+    status_code=status.HTTP_201_CREATED,
+    responses={
+        200: {"model": RevisionOut, "description": "The map has it already."},
+        **problems(
+            MapNotFound,
+            InvalidMap,
+            EmptyBody,
+            UnsupportedBody,
+            BodyTooLarge,
+            InvalidRequest,
+            *WRITING,
+        ),
+    },
+    openapi_extra=binary_body(**{_HDF5: "A revision's file, as its download gives it."}),
+)
+def import_a_revision(
+    map_slug: MapSlug,
+    running: Running,
+    response: Response,
+    body: Body,
+    content_type: ContentType = None,
+    make_live: MakeLive = None,
+) -> RevisionOut:
+    """Import a revision from elsewhere: a map's file, which is checked whole and written anew.
+
+    It answers as it did there, and has the same digest. Builds cannot be based on it: the scans
+    that it was made of are not here.
+    """
+    if media_type(content_type) != _HDF5:
+        raise UnsupportedBody(f"Content-Type is {(content_type or '')[:80]!r}, wanted {_HDF5}")
+    if not body:
+        raise EmptyBody("the body is empty, wanted a map's file")
+    record, added = import_revision(running.store, map_slug, body, make_live=bool(make_live))
+    if not added:
+        response.status_code = status.HTTP_200_OK
+    response.headers["Location"] = f"/v1/maps/{map_slug}/revisions/{record.digest}"
+    return RevisionOut.from_record(record, running.store.maps.get(map_slug).live_revision)
 
 
 @router.get(

@@ -1,6 +1,6 @@
 """Jobs over the wire."""
 
-from datetime import datetime
+from datetime import UTC, datetime
 
 from pydantic import BaseModel, Field
 
@@ -30,6 +30,9 @@ class JobOut(BaseModel):
     stage: str = Field(description="What it does now.", examples=["projecting", "fitting"])
     done: int = Field(description="Units of this stage that are done.")
     total: int = Field(description="Units of this stage.")
+    remaining_s: float | None = Field(
+        description="Seconds until this stage is done at its pace so far; null if nothing tells."
+    )
     parameters: BuildParameters
     revision: str | None = Field(description="What it built, once it is done.")
     notes: list[str] = Field(
@@ -55,6 +58,7 @@ class JobOut(BaseModel):
             stage=record.stage,
             done=record.done_units,
             total=record.total_units,
+            remaining_s=record.remaining_s(datetime.now(UTC)),
             parameters=BuildParameters.model_validate(record.parameters),
             revision=record.revision,
             notes=list(record.notes),

@@ -8,7 +8,7 @@ from app.schemas.poses import PoseOut
 from core.pose import Pose
 from core.tensormap import TensorMap
 
-__all__ = ["TopologyOut"]
+__all__ = ["EdgeOut", "TopologyOut"]
 
 
 class NodeOut(BaseModel):

@@ -128,6 +128,8 @@ class Jobs:
         """
         with self._database.writing() as session:
             row = _running(session, job_id)
+            if stage != row.stage:
+                row.stage_started_at = datetime.now(UTC)
             row.stage, row.done_units, row.total_units = stage, done_units, total_units
             session.flush()
             return _record(row)
@@ -201,6 +203,7 @@ class Jobs:
                     _end_row(row, JobState.CANCELLED)
                 else:
                     row.state, row.stage, row.started_at = JobState.QUEUED, "", None
+                    row.stage_started_at = None
                     row.done_units = row.total_units = 0
             return sum(row.state == JobState.QUEUED for row in rows)
 
@@ -257,4 +260,5 @@ def _record(row: Job) -> JobRecord:
         started_at=row.started_at,
         finished_at=row.finished_at,
         notes=tuple(row.notes or ()),
+        stage_started_at=row.stage_started_at,
     )

@@ -235,6 +235,7 @@ class Job(Base):
     notes: Mapped[list[str] | None] = mapped_column(JSON(none_as_null=True))
     created_at: Mapped[datetime]
     started_at: Mapped[datetime | None]
+    stage_started_at: Mapped[datetime | None]
     finished_at: Mapped[datetime | None]
 
 

@@ -181,6 +181,7 @@ class JobRecord:
         error_type: Name of the error it failed with.
         revision: Digest of the revision it built.
         cancel_requested: Someone asked a running job to stop.
+        stage_started_at: When this stage began, of a running job that told one.
         notes: What it tells about what it built.
     """
 
@@ -200,6 +201,19 @@ class JobRecord:
     started_at: datetime | None
     finished_at: datetime | None
     notes: tuple[str, ...] = ()
+    stage_started_at: datetime | None = None
+
+    @property
+    def ended(self) -> bool:
+        """Whether it is done, failed or cancelled."""
+        return self.state not in {JobState.QUEUED, JobState.RUNNING}
+
+    def remaining_s(self, now: datetime) -> float | None:
+        """Return how long its stage will take at the pace so far; `None` if nothing tells."""
+        if self.state != JobState.RUNNING or self.stage_started_at is None or not self.done_units:
+            return None
+        spent_s = (now - self.stage_started_at).total_seconds()
+        return max(0.0, spent_s * (self.total_units / self.done_units - 1.0))
 
 
 @dataclass(frozen=True)

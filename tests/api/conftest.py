@@ -9,6 +9,8 @@ import pytest
 from tests.support.recording import recording
 from tests.support.service import running, upload, wait_for
 
+PAPER = {"encoding": "paper"}
+
 
 @dataclass(frozen=True)
 class Built:
@@ -28,7 +30,7 @@ def built(tmp_path_factory):
         upload(client, "monday", recording())
         jobs = [
             client.post("/v1/maps/campus/builds", json=wanted).json()["job"]
-            for wanted in ({"segments": 3}, {"segments": 2, "reducer": "nearest"})
+            for wanted in ({"segments": 3, **PAPER}, {"segments": 2, "reducer": "nearest", **PAPER})
         ]
         live, other = (wait_for(client, job)["revision"] for job in jobs)
     return Built(data_dir, live, other, jobs[0])

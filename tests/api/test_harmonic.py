@@ -184,9 +184,9 @@ def test_a_signature_packed_for_another_encoding_is_refused(client, basis):
         {"encoding": "harmonic", "reducer": "last"},
         {"encoding": "harmonic", "image": "range", "reducer": "highest"},
         {"encoding": "harmonic", "lateral_renderings_m": [1, 0]},
-        {"distance": "plain"},
-        {"image": "height"},
-        {"lateral_renderings_m": [0]},
+        {"encoding": "paper", "distance": "plain"},
+        {"encoding": "paper", "image": "height"},
+        {"encoding": "paper", "lateral_renderings_m": [0]},
     ],
 )
 def test_a_build_whose_options_do_not_go_together_is_refused_at_once(client, wanted):

@@ -78,7 +78,7 @@ def test_a_build_that_fails_says_why_and_publishes_nothing(empty):
     for index in range(3):
         upload_scan(empty, "campus", "sky", index, Scan.from_returns(above))
     before = whole_store(empty)
-    job = wait_for(empty, build(empty))
+    job = wait_for(empty, build(empty, encoding="paper"))
     assert job["state"] == "failed"
     assert job["error"]["type"] == "/problems/empty-drive"
     assert "sky" in job["error"]["detail"]

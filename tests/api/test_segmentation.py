@@ -29,7 +29,7 @@ def build(client, **wanted):
 
 
 def test_unequal_segments_are_chosen_for_a_build_and_told_by_its_revision(own):
-    graph = build(own, segmentation="unequal", segments=3)
+    graph = build(own, segmentation="unequal", segments=3, encoding="paper")
     [revision] = [
         item
         for item in own.get("/v1/maps/campus/revisions").json()["items"]

@@ -74,7 +74,18 @@ def test_a_model_explains_most_of_its_segment(drives: Drives) -> None:
 def test_evaluate_writes_what_it_found(drives: Drives, tmp_path: Path) -> None:
     out = tmp_path / "figures.json"
     command = [sys.executable, "-m", "app.cli", "evaluate", str(drives.path("kitti_drive0001"))]
-    options = ["--split", "every:2", "--segments", "3", "--lateral-m", "0,-1", "--json", str(out)]
+    options = [
+        "--encoding",
+        "paper",
+        "--split",
+        "every:2",
+        "--segments",
+        "3",
+        "--lateral-m",
+        "0,-1",
+        "--json",
+        str(out),
+    ]
     root = Path(__file__).parents[2]
     subprocess.run([*command, *options], check=True, cwd=root, capture_output=True)
     found = json.loads(out.read_text())

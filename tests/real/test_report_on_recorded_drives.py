@@ -30,7 +30,7 @@ def study(drives: Drives) -> Study:
 
 
 def test_the_sweep_agrees_with_evaluate(study: Study, drives: Drives) -> None:
-    protocol = Protocol(MapParameters.for_sensor(), segment_length=50)
+    protocol = Protocol(MapParameters.for_sensor(encoding=Encoding.PAPER), segment_length=50)
     wanted = evaluate(drives.open("kitti00"), protocol)
     found = study.encodings[0].sweep.at((5, 5), 50)
     assert found is not None

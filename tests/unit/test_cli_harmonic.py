@@ -78,8 +78,14 @@ def test_a_segment_is_nothing_that_a_harmonic_signature_has(map_file, folder):
 
 
 def test_options_of_the_other_encoding_are_refused(folder, tmp_path):
+    out = tmp_path / "map.h5"
     with pytest.raises(InvalidParameters, match="distance"):
-        run("build", folder, "-o", tmp_path / "map.h5", "--distance", "plain")
+        run("build", folder, "-o", out, "--encoding", "paper", "--distance", "plain")
+
+
+def test_a_reducer_that_only_the_papers_encoding_has_chooses_it(folder, tmp_path):
+    run("build", folder, "-o", tmp_path / "map.h5", "--reducer", "nearest", "--segments", "2")
+    assert json.loads(run("inspect", tmp_path / "map.h5", "--json"))["encoding"] == "paper"
 
 
 def test_a_build_says_that_it_is_not_calibrated_and_what_then_is_answered(folder, tmp_path):

@@ -30,7 +30,7 @@ from core.tensormap import TensorMap
 from core.trajectory import Trajectory
 from tests.support.samples import sample_harmonic_map, straight_poses
 
-HARMONIC = Encoding.HARMONIC
+HARMONIC, PAPER = Encoding.HARMONIC, Encoding.PAPER
 
 
 @pytest.fixture(scope="module")
@@ -77,10 +77,10 @@ def test_range_images_are_on_the_sensors_grid_without_a_seam():
         {"encoding": HARMONIC, "reducer": Reducer.LAST},
         {"encoding": HARMONIC, "image": ImageKind.RANGE, "reducer": Reducer.HIGHEST},
         {"encoding": HARMONIC, "lateral_renderings_m": []},
-        {"image": ImageKind.HEIGHT},
-        {"reducer": Reducer.HIGHEST},
-        {"distance": Distance.PLAIN},
-        {"lateral_renderings_m": [0.0]},
+        {"encoding": PAPER, "image": ImageKind.HEIGHT},
+        {"encoding": PAPER, "reducer": Reducer.HIGHEST},
+        {"encoding": PAPER, "distance": Distance.PLAIN},
+        {"encoding": PAPER, "lateral_renderings_m": [0.0]},
     ],
 )
 def test_what_does_not_go_together_is_refused(options):

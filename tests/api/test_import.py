@@ -1,0 +1,108 @@
+"""A revision from elsewhere: checked whole, written anew, answering as it did there."""
+
+import io
+
+import h5py
+import pytest
+
+from tests.support.recording import KITTI, kitti, recording
+from tests.support.service import problem_of, whole_store
+
+HDF5 = {"Content-Type": "application/vnd.tensormap.map+hdf5"}
+REVISIONS = "/v1/maps/campus/revisions"
+
+
+@pytest.fixture
+def exported(client, built):
+    return client.get(f"{REVISIONS}/{built.live}/file").content
+
+
+def changed(body, change):
+    file = io.BytesIO(body)
+    with h5py.File(file, "r+") as opened:
+        change(opened)
+    return file.getvalue()
+
+
+def test_an_imported_revision_answers_as_where_it_was_built(client, built, exported, empty):
+    answer = empty.post(REVISIONS, content=exported, headers=HDF5)
+    assert answer.status_code == 201, answer.text
+    told = answer.json()
+    assert (told["revision"], told["live"], told["job"]) == (built.live, True, None)
+    assert told["parameters"]["imported"] is True
+    assert answer.headers["Location"] == f"{REVISIONS}/{built.live}"
+    scan = kitti(recording(noise_seed=7).scans[4])
+    path = "/v1/maps/campus/localizations/scan"
+    here, there = (c.post(path, content=scan, headers=KITTI).json() for c in (empty, client))
+    assert here["matches"] == there["matches"]
+    assert here["probability"] == there["probability"]
+    assert empty.get(f"{REVISIONS}/{built.live}/file").status_code == 200
+
+
+def test_a_revision_that_is_there_is_imported_once(own, built, exported):
+    before = whole_store(own)
+    again = own.post(REVISIONS, content=exported, headers=HDF5)
+    assert again.status_code == 200
+    assert again.json()["created_at"] == own.get(f"{REVISIONS}/{built.live}").json()["created_at"]
+    assert whole_store(own) == before
+
+
+def test_an_import_is_made_live_on_request_only(own, built):
+    other = own.get(f"{REVISIONS}/{built.other}/file").content
+    own.delete(f"{REVISIONS}/{built.other}")
+    assert not own.post(REVISIONS, content=other, headers=HDF5).json()["live"]
+    live = own.post(REVISIONS, content=other, headers=HDF5, params={"make_live": True})
+    assert live.json()["live"]
+
+
+def test_no_build_is_based_on_an_import_whose_drives_are_elsewhere(empty, built, exported):
+    empty.post(REVISIONS, content=exported, headers=HDF5)
+    wanted = {"base": "live", "add": ["tuesday"]}
+    answer = empty.post("/v1/maps/campus/builds", json=wanted)
+    assert problem_of(answer) == (404, "drive-not-found")
+
+
+def one_more(file):
+    file["signatures"].write_direct(file["signatures"][()] + 1)
+
+
+SPOILT = {
+    "empty": (lambda body: b"", "empty-body"),
+    "cut off": (lambda body: body[: len(body) // 2], "invalid-map"),
+    "not HDF5": (lambda body: b"not HDF5", "invalid-map"),
+    "more": (lambda body: changed(body, lambda f: f.create_group("more")), "invalid-map"),
+    "other numbers": (lambda body: changed(body, one_more), "invalid-map"),
+    "other digest": (
+        lambda body: changed(body, lambda f: f.attrs.create("digest", "0" * 64)),
+        "invalid-map",
+    ),
+    "later format": (
+        lambda body: changed(body, lambda f: f.attrs.create("format_version", 99)),
+        "invalid-map",
+    ),
+}
+
+
+@pytest.mark.parametrize(("spoil", "problem"), SPOILT.values(), ids=SPOILT.keys())
+def test_what_is_no_whole_map_is_refused_and_changes_nothing(empty, exported, spoil, problem):
+    before = whole_store(empty)
+    assert problem_of(empty.post(REVISIONS, content=spoil(exported), headers=HDF5)) == (
+        422,
+        problem,
+    )
+    assert whole_store(empty) == before
+
+
+def test_a_file_that_points_at_another_is_refused(empty, exported, tmp_path):
+    def link(file):
+        del file["pose"]
+        file["pose"] = h5py.ExternalLink(str(tmp_path / "secret.h5"), "pose")
+
+    answer = empty.post(REVISIONS, content=changed(exported, link), headers=HDF5)
+    assert problem_of(answer) == (422, "invalid-map")
+
+
+def test_an_import_says_what_it_is_and_goes_into_a_map_that_is_there(empty, exported):
+    assert problem_of(empty.post(REVISIONS, content=exported)) == (415, "unsupported-body")
+    nowhere = empty.post("/v1/maps/other/revisions", content=exported, headers=HDF5)
+    assert problem_of(nowhere) == (404, "map-not-found")
