@@ -125,7 +125,7 @@ class JobRunner:
             job = self._store.jobs.get(job_id)
         except TensorMapError:  # gone with its map, or the catalog is
             return
-        event = "build ended" if job.finished_at else "build interrupted, it is queued at a start"
+        event = "build ended" if job.ended else "build interrupted, it is queued at a start"
         _log.info(event, extra=fields(job=job.id, state=job.state.value, error=job.error_type))
         self._ended(job)
 

@@ -3,7 +3,7 @@
 import math
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from datetime import UTC
+from datetime import UTC, datetime
 
 import pytest
 from alembic.autogenerate import compare_metadata
@@ -407,6 +407,8 @@ class TestJobs:
         assert (running.id, running.state) == (queued.id, JobState.RUNNING)
         assert running.started_at >= queued.created_at
         halfway = catalog.jobs.progress(queued.id, "project", 50, 100)
+        assert running.started_at <= halfway.stage_started_at <= datetime.now(UTC)
+        assert catalog.jobs.get(queued.id) == halfway
         assert (halfway.stage, halfway.done_units, halfway.total_units) == ("project", 50, 100)
         done = catalog.jobs.finish(queued.id, A)
         assert (done.state, done.revision) == (JobState.DONE, A)
