@@ -2,8 +2,9 @@
 
 import logging
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from http import HTTPStatus
+from types import MappingProxyType
 from typing import Any
 
 from fastapi import FastAPI, Request
@@ -34,6 +35,8 @@ __all__ = [
     "MethodNotAllowed",
     "NoSuchRoute",
     "Problem",
+    "ScopeMissing",
+    "TooManyRequests",
     "TooManyTracks",
     "TrackNotFound",
     "UnsupportedBody",
@@ -56,7 +59,13 @@ _log = logging.getLogger("tensormap")
 
 
 class AppError(core.TensorMapError):
-    """Base of the errors that only a service has."""
+    """Base of the errors that only a service has.
+
+    Attributes:
+        headers: What the answer says besides, in its head.
+    """
+
+    headers: Mapping[str, str] = MappingProxyType({})
 
 
 class InvalidRequest(AppError):
@@ -74,9 +83,31 @@ class UnsupportedBody(AppError):
 class KeyNeeded(AppError):
     """A request without a key, to a service that asks for one."""
 
+    # RFC 6750: a request without a key is only told which scheme to use.
+    headers = MappingProxyType({"WWW-Authenticate": "Bearer"})
+
 
 class KeyRefused(AppError):
     """A key that this service does not know, or no longer."""
+
+    headers = MappingProxyType({"WWW-Authenticate": 'Bearer error="invalid_token"'})
+
+
+class ScopeMissing(AppError):
+    """A key that does not allow what was asked for."""
+
+    def __init__(self, detail: str, scopes: tuple[str, ...] = ()) -> None:
+        super().__init__(detail)
+        wanted = f', scope="{" ".join(scopes)}"' if scopes else ""
+        self.headers = {"WWW-Authenticate": f'Bearer error="insufficient_scope"{wanted}'}
+
+
+class TooManyRequests(AppError):
+    """More requests than a key may make in this time; `Retry-After` says when it may again."""
+
+    def __init__(self, detail: str, wait_s: int, headers: Mapping[str, str]) -> None:
+        super().__init__(detail)
+        self.headers = {"Retry-After": str(wait_s), **headers}
 
 
 class HostNotAllowed(AppError):
@@ -160,6 +191,8 @@ STATUS: dict[type[core.TensorMapError], HTTPStatus] = {
     UnsupportedBody: S.UNSUPPORTED_MEDIA_TYPE,
     KeyNeeded: S.UNAUTHORIZED,
     KeyRefused: S.UNAUTHORIZED,
+    ScopeMissing: S.FORBIDDEN,
+    TooManyRequests: S.TOO_MANY_REQUESTS,
     HostNotAllowed: S.MISDIRECTED_REQUEST,
     NoSuchRoute: S.NOT_FOUND,
     MethodNotAllowed: S.METHOD_NOT_ALLOWED,
@@ -277,14 +310,8 @@ def problem_response(
         content["errors"] = errors
     if (request_id := current_id()) is not None:
         content["request_id"] = request_id
-    return JSONResponse(content, status, _CHALLENGES.get(kind), media_type=MEDIA_TYPE)
-
-
-# RFC 6750: a request without a key is only told which scheme to use.
-_CHALLENGES: dict[type[core.TensorMapError], dict[str, str]] = {
-    KeyNeeded: {"WWW-Authenticate": "Bearer"},
-    KeyRefused: {"WWW-Authenticate": 'Bearer error="invalid_token"'},
-}
+    headers = error.headers if isinstance(error, AppError) else None
+    return JSONResponse(content, status, headers, media_type=MEDIA_TYPE)
 
 
 def add_handlers(app: FastAPI) -> None:

@@ -5,6 +5,7 @@ from collections.abc import AsyncIterator, Callable
 
 from fastapi.sse import format_sse_event
 
+from app.errors import KeyNeeded, KeyRefused
 from app.schemas.jobs import JobOut
 from storage.catalog import JobRecord
 from storage.errors import JobNotFound
@@ -25,7 +26,7 @@ def event_id(record: JobRecord) -> str:
 
 
 async def events_of(read: Callable[[], JobRecord], seen: str | None) -> AsyncIterator[bytes]:
-    """Tell a job whenever it has got further, until it has ended or is gone.
+    """Tell a job whenever it has got further, until it has ended, is gone, or is not told any more.
 
     Args:
         read: Gives the job as it is now; it may wait for the catalog.
@@ -35,7 +36,7 @@ async def events_of(read: Callable[[], JobRecord], seen: str | None) -> AsyncIte
     while True:
         try:
             record = await asyncio.to_thread(read)
-        except JobNotFound:  # it went with its map
+        except (JobNotFound, KeyRefused, KeyNeeded):  # gone with its map, or the key is revoked
             return
         now = event_id(record)
         if now != seen:

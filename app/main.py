@@ -9,7 +9,10 @@ from fastapi import FastAPI
 from fastapi_offline import FastAPIOffline
 from starlette.concurrency import run_in_threadpool
 
-from app.auth import open_access
+from app.access.access import open_access
+from app.access.answer_headers import AnswerHeaders
+from app.access.origins import allow_origins
+from app.access.trail import AuditTrail
 from app.bodies import BodyGuard
 from app.errors import add_handlers
 from app.jobs.runner import JobRunner
@@ -65,6 +68,9 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     app.add_middleware(
         BodyGuard, max_body_bytes=chosen.max_body_bytes, max_json_bytes=chosen.max_json_bytes
     )
+    app.add_middleware(AuditTrail)
+    app.add_middleware(AnswerHeaders)
+    allow_origins(app, chosen.allowed_origins)
     app.add_middleware(RequestObserver, metrics=metrics)  # the last one added is the outermost
     app.include_router(api())
     app.include_router(streams())

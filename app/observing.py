@@ -77,6 +77,7 @@ class RequestObserver:
                 status=status,
                 seconds=round(seconds, 6),
                 client=client[0] if client else None,
+                key=getattr(scope.get("state", {}).get("caller"), "key_id", None),
             ),
         )
 

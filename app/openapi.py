@@ -33,10 +33,18 @@ def complete_openapi(app: FastAPI) -> None:
             for path in document["paths"].values():
                 for operation in path.values():
                     _drop_foreign_422(operation["responses"])
+                    _tell_alternatives(operation)
         return app.openapi_schema or {}
 
     # FastAPI's documented way to extend the document.
     app.openapi = complete  # type: ignore[method-assign]
+
+
+def _tell_alternatives(operation: dict[str, Any]) -> None:
+    # FastAPI lists a route's scopes as if all were needed; with us each one opens it.
+    if security := operation.get("security"):
+        [(scheme, scopes)] = security[0].items()
+        operation["security"] = [{scheme: [scope]} for scope in scopes]
 
 
 def _drop_foreign_422(responses: dict[str, Any]) -> None:

@@ -22,7 +22,7 @@ from core.segmentation import cut_drives, cut_unequal, segment_length_for
 from core.tensormap import TensorMap
 from core.topology import cut_at_meetings
 from core.trajectory import Trajectory
-from storage.catalog import RevisionFacts, RevisionRecord
+from storage.catalog import Act, RevisionFacts, RevisionRecord, on_behalf
 from storage.errors import CorruptImages, NotFound
 from storage.image_file import (
     ImageFile,
@@ -112,13 +112,21 @@ def build_revision(
         bases=tensor_map.basis_digests,
         notes=built.notes,
     )
-    return store.revisions.add(
-        map_id,
-        tensor_map.revision,
-        lambda path: write_map(path, tensor_map),
-        facts,
-        make_live=parameters.make_live,
+    act = Act(
+        "service",
+        "publish_revision",
+        "the store" if job_id is None else f"/v1/jobs/{job_id}",
+        store.maps.get_by_id(map_id).slug,
+        f"revision {tensor_map.revision}",
     )
+    with on_behalf(act):
+        return store.revisions.add(
+            map_id,
+            tensor_map.revision,
+            lambda path: write_map(path, tensor_map),
+            facts,
+            make_live=parameters.make_live,
+        )
 
 
 def build_drive(

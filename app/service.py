@@ -5,7 +5,7 @@ from typing import Annotated
 
 from fastapi import Depends, Path, Request
 
-from app.auth import Access
+from app.access.access import Access
 from app.jobs.runner import JobRunner
 from app.metrics import Metrics
 from app.revisions import LoadedRevisions

@@ -1,15 +1,18 @@
 """Every setting of the service, read once from the environment."""
 
 import ipaddress
+import re
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
-from pydantic import Field, SecretStr
-from pydantic_settings import BaseSettings, SettingsConfigDict
+from pydantic import Field, SecretStr, field_validator
+from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
 
 from app.logs import LogFormat
 
 __all__ = ["Settings", "is_loopback"]
+
+_ORIGIN = re.compile(r"https?://([a-z0-9.-]+|\[[0-9a-f:.]+\])(:[0-9]{1,5})?")
 
 
 class Settings(BaseSettings):
@@ -57,6 +60,38 @@ class Settings(BaseSettings):
     track_idle_s: float = Field(
         600.0, gt=0.0, description="How many seconds after its last use a track is forgotten."
     )
+    requests_per_s: float = Field(
+        0.0,
+        ge=0.0,
+        allow_inf_nan=False,
+        description="How many requests a second a key may make on average; 0 limits nothing.",
+    )
+    request_burst: int = Field(
+        50, ge=1, description="How many requests a key that was idle may make at once."
+    )
+    allowed_origins: Annotated[tuple[str, ...], NoDecode] = Field(
+        (),
+        description="Origins of other sites whose pages may ask, as `https://maps.example`, comma"
+        " between; none by default.",
+    )
+
+    @field_validator("allowed_origins", mode="before")
+    @classmethod
+    def _split(cls, given: object) -> object:
+        if isinstance(given, str):
+            return tuple(part.strip() for part in given.split(",") if part.strip())
+        return given
+
+    @field_validator("allowed_origins")
+    @classmethod
+    def _are_origins(cls, given: tuple[str, ...]) -> tuple[str, ...]:
+        for origin in given:
+            if _ORIGIN.fullmatch(origin) is None:
+                raise ValueError(
+                    "wanted origins as a browser sends them, `https://maps.example` or"
+                    " `http://127.0.0.1:3000`, lower case, without a path and without `*`"
+                )
+        return given
 
 
 def is_loopback(host: str) -> bool:

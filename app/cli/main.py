@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 
 from app.cli import (
+    audit,
     backup,
     compare,
     demo,
@@ -48,6 +49,7 @@ for command in (
     simulate.simulate,
 ):
     cli.command()(command)
+cli.add_typer(audit.audit, name="audit")
 
 
 def _show_version(wanted: bool) -> None:

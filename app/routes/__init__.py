@@ -2,18 +2,28 @@
 
 from fastapi import APIRouter, Depends
 
-from app.auth import require_access
-from app.errors import HostNotAllowed, KeyNeeded, KeyRefused, problems
+from app.access.dependency import require_access
+from app.errors import (
+    HostNotAllowed,
+    KeyNeeded,
+    KeyRefused,
+    ScopeMissing,
+    TooManyRequests,
+    problems,
+)
 from app.routes import (
+    audit,
     builds,
     drives,
     health,
     jobs,
+    keys,
     localizations,
     loop_closures,
     maps,
     metrics,
     revisions,
+    tokens,
     track_stream,
     tracks,
 )
@@ -22,13 +32,25 @@ __all__ = ["api", "open_routes", "streams"]
 
 
 def api() -> APIRouter:
-    """Return every route under /v1, all behind the key."""
+    """Return every route under /v1, all behind the key; each declares the scope that it needs."""
     router = APIRouter(
         prefix="/v1",
         dependencies=[Depends(require_access)],
-        responses=problems(KeyNeeded, KeyRefused, HostNotAllowed),
+        responses=problems(KeyNeeded, KeyRefused, HostNotAllowed, ScopeMissing, TooManyRequests),
     )
-    for module in (maps, drives, builds, jobs, revisions, localizations, loop_closures, tracks):
+    for module in (
+        maps,
+        drives,
+        builds,
+        jobs,
+        revisions,
+        localizations,
+        loop_closures,
+        tracks,
+        keys,
+        tokens,
+        audit,
+    ):
         router.include_router(module.router)
     return router
 

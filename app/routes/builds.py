@@ -2,6 +2,7 @@
 
 from fastapi import APIRouter, Response, status
 
+from app.access.scopes import Scope, needs
 from app.errors import JSON_BODY, WRITING, problems
 from app.jobs.parameters import BuildParameters
 from app.plans import plan_build
@@ -24,6 +25,7 @@ router = APIRouter(tags=["builds"])
 
 @router.post(
     "/maps/{map}/builds",
+    dependencies=[needs(Scope.MAPS_WRITE)],
     status_code=status.HTTP_202_ACCEPTED,
     responses=problems(
         MapNotFound,

@@ -7,6 +7,7 @@ from typing import Annotated, Any
 import numpy as np
 from fastapi import APIRouter, Path, Query, Response, status
 
+from app.access.scopes import Scope, needs
 from app.bodies import SCAN_BODY, Body, ContentType
 from app.errors import (
     JSON_BODY,
@@ -75,7 +76,11 @@ _NPY: dict[int | str, dict[str, Any]] = {
 }
 
 
-@router.get("/maps/{map}/drives", responses=problems(MapNotFound, InvalidRequest, *READING))
+@router.get(
+    "/maps/{map}/drives",
+    dependencies=[needs(Scope.MAPS_READ, Scope.MAPS_WRITE)],
+    responses=problems(MapNotFound, InvalidRequest, *READING),
+)
 def list_drives(
     map_slug: MapSlug, running: Running, after: After = "", limit: Limit = 100
 ) -> PageOut[DriveOut]:
@@ -84,7 +89,11 @@ def list_drives(
     return PageOut(items=[DriveOut.from_record(r) for r in page.items], next_after=page.next_after)
 
 
-@router.get("/maps/{map}/drives/{drive}", responses=problems(MapNotFound, DriveNotFound, *READING))
+@router.get(
+    "/maps/{map}/drives/{drive}",
+    dependencies=[needs(Scope.MAPS_READ, Scope.MAPS_WRITE)],
+    responses=problems(MapNotFound, DriveNotFound, *READING),
+)
 def get_drive(map_slug: MapSlug, drive_slug: DriveSlug, running: Running) -> DriveOut:
     """Show a drive: which scans are in, and which are missing."""
     return DriveOut.from_record(running.store.drives.get(map_slug, drive_slug))
@@ -92,6 +101,7 @@ def get_drive(map_slug: MapSlug, drive_slug: DriveSlug, running: Running) -> Dri
 
 @router.patch(
     "/maps/{map}/drives/{drive}",
+    dependencies=[needs(Scope.MAPS_WRITE)],
     responses=problems(MapNotFound, DriveNotFound, CorruptFile, *JSON_BODY, *WRITING),
 )
 def close_drive(
@@ -106,6 +116,7 @@ def close_drive(
 
 @router.delete(
     "/maps/{map}/drives/{drive}",
+    dependencies=[needs(Scope.MAPS_WRITE)],
     status_code=status.HTTP_204_NO_CONTENT,
     responses=problems(MapNotFound, DriveNotFound, *WRITING),
 )
@@ -116,6 +127,7 @@ def delete_drive(map_slug: MapSlug, drive_slug: DriveSlug, running: Running) -> 
 
 @router.put(
     "/maps/{map}/drives/{drive}/scans/{index}",
+    dependencies=[needs(Scope.MAPS_WRITE)],
     openapi_extra=SCAN_BODY,
     status_code=status.HTTP_201_CREATED,
     responses={
@@ -165,6 +177,7 @@ def put_scan(
 
 @router.get(
     "/maps/{map}/drives/{drive}/scans/{index}",
+    dependencies=[needs(Scope.MAPS_READ)],
     response_class=Response,
     responses={
         **_NPY,
@@ -183,6 +196,7 @@ def get_scan(
 
 @router.put(
     "/maps/{map}/drives/{drive}/poses",
+    dependencies=[needs(Scope.MAPS_WRITE)],
     responses=problems(MapNotFound, DriveNotFound, ScanNotFound, InvalidPose, *JSON_BODY, *WRITING),
 )
 def put_poses(

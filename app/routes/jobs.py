@@ -2,18 +2,22 @@
 
 from typing import Annotated
 
-from fastapi import APIRouter, Header, Path, Query, Response, status
+from fastapi import APIRouter, Header, Path, Query, Request, Response, status
 from starlette.responses import StreamingResponse
 
+from app.access.caller import Caller
+from app.access.dependency import Asking
+from app.access.scopes import Scope, needs
 from app.errors import READING, WRITING, InvalidRequest, problems
 from app.job_events import event_id, events_of
 from app.schemas.jobs import JobOut
 from app.schemas.pages import After, Limit, PageOut
-from app.service import Running
+from app.service import Running, Service
 from core.errors import InvalidParameters
+from storage.catalog import JobRecord
 from storage.errors import JobNotFound, MapNotFound
 
-__all__ = ["router"]
+__all__ = ["job_of", "router"]
 
 router = APIRouter(tags=["builds"])
 
@@ -26,46 +30,91 @@ LastEventId = Annotated[
 OfMap = Annotated[str | None, Query(alias="map", description="Only the jobs of this map.")]
 
 
-@router.get("/jobs", responses=problems(MapNotFound, InvalidParameters, InvalidRequest, *READING))
+@router.get(
+    "/jobs",
+    dependencies=[needs(Scope.MAPS_READ, Scope.MAPS_WRITE)],
+    responses=problems(MapNotFound, InvalidParameters, InvalidRequest, *READING),
+)
 def list_jobs(
-    running: Running, map_slug: OfMap = None, after: After = "", limit: Limit = 100
+    running: Running, asking: Asking, map_slug: OfMap = None, after: After = "", limit: Limit = 100
 ) -> PageOut[JobOut]:
-    """List the jobs, newest first."""
-    page = running.store.jobs.list(map_slug, after, limit)
+    """List the jobs, newest first, those of maps within the limits of the key."""
+    if map_slug is not None:
+        asking.require_map(map_slug)
+    page = running.store.jobs.list(map_slug, after, limit, slugs=asking.maps)
     return PageOut(items=[JobOut.from_record(r) for r in page.items], next_after=page.next_after)
 
 
-@router.get("/jobs/{job}", responses=problems(JobNotFound, *READING))
-def get_job(job_id: JobId, running: Running) -> JobOut:
+@router.get(
+    "/jobs/{job}",
+    dependencies=[needs(Scope.MAPS_READ, Scope.MAPS_WRITE)],
+    responses=problems(JobNotFound, *READING),
+)
+def get_job(job_id: JobId, running: Running, asking: Asking) -> JobOut:
     """Show a job and how far it is."""
-    return JobOut.from_record(running.store.jobs.get(job_id))
+    return JobOut.from_record(job_of(running, asking, job_id))
 
 
 @router.get(
     "/jobs/{job}/events",
+    dependencies=[needs(Scope.MAPS_READ, Scope.MAPS_WRITE)],
     response_class=Response,
     responses={
-        200: {"description": "The job whenever it has got further.", "content": {_EVENTS: {}}},
+        200: {
+            "description": "The job whenever it has got further.",
+            "content": {_EVENTS: {"schema": {"type": "string"}}},
+        },
         204: {"description": "It has ended, and the client was told so: do not come back."},
         **problems(JobNotFound, InvalidRequest, *READING),
     },
 )
-def follow_job(job_id: JobId, running: Running, last_event_id: LastEventId = None) -> Response:
+def follow_job(
+    job_id: JobId,
+    running: Running,
+    asking: Asking,
+    request: Request,
+    last_event_id: LastEventId = None,
+) -> Response:
     """Follow a job: an event now and whenever it has got further, each the whole job as JSON.
 
-    The stream ends when the job has. `Last-Event-ID`, as a browser sends it when it comes back,
-    leaves out what was seen.
+    The stream ends when the job has, or the key is revoked. `Last-Event-ID`, as a browser sends it
+    when it comes back, leaves out what was seen.
     """
-    record = running.store.jobs.get(job_id)
+    record = job_of(running, asking, job_id)
     if record.ended and last_event_id == event_id(record):
         return Response(status_code=status.HTTP_204_NO_CONTENT)
-    events = events_of(lambda: running.store.jobs.get(job_id), last_event_id)
+
+    def read() -> JobRecord:
+        running.access.caller_of(request)
+        return running.store.jobs.get(job_id)
+
+    events = events_of(read, last_event_id)
     # Proxies that buffer would hold back what is meant for now.
     headers = {"Cache-Control": "no-store", "X-Accel-Buffering": "no"}
     return StreamingResponse(events, media_type=_EVENTS, headers=headers)
 
 
-@router.delete("/jobs/{job}", responses=problems(JobNotFound, *WRITING))
-def cancel_job(job_id: JobId, running: Running) -> JobOut:
+@router.delete(
+    "/jobs/{job}", dependencies=[needs(Scope.MAPS_WRITE)], responses=problems(JobNotFound, *WRITING)
+)
+def cancel_job(job_id: JobId, running: Running, asking: Asking) -> JobOut:
     """Cancel a job: a waiting one at once, a running one within a second; one that ended stays."""
-    return JobOut.from_record(running.store.jobs.request_cancel(job_id))
+    job = job_of(running, asking, job_id)
+    return JobOut.from_record(running.store.jobs.request_cancel(job.id))
+
+
+def job_of(running: Service, asking: Caller, job_id: str) -> JobRecord:
+    """Return a job of a map within the limits of the caller's key.
+
+    Raises:
+        JobNotFound: If there is none, for this caller.
+    """
+    job = running.store.jobs.get(job_id)
+    if asking.maps is not None:
+        try:
+            of_map = running.store.maps.get_by_id(job.map_id).slug
+        except MapNotFound:
+            of_map = ""  # it went a moment ago, and its jobs with it
+        if not asking.sees(of_map):
+            raise JobNotFound(f"there is no job {job_id[:80]!r}")
+    return job

@@ -7,6 +7,7 @@ from fastapi import APIRouter, Query
 from fastapi.exceptions import RequestValidationError
 from pydantic import ValidationError
 
+from app.access.scopes import Scope, needs
 from app.bodies import SCAN_BODY, Body, ContentType, binary_body, media_type
 from app.errors import READING, BodyTooLarge, InvalidRequest, UnsupportedBody, problems
 from app.revisions import Answering
@@ -81,6 +82,7 @@ SensorName = Annotated[
 
 @router.post(
     "/scan",
+    dependencies=[needs(Scope.LOCALIZE)],
     openapi_extra=SCAN_BODY,
     responses=problems(*_ANSWERING, SensorMismatch, *BAD_SCAN),
 )
@@ -106,6 +108,7 @@ def localize_scan(
 
 @router.post(
     "/image",
+    dependencies=[needs(Scope.LOCALIZE)],
     openapi_extra=binary_body(
         **{
             IMAGE_TYPE: "Ranges, or heights above ground, in metres on the map's grid, little-"
@@ -141,6 +144,7 @@ def localize_image(
 
 @router.post(
     "/signature",
+    dependencies=[needs(Scope.LOCALIZE)],
     openapi_extra={
         "requestBody": {
             "required": True,

@@ -2,6 +2,7 @@
 
 from fastapi import APIRouter
 
+from app.access.scopes import Scope, needs
 from app.closures import judge_closures
 from app.errors import JSON_BODY, READING, problems
 from app.schemas.loop_closures import LoopClosureOut, LoopClosuresIn, LoopClosuresOut
@@ -16,6 +17,7 @@ router = APIRouter(tags=["loop closures"])
 
 @router.post(
     "/maps/{map}/loop-closures",
+    dependencies=[needs(Scope.LOCALIZE)],
     responses=problems(
         MapNotFound,
         DriveNotFound,

@@ -4,6 +4,9 @@ from typing import Annotated
 
 from fastapi import APIRouter, Header, Response, status
 
+from app.access.dependency import Asking
+from app.access.scopes import Scope, needs
+from app.access.trail import note
 from app.errors import JSON_BODY, READING, WRITING, InvalidRequest, problems
 from app.schemas.maps import MapIn, MapOut, MapPatch
 from app.schemas.pages import After, Limit, PageOut
@@ -21,25 +24,34 @@ IfMatch = Annotated[
 
 @router.post(
     "/maps",
+    dependencies=[needs(Scope.MAPS_WRITE)],
     status_code=status.HTTP_201_CREATED,
     responses=problems(InvalidSlug, MapExists, *JSON_BODY, *WRITING),
 )
-def create_map(wanted: MapIn, running: Running, response: Response) -> MapOut:
+def create_map(wanted: MapIn, running: Running, response: Response, asking: Asking) -> MapOut:
     """Make an empty map."""
+    note("", map_slug=wanted.map)
+    asking.require_new_map(wanted.map)
     record = running.store.maps.create(wanted.map, wanted.description)
     response.headers["Location"] = f"/v1/maps/{record.slug}"
     response.headers["ETag"] = etag_of(record.version)
     return MapOut.from_record(record)
 
 
-@router.get("/maps", responses=problems(InvalidRequest, *READING))
-def list_maps(running: Running, after: After = "", limit: Limit = 100) -> PageOut[MapOut]:
-    """List the maps by name."""
-    page = running.store.maps.list(after, limit)
+@router.get(
+    "/maps", dependencies=[needs(Scope.MAPS_READ)], responses=problems(InvalidRequest, *READING)
+)
+def list_maps(
+    running: Running, asking: Asking, after: After = "", limit: Limit = 100
+) -> PageOut[MapOut]:
+    """List the maps by name, those within the limits of the key."""
+    page = running.store.maps.list(after, limit, slugs=asking.maps)
     return PageOut(items=[MapOut.from_record(r) for r in page.items], next_after=page.next_after)
 
 
-@router.get("/maps/{map}", responses=problems(MapNotFound, *READING))
+@router.get(
+    "/maps/{map}", dependencies=[needs(Scope.MAPS_READ)], responses=problems(MapNotFound, *READING)
+)
 def get_map(map_slug: MapSlug, running: Running, response: Response) -> MapOut:
     """Show a map."""
     record = running.store.maps.get(map_slug)
@@ -47,7 +59,11 @@ def get_map(map_slug: MapSlug, running: Running, response: Response) -> MapOut:
     return MapOut.from_record(record)
 
 
-@router.patch("/maps/{map}", responses=problems(MapNotFound, MapChanged, *JSON_BODY, *WRITING))
+@router.patch(
+    "/maps/{map}",
+    dependencies=[needs(Scope.MAPS_WRITE)],
+    responses=problems(MapNotFound, MapChanged, *JSON_BODY, *WRITING),
+)
 def update_map(
     map_slug: MapSlug,
     change: MapPatch,
@@ -65,6 +81,7 @@ def update_map(
 
 @router.delete(
     "/maps/{map}",
+    dependencies=[needs(Scope.MAPS_WRITE)],
     status_code=status.HTTP_204_NO_CONTENT,
     responses=problems(MapNotFound, MapChanged, InvalidRequest, *WRITING),
 )

@@ -9,6 +9,8 @@ from fastapi import APIRouter, Header, Path, Query, Response, status
 from fastapi.responses import FileResponse
 from pydantic import Field
 
+from app.access.scopes import Scope, needs
+from app.access.trail import note
 from app.bodies import Body, ContentType, binary_body, media_type
 from app.errors import (
     JSON_BODY,
@@ -74,6 +76,7 @@ _HDF5 = "application/vnd.tensormap.map+hdf5"
 
 @router.get(
     "/maps/{map}/revisions",
+    dependencies=[needs(Scope.MAPS_READ)],
     responses=problems(MapNotFound, InvalidParameters, InvalidRequest, *READING),
 )
 def list_revisions(
@@ -88,6 +91,7 @@ def list_revisions(
 
 @router.post(
     "/maps/{map}/revisions",
+    dependencies=[needs(Scope.MAPS_WRITE)],
     status_code=status.HTTP_201_CREATED,
     responses={
         200: {"model": RevisionOut, "description": "The map has it already."},
@@ -129,6 +133,7 @@ def import_a_revision(
 
 @router.get(
     "/maps/{map}/revisions/{revision}",
+    dependencies=[needs(Scope.MAPS_READ)],
     responses=problems(MapNotFound, RevisionNotFound, AmbiguousRevision, *READING),
 )
 def get_revision(map_slug: MapSlug, revision: RevisionId, running: Running) -> RevisionOut:
@@ -139,6 +144,7 @@ def get_revision(map_slug: MapSlug, revision: RevisionId, running: Running) -> R
 
 @router.get(
     "/maps/{map}/revisions/{revision}/file",
+    dependencies=[needs(Scope.MAPS_READ)],
     response_class=FileResponse,
     responses={
         200: {"content": {_HDF5: {"schema": {"type": "string", "format": "binary"}}}},
@@ -158,6 +164,7 @@ def download_revision(map_slug: MapSlug, revision: RevisionId, running: Running)
 
 @router.delete(
     "/maps/{map}/revisions/{revision}",
+    dependencies=[needs(Scope.MAPS_WRITE)],
     status_code=status.HTTP_204_NO_CONTENT,
     responses=problems(MapNotFound, RevisionNotFound, AmbiguousRevision, RevisionIsLive, *WRITING),
 )
@@ -168,6 +175,7 @@ def delete_revision(map_slug: MapSlug, revision: RevisionId, running: Running) -
 
 @router.put(
     "/maps/{map}/live",
+    dependencies=[needs(Scope.MAPS_WRITE)],
     responses=problems(
         MapNotFound, RevisionNotFound, AmbiguousRevision, MapChanged, *JSON_BODY, *WRITING
     ),
@@ -180,6 +188,7 @@ def make_live(
     if_match: IfMatch = None,
 ) -> MapOut:
     """Make a revision live: to go ahead, or to roll back."""
+    note(f"revision {wanted.revision}")
     running.store.revisions.set_live(map_slug, wanted.revision, if_version=version_seen(if_match))
     record = running.store.maps.get(map_slug)
     response.headers["ETag"] = etag_of(record.version)
@@ -188,6 +197,7 @@ def make_live(
 
 @router.get(
     "/maps/{map}/basis",
+    dependencies=[needs(Scope.MAPS_READ, Scope.LOCALIZE)],
     response_model=BasisOut,
     responses={
         200: {"content": {_NPZ: {"schema": {"type": "string", "format": "binary"}}}},
@@ -240,6 +250,7 @@ def get_basis(
 
 @router.get(
     "/maps/{map}/topology",
+    dependencies=[needs(Scope.MAPS_READ)],
     responses=problems(*_OF_ONE),
 )
 def get_topology(map_slug: MapSlug, running: Running, revision: OneRevision = None) -> TopologyOut:

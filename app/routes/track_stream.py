@@ -6,7 +6,18 @@ from fastapi import APIRouter, Path, WebSocket, WebSocketDisconnect, status
 from pydantic import ValidationError
 from starlette.concurrency import run_in_threadpool
 
-from app.errors import BodyTooLarge, InvalidRequest, TrackNotFound, problem_response
+from app.access.dependency import stream_caller
+from app.access.scopes import Scope
+from app.errors import (
+    BodyTooLarge,
+    HostNotAllowed,
+    InvalidRequest,
+    KeyNeeded,
+    KeyRefused,
+    ScopeMissing,
+    TrackNotFound,
+    problem_response,
+)
 from app.routes.tracks import track_of
 from app.schemas.tracks import ObservationIn, TrackStepOut
 from app.service import Service
@@ -19,6 +30,8 @@ __all__ = ["router"]
 
 router = APIRouter(tags=["tracks"])
 
+_ENDING = (TrackNotFound, MapNotFound, HostNotAllowed, KeyNeeded, KeyRefused, ScopeMissing)
+
 
 @router.websocket("/maps/{map}/tracks/{track}/stream")
 async def stream(
@@ -29,12 +42,12 @@ async def stream(
     """Take observations as they come, and answer each one.
 
     A binary message is packed signatures, a text one is the JSON of `ObservationIn`. An observation
-    that is refused is answered with the problem that HTTP would answer, and the stream goes on.
+    that is refused is answered with the problem that HTTP would answer, and the stream goes on. It
+    ends when the track is gone or the key is revoked, which each message finds out.
     """
     service: Service = websocket.app.state.service
     try:
-        service.access.check_stream(websocket)
-        await run_in_threadpool(track_of, service, map_slug, track_id)
+        await run_in_threadpool(_open, websocket, service, map_slug, track_id)
     except TensorMapError as error:
         await websocket.send_denial_response(problem_response(error))
         return
@@ -52,12 +65,12 @@ async def _answer(websocket: WebSocket, service: Service, map_slug: str, track_i
         raise WebSocketDisconnect(message.get("code", status.WS_1000_NORMAL_CLOSURE))
     body: bytes | str = message.get("bytes") or message.get("text") or b""
     try:
-        answer = await run_in_threadpool(_observe, service, map_slug, track_id, body)
+        answer = await run_in_threadpool(_observe, websocket, service, map_slug, track_id, body)
     except TensorMapError as error:
         await websocket.send_text(bytes(problem_response(error).body).decode())
         if isinstance(error, BodyTooLarge):
             await _close(websocket, status.WS_1009_MESSAGE_TOO_BIG)
-        if isinstance(error, (TrackNotFound, MapNotFound)):
+        if isinstance(error, _ENDING):
             await _close(websocket, status.WS_1008_POLICY_VIOLATION)
         return
     await websocket.send_text(answer)
@@ -68,7 +81,15 @@ async def _close(websocket: WebSocket, code: int) -> None:
     raise WebSocketDisconnect(code)
 
 
-def _observe(service: Service, map_slug: str, track_id: str, body: bytes | str) -> str:
+def _open(websocket: WebSocket, service: Service, map_slug: str, track_id: str) -> None:
+    stream_caller(websocket, Scope.LOCALIZE, map_slug=map_slug)
+    track_of(service, map_slug, track_id)
+
+
+def _observe(
+    websocket: WebSocket, service: Service, map_slug: str, track_id: str, body: bytes | str
+) -> str:
+    stream_caller(websocket, Scope.LOCALIZE, map_slug=map_slug)
     limit = service.settings.max_json_bytes
     if len(body) > limit:
         raise BodyTooLarge(f"the message has {len(body)} bytes, at most {limit} are read")

@@ -5,6 +5,7 @@ from typing import Annotated
 
 from fastapi import APIRouter, Path, Query, Response
 
+from app.access.scopes import Scope, needs
 from app.bodies import SCAN_BODY, Body, ContentType, media_type
 from app.errors import (
     READING,
@@ -81,6 +82,7 @@ _OBSERVATION_BODY = {
 
 @router.post(
     "",
+    dependencies=[needs(Scope.LOCALIZE)],
     status_code=HTTPStatus.CREATED,
     responses=problems(
         MapNotFound,
@@ -116,7 +118,11 @@ def create_track(
     return TrackOut.from_track(created, map_slug, answering.live_revision, running.tracks.idle_s)
 
 
-@router.get("/{track}", responses=problems(MapNotFound, TrackNotFound, *READING))
+@router.get(
+    "/{track}",
+    dependencies=[needs(Scope.LOCALIZE)],
+    responses=problems(MapNotFound, TrackNotFound, *READING),
+)
 def get_track(map_slug: MapSlug, track_id: TrackId, running: Running) -> TrackOut:
     """Show a track and its last answer."""
     found, live = track_of(running, map_slug, track_id)
@@ -125,6 +131,7 @@ def get_track(map_slug: MapSlug, track_id: TrackId, running: Running) -> TrackOu
 
 @router.delete(
     "/{track}",
+    dependencies=[needs(Scope.LOCALIZE)],
     status_code=HTTPStatus.NO_CONTENT,
     responses=problems(MapNotFound, TrackNotFound, *READING),
 )
@@ -136,6 +143,7 @@ def delete_track(map_slug: MapSlug, track_id: TrackId, running: Running) -> None
 
 @router.post(
     "/{track}/observations",
+    dependencies=[needs(Scope.LOCALIZE)],
     openapi_extra=_OBSERVATION_BODY,
     responses=problems(
         MapNotFound,

@@ -3,6 +3,8 @@
 Every public method is one transaction and answers with frozen records.
 """
 
+from storage.catalog.acts import Act, on_behalf
+from storage.catalog.audit import AuditCheck, AuditRecord, AuditState
 from storage.catalog.catalog import Catalog
 from storage.catalog.records import (
     DriveRecord,
@@ -16,8 +18,13 @@ from storage.catalog.records import (
     RevisionRecord,
     ScanRecord,
 )
+from storage.catalog.tokens import TokenRecord
 
 __all__ = [
+    "Act",
+    "AuditCheck",
+    "AuditRecord",
+    "AuditState",
     "Catalog",
     "DriveRecord",
     "IndexRange",
@@ -29,4 +36,6 @@ __all__ = [
     "RevisionFacts",
     "RevisionRecord",
     "ScanRecord",
+    "TokenRecord",
+    "on_behalf",
 ]

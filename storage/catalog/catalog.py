@@ -2,6 +2,7 @@
 
 from contextlib import AbstractContextManager, nullcontext
 
+from storage.catalog.audit import Audit
 from storage.catalog.database import Database
 from storage.catalog.drives import Drives
 from storage.catalog.jobs import Jobs
@@ -10,6 +11,7 @@ from storage.catalog.maps import Maps
 from storage.catalog.revisions import Revisions
 from storage.catalog.scans import Scans
 from storage.catalog.store_id import StoreIds
+from storage.catalog.tokens import Tokens
 
 __all__ = ["Catalog"]
 
@@ -17,7 +19,7 @@ _ALLOWED = nullcontext()
 
 
 class Catalog:
-    """Facts about maps, drives, scans, revisions, jobs and keys.
+    """Facts about maps, drives, scans, revisions, jobs and keys, and who changed them.
 
     Opening one brings its schema to the newest revision. It is safe from any thread; a process
     that was forked opens its own.
@@ -37,6 +39,8 @@ class Catalog:
         self.revisions = Revisions(self._database)
         self.jobs = Jobs(self._database)
         self.keys = Keys(self._database)
+        self.tokens = Tokens(self._database)
+        self.audit = Audit(self._database)
 
     def close(self) -> None:
         """Close the idle connections."""

@@ -17,6 +17,8 @@ from sqlalchemy.exc import (
 )
 from sqlalchemy.orm import Session, sessionmaker
 
+from storage.catalog import audit_chain
+from storage.catalog.acts import current_act
 from storage.catalog.migrations import is_newest, upgrade
 from storage.errors import (
     StorageBusy,
@@ -97,7 +99,8 @@ class Database:
     def writing(self) -> Iterator[Session]:
         """Give a session that commits when the block ends and rolls back when it raises.
 
-        On SQLite no other writer comes between its reads and its writes.
+        On SQLite no other writer comes between its reads and its writes. What is done on behalf of
+        an `Act` is in the audit log with the same commit.
 
         Raises:
             StorageBusy: If another process held the database for too long.
@@ -105,8 +108,13 @@ class Database:
             StorageReadOnly: If the database cannot be written.
             StorageUnavailable: If the database fails or cannot be reached.
         """
+        act = current_act()
         with _named_errors(), self._writer, self._new_writer.begin() as session:
             yield session
+            if act is not None and not act.recorded:
+                audit_chain.append(session, act, audit_chain.DONE)
+        if act is not None:
+            act.recorded = True
 
     def close(self) -> None:
         """Close the idle connections."""

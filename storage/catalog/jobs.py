@@ -5,7 +5,7 @@ queued --claim--> running --finish--> done
   |--request_cancel--|---cancelled-> cancelled
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from datetime import UTC, datetime
 from typing import Any
 
@@ -15,7 +15,7 @@ from sqlalchemy.orm import Session
 from core.errors import InvalidParameters
 from storage.catalog.database import Database
 from storage.catalog.maps import held_map, map_named
-from storage.catalog.models import Job
+from storage.catalog.models import Job, Map
 from storage.catalog.pages import DEFAULT_LIMIT, one_more, page_of
 from storage.catalog.records import JobRecord, JobState, Page
 from storage.errors import JobNotFound, JobNotRunning
@@ -86,9 +86,14 @@ class Jobs:
             return _record(_found(session, job_id))
 
     def list(
-        self, map_slug: str | None = None, after: str = "", limit: int = DEFAULT_LIMIT
+        self,
+        map_slug: str | None = None,
+        after: str = "",
+        limit: int = DEFAULT_LIMIT,
+        *,
+        slugs: Collection[str] | None = None,
     ) -> Page[JobRecord]:
-        """Return the jobs, of one map or all, that are older than job `after`.
+        """Return the jobs, of one map, of the maps `slugs` or all, that are older than `after`.
 
         Raises:
             MapNotFound: If there is no such map.
@@ -98,6 +103,8 @@ class Jobs:
             query = select(Job)
             if map_slug is not None:
                 query = query.where(Job.map_id == map_named(session, map_slug).id)
+            if slugs is not None:
+                query = query.where(Job.map_id.in_(select(Map.id).where(Map.slug.in_(slugs))))
             if after:
                 last = session.get(Job, after)
                 if last is None:

@@ -1,6 +1,6 @@
 """Maps in the catalog."""
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime
 
@@ -65,8 +65,14 @@ class Maps:
             row = map_of_id(session, map_id)
             return _record(row, _live(session, row))
 
-    def list(self, after: str = "", limit: int = DEFAULT_LIMIT) -> Page[MapRecord]:
-        """Return the maps whose slugs come after `after`."""
+    def list(
+        self,
+        after: str = "",
+        limit: int = DEFAULT_LIMIT,
+        *,
+        slugs: Collection[str] | None = None,
+    ) -> Page[MapRecord]:
+        """Return the maps whose slugs come after `after`, only those of `slugs` if given."""
         query = (
             select(Map, LiveRevision.digest)
             .outerjoin(LiveRevision, LiveRevision.map_id == Map.id)
@@ -74,6 +80,8 @@ class Maps:
             .order_by(Map.slug)
             .limit(one_more(limit))
         )
+        if slugs is not None:
+            query = query.where(Map.slug.in_(slugs))
         with self._database.reading() as session:
             rows = [_record(row, live) for row, live in session.execute(query)]
         return page_of(rows, limit, lambda record: record.slug)

@@ -20,6 +20,8 @@ from sqlalchemy import (
 from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
 
 __all__ = [
+    "AuditEntry",
+    "AuditHead",
     "Base",
     "Drive",
     "Job",
@@ -30,6 +32,7 @@ __all__ = [
     "RevisionBasis",
     "Scan",
     "StoreId",
+    "Token",
     "plain",
 ]
 
@@ -245,7 +248,54 @@ class Key(Base):
     __tablename__ = "keys"
 
     id: Mapped[str] = mapped_column(Id, primary_key=True)
-    secret_hash: Mapped[str] = mapped_column(PlainString(255))
+    name: Mapped[str] = mapped_column(PlainString(100))
+    secret_hash: Mapped[str] = mapped_column(PlainString(255), unique=True)
     scopes: Mapped[list[str]] = mapped_column(JSON)
+    # Slugs, not ids: a key may be made before its map. None: all maps.
+    maps: Mapped[list[str] | None] = mapped_column(JSON(none_as_null=True))
+    first_run: Mapped[bool]
     created_at: Mapped[datetime]
+    expires_at: Mapped[datetime | None]
     revoked_at: Mapped[datetime | None]
+
+
+class Token(Base):
+    """What was exchanged for a key for a short time."""
+
+    __tablename__ = "tokens"
+
+    id: Mapped[str] = mapped_column(Id, primary_key=True)
+    secret_hash: Mapped[str] = mapped_column(PlainString(255), unique=True)
+    # Not a foreign key: it may be the key of the settings, which is in no table.
+    key_hash: Mapped[str] = mapped_column(PlainString(255))
+    scopes: Mapped[list[str]] = mapped_column(JSON)
+    maps: Mapped[list[str] | None] = mapped_column(JSON(none_as_null=True))
+    created_at: Mapped[datetime]
+    expires_at: Mapped[datetime] = mapped_column(index=True)
+
+
+class AuditEntry(Base):
+    """What somebody changed, or was refused to; no row is ever changed or removed."""
+
+    __tablename__ = "audit"
+
+    seq: Mapped[int] = mapped_column(BigInteger, primary_key=True, autoincrement=False)
+    at: Mapped[datetime]
+    # No foreign keys: the log outlives what it is about.
+    key_id: Mapped[str] = mapped_column(Id, index=True)
+    action: Mapped[str] = mapped_column(PlainString(300))
+    subject: Mapped[str] = mapped_column(PlainString(300))
+    map_slug: Mapped[str | None] = mapped_column(Slug, index=True)
+    detail: Mapped[str] = mapped_column(PlainString(300))
+    outcome: Mapped[str] = mapped_column(PlainString(100))
+    hash: Mapped[str] = mapped_column(Digest)
+
+
+class AuditHead(Base):
+    """How long the audit log is: one row, locked by whoever adds to it."""
+
+    __tablename__ = "audit_head"
+
+    row: Mapped[int] = mapped_column(primary_key=True, autoincrement=False)
+    seq: Mapped[int] = mapped_column(BigInteger)
+    hash: Mapped[str] = mapped_column(Digest)

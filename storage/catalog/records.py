@@ -218,10 +218,28 @@ class JobRecord:
 
 @dataclass(frozen=True)
 class KeyRecord:
-    """An API key; the secret itself is never stored, only its hash."""
+    """An API key; the secret itself is never stored, only its hash.
+
+    Attributes:
+        name: What whoever made it calls it.
+        secret_hash: SHA-256 of the whole key as it is sent, hex.
+        scopes: What it allows.
+        maps: Slugs of the maps that it is limited to, `None` for all.
+        first_run: The service made it for its administrator.
+        expires_at: It opens nothing from then on, `None` for never.
+        revoked_at: It opens nothing since then.
+    """
 
     id: str
+    name: str
     secret_hash: str
     scopes: tuple[str, ...]
+    maps: tuple[str, ...] | None
+    first_run: bool
     created_at: datetime
+    expires_at: datetime | None
     revoked_at: datetime | None
+
+    def opens_at(self, moment: datetime) -> bool:
+        """Return whether it opens anything at a moment."""
+        return self.revoked_at is None and (self.expires_at is None or moment < self.expires_at)

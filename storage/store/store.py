@@ -44,6 +44,8 @@ class Store:
         revisions: What was built of them, and which is live.
         jobs: What is being built.
         keys: Who may ask for what.
+        tokens: What was exchanged for keys.
+        audit: Who changed what.
 
     Examples:
         >>> import tempfile
@@ -77,6 +79,8 @@ class Store:
         self.revisions = Revisions(self.catalog, self.layout)
         self.jobs = self.catalog.jobs
         self.keys = self.catalog.keys
+        self.tokens = self.catalog.tokens
+        self.audit = self.catalog.audit
 
     @classmethod
     def serving(cls, data_dir: Path, catalog_url: str | None = None) -> Self:

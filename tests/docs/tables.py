@@ -24,7 +24,7 @@ def settings_table() -> Iterator[str]:
     yield "| variable | default | meaning |"
     yield "|---|---|---|"
     for name, field in Settings.model_fields.items():
-        default = "" if field.default in (None, PydanticUndefined) else f"`{field.default}`"
+        default = "" if field.default in (None, PydanticUndefined, ()) else f"`{field.default}`"
         yield f"| `TENSORMAP_{name.upper()}` | {default} | {field.description} |"
 
 

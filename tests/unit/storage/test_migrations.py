@@ -2,12 +2,15 @@
 
 import logging
 import sqlite3
+from datetime import UTC, datetime
 
 import pytest
+from alembic import command
 from alembic.autogenerate import compare_metadata
 from alembic.migration import MigrationContext
+from sqlalchemy import create_engine
 
-from storage.catalog import Catalog
+from storage.catalog import Catalog, migrations
 from storage.catalog.models import Base
 from storage.errors import StorageReadOnly, StorageUnavailable
 
@@ -55,3 +58,22 @@ def test_a_migration_that_fails_leaves_the_database_as_it_was(tmp_path):
 def test_a_catalog_that_cannot_be_opened_says_so_under_a_name(tmp_path):
     with pytest.raises(StorageReadOnly, match="unable to open"):
         Catalog(f"sqlite:///{tmp_path / 'nowhere' / 'catalog.sqlite3'}")
+
+
+def test_a_key_of_the_first_release_still_opens(tmp_path):
+    url = f"sqlite:///{tmp_path / 'catalog.sqlite3'}"
+    engine = create_engine(url)
+    with engine.begin() as connection:
+        config = migrations._config()
+        config.attributes["connection"] = connection
+        command.upgrade(config, "0002")
+        connection.exec_driver_sql(
+            "INSERT INTO keys VALUES ('ab12', 'hash', '[\"admin\"]', '2026-01-01 00:00:00', NULL)"
+        )
+    engine.dispose()
+    catalog = Catalog(url)
+    key = catalog.keys.with_hash("hash")
+    catalog.close()
+    assert key is not None
+    assert (key.id, key.scopes, key.maps, key.first_run) == ("ab12", ("admin",), None, True)
+    assert key.opens_at(datetime.now(UTC))

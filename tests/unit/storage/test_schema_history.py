@@ -108,7 +108,7 @@ def test_a_catalog_of_an_earlier_release_is_upgraded_and_answers(database_url, s
         assert (revision.encoding, revision.parameters) == ("paper", {"ranks": [5, 5]})
         job = catalog.jobs.get(J)
         assert (job.state, job.revision, job.notes) == (JobState.DONE, DIGEST, ())
-        [key] = catalog.keys.list()
+        [key] = catalog.keys.list().items
         assert (key.id, key.secret_hash, key.scopes, key.revoked_at) == (
             K,
             "hash",

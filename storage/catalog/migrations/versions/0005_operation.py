@@ -3,11 +3,11 @@
 from alembic import op
 
 revision = "0005"
-down_revision = "0006"
+down_revision = "0003_access"
 branch_labels = None
 depends_on = None
 
-_TABLES = ("maps", "drives")
+_COLUMNS = (("maps", "slug"), ("drives", "slug"), ("audit", "map_slug"))
 
 
 def upgrade() -> None:
@@ -20,5 +20,5 @@ def downgrade() -> None:
 
 def _collate(name: str) -> None:
     if op.get_bind().dialect.name == "postgresql":  # SQLite compares bytes anyway
-        for table in _TABLES:
-            op.execute(f"ALTER TABLE {table} ALTER COLUMN slug TYPE VARCHAR(64) COLLATE {name}")
+        for table, column in _COLUMNS:
+            op.execute(f"ALTER TABLE {table} ALTER COLUMN {column} TYPE VARCHAR(64) COLLATE {name}")

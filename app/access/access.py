@@ -1,0 +1,217 @@
+"""Who may ask: everyone on this machine, or whoever holds a key."""
+
+import hmac
+from collections.abc import Collection
+from dataclasses import replace
+from datetime import UTC, datetime
+from urllib.parse import urlsplit
+
+from starlette.requests import HTTPConnection
+
+from app.access.answer_headers import RATE_STATE
+from app.access.caller import EVERYONE_ID, OPERATOR_ID, Caller, everyone_here, the_operator
+from app.access.rate_limits import NO_LIMITS, RateLimits
+from app.access.scopes import Scope
+from app.access.secrets import is_token, is_well_formed, new_secret, secret_hash
+from app.errors import HostNotAllowed, KeyNeeded, KeyRefused
+from app.settings import Settings, is_loopback
+from storage.catalog import KeyRecord, TokenRecord
+from storage.store import Store
+
+__all__ = ["Access", "make_first_key", "open_access"]
+
+_MOMENT = "%Y-%m-%dT%H:%M:%SZ"
+
+
+class Access:
+    """The keys that open the service; each request looks them up, so that a revoke holds at once.
+
+    As long as no key was ever made, and the settings have none, everyone on this machine may ask.
+
+    Args:
+        store: Where the keys are kept.
+        operator_key: The key of the settings.
+        limits: How often each may ask.
+        allowed_origins: Of pages elsewhere that may ask.
+    """
+
+    def __init__(
+        self,
+        store: Store,
+        operator_key: str | None = None,
+        limits: RateLimits = NO_LIMITS,
+        allowed_origins: Collection[str] = (),
+    ) -> None:
+        self._store = store
+        self._allowed_origins = frozenset(allowed_origins)
+        self._limits = limits
+        self._operator_hash = None if operator_key is None else secret_hash(operator_key)
+        self._has_keys = False  # once it has it always has
+
+    @property
+    def is_open(self) -> bool:
+        """Whether there is no key yet."""
+        if self._operator_hash is None and not self._has_keys:
+            self._has_keys = self._store.keys.ever_made()
+        return self._operator_hash is None and not self._has_keys
+
+    def caller_of(self, connection: HTTPConnection) -> Caller:
+        """Return who asks; called from a thread, because it reads the catalog.
+
+        Raises:
+            HostNotAllowed: If the service has no keys and is reached from elsewhere, by a name that
+                a page elsewhere could have pointed at this machine, or from such a page.
+            KeyNeeded: If it has keys and none came.
+            KeyRefused: If the key is none of them, or no longer.
+        """
+        if self.is_open:
+            _require_local(connection, self._allowed_origins)
+            return everyone_here()
+        sent = _bearer_of(connection)
+        if not sent:
+            raise KeyNeeded("send a key of this service as `Authorization: Bearer KEY`")
+        return self._holder(sent)
+
+    def admit(self, connection: HTTPConnection) -> Caller:
+        """Return who asks, if it is not too often.
+
+        Without a good key, an address stands for one.
+
+        Raises:
+            TooManyRequests: If it is.
+            TensorMapError: What `caller_of` raises.
+        """
+        address = f"address {connection.client.host if connection.client else ''}"
+        try:
+            caller = self.caller_of(connection)
+        except (KeyNeeded, KeyRefused):
+            self._take(connection, address)
+            raise
+        self._take(connection, address if caller.key_id == EVERYONE_ID else caller.key_id)
+        return caller
+
+    def _take(self, connection: HTTPConnection, who: str) -> None:
+        setattr(connection.state, RATE_STATE, self._limits.take(who))
+
+    def _holder(self, sent: str) -> Caller:
+        given = secret_hash(sent)
+        if self._operator_hash is not None and hmac.compare_digest(given, self._operator_hash):
+            return the_operator(given)
+        if not is_well_formed(sent):
+            raise _unknown()
+        # The hash of 256 random bits is looked up: how long that takes tells nothing about them.
+        return self._holder_of_token(given) if is_token(sent) else self._holder_of_key(given)
+
+    def _holder_of_key(self, given: str) -> Caller:
+        key = self._store.keys.with_hash(given)
+        if key is None or not hmac.compare_digest(given, key.secret_hash):
+            raise _unknown()
+        self._require_in_use(key)
+        return _caller(key.id, key, given)
+
+    def _holder_of_token(self, given: str) -> Caller:
+        token, key = self._store.tokens.with_hash(given) or (None, None)
+        if token is None or not hmac.compare_digest(given, token.secret_hash):
+            raise _unknown()
+        if datetime.now(UTC) >= token.expires_at:
+            raise KeyRefused(f"token {token.id} expired at {token.expires_at:{_MOMENT}}")
+        if key is not None:
+            self._require_in_use(key)
+        elif token.key_hash != self._operator_hash:
+            raise KeyRefused(f"the key of token {token.id} is no longer that of the settings")
+        caller = _caller(OPERATOR_ID if key is None else key.id, token, token.key_hash)
+        return replace(caller, by_token=True)
+
+    def _require_in_use(self, key: KeyRecord) -> None:
+        if key.revoked_at is not None:
+            raise KeyRefused(f"key {key.id} was revoked at {key.revoked_at:{_MOMENT}}")
+        if not key.opens_at(datetime.now(UTC)):
+            raise KeyRefused(f"key {key.id} expired at {key.expires_at:{_MOMENT}}")
+        if key.first_run and self._operator_hash is not None:
+            # To set a key is how a made one that was lost or seen is put out of use.
+            raise KeyRefused(f"key {key.id} is out of use while TENSORMAP_ADMIN_KEY is set")
+
+
+def _caller(key_id: str, held: KeyRecord | TokenRecord, key_hash: str) -> Caller:
+    maps = None if held.maps is None else frozenset(held.maps)
+    return Caller(key_id, frozenset(map(Scope, held.scopes)), maps, key_hash)
+
+
+def _unknown() -> KeyRefused:
+    return KeyRefused("this service does not know the key that was sent")
+
+
+def open_access(settings: Settings, store: Store) -> tuple[Access, str | None]:
+    """Return who may ask, and a key that was made just now and must be shown once.
+
+    On another address than loopback, and without a key of the settings or an administrator's, one
+    is made and only its hash is kept.
+    """
+    limits = RateLimits(settings.requests_per_s, settings.request_burst)
+    if settings.admin_key is not None:
+        operator_key = settings.admin_key.get_secret_value()
+        return Access(store, operator_key, limits, settings.allowed_origins), None
+    made = None
+    if not is_loopback(settings.host) and not _has_administrator(store):
+        made = make_first_key(store)
+    return Access(store, None, limits, settings.allowed_origins), made
+
+
+def make_first_key(store: Store) -> str:
+    """Make the administrator's first key, and keep its hash."""
+    made = new_secret()
+    store.keys.add(
+        secret_hash(made.text),
+        [Scope.ADMIN],
+        key_id=made.id,
+        name="administrator",
+        first_run=True,
+    )
+    return made.text
+
+
+def _has_administrator(store: Store) -> bool:
+    now, after = datetime.now(UTC), ""
+    while True:
+        page = store.keys.list(after)
+        if any(Scope.ADMIN in key.scopes and key.opens_at(now) for key in page.items):
+            return True
+        if page.next_after is None:
+            return False
+        after = page.next_after
+
+
+def _bearer_of(connection: HTTPConnection) -> str:
+    scheme, _, sent = connection.headers.get("authorization", "").partition(" ")
+    return sent.strip() if scheme.lower() == "bearer" else ""
+
+
+def _require_local(connection: HTTPConnection, allowed_origins: frozenset[str]) -> None:
+    """Refuse what is not of this machine.
+
+    A browser lets any page send simple requests and open streams to any host, and says only in
+    `Origin` which page it was.
+    """
+    name = connection.url.hostname or ""
+    address = (connection.scope.get("server") or ("",))[0]
+    for reached_by in (name, address):
+        if not is_loopback(reached_by):
+            raise HostNotAllowed(
+                f"a service without keys answers on loopback only, not as {reached_by!r};"
+                " set TENSORMAP_ADMIN_KEY"
+            )
+    origin = connection.headers.get("origin")
+    if origin is None or origin in allowed_origins:
+        return
+    if not is_loopback(_host_of(origin)):
+        raise HostNotAllowed(
+            "a service without keys answers pages of this machine only, not of"
+            f" {origin[:80]!r}; set TENSORMAP_ADMIN_KEY"
+        )
+
+
+def _host_of(origin: str) -> str:
+    try:
+        return urlsplit(origin).hostname or ""
+    except ValueError:
+        return ""

@@ -1,0 +1,43 @@
+"""What the head of every answer says besides: what is left to a key, and what a browser may do."""
+
+from starlette.datastructures import MutableHeaders
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+__all__ = ["RATE_STATE", "AnswerHeaders"]
+
+RATE_STATE = "tensormap.allowance"
+
+_FOR_BROWSERS = {
+    # What was uploaded is never taken for a page or a script.
+    "X-Content-Type-Options": "nosniff",
+    # No page elsewhere lays ours under its own, or loads an answer as an image or a script.
+    "Content-Security-Policy": "frame-ancestors 'none'",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    # Names of maps are in the paths.
+    "Referrer-Policy": "no-referrer",
+}
+
+
+class AnswerHeaders:
+    """Adds fields to each answer that does not have them."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self._app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass a request on."""
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+            return
+        state = scope.setdefault("state", {})
+
+        async def completed(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                headers = MutableHeaders(scope=message)
+                allowance = state.get(RATE_STATE)
+                said = _FOR_BROWSERS | (allowance.headers() if allowance is not None else {})
+                for name, value in said.items():
+                    headers.setdefault(name, value)
+            await send(message)
+
+        await self._app(scope, receive, completed)

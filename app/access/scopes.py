@@ -1,0 +1,51 @@
+"""What a key may be for, and how a route says what it needs."""
+
+from enum import StrEnum
+from typing import Annotated, Any
+
+from fastapi import Depends, Security
+from fastapi.params import Security as SecurityDependency
+from fastapi.security import HTTPAuthorizationCredentials, HTTPBearer
+
+__all__ = ["ANY_SCOPE", "Scope", "bearer_scheme", "needed_by", "needs"]
+
+bearer_scheme = HTTPBearer(
+    auto_error=False,
+    description="A key of this service, or a token that was exchanged for one.",
+)
+
+
+class Scope(StrEnum):
+    """What a key allows; none implies another, but `admin` implies all."""
+
+    MAPS_READ = "maps:read"
+    MAPS_WRITE = "maps:write"
+    LOCALIZE = "localize"
+    ADMIN = "admin"
+
+
+ANY_SCOPE = (Scope.MAPS_READ, Scope.MAPS_WRITE, Scope.LOCALIZE)
+
+
+def needs(*scopes: Scope) -> Any:  # noqa: ANN401 - as FastAPI's own Security
+    """Declare, among a route's `dependencies`, that a caller needs one of these scopes.
+
+    `require_access` looks for it; a route that declares none is the administrator's.
+    """
+    if not scopes:
+        raise ValueError("no scope is given, wanted at least one")
+    return Security(_declare, scopes=[scope.value for scope in scopes])
+
+
+def needed_by(route: object) -> tuple[Scope, ...]:
+    """Return the scopes of which one opens a route."""
+    for dependency in getattr(route, "dependencies", ()):
+        if isinstance(dependency, SecurityDependency) and dependency.dependency is _declare:
+            return tuple(Scope(scope) for scope in dependency.scopes or ())
+    return (Scope.ADMIN,)
+
+
+async def _declare(
+    _: Annotated[HTTPAuthorizationCredentials | None, Depends(bearer_scheme)],
+) -> None:
+    """Do nothing: it stands in the route's description, where FastAPI documents it."""

@@ -1,0 +1,61 @@
+"""Keys as they are sent, `tm_<id>_<secret>`, tokens, and the hash that is kept of either."""
+
+import hashlib
+import re
+import secrets
+from dataclasses import dataclass
+
+__all__ = [
+    "KEY_PREFIX",
+    "TOKEN_PREFIX",
+    "Secret",
+    "is_token",
+    "is_well_formed",
+    "new_secret",
+    "secret_hash",
+]
+
+KEY_PREFIX = "tm"
+TOKEN_PREFIX = "tmt"  # noqa: S105 - it is no secret
+_ID_BYTES = 8
+_SECRET_BYTES = 32
+# The first release's keys have an id of 4 bytes. 43 characters of base64url are 32 bytes.
+_SENT = re.compile(r"tmt?_[0-9a-f]{8,32}_[A-Za-z0-9_-]{43}")
+
+
+@dataclass(frozen=True, repr=False)
+class Secret:
+    """A key or token that was made just now.
+
+    Attributes:
+        id: Its public part, which names it in lists and in the audit log.
+        text: The whole, as its holder sends it; shown once and never kept.
+    """
+
+    id: str
+    text: str
+
+
+def new_secret(prefix: str = KEY_PREFIX) -> Secret:
+    """Make a key, or a token, of 256 random bits."""
+    key_id = secrets.token_hex(_ID_BYTES)
+    return Secret(key_id, f"{prefix}_{key_id}_{secrets.token_urlsafe(_SECRET_BYTES)}")
+
+
+def is_well_formed(sent: str) -> bool:
+    """Return whether a text could be a key or token that this service made."""
+    return _SENT.fullmatch(sent) is not None
+
+
+def is_token(sent: str) -> bool:
+    """Return whether a text calls itself a token."""
+    return sent.startswith(f"{TOKEN_PREFIX}_")
+
+
+def secret_hash(sent: str) -> str:
+    """Return the hash of a key as it is sent, id and all.
+
+    A key holds 256 random bits, or is the operator's own choice of at least 16 characters, and it
+    is hashed on every request: a slow hash would slow the service and stop nobody.
+    """
+    return hashlib.sha256(sent.encode()).hexdigest()

@@ -1,0 +1,96 @@
+"""What goes into the audit log: every change that is asked for, and what came of it."""
+
+import logging
+from urllib.parse import quote
+
+from fastapi import Request
+from starlette.concurrency import run_in_threadpool
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from app.access.caller import Caller
+from app.access.scopes import Scope as KeyScope
+from app.access.scopes import needed_by
+from core.errors import TensorMapError
+from storage.catalog import Act, on_behalf
+from storage.catalog.acts import current_act
+from storage.errors import InvalidSlug
+from storage.names import checked_slug
+from storage.store import Store
+
+__all__ = ["AuditTrail", "note", "sign"]
+
+_log = logging.getLogger("tensormap.audit")
+_SAFE = frozenset({"GET", "HEAD", "OPTIONS"})
+_STATE = "tensormap.audited"
+_ERROR = 400
+
+
+class AuditTrail:
+    """Lets every request that may change something work on behalf of its caller.
+
+    What is changed is in the log with the same commit. What was refused or failed is added when the
+    answer is out: nothing was changed, so nothing is lost if that fails. Requests without a good
+    key are not in the log, or anybody could fill the disk; they are in the server's own.
+    """
+
+    def __init__(self, app: ASGIApp) -> None:
+        self._app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass a request on."""
+        if scope["type"] != "http" or scope["method"] in _SAFE:
+            await self._app(scope, receive, send)
+            return
+        act = Act(key_id="", action="", subject=quote(scope["path"]))
+        state = scope.setdefault("state", {})
+        status = 500
+
+        async def watched(message: Message) -> None:
+            nonlocal status
+            if message["type"] == "http.response.start":
+                status = message["status"]
+            await send(message)
+
+        try:
+            with on_behalf(act):
+                await self._app(scope, receive, watched)
+        finally:
+            if state.get(_STATE) and status >= _ERROR:
+                store: Store = scope["app"].state.service.store
+                await run_in_threadpool(_add_failure, store, act, status)
+
+
+def sign(request: Request, caller: Caller) -> None:
+    """Say whose request it is, and what it asks for."""
+    act = current_act()
+    if act is None:
+        return
+    route = request.scope["route"]
+    act.key_id, act.action = caller.key_id, route.name
+    act.map_slug = _slug_or_none(request.path_params.get("map"))
+    # Localizing changes nothing that is stored.
+    setattr(request.state, _STATE, needed_by(route) != (KeyScope.LOCALIZE,))
+
+
+def note(detail: str, *, map_slug: str | None = None) -> None:
+    """Say what the path of a request does not: call it before the change."""
+    act = current_act()
+    if act is not None:
+        act.detail = detail
+        act.map_slug = act.map_slug or _slug_or_none(map_slug)
+
+
+def _slug_or_none(text: str | None) -> str | None:
+    try:
+        return None if text is None else checked_slug(text)
+    except InvalidSlug:
+        return None
+
+
+def _add_failure(store: Store, act: Act, status: int) -> None:
+    try:
+        store.audit.append(act, str(status))
+    except TensorMapError:
+        _log.exception(
+            "%s of %s by key %s ended in %d", act.action, act.subject, act.key_id, status
+        )

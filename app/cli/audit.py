@@ -1,0 +1,59 @@
+"""`tensormap audit`: is the log of changes what was written?"""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from app.settings import Settings
+from core.errors import InvalidParameters
+from storage.catalog import AuditState
+from storage.errors import StorageUnavailable
+from storage.store import Store
+from storage.store.layout import Layout
+
+__all__ = ["audit"]
+
+audit = typer.Typer(help="Check the log of changes.", no_args_is_help=True)
+
+
+@audit.callback()
+def about() -> None:
+    """Check the log of changes."""
+
+
+@audit.command()
+def verify(
+    data: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="The service's data. [data]")
+    ] = None,
+    known: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ENTRY:HASH", help="What an earlier check printed: the log must begin with it."
+        ),
+    ] = None,
+) -> None:
+    """Recompute the chain of hashes; say up to where the log is good, and fail if not to its end.
+
+    The service may run meanwhile. Keep what is printed in another place: whoever can write the
+    database could write all of it anew, and only that would tell.
+    """
+    settings = Settings() if data is None else Settings(data_dir=data)
+    layout = Layout(settings.data_dir.absolute())
+    if settings.catalog_url is None and not layout.catalog.exists():
+        raise StorageUnavailable(f"there is no catalog in {settings.data_dir}")
+    with Store(settings.data_dir, settings.catalog_url) as store:
+        found = store.audit.verify(None if known is None else _state(known))
+    state = f"{found.state.seq}:{found.state.hash}"
+    if found.fault is not None:
+        typer.echo(f"tensormap: the audit log is broken: {found.fault}; good is {state}", err=True)
+        raise typer.Exit(1)
+    typer.echo(state)
+
+
+def _state(text: str) -> AuditState:
+    entry, _, digest = text.partition(":")
+    if not entry.isdecimal():
+        raise InvalidParameters(f"--known is {text[:80]!r}, wanted ENTRY:HASH")
+    return AuditState(int(entry), digest)

@@ -1,0 +1,139 @@
+"""A thousand switches of the live revision while eight clients ask.
+
+    python -m benchmarks.live_switches
+
+A real service on a free port of this machine. Bar: no request fails, every answer is the one that
+the revision it names gives alone, and an answer to a scan is of the revision that it says is live.
+"""
+
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections import Counter
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import httpx2
+import numpy as np
+
+from app.schemas.revisions import BasisOut
+from benchmarks.timing import machine
+from core.scan import Scan
+from core.signature import pack_signatures
+from core.simulation import SimulatedDrive, SimulatedSensor
+
+SWITCHES, CLIENTS = 1000, 8
+SCANS = 48
+KITTI = {"Content-Type": "application/vnd.tensormap.kitti"}
+PACKED = {"Content-Type": "application/vnd.tensormap.signature"}
+MAP = "/v1/maps/campus"
+
+
+def main() -> int:
+    """Print how many answers each revision gave; return 1 if one was not true."""
+    with tempfile.TemporaryDirectory() as folder:
+        command = [sys.executable, "-m", "app.cli", "serve", "--port", "0", "--data", folder]
+        with subprocess.Popen(
+            command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env=os.environ
+        ) as service:
+            try:
+                return _switch(_url(service))
+            finally:
+                service.send_signal(signal.SIGTERM)
+                threading.Thread(target=service.communicate, daemon=True).start()
+
+
+def _url(service: subprocess.Popen[str]) -> str:
+    assert service.stdout is not None  # noqa: S101 - it was asked for
+    for line in service.stdout:
+        for word in line.split():
+            if word.startswith("http://127.0.0.1:"):
+                threading.Thread(target=service.stdout.read, daemon=True).start()
+                return word.rstrip("/.,)")
+    raise SystemExit("the service did not start")
+
+
+def _switch(url: str) -> int:
+    client = httpx2.Client(base_url=url, timeout=60)
+    scan = _mapped(client)
+    revisions = [r["revision"] for r in client.get(f"{MAP}/revisions").json()["items"]]
+    alone: dict[tuple[str, str], Any] = {}
+    signatures: dict[str, bytes] = {}
+    for revision in revisions:
+        client.put(f"{MAP}/live", json={"revision": revision}).raise_for_status()
+        basis = BasisOut.model_validate(client.get(f"{MAP}/basis").json()).to_core()
+        signatures[revision] = pack_signatures(basis.encode(basis.image(scan)))
+        alone["scan", revision] = _ask(client, "scan", _body(scan))["matches"]
+        alone["signature", revision] = _ask(client, "signature", signatures[revision])["matches"]
+    done = threading.Event()
+
+    def keep_asking(number: int) -> Counter[str]:
+        told: Counter[str] = Counter()
+        with httpx2.Client(base_url=url, timeout=60) as own:
+            while not done.is_set():
+                answer = _ask(own, "scan", _body(scan))
+                of = answer["revision"]
+                true = of == answer["live_revision"] and answer["matches"] == alone["scan", of]
+                told["scan" if true else "untrue"] += 1
+                wanted = revisions[(number + told.total()) % 2]
+                answer = _ask(own, "signature", signatures[wanted])
+                true = (
+                    answer["revision"] == wanted and answer["matches"] == alone["signature", wanted]
+                )
+                told["signature" if true else "untrue"] += 1
+        return told
+
+    begun = time.perf_counter()
+    with ThreadPoolExecutor(CLIENTS) as pool:
+        asking = [pool.submit(keep_asking, number) for number in range(CLIENTS)]
+        try:
+            for switch in range(SWITCHES):
+                wanted = {"revision": revisions[switch % 2]}
+                client.put(f"{MAP}/live", json=wanted).raise_for_status()
+        finally:
+            done.set()
+        told = sum((one.result() for one in asking), Counter())
+    seconds = time.perf_counter() - begun
+    print(
+        f"{SWITCHES} switches in {seconds:.0f} s: {told['scan']} answers to scans,"
+        f" {told['signature']} to signatures, {told['untrue']} of them untrue; {machine()}"
+    )
+    return int(told["untrue"] > 0)
+
+
+def _mapped(client: httpx2.Client) -> Scan:
+    """Make a map of two revisions, and return a scan to ask with."""
+    drive = SimulatedDrive(seed=1, scans=SCANS, sensor=SimulatedSensor(firings=180))
+    client.post("/v1/maps", json={"map": "campus"}).raise_for_status()
+    for index in range(SCANS):
+        path = f"{MAP}/drives/monday/scans/{index}"
+        client.put(path, content=_body(drive.scan(index)), headers=KITTI).raise_for_status()
+    for wanted in ({"segments": 3}, {"segments": 2, "reducer": "mean"}):
+        job = client.post(f"{MAP}/builds", json=wanted).raise_for_status().json()
+        while job["state"] in {"queued", "running"}:
+            time.sleep(0.1)
+            job = client.get(f"/v1/jobs/{job['job']}").json()
+        if job["state"] != "done":
+            raise SystemExit(f"a build ended as {job['state']}")
+    return SimulatedDrive(
+        seed=1, scans=SCANS, noise_seed=7, sensor=SimulatedSensor(firings=180)
+    ).scan(4)
+
+
+def _body(scan: Scan) -> bytes:
+    return bytes(np.pad(scan.points_m, ((0, 0), (0, 1))).astype("<f4").tobytes())
+
+
+def _ask(client: httpx2.Client, kind: str, body: bytes) -> dict[str, Any]:
+    headers = KITTI if kind == "scan" else PACKED
+    answer = client.post(f"{MAP}/localizations/{kind}", content=body, headers=headers)
+    told: dict[str, Any] = answer.raise_for_status().json()
+    return told
+
+
+if __name__ == "__main__":
+    sys.exit(main())

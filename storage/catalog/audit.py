@@ -1,0 +1,175 @@
+"""The audit log: who changed what and when, only ever added to."""
+
+from contextlib import closing
+from dataclasses import dataclass
+from datetime import datetime
+
+from sqlalchemy import select
+
+from core.errors import InvalidParameters
+from storage.catalog.acts import Act, on_behalf
+from storage.catalog.audit_chain import append, entry_hash, head_of
+from storage.catalog.database import Database
+from storage.catalog.models import AuditEntry
+from storage.catalog.pages import DEFAULT_LIMIT, one_more, page_of
+from storage.catalog.records import Page
+
+__all__ = ["START", "Audit", "AuditCheck", "AuditRecord", "AuditState"]
+
+_BATCH = 1000
+
+
+@dataclass(frozen=True)
+class AuditRecord:
+    """An entry: what was asked, by whom, and what came of it.
+
+    Attributes:
+        seq: Its place, counted from 1 without a gap.
+        outcome: `done`, or the name of the problem that it ended in.
+        hash: Over all this and the hash of the entry before.
+    """
+
+    seq: int
+    at: datetime
+    key_id: str
+    action: str
+    subject: str
+    map_slug: str | None
+    detail: str
+    outcome: str
+    hash: str
+
+
+@dataclass(frozen=True)
+class AuditState:
+    """How long the log is, and the hash of its last entry.
+
+    Whoever keeps one elsewhere can tell later whether the log before it is still the same.
+    """
+
+    seq: int
+    hash: str
+
+    def __post_init__(self) -> None:
+        if self.seq < 0 or len(self.hash) != 64:
+            raise InvalidParameters(
+                f"wanted a number of entries and 64 hex digits, got {self.seq} and"
+                f" {self.hash[:80]!r}"
+            )
+
+
+START = AuditState(0, "0" * 64)
+
+
+@dataclass(frozen=True)
+class AuditCheck:
+    """Whether the log is what was written.
+
+    Attributes:
+        state: As far as it is good.
+        fault: What is wrong after that, `None` if nothing is.
+    """
+
+    state: AuditState
+    fault: str | None
+
+
+class Audit:
+    """The entries, in the order in which they were written."""
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
+
+    def append(self, act: Act, outcome: str) -> None:
+        """Add an entry about an act that changed nothing, such as one that was refused."""
+        with on_behalf(None), self._database.writing() as session:
+            append(session, act, outcome)
+
+    def list(
+        self,
+        after: int = 0,
+        limit: int = DEFAULT_LIMIT,
+        *,
+        map_slug: str | None = None,
+        key_id: str | None = None,
+        since: datetime | None = None,
+        until: datetime | None = None,
+    ) -> Page[AuditRecord]:
+        """Return the entries after place `after`, oldest first.
+
+        Args:
+            after: A place.
+            limit: How many a page holds.
+            map_slug: Only those about this map.
+            key_id: Only those of this key.
+            since: Only those at this moment or later.
+            until: Only those before this moment.
+        """
+        query = select(AuditEntry).where(AuditEntry.seq > after)
+        if map_slug is not None:
+            query = query.where(AuditEntry.map_slug == map_slug)
+        if key_id is not None:
+            query = query.where(AuditEntry.key_id == key_id)
+        if since is not None:
+            query = query.where(AuditEntry.at >= since)
+        if until is not None:
+            query = query.where(AuditEntry.at < until)
+        query = query.order_by(AuditEntry.seq).limit(one_more(limit))
+        with self._database.reading() as session:
+            records = [_record(row) for row in session.scalars(query)]
+        return page_of(records, limit, lambda record: str(record.seq))
+
+    def state(self) -> AuditState:
+        """Return the state that the log says that it is in."""
+        with self._database.reading() as session:
+            head = head_of(session)
+            return AuditState(head.seq, head.hash)
+
+    def verify(self, known: AuditState | None = None) -> AuditCheck:
+        """Recompute the whole chain.
+
+        A changed, removed, inserted or moved entry breaks it, a removed last one is missed by the
+        head. Who can write the database can recompute all of it, head included: only `known`, kept
+        elsewhere, shows that.
+
+        Args:
+            known: A state that the log once was in.
+        """
+        good = START
+        with self._database.reading() as session:
+            # First: entries that are added meanwhile, where readers have no snapshot, come after.
+            head = head_of(session)
+            rows = session.scalars(
+                select(AuditEntry)
+                .where(AuditEntry.seq <= head.seq)
+                .order_by(AuditEntry.seq)
+                .execution_options(yield_per=_BATCH)
+            )
+            with closing(rows):  # a fault ends it early
+                for row in rows:
+                    if row.seq != good.seq + 1:
+                        return AuditCheck(good, f"entry {good.seq + 1} is gone; {row.seq} follows")
+                    if row.hash != entry_hash(row, good.hash):
+                        return AuditCheck(good, f"entry {row.seq} is not what was written")
+                    good = AuditState(row.seq, row.hash)
+                    if known is not None and known.seq == good.seq and known != good:
+                        return AuditCheck(good, f"entry {row.seq} is not the one that was known")
+        if (head.seq, head.hash) != (good.seq, good.hash):
+            return AuditCheck(good, f"the log had {head.seq} entries, {good.seq} are left")
+        if known is not None and known.seq > good.seq:
+            return AuditCheck(good, f"entry {known.seq} was known, {good.seq} are left")
+        return AuditCheck(good, None)
+
+
+def _record(row: AuditEntry) -> AuditRecord:
+    return AuditRecord(
+        seq=row.seq,
+        at=row.at,
+        key_id=row.key_id,
+        action=row.action,
+        subject=row.subject,
+        map_slug=row.map_slug,
+        detail=row.detail,
+        outcome=row.outcome,
+        hash=row.hash,
+    )

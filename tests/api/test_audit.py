@@ -1,0 +1,133 @@
+"""Who changed what, over HTTP: every change has its entry, and the chain shows a missing one."""
+
+import sqlite3
+
+import pytest
+from typer.testing import CliRunner
+
+from app.cli.main import cli
+from storage.errors import StorageFull
+from tests.api.test_scopes import ADMIN, ADMIN_KEY, bearer, holder, make
+from tests.support.recording import KITTI, kitti, recording
+from tests.support.service import problem_of, running, upload, wait_for
+
+
+@pytest.fixture
+def client(tmp_path):
+    with running(tmp_path / "data", admin_key=ADMIN_KEY) as client:
+        yield client
+
+
+def entries(client, query=""):
+    return client.get(f"/v1/audit?limit=1000&{query}", headers=ADMIN).json()["items"]
+
+
+def in_short(entry):
+    return entry["key"], entry["action"], entry["map"], entry["outcome"]
+
+
+def test_every_change_is_there_with_who_made_it_and_nothing_that_only_asks(client):
+    made = make(client, "maps:read", "maps:write", "localize")
+    fleet = bearer(made["secret"])
+    client.post("/v1/maps", json={"map": "campus"}, headers=fleet)
+    scan = {"content": kitti(recording().scans[0]), "headers": {**KITTI, **fleet}}
+    client.put("/v1/maps/campus/drives/monday/scans/0", **scan)
+    client.put("/v1/maps/campus/drives/monday/scans/0", **scan)  # changes nothing
+    client.get("/v1/maps", headers=fleet)
+    client.post("/v1/maps/campus/localizations/scan", **scan)
+    client.patch("/v1/maps/campus", json={"description": "x"}, headers=ADMIN)
+    client.delete("/v1/maps/campus", headers=fleet)
+    key = made["key"]
+    told = entries(client)
+    assert [in_short(entry) for entry in told] == [
+        ("operator", "make_key", None, "done"),
+        (key, "create_map", "campus", "done"),
+        (key, "put_scan", "campus", "done"),
+        ("operator", "update_map", "campus", "done"),
+        (key, "delete_map", "campus", "done"),
+    ]
+    assert told[0]["detail"] == f"key {key}: localize, maps:read, maps:write of all maps"
+    assert told[2]["subject"] == "/v1/maps/campus/drives/monday/scans/0"
+    assert made["secret"] not in str(told)
+    assert [entry["entry"] for entry in entries(client, f"key={key}&map=campus")] == [2, 3, 5]
+    assert entries(client, f"since={told[3]['at'].replace('+', '%2B')}")[-2:] == told[3:]
+    assert entries(client, "until=2020-01-01T00:00:00Z") == []
+
+
+def test_what_is_refused_to_a_key_is_there_and_what_comes_without_one_is_not(client):
+    reader = holder(client, "maps:read")
+    client.post("/v1/maps", json={"map": "campus"}, headers=reader)
+    client.delete("/v1/maps/nowhere", headers=ADMIN)
+    client.post("/v1/maps", json={"map": "campus"}, headers=bearer("x" * 50))
+    client.post("/v1/maps", json={"map": "campus"})
+    assert [(e["action"], e["map"], e["outcome"]) for e in entries(client)[1:]] == [
+        ("create_map", None, "403"),
+        ("delete_map", "nowhere", "404"),
+    ]
+
+
+def test_what_a_build_published_is_there_as_the_services(client):
+    client.headers.update(ADMIN)
+    client.post("/v1/maps", json={"map": "campus"})
+    upload(client, "monday", recording())
+    job = client.post("/v1/maps/campus/builds", json={"segments": 3}).json()["job"]
+    revision = wait_for(client, job)["revision"]
+    [entry] = entries(client, "key=service")
+    assert in_short(entry) == ("service", "publish_revision", "campus", "done")
+    assert (entry["subject"], entry["detail"]) == (f"/v1/jobs/{job}", f"revision {revision}")
+    client.put("/v1/maps/campus/live", json={"revision": revision})
+    assert entries(client)[-1]["detail"] == f"revision {revision}"
+
+
+def test_a_change_that_cannot_be_written_down_is_not_made(client, monkeypatch):
+    def full(*_):
+        raise StorageFull("no space is left")
+
+    monkeypatch.setattr("storage.catalog.audit_chain.append", full)
+    monkeypatch.setattr("storage.catalog.audit.append", full)
+    refused = client.post("/v1/maps", json={"map": "campus"}, headers=ADMIN)
+    assert problem_of(refused) == (507, "storage-full")
+    monkeypatch.undo()
+    assert client.get("/v1/maps", headers=ADMIN).json()["items"] == []
+
+
+def test_a_service_without_keys_writes_down_that_everyone_could(tmp_path):
+    with running(tmp_path) as client:
+        client.post("/v1/maps", json={"map": "campus"})
+        [entry] = client.get("/v1/audit").json()["items"]
+    assert in_short(entry) == ("everyone", "create_map", "campus", "done")
+
+
+def test_a_question_that_makes_no_sense_is_refused(client):
+    zoneless = "since=2020-01-01T00:00:00"
+    for query in ("after=x", "after=-1", f"after={2**63}", "limit=0", zoneless, "since=x"):
+        refused = client.get(f"/v1/audit?{query}", headers=ADMIN)
+        assert problem_of(refused) == (422, "invalid-request"), query
+
+
+def test_the_command_tells_where_the_log_is_good_to(client, tmp_path):
+    for slug in ("one", "two", "three"):
+        client.post("/v1/maps", json={"map": slug}, headers=ADMIN)
+    verify = ["audit", "verify", "--data", str(tmp_path / "data")]
+    run = CliRunner().invoke
+    good = run(cli, verify)
+    assert good.exit_code == 0
+    assert good.output == f"3:{entries(client)[-1]['hash']}\n"
+    known = f"2:{entries(client)[1]['hash']}"
+    assert run(cli, [*verify, "--known", known]).exit_code == 0
+    assert run(cli, [*verify, "--known", f"2:{'0' * 64}"]).exit_code == 1
+    with sqlite3.connect(tmp_path / "data/catalog.sqlite3") as connection:
+        connection.execute("DELETE FROM audit WHERE seq = 2")
+    connection.close()
+    broken = run(cli, verify)
+    assert broken.exit_code == 1
+    assert "entry 2 is gone" in broken.stderr
+
+
+def test_the_command_makes_no_store_where_none_is(tmp_path):
+    nowhere = tmp_path / "nowhere"
+    failed = CliRunner().invoke(cli, ["audit", "verify", "--data", str(nowhere)])
+    assert "no catalog" in str(failed.exception)
+    assert not nowhere.exists()
+    wrong = CliRunner().invoke(cli, ["audit", "verify", "--known", "latest"])
+    assert wrong.exit_code == 1

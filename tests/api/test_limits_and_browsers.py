@@ -1,0 +1,187 @@
+"""How often a key may ask, and what a browser lets the pages of other sites do."""
+
+import shutil
+
+import pytest
+from starlette.testclient import TestClient, WebSocketDenialResponse
+
+from app.settings import Settings
+from tests.api.test_scopes import ADMIN, ADMIN_KEY, bearer, make
+from tests.support.service import problem_of, running
+
+SITE = "https://maps.example"
+PREFLIGHT = {
+    "Access-Control-Request-Method": "PUT",
+    "Access-Control-Request-Headers": "authorization, content-type",
+}
+
+
+# How often
+
+
+@pytest.fixture(scope="module")
+def limited(tmp_path_factory):
+    """Five requests at once, and then one in a thousand seconds."""
+    folder = tmp_path_factory.mktemp("limited")
+    with running(folder, admin_key=ADMIN_KEY, requests_per_s=0.001, request_burst=5) as client:
+        yield client
+
+
+def test_a_key_that_asks_too_often_is_told_when_to_come_back_and_others_are_not(limited):
+    one, other = (bearer(make(limited, "maps:read")["secret"]) for _ in range(2))
+    answers = [limited.get("/v1/maps", headers=one) for _ in range(6)]
+    assert [answer.status_code for answer in answers] == [200] * 5 + [429]
+    assert [answer.headers["RateLimit"].split(";")[1] for answer in answers[:5]] == [
+        f"r={left}" for left in (4, 3, 2, 1, 0)
+    ]
+    refused = answers[5]
+    assert problem_of(refused) == (429, "too-many-requests")
+    assert 900 < int(refused.headers["Retry-After"]) <= 1000
+    assert refused.headers["RateLimit-Policy"] == '"requests";q=5;w=5000'
+    assert refused.headers["RateLimit"].startswith('"requests";r=0;t=')
+    assert limited.get("/v1/maps", headers=other).status_code == 200
+    # What a proxy or an orchestrator asks is no key's.
+    assert all(limited.get("/livez").status_code == 200 for _ in range(10))
+    assert "RateLimit" not in limited.get("/livez").headers
+
+
+def test_who_guesses_keys_is_slowed_down_by_address_and_holders_there_are_not(limited):
+    held = bearer(make(limited, "maps:read")["secret"])
+    guesses = [limited.get("/v1/maps", headers=bearer(f"guess {n}")) for n in range(7)]
+    assert [guess.status_code for guess in guesses] == [401] * 5 + [429] * 2
+    assert problem_of(limited.get("/v1/maps")) == (429, "too-many-requests")
+    assert limited.get("/v1/maps", headers=held).status_code == 200
+
+
+def test_without_keys_an_address_counts(tmp_path):
+    with running(tmp_path, requests_per_s=0.001, request_burst=2) as client:
+        asked = [client.get("/v1/maps").status_code for _ in range(3)]
+    assert asked == [200, 200, 429]
+
+
+def test_messages_of_a_stream_count_and_it_goes_on(tmp_path, built):
+    shutil.copytree(built.data_dir, tmp_path / "data", ignore=shutil.ignore_patterns("*.lock"))
+    limits = {"requests_per_s": 0.001, "request_burst": 4}
+    with running(tmp_path / "data", admin_key=ADMIN_KEY, **limits) as client:
+        vehicle = bearer(make(client, "localize")["secret"])
+        track = client.post("/v1/maps/campus/tracks", headers=vehicle).headers["Location"]
+        with client.websocket_connect(f"{track}/stream", headers=vehicle) as stream:
+            told = []
+            for _ in range(4):
+                stream.send_text("{}")
+                told.append(stream.receive_json()["type"])
+        assert told == ["/problems/invalid-request"] * 2 + ["/problems/too-many-requests"] * 2
+        with (
+            pytest.raises(WebSocketDenialResponse) as refused,
+            client.websocket_connect(f"{track}/stream", headers=vehicle),
+        ):
+            pass
+        assert refused.value.status_code == 429
+
+
+def test_by_default_nothing_is_limited(client):
+    assert "RateLimit" not in client.get("/v1/maps").headers
+
+
+# Browsers
+
+
+def test_by_default_no_page_elsewhere_reads_an_answer(tmp_path):
+    with running(tmp_path, admin_key=ADMIN_KEY) as client:
+        for headers in ({"Origin": SITE}, {"Origin": "null"}, {"Origin": "http://localhost:3000"}):
+            answer = client.get("/v1/maps", headers={**ADMIN, **headers})
+            assert not any(name.startswith("access-control") for name in answer.headers)
+            preflight = client.options("/v1/maps", headers={**headers, **PREFLIGHT})
+            assert preflight.status_code == 405
+            assert not any(name.startswith("access-control") for name in preflight.headers)
+
+
+def test_the_pages_of_a_named_site_may_ask_with_a_key_and_without_cookies(tmp_path):
+    with running(tmp_path, admin_key=ADMIN_KEY, allowed_origins=(SITE,)) as client:
+        preflight = client.options("/v1/maps", headers={"Origin": SITE, **PREFLIGHT})
+        assert preflight.status_code == 200
+        assert preflight.headers["Access-Control-Allow-Origin"] == SITE
+        answer = client.get("/v1/maps", headers={**ADMIN, "Origin": SITE})
+        assert answer.headers["Access-Control-Allow-Origin"] == SITE
+        assert "Retry-After" in answer.headers["Access-Control-Expose-Headers"]
+        for told in (preflight, answer):
+            assert "Access-Control-Allow-Credentials" not in told.headers
+            assert "Origin" in told.headers["Vary"]
+        refused = client.get("/v1/maps", headers={"Origin": SITE})
+        assert problem_of(refused) == (401, "key-needed")
+        assert refused.headers["Access-Control-Allow-Origin"] == SITE
+
+
+def test_the_pages_of_other_sites_may_not(tmp_path):
+    others = (
+        "https://maps.example.evil.example",
+        "https://evil.example",
+        "http://maps.example",
+        "https://maps.example:444",
+        "https://sub.maps.example",
+        "https://mapsxexample",
+        "null",
+        "*",
+    )
+    with running(tmp_path, admin_key=ADMIN_KEY, allowed_origins=(SITE,)) as client:
+        for origin in others:
+            answer = client.get("/v1/maps", headers={**ADMIN, "Origin": origin})
+            assert "Access-Control-Allow-Origin" not in answer.headers, origin
+            # Starlette answers a preflight in plain text, which only a browser reads.
+            asked = {"Origin": origin, **PREFLIGHT}
+            preflight = TestClient.request(client, "OPTIONS", "/v1/maps", headers=asked)
+            assert preflight.status_code == 400
+            assert "Access-Control-Allow-Origin" not in preflight.headers, origin
+
+
+def test_without_keys_a_page_elsewhere_changes_nothing(tmp_path):
+    with running(tmp_path) as client:
+        client.post("/v1/maps", json={"map": "campus"})
+        for origin in (SITE, "null", "https://127.0.0.1.evil.example", "[", ""):
+            # A browser sends such requests, without a preflight, to whatever host a page names.
+            simple = {"Origin": origin, "Content-Type": "text/plain"}
+            for path in ("/v1/maps/campus/tracks", "/v1/maps/campus/localizations/scan"):
+                refused = client.post(path, content=b"{}", headers=simple)
+                assert problem_of(refused) == (421, "host-not-allowed"), (path, origin)
+            refused = client.post("/v1/maps", content=b'{"map": "theirs"}', headers=simple)
+            assert problem_of(refused)[0] in {415, 421}
+            refused = client.get("/v1/maps", headers=simple)
+            assert problem_of(refused) == (421, "host-not-allowed")
+        assert len(client.get("/v1/maps").json()["items"]) == 1
+        assert client.get("/v1/maps", headers={"Origin": "http://localhost:8000"}).is_success
+    with running(tmp_path, allowed_origins=(SITE,)) as client:
+        assert client.get("/v1/maps", headers={"Origin": SITE}).is_success
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        "*",
+        "maps.example",
+        f"{SITE}/",
+        f"{SITE}/x",
+        "https://*.example",
+        "null",
+        "https://A.example",
+        "file://",
+    ],
+)
+def test_what_is_no_origin_is_refused_at_the_start(given):
+    with pytest.raises(ValueError, match="wanted origins"):
+        Settings(allowed_origins=given)
+
+
+def test_origins_are_read_from_the_environment(monkeypatch):
+    monkeypatch.setenv("TENSORMAP_ALLOWED_ORIGINS", f"{SITE}, http://[::1]:3000")
+    assert Settings().allowed_origins == (SITE, "http://[::1]:3000")
+    monkeypatch.setenv("TENSORMAP_ALLOWED_ORIGINS", "")
+    assert Settings().allowed_origins == ()
+
+
+@pytest.mark.parametrize("path", ["/v1/maps", "/v1/maps/nowhere", "/docs", "/livez", "/none"])
+def test_every_answer_tells_a_browser_to_be_careful(client, path):
+    told = client.get(path).headers
+    assert told["X-Content-Type-Options"] == "nosniff"
+    assert told["Content-Security-Policy"] == "frame-ancestors 'none'"
+    assert told["Cross-Origin-Resource-Policy"] == "same-origin"
+    assert told["Referrer-Policy"] == "no-referrer"

@@ -1,0 +1,63 @@
+"""The address that was asked for is listened on, and no other (HSDS took them all)."""
+
+import os
+import re
+import signal
+import socket
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.support.process import ROOT, until
+
+LISTENING = "0A"
+
+
+def listened_on(pid):
+    """Return the addresses on which a process takes TCP connections."""
+    sockets = set()
+    for descriptor in Path(f"/proc/{pid}/fd").iterdir():
+        try:
+            target = str(descriptor.readlink())
+        except FileNotFoundError:
+            continue  # it was closed meanwhile
+        if match := re.fullmatch(r"socket:\[(\d+)\]", target):
+            sockets.add(match[1])
+    for table, size in (("tcp", 4), ("tcp6", 16)):
+        for line in Path(f"/proc/{pid}/net/{table}").read_text().splitlines()[1:]:
+            fields = line.split()
+            if fields[3] == LISTENING and fields[9] in sockets:
+                yield address_of(fields[1].partition(":")[0], size)
+
+
+def address_of(text, size):
+    # Words of four bytes, each in the order of this machine.
+    words = [bytes.fromhex(text[i : i + 8]) for i in range(0, 2 * size, 8)]
+    if sys.byteorder == "little":
+        words = [word[::-1] for word in words]
+    return socket.inet_ntop(socket.AF_INET if size == 4 else socket.AF_INET6, b"".join(words))
+
+
+@pytest.mark.skipif(not Path("/proc/net/tcp").exists(), reason="reads Linux' own tables")
+@pytest.mark.parametrize("chosen", [None, "127.0.0.2"])
+def test_the_service_listens_where_it_was_told_and_nowhere_else(tmp_path, chosen):
+    options = [] if chosen is None else ["--host", chosen]
+    kept = {k: v for k, v in os.environ.items() if not k.startswith("TENSORMAP_")}
+    command = [sys.executable, "-m", "app.cli", "serve"]
+    log = tmp_path / "log"
+    with log.open("w") as written:
+        process = subprocess.Popen(
+            [*command, "--port", "0", "--data", tmp_path / "data", *options],
+            cwd=ROOT,
+            env=kept,
+            stdout=written,
+            stderr=subprocess.STDOUT,
+        )
+    try:
+        until(lambda: "startup complete" in log.read_text(), "the service did not start")
+        assert list(listened_on(process.pid)) == [chosen or "127.0.0.1"]
+    finally:
+        process.send_signal(signal.SIGTERM)
+        process.wait(30)
