@@ -9,7 +9,7 @@ COPY storage storage
 COPY app app
 RUN python -m pip wheel --no-cache-dir --no-deps --wheel-dir /wheel . \
  && python -m venv /opt/tensormap \
- && /opt/tensormap/bin/pip install --no-cache-dir /wheel/*.whl
+ && /opt/tensormap/bin/pip install --no-cache-dir "$(echo /wheel/*.whl)[postgresql]"
 
 FROM python:3.13-slim
 COPY --from=build /opt/tensormap /opt/tensormap

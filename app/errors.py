@@ -16,6 +16,7 @@ from starlette.requests import ClientDisconnect
 from starlette.responses import Response
 from starlette.routing import Match
 
+from app.request_id import current_id
 from core import errors as core
 from storage import errors as stored
 from storage.formats import errors as formats
@@ -29,6 +30,7 @@ __all__ = [
     "BodyTooLarge",
     "DigestMismatch",
     "HostNotAllowed",
+    "InternalError",
     "InvalidRequest",
     "KeyNeeded",
     "KeyRefused",
@@ -44,6 +46,7 @@ __all__ = [
     "UnsupportedBody",
     "WorkerDied",
     "add_handlers",
+    "internal_error",
     "problem_name",
     "problem_response",
     "problem_type",
@@ -254,6 +257,9 @@ class Problem(BaseModel):
     status: int
     detail: str = Field(description="What was wanted and what came, this time.")
     errors: list[FieldProblem] | None = None
+    request_id: str | None = Field(
+        None, description="Of the request, as in `X-Request-Id` and in the service's log."
+    )
 
 
 def problem_name(error: type[core.TensorMapError]) -> str:
@@ -323,6 +329,8 @@ def problem_response(
     }
     if errors is not None:
         content["errors"] = errors
+    if (request_id := current_id()) is not None:
+        content["request_id"] = request_id
     headers = error.headers if isinstance(error, AppError) else None
     return JSONResponse(content, status, headers, media_type=MEDIA_TYPE)
 
@@ -376,10 +384,11 @@ def add_handlers(app: FastAPI) -> None:
         _log.info("%s %s: the client went away", request.method, request.url.path)
         return Response(status_code=S.BAD_REQUEST)
 
-    @app.exception_handler(Exception)
-    def unknown(request: Request, error: Exception) -> JSONResponse:
-        _log.error("%s %s failed", request.method, request.url.path, exc_info=error)
-        return problem_response(InternalError("the service failed; its log says where"))
+
+def internal_error(error: Exception) -> JSONResponse:
+    """Answer with a fault of ours: its traceback is in the log, under the request's id."""
+    _log.error("a fault of the service", exc_info=error)
+    return problem_response(InternalError("the service failed; its log says where"))
 
 
 def _allowed_methods(request: Request) -> list[str]:

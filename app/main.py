@@ -17,6 +17,8 @@ from app.access.trail import AuditTrail
 from app.bodies import BodyGuard
 from app.errors import add_handlers
 from app.jobs.runner import JobRunner
+from app.metrics import Metrics
+from app.observing import RequestObserver
 from app.openapi import complete_openapi
 from app.revisions import LoadedRevisions
 from app.routes import api, open_routes, streams
@@ -43,11 +45,12 @@ def create_app(settings: Settings | None = None) -> FastAPI:
         settings: What the operator chose; read from the environment if not given.
     """
     chosen = settings or Settings()
+    metrics = Metrics()
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
         one_blas_thread()
-        service = await run_in_threadpool(_start, chosen)
+        service = await run_in_threadpool(_start, chosen, metrics)
         app.state.service = service
         try:
             yield
@@ -68,6 +71,7 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     app.add_middleware(AuditTrail)
     app.add_middleware(AnswerHeaders)
     allow_origins(app, chosen.allowed_origins)
+    app.add_middleware(RequestObserver, metrics=metrics)  # the last one added is the outermost
     app.include_router(api())
     app.include_router(streams())
     app.include_router(open_routes())
@@ -75,7 +79,7 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     return app
 
 
-def _start(settings: Settings) -> Service:
+def _start(settings: Settings, metrics: Metrics) -> Service:
     store = Store.serving(settings.data_dir, settings.catalog_url)
     try:
         access, made = open_access(settings, store)
@@ -85,7 +89,7 @@ def _start(settings: Settings) -> Service:
     if made is not None:
         # The one place where a key is shown: only its hash is kept.
         print(f"Administrator key, shown this once: {made}", flush=True)  # noqa: T201
-    runner = JobRunner(settings, store)
+    runner = JobRunner(settings, store, ended=metrics.built)
     runner.start()
     return Service(
         settings=settings,
@@ -94,6 +98,7 @@ def _start(settings: Settings) -> Service:
         runner=runner,
         access=access,
         tracks=Tracks(settings.max_tracks, settings.track_idle_s),
+        metrics=metrics,
     )
 
 

@@ -7,6 +7,7 @@ from fastapi import Depends, Path, Request
 
 from app.access.access import Access
 from app.jobs.runner import JobRunner
+from app.metrics import Metrics
 from app.revisions import LoadedRevisions
 from app.settings import Settings
 from app.tracks import Tracks
@@ -26,6 +27,7 @@ class Service:
         runner: Builds.
         access: Who may ask.
         tracks: Vehicles that are followed.
+        metrics: What is counted.
     """
 
     settings: Settings
@@ -34,6 +36,7 @@ class Service:
     runner: JobRunner
     access: Access
     tracks: Tracks
+    metrics: Metrics
 
 
 def running_service(request: Request) -> Service:

@@ -3,10 +3,12 @@
 import ipaddress
 import re
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import Field, SecretStr, field_validator
 from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
+
+from app.logs import LogFormat
 
 __all__ = ["Settings", "is_loopback"]
 
@@ -49,6 +51,12 @@ class Settings(BaseSettings):
         4 * 2**20,
         ge=2**10,
         description="The largest JSON body that is read: it is parsed whole, scans are not.",
+    )
+    log_format: LogFormat = Field(
+        LogFormat.TEXT, description="How a line of the log is written: `text` or `json`."
+    )
+    log_level: Literal["DEBUG", "INFO", "WARNING", "ERROR"] = Field(
+        "INFO", description="What is logged; a line for each request at `INFO`."
     )
     min_returns: int = Field(
         100, ge=1, description="A scan with fewer finite, non-zero returns is refused."

@@ -10,9 +10,9 @@ from pathlib import Path
 
 from storage.errors import StorageFull, StorageReadOnly
 
-__all__ = ["make_folder", "named_disk_errors", "publish", "remove_parts", "sync"]
+__all__ = ["discard", "make_folder", "named_disk_errors", "publish", "remove_parts", "sync"]
 
-_FULL = {errno.ENOSPC, errno.EDQUOT}
+_FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}  # the last is `ulimit -f`
 _READ_ONLY = {errno.EROFS, errno.EACCES, errno.EPERM}
 # HDF5 reports a failed write while closing as a RuntimeError whose text holds the errno.
 _HDF5_ERRNO = re.compile(r"errno = (\d+)")
@@ -49,8 +49,7 @@ def publish(path: Path) -> Iterator[Path]:
             part.rename(path)
             sync(path.parent)
     except BaseException:
-        with suppress(OSError):
-            part.unlink(missing_ok=True)
+        discard(part)
         raise
 
 
@@ -71,6 +70,15 @@ def named_disk_errors() -> Iterator[None]:
         if number in _READ_ONLY:
             raise StorageReadOnly(f"the data directory cannot be written: {error}") from error
         raise
+
+
+def discard(path: Path) -> None:
+    """Remove a file that is of no use, if that can be done: what is left over, a start sets aside.
+
+    Where the disk turned read-only, that is the error to tell, not that cleaning up met it too.
+    """
+    with suppress(OSError):
+        path.unlink(missing_ok=True)
 
 
 def _errno(error: OSError | RuntimeError) -> int | None:

@@ -1,6 +1,11 @@
-"""Recorded drives: found, counted, and missed aloud when they were promised."""
+"""What all tests share: recorded drives, counted if promised, and databases of their own."""
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import pytest
+
+from tests.support.postgresql import Cluster, cluster, reason_to_skip
 
 _ran: set[str] = set()
 
@@ -28,3 +33,37 @@ def pytest_terminal_summary(
 ) -> None:
     if _ran or config.getoption("--require-real-data"):
         terminalreporter.write_line(f"tests on recorded drives: {len(_ran)} ran")
+
+
+POSTGRESQL = pytest.param("postgresql", marks=pytest.mark.xdist_group("postgresql"))
+DATABASES = ["sqlite", POSTGRESQL]
+"""What the catalog can stand on; all tests on PostgreSQL share one worker, and its cluster."""
+
+
+@pytest.fixture(scope="session")
+def postgresql() -> Iterator[Cluster]:
+    """A PostgreSQL of this session's own."""
+    reason = reason_to_skip()
+    if reason is not None:
+        pytest.skip(reason)
+    with cluster() as running:
+        yield running
+
+
+@pytest.fixture
+def new_database(request: pytest.FixtureRequest, tmp_path: Path) -> Callable[[str], str]:
+    """Makes an empty database of a kind, and returns its URL."""
+
+    def make(kind: str) -> str:
+        if kind == "sqlite":
+            return f"sqlite:///{tmp_path / 'catalog.sqlite3'}"
+        of_session: Cluster = request.getfixturevalue("postgresql")
+        return of_session.new_database()
+
+    return make
+
+
+@pytest.fixture(params=DATABASES)
+def database_url(request: pytest.FixtureRequest, new_database: Callable[[str], str]) -> str:
+    """The URL of an empty database, of each kind."""
+    return new_database(request.param)

@@ -14,7 +14,7 @@ from core.errors import TensorMapError
 __all__ = ["CALLER_STATE", "Admission"]
 
 CALLER_STATE = "tensormap.caller"
-_BEHIND_THE_KEY = "/v1"
+_BEHIND_THE_KEY = ("/v1", "/metrics")
 
 _log = logging.getLogger("tensormap.access")
 

@@ -8,6 +8,7 @@ import typer
 
 from app.cli import (
     audit,
+    backup,
     compare,
     demo,
     evaluate,
@@ -33,6 +34,8 @@ cli = typer.Typer(
 )
 for command in (
     serve.serve,
+    backup.backup,
+    backup.restore,
     demo.demo,
     maps.build,
     merge.merge,

@@ -32,16 +32,20 @@ def serve(
     """Start the service; `TENSORMAP_*` variables hold what no option sets."""
     import uvicorn  # here, not above: no other command needs to wait for the whole service
 
+    from app.logs import configure_logging
     from app.main import create_app
     from storage.store import Store
 
     settings = _settings(host=host, port=port, data_dir=data)
+    configure_logging(settings.log_format, settings.log_level)
     config = uvicorn.Config(
         create_app(settings),
         host=settings.host,
         port=settings.port,
         server_header=False,
         ws="websockets-sansio",  # what `auto` takes too, if the package is there: say so, or fail
+        log_config=None,
+        access_log=False,  # ours is of the application, and without queries
         ws_max_size=settings.max_json_bytes,
         timeout_graceful_shutdown=_GRACE_S,
     )

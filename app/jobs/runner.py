@@ -4,11 +4,13 @@ import logging
 import multiprocessing
 import signal
 import threading
+from collections.abc import Callable
 from multiprocessing import resource_tracker
 from multiprocessing.process import BaseProcess
 
 from app.errors import WorkerDied
 from app.jobs.worker import run_build
+from app.logs import fields
 from app.settings import Settings
 from core.errors import TensorMapError
 from storage.catalog import JobRecord
@@ -28,9 +30,21 @@ class JobRunner:
 
     A process rather than a thread: a build neither slows the answers nor can take the service down,
     and it can be ended at any point because a revision is published whole or not at all.
+
+    Args:
+        settings: What the operator chose.
+        store: Where the queue is.
+        ended: Told of every build that ran and ended, unless it went with its map.
     """
 
-    def __init__(self, settings: Settings, store: Store) -> None:
+    def __init__(
+        self,
+        settings: Settings,
+        store: Store,
+        *,
+        ended: Callable[[JobRecord], None] = lambda _job: None,
+    ) -> None:
+        self._ended = ended
         self._settings = settings
         self._store = store
         self._wake = threading.Event()
@@ -80,11 +94,18 @@ class JobRunner:
             except (OSError, RuntimeError):  # no process: the next build may be luckier
                 _log.exception("job %s cannot be run", job.id)
                 self._settle(job.id, "no process could be started for the build; see the log")
+            self._tell_end(job.id)
 
     def _run(self, job: JobRecord) -> None:
         worker = self._context.Process(
             target=run_build,
-            args=(self._settings.data_dir, self._settings.catalog_url, job),
+            args=(
+                self._settings.data_dir,
+                self._settings.catalog_url,
+                job,
+                self._settings.log_format,
+                self._settings.log_level,
+            ),
             name=f"build-{job.id}",
         )
         self._start(worker)
@@ -98,6 +119,15 @@ class JobRunner:
                 job.id, f"the build process ended with exit code {worker.exitcode}; see the log"
             )
         worker.close()
+
+    def _tell_end(self, job_id: str) -> None:
+        try:
+            job = self._store.jobs.get(job_id)
+        except TensorMapError:  # gone with its map, or the catalog is
+            return
+        event = "build ended" if job.ended else "build interrupted, it is queued at a start"
+        _log.info(event, extra=fields(job=job.id, state=job.state.value, error=job.error_type))
+        self._ended(job)
 
     @staticmethod
     def _start(worker: BaseProcess) -> None:

@@ -9,6 +9,7 @@ from multiprocessing.connection import wait
 from pathlib import Path
 
 from app.jobs.parameters import BuildParameters
+from app.logs import LogFormat, configure_logging
 from app.pipelines import build_revision
 from app.threads import one_blas_thread
 from core.errors import Cancelled, TensorMapError
@@ -21,11 +22,22 @@ __all__ = ["run_build"]
 _REPORT_EVERY_S = 0.2
 
 
-def run_build(data_dir: Path, catalog_url: str | None, job: JobRecord) -> None:
+def run_build(
+    data_dir: Path,
+    catalog_url: str | None,
+    job: JobRecord,
+    log_format: LogFormat = LogFormat.TEXT,
+    log_level: str = "INFO",
+) -> None:
     """Run one claimed job to its end and write down how it ended."""
+    if parent_process() is not None:  # nobody's logging but its own
+        configure_logging(log_format, log_level)
     _end_with_parent()
     one_blas_thread()
-    with Store(data_dir, catalog_url) as store, suppress(JobNotFound):  # gone with its map
+    with (
+        Store(data_dir, catalog_url) as store,
+        suppress(JobNotFound),
+    ):  # gone with its map
         progress = _JobProgress(store, job.id)
         try:
             parameters = BuildParameters.model_validate(job.parameters)

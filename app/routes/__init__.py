@@ -21,6 +21,7 @@ from app.routes import (
     localizations,
     loop_closures,
     maps,
+    metrics,
     poses,
     revisions,
     tokens,
@@ -70,5 +71,8 @@ def streams() -> APIRouter:
 
 
 def open_routes() -> APIRouter:
-    """Return the routes that need no key."""
-    return health.router
+    """Return the routes beside the API: who is well needs no key to say so, metrics do."""
+    router = APIRouter()
+    for module in (health, metrics):
+        router.include_router(module.router)
+    return router

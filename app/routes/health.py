@@ -1,6 +1,5 @@
 """Is it up, can it answer, which release is it, what does an error mean."""
 
-import os
 from importlib.metadata import version
 from typing import Annotated, Literal
 
@@ -68,8 +67,7 @@ def readyz(running: Running, response: Response) -> Ready:
         running.store.maps.list(limit=1)
     except TensorMapError as error:
         missing.append(f"the catalog cannot be read: {error}")
-    if not os.access(running.store.layout.maps, os.W_OK):
-        missing.append("the data directory cannot be written")
+    missing += running.store.lacking()
     if not running.runner.alive:
         missing.append("builds do not run")
     if missing:

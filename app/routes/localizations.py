@@ -102,6 +102,7 @@ def localize_scan(
     _require_sensor(answering, sensor)
     scan = read_scan(body, media_type=content_type, min_returns=running.settings.min_returns)
     found = answering.localizer.localize_scan(scan, k, sensor_height_m, hints, min_probability)
+    running.metrics.localized("scan", found.verdict.reason)
     return LocalizationOut.from_core(found, answering.live_revision)
 
 
@@ -135,6 +136,7 @@ def localize_image(
         raise UnsupportedBody(f"Content-Type is {(content_type or '')[:80]!r}, wanted {IMAGE_TYPE}")
     image = read_image(body, answering.localizer.map.parameters.grid)
     found = answering.localizer.localize_image(image, k, hints, min_probability)
+    running.metrics.localized("image", found.verdict.reason)
     return LocalizationOut.from_core(found, answering.live_revision)
 
 
@@ -182,6 +184,7 @@ def localize_signature(
     signatures = read_signatures(body, content_type)
     answering = running.revisions.of_signature(map_slug, signatures[0].revision)
     found = answering.localizer.localize_signatures(signatures, k, hints, min_probability)
+    running.metrics.localized("signature", found.verdict.reason)
     return LocalizationOut.from_core(found, answering.live_revision)
 
 

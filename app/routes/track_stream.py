@@ -95,6 +95,7 @@ def _observe(
         raise BodyTooLarge(f"the message has {len(body)} bytes, at most {limit} are read")
     found, live = track_of(service, map_slug, track_id)
     step = found.observe(_observation(body))
+    service.metrics.localized("track", step.reason)
     return TrackStepOut.from_core(found.id, step, live).model_dump_json()
 
 

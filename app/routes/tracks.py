@@ -188,7 +188,9 @@ def observe(
     localizer = found.track.localizer
     signatures = _signatures(localizer, body, content_type, running, sensor_height_m)
     observation = Observation(signatures, timestamp_s, sequence, travelled_m)
-    return TrackStepOut.from_core(found.id, found.observe(observation), live)
+    step = found.observe(observation)
+    running.metrics.localized("track", step.reason)
+    return TrackStepOut.from_core(found.id, step, live)
 
 
 def track_of(running: Service, map_slug: str, track_id: str) -> tuple[LiveTrack, str | None]:

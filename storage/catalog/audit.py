@@ -1,5 +1,6 @@
 """The audit log: who changed what and when, only ever added to."""
 
+from contextlib import closing
 from dataclasses import dataclass
 from datetime import datetime
 
@@ -144,14 +145,15 @@ class Audit:
                 .order_by(AuditEntry.seq)
                 .execution_options(yield_per=_BATCH)
             )
-            for row in rows:
-                if row.seq != good.seq + 1:
-                    return AuditCheck(good, f"entry {good.seq + 1} is gone; {row.seq} follows")
-                if row.hash != entry_hash(row, good.hash):
-                    return AuditCheck(good, f"entry {row.seq} is not what was written")
-                good = AuditState(row.seq, row.hash)
-                if known is not None and known.seq == good.seq and known != good:
-                    return AuditCheck(good, f"entry {row.seq} is not the one that was known")
+            with closing(rows):  # a fault ends it early
+                for row in rows:
+                    if row.seq != good.seq + 1:
+                        return AuditCheck(good, f"entry {good.seq + 1} is gone; {row.seq} follows")
+                    if row.hash != entry_hash(row, good.hash):
+                        return AuditCheck(good, f"entry {row.seq} is not what was written")
+                    good = AuditState(row.seq, row.hash)
+                    if known is not None and known.seq == good.seq and known != good:
+                        return AuditCheck(good, f"entry {row.seq} is not the one that was known")
         if (head.seq, head.hash) != (good.seq, good.hash):
             return AuditCheck(good, f"the log had {head.seq} entries, {good.seq} are left")
         if known is not None and known.seq > good.seq:

@@ -5,9 +5,16 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, closing, contextmanager, nullcontext
+from typing import Any
 
-from sqlalchemy import Connection, Engine, create_engine, event
-from sqlalchemy.exc import DBAPIError, IntegrityError, SQLAlchemyError
+from sqlalchemy import Connection, Engine, create_engine, event, make_url
+from sqlalchemy.exc import (
+    ArgumentError,
+    DBAPIError,
+    IntegrityError,
+    NoSuchModuleError,
+    SQLAlchemyError,
+)
 from sqlalchemy.orm import Session, sessionmaker
 
 from storage.catalog import audit_chain
@@ -33,18 +40,36 @@ _NAMED: dict[int, type[StorageError]] = {
     sqlite3.SQLITE_CANTOPEN: StorageReadOnly,
 }
 
+# PostgreSQL's own codes: SQLSTATE.
+_NAMED_STATES: dict[str, type[StorageError]] = {
+    "40001": StorageBusy,  # serialization failure
+    "40P01": StorageBusy,  # deadlock
+    "55P03": StorageBusy,  # lock timeout
+    "53300": StorageBusy,  # too many connections
+    "53100": StorageFull,  # disk full
+    "25006": StorageReadOnly,  # a standby, or default_transaction_read_only
+}
+_KINDS = ("sqlite", "postgresql")
+
 
 class Database:
     """Transactions on one database, from any thread; each process opens its own.
 
     SQLite in WAL mode: readers never wait, one writer at a time, a commit is on disk before it
-    returns (`synchronous=FULL`).
+    returns (`synchronous=FULL`). PostgreSQL: writers lock the rows that they change, in the order
+    map, drive, job; what reads once reads one snapshot.
     """
 
     def __init__(self, url: str, migrating: AbstractContextManager[object]) -> None:
-        self.engine = create_engine(url, pool_size=16, max_overflow=32)
+        self.engine = _engine(url)
+        self._reading_engine = self.engine
         self._writer: AbstractContextManager[object] = nullcontext()
-        if self.engine.dialect.name == "sqlite":
+        if self.engine.dialect.name == "postgresql":
+            event.listen(self.engine, "connect", _prepare_postgresql)
+            self._reading_engine = self.engine.execution_options(
+                isolation_level="REPEATABLE READ", postgresql_readonly=True
+            )
+        elif self.engine.dialect.name == "sqlite":
             # Threads queue here and not in SQLite, which polls: as many commits a second, but with
             # 16 writers the slowest of 600 waits 0.2 s instead of 0.7 s (two cores).
             self._writer = threading.Lock()
@@ -67,7 +92,7 @@ class Database:
     @contextmanager
     def reading(self) -> Iterator[Session]:
         """Give a session on one consistent snapshot."""
-        with _named_errors(), Session(self.engine) as session:
+        with _named_errors(), Session(self._reading_engine) as session:
             yield session
 
     @contextmanager
@@ -94,6 +119,39 @@ class Database:
     def close(self) -> None:
         """Close the idle connections."""
         self.engine.dispose()
+
+
+def _engine(url: str) -> Engine:
+    """Return an engine, or say what is wrong with its URL without repeating it: a password."""
+    try:
+        parsed = make_url(url)
+    except ArgumentError:
+        raise StorageUnavailable("the catalog's URL is none: see TENSORMAP_CATALOG_URL") from None
+    kind = parsed.get_backend_name()
+    if kind not in _KINDS:
+        raise StorageUnavailable(
+            f"the catalog cannot be a {kind} database, wanted {' or '.join(_KINDS)}"
+        )
+    try:
+        # A connection that the database's restart broke is replaced before it is used.
+        return create_engine(url, pool_size=16, max_overflow=32, pool_pre_ping=kind != "sqlite")
+    except ModuleNotFoundError as error:
+        raise StorageUnavailable(
+            f"a {kind} catalog needs Python's {error.name}: install tensormap-server[postgresql]"
+        ) from error
+    except NoSuchModuleError as error:
+        raise StorageUnavailable(f"there is no such driver of a catalog: {error}") from None
+
+
+def _prepare_postgresql(connection: Any, _record: object) -> None:  # noqa: ANN401 - psycopg's own
+    with connection.cursor() as cursor:
+        cursor.execute(f"SET lock_timeout = '{_BUSY_TIMEOUT_S}s'")
+        # A commit is on disk before it returns; where the server asks for more, that stays.
+        cursor.execute(
+            "SELECT set_config('synchronous_commit', 'on', false)"
+            " WHERE current_setting('synchronous_commit') = 'off'"
+        )
+    connection.commit()
 
 
 def _prepare_sqlite(connection: sqlite3.Connection, _record: object) -> None:
@@ -135,6 +193,11 @@ def _named_errors() -> Iterator[None]:
         raise  # two writers met: who wrote knows what that means
     except (SQLAlchemyError, sqlite3.Error) as error:
         cause = error.orig if isinstance(error, DBAPIError) else error
-        code = getattr(cause, "sqlite_errorcode", None)
-        named = _NAMED.get(code & 0xFF, StorageUnavailable) if code else StorageUnavailable
-        raise named(f"the catalog cannot be used: {cause or error}") from error
+        raise _name_of(cause)(f"the catalog cannot be used: {cause or error}") from error
+
+
+def _name_of(cause: BaseException | None) -> type[StorageError]:
+    code = getattr(cause, "sqlite_errorcode", None)
+    if code is not None:
+        return _NAMED.get(code & 0xFF, StorageUnavailable)
+    return _NAMED_STATES.get(getattr(cause, "sqlstate", None) or "", StorageUnavailable)

@@ -9,12 +9,12 @@ from collections.abc import Collection, Mapping, Sequence
 from datetime import UTC, datetime
 from typing import Any
 
-from sqlalchemy import select, tuple_
+from sqlalchemy import func, select, tuple_
 from sqlalchemy.orm import Session
 
 from core.errors import InvalidParameters
 from storage.catalog.database import Database
-from storage.catalog.maps import map_named
+from storage.catalog.maps import held_map, map_named
 from storage.catalog.models import Job, Map
 from storage.catalog.pages import DEFAULT_LIMIT, one_more, page_of
 from storage.catalog.records import JobRecord, JobState, Page
@@ -41,7 +41,7 @@ class Jobs:
         with self._database.writing() as session:
             row = Job(
                 id=new_id(),
-                map_id=map_named(session, map_slug).id,
+                map_id=held_map(session, map_slug).id,
                 kind=kind,
                 state=JobState.QUEUED,
                 stage="",
@@ -115,6 +115,16 @@ class Jobs:
             query = query.order_by(Job.created_at.desc(), Job.id.desc())
             records = [_record(row) for row in session.scalars(query.limit(one_more(limit)))]
         return page_of(records, limit, lambda record: record.id)
+
+    def counts(self) -> Mapping[JobState, int]:
+        """Return how many jobs wait and run; those that ended are not counted."""
+        query = (
+            select(Job.state, func.count())
+            .where(Job.state.in_([JobState.QUEUED, JobState.RUNNING]))
+            .group_by(Job.state)
+        )
+        with self._database.reading() as session:
+            return {JobState(state): count for state, count in session.execute(query)}
 
     def progress(self, job_id: str, stage: str, done_units: int, total_units: int) -> JobRecord:
         """Record how far a running job is; the answer tells whether it is asked to stop.

@@ -1,19 +1,21 @@
 """Maps in the catalog."""
 
-from collections.abc import Collection
+from collections.abc import Collection, Iterator
+from contextlib import contextmanager
 from datetime import UTC, datetime
 
 from sqlalchemy import delete, select
+from sqlalchemy.exc import IntegrityError
 from sqlalchemy.orm import Session
 
 from storage.catalog.database import Database
-from storage.catalog.models import LiveRevision, Map
+from storage.catalog.models import LiveRevision, Map, plain
 from storage.catalog.pages import DEFAULT_LIMIT, one_more, page_of
 from storage.catalog.records import MapRecord, Page
 from storage.errors import MapChanged, MapExists, MapNotFound
 from storage.names import checked_slug, new_id
 
-__all__ = ["Maps", "locked_map", "map_named", "map_of_id"]
+__all__ = ["Maps", "held_map", "locked_map", "map_named", "map_of_id"]
 
 
 class Maps:
@@ -30,12 +32,12 @@ class Maps:
             MapExists: If another map has it.
         """
         checked_slug(slug)
-        with self._database.writing() as session:
+        with _named_taken(slug), self._database.writing() as session:
             _refuse_taken(session, slug)
             row = Map(
                 id=new_id(),
                 slug=slug,
-                description=description,
+                description=plain(description),
                 created_at=datetime.now(UTC),
                 version=1,
             )
@@ -105,13 +107,13 @@ class Maps:
             MapExists: If another map has the new slug.
             MapChanged: If its version is another.
         """
-        with self._database.writing() as session:
+        with _named_taken(new_slug or slug), self._database.writing() as session:
             row = locked_map(session, slug, if_version)
             if new_slug is not None and new_slug != row.slug:
                 _refuse_taken(session, checked_slug(new_slug))
                 row.slug = new_slug
             if description is not None:
-                row.description = description
+                row.description = plain(description)
             if session.is_modified(row):
                 row.version += 1
             session.flush()
@@ -148,6 +150,22 @@ def map_of_id(session: Session, map_id: str, *, lock: bool = False) -> Map:
     return row
 
 
+def held_map(session: Session, slug: str) -> Map:
+    """Return the row of a map that cannot be deleted until the transaction ends.
+
+    Others may hold it too: what is added to a map waits for its removal only.
+
+    Raises:
+        MapNotFound: If there is none of that slug.
+    """
+    row = session.scalar(
+        select(Map).where(Map.slug == slug).with_for_update(read=True, key_share=True)
+    )
+    if row is None:
+        raise MapNotFound(f"there is no map {slug[:80]!r}")
+    return row
+
+
 def locked_map(session: Session, slug: str, if_version: int | None = None) -> Map:
     """Return the row of a map, locked until the transaction ends.
 
@@ -162,6 +180,15 @@ def locked_map(session: Session, slug: str, if_version: int | None = None) -> Ma
     if if_version is not None and row.version != if_version:
         raise MapChanged(f"map {slug!r} is at version {row.version}, not {if_version}")
     return row
+
+
+@contextmanager
+def _named_taken(slug: str) -> Iterator[None]:
+    """Name what the database says when another writer took the slug after we looked."""
+    try:
+        yield
+    except IntegrityError as error:
+        raise MapExists(f"there is already a map {slug!r}") from error
 
 
 def _refuse_taken(session: Session, slug: str) -> None:

@@ -34,11 +34,41 @@ __all__ = [
     "Scan",
     "StoreId",
     "Token",
+    "plain",
 ]
 
-Id = String(32)
-Slug = String(64)
-Digest = String(64)
+
+def plain(text: str) -> str:
+    """Return a text as it is stored: PostgreSQL has no NUL, U+FFFD stands for it everywhere."""
+    return text.replace("\0", "\N{REPLACEMENT CHARACTER}")
+
+
+class PlainString(TypeDecorator[str]):
+    """A string; to look for a name with a NUL in it finds nothing, on any database."""
+
+    impl = String
+    cache_ok = True
+
+    def process_bind_param(  # dialect: SQLAlchemy's signature
+        self,
+        value: str | None,
+        dialect: Dialect,  # noqa: ARG002
+    ) -> str | None:
+        """Replace NUL."""
+        return None if value is None else plain(value)
+
+
+class PlainText(PlainString):
+    """As `PlainString`, of any length."""
+
+    impl = Text
+    cache_ok = True
+
+
+Id = PlainString(32)
+# In the order of its bytes, whatever language the database speaks.
+Slug = PlainString(64).with_variant(PlainString(64, collation="C"), "postgresql")
+Digest = PlainString(64)
 
 
 class UtcDateTime(TypeDecorator[datetime]):
@@ -98,7 +128,7 @@ class Map(Base):
 
     id: Mapped[str] = mapped_column(Id, primary_key=True)
     slug: Mapped[str] = mapped_column(Slug, unique=True)
-    description: Mapped[str] = mapped_column(Text)
+    description: Mapped[str] = mapped_column(PlainText())
     created_at: Mapped[datetime]
     version: Mapped[int]
 
@@ -125,7 +155,7 @@ class Scan(Base):
         Id, ForeignKey("drives.id", ondelete="CASCADE"), primary_key=True
     )
     index: Mapped[int] = mapped_column("scan_index", BigInteger, primary_key=True)
-    chunk: Mapped[str] = mapped_column(String(64))
+    chunk: Mapped[str] = mapped_column(PlainString(64))
     row: Mapped[int] = mapped_column("chunk_row")
     digest: Mapped[str] = mapped_column(Digest)
     returns: Mapped[int]
@@ -156,8 +186,8 @@ class Revision(Base):
         Id, ForeignKey("maps.id", ondelete="CASCADE"), primary_key=True
     )
     digest: Mapped[str] = mapped_column(Digest, primary_key=True)
-    file_name: Mapped[str] = mapped_column(String(100))
-    encoding: Mapped[str] = mapped_column(String(32))
+    file_name: Mapped[str] = mapped_column(PlainString(100))
+    encoding: Mapped[str] = mapped_column(PlainString(32))
     scans: Mapped[int]
     segments: Mapped[int]
     parameters: Mapped[dict[str, Any]] = mapped_column(JSON)
@@ -208,14 +238,14 @@ class Job(Base):
 
     id: Mapped[str] = mapped_column(Id, primary_key=True)
     map_id: Mapped[str] = mapped_column(Id, ForeignKey("maps.id", ondelete="CASCADE"), index=True)
-    kind: Mapped[str] = mapped_column(String(32))
-    state: Mapped[str] = mapped_column(String(16))
-    stage: Mapped[str] = mapped_column(String(64))
+    kind: Mapped[str] = mapped_column(PlainString(32))
+    state: Mapped[str] = mapped_column(PlainString(16))
+    stage: Mapped[str] = mapped_column(PlainString(64))
     done_units: Mapped[int] = mapped_column(BigInteger)
     total_units: Mapped[int] = mapped_column(BigInteger)
     parameters: Mapped[dict[str, Any]] = mapped_column(JSON)
-    error_type: Mapped[str | None] = mapped_column(String(128))
-    error_detail: Mapped[str | None] = mapped_column(Text)
+    error_type: Mapped[str | None] = mapped_column(PlainString(128))
+    error_detail: Mapped[str | None] = mapped_column(PlainText())
     # Not a foreign key: a job remembers what it built after that was deleted.
     revision: Mapped[str | None] = mapped_column(Digest)
     cancel_requested: Mapped[bool]
@@ -232,8 +262,8 @@ class Key(Base):
     __tablename__ = "keys"
 
     id: Mapped[str] = mapped_column(Id, primary_key=True)
-    name: Mapped[str] = mapped_column(String(100))
-    secret_hash: Mapped[str] = mapped_column(String(255), unique=True)
+    name: Mapped[str] = mapped_column(PlainString(100))
+    secret_hash: Mapped[str] = mapped_column(PlainString(255), unique=True)
     scopes: Mapped[list[str]] = mapped_column(JSON)
     # Slugs, not ids: a key may be made before its map. None: all maps.
     maps: Mapped[list[str] | None] = mapped_column(JSON(none_as_null=True))
@@ -249,9 +279,9 @@ class Token(Base):
     __tablename__ = "tokens"
 
     id: Mapped[str] = mapped_column(Id, primary_key=True)
-    secret_hash: Mapped[str] = mapped_column(String(255), unique=True)
+    secret_hash: Mapped[str] = mapped_column(PlainString(255), unique=True)
     # Not a foreign key: it may be the key of the settings, which is in no table.
-    key_hash: Mapped[str] = mapped_column(String(255))
+    key_hash: Mapped[str] = mapped_column(PlainString(255))
     scopes: Mapped[list[str]] = mapped_column(JSON)
     maps: Mapped[list[str] | None] = mapped_column(JSON(none_as_null=True))
     created_at: Mapped[datetime]
@@ -267,11 +297,11 @@ class AuditEntry(Base):
     at: Mapped[datetime]
     # No foreign keys: the log outlives what it is about.
     key_id: Mapped[str] = mapped_column(Id, index=True)
-    action: Mapped[str] = mapped_column(String(300))
-    subject: Mapped[str] = mapped_column(String(300))
+    action: Mapped[str] = mapped_column(PlainString(300))
+    subject: Mapped[str] = mapped_column(PlainString(300))
     map_slug: Mapped[str | None] = mapped_column(Slug, index=True)
-    detail: Mapped[str] = mapped_column(String(300))
-    outcome: Mapped[str] = mapped_column(String(100))
+    detail: Mapped[str] = mapped_column(PlainString(300))
+    outcome: Mapped[str] = mapped_column(PlainString(100))
     hash: Mapped[str] = mapped_column(Digest)
 
 

@@ -2,7 +2,7 @@
 
 from datetime import UTC, datetime
 
-from sqlalchemy import delete, select, tuple_
+from sqlalchemy import delete, func, select, tuple_
 from sqlalchemy.orm import Session
 
 from core.errors import InvalidParameters
@@ -208,6 +208,11 @@ class Revisions:
                 )
             )
             return record
+
+    def size_bytes(self) -> int:
+        """Return the size of all revisions of all maps together."""
+        with self._database.reading() as session:
+            return int(session.scalar(select(func.sum(Revision.size_bytes))) or 0)
 
     def files(self, map_id: str) -> set[str]:
         """Return the names of the files that hold the revisions of a map."""

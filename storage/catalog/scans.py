@@ -5,7 +5,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 
-from sqlalchemy import insert, select, update
+from sqlalchemy import func, insert, select, update
 from sqlalchemy.exc import IntegrityError
 from sqlalchemy.orm import Session
 
@@ -15,7 +15,7 @@ from storage.catalog.drives import drive_named
 from storage.catalog.expected_poses import expect, met
 from storage.catalog.maps import map_named
 from storage.catalog.models import Drive, Map, Scan
-from storage.catalog.records import ScanRecord
+from storage.catalog.records import BYTES_PER_RETURN, ScanRecord
 from storage.errors import ScanNotFound, StorageBusy
 from storage.names import checked_slug, new_id
 
@@ -216,6 +216,8 @@ class Scans:
         """
         old = {scan.chunk for scan in scans}
         with self._database.writing() as session:
+            if session.get(Drive, drive_id, with_for_update=True) is None:
+                raise LostRace("the drive was removed meanwhile")
             stored = _among(session, drive_id, {scan.index for scan in scans})
             for scan in scans:
                 now = stored.get(scan.index)
@@ -229,6 +231,11 @@ class Scans:
                 ],
             )
             return old - _chunks(session, drive_id)
+
+    def size_bytes(self) -> int:
+        """Return the size of the returns of all scans of all drives together."""
+        with self._database.reading() as session:
+            return int(session.scalar(select(func.sum(Scan.returns))) or 0) * BYTES_PER_RETURN
 
     def chunks(self, drive_id: str) -> set[str]:
         """Return the names of the chunk files that hold the scans of a drive."""

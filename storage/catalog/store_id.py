@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 
-from sqlalchemy import select
+from sqlalchemy import select, text
 
 from storage.catalog.database import Database
 from storage.catalog.models import Map, StoreId
@@ -27,6 +27,8 @@ class StoreIds:
     def ensure(self, make: Callable[[], str]) -> str:
         """Return the id; a catalog without one is given what `make` returns, one caller's only."""
         with self._database.writing() as session:
+            if session.get_bind().dialect.name == "postgresql":  # SQLite has one writer anyway
+                session.execute(text("LOCK TABLE store IN EXCLUSIVE MODE"))
             row = session.get(StoreId, _ROW)
             if row is None:
                 row = StoreId(row=_ROW, id=make())

@@ -9,6 +9,7 @@ from storage.catalog import Catalog, ScanRecord
 from storage.catalog.records import BYTES_PER_RETURN
 from storage.drive_chunks import write_chunk
 from storage.errors import StorageError
+from storage.files import discard
 from storage.names import new_id
 
 __all__ = ["compact"]
@@ -42,10 +43,10 @@ def compact(
             write_chunk(chunks / name, scans)
             emptied = catalog.scans.move(drive_id, group, name)
         except StorageError:  # nothing was committed, see Drives.put_scans
-            (chunks / name).unlink(missing_ok=True)
+            discard(chunks / name)
             raise
         for old in emptied:
-            (chunks / old).unlink(missing_ok=True)
+            discard(chunks / old)
 
 
 def _groups(records: Sequence[ScanRecord]) -> Iterator[list[ScanRecord]]:

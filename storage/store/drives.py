@@ -1,6 +1,7 @@
 """Drives: raw scans in chunk files and the rows that name them."""
 
 import shutil
+import threading
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -20,7 +21,7 @@ from storage.errors import (
     StorageBusy,
     StorageError,
 )
-from storage.files import make_folder
+from storage.files import discard, make_folder
 from storage.names import new_id
 from storage.store.compaction import compact
 from storage.store.layout import Layout
@@ -52,10 +53,17 @@ class Drives:
     def __init__(self, catalog: Catalog, layout: Layout) -> None:
         self._catalog = catalog
         self._layout = layout
+        self._stored_scans = 0
+        self._counting = threading.Lock()
         self.get = catalog.drives.get
         self.list = catalog.drives.list
         self.slugs = catalog.drives.slugs
         self.of_map = catalog.drives.of_map
+
+    @property
+    def stored_scans(self) -> int:
+        """How many new scans were stored since this store was opened."""
+        return self._stored_scans
 
     def put_scan(self, map_slug: str, drive_slug: str, index: int, scan: Scan) -> PutResult:
         """Store one scan; see `put_scans`."""
@@ -95,6 +103,8 @@ class Drives:
                 records = self._write(target, name, fresh, records)
             except (LostRace, FileNotFoundError):  # the latter: the drive's folder was deleted
                 continue
+            with self._counting:
+                self._stored_scans += len(records)
             created = {record.index: record for record in records}
             return [
                 PutResult(index in created, created.get(index) or target.stored[index])
@@ -119,7 +129,7 @@ class Drives:
         except StorageError:
             # These say that nothing was committed. After any other error that is not certain, and
             # a file too many, which the next start sets aside, is better than one too few.
-            path.unlink(missing_ok=True)
+            discard(path)
             raise
 
     def put_poses(

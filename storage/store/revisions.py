@@ -6,7 +6,7 @@ from typing import BinaryIO
 
 from storage.catalog import Catalog, RevisionFacts, RevisionRecord
 from storage.errors import CorruptFile, StorageError
-from storage.files import make_folder, publish
+from storage.files import discard, make_folder, publish
 from storage.names import new_id
 from storage.store.layout import Layout
 
@@ -66,10 +66,10 @@ class Revisions:
             self._catalog.maps.get_by_id(map_id)
             raise
         except StorageError:  # nothing was committed; after any other error, who knows: see sweep
-            path.unlink(missing_ok=True)
+            discard(path)
             raise
         if record.file_name != name:
-            path.unlink()
+            discard(path)
         return record
 
     def path(self, map_slug: str, digest: str) -> Path:
@@ -109,7 +109,7 @@ class Revisions:
             RevisionIsLive: If it is the live one.
         """
         record = self._catalog.revisions.delete(map_slug, digest)
-        self.path_of(record).unlink(missing_ok=True)
+        discard(self.path_of(record))
         return record
 
     def path_of(self, record: RevisionRecord) -> Path:

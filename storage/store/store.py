@@ -1,5 +1,7 @@
 """The store of one data directory: the façade that the service uses."""
 
+import os
+import shutil
 from pathlib import Path
 from typing import Self
 
@@ -13,6 +15,8 @@ from storage.store.recovery import ServerLock, sweep
 from storage.store.revisions import Revisions
 
 __all__ = ["Store"]
+
+_LEAST_FREE_BYTES = 2**20  # a scan of an HDL-64E has 1.5 million bytes
 
 
 class Store:
@@ -113,6 +117,22 @@ class Store:
         self._lock.take()
         sweep(self.catalog, self.layout)
         self.jobs.requeue_interrupted()
+
+    def lacking(self) -> list[str]:
+        """Return what keeps the data directory from being written, in words; nothing if it can."""
+        if not os.access(self.layout.maps, os.W_OK):
+            return ["the data directory cannot be written"]
+        free_bytes = shutil.disk_usage(self.layout.maps).free
+        if free_bytes < _LEAST_FREE_BYTES:
+            return [f"the data directory has {free_bytes} bytes left, a scan needs more"]
+        return []
+
+    def stored_bytes(self) -> dict[str, int]:
+        """Return the size of all raw returns, `scans`, and of the files of all `revisions`."""
+        return {
+            "scans": self.catalog.scans.size_bytes(),
+            "revisions": self.catalog.revisions.size_bytes(),
+        }
 
     def close(self) -> None:
         """Close the catalog and let another server have the data directory."""

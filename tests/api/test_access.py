@@ -19,8 +19,8 @@ def routes():
             yield method.upper(), asked
 
 
-BEHIND_THE_KEY = [route for route in routes() if route[1].startswith("/v1/")]
-OPEN = [route for route in routes() if not route[1].startswith("/v1/")]
+BEHIND_THE_KEY = [route for route in routes() if route[1].startswith(("/v1/", "/metrics"))]
+OPEN = [route for route in routes() if route not in BEHIND_THE_KEY]
 
 
 @pytest.fixture(scope="module")
@@ -39,7 +39,7 @@ def test_the_api_has_routes():
 
 
 @pytest.mark.parametrize(("method", "path"), BEHIND_THE_KEY)
-def test_no_route_under_v1_answers_without_the_key(locked, method, path):
+def test_no_route_of_the_api_nor_the_metrics_answer_without_the_key(locked, method, path):
     for headers in ({}, {"Authorization": f"Basic {KEY}"}, {"Authorization": KEY}, bearer("")):
         refused = locked.request(method, path, headers=headers)
         assert problem_of(refused) == (401, "key-needed")

@@ -2,8 +2,10 @@
 
 import errno
 import os
+from pathlib import Path
 
 import pytest
+from sqlalchemy import event
 
 from app.schemas.revisions import BasisOut
 from core.signature import pack_signatures
@@ -99,3 +101,54 @@ def _signature_of(client, revision):
     answer = client.get("/v1/maps/campus/basis", params={"revision": revision})
     basis = BasisOut.model_validate(answer.json()).to_core()
     return pack_signatures(basis.encode(basis.image(recording().scans[9])))
+
+
+def test_a_catalog_that_turns_read_only_is_told_and_nothing_is_lost(own):
+    engine = own.service.store.catalog._database.engine
+    before = whole_store(own)
+
+    def refuse_writes(connection, _record):
+        connection.execute("PRAGMA query_only = ON")
+
+    event.listen(engine, "connect", refuse_writes)
+    engine.dispose()
+    scan = recording().scans[0]
+    for refused in (
+        own.post("/v1/maps", json={"map": "new"}),
+        own.delete("/v1/maps/campus"),
+        upload_scan(own, "campus", "monday", 900, scan),
+        own.post("/v1/maps/campus/builds", json={"segments": 2}),
+    ):
+        assert problem_of(refused) == (503, "storage-read-only")
+    assert localize(own, scan).status_code == 200
+    event.remove(engine, "connect", refuse_writes)
+    engine.dispose()
+    assert whole_store(own) == before
+    assert upload_scan(own, "campus", "monday", 900, scan).status_code == 201
+
+
+@pytest.mark.parametrize(
+    ("number", "problem"),
+    [
+        (errno.ENOSPC, (507, "storage-full")),
+        (errno.EDQUOT, (507, "storage-full")),
+        (errno.EFBIG, (507, "storage-full")),
+        (errno.EROFS, (503, "storage-read-only")),
+        (errno.EACCES, (503, "storage-read-only")),
+    ],
+)
+@pytest.mark.parametrize("step", ["mkdir", "rename"])
+def test_every_step_of_storing_a_scan_may_fail_and_leaves_nothing(
+    own, monkeypatch, number, problem, step
+):
+    def fail(*_, **__):
+        raise OSError(number, os.strerror(number))
+
+    before = whole_store(own)
+    with monkeypatch.context() as patched:
+        patched.setattr(Path, step, fail)
+        refused = upload_scan(own, "campus", "new", 0, recording().scans[0])
+    assert problem_of(refused) == problem
+    assert whole_store(own)[:3] == before[:3]
+    assert not [name for name in whole_store(own)[3] if name.endswith(".part")]
+    assert upload_scan(own, "campus", "new", 0, recording().scans[0]).status_code == 201

@@ -26,12 +26,12 @@ def build(client, **wanted):
     return response.json()["job"]
 
 
-def stand_still(_data_dir, _catalog_url, _job):
+def stand_still(*_):
     """Be a worker that never ends."""
     time.sleep(600)
 
 
-def fall_over(_data_dir, _catalog_url, _job):
+def fall_over(*_):
     """Be a worker with a fault."""
     os._exit(3)
 

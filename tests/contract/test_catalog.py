@@ -6,6 +6,8 @@ from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 
 import pytest
+from alembic.autogenerate import compare_metadata
+from alembic.migration import MigrationContext
 from sqlalchemy.exc import IntegrityError
 
 from core.errors import InvalidParameters
@@ -22,6 +24,7 @@ from storage.catalog import (
     on_behalf,
 )
 from storage.catalog.audit import START
+from storage.catalog.models import Base
 from storage.catalog.scans import LostRace
 from storage.errors import (
     AmbiguousRevision,
@@ -39,21 +42,13 @@ from storage.errors import (
     ScanNotFound,
 )
 
-# A database joins by the URL of an empty one, given a folder of its own.
-BACKENDS = {"sqlite": lambda folder: f"sqlite:///{folder / 'catalog.sqlite3'}"}
-
 FACTS = RevisionFacts(encoding="harmonic", scans=10, segments=2, parameters={"rank": [5, 5]})
 A, B, C = "a" * 64, "b" * 64, "aaaaaaaaaaaa" + "c" * 52
 
 
-@pytest.fixture(params=sorted(BACKENDS))
-def url(request, tmp_path):
-    return BACKENDS[request.param](tmp_path)
-
-
 @pytest.fixture
-def catalog(url):
-    opened = Catalog(url)
+def catalog(database_url):
+    opened = Catalog(database_url)
     yield opened
     opened.close()
 
@@ -128,6 +123,42 @@ class TestMaps:
             after, pages = page.next_after, pages + 1
         assert (seen, pages) == (["a", "b", "c", "d", "e"], 3)
         assert catalog.maps.list(limit=5).next_after is None
+
+    def test_slugs_are_in_the_order_of_their_bytes(self, catalog):
+        slugs = ["a-b", "a.a", "a0", "a_a", "aa", "ab"]
+        assert slugs == sorted(slugs)
+        for slug in reversed(slugs):
+            catalog.maps.create(slug)
+        assert [record.slug for record in catalog.maps.list().items] == slugs
+        assert [record.slug for record in catalog.maps.list(after="a0").items] == slugs[3:]
+
+    def test_of_many_that_make_one_map_at_once_one_does(self, catalog):
+        def make(_):
+            try:
+                return catalog.maps.create("campus").id
+            except MapExists:
+                return None
+
+        with ThreadPoolExecutor(6) as pool:
+            made = [made_id for made_id in pool.map(make, range(12)) if made_id]
+        assert made == [catalog.maps.get("campus").id]
+
+    def test_a_name_with_a_nul_is_the_name_of_nothing(self, catalog):
+        catalog.maps.create("campus")
+        for name in ("\0", "campus\0"):
+            with pytest.raises(MapNotFound):
+                catalog.maps.get(name)
+            with pytest.raises(DriveNotFound):
+                catalog.drives.get("campus", name)
+            with pytest.raises(JobNotFound):
+                catalog.jobs.get(name)
+            with pytest.raises(KeyNotFound):
+                catalog.keys.get(name)
+            with pytest.raises(RevisionNotFound):
+                catalog.revisions.get("campus", name * 12)
+            assert catalog.maps.list(after=name) is not None
+        assert catalog.maps.update("campus", description="a\0b").description == "a\ufffdb"
+        assert catalog.maps.get("campus").description == "a\ufffdb"
 
     def test_an_empty_page_is_refused(self, catalog):
         with pytest.raises(InvalidParameters):
@@ -388,6 +419,8 @@ class TestJobs:
         assert (running.id, running.state) == (queued.id, JobState.RUNNING)
         assert running.started_at >= queued.created_at
         halfway = catalog.jobs.progress(queued.id, "project", 50, 100)
+        assert running.started_at <= halfway.stage_started_at <= datetime.now(UTC)
+        assert catalog.jobs.get(queued.id) == halfway
         assert (halfway.stage, halfway.done_units, halfway.total_units) == ("project", 50, 100)
         done = catalog.jobs.finish(queued.id, A)
         assert (done.state, done.revision) == (JobState.DONE, A)
@@ -400,6 +433,22 @@ class TestJobs:
             claimed = list(pool.map(lambda _: catalog.jobs.claim(), range(14)))
         assert sorted(job.id for job in claimed if job) == sorted(made)
         assert claimed.count(None) == 2
+
+    def test_a_job_of_a_map_that_is_being_deleted_is_queued_before_or_not_at_all(self, catalog):
+        def queue(_):
+            try:
+                return catalog.jobs.create("campus", {}).id
+            except MapNotFound:
+                return None
+
+        with ThreadPoolExecutor(4) as pool:
+            queued = pool.map(queue, range(40))
+            catalog.maps.delete("campus")
+            made = [job for job in queued if job]
+        assert catalog.jobs.list().items == ()
+        for job in made:
+            with pytest.raises(JobNotFound):
+                catalog.jobs.get(job)
 
     def test_an_error_is_kept_with_its_type(self, catalog):
         catalog.jobs.create("campus", {})
@@ -643,27 +692,43 @@ class TestAudit:
 
 
 class TestOpening:
-    def test_what_was_committed_is_there_when_it_is_opened_again(self, url):
-        first = Catalog(url)
+    def test_what_was_committed_is_there_when_it_is_opened_again(self, database_url):
+        first = Catalog(database_url)
         made = first.maps.create("campus")
         first.close()
-        second = Catalog(url)
+        second = Catalog(database_url)
         assert second.maps.get("campus") == made
         second.close()
 
-    def test_two_open_catalogs_see_each_others_commits(self, url, catalog):
-        other = Catalog(url)
+    def test_two_open_catalogs_see_each_others_commits(self, database_url, catalog):
+        other = Catalog(database_url)
         catalog.maps.create("campus")
         assert other.maps.update("campus", description="new").version == 2
         assert catalog.maps.get("campus").description == "new"
         other.close()
 
-    def test_many_can_open_a_new_catalog_at_once(self, url):
+    def test_many_can_open_a_new_catalog_at_once(self, database_url):
         with ThreadPoolExecutor(6) as pool:
-            catalogs = list(pool.map(Catalog, [url] * 6))
+            catalogs = list(pool.map(Catalog, [database_url] * 6))
         for number, catalog in enumerate(catalogs):
             catalog.maps.create(f"map-{number}")
             catalog.close()
+
+    def test_a_store_is_given_one_id_by_whoever_asks_first(self, database_url, catalog):
+        other = Catalog(database_url)
+        ids = iter("abcdefgh")
+        with ThreadPoolExecutor(4) as pool:
+            asked = [
+                pool.submit(c.store_id.ensure, lambda: next(ids)) for c in [catalog, other] * 4
+            ]
+        assert {future.result() for future in asked} == {"a"}
+        assert next(ids) == "b"
+        other.close()
+
+    def test_the_schema_is_what_the_models_say(self, catalog):
+        with catalog._database.engine.connect() as connection:
+            context = MigrationContext.configure(connection, opts={"compare_server_default": True})
+            assert compare_metadata(context, Base.metadata) == []
 
     def test_an_error_rolls_everything_back(self, catalog):
         catalog.maps.create("campus")

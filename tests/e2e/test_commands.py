@@ -136,6 +136,11 @@ def test_the_demonstration_ends_by_itself_when_asked_to(drive: Path) -> None:
         (["localize", "{map}", "{drive}/times.txt"], 1, "times.txt"),
         (["signature", "{map}", "{drive}/velodyne/000003.bin", "--segment", "7"], 1, "0..1"),
         (["serve", "--port", "70000"], 2, "65535"),
+        (["restore", "{drive}/times.txt", "--data", "{folder}/new"], 1, "is no backup"),
+        (["restore", "{folder}/nowhere.tar", "--data", "{folder}/new"], 1, "No such file"),
+        (["restore", "{drive}/times.txt", "--data", "{drive}"], 1, "is there already"),
+        (["backup", "--data", "{folder}", "-o", "{folder}/b.tar"], 1, "holds no catalog"),
+        (["backup", "--data", "{folder}", "-o", "{folder}/no/b.tar"], 2, "there is no folder"),
     ],
 )
 def test_what_cannot_be_is_told_in_a_line(
@@ -156,6 +161,20 @@ def test_what_cannot_be_is_told_in_a_line(
     told = capsys.readouterr()
     assert ended.value.code == status
     assert said in " ".join(f"{told.out}{told.err}".split())
+
+
+def test_a_catalog_elsewhere_is_not_backed_up_as_if_it_were_here(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("TENSORMAP_CATALOG_URL", "postgresql+psycopg://user:secret@127.0.0.1/maps")
+    monkeypatch.setattr(sys, "argv", ["tensormap", "backup", "-o", str(tmp_path / "b.tar")])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    said = capsys.readouterr().err
+    assert ended.value.code == 1
+    assert "pg_dump" in said
+    assert "secret" not in said
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_one_scan_that_cannot_be_used_does_not_hide_the_others(

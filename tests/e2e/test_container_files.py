@@ -68,6 +68,20 @@ def test_no_secret_stands_in_them() -> None:
     assert "TENSORMAP_ADMIN_KEY:" in compose()
 
 
+def test_the_postgresql_of_compose_is_the_one_that_the_catalog_is_on() -> None:
+    text = (ROOT / "compose.postgresql.yaml").read_text()
+    [(driver, user, password, host, database)] = re.findall(
+        r"TENSORMAP_CATALOG_URL: (\S+)://(\w+):\$\{(\w+):[^}]*\}@(\w+)/(\w+)", text
+    )
+    assert driver == "postgresql+psycopg"
+    assert f"\n  {host}:\n    image: postgres:" in text
+    assert f"POSTGRES_USER: {user}\n" in text
+    assert f"POSTGRES_DB: {database}\n" in text
+    assert f"{password}: ${{{password}:?choose one}}" in text
+    assert "[postgresql]" in DOCKERFILE
+    assert "ports:" not in text  # only the service reaches it
+
+
 def test_compose_takes_every_right_that_the_service_does_not_need() -> None:
     assert "read_only: true" in compose()
     assert listed("tmpfs") == ["/tmp"]

@@ -5,7 +5,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -49,16 +49,32 @@ class Server:
 
 
 @contextmanager
-def serving(data_dir: Path, log: Path) -> Iterator[Server]:
-    """Run a service until the block ends."""
+def serving(
+    data_dir: Path,
+    log: Path,
+    *,
+    within: Sequence[str] = (),
+    program: Sequence[str] = ("-m", "tests.support.serve"),
+    **settings: str,
+) -> Iterator[Server]:
+    """Run a service until the block ends.
+
+    Args:
+        data_dir: Its data.
+        log: Where its standard error goes.
+        within: A command that runs the one that follows it, in the same process.
+        program: What Python runs; it writes the port on its standard output.
+        settings: More `TENSORMAP_` variables, without that.
+    """
     environment = {
         **{k: v for k, v in os.environ.items() if not k.startswith("TENSORMAP_")},
         "PYTHONPATH": str(ROOT),
         "TENSORMAP_DATA_DIR": str(data_dir),
+        **{f"TENSORMAP_{name.upper()}": value for name, value in settings.items()},
     }
     with log.open("a") as written:
         process = subprocess.Popen(
-            [sys.executable, "-m", "tests.support.serve"],
+            [*within, sys.executable, *program],
             stdout=subprocess.PIPE,
             stderr=written,
             text=True,

@@ -15,7 +15,8 @@ from sqlalchemy.exc import (
     TimeoutError as PoolTimeoutError,
 )
 
-from storage.errors import StorageUnavailable
+from storage.catalog import Catalog
+from storage.errors import StorageBusy, StorageFull, StorageReadOnly, StorageUnavailable
 from storage.store import Store
 
 FAULTS = [
@@ -60,3 +61,39 @@ def test_a_database_that_is_damaged_under_the_service_is_told_by_name(tmp_path, 
             opened.maps.list(limit=1000)
         with pytest.raises(StorageUnavailable):
             opened.jobs.claim()
+
+
+@pytest.mark.parametrize(
+    ("state", "kind"),
+    [
+        ("40001", StorageBusy),
+        ("40P01", StorageBusy),
+        ("55P03", StorageBusy),
+        ("53300", StorageBusy),
+        ("53100", StorageFull),
+        ("25006", StorageReadOnly),
+        ("57P01", StorageUnavailable),
+    ],
+)
+def test_what_postgresql_says_has_the_same_names(store, state, kind):
+    class Said(Exception):
+        sqlstate = state
+
+    with pytest.raises(kind) as named, store.catalog._database.writing():
+        raise OperationalError("SELECT 1", {}, Said("so"))
+    assert type(named.value) is kind
+
+
+@pytest.mark.parametrize(
+    ("url", "said"),
+    [
+        ("nonsense:secret", "TENSORMAP_CATALOG_URL"),
+        ("mysql+pymysql://user:secret@127.0.0.1/maps", "wanted sqlite or postgresql"),
+        ("postgresql+psycopg://user:secret@127.0.0.1:1/maps", "cannot be used"),
+        ("postgresql+asyncpg2://user:secret@127.0.0.1:1/maps", "asyncpg2"),
+    ],
+)
+def test_a_url_that_leads_to_no_catalog_is_told_without_its_password(url, said):
+    with pytest.raises(StorageUnavailable, match=said) as told:
+        Catalog(url)
+    assert "secret" not in str(told.value)

@@ -3,14 +3,14 @@
 import sqlalchemy as sa
 from alembic import op
 
-revision = "0006"
+revision = "0003"
 down_revision = "0002"
 branch_labels = None
 depends_on = None
 
 
 def upgrade() -> None:
-    op.add_column("jobs", sa.Column("stage_started_at", sa.DateTime(), nullable=True))
+    op.add_column("jobs", sa.Column("stage_started_at", sa.DateTime(timezone=True), nullable=True))
 
 
 def downgrade() -> None:

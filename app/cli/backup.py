@@ -1,0 +1,55 @@
+"""`tensormap backup` and `tensormap restore`: all of a service in one file, and back."""
+
+import os
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from app.cli.console import output
+from app.cli.options import require_folder
+from core.errors import InvalidParameters
+from storage.backup import write_backup
+from storage.restore import restore_backup
+
+__all__ = ["backup", "restore"]
+
+_ELSEWHERE = (
+    "TENSORMAP_CATALOG_URL is set: the catalog is not in the data directory. Dump it with the"
+    " database's own tool (pg_dump), then copy the folder: docs/how-to/deploy.md"
+)
+
+
+def backup(
+    output_file: Annotated[
+        Path, typer.Option("-o", "--output", metavar="FILE.tar", help="The backup to write.")
+    ],
+    data: Annotated[
+        Path, typer.Option(metavar="DIR", help="The data directory.", envvar="TENSORMAP_DATA_DIR")
+    ] = Path("data"),
+) -> None:
+    """Back up a data directory into one file, while the service runs; every digest is checked."""
+    if os.environ.get("TENSORMAP_CATALOG_URL"):
+        raise InvalidParameters(_ELSEWHERE)
+    require_folder(output_file)
+    written = write_backup(data, output_file)
+    output.print(
+        f"{output_file}: {written.files} files, {written.size_bytes} bytes",
+        markup=False,
+        soft_wrap=True,
+    )
+    for said in written.damaged:
+        typer.echo(f"tensormap: damaged before the backup, and as it is in it: {said}", err=True)
+    if written.damaged:
+        raise typer.Exit(1)
+
+
+def restore(
+    backup_file: Annotated[Path, typer.Argument(help="A backup.", metavar="FILE.tar")],
+    data: Annotated[
+        Path, typer.Option(metavar="NEWDIR", help="The data directory to make; not there yet.")
+    ],
+) -> None:
+    """Make a new data directory of a backup; the service is then started on it."""
+    files = restore_backup(backup_file, data)
+    output.print(f"{data}: {files} files", markup=False, soft_wrap=True)

@@ -1,0 +1,162 @@
+"""Metrics in Prometheus' words. Every label has few values: never a map's name or an id."""
+
+import shutil
+import threading
+import time
+from collections.abc import Callable, Iterable
+
+from prometheus_client import (
+    CollectorRegistry,
+    Counter,
+    Gauge,
+    Histogram,
+    Metric,
+    ProcessCollector,
+    generate_latest,
+)
+from prometheus_client.core import CounterMetricFamily
+from prometheus_client.registry import Collector
+
+from core.errors import TensorMapError
+from storage.catalog import JobRecord, JobState
+from storage.store import Store
+
+__all__ = ["Metrics"]
+
+_METHODS = frozenset({"DELETE", "GET", "HEAD", "OPTIONS", "PATCH", "POST", "PUT"})
+_REQUEST_S = (0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0, 30.0)
+_BUILD_S = (1.0, 3.0, 10.0, 30.0, 100.0, 300.0, 1_000.0, 3_000.0, 10_000.0)
+_BYTES_KEPT_S = 30.0  # to add up a million scans takes the catalog some 0.1 s
+
+
+class Metrics:
+    """What one service counts; safe to share between threads.
+
+    Args:
+        clock: Seconds that never go back.
+    """
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self._clock = clock
+        self._registry = registry = CollectorRegistry()
+        ProcessCollector(registry=registry)
+        self._requests = Counter(
+            "tensormap_http_requests",
+            "Requests that were answered.",
+            ["route", "method", "status"],
+            registry=registry,
+        )
+        self._request_s = Histogram(
+            "tensormap_http_request_seconds",
+            "From a request's first byte to its answer's last one.",
+            ["route", "method"],
+            buckets=_REQUEST_S,
+            registry=registry,
+        )
+        self._localizations = Counter(
+            "tensormap_localizations",
+            "Answers to `where am I?`, by what asked and what came of it.",
+            ["query", "outcome"],
+            registry=registry,
+        )
+        self._builds = Counter(
+            "tensormap_builds", "Builds that ran, by how they ended.", ["state"], registry=registry
+        )
+        self._build_s = Histogram(
+            "tensormap_build_seconds",
+            "From a build's start to its end.",
+            ["state"],
+            buckets=_BUILD_S,
+            registry=registry,
+        )
+        self._jobs = Gauge(
+            "tensormap_jobs", "Jobs that wait or run now.", ["state"], registry=registry
+        )
+        self._tracks = Gauge("tensormap_tracks", "Tracks that are kept now.", registry=registry)
+        self._store_bytes = Gauge(
+            "tensormap_store_bytes",
+            "What is stored: raw returns, and files of revisions.",
+            ["kind"],
+            registry=registry,
+        )
+        self._free_bytes = Gauge(
+            "tensormap_disk_free_bytes",
+            "What the data directory's file system has left.",
+            registry=registry,
+        )
+        self._catalog_up = Gauge(
+            "tensormap_catalog_up", "1 if the catalog could be read just now.", registry=registry
+        )
+        self._lock = threading.Lock()
+        self._added_up_at: float | None = None
+        self._stored: _StoredScans | None = None
+
+    def requested(self, route: str, method: str, status: int, seconds: float) -> None:
+        """Count an answer.
+
+        Args:
+            route: The template of its path.
+            method: Any; those that HTTP does not have are one.
+            status: Of the answer.
+            seconds: How long it took.
+        """
+        known = method if method in _METHODS else "OTHER"
+        self._requests.labels(route, known, str(status)).inc()
+        self._request_s.labels(route, known).observe(seconds)
+
+    def localized(self, query: str, refusal: str | None) -> None:
+        """Count an answer to a query: a place, or the reason why there is none."""
+        self._localizations.labels(query, refusal or "localized").inc()
+
+    def built(self, job: JobRecord) -> None:
+        """Count a build that ended; one that goes on is not counted."""
+        if job.started_at is None or job.finished_at is None:
+            return
+        self._builds.labels(job.state.value).inc()
+        seconds = (job.finished_at - job.started_at).total_seconds()
+        self._build_s.labels(job.state.value).observe(max(seconds, 0.0))
+
+    def render(self, store: Store, tracks: int) -> bytes:
+        """Return all metrics as text; what the store holds is looked up now.
+
+        Should the catalog be out of reach, what it would tell stays as it was, and
+        `tensormap_catalog_up` is 0: what else is counted is wanted then more than ever.
+        """
+        with self._lock:
+            self._look_up(store, tracks)
+            return generate_latest(self._registry)
+
+    def _look_up(self, store: Store, tracks: int) -> None:
+        if self._stored is None:
+            self._stored = _StoredScans(store)
+            self._registry.register(self._stored)
+        self._tracks.set(tracks)
+        self._free_bytes.set(shutil.disk_usage(store.layout.data_dir).free)
+        try:
+            open_jobs = store.jobs.counts()
+            for state in (JobState.QUEUED, JobState.RUNNING):
+                self._jobs.labels(state.value).set(open_jobs.get(state, 0))
+            now = self._clock()
+            if self._added_up_at is None or now - self._added_up_at >= _BYTES_KEPT_S:
+                for kind, size in store.stored_bytes().items():
+                    self._store_bytes.labels(kind).set(size)
+                self._added_up_at = now
+        except TensorMapError:
+            self._catalog_up.set(0)
+        else:
+            self._catalog_up.set(1)
+
+
+class _StoredScans(Collector):
+    """Scans that were stored since the start, as the store counts them."""
+
+    def __init__(self, store: Store) -> None:
+        self._store = store
+
+    def collect(self) -> Iterable[Metric]:
+        """Tell how many."""
+        yield CounterMetricFamily(
+            "tensormap_scans_stored",
+            "Scans that were accepted and stored; those that were there already are none.",
+            value=self._store.drives.stored_scans,
+        )

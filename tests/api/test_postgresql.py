@@ -1,0 +1,75 @@
+"""The service on a PostgreSQL catalog, from the first scan to an answer."""
+
+import pytest
+
+from tests.support.postgresql import Cluster
+from tests.support.recording import KITTI, kitti, recording
+from tests.support.service import problem_of, running, upload, wait_for
+
+pytestmark = pytest.mark.xdist_group("postgresql")
+
+
+def test_a_map_is_built_and_answers_and_is_there_after_a_restart(
+    postgresql: Cluster, tmp_path
+) -> None:
+    url = postgresql.new_database()
+    with running(tmp_path / "data", catalog_url=url) as client:
+        client.post("/v1/maps", json={"map": "campus"})
+        upload(client, "monday", recording(scans=12))
+        assert upload_again(client).status_code == 200
+        job = client.post("/v1/maps/campus/builds", json={"segments": 2}).json()["job"]
+        done = wait_for(client, job)
+        assert done["state"] == "done", done
+        assert localize(client, 9)["best"]["scan_index"] == 9
+    assert not (tmp_path / "data" / "catalog.sqlite3").exists()
+    with running(tmp_path / "data", catalog_url=url) as client:
+        answer = localize(client, 3)
+        assert (answer["best"]["scan_index"], answer["revision"]) == (3, done["revision"])
+        for path in ("maps/%00", "maps/campus/drives/%00", "jobs/%00"):
+            assert problem_of(client.get(f"/v1/{path}"))[0] == 404
+        assert client.delete("/v1/maps/campus").status_code == 204
+        assert client.get("/v1/jobs").json()["items"] == []
+
+
+def test_a_catalog_that_goes_away_is_told_and_comes_back(postgresql: Cluster, tmp_path) -> None:
+    url = postgresql.new_database()
+    name = url.partition("?")[0].rpartition("/")[2]
+    with running(tmp_path / "data", catalog_url=url) as client:
+        client.post("/v1/maps", json={"map": "campus"})
+        postgresql.run(f"ALTER DATABASE {name} ALLOW_CONNECTIONS false", "postgres")
+        postgresql.run(
+            "SELECT pg_terminate_backend(pid, 10000) FROM pg_stat_activity"
+            f" WHERE datname = '{name}'",
+            "postgres",
+        )
+        assert problem_of(client.get("/v1/maps/campus")) == (503, "storage-unavailable")
+        not_ready = client.get("/readyz")
+        assert not_ready.status_code == 503
+        assert "the catalog cannot be read" in not_ready.json()["missing"][0]
+        postgresql.run(f"ALTER DATABASE {name} ALLOW_CONNECTIONS true", "postgres")
+        assert client.get("/v1/maps/campus").status_code == 200
+        assert client.get("/readyz").status_code == 200
+
+
+def test_a_catalog_that_may_only_be_read_is_told(postgresql: Cluster, tmp_path) -> None:
+    url = postgresql.new_database()
+    name = url.partition("?")[0].rpartition("/")[2]
+    with running(tmp_path / "data", catalog_url=url) as client:
+        client.post("/v1/maps", json={"map": "campus"})
+        postgresql.run(f"ALTER DATABASE {name} SET default_transaction_read_only = on", "postgres")
+        client.service.store.catalog._database.engine.dispose()
+        made = client.post("/v1/maps", json={"map": "new"})
+        assert problem_of(made) == (503, "storage-read-only")
+        assert [item["map"] for item in client.get("/v1/maps").json()["items"]] == ["campus"]
+
+
+def localize(client, index):
+    body = kitti(recording(scans=12).scans[index])
+    answer = client.post("/v1/maps/campus/localizations/scan", content=body, headers=KITTI)
+    assert answer.status_code == 200, answer.text
+    return answer.json()
+
+
+def upload_again(client):
+    body = kitti(recording(scans=12).scans[0])
+    return client.put("/v1/maps/campus/drives/monday/scans/0", content=body, headers=KITTI)

@@ -1,0 +1,150 @@
+"""The files of `deploy/`, as the programs that read them see them."""
+
+import os
+import re
+import shutil
+import socket
+import ssl
+import subprocess
+from contextlib import contextmanager
+from pathlib import Path
+
+import httpx2
+import pytest
+from websockets.sync.client import connect
+
+from app.settings import Settings
+from tests.support.process import ROOT, serving, until
+from tests.support.recording import KITTI, kitti, recording
+from tests.support.service import problem_of, upload, wait_for
+
+KEY = "correct-horse-battery-staple"
+UNIT = (ROOT / "deploy/tensormap.service").read_text()
+NGINX = (ROOT / "deploy/nginx.conf").read_text()
+needs_nginx = pytest.mark.skipif(
+    shutil.which("nginx") is None or shutil.which("openssl") is None,
+    reason="nginx or openssl is not installed",
+)
+
+
+def free_port() -> int:
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+        return int(listening.getsockname()[1])
+
+
+@pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="systemd is not installed")
+def test_systemd_finds_nothing_wrong_with_the_unit(tmp_path):
+    unit = tmp_path / "tensormap.service"
+    unit.write_text(UNIT.replace("/opt/tensormap/bin/tensormap", "/bin/true"))
+    done = subprocess.run(
+        ["systemd-analyze", "verify", unit], capture_output=True, text=True, timeout=60
+    )
+    assert done.returncode == 0, done.stderr
+    assert not [line for line in done.stderr.splitlines() if "tensormap" in line]
+
+
+def test_the_unit_runs_the_command_of_the_guide_and_gives_a_build_time_to_be_queued():
+    guide = (ROOT / "docs/how-to/deploy.md").read_text()
+    [command] = re.findall(r"^ExecStart=(\S+) serve --data (\S+)$", UNIT, re.MULTILINE)
+    for path in (*command, "/etc/tensormap/environment"):
+        assert path in guide
+    assert "KillMode=mixed" in UNIT  # a signal to the group would reach builds too
+
+
+@contextmanager
+def proxied(folder: Path, service_port: int):
+    """Run nginx with our file: its ports, name, certificate and folders are the test's."""
+    folder.mkdir()
+    if os.geteuid() == 0:
+        folder.chmod(0o755)
+    port, plain = free_port(), free_port()
+    made = ["req", "-x509", "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1", "-nodes",
+            "-subj", "/CN=localhost", "-addext", "subjectAltName=DNS:localhost", "-days", "2",
+            "-keyout", "privkey.pem", "-out", "fullchain.pem"]  # fmt: skip
+    subprocess.run(["openssl", *made], cwd=folder, check=True, capture_output=True, timeout=60)
+    site = (
+        NGINX.replace("listen 80;", f"listen 127.0.0.1:{plain};")
+        .replace("listen 443 ssl;", f"listen 127.0.0.1:{port} ssl;")
+        .replace("maps.example;", "localhost;")
+        .replace("/etc/ssl/tensormap", str(folder))
+        .replace("127.0.0.1:8000", f"127.0.0.1:{service_port}")
+    )
+    (folder / "site.conf").write_text(site)
+    kept = "".join(
+        f"{name}_temp_path {folder}/{name};\n"
+        for name in ("client_body", "proxy", "fastcgi", "uwsgi", "scgi")
+    )
+    user = "user root;\n" if os.geteuid() == 0 else ""
+    (folder / "nginx.conf").write_text(
+        f"{user}daemon off;\nmaster_process off;\npid {folder}/pid;\n"
+        f"error_log {folder}/error.log;\n"
+        f"events {{}}\nhttp {{\naccess_log {folder}/access.log;\n{kept}include site.conf;\n}}\n"
+    )
+    command = ["nginx", "-p", str(folder), "-c", str(folder / "nginx.conf")]
+    checked = subprocess.run([*command, "-t"], capture_output=True, text=True, timeout=60)
+    assert checked.returncode == 0, checked.stderr
+    assert "warn" not in checked.stderr, checked.stderr
+    process = subprocess.Popen(command, stderr=subprocess.DEVNULL)
+    try:
+        until(lambda: answers(port), "nginx does not answer")
+        trusted = ssl.create_default_context(cafile=str(folder / "fullchain.pem"))
+        yield port, plain, trusted
+    finally:
+        process.terminate()
+        process.wait(30)
+
+
+def answers(port: int) -> bool:
+    try:
+        socket.create_connection(("127.0.0.1", port), timeout=5).close()
+    except OSError:
+        return False
+    return True
+
+
+@needs_nginx
+def test_the_service_works_behind_nginx_with_tls_and_a_key(tmp_path):
+    log = tmp_path / "log"
+    with (
+        serving(tmp_path / "data", log, admin_key=KEY) as server,
+        proxied(tmp_path / "nginx", server.port) as (port, plain, trusted),
+    ):
+        url = f"https://localhost:{port}"
+        with httpx2.Client(base_url=url, verify=trusted, timeout=60) as anyone:
+            refused = anyone.get("/v1/maps")
+            assert problem_of(refused) == (401, "key-needed")
+            assert len(refused.headers["X-Request-Id"]) == 32  # nginx's own
+            assert refused.headers["Strict-Transport-Security"]
+            assert anyone.get("/readyz").status_code == 200
+            assert anyone.get("/metrics").status_code == 404
+            moved = httpx2.get(
+                f"http://127.0.0.1:{plain}/v1/maps?a=b", headers={"Host": "localhost"}
+            )
+            assert (moved.status_code, moved.headers["Location"]) == (
+                308,
+                "https://localhost/v1/maps?a=b",
+            )
+        bearer = {"Authorization": f"Bearer {KEY}"}
+        with httpx2.Client(base_url=url, verify=trusted, headers=bearer, timeout=60) as client:
+            assert client.post("/v1/maps", json={"map": "campus"}).status_code == 201
+            upload(client, "monday", recording(scans=8))
+            job = client.post("/v1/maps/campus/builds", json={"segments": 1}).json()["job"]
+            assert wait_for(client, job)["state"] == "done"
+            body = kitti(recording(scans=8).scans[5])
+            found = client.post("/v1/maps/campus/localizations/scan", content=body, headers=KITTI)
+            assert found.json()["best"]["scan_index"] == 5
+            most = Settings.model_fields["max_body_bytes"].default
+            large = client.post(
+                "/v1/maps/campus/localizations/scan", content=bytes(most + 1), headers=KITTI
+            )
+            assert large.status_code == 413
+            track = client.post("/v1/maps/campus/tracks").json()["track"]
+        stream = f"wss://localhost:{port}/v1/maps/campus/tracks/{track}/stream"
+        with connect(stream, ssl=trusted, additional_headers=bearer) as opened:
+            opened.send("{}")
+            assert "/problems/invalid-request" in str(opened.recv(timeout=30))
+
+
+def test_the_guide_and_nginx_pass_on_as_large_a_body_as_the_service_reads():
+    [megabytes] = re.findall(r"client_max_body_size\s+(\d+)m;", NGINX)
+    assert int(megabytes) * 2**20 == Settings.model_fields["max_body_bytes"].default

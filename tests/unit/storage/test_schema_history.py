@@ -1,0 +1,157 @@
+"""A catalog of the first release is upgraded to the newest schema, and answers."""
+
+import json
+import sqlite3
+from datetime import UTC, datetime
+from typing import Any
+
+import pytest
+from alembic import command
+from sqlalchemy import create_engine, event, text
+
+from core.pose import Pose
+from storage.catalog import Catalog, JobState
+from storage.catalog.migrations import _config
+from storage.errors import WrongCatalog
+from storage.store import Store
+
+AT = "2024-02-29 12:00:00.123456"
+M, D, E, J, K, S = (letter * 32 for letter in "abcdef")
+DIGEST = "1" * 64
+POSE = [1.5, -2.0, 0.0, 0.0, 0.0, 0.6, 0.8]
+
+# What the first release wrote: of every table a row.
+ROWS: dict[str, dict[str, Any]] = {
+    "store": {"row": 1, "id": S},
+    "maps": {"id": M, "slug": "campus", "description": "north", "created_at": AT, "version": 2},
+    "drives": {"id": D, "map_id": M, "slug": "monday", "created_at": AT, "closed": False},
+    "scans": {
+        "drive_id": D,
+        "scan_index": 7,
+        "chunk": "one.h5",
+        "chunk_row": 0,
+        "digest": DIGEST,
+        "returns": 120,
+        "dropped_returns": 3,
+        "timestamp_s": 12.5,
+        "pose": json.dumps(POSE),
+    },
+    "revisions": {
+        "map_id": M,
+        "digest": DIGEST,
+        "file_name": "one.h5",
+        "encoding": "paper",
+        "scans": 1,
+        "segments": 1,
+        "parameters": json.dumps({"ranks": [5, 5]}),
+        "size_bytes": 1000,
+        "job_id": J,
+        "created_at": AT,
+    },
+    "live_revisions": {"map_id": M, "digest": DIGEST},
+    "jobs": {
+        "id": J,
+        "map_id": M,
+        "kind": "build",
+        "state": "done",
+        "stage": "publish",
+        "done_units": 1,
+        "total_units": 1,
+        "parameters": json.dumps({"ranks": [5, 5]}),
+        "error_type": None,
+        "error_detail": None,
+        "revision": DIGEST,
+        "cancel_requested": False,
+        "created_at": AT,
+        "started_at": AT,
+        "finished_at": AT,
+    },
+    "keys": {"id": K, "secret_hash": "hash", "scopes": json.dumps(["admin"]), "created_at": AT},
+}
+
+
+def write_first_release(url, schema="0001"):
+    """Make a database as the first release left it, by its own migration and in plain SQL."""
+    engine = create_engine(url)
+    if engine.dialect.name == "sqlite":
+        event.listen(engine, "connect", lambda raw, _: setattr(raw, "isolation_level", None))
+        event.listen(engine, "begin", lambda connection: connection.exec_driver_sql("BEGIN"))
+    with engine.begin() as connection:
+        config = _config()
+        config.attributes["connection"] = connection
+        command.upgrade(config, schema)
+    zone = "+00" if engine.dialect.name == "postgresql" else ""
+    with engine.begin() as connection:
+        for table, row in ROWS.items():
+            names = ", ".join(f'"{name}"' for name in row)
+            values = ", ".join(f":{name}" for name in row)
+            told = {name: f"{v}{zone}" if v == AT else v for name, v in row.items()}
+            connection.execute(text(f"INSERT INTO {table} ({names}) VALUES ({values})"), told)
+    engine.dispose()
+
+
+@pytest.mark.parametrize("schema", ["0001", "0002"])
+def test_a_catalog_of_an_earlier_release_is_upgraded_and_answers(database_url, schema):
+    write_first_release(database_url, schema)
+    for _ in range(2):  # the second time there is nothing to do
+        catalog = Catalog(database_url)
+        at = datetime(2024, 2, 29, 12, 0, 0, 123456, UTC)
+        found = catalog.maps.get("campus")
+        assert (found.id, found.description, found.version, found.created_at) == (M, "north", 2, at)
+        assert found.live_revision == DIGEST
+        assert catalog.store_id.get() == S
+        drive = catalog.drives.get("campus", "monday")
+        assert (drive.scans, drive.returns, drive.closed) == (1, 120, False)
+        scan = catalog.scans.get(D, 7)
+        assert (scan.digest, scan.timestamp_s, scan.pose) == (DIGEST, 12.5, Pose(*POSE))
+        revision = catalog.revisions.live("campus")
+        assert (revision.encoding, revision.parameters) == ("paper", {"ranks": [5, 5]})
+        job = catalog.jobs.get(J)
+        assert (job.state, job.revision, job.notes) == (JobState.DONE, DIGEST, ())
+        [key] = catalog.keys.list().items
+        assert (key.id, key.secret_hash, key.scopes, key.revoked_at) == (
+            K,
+            "hash",
+            ("admin",),
+            None,
+        )
+        catalog.close()
+    catalog = Catalog(database_url)  # and it can be written
+    assert catalog.maps.update("campus", description="south").version == 3
+    assert catalog.jobs.create("campus", {}).state is JobState.QUEUED
+    assert catalog.maps.delete("campus").slug == "campus"
+    catalog.close()
+
+
+def test_every_schema_can_be_left_for_the_one_before_it(database_url):
+    write_first_release(database_url)
+    catalog = Catalog(database_url)
+    with catalog._database.engine.begin() as connection:
+        config = _config()
+        config.attributes["connection"] = connection
+        command.downgrade(config, "0001")
+    catalog.close()
+    again = Catalog(database_url)
+    assert again.maps.get("campus").id == M
+    again.close()
+
+
+def test_a_store_of_the_first_release_is_opened_and_served(tmp_path):
+    data = tmp_path / "data"
+    (data / "maps").mkdir(parents=True)
+    (data / "store-id").write_text(f"{S}\n")
+    write_first_release(f"sqlite:///{data / 'catalog.sqlite3'}")
+    with Store.serving(data) as store:
+        assert store.maps.get("campus").live_revision == DIGEST
+
+
+def test_a_catalog_of_a_later_release_is_refused_and_stays_as_it_is(tmp_path):
+    path = tmp_path / "catalog.sqlite3"
+    Catalog(f"sqlite:///{path}").close()
+    with sqlite3.connect(path) as connection:
+        connection.execute("UPDATE alembic_version SET version_num = '9999'")
+    connection.close()
+    before = path.read_bytes()
+    with pytest.raises(WrongCatalog, match="9999"):
+        Catalog(f"sqlite:///{path}")
+    assert path.read_bytes() == before

@@ -1,0 +1,109 @@
+"""Log lines: one an event, readable by machines, without what must stay secret."""
+
+import contextvars
+import io
+import json
+import logging
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from app.logs import LogFormat, _TextLine, configure_logging, fields
+from app.request_id import accepted_id, current_id, enter_request
+
+
+@pytest.fixture
+def lines():
+    """Logs of a format, as they were written; logging is put back as it was."""
+    names = ["", "tensormap", "uvicorn", "uvicorn.access"]
+    kept = [
+        (log, log.handlers[:], log.level, log.disabled) for log in map(logging.getLogger, names)
+    ]
+    written = io.StringIO()
+
+    def configure(log_format):
+        configure_logging(log_format, "INFO", written)
+        return written
+
+    yield configure
+    for log, handlers, level, disabled in kept:
+        log.handlers[:], log.disabled = handlers, disabled
+        log.setLevel(level)
+
+
+def log_a_fault(logger):
+    try:
+        raise ValueError("first line\nsecond line")
+    except ValueError:
+        logger.exception("it failed")
+
+
+def test_a_json_line_has_the_event_its_fields_and_its_fault(lines):
+    written = lines(LogFormat.JSON)
+    logger = logging.getLogger("tensormap.test")
+    logger.info("two\nlines", extra=fields(status=200, path="/v1/maps"))
+    log_a_fault(logger)
+    first, second = map(json.loads, written.getvalue().splitlines())
+    assert (first["event"], first["status"], first["path"]) == ("two\nlines", 200, "/v1/maps")
+    assert (first["level"], first["logger"]) == ("info", "tensormap.test")
+    assert first["time"].endswith("Z")
+    assert second["event"] == "it failed"
+    assert "second line" in second["traceback"]
+
+
+@given(st.text(max_size=40))
+def test_a_text_line_stays_one_line_whatever_a_client_sends(path):
+    record = logging.makeLogRecord({"name": "tensormap", "msg": "request", **fields(path=path)})
+    assert len(_TextLine().format(record).splitlines()) == 1
+
+
+def test_no_key_stands_in_a_line(lines):
+    key = "tm_0a1b2c3d_" + "s3cret-" * 6
+    for log_format in LogFormat:
+        written = lines(log_format)
+        logging.getLogger("tensormap").info("request", extra=fields(path=f"/v1/keys/{key}"))
+        try:
+            raise ValueError(key)
+        except ValueError:
+            logging.getLogger("tensormap").exception("failed")
+        assert "s3cret" not in written.getvalue()
+        assert "tm_(hidden)" in written.getvalue()
+
+
+def test_a_line_is_of_the_request_that_it_was_written_in(lines):
+    def answer():
+        enter_request("truck-7")
+        assert current_id() == "truck-7"
+        logging.getLogger("tensormap").info("during")
+
+    written = lines(LogFormat.JSON)
+    logging.getLogger("tensormap").info("before")
+    contextvars.copy_context().run(answer)
+    before, during = map(json.loads, written.getvalue().splitlines())
+    assert "request_id" not in before
+    assert during["request_id"] == "truck-7"
+
+
+@pytest.mark.parametrize("log_format", LogFormat)
+def test_nothing_is_written_twice_nor_below_the_level(lines, log_format):
+    written = lines(log_format)
+    logging.getLogger("tensormap").debug("hidden")
+    logging.getLogger("uvicorn.access").info("GET /v1/maps?after=secret")
+    logging.getLogger("uvicorn.error").info("started")
+    logging.getLogger("some.library").info("chatter")
+    assert len(written.getvalue().splitlines()) == 1
+    assert "started" in written.getvalue()
+
+
+@pytest.mark.parametrize("sent", ["a", "truck-7:42", "01HZX.3_k", "f" * 64])
+def test_a_sane_request_id_is_kept(sent):
+    assert accepted_id(sent) == sent
+
+
+@pytest.mark.parametrize("sent", [None, "", "f" * 65, "two words", "a\nb", "é", '{"x":1}', "-a"])
+def test_any_other_request_id_is_replaced(sent):
+    made = accepted_id(sent)
+    assert made != sent
+    assert accepted_id(made) == made
+    assert made != accepted_id(sent)
