@@ -44,7 +44,7 @@ FormatName = Annotated[
 
 @router.get(
     "/maps/{map}/drives/{drive}/scans",
-    dependencies=[needs(Scope.MAPS_READ)],
+    dependencies=[needs(Scope.MAPS_READ, Scope.MAPS_WRITE)],
     responses=problems(MapNotFound, DriveNotFound, *READING),
 )
 def list_scans(map_slug: MapSlug, drive_slug: DriveSlug, running: Running) -> PresentOut:

@@ -66,6 +66,7 @@ class Database:
         self._writer: AbstractContextManager[object] = nullcontext()
         if self.engine.dialect.name == "postgresql":
             event.listen(self.engine, "connect", _prepare_postgresql)
+            event.listen(self.engine, "checkin", _forget_mode)
             self._reading_engine = self.engine.execution_options(
                 isolation_level="REPEATABLE READ", postgresql_readonly=True
             )
@@ -152,6 +153,13 @@ def _prepare_postgresql(connection: Any, _record: object) -> None:  # noqa: ANN4
             " WHERE current_setting('synchronous_commit') = 'off'"
         )
     connection.commit()
+
+
+def _forget_mode(connection: Any, _record: object) -> None:  # noqa: ANN401 - psycopg's own
+    # SQLAlchemy leaves a connection that read as one that writes, whatever the server's default:
+    # a database that may only be read would be written through it.
+    if connection is not None:
+        connection.read_only = None
 
 
 def _prepare_sqlite(connection: sqlite3.Connection, _record: object) -> None:

@@ -9,6 +9,7 @@ from datetime import UTC, datetime, timedelta
 import pytest
 from fastapi import APIRouter, Depends
 from fastapi.routing import APIRoute, APIWebSocketRoute, iter_route_contexts
+from fastapi.sse import format_sse_event
 from starlette.testclient import WebSocketDenialResponse
 from starlette.websockets import WebSocketDisconnect
 
@@ -36,6 +37,8 @@ OPENED_BY = {
     "GET /v1/maps/{map}/drives/{drive}": {READ, WRITE},
     "PATCH /v1/maps/{map}/drives/{drive}": {WRITE},
     "DELETE /v1/maps/{map}/drives/{drive}": {WRITE},
+    "GET /v1/maps/{map}/drives/{drive}/scans": {READ, WRITE},
+    "POST /v1/maps/{map}/drives/{drive}/scans": {WRITE},
     "GET /v1/maps/{map}/drives/{drive}/scans/{index}": {READ},
     "PUT /v1/maps/{map}/drives/{drive}/scans/{index}": {WRITE},
     "PUT /v1/maps/{map}/drives/{drive}/poses": {WRITE},
@@ -66,6 +69,7 @@ OPENED_BY = {
     "GET /v1/keys/{key}": set(),
     "DELETE /v1/keys/{key}": set(),
     "GET /v1/audit": set(),
+    "GET /metrics": set(),
     "POST /v1/tokens": {READ, WRITE, LOCALIZE},
 }
 """Which scopes open a route, besides `admin`, which opens all."""
@@ -345,11 +349,20 @@ def test_the_events_of_a_job_end_when_the_key_is_revoked(tmp_path, built, monkey
         queued = client.post("/v1/maps/campus/builds", json={"segments": 2}, headers=headers)
         job, store = queued.json()["job"], client.service.store
 
-        def revoke_when_it_runs():
+        begun = threading.Event()
+
+        def noting(**told):
+            begun.set()
+            return format_sse_event(**told)
+
+        monkeypatch.setattr("app.job_events.format_sse_event", noting)
+
+        def revoke_when_it_is_told():
+            assert begun.wait(60)
             until(lambda: store.jobs.get(job).state == "running", "it does not run")
             store.keys.revoke(made["key"])
 
-        revoking = threading.Thread(target=revoke_when_it_runs)
+        revoking = threading.Thread(target=revoke_when_it_is_told)
         revoking.start()
         told = client.get(f"/v1/jobs/{job}/events", headers=headers)
         revoking.join()
@@ -381,6 +394,7 @@ def test_what_is_hidden_reads_as_what_is_not_there(client, of_dock):
         client.get(f"/v1/maps/{slug}", headers=headers).json()
         for slug, headers in (("campus", of_dock), ("nowhere", ADMIN))
     )
+    assert hidden.pop("request_id") != missing.pop("request_id")
     assert hidden == {**missing, "detail": missing["detail"].replace("nowhere", "campus")}
 
 
