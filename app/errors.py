@@ -189,6 +189,7 @@ STATUS: dict[type[core.TensorMapError], HTTPStatus] = {
     stored.MapChanged: S.PRECONDITION_FAILED,
     stored.ScanConflict: S.CONFLICT,
     stored.DriveClosed: S.CONFLICT,
+    stored.ReturnsGone: S.CONFLICT,
     stored.NoLiveRevision: S.CONFLICT,
     stored.RevisionIsLive: S.CONFLICT,
     stored.AmbiguousRevision: S.CONFLICT,

@@ -15,6 +15,7 @@ from app.access.answer_headers import AnswerHeaders
 from app.access.origins import allow_origins
 from app.access.trail import AuditTrail
 from app.bodies import BodyGuard
+from app.collector import GarbageCollector
 from app.errors import add_handlers
 from app.jobs.runner import JobRunner
 from app.metrics import Metrics
@@ -26,6 +27,7 @@ from app.service import Service
 from app.settings import Settings
 from app.threads import one_blas_thread
 from app.tracks import Tracks
+from storage.catalog import JobRecord
 from storage.store import Store
 
 __all__ = ["create_app"]
@@ -89,8 +91,15 @@ def _start(settings: Settings, metrics: Metrics) -> Service:
     if made is not None:
         # The one place where a key is shown: only its hash is kept.
         print(f"Administrator key, shown this once: {made}", flush=True)  # noqa: T201
-    runner = JobRunner(settings, store, ended=metrics.built)
+    collector = GarbageCollector(settings, store)
+
+    def ended(job: JobRecord) -> None:
+        metrics.built(job)
+        collector.wake()
+
+    runner = JobRunner(settings, store, ended=ended)
     runner.start()
+    collector.start()
     return Service(
         settings=settings,
         store=store,
@@ -99,9 +108,11 @@ def _start(settings: Settings, metrics: Metrics) -> Service:
         access=access,
         tracks=Tracks(settings.max_tracks, settings.track_idle_s),
         metrics=metrics,
+        collector=collector,
     )
 
 
 def _stop(service: Service) -> None:
     service.runner.stop()
+    service.collector.stop()
     service.store.close()

@@ -1,6 +1,5 @@
 """What routes, jobs and commands do: siblings over these functions."""
 
-import hashlib
 import logging
 from collections.abc import Sequence
 from contextlib import ExitStack
@@ -11,6 +10,7 @@ from typing import Any
 
 from app.jobs.parameters import BuildParameters
 from app.plans import KeptBasis, Plan, plan_build
+from app.stored_images import images_path, open_images
 from core.arrays import Float32Array, FloatArray
 from core.builder import build_map
 from core.drive import Drive
@@ -23,13 +23,8 @@ from core.tensormap import TensorMap
 from core.topology import cut_at_meetings
 from core.trajectory import Trajectory
 from storage.catalog import Act, RevisionFacts, RevisionRecord, on_behalf
-from storage.errors import CorruptImages, NotFound
-from storage.image_file import (
-    ImageFile,
-    image_file_name,
-    remove_other_versions,
-    write_image_file,
-)
+from storage.errors import CorruptImages
+from storage.image_file import ImageFile, write_image_file
 from storage.map_file import write_map
 from storage.store import Store, StoredDrive
 
@@ -73,13 +68,14 @@ def build_revision(
     """Build a revision of a stored map and publish it.
 
     Images are kept beside the drive: another build with the same projection reads no raw return.
-    Should they turn out to be damaged, they are made anew, once. The map is the one of this id to
-    the end, whatever becomes of its slug.
+    Should they turn out to be damaged, they are made anew, once, if the returns are there. The map
+    is the one of this id to the end, whatever becomes of its slug.
 
     Raises:
         MapNotFound: If the map is gone, also if that happens during the build.
         DriveNotFound: If the map lacks one of the drives, or no longer has it.
         EmptyDrive: If it has no drive, or one has no usable scan.
+        ReturnsGone: If images are not kept, and the returns that they are made of were dropped.
         Cancelled: If `progress` says so; nothing is published.
         TensorMapError: What `app.plans.plan_build` raises.
     """
@@ -91,7 +87,8 @@ def build_revision(
     except CorruptImages as error:
         _log.warning("%s; the images are made anew from the raw returns", error)
         for drive in drives:
-            _images_path(store, drive, map_parameters).unlink(missing_ok=True)
+            if drive.has_returns.all():
+                images_path(store, drive, map_parameters).unlink(missing_ok=True)
         built = _build_stored(store, drives, plan, map_parameters, progress)
     tensor_map = built.tensor_map
     facts = RevisionFacts(
@@ -111,6 +108,7 @@ def build_revision(
         job_id=job_id,
         bases=tensor_map.basis_digests,
         notes=built.notes,
+        drive_ids={drive.name: drive.id for drive in drives},
     )
     act = Act(
         "service",
@@ -175,7 +173,7 @@ def _build_stored(
 ) -> Built:
     with ExitStack() as stack:
         images = [
-            stack.enter_context(_stored_images(store, drive, map_parameters, progress))
+            stack.enter_context(open_images(store, drive, map_parameters, progress))
             for drive in drives
         ]
         kept = None if plan.kept is None else plan.kept.radial_basis
@@ -269,37 +267,3 @@ def _resolved(parameters: MapParameters) -> dict[str, Any]:
         "distance": None if parameters.distance is None else parameters.distance.value,
         "lateral_renderings_m": None if offsets is None else list(offsets),
     }
-
-
-def _stored_images(
-    store: Store, drive: StoredDrive, parameters: MapParameters, progress: Progress
-) -> ImageFile:
-    """Open a stored drive's images, projecting them first if they are not kept yet."""
-    path = _images_path(store, drive, parameters)
-    kept: ImageFile | None = None
-    if path.exists():
-        try:
-            kept = ImageFile(path, parameters.imager)
-            if kept.probes is not None:
-                return kept
-        except CorruptImages as error:
-            _log.warning("%s; they are made anew from the raw returns", error)
-    try:
-        write_image_file(path, drive, parameters.imager, progress)
-    except (FileNotFoundError, NotFound):  # files go when their map or drive is deleted
-        if kept is not None:
-            _log.warning("drive %s: its returns are gone, and there are no probes", drive.name)
-            return kept
-        store.maps.get_by_id(drive.map_id)
-        store.drives.images_folder(drive)
-        raise
-    if kept is not None:
-        kept.close()
-    remove_other_versions(path)
-    return ImageFile(path, parameters.imager)
-
-
-def _images_path(store: Store, drive: StoredDrive, parameters: MapParameters) -> Path:
-    digest = hashlib.sha256("\n".join(drive.digests).encode()).hexdigest()
-    name = image_file_name(parameters.imager, digest)
-    return store.drives.images_folder(drive) / name

@@ -2,6 +2,7 @@
 
 import threading
 from collections import OrderedDict
+from contextlib import suppress
 from dataclasses import dataclass
 
 from core.errors import StaleSignature
@@ -9,11 +10,19 @@ from core.localizer import Localizer
 from core.signature import REVISION_PREFIX_BYTES
 from core.tensormap import TensorMap
 from storage.catalog import MapRecord
-from storage.errors import AmbiguousRevision, CorruptFile, NoLiveRevision, RevisionNotFound
+from storage.errors import (
+    AmbiguousRevision,
+    CorruptFile,
+    NoLiveRevision,
+    RevisionNotFound,
+    StorageBusy,
+)
 from storage.map_file import read_map
 from storage.store import Store
 
 __all__ = ["Answering", "LoadedRevisions"]
+
+_ATTEMPTS = 20
 
 
 @dataclass(frozen=True)
@@ -51,9 +60,13 @@ class LoadedRevisions:
             MapNotFound: If there is no such map.
             NoLiveRevision: If nothing was built of it yet.
             CorruptFile: If its file is not what was written.
+            StorageBusy: If another one becomes live again and again while it is read.
         """
-        of_map, live = self._live(map_slug)
-        return Answering(self._get(map_slug, of_map.id, live), live)
+        for _ in range(_ATTEMPTS):
+            of_map, live = self._live(map_slug)
+            with suppress(RevisionNotFound):  # another became live, and this one was not retained
+                return Answering(self._get(map_slug, of_map.id, live), live)
+        raise StorageBusy(f"another revision of {map_slug!r} became live {_ATTEMPTS} times")
 
     def named(self, map_slug: str, revision: str) -> Answering:
         """Return a retained revision by its digest or a prefix of at least 12 digits.
@@ -84,21 +97,26 @@ class LoadedRevisions:
             StaleSignature: If the map has nothing of that name, or no longer; names the live one.
             CorruptFile: If its file is not what was written.
         """
-        of_map, live = self._live(map_slug)
+        _, live = self._live(map_slug)
         stale = StaleSignature(
             f"map {map_slug!r} has no revision or basis {revision[:64] or '(none)'!r}, or no"
             f" longer; live is {live}"
         )
         if len(revision) < 2 * REVISION_PREFIX_BYTES:
             raise stale
-        holder = self._store.revisions.with_basis(map_slug, revision)
+        for _ in range(_ATTEMPTS):
+            holder = self._store.revisions.with_basis(map_slug, revision)
+            if holder is None:
+                break
+            with suppress(RevisionNotFound):  # not retained since; another may have the basis
+                return self.named(map_slug, holder.digest)
         try:
-            return self.named(map_slug, revision if holder is None else holder.digest)
+            return self.named(map_slug, revision)
         except (RevisionNotFound, AmbiguousRevision):
             # A revision from before bases had names of their own has none in the catalog.
-            localizer = self._get(map_slug, of_map.id, live)
-            if localizer.answers(revision):
-                return Answering(localizer, live)
+            answering = self.live(map_slug)
+            if answering.localizer.answers(revision):
+                return answering
             raise stale from None
 
     def _live(self, map_slug: str) -> tuple[MapRecord, str]:

@@ -6,6 +6,7 @@ from typing import Annotated
 from fastapi import Depends, Path, Request
 
 from app.access.access import Access
+from app.collector import GarbageCollector
 from app.jobs.runner import JobRunner
 from app.metrics import Metrics
 from app.revisions import LoadedRevisions
@@ -28,6 +29,7 @@ class Service:
         access: Who may ask.
         tracks: Vehicles that are followed.
         metrics: What is counted.
+        collector: Removes what is not retained.
     """
 
     settings: Settings
@@ -37,6 +39,7 @@ class Service:
     access: Access
     tracks: Tracks
     metrics: Metrics
+    collector: GarbageCollector
 
 
 def running_service(request: Request) -> Service:

@@ -9,6 +9,7 @@ from pydantic import Field, SecretStr, field_validator
 from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
 
 from app.logs import LogFormat
+from storage.retention import LONGEST_DAYS, MOST_REVISIONS, RawScans, Retention
 
 __all__ = ["Settings", "is_loopback"]
 
@@ -65,6 +66,24 @@ class Settings(BaseSettings):
     loaded_revisions: int = Field(
         8, ge=1, description="How many revisions are kept in memory to answer queries."
     )
+    retained_revisions: Annotated[int, Field(ge=0, le=MOST_REVISIONS)] | Literal["all"] = Field(
+        "all",
+        description="How many revisions of a map are kept besides the live and the newest one, or"
+        " `all`; a map may choose otherwise.",
+    )
+    retained_for_days: float = Field(
+        30.0,
+        ge=0.0,
+        le=LONGEST_DAYS,
+        allow_inf_nan=False,
+        description="How long any revision is kept after it was built or, if it was live, replaced;"
+        " a map may choose otherwise.",
+    )
+    raw_scans: RawScans = Field(
+        RawScans.KEEP,
+        description="`drop` removes the returns of closed drives that the live revision was built"
+        " of; a map may choose otherwise.",
+    )
     max_tracks: int = Field(
         1000, ge=1, description="How many vehicles are tracked at once; another is refused."
     )
@@ -85,6 +104,11 @@ class Settings(BaseSettings):
         description="Origins of other sites whose pages may ask, as `https://maps.example`, comma"
         " between; none by default.",
     )
+
+    @property
+    def retention(self) -> Retention:
+        """What maps keep that have not chosen otherwise."""
+        return Retention(self.retained_revisions, self.retained_for_days, self.raw_scans)
 
     @field_validator("allowed_origins", mode="before")
     @classmethod

@@ -50,7 +50,7 @@ CATALOG, STORE_ID, MANIFEST = "catalog.sqlite3", "store-id", "manifest.json"
 
 _PASSES = 50  # each one that fails met a deletion or compaction, which are rare
 _SCANS = """SELECT drives.map_id, drives.id, chunk, chunk_row, digest FROM scans
-            JOIN drives ON drives.id = scans.drive_id ORDER BY 1, 2, 3, 4"""
+            JOIN drives ON drives.id = scans.drive_id WHERE chunk <> '' ORDER BY 1, 2, 3, 4"""
 _REVISIONS = "SELECT map_id, file_name, digest FROM revisions ORDER BY 1, 2"
 
 

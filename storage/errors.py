@@ -13,6 +13,7 @@ StorageError                 a TensorMapError
 │   ├── MapChanged           the map is no longer at the version the caller saw
 │   ├── ScanConflict         other content is stored at this index
 │   ├── DriveClosed          a closed drive takes no new scans
+│   ├── ReturnsGone          the returns of a scan were dropped after a build
 │   ├── NoLiveRevision       the map has no revision to answer with yet
 │   ├── RevisionIsLive       the live revision cannot be deleted
 │   ├── AmbiguousRevision    several digests begin with this prefix
@@ -47,6 +48,7 @@ __all__ = [
     "MapNotFound",
     "NoLiveRevision",
     "NotFound",
+    "ReturnsGone",
     "RevisionIsLive",
     "RevisionNotFound",
     "ScanConflict",
@@ -110,6 +112,10 @@ class ScanConflict(Conflict):
 
 class DriveClosed(Conflict):
     """A closed drive takes no new scans."""
+
+
+class ReturnsGone(Conflict):
+    """The returns of a scan were dropped after a build, as the map's policy asks."""
 
 
 class NoLiveRevision(Conflict):

@@ -8,6 +8,7 @@ from app.jobs.parameters import BuildParameters
 from app.plans import plan_build
 from app.schemas.jobs import JobOut
 from app.service import MapSlug, Running
+from app.stored_images import require_images
 from core.errors import EmptyDrive, InvalidParameters, UnknownDrive
 from storage.errors import (
     AmbiguousRevision,
@@ -15,6 +16,7 @@ from storage.errors import (
     DriveNotFound,
     MapNotFound,
     NoLiveRevision,
+    ReturnsGone,
     RevisionNotFound,
 )
 
@@ -37,6 +39,7 @@ router = APIRouter(tags=["builds"])
         EmptyDrive,
         InvalidParameters,
         CorruptFile,
+        ReturnsGone,
         *JSON_BODY,
         *WRITING,
     ),
@@ -47,7 +50,7 @@ def build(
     """Queue a build; follow it at `Location`.
 
     What can be refused now is refused now: unknown drives, a base that is not there, a map without
-    scans, parameters that do not fit the sensor.
+    scans, parameters that do not fit the sensor, images of returns that were dropped.
 
     With `base`, the new revision is that one with the drives of `add` after its own and without
     those of `remove`. A harmonic map keeps its basis, so that the signatures of vehicles stay good,
@@ -55,6 +58,7 @@ def build(
     """
     record = running.store.maps.get(map_slug)
     plan = plan_build(running.store, record.id, parameters)
+    require_images(running.store, record.id, plan.drives, plan.parameters.map_parameters())
     job = running.store.jobs.create(map_slug, plan.parameters.as_json())
     running.runner.wake()
     response.headers["Location"] = f"/v1/jobs/{job.id}"

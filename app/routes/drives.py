@@ -28,6 +28,7 @@ from storage.errors import (
     DriveNotFound,
     InvalidSlug,
     MapNotFound,
+    ReturnsGone,
     ScanConflict,
     ScanNotFound,
 )
@@ -179,7 +180,15 @@ def put_scan(
     response_class=Response,
     responses={
         **_NPY,
-        **problems(MapNotFound, DriveNotFound, ScanNotFound, CorruptFile, InvalidRequest, *READING),
+        **problems(
+            MapNotFound,
+            DriveNotFound,
+            ScanNotFound,
+            ReturnsGone,
+            CorruptFile,
+            InvalidRequest,
+            *READING,
+        ),
     },
 )
 def get_scan(

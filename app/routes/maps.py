@@ -35,7 +35,7 @@ def create_map(wanted: MapIn, running: Running, response: Response, asking: Aski
     record = running.store.maps.create(wanted.map, wanted.description)
     response.headers["Location"] = f"/v1/maps/{record.slug}"
     response.headers["ETag"] = etag_of(record.version)
-    return MapOut.from_record(record)
+    return MapOut.from_record(record, running.settings.retention)
 
 
 @router.get(
@@ -46,7 +46,9 @@ def list_maps(
 ) -> PageOut[MapOut]:
     """List the maps by name, those within the limits of the key."""
     page = running.store.maps.list(after, limit, slugs=asking.maps)
-    return PageOut(items=[MapOut.from_record(r) for r in page.items], next_after=page.next_after)
+    default = running.settings.retention
+    items = [MapOut.from_record(record, default) for record in page.items]
+    return PageOut(items=items, next_after=page.next_after)
 
 
 @router.get(
@@ -56,7 +58,7 @@ def get_map(map_slug: MapSlug, running: Running, response: Response) -> MapOut:
     """Show a map."""
     record = running.store.maps.get(map_slug)
     response.headers["ETag"] = etag_of(record.version)
-    return MapOut.from_record(record)
+    return MapOut.from_record(record, running.settings.retention)
 
 
 @router.patch(
@@ -71,12 +73,20 @@ def update_map(
     response: Response,
     if_match: IfMatch = None,
 ) -> MapOut:
-    """Change a map's description."""
+    """Change a map's description, or what is kept of it."""
+    kept = None if change.retention is None else change.retention.model_dump(exclude_unset=True)
+    if kept:
+        note("retention " + ", ".join(f"{name}={value}" for name, value in kept.items()))
     record = running.store.maps.update(
-        map_slug, description=change.description, if_version=version_seen(if_match)
+        map_slug,
+        description=change.description,
+        retention=kept,
+        if_version=version_seen(if_match),
     )
+    if kept:
+        running.collector.wake()
     response.headers["ETag"] = etag_of(record.version)
-    return MapOut.from_record(record)
+    return MapOut.from_record(record, running.settings.retention)
 
 
 @router.delete(

@@ -125,6 +125,7 @@ def import_a_revision(
     if not body:
         raise EmptyBody("the body is empty, wanted a map's file")
     record, added = import_revision(running.store, map_slug, body, make_live=bool(make_live))
+    running.collector.wake()
     if not added:
         response.status_code = status.HTTP_200_OK
     response.headers["Location"] = f"/v1/maps/{map_slug}/revisions/{record.digest}"
@@ -190,9 +191,10 @@ def make_live(
     """Make a revision live: to go ahead, or to roll back."""
     note(f"revision {wanted.revision}")
     running.store.revisions.set_live(map_slug, wanted.revision, if_version=version_seen(if_match))
+    running.collector.wake()
     record = running.store.maps.get(map_slug)
     response.headers["ETag"] = etag_of(record.version)
-    return MapOut.from_record(record)
+    return MapOut.from_record(record, running.settings.retention)
 
 
 @router.get(

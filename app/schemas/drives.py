@@ -31,7 +31,11 @@ class DriveOut(BaseModel):
     closed: bool = Field(description="A closed drive takes no new scans.")
     scans: int
     returns: int = Field(description="Of all scans together.")
-    size_bytes: int = Field(description="What the returns take on disk.")
+    size_bytes: int = Field(description="What the returns that are kept take on disk.")
+    scans_without_returns: int = Field(
+        description="Scans whose returns were dropped after a build, as the map's policy asks. They"
+        " stay listed, and sent again they are known; builds use the images that were kept."
+    )
     present: list[IndexRangeOut] = Field(description="The indices that are stored.")
     gaps: list[IndexRangeOut] = Field(description="The indices that are missing in between.")
 
@@ -45,6 +49,7 @@ class DriveOut(BaseModel):
             scans=record.scans,
             returns=record.returns,
             size_bytes=record.size_bytes,
+            scans_without_returns=record.dropped_scans,
             present=[IndexRangeOut.from_record(item) for item in record.present],
             gaps=[IndexRangeOut.from_record(item) for item in record.gaps],
         )
@@ -67,6 +72,9 @@ class ScanOut(BaseModel):
     digest: str = Field(description="SHA-256 of the returns as little-endian float32.")
     timestamp_s: float | None
     has_pose: bool
+    returns_kept: bool = Field(
+        description="False once its returns were dropped after a build; the digest stays."
+    )
 
     @classmethod
     def from_record(cls, record: ScanRecord) -> "ScanOut":
@@ -78,4 +86,5 @@ class ScanOut(BaseModel):
             digest=record.digest,
             timestamp_s=None if math.isnan(record.timestamp_s) else record.timestamp_s,
             has_pose=record.pose is not None,
+            returns_kept=record.has_returns,
         )

@@ -17,6 +17,9 @@ class PresentOut(BaseModel):
     drive: str
     closed: bool = Field(description="A closed drive takes no new scans.")
     scans: int
+    scans_without_returns: int = Field(
+        description="Those whose returns were dropped after a build; they need not be sent again."
+    )
     present: list[IndexRangeOut] = Field(description="The indices that are stored.")
     gaps: list[IndexRangeOut] = Field(description="The indices that are missing in between.")
 
@@ -27,6 +30,7 @@ class PresentOut(BaseModel):
             drive=record.slug,
             closed=record.closed,
             scans=record.scans,
+            scans_without_returns=record.dropped_scans,
             present=[IndexRangeOut.from_record(item) for item in record.present],
             gaps=[IndexRangeOut.from_record(item) for item in record.gaps],
         )

@@ -3,6 +3,7 @@
 from contextlib import AbstractContextManager, nullcontext
 
 from storage.catalog.audit import Audit
+from storage.catalog.collection import Collector
 from storage.catalog.database import Database
 from storage.catalog.drives import Drives
 from storage.catalog.jobs import Jobs
@@ -37,6 +38,7 @@ class Catalog:
         self.drives = Drives(self._database)
         self.scans = Scans(self._database)
         self.revisions = Revisions(self._database)
+        self.collector = Collector(self._database)
         self.jobs = Jobs(self._database)
         self.keys = Keys(self._database)
         self.tokens = Tokens(self._database)

@@ -3,7 +3,7 @@
 from collections import defaultdict
 from collections.abc import Sequence
 
-from sqlalchemy import delete, func, select
+from sqlalchemy import case, delete, func, select
 from sqlalchemy.orm import Session
 
 from storage.catalog.database import Database
@@ -138,7 +138,11 @@ def _records(session: Session, rows: Sequence[Drive]) -> list[DriveRecord]:
     rank = func.row_number().over(partition_by=Scan.drive_id, order_by=Scan.index)
     ranked = (
         select(
-            Scan.drive_id, Scan.index.label("at"), Scan.returns, (Scan.index - rank).label("island")
+            Scan.drive_id,
+            Scan.index.label("at"),
+            Scan.returns,
+            case((Scan.chunk == "", 1), else_=0).label("dropped"),
+            (Scan.index - rank).label("island"),
         )
         .where(Scan.drive_id.in_([row.id for row in rows]))
         .subquery()
@@ -149,15 +153,21 @@ def _records(session: Session, rows: Sequence[Drive]) -> list[DriveRecord]:
             func.min(ranked.c.at),
             func.max(ranked.c.at),
             func.sum(ranked.c.returns),
+            func.sum(ranked.c.dropped),
+            func.sum(ranked.c.dropped * ranked.c.returns),
         )
         .group_by(ranked.c.drive_id, ranked.c.island)
         .order_by(ranked.c.drive_id, func.min(ranked.c.at))
     )
     present: dict[str, list[IndexRange]] = defaultdict(list)
     returns: dict[str, int] = defaultdict(int)
-    for drive_id, first, last, count in session.execute(islands):
+    dropped_scans: dict[str, int] = defaultdict(int)
+    dropped_returns: dict[str, int] = defaultdict(int)
+    for drive_id, first, last, count, without, gone in session.execute(islands):
         present[drive_id].append(IndexRange(first, last))
         returns[drive_id] += int(count)
+        dropped_scans[drive_id] += int(without)
+        dropped_returns[drive_id] += int(gone)
     return [
         DriveRecord(
             id=row.id,
@@ -167,6 +177,8 @@ def _records(session: Session, rows: Sequence[Drive]) -> list[DriveRecord]:
             closed=row.closed,
             scans=sum(span.last - span.first + 1 for span in present[row.id]),
             returns=returns[row.id],
+            dropped_scans=dropped_scans[row.id],
+            kept_returns=returns[row.id] - dropped_returns[row.id],
             present=tuple(present[row.id]),
         )
         for row in rows

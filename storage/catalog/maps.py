@@ -1,8 +1,9 @@
 """Maps in the catalog."""
 
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 from datetime import UTC, datetime
+from typing import Any
 
 from sqlalchemy import delete, select
 from sqlalchemy.exc import IntegrityError
@@ -14,6 +15,7 @@ from storage.catalog.pages import DEFAULT_LIMIT, one_more, page_of
 from storage.catalog.records import MapRecord, Page
 from storage.errors import MapChanged, MapExists, MapNotFound
 from storage.names import checked_slug, new_id
+from storage.retention import OwnRetention
 
 __all__ = ["Maps", "held_map", "locked_map", "map_named", "map_of_id"]
 
@@ -92,6 +94,7 @@ class Maps:
         *,
         new_slug: str | None = None,
         description: str | None = None,
+        retention: Mapping[str, Any] | None = None,
         if_version: int | None = None,
     ) -> MapRecord:
         """Change what is given; a change counts up the map's version.
@@ -100,12 +103,14 @@ class Maps:
             slug: The map.
             new_slug: What it is called from now on.
             description: What it is about.
+            retention: What changes of its `OwnRetention`; the rest of that stays.
             if_version: Change it only if this is still its version.
 
         Raises:
             MapNotFound: If there is none of that slug.
             MapExists: If another map has the new slug.
             MapChanged: If its version is another.
+            InvalidParameters: If it cannot keep what `retention` says.
         """
         with _named_taken(new_slug or slug), self._database.writing() as session:
             row = locked_map(session, slug, if_version)
@@ -114,6 +119,10 @@ class Maps:
                 row.slug = new_slug
             if description is not None:
                 row.description = plain(description)
+            if retention is not None:
+                chosen = _retention(row).changed(retention).chosen()
+                if chosen != (row.retention or {}):
+                    row.retention = chosen or None
             if session.is_modified(row):
                 row.version += 1
             session.flush()
@@ -200,6 +209,10 @@ def _live(session: Session, row: Map) -> str | None:
     return session.scalar(select(LiveRevision.digest).where(LiveRevision.map_id == row.id))
 
 
+def _retention(row: Map) -> OwnRetention:
+    return OwnRetention.from_chosen(row.retention or {})
+
+
 def _record(row: Map, live_revision: str | None) -> MapRecord:
     return MapRecord(
         id=row.id,
@@ -208,4 +221,5 @@ def _record(row: Map, live_revision: str | None) -> MapRecord:
         created_at=row.created_at,
         version=row.version,
         live_revision=live_revision,
+        retention=_retention(row),
     )

@@ -131,6 +131,8 @@ class Map(Base):
     description: Mapped[str] = mapped_column(PlainText())
     created_at: Mapped[datetime]
     version: Mapped[int]
+    # What it has chosen of `storage.retention.Retention`; the service's defaults fill in the rest.
+    retention: Mapped[dict[str, Any] | None] = mapped_column(JSON(none_as_null=True))
 
 
 class Drive(Base):
@@ -155,7 +157,7 @@ class Scan(Base):
         Id, ForeignKey("drives.id", ondelete="CASCADE"), primary_key=True
     )
     index: Mapped[int] = mapped_column("scan_index", BigInteger, primary_key=True)
-    chunk: Mapped[str] = mapped_column(PlainString(64))
+    chunk: Mapped[str] = mapped_column(PlainString(64))  # empty: its returns were dropped
     row: Mapped[int] = mapped_column("chunk_row")
     digest: Mapped[str] = mapped_column(Digest)
     returns: Mapped[int]
@@ -195,6 +197,10 @@ class Revision(Base):
     # Not a foreign key: a revision outlives the list of jobs.
     job_id: Mapped[str | None] = mapped_column(Id)
     created_at: Mapped[datetime]
+    # By slug. Not foreign keys: a revision outlives its drives. None of one from elsewhere.
+    drive_ids: Mapped[dict[str, str] | None] = mapped_column(JSON(none_as_null=True))
+    # When it was built last or, if it was live later, replaced; None only to a downgraded schema.
+    retained_from: Mapped[datetime | None]
 
 
 class RevisionBasis(Base):

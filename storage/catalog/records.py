@@ -1,12 +1,13 @@
 """What the catalog answers with: frozen facts, free of any session."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import datetime
 from enum import StrEnum
 from typing import Any, Generic, TypeVar
 
 from core.pose import Pose
+from storage.retention import OwnRetention
 
 __all__ = [
     "DriveRecord",
@@ -46,6 +47,7 @@ class MapRecord:
     Attributes:
         version: Counts the changes of this record, the live revision's included; for ETags.
         live_revision: Digest of the revision that scan queries use, `None` before the first.
+        retention: What it has chosen to keep, where that is not the service's default.
     """
 
     id: str
@@ -54,6 +56,7 @@ class MapRecord:
     created_at: datetime
     version: int
     live_revision: str | None
+    retention: OwnRetention
 
 
 @dataclass(frozen=True)
@@ -71,6 +74,8 @@ class DriveRecord:
     Attributes:
         scans: How many scans it has.
         returns: How many returns they have together.
+        dropped_scans: Of how many scans the returns were dropped after a build.
+        kept_returns: How many returns are stored: those of the other scans.
         present: The indices there are, as ranges in ascending order.
     """
 
@@ -81,6 +86,8 @@ class DriveRecord:
     closed: bool
     scans: int
     returns: int
+    dropped_scans: int
+    kept_returns: int
     present: tuple[IndexRange, ...]
 
     @property
@@ -102,7 +109,7 @@ class DriveRecord:
     @property
     def size_bytes(self) -> int:
         """What the returns take; a chunk file adds some 5 KB to its own."""
-        return self.returns * BYTES_PER_RETURN
+        return self.kept_returns * BYTES_PER_RETURN
 
 
 @dataclass(frozen=True)
@@ -111,7 +118,8 @@ class ScanRecord:
 
     Attributes:
         index: Its index in the drive.
-        chunk: Name of its chunk file; a closed drive's scans move into bigger ones.
+        chunk: Name of its chunk file; a closed drive's scans move into bigger ones. Empty once
+            its returns were dropped.
         row: Its row there.
         digest: SHA-256 of its returns, see `storage.drive_chunks.scan_digest`.
         timestamp_s: Seconds, NaN where unknown.
@@ -126,6 +134,11 @@ class ScanRecord:
     timestamp_s: float
     pose: Pose | None
 
+    @property
+    def has_returns(self) -> bool:
+        """Whether its returns are stored; they are not once they were dropped after a build."""
+        return bool(self.chunk)
+
 
 @dataclass(frozen=True)
 class RevisionFacts:
@@ -134,6 +147,7 @@ class RevisionFacts:
     Attributes:
         bases: Digests of the bases that it answers to.
         notes: What the job that built it tells besides.
+        drive_ids: Ids of the drives that it was built of, by slug; none if that was elsewhere.
     """
 
     encoding: str
@@ -143,11 +157,17 @@ class RevisionFacts:
     job_id: str | None = None
     bases: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
+    drive_ids: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
 class RevisionRecord:
-    """One immutable revision of a map; `file_name` is the HDF5 file that holds it."""
+    """One immutable revision of a map.
+
+    Attributes:
+        file_name: The HDF5 file that holds it.
+        drive_ids: Ids of the drives of this store that it was built of, by slug.
+    """
 
     digest: str
     map_id: str
@@ -159,6 +179,7 @@ class RevisionRecord:
     size_bytes: int
     job_id: str | None
     created_at: datetime
+    drive_ids: Mapping[str, str]
 
 
 class JobState(StrEnum):

@@ -19,7 +19,7 @@ from storage.errors import (
     RevisionNotFound,
 )
 
-__all__ = ["Revisions"]
+__all__ = ["Revisions", "revision_record"]
 
 _SHORTEST_PREFIX = 12  # hex digits; 48 bits, a clash among a million revisions is 1 in 500
 
@@ -51,6 +51,7 @@ class Revisions:
         with self._database.writing() as session:
             of_map = map_of_id(session, map_id, lock=True)
             row = session.get(Revision, (of_map.id, digest))
+            now = datetime.now(UTC)
             if row is None:
                 row = Revision(
                     map_id=of_map.id,
@@ -62,10 +63,13 @@ class Revisions:
                     parameters=dict(facts.parameters),
                     size_bytes=size_bytes,
                     job_id=facts.job_id,
-                    created_at=datetime.now(UTC),
+                    created_at=now,
                 )
                 session.add(row)
-                session.flush()
+            row.retained_from = now
+            if facts.drive_ids:
+                row.drive_ids = dict(facts.drive_ids)
+            session.flush()
             for basis in facts.bases:  # also of one from before they were written down
                 session.merge(RevisionBasis(map_id=of_map.id, basis=basis, digest=digest))
             session.flush()
@@ -73,7 +77,7 @@ class Revisions:
                 _make_live(session, of_map, digest)
             if facts.job_id is not None:
                 finish_if_running(session, facts.job_id, digest, facts.notes)
-            return _record(row)
+            return revision_record(row)
 
     def get(self, map_slug: str, digest: str) -> RevisionRecord:
         """Return a revision by its digest or a prefix of at least 12 digits that only it has.
@@ -84,7 +88,7 @@ class Revisions:
             AmbiguousRevision: If the map has several.
         """
         with self._database.reading() as session:
-            return _record(_found(session, map_named(session, map_slug), digest))
+            return revision_record(_found(session, map_named(session, map_slug), digest))
 
     def of_map(self, map_id: str, digest: str) -> RevisionRecord:
         """Return a revision of the map of that id, whatever its slug names now; else as `get`.
@@ -95,7 +99,7 @@ class Revisions:
             AmbiguousRevision: If it has several.
         """
         with self._database.reading() as session:
-            return _record(_found(session, map_of_id(session, map_id), digest))
+            return revision_record(_found(session, map_of_id(session, map_id), digest))
 
     def with_basis(self, map_slug: str, basis: str) -> RevisionRecord | None:
         """Return the revision that answers to a basis: the live one or else the newest.
@@ -133,7 +137,7 @@ class Revisions:
                 )
                 .limit(1)
             )
-            return None if row is None else _record(row)
+            return None if row is None else revision_record(row)
 
     def live(self, map_slug: str) -> RevisionRecord:
         """Return the live revision.
@@ -147,7 +151,7 @@ class Revisions:
             live = session.get(LiveRevision, of_map.id)
             if live is None:
                 raise NoLiveRevision(f"map {map_slug!r} has no revision yet: build one")
-            return _record(_found(session, of_map, live.digest))
+            return revision_record(_found(session, of_map, live.digest))
 
     def list(
         self, map_slug: str, after: str = "", limit: int = DEFAULT_LIMIT
@@ -168,7 +172,9 @@ class Revisions:
                     raise InvalidParameters(f"the cursor {after[:80]!r} is no revision")
                 query = query.where(order < tuple_(last.created_at, last.digest))
             query = query.order_by(Revision.created_at.desc(), Revision.digest.desc())
-            records = [_record(row) for row in session.scalars(query.limit(one_more(limit)))]
+            records = [
+                revision_record(row) for row in session.scalars(query.limit(one_more(limit)))
+            ]
         return page_of(records, limit, lambda record: record.digest)
 
     def set_live(
@@ -185,7 +191,7 @@ class Revisions:
             of_map = locked_map(session, map_slug, if_version)
             row = _found(session, of_map, digest)
             _make_live(session, of_map, row.digest)
-            return _record(row)
+            return revision_record(row)
 
     def delete(self, map_slug: str, digest: str) -> RevisionRecord:
         """Remove a revision that is not live; return what it was.
@@ -201,7 +207,7 @@ class Revisions:
             live = session.get(LiveRevision, of_map.id)
             if live is not None and live.digest == row.digest:
                 raise RevisionIsLive(f"revision {row.digest[:12]} is live: make another live first")
-            record = _record(row)
+            record = revision_record(row)
             session.execute(
                 delete(Revision).where(
                     Revision.map_id == of_map.id, Revision.digest == record.digest
@@ -227,6 +233,8 @@ def _make_live(session: Session, of_map: Map, digest: str) -> None:
     elif live.digest == digest:
         return
     else:
+        replaced = session.get_one(Revision, (of_map.id, live.digest))
+        replaced.retained_from = datetime.now(UTC)
         live.digest = digest
     of_map.version += 1
     session.flush()
@@ -245,7 +253,8 @@ def _found(session: Session, of_map: Map, digest: str) -> Revision:
     return rows[0]
 
 
-def _record(row: Revision) -> RevisionRecord:
+def revision_record(row: Revision) -> RevisionRecord:
+    """Return what a row says."""
     return RevisionRecord(
         digest=row.digest,
         map_id=row.map_id,
@@ -257,4 +266,5 @@ def _record(row: Revision) -> RevisionRecord:
         size_bytes=row.size_bytes,
         job_id=row.job_id,
         created_at=row.created_at,
+        drive_ids=row.drive_ids or {},
     )

@@ -19,7 +19,7 @@ from storage.catalog.records import BYTES_PER_RETURN, ScanRecord
 from storage.errors import ScanNotFound, StorageBusy
 from storage.names import checked_slug, new_id
 
-__all__ = ["LostRace", "PutTarget", "Scans"]
+__all__ = ["LostRace", "PutTarget", "Scans", "chunks_of"]
 
 
 class LostRace(StorageBusy):
@@ -230,17 +230,18 @@ class Scans:
                     for row, scan in enumerate(scans)
                 ],
             )
-            return old - _chunks(session, drive_id)
+            return old - chunks_of(session, drive_id)
 
     def size_bytes(self) -> int:
-        """Return the size of the returns of all scans of all drives together."""
+        """Return the size of all returns that are stored, of all drives together."""
         with self._database.reading() as session:
-            return int(session.scalar(select(func.sum(Scan.returns))) or 0) * BYTES_PER_RETURN
+            kept = select(func.sum(Scan.returns)).where(Scan.chunk != "")
+            return int(session.scalar(kept) or 0) * BYTES_PER_RETURN
 
     def chunks(self, drive_id: str) -> set[str]:
         """Return the names of the chunk files that hold the scans of a drive."""
         with self._database.reading() as session:
-            return _chunks(session, drive_id)
+            return chunks_of(session, drive_id)
 
 
 def _among(session: Session, drive_id: str, indices: Collection[int]) -> dict[int, ScanRecord]:
@@ -255,8 +256,10 @@ def _among(session: Session, drive_id: str, indices: Collection[int]) -> dict[in
     return {row.index: _record(row) for row in session.scalars(query) if row.index in wanted}
 
 
-def _chunks(session: Session, drive_id: str) -> set[str]:
-    return set(session.scalars(select(Scan.chunk).where(Scan.drive_id == drive_id).distinct()))
+def chunks_of(session: Session, drive_id: str) -> set[str]:
+    """Return the names of the chunk files that hold the scans of a drive."""
+    kept = (Scan.drive_id == drive_id) & (Scan.chunk != "")
+    return set(session.scalars(select(Scan.chunk).where(kept).distinct()))
 
 
 def _update(session: Session, drive_id: str, name: str, values: Mapping[int, object]) -> None:

@@ -12,7 +12,7 @@ from storage.errors import StorageError
 from storage.files import discard
 from storage.names import new_id
 
-__all__ = ["compact"]
+__all__ = ["compact", "in_chunks", "move_into_one"]
 
 _CHUNK_BYTES = 64 * 2**20  # held in memory while it is written; some 90 scans of 60,000 returns
 
@@ -30,26 +30,42 @@ def compact(
         LostRace: If somebody else compacts or removes the drive.
         StorageFull: If no space is left; what is done stays done.
     """
-    records = catalog.scans.of_drive(drive_id)
+    records = [record for record in catalog.scans.of_drive(drive_id) if record.has_returns]
     sizes = Counter(record.chunk for record in records)
-    for group in _groups(records):
+    for group in in_chunks(records):
         if {record.chunk for record in group} == {group[0].chunk} and sizes[group[0].chunk] == len(
             group
         ):
             continue
-        name = f"{new_id()}.h5"
-        scans = [(record.index, read(record)) for record in group]
-        try:
-            write_chunk(chunks / name, scans)
-            emptied = catalog.scans.move(drive_id, group, name)
-        except StorageError:  # nothing was committed, see Drives.put_scans
-            discard(chunks / name)
-            raise
-        for old in emptied:
-            discard(chunks / old)
+        move_into_one(catalog, drive_id, chunks, group, read)
 
 
-def _groups(records: Sequence[ScanRecord]) -> Iterator[list[ScanRecord]]:
+def move_into_one(
+    catalog: Catalog,
+    drive_id: str,
+    chunks: Path,
+    group: Sequence[ScanRecord],
+    read: Callable[[ScanRecord], Scan],
+) -> None:
+    """Move scans into a new chunk file of their own, and remove those that hold none any more.
+
+    Raises:
+        LostRace: If somebody else moves one of them or removes the drive.
+        StorageFull: If no space is left; nothing is changed.
+    """
+    name = f"{new_id()}.h5"
+    scans = [(record.index, read(record)) for record in group]
+    try:
+        write_chunk(chunks / name, scans)
+        emptied = catalog.scans.move(drive_id, group, name)
+    except StorageError:  # nothing was committed, see Drives.put_scans
+        discard(chunks / name)
+        raise
+    for old in emptied:
+        discard(chunks / old)
+
+
+def in_chunks(records: Sequence[ScanRecord]) -> Iterator[list[ScanRecord]]:
     """Split scans, in their order, into groups that fill a chunk."""
     group: list[ScanRecord] = []
     filled = 0

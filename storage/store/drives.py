@@ -2,7 +2,7 @@
 
 import shutil
 import threading
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +16,7 @@ from storage.drive_chunks import read_points, scan_digest, write_chunk
 from storage.errors import (
     CorruptFile,
     DriveClosed,
+    ReturnsGone,
     ScanConflict,
     ScanNotFound,
     StorageBusy,
@@ -24,6 +25,7 @@ from storage.errors import (
 from storage.files import discard, make_folder
 from storage.names import new_id
 from storage.store.compaction import compact
+from storage.store.dropping import drop_returns
 from storage.store.layout import Layout
 from storage.store.stored_drive import StoredDrive
 
@@ -187,6 +189,28 @@ class Drives:
             compact(self._catalog, drive.id, chunks, lambda record: self._read(drive, record.index))
         return drive
 
+    def drop_returns(
+        self, map_id: str, live_revision: str, slug: str, indices: Collection[int]
+    ) -> None:
+        """Drop the returns of scans that the live revision was built of.
+
+        Raises:
+            MapNotFound: If the map is gone.
+            DriveNotFound: If it has no such drive.
+            LostRace: If it changed meanwhile, the drive is open or a job may need the returns.
+            StorageFull: If no space is left for what shares a file with them; nothing is dropped.
+        """
+        (drive,) = self._catalog.drives.of_map(map_id, [slug])
+        chunks = self._layout.chunks(map_id, drive.id)
+        drop_returns(
+            self._catalog,
+            drive,
+            live_revision,
+            indices,
+            chunks,
+            lambda record: self._read(drive, record.index),
+        )
+
     def delete(self, map_slug: str, drive_slug: str) -> DriveRecord:
         """Remove a drive: its rows at once, then its files.
 
@@ -223,6 +247,7 @@ class Drives:
             MapNotFound: If there is no such map.
             DriveNotFound: If it has no such drive.
             ScanNotFound: If the drive has no such scan.
+            ReturnsGone: If its returns were dropped after a build.
             CorruptFile: If what is stored is not what was put.
         """
         return self._read(self.get(map_slug, drive_slug), index)
@@ -251,11 +276,11 @@ class Drives:
 
     def _read(self, drive: DriveRecord, index: int) -> Scan:
         chunks = self._layout.chunks(drive.map_id, drive.id)
-        record = self._catalog.scans.get(drive.id, index)
+        record = self._kept(drive, index)
         try:
             points_m = read_points(chunks / record.chunk, record.row)
         except FileNotFoundError as error:
-            moved = self._catalog.scans.get(drive.id, index)
+            moved = self._kept(drive, index)  # or dropped meanwhile
             if moved.chunk == record.chunk:
                 raise CorruptFile(f"the file of scan {index} is gone: {record.chunk}") from error
             points_m = read_points(chunks / moved.chunk, moved.row)  # compaction came between
@@ -270,6 +295,14 @@ class Drives:
             pose=record.pose,
             dropped_returns=record.dropped_returns,
         )
+
+    def _kept(self, drive: DriveRecord, index: int) -> ScanRecord:
+        record = self._catalog.scans.get(drive.id, index)
+        if not record.has_returns:
+            raise ReturnsGone(
+                f"the returns of scan {index} of drive {drive.slug!r} were dropped after a build"
+            )
+        return record
 
 
 def _check_indices(indices: Sequence[int]) -> None:

@@ -8,6 +8,7 @@ from storage.catalog import Catalog, RevisionFacts, RevisionRecord
 from storage.errors import CorruptFile, StorageError
 from storage.files import discard, make_folder, publish
 from storage.names import new_id
+from storage.retention import Retention
 from storage.store.layout import Layout
 
 __all__ = ["Revisions"]
@@ -25,6 +26,7 @@ class Revisions:
         self.of_map = catalog.revisions.of_map
         self.with_basis = catalog.revisions.with_basis
         self.set_live = catalog.revisions.set_live
+        self.collectable = catalog.collector.collectable
 
     def add(
         self,
@@ -109,6 +111,19 @@ class Revisions:
             RevisionIsLive: If it is the live one.
         """
         record = self._catalog.revisions.delete(map_slug, digest)
+        discard(self.path_of(record))
+        return record
+
+    def collect(self, map_id: str, digest: str, retention: Retention) -> RevisionRecord:
+        """Remove a revision that a policy does not keep: its row, then its file.
+
+        Who has it open, or in memory, can read it to the end.
+
+        Raises:
+            MapNotFound: If the map is gone.
+            LostRace: If it is kept after all: made live meanwhile, or the base of a job.
+        """
+        record = self._catalog.collector.collect(map_id, digest, retention)
         discard(self.path_of(record))
         return record
 

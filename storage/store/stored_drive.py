@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from core.arrays import FloatArray, IntArray, frozen
+from core.arrays import BoolArray, FloatArray, IntArray, frozen
 from core.pose import pose_rows
 from core.scan import Scan
 from storage.catalog import DriveRecord, ScanRecord
@@ -26,6 +26,8 @@ class StoredDrive:
         timestamp_s: `(K,)` seconds, NaN where unknown.
         poses: `(K, 7)` pose rows, sensor to world, NaN where unknown.
         digests: `K` SHA-256 digests of the scans' returns.
+        closed: Whether it takes no more scans.
+        has_returns: `(K,)` whether a scan's returns are still stored.
     """
 
     def __init__(
@@ -36,6 +38,8 @@ class StoredDrive:
         self.timestamp_s: FloatArray = frozen([r.timestamp_s for r in records], np.float64)
         self.poses: FloatArray = frozen(pose_rows([r.pose for r in records]), np.float64)
         self.digests = tuple(record.digest for record in records)
+        self.closed = drive.closed
+        self.has_returns: BoolArray = frozen([r.has_returns for r in records], np.bool_)
         self._read = read
 
     def __len__(self) -> int:
@@ -46,6 +50,7 @@ class StoredDrive:
 
         Raises:
             ScanNotFound: If the drive was deleted meanwhile.
+            ReturnsGone: If its returns were dropped after a build.
             CorruptFile: If what is stored is not what was put.
         """
         return self._read(int(self.scan_index[index]))

@@ -115,7 +115,7 @@ def test_images_that_are_damaged_each_time_end_the_build(store, monkeypatch):
         write_image_file(path, *args)
         damage(store)
 
-    monkeypatch.setattr("app.pipelines.write_image_file", write_and_damage)
+    monkeypatch.setattr("app.stored_images.write_image_file", write_and_damage)
     with pytest.raises(CorruptFile):
         stages_of(store)
     assert store.revisions.list("campus").items == ()
@@ -159,7 +159,7 @@ def test_images_without_probes_are_made_anew_and_without_returns_the_map_is_not_
     def gone(*_):
         raise FileNotFoundError("the returns are gone")
 
-    monkeypatch.setattr("app.pipelines.write_image_file", gone)
+    monkeypatch.setattr("app.stored_images.write_image_file", gone)
     seen, record = stages_of(store)
     assert seen == ["fitting"]
     assert record.parameters["calibrated"] is False

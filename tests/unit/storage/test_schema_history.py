@@ -2,7 +2,7 @@
 
 import json
 import sqlite3
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from typing import Any
 
 import pytest
@@ -12,7 +12,9 @@ from sqlalchemy import create_engine, event, text
 from core.pose import Pose
 from storage.catalog import Catalog, JobState
 from storage.catalog.migrations import _config
+from storage.catalog.models import Revision
 from storage.errors import WrongCatalog
+from storage.retention import OwnRetention
 from storage.store import Store
 
 AT = "2024-02-29 12:00:00.123456"
@@ -106,6 +108,11 @@ def test_a_catalog_of_an_earlier_release_is_upgraded_and_answers(database_url, s
         assert (scan.digest, scan.timestamp_s, scan.pose) == (DIGEST, 12.5, Pose(*POSE))
         revision = catalog.revisions.live("campus")
         assert (revision.encoding, revision.parameters) == ("paper", {"ranks": [5, 5]})
+        assert (revision.drive_ids, found.retention) == ({}, OwnRetention())
+        with catalog._database.reading() as session:  # retained from the upgrade on
+            retained_from = session.get_one(Revision, (M, DIGEST)).retained_from
+        assert retained_from is not None
+        assert retained_from > revision.created_at + timedelta(days=1)
         job = catalog.jobs.get(J)
         assert (job.state, job.revision, job.notes) == (JobState.DONE, DIGEST, ())
         [key] = catalog.keys.list().items

@@ -1,0 +1,69 @@
+"""What a map keeps, over the wire."""
+
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from storage.retention import LONGEST_DAYS, MOST_REVISIONS, OwnRetention, RawScans, Retention
+
+__all__ = [
+    "OwnRetentionOut",
+    "RetainedForDays",
+    "RetainedRevisions",
+    "RetentionOut",
+    "RetentionPatch",
+]
+
+RetainedRevisions = Annotated[int, Field(ge=0, le=MOST_REVISIONS)] | Literal["all"]
+RetainedForDays = Annotated[float, Field(ge=0, le=LONGEST_DAYS, allow_inf_nan=False)]
+
+_COUNT = "How many revisions are kept besides the live and the newest one, or `all`."
+_AGE = "How long any revision is kept after it was built or, if it was live, replaced."
+_RAW = "What becomes of the returns of closed drives that the live revision was built of."
+
+
+class RetentionPatch(BaseModel):
+    """What changes of what a map keeps; null goes back to the service's default."""
+
+    model_config = ConfigDict(
+        extra="forbid",
+        json_schema_extra={"example": {"retained_revisions": 5, "retained_for_days": 30}},
+    )
+
+    retained_revisions: RetainedRevisions | None = Field(None, description=_COUNT)
+    retained_for_days: RetainedForDays | None = Field(None, description=_AGE)
+    raw_scans: RawScans | None = Field(None, description=_RAW)
+
+
+class OwnRetentionOut(BaseModel):
+    """What a map chose to keep; null where the service's default is in force."""
+
+    retained_revisions: RetainedRevisions | None = Field(description=_COUNT)
+    retained_for_days: RetainedForDays | None = Field(description=_AGE)
+    raw_scans: RawScans | None = Field(description=_RAW)
+
+    @classmethod
+    def from_record(cls, own: OwnRetention) -> "OwnRetentionOut":
+        """Show what a map chose."""
+        return cls(
+            retained_revisions=own.retained_revisions,
+            retained_for_days=own.retained_for_days,
+            raw_scans=own.raw_scans,
+        )
+
+
+class RetentionOut(BaseModel):
+    """What is in force."""
+
+    retained_revisions: RetainedRevisions = Field(description=_COUNT)
+    retained_for_days: RetainedForDays = Field(description=_AGE)
+    raw_scans: RawScans = Field(description=_RAW)
+
+    @classmethod
+    def from_core(cls, retention: Retention) -> "RetentionOut":
+        """Show a policy."""
+        return cls(
+            retained_revisions=retention.retained_revisions,
+            retained_for_days=retention.retained_for_days,
+            raw_scans=retention.raw_scans,
+        )

@@ -1,0 +1,42 @@
+"""Dropping the returns of scans that a map was built of: what else is known of them stays."""
+
+from collections.abc import Callable, Collection
+from pathlib import Path
+
+from core.scan import Scan
+from storage.catalog import Catalog, DriveRecord, ScanRecord, on_behalf
+from storage.files import discard
+from storage.store.compaction import in_chunks, move_into_one
+
+__all__ = ["drop_returns"]
+
+
+def drop_returns(
+    catalog: Catalog,
+    drive: DriveRecord,
+    live_revision: str,
+    indices: Collection[int],
+    chunks: Path,
+    read: Callable[[ScanRecord], Scan],
+) -> None:
+    """Drop the returns of some scans of a closed drive.
+
+    What stays in a chunk file with them moves into another one first; then the rows let go of the
+    file, and then it is removed. A crash in between leaves a file too many, which the next start
+    sets aside, and never a row without its file.
+
+    Raises:
+        MapNotFound: If the map is gone.
+        LostRace: If the map changed meanwhile: nothing is dropped.
+        StorageFull: If no space is left for what stays; nothing is dropped.
+    """
+    records = [record for record in catalog.scans.of_drive(drive.id) if record.has_returns]
+    dropped = {record.chunk for record in records if record.index in indices}
+    staying = [
+        record for record in records if record.chunk in dropped and record.index not in indices
+    ]
+    with on_behalf(None):  # nothing is dropped by this
+        for group in in_chunks(staying):
+            move_into_one(catalog, drive.id, chunks, group, read)
+    for chunk in catalog.collector.drop_returns(drive.map_id, live_revision, drive.id, indices):
+        discard(chunks / chunk)

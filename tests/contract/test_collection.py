@@ -1,0 +1,164 @@
+"""What the catalog promises of retention, on every database that it can stand on."""
+
+import math
+from dataclasses import replace
+from datetime import UTC, datetime, timedelta
+
+import pytest
+
+from core.errors import InvalidParameters
+from storage.catalog import Act, Catalog, RevisionFacts, ScanRecord, on_behalf
+from storage.catalog.scans import LostRace
+from storage.errors import MapNotFound, RevisionNotFound
+from storage.retention import OwnRetention, RawScans, Retention
+
+FACTS = RevisionFacts(encoding="harmonic", scans=2, segments=1, parameters={})
+A, B, C, D = (letter * 64 for letter in "abcd")
+NONE = Retention(0, 0.0)
+
+
+@pytest.fixture
+def catalog(database_url):
+    opened = Catalog(database_url)
+    opened.maps.create("campus")
+    yield opened
+    opened.close()
+
+
+def map_id(catalog):
+    return catalog.maps.get("campus").id
+
+
+def add(catalog, *digests, make_live=False, **facts):
+    for digest in digests:
+        catalog.revisions.add(
+            map_id(catalog),
+            digest,
+            f"{digest}.h5",
+            1,
+            replace(FACTS, **facts),
+            make_live=make_live,
+        )
+
+
+def test_a_map_keeps_what_it_chose_until_it_chooses_otherwise(catalog):
+    assert catalog.maps.get("campus").retention == OwnRetention()
+    changed = catalog.maps.update(
+        "campus", retention={"retained_revisions": 3, "raw_scans": RawScans.DROP}
+    )
+    assert changed.version == 2
+    again = catalog.maps.update("campus", retention={"retained_for_days": 1.5})
+    assert again.retention == OwnRetention(3, 1.5, RawScans.DROP)
+    assert catalog.maps.get("campus") == again
+    assert catalog.maps.update("campus", retention={"retained_revisions": 3}).version == 3
+    none = {"retained_revisions": None, "retained_for_days": None, "raw_scans": None}
+    assert catalog.maps.update("campus", retention=none).retention == OwnRetention()
+    with pytest.raises(InvalidParameters):
+        catalog.maps.update("campus", description="x", retention={"retained_for_days": -1.0})
+    assert catalog.maps.get("campus").description == ""
+
+
+def test_what_is_replaced_is_retained_from_then_on(catalog):
+    add(catalog, A, B, C)
+    later = datetime.now(UTC) + timedelta(days=10)
+    assert catalog.collector.collectable(map_id(catalog), Retention(), later) == ()
+    assert catalog.collector.collectable(map_id(catalog), NONE, later) == (B,)
+    catalog.revisions.set_live("campus", C)
+    catalog.revisions.set_live("campus", B)
+    # Replaced last, the newest stays whatever the policy, and A was replaced before.
+    assert catalog.collector.collectable(map_id(catalog), NONE, later) == (A,)
+    assert catalog.collector.collectable(map_id(catalog), Retention(1, 0.0), later) == ()
+    assert catalog.collector.collectable(map_id(catalog), Retention(0, 11.0), later) == ()
+    assert catalog.collector.collectable("0" * 32, NONE, later) == ()
+
+
+def test_a_revision_is_collected_only_while_the_policy_does_not_keep_it(catalog):
+    add(catalog, A, B, C, D)
+    gone = catalog.collector.collect(map_id(catalog), B, NONE)
+    assert (gone.digest, gone.file_name) == (B, f"{B}.h5")
+    with pytest.raises(RevisionNotFound):
+        catalog.revisions.get("campus", B)
+    catalog.revisions.set_live("campus", C)  # after it was found collectable
+    for kept in (B, C, D):
+        with pytest.raises(LostRace), on_behalf(Act("service", "collect", "/")):
+            catalog.collector.collect(map_id(catalog), kept, NONE)
+    with pytest.raises(MapNotFound):
+        catalog.collector.collect("0" * 32, A, NONE)
+    assert not catalog.audit.list().items  # nothing was done
+    with on_behalf(Act("service", "collect", "/")):
+        catalog.collector.collect(map_id(catalog), A, NONE)
+    assert [entry.action for entry in catalog.audit.list().items] == ["collect"]
+
+
+def test_the_base_of_a_job_stays_until_the_job_has_ended(catalog):
+    add(catalog, A, B, C, D)
+    queued = catalog.jobs.create("campus", {"base": B})
+    running = catalog.jobs.create("campus", {"base": C[:12]})
+    catalog.jobs.create("campus", {"base": None})
+    assert catalog.collector.collectable(map_id(catalog), NONE) == ()
+    with pytest.raises(LostRace):
+        catalog.collector.collect(map_id(catalog), B, NONE)
+    catalog.jobs.request_cancel(queued.id)
+    claimed = catalog.jobs.claim()
+    assert claimed is not None
+    assert claimed.id == running.id
+    assert catalog.collector.collectable(map_id(catalog), NONE) == (B,)
+    catalog.jobs.fail(running.id, "Odd", "")
+    assert catalog.collector.collectable(map_id(catalog), NONE) == (B, C)
+
+
+def put(catalog, indices, chunk):
+    target = catalog.scans.target("campus", "monday", indices)
+    records = [
+        ScanRecord(i, chunk, row, A, 100, 0, math.nan, None) for row, i in enumerate(indices)
+    ]
+    catalog.scans.add(target, records)
+    return target.drive_id
+
+
+def test_returns_are_forgotten_and_the_facts_about_their_scans_stay(catalog):
+    drive_id = put(catalog, [0, 1], "one.h5")
+    put(catalog, [2, 3], "two.h5")
+    add(catalog, A, drive_ids={"monday": drive_id})
+    assert catalog.revisions.live("campus").drive_ids == {"monday": drive_id}
+    asked = map_id(catalog), A, drive_id
+    with pytest.raises(LostRace):  # it is open
+        catalog.collector.drop_returns(*asked, {0})
+    catalog.drives.close("campus", "monday")
+    assert catalog.collector.drop_returns(*asked, {0, 1, 2}) == {"one.h5"}
+    assert catalog.collector.drop_returns(*asked, set()) == set()
+    drive = catalog.drives.get("campus", "monday")
+    assert (drive.scans, drive.returns, drive.dropped_scans) == (4, 400, 3)
+    assert drive.size_bytes == catalog.scans.size_bytes() == 1200
+    assert catalog.scans.chunks(drive_id) == {"two.h5"}
+    records = catalog.scans.of_drive(drive_id)
+    assert [record.has_returns for record in records] == [False, False, False, True]
+    assert {record.digest for record in records} == {A}
+    assert catalog.collector.drop_returns(*asked, {3}) == {"two.h5"}
+
+
+def test_returns_stay_while_a_job_may_need_them_or_another_revision_is_live(catalog):
+    drive_id = put(catalog, [0], "one.h5")
+    catalog.drives.close("campus", "monday")
+    add(catalog, A, B)
+    asked = drive_id, {0}
+    job = catalog.jobs.create("campus", {})
+    assert catalog.collector.has_open_job(map_id(catalog))
+    with pytest.raises(LostRace):
+        catalog.collector.drop_returns(map_id(catalog), A, *asked)
+    catalog.jobs.request_cancel(job.id)
+    assert not catalog.collector.has_open_job(map_id(catalog))
+    with pytest.raises(LostRace):
+        catalog.collector.drop_returns(map_id(catalog), B, *asked)
+    with pytest.raises(LostRace):
+        catalog.collector.drop_returns(map_id(catalog), A, "0" * 32, {0})
+    assert catalog.scans.get(drive_id, 0).has_returns
+    assert catalog.collector.drop_returns(map_id(catalog), A, *asked) == {"one.h5"}
+
+
+def test_a_revision_from_elsewhere_keeps_what_is_known_of_its_drives(catalog):
+    add(catalog, A, drive_ids={"monday": "1" * 32})
+    add(catalog, A)  # imported, the same
+    assert catalog.revisions.get("campus", A).drive_ids == {"monday": "1" * 32}
+    add(catalog, B)
+    assert catalog.revisions.get("campus", B).drive_ids == {}
