@@ -21,6 +21,7 @@ def judge_closures(
         MapNotFound: If there is no such map.
         DriveNotFound: If a drive of a stored scan is not there.
         ScanNotFound: If a stored scan is not there, or is not in the revision that is asked.
+        ReturnsGone: If the returns of a stored scan were dropped after a build.
         NoLiveRevision: If nothing was built yet, and that is needed.
         InvalidScan: If a stored scan shows nothing that stands above the ground.
         TensorMapError: What `Localizer.compare` raises of signatures.

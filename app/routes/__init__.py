@@ -14,6 +14,7 @@ from app.errors import (
 from app.routes import (
     audit,
     builds,
+    comparisons,
     drives,
     health,
     jobs,
@@ -48,6 +49,7 @@ def api() -> APIRouter:
         builds,
         jobs,
         revisions,
+        comparisons,
         localizations,
         loop_closures,
         tracks,

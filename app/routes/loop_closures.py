@@ -8,7 +8,14 @@ from app.errors import JSON_BODY, READING, problems
 from app.schemas.loop_closures import LoopClosureOut, LoopClosuresIn, LoopClosuresOut
 from app.service import MapSlug, Running
 from core.errors import InvalidScan, InvalidSignature, StaleSignature, UnknownSegment
-from storage.errors import CorruptFile, DriveNotFound, MapNotFound, NoLiveRevision, ScanNotFound
+from storage.errors import (
+    CorruptFile,
+    DriveNotFound,
+    MapNotFound,
+    NoLiveRevision,
+    ReturnsGone,
+    ScanNotFound,
+)
 
 __all__ = ["router"]
 
@@ -22,6 +29,7 @@ router = APIRouter(tags=["loop closures"])
         MapNotFound,
         DriveNotFound,
         ScanNotFound,
+        ReturnsGone,
         NoLiveRevision,
         StaleSignature,
         UnknownSegment,

@@ -13,18 +13,15 @@ import numpy as np
 from core.arrays import BoolArray, FloatArray
 from core.displacement import pose_beside
 from core.encodings.model import Found, Search
-from core.height_image import HeightImage
-from core.imager import Image
 from core.images import Probes
-from core.places import AWAY_M, away_from, close_along_m
+from core.places import away_from, close_along_m
 from core.pose import heading_deg
 from core.progress import NO_PROGRESS, Progress
-from core.projection import RangeImage
-from core.rings import RingGrid
 from core.tensormap import TensorMap
 from core.trust.calibration import Calibration
 from core.trust.logistic import fit_logistic
-from core.trust.probe import LEFT_OUT_M, probed_among
+from core.trust.own_place import image_of, own_place
+from core.trust.probe import probed_among
 from core.trust.spread import Spread, along_spread_m, fit_variance
 
 __all__ = ["MOST_PROBES", "calibrate"]
@@ -32,8 +29,6 @@ __all__ = ["MOST_PROBES", "calibrate"]
 MOST_PROBES = 400
 """How many probes of a map are asked at most, evenly spread over its drives."""
 
-_LEFT_OUT_SCANS = 1  # where poses are unknown, as `LEFT_OUT_M` is where they are known
-_RIGHT_SCANS = 15  # where poses are unknown, as `AWAY_M` is where they are known
 _ELSEWHERE_M, _ELSEWHERE_SCANS = 25.0, 50
 _LEAST = 10  # samples of each kind; fewer are no evidence
 _HERE_SCANS = 2  # of each probe, the nearest in place and as many elsewhere, compared by distance
@@ -87,11 +82,10 @@ def calibrate(
     progress.start("calibrating", len(asked))
     for probe in asked:
         row = int(probes.rows[probe])
-        image = _image(tensor_map, probes, probe)
+        image = image_of(tensor_map, probes.images, probe)
         search = tensor_map.model.search(basis.encode(image))
         least_cells = min(least_cells, int(np.count_nonzero(image.cells)))
-        beside = away_from(trajectory, row, LEFT_OUT_M, _LEFT_OUT_SCANS)
-        here = beside & ~away_from(trajectory, row, AWAY_M, _RIGHT_SCANS)
+        beside, here = own_place(trajectory, row)
         elsewhere = away_from(trajectory, row, _ELSEWHERE_M, _ELSEWHERE_SCANS)
         if here.any():
             found, answer = _ask(tensor_map, search, beside, here)
@@ -107,11 +101,6 @@ def calibrate(
     if min(right, len(answers) - right) < _LEAST or not at_scan:
         return None
     return _fitted(answers, at_scan, errors, int(_SPARSE * least_cells))
-
-
-def _image(tensor_map: TensorMap, probes: Probes, probe: int) -> Image:
-    cells, grid = probes.images.read(probe, probe + 1)[0], tensor_map.parameters.grid
-    return HeightImage(cells, grid) if isinstance(grid, RingGrid) else RangeImage(cells, grid)
 
 
 def _ask(

@@ -51,6 +51,7 @@ OPENED_BY = {
     "POST /v1/maps/{map}/revisions": {WRITE},
     "GET /v1/maps/{map}/revisions/{revision}": {READ},
     "GET /v1/maps/{map}/revisions/{revision}/file": {READ},
+    "GET /v1/maps/{map}/revisions/{revision}/comparison": {READ},
     "DELETE /v1/maps/{map}/revisions/{revision}": {WRITE},
     "PUT /v1/maps/{map}/live": {WRITE},
     "GET /v1/maps/{map}/basis": {READ, LOCALIZE},

@@ -1,0 +1,56 @@
+"""Does a map find its own scans, asked as a vehicle that stands elsewhere would ask?
+
+The questions are the probes that calibrate it: its scans turned, shifted, hidden behind cars and
+noised, each asked without itself. So the recall of two maps of the same scans can be compared
+without a second drive.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from core.arrays import BoolArray
+from core.images import ImageSource
+from core.places import AWAY_M
+from core.tensormap import TensorMap
+from core.trust.own_place import RIGHT_SCANS, image_of, own_place
+from core.trust.probe import LEFT_OUT_M
+
+__all__ = ["CRITERION", "finds_own", "is_findable"]
+
+CRITERION = (
+    f"the matched scan was recorded within {AWAY_M:g} m of the one that asks; what was recorded"
+    f" within {LEFT_OUT_M:g} m of that is not asked. Where poses are unknown: within {RIGHT_SCANS}"
+    " scans, and not itself"
+)
+"""What counts as right, in words."""
+
+
+def is_findable(tensor_map: TensorMap, row: int) -> bool:
+    """Return whether any other scan of the map would be a right answer to scan `row`."""
+    return bool(own_place(tensor_map.trajectory, row)[1].any())
+
+
+def finds_own(
+    tensor_map: TensorMap, rows: Sequence[int], probes: Sequence[tuple[ImageSource, int]]
+) -> BoolArray:
+    """Ask a map for some of its own scans.
+
+    Args:
+        tensor_map: The map.
+        rows: n of its scans.
+        probes: Of each, where the image of its probe is: a source on the map's grid, and its
+            position there.
+
+    Returns:
+        `(n,)` whether the nearest scan is a right one.
+    """
+    basis = tensor_map.basis()
+    right = np.zeros(len(rows), np.bool_)
+    for question, (row, (images, position)) in enumerate(zip(rows, probes, strict=True)):
+        asked, near = own_place(tensor_map.trajectory, row)
+        if near.any():
+            query = basis.encode(image_of(tensor_map, images, position))
+            (found,) = tensor_map.model.search(query).nearest(1, asked)
+            right[question] = near[found.row]
+    return right
