@@ -12,7 +12,7 @@ _ran: set[str] = set()
 
 
 def pytest_xdist_auto_num_workers() -> int:
-    """Half as many workers again as there are cores: tests of services wait for a third of the time."""
+    """Half as many workers again as there are cores: a third of the time tests wait."""
     return max(2, (os.cpu_count() or 1) * 3 // 2)
 
 
