@@ -1,6 +1,6 @@
 """Backups: one tar file of a data directory, made while the service runs.
 
-    maps/...           every file that the catalog names, as in the data directory
+    maps/...           every file that the catalog names, as in the data directory, and images
     store-id           which catalog and directory belong together
     catalog.sqlite3    the catalog as it was at one moment
     manifest.json      size and SHA-256 of all that belongs to the backup
@@ -10,7 +10,8 @@ before it could be copied is in a catalog of the past only: then the catalog is 
 what is missing in the backup is added. So catalog and manifest stand at the end, and a file more
 than the manifest names may stand before them.
 
-Images that builds cache are left out: a build makes them anew from the returns.
+Images that builds cache are left out where a build can make them anew; those of drives whose
+returns were dropped are the only source that is left, and are in the backup.
 """
 
 import hashlib
@@ -20,7 +21,7 @@ import os
 import sqlite3
 import tarfile
 from collections.abc import Mapping
-from contextlib import closing
+from contextlib import closing, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -51,6 +52,8 @@ CATALOG, STORE_ID, MANIFEST = "catalog.sqlite3", "store-id", "manifest.json"
 _PASSES = 50  # each one that fails met a deletion or compaction, which are rare
 _SCANS = """SELECT drives.map_id, drives.id, chunk, chunk_row, digest FROM scans
             JOIN drives ON drives.id = scans.drive_id WHERE chunk <> '' ORDER BY 1, 2, 3, 4"""
+_WITHOUT_RETURNS = """SELECT DISTINCT drives.map_id, drives.id FROM scans
+                      JOIN drives ON drives.id = scans.drive_id WHERE chunk = '' ORDER BY 1, 2"""
 _REVISIONS = "SELECT map_id, file_name, digest FROM revisions ORDER BY 1, 2"
 
 
@@ -117,6 +120,9 @@ def write_backup(data_dir: Path, output: Path) -> Backup:
         ):
             named = _copy_files(layout, copy, tar, written, damaged)
             kept = {path: written[path] for path in named}
+            for image in _only_images(layout, copy):
+                with suppress(FileNotFoundError), (layout.data_dir / image).open("rb") as source:
+                    kept[image] = _add(tar, image, source)  # or its drive was deleted meanwhile
             kept[STORE_ID] = _add_bytes(tar, STORE_ID, f"{store_id_of(copy)}\n".encode())
             with copy.open("rb") as source:
                 kept[CATALOG] = _add(tar, CATALOG, source)
@@ -156,6 +162,17 @@ def _copy_files(
         else:
             return {file.path for file in files}
     raise StorageBusy(f"files were deleted {_PASSES} times while they were copied: try again")
+
+
+def _only_images(layout: Layout, catalog: Path) -> list[str]:
+    """Return the paths of the images of drives that lack returns."""
+    with closing(sqlite3.connect(catalog)) as connection:
+        drives = connection.execute(_WITHOUT_RETURNS).fetchall()
+    return [
+        str(path.relative_to(layout.data_dir))
+        for map_id, drive_id in drives
+        for path in sorted(layout.images(map_id, drive_id).glob("*.h5"))
+    ]
 
 
 def _copy_catalog(catalog: Path, copy: Path) -> None:

@@ -33,6 +33,7 @@ _MOST_MANIFEST_BYTES = 2**30
 _NAMES = re.compile(
     r"catalog\.sqlite3|store-id|manifest\.json"
     r"|maps/[0-9a-f]{32}/drives/[0-9a-f]{32}/chunks/[0-9a-f]{32}\.h5"
+    r"|maps/[0-9a-f]{32}/drives/[0-9a-f]{32}/images/[a-z]{1,20}-[0-9a-f]{16}-[0-9a-f]{32}\.h5"
     r"|maps/[0-9a-f]{32}/revisions/[0-9a-f]{64}\.[0-9a-f]{8}\.h5"
 )
 
