@@ -75,14 +75,10 @@ class GarbageCollector:
             self._wake.clear()
 
     def _collect_of(self, of_map: MapRecord) -> None:
-        policy = of_map.retention.over(self._default)
         try:
-            for digest in self._store.revisions.collectable(of_map.id, policy):
-                act = _act("collect_revision", of_map, f"revision {digest}")
-                with on_behalf(act):
-                    self._store.revisions.collect(of_map.id, digest, policy)
-                _log.info("revision collected", extra=fields(map=of_map.slug, revision=digest))
-            if policy.raw_scans == RawScans.DROP:
+            for digest in self._store.revisions.collectable(of_map.id, self._default):
+                self._collect_one(of_map, digest)
+            if of_map.retention.over(self._default).raw_scans == RawScans.DROP:
                 self._drop_returns(of_map)
         except MapNotFound:
             pass  # gone, and all that it had
@@ -90,6 +86,15 @@ class GarbageCollector:
             _log.info("map %s: %s", of_map.slug, error)
         except (TensorMapError, OSError):
             _log.exception("what map %s does not keep cannot be removed", of_map.slug)
+
+    def _collect_one(self, of_map: MapRecord, digest: str) -> None:
+        try:
+            with on_behalf(_act("collect_revision", of_map, f"revision {digest}")):
+                self._store.revisions.collect(of_map.id, digest, self._default)
+        except LostRace as error:
+            _log.info("map %s: %s", of_map.slug, error)
+        else:
+            _log.info("revision collected", extra=fields(map=of_map.slug, revision=digest))
 
     def _drop_returns(self, of_map: MapRecord) -> None:
         """Drop the returns that the live revision was built of, if later builds can do without."""
@@ -112,7 +117,9 @@ class GarbageCollector:
                 continue
             detail = f"drive {drive.name}: returns of {len(indices)} scans"
             with on_behalf(_act("drop_returns", of_map, f"{detail}, mapped in {live.digest}")):
-                self._store.drives.drop_returns(of_map.id, live.digest, drive.name, indices)
+                self._store.drives.drop_returns(
+                    of_map.id, live.digest, drive.name, indices, self._default
+                )
             _log.info(
                 "returns dropped",
                 extra=fields(map=of_map.slug, drive=drive.name, scans=len(indices)),

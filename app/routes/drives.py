@@ -110,7 +110,9 @@ def close_drive(
     running: Running,
 ) -> DriveOut:
     """Close a drive: it takes no new scans, and its files are packed."""
-    return DriveOut.from_record(running.store.drives.close(map_slug, drive_slug))
+    closed = running.store.drives.close(map_slug, drive_slug)
+    running.collector.wake()
+    return DriveOut.from_record(closed)
 
 
 @router.delete(

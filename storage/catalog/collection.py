@@ -12,7 +12,7 @@ from storage.catalog.models import Drive, Job, LiveRevision, Map, Revision, Scan
 from storage.catalog.records import JobState, RevisionRecord
 from storage.catalog.revisions import revision_record
 from storage.catalog.scans import LostRace, chunks_of
-from storage.retention import Retention, Standing, to_collect
+from storage.retention import OwnRetention, RawScans, Retention, Standing, to_collect
 
 __all__ = ["Collector"]
 
@@ -26,33 +26,35 @@ class Collector:
         self._database = database
 
     def collectable(
-        self, map_id: str, retention: Retention, now: datetime | None = None
+        self, map_id: str, default: Retention, now: datetime | None = None
     ) -> tuple[str, ...]:
-        """Return the digests of the revisions that a policy does not keep, oldest first.
+        """Return the digests of the revisions that a map's policy does not keep, oldest first.
 
         Args:
-            map_id: The map; one that is gone has none.
-            retention: The policy in force.
+            map_id: The map.
+            default: What it keeps where it did not choose otherwise.
             now: The moment that it is asked for.
-        """
-        if retention.retained_revisions == "all":
-            return ()
-        with self._database.reading() as session:
-            return _collectable(session, map_id, retention, now or datetime.now(UTC))
-
-    def collect(
-        self, map_id: str, digest: str, retention: Retention, now: datetime | None = None
-    ) -> RevisionRecord:
-        """Remove a revision that a policy does not keep; return what it was.
 
         Raises:
             MapNotFound: If the map is gone.
-            LostRace: If the revision is gone, or kept after all: it was made live meanwhile, or a
-                job was based on it.
+        """
+        with self._database.reading() as session:
+            of_map = map_of_id(session, map_id)
+            return _collectable(session, of_map, default, now or datetime.now(UTC))
+
+    def collect(
+        self, map_id: str, digest: str, default: Retention, now: datetime | None = None
+    ) -> RevisionRecord:
+        """Remove a revision that its map's policy does not keep; return what it was.
+
+        Raises:
+            MapNotFound: If the map is gone.
+            LostRace: If the revision is gone, or kept after all: it was made live meanwhile, a job
+                was based on it, or the policy is another.
         """
         with self._database.writing() as session:
-            map_of_id(session, map_id, lock=True)
-            if digest not in _collectable(session, map_id, retention, now or datetime.now(UTC)):
+            of_map = map_of_id(session, map_id, lock=True)
+            if digest not in _collectable(session, of_map, default, now or datetime.now(UTC)):
                 raise LostRace(f"revision {digest[:12]} is kept after all, or gone")
             row = session.get_one(Revision, (map_id, digest))
             record = revision_record(row)
@@ -67,7 +69,12 @@ class Collector:
             return _open_job(session, map_id)
 
     def drop_returns(
-        self, map_id: str, live_revision: str, drive_id: str, indices: Collection[int]
+        self,
+        map_id: str,
+        live_revision: str,
+        drive_id: str,
+        indices: Collection[int],
+        default: Retention,
     ) -> set[str]:
         """Let the catalog forget where the returns of scans are; all else about them stays.
 
@@ -76,17 +83,18 @@ class Collector:
             live_revision: The revision that must still be live: it was built of these scans.
             drive_id: Their drive, which must be closed.
             indices: Of the scans.
+            default: What the map keeps where it did not choose otherwise.
 
         Returns:
             The chunk files that hold no scan any more.
 
         Raises:
             MapNotFound: If the map is gone.
-            LostRace: If another revision is live, a job waits or runs that may need the returns, or
-                the drive is gone or open.
+            LostRace: If another revision is live, a job waits or runs that may need the returns,
+                the drive is gone or open, or the policy keeps them.
         """
         with self._database.writing() as session:
-            of_map: Map = map_of_id(session, map_id, lock=True)
+            of_map = map_of_id(session, map_id, lock=True)
             live = session.get(LiveRevision, of_map.id)
             drive = session.get(Drive, drive_id, with_for_update=True)
             if (
@@ -94,6 +102,7 @@ class Collector:
                 or live.digest != live_revision
                 or drive is None
                 or not drive.closed
+                or _policy(of_map, default).raw_scans != RawScans.DROP
                 or _open_job(session, of_map.id)
             ):
                 raise LostRace("the map changed meanwhile: returns are dropped another time")
@@ -109,11 +118,18 @@ class Collector:
             return before - chunks_of(session, drive_id)
 
 
+def _policy(of_map: Map, default: Retention) -> Retention:
+    return OwnRetention.from_chosen(of_map.retention or {}).over(default)
+
+
 def _collectable(
-    session: Session, map_id: str, retention: Retention, now: datetime
+    session: Session, of_map: Map, default: Retention, now: datetime
 ) -> tuple[str, ...]:
-    live = session.get(LiveRevision, map_id)
-    bases = _bases(session, map_id)
+    policy = _policy(of_map, default)
+    if policy.retained_revisions == "all":
+        return ()
+    live = session.get(LiveRevision, of_map.id)
+    bases = _bases(session, of_map.id)
     query = select(Revision.digest, Revision.created_at, Revision.retained_from)
     standing = [
         Standing(
@@ -124,10 +140,10 @@ def _collectable(
             needed=any(digest.startswith(base) for base in bases),
         )
         for digest, created_at, retained_from in session.execute(
-            query.where(Revision.map_id == map_id)
+            query.where(Revision.map_id == of_map.id)
         )
     ]
-    return to_collect(standing, retention, now)
+    return to_collect(standing, policy, now)
 
 
 def _bases(session: Session, map_id: str) -> set[str]:

@@ -24,6 +24,7 @@ from storage.errors import (
 )
 from storage.files import discard, make_folder
 from storage.names import new_id
+from storage.retention import Retention
 from storage.store.compaction import compact
 from storage.store.dropping import drop_returns
 from storage.store.layout import Layout
@@ -190,14 +191,20 @@ class Drives:
         return drive
 
     def drop_returns(
-        self, map_id: str, live_revision: str, slug: str, indices: Collection[int]
+        self,
+        map_id: str,
+        live_revision: str,
+        slug: str,
+        indices: Collection[int],
+        default: Retention,
     ) -> None:
         """Drop the returns of scans that the live revision was built of.
 
         Raises:
             MapNotFound: If the map is gone.
             DriveNotFound: If it has no such drive.
-            LostRace: If it changed meanwhile, the drive is open or a job may need the returns.
+            LostRace: If it changed meanwhile, the drive is open, a job may need the returns, or the
+                map's policy keeps them.
             StorageFull: If no space is left for what shares a file with them; nothing is dropped.
         """
         (drive,) = self._catalog.drives.of_map(map_id, [slug])
@@ -207,6 +214,7 @@ class Drives:
             drive,
             live_revision,
             indices,
+            default,
             chunks,
             lambda record: self._read(drive, record.index),
         )

@@ -6,6 +6,7 @@ from pathlib import Path
 from core.scan import Scan
 from storage.catalog import Catalog, DriveRecord, ScanRecord, on_behalf
 from storage.files import discard
+from storage.retention import Retention
 from storage.store.compaction import in_chunks, move_into_one
 
 __all__ = ["drop_returns"]
@@ -16,6 +17,7 @@ def drop_returns(
     drive: DriveRecord,
     live_revision: str,
     indices: Collection[int],
+    default: Retention,
     chunks: Path,
     read: Callable[[ScanRecord], Scan],
 ) -> None:
@@ -27,7 +29,7 @@ def drop_returns(
 
     Raises:
         MapNotFound: If the map is gone.
-        LostRace: If the map changed meanwhile: nothing is dropped.
+        LostRace: If the map changed meanwhile, or its policy keeps them: nothing is dropped.
         StorageFull: If no space is left for what stays; nothing is dropped.
     """
     records = [record for record in catalog.scans.of_drive(drive.id) if record.has_returns]
@@ -38,5 +40,8 @@ def drop_returns(
     with on_behalf(None):  # nothing is dropped by this
         for group in in_chunks(staying):
             move_into_one(catalog, drive.id, chunks, group, read)
-    for chunk in catalog.collector.drop_returns(drive.map_id, live_revision, drive.id, indices):
+    emptied = catalog.collector.drop_returns(
+        drive.map_id, live_revision, drive.id, indices, default
+    )
+    for chunk in emptied:
         discard(chunks / chunk)

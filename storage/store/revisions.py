@@ -114,8 +114,8 @@ class Revisions:
         discard(self.path_of(record))
         return record
 
-    def collect(self, map_id: str, digest: str, retention: Retention) -> RevisionRecord:
-        """Remove a revision that a policy does not keep: its row, then its file.
+    def collect(self, map_id: str, digest: str, default: Retention) -> RevisionRecord:
+        """Remove a revision that its map's policy does not keep: its row, then its file.
 
         Who has it open, or in memory, can read it to the end.
 
@@ -123,7 +123,7 @@ class Revisions:
             MapNotFound: If the map is gone.
             LostRace: If it is kept after all: made live meanwhile, or the base of a job.
         """
-        record = self._catalog.collector.collect(map_id, digest, retention)
+        record = self._catalog.collector.collect(map_id, digest, default)
         discard(self.path_of(record))
         return record
 

@@ -345,6 +345,15 @@ def test_an_open_drive_keeps_its_returns_until_it_is_closed_and_built(mapped):
     assert mapped.get(tuesday).json()["scans_without_returns"] == 9
 
 
+def test_closing_a_drive_that_is_mapped_drops_its_returns_by_itself(mapped):
+    build(mapped, drives=["tuesday"], make_live=True, **PLAIN)
+    keep(mapped, raw_scans="drop")
+    tuesday = f"{MAP}/drives/tuesday"
+    assert mapped.get(tuesday).json()["scans_without_returns"] == 0
+    mapped.patch(tuesday, json={"closed": True})
+    wait_until(lambda: mapped.get(tuesday).json()["scans_without_returns"] == 8)
+
+
 def test_what_only_another_revision_has_keeps_its_returns(mapped):
     mapped.patch(f"{MAP}/drives/tuesday", json={"closed": True})
     build(mapped, drives=["tuesday"], **PLAIN)

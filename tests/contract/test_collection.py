@@ -15,6 +15,7 @@ from storage.retention import OwnRetention, RawScans, Retention
 FACTS = RevisionFacts(encoding="harmonic", scans=2, segments=1, parameters={})
 A, B, C, D = (letter * 64 for letter in "abcd")
 NONE = Retention(0, 0.0)
+DROP = Retention(raw_scans=RawScans.DROP)
 
 
 @pytest.fixture
@@ -69,7 +70,8 @@ def test_what_is_replaced_is_retained_from_then_on(catalog):
     assert catalog.collector.collectable(map_id(catalog), NONE, later) == (A,)
     assert catalog.collector.collectable(map_id(catalog), Retention(1, 0.0), later) == ()
     assert catalog.collector.collectable(map_id(catalog), Retention(0, 11.0), later) == ()
-    assert catalog.collector.collectable("0" * 32, NONE, later) == ()
+    with pytest.raises(MapNotFound):
+        catalog.collector.collectable("0" * 32, NONE, later)
 
 
 def test_a_revision_is_collected_only_while_the_policy_does_not_keep_it(catalog):
@@ -123,10 +125,10 @@ def test_returns_are_forgotten_and_the_facts_about_their_scans_stay(catalog):
     assert catalog.revisions.live("campus").drive_ids == {"monday": drive_id}
     asked = map_id(catalog), A, drive_id
     with pytest.raises(LostRace):  # it is open
-        catalog.collector.drop_returns(*asked, {0})
+        catalog.collector.drop_returns(*asked, {0}, DROP)
     catalog.drives.close("campus", "monday")
-    assert catalog.collector.drop_returns(*asked, {0, 1, 2}) == {"one.h5"}
-    assert catalog.collector.drop_returns(*asked, set()) == set()
+    assert catalog.collector.drop_returns(*asked, {0, 1, 2}, DROP) == {"one.h5"}
+    assert catalog.collector.drop_returns(*asked, set(), DROP) == set()
     drive = catalog.drives.get("campus", "monday")
     assert (drive.scans, drive.returns, drive.dropped_scans) == (4, 400, 3)
     assert drive.size_bytes == catalog.scans.size_bytes() == 1200
@@ -134,7 +136,7 @@ def test_returns_are_forgotten_and_the_facts_about_their_scans_stay(catalog):
     records = catalog.scans.of_drive(drive_id)
     assert [record.has_returns for record in records] == [False, False, False, True]
     assert {record.digest for record in records} == {A}
-    assert catalog.collector.drop_returns(*asked, {3}) == {"two.h5"}
+    assert catalog.collector.drop_returns(*asked, {3}, DROP) == {"two.h5"}
 
 
 def test_returns_stay_while_a_job_may_need_them_or_another_revision_is_live(catalog):
@@ -145,15 +147,31 @@ def test_returns_stay_while_a_job_may_need_them_or_another_revision_is_live(cata
     job = catalog.jobs.create("campus", {})
     assert catalog.collector.has_open_job(map_id(catalog))
     with pytest.raises(LostRace):
-        catalog.collector.drop_returns(map_id(catalog), A, *asked)
+        catalog.collector.drop_returns(map_id(catalog), A, *asked, DROP)
     catalog.jobs.request_cancel(job.id)
     assert not catalog.collector.has_open_job(map_id(catalog))
     with pytest.raises(LostRace):
-        catalog.collector.drop_returns(map_id(catalog), B, *asked)
+        catalog.collector.drop_returns(map_id(catalog), B, *asked, DROP)
     with pytest.raises(LostRace):
-        catalog.collector.drop_returns(map_id(catalog), A, "0" * 32, {0})
+        catalog.collector.drop_returns(map_id(catalog), A, "0" * 32, {0}, DROP)
     assert catalog.scans.get(drive_id, 0).has_returns
-    assert catalog.collector.drop_returns(map_id(catalog), A, *asked) == {"one.h5"}
+    assert catalog.collector.drop_returns(map_id(catalog), A, *asked, DROP) == {"one.h5"}
+
+
+def test_the_policy_that_counts_is_the_one_of_the_moment_of_removal(catalog):
+    drive_id = put(catalog, [0], "one.h5")
+    catalog.drives.close("campus", "monday")
+    add(catalog, A, B, C)
+    assert catalog.collector.collectable(map_id(catalog), NONE) == (B,)
+    kept = {"retained_revisions": "all", "raw_scans": RawScans.KEEP}
+    catalog.maps.update("campus", retention=kept)
+    with pytest.raises(LostRace):
+        catalog.collector.collect(map_id(catalog), B, NONE)
+    with pytest.raises(LostRace):
+        catalog.collector.drop_returns(map_id(catalog), A, drive_id, {0}, DROP)
+    assert catalog.collector.collectable(map_id(catalog), NONE) == ()
+    catalog.maps.update("campus", retention={"retained_revisions": 0, "retained_for_days": 0.0})
+    assert catalog.collector.collect(map_id(catalog), B, Retention()).digest == B
 
 
 def test_a_revision_from_elsewhere_keeps_what_is_known_of_its_drives(catalog):
