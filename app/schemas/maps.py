@@ -4,6 +4,7 @@ from datetime import datetime
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from app.schemas.exact import SlugText
 from storage.catalog import MapRecord
 
 __all__ = ["MapIn", "MapOut", "MapPatch"]
@@ -17,7 +18,7 @@ class MapIn(BaseModel):
         json_schema_extra={"example": {"map": "campus", "description": "Loop around the campus"}},
     )
 
-    map: str = Field(
+    map: SlugText = Field(
         description="Its name: 1 to 64 of a-z, 0-9, `.`, `_`, `-`; a letter or digit first."
     )
     description: str = Field("", max_length=2000)
