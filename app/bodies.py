@@ -1,7 +1,8 @@
 """Request bodies: which are read, how they are unpacked and checked, and what is not JSON."""
 
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Annotated, Any
 
 from fastapi import Depends, Header, Request
@@ -9,6 +10,7 @@ from starlette.datastructures import Headers
 from starlette.exceptions import HTTPException
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from app.access.access import Access
 from app.digests import ContentDigest
 from app.encodings import Decoder, decoder_of
 from app.errors import STATUS, BodyTooLarge, problem_response
@@ -53,6 +55,7 @@ class BodyGuard:
             UnsupportedBody: If it is packed as we cannot unpack.
             DigestMismatch: If its digest cannot be read.
             BodyTooLarge: If it says that it is too long.
+            TooManyRequests: If it says that it has more than its sender may send.
         """
         chosen = self._settings
         decoder = decoder_of(headers.get("content-encoding", ""))
@@ -67,7 +70,11 @@ class BodyGuard:
         declared = headers.get("content-length", "")
         if declared.isdecimal() and int(declared) > sent_limit:
             raise BodyTooLarge(f"the body has {declared} bytes, at most {sent_limit} are read")
-        return _Incoming(receive, sent_limit, limit, decoder, digest)
+        access: Access = scope["app"].state.service.access
+        if declared.isdecimal():
+            access.spend_bytes(scope, int(declared), announced=True)
+        spend = partial(access.spend_bytes, scope)
+        return _Incoming(receive, sent_limit, limit, decoder, digest, spend)
 
 
 class _Incoming:
@@ -80,12 +87,14 @@ class _Incoming:
         limit: int,
         decoder: Decoder | None,
         digest: ContentDigest,
+        spend: Callable[[int], None],
     ) -> None:
         self._receive = receive
         self._sent_left, self._left = sent_limit, limit
         self._sent_limit, self._limit = sent_limit, limit
         self._decoder = decoder
         self._digest = digest
+        self._spend = spend
         self._pieces: Iterator[bytes] = iter(())
         self._ended = False
 
@@ -116,6 +125,7 @@ class _Incoming:
                 raise BodyTooLarge(
                     f"the body is longer than the {self._sent_limit} bytes that are read"
                 )
+            self._spend(len(chunk))
             self._digest.add(chunk)
             if not message.get("more_body", False):
                 self._ended = True

@@ -193,6 +193,7 @@ STATUS: dict[type[core.TensorMapError], HTTPStatus] = {
     stored.RevisionIsLive: S.CONFLICT,
     stored.AmbiguousRevision: S.CONFLICT,
     stored.JobNotRunning: S.CONFLICT,
+    stored.RequestKeyReused: S.CONFLICT,
     stored.InvalidSlug: S.UNPROCESSABLE_ENTITY,
     stored.CorruptFile: S.INTERNAL_SERVER_ERROR,
     stored.CorruptImages: S.INTERNAL_SERVER_ERROR,

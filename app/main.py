@@ -3,11 +3,13 @@
 import logging
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
+from functools import cache
 from importlib.metadata import version
 
-from fastapi import FastAPI
+from fastapi import APIRouter, FastAPI
 from fastapi_offline import FastAPIOffline
 from starlette.concurrency import run_in_threadpool
+from starlette.routing import BaseRoute
 
 from app.access.access import open_access
 from app.access.admission import Admission
@@ -72,11 +74,18 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     app.add_middleware(AnswerHeaders)
     allow_origins(app, chosen.allowed_origins)
     app.add_middleware(RequestObserver, metrics=metrics)  # the last one added is the outermost
-    app.include_router(api())
-    app.include_router(streams())
-    app.include_router(open_routes())
+    app.router.routes.extend(_routes())
     complete_openapi(app)
     return app
+
+
+@cache
+def _routes() -> tuple[BaseRoute, ...]:
+    """Return the routes, which are the same in every application and take long to work out."""
+    router = APIRouter()
+    for part in (api(), streams(), open_routes()):
+        router.include_router(part)
+    return tuple(router.routes)
 
 
 def _start(settings: Settings, metrics: Metrics) -> Service:

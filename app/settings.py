@@ -80,6 +80,12 @@ class Settings(BaseSettings):
     request_burst: int = Field(
         50, ge=1, description="How many requests a key that was idle may make at once."
     )
+    upload_bytes_per_day: int = Field(
+        0,
+        ge=0,
+        description="How many bytes a key may send in a day, as they come over the wire; 0 limits"
+        " nothing. A key that was idle for a day has all of them again.",
+    )
     allowed_origins: Annotated[tuple[str, ...], NoDecode] = Field(
         (),
         description="Origins of other sites whose pages may ask, as `https://maps.example`, comma"

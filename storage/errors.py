@@ -16,7 +16,8 @@ StorageError                 a TensorMapError
 │   ├── NoLiveRevision       the map has no revision to answer with yet
 │   ├── RevisionIsLive       the live revision cannot be deleted
 │   ├── AmbiguousRevision    several digests begin with this prefix
-│   └── JobNotRunning        only a running job makes progress or ends
+│   ├── JobNotRunning        only a running job makes progress or ends
+│   └── RequestKeyReused     another request was made under this idempotency key
 ├── InvalidSlug              a name that is no slug
 ├── CorruptFile              a file that is not what was written
 │   └── CorruptImages        cached images that are not; a build makes them anew
@@ -47,6 +48,7 @@ __all__ = [
     "MapNotFound",
     "NoLiveRevision",
     "NotFound",
+    "RequestKeyReused",
     "RevisionIsLive",
     "RevisionNotFound",
     "ScanConflict",
@@ -126,6 +128,10 @@ class AmbiguousRevision(Conflict):
 
 class JobNotRunning(Conflict):
     """Only a running job makes progress or ends."""
+
+
+class RequestKeyReused(Conflict):
+    """Another request was made under this idempotency key."""
 
 
 class InvalidSlug(StorageError):

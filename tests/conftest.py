@@ -1,5 +1,6 @@
 """What all tests share: recorded drives, counted if promised, and databases of their own."""
 
+import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -8,6 +9,11 @@ import pytest
 from tests.support.postgresql import Cluster, cluster, reason_to_skip
 
 _ran: set[str] = set()
+
+
+def pytest_xdist_auto_num_workers() -> int:
+    """Half as many workers again as there are cores: a third of the time tests wait."""
+    return max(2, (os.cpu_count() or 1) * 3 // 2)
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

@@ -1,17 +1,19 @@
 """Who may ask: everyone on this machine, or whoever holds a key."""
 
 import hmac
-from collections.abc import Collection
+from collections.abc import Collection, MutableMapping
 from dataclasses import replace
 from datetime import UTC, datetime
+from typing import Any
 from urllib.parse import urlsplit
 
 from starlette.requests import HTTPConnection
+from starlette.types import Scope
 
 from app.access.answer_headers import RATE_STATE
 from app.access.caller import EVERYONE_ID, OPERATOR_ID, Caller, everyone_here, the_operator
-from app.access.rate_limits import NO_LIMITS, RateLimits
-from app.access.scopes import Scope
+from app.access.rate_limits import BYTES, NO_LIMITS, Allowance, RateLimits
+from app.access.scopes import Scope as KeyScope
 from app.access.secrets import is_token, is_well_formed, new_secret, secret_hash
 from app.errors import HostNotAllowed, KeyNeeded, KeyRefused
 from app.settings import Settings, is_loopback
@@ -20,6 +22,8 @@ from storage.store import Store
 
 __all__ = ["Access", "make_first_key", "open_access"]
 
+_SENDER = "tensormap.sender"
+_DAY_S = 86_400
 _MOMENT = "%Y-%m-%dT%H:%M:%SZ"
 
 
@@ -32,6 +36,7 @@ class Access:
         store: Where the keys are kept.
         operator_key: The key of the settings.
         limits: How often each may ask.
+        quota: How many bytes each may send.
         allowed_origins: Of pages elsewhere that may ask.
     """
 
@@ -40,11 +45,12 @@ class Access:
         store: Store,
         operator_key: str | None = None,
         limits: RateLimits = NO_LIMITS,
+        quota: RateLimits = NO_LIMITS,
         allowed_origins: Collection[str] = (),
     ) -> None:
         self._store = store
         self._allowed_origins = frozenset(allowed_origins)
-        self._limits = limits
+        self._limits, self._quota = limits, quota
         self._operator_hash = None if operator_key is None else secret_hash(operator_key)
         self._has_keys = False  # once it has it always has
 
@@ -90,8 +96,26 @@ class Access:
         self._take(connection, address if caller.key_id == EVERYONE_ID else caller.key_id)
         return caller
 
+    def spend_bytes(self, scope: Scope, amount: int, *, announced: bool = False) -> None:
+        """Count bytes of a body against what its sender may send in a day.
+
+        Args:
+            scope: Of a request that was admitted.
+            amount: How many.
+            announced: They are yet to come: look only whether they are allowed.
+
+        Raises:
+            TooManyRequests: If they are not.
+        """
+        state = scope.get("state", {})
+        if (who := state.get(_SENDER)) is not None:
+            count = self._quota.require if announced else self._quota.take
+            _tell(state, count(who, amount))
+
     def _take(self, connection: HTTPConnection, who: str) -> None:
-        setattr(connection.state, RATE_STATE, self._limits.take(who))
+        state = connection.scope.setdefault("state", {})
+        state[_SENDER] = who
+        _tell(state, self._limits.take(who))
 
     def _holder(self, sent: str) -> Caller:
         given = secret_hash(sent)
@@ -132,9 +156,15 @@ class Access:
             raise KeyRefused(f"key {key.id} is out of use while TENSORMAP_ADMIN_KEY is set")
 
 
+def _tell(state: MutableMapping[str, Any], allowance: Allowance | None) -> None:
+    """Note what is left, for the head of the answer."""
+    if allowance is not None:
+        state.setdefault(RATE_STATE, {})[allowance.unit.name] = allowance
+
+
 def _caller(key_id: str, held: KeyRecord | TokenRecord, key_hash: str) -> Caller:
     maps = None if held.maps is None else frozenset(held.maps)
-    return Caller(key_id, frozenset(map(Scope, held.scopes)), maps, key_hash)
+    return Caller(key_id, frozenset(map(KeyScope, held.scopes)), maps, key_hash)
 
 
 def _unknown() -> KeyRefused:
@@ -148,13 +178,15 @@ def open_access(settings: Settings, store: Store) -> tuple[Access, str | None]:
     is made and only its hash is kept.
     """
     limits = RateLimits(settings.requests_per_s, settings.request_burst)
+    daily = settings.upload_bytes_per_day
+    quota = RateLimits(daily / _DAY_S, daily, unit=BYTES)
     if settings.admin_key is not None:
         operator_key = settings.admin_key.get_secret_value()
-        return Access(store, operator_key, limits, settings.allowed_origins), None
+        return Access(store, operator_key, limits, quota, settings.allowed_origins), None
     made = None
     if not is_loopback(settings.host) and not _has_administrator(store):
         made = make_first_key(store)
-    return Access(store, None, limits, settings.allowed_origins), made
+    return Access(store, None, limits, quota, settings.allowed_origins), made
 
 
 def make_first_key(store: Store) -> str:
@@ -162,7 +194,7 @@ def make_first_key(store: Store) -> str:
     made = new_secret()
     store.keys.add(
         secret_hash(made.text),
-        [Scope.ADMIN],
+        [KeyScope.ADMIN],
         key_id=made.id,
         name="administrator",
         first_run=True,
@@ -174,7 +206,7 @@ def _has_administrator(store: Store) -> bool:
     now, after = datetime.now(UTC), ""
     while True:
         page = store.keys.list(after)
-        if any(Scope.ADMIN in key.scopes and key.opens_at(now) for key in page.items):
+        if any(KeyScope.ADMIN in key.scopes and key.opens_at(now) for key in page.items):
             return True
         if page.next_after is None:
             return False

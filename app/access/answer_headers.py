@@ -34,10 +34,12 @@ class AnswerHeaders:
         async def completed(message: Message) -> None:
             if message["type"] == "http.response.start":
                 headers = MutableHeaders(scope=message)
-                allowance = state.get(RATE_STATE)
-                said = _FOR_BROWSERS | (allowance.headers() if allowance is not None else {})
-                for name, value in said.items():
+                for name, value in _FOR_BROWSERS.items():
                     headers.setdefault(name, value)
+                left = [one.headers() for one in state.get(RATE_STATE, {}).values()]
+                if left and "RateLimit" not in headers:  # a refusal tells of the limit it met
+                    for name in left[0]:
+                        headers[name] = ", ".join(said[name] for said in left)
             await send(message)
 
         await self._app(scope, receive, completed)

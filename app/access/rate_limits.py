@@ -1,4 +1,4 @@
-"""How often each key may ask: a bucket of requests that fills up again."""
+"""How much each key may: a bucket, of requests or of bytes sent, that fills up again."""
 
 import math
 import threading
@@ -9,11 +9,31 @@ from dataclasses import dataclass
 
 from app.errors import TooManyRequests
 
-__all__ = ["NO_LIMITS", "Allowance", "RateLimits"]
+__all__ = ["BYTES", "NO_LIMITS", "REQUESTS", "Allowance", "RateLimits", "Unit"]
 
 # The one used longest ago goes first; should its owner come back, it is full, as it mostly was.
 _MOST_BUCKETS = 10_000
-_NAME = '"requests"'
+
+
+@dataclass(frozen=True)
+class Unit:
+    """What a bucket holds.
+
+    Attributes:
+        name: As the header fields call the policy.
+        policy: What the policy's field says besides, after its name.
+        allowed: What is allowed, of a rate a second and a full bucket.
+    """
+
+    name: str
+    policy: str
+    allowed: Callable[[float, int], str]
+
+
+REQUESTS = Unit("requests", "", lambda rate, burst: f"{rate:g} requests a second, {burst} at once,")
+BYTES = Unit(
+    "bytes", ';qu="content-bytes"', lambda _, burst: f"{burst} bytes of request bodies a day"
+)
 
 
 @dataclass(frozen=True)
@@ -21,12 +41,14 @@ class Allowance:
     """What is left to whoever asked.
 
     Attributes:
-        burst: Requests in a full bucket.
+        unit: Of what.
+        burst: How many are in a full bucket.
         window_s: Seconds in which an empty one fills up, rounded up.
-        remaining: Requests that are left in it.
+        remaining: How many are left in it.
         full_in_s: Seconds until it is full again, rounded up.
     """
 
+    unit: Unit
     burst: int
     window_s: int
     remaining: int
@@ -35,14 +57,15 @@ class Allowance:
     def headers(self) -> dict[str, str]:
         """Return the fields of the IETF's draft `RateLimit header fields for HTTP`."""
         return {
-            "RateLimit-Policy": f"{_NAME};q={self.burst};w={self.window_s}",
-            "RateLimit": f"{_NAME};r={self.remaining};t={self.full_in_s}",
+            "RateLimit-Policy": f'"{self.unit.name}";q={self.burst}{self.unit.policy}'
+            f";w={self.window_s}",
+            "RateLimit": f'"{self.unit.name}";r={self.remaining};t={self.full_in_s}',
         }
 
 
 @dataclass
 class _Bucket:
-    requests: float
+    left: float
     at_s: float
 
 
@@ -50,9 +73,10 @@ class RateLimits:
     """A bucket for each key; safe to share between threads.
 
     Args:
-        requests_per_s: How fast a bucket fills up; 0 limits nothing.
-        burst: How many requests a full one holds.
+        per_s: How fast a bucket fills up; 0 limits nothing.
+        burst: How many a full one holds.
         clock: Seconds that never go back.
+        unit: What it holds.
 
     Examples:
         >>> limits = RateLimits(2.0, 3, clock=lambda: 0.0)
@@ -64,40 +88,57 @@ class RateLimits:
     """
 
     def __init__(
-        self, requests_per_s: float, burst: int, clock: Callable[[], float] = time.monotonic
+        self,
+        per_s: float,
+        burst: int,
+        clock: Callable[[], float] = time.monotonic,
+        unit: Unit = REQUESTS,
     ) -> None:
-        self._rate = requests_per_s
+        self._rate = per_s
+        self._unit = unit
         self._burst = burst
         self._clock = clock
         self._buckets: OrderedDict[str, _Bucket] = OrderedDict()
         self._lock = threading.Lock()
 
-    def take(self, who: str) -> Allowance | None:
-        """Take a request out of a bucket; `None` if nothing is limited.
+    def take(self, who: str, amount: int = 1) -> Allowance | None:
+        """Take out of a bucket; `None` if nothing is limited.
 
         Raises:
-            TooManyRequests: If it has none.
+            TooManyRequests: If it holds less; nothing is taken.
         """
+        return self._take(who, amount, amount)
+
+    def require(self, who: str, amount: int) -> Allowance | None:
+        """Look whether a bucket holds this much, and take nothing; `None` if nothing is limited.
+
+        Raises:
+            TooManyRequests: If it holds less.
+        """
+        return self._take(who, amount, 0)
+
+    def _take(self, who: str, wanted: int, taken: int) -> Allowance | None:
         if self._rate == 0:
             return None
         with self._lock:
             bucket = self._filled(who)
-            if bucket.requests < 1:
-                wait_s = max(1, math.ceil((1 - bucket.requests) / self._rate))
+            if bucket.left < wanted:
+                # What is more than a full bucket never fits: to wait for a full one helps nobody
+                # but is the truth about what is sent in parts.
+                wait_s = max(1, math.ceil((min(wanted, self._burst) - bucket.left) / self._rate))
                 raise TooManyRequests(
-                    f"{self._rate:g} requests a second, {self._burst} at once, are allowed:"
-                    f" wait {wait_s} s",
+                    f"{self._unit.allowed(self._rate, self._burst)} are allowed: wait {wait_s} s",
                     wait_s,
                     self._allowance(bucket).headers(),
                 )
-            bucket.requests -= 1
+            bucket.left -= taken
             return self._allowance(bucket)
 
     def _filled(self, who: str) -> _Bucket:
         now_s = self._clock()
         bucket = self._buckets.pop(who, None) or _Bucket(self._burst, now_s)
-        grown = bucket.requests + (now_s - bucket.at_s) * self._rate
-        bucket.requests, bucket.at_s = min(self._burst, grown), now_s
+        grown = bucket.left + (now_s - bucket.at_s) * self._rate
+        bucket.left, bucket.at_s = min(self._burst, grown), now_s
         self._buckets[who] = bucket
         if len(self._buckets) > _MOST_BUCKETS:
             self._buckets.popitem(last=False)
@@ -105,10 +146,11 @@ class RateLimits:
 
     def _allowance(self, bucket: _Bucket) -> Allowance:
         return Allowance(
+            self._unit,
             self._burst,
             math.ceil(self._burst / self._rate),
-            int(bucket.requests),
-            math.ceil((self._burst - bucket.requests) / self._rate),
+            int(bucket.left),
+            math.ceil((self._burst - bucket.left) / self._rate),
         )
 
 

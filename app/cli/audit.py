@@ -14,7 +14,9 @@ from storage.store.layout import Layout
 
 __all__ = ["audit"]
 
-audit = typer.Typer(help="Check the log of changes.", no_args_is_help=True)
+audit = typer.Typer(
+    name="audit", help="Check the log of changes.", no_args_is_help=True, add_completion=False
+)
 
 
 @audit.callback()

@@ -1,6 +1,9 @@
 """Builds: from the scans of a map to a revision of it."""
 
-from fastapi import APIRouter, Response, status
+from hashlib import sha256
+from typing import Annotated
+
+from fastapi import APIRouter, Header, Response, status
 
 from app.access.scopes import Scope, needs
 from app.errors import JSON_BODY, WRITING, problems
@@ -9,18 +12,30 @@ from app.plans import plan_build
 from app.schemas.jobs import JobOut
 from app.service import MapSlug, Running
 from core.errors import EmptyDrive, InvalidParameters, UnknownDrive
+from storage.catalog import RequestKey
 from storage.errors import (
     AmbiguousRevision,
     CorruptFile,
     DriveNotFound,
     MapNotFound,
     NoLiveRevision,
+    RequestKeyReused,
     RevisionNotFound,
 )
 
 __all__ = ["router"]
 
 router = APIRouter(tags=["builds"])
+
+IdempotencyKey = Annotated[
+    str | None,
+    Header(
+        min_length=1,
+        max_length=255,
+        pattern="^[!-~]+$",
+        description="A name that the client chooses for this request, as a UUID, to repeat it.",
+    ),
+]
 
 
 @router.post(
@@ -37,12 +52,17 @@ router = APIRouter(tags=["builds"])
         EmptyDrive,
         InvalidParameters,
         CorruptFile,
+        RequestKeyReused,
         *JSON_BODY,
         *WRITING,
     ),
 )
 def build(
-    map_slug: MapSlug, parameters: BuildParameters, running: Running, response: Response
+    map_slug: MapSlug,
+    parameters: BuildParameters,
+    running: Running,
+    response: Response,
+    idempotency_key: IdempotencyKey = None,
 ) -> JobOut:
     """Queue a build; follow it at `Location`.
 
@@ -52,10 +72,22 @@ def build(
     With `base`, the new revision is that one with the drives of `add` after its own and without
     those of `remove`. A harmonic map keeps its basis, so that the signatures of vehicles stay good,
     until `refit` asks for another. Nothing that is stored is removed.
+
+    With an `Idempotency-Key`, a client that did not hear the answer asks again: the job that it has
+    made is told, and no other is queued.
     """
-    record = running.store.maps.get(map_slug)
-    plan = plan_build(running.store, record.id, parameters)
-    job = running.store.jobs.create(map_slug, plan.parameters.as_json())
-    running.runner.wake()
+    jobs = running.store.jobs
+    request = None if idempotency_key is None else _request(idempotency_key, parameters)
+    job = None if request is None else jobs.made_by(map_slug, request)
+    if job is None:
+        record = running.store.maps.get(map_slug)
+        plan = plan_build(running.store, record.id, parameters)
+        job = jobs.create(map_slug, plan.parameters.as_json(), request=request)
+        running.runner.wake()
     response.headers["Location"] = f"/v1/jobs/{job.id}"
     return JobOut.from_record(job)
+
+
+def _request(key: str, parameters: BuildParameters) -> RequestKey:
+    asked = parameters.model_dump_json(exclude_unset=True)
+    return RequestKey(key, sha256(asked.encode()).hexdigest())

@@ -9,7 +9,6 @@ among those with something to find. Answers of equal score are accepted together
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import rankdata
 
 from core.arrays import BoolArray, FloatArray
 from core.errors import InvalidParameters
@@ -103,6 +102,7 @@ def auroc(positives: FloatArray, negatives: FloatArray) -> float | None:
         raise InvalidParameters("a score is NaN")
     if not (len(positives) and len(negatives)):
         return None
-    ranks = rankdata(np.concatenate([positives, negatives]))[: len(positives)]
-    above = ranks.sum() - len(positives) * (len(positives) + 1) / 2
-    return float(above / (len(positives) * len(negatives)))
+    lower = np.sort(negatives)
+    # Of the negatives below, those that are as high count half.
+    beaten = np.searchsorted(lower, positives, "left") + np.searchsorted(lower, positives, "right")
+    return float(beaten.sum() / (2 * len(positives) * len(negatives)))

@@ -10,6 +10,7 @@ from datetime import UTC, datetime
 from typing import Any
 
 from sqlalchemy import func, select, tuple_
+from sqlalchemy.exc import IntegrityError
 from sqlalchemy.orm import Session
 
 from core.errors import InvalidParameters
@@ -17,8 +18,8 @@ from storage.catalog.database import Database
 from storage.catalog.maps import held_map, map_named
 from storage.catalog.models import Job, Map
 from storage.catalog.pages import DEFAULT_LIMIT, one_more, page_of
-from storage.catalog.records import JobRecord, JobState, Page
-from storage.errors import JobNotFound, JobNotRunning
+from storage.catalog.records import JobRecord, JobState, Page, RequestKey
+from storage.errors import JobNotFound, JobNotRunning, RequestKeyReused
 from storage.names import new_id
 
 __all__ = ["Jobs", "finish_if_running"]
@@ -31,13 +32,30 @@ class Jobs:
         self._database = database
 
     def create(
-        self, map_slug: str, parameters: Mapping[str, Any], *, kind: str = "build"
+        self,
+        map_slug: str,
+        parameters: Mapping[str, Any],
+        *,
+        kind: str = "build",
+        request: RequestKey | None = None,
     ) -> JobRecord:
-        """Queue a job.
+        """Queue a job; one that the same request made already is returned as it is now.
 
         Raises:
             MapNotFound: If there is no such map.
+            RequestKeyReused: If another request was made under this key.
         """
+        try:
+            return self._insert(map_slug, parameters, kind, request)
+        except IntegrityError:
+            made = None if request is None else self.made_by(map_slug, request)
+            if made is None:
+                raise
+            return made
+
+    def _insert(
+        self, map_slug: str, parameters: Mapping[str, Any], kind: str, request: RequestKey | None
+    ) -> JobRecord:
         with self._database.writing() as session:
             row = Job(
                 id=new_id(),
@@ -49,10 +67,32 @@ class Jobs:
                 total_units=0,
                 parameters=dict(parameters),
                 cancel_requested=False,
+                request_key=None if request is None else request.key,
+                request_digest=None if request is None else request.digest,
                 created_at=datetime.now(UTC),
             )
             session.add(row)
             session.flush()
+            return _record(row)
+
+    def made_by(self, map_slug: str, request: RequestKey) -> JobRecord | None:
+        """Return the job that this request made, `None` if it has made none yet.
+
+        Raises:
+            MapNotFound: If there is no such map.
+            RequestKeyReused: If another request was made under this key.
+        """
+        with self._database.reading() as session:
+            map_id = map_named(session, map_slug).id
+            query = select(Job).where(Job.map_id == map_id, Job.request_key == request.key)
+            row = session.scalar(query)
+            if row is None:
+                return None
+            if row.request_digest != request.digest:
+                raise RequestKeyReused(
+                    f"the idempotency key {request.key!r} was used for job {row.id}, which was"
+                    " asked for with other parameters"
+                )
             return _record(row)
 
     def claim(self) -> JobRecord | None:

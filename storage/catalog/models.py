@@ -234,7 +234,11 @@ class Job(Base):
     """A long computation for a map."""
 
     __tablename__ = "jobs"
-    __table_args__ = (Index(None, "created_at", "id"), Index(None, "state", "created_at"))
+    __table_args__ = (
+        Index(None, "created_at", "id"),
+        Index(None, "state", "created_at"),
+        Index("ix_jobs_request_key", "map_id", "request_key", unique=True),
+    )
 
     id: Mapped[str] = mapped_column(Id, primary_key=True)
     map_id: Mapped[str] = mapped_column(Id, ForeignKey("maps.id", ondelete="CASCADE"), index=True)
@@ -250,6 +254,9 @@ class Job(Base):
     revision: Mapped[str | None] = mapped_column(Digest)
     cancel_requested: Mapped[bool]
     notes: Mapped[list[str] | None] = mapped_column(JSON(none_as_null=True))
+    # Of the request that made it, if it said so: who repeats that is given the same job.
+    request_key: Mapped[str | None] = mapped_column(PlainString(255))
+    request_digest: Mapped[str | None] = mapped_column(Digest)
     created_at: Mapped[datetime]
     started_at: Mapped[datetime | None]
     stage_started_at: Mapped[datetime | None]

@@ -16,6 +16,7 @@ __all__ = [
     "KeyRecord",
     "MapRecord",
     "Page",
+    "RequestKey",
     "RevisionFacts",
     "RevisionRecord",
     "ScanRecord",
@@ -214,6 +215,19 @@ class JobRecord:
             return None
         spent_s = (now - self.stage_started_at).total_seconds()
         return max(0.0, spent_s * (self.total_units / self.done_units - 1.0))
+
+
+@dataclass(frozen=True)
+class RequestKey:
+    """What tells a request from others of the same map: the client's key and what it asks for.
+
+    Attributes:
+        key: Up to 255 characters, the client's choice.
+        digest: SHA-256 of what is asked for, 64 hexadecimal digits.
+    """
+
+    key: str
+    digest: str
 
 
 @dataclass(frozen=True)

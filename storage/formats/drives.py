@@ -10,6 +10,7 @@ from storage.formats.file_drive import open_nclt_drive, open_scan_folder
 from storage.formats.ford_drive import open_ford_drive
 from storage.formats.kitti_drive import open_kitti_drive
 from storage.formats.registry import SCAN_FORMATS
+from storage.formats.ros_drive import is_ros_bag, open_ros_drive, split_topic
 
 __all__ = ["open_drive"]
 
@@ -20,7 +21,8 @@ def open_drive(path: Path, *, min_returns: int = 1) -> Drive:
     Args:
         path: A folder with `velodyne/` (KITTI odometry), `velodyne_sync/` (NCLT) or `SCANS/` (Ford
             Campus), or of scan files, in the order of their names; or a capture, `.pcap`, of which
-            each full turn is a scan. Its name becomes the drive's.
+            each full turn is a scan; or a ROS bag, `.bag`, `.mcap`, `.db3` or what ROS 2 recorded,
+            with `#TOPIC` after it where several have clouds. Its name becomes the drive's.
         min_returns: How many finite, non-zero returns a scan must have.
 
     Raises:
@@ -29,6 +31,9 @@ def open_drive(path: Path, *, min_returns: int = 1) -> Drive:
         EmptyDrive: If it has a layout and no scans.
         MalformedDrive: If a file beside the scans cannot be used.
     """
+    bag, topic = split_topic(path)
+    if is_ros_bag(bag):
+        return open_ros_drive(bag, topic, min_returns=min_returns)
     if path.suffix.lower() == ".pcap" and path.is_file():
         return open_captured_drive(path, min_returns=min_returns)
     if (path / "velodyne").is_dir():
@@ -43,7 +48,9 @@ def open_drive(path: Path, *, min_returns: int = 1) -> Drive:
         f" files ({suffixes})"
     )
     if not path.is_dir():
-        raise UnknownDriveLayout(f"{path} is no folder and no .pcap; wanted a folder with {wanted}")
+        raise UnknownDriveLayout(
+            f"{path} is no folder, no .pcap and no ROS bag; wanted a folder with {wanted}"
+        )
     try:
         return open_scan_folder(path, min_returns=min_returns)
     except EmptyDrive as error:

@@ -128,6 +128,31 @@ def test_a_waiting_and_a_running_build_are_cancelled(standing):
     assert again.json()["state"] == "cancelled"  # one that ended stays as it is
 
 
+def test_a_build_that_is_asked_for_again_under_its_key_is_the_same_job(standing):
+    def ask(**wanted):
+        headers = {"Idempotency-Key": "5a7e-first"}
+        return standing.post("/v1/maps/campus/builds", json=wanted, headers=headers)
+
+    first = ask(segments=1)
+    wait_for(standing, first.json()["job"], {"running"})
+    again = ask(segments=1)
+    assert (again.status_code, again.headers["Location"]) == (202, first.headers["Location"])
+    assert (again.json()["job"], again.json()["state"]) == (first.json()["job"], "running")
+    assert problem_of(ask(segments=2)) == (409, "request-key-reused")
+    # What it was made of may be gone since: it was made.
+    assert standing.delete("/v1/maps/campus/drives/monday").status_code == 204
+    assert ask(segments=1).json()["job"] == first.json()["job"]
+    assert len(standing.get("/v1/jobs").json()["items"]) == 1
+
+
+@pytest.mark.parametrize("key", ["", "x" * 256, "two words", "ä"])
+def test_a_key_that_no_header_should_hold_is_refused(standing, key):
+    headers = {"Idempotency-Key": key.encode("latin-1")}
+    refused = standing.post("/v1/maps/campus/builds", json={}, headers=headers)
+    assert problem_of(refused) == (422, "invalid-request")
+    assert standing.get("/v1/jobs").json()["items"] == []
+
+
 def test_the_jobs_of_a_map_are_listed_newest_first(standing):
     standing.post("/v1/maps", json={"map": "other"})
     jobs = [build(standing) for _ in range(3)]

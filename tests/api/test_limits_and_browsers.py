@@ -7,6 +7,7 @@ from starlette.testclient import TestClient, WebSocketDenialResponse
 
 from app.settings import Settings
 from tests.api.test_scopes import ADMIN, ADMIN_KEY, bearer, make
+from tests.support.recording import KITTI, kitti, recording
 from tests.support.service import problem_of, running
 
 SITE = "https://maps.example"
@@ -77,6 +78,43 @@ def test_messages_of_a_stream_count_and_it_goes_on(tmp_path, built):
         ):
             pass
         assert refused.value.status_code == 429
+
+
+@pytest.fixture
+def metered(tmp_path):
+    """Ten thousand bytes a day, and a map to put scans into."""
+    with running(tmp_path, admin_key=ADMIN_KEY, upload_bytes_per_day=10_000) as client:
+        assert client.post("/v1/maps", json={"map": "campus"}, headers=ADMIN).status_code == 201
+        yield client
+
+
+def put_scan(client, key, index, body):
+    path = f"/v1/maps/campus/drives/monday/scans/{index}"
+    return client.put(path, content=body, headers={**KITTI, **key})
+
+
+def test_a_key_sends_so_many_bytes_a_day_and_no_more(metered):
+    one, other = (bearer(make(metered, "maps:write")["secret"]) for _ in range(2))
+    scan = kitti(recording().scans[0])[:4800]
+    assert put_scan(metered, one, 0, scan).status_code == 201
+    second = put_scan(metered, one, 1, scan)
+    assert second.headers["RateLimit-Policy"] == '"bytes";q=10000;qu="content-bytes";w=86400'
+    assert second.headers["RateLimit"].startswith('"bytes";r=400;t=')
+    refused = put_scan(metered, one, 2, scan)
+    assert problem_of(refused) == (429, "too-many-requests")
+    assert 37_000 < int(refused.headers["Retry-After"]) <= 38_016  # for 4,400 of them
+    assert put_scan(metered, other, 2, scan).status_code == 201
+    drive = metered.get("/v1/maps/campus/drives/monday", headers=one)
+    assert (drive.status_code, drive.json()["scans"]) == (200, 3)  # asking sends nothing
+
+
+def test_bytes_that_were_not_announced_count_as_they_come(metered):
+    one = bearer(make(metered, "maps:write")["secret"])
+    scan = kitti(recording().scans[0])[:16_000]
+    refused = put_scan(metered, one, 0, iter([scan[:8000], scan[8000:]]))
+    assert problem_of(refused) == (429, "too-many-requests")
+    drives = metered.get("/v1/maps/campus/drives", headers=one)
+    assert drives.json()["items"] == []
 
 
 def test_by_default_nothing_is_limited(client):

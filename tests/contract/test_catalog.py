@@ -19,6 +19,7 @@ from storage.catalog import (
     Catalog,
     IndexRange,
     JobState,
+    RequestKey,
     RevisionFacts,
     ScanRecord,
     on_behalf,
@@ -37,6 +38,7 @@ from storage.errors import (
     MapExists,
     MapNotFound,
     NoLiveRevision,
+    RequestKeyReused,
     RevisionIsLive,
     RevisionNotFound,
     ScanNotFound,
@@ -433,6 +435,29 @@ class TestJobs:
             claimed = list(pool.map(lambda _: catalog.jobs.claim(), range(14)))
         assert sorted(job.id for job in claimed if job) == sorted(made)
         assert claimed.count(None) == 2
+
+    def test_a_request_makes_one_job_however_often_it_comes(self, catalog):
+        request = RequestKey("retry-1", A)
+        assert catalog.jobs.made_by("campus", request) is None
+        with ThreadPoolExecutor(4) as pool:
+            made = list(
+                pool.map(lambda _: catalog.jobs.create("campus", {}, request=request), range(12))
+            )
+        assert len({job.id for job in made}) == 1
+        assert [job.id for job in catalog.jobs.list().items] == [made[0].id]
+        assert catalog.jobs.made_by("campus", request) == made[0]
+        catalog.maps.create("dock")
+        assert catalog.jobs.create("dock", {}, request=request).id != made[0].id
+
+    def test_a_request_key_is_of_one_request(self, catalog):
+        catalog.jobs.create("campus", {}, request=RequestKey("retry-1", A))
+        for ask in (
+            lambda: catalog.jobs.made_by("campus", RequestKey("retry-1", B)),
+            lambda: catalog.jobs.create("campus", {}, request=RequestKey("retry-1", B)),
+        ):
+            with pytest.raises(RequestKeyReused, match="'retry-1'"):
+                ask()
+        assert len(catalog.jobs.list().items) == 1
 
     def test_a_job_of_a_map_that_is_being_deleted_is_queued_before_or_not_at_all(self, catalog):
         def queue(_):

@@ -7,6 +7,7 @@ import re
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import cast
 
 import typer.main
 from pydantic_core import PydanticUndefined
@@ -53,9 +54,11 @@ def problems_table() -> Iterator[str]:
 def commands_table() -> Iterator[str]:
     yield "| command | what it does |"
     yield "|---|---|"
-    group = typer.main.get_command(cli)
-    for name, command in group.commands.items():  # type: ignore[attr-defined]  # it is a group
-        meaning = (command.help or "").strip().split("\n")[0]
+    group = cast("typer.core.TyperGroup", typer.main.get_command(cli))
+    context = typer.Context(group)
+    for name in group.list_commands(context):
+        command = group.get_command(context, name)
+        meaning = ((command and command.help) or "").strip().split("\n")[0]
         yield f"| `tensormap {name}` | {meaning} |"
 
 

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from app.access.rate_limits import _MOST_BUCKETS, Allowance, RateLimits
+from app.access.rate_limits import _MOST_BUCKETS, BYTES, REQUESTS, Allowance, RateLimits
 from app.errors import TooManyRequests
 
 
@@ -67,7 +67,25 @@ def test_what_is_left_and_when_to_come_back_is_told(clock):
         "RateLimit": '"requests";r=0;t=6',
     }
     clock.now_s += 2.0
-    assert limits.take("fleet") == Allowance(3, 6, remaining=0, full_in_s=6)
+    assert limits.take("fleet") == Allowance(REQUESTS, 3, 6, remaining=0, full_in_s=6)
+
+
+def test_a_bucket_of_bytes_takes_many_at_once_or_none(clock):
+    limits = RateLimits(10.0, 1000, clock, BYTES)
+    left = limits.take("fleet", 600)
+    assert left is not None
+    assert left.headers() == {
+        "RateLimit-Policy": '"bytes";q=1000;qu="content-bytes";w=100',
+        "RateLimit": '"bytes";r=400;t=60',
+    }
+    for ask in (limits.take, limits.require):
+        with pytest.raises(
+            TooManyRequests, match=r"1000 bytes of request bodies a day .* wait 20 s"
+        ):
+            ask("fleet", 600)
+    assert limits.require("fleet", 400) == limits.take("fleet", 0)
+    with pytest.raises(TooManyRequests, match="wait 60 s"):  # never fits, whatever the wait
+        limits.take("fleet", 5000)
 
 
 def test_buckets_are_bounded(clock):
