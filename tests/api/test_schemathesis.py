@@ -56,9 +56,7 @@ known = KnownNames()
 @pytest.fixture(scope="module")
 def api(built):
     """The document as schemathesis reads it."""
-    bridge.app = create_app(Settings())
-    if EXAMPLES <= EVERY_DAY:
-        bridge.app.openapi_schema = without_long_lists(bridge.app.openapi())
+    described = document() if EXAMPLES > EVERY_DAY else without_long_lists(document())
     wanted = {
         "seed": 1,
         "request-timeout": 60,
@@ -71,9 +69,8 @@ def api(built):
             "with-security-parameters": False,
         },
     }
-    api = schemathesis.openapi.from_asgi(
-        "/openapi.json", bridge, config=SchemathesisConfig.from_dict(wanted)
-    )
+    api = schemathesis.openapi.from_dict(described, config=SchemathesisConfig.from_dict(wanted))
+    api.app = bridge
 
     @api.hook
     def filter_failure(context, failure, case, response):
@@ -106,13 +103,13 @@ def service(request, tmp_path, built):
     app = create_app(Settings(data_dir=tmp_path / "data", admin_key=SecretStr(KEY)))
     with Client(app, headers=HEADERS) as client:
         bridge.app = app
-        known.of = names_of(
-            client, built, is_deleting=request.node.callspec.id.startswith("DELETE")
-        )
+        method, path = request.node.callspec.params["operation"].split()
+        deletes = path.rpartition("/")[2] if method == "DELETE" else ""
+        known.of = names_of(client, built, deletes)
         yield client.service
 
 
-def names_of(client, built, *, is_deleting):
+def names_of(client, built, deletes):
     """Return the names of what is there, by where they stand in requests."""
 
     def make(path, **body):
@@ -120,24 +117,27 @@ def names_of(client, built, *, is_deleting):
         assert made.status_code == 201, made.text
         return made.json()
 
-    more = range(SPARES if is_deleting else 1)
+    # Each request that deletes has one of its own.
+    more = range(SPARES if deletes else 1)
     maps, drives = ["campus"], ["monday"]
-    if is_deleting:  # each request has its own to delete
-        maps += [make("/v1/maps", map=f"spare-{number}")["map"] for number in more]
-        for number in more:
-            drives.append(f"spare-{number}")
-            upload_scan(client, "campus", drives[-1], 0, recording().scans[number])
+    if deletes == "{map}":
+        maps = [make("/v1/maps", map=f"spare-{number}")["map"] for number in more]
+    if deletes == "{drive}":
+        drives = [f"spare-{number}" for number in more]
+        for drive in drives:
+            upload_scan(client, "campus", drive, 0, recording().scans[0])
     names = {
         "path.map": maps,
         "path.drive": drives,
         "path.job": [built.job],
-        "path.revision": [built.live, built.other[:16]],
+        "path.revision": [built.other] if deletes else [built.live, built.other[:16]],
         "path.key": [make("/v1/keys", name="fleet", scopes=["localize"])["key"] for _ in more],
         "path.track": [make("/v1/maps/campus/tracks")["track"] for _ in more],
         "query.revision": [built.live, built.other[:12]],
         "query.since_drive": ["monday"],
         "body.revision": [built.live, built.other],
         "body.base": ["live"],
+        "body.basis": [client.get("/v1/maps/campus/basis").json()["basis"]],
     }
     return {place: itertools.cycle(of_place) for place, of_place in names.items()}
 
