@@ -5,8 +5,10 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+from xdist.remote import Producer
 
 from tests.support.postgresql import Cluster, cluster, reason_to_skip
+from tests.support.scheduling import ByModule
 
 _ran: set[str] = set()
 
@@ -14,6 +16,12 @@ _ran: set[str] = set()
 def pytest_xdist_auto_num_workers() -> int:
     """Half as many workers again as there are cores: a third of the time tests wait."""
     return max(2, (os.cpu_count() or 1) * 3 // 2)
+
+
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Producer) -> ByModule:
+    """Share tests out by module, in the order of their names."""
+    config.option.loadscopereorder = False  # documents, which take longest, would come last
+    return ByModule(config, log)
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -41,9 +49,8 @@ def pytest_terminal_summary(
         terminalreporter.write_line(f"tests on recorded drives: {len(_ran)} ran")
 
 
-POSTGRESQL = pytest.param("postgresql", marks=pytest.mark.xdist_group("postgresql"))
-DATABASES = ["sqlite", POSTGRESQL]
-"""What the catalog can stand on; all tests on PostgreSQL share one worker, and its cluster."""
+DATABASES = ["sqlite", "postgresql"]
+"""What the catalog can stand on."""
 
 
 @pytest.fixture(scope="session")

@@ -1,12 +1,8 @@
 """The service on a PostgreSQL catalog, from the first scan to an answer."""
 
-import pytest
-
 from tests.support.postgresql import Cluster
 from tests.support.recording import KITTI, kitti, recording
 from tests.support.service import problem_of, running, upload, wait_for
-
-pytestmark = pytest.mark.xdist_group("postgresql")
 
 
 def test_a_map_is_built_and_answers_and_is_there_after_a_restart(

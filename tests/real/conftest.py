@@ -11,13 +11,6 @@ from core.drive import Drive
 from storage.formats.drives import open_drive
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Keep the tests of a module on one worker: they share what takes long to make."""
-    for item in items:
-        if "real_data" in item.keywords:
-            item.add_marker(pytest.mark.xdist_group(item.path.stem))
-
-
 @pytest.fixture(scope="session")
 def data_folder() -> Path:
     name = os.environ.get("TENSORMAP_DATA")

@@ -10,7 +10,9 @@ from core.candidates import find_candidates
 from core.errors import InvalidMap, InvalidParameters
 from core.images import MemoryImages
 from core.localizer import Localizer
-from core.trust.calibrate import calibrate
+from core.parameters import Encoding
+from core.trust.calibrate import _SHARPER, calibrate
+from core.trust.calibration import MIN_PROBABILITY
 from core.trust.spread import Deviation, Spread, fit_variance
 from tests.support.samples import (
     SMALL_GRID,
@@ -57,6 +59,18 @@ def test_a_place_of_the_map_is_probable_and_one_of_elsewhere_is_not(made):
     assert {found.verdict.reason for found in of_unknown} & {"unknown_place", "ambiguous"}
     probable = [found.verdict.probability for found in of_known]
     assert np.median(np.array(probable, dtype=np.float64)) > 0.9
+
+
+def test_sharper_odds_change_probabilities_and_no_decision(made, monkeypatch):
+    monkeypatch.setitem(_SHARPER, Encoding.PAPER, 2.0)
+    sharp = calibrate(made, noisy_probes(smooth_images(120, SMALL_GRID.shape)))
+    assert sharp is not None
+    assert sharp.both == tuple(2.0 * weight for weight in made.calibration.both)
+    assert (sharp.likelihood, sharp.floor) == (made.calibration.likelihood, made.calibration.floor)
+    for distance, ratio in np.random.default_rng(3).uniform(0.0, 1.0, (200, 2)):
+        before, after = (known.probability(distance, ratio) for known in (made.calibration, sharp))
+        assert (before >= MIN_PROBABILITY) == (after >= MIN_PROBABILITY)
+        assert abs(after - 0.5) >= abs(before - 0.5)
 
 
 def test_a_standard_deviation_is_told_where_poses_are_known(made):
