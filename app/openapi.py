@@ -35,6 +35,7 @@ def complete_openapi(app: FastAPI) -> None:
                 for operation in path.values():
                     _drop_foreign_422(operation["responses"])
                     _tell_alternatives(operation)
+                    _leave_out_null(operation)
         return app.openapi_schema or {}
 
     # FastAPI's documented way to extend the document.
@@ -46,6 +47,16 @@ def _tell_alternatives(operation: dict[str, Any]) -> None:
     if security := operation.get("security"):
         [(scheme, scopes)] = security[0].items()
         operation["security"] = [{scheme: [scope]} for scope in scopes]
+
+
+def _leave_out_null(operation: dict[str, Any]) -> None:
+    # What is optional may be left out; no text in a path, query or header is null.
+    for parameter in operation.get("parameters", ()):
+        schema = parameter["schema"]
+        kinds = [kind for kind in schema.get("anyOf", ()) if kind != {"type": "null"}]
+        if len(kinds) == 1:
+            del schema["anyOf"]
+            parameter["schema"] = {**kinds[0], **schema}
 
 
 def _drop_foreign_422(responses: dict[str, Any]) -> None:

@@ -12,6 +12,7 @@ from app.metrics import Metrics
 from app.revisions import LoadedRevisions
 from app.settings import Settings
 from app.tracks import Tracks
+from storage.names import SLUG_PATTERN
 from storage.store import Store
 
 __all__ = ["DriveSlug", "MapSlug", "Running", "Service", "running_service"]
@@ -49,7 +50,22 @@ def running_service(request: Request) -> Service:
 
 
 Running = Annotated[Service, Depends(running_service)]
-MapSlug = Annotated[str, Path(alias="map", description="The map's name.", examples=["campus"])]
+_SLUG = {"pattern": SLUG_PATTERN}  # described only: what is none is not there, or an invalid slug
+MapSlug = Annotated[
+    str,
+    Path(
+        alias="map",
+        description="The map's name.",
+        examples=["campus"],
+        json_schema_extra=_SLUG,
+    ),
+]
 DriveSlug = Annotated[
-    str, Path(alias="drive", description="The drive's name.", examples=["monday"])
+    str,
+    Path(
+        alias="drive",
+        description="The drive's name.",
+        examples=["monday"],
+        json_schema_extra=_SLUG,
+    ),
 ]

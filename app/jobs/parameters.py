@@ -5,6 +5,7 @@ from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
+from app.schemas.exact import Flag, Number, integers
 from core.errors import InvalidParameters
 from core.imager import ImageKind
 from core.parameters import (
@@ -60,13 +61,13 @@ class BuildParameters(BaseModel):
         None, description="Drives to put after those of `base`; one that it has is read anew."
     )
     remove: DriveNames | None = Field(None, description="Drives of `base` to leave out.")
-    max_age_days: float | None = Field(
+    max_age_days: Number | None = Field(
         None,
         gt=0,
         le=36525,
         description="Leave out drives whose upload began longer ago. They stay stored.",
     )
-    refit: bool = Field(
+    refit: Flag = Field(
         default=False,
         description="Fit a harmonic map's basis anew: vehicles have to download it again. By"
         " default that of `base`, or of the live revision if its parameters are the same, is kept.",
@@ -105,7 +106,7 @@ class BuildParameters(BaseModel):
     distance: Distance | None = Field(
         None, description="How harmonic signatures are compared; `normalised` by default."
     )
-    lateral_renderings_m: list[float] | None = Field(
+    lateral_renderings_m: list[Number] | None = Field(
         None,
         min_length=1,
         max_length=64,
@@ -113,10 +114,12 @@ class BuildParameters(BaseModel):
         f" {list(LATERAL_RENDERINGS_M)} by default, [0] for none.",
     )
     sensor: str = Field(HDL_64E.name, description=f"One of {', '.join(sorted(SENSORS))}.")
-    sensor_height_m: float = Field(1.73, gt=0, lt=100, description="Sensor above ground.")
-    make_live: bool = Field(
+    sensor_height_m: Number = Field(1.73, gt=0, lt=100, description="Sensor above ground.")
+    make_live: Flag = Field(
         default=False, description="Make the result live; the first one always is."
     )
+
+    _integers = field_validator("ranks", "segment_length", "segments", mode="before")(integers)
 
     @model_validator(mode="after")
     def _one_way_to_cut(self) -> "BuildParameters":

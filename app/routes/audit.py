@@ -3,11 +3,11 @@
 from typing import Annotated
 
 from fastapi import APIRouter, Query
-from pydantic import AwareDatetime
 
 from app.access.scopes import Scope, needs
 from app.errors import READING, InvalidRequest, problems
 from app.schemas.audit import AuditEntryOut
+from app.schemas.exact import Moment
 from app.schemas.pages import Limit, PageOut
 from app.service import Running
 
@@ -27,8 +27,8 @@ OfMap = Annotated[
 OfKey = Annotated[
     str | None, Query(alias="key", max_length=32, description="Only entries of this key.")
 ]
-Since = Annotated[AwareDatetime | None, Query(description="Only entries of this moment or later.")]
-Until = Annotated[AwareDatetime | None, Query(description="Only entries before this moment.")]
+Since = Annotated[Moment | None, Query(description="Only entries of this moment or later.")]
+Until = Annotated[Moment | None, Query(description="Only entries before this moment.")]
 
 
 @router.get(

@@ -22,6 +22,18 @@ __all__ = ["job_of", "router"]
 router = APIRouter(tags=["builds"])
 
 _EVENTS = "text/event-stream"
+_EVENT = {
+    "type": "object",
+    "required": ["data", "id"],
+    "properties": {
+        "data": {
+            "type": "string",
+            "contentMediaType": "application/json",
+            "contentSchema": {"$ref": "#/components/schemas/JobOut"},
+        },
+        "id": {"type": "string", "description": "For `Last-Event-ID`."},
+    },
+}
 
 JobId = Annotated[str, Path(alias="job", description="The job's id.")]
 LastEventId = Annotated[
@@ -62,7 +74,7 @@ def get_job(job_id: JobId, running: Running, asking: Asking) -> JobOut:
     responses={
         200: {
             "description": "The job whenever it has got further.",
-            "content": {_EVENTS: {"schema": {"type": "string"}}},
+            "content": {_EVENTS: {"itemSchema": _EVENT}},
         },
         204: {"description": "It has ended, and the client was told so: do not come back."},
         **problems(JobNotFound, InvalidRequest, *READING),

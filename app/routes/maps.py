@@ -1,5 +1,6 @@
 """Maps: the named containers of drives and revisions."""
 
+import re
 from typing import Annotated
 
 from fastapi import APIRouter, Header, Response, status
@@ -17,8 +18,13 @@ __all__ = ["IfMatch", "etag_of", "router", "version_seen"]
 
 router = APIRouter(tags=["maps"])
 
+_ETAG = re.compile(r'\s*(?:\*|(?:W/)?"([0-9]{1,18})")\s*')
 IfMatch = Annotated[
-    str | None, Header(description="The ETag that was seen: change only that version.")
+    str | None,
+    Header(
+        description="The ETag that was seen: change only that version.",
+        json_schema_extra={"pattern": r'^(\*|(W/)?"[0-9]{1,18}")$'},
+    ),
 ]
 
 
@@ -111,9 +117,9 @@ def version_seen(if_match: str | None) -> int | None:
     Raises:
         InvalidRequest: If it is no ETag of a map.
     """
-    if if_match is None or if_match.strip() == "*":
+    if if_match is None:
         return None
-    try:
-        return int(if_match.strip().removeprefix("W/").strip('"'))
-    except ValueError:
-        raise InvalidRequest(f"If-Match is {if_match[:80]!r}, wanted a map's ETag") from None
+    found = _ETAG.fullmatch(if_match)
+    if found is None:
+        raise InvalidRequest(f"If-Match is {if_match[:80]!r}, wanted a map's ETag")
+    return None if found[1] is None else int(found[1])

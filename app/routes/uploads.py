@@ -23,7 +23,7 @@ from app.tar_stream import TarStream
 from app.uploads import BodyReader, spooled, store_scans
 from storage.errors import DriveNotFound, InvalidSlug, MapNotFound
 from storage.formats.errors import UnknownFormat
-from storage.formats.registry import media_type_of
+from storage.formats.registry import FORMAT_NAMES, media_type_of
 
 __all__ = ["router"]
 
@@ -38,6 +38,7 @@ FormatName = Annotated[
         alias="format",
         description="What the files are, the last word of a scan's media type, as `kitti`; without"
         " it their suffixes tell, but for `.bin`.",
+        json_schema_extra={"enum": list(FORMAT_NAMES)},  # what is none is an unknown format
     ),
 ]
 

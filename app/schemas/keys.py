@@ -2,9 +2,10 @@
 
 from datetime import UTC, datetime
 
-from pydantic import AwareDatetime, BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from app.access.scopes import Scope
+from app.schemas.exact import Moment, SlugText, each_once
 from storage.catalog import KeyRecord
 
 __all__ = ["KeyIn", "KeyMade", "KeyOut"]
@@ -31,15 +32,17 @@ class KeyIn(BaseModel):
     scopes: set[Scope] = Field(
         min_length=1, description="What it allows; none implies another, but `admin` implies all."
     )
-    maps: set[str] | None = Field(
+    maps: set[SlugText] | None = Field(
         None,
         min_length=1,
         max_length=_MOST_MAPS,
         description="The maps that it is limited to, there already or not; null for all.",
     )
-    expires_at: AwareDatetime | None = Field(
+    expires_at: Moment | None = Field(
         None, description="When it ends, with a time zone; null for never."
     )
+
+    _sets = field_validator("scopes", "maps", mode="before")(each_once)
 
 
 class KeyOut(BaseModel):

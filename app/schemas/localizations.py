@@ -5,8 +5,17 @@ from typing import Annotated, Any
 
 import numpy as np
 from fastapi import Query
-from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, model_validator
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Discriminator,
+    Field,
+    Tag,
+    field_validator,
+    model_validator,
+)
 
+from app.schemas.exact import Number, integers
 from app.schemas.poses import PoseOut
 from core.arrays import Complex64Array
 from core.errors import InvalidSignature
@@ -26,7 +35,7 @@ NearestCount = Annotated[
 
 
 # Bounds as in the packed form; of a list that is wrong, its first fault is told.
-_Row = Annotated[list[float], Field(max_length=255, fail_fast=True)]
+_Row = Annotated[list[Number], Field(max_length=255, fail_fast=True)]
 
 
 class SegmentSignatureIn(BaseModel):
@@ -38,6 +47,8 @@ class SegmentSignatureIn(BaseModel):
     values: list[_Row] = Field(
         min_length=1, max_length=255, fail_fast=True, description="r1 rows of r2 numbers."
     )
+
+    _integers = field_validator("segment", mode="before")(integers)
 
 
 class HarmonicSignatureIn(BaseModel):

@@ -1,7 +1,10 @@
 """Proposed loop closures over the wire."""
 
-from pydantic import BaseModel, ConfigDict, Field
+from typing import Annotated, Any
 
+from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, field_validator
+
+from app.schemas.exact import Number, integers
 from app.schemas.localizations import SignaturesIn
 from core.loop_closure import ACCEPT_FROM, LoopClosure, Verdict
 
@@ -18,6 +21,20 @@ class StoredScanIn(BaseModel):
     drive: str = Field(max_length=64)
     scan_index: int = Field(ge=0, lt=2**53)
 
+    _integers = field_validator("scan_index", mode="before")(integers)
+
+
+def _told_of(item: Any) -> str:  # noqa: ANN401 - whatever a client sends
+    if isinstance(item, dict):
+        return "signatures" if "signatures" in item else "scan"
+    return "signatures" if isinstance(item, SignaturesIn) else "scan"
+
+
+ScanIn = Annotated[
+    Annotated[StoredScanIn, Tag("scan")] | Annotated[SignaturesIn, Tag("signatures")],
+    Discriminator(_told_of),
+]
+
 
 class ProposalIn(BaseModel):
     """Two scans that may show one place."""
@@ -25,7 +42,7 @@ class ProposalIn(BaseModel):
     model_config = ConfigDict(extra="forbid")
 
     first: StoredScanIn = Field(description="What the answer is relative to.")
-    second: StoredScanIn | SignaturesIn = Field(
+    second: ScanIn = Field(
         description="Another stored scan, judged by the returns of both; or signatures of one that"
         " is not, judged against the first one's in the revision that they name."
     )
@@ -49,13 +66,13 @@ class LoopClosuresIn(BaseModel):
     )
 
     proposals: list[ProposalIn] = Field(min_length=1, max_length=_MOST, fail_fast=True)
-    accept_from: float = Field(
+    accept_from: Number = Field(
         ACCEPT_FROM,
         gt=0.5,
         le=1,
         description="The least probability to accept; below 0.5 it is rejected.",
     )
-    sensor_height_m: float | None = Field(
+    sensor_height_m: Number | None = Field(
         None,
         gt=0,
         lt=100,

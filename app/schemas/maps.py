@@ -4,6 +4,7 @@ from datetime import datetime
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from app.schemas.exact import SlugText
 from app.schemas.retention import OwnRetentionOut, RetentionOut, RetentionPatch
 from storage.catalog import MapRecord
 from storage.retention import Retention
@@ -19,7 +20,7 @@ class MapIn(BaseModel):
         json_schema_extra={"example": {"map": "campus", "description": "Loop around the campus"}},
     )
 
-    map: str = Field(
+    map: SlugText = Field(
         description="Its name: 1 to 64 of a-z, 0-9, `.`, `_`, `-`; a letter or digit first."
     )
     description: str = Field("", max_length=2000)

@@ -5,8 +5,9 @@ from collections import Counter
 from typing import Annotated
 
 from fastapi import Query
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, field_validator
 
+from app.schemas.exact import Number, integers
 from core.errors import InvalidPose
 from core.pose import Pose
 
@@ -45,10 +46,12 @@ class ScanPoseIn(BaseModel):
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
 
     scan: int = Field(ge=0, lt=2**53, description="Its index in the drive.")
-    pose: Annotated[list[float], Field(min_length=7, max_length=7, fail_fast=True)] | None = Field(
+    pose: Annotated[list[Number], Field(min_length=7, max_length=7, fail_fast=True)] | None = Field(
         None, description=f"{_ORDER}; null forgets it, left as it is without it."
     )
-    timestamp_s: float | None = Field(None, description="Seconds; left as it is without it.")
+    timestamp_s: Number | None = Field(None, description="Seconds; left as it is without it.")
+
+    _integers = field_validator("scan", mode="before")(integers)
 
 
 class PosesIn(BaseModel):

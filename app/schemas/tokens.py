@@ -2,9 +2,10 @@
 
 from datetime import datetime
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from app.access.scopes import Scope
+from app.schemas.exact import SlugText, each_once, integers
 
 __all__ = ["TokenIn", "TokenMade"]
 
@@ -26,7 +27,7 @@ class TokenIn(BaseModel):
         min_length=1,
         description="What it allows, no more than the key and never `admin`; null for all that.",
     )
-    maps: set[str] | None = Field(
+    maps: set[SlugText] | None = Field(
         None,
         min_length=1,
         max_length=1000,
@@ -35,6 +36,9 @@ class TokenIn(BaseModel):
     expires_in_s: int = Field(
         _LONGEST_S, ge=1, le=_LONGEST_S, description="How many seconds it lasts."
     )
+
+    _sets = field_validator("scopes", "maps", mode="before")(each_once)
+    _integers = field_validator("expires_in_s", mode="before")(integers)
 
 
 class TokenMade(BaseModel):

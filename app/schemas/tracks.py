@@ -1,7 +1,8 @@
 """Tracks over the wire."""
 
-from pydantic import BaseModel, Field
+from pydantic import BaseModel, Field, field_validator
 
+from app.schemas.exact import Number, integers
 from app.schemas.localizations import SignaturesIn
 from app.schemas.poses import PoseOut
 from app.tracks import LiveTrack
@@ -14,13 +15,15 @@ __all__ = ["ObservationIn", "TrackOut", "TrackStepOut"]
 class ObservationIn(SignaturesIn):
     """One scan's signatures and, if the vehicle knows, when it was and how far it came."""
 
-    timestamp_s: float | None = Field(
+    timestamp_s: Number | None = Field(
         None, allow_inf_nan=False, description="By the vehicle's own clock; rises."
     )
     sequence: int | None = Field(None, ge=0, lt=2**53, description="Its number; rises.")
-    travelled_m: float | None = Field(
+    travelled_m: Number | None = Field(
         None, allow_inf_nan=False, description="Odometry since the last one, negative backwards."
     )
+
+    _sequence = field_validator("sequence", mode="before")(integers)
 
     def to_observation(self) -> Observation:
         """Return the observation.

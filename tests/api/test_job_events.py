@@ -57,7 +57,7 @@ def test_a_job_that_goes_with_its_map_ends_its_events(own, monkeypatch):
     assert told == ["running"]
 
 
-def stand_still(_data_dir, _catalog_url, _job):
+def stand_still(*_):
     """Be a worker that never ends."""
     time.sleep(600)
 

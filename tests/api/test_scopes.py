@@ -336,7 +336,7 @@ def test_a_stream_ends_when_its_key_is_revoked(client):
     assert closed.value.code == 1008
 
 
-def stand_still(_data_dir, _catalog_url, _job):
+def stand_still(*_):
     """Be a worker that never ends."""
     time.sleep(600)
 

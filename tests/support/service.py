@@ -17,7 +17,16 @@ from app.settings import Settings
 from core.pose import Pose
 from tests.support.recording import KITTI, Recording, kitti
 
-__all__ = ["Client", "pose_text", "problem_of", "running", "upload", "wait_for", "whole_store"]
+__all__ = [
+    "Client",
+    "document",
+    "pose_text",
+    "problem_of",
+    "running",
+    "upload",
+    "wait_for",
+    "whole_store",
+]
 
 PROBLEM = "application/problem+json"
 ENDED = {"done", "failed", "cancelled"}
@@ -29,7 +38,7 @@ class Client(TestClient):
     def __init__(self, app: FastAPI, **options: Any) -> None:
         options.setdefault("base_url", "http://127.0.0.1")
         super().__init__(app, client=("127.0.0.1", 5000), raise_server_exceptions=False, **options)
-        self.documented = _document()
+        self.documented = document()
 
     @property
     def service(self) -> Service:
@@ -67,7 +76,8 @@ class Client(TestClient):
 
 
 @functools.cache
-def _document() -> dict[str, Any]:
+def document() -> dict[str, Any]:
+    """Return the OpenAPI document, whatever the settings."""
     return create_app(Settings()).openapi()
 
 

@@ -1,0 +1,58 @@
+"""Types of what comes over the wire that take nothing else for theirs.
+
+Left to itself, pydantic reads `"5"` and `true` as numbers, `0.5` as a moment in 1970, and a list
+that has a name twice as a set: not what the API describes, and more likely a client's fault.
+
+`integers` and `each_once` are for `field_validator(..., mode="before")`: within an annotation they
+would hide a field's bounds from the description.
+"""
+
+import re
+from typing import Annotated, Any
+
+from pydantic import AwareDatetime, BeforeValidator, Field, Strict
+from pydantic_core import PydanticCustomError, PydanticKnownError
+
+from storage.names import SLUG_PATTERN
+
+__all__ = ["Flag", "Moment", "Number", "SlugText", "each_once", "integers"]
+
+_RFC_3339 = re.compile(
+    r"[0-9]{4}-[0-9]{2}-[0-9]{2}[Tt ][0-9]{2}:[0-9]{2}:[0-9]{2}(\.[0-9]+)?"
+    r"([Zz]|[+-][0-9]{2}:[0-9]{2})"
+)
+
+
+def integers(given: Any) -> Any:  # noqa: ANN401 - whatever a client sends
+    """Take no text and no truth value for an integer, or for one of a list."""
+    # Not `Strict`: to JSON Schema 5.0 is an integer too, and some clients write it so.
+    if any(isinstance(item, bool | str) for item in _items_of(given)):
+        raise PydanticKnownError("int_type")
+    return given
+
+
+def _written_out(given: Any) -> Any:  # noqa: ANN401 - whatever a client sends
+    if not (isinstance(given, str) and _RFC_3339.fullmatch(given)):
+        raise PydanticCustomError(
+            "moment", "wanted a moment as RFC 3339 writes it, as 2030-01-01T00:00:00Z"
+        )
+    return given
+
+
+def each_once(given: Any) -> Any:  # noqa: ANN401 - whatever a client sends
+    """Take no list that has a name twice for a set."""
+    texts = [item for item in _items_of(given) if isinstance(item, str)]
+    if len(set(texts)) < len(texts):
+        raise PydanticCustomError("each_once", "an item comes twice")
+    return given
+
+
+def _items_of(given: Any) -> list[Any]:  # noqa: ANN401 - whatever a client sends
+    return given if isinstance(given, list) else [given]
+
+
+Flag = Annotated[bool, Strict()]
+Number = Annotated[float, Strict()]
+Moment = Annotated[AwareDatetime, BeforeValidator(_written_out)]
+# Described only: `storage.names` refuses what is none, by a name of its own.
+SlugText = Annotated[str, Field(json_schema_extra={"pattern": SLUG_PATTERN})]

@@ -1,0 +1,133 @@
+"""Requests are taken as the API describes them, and nothing else for them."""
+
+import pytest
+
+from tests.support.service import problem_of
+
+JSON = {"Content-Type": "application/json"}
+POSES = "/v1/maps/campus/drives/monday/poses"
+
+
+def refusal(response):
+    """Return the place and the wording of the one thing that is wrong."""
+    assert problem_of(response) == (422, "invalid-request")
+    [told] = response.json()["errors"]
+    return told["where"], told["what"]
+
+
+@pytest.mark.parametrize("value", ["0.5", True, False])
+def test_a_text_or_a_truth_value_is_no_number(client, value):
+    item = {"scan": 0, "timestamp_s": value}
+    refused = client.put(POSES, json={"poses": [item]})
+    assert refusal(refused) == ("body/poses/0/timestamp_s", "Input should be a valid number")
+
+
+@pytest.mark.parametrize("value", ["0", True])
+def test_a_text_or_a_truth_value_is_no_index(client, value):
+    refused = client.put(POSES, json={"poses": [{"scan": value}]})
+    assert refusal(refused) == ("body/poses/0/scan", "Input should be a valid integer")
+    refused = client.post("/v1/maps/campus/builds", json={"segments": value})
+    assert refusal(refused) == ("body/segments", "Input should be a valid integer")
+
+
+@pytest.mark.parametrize("value", ["true", 1, "yes"])
+def test_a_text_or_a_number_is_no_truth_value(client, value):
+    refused = client.post("/v1/maps/campus/builds", json={"make_live": value})
+    assert refusal(refused) == ("body/make_live", "Input should be a valid boolean")
+
+
+def test_an_integer_may_be_written_with_a_point(own):
+    taken = own.put(POSES, content=b'{"poses": [{"scan": 3.0, "timestamp_s": 2}]}', headers=JSON)
+    assert taken.status_code == 200
+    stored = own.service.store.drives.get("campus", "monday")
+    assert stored.scans == 48
+    refused = own.put(POSES, content=b'{"poses": [{"scan": 3.5}]}', headers=JSON)
+    assert refusal(refused)[0] == "body/poses/0/scan"
+
+
+@pytest.mark.parametrize("moment", ["0.5", "1700000000", "2030-01-01", "2030-01-01T00:00:00", ""])
+def test_a_moment_is_written_out_with_its_zone(client, moment):
+    for name in ("since", "until"):
+        assert refusal(client.get("/v1/audit", params={name: moment}))[0] == f"query/{name}"
+    wanted = {"name": "fleet", "scopes": ["admin"], "expires_at": moment}
+    assert refusal(client.post("/v1/keys", json=wanted))[0] == "body/expires_at"
+
+
+def test_a_number_is_no_moment(client):
+    wanted = {"name": "fleet", "scopes": ["admin"], "expires_at": 4102444800}
+    assert refusal(client.post("/v1/keys", json=wanted))[0] == "body/expires_at"
+
+
+@pytest.mark.parametrize("moment", ["2030-01-01T00:00:00Z", "2030-01-01t02:00:00.25+02:00"])
+def test_a_moment_may_be_of_any_zone(client, moment):
+    assert client.get("/v1/audit", params={"until": moment}).status_code == 200
+
+
+@pytest.mark.parametrize(
+    ("path", "wanted"),
+    [
+        ("keys", {"name": "fleet", "scopes": ["localize", "localize"]}),
+        ("keys", {"name": "fleet", "scopes": ["localize"], "maps": ["campus", "campus"]}),
+        ("tokens", {"scopes": ["localize", "localize"]}),
+        ("tokens", {"maps": ["campus", "campus"]}),
+    ],
+)
+def test_a_set_has_nothing_twice(client, path, wanted):
+    where, what = refusal(client.post(f"/v1/{path}", json=wanted))
+    assert where in {"body/scopes", "body/maps"}
+    assert what == "an item comes twice"
+
+
+@pytest.mark.parametrize(
+    "etag",
+    ["1", "1_0", '"1_0"', '"+1"', '""', '"one"', 'W/""', '"1', '"' + "9" * 19 + '"', "null", ""],
+)
+def test_what_is_no_etag_changes_nothing(client, etag):
+    before = client.get("/v1/maps/campus").json()
+    headers = {"If-Match": etag}
+    for refused in (
+        client.patch("/v1/maps/campus", json={"description": "other"}, headers=headers),
+        client.put("/v1/maps/campus/live", json={"revision": "0" * 12}, headers=headers),
+        client.delete("/v1/maps/campus", headers=headers),
+    ):
+        assert problem_of(refused) == (422, "invalid-request")
+    assert client.get("/v1/maps/campus").json() == before
+
+
+def test_a_proposal_is_told_only_what_its_own_kind_lacks(client):
+    first = {"drive": "monday", "scan_index": 0}
+    for second, lacks in (
+        ({"drive": "monday"}, "body/proposals/0/second/scan/scan_index"),
+        ({"basis": "0f" * 32, "signatures": []}, "body/proposals/0/second/signatures/signatures"),
+    ):
+        asked = {"proposals": [{"first": first, "second": second}]}
+        assert refusal(client.post("/v1/maps/campus/loop-closures", json=asked))[0] == lacks
+
+
+# What the description says of it
+
+
+@pytest.fixture(scope="module")
+def paths(client):
+    return client.get("/openapi.json").json()["paths"]
+
+
+def test_no_parameter_may_be_null(paths):
+    for operations in paths.values():
+        for operation in operations.values():
+            for parameter in operation.get("parameters", ()):
+                assert {"type": "null"} not in parameter["schema"].get("anyOf", ()), parameter
+
+
+def test_an_optional_parameter_keeps_its_bounds(paths):
+    asked = paths["/v1/maps/{map}/localizations/scan"]["post"]["parameters"]
+    [least] = [item["schema"] for item in asked if item["name"] == "min_probability"]
+    assert (least["type"], least["minimum"], least["maximum"]) == ("number", 0, 1)
+    assert least["description"]
+
+
+def test_each_event_of_a_job_is_described(paths):
+    told = paths["/v1/jobs/{job}/events"]["get"]["responses"]["200"]["content"]
+    event = told["text/event-stream"]["itemSchema"]
+    assert event["required"] == ["data", "id"]
+    assert event["properties"]["data"]["contentSchema"] == {"$ref": "#/components/schemas/JobOut"}

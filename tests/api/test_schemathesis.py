@@ -1,0 +1,169 @@
+"""Every operation of the OpenAPI document, under all the checks of schemathesis.
+
+Every operation runs on its own copy of a service that has a built map, with an administrator's key.
+All checks are on. Two have nothing to say here: `object_level_authorization` compares several
+sign-ups of one service, which has none (test_scopes.py asks for every pair of route and scope), and
+`max_response_time` is off by its own default, a limit on a machine that others use too.
+"""
+
+import itertools
+import os
+import shutil
+
+import pytest
+import schemathesis
+from pydantic import SecretStr
+from schemathesis.config import SchemathesisConfig
+from schemathesis.generation.feedback import NO_FEEDBACK
+from schemathesis.openapi.checks import RejectedPositiveData
+from schemathesis.pytest._test_builder import build_operation_test
+
+from app.main import create_app
+from app.settings import Settings
+from tests.support.conformance import Bridge, KnownNames, register_bodies, without_long_lists
+from tests.support.recording import recording, upload_scan
+from tests.support.service import Client, document
+
+KEY = "correct horse battery staple"
+HEADERS = {"Authorization": f"Bearer {KEY}"}
+EVERY_DAY = 5
+EXAMPLES = int(os.environ.get("TENSORMAP_SCHEMATHESIS_EXAMPLES", EVERY_DAY))
+SPARES = 12
+
+OF_MEANING = {
+    # Which bytes are a scan, an image, a map or an archive only their reader tells.
+    *("empty-body", "truncated-scan", "wrong-dtype", "malformed-scan", "too-few-returns"),
+    *("invalid-scan", "scan-too-large", "unknown-format", "invalid-image", "invalid-map"),
+    "malformed-upload",
+    # Numbers that belong together: a hint's, a quaternion's, a signature's rows, ranks and a grid;
+    # and cursors, which are made by the list that they are for.
+    *("invalid-parameters", "invalid-pose", "invalid-signature"),
+    # Not of this map, or no longer.
+    *("unknown-segment", "sensor-mismatch", "empty-drive", "map-changed"),
+}
+"""Problems of a request that is as its schema says."""
+
+OPERATIONS = sorted(
+    f"{method.upper()} {path}"
+    for path, operations in document()["paths"].items()
+    for method in operations
+)
+
+bridge = Bridge()
+known = KnownNames()
+
+
+@pytest.fixture(scope="module")
+def api(built):
+    """The document as schemathesis reads it."""
+    described = document() if EXAMPLES > EVERY_DAY else without_long_lists(document())
+    wanted = {
+        "seed": 1,
+        "request-timeout": 60,
+        "suppress-health-check": ["all"],
+        "generation": {
+            "max-examples": EXAMPLES,
+            "deterministic": True,
+            "database": "none",
+            # The key is put into each request; what comes without it is a check's to ask.
+            "with-security-parameters": False,
+        },
+    }
+    api = schemathesis.openapi.from_dict(described, config=SchemathesisConfig.from_dict(wanted))
+    api.app = bridge
+
+    @api.hook
+    def filter_failure(context, failure, case, response):
+        positive = isinstance(failure, RejectedPositiveData)
+        return not (positive and is_refused_for_its_meaning(response))
+
+    def live():
+        return bridge.app.state.service.revisions.live("campus").localizer
+
+    register_bodies(live, lambda: next(built.data_dir.rglob(f"{built.live}*")).read_bytes())
+    return api
+
+
+def is_refused_for_its_meaning(response):
+    """Whether a request was as its schema says, and is refused for what no schema can say."""
+    if response.headers["content-type"] != ["application/problem+json"]:
+        return False
+    problem = response.json()
+    name = problem["type"].removeprefix("/problems/")
+    if name == "invalid-request":  # by a rule of our own, of several fields together
+        told = problem.get("errors", ())
+        return told and all(error["what"].startswith("Value error, ") for error in told)
+    return name in OF_MEANING
+
+
+@pytest.fixture
+def service(request, tmp_path, built):
+    """A service of one test's own."""
+    shutil.copytree(built.data_dir, tmp_path / "data", ignore=shutil.ignore_patterns("*.lock"))
+    app = create_app(Settings(data_dir=tmp_path / "data", admin_key=SecretStr(KEY)))
+    with Client(app, headers=HEADERS) as client:
+        bridge.app = app
+        method, path = request.node.callspec.params["operation"].split()
+        deletes = path.rpartition("/")[2] if method == "DELETE" else ""
+        known.of = names_of(client, built, deletes)
+        yield client.service
+
+
+def names_of(client, built, deletes):
+    """Return the names of what is there, by where they stand in requests."""
+
+    def make(path, **body):
+        made = client.post(path, json=body)
+        assert made.status_code == 201, made.text
+        return made.json()
+
+    # Each request that deletes has one of its own.
+    more = range(SPARES if deletes else 1)
+    maps, drives = ["campus"], ["monday"]
+    if deletes == "{map}":
+        maps = [make("/v1/maps", map=f"spare-{number}")["map"] for number in more]
+    if deletes == "{drive}":
+        drives = [f"spare-{number}" for number in more]
+        for drive in drives:
+            upload_scan(client, "campus", drive, 0, recording().scans[0])
+    names = {
+        "path.map": maps,
+        "path.drive": drives,
+        "path.job": [built.job],
+        "path.revision": [built.other] if deletes else [built.live, built.other[:16]],
+        "path.key": [make("/v1/keys", name="fleet", scopes=["localize"])["key"] for _ in more],
+        "path.track": [make("/v1/maps/campus/tracks")["track"] for _ in more],
+        "query.revision": [built.live, built.other[:12]],
+        "query.since_drive": ["monday"],
+        "body.revision": [built.live, built.other],
+        "body.base": ["live"],
+        "body.basis": [client.get("/v1/maps/campus/basis").json()["basis"]],
+    }
+    return {place: itertools.cycle(of_place) for place, of_place in names.items()}
+
+
+@pytest.mark.parametrize("operation", OPERATIONS)
+def test_an_operation_is_as_its_description_says(operation, api, service):
+    method, path = operation.split()
+    if path != "/readyz":
+        service.runner.stop()  # what is queued is not built: builds have tests of their own
+    # The pytest plugin of schemathesis 4.32 reads what pytest 9.2 no longer has: this is what it
+    # would call.
+    build_operation_test(
+        config=api.config,
+        operation=api[path][method],
+        test_func=ask,
+        given_kwargs={},
+        feedback=NO_FEEDBACK,
+    )()
+
+
+def ask(case):
+    known.put_into(case)
+    if (
+        case.meta.generation.mode.is_positive
+        and isinstance(case.body, dict)
+        and "proposals" in case.body
+    ):
+        del case.body["proposals"][1:]  # a tenth of a second each
+    case.call_and_validate(headers=HEADERS)
