@@ -4,14 +4,14 @@ from xdist.scheduler import LoadScopeScheduling
 
 __all__ = ["ByModule"]
 
-_DOCUMENTS = "tests/docs/"
+_ALONE = ("tests/docs/", "tests/api/test_schemathesis.py")
 _POSTGRESQL = "postgresql"
 
 
 class ByModule(LoadScopeScheduling):  # type: ignore[misc]  # xdist has no types
     """A module's tests run where its fixtures are, all on PostgreSQL where the cluster is.
 
-    Documents share nothing and take longest: each goes where there is room. A mark on tests would
+    Documents and operations take longest and share little: each goes where there is room. A mark on tests would
     say the same, but xdist 3.8 reads marks through a field that pytest 9.2 no longer looks at.
     """
 
@@ -19,4 +19,4 @@ class ByModule(LoadScopeScheduling):  # type: ignore[misc]  # xdist has no types
         module, _, test = nodeid.partition("::")
         if _POSTGRESQL in module or f"[{_POSTGRESQL}" in test or f"{_POSTGRESQL}]" in test:
             return _POSTGRESQL
-        return nodeid if module.startswith(_DOCUMENTS) else module
+        return nodeid if module.startswith(_ALONE) else module
