@@ -11,8 +11,9 @@ _POSTGRESQL = "postgresql"
 class ByModule(LoadScopeScheduling):  # type: ignore[misc]  # xdist has no types
     """A module's tests run where its fixtures are, all on PostgreSQL where the cluster is.
 
-    Documents and operations take longest and share little: each goes where there is room. A mark on tests would
-    say the same, but xdist 3.8 reads marks through a field that pytest 9.2 no longer looks at.
+    Documents and operations take longest and share little: each goes where there is room. A mark
+    on tests would say the same, but xdist 3.8 reads marks through a field that pytest 9.2 no longer
+    looks at.
     """
 
     def _split_scope(self, nodeid: str) -> str:
