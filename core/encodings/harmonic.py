@@ -188,17 +188,17 @@ class HarmonicModel(Segmented):
 
     @cached_property
     def units(self) -> Complex64Array:
-        """Conjugate signatures of norm 1, weighted by sqrt(w_m), `(r2, r1, K D)`.
+        """Conjugate signatures of norm 1, weighted by sqrt(w_m), `(r2, r1, D K)`.
 
-        Harmonic by harmonic and each row contiguous, so that the bound is r2 products with long
-        vectors.
+        Harmonic by harmonic, rendering by rendering, and each row contiguous: the bound is then r2
+        products with long vectors and the greatest of D of them.
         """
         scaled = np.conj(self.signatures.astype(np.complex128))
         scaled *= np.sqrt(weights(self.columns, self.ranks[1]))
         scaled /= np.where(self.norms > 0, self.norms, 1.0)[..., None, None]
         r1, r2 = self.ranks
         by_harmonic: Complex64Array = frozen(
-            scaled.reshape(-1, r1, r2).transpose(2, 1, 0), np.complex64
+            scaled.transpose(3, 2, 1, 0).reshape(r2, r1, -1), np.complex64
         )
         return by_harmonic
 
@@ -285,12 +285,15 @@ class HarmonicSearch:
         correlation = np.zeros(model.norms.size, np.float32)
         for of_query, of_map in zip(unit.T, model.units, strict=True):
             product = of_query @ of_map
-            correlation += np.sqrt(product.real**2 + product.imag**2)
-        share = correlation.reshape(model.norms.shape)
+            squared = product.real**2
+            squared += product.imag**2
+            correlation += np.sqrt(squared, out=squared)
+        norms = model.norms.T
+        share = correlation.reshape(norms.shape)
         if model.measure == Distance.NORMALISED:
-            return np.asarray(1.0 - (share.max(axis=1).astype(np.float64) + _SLACK))
-        at_most = (share.astype(np.float64) + _SLACK) * (self._norm * model.norms)
-        plain: FloatArray = self._plain(at_most, model.norms).min(axis=1)
+            return np.asarray(1.0 - (share.max(axis=0).astype(np.float64) + _SLACK))
+        at_most = (share.astype(np.float64) + _SLACK) * (self._norm * norms)
+        plain: FloatArray = self._plain(at_most, norms).min(axis=0)
         return plain * (1.0 - _ROUNDING)
 
     def exact(self, rows: IntArray) -> tuple[FloatArray, FloatArray]:
@@ -313,18 +316,18 @@ class HarmonicSearch:
         pairs = np.where(np.arange(r2) > 0, self._weights / 2.0, 1.0)
         samples = max(8, 1 << (_SAMPLES_A_WAVE * r2 - 1).bit_length())
         correlation = np.fft.irfft((c_real + 1j * c_imag) * pairs, samples, axis=-1) * samples
-        peak = correlation.argmax(axis=-1)[..., None]
-        before, at, after = (
-            np.take_along_axis(correlation, (peak + step) % samples, axis=-1)[..., 0]
-            for step in (-1, 0, 1)
-        )
+        peak = correlation.argmax(axis=-1)
+        # Indices by hand: `take_along_axis` costs as much as all the rest for a few scans.
+        waves = correlation.reshape(-1)
+        begin = np.arange(0, len(waves), samples).reshape(peak.shape)
+        before, at, after = (waves[begin + (peak + step) % samples] for step in (-1, 0, 1))
         curvature = 2.0 * at - before - after
         curved = curvature > 0.0
         slope = after - before
         safe = np.where(curved, curvature, 1.0)
         offset = np.where(curved, 0.5 * slope / safe, 0.0)
         best = np.where(curved, at + slope * slope / (8.0 * safe), at)
-        turn_deg = -(peak[..., 0] + offset) * (360.0 / samples)
+        turn_deg = -(peak + offset) * (360.0 / samples)
         return self._distance(np.minimum(best, at_most), rows), (turn_deg + 180.0) % 360.0 - 180.0
 
     def _distance(self, correlation: FloatArray, rows: IntArray) -> FloatArray:
