@@ -16,7 +16,7 @@ from app.access.admission import Admission
 from app.access.answer_headers import AnswerHeaders
 from app.access.origins import allow_origins
 from app.access.trail import AuditTrail
-from app.bodies import BodyGuard
+from app.bodies.bodies import BodyGuard
 from app.collector import GarbageCollector
 from app.errors import add_handlers
 from app.jobs.runner import JobRunner

@@ -8,7 +8,7 @@ import numpy as np
 from fastapi import APIRouter, Path, Query, Response, status
 
 from app.access.scopes import Scope, needs
-from app.bodies import SCAN_BODY, Body, ContentType
+from app.bodies.bodies import SCAN_BODY, Body, ContentType
 from app.errors import (
     ANY_BODY,
     JSON_BODY,

@@ -8,7 +8,7 @@ from fastapi.exceptions import RequestValidationError
 from pydantic import ValidationError
 
 from app.access.scopes import Scope, needs
-from app.bodies import SCAN_BODY, Body, ContentType, binary_body, media_type
+from app.bodies.bodies import SCAN_BODY, Body, ContentType, binary_body, media_type
 from app.errors import ANY_BODY, READING, InvalidRequest, UnsupportedBody, problems
 from app.revisions import Answering
 from app.routes.drives import BAD_SCAN

@@ -7,12 +7,12 @@ from fastapi.exceptions import RequestValidationError
 from pydantic import ValidationError
 
 from app.access.scopes import Scope, needs
-from app.bodies import Body, ContentType, binary_body, media_type
+from app.bodies.bodies import Body, ContentType, binary_body, media_type
 from app.errors import JSON_BODY, WRITING, UnsupportedBody, problems
-from app.pose_files import POSE_TYPES, read_poses
 from app.schemas.drives import DriveOut
 from app.schemas.poses import PosesIn
 from app.service import DriveSlug, MapSlug, Running
+from app.uploads.pose_files import POSE_TYPES, read_poses
 from core.errors import InvalidPose
 from storage.errors import DriveNotFound, InvalidSlug, MapNotFound, ScanNotFound
 

@@ -11,7 +11,7 @@ from pydantic import Field
 
 from app.access.scopes import Scope, needs
 from app.access.trail import note
-from app.bodies import Body, ContentType, binary_body, media_type
+from app.bodies.bodies import Body, ContentType, binary_body, media_type
 from app.errors import (
     JSON_BODY,
     READING,

@@ -6,7 +6,7 @@ from typing import Annotated
 from fastapi import APIRouter, Path, Query, Response
 
 from app.access.scopes import Scope, needs
-from app.bodies import SCAN_BODY, Body, ContentType, media_type
+from app.bodies.bodies import SCAN_BODY, Body, ContentType, media_type
 from app.errors import (
     ANY_BODY,
     READING,

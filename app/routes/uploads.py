@@ -7,7 +7,7 @@ from typing import Annotated
 from fastapi import APIRouter, Query, Request
 
 from app.access.scopes import Scope, needs
-from app.bodies import ContentType, binary_body, media_type
+from app.bodies.bodies import ContentType, binary_body, media_type
 from app.errors import (
     ANY_BODY,
     READING,
@@ -19,8 +19,8 @@ from app.errors import (
 )
 from app.schemas.uploads import PresentOut, UploadOut
 from app.service import DriveSlug, MapSlug, Running
-from app.tar_stream import TarStream
-from app.uploads import BodyReader, spooled, store_scans
+from app.uploads.many_scans import BodyReader, spooled, store_scans
+from app.uploads.tar_stream import TarStream
 from storage.errors import DriveNotFound, InvalidSlug, MapNotFound
 from storage.formats.errors import UnknownFormat
 from storage.formats.registry import FORMAT_NAMES, media_type_of

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from pydantic import BaseModel, Field
 
 from app.schemas.drives import IndexRangeOut
-from app.uploads import Upload
+from app.uploads.many_scans import Upload
 from storage.catalog import DriveRecord
 
 __all__ = ["PresentOut", "UploadOut"]

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from app.pose_files import CSV, KITTI, TUM
+from app.uploads.pose_files import CSV, KITTI, TUM
 from core.pose import Pose
 from tests.support.recording import recording, upload_scan
 from tests.support.service import pose_text, problem_of, whole_store

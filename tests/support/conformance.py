@@ -15,9 +15,9 @@ from hypothesis import strategies as st
 from schemathesis.core.parameters import ParameterLocation
 from starlette.types import Receive, Scope, Send
 
-from app.pose_files import CSV, KITTI, POSE_TYPES, TUM
 from app.routes.localizations import IMAGE_TYPE, SIGNATURE_TYPE
 from app.schemas.hints import hints_of
+from app.uploads.pose_files import CSV, KITTI, POSE_TYPES, TUM
 from core.localizer import Localizer
 from core.signature import pack_signatures
 from storage.formats.registry import SCAN_FORMATS

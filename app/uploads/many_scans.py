@@ -12,7 +12,7 @@ from anyio import from_thread
 from starlette.requests import ClientDisconnect
 
 from app.errors import MalformedUpload, problem_name
-from app.tar_stream import TarMember, TarStream
+from app.uploads.tar_stream import TarMember, TarStream
 from core.errors import InvalidScan, TensorMapError
 from core.scan import Scan
 from storage.errors import DriveClosed, ScanConflict

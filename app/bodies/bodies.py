@@ -11,8 +11,8 @@ from starlette.exceptions import HTTPException
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from app.access.access import Access
-from app.digests import ContentDigest
-from app.encodings import Decoder, decoder_of
+from app.bodies.content_digest import ContentDigest
+from app.bodies.content_encoding import Decoder, decoder_of
 from app.errors import STATUS, BodyTooLarge, problem_response
 from app.settings import Settings
 from core.errors import TensorMapError

@@ -1,0 +1,1 @@
+"""Bodies of requests: limits, compression and digests, checked before a route sees them."""

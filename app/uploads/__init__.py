@@ -1,0 +1,1 @@
+"""What is uploaded beside single scans: many in one body, and poses."""
