@@ -2,6 +2,7 @@
 
 import ipaddress
 import re
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -11,7 +12,7 @@ from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
 from app.logs import LogFormat
 from storage.retention import LONGEST_DAYS, MOST_REVISIONS, RawScans, Retention
 
-__all__ = ["Settings", "is_loopback"]
+__all__ = ["Settings", "is_loopback", "unknown_variables"]
 
 _ORIGIN = re.compile(r"https?://([a-z0-9.-]+|\[[0-9a-f:.]+\])(:[0-9]{1,5})?")
 
@@ -133,6 +134,22 @@ class Settings(BaseSettings):
                     " `http://127.0.0.1:3000`, lower case, without a path and without `*`"
                 )
         return given
+
+
+def unknown_variables(environment: Iterable[str]) -> list[str]:
+    """Return the variables that look like a setting and are none, such as misspelt ones.
+
+    Examples:
+        >>> unknown_variables(["TENSORMAP_MAX_TRAKS", "TENSORMAP_MAX_TRACKS", "PATH"])
+        ['TENSORMAP_MAX_TRAKS']
+    """
+    prefix = Settings.model_config["env_prefix"]
+    known = {f"{prefix}{name.upper()}" for name in Settings.model_fields}
+    return sorted(
+        name
+        for name in environment
+        if name.upper().startswith(prefix) and name.upper() not in known
+    )
 
 
 def is_loopback(host: str) -> bool:

@@ -192,7 +192,7 @@ class Prior:
         off_m = np.hypot(places_m[:, 0] - hint.x_m, places_m[:, 1] - hint.y_m)
         self.rows &= off_m <= _GATE * hint.sigma_m + _REACH_M
         off_m = np.maximum(np.where(np.isnan(off_m), 0.0, off_m) - _REACH_M, 0.0)
-        self._log_weight -= 0.5 * (off_m / hint.sigma_m) ** 2
+        self._log_weight -= _half_square(off_m / hint.sigma_m)
 
     def _apply_odometry(
         self, hint: OdometryHint, since_m: tuple[float, float], places_m: FloatArray
@@ -200,7 +200,7 @@ class Prior:
         off_m = np.hypot(places_m[:, 0] - since_m[0], places_m[:, 1] - since_m[1])
         self.rows &= off_m <= hint.travelled_m + _GATE * hint.sigma_m + _REACH_M
         beyond_m = np.where(np.isnan(off_m), 0.0, off_m) - hint.travelled_m - _REACH_M
-        self._log_weight -= 0.5 * (np.maximum(beyond_m, 0.0) / hint.sigma_m) ** 2
+        self._log_weight -= _half_square(np.maximum(beyond_m, 0.0) / hint.sigma_m)
 
     @property
     def looks(self) -> bool:
@@ -270,3 +270,8 @@ def _heading_gate_deg(hint: HeadingHint) -> float:
 
 def _turn_deg(one: FloatArray, other: float) -> FloatArray:
     return np.asarray((one - other + 180.0) % 360.0 - 180.0)
+
+
+def _half_square(sigmas: FloatArray) -> FloatArray:
+    """Return half the square of distances in standard deviations; beyond a million all are far."""
+    return np.asarray(0.5 * np.minimum(sigmas, 1e6) ** 2)

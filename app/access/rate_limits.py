@@ -109,6 +109,10 @@ class RateLimits:
         """
         return self._take(who, amount, amount)
 
+    def never_allows(self, amount: int) -> bool:
+        """Return whether not even a full bucket holds this much."""
+        return self._rate > 0 and amount > self._burst
+
     def require(self, who: str, amount: int) -> Allowance | None:
         """Look whether a bucket holds this much, and take nothing; `None` if nothing is limited.
 

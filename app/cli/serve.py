@@ -1,5 +1,6 @@
 """`tensormap serve`: the service in the foreground."""
 
+import logging
 import os
 import socket
 from pathlib import Path
@@ -8,10 +9,12 @@ from typing import Annotated, Any
 import typer
 from pydantic import ValidationError
 
-from app.settings import Settings
+from app.settings import Settings, unknown_variables
 from core.errors import InvalidParameters
 
 __all__ = ["serve"]
+
+_log = logging.getLogger("tensormap")
 
 _BACKLOG = 2048  # connections that wait to be taken; uvicorn's own
 _GRACE_S = 10  # for answers that are under way when the service is asked to stop
@@ -38,6 +41,8 @@ def serve(
 
     settings = _settings(host=host, port=port, data_dir=data)
     configure_logging(settings.log_format, settings.log_level)
+    for name in unknown_variables(os.environ):
+        _log.warning("%s is set and is no setting of TensorMap: is it misspelt?", name)
     config = uvicorn.Config(
         create_app(settings),
         host=settings.host,

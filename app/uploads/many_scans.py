@@ -9,6 +9,7 @@ from tempfile import TemporaryFile
 from typing import IO
 
 from anyio import from_thread
+from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect
 
 from app.errors import MalformedUpload, problem_name
@@ -130,6 +131,7 @@ def store_scans(
     Raises:
         MalformedUpload: If the stream is no tar, breaks off, or holds no file; scans that came
             before are stored.
+        HTTPException: If the body goes beyond a limit; scans that came before are stored.
         MapNotFound: If there is no such map.
         InvalidSlug: If the drive is new, and its name is no slug.
         StorageFull: If no space is left; scans that came before are stored.
@@ -142,7 +144,7 @@ def store_scans(
                 group.add(member.name, _index(member), _scan(member, media_type, min_returns))
             except (InvalidScan, UnknownFormat) as error:
                 upload.refuse(member.name, error)
-    except ClientDisconnect:
+    except (ClientDisconnect, HTTPException):  # cut off by the client, or by a limit of ours
         group.store()  # what came need not come again
         raise
     except MalformedUpload as error:

@@ -117,6 +117,13 @@ def test_bytes_that_were_not_announced_count_as_they_come(metered):
     assert drives.json()["items"] == []
 
 
+def test_a_body_that_no_wait_makes_fit_is_too_large(metered):
+    one = bearer(make(metered, "maps:write")["secret"])
+    refused = put_scan(metered, one, 0, bytes(16_000))
+    assert problem_of(refused) == (413, "body-too-large")
+    assert "send it in parts" in refused.json()["detail"]
+
+
 def test_by_default_nothing_is_limited(client):
     assert "RateLimit" not in client.get("/v1/maps").headers
 

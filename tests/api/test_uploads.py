@@ -9,7 +9,10 @@ import tarfile
 import numpy as np
 import pytest
 import zstandard
+from starlette.exceptions import HTTPException
 
+from app.uploads.many_scans import store_scans
+from app.uploads.tar_stream import TarStream
 from tests.support.recording import KITTI, kitti, npy, recording
 from tests.support.service import problem_of, running, whole_store
 
@@ -120,6 +123,23 @@ def test_a_closed_drive_takes_what_it_has_and_nothing_else(empty):
     assert told["present"] == ranges((0, 1))
     assert [item["type"] for item in told["set_aside"]] == ["/problems/drive-closed"]
     assert empty.get(f"{DRIVE}/scans").json()["closed"] is True
+
+
+def test_scans_that_came_before_a_limit_was_reached_are_stored(empty):
+    source = io.BytesIO(tar(npy_files()))
+    limit = len(source.getvalue()) // 2
+
+    def read(size):
+        if source.tell() >= limit:  # as the guard of bodies does in the middle of a stream
+            raise HTTPException(429)
+        return source.read(min(size, limit - source.tell()))
+
+    archive = TarStream(read, limit)
+    with pytest.raises(HTTPException):
+        store_scans(
+            empty.service.store, "campus", "monday", archive, media_type=None, min_returns=1
+        )
+    assert empty.get(f"{DRIVE}/scans").json()["present"] == ranges((0, 2))
 
 
 @pytest.mark.parametrize("cut", [100, 512, 700, -1024 - 100])

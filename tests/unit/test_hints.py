@@ -49,6 +49,12 @@ def test_a_position_is_a_gate_at_three_sigma_and_a_scans_reach(made):
     assert rows == list(range(39, 62))
 
 
+def test_a_place_beyond_all_worlds_is_no_warning(made):
+    far = (1e300, -1e300)
+    assert rows_of(Hints(position=PositionHint(*far, 2.0)), made) == []
+    assert rows_of(Hints(odometry=OdometryHint(far, 10.0, 1.0)), made) == []
+
+
 def test_odometry_reaches_as_far_as_was_driven_from_a_place_or_a_scan(made):
     from_scan = Hints(odometry=OdometryHint(ScanOfMap("smooth", 20), 10.0, 1.0))
     from_place = Hints(odometry=OdometryHint((20.0, 0.0), 10.0, 1.0))
