@@ -18,11 +18,11 @@ from app.access.origins import allow_origins
 from app.access.trail import AuditTrail
 from app.bodies.bodies import BodyGuard
 from app.collector import GarbageCollector
-from app.errors import add_handlers
 from app.jobs.runner import JobRunner
 from app.metrics import Metrics
 from app.observing import RequestObserver
 from app.openapi import complete_openapi
+from app.problems import add_handlers
 from app.revisions import LoadedRevisions
 from app.routes import api, open_routes, streams
 from app.service import Service

@@ -7,9 +7,9 @@ from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from app.access.admission import CALLER_STATE
-from app.errors import internal_error
 from app.logs import fields
 from app.metrics import Metrics
+from app.problems import internal_error
 from app.request_id import HEADER, accepted_id, enter_request
 
 __all__ = ["RequestObserver"]

@@ -5,7 +5,7 @@ from typing import Any
 from fastapi import FastAPI
 from pydantic.json_schema import models_json_schema
 
-from app.errors import Problem
+from app.problems import Problem
 from app.schemas.localizations import SignaturesIn
 from app.schemas.poses import PosesIn
 

@@ -15,7 +15,12 @@ from app.access.caller import EVERYONE_ID, OPERATOR_ID, Caller, everyone_here, t
 from app.access.rate_limits import BYTES, NO_LIMITS, Allowance, RateLimits
 from app.access.scopes import Scope as KeyScope
 from app.access.secrets import is_token, is_well_formed, new_secret, secret_hash
-from app.errors import BodyTooLarge, HostNotAllowed, KeyNeeded, KeyRefused
+from app.errors import (
+    BodyTooLarge,
+    HostNotAllowed,
+    KeyNeeded,
+    KeyRefused,
+)
 from app.settings import Settings, is_loopback
 from storage.catalog import KeyRecord, TokenRecord
 from storage.store import Store
@@ -109,13 +114,14 @@ class Access:
             BodyTooLarge: If so many never will be.
         """
         state = scope.get("state", {})
+        if (who := state.get(_SENDER)) is None:  # of a route that needs no key
+            return
         if announced and self._quota.never_allows(amount):
             raise BodyTooLarge(
                 f"the body has {amount} bytes, more than a key may send in a day: send it in parts"
             )
-        if (who := state.get(_SENDER)) is not None:
-            count = self._quota.require if announced else self._quota.take
-            _tell(state, count(who, amount))
+        count = self._quota.require if announced else self._quota.take
+        _tell(state, count(who, amount))
 
     def _take(self, connection: HTTPConnection, who: str) -> None:
         state = connection.scope.setdefault("state", {})

@@ -8,7 +8,7 @@ from starlette.requests import HTTPConnection
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from app.access.access import Access
-from app.errors import problem_response
+from app.problems import problem_response
 from core.errors import TensorMapError
 
 __all__ = ["CALLER_STATE", "Admission"]

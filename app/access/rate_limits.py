@@ -127,8 +127,7 @@ class RateLimits:
         with self._lock:
             bucket = self._filled(who)
             if bucket.left < wanted:
-                # What is more than a full bucket never fits: to wait for a full one helps nobody
-                # but is the truth about what is sent in parts.
+                # More than a full bucket can hold comes in parts only: the next when it is full.
                 wait_s = max(1, math.ceil((min(wanted, self._burst) - bucket.left) / self._rate))
                 raise TooManyRequests(
                     f"{self._unit.allowed(self._rate, self._burst)} are allowed: wait {wait_s} s",

@@ -13,7 +13,8 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from app.access.access import Access
 from app.bodies.content_digest import ContentDigest
 from app.bodies.content_encoding import Decoder, decoder_of
-from app.errors import STATUS, BodyTooLarge, problem_response
+from app.errors import STATUS, BodyTooLarge
+from app.problems import problem_response
 from app.settings import Settings
 from core.errors import TensorMapError
 from storage.formats.registry import SCAN_FORMATS
@@ -103,7 +104,7 @@ class _Incoming:
         try:
             return await self._next()
         except TensorMapError as error:
-            # FastAPI lets this one through where it reads JSON, and `app.errors` unwraps it.
+            # FastAPI lets this one through where it reads JSON, and `app.problems` unwraps it.
             raise HTTPException(STATUS[type(error)], str(error)) from error
 
     async def _next(self) -> Message:

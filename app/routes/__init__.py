@@ -9,8 +9,8 @@ from app.errors import (
     KeyRefused,
     ScopeMissing,
     TooManyRequests,
-    problems,
 )
+from app.problems import problems
 from app.routes import (
     audit,
     builds,

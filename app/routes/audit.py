@@ -5,7 +5,8 @@ from typing import Annotated
 from fastapi import APIRouter, Query
 
 from app.access.scopes import Scope, needs
-from app.errors import READING, InvalidRequest, problems
+from app.errors import READING, InvalidRequest
+from app.problems import problems
 from app.schemas.audit import AuditEntryOut
 from app.schemas.exact import Moment
 from app.schemas.pages import Limit, PageOut

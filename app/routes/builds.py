@@ -6,9 +6,10 @@ from typing import Annotated
 from fastapi import APIRouter, Header, Response, status
 
 from app.access.scopes import Scope, needs
-from app.errors import JSON_BODY, WRITING, problems
+from app.errors import JSON_BODY, WRITING
 from app.jobs.parameters import BuildParameters
 from app.plans import plan_build
+from app.problems import problems
 from app.schemas.jobs import JobOut
 from app.service import MapSlug, Running
 from app.stored_images import require_images

@@ -6,7 +6,8 @@ from fastapi import APIRouter, Query
 
 from app.access.scopes import Scope, needs
 from app.comparison import compare_revisions
-from app.errors import READING, problems
+from app.errors import READING
+from app.problems import problems
 from app.revisions import Answering
 from app.routes.revisions import RevisionId
 from app.schemas.comparisons import ComparisonOut

@@ -15,8 +15,8 @@ from app.errors import (
     READING,
     WRITING,
     InvalidRequest,
-    problems,
 )
+from app.problems import problems
 from app.schemas.drives import DriveOut, DrivePatch, ScanOut
 from app.schemas.pages import After, Limit, PageOut
 from app.schemas.poses import PoseQuery, pose_from_query

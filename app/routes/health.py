@@ -7,7 +7,8 @@ from fastapi import APIRouter, Path, Response, status
 from fastapi.responses import RedirectResponse
 from pydantic import BaseModel
 
-from app.errors import STATUS, NoSuchRoute, problem_name, problems
+from app.errors import STATUS, NoSuchRoute
+from app.problems import problem_name, problems
 from app.service import Running
 from core.errors import TensorMapError
 

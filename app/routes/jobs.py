@@ -8,8 +8,9 @@ from starlette.responses import StreamingResponse
 from app.access.caller import Caller
 from app.access.dependency import Asking
 from app.access.scopes import Scope, needs
-from app.errors import READING, WRITING, InvalidRequest, problems
+from app.errors import READING, WRITING, InvalidRequest
 from app.job_events import event_id, events_of
+from app.problems import problems
 from app.schemas.jobs import JobOut
 from app.schemas.pages import After, Limit, PageOut
 from app.service import Running, Service

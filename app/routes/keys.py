@@ -8,7 +8,13 @@ from fastapi import APIRouter, Path, Response, status
 from app.access.scopes import Scope, needs
 from app.access.secrets import new_secret, secret_hash
 from app.access.trail import note
-from app.errors import JSON_BODY, READING, WRITING, InvalidRequest, problems
+from app.errors import (
+    JSON_BODY,
+    READING,
+    WRITING,
+    InvalidRequest,
+)
+from app.problems import problems
 from app.schemas.keys import KeyIn, KeyMade, KeyOut
 from app.schemas.pages import After, Limit, PageOut
 from app.service import Running

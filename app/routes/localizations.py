@@ -9,7 +9,13 @@ from pydantic import ValidationError
 
 from app.access.scopes import Scope, needs
 from app.bodies.bodies import SCAN_BODY, Body, ContentType, binary_body, media_type
-from app.errors import ANY_BODY, READING, InvalidRequest, UnsupportedBody, problems
+from app.errors import (
+    ANY_BODY,
+    READING,
+    InvalidRequest,
+    UnsupportedBody,
+)
+from app.problems import problems
 from app.revisions import Answering
 from app.routes.drives import BAD_SCAN
 from app.schemas.hints import HintsIn, MinProbability

@@ -4,7 +4,8 @@ from fastapi import APIRouter
 
 from app.access.scopes import Scope, needs
 from app.closures import judge_closures
-from app.errors import JSON_BODY, READING, problems
+from app.errors import JSON_BODY, READING
+from app.problems import problems
 from app.schemas.loop_closures import LoopClosureOut, LoopClosuresIn, LoopClosuresOut
 from app.service import MapSlug, Running
 from core.errors import InvalidScan, InvalidSignature, StaleSignature, UnknownSegment

@@ -8,7 +8,13 @@ from fastapi import APIRouter, Header, Response, status
 from app.access.dependency import Asking
 from app.access.scopes import Scope, needs
 from app.access.trail import note
-from app.errors import JSON_BODY, READING, WRITING, InvalidRequest, problems
+from app.errors import (
+    JSON_BODY,
+    READING,
+    WRITING,
+    InvalidRequest,
+)
+from app.problems import problems
 from app.schemas.maps import MapIn, MapOut, MapPatch
 from app.schemas.pages import After, Limit, PageOut
 from app.service import MapSlug, Running

@@ -12,8 +12,8 @@ from app.errors import (
     KeyRefused,
     ScopeMissing,
     TooManyRequests,
-    problems,
 )
+from app.problems import problems
 from app.service import Running
 
 __all__ = ["router"]

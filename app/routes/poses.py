@@ -8,7 +8,8 @@ from pydantic import ValidationError
 
 from app.access.scopes import Scope, needs
 from app.bodies.bodies import Body, ContentType, binary_body, media_type
-from app.errors import JSON_BODY, WRITING, UnsupportedBody, problems
+from app.errors import JSON_BODY, WRITING, UnsupportedBody
+from app.problems import problems
 from app.schemas.drives import DriveOut
 from app.schemas.poses import PosesIn
 from app.service import DriveSlug, MapSlug, Running

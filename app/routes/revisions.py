@@ -19,10 +19,10 @@ from app.errors import (
     BodyTooLarge,
     InvalidRequest,
     UnsupportedBody,
-    problems,
 )
 from app.imports import import_revision
 from app.open_file import OpenFileResponse
+from app.problems import problems
 from app.revisions import Answering
 from app.routes.maps import IfMatch, etag_of, version_seen
 from app.schemas.maps import MapOut

@@ -10,7 +10,13 @@ from app.access.dependency import Asking
 from app.access.scopes import ANY_SCOPE, Scope, needs
 from app.access.secrets import TOKEN_PREFIX, new_secret, secret_hash
 from app.access.trail import note
-from app.errors import JSON_BODY, WRITING, KeyNeeded, ScopeMissing, problems
+from app.errors import (
+    JSON_BODY,
+    WRITING,
+    KeyNeeded,
+    ScopeMissing,
+)
+from app.problems import problems
 from app.schemas.tokens import TokenIn, TokenMade
 from app.service import Running
 from core.errors import InvalidParameters

@@ -16,8 +16,8 @@ from app.errors import (
     KeyRefused,
     ScopeMissing,
     TrackNotFound,
-    problem_response,
 )
+from app.problems import problem_response
 from app.routes.tracks import track_of
 from app.schemas.tracks import ObservationIn, TrackStepOut
 from app.service import Service

@@ -13,8 +13,8 @@ from app.errors import (
     InvalidRequest,
     TooManyTracks,
     TrackNotFound,
-    problems,
 )
+from app.problems import problems
 from app.routes.drives import BAD_SCAN
 from app.routes.localizations import (
     IMAGE_TYPE,

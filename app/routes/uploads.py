@@ -15,8 +15,8 @@ from app.errors import (
     InvalidRequest,
     MalformedUpload,
     UnsupportedBody,
-    problems,
 )
+from app.problems import problems
 from app.schemas.uploads import PresentOut, UploadOut
 from app.service import DriveSlug, MapSlug, Running
 from app.uploads.many_scans import BodyReader, spooled, store_scans

@@ -8,7 +8,7 @@ would hide a field's bounds from the description.
 """
 
 import re
-from typing import Annotated, Any
+from typing import Annotated
 
 from pydantic import AwareDatetime, BeforeValidator, Field, Strict
 from pydantic_core import PydanticCustomError, PydanticKnownError
@@ -23,7 +23,7 @@ _RFC_3339 = re.compile(
 )
 
 
-def integers(given: Any) -> Any:  # noqa: ANN401 - whatever a client sends
+def integers(given: object) -> object:
     """Take no text and no truth value for an integer, or for one of a list."""
     # Not `Strict`: to JSON Schema 5.0 is an integer too, and some clients write it so.
     if any(isinstance(item, bool | str) for item in _items_of(given)):
@@ -31,7 +31,7 @@ def integers(given: Any) -> Any:  # noqa: ANN401 - whatever a client sends
     return given
 
 
-def _written_out(given: Any) -> Any:  # noqa: ANN401 - whatever a client sends
+def _written_out(given: object) -> object:
     if not (isinstance(given, str) and _RFC_3339.fullmatch(given)):
         raise PydanticCustomError(
             "moment", "wanted a moment as RFC 3339 writes it, as 2030-01-01T00:00:00Z"
@@ -39,7 +39,7 @@ def _written_out(given: Any) -> Any:  # noqa: ANN401 - whatever a client sends
     return given
 
 
-def each_once(given: Any) -> Any:  # noqa: ANN401 - whatever a client sends
+def each_once(given: object) -> object:
     """Take no list that has a name twice for a set."""
     texts = [item for item in _items_of(given) if isinstance(item, str)]
     if len(set(texts)) < len(texts):
@@ -47,7 +47,7 @@ def each_once(given: Any) -> Any:  # noqa: ANN401 - whatever a client sends
     return given
 
 
-def _items_of(given: Any) -> list[Any]:  # noqa: ANN401 - whatever a client sends
+def _items_of(given: object) -> list[object]:
     return given if isinstance(given, list) else [given]
 
 

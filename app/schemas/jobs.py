@@ -4,8 +4,8 @@ from datetime import UTC, datetime
 
 from pydantic import BaseModel, Field
 
-from app.errors import problem_type
 from app.jobs.parameters import BuildParameters
+from app.problems import problem_type
 from storage.catalog import JobRecord, JobState
 
 __all__ = ["JobOut"]

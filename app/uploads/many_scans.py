@@ -12,7 +12,8 @@ from anyio import from_thread
 from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect
 
-from app.errors import MalformedUpload, problem_name
+from app.errors import MalformedUpload
+from app.problems import problem_name
 from app.uploads.tar_stream import TarMember, TarStream
 from core.errors import InvalidScan, TensorMapError
 from core.scan import Scan

@@ -5,7 +5,8 @@ from html.parser import HTMLParser
 
 import pytest
 
-from app.errors import STATUS, problem_name
+from app.errors import STATUS
+from app.problems import problem_name
 
 
 @pytest.fixture(scope="module")

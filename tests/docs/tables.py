@@ -13,8 +13,9 @@ import typer.main
 from pydantic_core import PydanticUndefined
 
 from app.cli.main import cli
-from app.errors import STATUS, problem_name
+from app.errors import STATUS
 from app.main import create_app
+from app.problems import problem_name
 from app.settings import Settings
 from storage.formats.registry import SCAN_FORMATS
 
