@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from core.arrays import FloatArray, IntArray
-from core.displacement import left_of_m, pose_beside
+from core.displacement import left_of_m, places_beside_m, pose_beside
 from core.encodings.harmonic import HarmonicSearch
 from core.encodings.model import Found
 from core.pose import Pose, heading_deg
@@ -69,9 +69,7 @@ def estimate(search: HarmonicSearch, trajectory: Trajectory, found: Found) -> Es
     offsets_m = search.lateral_offset_m
     if not known:
         return Estimate(turn_deg, float(np.sum(weights @ offsets_m)), None)
-    seen_from_m = np.array(
-        [[pose_beside(poses[i], left_m)[:3] for left_m in offsets_m] for i in rows]
-    )
+    seen_from_m = places_beside_m(poses[rows], offsets_m)
     stands = pose_beside(poses[found.row], 0.0, turn_deg or 0.0)
     stands[:3] = np.einsum("kd,kdx->x", weights, seen_from_m)
     return Estimate(turn_deg, left_of_m(poses[found.row], stands), Pose.from_row(stands))

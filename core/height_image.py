@@ -4,7 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from core.arrays import Float32Array, frozen
+from core.arrays import Float32Array, FloatArray, IntArray, frozen
+from core.blocks import place_returns
 from core.errors import InvalidImage, InvalidParameters, InvalidScan
 from core.projection import Reducer
 from core.rings import RingGrid
@@ -76,15 +77,9 @@ def project_heights(
         raise InvalidParameters(
             f"a height image is reduced by {' or '.join(HEIGHT_REDUCERS)}, not by {reducer}"
         )
-    x, y, z = scan.points_m.T.astype(np.float64)
-    ring = np.floor(np.sqrt(x * x + y * y) / grid.ring_m)
-    inside = ring < grid.rings
-    if not inside.any():
+    cells, z = place_returns(scan.points_m, lambda xyz: _cells_and_z(xyz, grid))
+    if not len(cells):
         raise InvalidScan(f"none of the {len(scan)} returns is within {grid.reach_m:g} m")
-    if not inside.all():
-        ring, x, y, z = (values[inside] for values in (ring, x, y, z))
-    steps = np.rint(np.degrees(np.arctan2(y, x)) / grid.azimuth_step_deg).astype(np.int64)
-    cells = ring.astype(np.int64) * grid.columns + steps % grid.columns
     heights_m = np.maximum(z + sensor_height_m, 0.0)
     if heights_m.max() > np.finfo(np.float32).max:
         raise InvalidScan(f"a return is {heights_m.max():.3g} m high, beyond float32")
@@ -101,3 +96,14 @@ def project_heights(
     if not image.any():  # below the least float32
         raise InvalidScan(f"none of the {len(scan)} returns stands above the ground")
     return HeightImage(image.reshape(grid.shape), grid, outside_returns=len(scan) - len(cells))
+
+
+def _cells_and_z(xyz: FloatArray, grid: RingGrid) -> tuple[IntArray, FloatArray]:
+    """Return the flat cell and z of each of `(3, m)` returns within the last ring."""
+    x, y, z = xyz
+    ring = np.floor(np.sqrt(x * x + y * y) / grid.ring_m)
+    inside = ring < grid.rings
+    if not inside.all():
+        ring, x, y, z = (values[inside] for values in (ring, x, y, z))
+    steps = np.rint(np.degrees(np.arctan2(y, x)) / grid.azimuth_step_deg).astype(np.int64)
+    return ring.astype(np.int64) * grid.columns + steps % grid.columns, z

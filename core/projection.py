@@ -6,6 +6,7 @@ from enum import StrEnum
 import numpy as np
 
 from core.arrays import Float32Array, FloatArray, IntArray, frozen
+from core.blocks import place_returns
 from core.errors import InvalidImage, InvalidParameters, InvalidScan
 from core.scan import Scan
 from core.sensor import AngularGrid, whole_and_fraction
@@ -88,7 +89,7 @@ def project_scan(scan: Scan, grid: AngularGrid, reducer: Reducer) -> RangeImage:
         raise InvalidParameters(
             f"a range image is reduced by {', '.join(RANGE_REDUCERS)}, not by {reducer}"
         )
-    cells, range_m = _cells_and_ranges(scan.points_m, grid)
+    cells, range_m = place_returns(scan.points_m, lambda xyz: _cells_and_ranges(xyz, grid))
     if not len(cells):
         raise InvalidScan(
             f"none of the {len(scan)} returns falls inside the grid, elevations"
@@ -100,9 +101,9 @@ def project_scan(scan: Scan, grid: AngularGrid, reducer: Reducer) -> RangeImage:
     return RangeImage(ranges_m.reshape(grid.shape), grid, outside_returns=len(scan) - len(cells))
 
 
-def _cells_and_ranges(points_m: Float32Array, grid: AngularGrid) -> tuple[IntArray, FloatArray]:
-    """Return the flat cell and the range of each return inside the grid, in the returns' order."""
-    x, y, z = points_m.T.astype(np.float64)
+def _cells_and_ranges(xyz: FloatArray, grid: AngularGrid) -> tuple[IntArray, FloatArray]:
+    """Return the flat cell and the range of each of `(3, m)` returns inside the grid."""
+    x, y, z = xyz
     # sqrt and arctan are vectorized where hypot and arctan2 are not, and take a third to half of
     # the time. Squares of float32 do not overflow float64, and straight up is arctan(inf).
     across_m = np.sqrt(x * x + y * y)

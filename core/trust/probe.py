@@ -136,7 +136,9 @@ def _behind_a_car(
     """Bring the returns that a car would have stopped forward to its near side."""
     direction = rng.uniform(-np.pi, np.pi)
     ahead_m, across_m = rng.uniform(*_CAR_AHEAD_M), rng.uniform(*_CAR_ACROSS_M)
-    x, y, z = points.T
+    # Most returns lie elsewhere: half of them go before angles are worked out.
+    rows = np.flatnonzero(points[:, 0] * np.cos(direction) + points[:, 1] * np.sin(direction) > 0.0)
+    x, y, z = points[rows].T
     far_m = np.hypot(x, y)
     aside = np.abs((np.arctan2(y, x) - direction + np.pi) % (2.0 * np.pi) - np.pi)
     share = ahead_m / np.maximum(far_m, ahead_m)
@@ -147,4 +149,6 @@ def _behind_a_car(
         & (above_ground_m > 0.0)
         & (above_ground_m < _CAR_TOP_M)
     )
-    return np.where(hit[:, None], points * share[:, None], points)
+    moved = points.copy()
+    moved[rows[hit]] *= share[hit, None]
+    return moved

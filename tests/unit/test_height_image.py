@@ -2,14 +2,10 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
-from core.displacement import left_of_m, pose_beside, seen_from_beside
 from core.errors import InvalidImage, InvalidParameters, InvalidScan
 from core.height_image import HEIGHT_REDUCERS, HeightImage, project_heights
 from core.imager import ImageKind, Imager
-from core.pose import heading_deg
 from core.projection import RANGE_REDUCERS, Reducer, project_scan
 from core.rings import RingGrid
 from core.scan import Scan
@@ -129,34 +125,6 @@ def test_each_kind_of_image_has_its_own_reducers():
 
 
 # From beside
-
-
-@given(st.floats(-20, 20), st.floats(-180, 180), st.floats(-180, 180))
-def test_returns_seen_from_beside_lie_where_they_did(left_m, turn_deg, yaw_deg):
-    half = np.radians(yaw_deg) / 2
-    recorded = np.array([3.0, -2.0, 1.0, 0.0, 0.0, np.sin(half), np.cos(half)])
-    there = pose_beside(recorded, left_m, turn_deg)
-    points = sample_points(0)
-    np.testing.assert_allclose(
-        in_world(there, seen_from_beside(points, left_m, turn_deg)),
-        in_world(recorded, points.astype(np.float64)),
-        atol=1e-9,
-    )
-    assert left_of_m(recorded, there) == pytest.approx(left_m, abs=1e-9)
-    turned = heading_deg(there[None])[0] - yaw_deg - turn_deg
-    assert (turned + 180) % 360 - 180 == pytest.approx(0, abs=1e-6)
-
-
-def in_world(row, points):
-    heading = np.radians(heading_deg(row[None])[0])
-    turn = np.array([[np.cos(heading), -np.sin(heading)], [np.sin(heading), np.cos(heading)]])
-    return np.column_stack([points[:, :2] @ turn.T + row[:2], points[:, 2] + row[2]])
-
-
-def test_an_unknown_pose_stays_unknown():
-    unknown = np.full(7, np.nan)
-    assert np.isnan(pose_beside(unknown, 1.0, 2.0)).all()
-    assert np.isnan(left_of_m(unknown, unknown))
 
 
 def test_a_scan_is_rendered_from_each_place():
