@@ -33,7 +33,7 @@ def backup(
         raise InvalidParameters(_ELSEWHERE)
     require_folder(output_file)
     written = write_backup(data, output_file)
-    output.print(
+    output().print(
         f"{output_file}: {written.files} files, {written.size_bytes} bytes",
         markup=False,
         soft_wrap=True,
@@ -52,4 +52,4 @@ def restore(
 ) -> None:
     """Make a new data directory of a backup; the service is then started on it."""
     files = restore_backup(backup_file, data)
-    output.print(f"{data}: {files} files", markup=False, soft_wrap=True)
+    output().print(f"{data}: {files} files", markup=False, soft_wrap=True)

@@ -192,12 +192,12 @@ def _pairing(
 def _show(result: Comparison) -> None:
     of = result.drive if result.query_drive is None else f"{result.query_drive} in {result.drive}"
     elsewhere = "" if result.unknown_drive is None else f"; unknown: {result.unknown_drive}"
-    output.print(f"{of}: {result.protocol}{elsewhere}", markup=False, soft_wrap=True)
+    output().print(f"{of}: {result.protocol}{elsewhere}", markup=False, soft_wrap=True)
     first = result.methods[0]
     for column, of_first in enumerate(first.conditions):
         condition = of_first.condition
         findable = ", ".join(f"{count} within {m:g} m" for m, count in of_first.findable.items())
-        output.print(
+        output().print(
             f"\nyaw {condition.yaw_deg:g} deg, {condition.lateral_m:g} m to the left,"
             f" noise {condition.noise_m:g} m: {of_first.queries} asked, findable {findable}",
             soft_wrap=True,
@@ -229,8 +229,8 @@ def _show(result: Comparison) -> None:
                 _figure(row.describe_ms_median, ".1f"),
                 _figure(row.match_ms_median, ".2f"),
             )
-        output.print(table)
-    output.print(
+        output().print(table)
+    output().print(
         "F1: the greatest over all thresholds. AP: average precision, the area under precision over"
         " recall by steps. Milliseconds: medians of processor time, one thread.",
         soft_wrap=True,
@@ -238,7 +238,7 @@ def _show(result: Comparison) -> None:
     refused = [(method.name, row) for method in result.methods for row in method.conditions]
     for name, row in refused:
         if row.refusals or row.unanswered:
-            output.print(
+            output().print(
                 f"{name}: {row.refusals} queries not described, {row.unanswered} without an answer",
                 soft_wrap=True,
             )

@@ -20,12 +20,10 @@ __all__ = ["BarProgress", "output", "progress_bar"]
 _FILE_COLUMNS = 160  # a file or pipe has no width; Rich's 80 would cut figures off
 
 
-def _width() -> int | None:
-    """Return the width of what is not a terminal, `None` to let Rich find a terminal's."""
-    return None if sys.stdout.isatty() or "COLUMNS" in os.environ else _FILE_COLUMNS
-
-
-output = Console(width=_width())
+def output() -> Console:
+    """Return what writes on standard output."""
+    told = sys.stdout.isatty() or "COLUMNS" in os.environ  # Rich finds a width by itself
+    return Console(width=None if told else _FILE_COLUMNS)
 
 
 class BarProgress:

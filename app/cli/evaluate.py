@@ -145,7 +145,7 @@ def _show(result: Evaluation) -> None:
     of = result.drive if result.query_drive is None else f"{result.query_drive} in {result.drive}"
     how = "" if result.split is None else f", {result.split}"
     unequal = "unequal " if result.segmentation == Segmentation.UNEQUAL else ""
-    output.print(
+    output().print(
         f"{of}: {result.map_scans} map scans in {result.segments} {unequal}segments,"
         f" {result.encoding} {result.ranks[0]}x{result.ranks[1]},"
         f" {result.reducer} {result.image}{how}",
@@ -190,34 +190,34 @@ def _show(result: Evaluation) -> None:
             ),
             _figure(row.ms_per_query, ".1f"),
         )
-    output.print(table)
+    output().print(table)
     _show_reliability(result)
     show_tracks(result)
     refused = sum(row.refusals for row in result.conditions)
     if refused:
-        output.print(f"refused: {refused} queries, counted in no figure")
+        output().print(f"refused: {refused} queries, counted in no figure")
     moving = result.motion_surrogate_median_moving
     standing = result.motion_surrogate_median_standing
     if result.standing_scans is not None:
-        output.print(
+        output().print(
             f"standing: {result.standing_scans} queries; median 6-DOF change"
             f" {_figure(standing, '.4f')} standing, {_figure(moving, '.4f')} moving",
             soft_wrap=True,
         )
     errors = result.relative_error
-    output.print(
+    output().print(
         f"relative error {min(errors):.3f}..{max(errors):.3f}; compression"
         f" 1 : {result.compression.tensor_ratio:.1f} : {result.compression.returns_ratio:.0f},"
         f" {result.compression.elements} elements",
         soft_wrap=True,
     )
     for skipped in result.skipped:
-        output.print(f"left out scan {skipped.scan}: {skipped.reason}", markup=False)
+        output().print(f"left out scan {skipped.scan}: {skipped.reason}", markup=False)
 
 
 def _show_reliability(result: Evaluation) -> None:
     if not result.calibrated:
-        output.print("not calibrated: the map is too small to learn trust from")
+        output().print("not calibrated: the map is too small to learn trust from")
         return
     judged = [
         (row.condition, row.reliability) for row in result.conditions if row.reliability is not None
@@ -255,9 +255,9 @@ def _show_reliability(result: Evaluation) -> None:
             _figure(of_it.refused_wrong, ".3f"),
             _figure(of_it.refused_unknown, ".3f"),
         )
-    output.print(table)
+    output().print(table)
     if result.unknown_drives:
-        output.print(
+        output().print(
             f"unknown places: {', '.join(result.unknown_drives)},"
             f" {judged[0][1].unknown_queries} queries",
             markup=False,

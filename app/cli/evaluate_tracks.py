@@ -50,7 +50,7 @@ def show_tracks(result: Evaluation) -> None:
             _recovery(row),
             _figure(row.ms_per_observation, ".1f"),
         )
-    output.print(table)
+    output().print(table)
 
 
 def _recovery(row: TrackResult) -> str:

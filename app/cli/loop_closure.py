@@ -63,7 +63,7 @@ def loop_closure(
                 f"{found.lateral_m:.1f}",
             )
     if not as_json:
-        output.print(table)
+        output().print(table)
 
 
 def _scan(drive: Drive, index: int) -> Scan:

@@ -118,16 +118,18 @@ def build(
     for name, of_it in built.skipped.items():
         of_drive = f" of {name}" if len(recorded) > 1 else ""
         for skipped in of_it:
-            output.print(f"left out scan {skipped.scan}{of_drive}: {skipped.reason}", markup=False)
+            output().print(
+                f"left out scan {skipped.scan}{of_drive}: {skipped.reason}", markup=False
+            )
     for note in built.notes:
-        output.print(note, markup=False, soft_wrap=True)
+        output().print(note, markup=False, soft_wrap=True)
     compression = Compression.of(
         tensor_map.elements,
         scans=len(tensor_map),
         grid_shape=tensor_map.parameters.grid.shape,
         returns=built.returns,
     )
-    output.print(
+    output().print(
         f"{output_file}: {len(tensor_map)} scans, {tensor_map.model.segments} segments,"
         f" 1 : {compression.tensor_ratio:.1f} : {compression.returns_ratio:.0f}"
         f" in {output_file.stat().st_size} bytes, revision {tensor_map.revision}",
@@ -135,7 +137,7 @@ def build(
         soft_wrap=True,
     )
     if tensor_map.calibration is None:
-        output.print("not calibrated: too few scans, or too close together, to learn trust from")
+        output().print("not calibrated: too few scans, or too close together, to learn trust from")
 
 
 def _basis_of(map_file: Path, parameters: BuildParameters) -> Float32Array:
@@ -267,10 +269,10 @@ def _show_answers(answers: list[tuple[Path, Localization]], *, as_json: bool, tu
                 _trust(found),
             )
     if answers and not as_json:
-        output.print(table)
+        output().print(table)
         for path, found in answers:
             if not found.localized:
-                output.print(
+                output().print(
                     f"{path.name} is not localized: {found.verdict.reason}",
                     markup=False,
                     soft_wrap=True,
@@ -348,9 +350,9 @@ def inspect(
         "scans",
         "segmentation",
     ):
-        output.print(f"{name:>12}  {facts[name]}", markup=False, highlight=False)
+        output().print(f"{name:>12}  {facts[name]}", markup=False, highlight=False)
     edges = facts["edges"]
-    output.print(f"{'graph':>12}  {facts['nodes']} nodes, {len(edges)} edges", highlight=False)
+    output().print(f"{'graph':>12}  {facts['nodes']} nodes, {len(edges)} edges", highlight=False)
     table = Table("edge", "nodes", "segment", "scans", "length m", "relative error")
     for edge in edges:
         first, last = edge["nodes"]
@@ -365,7 +367,7 @@ def inspect(
                 "-" if math.isnan(length_m) else f"{length_m:.1f}",
                 f"{of_it['relative_error']:.3f}",
             )
-    output.print(table)
+    output().print(table)
 
 
 def _rows(tensor_map: TensorMap, segment: int) -> tuple[int, int]:

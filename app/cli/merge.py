@@ -39,7 +39,7 @@ def merge(
     )
     with publish(output_file) as part:
         write_map(part, merged)
-    output.print(
+    output().print(
         f"{output_file}: {', '.join(merged.trajectory.drives)}: {len(merged)} scans,"
         f" {merged.model.segments} segments, basis {merged.basis_digest[:16]},"
         f" revision {merged.revision}",

@@ -164,11 +164,11 @@ def _show(study: Study, out: Path) -> None:
             if best is None
             else f"r1 = {best.ranks[0]}, r2 = {best.ranks[1]}, k = {best.segment_length}"
         )
-        output.print(
+        output().print(
             f"{of.parameters.encoding}: {named} ({of.advice.verdict.value.replace('_', ' ')})",
             markup=False,
             highlight=False,
         )
         for reason in of.advice.reasons:
-            output.print(f"  {reason}", markup=False, highlight=False, soft_wrap=True)
-    output.print(f"{out}: written", markup=False, highlight=False, soft_wrap=True)
+            output().print(f"  {reason}", markup=False, highlight=False, soft_wrap=True)
+    output().print(f"{out}: written", markup=False, highlight=False, soft_wrap=True)

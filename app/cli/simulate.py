@@ -42,4 +42,4 @@ def simulate(
     )
     with progress_bar() as progress:
         write_kitti_drive(drive, folder, progress)
-    output.print(f"{folder}: {scans} scans of {drive.name}", markup=False, soft_wrap=True)
+    output().print(f"{folder}: {scans} scans of {drive.name}", markup=False, soft_wrap=True)

@@ -9,7 +9,7 @@ from multiprocessing import resource_tracker
 from multiprocessing.process import BaseProcess
 
 from app.errors import WorkerDied
-from app.jobs.worker import run_build
+from app.jobs.worker import IMPORTED_LATE, run_build
 from app.logs import fields
 from app.settings import Settings
 from core.errors import TensorMapError
@@ -51,7 +51,7 @@ class JobRunner:
         self._stopping = threading.Event()
         # Processes are forked from one that has loaded all that a build needs, and nothing else.
         self._context = multiprocessing.get_context("forkserver")
-        self._context.set_forkserver_preload([run_build.__module__])
+        self._context.set_forkserver_preload([run_build.__module__, *IMPORTED_LATE])
         self._threads = [
             threading.Thread(target=self._loop, name=f"builds-{i}", daemon=True)
             for i in range(settings.build_workers)

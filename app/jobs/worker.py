@@ -17,7 +17,10 @@ from storage.catalog import JobRecord
 from storage.errors import JobNotFound
 from storage.store import Store
 
-__all__ = ["run_build"]
+__all__ = ["IMPORTED_LATE", "run_build"]
+
+IMPORTED_LATE = ("scipy.optimize",)
+"""Modules that every build needs, imported when they are used: not everybody who uses us does."""
 
 _REPORT_EVERY_S = 0.2
 

@@ -1,7 +1,6 @@
 """Logistic regression that stays finite where classes separate."""
 
 import numpy as np
-from scipy.optimize import minimize
 from scipy.special import expit
 
 from core.arrays import BoolArray, FloatArray
@@ -38,6 +37,8 @@ def fit_logistic(features: FloatArray, right: BoolArray, falling: BoolArray) -> 
         >>> bool(slope < 0.0), round(float(-intercept / slope), 3)
         (True, 0.5)
     """
+    from scipy.optimize import minimize  # takes long to import, and only builds need it
+
     samples, count = features.shape
     if right.shape != (samples,) or falling.shape != (count,):
         raise InvalidParameters(

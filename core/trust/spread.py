@@ -6,7 +6,6 @@ from dataclasses import asdict, dataclass, fields
 from typing import Any
 
 import numpy as np
-from scipy.optimize import minimize
 
 from core.arrays import FloatArray
 from core.errors import InvalidMap, InvalidParameters
@@ -150,6 +149,8 @@ def fit_variance(errors: FloatArray, grows: FloatArray) -> tuple[float, float]:
         >>> round(a, 1), round(b, 1)
         (0.5, 1.5)
     """
+    from scipy.optimize import minimize  # takes long to import, and only builds need it
+
     total = float(np.mean(errors**2))
     if total == 0.0:
         return 0.0, 0.0

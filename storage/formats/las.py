@@ -7,8 +7,6 @@ many records as it claims, and reserves memory for them.
 import struct
 from dataclasses import dataclass
 
-import laspy
-
 from core.arrays import Float32Array
 from storage.formats.errors import MalformedScan, ScanTooLarge, TruncatedScan
 from storage.formats.laz import read_points, unpack
@@ -47,11 +45,13 @@ class LasFormat:
         points = self._check(body)
         if body[104] & _COMPRESSED:
             return unpack(body, points)
+        from laspy.errors import LaspyException
+
         try:
             returns_m = read_points(body, points)
         # What the library raises over a damaged file depends on what is damaged.
         except (
-            laspy.errors.LaspyException,
+            LaspyException,
             AttributeError,
             IndexError,
             KeyError,

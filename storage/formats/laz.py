@@ -10,7 +10,6 @@ import resource
 import subprocess
 import sys
 
-import laspy
 import numpy as np
 
 from core.arrays import Float32Array
@@ -49,6 +48,8 @@ def unpack(body: bytes, points: int) -> Float32Array:
 
 def read_points(body: bytes, points: int) -> Float32Array:
     """Read the points of a LAS or LAZ file, at most as many as its header claims."""
+    import laspy  # takes as long to import as NumPy: not before such a file comes
+
     returns_m = np.empty((points, 3), np.float32)
     at = 0
     backend = laspy.LazBackend.Lazrs
@@ -65,6 +66,8 @@ def read_points(body: bytes, points: int) -> Float32Array:
 
 
 def _main() -> None:
+    import laspy
+
     resource.setrlimit(resource.RLIMIT_AS, (_MEMORY_BYTES, _MEMORY_BYTES))
     resource.setrlimit(resource.RLIMIT_CPU, (_CPU_S, _CPU_S))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))

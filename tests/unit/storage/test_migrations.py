@@ -3,11 +3,13 @@
 import logging
 import sqlite3
 from datetime import UTC, datetime
+from pathlib import Path
 
 import pytest
 from alembic import command
 from alembic.autogenerate import compare_metadata
 from alembic.migration import MigrationContext
+from alembic.script import ScriptDirectory
 from sqlalchemy import create_engine
 
 from storage.catalog import Catalog, migrations
@@ -21,6 +23,14 @@ def test_the_migrations_make_what_the_models_say(tmp_path):
         context = MigrationContext.configure(connection, opts={"compare_server_default": True})
         assert compare_metadata(context, Base.metadata) == []
     catalog.close()
+
+
+def test_a_migration_is_in_a_file_named_by_its_revision_and_they_are_in_order():
+    chain = ScriptDirectory.from_config(migrations.alembic_config()).walk_revisions()
+    revisions = [script.revision for script in chain][::-1]
+    assert revisions == sorted(revisions)
+    files = sorted((Path(migrations.__file__).parent / "versions").glob("*.py"))
+    assert [file.name.partition("_")[0] for file in files] == revisions
 
 
 def test_opening_leaves_logging_alone_and_the_database_durable(tmp_path):
@@ -64,7 +74,7 @@ def test_a_key_of_the_first_release_still_opens(tmp_path):
     url = f"sqlite:///{tmp_path / 'catalog.sqlite3'}"
     engine = create_engine(url)
     with engine.begin() as connection:
-        config = migrations._config()
+        config = migrations.alembic_config()
         config.attributes["connection"] = connection
         command.upgrade(config, "0002")
         connection.exec_driver_sql(

@@ -11,7 +11,7 @@ from sqlalchemy import create_engine, event, text
 
 from core.pose import Pose
 from storage.catalog import Catalog, JobState
-from storage.catalog.migrations import _config
+from storage.catalog.migrations import alembic_config
 from storage.catalog.models import Revision
 from storage.errors import WrongCatalog
 from storage.retention import OwnRetention
@@ -79,7 +79,7 @@ def write_first_release(url, schema="0001"):
         event.listen(engine, "connect", lambda raw, _: setattr(raw, "isolation_level", None))
         event.listen(engine, "begin", lambda connection: connection.exec_driver_sql("BEGIN"))
     with engine.begin() as connection:
-        config = _config()
+        config = alembic_config()
         config.attributes["connection"] = connection
         command.upgrade(config, schema)
     zone = "+00" if engine.dialect.name == "postgresql" else ""
@@ -134,7 +134,7 @@ def test_every_schema_can_be_left_for_the_one_before_it(database_url):
     write_first_release(database_url)
     catalog = Catalog(database_url)
     with catalog._database.engine.begin() as connection:
-        config = _config()
+        config = alembic_config()
         config.attributes["connection"] = connection
         command.downgrade(config, "0001")
     catalog.close()
