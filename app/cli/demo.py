@@ -36,7 +36,7 @@ def demo(
 ) -> None:
     """Record a drive, post it, build the map, localize what was held out, and print a table."""
     from app.demo.client import Client  # here: no other command needs an HTTP client
-    from app.demo.run import run_demo
+    from app.demo.run import hold_out, run_demo
     from app.demo.server import free_port, running_server
 
     # Whoever ends this ends the service too, at any moment: the blocks below clean up.
@@ -46,21 +46,22 @@ def demo(
         recorded = SimulatedDrive(seed=seed, scans=MAX_SCANS)
     else:
         recorded = open_drive(drive, min_returns=MIN_RETURNS)
+    held_out = hold_out(recorded)
     with (
         TemporaryDirectory(prefix="tensormap-demo-") as folder,
         running_server(Path(folder), free_port(port)) as url,
     ):
         with Client(url, _MAP) as client, progress_bar() as progress:
-            outcome = run_demo(client, recorded, progress, encoding)
+            outcome = run_demo(client, recorded, held_out, progress, encoding)
         _show(recorded.name, outcome)
         if not once:
-            output.print(f"\nThe service runs at {url} (documentation: {url}/docs).")
-            output.print("Ctrl-C stops it and removes the demonstration's data.")
+            output().print(f"\nThe service runs at {url} (documentation: {url}/docs).")
+            output().print("Ctrl-C stops it and removes the demonstration's data.")
             _wait()
             return
     recalls = [fixes.recall_at_1 for fixes in outcome.fixes if fixes.recall_at_1 is not None]
     if recalls and min(recalls) < _BAR:
-        output.print(f"recall@1 within {RECALL_M:g} m is {min(recalls):.3f}, wanted {_BAR:g}")
+        output().print(f"recall@1 within {RECALL_M:g} m is {min(recalls):.3f}, wanted {_BAR:g}")
         raise typer.Exit(1)
 
 
@@ -69,12 +70,12 @@ def _wait() -> None:
     try:
         signal.pause()
     except KeyboardInterrupt:
-        output.print("stopped")
+        output().print("stopped")
 
 
 def _show(name: str, outcome: Outcome) -> None:
     compression = outcome.compression
-    output.print(
+    output().print(
         f"\n{name}: {outcome.mapped_scans} scans mapped in {outcome.segments} segments,"
         f" {outcome.posted_bytes / 1e6:.0f} MB posted; TensorMap : tensor : returns ="
         f" 1 : {compression.tensor_ratio:.1f} : {compression.returns_ratio:.0f}"
@@ -102,4 +103,4 @@ def _show(name: str, outcome: Outcome) -> None:
             f"{fixes.bytes_per_fix:,.0f}",
             f"{fixes.ms_per_fix:.1f}",
         )
-    output.print(table)
+    output().print(table)

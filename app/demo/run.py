@@ -15,6 +15,7 @@ from app.demo.outcome import MAX_SCANS, RECALL_M, Fixes, Outcome
 from app.jobs.parameters import BuildParameters
 from app.schemas.localizations import LocalizationOut
 from app.schemas.topology import EdgeOut
+from core.arrays import BoolArray
 from core.basis import Basis, HarmonicBasis
 from core.compression import Compression
 from core.drive import Drive
@@ -31,7 +32,7 @@ from core.tucker import storage_elements
 from storage.catalog import JobState
 from storage.formats.kitti import kitti_body
 
-__all__ = ["run_demo"]
+__all__ = ["hold_out", "run_demo"]
 
 _DRIVE = "recorded"
 # Longer segments are recalled better (paper, sec. 3.2): two are the fewest that can be mistaken.
@@ -53,31 +54,45 @@ class _Query:
     body: bytes
 
 
-def run_demo(
-    client: Client, drive: Drive, progress: BuildProgress, encoding: Encoding = DEFAULT_ENCODING
-) -> Outcome:
-    """Record a drive, map four fifths of it over HTTP and localize the rest.
-
-    Args:
-        client: Of a service that does not have the client's map yet.
-        drive: The drive; its first 300 scans are used.
-        progress: Told of each stage.
-        encoding: Of the map.
+def hold_out(drive: Drive) -> BoolArray:
+    """Return which of a drive's first 300 scans are not mapped but localized.
 
     Raises:
-        DemoFailed: If the service refuses something.
+        DemoFailed: If there are too few scans for one of them to be.
     """
     scans = min(len(drive), MAX_SCANS)
     cuts = cut_fixed(scans, segment_length_for(scans, segments=_SEGMENTS))
     held_out = Interleaved(0.2).held_out(cuts)
     if not held_out.any():
         raise DemoFailed(f"drive {drive.name} has {scans} scans: too few to hold one in five out")
+    return held_out
+
+
+def run_demo(
+    client: Client,
+    drive: Drive,
+    held_out: BoolArray,
+    progress: BuildProgress,
+    encoding: Encoding = DEFAULT_ENCODING,
+) -> Outcome:
+    """Record a drive, map four fifths of it over HTTP and localize the rest.
+
+    Args:
+        client: Of a service that does not have the client's map yet.
+        drive: The drive.
+        held_out: Of its scans, as `hold_out` gives it; those beyond are not used.
+        progress: Told of each stage.
+        encoding: Of the map.
+
+    Raises:
+        DemoFailed: If the service refuses something.
+    """
     client.create_map(f"Demonstration: {drive.name}")
     posted, returns = 0, 0
     recorded: list[int] = []
     queries: list[tuple[int, Scan]] = []
-    progress.start("recording and posting", scans)
-    for index in range(scans):
+    progress.start("recording and posting", len(held_out))
+    for index in range(len(held_out)):
         try:
             scan = drive.scan(index)
         except InvalidScan:  # as on the road: it is left out
