@@ -18,7 +18,7 @@ demo: $(RUNTIME) ## Record, post, build, localize; leaves the service running. O
 	$(BIN)/tensormap demo $(if $(ONCE),--once) $(if $(DRIVE),--drive '$(DRIVE)')
 
 test: $(DEVELOP) ## Run all tests; those on recorded drives too if TENSORMAP_DATA names their folder.
-	$(BIN)/python -m pytest -n auto -q
+	PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest -n auto -q
 
 install: $(DEVELOP) ## Install the service and all that its development needs into .venv.
 

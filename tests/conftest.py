@@ -1,5 +1,6 @@
 """What all tests share: recorded drives, counted if promised, and databases of their own."""
 
+import gc
 import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -7,8 +8,13 @@ from pathlib import Path
 import pytest
 from xdist.remote import Producer
 
+from storage.catalog import database, migrations
+from tests.support.commands import Commands, commands
 from tests.support.postgresql import Cluster, cluster, reason_to_skip
 from tests.support.scheduling import ByModule
+from tests.support.schema import made_once
+
+gc.set_threshold(20_000, 20, 20)  # a tenth of the time that collecting takes else
 
 _ran: set[str] = set()
 
@@ -22,6 +28,12 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Producer) -> ByModul
     """Share tests out by module, in the order of their names."""
     config.option.loadscopereorder = False  # documents, which take longest, would come last
     return ByModule(config, log)
+
+
+def pytest_collection_finish() -> None:
+    """What was imported stays: no garbage collection looks at it again."""
+    gc.collect()
+    gc.freeze()
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -47,6 +59,27 @@ def pytest_terminal_summary(
 ) -> None:
     if _ran or config.getoption("--require-real-data"):
         terminalreporter.write_line(f"tests on recorded drives: {len(_ran)} ran")
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _schema_made_once() -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(database, "upgrade", made_once(migrations.upgrade))
+        yield
+
+
+@pytest.fixture(scope="session")
+def shared(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder of all workers: what one of them has made there the others need not make."""
+    own = tmp_path_factory.getbasetemp()
+    return own.parent if "PYTEST_XDIST_WORKER" in os.environ else own
+
+
+@pytest.fixture(scope="session")
+def tensormap(shared: Path) -> Commands:
+    """Runs the command line."""
+    tests = os.getppid() if "PYTEST_XDIST_WORKER" in os.environ else os.getpid()
+    return commands(shared, tests)
 
 
 DATABASES = ["sqlite", "postgresql"]

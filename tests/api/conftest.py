@@ -1,11 +1,13 @@
 """A service with a built map, made once over HTTP and copied for each test."""
 
+import json
 import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
 
+from tests.support.locks import one_at_a_time
 from tests.support.recording import recording
 from tests.support.service import running, upload, wait_for
 
@@ -23,8 +25,15 @@ class Built:
 
 
 @pytest.fixture(scope="session")
-def built(tmp_path_factory):
-    data_dir = tmp_path_factory.mktemp("built") / "data"
+def built(shared):
+    data_dir, told = shared / "built" / "data", shared / "built.json"
+    with one_at_a_time(shared / "built.lock"):
+        if not told.exists():
+            told.write_text(json.dumps(build(data_dir)))
+    return Built(data_dir, *json.loads(told.read_text()))
+
+
+def build(data_dir):
     with running(data_dir) as client:
         client.post("/v1/maps", json={"map": "campus"})
         upload(client, "monday", recording())
@@ -33,13 +42,15 @@ def built(tmp_path_factory):
             for wanted in ({"segments": 3, **PAPER}, {"segments": 2, "reducer": "nearest", **PAPER})
         ]
         live, other = (wait_for(client, job)["revision"] for job in jobs)
-    return Built(data_dir, live, other, jobs[0])
+    return live, other, jobs[0]
 
 
 @pytest.fixture(scope="session")
-def client(built):
+def client(tmp_path_factory, built):
     """The built map, for tests that change nothing."""
-    with running(built.data_dir) as client:
+    data_dir = tmp_path_factory.mktemp("client") / "data"
+    shutil.copytree(built.data_dir, data_dir, ignore=shutil.ignore_patterns("*.lock"))
+    with running(data_dir) as client:
         yield client
 
 

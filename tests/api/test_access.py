@@ -6,21 +6,19 @@ import pytest
 
 from app.main import create_app
 from app.settings import Settings
-from tests.support.service import Client, problem_of, running
+from tests.support.service import Client, document, problem_of, running
 
 KEY = "correct horse battery staple"
 PARTS = {"index": "0"}
 
 
-def routes():
-    for path, methods in create_app(Settings()).openapi()["paths"].items():
-        for method in methods:
-            asked = re.sub(r"\{(\w+)\}", lambda part: PARTS.get(part[1], "x" * 12), path)
-            yield method.upper(), asked
-
-
-BEHIND_THE_KEY = [route for route in routes() if route[1].startswith(("/v1/", "/metrics"))]
-OPEN = [route for route in routes() if route not in BEHIND_THE_KEY]
+ROUTES = [
+    (method.upper(), re.sub(r"\{(\w+)\}", lambda part: PARTS.get(part[1], "x" * 12), path))
+    for path, methods in document()["paths"].items()
+    for method in methods
+]
+BEHIND_THE_KEY = [route for route in ROUTES if route[1].startswith(("/v1/", "/metrics"))]
+OPEN = [route for route in ROUTES if route not in BEHIND_THE_KEY]
 
 
 @pytest.fixture(scope="module")

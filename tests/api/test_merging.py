@@ -1,5 +1,6 @@
 """Drives added to a map, aged and left out, while vehicles keep the basis that they hold."""
 
+import shutil
 from contextlib import contextmanager
 from datetime import UTC, datetime, timedelta
 
@@ -37,7 +38,7 @@ def basis_of(client):
     return BasisOut.model_validate(client.get("/v1/maps/campus/basis").json()).to_core()
 
 
-@pytest.fixture(params=["harmonic", "paper"])
+@pytest.fixture(scope="module", params=["harmonic", "paper"])
 def encoding(request):
     return request.param
 
@@ -54,15 +55,24 @@ def two_halves(data_dir, encoding):
         yield client
 
 
+@pytest.fixture(scope="module")
+def halves(tmp_path_factory, encoding):
+    data_dir = tmp_path_factory.mktemp("halves") / "data"
+    with two_halves(data_dir, encoding):
+        return data_dir
+
+
 @pytest.fixture
-def campus(tmp_path, encoding):
-    with two_halves(tmp_path / "data", encoding) as client:
+def campus(tmp_path, halves):
+    """A copy of it, for a test that changes it."""
+    shutil.copytree(halves, tmp_path / "data", ignore=shutil.ignore_patterns("*.lock"))
+    with running(tmp_path / "data") as client:
         yield client
 
 
 @pytest.fixture(scope="module")
 def settled(tmp_path_factory):
-    """The same, harmonic, for tests that change nothing."""
+    """Such a map, harmonic, for tests that change nothing."""
     with two_halves(tmp_path_factory.mktemp("settled") / "data", "harmonic") as client:
         yield client
 

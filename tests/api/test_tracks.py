@@ -261,7 +261,7 @@ def test_a_stream_without_the_key_is_refused_before_it_opens(tmp_path):
 
 
 def test_tracks_are_bounded_forgotten_when_idle_and_pinned_to_their_revision(tmp_path):
-    with running(tmp_path / "data", max_tracks=2, max_json_bytes=2000) as client:
+    with running(tmp_path / "data", max_tracks=2, max_json_bytes=20_000) as client:
         fill(client, "harmonic")
         one, _ = (client.post(TRACKS).headers["Location"] for _ in range(2))
         assert problem_of(client.post(TRACKS)) == (503, "too-many-tracks")
@@ -273,7 +273,7 @@ def test_tracks_are_bounded_forgotten_when_idle_and_pinned_to_their_revision(tmp
         assert (answer["revision"], answer["live_revision"]) == (pinned, live)
         assert pinned != live
         with open_stream(client, f"{one}/stream") as stream:
-            stream.send_bytes(bytes(2001))
+            stream.send_bytes(bytes(20_001))
             assert stream.receive_json()["type"] == "/problems/body-too-large"
             with pytest.raises(WebSocketDisconnect) as closed:
                 stream.receive_json()

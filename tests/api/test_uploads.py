@@ -13,23 +13,11 @@ from starlette.exceptions import HTTPException
 
 from app.uploads.many_scans import store_scans
 from app.uploads.tar_stream import TarStream
-from tests.support.recording import KITTI, kitti, npy, recording
+from tests.support.recording import KITTI, TAR, kitti, npy, recording, tar
 from tests.support.service import problem_of, running, whole_store
 
 SCANS = recording(scans=6).scans
 DRIVE = "/v1/maps/campus/drives/monday"
-TAR = {"Content-Type": "application/x-tar"}
-
-
-def tar(files, *, style=tarfile.USTAR_FORMAT):
-    """Return a tar of `(name, content)`."""
-    body = io.BytesIO()
-    with tarfile.open(fileobj=body, mode="w", format=style) as archive:
-        for name, content in files:
-            member = tarfile.TarInfo(name)
-            member.size = len(content)
-            archive.addfile(member, io.BytesIO(content))
-    return body.getvalue()
 
 
 def digest(body, algorithm="sha256"):

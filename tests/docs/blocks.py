@@ -11,11 +11,13 @@ import doctest
 import io
 import os
 import re
+import shlex
 import signal
 import socket
 import subprocess
 import sys
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -73,9 +75,9 @@ def _free_port() -> str:
 
 
 class Runner:
-    """Runs a document's blocks in `folder`."""
+    """Runs a document's blocks in `folder`, where `program` stands in for `tensormap`."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, program: Sequence[str]) -> None:
         self._folder = folder
         self._port = _free_port()
         self._said = ""
@@ -83,7 +85,7 @@ class Runner:
         self._server: subprocess.Popen[bytes] | None = None
         command = folder / ".venv/bin/tensormap"
         command.parent.mkdir(parents=True)
-        command.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m app.cli "$@"\n')
+        command.write_text(f'#!/bin/sh\nexec {shlex.join(program)} "$@"\n')
         command.chmod(0o755)
         kept = {k: v for k, v in os.environ.items() if not k.startswith("TENSORMAP_")}
         python = Path(sys.executable).parent

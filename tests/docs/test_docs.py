@@ -8,6 +8,7 @@ import pytest
 
 from tests.docs.blocks import READ_ONLY, ROOT, Block, Runner, blocks_of
 from tests.docs.tables import TABLES, with_table
+from tests.support.commands import Commands
 
 DOCUMENTS = [
     *(ROOT / name for name in ("README.md", "CONTRIBUTING.md")),
@@ -43,8 +44,10 @@ def runnable(path: Path) -> list[Block]:
     [path for path in DOCUMENTS if any(b.language not in READ_ONLY for b in runnable(path))],
     ids=lambda path: str(path.relative_to(ROOT)),
 )
-def test_every_block_runs_and_writes_what_it_says(path: Path, tmp_path: Path) -> None:
-    runner = Runner(tmp_path)
+def test_every_block_runs_and_writes_what_it_says(
+    path: Path, tmp_path: Path, tensormap: Commands
+) -> None:
+    runner = Runner(tmp_path, tensormap.program)
     try:
         for block in runnable(path):
             runner.run(block)

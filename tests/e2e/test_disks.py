@@ -40,7 +40,7 @@ def serving_on_a_small_disk(folder: Path, megabytes: int):
     mounted = f'mount -t tmpfs -o size={megabytes}m tmpfs "$0" && exec "$@"'
     within = [*NAMESPACE, "sh", "-c", mounted, str(disk)]
     with serving(disk / "data", folder / "log", within=within) as server:
-        yield server, Path(f"/proc/{server.process.pid}/root{disk}")
+        yield server, Path(f"/proc/{server.pid}/root{disk}")
 
 
 def fill(path: Path) -> None:
@@ -120,7 +120,7 @@ def test_files_that_turn_read_only_are_told_and_what_is_there_answers(tmp_path):
             [
                 "nsenter",
                 "-t",
-                str(server.process.pid),
+                str(server.pid),
                 "--mount",
                 *user,
                 "sh",

@@ -12,13 +12,14 @@ from pathlib import Path
 import httpx2
 import pytest
 
-from tests.e2e.test_commands import tensormap
-from tests.support.process import ROOT, is_running, serving, until
+from tests.support.process import ROOT, is_running, until
 from tests.support.recording import KITTI, kitti, recording, upload_scan
 from tests.support.service import problem_of, upload, wait_for
 
 
-def test_a_backup_made_while_the_service_works_is_a_service_once_restored(tmp_path):
+def test_a_backup_made_while_the_service_works_is_a_service_once_restored(
+    tmp_path, tensormap, serving
+):
     data, file, new = tmp_path / "data", tmp_path / "backup.tar", tmp_path / "new"
     scans = recording().scans
     with serving(data, tmp_path / "log") as server:
@@ -54,7 +55,7 @@ def test_a_backup_made_while_the_service_works_is_a_service_once_restored(tmp_pa
         assert not (new / "orphans").exists()
 
 
-def test_the_service_ends_with_what_it_was_asked_answered_and_its_build_queued(tmp_path):
+def test_the_service_ends_with_what_it_was_asked_answered_and_its_build_queued(tmp_path, serving):
     """`tensormap serve` itself, with JSON for a log."""
     data, log = tmp_path / "data", tmp_path / "log"
     port, process = started(data, log)

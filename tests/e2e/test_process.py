@@ -11,13 +11,13 @@ import httpx2
 import numpy as np
 import pytest
 
-from tests.support.process import is_running, serving, until
+from tests.support.process import is_running, until
 from tests.support.recording import KITTI, kitti, recording, upload_scan
 from tests.support.service import problem_of, upload, wait_for
 
 
 @pytest.fixture(scope="module")
-def server(tmp_path_factory):
+def server(tmp_path_factory, serving):
     folder = tmp_path_factory.mktemp("server")
     with serving(folder / "data", folder / "log") as server:
         server.client.post("/v1/maps", json={"map": "campus"})
@@ -46,7 +46,9 @@ def end_in_the_middle(server, how):
     until(lambda: not any(map(is_running, children)), f"{children} are left over")
 
 
-def test_what_was_acknowledged_outlives_a_kill_and_what_was_begun_is_done_after_it(tmp_path):
+def test_what_was_acknowledged_outlives_a_kill_and_what_was_begun_is_done_after_it(
+    tmp_path, serving
+):
     data_dir, log = tmp_path / "data", tmp_path / "log"
     acknowledged: list[int] = []
     with serving(data_dir, log) as server:
@@ -146,7 +148,7 @@ def test_a_page_elsewhere_that_points_its_name_at_this_machine_is_refused(server
     assert problem_of(localize) == (421, "host-not-allowed")
 
 
-def test_a_second_service_on_the_same_data_does_not_start(server):
+def test_a_second_service_on_the_same_data_does_not_start(server, serving):
     second = serving(server.log.parent / "data", server.log.parent / "second")
     with pytest.raises(httpx2.TransportError), second:
         pass

@@ -9,7 +9,6 @@ from websockets.sync.client import connect
 
 from app.schemas.revisions import BasisOut
 from core.signature import pack_signatures
-from tests.support.process import serving
 from tests.support.recording import recording
 from tests.support.service import upload, wait_for
 
@@ -17,7 +16,7 @@ TRACKS = "/v1/maps/campus/tracks"
 
 
 @pytest.fixture(scope="module")
-def server(tmp_path_factory):
+def server(tmp_path_factory, serving):
     folder = tmp_path_factory.mktemp("stream")
     with serving(folder / "data", folder / "log") as server:
         server.client.post("/v1/maps", json={"map": "campus"})

@@ -1,10 +1,8 @@
 """A thousand scans by eight clients at once, over connections that are cut."""
 
-import io
 import random
 import signal
 import socket
-import tarfile
 import threading
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -16,8 +14,7 @@ import pytest
 
 from storage.drive_chunks import scan_digest
 from storage.store import Store
-from tests.support.process import serving
-from tests.support.recording import NPY, npy
+from tests.support.recording import NPY, TAR, npy, tar
 
 SCANS, CLIENTS, RETURNS = 1000, 8, 100
 DRIVE = "/v1/maps/campus/drives/monday"
@@ -29,20 +26,13 @@ def points(index: int) -> np.ndarray:
 
 
 def archive(indices: list[int]) -> bytes:
-    body = io.BytesIO()
-    with tarfile.open(fileobj=body, mode="w", format=tarfile.USTAR_FORMAT) as written:
-        for index in indices:
-            content = npy(points(index))
-            member = tarfile.TarInfo(f"{index:06}.npy")
-            member.size = len(content)
-            written.addfile(member, io.BytesIO(content))
-    return body.getvalue()
+    return tar((f"{index:06}.npy", npy(points(index))) for index in indices)
 
 
 def cut_off(port: int, chance: random.Random, method: str, path: str, body: bytes) -> None:
     """Send a request up to some byte of its body, perhaps all, and go away without an answer."""
     head = f"{method} {path} HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Length: {len(body)}\r\n"
-    kind = NPY["Content-Type"] if method == "PUT" else "application/x-tar"
+    [kind] = (NPY if method == "PUT" else TAR).values()
     request = f"{head}Content-Type: {kind}\r\n\r\n".encode() + body
     with socket.create_connection(("127.0.0.1", port)) as connection:
         connection.sendall(request[: chance.randint(1, len(request))])
@@ -51,7 +41,7 @@ def cut_off(port: int, chance: random.Random, method: str, path: str, body: byte
 
 
 @pytest.fixture
-def server(tmp_path):
+def server(tmp_path, serving):
     with serving(tmp_path / "data", tmp_path / "log") as server:
         server.client.post("/v1/maps", json={"map": "campus"})
         yield server
@@ -83,7 +73,7 @@ class Fleet:
                     with self.count:
                         self.cuts += 1
                     continue
-                headers = NPY if method == "PUT" else {"Content-Type": "application/x-tar"}
+                headers = NPY if method == "PUT" else TAR
                 answer = client.request(method, path, content=body, headers=headers)
                 assert answer.status_code in {200, 201}, answer.text
                 if method == "POST":

@@ -12,6 +12,7 @@ from core.trajectory import Trajectory
 
 steps_m = st.floats(0.8, 4.0)
 lengths = st.integers(12, 80)  # scans in a segment
+few = settings(max_examples=40)  # each follows a drive of hundreds of scans
 
 
 def along(corners_m: list[tuple[float, float]], step_m: float) -> FloatArray:
@@ -62,7 +63,7 @@ def wanderings(draw: st.DrawFn) -> FloatArray:
     return along(corners, draw(steps_m))
 
 
-@settings(max_examples=40)
+@few
 @given(wanderings(), lengths)
 def test_the_graph_of_one_drive_is_connected_and_holds_every_segment(poses, length):
     mapped = trajectory(poses)
@@ -75,7 +76,7 @@ def test_the_graph_of_one_drive_is_connected_and_holds_every_segment(poses, leng
     assert nodes[1:, 0].tolist() == nodes[:-1, 1].tolist()  # a segment begins where one ended
 
 
-@settings(max_examples=40)
+@few
 @given(wanderings(), lengths)
 def test_no_street_of_a_grid_is_in_the_graph_twice(poses, length):
     found, _ = graph(trajectory(poses), length)
@@ -89,7 +90,7 @@ def test_no_street_of_a_grid_is_in_the_graph_twice(poses, length):
     assert np.nansum(found.edge_length_m) <= streets_m + 15.0 * len(passed)
 
 
-@settings(max_examples=40)
+@few
 @given(wanderings(), lengths)
 def test_cutting_where_drives_meet_is_done_once(poses, length):
     mapped = trajectory(poses)
@@ -97,7 +98,7 @@ def test_cutting_where_drives_meet_is_done_once(poses, length):
     assert cut_at_meetings(mapped, cuts).tolist() == cuts.tolist()
 
 
-@settings(max_examples=40)
+@few
 @given(wanderings(), lengths, st.floats(-3.0, 3.0), st.floats(-1e4, 1e4))
 def test_the_graph_is_the_same_wherever_the_world_has_its_origin(poses, length, turn, shift_m):
     poses[:, :2] += np.random.default_rng(0).normal(scale=0.01, size=(len(poses), 2))  # no ties
@@ -113,7 +114,7 @@ def test_the_graph_is_the_same_wherever_the_world_has_its_origin(poses, length, 
     np.testing.assert_allclose(here.edge_length_m.sum(), there.edge_length_m.sum(), rtol=0.1)
 
 
-@settings(max_examples=40)
+@few
 @given(wanderings(), lengths)
 def test_neither_names_nor_times_nor_headings_of_scans_decide(poses, length):
     mapped = trajectory(poses)
@@ -126,6 +127,7 @@ def test_neither_names_nor_times_nor_headings_of_scans_decide(poses, length):
         np.testing.assert_array_equal(array, there.arrays()[name])
 
 
+@few
 @given(steps_m, lengths, st.integers(80, 400))
 def test_there_and_back_gives_half_the_edges(step_m, length, far_m):
     there = along([(0.0, 0.0), (float(far_m), 0.0)], step_m)
@@ -143,6 +145,7 @@ def test_there_and_back_gives_half_the_edges(step_m, length, far_m):
         assert found.segment_reversed.tolist() == [False] * half + [True] * half
 
 
+@few
 @given(steps_m, lengths, st.integers(80, 400))
 def test_a_drive_that_turns_round_comes_back_along_the_same_edges(step_m, length, far_m):
     found, _ = graph(trajectory(along([(0, 0), (far_m, 0), (0, 0)], step_m)), length)
@@ -153,6 +156,7 @@ def test_a_drive_that_turns_round_comes_back_along_the_same_edges(step_m, length
     assert found.segment_nodes[0, 0] == found.segment_nodes[-1, 1] == 0
 
 
+@few
 @given(steps_m, lengths, st.floats(35.0, 145.0), st.integers(60, 200))
 def test_streets_that_cross_share_a_node_and_no_edge(step_m, length, degrees, half_m):
     # A figure of eight: two streets that cross at the origin, their ends far apart.
@@ -171,6 +175,7 @@ def test_streets_that_cross_share_a_node_and_no_edge(step_m, length, degrees, ha
     )
 
 
+@few
 @given(steps_m, lengths)
 def test_a_bridge_is_no_crossing(step_m, length):
     over = along([(-100, 0), (100, 0), (100, 100), (0, 100), (0, -100)], step_m)
@@ -179,6 +184,7 @@ def test_a_bridge_is_no_crossing(step_m, length):
     assert found.is_plain
 
 
+@few
 @given(steps_m, lengths, st.floats(9.0, 50.0))
 def test_streets_beside_one_another_stay_two(step_m, length, apart_m):
     one = along([(0, 0), (200, 0)], step_m)
@@ -186,7 +192,7 @@ def test_streets_beside_one_another_stay_two(step_m, length, apart_m):
     assert graph(mapped, length)[0].is_plain
 
 
-@settings(max_examples=40)
+@few
 @given(wanderings(), lengths)
 def test_without_poses_nothing_is_cut_and_nothing_joined(poses, length):
     mapped = trajectory(np.full_like(poses, np.nan))
@@ -195,7 +201,7 @@ def test_without_poses_nothing_is_cut_and_nothing_joined(poses, length):
     assert cuts.tolist() == cut_drives(mapped.drive_start, length).tolist()
 
 
-@settings(max_examples=40)
+@few
 @given(wanderings(), lengths, st.data())
 def test_what_was_driven_once_is_cut_where_it_was_and_lengths_are_those_of_paths(
     poses, length, data

@@ -12,6 +12,8 @@ from pathlib import Path
 
 import httpx2
 
+from tests.support.commands import Commands
+
 __all__ = ["Server", "is_running", "serving", "until"]
 
 ROOT = Path(__file__).parents[2]
@@ -22,20 +24,22 @@ class Server:
     """A service that runs.
 
     Attributes:
-        process: Its process.
+        process: What was started.
+        pid: Of the service itself.
         port: Where it listens, on loopback.
         client: A client of it.
         log: What it writes.
     """
 
     process: subprocess.Popen[str]
+    pid: int
     port: int
     client: httpx2.Client
     log: Path
 
     def children(self) -> set[int]:
         """Return the ids of the processes that it started."""
-        listed = Path(f"/proc/{self.process.pid}/task")
+        listed = Path(f"/proc/{self.pid}/task")
         return {
             int(child)
             for task in listed.iterdir()
@@ -44,7 +48,7 @@ class Server:
 
     def end(self, how: signal.Signals) -> None:
         """Send a signal and wait for its end."""
-        self.process.send_signal(how)
+        os.kill(self.pid, how)
         self.process.wait(30)
 
 
@@ -54,7 +58,7 @@ def serving(
     log: Path,
     *,
     within: Sequence[str] = (),
-    program: Sequence[str] = ("-m", "tests.support.serve"),
+    commands: Commands | None = None,
     **settings: str,
 ) -> Iterator[Server]:
     """Run a service until the block ends.
@@ -63,7 +67,7 @@ def serving(
         data_dir: Its data.
         log: Where its standard error goes.
         within: A command that runs the one that follows it, in the same process.
-        program: What Python runs; it writes the port on its standard output.
+        commands: What forks it; it is started anew without them.
         settings: More `TENSORMAP_` variables, without that.
     """
     environment = {
@@ -72,9 +76,10 @@ def serving(
         "TENSORMAP_DATA_DIR": str(data_dir),
         **{f"TENSORMAP_{name.upper()}": value for name, value in settings.items()},
     }
+    started = (sys.executable, "-m") if commands is None else commands.client
     with log.open("a") as written:
         process = subprocess.Popen(
-            [*within, sys.executable, *program],
+            [*within, *started, "tests.support.serve"],
             stdout=subprocess.PIPE,
             stderr=written,
             text=True,
@@ -83,10 +88,10 @@ def serving(
         )
     assert process.stdout is not None
     try:
-        port = int(process.stdout.readline())
+        port, pid = map(int, process.stdout.readline().split())
         with httpx2.Client(base_url=f"http://127.0.0.1:{port}", timeout=60) as client:
             assert client.get("/readyz").status_code == 200
-            yield Server(process, port, client, log)
+            yield Server(process, pid, port, client, log)
     finally:
         if process.poll() is None:
             process.terminate()

@@ -2,6 +2,8 @@
 
 import functools
 import io
+import tarfile
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,10 +13,11 @@ from core.pose import Pose
 from core.scan import Scan
 from core.simulation import SimulatedDrive, SimulatedSensor
 
-__all__ = ["KITTI", "NPY", "Recording", "kitti", "npy", "recording", "upload_scan"]
+__all__ = ["KITTI", "NPY", "TAR", "Recording", "kitti", "npy", "recording", "tar", "upload_scan"]
 
 KITTI = {"Content-Type": "application/vnd.tensormap.kitti"}
 NPY = {"Content-Type": "application/vnd.tensormap.npy"}
+TAR = {"Content-Type": "application/x-tar"}
 
 
 @dataclass(frozen=True)
@@ -73,3 +76,14 @@ def upload_scan(client, slug: str, drive: str, index: int, scan: Scan, **options
         headers=KITTI,
         **options,
     )
+
+
+def tar(files: Iterable[tuple[str, bytes]], *, style: int = tarfile.USTAR_FORMAT) -> bytes:
+    """Return a tar of named contents."""
+    body = io.BytesIO()
+    with tarfile.open(fileobj=body, mode="w", format=style) as archive:
+        for name, content in files:
+            member = tarfile.TarInfo(name)
+            member.size = len(content)
+            archive.addfile(member, io.BytesIO(content))
+    return body.getvalue()

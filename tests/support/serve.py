@@ -1,5 +1,9 @@
-"""Run the service on a free port of this machine and say which; its settings are in TENSORMAP_*."""
+"""Run the service on a free port of this machine; its settings are in TENSORMAP_*.
 
+Says its port and the id of its process.
+"""
+
+import os
 import socket
 
 import uvicorn
@@ -8,5 +12,5 @@ from app.main import create_app
 
 if __name__ == "__main__":
     listener = socket.create_server(("127.0.0.1", 0))
-    print(listener.getsockname()[1], flush=True)  # noqa: T201 - whoever started it waits for it
+    print(listener.getsockname()[1], os.getpid(), flush=True)  # noqa: T201 - whoever started it waits for it
     uvicorn.Server(uvicorn.Config(create_app())).run(sockets=[listener])

@@ -1,0 +1,144 @@
+"""Our programs, each a process of its own, forked from one that has imported all that they need.
+
+A program spends a second of processor time on imports and often little on its work, and the tests
+start hundreds. `python -m tests.support.commands SOCKET PID` waits at a socket for what
+`command_client.py` sends, and ends with the process of that id.
+"""
+
+import gc
+import importlib
+import json
+import os
+import runpy
+import select
+import signal
+import socket
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+from tests.support.locks import one_at_a_time
+
+__all__ = ["Commands", "commands"]
+
+ROOT = Path(__file__).parents[2]
+_CLIENT = Path(__file__).with_name("command_client.py")
+_REQUEST_BYTES = 200_000
+_START_S, _RUN_S = 60.0, 120.0
+
+
+@dataclass(frozen=True)
+class Commands:
+    """What runs `tensormap`, and other modules of ours.
+
+    Attributes:
+        client: Words that a module's name and its arguments follow, wherever a program is started.
+    """
+
+    client: tuple[str, ...]
+
+    @property
+    def program(self) -> tuple[str, ...]:
+        """Words that stand in for `tensormap`."""
+        return (*self.client, "app.cli")
+
+    def __call__(self, *words: str | Path, status: int = 0, **variables: str) -> str:
+        """Run a command, check how it ends, and return what it wrote on both outputs."""
+        ended = subprocess.run(
+            [*self.program, *map(str, words)],
+            cwd=ROOT,
+            env={**os.environ, **variables},
+            capture_output=True,
+            text=True,
+            timeout=_RUN_S,
+        )
+        assert ended.returncode == status, ended.stdout + ended.stderr
+        assert "Traceback" not in ended.stderr
+        return ended.stdout + ended.stderr
+
+
+def commands(folder: Path, tests: int) -> Commands:
+    """Return what runs commands; the first to ask starts it, for all whose folder is the same.
+
+    Args:
+        folder: Where its socket is.
+        tests: The process that all tests end with.
+    """
+    address = folder / "commands"
+    with one_at_a_time(folder / "commands.lock"):
+        if not address.exists():
+            started = subprocess.run(
+                [sys.executable, "-m", "tests.support.commands", str(address), str(tests)],
+                cwd=ROOT,
+                env={**os.environ, "PYTHONPATH": str(ROOT)},
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                timeout=_START_S,
+            )
+            assert started.returncode == 0, "the commands cannot be imported"
+    return Commands((sys.executable, "-I", "-S", str(_CLIENT), str(address)))
+
+
+def _serve(address: Path, tests: int) -> None:
+    """Fork for every request until `tests` ends; returns in a process that is to be a command."""
+    ended = os.pidfd_open(tests)
+    with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as listening:
+        listening.bind(str(address))
+        listening.listen(64)
+        if os.fork() != 0:
+            os._exit(0)  # whoever started this need not wait longer
+        os.setsid()
+        signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # nobody waits for those that fork here
+        while ended not in select.select([listening.fileno(), ended], [], [])[0]:
+            asked, _ = listening.accept()
+            with asked:
+                if os.fork() == 0:
+                    listening.close()
+                    os.close(ended)
+                    signal.signal(signal.SIGCHLD, signal.SIG_DFL)
+                    _become(asked)
+                    return
+    os._exit(0)
+
+
+def _become(asked: socket.socket) -> None:
+    """Fork once more: the child takes the place of the command, this one tells how it ends."""
+    message, files, _, _ = socket.recv_fds(asked, _REQUEST_BYTES, 3)
+    request = json.loads(message)
+    command = os.fork()
+    if command == 0:
+        asked.close()
+        for number, file in enumerate(files):
+            os.dup2(file, number)
+            os.close(file)
+        os.chdir(request["folder"])
+        os.environ.clear()
+        os.environ.update(request["environment"])
+        sys.argv = request["words"]
+        return
+    for file in files:
+        os.close(file)
+    asked.send(str(command).encode())
+    ended = os.pidfd_open(command)
+    if asked.fileno() in select.select([asked.fileno(), ended], [], [])[0]:  # the client was killed
+        os.kill(command, signal.SIGKILL)
+    _, status = os.waitpid(command, 0)
+    try:
+        asked.send(str(os.waitstatus_to_exitcode(status)).encode())
+    finally:
+        os._exit(0)
+
+
+def _import_all() -> None:
+    """Import what our programs need, each of which imports only its own part by itself."""
+    commands_of = importlib.import_module("app.cli.main")._MODULES
+    for module in ("app.main", *(f"app.cli.{name}" for name in commands_of.values())):
+        importlib.import_module(module)
+    gc.freeze()  # or every program would take most of a second to take all this apart
+
+
+if __name__ == "__main__":
+    _import_all()
+    _serve(Path(sys.argv[1]), int(sys.argv[2]))
+    runpy.run_module(sys.argv[0], run_name="__main__", alter_sys=True)
