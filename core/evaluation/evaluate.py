@@ -1,30 +1,25 @@
 """Build a map of one part of a drive and ask it where the other part was (paper, sec. 3)."""
 
 import math
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.spatial import KDTree
 
-from core.arrays import BoolArray, FloatArray, IntArray
+from core.arrays import IntArray
 from core.builder import build_map
 from core.compression import Compression
-from core.displacement import left_of_m
 from core.drive import Drive
-from core.errors import EmptyDrive, InvalidParameters, InvalidScan
+from core.errors import EmptyDrive, InvalidParameters
 from core.evaluation.condition import Condition
-from core.evaluation.motion import is_standing, motion_surrogate
-from core.evaluation.reliability import Judged, Reliability, reliability
-from core.evaluation.result import ConditionResult, Evaluation, SegmentError
+from core.evaluation.queries import Queries, ask, drive_queries, held_out_queries
+from core.evaluation.result import Evaluation
 from core.evaluation.split import Interleaved, Split
+from core.evaluation.summary import summarize
 from core.evaluation.tracks import Asked, cut_position, evaluate_tracks
 from core.images import ProjectedDrive, project_drive
-from core.localizer import Localization, Localizer
+from core.localizer import Localizer
 from core.parameters import MapParameters, Segmentation
-from core.places import AWAY_M
-from core.pose import heading_deg, is_known
 from core.progress import NO_PROGRESS, Progress
 from core.segmentation import cut_fixed, cut_unequal, segment_length_for
 from core.tensormap import TensorMap
@@ -65,32 +60,6 @@ class Protocol:
             raise InvalidParameters(f"seed is {self.seed}, wanted 0 or more")
         if not self.conditions:
             raise InvalidParameters("conditions is empty, wanted at least one")
-
-
-@dataclass(frozen=True, eq=False)
-class _Queries:
-    """The scans that are asked, and what is true of them; rows of one drive."""
-
-    drive: Drive
-    scans: IntArray
-    segment: IntArray  # -1 where no pose tells it
-    standing: BoolArray | None
-    surrogate: FloatArray
-
-
-@dataclass(frozen=True)
-class _Answer:
-    scan: int
-    segment: int
-    matched_scan: int
-    matched_segment: int
-    matched: FloatArray  # (7,) pose row of the map's scan
-    estimated: FloatArray  # (7,) pose row of the vehicle, the map's scan where there is no better
-    heading_told: bool
-    lateral_m: float | None
-    seconds: float
-    probability: float | None
-    localized: bool
 
 
 def evaluate(
@@ -134,9 +103,9 @@ def evaluate(
     )
     tensor_map = _build(drive, projected, segment_start, protocol.parameters, progress)
     queries = (
-        _held_out_queries(drive, held_out, segment_start)
+        held_out_queries(drive, held_out, segment_start)
         if query_drive is None
-        else _drive_queries(query_drive, tensor_map)
+        else drive_queries(query_drive, tensor_map)
     )
     localizer = Localizer(tensor_map)
     cuts = None if query_drive is not None else cut_position(projected.scans, segment_start)
@@ -171,7 +140,14 @@ def evaluate(
             returns=projected.returns,
         ),
         relative_error=tuple(tensor_map.relative_error.tolist()),
-        conditions=_ask(localizer, queries, unknown, protocol, progress),
+        conditions=tuple(
+            summarize(condition, answers, elsewhere, queries, protocol.tolerances_m)
+            for condition, (answers, elsewhere) in zip(
+                protocol.conditions,
+                ask(localizer, queries, unknown, protocol.conditions, protocol.seed, progress),
+                strict=True,
+            )
+        ),
         tracks=evaluate_tracks(
             Tracker(localizer, cut_position=cuts),
             Asked(queries.drive, queries.scans, queries.segment, queries.standing),
@@ -220,214 +196,8 @@ def _build(
     return build_map(projected.images, trajectory, map_start, parameters, progress, probes)
 
 
-def _queries(drive: Drive, scans: IntArray, segment: IntArray) -> _Queries:
-    known = bool(is_known(drive.poses).all())
-    return _Queries(
-        drive,
-        scans,
-        segment,
-        is_standing(drive.poses, drive.timestamp_s)[scans] if known else None,
-        motion_surrogate(drive.poses)[scans],
-    )
-
-
-def _median_where(queries: _Queries, *, standing: bool) -> float | None:
+def _median_where(queries: Queries, *, standing: bool) -> float | None:
     if queries.standing is None:
         return None
     surrogate = queries.surrogate[queries.standing == standing]
     return float(np.median(surrogate)) if len(surrogate) else None
-
-
-def _held_out_queries(drive: Drive, held_out: BoolArray, segment_start: IntArray) -> _Queries:
-    scans = np.flatnonzero(held_out)
-    return _queries(drive, scans, np.searchsorted(segment_start, scans, side="right") - 1)
-
-
-def _drive_queries(drive: Drive, tensor_map: TensorMap) -> _Queries:
-    scans = np.arange(len(drive))
-    mapped = tensor_map.trajectory.known
-    asked = is_known(drive.poses)
-    segment = np.full(len(drive), -1)
-    if mapped.any() and asked.any():
-        tree = KDTree(tensor_map.trajectory.poses[mapped, :3])
-        nearest = np.flatnonzero(mapped)[tree.query(drive.poses[asked, :3])[1]]
-        segment[asked] = tensor_map.model.segment_of_scan[nearest]
-    return _queries(drive, scans, segment)
-
-
-def _ask(
-    localizer: Localizer,
-    queries: _Queries,
-    unknown: Sequence[Drive],
-    protocol: Protocol,
-    progress: Progress,
-) -> tuple[ConditionResult, ...]:
-    """Read each query once and ask it under every condition."""
-    answers: list[list[_Answer]] = [[] for _ in protocol.conditions]
-    scans = len(queries.scans) + sum(len(drive) for drive in unknown)
-    progress.start("localizing", scans * len(protocol.conditions))
-    segments = dict(zip(queries.scans.tolist(), queries.segment.tolist(), strict=True))
-    for scan_index, segment in segments.items():
-        for given, asked in zip(
-            answers, _asked(localizer, queries.drive, scan_index, protocol, progress), strict=True
-        ):
-            if asked is not None:
-                given.append(_answer(localizer, *asked, scan_index, segment))
-    elsewhere: list[list[Localization]] = [[] for _ in protocol.conditions]
-    for drive in unknown:
-        for scan_index in range(len(drive)):
-            for told, asked in zip(
-                elsewhere, _asked(localizer, drive, scan_index, protocol, progress), strict=True
-            ):
-                if asked is not None:
-                    told.append(asked[0])
-    return tuple(
-        _summarize(condition, given, told, queries, protocol.tolerances_m)
-        for condition, given, told in zip(protocol.conditions, answers, elsewhere, strict=True)
-    )
-
-
-def _asked(
-    localizer: Localizer, drive: Drive, scan_index: int, protocol: Protocol, progress: Progress
-) -> list[tuple[Localization, float] | None]:
-    """Return the answers to a scan under every condition and their seconds; `None` for none."""
-    try:
-        scan = drive.scan(scan_index)
-    except InvalidScan:
-        progress.advance(len(protocol.conditions))
-        return [None] * len(protocol.conditions)
-    answers: list[tuple[Localization, float] | None] = []
-    for condition in protocol.conditions:
-        rng = np.random.default_rng([protocol.seed, scan_index])
-        try:
-            disturbed = condition.apply(scan, rng)
-            begun = time.perf_counter()
-            found = localizer.localize_scan(disturbed)
-            answers.append((found, time.perf_counter() - begun))
-        except InvalidScan:
-            answers.append(None)
-        progress.advance()
-    return answers
-
-
-def _answer(
-    localizer: Localizer, found: Localization, seconds: float, scan_index: int, segment: int
-) -> _Answer:
-    best = found.best
-    matched, estimated = localizer.map.trajectory.poses[best.row], best.estimated_pose
-    return _Answer(
-        scan_index,
-        segment,
-        best.scan_index,
-        best.segment,
-        matched,
-        matched if estimated is None else np.array(estimated.as_tuple()),
-        best.heading_deg is not None,
-        best.lateral_m,
-        seconds,
-        found.verdict.probability,
-        found.localized,
-    )
-
-
-def _summarize(
-    condition: Condition,
-    answers: Sequence[_Answer],
-    elsewhere: Sequence[Localization],
-    queries: _Queries,
-    tolerances_m: Sequence[float],
-) -> ConditionResult:
-    row_of = {scan: row for row, scan in enumerate(queries.scans.tolist())}
-    judged = [a for a in answers if a.segment >= 0]
-    wrong = [a for a in judged if a.matched_segment != a.segment]
-    errors = tuple(_segment_error(a, queries, row_of[a.scan]) for a in wrong)
-    tells = queries.standing is not None and bool(judged)
-    standing = sum(bool(e.standing) for e in errors) if tells else None
-    poses = queries.drive.poses
-    true = [condition.pose(poses[a.scan]) for a in answers]
-    recorded_m = _distances_m([a.matched for a in answers], [poses[a.scan] for a in answers])
-    displaced_m = _distances_m([a.estimated for a in answers], true)
-    turned = [
-        _heading_error_deg(a.estimated, pose)
-        for a, pose in zip(answers, true, strict=True)
-        if a.heading_told
-    ]
-    beside = [
-        abs(a.lateral_m - left_of_m(a.matched, pose))
-        for a, pose in zip(answers, true, strict=True)
-        if a.lateral_m is not None
-    ]
-    return ConditionResult(
-        condition=condition,
-        queries=len(queries.scans),
-        refusals=len(queries.scans) - len(answers),
-        segment_accuracy=1.0 - len(wrong) / len(judged) if judged else None,
-        errors=errors,
-        errors_moving=None if standing is None else len(errors) - standing,
-        errors_stationary=standing,
-        recall_at_1={
-            metres: float(np.mean(recorded_m <= metres)) if len(recorded_m) else None
-            for metres in tolerances_m
-        },
-        position_error_m_median=_median(displaced_m),
-        heading_error_deg_median=_median(np.array(turned)),
-        lateral_error_m_median=_median(np.array(beside)),
-        reliability=_reliability(answers, elsewhere, true),
-        ms_per_query=1e3 * float(np.mean([a.seconds for a in answers])) if answers else None,
-    )
-
-
-def _reliability(
-    answers: Sequence[_Answer], elsewhere: Sequence[Localization], true: Sequence[FloatArray]
-) -> Reliability | None:
-    """Judge probabilities; a match is right within `AWAY_M`, as it is when they are learned."""
-    known = [
-        Judged(
-            answer.probability,
-            answer.localized,
-            bool(np.linalg.norm(answer.matched[:3] - pose[:3]) < AWAY_M),
-        )
-        for answer, pose in zip(answers, true, strict=True)
-        if answer.probability is not None
-        and np.isfinite(answer.matched).all()
-        and np.isfinite(pose).all()
-    ]
-    if not known:
-        return None
-    unknown = [
-        Judged(found.verdict.probability, found.localized, right=False)
-        for found in elsewhere
-        if found.verdict.probability is not None
-    ]
-    return reliability(known, unknown)
-
-
-def _segment_error(answer: _Answer, queries: _Queries, row: int) -> SegmentError:
-    surrogate = float(queries.surrogate[row])
-    return SegmentError(
-        scan=answer.scan,
-        matched_scan=answer.matched_scan,
-        segment=answer.segment,
-        matched_segment=answer.matched_segment,
-        standing=None if queries.standing is None else bool(queries.standing[row]),
-        motion_surrogate=None if np.isnan(surrogate) else surrogate,
-    )
-
-
-def _distances_m(found: Sequence[FloatArray], true: Sequence[FloatArray]) -> FloatArray:
-    """Return how far the found poses are from the true ones, where both are known."""
-    if not found:
-        return np.empty(0)
-    distances = np.linalg.norm(np.stack(found)[:, :3] - np.stack(true)[:, :3], axis=1)
-    return np.asarray(distances[np.isfinite(distances)])
-
-
-def _heading_error_deg(estimated: FloatArray, true: FloatArray) -> float:
-    found, wanted = heading_deg(np.stack([estimated, true])).tolist()
-    error: float = abs((found - wanted + 180.0) % 360.0 - 180.0)
-    return error
-
-
-def _median(values: FloatArray) -> float | None:
-    known = values[np.isfinite(values)]
-    return float(np.median(known)) if len(known) else None
