@@ -7,7 +7,7 @@ from datetime import UTC, datetime, timedelta
 import pytest
 
 from core.errors import InvalidParameters
-from storage.catalog import Act, Catalog, RevisionFacts, ScanRecord, on_behalf
+from storage.catalog import Act, RevisionFacts, ScanRecord, on_behalf
 from storage.catalog.scans import LostRace
 from storage.errors import MapNotFound, RevisionNotFound
 from storage.retention import OwnRetention, RawScans, Retention
@@ -19,11 +19,9 @@ DROP = Retention(raw_scans=RawScans.DROP)
 
 
 @pytest.fixture
-def catalog(database_url):
-    opened = Catalog(database_url)
-    opened.maps.create("campus")
-    yield opened
-    opened.close()
+def catalog(catalog):
+    catalog.maps.create("campus")
+    return catalog
 
 
 def map_id(catalog):

@@ -1,0 +1,268 @@
+"""What the catalog promises of revisions and of the jobs that build them."""
+
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from datetime import UTC, datetime
+
+import pytest
+
+from core.errors import InvalidParameters
+from storage.catalog import (
+    JobState,
+    RequestKey,
+)
+from storage.errors import (
+    AmbiguousRevision,
+    JobNotFound,
+    JobNotRunning,
+    MapChanged,
+    MapNotFound,
+    NoLiveRevision,
+    RequestKeyReused,
+    RevisionIsLive,
+    RevisionNotFound,
+)
+from tests.contract.samples import FACTS, A, B, C
+
+
+class TestRevisions:
+    @pytest.fixture(autouse=True)
+    def campus(self, catalog):
+        catalog.maps.create("campus")
+
+    def test_the_first_revision_becomes_live_and_the_next_does_not(self, catalog):
+        with pytest.raises(NoLiveRevision):
+            catalog.revisions.live("campus")
+        added = catalog.revisions.add(catalog.maps.get("campus").id, A, "a.h5", 10, FACTS)
+        catalog.revisions.add(catalog.maps.get("campus").id, B, "b.h5", 10, FACTS)
+        assert catalog.revisions.live("campus") == added
+        assert catalog.maps.get("campus").live_revision == A
+        assert (added.parameters, added.encoding) == ({"rank": [5, 5]}, "harmonic")
+
+    def test_a_later_one_is_made_live_when_it_is_added_or_by_name(self, catalog):
+        catalog.revisions.add(catalog.maps.get("campus").id, A, "a.h5", 10, FACTS)
+        catalog.revisions.add(catalog.maps.get("campus").id, B, "b.h5", 10, FACTS, make_live=True)
+        assert catalog.revisions.live("campus").digest == B
+        assert catalog.maps.get("campus").version == 3
+        catalog.revisions.set_live("campus", A[:12])
+        assert catalog.revisions.live("campus").digest == A
+        assert catalog.maps.get("campus").version == 4
+        catalog.revisions.set_live("campus", A)
+        assert catalog.maps.get("campus").version == 4
+
+    def test_making_live_refuses_a_map_that_changed(self, catalog):
+        catalog.revisions.add(catalog.maps.get("campus").id, A, "a.h5", 10, FACTS)
+        with pytest.raises(MapChanged):
+            catalog.revisions.set_live("campus", A, if_version=1)
+
+    def test_the_same_digest_twice_keeps_the_first_record(self, catalog):
+        first = catalog.revisions.add(catalog.maps.get("campus").id, A, "a.h5", 10, FACTS)
+        assert (
+            catalog.revisions.add(catalog.maps.get("campus").id, A, "again.h5", 10, FACTS) == first
+        )
+        assert len(catalog.revisions.list("campus").items) == 1
+
+    def test_a_basis_names_the_live_revision_that_has_it_or_else_the_newest(self, catalog):
+        map_id = catalog.maps.get("campus").id
+        shared = replace(FACTS, bases=("1" * 64, "2" * 64))
+        for digest in (A, B, C):
+            catalog.revisions.add(map_id, digest, f"{digest}.h5", 10, shared)
+        catalog.revisions.add(map_id, "d" * 64, "d.h5", 10, replace(FACTS, bases=("3" * 64,)))
+        assert catalog.revisions.with_basis("campus", "2" * 64).digest == A
+        catalog.revisions.set_live("campus", "d" * 64)
+        assert catalog.revisions.with_basis("campus", "2" * 16).digest == C
+        catalog.revisions.delete("campus", C)
+        assert catalog.revisions.with_basis("campus", "1" * 64).digest == B
+        for unknown in ("4" * 64, "1" * 11, "", "%" * 16, "_" * 16):
+            assert catalog.revisions.with_basis("campus", unknown) is None
+        catalog.maps.create("other")
+        assert catalog.revisions.with_basis("other", "1" * 64) is None
+        with pytest.raises(MapNotFound):
+            catalog.revisions.with_basis("nowhere", "1" * 64)
+
+    def test_bases_are_added_to_a_revision_from_before_they_were_written_down(self, catalog):
+        map_id = catalog.maps.get("campus").id
+        catalog.revisions.add(map_id, A, "a.h5", 10, FACTS)
+        for _ in range(2):
+            catalog.revisions.add(map_id, A, "a.h5", 10, replace(FACTS, bases=("1" * 64,)))
+        assert catalog.revisions.with_basis("campus", "1" * 64).digest == A
+
+    def test_a_job_keeps_the_notes_of_what_it_built(self, catalog):
+        catalog.jobs.create("campus", {})
+        job = catalog.jobs.claim()
+        assert job.notes == ()
+        facts = replace(FACTS, job_id=job.id, notes=("it fits badly",))
+        catalog.revisions.add(catalog.maps.get("campus").id, A, "a.h5", 10, facts)
+        done = catalog.jobs.get(job.id)
+        assert (done.state, done.notes) == (JobState.DONE, ("it fits badly",))
+
+    def test_a_revision_is_found_by_its_maps_id(self, catalog):
+        map_id = catalog.maps.get("campus").id
+        added = catalog.revisions.add(map_id, A, "a.h5", 10, FACTS)
+        assert catalog.revisions.of_map(map_id, A[:12]) == added
+        with pytest.raises(RevisionNotFound):
+            catalog.revisions.of_map(map_id, B)
+        catalog.maps.delete("campus")
+        with pytest.raises(MapNotFound):
+            catalog.revisions.of_map(map_id, A)
+
+    def test_two_maps_may_have_the_same_revision(self, catalog):
+        catalog.maps.create("other")
+        one = catalog.revisions.add(catalog.maps.get("campus").id, A, "a.h5", 10, FACTS)
+        two = catalog.revisions.add(catalog.maps.get("other").id, A, "a.h5", 10, FACTS)
+        assert one.map_id != two.map_id
+
+    def test_a_unique_prefix_of_twelve_digits_names_a_revision(self, catalog):
+        for digest in (A, B):
+            catalog.revisions.add(catalog.maps.get("campus").id, digest, "x.h5", 10, FACTS)
+        assert catalog.revisions.get("campus", A[:12]).digest == A
+        assert catalog.revisions.get("campus", A.upper()).digest == A
+        for unknown in (A[:11], "", "%" * 12, "_" * 12, "c" * 12):
+            with pytest.raises(RevisionNotFound):
+                catalog.revisions.get("campus", unknown)
+        catalog.revisions.add(catalog.maps.get("campus").id, C, "x.h5", 10, FACTS)
+        with pytest.raises(AmbiguousRevision):
+            catalog.revisions.get("campus", A[:12])
+        assert catalog.revisions.get("campus", C[:13]).digest == C
+
+    def test_the_live_revision_cannot_be_deleted(self, catalog):
+        catalog.revisions.add(catalog.maps.get("campus").id, A, "a.h5", 10, FACTS)
+        catalog.revisions.add(catalog.maps.get("campus").id, B, "b.h5", 10, FACTS)
+        with pytest.raises(RevisionIsLive):
+            catalog.revisions.delete("campus", A)
+        assert catalog.revisions.delete("campus", B).file_name == "b.h5"
+        with pytest.raises(RevisionNotFound):
+            catalog.revisions.get("campus", B)
+
+    def test_revisions_are_listed_newest_first_in_pages(self, catalog):
+        digests = [f"{n:064x}" for n in (5, 3, 9, 1)]
+        for digest in digests:
+            catalog.revisions.add(catalog.maps.get("campus").id, digest, "x.h5", 10, FACTS)
+        page = catalog.revisions.list("campus", limit=3)
+        assert [r.digest for r in page.items] == digests[:0:-1]
+        rest = catalog.revisions.list("campus", page.next_after, limit=3)
+        assert ([r.digest for r in rest.items], rest.next_after) == (digests[:1], None)
+        with pytest.raises(InvalidParameters):
+            catalog.revisions.list("campus", after="f" * 64)
+
+    def test_an_unknown_map_has_no_revisions(self, catalog):
+        for ask in (catalog.revisions.list, catalog.revisions.live):
+            with pytest.raises(MapNotFound):
+                ask("nowhere")
+
+
+class TestJobs:
+    @pytest.fixture(autouse=True)
+    def campus(self, catalog):
+        catalog.maps.create("campus")
+
+    def test_a_job_goes_from_the_queue_to_its_end(self, catalog):
+        queued = catalog.jobs.create("campus", {"encoding": "paper"})
+        assert (queued.state, queued.parameters) == (JobState.QUEUED, {"encoding": "paper"})
+        running = catalog.jobs.claim()
+        assert (running.id, running.state) == (queued.id, JobState.RUNNING)
+        assert running.started_at >= queued.created_at
+        halfway = catalog.jobs.progress(queued.id, "project", 50, 100)
+        assert running.started_at <= halfway.stage_started_at <= datetime.now(UTC)
+        assert catalog.jobs.get(queued.id) == halfway
+        assert (halfway.stage, halfway.done_units, halfway.total_units) == ("project", 50, 100)
+        done = catalog.jobs.finish(queued.id, A)
+        assert (done.state, done.revision) == (JobState.DONE, A)
+        assert done.finished_at >= running.started_at
+        assert catalog.jobs.get(queued.id) == done
+
+    def test_the_longest_waiting_job_is_claimed_and_each_once(self, catalog):
+        made = [catalog.jobs.create("campus", {}).id for _ in range(12)]
+        with ThreadPoolExecutor(4) as pool:
+            claimed = list(pool.map(lambda _: catalog.jobs.claim(), range(14)))
+        assert sorted(job.id for job in claimed if job) == sorted(made)
+        assert claimed.count(None) == 2
+
+    def test_a_request_makes_one_job_however_often_it_comes(self, catalog):
+        request = RequestKey("retry-1", A)
+        assert catalog.jobs.made_by("campus", request) is None
+        with ThreadPoolExecutor(4) as pool:
+            made = list(
+                pool.map(lambda _: catalog.jobs.create("campus", {}, request=request), range(12))
+            )
+        assert len({job.id for job in made}) == 1
+        assert [job.id for job in catalog.jobs.list().items] == [made[0].id]
+        assert catalog.jobs.made_by("campus", request) == made[0]
+        catalog.maps.create("dock")
+        assert catalog.jobs.create("dock", {}, request=request).id != made[0].id
+
+    def test_a_request_key_is_of_one_request(self, catalog):
+        catalog.jobs.create("campus", {}, request=RequestKey("retry-1", A))
+        for ask in (
+            lambda: catalog.jobs.made_by("campus", RequestKey("retry-1", B)),
+            lambda: catalog.jobs.create("campus", {}, request=RequestKey("retry-1", B)),
+        ):
+            with pytest.raises(RequestKeyReused, match="'retry-1'"):
+                ask()
+        assert len(catalog.jobs.list().items) == 1
+
+    def test_a_job_of_a_map_that_is_being_deleted_is_queued_before_or_not_at_all(self, catalog):
+        def queue(_):
+            try:
+                return catalog.jobs.create("campus", {}).id
+            except MapNotFound:
+                return None
+
+        with ThreadPoolExecutor(4) as pool:
+            queued = pool.map(queue, range(40))
+            catalog.maps.delete("campus")
+            made = [job for job in queued if job]
+        assert catalog.jobs.list().items == ()
+        for job in made:
+            with pytest.raises(JobNotFound):
+                catalog.jobs.get(job)
+
+    def test_an_error_is_kept_with_its_type(self, catalog):
+        catalog.jobs.create("campus", {})
+        job = catalog.jobs.claim()
+        failed = catalog.jobs.fail(job.id, "EmptyDrive", "drive 'monday' has no scan")
+        assert (failed.state, failed.error_type) == (JobState.FAILED, "EmptyDrive")
+
+    def test_only_a_running_job_makes_progress_or_ends(self, catalog):
+        job = catalog.jobs.create("campus", {})
+        for end in (
+            lambda: catalog.jobs.progress(job.id, "x", 1, 2),
+            lambda: catalog.jobs.finish(job.id, A),
+            lambda: catalog.jobs.fail(job.id, "E", "e"),
+            lambda: catalog.jobs.cancelled(job.id),
+        ):
+            with pytest.raises(JobNotRunning, match="queued"):
+                end()
+        with pytest.raises(JobNotFound):
+            catalog.jobs.finish("0" * 32, A)
+
+    def test_a_waiting_job_is_cancelled_a_running_one_asked_and_an_ended_one_left(self, catalog):
+        running, waiting = catalog.jobs.create("campus", {}), catalog.jobs.create("campus", {})
+        catalog.jobs.claim()
+        assert catalog.jobs.request_cancel(waiting.id).state is JobState.CANCELLED
+        assert catalog.jobs.claim() is None
+        asked = catalog.jobs.request_cancel(running.id)
+        assert (asked.state, asked.cancel_requested) == (JobState.RUNNING, True)
+        assert catalog.jobs.progress(running.id, "x", 1, 2).cancel_requested
+        ended = catalog.jobs.cancelled(running.id)
+        assert ended.state is JobState.CANCELLED
+        assert catalog.jobs.request_cancel(running.id) == ended
+
+    def test_interrupted_jobs_wait_again_unless_they_were_to_stop(self, catalog):
+        first, second, third = (catalog.jobs.create("campus", {}) for _ in range(3))
+        catalog.jobs.claim()
+        catalog.jobs.claim()
+        catalog.jobs.progress(first.id, "project", 5, 9)
+        catalog.jobs.request_cancel(second.id)
+        assert catalog.jobs.requeue_interrupted() == 1
+        assert catalog.jobs.get(first.id) == first
+        assert catalog.jobs.get(second.id).state is JobState.CANCELLED
+        assert catalog.jobs.get(third.id) == third
+
+    def test_jobs_are_listed_newest_first_of_one_map_or_all(self, catalog):
+        catalog.maps.create("other")
+        ids = [catalog.jobs.create(slug, {}).id for slug in ("campus", "other", "campus")]
+        page = catalog.jobs.list(limit=2)
+        assert [job.id for job in page.items] == ids[:0:-1]
+        assert [job.id for job in catalog.jobs.list(after=page.next_after).items] == ids[:1]
+        assert [job.id for job in catalog.jobs.list("campus").items] == [ids[2], ids[0]]
