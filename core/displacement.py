@@ -1,7 +1,7 @@
 """What is seen, and where one is, beside a recorded place and turned.
 
-Single poses are worked out with plain numbers: a rotation object takes a hundred times as long to
-make as the arithmetic, and every answer waits for some.
+Single poses are worked out with plain numbers: with rotation objects one takes ten times as long,
+and every answer waits for a dozen.
 """
 
 import math

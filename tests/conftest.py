@@ -14,7 +14,7 @@ from tests.support.postgresql import Cluster, cluster, reason_to_skip
 from tests.support.scheduling import ByModule
 from tests.support.schema import made_once
 
-gc.set_threshold(20_000, 20, 20)  # a tenth of the time that collecting takes else
+gc.set_threshold(20_000, 20, 20)  # seldom: little of what tests leave behind are cycles
 
 _ran: set[str] = set()
 

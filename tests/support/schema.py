@@ -12,8 +12,8 @@ __all__ = ["made_once"]
 def made_once(upgrade: Callable[[Connection], None]) -> Callable[[Connection], None]:
     """Return what brings a database to the newest schema, an empty one on SQLite by copying.
 
-    A thousand tests open a catalog of their own, and each would spend most of its time on the same
-    migrations. What is copied is what they made, statement by statement.
+    Hundreds of tests open a catalog of their own, and many would spend most of their time on the
+    same migrations. What is copied is what they made, statement by statement.
     """
     statements: list[str] = []
 
