@@ -15,12 +15,7 @@ from app.access.caller import EVERYONE_ID, OPERATOR_ID, Caller, everyone_here, t
 from app.access.rate_limits import BYTES, NO_LIMITS, Allowance, RateLimits
 from app.access.scopes import Scope as KeyScope
 from app.access.secrets import is_token, is_well_formed, new_secret, secret_hash
-from app.errors import (
-    BodyTooLarge,
-    HostNotAllowed,
-    KeyNeeded,
-    KeyRefused,
-)
+from app.errors import BodyTooLarge, HostNotAllowed, KeyNeeded, KeyRefused
 from app.settings import Settings, is_loopback
 from storage.catalog import KeyRecord, TokenRecord
 from storage.store import Store

@@ -1,7 +1,6 @@
 """A service with a built map, made once over HTTP and copied for each test."""
 
 import json
-import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -9,7 +8,7 @@ import pytest
 
 from tests.support.locks import one_at_a_time
 from tests.support.recording import recording
-from tests.support.service import running, upload, wait_for
+from tests.support.service import copy_of, running, upload, wait_for
 
 PAPER = {"encoding": "paper"}
 
@@ -48,17 +47,14 @@ def build(data_dir):
 @pytest.fixture(scope="session")
 def client(tmp_path_factory, built):
     """The built map, for tests that change nothing."""
-    data_dir = tmp_path_factory.mktemp("client") / "data"
-    shutil.copytree(built.data_dir, data_dir, ignore=shutil.ignore_patterns("*.lock"))
-    with running(data_dir) as client:
+    with running(copy_of(built.data_dir, tmp_path_factory.mktemp("client") / "data")) as client:
         yield client
 
 
 @pytest.fixture
 def own(tmp_path, built):
     """A copy of the built map, for a test that changes it."""
-    shutil.copytree(built.data_dir, tmp_path / "data", ignore=shutil.ignore_patterns("*.lock"))
-    with running(tmp_path / "data") as client:
+    with running(copy_of(built.data_dir, tmp_path / "data")) as client:
         yield client
 
 

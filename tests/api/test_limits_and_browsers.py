@@ -1,14 +1,12 @@
 """How often a key may ask, and what a browser lets the pages of other sites do."""
 
-import shutil
-
 import pytest
 from starlette.testclient import TestClient, WebSocketDenialResponse
 
 from app.settings import Settings
 from tests.api.test_scopes import ADMIN, ADMIN_KEY, bearer, make
 from tests.support.recording import KITTI, kitti, recording
-from tests.support.service import problem_of, running
+from tests.support.service import copy_of, problem_of, running
 
 SITE = "https://maps.example"
 PREFLIGHT = {
@@ -61,9 +59,9 @@ def test_without_keys_an_address_counts(tmp_path):
 
 
 def test_messages_of_a_stream_count_and_it_goes_on(tmp_path, built):
-    shutil.copytree(built.data_dir, tmp_path / "data", ignore=shutil.ignore_patterns("*.lock"))
     limits = {"requests_per_s": 0.001, "request_burst": 4}
-    with running(tmp_path / "data", admin_key=ADMIN_KEY, **limits) as client:
+    data_dir = copy_of(built.data_dir, tmp_path / "data")
+    with running(data_dir, admin_key=ADMIN_KEY, **limits) as client:
         vehicle = bearer(make(client, "localize")["secret"])
         track = client.post("/v1/maps/campus/tracks", headers=vehicle).headers["Location"]
         with client.websocket_connect(f"{track}/stream", headers=vehicle) as stream:

@@ -1,6 +1,5 @@
 """Drives added to a map, aged and left out, while vehicles keep the basis that they hold."""
 
-import shutil
 from contextlib import contextmanager
 from datetime import UTC, datetime, timedelta
 
@@ -12,7 +11,7 @@ from core.signature import pack_signatures
 from storage.catalog.models import Drive, RevisionBasis
 from tests.api.test_flow import PACKED, localize
 from tests.support.recording import Recording, recording
-from tests.support.service import problem_of, running, upload, wait_for, whole_store
+from tests.support.service import copy_of, problem_of, running, upload, wait_for, whole_store
 
 BUILDS = "/v1/maps/campus/builds"
 
@@ -65,8 +64,7 @@ def halves(tmp_path_factory, encoding):
 @pytest.fixture
 def campus(tmp_path, halves):
     """A copy of it, for a test that changes it."""
-    shutil.copytree(halves, tmp_path / "data", ignore=shutil.ignore_patterns("*.lock"))
-    with running(tmp_path / "data") as client:
+    with running(copy_of(halves, tmp_path / "data")) as client:
         yield client
 
 

@@ -1,7 +1,5 @@
 """Returns that a map was built of: kept, or dropped once nothing needs them."""
 
-import shutil
-
 import pytest
 
 from storage.backup import write_backup
@@ -10,7 +8,7 @@ from tests.api.test_flow import localize
 from tests.api.test_merging import built as build
 from tests.api.test_retention import MAP, acts, keep, wait_until
 from tests.support.recording import KITTI, NPY, Recording, kitti, npy, recording
-from tests.support.service import problem_of, running, upload, wait_for
+from tests.support.service import copy_of, problem_of, running, upload, wait_for
 
 DRIVE = f"{MAP}/drives/monday"
 PLAIN = {"lateral_renderings_m": [0]}
@@ -32,8 +30,7 @@ def mapped_once(tmp_path_factory):
 @pytest.fixture
 def mapped(tmp_path, mapped_once):
     """A map of one closed drive that has a scan which is of no use, and another drive beside it."""
-    shutil.copytree(mapped_once, tmp_path / "data", ignore=shutil.ignore_patterns("*.lock"))
-    with running(tmp_path / "data") as client:
+    with running(copy_of(mapped_once, tmp_path / "data")) as client:
         yield client
 
 

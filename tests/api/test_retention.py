@@ -1,6 +1,5 @@
 """What revisions a map keeps, by number and age."""
 
-import shutil
 import threading
 from datetime import timedelta
 
@@ -13,7 +12,7 @@ from storage.store import Store
 from tests.api.test_merging import built as build
 from tests.api.test_revisions import ask, signed
 from tests.support.recording import KITTI, kitti, recording
-from tests.support.service import problem_of, running
+from tests.support.service import copy_of, problem_of, running
 
 MAP = "/v1/maps/campus"
 DEFAULT = {"retained_revisions": "all", "retained_for_days": 30.0, "raw_scans": "keep"}
@@ -46,8 +45,7 @@ def acts(client):
 @pytest.fixture(scope="module")
 def with_a_third(tmp_path_factory, built):
     """The data of a stopped service with three revisions, and the newest one's digest."""
-    data_dir = tmp_path_factory.mktemp("three") / "data"
-    shutil.copytree(built.data_dir, data_dir, ignore=shutil.ignore_patterns("*.lock"))
+    data_dir = copy_of(built.data_dir, tmp_path_factory.mktemp("three") / "data")
     with running(data_dir) as client:
         newest = build(client, segments=5, encoding="paper")["revision"]
     return data_dir, newest
@@ -57,8 +55,7 @@ def with_a_third(tmp_path_factory, built):
 def three(tmp_path, built, with_a_third):
     """A service and its three revisions: the live one, another, and the newest."""
     data_dir, newest = with_a_third
-    shutil.copytree(data_dir, tmp_path / "data", ignore=shutil.ignore_patterns("*.lock"))
-    with running(tmp_path / "data") as client:
+    with running(copy_of(data_dir, tmp_path / "data")) as client:
         yield client, built.live, built.other, newest
 
 
@@ -161,7 +158,7 @@ def test_a_start_collects_by_the_services_defaults_unless_a_map_chose_otherwise(
 ):
     data_dir, newest = with_a_third
     for name in ("chose", "did-not"):
-        shutil.copytree(data_dir, tmp_path / name, ignore=shutil.ignore_patterns("*.lock"))
+        copy_of(data_dir, tmp_path / name)
     with Store(tmp_path / "chose") as store:
         store.maps.update("campus", retention={"retained_revisions": "all"})
     with running(tmp_path / "did-not", **NOTHING) as client:

@@ -8,7 +8,6 @@ sign-ups of one service, which has none (test_scopes.py asks for every pair of r
 
 import itertools
 import os
-import shutil
 
 import pytest
 import schemathesis
@@ -22,7 +21,7 @@ from app.main import create_app
 from app.settings import Settings
 from tests.support.conformance import Bridge, KnownNames, register_bodies, without_long_lists
 from tests.support.recording import recording, upload_scan
-from tests.support.service import Client, document
+from tests.support.service import Client, copy_of, document
 
 KEY = "correct horse battery staple"
 HEADERS = {"Authorization": f"Bearer {KEY}"}
@@ -99,8 +98,8 @@ def is_refused_for_its_meaning(response):
 @pytest.fixture
 def service(request, tmp_path, built):
     """A service of one test's own."""
-    shutil.copytree(built.data_dir, tmp_path / "data", ignore=shutil.ignore_patterns("*.lock"))
-    app = create_app(Settings(data_dir=tmp_path / "data", admin_key=SecretStr(KEY)))
+    data_dir = copy_of(built.data_dir, tmp_path / "data")
+    app = create_app(Settings(data_dir=data_dir, admin_key=SecretStr(KEY)))
     with Client(app, headers=HEADERS) as client:
         bridge.app = app
         method, path = request.node.callspec.params["operation"].split()

@@ -1,9 +1,9 @@
 """What a key opens: every route with every scope, limits to maps, expiry, revocation."""
 
 import re
-import shutil
 import threading
 import time
+from contextlib import contextmanager
 from datetime import UTC, datetime, timedelta
 
 import pytest
@@ -20,8 +20,7 @@ from app.main import create_app
 from app.settings import Settings
 from storage.errors import StorageUnavailable
 from tests.support.process import until
-from tests.support.recording import KITTI, kitti, recording
-from tests.support.service import Client, problem_of, running
+from tests.support.service import Client, copy_of, problem_of, running
 
 ADMIN_KEY = "correct horse battery staple"
 READ, WRITE, LOCALIZE = Scope.MAPS_READ, Scope.MAPS_WRITE, Scope.LOCALIZE
@@ -114,14 +113,19 @@ def holder(client, *scopes, **limits):
     return bearer(make(client, *scopes, **limits)["secret"])
 
 
-@pytest.fixture(scope="module")
-def client(tmp_path_factory, built):
-    """Maps `campus`, built, and `dock`, empty."""
-    data_dir = tmp_path_factory.mktemp("scopes") / "data"
-    shutil.copytree(built.data_dir, data_dir, ignore=shutil.ignore_patterns("*.lock"))
+@contextmanager
+def campus_and_dock(folder, built):
+    """Run a service with keys that has maps `campus`, built, and `dock`, empty."""
+    data_dir = copy_of(built.data_dir, folder / "data")
     with running(data_dir) as client:
         client.post("/v1/maps", json={"map": "dock"})
     with running(data_dir, admin_key=ADMIN_KEY) as client:
+        yield client
+
+
+@pytest.fixture(scope="module")
+def client(tmp_path_factory, built):
+    with campus_and_dock(tmp_path_factory.mktemp("scopes"), built) as client:
         yield client
 
 
@@ -343,8 +347,7 @@ def stand_still(*_):
 
 def test_the_events_of_a_job_end_when_the_key_is_revoked(tmp_path, built, monkeypatch):
     monkeypatch.setattr("app.jobs.runner.run_build", stand_still)
-    shutil.copytree(built.data_dir, tmp_path / "data", ignore=shutil.ignore_patterns("*.lock"))
-    with running(tmp_path / "data", admin_key=ADMIN_KEY) as client:
+    with running(copy_of(built.data_dir, tmp_path / "data"), admin_key=ADMIN_KEY) as client:
         made = make(client, WRITE)
         headers = bearer(made["secret"])
         queued = client.post("/v1/maps/campus/builds", json={"segments": 2}, headers=headers)
@@ -369,70 +372,6 @@ def test_the_events_of_a_job_end_when_the_key_is_revoked(tmp_path, built, monkey
         revoking.join()
         assert told.status_code == 200
         assert store.jobs.get(job).state == "running"
-
-
-# Limits to maps
-
-
-@pytest.fixture(scope="module")
-def of_dock(client):
-    """Return who may do all with map `dock`, and nothing with another."""
-    return holder(client, READ, WRITE, LOCALIZE, maps=["dock", "new"])
-
-
-@pytest.mark.parametrize("route", [route for route in OPENED_BY if "{map}" in route])
-def test_for_a_key_of_other_maps_a_map_is_not_there(client, of_dock, route):
-    method, _, path = route.partition(" ")
-    given = {"map": "campus", "drive": "monday", "index": "0"}
-    asked = re.sub(r"\{(\w+)\}", lambda part: given.get(part[1], "x" * 12), path)
-    there = ask(client, method, asked, of_dock)
-    assert there == (404, "map-not-found")
-    assert ask(client, method, asked.replace("campus", "nowhere"), of_dock) == there
-
-
-def test_what_is_hidden_reads_as_what_is_not_there(client, of_dock):
-    hidden, missing = (
-        client.get(f"/v1/maps/{slug}", headers=headers).json()
-        for slug, headers in (("campus", of_dock), ("nowhere", ADMIN))
-    )
-    assert hidden.pop("request_id") != missing.pop("request_id")
-    assert hidden == {**missing, "detail": missing["detail"].replace("nowhere", "campus")}
-
-
-def test_lists_show_only_the_maps_of_the_key(client, of_dock):
-    maps = client.get("/v1/maps", headers=of_dock).json()["items"]
-    assert [one["map"] for one in maps] == ["dock"]
-    assert client.get("/v1/jobs", headers=of_dock).json()["items"] == []
-    assert len(client.get("/v1/jobs", headers=ADMIN).json()["items"]) == 2
-    refused = client.get("/v1/jobs?map=campus", headers=of_dock)
-    assert problem_of(refused) == (404, "map-not-found")
-
-
-def test_a_job_of_another_map_is_not_there(client, of_dock):
-    job, _ = client.get("/v1/jobs", headers=ADMIN).json()["items"]
-    of_campus = holder(client, READ, WRITE, maps=["campus"])
-    path = f"/v1/jobs/{job['job']}"
-    assert client.get(path, headers=of_campus).json() == job
-    for method, what in (("GET", path), ("GET", f"{path}/events"), ("DELETE", path)):
-        assert problem_of(client.request(method, what, headers=of_dock)) == (404, "job-not-found")
-
-
-def test_a_key_makes_no_map_but_its_own(client, of_dock):
-    for slug in ("campus", "another"):
-        refused = client.post("/v1/maps", json={"map": slug}, headers=of_dock)
-        assert problem_of(refused) == (403, "scope-missing")
-    assert client.post("/v1/maps", json={"map": "new"}, headers=of_dock).status_code == 201
-    assert client.delete("/v1/maps/new", headers=of_dock).status_code == 204
-
-
-def test_a_key_does_its_work_in_its_map(client):
-    fleet = holder(client, LOCALIZE, maps=["campus"])
-    found = client.post(
-        "/v1/maps/campus/localizations/scan",
-        content=kitti(recording().scans[9]),
-        headers={**KITTI, **fleet},
-    )
-    assert found.json()["best"]["scan_index"] == 9
 
 
 # What a key may not be

@@ -14,12 +14,12 @@ def main() -> None:
     """Have a command run on this process's files, pass signals on to it, and end as it does."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as commands:
         commands.connect(sys.argv[1])
+        folder = os.open(".", os.O_RDONLY)
         request = {
             "words": sys.argv[2:],
-            "folder": os.getcwd(),  # noqa: PTH109 - pathlib takes as long to import as all the rest
             "environment": dict(os.environ),
         }
-        socket.send_fds(commands, [json.dumps(request).encode()], [0, 1, 2])
+        socket.send_fds(commands, [json.dumps(request).encode()], [0, 1, 2, folder])
         command = int(commands.recv(100))
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, lambda sent, _: os.kill(command, sent))

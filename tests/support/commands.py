@@ -104,15 +104,17 @@ def _serve(address: Path, tests: int) -> None:
 
 def _become(asked: socket.socket) -> None:
     """Fork once more: the child takes the place of the command, this one tells how it ends."""
-    message, files, _, _ = socket.recv_fds(asked, _REQUEST_BYTES, 3)
+    message, files, _, _ = socket.recv_fds(asked, _REQUEST_BYTES, 4)
     request = json.loads(message)
     command = os.fork()
     if command == 0:
         asked.close()
-        for number, file in enumerate(files):
+        *streams, folder = files
+        os.fchdir(folder)
+        for number, file in enumerate(streams):
             os.dup2(file, number)
+        for file in files:
             os.close(file)
-        os.chdir(request["folder"])
         os.environ.clear()
         os.environ.update(request["environment"])
         sys.argv = request["words"]

@@ -2,6 +2,7 @@
 
 import functools
 import re
+import shutil
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -19,6 +20,7 @@ from tests.support.recording import TAR, Recording, kitti, tar
 
 __all__ = [
     "Client",
+    "copy_of",
     "document",
     "pose_text",
     "problem_of",
@@ -112,6 +114,11 @@ def running(data_dir: Path, **settings: Any) -> Iterator[Client]:
 def pose_text(pose: Pose) -> str:
     """Return a pose as a query parameter."""
     return ",".join(map(str, pose.as_tuple()))
+
+
+def copy_of(data_dir: Path, to: Path) -> Path:
+    """Copy the data of a service, which may run, and return where they are then."""
+    return Path(shutil.copytree(data_dir, to, ignore=shutil.ignore_patterns("*.lock")))
 
 
 def upload(client, drive: str, recording: Recording, *, slug: str = "campus") -> None:
