@@ -72,7 +72,7 @@ def _restore(backup: Path, folder: Path) -> int:
         if found.get(name) != told:
             raise CorruptFile(f"the backup's {name} is not what was written")
     for name in found.keys() - manifest.keys() - {MANIFEST}:  # deleted while the backup was made
-        (folder / name).unlink()
+        _remove(folder, name)
     named = {file.path for file in named_files(folder / CATALOG)}
     if missing := sorted(named - manifest.keys()):
         raise CorruptFile(f"the backup lacks {missing[0]} ({len(missing)} in all)")
@@ -83,6 +83,14 @@ def _restore(backup: Path, folder: Path) -> int:
             sync(Path(path, name))
         sync(Path(path))
     return len(named)
+
+
+def _remove(folder: Path, name: str) -> None:
+    """Remove a file, and the folders that held nothing else."""
+    path = folder / name
+    path.unlink()
+    while (path := path.parent) != folder and not any(path.iterdir()):
+        path.rmdir()
 
 
 def _unpack(backup: Path, folder: Path) -> dict[str, dict[str, object]]:

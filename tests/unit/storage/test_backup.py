@@ -145,6 +145,31 @@ def test_a_drive_that_is_deleted_while_it_is_copied_is_not_in_the_backup(
         assert not restored.layout.orphans.exists()
 
 
+def test_of_a_drive_that_is_deleted_once_it_was_copied_not_even_a_folder_is_restored(
+    filled, tmp_path, monkeypatch
+):
+    for drive in ("tuesday", "wednesday"):
+        put(filled, range(2), drive=drive)
+    add = storage.backup._add
+    of_both = [filled.drives.get("campus", drive).id for drive in ("tuesday", "wednesday")]
+    copied: list[str] = []
+
+    def delete_after_the_first(tar, name, source):
+        told = add(tar, name, source)
+        if not copied and any(drive in name for drive in of_both):
+            copied.append(name)
+            for drive in ("tuesday", "wednesday"):
+                filled.drives.delete("campus", drive)
+        return told
+
+    monkeypatch.setattr(storage.backup, "_add", delete_after_the_first)
+    assert write_backup(filled.layout.data_dir, tmp_path / "b.tar").files == 6
+    assert len(copied) == 1
+    assert restore_backup(tmp_path / "b.tar", tmp_path / "new") == 6
+    with Store.serving(tmp_path / "new") as restored:
+        assert not restored.layout.orphans.exists()
+
+
 def test_a_file_that_the_catalog_names_and_that_is_gone_is_told(filled, tmp_path):
     next(filled.layout.maps.rglob("chunks/*.h5")).unlink()
     with pytest.raises(CorruptFile, match="it is gone"):
