@@ -79,7 +79,7 @@ def probe_scan(scan: Scan, position: int, imager: Imager, standing: Standing) ->
     rng = np.random.default_rng([_DISTURBED, position])
     points = scan.points_m.astype(np.float64)
     for _ in range(int(rng.integers(0, _CARS, endpoint=True))):
-        points = _behind_a_car(points, imager.sensor_height_m, rng)
+        _bring_before_a_car(points, imager.sensor_height_m, rng)
     ahead_m, left_m, turn_deg = standing
     points = seen_from_beside(points, left_m, turn_deg, ahead_m)
     most_m = _ALONE_NOISE_M if imager.lateral_renderings_m is None else _NOISE_M
@@ -130,25 +130,18 @@ def _way_to_neighbour_m(poses: FloatArray, row: int, rng: np.random.Generator) -
     return np.asarray(Rotation.from_quat(poses[row, 3:]).inv().apply(way_m)[:2])
 
 
-def _behind_a_car(
+def _bring_before_a_car(
     points: FloatArray, sensor_height_m: float, rng: np.random.Generator
-) -> FloatArray:
-    """Bring the returns that a car would have stopped forward to its near side."""
+) -> None:
+    """Bring the returns that a car would have stopped forward to its near side, in place."""
     direction = rng.uniform(-np.pi, np.pi)
     ahead_m, across_m = rng.uniform(*_CAR_AHEAD_M), rng.uniform(*_CAR_ACROSS_M)
-    # Most returns lie elsewhere: half of them go before angles are worked out.
-    rows = np.flatnonzero(points[:, 0] * np.cos(direction) + points[:, 1] * np.sin(direction) > 0.0)
-    x, y, z = points[rows].T
-    far_m = np.hypot(x, y)
-    aside = np.abs((np.arctan2(y, x) - direction + np.pi) % (2.0 * np.pi) - np.pi)
-    share = ahead_m / np.maximum(far_m, ahead_m)
-    above_ground_m = z * share + sensor_height_m
-    hit = (
-        (far_m > ahead_m)
-        & (aside < np.arctan(across_m / 2.0 / ahead_m))
-        & (above_ground_m > 0.0)
-        & (above_ground_m < _CAR_TOP_M)
-    )
-    moved = points.copy()
-    moved[rows[hit]] *= share[hit, None]
-    return moved
+    x, y, z = points.T
+    towards_m = x * np.cos(direction) + y * np.sin(direction)
+    aside_m = y * np.cos(direction) - x * np.sin(direction)
+    # Most returns lie elsewhere: they go before distances are worked out.
+    rows = np.flatnonzero(np.abs(aside_m) * ahead_m < towards_m * (across_m / 2.0))
+    share = ahead_m / np.hypot(x[rows], y[rows])
+    above_ground_m = z[rows] * share + sensor_height_m
+    hit = (share < 1.0) & (above_ground_m > 0.0) & (above_ground_m < _CAR_TOP_M)
+    points[rows[hit]] *= share[hit, None]
