@@ -9,7 +9,9 @@ from xml.etree import ElementTree as ET
 
 import matplotlib as mpl
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure as Canvas
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 
 __all__ = ["ACCENT", "ERROR", "GOOD", "GRID", "INK", "MARKERS", "MUTED", "SERIES", "Drawing"]
 
@@ -68,6 +70,7 @@ class Drawing:
 
     def __init__(self, canvas: Canvas) -> None:
         self._canvas = canvas
+        FigureCanvasSVG(canvas)  # which measures text as it will be written
         self.axes: Axes = canvas.subplots()
         self.svg = ""
 
@@ -83,9 +86,13 @@ class Drawing:
         with mpl.rc_context():
             mpl.rcdefaults()  # a person's own matplotlibrc is for their figures
             mpl.rcParams.update(_STYLE)
-            canvas = Canvas(figsize=(4.6, height_in), layout="constrained")
+            layout = ConstrainedLayoutEngine()
+            canvas = Canvas(figsize=(4.6, height_in), layout=layout)
             drawing = cls(canvas)
             yield drawing
+            # Settled once: Matplotlib would do it twice, and draw everything each time.
+            layout.execute(canvas)
+            canvas.set_layout_engine(None)
             text = io.StringIO()
             canvas.savefig(text, format="svg", transparent=True, metadata={"Date": None})
         drawing.svg = _for_page(text.getvalue(), key)
