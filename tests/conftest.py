@@ -1,6 +1,7 @@
 """What all tests share: recorded drives, counted if promised, and databases of their own."""
 
 import gc
+import multiprocessing
 import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -8,12 +9,14 @@ from pathlib import Path
 import pytest
 from xdist.remote import Producer
 
+from app.jobs.worker import IMPORTED_LATE
 from storage.catalog import database, migrations
 from tests.support.commands import Commands, commands
 from tests.support.postgresql import Cluster, cluster, reason_to_skip
 from tests.support.scheduling import ByModule
 from tests.support.schema import made_once
 
+multiprocessing.set_forkserver_preload(["app.jobs.worker", *IMPORTED_LATE])  # whoever starts it
 gc.set_threshold(20_000, 20, 20)  # seldom: little of what tests leave behind are cycles
 
 _ran: set[str] = set()
@@ -97,14 +100,21 @@ def postgresql() -> Iterator[Cluster]:
 
 
 @pytest.fixture
+def new_postgresql(postgresql: Cluster) -> Iterator[Callable[[], str]]:
+    """Makes an empty database on PostgreSQL, and returns its URL."""
+    with postgresql.databases() as make:
+        yield make
+
+
+@pytest.fixture
 def new_database(request: pytest.FixtureRequest, tmp_path: Path) -> Callable[[str], str]:
     """Makes an empty database of a kind, and returns its URL."""
 
     def make(kind: str) -> str:
         if kind == "sqlite":
             return f"sqlite:///{tmp_path / 'catalog.sqlite3'}"
-        of_session: Cluster = request.getfixturevalue("postgresql")
-        return of_session.new_database()
+        new_postgresql: Callable[[], str] = request.getfixturevalue("new_postgresql")
+        return new_postgresql()
 
     return make
 

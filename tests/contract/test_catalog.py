@@ -13,6 +13,8 @@ from core.pose import Pose
 from storage.catalog import (
     Catalog,
     IndexRange,
+    database,
+    migrations,
 )
 from storage.catalog.models import Base
 from storage.catalog.scans import LostRace
@@ -264,7 +266,8 @@ class TestOpening:
         assert catalog.maps.get("campus").description == "new"
         other.close()
 
-    def test_many_can_open_a_new_catalog_at_once(self, database_url):
+    def test_many_can_open_a_new_catalog_at_once(self, database_url, monkeypatch):
+        monkeypatch.setattr(database, "upgrade", migrations.upgrade)  # not what repeats it
         with ThreadPoolExecutor(6) as pool:
             catalogs = list(pool.map(Catalog, [database_url] * 6))
         for number, catalog in enumerate(catalogs):

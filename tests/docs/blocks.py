@@ -23,6 +23,8 @@ from pathlib import Path
 
 import httpx2
 
+from tests.support.process import NO_TLS
+
 ROOT = Path(__file__).parents[2]
 READ_ONLY = {"text", "json", "yaml", "ini", "nginx"}
 _FENCE = re.compile(r"^```(\S*) ?(.*)$")
@@ -138,10 +140,11 @@ class Runner:
                 stdout=sink,
                 stderr=subprocess.STDOUT,
             )
+        ready = f"http://127.0.0.1:{self._port}/readyz"
         deadline = time.monotonic() + _START_S
         while self._server.poll() is None and time.monotonic() < deadline:
             try:
-                if httpx2.get(f"http://127.0.0.1:{self._port}/readyz").is_success:
+                if httpx2.get(ready, verify=NO_TLS).is_success:
                     return
             except httpx2.TransportError:
                 time.sleep(0.1)

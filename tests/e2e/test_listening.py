@@ -42,14 +42,13 @@ def address_of(text, size):
 
 @pytest.mark.skipif(not Path("/proc/net/tcp").exists(), reason="reads Linux' own tables")
 @pytest.mark.parametrize("chosen", [None, "127.0.0.2"])
-def test_the_service_listens_where_it_was_told_and_nowhere_else(tmp_path, chosen):
+def test_the_service_listens_where_it_was_told_and_nowhere_else(tmp_path, tensormap, chosen):
     options = [] if chosen is None else ["--host", chosen]
     kept = {k: v for k, v in os.environ.items() if not k.startswith("TENSORMAP_")}
-    command = [sys.executable, "-m", "app.cli", "serve"]
     log = tmp_path / "log"
     with log.open("w") as written:
         process = subprocess.Popen(
-            [*command, "--port", "0", "--data", tmp_path / "data", *options],
+            [*tensormap.program, "serve", "--port", "0", "--data", tmp_path / "data", *options],
             cwd=ROOT,
             env=kept,
             stdout=written,
@@ -57,7 +56,8 @@ def test_the_service_listens_where_it_was_told_and_nowhere_else(tmp_path, chosen
         )
     try:
         until(lambda: "startup complete" in log.read_text(), "the service did not start")
-        assert list(listened_on(process.pid)) == [chosen or "127.0.0.1"]
+        [pid] = re.findall(r"Started server process \[(\d+)\]", log.read_text())
+        assert list(listened_on(pid)) == [chosen or "127.0.0.1"]
     finally:
         process.send_signal(signal.SIGTERM)
         process.wait(30)

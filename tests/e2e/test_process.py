@@ -51,7 +51,7 @@ def test_what_was_acknowledged_outlives_a_kill_and_what_was_begun_is_done_after_
 ):
     data_dir, log = tmp_path / "data", tmp_path / "log"
     acknowledged: list[int] = []
-    with serving(data_dir, log) as server:
+    with serving(data_dir, log, builds_anew=True) as server:
         server.client.post("/v1/maps", json={"map": "campus"})
         upload(server.client, "tuesday", recording(scans=6))
         wanted = {"drives": ["tuesday"]}
@@ -63,14 +63,14 @@ def test_what_was_acknowledged_outlives_a_kill_and_what_was_begun_is_done_after_
         wait_for(server.client, job, {"running", "done"})
         end_in_the_middle(server, signal.SIGKILL)
         putting.join()
-    with serving(data_dir, log) as server:
+    with serving(data_dir, log, builds_anew=True) as server:
         wait_for(server.client, job, {"running", "done"})
         # A service manager and Ctrl-C signal the whole group, the build's process too.
         for child in server.children():
             os.kill(child, signal.SIGTERM)
             os.kill(child, signal.SIGINT)
         end_in_the_middle(server, signal.SIGTERM)
-    with serving(data_dir, log) as server:
+    with serving(data_dir, log, builds_anew=True) as server:
         assert len(acknowledged) > 30
         for index in acknowledged:
             got = server.client.get(f"/v1/maps/campus/drives/monday/scans/{index}")

@@ -14,6 +14,7 @@ import pytest
 
 from storage.drive_chunks import scan_digest
 from storage.store import Store
+from tests.support.process import NO_TLS
 from tests.support.recording import NPY, TAR, npy, tar
 
 SCANS, CLIENTS, RETURNS = 1000, 8, 100
@@ -60,7 +61,8 @@ class Fleet:
         share = SCANS // CLIENTS
         mine = [(number * share + i) % SCANS for i in range(share + 10)]
         chance.shuffle(mine)
-        with httpx2.Client(base_url=f"http://127.0.0.1:{self.server.port}", timeout=60) as client:
+        url = f"http://127.0.0.1:{self.server.port}"
+        with httpx2.Client(base_url=url, timeout=60, verify=NO_TLS) as client:
             while missing := self.missing(client, mine):
                 batch = missing[: chance.randint(1, 60)]
                 if len(batch) == 1:

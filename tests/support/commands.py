@@ -8,6 +8,9 @@ start hundreds. `python -m tests.support.commands SOCKET PID` waits at a socket 
 import gc
 import importlib
 import json
+import multiprocessing.forkserver
+import multiprocessing.resource_tracker
+import multiprocessing.util
 import os
 import runpy
 import select
@@ -15,17 +18,28 @@ import signal
 import socket
 import subprocess
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
+from unittest import mock
 
 from tests.support.locks import one_at_a_time
 
-__all__ = ["Commands", "commands"]
+__all__ = ["BUILDS_ANEW", "Commands", "commands"]
+
+BUILDS_ANEW = "TESTS_BUILDS_ANEW"
+"""The variable that is 1 for a service that is to start what it forks builds from by itself."""
 
 ROOT = Path(__file__).parents[2]
 _CLIENT = Path(__file__).with_name("command_client.py")
 _REQUEST_BYTES = 200_000
 _START_S, _RUN_S = 60.0, 120.0
+_LATE = (  # what our programs import no earlier than they need it
+    *("app.demo.run", "app.demo.server", "app.main", "app.pipelines", "app.report.page"),
+    *("alembic.command", "anyio._backends._asyncio", "laspy", "uvicorn"),
+    *("uvicorn.lifespan.on", "uvicorn.protocols.http.auto", "uvicorn.protocols.websockets.auto"),
+)
 
 
 @dataclass(frozen=True)
@@ -132,15 +146,43 @@ def _become(asked: socket.socket) -> None:
         os._exit(0)
 
 
+def _fork_builds() -> None:
+    """Start what a service forks its builds from now, forked: it would import all of it anew."""
+    with mock.patch.object(multiprocessing.util, "spawnv_passfds", _fork_instead):
+        multiprocessing.resource_tracker.ensure_running()
+        blocked = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
+        multiprocessing.forkserver.ensure_running()  # deaf, as when app.jobs.runner starts it
+        signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
+
+
+def _fork_instead(_python: str, words: Sequence[str], files: Sequence[int]) -> int:
+    """As `spawnv_passfds` of multiprocessing, in a process that need not import what words run."""
+    forked = os.fork()
+    if forked == 0:
+        try:
+            for kept, next_kept in pairwise([2, *sorted(files), os.sysconf("SC_OPEN_MAX")]):
+                os.closerange(kept + 1, next_kept)
+            exec(words[-1], {})
+        finally:
+            os._exit(0)
+    return forked
+
+
 def _import_all() -> None:
     """Import what our programs need, each of which imports only its own part by itself."""
     commands_of = importlib.import_module("app.cli.main")._MODULES
-    for module in ("app.main", *(f"app.cli.{name}" for name in commands_of.values())):
+    late = importlib.import_module("app.jobs.worker").IMPORTED_LATE
+    for module in (*_LATE, *late, *(f"app.cli.{name}" for name in commands_of.values())):
         importlib.import_module(module)
+    settings = importlib.import_module("app.settings").Settings()
+    importlib.import_module("app.main").create_app(settings)  # its routes are worked out once
     gc.freeze()  # or every program would take most of a second to take all this apart
 
 
 if __name__ == "__main__":
     _import_all()
     _serve(Path(sys.argv[1]), int(sys.argv[2]))
+    serves = sys.argv[:2] == ["app.cli", "serve"] or sys.argv[0] == "tests.support.serve"
+    if serves and os.environ.get(BUILDS_ANEW) != "1":
+        _fork_builds()
     runpy.run_module(sys.argv[0], run_name="__main__", alter_sys=True)

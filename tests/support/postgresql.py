@@ -10,7 +10,7 @@ import pwd
 import shutil
 import subprocess
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -25,6 +25,12 @@ _START_S = 60
 _INITDB = ("--no-sync", "--auth=trust", "--username=tensormap", "--encoding=UTF8",
            "--locale=C.UTF-8", "--locale-provider=icu", "--icu-locale=en-US")  # fmt: skip
 _OPTIONS = "-c fsync=off -c listen_addresses='' -c timezone=Asia/Kolkata -c shared_buffers=16MB"
+_EMPTY = (
+    "SELECT pg_terminate_backend(pid) FROM pg_stat_activity"
+    " WHERE datname = current_database() AND pid <> pg_backend_pid()",
+    "DROP SCHEMA public CASCADE",
+    "CREATE SCHEMA public",
+)
 
 
 def _binaries() -> Path | None:
@@ -71,12 +77,39 @@ class Cluster:
 
     folder: Path
     _numbers: Iterator[int] = field(default_factory=itertools.count)
+    _unused: list[str] = field(default_factory=list)
 
     def new_database(self) -> str:
-        """Make an empty database and return its URL."""
+        """Make an empty database, whose settings may be changed, and return its URL."""
+        return self.url(self._create())
+
+    @contextmanager
+    def databases(self) -> Iterator[Callable[[], str]]:
+        """Give what makes an empty database and returns its URL, for as long as the block lasts.
+
+        It may be one of an earlier block, emptied: that takes a tenth of the time of a new one.
+        """
+        used: list[str] = []
+
+        def make() -> str:
+            if self._unused:
+                name = self._unused.pop()
+                for statement in _EMPTY:
+                    self.run(statement, name)
+            else:
+                name = self._create()
+            used.append(name)
+            return self.url(name)
+
+        try:
+            yield make
+        finally:
+            self._unused.extend(used)
+
+    def _create(self) -> str:
         name = f"t{next(self._numbers)}"
         self.run(f"CREATE DATABASE {name} TEMPLATE template0", "postgres")
-        return self.url(name)
+        return name
 
     def url(self, database: str) -> str:
         """Return the URL of a database."""

@@ -2,6 +2,7 @@
 
 import os
 import signal
+import ssl
 import subprocess
 import sys
 import time
@@ -12,11 +13,14 @@ from pathlib import Path
 
 import httpx2
 
-from tests.support.commands import Commands
+from tests.support.commands import BUILDS_ANEW, Commands
 
-__all__ = ["Server", "is_running", "serving", "until"]
+__all__ = ["NO_TLS", "Server", "is_running", "serving", "until"]
 
 ROOT = Path(__file__).parents[2]
+
+NO_TLS = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+"""To verify nothing by, where a client would read the certificates that the system trusts."""
 
 
 @dataclass(frozen=True)
@@ -59,6 +63,7 @@ def serving(
     *,
     within: Sequence[str] = (),
     commands: Commands | None = None,
+    builds_anew: bool = False,
     **settings: str,
 ) -> Iterator[Server]:
     """Run a service until the block ends.
@@ -68,6 +73,7 @@ def serving(
         log: Where its standard error goes.
         within: A command that runs the one that follows it, in the same process.
         commands: What forks it; it is started anew without them.
+        builds_anew: Whether it starts the process that builds are forked from by itself, late.
         settings: More `TENSORMAP_` variables, without that.
     """
     environment = {
@@ -75,6 +81,7 @@ def serving(
         "PYTHONPATH": str(ROOT),
         "TENSORMAP_DATA_DIR": str(data_dir),
         **{f"TENSORMAP_{name.upper()}": value for name, value in settings.items()},
+        BUILDS_ANEW: str(int(builds_anew)),
     }
     started = (sys.executable, "-m") if commands is None else commands.client
     with log.open("a") as written:
@@ -89,7 +96,8 @@ def serving(
     assert process.stdout is not None
     try:
         port, pid = map(int, process.stdout.readline().split())
-        with httpx2.Client(base_url=f"http://127.0.0.1:{port}", timeout=60) as client:
+        url = f"http://127.0.0.1:{port}"
+        with httpx2.Client(base_url=url, timeout=60, verify=NO_TLS) as client:
             assert client.get("/readyz").status_code == 200
             yield Server(process, pid, port, client, log)
     finally:

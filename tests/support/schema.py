@@ -1,32 +1,47 @@
-"""The catalog's schema, made by its migrations once and copied from then on."""
+"""The catalog's schema, worked out by its migrations once and repeated from then on."""
 
-import sqlite3
 from collections.abc import Callable
-from typing import cast
+from typing import Any
 
-from sqlalchemy import Connection, inspect
+from sqlalchemy import Connection, event, inspect
 
 __all__ = ["made_once"]
 
+_ASKING = ("SELECT", "PRAGMA")
+
 
 def made_once(upgrade: Callable[[Connection], None]) -> Callable[[Connection], None]:
-    """Return what brings a database to the newest schema, an empty one on SQLite by copying.
+    """Return what brings a database to the newest schema, an empty one by what did so before.
 
     Hundreds of tests open a catalog of their own, and many would spend most of their time on the
-    same migrations. What is copied is what they made, statement by statement.
+    same migrations.
     """
-    statements: list[str] = []
+    steps: dict[str, list[tuple[str, Any]]] = {}
 
-    def upgrade_or_copy(connection: Connection) -> None:
-        if connection.dialect.name != "sqlite" or inspect(connection).get_table_names():
+    def upgrade_or_repeat(connection: Connection) -> None:
+        dialect = connection.dialect.name
+        if inspect(connection).get_table_names():
             upgrade(connection)
-        elif statements:
-            for statement in statements:
-                connection.exec_driver_sql(statement)
+        elif dialect in steps:
+            for statement, parameters in steps[dialect]:
+                connection.exec_driver_sql(statement, parameters or None)
         else:
-            upgrade(connection)
-            driver = cast("sqlite3.Connection", connection.connection.driver_connection)
-            dumped = driver.iterdump()
-            statements.extend(s for s in dumped if s not in {"BEGIN TRANSACTION;", "COMMIT;"})
+            steps[dialect] = _steps_of(upgrade, connection)
 
-    return upgrade_or_copy
+    return upgrade_or_repeat
+
+
+def _steps_of(
+    upgrade: Callable[[Connection], None], connection: Connection
+) -> list[tuple[str, Any]]:
+    """Upgrade, and return every statement that changed something."""
+    steps: list[tuple[str, Any]] = []
+
+    def note(_connection: Any, _cursor: Any, statement: str, parameters: Any, *_: Any) -> None:
+        if not statement.startswith(_ASKING):
+            steps.append((statement, parameters))
+
+    event.listen(connection, "before_cursor_execute", note)
+    upgrade(connection)
+    event.remove(connection, "before_cursor_execute", note)
+    return steps

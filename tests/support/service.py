@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from anyio.from_thread import BlockingPortal
 from fastapi import FastAPI
 from starlette.testclient import TestClient
 
@@ -17,6 +18,7 @@ from app.service import Service
 from app.settings import Settings
 from core.pose import Pose
 from tests.support.recording import TAR, Recording, kitti, tar
+from tests.support.transport import IN_PARTS, AtOnce
 
 __all__ = [
     "Client",
@@ -33,13 +35,22 @@ __all__ = [
 PROBLEM = "application/problem+json"
 ENDED = {"done", "failed", "cancelled"}
 
+_HERE = ("127.0.0.1", 5000)
+
 
 class Client(TestClient):
     """A client on this machine; every answer to it must be one that the API documents."""
 
     def __init__(self, app: FastAPI, **options: Any) -> None:
         options.setdefault("base_url", "http://127.0.0.1")
-        super().__init__(app, client=("127.0.0.1", 5000), raise_server_exceptions=False, **options)
+        super().__init__(app, client=_HERE, raise_server_exceptions=False, **options)
+        self._transport = AtOnce(
+            app,
+            in_parts=self._transport,
+            portal=self._portal_to_loop,
+            state=self.app_state,
+            client=_HERE,
+        )
         self.documented = document()
 
     @property
@@ -54,6 +65,13 @@ class Client(TestClient):
             require_problem(response)
         self._require_documented(response)
         return response
+
+    def _portal_to_loop(self) -> BlockingPortal:
+        assert self.portal is not None, "the service runs in a with block"
+        return self.portal
+
+    def stream(self, method, url, **options):
+        return super().stream(method, url, extensions={IN_PARTS: True}, **options)
 
     def _require_documented(self, response) -> None:
         operation = self._operation(response.request)

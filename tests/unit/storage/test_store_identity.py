@@ -171,7 +171,7 @@ def _open(folder):
 
 def test_a_worker_opens_the_store_of_a_running_server(tmp_path):
     with Store.serving(tmp_path):
-        worker = multiprocessing.get_context("spawn").Process(target=_open, args=(tmp_path,))
+        worker = multiprocessing.get_context("forkserver").Process(target=_open, args=(tmp_path,))
         worker.start()
         worker.join()
         assert worker.exitcode == 0

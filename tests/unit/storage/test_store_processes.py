@@ -1,40 +1,39 @@
 """The store and other processes: killed ones, and workers beside the server."""
 
-import os
+import itertools
 import signal
-import subprocess
-import sys
-from multiprocessing import get_context
+from contextlib import suppress
+from multiprocessing import Pipe, get_context
 
 from storage.catalog import JobState, RevisionFacts
 from storage.store import Store
 from tests.unit.storage.samples import sample_scan
 
-PUT_FOR_EVER = """
-import itertools, sys
-from pathlib import Path
-from storage.store import Store
-from tests.unit.storage.samples import sample_scan
-store = Store(Path(sys.argv[1]))
-for index in itertools.count(int(sys.argv[2])):
-    store.drives.put_scan("campus", "monday", index, sample_scan(index))
-    print(index, flush=True)
-"""
+PROCESSES = get_context("forkserver")
+
+
+def put_for_ever(data_dir, first, acknowledged):
+    """Put scan after scan, and tell of each that is stored."""
+    with Store(data_dir) as store:
+        for index in itertools.count(first):
+            store.drives.put_scan("campus", "monday", index, sample_scan(index))
+            acknowledged.send(index)
 
 
 def put_until_killed(data_dir, first, acknowledgements):
     """Start a process that puts scans, kill it in the middle, return what it acknowledged."""
-    process = subprocess.Popen(
-        [sys.executable, "-c", PUT_FOR_EVER, str(data_dir), str(first)],
-        stdout=subprocess.PIPE,
-        text=True,
-        env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
-    )
-    assert process.stdout is not None
-    lines = [process.stdout.readline() for _ in range(acknowledgements)]
-    process.send_signal(signal.SIGKILL)
-    rest, _ = process.communicate()
-    return [int(line) for line in [*lines, *rest.splitlines(keepends=True)] if line.endswith("\n")]
+    told, telling = Pipe(duplex=False)
+    process = PROCESSES.Process(target=put_for_ever, args=(data_dir, first, telling))
+    process.start()
+    telling.close()
+    acknowledged = [told.recv() for _ in range(acknowledgements)]
+    process.kill()
+    with suppress(EOFError, OSError):  # nothing more, or half a message
+        while True:
+            acknowledged.append(told.recv())
+    process.join()
+    assert process.exitcode == -signal.SIGKILL
+    return acknowledged
 
 
 def test_what_a_killed_process_acknowledged_is_there_bit_for_bit(tmp_path):
@@ -78,8 +77,7 @@ def test_workers_in_other_processes_report_while_the_server_writes(tmp_path):
         store.recover()
         store.maps.create("campus")
         jobs = [store.jobs.create("campus", {}) for _ in digests]
-        spawn = get_context("spawn")
-        workers = [spawn.Process(target=work, args=(tmp_path, digest)) for digest in digests]
+        workers = [PROCESSES.Process(target=work, args=(tmp_path, digest)) for digest in digests]
         for worker in workers:
             worker.start()
         put = 0
