@@ -2,7 +2,9 @@
 
 import logging
 import os
+import signal
 import socket
+import sys
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -57,6 +59,9 @@ def serve(
     with _listen(settings.host, settings.port) as listening:
         # What refuses to start says so in a line here; from inside Uvicorn it is a traceback.
         Store.serving(settings.data_dir, settings.catalog_url).close()
+        # Once all is answered Uvicorn lets the signal that stopped it do what it does without it:
+        # that would be to end at once, and leave behind what multiprocessing keeps in /tmp.
+        signal.signal(signal.SIGTERM, lambda _number, _frame: sys.exit(0))
         # Uvicorn, given a socket, names no URL.
         typer.echo(f"TensorMap at {_url(listening)}", err=True)
         uvicorn.Server(config).run(sockets=[listening])

@@ -5,16 +5,20 @@ import os
 import signal
 import subprocess
 import sys
+import tempfile
 import threading
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 import httpx2
 import pytest
 
-from tests.support.process import ROOT, is_running, until
+from tests.support.process import NO_TLS, ROOT, is_running, until
 from tests.support.recording import KITTI, kitti, recording, upload_scan
 from tests.support.service import problem_of, upload, wait_for
+
+PROGRAM = (sys.executable, "-m", "app.cli")
 
 
 def test_a_backup_made_while_the_service_works_is_a_service_once_restored(
@@ -55,10 +59,19 @@ def test_a_backup_made_while_the_service_works_is_a_service_once_restored(
         assert not (new / "orphans").exists()
 
 
-def test_the_service_ends_with_what_it_was_asked_answered_and_its_build_queued(tmp_path, serving):
+@pytest.fixture
+def temporary():
+    """A folder whose name is short: a socket's has at most 108 bytes."""
+    with tempfile.TemporaryDirectory() as folder:
+        yield Path(folder)
+
+
+def test_the_service_ends_with_what_it_was_asked_answered_and_its_build_queued(
+    tmp_path, temporary, serving
+):
     """`tensormap serve` itself, with JSON for a log."""
     data, log = tmp_path / "data", tmp_path / "log"
-    port, process = started(data, log)
+    port, process = started(data, log, TMPDIR=str(temporary))
     url = f"http://127.0.0.1:{port}"
     answered: list[httpx2.Response] = []
 
@@ -90,6 +103,8 @@ def test_the_service_ends_with_what_it_was_asked_answered_and_its_build_queued(t
             process.kill()
             process.wait(30)
     assert answered[0].status_code == 201
+    assert process.returncode == 0
+    assert not list(temporary.iterdir())
     until(lambda: not any(map(is_running, children)), f"{children} are left over")
     lines = [json.loads(line) for line in log.read_text().splitlines() if line.startswith("{")]
     assert [line["status"] for line in lines if line.get("request_id") == "last"] == [201]
@@ -99,8 +114,8 @@ def test_the_service_ends_with_what_it_was_asked_answered_and_its_build_queued(t
         assert wait_for(server.client, job)["state"] == "done"
 
 
-def test_nothing_new_is_taken_once_the_service_is_to_end(tmp_path):
-    port, process = started(tmp_path / "data", tmp_path / "log")
+def test_nothing_new_is_taken_once_the_service_is_to_end(tmp_path, tensormap):
+    port, process = started(tmp_path / "data", tmp_path / "log", tensormap.program)
     try:
         assert httpx2.get(f"http://127.0.0.1:{port}/livez").status_code == 200
         refused = httpx2.get(f"http://127.0.0.1:{port}/v1/maps", headers={"Host": "maps.example"})
@@ -115,14 +130,16 @@ def test_nothing_new_is_taken_once_the_service_is_to_end(tmp_path):
             process.wait(30)
 
 
-def started(data: Path, log: Path) -> tuple[int, subprocess.Popen[bytes]]:
+def started(
+    data: Path, log: Path, program: Sequence[str] = PROGRAM, **variables: str
+) -> tuple[int, subprocess.Popen[bytes]]:
     """Start `tensormap serve` on a free port."""
     environment = {k: v for k, v in os.environ.items() if not k.startswith("TENSORMAP_")}
     with log.open("wb") as sink:
         process = subprocess.Popen(
-            [sys.executable, "-m", "app.cli", "serve", "--port", "0", "--data", str(data)],
+            [*program, "serve", "--port", "0", "--data", str(data)],
             cwd=ROOT,
-            env={**environment, "TENSORMAP_LOG_FORMAT": "json"},
+            env={**environment, "TENSORMAP_LOG_FORMAT": "json", **variables},
             stdout=sink,
             stderr=subprocess.STDOUT,
         )
@@ -136,7 +153,7 @@ def started(data: Path, log: Path) -> tuple[int, subprocess.Popen[bytes]]:
 
 def is_ready(port: int) -> bool:
     try:
-        return httpx2.get(f"http://127.0.0.1:{port}/readyz").status_code == 200
+        return httpx2.get(f"http://127.0.0.1:{port}/readyz", verify=NO_TLS).status_code == 200
     except httpx2.TransportError:
         return False
 

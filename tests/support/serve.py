@@ -4,14 +4,16 @@ Says its port and the id of its process.
 """
 
 import os
+import signal
 import socket
 import sys
 
-import uvicorn
+if __name__ == "__main__":  # the processes of builds import this file too, and need nothing of it
+    import uvicorn
 
-from app.main import create_app
+    from app.main import create_app
 
-if __name__ == "__main__":
+    signal.signal(signal.SIGTERM, lambda _number, _frame: sys.exit(0))  # as `tensormap serve`
     listener = socket.create_server(("127.0.0.1", 0))
     sys.stdout.write(f"{listener.getsockname()[1]} {os.getpid()}\n")
     sys.stdout.flush()  # whoever started it waits for it
