@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.support.access import ADMIN_KEY
 from tests.support.locks import one_at_a_time
 from tests.support.recording import recording
 from tests.support.service import copy_of, running, upload, wait_for
@@ -63,4 +64,14 @@ def empty(tmp_path):
     """A service that has the map `campus` and nothing in it."""
     with running(tmp_path / "data") as client:
         client.post("/v1/maps", json={"map": "campus"})
+        yield client
+
+
+@pytest.fixture(scope="module")
+def guarded(tmp_path_factory, built):
+    """A service with keys that has maps `campus`, built, and `dock`, empty."""
+    data_dir = copy_of(built.data_dir, tmp_path_factory.mktemp("guarded") / "data")
+    with running(data_dir) as client:
+        client.post("/v1/maps", json={"map": "dock"})
+    with running(data_dir, admin_key=ADMIN_KEY) as client:
         yield client

@@ -7,7 +7,7 @@ from typer.testing import CliRunner
 
 from app.cli.main import cli
 from storage.errors import StorageFull
-from tests.api.test_scopes import ADMIN, ADMIN_KEY, bearer, holder, make
+from tests.support.access import ADMIN, ADMIN_KEY, bearer, holder, make
 from tests.support.recording import KITTI, kitti, recording
 from tests.support.service import problem_of, running, upload, wait_for
 

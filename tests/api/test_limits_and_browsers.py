@@ -4,7 +4,7 @@ import pytest
 from starlette.testclient import TestClient, WebSocketDenialResponse
 
 from app.settings import Settings
-from tests.api.test_scopes import ADMIN, ADMIN_KEY, bearer, make
+from tests.support.access import ADMIN, ADMIN_KEY, bearer, make
 from tests.support.recording import KITTI, kitti, recording
 from tests.support.service import copy_of, problem_of, running
 

@@ -4,24 +4,14 @@ import re
 
 import pytest
 
-from tests.api.test_scopes import (
-    ADMIN,
-    LOCALIZE,
-    OPENED_BY,
-    READ,
-    WRITE,
-    ask,
-    campus_and_dock,
-    holder,
-)
+from tests.support.access import ADMIN, LOCALIZE, OPENED_BY, READ, WRITE, ask, holder
 from tests.support.recording import KITTI, kitti, recording
 from tests.support.service import problem_of
 
 
 @pytest.fixture(scope="module")
-def client(tmp_path_factory, built):
-    with campus_and_dock(tmp_path_factory.mktemp("limits"), built) as client:
-        yield client
+def client(guarded):
+    return guarded
 
 
 @pytest.fixture(scope="module")

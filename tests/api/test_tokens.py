@@ -6,7 +6,7 @@ import pytest
 
 from app.access.scopes import Scope
 from app.access.secrets import secret_hash
-from tests.api.test_scopes import ADMIN, ADMIN_KEY, bearer, holder, make
+from tests.support.access import ADMIN, ADMIN_KEY, bearer, holder, make
 from tests.support.service import problem_of, running
 
 

@@ -1,9 +1,10 @@
-"""A store with one map."""
+"""A store with one map, and a file of a map."""
 
 import shutil
 
 import pytest
 
+from storage.map_file import write_map
 from storage.store import Store
 
 
@@ -21,3 +22,10 @@ def store(tmp_path, data_dir_with_a_map):
     shutil.copytree(data_dir_with_a_map, tmp_path / "data")
     with Store(tmp_path / "data") as opened:
         yield opened
+
+
+@pytest.fixture
+def path(tmp_path, tensor_map):
+    """A file of the map that the module is about."""
+    write_map(tmp_path / "map.h5", tensor_map)
+    return tmp_path / "map.h5"

@@ -7,13 +7,14 @@ import h5py
 import numpy as np
 import pytest
 
-from core.errors import InvalidMap, TensorMapError
+from core.errors import InvalidMap
 from core.parameters import MapParameters
 from core.sensor import AngularGrid
 from core.tensormap import TensorMap
 from storage.errors import CorruptFile
 from storage.map_file import read_map, write_map
-from tests.support.samples import sample_map
+from tests.support.samples import sample_harmonic_map, sample_map
+from tests.unit.storage.map_files import replaced, whole_or_refused
 
 
 @pytest.fixture(scope="module")
@@ -21,13 +22,16 @@ def tensor_map():
     return sample_map(count=12, segment_length=4, drives=2)[0]
 
 
-@pytest.fixture
-def path(tmp_path, tensor_map):
-    write_map(tmp_path / "map.h5", tensor_map)
-    return tmp_path / "map.h5"
+@pytest.fixture(params=[sample_map, sample_harmonic_map], ids=["paper", "harmonic"])
+def of_either(request, tmp_path):
+    """A map of each encoding, and its file."""
+    made, _ = request.param(count=12, segment_length=4, drives=2)
+    write_map(tmp_path / "map.h5", made)
+    return tmp_path / "map.h5", made
 
 
-def test_a_map_comes_back_to_the_bit(path, tensor_map):
+def test_a_map_comes_back_to_the_bit(of_either):
+    path, tensor_map = of_either
     again = read_map(path)
     assert again.revision == tensor_map.revision
     assert again.parameters == tensor_map.parameters
@@ -98,16 +102,6 @@ def test_a_folder_is_corrupt(tmp_path):
         read_map(tmp_path)
 
 
-def whole_or_refused(path, revision):
-    """Read; return whether it was refused. Any other exception, and any other map, is a failure."""
-    try:
-        again = read_map(path)
-    except TensorMapError:
-        return True
-    assert again.revision == revision
-    return False
-
-
 def test_a_flipped_byte_anywhere_is_refused_or_without_effect(path, tensor_map):
     content = path.read_bytes()
     rng = np.random.default_rng(0)
@@ -121,7 +115,8 @@ def test_a_flipped_byte_anywhere_is_refused_or_without_effect(path, tensor_map):
     assert refused > 50
 
 
-def test_a_flipped_byte_in_any_array_is_refused(path, tensor_map):
+def test_a_flipped_byte_in_any_array_is_refused(of_either):
+    path, tensor_map = of_either
     content = path.read_bytes()
     with h5py.File(path) as file:
         spans = {
@@ -146,13 +141,6 @@ def test_a_truncated_file_is_corrupt(path):
 
 
 ARRAYS = list(sample_map(count=3, segment_length=3)[0].arrays())
-
-
-def replaced(path, name, array, **options):
-    with h5py.File(path, "r+") as file:
-        del file[name]
-        if array is not None:
-            file.create_dataset(name, data=array, **options)
 
 
 @pytest.mark.parametrize("name", ARRAYS)

@@ -1,0 +1,25 @@
+"""Map files that something came to."""
+
+import h5py
+
+from core.errors import TensorMapError
+from storage.map_file import read_map
+
+__all__ = ["replaced", "whole_or_refused"]
+
+
+def whole_or_refused(path, revision):
+    """Read; return whether it was refused. Any other exception, and any other map, is a failure."""
+    try:
+        again = read_map(path)
+    except TensorMapError:
+        return True
+    assert again.revision == revision
+    return False
+
+
+def replaced(path, name, array, **options):
+    with h5py.File(path, "r+") as file:
+        del file[name]
+        if array is not None:
+            file.create_dataset(name, data=array, **options)
