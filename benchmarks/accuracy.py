@@ -19,7 +19,7 @@ from core.evaluation.condition import Condition, conditions
 from core.evaluation.evaluate import Protocol, evaluate
 from core.evaluation.split import Every, Interleaved
 from core.parameters import MapParameters
-from core.projection import RANGE_REDUCERS
+from core.reducer import RANGE_REDUCERS
 from core.simulation import SimulatedDrive
 from storage.formats.drives import open_drive
 

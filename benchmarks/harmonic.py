@@ -28,7 +28,7 @@ from core.images import project_drive
 from core.localizer import Localizer, Match
 from core.parameters import Distance, Encoding, MapParameters
 from core.pose import heading_deg
-from core.projection import Reducer
+from core.reducer import Reducer
 from core.segmentation import cut_fixed, segment_length_for
 from core.signature import Packing, pack_signatures, unpack_signatures
 from core.simulation import SimulatedDrive

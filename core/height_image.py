@@ -4,16 +4,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from core.angles import azimuth_steps
 from core.arrays import Float32Array, FloatArray, IntArray, frozen
-from core.blocks import place_returns
 from core.errors import InvalidImage, InvalidParameters, InvalidScan
-from core.projection import Reducer
+from core.reducer import HEIGHT_REDUCERS, Reducer, reduce_returns
 from core.rings import RingGrid
 from core.scan import Scan
 
-__all__ = ["HEIGHT_REDUCERS", "HeightImage", "project_heights"]
-
-HEIGHT_REDUCERS = (Reducer.MEAN, Reducer.HIGHEST)
+__all__ = ["HeightImage", "project_heights"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,33 +75,33 @@ def project_heights(
         raise InvalidParameters(
             f"a height image is reduced by {' or '.join(HEIGHT_REDUCERS)}, not by {reducer}"
         )
-    cells, z = place_returns(scan.points_m, lambda xyz: _cells_and_z(xyz, grid))
-    if not len(cells):
-        raise InvalidScan(f"none of the {len(scan)} returns is within {grid.reach_m:g} m")
-    heights_m = np.maximum(z + sensor_height_m, 0.0)
-    if heights_m.max() > np.finfo(np.float32).max:
-        raise InvalidScan(f"a return is {heights_m.max():.3g} m high, beyond float32")
-    if not heights_m.any():
-        raise InvalidScan(f"none of the {len(scan)} returns stands above the ground")
     cell_count = grid.rows * grid.columns
-    if reducer == Reducer.MEAN:
-        sums = np.bincount(cells, weights=heights_m, minlength=cell_count)
-        counts = np.bincount(cells, minlength=cell_count)
-        image = np.divide(sums, np.maximum(counts, 1)).astype(np.float32)
-    else:
-        image = np.zeros(cell_count, dtype=np.float32)
-        np.maximum.at(image, cells, heights_m.astype(np.float32))
-    if not image.any():  # below the least float32
+    reduced = reduce_returns(
+        scan.points_m,
+        lambda xyz: _cells_and_heights(xyz, grid, sensor_height_m),
+        cell_count,
+        reducer,
+    )
+    if not reduced.inside:
+        raise InvalidScan(f"none of the {len(scan)} returns is within {grid.reach_m:g} m")
+    if reduced.largest > float(np.finfo(np.float32).max):
+        raise InvalidScan(f"a return is {reduced.largest:.3g} m high, beyond float32")
+    if not reduced.cells.any():
         raise InvalidScan(f"none of the {len(scan)} returns stands above the ground")
-    return HeightImage(image.reshape(grid.shape), grid, outside_returns=len(scan) - len(cells))
+    return HeightImage(
+        reduced.cells.reshape(grid.shape), grid, outside_returns=len(scan) - reduced.inside
+    )
 
 
-def _cells_and_z(xyz: FloatArray, grid: RingGrid) -> tuple[IntArray, FloatArray]:
-    """Return the flat cell and z of each of `(3, m)` returns within the last ring."""
+def _cells_and_heights(
+    xyz: FloatArray, grid: RingGrid, sensor_height_m: float
+) -> tuple[IntArray, FloatArray]:
+    """Return the flat cell and the height of each of `(3, m)` returns within the last ring."""
     x, y, z = xyz
     ring = np.floor(np.sqrt(x * x + y * y) / grid.ring_m)
-    inside = ring < grid.rings
-    if not inside.all():
-        ring, x, y, z = (values[inside] for values in (ring, x, y, z))
-    steps = np.rint(np.degrees(np.arctan2(y, x)) / grid.azimuth_step_deg).astype(np.int64)
-    return ring.astype(np.int64) * grid.columns + steps % grid.columns, z
+    inside = np.flatnonzero(ring < grid.rings)
+    if len(inside) < len(ring):
+        ring, x, y, z = (values.take(inside) for values in (ring, x, y, z))
+    column = azimuth_steps(x, y, grid.azimuth_step_deg) % grid.columns
+    heights_m = np.maximum(z + sensor_height_m, 0.0)
+    return ring.astype(np.int64) * grid.columns + column, heights_m

@@ -10,8 +10,9 @@ import numpy as np
 from core.arrays import Float32Array
 from core.displacement import seen_from_beside
 from core.errors import InvalidParameters
-from core.height_image import HEIGHT_REDUCERS, HeightImage, project_heights
-from core.projection import RANGE_REDUCERS, RangeImage, Reducer, project_scan
+from core.height_image import HeightImage, project_heights
+from core.projection import RangeImage, project_scan
+from core.reducer import HEIGHT_REDUCERS, RANGE_REDUCERS, Reducer
 from core.rings import RingGrid
 from core.scan import Scan
 from core.sensor import AngularGrid

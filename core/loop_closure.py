@@ -15,7 +15,7 @@ from core.height_image import project_heights
 from core.localizer import Localizer
 from core.overhead import align_overhead
 from core.parameters import LATERAL_RENDERINGS_M
-from core.projection import Reducer
+from core.reducer import Reducer
 from core.rings import RingGrid
 from core.scan import Scan
 from core.signature import Signature

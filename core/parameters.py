@@ -8,7 +8,7 @@ from typing import Any
 
 from core.errors import InvalidMap, InvalidParameters
 from core.imager import Grid, ImageKind, Imager, grid_from_attributes
-from core.projection import Reducer
+from core.reducer import Reducer
 from core.rings import RingGrid
 from core.sensor import HDL_64E, AngularGrid, sensor_named
 

@@ -1,33 +1,17 @@
 """From a scan to a range image (paper, sec. 2.1)."""
 
 from dataclasses import dataclass
-from enum import StrEnum
 
 import numpy as np
 
+from core.angles import azimuth_steps, elevation_steps
 from core.arrays import Float32Array, FloatArray, IntArray, frozen
-from core.blocks import place_returns
 from core.errors import InvalidImage, InvalidParameters, InvalidScan
+from core.reducer import RANGE_REDUCERS, Reducer, reduce_returns
 from core.scan import Scan
 from core.sensor import AngularGrid, whole_and_fraction
 
-__all__ = ["RANGE_REDUCERS", "RangeImage", "Reducer", "project_scan"]
-
-
-class Reducer(StrEnum):
-    """Which return a shared cell keeps; the paper leaves it open.
-
-    `highest` is for height images only.
-    """
-
-    LAST = "last"
-    NEAREST = "nearest"
-    FARTHEST = "farthest"
-    MEAN = "mean"
-    HIGHEST = "highest"
-
-
-RANGE_REDUCERS = (Reducer.LAST, Reducer.NEAREST, Reducer.FARTHEST, Reducer.MEAN)
+__all__ = ["RangeImage", "project_scan"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,55 +73,34 @@ def project_scan(scan: Scan, grid: AngularGrid, reducer: Reducer) -> RangeImage:
         raise InvalidParameters(
             f"a range image is reduced by {', '.join(RANGE_REDUCERS)}, not by {reducer}"
         )
-    cells, range_m = place_returns(scan.points_m, lambda xyz: _cells_and_ranges(xyz, grid))
-    if not len(cells):
+    cell_count = grid.rows * grid.columns
+    reduced = reduce_returns(
+        scan.points_m, lambda xyz: _cells_and_ranges(xyz, grid), cell_count, reducer
+    )
+    if not reduced.inside:
         raise InvalidScan(
             f"none of the {len(scan)} returns falls inside the grid, elevations"
             f" {grid.elevations_deg[0]:.4g}..{grid.elevations_deg[-1]:.4g} deg"
         )
-    if range_m.max() > np.finfo(np.float32).max:
-        raise InvalidScan(f"a return is {range_m.max():.3g} m away, beyond float32")
-    ranges_m = _reduce(cells, range_m, grid.rows * grid.columns, reducer)
-    return RangeImage(ranges_m.reshape(grid.shape), grid, outside_returns=len(scan) - len(cells))
+    if reduced.largest > float(np.finfo(np.float32).max):
+        raise InvalidScan(f"a return is {reduced.largest:.3g} m away, beyond float32")
+    return RangeImage(
+        reduced.cells.reshape(grid.shape), grid, outside_returns=len(scan) - reduced.inside
+    )
 
 
 def _cells_and_ranges(xyz: FloatArray, grid: AngularGrid) -> tuple[IntArray, FloatArray]:
     """Return the flat cell and the range of each of `(3, m)` returns inside the grid."""
     x, y, z = xyz
-    # sqrt and arctan are vectorized where hypot and arctan2 are not, and take a third to half of
-    # the time. Squares of float32 do not overflow float64, and straight up is arctan(inf).
+    # sqrt is vectorized where hypot is not. Squares of float32 do not overflow float64.
     across_m = np.sqrt(x * x + y * y)
-    with np.errstate(divide="ignore"):
-        elevation_steps = np.degrees(np.arctan(z / across_m)) / grid.elevation_step_deg
     whole, fraction = whole_and_fraction(grid.elevation_min_deg / grid.elevation_step_deg)
-    row = np.rint(elevation_steps - fraction).astype(np.int64) - whole
-    inside = (row >= 0) & (row < grid.rows)
-    if not inside.all():
-        row, x, y, z, across_m = (values[inside] for values in (row, x, y, z, across_m))
+    row = elevation_steps(across_m, z, grid.elevation_step_deg, fraction) - whole
+    inside = np.flatnonzero((row >= 0) & (row < grid.rows))
+    if len(inside) < len(row):
+        row, x, y, z, across_m = (values.take(inside) for values in (row, x, y, z, across_m))
     steps_a_turn = round(360.0 / grid.azimuth_step_deg)
-    azimuth_steps = np.rint(np.degrees(np.arctan2(y, x)) / grid.azimuth_step_deg)
-    column = azimuth_steps.astype(np.int64) + steps_a_turn // 2
+    column = azimuth_steps(x, y, grid.azimuth_step_deg) + steps_a_turn // 2
     if grid.wraps:
         column %= steps_a_turn
     return row * grid.columns + column, np.sqrt(across_m * across_m + z * z)
-
-
-def _reduce(
-    cells: IntArray, range_m: FloatArray, cell_count: int, reducer: Reducer
-) -> Float32Array:
-    if reducer == Reducer.MEAN:
-        sums = np.bincount(cells, weights=range_m, minlength=cell_count)
-        counts = np.bincount(cells, minlength=cell_count)
-        return np.divide(sums, np.maximum(counts, 1)).astype(np.float32)
-    image = np.zeros(cell_count, dtype=np.float32)
-    values = range_m.astype(np.float32)
-    if reducer == Reducer.LAST:
-        # NumPy's tutorial says that the last of repeated indices is kept, its reference promises no
-        # order: a test holds it to the former.
-        image[cells] = values
-    elif reducer == Reducer.FARTHEST:
-        np.maximum.at(image, cells, values)
-    else:
-        image[cells] = np.inf
-        np.minimum.at(image, cells, values)
-    return image

@@ -8,7 +8,7 @@ import typer
 
 from core.imager import ImageKind
 from core.parameters import Distance, Encoding, Segmentation
-from core.projection import Reducer
+from core.reducer import Reducer
 from core.sensor import SENSORS
 from storage.formats.registry import FORMAT_NAMES
 

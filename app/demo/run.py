@@ -24,7 +24,7 @@ from core.errors import InvalidScan
 from core.evaluation.split import Interleaved
 from core.parameters import DEFAULT_ENCODING, Encoding, MapParameters
 from core.progress import Progress
-from core.projection import Reducer
+from core.reducer import Reducer
 from core.scan import Scan
 from core.segmentation import cut_fixed, segment_length_for
 from core.signature import Packing, pack_signatures

@@ -16,7 +16,7 @@ from core.parameters import (
     MapParameters,
     Segmentation,
 )
-from core.projection import Reducer
+from core.reducer import Reducer
 from core.segmentation import PAPER_SEGMENT_LENGTH
 from core.sensor import HDL_64E, SENSORS
 

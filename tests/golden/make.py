@@ -12,7 +12,7 @@ import numpy as np
 from core.builder import build_map
 from core.images import MemoryImages
 from core.parameters import Distance, Encoding, MapParameters
-from core.projection import Reducer
+from core.reducer import Reducer
 from core.rings import RingGrid
 from core.sensor import AngularGrid
 from core.tensormap import TensorMap

@@ -11,7 +11,7 @@ from core.arrays import Float32Array, FloatArray
 from core.errors import InvalidParameters
 from core.images import MemoryImages
 from core.parameters import Distance, Encoding, MapParameters, Segmentation
-from core.projection import Reducer
+from core.reducer import Reducer
 from core.rings import RingGrid
 from core.segmentation import cut_unequal, length_limits
 from core.segmentation.turns import turns

@@ -5,7 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from core.projection import Reducer, project_scan
+from core.projection import project_scan
+from core.reducer import Reducer
 from core.scan import Scan
 from core.sensor import AngularGrid
 from storage.formats.drives import open_drive

@@ -9,7 +9,8 @@ from core.errors import InvalidScan
 from core.images import MemoryImages, Probes
 from core.parameters import Distance, Encoding, MapParameters
 from core.pose import Pose
-from core.projection import RangeImage, Reducer
+from core.projection import RangeImage
+from core.reducer import Reducer
 from core.rings import RingGrid
 from core.scan import Scan
 from core.segmentation import cut_drives

@@ -11,7 +11,7 @@ from core.errors import Cancelled, EmptyDrive, InvalidImage, InvalidParameters, 
 from core.imager import Imager
 from core.images import ConcatenatedImages, MemoryImages, project_drive
 from core.parameters import MapParameters
-from core.projection import Reducer
+from core.reducer import Reducer
 from core.sensor import AngularGrid
 from core.trajectory import Trajectory
 from storage.image_file import ImageFile, write_image_file

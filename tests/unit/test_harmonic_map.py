@@ -21,7 +21,8 @@ from core.images import ConcatenatedImages, MemoryImages, project_drive
 from core.localizer import Localizer
 from core.parameters import Distance, Encoding, MapParameters
 from core.pose import heading_deg
-from core.projection import RangeImage, Reducer
+from core.projection import RangeImage
+from core.reducer import Reducer
 from core.rings import RingGrid
 from core.sensor import AngularGrid
 from core.signature import Packing, Signature, pack_signatures, unpack_signatures

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from core.errors import InvalidImage, InvalidParameters, InvalidScan
-from core.height_image import HEIGHT_REDUCERS, HeightImage, project_heights
+from core.height_image import HeightImage, project_heights
 from core.imager import ImageKind, Imager
-from core.projection import RANGE_REDUCERS, Reducer, project_scan
+from core.projection import project_scan
+from core.reducer import HEIGHT_REDUCERS, RANGE_REDUCERS, Reducer
 from core.rings import RingGrid
 from core.scan import Scan
 from core.sensor import AngularGrid

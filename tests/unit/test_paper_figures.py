@@ -5,7 +5,8 @@ import pytest
 
 from core.compression import Compression
 from core.parameters import MapParameters
-from core.projection import Reducer, project_scan
+from core.projection import project_scan
+from core.reducer import Reducer
 from core.segmentation import PAPER_SEGMENT_LENGTH, cut_fixed, segment_length_for
 from core.sensor import HDL_64E, AngularGrid
 from core.signature import Signature, pack_signatures

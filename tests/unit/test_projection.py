@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from core.errors import InvalidImage, InvalidParameters, InvalidScan
-from core.projection import RANGE_REDUCERS, RangeImage, Reducer, project_scan
+from core.projection import RangeImage, project_scan
+from core.reducer import RANGE_REDUCERS, Reducer
 from core.scan import Scan
 from core.sensor import SENSORS, AngularGrid, sensor_named
 

@@ -7,10 +7,10 @@ import pytest
 from core.drive import MemoryDrive
 from core.errors import Cancelled, EmptyDrive
 from core.grams import drive_gram
-from core.height_image import HEIGHT_REDUCERS
 from core.imager import Imager
 from core.images import project_drive
-from core.projection import RANGE_REDUCERS, Reducer, project_scan
+from core.projection import project_scan
+from core.reducer import HEIGHT_REDUCERS, RANGE_REDUCERS, Reducer
 from core.rings import RingGrid
 from core.sensor import AngularGrid
 from storage import image_file

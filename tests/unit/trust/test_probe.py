@@ -7,7 +7,7 @@ from core.displacement import seen_from_beside
 from core.errors import InvalidParameters
 from core.imager import Imager
 from core.images import ConcatenatedImages, MemoryImages, Probes, project_drive
-from core.projection import Reducer
+from core.reducer import Reducer
 from core.rings import RingGrid
 from core.scan import Scan
 from core.trust.probe import PROBES, probe_image, probe_scan, probed_among, standing_of_probe

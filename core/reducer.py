@@ -1,0 +1,129 @@
+"""Which return a shared cell of an image keeps, and how a scan's returns come to their cells."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+
+from core.arrays import Float32Array, FloatArray, IntArray
+
+__all__ = ["HEIGHT_REDUCERS", "RANGE_REDUCERS", "Reduced", "Reducer", "reduce_returns"]
+
+_BLOCK = 8192  # returns; 64 kB a number: the ten or so that a projection works with stay in cache
+
+
+class Reducer(StrEnum):
+    """Which return a shared cell keeps; the paper leaves it open.
+
+    `highest` is for height images only.
+    """
+
+    LAST = "last"
+    NEAREST = "nearest"
+    FARTHEST = "farthest"
+    MEAN = "mean"
+    HIGHEST = "highest"
+
+
+RANGE_REDUCERS = (Reducer.LAST, Reducer.NEAREST, Reducer.FARTHEST, Reducer.MEAN)
+HEIGHT_REDUCERS = (Reducer.MEAN, Reducer.HIGHEST)
+
+
+@dataclass(frozen=True, eq=False)
+class Reduced:
+    """What is left of a scan's returns in the cells of an image.
+
+    Attributes:
+        cells: `(c,)`, 0 where nothing fell.
+        inside: How many returns have a cell.
+        largest: The largest of their values, 0 without any.
+    """
+
+    cells: Float32Array
+    inside: int
+    largest: float
+
+
+def reduce_returns(
+    points_m: Float32Array,
+    place: Callable[[FloatArray], tuple[IntArray, FloatArray]],
+    cell_count: int,
+    reducer: Reducer,
+) -> Reduced:
+    """Place returns in cells and keep one number a cell.
+
+    The returns go block by block: all at once the numbers of 60,000 would go to memory and back
+    at every step, which takes twice as long.
+
+    Args:
+        points_m: `(n, 3)`.
+        place: Turns `(3, m)` coordinates into `(k,)` cells and `(k,)` values, 0 or more, of those
+            returns that have a cell, in their order.
+        cell_count: How many cells there are.
+        reducer: What a shared cell keeps.
+    """
+    reduction = _REDUCTIONS[reducer](cell_count)
+    inside, largest = 0, 0.0
+    for at in range(0, len(points_m), _BLOCK):
+        cells, values = place(points_m[at : at + _BLOCK].T.astype(np.float64, order="C"))
+        if len(cells):
+            inside += len(cells)
+            largest = max(largest, float(values.max()))
+            reduction.add(cells, values)
+    return Reduced(reduction.cells(), inside, largest)
+
+
+class _Mean:
+    def __init__(self, cell_count: int) -> None:
+        self._sums, self._counts = np.zeros(cell_count), np.zeros(cell_count, dtype=np.int64)
+
+    def add(self, cells: IntArray, values: FloatArray) -> None:
+        np.add.at(self._sums, cells, values)
+        np.add.at(self._counts, cells, 1)
+
+    def cells(self) -> Float32Array:
+        return _float32(self._sums / np.maximum(self._counts, 1))
+
+
+class _Largest:
+    def __init__(self, cell_count: int) -> None:
+        self._cells = np.zeros(cell_count, dtype=np.float32)
+
+    def add(self, cells: IntArray, values: FloatArray) -> None:
+        np.maximum.at(self._cells, cells, _float32(values))
+
+    def cells(self) -> Float32Array:
+        return self._cells
+
+
+class _Smallest(_Largest):
+    def __init__(self, cell_count: int) -> None:
+        self._cells = np.full(cell_count, np.inf, dtype=np.float32)
+
+    def add(self, cells: IntArray, values: FloatArray) -> None:
+        np.minimum.at(self._cells, cells, _float32(values))
+
+    def cells(self) -> Float32Array:
+        return np.where(np.isinf(self._cells), np.float32(0.0), self._cells)
+
+
+class _Last(_Largest):
+    def add(self, cells: IntArray, values: FloatArray) -> None:
+        # NumPy's tutorial says that the last of repeated indices is kept, its reference promises no
+        # order: a test holds it to the former.
+        self._cells[cells] = _float32(values)
+
+
+def _float32(values: FloatArray) -> Float32Array:
+    with np.errstate(over="ignore"):  # who projects refuses what is beyond float32
+        return values.astype(np.float32)
+
+
+_REDUCTIONS: dict[Reducer, type[_Mean | _Largest]] = {
+    Reducer.LAST: _Last,
+    Reducer.NEAREST: _Smallest,
+    Reducer.FARTHEST: _Largest,
+    Reducer.MEAN: _Mean,
+    Reducer.HIGHEST: _Largest,
+}
