@@ -10,13 +10,16 @@ import pytest
 from xdist.remote import Producer
 
 from app.jobs.worker import IMPORTED_LATE
+from app.threads import one_blas_thread
 from storage.catalog import database, migrations
 from tests.support.commands import Commands, commands
 from tests.support.postgresql import Cluster, cluster, reason_to_skip
 from tests.support.scheduling import ByModule
 from tests.support.schema import made_once
+from tests.support.statements import share_compiled
 
 multiprocessing.set_forkserver_preload(["app.jobs.worker", *IMPORTED_LATE])  # whoever starts it
+one_blas_thread()  # as every command and service does for itself
 gc.set_threshold(20_000, 20, 20)  # seldom: little of what tests leave behind are cycles
 
 _ran: set[str] = set()
@@ -65,9 +68,10 @@ def pytest_terminal_summary(
 
 
 @pytest.fixture(scope="session", autouse=True)
-def _schema_made_once() -> Iterator[None]:
+def _catalogs_made_quickly() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(database, "upgrade", made_once(migrations.upgrade))
+        share_compiled(patch)
         yield
 
 
