@@ -5,6 +5,7 @@ start hundreds. `python -m tests.support.commands SOCKET PID` waits at a socket 
 `command_client.py` sends, and ends with the process of that id.
 """
 
+import atexit
 import gc
 import importlib
 import json
@@ -18,6 +19,7 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -37,7 +39,8 @@ _REQUEST_BYTES = 200_000
 _START_S, _RUN_S = 60.0, 120.0
 _LATE = (  # what our programs import no earlier than they need it
     *("app.demo.run", "app.demo.server", "app.main", "app.pipelines", "app.report.page"),
-    *("alembic.command", "anyio._backends._asyncio", "laspy", "uvicorn"),
+    *("alembic.command", "alembic.config", "anyio._backends._asyncio", "laspy"),
+    *("rich._emoji_codes", "sqlalchemy.dialects.sqlite", "uvicorn", "uvicorn.loops.auto"),
     *("uvicorn.lifespan.on", "uvicorn.protocols.http.auto", "uvicorn.protocols.websockets.auto"),
 )
 
@@ -168,6 +171,26 @@ def _fork_instead(_python: str, words: Sequence[str], files: Sequence[int]) -> i
     return forked
 
 
+def _run() -> None:
+    """Run the module that `sys.argv` begins with, and end as an interpreter does, but for one step.
+
+    It would take apart all that was imported, and for that copy every page which it shares with
+    other programs: longer than what many of them do.
+    """
+    status: object = None
+    try:
+        runpy.run_module(sys.argv[0], run_name="__main__", alter_sys=True)
+    except SystemExit as end:
+        status = end.code
+    if not isinstance(status, int | None):
+        sys.exit(str(status))
+    threading._shutdown()  # type: ignore[attr-defined]
+    atexit._run_exitfuncs()
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(status or 0)
+
+
 def _import_all() -> None:
     """Import what our programs need, each of which imports only its own part by itself."""
     commands_of = importlib.import_module("app.cli.main")._MODULES
@@ -185,4 +208,4 @@ if __name__ == "__main__":
     serves = sys.argv[:2] == ["app.cli", "serve"] or sys.argv[0] == "tests.support.serve"
     if serves and os.environ.get(BUILDS_ANEW) != "1":
         _fork_builds()
-    runpy.run_module(sys.argv[0], run_name="__main__", alter_sys=True)
+    _run()
