@@ -75,6 +75,8 @@ def reduce_returns(
 
 
 class _Mean:
+    """What the returns of a cell are in the middle."""
+
     def __init__(self, cell_count: int) -> None:
         self._sums, self._counts = np.zeros(cell_count), np.zeros(cell_count, dtype=np.int64)
 
@@ -86,33 +88,29 @@ class _Mean:
         return _float32(self._sums / np.maximum(self._counts, 1))
 
 
-class _Largest:
-    def __init__(self, cell_count: int) -> None:
-        self._cells = np.zeros(cell_count, dtype=np.float32)
+class _Kept:
+    """One return's number a cell: `keep` is given the cells so far, then indices and values."""
+
+    def __init__(
+        self,
+        cell_count: int,
+        keep: Callable[[Float32Array, IntArray, Float32Array], None],
+        empty: float = 0.0,
+    ) -> None:
+        self._cells = np.full(cell_count, empty, dtype=np.float32)
+        self._keep, self._empty = keep, empty
 
     def add(self, cells: IntArray, values: FloatArray) -> None:
-        np.maximum.at(self._cells, cells, _float32(values))
+        self._keep(self._cells, cells, _float32(values))
 
     def cells(self) -> Float32Array:
-        return self._cells
+        return np.where(self._cells == self._empty, np.float32(0.0), self._cells)
 
 
-class _Smallest(_Largest):
-    def __init__(self, cell_count: int) -> None:
-        self._cells = np.full(cell_count, np.inf, dtype=np.float32)
-
-    def add(self, cells: IntArray, values: FloatArray) -> None:
-        np.minimum.at(self._cells, cells, _float32(values))
-
-    def cells(self) -> Float32Array:
-        return np.where(np.isinf(self._cells), np.float32(0.0), self._cells)
-
-
-class _Last(_Largest):
-    def add(self, cells: IntArray, values: FloatArray) -> None:
-        # NumPy's tutorial says that the last of repeated indices is kept, its reference promises no
-        # order: a test holds it to the former.
-        self._cells[cells] = _float32(values)
+def _overwrite(kept: Float32Array, cells: IntArray, values: Float32Array) -> None:
+    # NumPy's tutorial says that the last of repeated indices is kept, its reference promises no
+    # order: a test holds it to the former.
+    kept[cells] = values
 
 
 def _float32(values: FloatArray) -> Float32Array:
@@ -120,10 +118,10 @@ def _float32(values: FloatArray) -> Float32Array:
         return values.astype(np.float32)
 
 
-_REDUCTIONS: dict[Reducer, type[_Mean | _Largest]] = {
-    Reducer.LAST: _Last,
-    Reducer.NEAREST: _Smallest,
-    Reducer.FARTHEST: _Largest,
+_REDUCTIONS: dict[Reducer, Callable[[int], _Mean | _Kept]] = {
+    Reducer.LAST: lambda cell_count: _Kept(cell_count, _overwrite),
+    Reducer.NEAREST: lambda cell_count: _Kept(cell_count, np.minimum.at, empty=np.inf),
+    Reducer.FARTHEST: lambda cell_count: _Kept(cell_count, np.maximum.at),
+    Reducer.HIGHEST: lambda cell_count: _Kept(cell_count, np.maximum.at),
     Reducer.MEAN: _Mean,
-    Reducer.HIGHEST: _Largest,
 }
