@@ -52,7 +52,7 @@ def elevation_steps(
 
     Args:
         across: Horizontal distances, 0 or more; with 0 the elevation is 90 degrees, up or down.
-        up: z.
+        up: z, not 0 where `across` is.
         step_deg: One step.
         first_step: From which steps are counted, a part of one.
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from core.arrays import Float32Array
+from core.displacement import seen_from_beside
 from core.errors import InvalidParameters
 from core.height_image import HeightImage, project_heights
 from core.projection import RangeImage, project_scan
@@ -139,6 +140,4 @@ def grid_from_attributes(attributes: dict[str, Any]) -> Grid:
 
 
 def _beside(scan: Scan, left_m: float) -> Scan:
-    points_m = scan.points_m.copy()  # as seen_from_beside, without copies in double precision
-    points_m[:, 1] -= np.float64(left_m)
-    return Scan.from_returns(points_m)
+    return Scan.from_returns(seen_from_beside(scan.points_m, left_m))

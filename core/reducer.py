@@ -75,7 +75,7 @@ def reduce_returns(
 
 
 class _Mean:
-    """What the returns of a cell are in the middle."""
+    """The mean of a cell's returns."""
 
     def __init__(self, cell_count: int) -> None:
         self._sums, self._counts = np.zeros(cell_count), np.zeros(cell_count, dtype=np.int64)

@@ -73,7 +73,7 @@ class Scan:
         """
         # Beyond float32 is infinite and a signalling NaN is a NaN: both are dropped.
         with np.errstate(over="ignore", invalid="ignore"):
-            points = np.ascontiguousarray(returns_m, dtype=np.float32)
+            points = np.asarray(returns_m, dtype=np.float32, order="C")
         if points.ndim != 2 or points.shape[1] != 3:
             raise InvalidScan(f"returns have shape {points.shape}, wanted (n, 3)")
         keep = _is_return(points)

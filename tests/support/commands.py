@@ -184,6 +184,8 @@ def _run() -> None:
         status = end.code
     if not isinstance(status, int | None):
         sys.exit(str(status))
+    # Both private, and what an interpreter calls: joining threads alone would wait for those of
+    # executors, which only the first one ends.
     threading._shutdown()  # type: ignore[attr-defined]
     atexit._run_exitfuncs()
     sys.stdout.flush()
