@@ -153,17 +153,21 @@ def problem_response(
 
 
 def add_handlers(app: FastAPI) -> None:
-    """Make every error of the service a problem."""
+    """Make every error of the service a problem.
+
+    The handlers wait for nothing: to hand them to a thread, as plain functions are, takes longer
+    than they do.
+    """
 
     @app.exception_handler(core.TensorMapError)
-    def known(request: Request, error: core.TensorMapError) -> JSONResponse:
+    async def known(request: Request, error: core.TensorMapError) -> JSONResponse:
         response = problem_response(error)
         if response.status_code >= HTTPStatus.INTERNAL_SERVER_ERROR:
             _log.error("%s %s: %s", request.method, request.url.path, error, exc_info=error)
         return response
 
     @app.exception_handler(RequestValidationError)
-    def invalid(request: Request, error: RequestValidationError) -> JSONResponse:
+    async def invalid(request: Request, error: RequestValidationError) -> JSONResponse:
         kind = request.headers.get("content-type", "")
         # FastAPI parses as JSON only what says that it is, and else finds bytes for a body.
         if "json" not in kind.lower() and any(e["loc"] == ("body",) for e in error.errors()):
@@ -178,7 +182,7 @@ def add_handlers(app: FastAPI) -> None:
         )
 
     @app.exception_handler(HTTPException)
-    def http(request: Request, error: HTTPException) -> JSONResponse:
+    async def http(request: Request, error: HTTPException) -> JSONResponse:
         if isinstance(error.__cause__, core.TensorMapError):  # met while the body was read
             return problem_response(error.__cause__)
         if error.status_code == HTTPStatus.REQUEST_ENTITY_TOO_LARGE:
@@ -196,7 +200,7 @@ def add_handlers(app: FastAPI) -> None:
         return problem_response(InvalidRequest(str(error.detail)))
 
     @app.exception_handler(ClientDisconnect)
-    def gone(request: Request, _error: ClientDisconnect) -> Response:
+    async def gone(request: Request, _error: ClientDisconnect) -> Response:
         # A vehicle drove out of reach: nobody reads the answer, and it is no fault of the service.
         _log.info("%s %s: the client went away", request.method, request.url.path)
         return Response(status_code=HTTPStatus.BAD_REQUEST)

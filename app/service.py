@@ -43,8 +43,8 @@ class Service:
     collector: GarbageCollector
 
 
-def running_service(request: Request) -> Service:
-    """Return the service that a request came to."""
+async def running_service(request: Request) -> Service:
+    """Return the service that a request came to; asynchronous to need no thread."""
     service: Service = request.app.state.service
     return service
 
