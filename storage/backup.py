@@ -27,7 +27,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import BinaryIO
 
-from storage.drive_chunks import read_points, scan_digest
+from storage.drive_chunks import ChunkFile, scan_digest
 from storage.errors import CorruptFile, StorageBusy, StorageUnavailable
 from storage.files import named_disk_errors, publish
 from storage.map_file import read_map
@@ -234,10 +234,12 @@ def _check(path: Path, file: NamedFile) -> str | None:
     try:
         if file.revision is not None:
             found = read_map(path).revision
-            if found != file.revision:
-                return f"{file.path} holds revision {found}, not {file.revision}"
+            if found == file.revision:
+                return None
+            return f"{file.path} holds revision {found}, not {file.revision}"
+        chunk = ChunkFile(path)
         for row, wanted in file.scans.items():
-            if scan_digest(read_points(path, row)) != wanted:
+            if scan_digest(chunk.points_m(row)) != wanted:
                 return f"row {row} of {file.path} is not the scan that was put"
     except CorruptFile as error:
         return f"{file.path}: {error}"

@@ -19,15 +19,16 @@ from pathlib import Path
 import h5py
 import numpy as np
 
-from core.arrays import Float32Array
+from core.arrays import Float32Array, IntArray
 from core.scan import Scan
 from storage.errors import CorruptFile
 from storage.files import publish
 
-__all__ = ["read_points", "scan_digest", "write_chunk"]
+__all__ = ["ChunkFile", "scan_digest", "write_chunk"]
 
 FORMAT = "tensormap-drive-chunk"
 FORMAT_VERSION = 1
+_RETURN_BYTES = 12
 
 
 def scan_digest(points_m: Float32Array) -> str:
@@ -67,21 +68,47 @@ def _image(scans: Sequence[tuple[int, Scan]]) -> memoryview:
     return buffer.getbuffer()
 
 
-def read_points(path: Path, row: int) -> Float32Array:
-    """Read the returns of one scan of a chunk, `(n, 3)` metres, and nothing of the others.
+class ChunkFile:
+    """Where a chunk file has the returns of each scan; the file itself is not kept open.
 
     Raises:
         FileNotFoundError: If there is no such file.
-        CorruptFile: If it is not a chunk file, or holds no such row.
+        CorruptFile: If it is not a chunk file.
     """
-    try:
-        # Immutable, hence no lock: locking fails on read-only and some network mounts.
-        with h5py.File(path, "r", locking=False) as file:
-            if file.attrs["format"] != FORMAT or file.attrs["format_version"] != FORMAT_VERSION:
-                raise CorruptFile(f"{path.name} is no {FORMAT} of version {FORMAT_VERSION}")
-            start, end = file["scan_start"][row : row + 2]
-            return np.asarray(file["points_m"][start:end], dtype=np.float32)
-    except FileNotFoundError:
-        raise
-    except (OSError, RuntimeError, KeyError, ValueError) as error:
-        raise CorruptFile(f"row {row} of {path.name} cannot be read: {error}") from error
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        try:
+            # Immutable, hence no lock: locking fails on read-only and some network mounts.
+            with h5py.File(path, "r", locking=False) as file:
+                if file.attrs["format"] != FORMAT or file.attrs["format_version"] != FORMAT_VERSION:
+                    raise CorruptFile(f"{path.name} is no {FORMAT} of version {FORMAT_VERSION}")
+                points, starts = file["points_m"], file["scan_start"][:]
+                shape, dtype, offset = points.shape, points.dtype, points.id.get_offset()
+        except FileNotFoundError:
+            raise
+        except (OSError, RuntimeError, KeyError, ValueError) as error:
+            raise CorruptFile(f"{path.name} cannot be read: {error}") from error
+        of_scans = starts.size > 0 and starts[0] == 0 and bool(np.all(np.diff(starts) >= 0))
+        if not of_scans or shape != (starts[-1], 3) or dtype != "<f4":
+            raise CorruptFile(f"{path.name} does not hold its scans one after the other")
+        self._starts: IntArray = starts
+        self._offset = offset or 0  # none of a file without returns
+
+    def points_m(self, row: int) -> Float32Array:
+        """Read the returns of one scan, `(n, 3)` metres, and nothing of the others.
+
+        To open the file as HDF5 for each scan of 60,000 returns would take three times as long.
+
+        Raises:
+            FileNotFoundError: If the file is gone.
+            CorruptFile: If it has no such row, or ends before it.
+        """
+        if not 0 <= row < len(self._starts) - 1:
+            raise CorruptFile(f"row {row} of {self._path.name}: it has {len(self._starts) - 1}")
+        start, end = self._starts[row : row + 2].tolist()
+        at = self._offset + start * _RETURN_BYTES
+        points = np.fromfile(self._path, "<f4", count=3 * (end - start), offset=at)
+        if len(points) != 3 * (end - start):
+            raise CorruptFile(f"row {row} of {self._path.name} is cut off")
+        return points.reshape(-1, 3)

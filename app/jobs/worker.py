@@ -19,7 +19,7 @@ from storage.store import Store
 
 __all__ = ["IMPORTED_LATE", "run_build"]
 
-IMPORTED_LATE = ("scipy.optimize",)
+IMPORTED_LATE = ("scipy.optimize", "sqlalchemy.dialects.sqlite")
 """Modules that every build needs, imported when they are used: not everybody who uses us does."""
 
 _REPORT_EVERY_S = 0.2

@@ -17,9 +17,7 @@ __all__ = ["compact", "in_chunks", "move_into_one"]
 _CHUNK_BYTES = 64 * 2**20  # held in memory while it is written; some 90 scans of 60,000 returns
 
 
-def compact(
-    catalog: Catalog, drive_id: str, chunks: Path, read: Callable[[ScanRecord], Scan]
-) -> None:
+def compact(catalog: Catalog, drive_id: str, chunks: Path, read: Callable[[int], Scan]) -> None:
     """Rewrite the chunk files of a closed drive, `chunks`, into ones of some 64 MB.
 
     A new file is on disk before the rows move to it in one transaction, and the old ones go after
@@ -45,7 +43,7 @@ def move_into_one(
     drive_id: str,
     chunks: Path,
     group: Sequence[ScanRecord],
-    read: Callable[[ScanRecord], Scan],
+    read: Callable[[int], Scan],
 ) -> None:
     """Move scans into a new chunk file of their own, and remove those that hold none any more.
 
@@ -54,7 +52,7 @@ def move_into_one(
         StorageFull: If no space is left; nothing is changed.
     """
     name = f"{new_id()}.h5"
-    scans = [(record.index, read(record)) for record in group]
+    scans = [(record.index, read(record.index)) for record in group]
     try:
         write_chunk(chunks / name, scans)
         emptied = catalog.scans.move(drive_id, group, name)

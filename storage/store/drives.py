@@ -12,11 +12,9 @@ from core.pose import Pose
 from core.scan import Scan
 from storage.catalog import Catalog, DriveRecord, ScanRecord
 from storage.catalog.scans import LostRace, PutTarget
-from storage.drive_chunks import read_points, scan_digest, write_chunk
+from storage.drive_chunks import scan_digest, write_chunk
 from storage.errors import (
-    CorruptFile,
     DriveClosed,
-    ReturnsGone,
     ScanConflict,
     ScanNotFound,
     StorageBusy,
@@ -28,6 +26,7 @@ from storage.retention import Retention
 from storage.store.compaction import compact
 from storage.store.dropping import drop_returns
 from storage.store.layout import Layout
+from storage.store.scan_reader import ScanReader
 from storage.store.stored_drive import StoredDrive
 
 __all__ = ["Drives", "PutResult"]
@@ -187,7 +186,7 @@ class Drives:
         drive = self._catalog.drives.close(map_slug, drive_slug)
         chunks = self._layout.chunks(drive.map_id, drive.id)
         with suppress(LostRace, ScanNotFound, FileNotFoundError):  # packed or removed by another
-            compact(self._catalog, drive.id, chunks, lambda record: self._read(drive, record.index))
+            compact(self._catalog, drive.id, chunks, self._reader(drive).scan)
         return drive
 
     def drop_returns(
@@ -216,7 +215,7 @@ class Drives:
             indices,
             default,
             chunks,
-            lambda record: self._read(drive, record.index),
+            self._reader(drive).scan,
         )
 
     def delete(self, map_slug: str, drive_slug: str) -> DriveRecord:
@@ -258,7 +257,7 @@ class Drives:
             ReturnsGone: If its returns were dropped after a build.
             CorruptFile: If what is stored is not what was put.
         """
-        return self._read(self.get(map_slug, drive_slug), index)
+        return self._reader(self.get(map_slug, drive_slug)).scan(index)
 
     def open(self, map_slug: str, drive_slug: str) -> StoredDrive:
         """Return a drive as the method reads it: the scans that it has now.
@@ -280,37 +279,10 @@ class Drives:
 
     def _open(self, drive: DriveRecord) -> StoredDrive:
         records = self._catalog.scans.of_drive(drive.id)
-        return StoredDrive(drive, records, lambda index: self._read(drive, index))
+        return StoredDrive(drive, records, self._reader(drive).scan)
 
-    def _read(self, drive: DriveRecord, index: int) -> Scan:
-        chunks = self._layout.chunks(drive.map_id, drive.id)
-        record = self._kept(drive, index)
-        try:
-            points_m = read_points(chunks / record.chunk, record.row)
-        except FileNotFoundError as error:
-            moved = self._kept(drive, index)  # or dropped meanwhile
-            if moved.chunk == record.chunk:
-                raise CorruptFile(f"the file of scan {index} is gone: {record.chunk}") from error
-            points_m = read_points(chunks / moved.chunk, moved.row)  # compaction came between
-        digest = scan_digest(points_m)
-        if digest != record.digest:
-            raise CorruptFile(
-                f"scan {index} of drive {drive.slug!r} has digest {digest}, {record.digest} was put"
-            )
-        return Scan(
-            points_m,
-            timestamp_s=record.timestamp_s,
-            pose=record.pose,
-            dropped_returns=record.dropped_returns,
-        )
-
-    def _kept(self, drive: DriveRecord, index: int) -> ScanRecord:
-        record = self._catalog.scans.get(drive.id, index)
-        if not record.has_returns:
-            raise ReturnsGone(
-                f"the returns of scan {index} of drive {drive.slug!r} were dropped after a build"
-            )
-        return record
+    def _reader(self, drive: DriveRecord) -> ScanReader:
+        return ScanReader(self._catalog, drive, self._layout.chunks(drive.map_id, drive.id))
 
 
 def _check_indices(indices: Sequence[int]) -> None:

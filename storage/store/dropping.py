@@ -4,7 +4,7 @@ from collections.abc import Callable, Collection
 from pathlib import Path
 
 from core.scan import Scan
-from storage.catalog import Catalog, DriveRecord, ScanRecord, on_behalf
+from storage.catalog import Catalog, DriveRecord, on_behalf
 from storage.files import discard
 from storage.retention import Retention
 from storage.store.compaction import in_chunks, move_into_one
@@ -19,7 +19,7 @@ def drop_returns(
     indices: Collection[int],
     default: Retention,
     chunks: Path,
-    read: Callable[[ScanRecord], Scan],
+    read: Callable[[int], Scan],
 ) -> None:
     """Drop the returns of some scans of a closed drive.
 

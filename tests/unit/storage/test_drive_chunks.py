@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from core.scan import Scan
-from storage.drive_chunks import read_points, scan_digest, write_chunk
+from storage.drive_chunks import ChunkFile, scan_digest, write_chunk
 from storage.errors import CorruptFile
 
 
@@ -20,8 +20,9 @@ def scans():
 
 def test_scans_come_back_bit_for_bit(tmp_path, scans):
     write_chunk(tmp_path / "a.h5", scans)
+    file = ChunkFile(tmp_path / "a.h5")
     for row, (_, scan) in enumerate(scans):
-        back = read_points(tmp_path / "a.h5", row)
+        back = file.points_m(row)
         assert back.tobytes() == scan.points_m.tobytes()
         assert scan_digest(back) == scan_digest(scan.points_m)
 
@@ -48,14 +49,44 @@ def test_the_digest_is_of_the_returns_and_their_order_only():
 def test_a_row_that_is_not_there_is_corrupt(tmp_path, scans):
     write_chunk(tmp_path / "a.h5", scans)
     with pytest.raises(CorruptFile, match=r"row 3 of a\.h5"):
-        read_points(tmp_path / "a.h5", 3)
+        ChunkFile(tmp_path / "a.h5").points_m(3)
+
+
+def test_a_file_that_is_cut_off_after_it_was_opened_is_corrupt(tmp_path, scans):
+    path = tmp_path / "a.h5"
+    write_chunk(path, scans)
+    file = ChunkFile(path)
+    path.write_bytes(path.read_bytes()[:-100])
+    assert file.points_m(0).tobytes() == scans[0][1].points_m.tobytes()
+    with pytest.raises(CorruptFile, match=r"row 2 of a\.h5 is cut off"):
+        file.points_m(2)
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        {"scan_start": np.array([], "<i8")},
+        {"scan_start": np.array([0, 5, 4, 75], "<i8")},
+        {"scan_start": np.array([0, 5, 5, 76], "<i8")},
+        {"points_m": np.zeros((75, 3), "<f8")},
+        {"points_m": np.zeros(75 * 3, "<f4")},
+    ],
+)
+def test_scans_that_do_not_lie_one_after_the_other_are_corrupt(tmp_path, scans, damage):
+    write_chunk(tmp_path / "a.h5", scans)
+    with h5py.File(tmp_path / "a.h5", "r+") as file:
+        for name, array in damage.items():
+            del file[name]
+            file[name] = array
+    with pytest.raises(CorruptFile, match="one after the other"):
+        ChunkFile(tmp_path / "a.h5")
 
 
 @pytest.mark.parametrize("content", [b"", b"no HDF5 at all"])
 def test_another_file_is_corrupt(tmp_path, content):
     (tmp_path / "a.h5").write_bytes(content)
     with pytest.raises(CorruptFile):
-        read_points(tmp_path / "a.h5", 0)
+        ChunkFile(tmp_path / "a.h5").points_m(0)
 
 
 def test_a_truncated_file_is_corrupt(tmp_path, scans):
@@ -63,7 +94,7 @@ def test_a_truncated_file_is_corrupt(tmp_path, scans):
     whole = (tmp_path / "a.h5").read_bytes()
     (tmp_path / "a.h5").write_bytes(whole[: len(whole) - 100])
     with pytest.raises(CorruptFile):
-        read_points(tmp_path / "a.h5", 2)
+        ChunkFile(tmp_path / "a.h5").points_m(2)
 
 
 def test_a_chunk_of_a_later_version_is_refused(tmp_path, scans):
@@ -71,9 +102,9 @@ def test_a_chunk_of_a_later_version_is_refused(tmp_path, scans):
     with h5py.File(tmp_path / "a.h5", "r+") as file:
         file.attrs["format_version"] = 2
     with pytest.raises(CorruptFile, match="version 1"):
-        read_points(tmp_path / "a.h5", 0)
+        ChunkFile(tmp_path / "a.h5").points_m(0)
 
 
 def test_a_file_that_is_gone_is_told_from_a_corrupt_one(tmp_path):
     with pytest.raises(FileNotFoundError):
-        read_points(tmp_path / "a.h5", 0)
+        ChunkFile(tmp_path / "a.h5").points_m(0)
