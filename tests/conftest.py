@@ -30,6 +30,20 @@ def pytest_xdist_auto_num_workers() -> int:
     return max(2, (os.cpu_count() or 1) * 3 // 2)
 
 
+def pytest_configure(config: pytest.Config) -> None:
+    """Keep each of the first workers on a core of its own; the others go where there is room.
+
+    Requests pass from thread to thread: where another core has to wake up for that each time, all
+    tests take a twelfth more processor time (on two cores).
+    """
+    told = getattr(config, "workerinput", None)  # none in the process that shares tests out
+    if told is None:
+        return
+    cores, worker = sorted(os.sched_getaffinity(0)), int(told["workerid"].removeprefix("gw"))
+    if worker < len(cores):
+        os.sched_setaffinity(0, {cores[worker]})
+
+
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Producer) -> ByModule:
     """Share tests out by module, in the order of their names."""
     config.option.loadscopereorder = False  # documents, which take longest, would come last
@@ -80,6 +94,15 @@ def shared(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder of all workers: what one of them has made there the others need not make."""
     own = tmp_path_factory.getbasetemp()
     return own.parent if "PYTEST_XDIST_WORKER" in os.environ else own
+
+
+@pytest.fixture
+def all_cores() -> Iterator[None]:
+    """Let a test use every core: what it starts at once would only take turns on one."""
+    kept = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, range(os.sysconf("SC_NPROCESSORS_CONF")))
+    yield
+    os.sched_setaffinity(0, kept)
 
 
 @pytest.fixture(scope="session")

@@ -1,13 +1,13 @@
 """A job's events: server-sent, from where the client last was."""
 
 import json
-import time
 from datetime import UTC, datetime, timedelta
 
 import pytest
 
 from storage.catalog import JobState
 from tests.support.service import problem_of, wait_for
+from tests.support.workers import stand_still
 
 
 def events_in(text):
@@ -55,11 +55,6 @@ def test_a_job_that_goes_with_its_map_ends_its_events(own, monkeypatch):
                 told.append(json.loads(line.removeprefix("data: "))["state"])
                 own.delete("/v1/maps/campus")
     assert told == ["running"]
-
-
-def stand_still(*_):
-    """Be a worker that never ends."""
-    time.sleep(600)
 
 
 def test_there_are_no_events_of_no_job(client):

@@ -18,22 +18,13 @@ from storage.errors import JobNotFound, StorageBusy
 from storage.store import Store
 from tests.support.recording import recording, upload_scan
 from tests.support.service import problem_of, running, wait_for, whole_store
+from tests.support.workers import fall_over, stand_still
 
 
 def build(client, **wanted):
     response = client.post("/v1/maps/campus/builds", json=wanted)
     assert response.status_code == 202, response.text
     return response.json()["job"]
-
-
-def stand_still(*_):
-    """Be a worker that never ends."""
-    time.sleep(600)
-
-
-def fall_over(*_):
-    """Be a worker with a fault."""
-    os._exit(3)
 
 
 @pytest.fixture

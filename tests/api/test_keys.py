@@ -2,7 +2,6 @@
 
 import re
 import threading
-import time
 from datetime import UTC, datetime, timedelta
 
 import pytest
@@ -21,6 +20,7 @@ from tests.support.access import (
 )
 from tests.support.process import until
 from tests.support.service import copy_of, problem_of, running
+from tests.support.workers import stand_still
 
 
 @pytest.fixture(scope="module")
@@ -128,11 +128,6 @@ def test_a_stream_ends_when_its_key_is_revoked(client):
         with pytest.raises(WebSocketDisconnect) as closed:
             stream.receive_json()
     assert closed.value.code == 1008
-
-
-def stand_still(*_):
-    """Be a worker that never ends."""
-    time.sleep(600)
 
 
 def test_the_events_of_a_job_end_when_the_key_is_revoked(tmp_path, built, monkeypatch):

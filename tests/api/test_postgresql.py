@@ -32,17 +32,17 @@ def test_a_catalog_that_goes_away_is_told_and_comes_back(postgresql: Cluster, tm
     name = url.partition("?")[0].rpartition("/")[2]
     with running(tmp_path / "data", catalog_url=url) as client:
         client.post("/v1/maps", json={"map": "campus"})
-        postgresql.run(f"ALTER DATABASE {name} ALLOW_CONNECTIONS false", "postgres")
+        postgresql.run(f"ALTER DATABASE {name} ALLOW_CONNECTIONS false", database="postgres")
         postgresql.run(
             "SELECT pg_terminate_backend(pid, 10000) FROM pg_stat_activity"
             f" WHERE datname = '{name}'",
-            "postgres",
+            database="postgres",
         )
         assert problem_of(client.get("/v1/maps/campus")) == (503, "storage-unavailable")
         not_ready = client.get("/readyz")
         assert not_ready.status_code == 503
         assert "the catalog cannot be read" in not_ready.json()["missing"][0]
-        postgresql.run(f"ALTER DATABASE {name} ALLOW_CONNECTIONS true", "postgres")
+        postgresql.run(f"ALTER DATABASE {name} ALLOW_CONNECTIONS true", database="postgres")
         assert client.get("/v1/maps/campus").status_code == 200
         assert client.get("/readyz").status_code == 200
 
@@ -52,7 +52,8 @@ def test_a_catalog_that_may_only_be_read_is_told(postgresql: Cluster, tmp_path) 
     name = url.partition("?")[0].rpartition("/")[2]
     with running(tmp_path / "data", catalog_url=url) as client:
         client.post("/v1/maps", json={"map": "campus"})
-        postgresql.run(f"ALTER DATABASE {name} SET default_transaction_read_only = on", "postgres")
+        read_only = f"ALTER DATABASE {name} SET default_transaction_read_only = on"
+        postgresql.run(read_only, database="postgres")
         client.service.store.catalog._database.engine.dispose()
         assert client.get("/v1/maps").status_code == 200  # what reads first may not write after it
         made = client.post("/v1/maps", json={"map": "new"})

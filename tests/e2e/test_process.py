@@ -70,7 +70,7 @@ def test_what_was_acknowledged_outlives_a_kill_and_what_was_begun_is_done_after_
             os.kill(child, signal.SIGTERM)
             os.kill(child, signal.SIGINT)
         end_in_the_middle(server, signal.SIGTERM)
-    with serving(data_dir, log, builds_anew=True) as server:
+    with serving(data_dir, log) as server:
         assert len(acknowledged) > 30
         for index in acknowledged:
             got = server.client.get(f"/v1/maps/campus/drives/monday/scans/{index}")

@@ -26,6 +26,7 @@ from itertools import pairwise
 from pathlib import Path
 from unittest import mock
 
+from app.threads import one_blas_thread
 from tests.support.locks import one_at_a_time
 
 __all__ = ["BUILDS_ANEW", "Commands", "commands"]
@@ -106,6 +107,8 @@ def _serve(address: Path, tests: int) -> None:
         if os.fork() != 0:
             os._exit(0)  # whoever started this need not wait longer
         os.setsid()
+        # The worker that started this may keep to one core: this is for all of them.
+        os.sched_setaffinity(0, range(os.sysconf("SC_NPROCESSORS_CONF")))
         signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # nobody waits for those that fork here
         while ended not in select.select([listening.fileno(), ended], [], [])[0]:
             asked, _ = listening.accept()
@@ -201,6 +204,7 @@ def _import_all() -> None:
         importlib.import_module(module)
     settings = importlib.import_module("app.settings").Settings()
     importlib.import_module("app.main").create_app(settings)  # its routes are worked out once
+    one_blas_thread()  # to find the libraries takes longest, and is remembered
     gc.freeze()  # or every program would take most of a second to take all this apart
 
 

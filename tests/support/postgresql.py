@@ -15,7 +15,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from sqlalchemy import URL, create_engine, text
+from sqlalchemy import URL
 
 __all__ = ["Cluster", "cluster", "reason_to_skip"]
 
@@ -94,8 +94,7 @@ class Cluster:
         def make() -> str:
             if self._unused:
                 name = self._unused.pop()
-                for statement in _EMPTY:
-                    self.run(statement, name)
+                self.run(*_EMPTY, database=name)
             else:
                 name = self._create()
             used.append(name)
@@ -108,7 +107,7 @@ class Cluster:
 
     def _create(self) -> str:
         name = f"t{next(self._numbers)}"
-        self.run(f"CREATE DATABASE {name} TEMPLATE template0", "postgres")
+        self.run(f"CREATE DATABASE {name} TEMPLATE template0", database="postgres")
         return name
 
     def url(self, database: str) -> str:
@@ -118,12 +117,15 @@ class Cluster:
         )
         return url.render_as_string(hide_password=False)
 
-    def run(self, statement: str, database: str) -> None:
-        """Run a statement outside of any transaction."""
-        engine = create_engine(self.url(database), isolation_level="AUTOCOMMIT")
-        with engine.connect() as connection:
-            connection.execute(text(statement))
-        engine.dispose()
+    def run(self, *statements: str, database: str) -> None:
+        """Run statements outside of any transaction."""
+        import psycopg  # where there is none, these tests are skipped
+
+        with psycopg.connect(
+            host=str(self.folder), user="tensormap", dbname=database, autocommit=True
+        ) as connection:
+            for statement in statements:
+                connection.execute(statement.encode())
 
 
 @contextmanager
