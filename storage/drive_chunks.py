@@ -89,8 +89,9 @@ class ChunkFile:
             raise
         except (OSError, RuntimeError, KeyError, ValueError) as error:
             raise CorruptFile(f"{path.name} cannot be read: {error}") from error
-        of_scans = starts.size > 0 and starts[0] == 0 and bool(np.all(np.diff(starts) >= 0))
-        if not of_scans or shape != (starts[-1], 3) or dtype != "<f4":
+        counted = starts.dtype == "<i8" and starts.size > 0
+        in_order = counted and starts[0] == 0 and bool(np.all(np.diff(starts) >= 0))
+        if not in_order or shape != (starts[-1], 3) or dtype != "<f4":
             raise CorruptFile(f"{path.name} does not hold its scans one after the other")
         self._starts: IntArray = starts
         self._offset = offset or 0  # none of a file without returns
@@ -102,13 +103,18 @@ class ChunkFile:
 
         Raises:
             FileNotFoundError: If the file is gone.
-            CorruptFile: If it has no such row, or ends before it.
+            CorruptFile: If it has no such row, ends before it, or cannot be read.
         """
         if not 0 <= row < len(self._starts) - 1:
             raise CorruptFile(f"row {row} of {self._path.name}: it has {len(self._starts) - 1}")
         start, end = self._starts[row : row + 2].tolist()
         at = self._offset + start * _RETURN_BYTES
-        points = np.fromfile(self._path, "<f4", count=3 * (end - start), offset=at)
+        try:
+            points = np.fromfile(self._path, "<f4", count=3 * (end - start), offset=at)
+        except FileNotFoundError:
+            raise
+        except OSError as error:
+            raise CorruptFile(f"row {row} of {self._path.name} cannot be read: {error}") from error
         if len(points) != 3 * (end - start):
             raise CorruptFile(f"row {row} of {self._path.name} is cut off")
         return points.reshape(-1, 3)

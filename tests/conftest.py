@@ -22,6 +22,7 @@ multiprocessing.set_forkserver_preload(["app.jobs.worker", *IMPORTED_LATE])  # w
 one_blas_thread()  # as every command and service does for itself
 gc.set_threshold(20_000, 20, 20)  # seldom: little of what tests leave behind are cycles
 
+_CORES = os.sched_getaffinity(0)
 _ran: set[str] = set()
 
 
@@ -39,9 +40,9 @@ def pytest_configure(config: pytest.Config) -> None:
     told = getattr(config, "workerinput", None)  # none in the process that shares tests out
     if told is None:
         return
-    cores, worker = sorted(os.sched_getaffinity(0)), int(told["workerid"].removeprefix("gw"))
-    if worker < len(cores):
-        os.sched_setaffinity(0, {cores[worker]})
+    worker = int(told["workerid"].removeprefix("gw"))
+    if worker < len(_CORES):
+        os.sched_setaffinity(0, {sorted(_CORES)[worker]})
 
 
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Producer) -> ByModule:
@@ -100,7 +101,7 @@ def shared(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def all_cores() -> Iterator[None]:
     """Let a test use every core: what it starts at once would only take turns on one."""
     kept = os.sched_getaffinity(0)
-    os.sched_setaffinity(0, range(os.sysconf("SC_NPROCESSORS_CONF")))
+    os.sched_setaffinity(0, _CORES)
     yield
     os.sched_setaffinity(0, kept)
 

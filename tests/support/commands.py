@@ -107,8 +107,8 @@ def _serve(address: Path, tests: int) -> None:
         if os.fork() != 0:
             os._exit(0)  # whoever started this need not wait longer
         os.setsid()
-        # The worker that started this may keep to one core: this is for all of them.
-        os.sched_setaffinity(0, range(os.sysconf("SC_NPROCESSORS_CONF")))
+        # The worker that started this may keep to one core: this is for all that the tests have.
+        os.sched_setaffinity(0, os.sched_getaffinity(tests))
         signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # nobody waits for those that fork here
         while ended not in select.select([listening.fileno(), ended], [], [])[0]:
             asked, _ = listening.accept()
@@ -188,7 +188,7 @@ def _run() -> None:
     if not isinstance(status, int | None):
         sys.exit(str(status))
     # Both private, and what an interpreter calls: joining threads alone would wait for those of
-    # executors, which only the first one ends.
+    # executors, which only the first one ends. Nothing public does it and leaves the rest out.
     threading._shutdown()  # type: ignore[attr-defined]
     atexit._run_exitfuncs()
     sys.stdout.flush()

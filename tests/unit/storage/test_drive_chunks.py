@@ -1,5 +1,7 @@
 """Chunk files of raw scans."""
 
+import errno
+
 import h5py
 import numpy as np
 import pytest
@@ -62,11 +64,24 @@ def test_a_file_that_is_cut_off_after_it_was_opened_is_corrupt(tmp_path, scans):
         file.points_m(2)
 
 
+def test_a_file_that_the_disk_no_longer_reads_is_corrupt(tmp_path, scans, monkeypatch):
+    write_chunk(tmp_path / "a.h5", scans)
+    file = ChunkFile(tmp_path / "a.h5")
+
+    def fail(*_args, **_options):
+        raise OSError(errno.EIO, "Input/output error")
+
+    monkeypatch.setattr(np, "fromfile", fail)
+    with pytest.raises(CorruptFile, match=r"row 2 of a\.h5 cannot be read: .*Input/output"):
+        file.points_m(2)
+
+
 @pytest.mark.parametrize(
     "damage",
     [
         {"scan_start": np.array([], "<i8")},
         {"scan_start": np.array([0, 5, 4, 75], "<i8")},
+        {"scan_start": np.array([0, 5, 5, 75], "<f8")},
         {"scan_start": np.array([0, 5, 5, 76], "<i8")},
         {"points_m": np.zeros((75, 3), "<f8")},
         {"points_m": np.zeros(75 * 3, "<f4")},
