@@ -1,6 +1,7 @@
 """The lines that vehicles drove, sampled evenly, to see where they meet."""
 
 import itertools
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -68,19 +69,21 @@ def driven_lines(trajectory: Trajectory) -> tuple[Line, ...]:
     lines: list[Line] = []
     for start, end in itertools.pairwise(trajectory.drive_start.tolist()):
         rows: list[int] = []
+        last_m: list[float] = []
         last = start
         for row in range(start, end):
+            here_m = positions_m[row].tolist()
             if known[row] and rows:
-                step_m = float(np.linalg.norm(positions_m[row] - positions_m[rows[-1]]))
+                step_m = math.dist(here_m, last_m)
                 if step_m < _STEP_M:
                     last = row
                     continue
                 if step_m <= _GAP_M:
                     rows.append(row)
-                    last = row
+                    last, last_m = row, here_m
                     continue
             _close(lines, rows, last, positions_m)
-            rows, last = ([row], row) if known[row] else ([], row)
+            rows, last, last_m = ([row] if known[row] else []), row, here_m
         _close(lines, rows, last, positions_m)
     return tuple(lines)
 

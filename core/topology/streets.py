@@ -9,6 +9,7 @@ import math
 from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -94,6 +95,7 @@ class Streets:
     meetings: tuple[Meeting, ...]
 
 
+@lru_cache(maxsize=1)  # a build cuts segments by what it then joins them by
 def find_streets(trajectory: Trajectory) -> Streets:
     """Find where drives meet, themselves or one another.
 
@@ -146,8 +148,13 @@ class _Search:
     def __init__(self, lines: tuple[Line, ...]) -> None:
         self._lines = lines
         self._samples = [
-            np.column_stack([line.sample_arc_m, line.sample_m, line.tangent]).tolist()
-            for line in lines
+            [
+                _Sample(number, *row)
+                for row in np.column_stack(
+                    [line.sample_arc_m, line.sample_m, line.tangent]
+                ).tolist()
+            ]
+            for number, line in enumerate(lines)
         ]
         self.first_time = [np.ones(len(line.sample_arc_m), dtype=bool) for line in lines]
         self._cells: dict[tuple[int, int], list[_Sample]] = defaultdict(list)
@@ -213,29 +220,29 @@ class _Search:
 
     def _beside(self, number: int, sample: int) -> list[_Beside]:
         """Return the samples of streets beside a sample, nearest first."""
-        here = self._sample(number, sample)
+        here = self._samples[number][sample]
+        _, here_m, x, y, z, tangent_x, tangent_y = here
         column, row = self._cell(here)
         found = []
         for cell in [(column + i, row + j) for i in (-1, 0, 1) for j in (-1, 0, 1)]:
-            for other in self._cells.get(cell, ()):
-                apart_m = math.hypot(other.x - here.x, other.y - here.y)
-                if apart_m > BESIDE_M or abs(other.z - here.z) > LEVEL_M:
+            for street, arc_m, other_x, other_y, other_z, other_dx, other_dy in self._cells.get(
+                cell, ()
+            ):
+                along = tangent_x * other_dx + tangent_y * other_dy
+                if -_PARALLEL < along < _PARALLEL:
                     continue
-                along = here.tangent_x * other.tangent_x + here.tangent_y * other.tangent_y
-                if abs(along) < _PARALLEL:
+                if along > 0 and street == number and here_m - arc_m < AGAIN_M:
                     continue
-                if along > 0 and other.street == number and here.arc_m - other.arc_m < AGAIN_M:
+                apart_m = math.hypot(other_x - x, other_y - y)
+                if apart_m > BESIDE_M or abs(other_z - z) > LEVEL_M:
                     continue
                 degrees = math.degrees(math.acos(min(1.0, abs(along))))
-                found.append(_Beside(apart_m, other.street, other.arc_m, degrees, along < 0))
+                found.append(_Beside(apart_m, street, arc_m, degrees, along < 0))
         return sorted(found)
 
     def _keep(self, number: int, sample: int) -> None:
-        kept = self._sample(number, sample)
+        kept = self._samples[number][sample]
         self._cells[self._cell(kept)].append(kept)
-
-    def _sample(self, number: int, sample: int) -> _Sample:
-        return _Sample(number, *self._samples[number][sample])
 
     @staticmethod
     def _cell(sample: _Sample) -> tuple[int, int]:
