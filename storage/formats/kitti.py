@@ -64,6 +64,12 @@ def refuse_implausible(returns_m: Float32Array, wanted: str) -> None:
     Raises:
         WrongDtype: If too many are tiny, huge or not finite; the message says what was `wanted`.
     """
+    with np.errstate(invalid="ignore"):  # a signalling NaN is a NaN
+        size_m = np.abs(returns_m)
+        measured = np.count_nonzero((size_m >= _SMALLEST_M) & (size_m <= _LARGEST_M))
+    # What is not zero is all that could tell: that settles nearly every scan, and ten times faster.
+    if measured >= (1.0 - _IMPLAUSIBLE_SHARE) * np.count_nonzero(returns_m):
+        return
     share = _implausible_share(returns_m)
     if share > _IMPLAUSIBLE_SHARE:
         raise WrongDtype(

@@ -6,6 +6,7 @@ import pytest
 from core.errors import TooFewReturns
 from core.scan import Scan
 from storage.formats.errors import TruncatedScan, WrongDtype
+from storage.formats.kitti import refuse_implausible
 from storage.formats.registry import read_scan
 
 KITTI = "application/vnd.tensormap.kitti"
@@ -68,3 +69,22 @@ def test_a_few_odd_values_do_not_make_a_scan_of_another_type() -> None:
     written = street()
     written[:30, 0] = 1e-9
     assert len(read(written.tobytes())) == 400
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_a_scan_is_refused_where_more_than_a_quarter_of_what_tells_is_implausible(seed) -> None:
+    """A no-return tells nothing, nor does a zero beside what is measured."""
+    random = np.random.default_rng(seed)
+    kinds = np.array([0.0, 5.0, -30.0, 1e-9, 1e9, np.nan, np.inf], np.float32)
+    share = random.dirichlet([2.0, 4.0, 4.0, 0.4, 0.4, 0.4, 0.4])
+    returns_m = random.choice(kinds, size=(20, 3), p=share).astype(np.float32)
+    told = implausible = 0
+    for row in returns_m.tolist():
+        for one in row if np.isfinite(row).any() else ():
+            told += one != 0.0
+            implausible += one != 0.0 and not 1e-6 <= abs(one) <= 1e5
+    if implausible > 0.25 * told:
+        with pytest.raises(WrongDtype, match=f"^{implausible / told:.0%} of the coordinates"):
+            refuse_implausible(returns_m, "metres")
+    else:
+        refuse_implausible(returns_m, "metres")
