@@ -23,11 +23,11 @@ from app.metrics import Metrics
 from app.observing import RequestObserver
 from app.openapi import complete_openapi
 from app.problems import add_handlers
+from app.process import one_blas_thread
 from app.revisions import LoadedRevisions
 from app.routes import api, open_routes, streams
 from app.service import Service
 from app.settings import Settings
-from app.threads import one_blas_thread
 from app.tracks import Tracks
 from storage.catalog import JobRecord
 from storage.store import Store

@@ -10,7 +10,7 @@ import pytest
 from xdist.remote import Producer
 
 from app.jobs.worker import IMPORTED_LATE
-from app.threads import one_blas_thread
+from app.process import one_blas_thread
 from storage.catalog import database, migrations
 from tests.support.commands import Commands, commands
 from tests.support.postgresql import Cluster, cluster, reason_to_skip

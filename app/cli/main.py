@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from app.demo.errors import DemoFailed
-from app.threads import one_blas_thread
+from app.process import keep_freed_memory, one_blas_thread
 from core.errors import TensorMapError
 
 __all__ = ["cli", "main"]
@@ -81,6 +81,8 @@ def about(
 def main() -> None:
     """Run a command; an error that was foreseen is one line, not a traceback."""
     one_blas_thread()
+    if sys.argv[1:2] != ["serve"]:
+        keep_freed_memory()
     try:
         cli()
     except (TensorMapError, DemoFailed) as error:

@@ -11,7 +11,7 @@ from pathlib import Path
 from app.jobs.parameters import BuildParameters
 from app.logs import LogFormat, configure_logging
 from app.pipelines import build_revision
-from app.threads import one_blas_thread
+from app.process import keep_freed_memory, one_blas_thread
 from core.errors import Cancelled, TensorMapError
 from storage.catalog import JobRecord
 from storage.errors import JobNotFound
@@ -33,8 +33,9 @@ def run_build(
     log_level: str = "INFO",
 ) -> None:
     """Run one claimed job to its end and write down how it ended."""
-    if parent_process() is not None:  # nobody's logging but its own
+    if parent_process() is not None:  # nobody's logging or memory but its own
         configure_logging(log_format, log_level)
+        keep_freed_memory()
     _end_with_parent()
     one_blas_thread()
     with (

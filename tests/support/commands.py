@@ -26,7 +26,7 @@ from itertools import pairwise
 from pathlib import Path
 from unittest import mock
 
-from app.threads import one_blas_thread
+from app.process import one_blas_thread
 from tests.support.locks import one_at_a_time
 
 __all__ = ["BUILDS_ANEW", "Commands", "commands"]

@@ -1,0 +1,54 @@
+"""What processes of ours set up before they compute."""
+
+import os
+import platform
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+ARRAYS, MEGABYTES = 40, 4
+FEW_PAGES = ARRAYS * MEGABYTES * 2**20 // os.sysconf("SC_PAGE_SIZE") // 4
+# One after the other, with something small that outlives each of them, as in a build.
+PROGRAM = f"""
+import resource
+
+import numpy as np
+{{}}
+kept = []
+before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+for _ in range({ARRAYS}):
+    one, other = np.ones({MEGABYTES} * 2**17), np.ones({MEGABYTES} * 2**17)
+    kept.append(np.ones(10))
+    del one, other
+print(resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before)
+"""
+KEEP = "from app.process import keep_freed_memory; keep_freed_memory()"
+
+pytestmark = pytest.mark.skipif(
+    platform.libc_ver()[0] != "glibc", reason="this is for glibc's allocator"
+)
+
+
+def page_faults(before: str, **variables: str) -> int:
+    """Count what the system clears for a program, in a process of its own."""
+    kept = {k: v for k, v in os.environ.items() if not k.startswith(("MALLOC_", "GLIBC_"))}
+    ended = subprocess.run(
+        [sys.executable, "-c", PROGRAM.format(before)],
+        cwd=ROOT,
+        env={**kept, **variables},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    return int(ended.stdout)
+
+
+def test_arrays_come_from_memory_that_earlier_ones_left() -> None:
+    assert page_faults(KEEP) < FEW_PAGES
+
+
+def test_an_allocator_that_the_operator_set_up_is_left_as_it_is() -> None:
+    assert page_faults(KEEP, MALLOC_TRIM_THRESHOLD_="1048576") > FEW_PAGES
