@@ -30,7 +30,16 @@ def built(shared):
     with one_at_a_time(shared / "built.lock"):
         if not told.exists():
             told.write_text(json.dumps(build(data_dir)))
-    return Built(data_dir, *json.loads(told.read_text()))
+    before = written(data_dir)
+    yield Built(data_dir, *json.loads(told.read_text()))
+    assert written(data_dir) == before, "a service wrote into files that were there"
+
+
+def written(data_dir):
+    """Tell when each file that copies share was last written."""
+    files = list(data_dir.rglob("*.h5"))
+    assert len(files) == 6, files
+    return {file: file.stat().st_mtime_ns for file in files}
 
 
 def build(data_dir):

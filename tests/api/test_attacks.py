@@ -20,7 +20,7 @@ import core
 import storage
 from storage.catalog import RevisionFacts
 from tests.support.recording import KITTI, kitti, recording
-from tests.support.service import problem_of, wait_for, whole_store
+from tests.support.service import damage, problem_of, wait_for, whole_store
 
 OUTSIDE = (
     "../secret.h5",
@@ -158,7 +158,7 @@ def test_no_cache_runs(own, tmp_path):
     images = [path for path in caches if "images" in str(path)]
     assert images
     for path in images:
-        path.write_bytes(pickle.dumps(Bomb(trace)))
+        damage(path, pickle.dumps(Bomb(trace)))
     job = own.post("/v1/maps/campus/builds", json={"segments": 3}).json()["job"]
     assert wait_for(own, job)["state"] == "done"
     assert not trace.exists()

@@ -7,7 +7,7 @@ import pytest
 from app.comparison import MOST_ASKED
 from tests.api.test_merging import built as build
 from tests.support.recording import Recording, recording
-from tests.support.service import problem_of, running, upload
+from tests.support.service import damage, problem_of, running, upload
 
 MAP = "/v1/maps/campus"
 HDF5 = {"Content-Type": "application/vnd.tensormap.map+hdf5"}
@@ -147,7 +147,7 @@ def test_a_drive_made_anew_has_other_scans_and_gone_images_ask_nothing(tmp_path)
         store = client.service.store
         drive = store.drives.get("campus", "monday")
         for path in store.layout.images(drive.map_id, drive.id).iterdir():
-            path.write_bytes(path.read_bytes()[:100])
+            damage(path, path.read_bytes()[:100])
         assert compared((client, revisions), "second", "second")["recall_unknown"] == (
             "images-not-kept"
         )

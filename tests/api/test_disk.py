@@ -12,7 +12,7 @@ from core.signature import pack_signatures
 from storage.errors import CorruptFile
 from storage.map_file import read_map
 from tests.support.recording import KITTI, kitti, recording, upload_scan
-from tests.support.service import problem_of, whole_store
+from tests.support.service import damage, problem_of, whole_store
 
 PACKED = {"Content-Type": "application/vnd.tensormap.signature"}
 
@@ -46,15 +46,15 @@ def test_a_harmed_revision_is_told_and_the_others_answer(own, built, harm):
     whole = path.read_bytes()
     half = len(whole) // 2
     if harm == "one bit":
-        path.write_bytes(whole[:half] + bytes([whole[half] ^ 1]) + whole[half + 1 :])
+        damage(path, whole[:half] + bytes([whole[half] ^ 1]) + whole[half + 1 :])
     elif harm == "cut":
-        path.write_bytes(whole[:half])
+        damage(path, whole[:half])
     elif harm == "another":
-        path.write_bytes(own.service.store.revisions.path("campus", built.other).read_bytes())
+        damage(path, own.service.store.revisions.path("campus", built.other).read_bytes())
     elif harm == "gone":
         path.unlink()
     else:
-        path.write_bytes(b"no map at all")
+        damage(path, b"no map at all")
     scan = recording().scans[9]
     for _ in range(2):  # it is no better the second time
         for refused in (localize(own, scan), own.get("/v1/maps/campus/basis")):
@@ -93,7 +93,7 @@ def test_a_scan_whose_file_has_changed_is_not_given_back(own):
     [path] = own.service.settings.data_dir.rglob(chunk)
     whole = bytearray(path.read_bytes())
     whole[len(whole) // 2] ^= 1
-    path.write_bytes(whole)
+    damage(path, whole)
     scans = "/v1/maps/campus/drives/tuesday/scans"
     assert problem_of(own.get(f"{scans}/5")) == (500, "corrupt-file")
     assert own.get(f"{scans}/6").status_code == 200

@@ -11,7 +11,15 @@ from core.signature import pack_signatures
 from storage.catalog.models import Drive, RevisionBasis
 from tests.api.test_flow import PACKED, localize
 from tests.support.recording import Recording, recording
-from tests.support.service import copy_of, problem_of, running, upload, wait_for, whole_store
+from tests.support.service import (
+    copy_of,
+    damage,
+    problem_of,
+    running,
+    upload,
+    wait_for,
+    whole_store,
+)
 
 BUILDS = "/v1/maps/campus/builds"
 
@@ -203,7 +211,7 @@ def test_a_base_that_is_not_there_or_whose_drive_is_gone_is_told(campus, tmp_pat
 def test_a_damaged_live_revision_is_told_and_refit_goes_on_without_it(campus, encoding):
     live = campus.get("/v1/maps/campus").json()["live_revision"]
     path = campus.service.store.revisions.path("campus", live)
-    path.write_bytes(b"no map at all")
+    damage(path, b"no map at all")
     wanted = {"drives": ["alpha"], "encoding": encoding}
     if encoding == "harmonic":
         refused = campus.post(BUILDS, json=wanted)

@@ -33,11 +33,7 @@ def test_a_catalog_that_goes_away_is_told_and_comes_back(postgresql: Cluster, tm
     with running(tmp_path / "data", catalog_url=url) as client:
         client.post("/v1/maps", json={"map": "campus"})
         postgresql.run(f"ALTER DATABASE {name} ALLOW_CONNECTIONS false", database="postgres")
-        postgresql.run(
-            "SELECT pg_terminate_backend(pid, 10000) FROM pg_stat_activity"
-            f" WHERE datname = '{name}'",
-            database="postgres",
-        )
+        end_connections(postgresql, name)
         assert problem_of(client.get("/v1/maps/campus")) == (503, "storage-unavailable")
         not_ready = client.get("/readyz")
         assert not_ready.status_code == 503
@@ -54,11 +50,18 @@ def test_a_catalog_that_may_only_be_read_is_told(postgresql: Cluster, tmp_path) 
         client.post("/v1/maps", json={"map": "campus"})
         read_only = f"ALTER DATABASE {name} SET default_transaction_read_only = on"
         postgresql.run(read_only, database="postgres")
-        client.service.store.catalog._database.engine.dispose()
+        end_connections(postgresql, name)
         assert client.get("/v1/maps").status_code == 200  # what reads first may not write after it
         made = client.post("/v1/maps", json={"map": "new"})
         assert problem_of(made) == (503, "storage-read-only")
         assert [item["map"] for item in client.get("/v1/maps").json()["items"]] == ["campus"]
+
+
+def end_connections(postgresql: Cluster, name: str) -> None:
+    postgresql.run(
+        f"SELECT pg_terminate_backend(pid, 10000) FROM pg_stat_activity WHERE datname = '{name}'",
+        database="postgres",
+    )
 
 
 def localize(client, index):

@@ -8,7 +8,7 @@ from tests.api.test_flow import localize
 from tests.api.test_merging import built as build
 from tests.api.test_retention import MAP, acts, keep, wait_until
 from tests.support.recording import KITTI, NPY, Recording, kitti, npy, recording
-from tests.support.service import copy_of, problem_of, running, upload, wait_for
+from tests.support.service import copy_of, damage, problem_of, running, upload, wait_for
 
 DRIVE = f"{MAP}/drives/monday"
 PLAIN = {"lateral_renderings_m": [0]}
@@ -177,10 +177,10 @@ def test_damaged_images_of_dropped_returns_end_the_build_and_those_of_others_are
     build(mapped, base="live", add=["tuesday"])
     (of_monday,), (of_tuesday,) = images_of(mapped, "monday"), images_of(mapped, "tuesday")
     whole = of_monday.read_bytes()
-    of_tuesday.write_bytes(of_tuesday.read_bytes()[:5000])
+    damage(of_tuesday, of_tuesday.read_bytes()[:5000])
     build(mapped, base="live", add=["tuesday"])
     assert of_monday.read_bytes() == whole
-    of_monday.write_bytes(whole[:5000])
+    damage(of_monday, whole[:5000])
     queued = mapped.post(f"{MAP}/builds", json={"base": "live", "add": ["tuesday"]}).json()
     job = wait_for(mapped, queued["job"])
     assert (job["state"], job["error"]["type"]) == ("failed", "/problems/corrupt-images")

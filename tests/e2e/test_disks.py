@@ -7,7 +7,6 @@ system of a few megabytes.
 import errno
 import os
 import subprocess
-from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -33,14 +32,37 @@ pytestmark = pytest.mark.skipif(
 )
 
 
-@contextmanager
-def serving_on_a_small_disk(folder: Path, megabytes: int):
+@pytest.fixture(scope="module")
+def small(tmp_path_factory):
+    """A service, and what it sees as its disk of 16 MB."""
+    folder = tmp_path_factory.mktemp("small")
     disk = folder / "disk"
     disk.mkdir()
-    mounted = f'mount -t tmpfs -o size={megabytes}m tmpfs "$0" && exec "$@"'
+    mounted = 'mount -t tmpfs -o size=16m tmpfs "$0" && exec "$@"'
     within = [*NAMESPACE, "sh", "-c", mounted, str(disk)]
     with serving(disk / "data", folder / "log", within=within) as server:
-        yield server, Path(f"/proc/{server.pid}/root{disk}")
+        yield server, disk
+
+
+def seen_by(server, path):
+    return Path(f"/proc/{server.pid}/root{path}")
+
+
+def run_within(server, script, *words):
+    """Run a script where the service's mounts are."""
+    user = [] if os.geteuid() == 0 else ["--user", "--preserve-credentials"]
+    entered = ["nsenter", "-t", str(server.pid), "--mount", *user, "sh", "-c", script, *words]
+    subprocess.run(entered, check=True, timeout=30)
+
+
+def built_map(client, slug, scans):
+    """Make a map of the drive `monday` that answers."""
+    client.post("/v1/maps", json={"map": slug})
+    for index in range(scans):
+        scan = recording().scans[index]
+        assert upload_scan(client, slug, "monday", index, scan).status_code == 201
+    job = client.post(f"/v1/maps/{slug}/builds", json={"segments": 2}).json()["job"]
+    assert wait_for(client, job)["state"] == "done"
 
 
 def fill(path: Path) -> None:
@@ -54,93 +76,74 @@ def fill(path: Path) -> None:
                     raise
 
 
-def localize(server, index):
-    body = kitti(recording().scans[index])
-    return server.client.post(
-        "/v1/maps/campus/localizations/scan", content=body, headers=KITTI
+def localize(client, slug, index):
+    return client.post(
+        f"/v1/maps/{slug}/localizations/scan",
+        content=kitti(recording().scans[index]),
+        headers=KITTI,
     ).json()["best"]["scan_index"]
 
 
-def test_a_disk_that_fills_up_is_told_and_loses_nothing(tmp_path):
-    with serving_on_a_small_disk(tmp_path, 16) as (server, disk):
-        client = server.client
-        client.post("/v1/maps", json={"map": "campus"})
-        scans = recording().scans
-        for index in range(8):
-            assert upload_scan(client, "campus", "monday", index, scans[index]).status_code == 201
-        job = client.post("/v1/maps/campus/builds", json={"segments": 2}).json()["job"]
-        assert wait_for(client, job)["state"] == "done"
+def test_a_disk_that_fills_up_is_told_and_loses_nothing(small):
+    server, disk = small
+    client, seen = server.client, seen_by(server, disk)
+    built_map(client, "filled", 8)
+    scans = recording().scans
+    acknowledged = {item["map"] for item in client.get("/v1/maps").json()["items"]}
 
-        fill(disk / "filler")
-        acknowledged = ["campus"]
-        for number in range(10_000):  # a few more rows fit into what the catalog has already
-            made = client.post("/v1/maps", json={"map": f"map-{number}", "description": "x" * 500})
-            if made.status_code != 201:
-                break
-            acknowledged.append(f"map-{number}")
-        assert problem_of(made) == (507, "storage-full")
-        for index in (8, 9):
-            refused = upload_scan(client, "campus", "monday", index, scans[index])
-            assert problem_of(refused) == (507, "storage-full")
-        refused = client.post("/v1/maps/campus/builds", json={"segments": 1})
+    fill(seen / "filler")
+    for number in range(10_000):  # a few more rows fit into what the catalog has already
+        made = client.post("/v1/maps", json={"map": f"map-{number}", "description": "x" * 500})
+        if made.status_code != 201:
+            break
+        acknowledged.add(f"map-{number}")
+    assert problem_of(made) == (507, "storage-full")
+    for index in (8, 9):
+        refused = upload_scan(client, "filled", "monday", index, scans[index])
         assert problem_of(refused) == (507, "storage-full")
-        not_ready = client.get("/readyz")
-        assert not_ready.status_code == 503
-        assert "bytes left" in not_ready.json()["missing"][0]
-        assert localize(server, 5) == 5
-        assert client.get("/v1/maps/campus/drives/monday").json()["scans"] == 8
+    refused = client.post("/v1/maps/filled/builds", json={"segments": 1})
+    assert problem_of(refused) == (507, "storage-full")
+    not_ready = client.get("/readyz")
+    assert not_ready.status_code == 503
+    assert "bytes left" in not_ready.json()["missing"][0]
+    assert localize(client, "filled", 5) == 5
+    assert client.get("/v1/maps/filled/drives/monday").json()["scans"] == 8
 
-        (disk / "filler").unlink()
-        assert client.get("/readyz").json() == {"ready": True, "missing": []}
-        for index in (8, 9):
-            assert upload_scan(client, "campus", "monday", index, scans[index]).status_code == 201
-        job = client.post("/v1/maps/campus/builds", json={"segments": 1}).json()["job"]
-        assert wait_for(client, job)["state"] == "done"
-        found = client.get("/v1/maps", params={"limit": 1000}).json()["items"]
-        assert sorted(item["map"] for item in found) == sorted(acknowledged)
-        assert not list(disk.rglob("*.part"))
-        for index in range(10):
-            got = client.get(f"/v1/maps/campus/drives/monday/scans/{index}").content
-            assert got.endswith(scans[index].points_m.astype(np.float32).tobytes())
+    (seen / "filler").unlink()
+    assert client.get("/readyz").json() == {"ready": True, "missing": []}
+    for index in (8, 9):
+        assert upload_scan(client, "filled", "monday", index, scans[index]).status_code == 201
+    job = client.post("/v1/maps/filled/builds", json={"segments": 1}).json()["job"]
+    assert wait_for(client, job)["state"] == "done"
+    found = client.get("/v1/maps", params={"limit": 1000}).json()["items"]
+    assert sorted(item["map"] for item in found) == sorted(acknowledged)
+    assert not list(seen.rglob("*.part"))
+    for index in range(10):
+        got = client.get(f"/v1/maps/filled/drives/monday/scans/{index}").content
+        assert got.endswith(scans[index].points_m.astype(np.float32).tobytes())
 
 
-def test_files_that_turn_read_only_are_told_and_what_is_there_answers(tmp_path):
-    with serving_on_a_small_disk(tmp_path, 16) as (server, _):
-        client = server.client
-        client.post("/v1/maps", json={"map": "campus"})
-        scans = recording().scans
-        for index in range(6):
-            assert upload_scan(client, "campus", "monday", index, scans[index]).status_code == 201
-        job = client.post("/v1/maps/campus/builds", json={"segments": 1}).json()["job"]
-        assert wait_for(client, job)["state"] == "done"
-        maps = str(tmp_path / "disk/data/maps")
-        remounted = 'mount --bind "$0" "$0" && mount -o remount,bind,ro "$0"'
-        user = [] if os.geteuid() == 0 else ["--user", "--preserve-credentials"]
-        subprocess.run(
-            [
-                "nsenter",
-                "-t",
-                str(server.pid),
-                "--mount",
-                *user,
-                "sh",
-                "-c",
-                remounted,
-                maps,
-            ],
-            check=True,
-            timeout=30,
-        )
-        for drive in ("monday", "tuesday"):
-            refused = upload_scan(client, "campus", drive, 6, scans[6])
-            assert problem_of(refused) == (503, "storage-read-only")
-        assert client.get("/readyz").json()["missing"] == ["the data directory cannot be written"]
-        job = client.post("/v1/maps/campus/builds", json={"segments": 2}).json()["job"]
-        failed = wait_for(client, job)
-        assert (failed["state"], failed["error"]["type"]) == (
-            "failed",
-            "/problems/storage-read-only",
-        )
-        assert localize(server, 3) == 3
-        assert client.get("/v1/maps/campus/drives/monday").json()["scans"] == 6
-        assert len(client.get("/v1/maps/campus/drives").json()["items"]) == 1
+@pytest.fixture
+def read_only(small):
+    """A map of a service that cannot write any longer, while a test lasts."""
+    server, disk = small
+    built_map(server.client, "frozen", 6)
+    maps = str(disk / "data/maps")
+    run_within(server, 'mount --bind "$0" "$0" && mount -o remount,bind,ro "$0"', maps)
+    yield server.client
+    run_within(server, 'umount "$0"', maps)
+    assert server.client.get("/readyz").json() == {"ready": True, "missing": []}
+
+
+def test_files_that_turn_read_only_are_told_and_what_is_there_answers(read_only):
+    client = read_only
+    for drive in ("monday", "tuesday"):
+        refused = upload_scan(client, "frozen", drive, 6, recording().scans[6])
+        assert problem_of(refused) == (503, "storage-read-only")
+    assert client.get("/readyz").json()["missing"] == ["the data directory cannot be written"]
+    job = client.post("/v1/maps/frozen/builds", json={"segments": 1}).json()["job"]
+    failed = wait_for(client, job)
+    assert (failed["state"], failed["error"]["type"]) == ("failed", "/problems/storage-read-only")
+    assert localize(client, "frozen", 3) == 3
+    assert client.get("/v1/maps/frozen/drives/monday").json()["scans"] == 6
+    assert len(client.get("/v1/maps/frozen/drives").json()["items"]) == 1

@@ -20,6 +20,10 @@ import httpx2
 import numpy as np
 import pytest
 
+from core.drive import MemoryDrive
+from storage.formats.kitti_drive import write_kitti_drive
+from tests.support.recording import recording
+
 ROOT = Path(__file__).parents[2]
 PACKAGES = ("app", "core", "storage")
 
@@ -162,6 +166,6 @@ def test_the_installed_command_builds_and_inspects(installed: Installed, tmp_pat
             text=True,
         ).stdout
 
-    run("simulate", "town", "--scans", "10")
+    write_kitti_drive(MemoryDrive("town", recording(scans=10).scans), tmp_path / "town")
     run("build", "town", "-o", "town.h5")
     assert "revision" in run("inspect", "town.h5")

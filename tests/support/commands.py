@@ -9,9 +9,6 @@ import atexit
 import gc
 import importlib
 import json
-import multiprocessing.forkserver
-import multiprocessing.resource_tracker
-import multiprocessing.util
 import os
 import runpy
 import select
@@ -20,13 +17,11 @@ import socket
 import subprocess
 import sys
 import threading
-from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
-from unittest import mock
 
 from app.process import one_blas_thread
+from tests.support.forking import fork_builds
 from tests.support.locks import one_at_a_time
 
 __all__ = ["BUILDS_ANEW", "Commands", "commands"]
@@ -152,28 +147,6 @@ def _become(asked: socket.socket) -> None:
         os._exit(0)
 
 
-def _fork_builds() -> None:
-    """Start what a service forks its builds from now, forked: it would import all of it anew."""
-    with mock.patch.object(multiprocessing.util, "spawnv_passfds", _fork_instead):
-        multiprocessing.resource_tracker.ensure_running()
-        blocked = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
-        multiprocessing.forkserver.ensure_running()  # deaf, as when app.jobs.runner starts it
-        signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
-
-
-def _fork_instead(_python: str, words: Sequence[str], files: Sequence[int]) -> int:
-    """As `spawnv_passfds` of multiprocessing, in a process that need not import what words run."""
-    forked = os.fork()
-    if forked == 0:
-        try:
-            for kept, next_kept in pairwise([2, *sorted(files), os.sysconf("SC_OPEN_MAX")]):
-                os.closerange(kept + 1, next_kept)
-            exec(words[-1], {})
-        finally:
-            os._exit(0)
-    return forked
-
-
 def _run() -> None:
     """Run the module that `sys.argv` begins with, and end as an interpreter does, but for one step.
 
@@ -213,5 +186,5 @@ if __name__ == "__main__":
     _serve(Path(sys.argv[1]), int(sys.argv[2]))
     serves = sys.argv[:2] == ["app.cli", "serve"] or sys.argv[0] == "tests.support.serve"
     if serves and os.environ.get(BUILDS_ANEW) != "1":
-        _fork_builds()
+        fork_builds()
     _run()

@@ -1,5 +1,6 @@
 """The catalog's schema, worked out by its migrations once and repeated from then on."""
 
+import itertools
 from collections.abc import Callable
 from typing import Any
 
@@ -27,6 +28,8 @@ def made_once(upgrade: Callable[[Connection], None]) -> Callable[[Connection], N
                 connection.exec_driver_sql(statement, parameters or None)
         else:
             steps[dialect] = _steps_of(upgrade, connection)
+            if dialect == "postgresql":  # whose driver takes several at once
+                steps[dialect] = _at_once(steps[dialect])
 
     return upgrade_or_repeat
 
@@ -45,3 +48,14 @@ def _steps_of(
     upgrade(connection)
     event.remove(connection, "before_cursor_execute", note)
     return steps
+
+
+def _at_once(steps: list[tuple[str, Any]]) -> list[tuple[str, Any]]:
+    """Return fewer steps that do the same: those without parameters that follow one another."""
+    joined: list[tuple[str, Any]] = []
+    for with_parameters, several in itertools.groupby(steps, key=lambda step: bool(step[1])):
+        if with_parameters:
+            joined += several
+        else:
+            joined.append((";\n".join(statement for statement, _ in several), None))
+    return joined

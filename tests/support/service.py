@@ -1,6 +1,7 @@
 """A service in this process, and a client that holds every answer against the OpenAPI document."""
 
 import functools
+import os
 import re
 import shutil
 import time
@@ -23,6 +24,7 @@ from tests.support.transport import IN_PARTS, AtOnce
 __all__ = [
     "Client",
     "copy_of",
+    "damage",
     "document",
     "pose_text",
     "problem_of",
@@ -140,8 +142,26 @@ def pose_text(pose: Pose) -> str:
 
 
 def copy_of(data_dir: Path, to: Path) -> Path:
-    """Copy the data of a service, which may run, and return where they are then."""
-    return Path(shutil.copytree(data_dir, to, ignore=shutil.ignore_patterns("*.lock")))
+    """Copy the data of a service, which may run, and return where they are then.
+
+    A service never writes into a file of scans, images or a revision: the copy's are the same files
+    by other names. Who damages one puts another in its place, with `damage`.
+    """
+
+    def copied(file: str, copy: str) -> None:
+        if file.endswith(".h5"):
+            os.link(file, copy)
+        else:
+            shutil.copy2(file, copy)
+
+    ignored = shutil.ignore_patterns("*.lock")
+    return Path(shutil.copytree(data_dir, to, ignore=ignored, copy_function=copied))
+
+
+def damage(file: Path, content: bytes | bytearray) -> None:
+    """Put other content in the place of a file of a service's data."""
+    file.unlink()
+    file.write_bytes(content)
 
 
 def upload(client, drive: str, recording: Recording, *, slug: str = "campus") -> None:
