@@ -21,7 +21,8 @@ def pytest_configure(config: pytest.Config) -> None:
 
     It would import half of the libraries that there are before any worker starts.
     """
-    if hasattr(config, "workerinput") or config.getoption("dist", "no") == "no":
+    shares_out = config.getoption("dist") != "no" and not config.option.collectonly
+    if hasattr(config, "workerinput") or not shares_out:
         config.pluginmanager.import_plugin("tests.support.fixtures")
 
 

@@ -122,6 +122,11 @@ class _Sample(NamedTuple):
     tangent_y: float
 
 
+def _samples_of(number: int, line: Line) -> list[_Sample]:
+    rows = np.column_stack([line.sample_arc_m, line.sample_m, line.tangent]).tolist()
+    return [_Sample(number, *row) for row in rows]
+
+
 class _Beside(NamedTuple):
     """A sample of a street beside a sample of another line."""
 
@@ -147,15 +152,7 @@ class _Search:
 
     def __init__(self, lines: tuple[Line, ...]) -> None:
         self._lines = lines
-        self._samples = [
-            [
-                _Sample(number, *row)
-                for row in np.column_stack(
-                    [line.sample_arc_m, line.sample_m, line.tangent]
-                ).tolist()
-            ]
-            for number, line in enumerate(lines)
-        ]
+        self._samples = [_samples_of(number, line) for number, line in enumerate(lines)]
         self.first_time = [np.ones(len(line.sample_arc_m), dtype=bool) for line in lines]
         self._cells: dict[tuple[int, int], list[_Sample]] = defaultdict(list)
 
@@ -225,9 +222,8 @@ class _Search:
         column, row = self._cell(here)
         found = []
         for cell in [(column + i, row + j) for i in (-1, 0, 1) for j in (-1, 0, 1)]:
-            for street, arc_m, other_x, other_y, other_z, other_dx, other_dy in self._cells.get(
-                cell, ()
-            ):
+            kept = self._cells.get(cell, ())
+            for street, arc_m, other_x, other_y, other_z, other_dx, other_dy in kept:
                 along = tangent_x * other_dx + tangent_y * other_dy
                 if -_PARALLEL < along < _PARALLEL:
                     continue

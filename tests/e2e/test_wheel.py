@@ -20,10 +20,6 @@ import httpx2
 import numpy as np
 import pytest
 
-from core.drive import MemoryDrive
-from storage.formats.kitti_drive import write_kitti_drive
-from tests.support.recording import recording
-
 ROOT = Path(__file__).parents[2]
 PACKAGES = ("app", "core", "storage")
 
@@ -166,6 +162,6 @@ def test_the_installed_command_builds_and_inspects(installed: Installed, tmp_pat
             text=True,
         ).stdout
 
-    write_kitti_drive(MemoryDrive("town", recording(scans=10).scans), tmp_path / "town")
+    run("simulate", "town", "--scans", "10")
     run("build", "town", "-o", "town.h5")
     assert "revision" in run("inspect", "town.h5")
