@@ -1,14 +1,11 @@
 """A map from elsewhere becomes a revision: checked whole, and written anew."""
 
-import tempfile
-from pathlib import Path
-
 from core.errors import InvalidMap
 from core.parameters import MapParameters
 from core.tensormap import TensorMap
 from storage.catalog import RevisionFacts, RevisionRecord
 from storage.errors import CorruptFile, RevisionNotFound
-from storage.map_file import read_map, write_map
+from storage.map_file import map_of_bytes, write_map
 from storage.store import Store
 
 __all__ = ["import_revision"]
@@ -67,13 +64,10 @@ def import_revision(
 
 
 def _read(body: bytes) -> TensorMap:
-    with tempfile.TemporaryDirectory(prefix="tensormap-import-") as folder:
-        path = Path(folder, "body.h5")
-        path.write_bytes(body)
-        try:
-            return read_map(path)
-        except CorruptFile as error:
-            raise InvalidMap(str(error).replace(path.name, "the body", 1)) from error
+    try:
+        return map_of_bytes(body, "the body")
+    except CorruptFile as error:
+        raise InvalidMap(str(error)) from error
 
 
 def _told(parameters: MapParameters) -> dict[str, object]:

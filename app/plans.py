@@ -13,7 +13,7 @@ from core.parameters import Encoding
 from core.tensormap import TensorMap
 from storage.catalog import DriveRecord, RevisionRecord
 from storage.errors import CorruptFile, DriveNotFound, NoLiveRevision
-from storage.map_file import read_map
+from storage.map_file import read_revision
 from storage.store import Store
 
 __all__ = ["KeptBasis", "Plan", "plan_build"]
@@ -111,7 +111,7 @@ def _live(store: Store, map_id: str) -> tuple[RevisionRecord, TensorMap] | None:
 
 def _read(store: Store, record: RevisionRecord) -> tuple[RevisionRecord, TensorMap]:
     try:
-        return record, read_map(store.revisions.path_of(record))
+        return record, read_revision(store.revisions.path_of(record), record.digest)
     except FileNotFoundError as error:
         raise CorruptFile(f"the file of revision {record.digest} is gone") from error
 

@@ -17,7 +17,7 @@ from storage.errors import (
     RevisionNotFound,
     StorageBusy,
 )
-from storage.map_file import read_map
+from storage.map_file import read_revision
 from storage.store import Store
 
 __all__ = ["Answering", "LoadedRevisions"]
@@ -146,10 +146,7 @@ class LoadedRevisions:
 
     def _read(self, map_slug: str, digest: str) -> TensorMap:
         try:
-            tensor_map = read_map(self._store.revisions.path(map_slug, digest))
+            return read_revision(self._store.revisions.path(map_slug, digest), digest)
         except FileNotFoundError as error:
             self._store.revisions.get(map_slug, digest)  # it may have been deleted meanwhile
             raise CorruptFile(f"the file of revision {digest} is gone") from error
-        if tensor_map.revision != digest:
-            raise CorruptFile(f"the file of revision {digest} holds {tensor_map.revision}")
-        return tensor_map

@@ -180,9 +180,17 @@ class TensorMap:
 
     @classmethod
     def from_parts(
-        cls, arrays: Mapping[str, NDArray[Any]], attributes: Mapping[str, Any]
+        cls,
+        arrays: Mapping[str, NDArray[Any]],
+        attributes: Mapping[str, Any],
+        revision: str | None = None,
     ) -> "TensorMap":
         """Make the map of what `arrays` and `attributes` gave.
+
+        Args:
+            arrays: By name.
+            attributes: By name.
+            revision: Their digest, if it was checked before; computed when it is needed otherwise.
 
         Raises:
             InvalidMap: If something is missing or does not fit together.
@@ -210,6 +218,8 @@ class TensorMap:
             raise InvalidMap(f"the map's parts are not of their kind: {error}") from error
         if tensor_map.attributes() != dict(attributes):
             raise InvalidMap("the map has attributes that are unknown or not in their own form")
+        if revision is not None:
+            tensor_map.__dict__["revision"] = revision  # where `cached_property` keeps it
         return tensor_map
 
 

@@ -2,7 +2,6 @@
 
 import errno
 import os
-import re
 import secrets
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -14,12 +13,10 @@ __all__ = ["discard", "make_folder", "named_disk_errors", "publish", "remove_par
 
 _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}  # the last is `ulimit -f`
 _READ_ONLY = {errno.EROFS, errno.EACCES, errno.EPERM}
-# HDF5 reports a failed write while closing as a RuntimeError whose text holds the errno.
-_HDF5_ERRNO = re.compile(r"errno = (\d+)")
 
 
 @contextmanager
-def publish(path: Path) -> Iterator[Path]:
+def publish(path: Path, *, synced: bool = False) -> Iterator[Path]:
     """Give a path to write beside `path`, then rename it there.
 
     When the block ends, the file is fsynced, renamed and its folder fsynced: after that, it
@@ -45,7 +42,8 @@ def publish(path: Path) -> Iterator[Path]:
     try:
         with named_disk_errors():
             yield part
-            sync(part)
+            if not synced:
+                sync(part)
             part.rename(path)
             sync(path.parent)
     except BaseException:
@@ -63,11 +61,10 @@ def named_disk_errors() -> Iterator[None]:
     """
     try:
         yield
-    except (OSError, RuntimeError) as error:
-        number = _errno(error)
-        if number in _FULL:
+    except OSError as error:
+        if error.errno in _FULL:
             raise StorageFull(f"no space is left to write: {error}") from error
-        if number in _READ_ONLY:
+        if error.errno in _READ_ONLY:
             raise StorageReadOnly(f"the data directory cannot be written: {error}") from error
         raise
 
@@ -79,13 +76,6 @@ def discard(path: Path) -> None:
     """
     with suppress(OSError):
         path.unlink(missing_ok=True)
-
-
-def _errno(error: OSError | RuntimeError) -> int | None:
-    if isinstance(error, OSError) and error.errno is not None:
-        return error.errno
-    found = _HDF5_ERRNO.search(str(error))
-    return int(found.group(1)) if found else None
 
 
 def sync(path: Path) -> None:

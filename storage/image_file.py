@@ -2,10 +2,10 @@
 
 import json
 from pathlib import Path
-from typing import Self
+from typing import Any, Self
 
-import h5py
 import numpy as np
+from numpy.typing import NDArray
 
 from core.arrays import Float32Array, FloatArray, IntArray
 from core.drive import Drive
@@ -15,9 +15,11 @@ from core.imager import Grid, Imager
 from core.images import ImageSource, Skipped, project_into
 from core.progress import NO_PROGRESS, Progress
 from core.revision import content_digest
-from core.trust.probe import probed_among
-from storage.errors import CorruptImages
+from storage.durable_file import DurableFile
+from storage.errors import CorruptFile, CorruptImages
 from storage.files import publish
+from storage.hdf5 import ChunkedDataset, Dataset, FileSource, Hdf5File, Hdf5Writer
+from storage.json_text import parse_json
 
 __all__ = [
     "PROBE_VERSION",
@@ -35,7 +37,8 @@ PROBE_VERSION = 2
 """Counted up whenever the code makes other probes of the same scans; images stay what they are."""
 
 _DETAIL_GRAM = "detail_gram"
-_BLOCK = 8  # images in an HDF5 chunk: 340 kB on the paper's grid, inside h5py's 1 MB cache
+_BLOCK = 8  # images in an HDF5 chunk: 340 kB on the paper's grid
+_MOST_SKIPPED_BYTES = 2**26  # some 100 bytes a scan
 
 
 class ImageFile:
@@ -54,31 +57,35 @@ class ImageFile:
     def __init__(self, path: Path, imager: Imager) -> None:
         self.grid: Grid = imager.grid
         self._name = path.name
+        self._file: Hdf5File | None = None
         try:
-            self._file = h5py.File(path, "r", locking=False)
-        except OSError as error:
+            self._file = Hdf5File(FileSource(path))
+            self._read_facts(self._file, imager)
+        except (CorruptFile, FileNotFoundError) as error:
+            self.close()
             raise CorruptImages(f"{path.name} holds no images: {error}") from error
-        try:
-            self._images: h5py.Dataset = self._file["images"]
-            self.scans: IntArray = self._file["scans"][()]
-            self.returns = int(self._file.attrs["returns"])
-            self.skipped = tuple(Skipped(*item) for item in json.loads(self._file.attrs["skipped"]))
-            if self._images.shape != (len(self.scans), *imager.shape):
-                raise ValueError(f"they have shape {self._images.shape}")
-            self.probes: ImageSource | None = None
-            self.probed: IntArray = np.empty(0, np.int64)
-            self.standing: FloatArray = np.empty((0, 3))
-            if self._file.attrs.get("probe_version") == PROBE_VERSION:
-                self.probed = self._file["probed"][()]
-                self.standing = self._file["standing"][()]
-                self.probes = _Stored(self._file["probes"], self.grid, path.name)
-                if self._file["probes"].shape != (len(self.probed), *self.grid.shape):
-                    raise ValueError(f"probes have shape {self._file['probes'].shape}")
-                if self.standing.shape != (len(self.probed), 3):
-                    raise ValueError(f"standing has shape {self.standing.shape}")
-        except (AttributeError, KeyError, OSError, RuntimeError, TypeError, ValueError) as error:
-            self._file.close()
-            raise CorruptImages(f"{path.name} holds no images: {error}") from error
+
+    def _read_facts(self, file: Hdf5File, imager: Imager) -> None:
+        told = file.attributes
+        self.scans: IntArray = _typed(file, "scans", "<i8", 1).read()
+        self._images = _typed(file, "images", "<f4", 1 + len(imager.shape))
+        self.returns = told.whole("returns")
+        self.skipped = _skipped(told.text("skipped", _MOST_SKIPPED_BYTES))
+        if self._images.shape != (len(self.scans), *imager.shape):
+            raise CorruptFile(f"they have shape {self._images.shape}")
+        self.probes: ImageSource | None = None
+        self.probed: IntArray = np.empty(0, np.int64)
+        self.standing: FloatArray = np.empty((0, 3))
+        if "probe_version" not in told or told.whole("probe_version") != PROBE_VERSION:
+            return
+        probes = _typed(file, "probes", "<f4", 1 + len(self.grid.shape))
+        self.probed = _typed(file, "probed", "<i8", 1).read()
+        self.standing = _typed(file, "standing", "<f8", 2).read()
+        self.probes = _Stored(probes, self.grid, self._name)
+        if probes.shape != (len(self.probed), *self.grid.shape):
+            raise CorruptFile(f"probes have shape {probes.shape}")
+        if self.standing.shape != (len(self.probed), 3):
+            raise CorruptFile(f"standing has shape {self.standing.shape}")
 
     def __enter__(self) -> Self:
         return self
@@ -88,7 +95,8 @@ class ImageFile:
 
     def close(self) -> None:
         """Let the file go."""
-        self._file.close()
+        if self._file is not None:
+            self._file.close()
 
     def __len__(self) -> int:
         return len(self.scans)
@@ -110,37 +118,59 @@ class ImageFile:
         Raises:
             CorruptImages: If it cannot be read, or its checksum does not fit.
         """
-        try:
-            if _DETAIL_GRAM in self._file:
-                kept: FloatArray = self._file[_DETAIL_GRAM][()]
+        if self._file is not None and _DETAIL_GRAM in self._file.names:
+            try:
+                kept: FloatArray = _typed(self._file, _DETAIL_GRAM, "<f8", 2).read()
                 if kept.shape != (self.grid.rows, self.grid.rows):
-                    raise ValueError(f"{_DETAIL_GRAM} has shape {kept.shape}")
-                return kept
-        except (AttributeError, OSError, RuntimeError, TypeError, ValueError) as error:
-            raise CorruptImages(f"{self._name} cannot be read: {error}") from error
+                    raise CorruptFile(f"{_DETAIL_GRAM} has shape {kept.shape}")
+            except CorruptFile as error:
+                raise CorruptImages(f"{self._name} cannot be read: {error}") from error
+            return kept
         return drive_gram(self, 0, len(self), progress)
 
 
 class _Stored:
     """Images in an open file, read block by block; a `core.images.ImageSource`."""
 
-    def __init__(self, images: h5py.Dataset, grid: Grid, name: str) -> None:
+    def __init__(self, images: Dataset, grid: Grid, name: str) -> None:
         self.grid = grid
         self._images, self._name = images, name
 
     def __len__(self) -> int:
-        return len(self._images)
+        return self._images.shape[0]
 
     def read(self, start: int, stop: int) -> Float32Array:
         return _read(self._images, start, stop, self._name)
 
 
-def _read(images: h5py.Dataset, start: int, stop: int, name: str) -> Float32Array:
+def _read(images: Dataset, start: int, stop: int, name: str) -> Float32Array:
     try:
-        block: Float32Array = images[start:stop]
-    except (OSError, RuntimeError) as error:
+        block: Float32Array = images.rows(start, stop)
+    except CorruptFile as error:
         raise CorruptImages(f"{name} cannot be read: {error}") from error
     return block
+
+
+def _typed(file: Hdf5File, name: str, dtype: str, axes: int) -> Dataset:
+    dataset = file.dataset(name)
+    if dataset.dtype != dtype or len(dataset.shape) != axes:
+        raise CorruptFile(f"{name} has shape {dataset.shape} of {dataset.dtype}, wanted {dtype}")
+    return dataset
+
+
+def _skipped(text: str) -> tuple[Skipped, ...]:
+    """Return the scans that could not be used, from pairs of position and reason."""
+    told = parse_json(text, "its attribute skipped")
+    if not isinstance(told, list):
+        raise CorruptFile("its attribute skipped is no list")
+    skipped = []
+    for item in told:
+        match item:
+            case [int(scan), str(reason)]:
+                skipped.append(Skipped(scan, reason))
+            case _:
+                raise CorruptFile(f"its attribute skipped holds {item!r:.80}")
+    return tuple(skipped)
 
 
 def image_file_name(imager: Imager, scans_digest: str) -> str:
@@ -178,37 +208,48 @@ def write_image_file(
     """
     if not len(drive):
         raise EmptyDrive(Skipped.explain(drive.name, ()))
+    with publish(path, synced=True) as part:
+        with DurableFile(part) as file:
+            _write(file, part, drive, imager, progress)
+            file.settle()
+        ImageFile(part, imager).close()
+
+
+def _write(file: DurableFile, part: Path, drive: Drive, imager: Imager, progress: Progress) -> None:
     renderings = imager.shape[0] if imager.lateral_renderings_m is not None else 1
     block = max(1, _BLOCK // renderings)
-    with publish(path) as part, h5py.File(part, "x", libver="v110") as file:
-        images = file.create_dataset(
-            "images",
-            shape=(len(drive), *imager.shape),
-            maxshape=(len(drive), *imager.shape),
-            chunks=(min(block, len(drive)), *imager.shape),
-            dtype=np.dtype("<f4"),
-            fletcher32=True,  # HDF5 then refuses to read a block that has changed
-        )
-        probe_shape = (len(probed_among(np.arange(len(drive)))), *imager.grid.shape)
-        probes = file.create_dataset(
-            "probes",
-            shape=probe_shape,
-            maxshape=probe_shape,
-            chunks=(1, *imager.grid.shape),
-            dtype=np.dtype("<f4"),
-            fletcher32=True,
-        )
-        told = project_into(images, probes, drive, range(len(drive)), imager, progress)
-        images.resize(len(told.scans), axis=0)
-        probes.resize(len(told.probed), axis=0)
-        checked = bool(told.probed.size)  # HDF5 keeps no checksum of nothing
-        file.create_dataset("probed", data=told.probed.astype("<i8"), fletcher32=checked)
-        file.create_dataset("standing", data=told.standing.astype("<f8"), fletcher32=checked)
-        file.attrs["probe_version"] = PROBE_VERSION
-        file.create_dataset("scans", data=told.scans.astype("<i8"), fletcher32=True)
-        if imager.lateral_renderings_m is not None:
-            written = _Stored(images, imager.grid, path.name)
-            gram = drive_gram(written, 0, len(written))
-            file.create_dataset(_DETAIL_GRAM, data=gram.astype("<f8"), fletcher32=True)
-        file.attrs["returns"] = told.returns
-        file.attrs["skipped"] = json.dumps([[item.scan, item.reason] for item in told.skipped])
+    writer = Hdf5Writer(file)
+    images = writer.chunked("images", "<f4", (min(block, len(drive)), *imager.shape))
+    probes = writer.chunked("probes", "<f4", (1, *imager.grid.shape))
+    told = project_into(images, probes, drive, range(len(drive)), imager, progress)
+    chunks = images.end()
+    probes.end()
+    _add_checked(writer, "probed", "<i8", told.probed)
+    _add_checked(writer, "standing", "<f8", told.standing)
+    _add_checked(writer, "scans", "<i8", told.scans)
+    if imager.lateral_renderings_m is not None:
+        file.flush()
+        with FileSource(part) as source:
+            shape, chunk_shape = (len(images), *imager.shape), images.chunk_shape
+            dtype = np.dtype("<f4")
+            written = ChunkedDataset(source, "images", dtype, shape, chunk_shape, chunks)
+            gram = drive_gram(_Stored(written, imager.grid, part.name), 0, len(images))
+        _add_checked(writer, _DETAIL_GRAM, "<f8", gram)
+    writer.finish(
+        {
+            "probe_version": PROBE_VERSION,
+            "returns": told.returns,
+            "skipped": json.dumps([[item.scan, item.reason] for item in told.skipped]),
+        }
+    )
+
+
+def _add_checked(writer: Hdf5Writer, name: str, dtype: str, array: NDArray[Any]) -> None:
+    """Write a small array as one chunk, which has a checksum; nothing at all needs none."""
+    if not array.size:
+        writer.add(name, dtype, array.shape, [])
+        return
+    cells = writer.chunked(name, dtype, array.shape)
+    for row, numbers in enumerate(array):
+        cells[row] = numbers
+    cells.end()

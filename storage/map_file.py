@@ -2,23 +2,47 @@
 
 import errno
 import json
-import os
+import threading
+from collections import OrderedDict
+from collections.abc import Iterator
+from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
+from numpy.typing import NDArray
 
 from core.errors import TensorMapError
 from core.parameters import Encoding
 from core.tensormap import TensorMap
+from storage.durable_file import DurableFile
 from storage.errors import CorruptFile
+from storage.hdf5 import (
+    BytesSource,
+    ContiguousDataset,
+    Dataset,
+    FileSource,
+    Hdf5File,
+    Hdf5Writer,
+    Source,
+)
+from storage.json_text import MOST_JSON_BYTES, parse_json
 
-__all__ = ["FORMAT", "FORMAT_VERSION", "read_map", "write_map"]
+__all__ = [
+    "FORMAT",
+    "FORMAT_VERSION",
+    "map_of_bytes",
+    "read_map",
+    "read_revision",
+    "write_map",
+]
 
 FORMAT = "tensormap"
 FORMAT_VERSION = 1
+
+_MOST_WORD_BYTES = 256  # of an attribute that is a word or a digest
+_REMEMBERED = 4096  # files whose digest was checked
 
 _OF_ALL = {
     "segment_start": "<i8",
@@ -51,24 +75,36 @@ _OF_JOINED = {"edge_scans": "<i8", "edge_of_segment": "<i8", "segment_reversed":
 
 
 def write_map(path: Path, tensor_map: TensorMap, created_at: datetime | None = None) -> None:
-    """Write a revision to a new file and give its bytes to the disk's care.
+    """Write a revision to a new file, wait until it is on disk, and read it back.
 
-    The caller publishes it: writes beside, syncs and renames (`storage.files`).
+    The caller publishes it: writes beside and renames (`storage.files`).
 
     Args:
         path: A file that does not exist yet.
         tensor_map: The content.
         created_at: Kept beside the digest, outside of it.
+
+    Raises:
+        FileExistsError: If there is a file.
+        OSError: If the disk refuses it, or gives back something else.
     """
     dtypes = {**_DTYPES[tensor_map.parameters.encoding], **_OF_JOINED}
-    with h5py.File(path, "x", libver="v110") as file:
+    with DurableFile(path) as file:
+        writer = Hdf5Writer(file)
         for name, array in tensor_map.arrays().items():
-            file.create_dataset(name, data=np.asarray(array, dtypes[name]))
-        file.attrs["format"] = FORMAT
-        file.attrs["format_version"] = FORMAT_VERSION
-        file.attrs["attributes"] = json.dumps(tensor_map.attributes(), sort_keys=True)
-        file.attrs["digest"] = tensor_map.revision
-        file.attrs["created_at"] = (created_at or datetime.now(UTC)).isoformat()
+            writer.add(name, dtypes[name], array.shape, [array])
+        writer.finish(
+            {
+                "format": FORMAT,
+                "format_version": FORMAT_VERSION,
+                "attributes": json.dumps(tensor_map.attributes(), sort_keys=True),
+                "digest": tensor_map.revision,
+                "created_at": (created_at or datetime.now(UTC)).isoformat(),
+            }
+        )
+        file.settle()
+    if (found := read_map(path).revision) != tensor_map.revision:
+        raise OSError(errno.EIO, f"revision {found} came back, {tensor_map.revision} was written")
 
 
 def read_map(path: Path) -> TensorMap:
@@ -78,61 +114,124 @@ def read_map(path: Path) -> TensorMap:
         CorruptFile: If the file is no map, lacks something or its content has another digest.
         FileNotFoundError: If there is no such file.
     """
-    if not path.exists():
-        raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(path))
-    try:
-        arrays, attributes, digest = _read_parts(path)
-    # RuntimeError is HDF5's own, and that of attributes nested too deep.
-    except (OSError, RuntimeError, KeyError, ValueError, TypeError, OverflowError) as error:
-        raise CorruptFile(f"{path.name} cannot be read as a map: {error}") from error
-    try:
-        tensor_map = TensorMap.from_parts(arrays, attributes)
-    except TensorMapError as error:
-        raise CorruptFile(f"{path.name} holds no map: {error}") from error
+    with _named(path.name), FileSource(path) as source:
+        tensor_map = _whole(source)
+        _checked.add(source.identity)
+        return tensor_map
+
+
+def map_of_bytes(content: bytes, name: str) -> TensorMap:
+    """Read the revision that bytes in memory hold, whole or not at all.
+
+    Args:
+        content: A file's bytes.
+        name: What they are, for errors.
+
+    Raises:
+        CorruptFile: If they are no map, lack something or the content has another digest.
+    """
+    with _named(name):
+        return _whole(BytesSource(content))
+
+
+def read_revision(path: Path, digest: str) -> TensorMap:
+    """Read a stored revision; that its content has the digest is checked once in a process.
+
+    All places and checksums of the file's structure are checked every time. A file that was
+    written to since, or another one of that name, is checked as if it came for the first time.
+
+    Args:
+        path: Where it is.
+        digest: What the catalog says that it holds.
+
+    Raises:
+        CorruptFile: If the file is no map, lacks something or holds another revision.
+        FileNotFoundError: If there is no such file.
+    """
+    with _named(path.name), FileSource(path) as source:
+        if source.identity in _checked:
+            tensor_map = TensorMap.from_parts(*_parts(source))
+        else:
+            tensor_map = _whole(source)
+            _checked.add(source.identity)
     if tensor_map.revision != digest:
-        raise CorruptFile(
-            f"{path.name} says it holds {digest}, its content is {tensor_map.revision}"
-        )
+        raise CorruptFile(f"the file of revision {digest} holds {tensor_map.revision}")
     return tensor_map
 
 
-def _read_parts(path: Path) -> tuple[dict[str, Any], dict[str, Any], str]:
-    with h5py.File(path, "r", locking=False) as file:  # immutable: also on a read-only disk
-        if file.attrs.get("format") != FORMAT:
-            raise ValueError("it has no attribute format = tensormap")
-        version = int(file.attrs["format_version"])
-        if version != FORMAT_VERSION:
-            raise ValueError(f"its format version is {version}, {FORMAT_VERSION} is read here")
-        attributes = json.loads(file.attrs["attributes"])
-        dtypes = _DTYPES[Encoding(attributes["encoding"])]
-        if any(name in file for name in _OF_JOINED):
-            dtypes = {**dtypes, **_OF_JOINED}
-        odd = set(file) ^ set(dtypes)
-        if odd:
-            raise ValueError(f"it lacks or should not hold {', '.join(sorted(odd))}")
-        size_bytes = path.stat().st_size
-        return (
-            {name: _plain(file, name, dtypes[name], size_bytes) for name in file},
-            attributes,
-            str(file.attrs["digest"]),
-        )
+class _CheckedFiles:
+    """The files of which this process has checked the digest, those read last."""
+
+    def __init__(self) -> None:
+        self._identities: OrderedDict[tuple[int, ...], None] = OrderedDict()
+        self._lock = threading.Lock()
+
+    def __contains__(self, identity: tuple[int, ...]) -> bool:
+        return identity in self._identities
+
+    def add(self, identity: tuple[int, ...]) -> None:
+        with self._lock:
+            self._identities[identity] = None
+            while len(self._identities) > _REMEMBERED:
+                self._identities.popitem(last=False)
 
 
-def _plain(file: h5py.File, name: str, dtype: str, size_bytes: int) -> np.ndarray[Any, Any]:
-    """Read an array that lies in this file: no link elsewhere, no filter, no stored code."""
-    link = file.get(name, getlink=True)
-    dataset = file[name] if isinstance(link, h5py.HardLink) else None
-    if not isinstance(dataset, h5py.Dataset) or dataset.shape is None:
-        raise ValueError(f"{name} is no plain array of numbers")
+_checked = _CheckedFiles()
+
+
+@contextmanager
+def _named(name: str) -> Iterator[None]:
+    try:
+        yield
+    except CorruptFile as error:
+        raise CorruptFile(f"{name} cannot be read as a map: {error}") from error
+    except TensorMapError as error:
+        raise CorruptFile(f"{name} holds no map: {error}") from error
+
+
+def _whole(source: Source) -> TensorMap:
+    arrays, attributes, digest = _parts(source)
+    tensor_map = TensorMap.from_parts(arrays, attributes)
+    if tensor_map.revision != digest:
+        raise CorruptFile(f"it says it holds {digest}, its content is {tensor_map.revision}")
+    return tensor_map
+
+
+def _parts(source: Source) -> tuple[dict[str, NDArray[Any]], dict[str, Any], str]:
+    file = Hdf5File(source)
+    told = file.attributes
+    if "format" not in told or told.text("format", _MOST_WORD_BYTES) != FORMAT:
+        raise CorruptFile("it has no attribute format = tensormap")
+    version = told.whole("format_version")
+    if version != FORMAT_VERSION:
+        raise CorruptFile(f"its format version is {version}, {FORMAT_VERSION} is read here")
+    attributes = parse_json(told.text("attributes", MOST_JSON_BYTES), "its attribute attributes")
+    dtypes = _dtypes(attributes)
+    if not file.names.isdisjoint(_OF_JOINED):
+        dtypes = {**dtypes, **_OF_JOINED}
+    odd = file.names ^ dtypes.keys()
+    if odd:
+        raise CorruptFile(f"it lacks or should not hold {', '.join(sorted(odd))}")
+    datasets = {name: _plain(file.dataset(name), dtypes[name]) for name in sorted(dtypes)}
+    size_bytes = sum(dataset.size_bytes for dataset in datasets.values())
+    if size_bytes > source.size_bytes:
+        raise CorruptFile(f"its arrays take {size_bytes} bytes, the file {source.size_bytes}")
+    arrays = {name: dataset.read() for name, dataset in datasets.items()}
+    return arrays, attributes, told.text("digest", _MOST_WORD_BYTES)
+
+
+def _dtypes(attributes: object) -> dict[str, str]:
+    encoding = attributes.get("encoding") if isinstance(attributes, dict) else None
+    if not isinstance(encoding, str) or encoding not in set(Encoding):
+        raise CorruptFile(f"its encoding is {encoding!r:.80}, wanted {', '.join(Encoding)}")
+    return _DTYPES[Encoding(encoding)]
+
+
+def _plain(dataset: Dataset, dtype: str) -> ContiguousDataset:
+    """Refuse an array that is not all of its numbers, one after another."""
+    name = dataset.name
     if dataset.dtype != np.dtype(dtype):
-        raise ValueError(f"{name} holds {dataset.dtype}, wanted {dtype}")
-    if dataset.external or dataset.is_virtual:
-        raise ValueError(f"{name} keeps its numbers in another file")
-    if dataset.id.get_create_plist().get_nfilters():
-        raise ValueError(f"{name} is filtered; a map's arrays are contiguous")
-    if dataset.chunks is not None:
-        raise ValueError(f"{name} is chunked; a map's arrays are contiguous")
-    if dataset.nbytes > min(dataset.id.get_storage_size(), size_bytes):
-        raise ValueError(f"{name} has more numbers than the file")
-    array: np.ndarray[Any, Any] = dataset[()]
-    return array
+        raise CorruptFile(f"{name} holds {dataset.dtype}, wanted {dtype}")
+    if not isinstance(dataset, ContiguousDataset):
+        raise CorruptFile(f"{name} is filtered or chunked; a map's arrays are contiguous")
+    return dataset

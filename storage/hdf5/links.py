@@ -1,0 +1,139 @@
+"""The members of a group, in each of the ways in which HDF5 lists them."""
+
+from dataclasses import dataclass
+
+from storage.errors import CorruptFile
+from storage.hdf5.fractal_heap import FractalHeap
+from storage.hdf5.object_header import Message, Messages, check_sum
+from storage.hdf5.source import UNDEFINED, Fields, Source
+
+__all__ = ["MOST_LINKS", "Link", "read_links"]
+
+MOST_LINKS = 64
+"""More than any file of ours has in its root."""
+
+_KINDS = {0: "hard", 1: "soft", 64: "external"}
+
+
+@dataclass(frozen=True)
+class Link:
+    """What a name leads to.
+
+    Attributes:
+        name: The name.
+        address: Of the object's header, `None` if the name leads to another name or file.
+    """
+
+    name: str
+    address: int | None
+
+
+def read_links(source: Source, group: Messages) -> dict[str, Link]:
+    """Return the members of a group by name.
+
+    Raises:
+        CorruptFile: If the list is damaged, or a name comes twice.
+    """
+    table = group.optional(Message.SYMBOL_TABLE)
+    links = [_link(fields) for fields in group.of(Message.LINK)]
+    info = group.optional(Message.LINK_INFO)
+    if table is None and info is None:
+        raise CorruptFile(f"{group.name} is no group")
+    if table is not None:
+        links += _of_table(source, table)
+    if info is not None:
+        links += _of_heap(source, info)
+    if len(links) > MOST_LINKS:
+        raise CorruptFile(f"{group.name} has more than {MOST_LINKS} members")
+    named = {link.name: link for link in links}
+    if len(named) != len(links):
+        raise CorruptFile(f"{group.name} has two members of one name")
+    return named
+
+
+def _link(fields: Fields) -> Link:
+    fields.expect(b"\x01", "a link's version")
+    flags = fields.unsigned(1)
+    kind = fields.unsigned(1) if flags & 8 else 0
+    fields.take((8 if flags & 4 else 0) + (1 if flags & 16 else 0))
+    name = _text(fields.take(fields.unsigned(1 << (flags & 3))), fields.name)
+    if _KINDS.get(kind) == "hard":
+        return Link(name, fields.unsigned(8))
+    return Link(name, None)
+
+
+def _text(content: bytes, group: str) -> str:
+    try:
+        return content.decode()
+    except UnicodeDecodeError as error:
+        raise CorruptFile(f"{group}: the name of a member is no UTF-8") from error
+
+
+def _of_heap(source: Source, info: Fields) -> list[Link]:
+    info.expect(b"\0", "the version of its links")
+    if info.unsigned(1) & 1:
+        info.take(8)
+    heap_at, tree_at = info.unsigned(8), info.unsigned(8)
+    if heap_at == UNDEFINED:
+        return []
+    heap = FractalHeap(source, heap_at, info.name)
+    return [
+        _link(Fields(heap.object(record[4:]), info.name))
+        for record in _records(source, tree_at, info.name)
+    ]
+
+
+def _records(source: Source, at: int, group: str) -> list[bytes]:
+    """Return the records of a B-tree of version 2 that is one leaf: a hash and a heap's id."""
+    name = f"the index of {group}"
+    header = source.structure(at, 38, name)
+    check_sum(header)
+    header.expect(b"BTHD\0\x05", "its signature, version and type")
+    node_size, size, depth = header.unsigned(4), header.unsigned(2), header.unsigned(2)
+    header.take(2)
+    root, count = header.unsigned(8), header.unsigned(2)
+    if not count and root == UNDEFINED:
+        return []
+    if depth or count > MOST_LINKS or size < 5 or 10 + count * size > node_size:
+        raise CorruptFile(f"{name} has {count} records at depth {depth}: too many members")
+    leaf = source.structure(root, 10 + count * size, name)
+    check_sum(leaf)
+    leaf.expect(b"BTLF\0\x05", "its signature, version and type")
+    return [leaf.take(size) for _ in range(count)]
+
+
+def _of_table(source: Source, table: Fields) -> list[Link]:
+    tree_at, heap_at = table.unsigned(8), table.unsigned(8)
+    heap = source.structure(heap_at, 32, f"the names of {table.name}")
+    heap.expect(b"HEAP\0\0\0\0", "their signature and version")
+    size, _, names_at = heap.unsigned(8), heap.unsigned(8), heap.unsigned(8)
+    names = source.structure(names_at, size, heap.name).content
+    tree = source.structure(tree_at, 24, f"the index of {table.name}")
+    tree.expect(b"TREE\0\0", "its signature, type and level")
+    nodes = tree.unsigned(2)
+    if nodes > MOST_LINKS:
+        raise CorruptFile(f"{table.name} has more than {MOST_LINKS} members")
+    children = source.structure(tree_at + 24, nodes * 16, tree.name)
+    links: list[Link] = []
+    for _ in range(nodes):
+        children.take(8)
+        links += _of_node(source, children.unsigned(8), names, table.name)
+    return links
+
+
+def _of_node(source: Source, at: int, names: bytes, group: str) -> list[Link]:
+    node = source.structure(at, 8, f"a list of members of {group}")
+    node.expect(b"SNOD\x01\0", "its signature and version")
+    count = node.unsigned(2)
+    if count > MOST_LINKS:
+        raise CorruptFile(f"{group} has more than {MOST_LINKS} members")
+    entries = source.structure(at + 8, count * 40, node.name)
+    links = []
+    for _ in range(count):
+        begin, address, kind = entries.unsigned(8), entries.unsigned(8), entries.unsigned(4)
+        entries.take(20)
+        end = names.find(b"\0", begin)
+        if begin >= len(names) or end < 0:
+            raise CorruptFile(f"{group}: the name of a member is cut off")
+        links.append(Link(_text(names[begin:end], group), None if kind == 2 else address))
+    return links

@@ -1,0 +1,209 @@
+"""Bytes of a file, on a disk or in memory, and fields cut out of them: nothing beyond their end."""
+
+import os
+import struct
+from abc import ABC, abstractmethod
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from storage.errors import CorruptFile
+
+__all__ = ["UNDEFINED", "BytesSource", "Fields", "FileSource", "Source"]
+
+UNDEFINED = 2**64 - 1
+"""The address of what was never given a place."""
+
+_STRUCTURE_BYTES = 2**19  # ours take some 10 kB; their checksums are computed in Python, 4 MB/s
+_UNSIGNED = {1: "<B", 2: "<H", 4: "<I", 8: "<Q"}
+
+
+class Fields:
+    """The fields of one structure, taken one after another.
+
+    Args:
+        content: Its bytes.
+        name: What it is, for errors.
+    """
+
+    def __init__(self, content: bytes, name: str) -> None:
+        self.content = content
+        self.name = name
+        self.at = 0
+
+    @property
+    def left(self) -> int:
+        """How many bytes were not taken yet."""
+        return len(self.content) - self.at
+
+    def take(self, count: int) -> bytes:
+        """Return the next bytes.
+
+        Raises:
+            CorruptFile: If the structure has fewer.
+        """
+        if not 0 <= count <= self.left:
+            raise CorruptFile(f"{self.name} is cut off: {count} bytes wanted, {self.left} left")
+        begin, self.at = self.at, self.at + count
+        return self.content[begin : self.at]
+
+    def unsigned(self, size: int) -> int:
+        """Return the next little-endian unsigned number of `size` bytes."""
+        taken = self.take(size)
+        if (form := _UNSIGNED.get(size)) is not None:
+            number: int = struct.unpack(form, taken)[0]
+            return number
+        return int.from_bytes(taken, "little")
+
+    def expect(self, wanted: bytes, what: str) -> None:
+        """Refuse a structure whose next bytes are others than `wanted`."""
+        if (found := self.take(len(wanted))) != wanted:
+            raise CorruptFile(f"{self.name}: {what} is {found!r}, wanted {wanted!r}")
+
+
+class Source(ABC):
+    """A file of known size that is read at any place.
+
+    Structures of all kinds may take half a megabyte together, and text as much as the file has:
+    damage that makes structures refer to each other in a circle ends there.
+    """
+
+    def __init__(self, size_bytes: int) -> None:
+        self.size_bytes = size_bytes
+        self._structures_left = _STRUCTURE_BYTES
+        self._text_left = size_bytes
+
+    def structure(self, at: int, count: int, name: str) -> Fields:
+        """Read a structure.
+
+        Raises:
+            CorruptFile: If it does not lie within the file, or too many were read.
+        """
+        self._structures_left -= count
+        if self._structures_left < 0:
+            raise CorruptFile(f"its structures take more than {_STRUCTURE_BYTES} bytes")
+        return Fields(self.read(at, count, name), name)
+
+    def text(self, at: int, count: int, name: str) -> Fields:
+        """Read what holds text, all of it together no more than the file has bytes."""
+        self._text_left -= count
+        if self._text_left < 0:
+            raise CorruptFile("its text takes more bytes than the file has")
+        return Fields(self.read(at, count, name), name)
+
+    def require(self, at: int, count: int, name: str) -> None:
+        """Refuse a place that does not lie within the file."""
+        if not (0 <= at <= self.size_bytes and 0 <= count <= self.size_bytes - at):
+            raise CorruptFile(
+                f"{name} lies at byte {at} with {count} bytes, the file has {self.size_bytes}"
+            )
+
+    def read(self, at: int, count: int, name: str) -> bytes:
+        """Return bytes of the file.
+
+        Raises:
+            CorruptFile: If they do not lie within it, or cannot be read.
+        """
+        self.require(at, count, name)
+        content = bytearray(count)
+        self._fill(at, memoryview(content), name)
+        return bytes(content)
+
+    def array(
+        self, at: int, dtype: np.dtype[Any], shape: tuple[int, ...], name: str
+    ) -> NDArray[Any]:
+        """Return an array that lies in one piece; it takes no more memory than the file has bytes.
+
+        Raises:
+            CorruptFile: If it does not lie within the file, or cannot be read.
+        """
+        count = dtype.itemsize
+        for length in shape:
+            count *= length
+        self.require(at, count, name)
+        array = np.empty(shape, dtype)
+        self._fill(at, array.reshape(-1).view(np.uint8).data, name)
+        return array
+
+    def _fill(self, at: int, target: memoryview, name: str) -> None:
+        try:
+            count = self._read_into(at, target)
+        except OSError as error:
+            raise CorruptFile(f"{name} cannot be read: {error}") from error
+        if count != len(target):
+            raise CorruptFile(f"{name} is cut off: the file became shorter")
+
+    @abstractmethod
+    def close(self) -> None:
+        """Let the file go."""
+
+    @abstractmethod
+    def _read_into(self, at: int, target: memoryview) -> int:
+        """Read bytes that lie in the file into `target`; return how many there were."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+class BytesSource(Source):
+    """A file in memory."""
+
+    def __init__(self, content: bytes) -> None:
+        super().__init__(len(content))
+        self._content = content
+
+    def close(self) -> None:
+        """Nothing is open."""
+
+    def _read_into(self, at: int, target: memoryview) -> int:
+        target[:] = memoryview(self._content)[at : at + len(target)]
+        return len(target)
+
+
+class FileSource(Source):
+    """A file on a disk: read with plain reads, since a bad sector under `mmap` is a signal.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        CorruptFile: If it cannot be read.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._descriptor = -1
+        try:
+            self._descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+            super().__init__(os.fstat(self._descriptor).st_size)
+        except FileNotFoundError:
+            raise
+        except OSError as error:
+            self.close()
+            raise CorruptFile(f"it cannot be read: {error}") from error
+
+    @property
+    def identity(self) -> tuple[int, ...]:
+        """What is another once the file is another, or was written to."""
+        told = os.fstat(self._descriptor)
+        return told.st_dev, told.st_ino, told.st_size, told.st_mtime_ns, told.st_ctime_ns
+
+    def close(self) -> None:
+        """Close the file."""
+        descriptor, self._descriptor = self._descriptor, -1
+        if descriptor >= 0:
+            os.close(descriptor)
+
+    def __del__(self) -> None:
+        self.close()
+
+    def _read_into(self, at: int, target: memoryview) -> int:
+        done = 0
+        while done < len(target):
+            count = os.preadv(self._descriptor, [target[done:]], at + done)
+            if not count:
+                break
+            done += count
+        return done
