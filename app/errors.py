@@ -168,6 +168,7 @@ STATUS: dict[type[core.TensorMapError], HTTPStatus] = {
     stored.AmbiguousRevision: S.CONFLICT,
     stored.JobNotRunning: S.CONFLICT,
     stored.RequestKeyReused: S.CONFLICT,
+    stored.TooManyBuilds: S.TOO_MANY_REQUESTS,
     stored.InvalidSlug: S.UNPROCESSABLE_ENTITY,
     stored.CorruptFile: S.INTERNAL_SERVER_ERROR,
     stored.CorruptImages: S.INTERNAL_SERVER_ERROR,

@@ -64,6 +64,9 @@ class Settings(BaseSettings):
         100, ge=1, description="A scan with fewer finite, non-zero returns is refused."
     )
     build_workers: int = Field(1, ge=1, le=64, description="How many builds run at once.")
+    max_queued_builds_per_key: int = Field(
+        50, ge=1, description="How many builds a key may have in the queue; another is refused."
+    )
     loaded_revisions: int = Field(
         8, ge=1, description="How many revisions are kept in memory to answer queries."
     )
