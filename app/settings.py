@@ -91,8 +91,29 @@ class Settings(BaseSettings):
     max_tracks: int = Field(
         1000, ge=1, description="How many vehicles are tracked at once; another is refused."
     )
+    max_tracks_per_key: int = Field(
+        500, ge=1, description="How many tracks of one key are kept at once; another is refused."
+    )
     track_idle_s: float = Field(
         600.0, gt=0.0, description="How many seconds after its last use a track is forgotten."
+    )
+    max_streams: int = Field(
+        2000,
+        ge=1,
+        description="How many streams, of tracks and of jobs' events, are open at once; another is"
+        " refused. `serve` takes half of TENSORMAP_MAX_CONNECTIONS if that is less.",
+    )
+    max_streams_per_key: int = Field(
+        1000,
+        ge=1,
+        description="How many streams of one key are open at once; another is refused. `serve`"
+        " takes half of all streams if that is less.",
+    )
+    stream_idle_s: float = Field(
+        600.0,
+        gt=0.0,
+        allow_inf_nan=False,
+        description="How many seconds after its last message the stream of a track is closed.",
     )
     requests_per_s: float = Field(
         0.0,

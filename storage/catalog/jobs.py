@@ -133,6 +133,12 @@ class Jobs:
         with self._database.reading() as session:
             return _record(_found(session, job_id))
 
+    def with_ids(self, job_ids: Collection[str]) -> Mapping[str, JobRecord]:
+        """Return those of these jobs that are there, by their ids."""
+        with self._database.reading() as session:
+            rows = session.scalars(select(Job).where(Job.id.in_(job_ids)))
+            return {row.id: _record(row) for row in rows}
+
     def list(
         self,
         map_slug: str | None = None,
