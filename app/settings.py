@@ -97,6 +97,19 @@ class Settings(BaseSettings):
     track_idle_s: float = Field(
         600.0, gt=0.0, description="How many seconds after its last use a track is forgotten."
     )
+    max_connections: int = Field(
+        0,
+        ge=0,
+        description="How many connections are open at once; the one that was idle for longest is"
+        " closed for another. 0 takes as many as the descriptors allow, at most 4096.",
+    )
+    request_head_s: float = Field(
+        10.0,
+        gt=0.0,
+        allow_inf_nan=False,
+        description="How many seconds a request's head may take, from the start of its connection"
+        " or from its first byte; then that is closed.",
+    )
     max_streams: int = Field(
         2000,
         ge=1,

@@ -139,12 +139,17 @@ def test_however_many_follow_a_job_it_is_read_as_often_as_for_one(sparing, monke
     service = sparing.service
     reads, admitted = [], []
     with_ids, caller_of = service.store.jobs.with_ids, service.access.caller_of
-    monkeypatch.setattr(
-        service.store.jobs, "with_ids", lambda ids: reads.append(tuple(ids)) or with_ids(ids)
-    )
-    monkeypatch.setattr(
-        service.access, "caller_of", lambda who: admitted.append(who) or caller_of(who)
-    )
+
+    def counted_read(ids):
+        reads.append(tuple(ids))
+        return with_ids(ids)
+
+    def counted_admission(connection):
+        admitted.append(connection)
+        return caller_of(connection)
+
+    monkeypatch.setattr(service.store.jobs, "with_ids", counted_read)
+    monkeypatch.setattr(service.access, "caller_of", counted_admission)
     with ExitStack() as opened:
         for _ in range(2):
             opened.enter_context(sparing.stream("GET", f"/v1/jobs/{job}/events", headers=ADMIN))
