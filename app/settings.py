@@ -67,6 +67,19 @@ class Settings(BaseSettings):
     max_queued_builds_per_key: int = Field(
         50, ge=1, description="How many builds a key may have in the queue; another is refused."
     )
+    build_stall_s: float = Field(
+        3600.0,
+        gt=0.0,
+        allow_inf_nan=False,
+        description="How many seconds a build may make no progress; then its process is ended, and"
+        " it fails.",
+    )
+    build_memory_bytes: int | None = Field(
+        None,
+        ge=0,
+        description="How many bytes a build may allocate; one that needs more fails. Three quarters"
+        " of the machine's, or the control group's, memory by default; 0 limits nothing.",
+    )
     loaded_revisions: int = Field(
         8, ge=1, description="How many revisions are kept in memory to answer queries."
     )
