@@ -22,8 +22,15 @@ _FIELDS = "tensormap_fields"
 _KEY = re.compile(r"tm_[0-9A-Za-z]+_[\w-]{8,}")
 _HIDDEN = "tm_(hidden)"
 _CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029]")
-# Uvicorn's line about a stream: it repeats the query, and we write one ourselves.
-_WEBSOCKET = '%s - "WebSocket '
+# What is said of each stream besides our own line: one repeats its query, and another takes a
+# refusal for a fault.
+_OF_STREAMS = (
+    '%s - "WebSocket ',
+    "connection open",
+    "connection rejected",
+    "connection closed",
+    "ASGI callable returned without completing handshake.",
+)
 _CAUSED = (
     "socket.accept() out of system resource",
     "Invalid HTTP request received.",
@@ -78,7 +85,7 @@ class _Seldom(logging.Filter):
     def filter(self, record: logging.LogRecord) -> bool:
         """Return whether a record is to be written."""
         event = str(record.msg)
-        if event.startswith(_WEBSOCKET):
+        if event.startswith(_OF_STREAMS):
             return False
         kind = next((kind for kind in _CAUSED if event.startswith(kind)), None)
         if kind is None:

@@ -5,9 +5,13 @@ from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+from anyio import CapacityLimiter
+
 from app.errors import TooManyStreams, TooManyStreamsOfKey
 
 __all__ = ["Streams"]
+
+_OPENED_AT_ONCE = 4
 
 
 class Streams:
@@ -16,6 +20,10 @@ class Streams:
     Args:
         limit: How many may be open.
         per_key: How many may be open of one key.
+
+    Attributes:
+        opening: Limits the threads that check who opens a stream: thousands that come at once leave
+            the others to requests.
 
     Examples:
         >>> streams = Streams(limit=3, per_key=1)
@@ -32,6 +40,7 @@ class Streams:
         self._per_key = per_key
         self._open: Counter[str] = Counter()
         self._lock = threading.Lock()
+        self.opening = CapacityLimiter(_OPENED_AT_ONCE)
 
     def __len__(self) -> int:
         with self._lock:

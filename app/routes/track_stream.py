@@ -2,8 +2,10 @@
 
 import asyncio
 from contextlib import ExitStack, suppress
+from functools import partial
 from typing import Annotated, NoReturn
 
+from anyio import to_thread
 from fastapi import APIRouter, Path, WebSocket, WebSocketDisconnect, status
 from pydantic import ValidationError
 from starlette.concurrency import run_in_threadpool
@@ -53,7 +55,8 @@ async def stream(
     service: Service = websocket.app.state.service
     with ExitStack() as counted:
         try:
-            caller = await run_in_threadpool(_open, websocket, service, map_slug, track_id)
+            check = partial(_open, websocket, service, map_slug, track_id)
+            caller = await to_thread.run_sync(check, limiter=service.streams.opening)
             counted.enter_context(service.streams.opened(caller.key_id))
         except TensorMapError as error:
             await websocket.send_denial_response(problem_response(error))

@@ -125,10 +125,12 @@ def test_what_a_client_can_cause_at_will_is_logged_once_in_a_while():
     assert [passes(accept), passes(accept)] == [True, False]
 
 
-def test_the_query_of_a_stream_is_not_logged_by_the_server(lines):
+def test_a_stream_is_logged_by_us_and_not_by_the_server_with_its_query(lines):
     written = lines(LogFormat.TEXT)
     error = logging.getLogger("uvicorn.error")
     error.info('%s - "WebSocket %s" [accepted]', "127.0.0.1:1", "/v1/maps/m/tracks/t/stream?key=1")
+    error.info("connection rejected (%d %s)", 429, "Too Many Requests")
+    error.error("ASGI callable returned without completing handshake.")
     error.info("Shutting down")
     [line] = written.getvalue().splitlines()
     assert "Shutting down" in line
