@@ -16,6 +16,8 @@ __all__ = [
     "WRITING",
     "AppError",
     "BodyTooLarge",
+    "BuildOutOfMemory",
+    "BuildStalled",
     "DigestMismatch",
     "HostNotAllowed",
     "InternalError",
@@ -27,8 +29,12 @@ __all__ = [
     "MethodNotAllowed",
     "NoSuchRoute",
     "ScopeMissing",
+    "TooManyConnections",
     "TooManyRequests",
+    "TooManyStreams",
+    "TooManyStreamsOfKey",
     "TooManyTracks",
+    "TooManyTracksOfKey",
     "TrackNotFound",
     "UnsupportedBody",
     "WorkerDied",
@@ -119,8 +125,34 @@ class TooManyTracks(AppError):
     """A new track, while as many are kept as this service may."""
 
 
+class TooManyTracksOfKey(AppError):
+    """A new track of a key, while as many of its tracks are kept as may be."""
+
+
+class TooManyStreams(AppError):
+    """A new stream, of a track or of a job's events, while as many are open as may be."""
+
+
+class TooManyStreamsOfKey(AppError):
+    """A new stream of a key, while as many of its streams are open as may be."""
+
+
+class TooManyConnections(AppError):
+    """A new connection, while as many are open as may be and each is in use."""
+
+    headers = MappingProxyType({"Retry-After": "1", "Connection": "close"})
+
+
 class WorkerDied(AppError):
     """The process of a build ended before the build did."""
+
+
+class BuildStalled(AppError):
+    """A build that made no progress for as long as one may; its process was ended."""
+
+
+class BuildOutOfMemory(AppError):
+    """A build that needed more memory than one may take; its process was ended."""
 
 
 class InternalError(AppError):
@@ -168,6 +200,7 @@ STATUS: dict[type[core.TensorMapError], HTTPStatus] = {
     stored.AmbiguousRevision: S.CONFLICT,
     stored.JobNotRunning: S.CONFLICT,
     stored.RequestKeyReused: S.CONFLICT,
+    stored.TooManyBuilds: S.TOO_MANY_REQUESTS,
     stored.InvalidSlug: S.UNPROCESSABLE_ENTITY,
     stored.CorruptFile: S.INTERNAL_SERVER_ERROR,
     stored.CorruptImages: S.INTERNAL_SERVER_ERROR,
@@ -192,7 +225,13 @@ STATUS: dict[type[core.TensorMapError], HTTPStatus] = {
     MethodNotAllowed: S.METHOD_NOT_ALLOWED,
     TrackNotFound: S.NOT_FOUND,
     TooManyTracks: S.SERVICE_UNAVAILABLE,
+    TooManyTracksOfKey: S.TOO_MANY_REQUESTS,
+    TooManyStreams: S.SERVICE_UNAVAILABLE,
+    TooManyStreamsOfKey: S.TOO_MANY_REQUESTS,
+    TooManyConnections: S.SERVICE_UNAVAILABLE,
     WorkerDied: S.INTERNAL_SERVER_ERROR,
+    BuildStalled: S.INTERNAL_SERVER_ERROR,
+    BuildOutOfMemory: S.INTERNAL_SERVER_ERROR,
     InternalError: S.INTERNAL_SERVER_ERROR,
 }
 

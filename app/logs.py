@@ -7,6 +7,8 @@ import json
 import logging
 import re
 import sys
+import time
+from collections.abc import Callable
 from datetime import UTC, datetime
 from enum import StrEnum
 from typing import Any, TextIO
@@ -20,6 +22,21 @@ _FIELDS = "tensormap_fields"
 _KEY = re.compile(r"tm_[0-9A-Za-z]+_[\w-]{8,}")
 _HIDDEN = "tm_(hidden)"
 _CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029]")
+# What is said of each stream besides our own line: one repeats its query, and another takes a
+# refusal for a fault.
+_OF_STREAMS = (
+    '%s - "WebSocket ',
+    "connection open",
+    "connection rejected",
+    "connection closed",
+    "ASGI callable returned without completing handshake.",
+)
+_CAUSED = (
+    "socket.accept() out of system resource",
+    "Invalid HTTP request received.",
+    "Unsupported upgrade request.",
+)
+_SELDOM_S = 10.0
 
 
 class LogFormat(StrEnum):
@@ -48,6 +65,36 @@ def configure_logging(
         logging.getLogger(name).handlers.clear()
     # It repeats each request, with its query.
     logging.getLogger("uvicorn.access").disabled = True
+    for name in ("uvicorn.error", "asyncio"):
+        log = logging.getLogger(name)
+        log.filters[:] = [_Seldom()]
+
+
+class _Seldom(logging.Filter):
+    """Lets what any client can cause, as often as it likes, through once in a while.
+
+    Without it, connections beyond the descriptors fill a disk: asyncio logs 2,048 tracebacks a
+    second for them.
+    """
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        super().__init__()
+        self._clock = clock
+        self._let_through_at: dict[str, float] = {}
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        """Return whether a record is to be written."""
+        event = str(record.msg)
+        if event.startswith(_OF_STREAMS):
+            return False
+        kind = next((kind for kind in _CAUSED if event.startswith(kind)), None)
+        if kind is None:
+            return True
+        now_s, last_s = self._clock(), self._let_through_at.get(kind)
+        if last_s is not None and now_s - last_s < _SELDOM_S:
+            return False
+        self._let_through_at[kind] = now_s
+        return True
 
 
 class _Line(logging.Formatter):

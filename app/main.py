@@ -18,6 +18,7 @@ from app.access.origins import allow_origins
 from app.access.trail import AuditTrail
 from app.bodies.bodies import BodyGuard
 from app.collector import GarbageCollector
+from app.job_events import JobEvents
 from app.jobs.runner import JobRunner
 from app.metrics import Metrics
 from app.observing import RequestObserver
@@ -28,6 +29,7 @@ from app.revisions import LoadedRevisions
 from app.routes import api, open_routes, streams
 from app.service import Service
 from app.settings import Settings
+from app.streams import Streams
 from app.tracks import Tracks
 from storage.catalog import JobRecord
 from storage.store import Store
@@ -115,7 +117,9 @@ def _start(settings: Settings, metrics: Metrics) -> Service:
         revisions=LoadedRevisions(store, settings.loaded_revisions),
         runner=runner,
         access=access,
-        tracks=Tracks(settings.max_tracks, settings.track_idle_s),
+        tracks=Tracks(settings.max_tracks, settings.track_idle_s, settings.max_tracks_per_key),
+        streams=Streams(settings.max_streams, settings.max_streams_per_key),
+        job_events=JobEvents(store, access),
         metrics=metrics,
         collector=collector,
     )

@@ -2,14 +2,21 @@
 
 import ctypes
 import os
+import resource
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
 
 from threadpoolctl import threadpool_limits
 
-__all__ = ["keep_freed_memory", "one_blas_thread"]
+__all__ = ["keep_freed_memory", "limited_memory", "most_build_memory_bytes", "one_blas_thread"]
 
 # Of glibc's malloc.h.
 _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3
 _MEGABYTE = 2**20
+
+_LEAST_BUILD_BYTES = 2**30
+_CGROUPS = Path("/sys/fs/cgroup")
 
 
 def one_blas_thread() -> None:
@@ -37,3 +44,44 @@ def keep_freed_memory() -> None:
     if mallopt is not None:
         mallopt(_M_MMAP_THRESHOLD, 16 * _MEGABYTE)
         mallopt(_M_TRIM_THRESHOLD, 64 * _MEGABYTE)
+
+
+@contextmanager
+def limited_memory(limit_bytes: int) -> Iterator[None]:
+    """Let this process allocate so much and no more in the block: past it is a `MemoryError`.
+
+    Mapped files are not counted. A limit that the process has already is not raised, and 0 is none.
+    """
+    soft, hard = resource.getrlimit(resource.RLIMIT_DATA)
+    unlimited = resource.RLIM_INFINITY
+    bounds = [bound for bound in (limit_bytes, soft, hard) if bound not in {0, unlimited}]
+    resource.setrlimit(resource.RLIMIT_DATA, (min(bounds, default=unlimited), hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_DATA, (soft, hard))
+
+
+def most_build_memory_bytes() -> int:
+    """Return three quarters of what this machine, or this process's control group, has; 1 GB least.
+
+    What takes more would be ended by the system in a moment, or slow everything down by paging.
+    """
+    has = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    return max(min([has, *_group_limits()]) * 3 // 4, _LEAST_BUILD_BYTES)
+
+
+def _group_limits() -> Iterator[int]:
+    """Return the limits of this process's control group and of those that it is in (version 2)."""
+    try:
+        own = Path("/proc/self/cgroup").read_text().strip().rpartition("::")[2]
+    except OSError:
+        return
+    folder = _CGROUPS / own.lstrip("/")
+    for group in (folder, *folder.parents):
+        try:
+            limit = (group / "memory.max").read_text().strip()
+        except OSError:  # the root has none
+            continue
+        if limit.isdecimal():
+            yield int(limit)

@@ -7,10 +7,12 @@ from fastapi import Depends, Path, Request
 
 from app.access.access import Access
 from app.collector import GarbageCollector
+from app.job_events import JobEvents
 from app.jobs.runner import JobRunner
 from app.metrics import Metrics
 from app.revisions import LoadedRevisions
 from app.settings import Settings
+from app.streams import Streams
 from app.tracks import Tracks
 from storage.names import SLUG_PATTERN
 from storage.store import Store
@@ -29,6 +31,8 @@ class Service:
         runner: Builds.
         access: Who may ask.
         tracks: Vehicles that are followed.
+        streams: Those that are open.
+        job_events: Of jobs that clients follow.
         metrics: What is counted.
         collector: Removes what is not retained.
     """
@@ -39,6 +43,8 @@ class Service:
     runner: JobRunner
     access: Access
     tracks: Tracks
+    streams: Streams
+    job_events: JobEvents
     metrics: Metrics
     collector: GarbageCollector
 

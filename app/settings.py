@@ -64,6 +64,22 @@ class Settings(BaseSettings):
         100, ge=1, description="A scan with fewer finite, non-zero returns is refused."
     )
     build_workers: int = Field(1, ge=1, le=64, description="How many builds run at once.")
+    max_queued_builds_per_key: int = Field(
+        50, ge=1, description="How many builds a key may have in the queue; another is refused."
+    )
+    build_stall_s: float = Field(
+        3600.0,
+        gt=0.0,
+        allow_inf_nan=False,
+        description="How many seconds a build may make no progress; then its process is ended, and"
+        " it fails.",
+    )
+    build_memory_bytes: int | None = Field(
+        None,
+        ge=0,
+        description="How many bytes a build may allocate; one that needs more fails. Three quarters"
+        " of the machine's, or the control group's, memory by default; 0 limits nothing.",
+    )
     loaded_revisions: int = Field(
         8, ge=1, description="How many revisions are kept in memory to answer queries."
     )
@@ -88,8 +104,42 @@ class Settings(BaseSettings):
     max_tracks: int = Field(
         1000, ge=1, description="How many vehicles are tracked at once; another is refused."
     )
+    max_tracks_per_key: int = Field(
+        500, ge=1, description="How many tracks of one key are kept at once; another is refused."
+    )
     track_idle_s: float = Field(
         600.0, gt=0.0, description="How many seconds after its last use a track is forgotten."
+    )
+    max_connections: int = Field(
+        0,
+        ge=0,
+        description="How many connections are open at once; the one that was idle for longest is"
+        " closed for another. 0 takes as many as the descriptors allow, at most 4096.",
+    )
+    request_head_s: float = Field(
+        10.0,
+        gt=0.0,
+        allow_inf_nan=False,
+        description="How many seconds a request's head may take, from the start of its connection"
+        " or from its first byte; then that is closed.",
+    )
+    max_streams: int = Field(
+        2000,
+        ge=1,
+        description="How many streams, of tracks and of jobs' events, are open at once; another is"
+        " refused. `serve` takes half of TENSORMAP_MAX_CONNECTIONS if that is less.",
+    )
+    max_streams_per_key: int = Field(
+        1000,
+        ge=1,
+        description="How many streams of one key are open at once; another is refused. `serve`"
+        " takes half of all streams if that is less.",
+    )
+    stream_idle_s: float = Field(
+        600.0,
+        gt=0.0,
+        allow_inf_nan=False,
+        description="How many seconds after its last message the stream of a track is closed.",
     )
     requests_per_s: float = Field(
         0.0,

@@ -1,13 +1,18 @@
-"""Tracks in memory: vehicles' sequences, each pinned to one revision, forgotten when idle."""
+"""Tracks in memory: vehicles' sequences, each pinned to one revision, forgotten when idle.
+
+Keys share them: each may keep so many, and where all are taken, a key that has less than its share
+takes one of the key that has most.
+"""
 
 import secrets
 import threading
 import time
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from weakref import WeakValueDictionary
 
-from app.errors import TooManyTracks, TrackNotFound
+from app.errors import TooManyTracks, TooManyTracksOfKey, TrackNotFound
 from core.localizer import Localizer
 from core.tracking.step import TrackStep
 from core.tracking.track import Observation, Track, Tracker
@@ -24,12 +29,14 @@ class LiveTrack:
     Attributes:
         id: Its name, hard to guess.
         map_id: The map it belongs to, whatever its slug becomes.
+        key_id: Of the key that began it.
         track: The filter; used under the lock.
         used_s: When it was used last, by the clock of its keeper.
     """
 
     id: str
     map_id: str
+    key_id: str
     track: Track
     used_s: float
     _lock: threading.Lock = field(default_factory=threading.Lock)
@@ -63,13 +70,19 @@ class Tracks:
     Args:
         limit: How many are kept.
         idle_s: How long one is kept after it was used last.
+        per_key: How many are kept of one key.
         clock: Seconds that never go back.
     """
 
     def __init__(
-        self, limit: int, idle_s: float, clock: Callable[[], float] = time.monotonic
+        self,
+        limit: int,
+        idle_s: float,
+        per_key: int,
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._limit = limit
+        self._per_key = per_key
         self.idle_s = idle_s
         self._clock = clock
         self._tracks: dict[str, LiveTrack] = {}
@@ -83,18 +96,25 @@ class Tracks:
             self._forget_idle()
             return len(self._tracks)
 
-    def create(self, map_id: str, localizer: Localizer) -> LiveTrack:
+    def create(self, map_id: str, key_id: str, localizer: Localizer) -> LiveTrack:
         """Begin a track in the localizer's revision.
 
+        Where as many are kept as may be, a key that has less than its share (the limit by how many
+        keys have one) gets the room of the track that was idle for longest, of those of the key
+        that has most.
+
         Raises:
-            TooManyTracks: If as many are kept as may be.
+            TooManyTracksOfKey: If as many of this key are kept as may be.
+            TooManyTracks: If as many are kept as may be, and the key has its share of them.
         """
         with self._lock:
-            self._require_room()
+            self._in_the_way(key_id)
         tracker = self._tracker(map_id, localizer)
         with self._lock:
-            self._require_room()
-            created = LiveTrack(secrets.token_hex(_ID_BYTES), map_id, Track(tracker), self._clock())
+            if (evicted := self._in_the_way(key_id)) is not None:
+                del self._tracks[evicted.id]
+            track_id = secrets.token_hex(_ID_BYTES)
+            created = LiveTrack(track_id, map_id, key_id, Track(tracker), self._clock())
             self._tracks[created.id] = created
         return created
 
@@ -133,13 +153,22 @@ class Tracks:
                 tracker = self._trackers[key] = Tracker(localizer)
             return tracker
 
-    def _require_room(self) -> None:
+    def _in_the_way(self, key_id: str) -> LiveTrack | None:
+        """Return the track that has to go for another one of this key, `None` if none has to."""
         self._forget_idle()
-        if len(self._tracks) >= self._limit:
-            raise TooManyTracks(
-                f"{self._limit} tracks are kept, as many as may be: delete one, or wait until one"
-                f" is idle for {self.idle_s:g} s"
+        kept = Counter(track.key_id for track in self._tracks.values())
+        wait = f"delete one, or wait until one is idle for {self.idle_s:g} s"
+        if kept[key_id] >= self._per_key:
+            raise TooManyTracksOfKey(
+                f"{kept[key_id]} tracks of key {key_id} are kept, as many as may be: {wait}"
             )
+        if len(self._tracks) < self._limit:
+            return None
+        if (kept[key_id] + 1) * len(kept | Counter([key_id])) > self._limit:
+            raise TooManyTracks(f"{self._limit} tracks are kept, as many as may be: {wait}")
+        [(most, _)] = kept.most_common(1)
+        of_it = (track for track in self._tracks.values() if track.key_id == most)
+        return min(of_it, key=lambda track: track.used_s)
 
     def _forget_idle(self) -> None:
         oldest_s = self._clock() - self.idle_s

@@ -19,6 +19,7 @@ StorageError                 a TensorMapError
 │   ├── AmbiguousRevision    several digests begin with this prefix
 │   ├── JobNotRunning        only a running job makes progress or ends
 │   └── RequestKeyReused     another request was made under this idempotency key
+├── TooManyBuilds            a key has as many builds queued as it may
 ├── InvalidSlug              a name that is no slug
 ├── CorruptFile              a file that is not what was written
 │   └── CorruptImages        cached images that are not; a build makes them anew
@@ -60,6 +61,7 @@ __all__ = [
     "StorageFull",
     "StorageReadOnly",
     "StorageUnavailable",
+    "TooManyBuilds",
     "WrongCatalog",
 ]
 
@@ -138,6 +140,10 @@ class JobNotRunning(Conflict):
 
 class RequestKeyReused(Conflict):
     """Another request was made under this idempotency key."""
+
+
+class TooManyBuilds(StorageError):
+    """A new build, while its key has as many queued as it may."""
 
 
 class InvalidSlug(StorageError):

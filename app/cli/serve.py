@@ -37,6 +37,7 @@ def serve(
     """Start the service; `TENSORMAP_*` variables hold what no option sets."""
     import uvicorn  # here, not above: no other command needs to wait for the whole service
 
+    from app.connections import BoundedServer, close_unread, connection_options, within_descriptors
     from app.logs import configure_logging
     from app.main import create_app
     from storage.store import Store
@@ -45,6 +46,7 @@ def serve(
     configure_logging(settings.log_format, settings.log_level)
     for name in unknown_variables(os.environ):
         _log.warning("%s is set and is no setting of TensorMap: is it misspelt?", name)
+    settings = within_descriptors(settings)
     config = uvicorn.Config(
         create_app(settings),
         host=settings.host,
@@ -55,8 +57,10 @@ def serve(
         access_log=False,  # ours is of the application, and without queries
         ws_max_size=settings.max_json_bytes,
         timeout_graceful_shutdown=_GRACE_S,
+        **connection_options(settings),
     )
     with _listen(settings.host, settings.port) as listening:
+        close_unread(listening)
         # What refuses to start says so in a line here; from inside Uvicorn it is a traceback.
         Store.serving(settings.data_dir, settings.catalog_url).close()
         # Once all is answered Uvicorn lets the signal that stopped it do what it does without it:
@@ -64,7 +68,7 @@ def serve(
         signal.signal(signal.SIGTERM, lambda _number, _frame: sys.exit(0))
         # Uvicorn, given a socket, names no URL.
         typer.echo(f"TensorMap at {_url(listening)}", err=True)
-        uvicorn.Server(config).run(sockets=[listening])
+        BoundedServer(config).run(sockets=[listening])
 
 
 def _settings(**chosen: Any) -> Settings:  # noqa: ANN401 - each setting checks its own type

@@ -4,13 +4,16 @@ import logging
 import multiprocessing
 import signal
 import threading
+import time
 from collections.abc import Callable
 from multiprocessing import resource_tracker
 from multiprocessing.process import BaseProcess
 
-from app.errors import WorkerDied
+from app.errors import AppError, BuildStalled, WorkerDied
+from app.job_events import event_id
 from app.jobs.worker import IMPORTED_LATE, run_build
 from app.logs import fields
+from app.process import most_build_memory_bytes
 from app.settings import Settings
 from core.errors import TensorMapError
 from storage.catalog import JobRecord
@@ -21,6 +24,7 @@ __all__ = ["JobRunner"]
 
 _POLL_S = 0.2
 _CANCEL_GRACE_S = 0.8  # a worker looks for a cancel every 0.2 s, unless it is deep in one scan
+_KILL_S = 10.0  # that a killed process takes at most, unless the disk that it waits for hangs
 
 _log = logging.getLogger("tensormap.jobs")
 
@@ -47,6 +51,8 @@ class JobRunner:
         self._ended = ended
         self._settings = settings
         self._store = store
+        given = settings.build_memory_bytes
+        self._memory_bytes = most_build_memory_bytes() if given is None else given
         self._wake = threading.Event()
         self._stopping = threading.Event()
         # Processes are forked from one that has loaded all that a build needs, and nothing else.
@@ -76,7 +82,7 @@ class JobRunner:
         self._stopping.set()
         self._wake.set()
         for thread in self._threads:
-            thread.join()
+            thread.join(_KILL_S + _POLL_S * 5)
 
     def _loop(self) -> None:
         while not self._stopping.is_set():
@@ -93,7 +99,8 @@ class JobRunner:
                 self._run(job)
             except (OSError, RuntimeError):  # no process: the next build may be luckier
                 _log.exception("job %s cannot be run", job.id)
-                self._settle(job.id, "no process could be started for the build; see the log")
+                reason = "no process could be started for the build; see the log"
+                self._settle(job.id, WorkerDied(reason))
             self._tell_end(job.id)
 
     def _run(self, job: JobRecord) -> None:
@@ -105,20 +112,22 @@ class JobRunner:
                 job,
                 self._settings.log_format,
                 self._settings.log_level,
+                self._memory_bytes,
             ),
             name=f"build-{job.id}",
         )
         self._start(worker)
         try:
-            self._watch(worker, job.id)
+            ended_for = self._watch(worker, job.id)
         finally:
             worker.kill()
-            worker.join()
+            worker.join(_KILL_S)
         if not self._stopping.is_set():
-            self._settle(
-                job.id, f"the build process ended with exit code {worker.exitcode}; see the log"
-            )
-        worker.close()
+            self._settle(job.id, ended_for or _death(worker))
+        if worker.is_alive():
+            _log.error("the process of job %s cannot be ended: the disk hangs", job.id)
+        else:
+            worker.close()
 
     def _tell_end(self, job_id: str) -> None:
         try:
@@ -144,31 +153,51 @@ class JobRunner:
         finally:
             signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
 
-    def _watch(self, worker: BaseProcess, job_id: str) -> None:
-        """Wait for the worker, give it time to notice a cancel, and no longer."""
+    def _watch(self, worker: BaseProcess, job_id: str) -> BuildStalled | None:
+        """Wait for the worker, give it time to notice a cancel, and no longer.
+
+        Returns:
+            Why it is to be ended, if it makes no progress.
+        """
         patience_s = _CANCEL_GRACE_S
+        seen, since_s = "", time.monotonic()
         while worker.is_alive() and patience_s > 0 and not self._stopping.is_set():
             worker.join(_POLL_S)
-            if self._is_cancelled(job_id):
+            try:
+                job = self._store.jobs.get(job_id)
+            except JobNotFound:  # its map was deleted
                 patience_s -= _POLL_S
+                continue
+            except TensorMapError:
+                _log.exception("job %s cannot be read", job_id)
+                since_s = time.monotonic()  # nor can the worker write how far it is
+                continue
+            if job.cancel_requested:
+                patience_s -= _POLL_S
+            if (now := event_id(job)) != seen:
+                seen, since_s = now, time.monotonic()
+            elif time.monotonic() - since_s > self._settings.build_stall_s:
+                return BuildStalled(
+                    f"the build made no progress for {self._settings.build_stall_s:g} s, in stage"
+                    f" {job.stage!r} after {job.done_units} of {job.total_units} units"
+                )
+        return None
 
-    def _is_cancelled(self, job_id: str) -> bool:
-        try:
-            return self._store.jobs.get(job_id).cancel_requested
-        except JobNotFound:  # its map was deleted
-            return True
-        except TensorMapError:
-            _log.exception("job %s cannot be read", job_id)
-            return False
-
-    def _settle(self, job_id: str, reason: str) -> None:
+    def _settle(self, job_id: str, error: AppError) -> None:
         """Write down the end of a worker that could not do so itself."""
         try:
             if self._store.jobs.get(job_id).cancel_requested:
                 self._store.jobs.cancelled(job_id)
             else:
-                self._store.jobs.fail(job_id, WorkerDied.__name__, reason)
+                self._store.jobs.fail(job_id, type(error).__name__, str(error))
         except (JobNotFound, JobNotRunning):
             pass  # gone with its map, or ended as it should
         except TensorMapError:
             _log.exception("the end of job %s cannot be written down", job_id)
+
+
+def _death(worker: BaseProcess) -> WorkerDied:
+    reason = f"the build process ended with exit code {worker.exitcode}; see the log"
+    if worker.exitcode == -signal.SIGKILL:
+        reason += ", and the system's, which ends what takes too much memory like this"
+    return WorkerDied(reason)

@@ -8,10 +8,11 @@ from multiprocessing import parent_process
 from multiprocessing.connection import wait
 from pathlib import Path
 
+from app.errors import BuildOutOfMemory
 from app.jobs.parameters import BuildParameters
 from app.logs import LogFormat, configure_logging
 from app.pipelines import build_revision
-from app.process import keep_freed_memory, one_blas_thread
+from app.process import keep_freed_memory, limited_memory, one_blas_thread
 from core.errors import Cancelled, TensorMapError
 from storage.catalog import JobRecord
 from storage.errors import JobNotFound
@@ -31,8 +32,18 @@ def run_build(
     job: JobRecord,
     log_format: LogFormat = LogFormat.TEXT,
     log_level: str = "INFO",
+    memory_bytes: int = 0,
 ) -> None:
-    """Run one claimed job to its end and write down how it ended."""
+    """Run one claimed job to its end and write down how it ended.
+
+    Args:
+        data_dir: Where the store is.
+        catalog_url: Of its catalog.
+        job: Which was claimed.
+        log_format: Of a process of its own.
+        log_level: As well.
+        memory_bytes: What the build may allocate, 0 for any amount; the process is its own, then.
+    """
     if parent_process() is not None:  # nobody's logging or memory but its own
         configure_logging(log_format, log_level)
         keep_freed_memory()
@@ -45,7 +56,11 @@ def run_build(
         progress = _JobProgress(store, job.id)
         try:
             parameters = BuildParameters.model_validate(job.parameters)
-            record = build_revision(store, job.map_id, parameters, progress, job_id=job.id)
+            with limited_memory(memory_bytes):
+                record = build_revision(store, job.map_id, parameters, progress, job_id=job.id)
+        except MemoryError as error:
+            detail = f"the build needs more than the {memory_bytes} bytes that it may take: {error}"
+            store.jobs.fail(job.id, BuildOutOfMemory.__name__, detail)
         except Cancelled:
             store.jobs.cancelled(job.id)
         except TensorMapError as error:

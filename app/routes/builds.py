@@ -5,6 +5,7 @@ from typing import Annotated
 
 from fastapi import APIRouter, Header, Response, status
 
+from app.access.dependency import Asking
 from app.access.scopes import Scope, needs
 from app.errors import JSON_BODY, WRITING
 from app.jobs.parameters import BuildParameters
@@ -24,6 +25,7 @@ from storage.errors import (
     RequestKeyReused,
     ReturnsGone,
     RevisionNotFound,
+    TooManyBuilds,
 )
 
 __all__ = ["router"]
@@ -57,6 +59,7 @@ IdempotencyKey = Annotated[
         CorruptFile,
         RequestKeyReused,
         ReturnsGone,
+        TooManyBuilds,
         *JSON_BODY,
         *WRITING,
     ),
@@ -65,6 +68,7 @@ def build(
     map_slug: MapSlug,
     parameters: BuildParameters,
     running: Running,
+    asking: Asking,
     response: Response,
     idempotency_key: IdempotencyKey = None,
 ) -> JobOut:
@@ -77,6 +81,9 @@ def build(
     those of `remove`. A harmonic map keeps its basis, so that the signatures of vehicles stay good,
     until `refit` asks for another. Nothing that is stored is removed.
 
+    Keys take turns in the queue, and so do the maps of a key; a key may have so many builds in it
+    and no more.
+
     With an `Idempotency-Key`, a client that did not hear the answer asks again: the job that it has
     made is told, and no other is queued.
     """
@@ -87,7 +94,13 @@ def build(
         record = running.store.maps.get(map_slug)
         plan = plan_build(running.store, record.id, parameters)
         require_images(running.store, record.id, plan.drives, plan.parameters.map_parameters())
-        job = jobs.create(map_slug, plan.parameters.as_json(), request=request)
+        job = jobs.create(
+            map_slug,
+            plan.parameters.as_json(),
+            request=request,
+            key_id=asking.key_id,
+            most_queued=running.settings.max_queued_builds_per_key,
+        )
         running.runner.wake()
     response.headers["Location"] = f"/v1/jobs/{job.id}"
     return JobOut.from_record(job)

@@ -1,15 +1,19 @@
 """Jobs: what the service does in the background."""
 
+from collections.abc import AsyncIterator
+from contextlib import AbstractContextManager
 from typing import Annotated
 
 from fastapi import APIRouter, Header, Path, Query, Request, Response, status
 from starlette.responses import StreamingResponse
+from starlette.types import Receive, Send
+from starlette.types import Scope as ASGIScope
 
 from app.access.caller import Caller
 from app.access.dependency import Asking
 from app.access.scopes import Scope, needs
-from app.errors import READING, WRITING, InvalidRequest
-from app.job_events import event_id, events_of
+from app.errors import READING, WRITING, InvalidRequest, TooManyStreams, TooManyStreamsOfKey
+from app.job_events import event_id
 from app.problems import problems
 from app.schemas.jobs import JobOut
 from app.schemas.pages import After, Limit, PageOut
@@ -78,7 +82,7 @@ def get_job(job_id: JobId, running: Running, asking: Asking) -> JobOut:
             "content": {_EVENTS: {"itemSchema": _EVENT}},
         },
         204: {"description": "It has ended, and the client was told so: do not come back."},
-        **problems(JobNotFound, InvalidRequest, *READING),
+        **problems(JobNotFound, InvalidRequest, TooManyStreams, TooManyStreamsOfKey, *READING),
     },
 )
 def follow_job(
@@ -96,15 +100,8 @@ def follow_job(
     record = job_of(running, asking, job_id)
     if record.ended and last_event_id == event_id(record):
         return Response(status_code=status.HTTP_204_NO_CONTENT)
-
-    def read() -> JobRecord:
-        running.access.caller_of(request)
-        return running.store.jobs.get(job_id)
-
-    events = events_of(read, last_event_id)
-    # Proxies that buffer would hold back what is meant for now.
-    headers = {"Cache-Control": "no-store", "X-Accel-Buffering": "no"}
-    return StreamingResponse(events, media_type=_EVENTS, headers=headers)
+    events = running.job_events.follow(request, record, last_event_id)
+    return _Followed(events, running.streams.opened(asking.key_id))
 
 
 @router.delete(
@@ -114,6 +111,22 @@ def cancel_job(job_id: JobId, running: Running, asking: Asking) -> JobOut:
     """Cancel a job: a waiting one at once, a running one within a second; one that ended stays."""
     job = job_of(running, asking, job_id)
     return JobOut.from_record(running.store.jobs.request_cancel(job.id))
+
+
+class _Followed(StreamingResponse):
+    """An answer that counts as an open stream from its first byte to its last."""
+
+    def __init__(
+        self, events: AsyncIterator[bytes], while_open: AbstractContextManager[None]
+    ) -> None:
+        # Proxies that buffer would hold back what is meant for now.
+        headers = {"Cache-Control": "no-store", "X-Accel-Buffering": "no"}
+        super().__init__(events, media_type=_EVENTS, headers=headers)
+        self._while_open = while_open
+
+    async def __call__(self, scope: ASGIScope, receive: Receive, send: Send) -> None:
+        with self._while_open:
+            await super().__call__(scope, receive, send)
 
 
 def job_of(running: Service, asking: Caller, job_id: str) -> JobRecord:

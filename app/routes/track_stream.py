@@ -1,11 +1,17 @@
 """A track over one connection: packed signatures in, answers out."""
 
-from typing import Annotated
+import asyncio
+from contextlib import ExitStack, suppress
+from functools import partial
+from typing import Annotated, NoReturn
 
+from anyio import to_thread
 from fastapi import APIRouter, Path, WebSocket, WebSocketDisconnect, status
 from pydantic import ValidationError
 from starlette.concurrency import run_in_threadpool
+from starlette.types import Message
 
+from app.access.caller import Caller
 from app.access.dependency import stream_caller
 from app.access.scopes import Scope
 from app.errors import (
@@ -43,24 +49,26 @@ async def stream(
 
     A binary message is packed signatures, a text one is the JSON of `ObservationIn`. An observation
     that is refused is answered with the problem that HTTP would answer, and the stream goes on. It
-    ends when the track is gone or the key is revoked, which each message finds out.
+    ends when the track is gone or the key is revoked, which each message finds out, and when no
+    message came for long.
     """
     service: Service = websocket.app.state.service
-    try:
-        await run_in_threadpool(_open, websocket, service, map_slug, track_id)
-    except TensorMapError as error:
-        await websocket.send_denial_response(problem_response(error))
-        return
-    await websocket.accept()
-    try:
-        while True:
-            await _answer(websocket, service, map_slug, track_id)
-    except WebSocketDisconnect:
-        return
+    with ExitStack() as counted:
+        try:
+            check = partial(_open, websocket, service, map_slug, track_id)
+            caller = await to_thread.run_sync(check, limiter=service.streams.opening)
+            counted.enter_context(service.streams.opened(caller.key_id))
+        except TensorMapError as error:
+            await websocket.send_denial_response(problem_response(error))
+            return
+        await websocket.accept()
+        with suppress(WebSocketDisconnect):
+            while True:
+                await _answer(websocket, service, map_slug, track_id)
 
 
 async def _answer(websocket: WebSocket, service: Service, map_slug: str, track_id: str) -> None:
-    message = await websocket.receive()
+    message = await _next_message(websocket, service.settings.stream_idle_s)
     if message["type"] == "websocket.disconnect":
         raise WebSocketDisconnect(message.get("code", status.WS_1000_NORMAL_CLOSURE))
     body: bytes | str = message.get("bytes") or message.get("text") or b""
@@ -76,14 +84,24 @@ async def _answer(websocket: WebSocket, service: Service, map_slug: str, track_i
     await websocket.send_text(answer)
 
 
-async def _close(websocket: WebSocket, code: int) -> None:
-    await websocket.close(code)
-    raise WebSocketDisconnect(code)
+async def _next_message(websocket: WebSocket, idle_s: float) -> Message:
+    try:
+        async with asyncio.timeout(idle_s):
+            return await websocket.receive()
+    except TimeoutError:
+        reason = f"no message for {idle_s:g} s"
+        await _close(websocket, status.WS_1001_GOING_AWAY, reason)  # it may come back
 
 
-def _open(websocket: WebSocket, service: Service, map_slug: str, track_id: str) -> None:
-    stream_caller(websocket, Scope.LOCALIZE, map_slug=map_slug)
+async def _close(websocket: WebSocket, code: int, reason: str | None = None) -> NoReturn:
+    await websocket.close(code, reason)
+    raise WebSocketDisconnect(code, reason)
+
+
+def _open(websocket: WebSocket, service: Service, map_slug: str, track_id: str) -> Caller:
+    caller = stream_caller(websocket, Scope.LOCALIZE, map_slug=map_slug)
     track_of(service, map_slug, track_id)
+    return caller
 
 
 def _observe(

@@ -5,6 +5,7 @@ from typing import Annotated
 
 from fastapi import APIRouter, Path, Query, Response
 
+from app.access.dependency import Asking
 from app.access.scopes import Scope, needs
 from app.bodies.bodies import SCAN_BODY, Body, ContentType, media_type
 from app.errors import (
@@ -12,6 +13,7 @@ from app.errors import (
     READING,
     InvalidRequest,
     TooManyTracks,
+    TooManyTracksOfKey,
     TrackNotFound,
 )
 from app.problems import problems
@@ -90,6 +92,7 @@ _OBSERVATION_BODY = {
         AmbiguousRevision,
         CorruptFile,
         TooManyTracks,
+        TooManyTracksOfKey,
         InvalidRequest,
         *READING,
     ),
@@ -97,6 +100,7 @@ _OBSERVATION_BODY = {
 def create_track(
     map_slug: MapSlug,
     running: Running,
+    asking: Asking,
     response: Response,
     revision: Annotated[
         str | None,
@@ -105,14 +109,18 @@ def create_track(
         ),
     ] = None,
 ) -> TrackOut:
-    """Begin a track. It stays in one revision, whatever becomes live, until it is idle."""
+    """Begin a track. It stays in one revision, whatever becomes live, until it is idle.
+
+    Where as many are kept as may be, a key that has less than its share takes the room of a track
+    of the key that has most: the one that was idle for longest is no longer there.
+    """
     answering = (
         running.revisions.live(map_slug)
         if revision is None
         else running.revisions.named(map_slug, revision)
     )
     record = running.store.maps.get(map_slug)
-    created = running.tracks.create(record.id, answering.localizer)
+    created = running.tracks.create(record.id, asking.key_id, answering.localizer)
     response.headers["Location"] = f"/v1/maps/{map_slug}/tracks/{created.id}"
     return TrackOut.from_track(created, map_slug, answering.live_revision, running.tracks.idle_s)
 

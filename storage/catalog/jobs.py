@@ -1,4 +1,4 @@
-"""Jobs in the catalog: a queue that survives a restart.
+"""Jobs in the catalog: a queue that survives a restart, in a fair order between keys.
 
 queued --claim--> running --finish--> done
   |                  |-----fail----> failed
@@ -19,7 +19,8 @@ from storage.catalog.maps import held_map, map_named
 from storage.catalog.models import Job, Map
 from storage.catalog.pages import DEFAULT_LIMIT, one_more, page_of
 from storage.catalog.records import JobRecord, JobState, Page, RequestKey
-from storage.errors import JobNotFound, JobNotRunning, RequestKeyReused
+from storage.catalog.turns import next_job
+from storage.errors import JobNotFound, JobNotRunning, RequestKeyReused, TooManyBuilds
 from storage.names import new_id
 
 __all__ = ["Jobs", "finish_if_running"]
@@ -38,39 +39,52 @@ class Jobs:
         *,
         kind: str = "build",
         request: RequestKey | None = None,
+        key_id: str | None = None,
+        most_queued: int | None = None,
     ) -> JobRecord:
         """Queue a job; one that the same request made already is returned as it is now.
+
+        Args:
+            map_slug: Of the map that it is for.
+            parameters: What it is to do.
+            kind: What it is.
+            request: Which makes at most one job.
+            key_id: Of the key that asks for it.
+            most_queued: How many jobs that key may have in the queue. On PostgreSQL, requests for
+                several maps at the same moment may get past it by one each.
 
         Raises:
             MapNotFound: If there is no such map.
             RequestKeyReused: If another request was made under this key.
+            TooManyBuilds: If the key has as many queued as it may.
         """
+        row = Job(
+            id=new_id(),
+            kind=kind,
+            state=JobState.QUEUED,
+            stage="",
+            done_units=0,
+            total_units=0,
+            parameters=dict(parameters),
+            cancel_requested=False,
+            request_key=None if request is None else request.key,
+            request_digest=None if request is None else request.digest,
+            key_id=key_id,
+            created_at=datetime.now(UTC),
+        )
         try:
-            return self._insert(map_slug, parameters, kind, request)
-        except IntegrityError:
+            return self._insert(map_slug, row, most_queued)
+        except (IntegrityError, TooManyBuilds):
             made = None if request is None else self.made_by(map_slug, request)
             if made is None:
                 raise
             return made
 
-    def _insert(
-        self, map_slug: str, parameters: Mapping[str, Any], kind: str, request: RequestKey | None
-    ) -> JobRecord:
+    def _insert(self, map_slug: str, row: Job, most_queued: int | None) -> JobRecord:
         with self._database.writing() as session:
-            row = Job(
-                id=new_id(),
-                map_id=held_map(session, map_slug).id,
-                kind=kind,
-                state=JobState.QUEUED,
-                stage="",
-                done_units=0,
-                total_units=0,
-                parameters=dict(parameters),
-                cancel_requested=False,
-                request_key=None if request is None else request.key,
-                request_digest=None if request is None else request.digest,
-                created_at=datetime.now(UTC),
-            )
+            row.map_id = held_map(session, map_slug).id
+            if most_queued is not None:
+                _require_room(session, row.key_id, most_queued)
             session.add(row)
             session.flush()
             return _record(row)
@@ -96,19 +110,13 @@ class Jobs:
             return _record(row)
 
     def claim(self) -> JobRecord | None:
-        """Start the job that has waited longest; `None` if none waits.
+        """Start the next job; `None` if none waits.
 
-        No two callers are given the same job.
+        Keys take turns, and so do the maps of a key: `storage.catalog.turns`. No two callers are
+        given the same job.
         """
-        query = (
-            select(Job)
-            .where(Job.state == JobState.QUEUED)
-            .order_by(Job.created_at, Job.id)
-            .limit(1)
-            .with_for_update(skip_locked=True)
-        )
         with self._database.writing() as session:
-            row = session.scalar(query)
+            row = next_job(session)
             if row is None:
                 return None
             row.state = JobState.RUNNING
@@ -124,6 +132,12 @@ class Jobs:
         """
         with self._database.reading() as session:
             return _record(_found(session, job_id))
+
+    def with_ids(self, job_ids: Collection[str]) -> Mapping[str, JobRecord]:
+        """Return those of these jobs that are there, by their ids."""
+        with self._database.reading() as session:
+            rows = session.scalars(select(Job).where(Job.id.in_(job_ids)))
+            return {row.id: _record(row) for row in rows}
 
     def list(
         self,
@@ -275,6 +289,16 @@ def _end_row(row: Job, state: JobState) -> None:
     row.finished_at = datetime.now(UTC)
 
 
+def _require_room(session: Session, key_id: str | None, most_queued: int) -> None:
+    query = select(func.count()).where(Job.state == JobState.QUEUED, Job.key_id == key_id)
+    queued = session.scalar(query) or 0
+    if queued >= most_queued:
+        raise TooManyBuilds(
+            f"key {key_id} has {queued} builds in the queue, as many as it may: wait until one has"
+            " run, or cancel one"
+        )
+
+
 def _found(session: Session, job_id: str, *, lock: bool = False) -> Job:
     row = session.get(Job, job_id, with_for_update=lock)
     if row is None:
@@ -308,4 +332,5 @@ def _record(row: Job) -> JobRecord:
         finished_at=row.finished_at,
         notes=tuple(row.notes or ()),
         stage_started_at=row.stage_started_at,
+        key_id=row.key_id,
     )

@@ -243,6 +243,7 @@ class Job(Base):
     __table_args__ = (
         Index(None, "created_at", "id"),
         Index(None, "state", "created_at"),
+        Index(None, "key_id", "started_at"),
         Index("ix_jobs_request_key", "map_id", "request_key", unique=True),
     )
 
@@ -263,6 +264,8 @@ class Job(Base):
     # Of the request that made it, if it said so: who repeats that is given the same job.
     request_key: Mapped[str | None] = mapped_column(PlainString(255))
     request_digest: Mapped[str | None] = mapped_column(Digest)
+    # Of who asked for it; not a foreign key: the operator's is in no table. None of earlier jobs.
+    key_id: Mapped[str | None] = mapped_column(Id)
     created_at: Mapped[datetime]
     started_at: Mapped[datetime | None]
     stage_started_at: Mapped[datetime | None]

@@ -205,6 +205,7 @@ class JobRecord:
         cancel_requested: Someone asked a running job to stop.
         stage_started_at: When this stage began, of a running job that told one.
         notes: What it tells about what it built.
+        key_id: Id of the key that asked for it, `None` where that was not written down.
     """
 
     id: str
@@ -224,6 +225,7 @@ class JobRecord:
     finished_at: datetime | None
     notes: tuple[str, ...] = ()
     stage_started_at: datetime | None = None
+    key_id: str | None = None
 
     @property
     def ended(self) -> bool:

@@ -18,7 +18,7 @@ from storage.errors import JobNotFound, StorageBusy
 from storage.store import Store
 from tests.support.recording import recording, upload_scan
 from tests.support.service import problem_of, running, wait_for, whole_store
-from tests.support.workers import fall_over, stand_still
+from tests.support.workers import fall_over, stand_still, take_memory
 
 
 def build(client, **wanted):
@@ -93,6 +93,83 @@ def test_a_worker_that_is_killed_fails_its_job_and_the_next_one_is_done(standing
     monkeypatch.undo()
     assert wait_for(standing, build(standing))["state"] == "done"
     assert standing.get("/readyz").json() == {"ready": True, "missing": []}
+
+
+def test_a_build_without_progress_is_ended_and_fails_by_name(tmp_path, monkeypatch):
+    monkeypatch.setattr(runner_module, "run_build", stand_still)
+    with running(tmp_path, build_stall_s=0.5) as client:
+        client.post("/v1/maps", json={"map": "campus"})
+        upload_scan(client, "campus", "monday", 0, recording().scans[0])
+        failed = wait_for(client, build(client))
+        assert (failed["state"], failed["error"]["type"]) == ("failed", "/problems/build-stalled")
+        assert "no progress for 0.5 s" in failed["error"]["detail"]
+        assert not _workers()
+        monkeypatch.undo()
+        assert client.get(failed["error"]["type"]).status_code == 200
+
+
+def test_a_build_with_progress_is_not_ended_however_long_it_takes(tmp_path, monkeypatch):
+    monkeypatch.setattr(runner_module, "run_build", stand_still)
+    with running(tmp_path, build_stall_s=0.8) as client:
+        client.post("/v1/maps", json={"map": "campus"})
+        upload_scan(client, "campus", "monday", 0, recording().scans[0])
+        job = build(client)
+        wait_for(client, job, {"running"})
+        for done in range(12):
+            client.service.store.jobs.progress(job, "fitting", done, 12)
+            time.sleep(0.2)
+        assert client.get(f"/v1/jobs/{job}").json()["state"] == "running"
+        assert wait_for(client, job)["error"]["detail"].endswith("after 11 of 12 units")
+
+
+def test_a_build_that_wants_too_much_memory_fails_by_name(tmp_path, monkeypatch):
+    monkeypatch.setattr(runner_module, "run_build", take_memory)
+    with running(tmp_path, build_memory_bytes=2**30) as client:
+        client.post("/v1/maps", json={"map": "campus"})
+        upload_scan(client, "campus", "monday", 0, recording().scans[0])
+        failed = wait_for(client, build(client))
+        problem = failed["error"]
+        assert (failed["state"], problem["type"]) == ("failed", "/problems/build-out-of-memory")
+        assert f"more than the {2**30} bytes" in problem["detail"]
+
+
+class Undying:
+    """A process that waits for a disk that hangs: not even SIGKILL ends it."""
+
+    exitcode = None
+
+    def __init__(self, **_):
+        pass
+
+    def start(self):
+        pass
+
+    def kill(self):
+        pass
+
+    def join(self, timeout=None):
+        assert timeout is not None, "the service would wait for ever"
+        time.sleep(min(timeout, 0.05))
+
+    def is_alive(self):
+        return True
+
+    def close(self):
+        raise ValueError("Cannot close a process while it is still running.")
+
+
+def test_a_worker_that_cannot_be_ended_fails_its_job_and_the_next_one_is_done(
+    tmp_path, monkeypatch
+):
+    with running(tmp_path, build_stall_s=0.5) as client:
+        client.post("/v1/maps", json={"map": "campus"})
+        upload_scan(client, "campus", "monday", 0, recording().scans[0])
+        context = client.service.runner._context
+        with monkeypatch.context() as hanging:
+            hanging.setattr(context, "Process", Undying, raising=False)
+            failed = wait_for(client, build(client))
+            assert failed["error"]["type"] == "/problems/build-stalled"
+        assert wait_for(client, build(client, segments=1))["state"] == "done"
 
 
 def test_a_worker_that_cannot_be_started_fails_its_job_and_not_the_service(standing, monkeypatch):

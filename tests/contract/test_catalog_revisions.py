@@ -21,6 +21,7 @@ from storage.errors import (
     RequestKeyReused,
     RevisionIsLive,
     RevisionNotFound,
+    TooManyBuilds,
 )
 from tests.contract.samples import FACTS, A, B, C
 
@@ -178,6 +179,48 @@ class TestJobs:
             claimed = list(pool.map(lambda _: catalog.jobs.claim(), range(14)))
         assert sorted(job.id for job in claimed if job) == sorted(made)
         assert claimed.count(None) == 2
+
+    def test_keys_take_turns_whoever_queued_first(self, catalog):
+        greedy = [catalog.jobs.create("campus", {}, key_id="greedy").id for _ in range(4)]
+        other = [catalog.jobs.create("campus", {}, key_id="other").id for _ in range(2)]
+        [nobody] = [catalog.jobs.create("campus", {}).id]
+        claimed = []
+        while (job := catalog.jobs.claim()) is not None:
+            claimed.append(job.id)
+            catalog.jobs.fail(job.id, "EmptyDrive", "no scan")
+        assert claimed == [greedy[0], other[0], nobody, greedy[1], other[1], *greedy[2:]]
+
+    def test_a_key_with_a_running_job_waits_for_one_that_has_none(self, catalog):
+        for key in ("greedy", "greedy", "other", "other"):
+            catalog.jobs.create("campus", {}, key_id=key)
+        first, second = catalog.jobs.claim(), catalog.jobs.claim()
+        assert (first.key_id, second.key_id) == ("greedy", "other")
+        catalog.jobs.fail(second.id, "EmptyDrive", "no scan")
+        assert catalog.jobs.claim().key_id == "other"  # though it was its turn just now
+
+    def test_the_maps_of_a_key_take_turns_too(self, catalog):
+        catalog.maps.create("dock")
+        slugs = {catalog.maps.get(slug).id: slug for slug in ("campus", "dock")}
+        for slug in ("campus", "campus", "campus", "dock", "dock"):
+            catalog.jobs.create(slug, {}, key_id="one")
+        claimed = [slugs[catalog.jobs.claim().map_id] for _ in range(5)]
+        assert claimed == ["campus", "dock", "campus", "dock", "campus"]
+
+    def test_a_key_queues_as_many_builds_as_it_may_and_others_still_can(self, catalog):
+        for _ in range(3):
+            catalog.jobs.create("campus", {}, key_id="greedy", most_queued=3)
+        with pytest.raises(TooManyBuilds, match="greedy has 3 builds in the queue"):
+            catalog.jobs.create("campus", {}, key_id="greedy", most_queued=3)
+        catalog.jobs.create("campus", {}, key_id="other", most_queued=3)
+        running = catalog.jobs.claim()
+        assert running.key_id == "greedy"  # what runs is no longer in the queue
+        catalog.jobs.create("campus", {}, key_id="greedy", most_queued=3)
+
+    def test_a_repeated_request_is_answered_even_when_the_queue_is_full(self, catalog):
+        request = RequestKey("retry-1", A)
+        made = catalog.jobs.create("campus", {}, request=request, key_id="a", most_queued=1)
+        again = catalog.jobs.create("campus", {}, request=request, key_id="a", most_queued=1)
+        assert again == made
 
     @pytest.mark.usefixtures("all_cores")
     def test_a_request_makes_one_job_however_often_it_comes(self, catalog):

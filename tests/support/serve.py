@@ -11,10 +11,14 @@ import sys
 if __name__ == "__main__":  # the processes of builds import this file too, and need nothing of it
     import uvicorn
 
+    from app.connections import BoundedServer, connection_options, within_descriptors
     from app.main import create_app
+    from app.settings import Settings
 
     signal.signal(signal.SIGTERM, lambda _number, _frame: sys.exit(0))  # as `tensormap serve`
     listener = socket.create_server(("127.0.0.1", 0))
     sys.stdout.write(f"{listener.getsockname()[1]} {os.getpid()}\n")
     sys.stdout.flush()  # whoever started it waits for it
-    uvicorn.Server(uvicorn.Config(create_app())).run(sockets=[listener])
+    settings = within_descriptors(Settings())
+    config = uvicorn.Config(create_app(settings), **connection_options(settings))
+    BoundedServer(config).run(sockets=[listener])

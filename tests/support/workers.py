@@ -2,8 +2,9 @@
 
 import os
 import time
+from typing import Any
 
-__all__ = ["fall_over", "stand_still"]
+__all__ = ["fall_over", "stand_still", "take_memory"]
 
 
 def stand_still(*_: object) -> None:
@@ -14,3 +15,13 @@ def stand_still(*_: object) -> None:
 def fall_over(*_: object) -> None:
     """Be a worker with a fault."""
     os._exit(3)
+
+
+def take_memory(*arguments: Any) -> None:
+    """Be a worker whose build wants 64 GB."""
+    import numpy as np
+
+    from app.jobs import worker
+
+    vars(worker)["build_revision"] = lambda *_, **__: np.ones(2**33)
+    worker.run_build(*arguments)

@@ -9,16 +9,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from app.logs import LogFormat, _TextLine, configure_logging, fields
+from app.logs import LogFormat, _Seldom, _TextLine, configure_logging, fields
 from app.request_id import accepted_id, current_id, enter_request
 
 
 @pytest.fixture
 def lines():
     """Logs of a format, as they were written; logging is put back as it was."""
-    names = ["", "tensormap", "uvicorn", "uvicorn.access"]
+    names = ["", "tensormap", "uvicorn", "uvicorn.access", "uvicorn.error", "asyncio"]
     kept = [
-        (log, log.handlers[:], log.level, log.disabled) for log in map(logging.getLogger, names)
+        (log, log.handlers[:], log.level, log.disabled, log.filters[:])
+        for log in map(logging.getLogger, names)
     ]
     written = io.StringIO()
 
@@ -27,8 +28,8 @@ def lines():
         return written
 
     yield configure
-    for log, handlers, level, disabled in kept:
-        log.handlers[:], log.disabled = handlers, disabled
+    for log, handlers, level, disabled, filters in kept:
+        log.handlers[:], log.disabled, log.filters[:] = handlers, disabled, filters
         log.setLevel(level)
 
 
@@ -107,3 +108,29 @@ def test_any_other_request_id_is_replaced(sent):
     assert made != sent
     assert accepted_id(made) == made
     assert made != accepted_id(sent)
+
+
+def test_what_a_client_can_cause_at_will_is_logged_once_in_a_while():
+    now = [0.0]
+    seldom = _Seldom(lambda: now[0])
+
+    def passes(event):
+        return seldom.filter(logging.makeLogRecord({"msg": event}))
+
+    accept = "socket.accept() out of system resource\nsocket: <socket>"
+    assert [passes(accept) for _ in range(3)] == [True, False, False]
+    assert passes("Invalid HTTP request received.")
+    assert all(passes("Shutting down") for _ in range(3))
+    now[0] = 10.0
+    assert [passes(accept), passes(accept)] == [True, False]
+
+
+def test_a_stream_is_logged_by_us_and_not_by_the_server_with_its_query(lines):
+    written = lines(LogFormat.TEXT)
+    error = logging.getLogger("uvicorn.error")
+    error.info('%s - "WebSocket %s" [accepted]', "127.0.0.1:1", "/v1/maps/m/tracks/t/stream?key=1")
+    error.info("connection rejected (%d %s)", 429, "Too Many Requests")
+    error.error("ASGI callable returned without completing handshake.")
+    error.info("Shutting down")
+    [line] = written.getvalue().splitlines()
+    assert "Shutting down" in line

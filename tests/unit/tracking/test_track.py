@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from app.errors import TooManyTracks, TrackNotFound
+from app.errors import TooManyTracks, TooManyTracksOfKey, TrackNotFound
 from app.tracks import Tracks
 from core.errors import InvalidParameters, InvalidSignature, StaleObservation, StaleSignature
 from core.localizer import Localizer
@@ -160,11 +160,11 @@ def test_a_belief_refuses_what_does_not_sum_to_one():
 
 def test_tracks_of_one_revision_share_what_is_learnt_of_it_and_are_forgotten_when_idle(tracker):
     now = [0.0]
-    tracks = Tracks(limit=2, idle_s=60.0, clock=lambda: now[0])
-    one, two = (tracks.create("m", tracker.localizer) for _ in range(2))
+    tracks = Tracks(limit=2, idle_s=60.0, per_key=2, clock=lambda: now[0])
+    one, two = (tracks.create("m", key, tracker.localizer) for key in "ab")
     assert one.track._tracker is two.track._tracker
     with pytest.raises(TooManyTracks):
-        tracks.create("m", tracker.localizer)
+        tracks.create("m", "a", tracker.localizer)
     now[0] = 50.0
     assert tracks.get("m", one.id) is one
     with pytest.raises(TrackNotFound):
@@ -175,3 +175,35 @@ def test_tracks_of_one_revision_share_what_is_learnt_of_it_and_are_forgotten_whe
     assert len(tracks) == 1
     tracks.delete("m", one.id)
     assert len(tracks) == 0
+
+
+def test_a_key_keeps_as_many_tracks_as_it_may_and_others_still_can(tracker):
+    tracks = Tracks(limit=5, idle_s=60.0, per_key=3)
+    for _ in range(3):
+        tracks.create("m", "greedy", tracker.localizer)
+    with pytest.raises(TooManyTracksOfKey, match="3 tracks of key greedy are kept"):
+        tracks.create("m", "greedy", tracker.localizer)
+    tracks.create("m", "other", tracker.localizer)
+    assert len(tracks) == 4
+
+
+def test_a_key_below_its_share_takes_the_room_of_what_the_greediest_used_longest_ago(tracker):
+    now = [0.0]
+    tracks = Tracks(limit=6, idle_s=60.0, per_key=6, clock=lambda: now[0])
+    modest = [tracks.create("m", "modest", tracker.localizer) for _ in range(2)]
+    greedy = [tracks.create("m", "greedy", tracker.localizer) for _ in range(4)]
+    now[0] = 10.0
+    tracks.get("m", greedy[0].id)
+    third = tracks.create("m", "modest", tracker.localizer)
+    with pytest.raises(TrackNotFound):
+        tracks.get("m", greedy[1].id)
+    kept = [*modest, third, greedy[0], *greedy[2:]]
+    assert [tracks.get("m", one.id) for one in kept] == kept
+    for key in ("modest", "greedy"):  # each has its share
+        with pytest.raises(TooManyTracks):
+            tracks.create("m", key, tracker.localizer)
+    late = [tracks.create("m", "late", tracker.localizer) for _ in range(2)]
+    with pytest.raises(TooManyTracks):
+        tracks.create("m", "late", tracker.localizer)
+    assert len(tracks) == 6
+    assert [tracks.get("m", one.id) for one in late] == late

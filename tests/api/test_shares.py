@@ -1,0 +1,177 @@
+"""What one key takes leaves room for others: tracks, streams and queued builds."""
+
+import time
+from contextlib import ExitStack
+
+import pytest
+from starlette.testclient import WebSocketDenialResponse
+from starlette.websockets import WebSocketDisconnect
+
+import app.job_events
+from tests.support.access import ADMIN, ADMIN_KEY, LOCALIZE, READ, WRITE, holder, make
+from tests.support.service import copy_of, problem_of, running, wait_for
+from tests.support.workers import stand_still
+
+TRACKS = "/v1/maps/campus/tracks"
+BUILDS = "/v1/maps/campus/builds"
+
+
+@pytest.fixture
+def sparing(tmp_path, built):
+    """A service that gives each key little."""
+    with running(
+        copy_of(built.data_dir, tmp_path / "data"),
+        admin_key=ADMIN_KEY,
+        max_tracks=4,
+        max_tracks_per_key=3,
+        max_streams=3,
+        max_streams_per_key=2,
+        max_queued_builds_per_key=2,
+    ) as client:
+        yield client
+
+
+def stream_of(client, track, headers):
+    return client.websocket_connect(f"ws://127.0.0.1{track}/stream", headers=headers)
+
+
+def refused_stream(client, track, headers):
+    with pytest.raises(WebSocketDenialResponse) as refused, stream_of(client, track, headers):
+        pass
+    return refused.value.status_code, refused.value.json()["type"].removeprefix("/problems/")
+
+
+def begin_track(client, headers):
+    begun = client.post(TRACKS, headers=headers)
+    assert begun.status_code == 201, begun.text
+    return begun.headers["Location"]
+
+
+def test_a_key_that_keeps_all_the_tracks_it_may_leaves_some_to_others(sparing):
+    greedy, other = holder(sparing, LOCALIZE), holder(sparing, LOCALIZE)
+    begun = [begin_track(sparing, greedy) for _ in range(3)]
+    refused = sparing.post(TRACKS, headers=greedy)
+    assert problem_of(refused) == (429, "too-many-tracks-of-key")
+    mine = [begin_track(sparing, other) for _ in range(2)]  # 3 + 1, then one of the greedy key's
+    assert problem_of(sparing.post(TRACKS, headers=other)) == (503, "too-many-tracks")
+    assert problem_of(sparing.get(begun[0], headers=greedy)) == (404, "track-not-found")
+    for track in (*begun[1:], *mine):
+        assert sparing.get(track, headers=ADMIN).status_code == 200
+
+
+def test_streams_are_bounded_for_a_key_and_for_all(sparing):
+    one, two = holder(sparing, LOCALIZE), holder(sparing, LOCALIZE)
+    track = begin_track(sparing, one)
+    with ExitStack() as opened:
+        for _ in range(2):
+            opened.enter_context(stream_of(sparing, track, one))
+        assert refused_stream(sparing, track, one) == (429, "too-many-streams-of-key")
+        opened.enter_context(stream_of(sparing, track, two))
+        assert refused_stream(sparing, track, two) == (503, "too-many-streams")
+        assert len(sparing.service.streams) == 3
+    with stream_of(sparing, track, one), stream_of(sparing, track, one):
+        pass  # what was closed is open to others again
+
+
+def test_a_refused_stream_takes_nothing(sparing):
+    one = holder(sparing, LOCALIZE)
+    for _ in range(5):
+        assert refused_stream(sparing, f"{TRACKS}/none", one) == (404, "track-not-found")
+    assert len(sparing.service.streams) == 0
+
+
+def test_a_stream_without_a_message_is_closed(tmp_path, built):
+    data_dir = copy_of(built.data_dir, tmp_path / "data")
+    with running(data_dir, stream_idle_s=0.2) as client:
+        track = begin_track(client, {})
+        with stream_of(client, track, {}) as stream, pytest.raises(WebSocketDisconnect) as closed:
+            stream.receive_text()
+        assert (closed.value.code, closed.value.reason) == (1001, "no message for 0.2 s")
+        assert len(client.service.streams) == 0
+
+
+def test_events_of_jobs_are_streams_too(sparing, monkeypatch):
+    monkeypatch.setattr("app.jobs.runner.run_build", stand_still)
+    writer = holder(sparing, READ, WRITE)
+    job = sparing.post(BUILDS, json={"segments": 2}, headers=writer).json()["job"]
+    wait_for(AsHolder(sparing, writer), job, {"running"})
+    events = f"/v1/jobs/{job}/events"
+    with sparing.stream("GET", events, headers=writer) as first:
+        assert first.status_code == 200
+        with sparing.stream("GET", events, headers=writer):
+            refused = sparing.get(events, headers=writer)
+            assert problem_of(refused) == (429, "too-many-streams-of-key")
+            assert sparing.delete(f"/v1/jobs/{job}", headers=writer).status_code == 200
+    assert wait_for(AsHolder(sparing, writer), job)["state"] == "cancelled"
+    assert sparing.get(events, headers=writer).status_code == 200
+
+
+class AsHolder:
+    """A client that sends one key."""
+
+    def __init__(self, client, headers):
+        self._client, self._headers = client, headers
+
+    def get(self, path):
+        return self._client.get(path, headers=self._headers)
+
+
+def test_a_revoked_key_is_told_no_more_events_and_others_are(sparing, monkeypatch):
+    monkeypatch.setattr("app.jobs.runner.run_build", stand_still)
+    job = sparing.post(BUILDS, json={"segments": 2}, headers=ADMIN).json()["job"]
+    revoked = make(sparing, READ)
+    with sparing.stream(
+        "GET",
+        f"/v1/jobs/{job}/events",
+        headers={"Authorization": f"Bearer {revoked['secret']}"},
+    ) as told:
+        lines = told.iter_lines()
+        assert any(line.startswith("data: ") for line in lines)
+        assert sparing.delete(f"/v1/keys/{revoked['key']}", headers=ADMIN).status_code in {200, 204}
+        assert not [line for line in lines if '"done"' in line]  # the stream ends by itself
+
+
+def test_however_many_follow_a_job_it_is_read_as_often_as_for_one(sparing, monkeypatch):
+    monkeypatch.setattr("app.jobs.runner.run_build", stand_still)
+    monkeypatch.setattr(app.job_events, "_LOOK_EVERY_S", 0.02)
+    job = sparing.post(BUILDS, json={"segments": 2}, headers=ADMIN).json()["job"]
+    wait_for(AsHolder(sparing, ADMIN), job, {"running"})
+    service = sparing.service
+    reads, admitted = [], []
+    with_ids, caller_of = service.store.jobs.with_ids, service.access.caller_of
+
+    def counted_read(ids):
+        reads.append(tuple(ids))
+        return with_ids(ids)
+
+    def counted_admission(connection):
+        admitted.append(connection)
+        return caller_of(connection)
+
+    monkeypatch.setattr(service.store.jobs, "with_ids", counted_read)
+    monkeypatch.setattr(service.access, "caller_of", counted_admission)
+    with ExitStack() as opened:
+        for _ in range(2):
+            opened.enter_context(sparing.stream("GET", f"/v1/jobs/{job}/events", headers=ADMIN))
+        admitted.clear()
+        reads.clear()
+        while len(reads) < 5:
+            time.sleep(0.01)
+        assert set(reads) == {(job,)}
+        assert len(admitted) <= len(reads) + 1
+        sparing.delete(f"/v1/jobs/{job}", headers=ADMIN)
+
+
+def test_a_key_that_fills_the_queue_delays_no_other(sparing, monkeypatch):
+    monkeypatch.setattr("app.jobs.runner.run_build", stand_still)
+    greedy, other = holder(sparing, WRITE), holder(sparing, WRITE)
+    first = sparing.post(BUILDS, json={"segments": 2}, headers=greedy).json()["job"]
+    wait_for(AsHolder(sparing, greedy), first, {"running"})
+    for _ in range(2):
+        queued = sparing.post(BUILDS, json={"segments": 2}, headers=greedy)
+        assert queued.status_code == 202
+    refused = sparing.post(BUILDS, json={"segments": 2}, headers=greedy)
+    assert problem_of(refused) == (429, "too-many-builds")
+    last = sparing.post(BUILDS, json={"segments": 2}, headers=other).json()["job"]
+    sparing.delete(f"/v1/jobs/{first}", headers=greedy)
+    assert wait_for(AsHolder(sparing, other), last, {"running"})["state"] == "running"

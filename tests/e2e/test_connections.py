@@ -1,0 +1,144 @@
+"""Connections through the real server: bounded, idle ones closed first, late ones closed."""
+
+import json
+import socket
+import time
+from contextlib import suppress
+
+import httpx2
+import pytest
+
+from tests.support.process import NO_TLS, until
+
+LIMIT = 12
+HEAD = b"GET /livez HTTP/1.1\r\nHost: 127.0.0.1\r\n"
+
+
+@pytest.fixture(scope="module")
+def server(tmp_path_factory, serving):
+    folder = tmp_path_factory.mktemp("connections")
+    settings = {"max_connections": str(LIMIT), "request_head_s": "0.8"}
+    with serving(folder / "data", folder / "log", **settings) as server:
+        server.client.close()  # so that all there are is what a test opens
+        yield server
+
+
+@pytest.fixture
+def opened(server):
+    """Opens connections, and closes all at the end."""
+    sockets = []
+
+    def connect(sent=b""):
+        made = socket.create_connection(("127.0.0.1", server.port), timeout=30)
+        sockets.append(made)
+        if sent:
+            made.sendall(sent)
+        return made
+
+    yield connect
+    for made in sockets:
+        made.close()
+    time.sleep(0.1)  # the server notices
+
+
+def is_closed(made):
+    """Return whether the server has closed a connection, without waiting for it."""
+    made.setblocking(False)
+    try:
+        return made.recv(1) == b""
+    except BlockingIOError:
+        return False
+    except ConnectionResetError:
+        return True
+    finally:
+        made.settimeout(30)
+
+
+def answer_on(made):
+    made.sendall(HEAD + b"\r\n")
+    answer = b""
+    while not answer.endswith(b"}"):
+        answer += (part := made.recv(4096))
+        if not part:
+            break
+    return answer
+
+
+def test_a_new_connection_is_answered_however_many_do_nothing(server, opened):
+    idle = [opened() for _ in range(3 * LIMIT)]
+    assert answer_on(opened()).startswith(b"HTTP/1.1 200")
+    until(lambda: sum(map(is_closed, idle)) == len(idle) - LIMIT + 1, "they stay open")
+    assert [is_closed(made) for made in idle] == sorted(
+        (is_closed(made) for made in idle), reverse=True
+    )
+
+
+def test_what_never_asked_is_closed_before_what_is_kept_for_another_request(server, opened):
+    kept = [opened() for _ in range(3)]
+    assert all(answer_on(made).startswith(b"HTTP/1.1 200") for made in kept)
+    idle = [opened() for _ in range(LIMIT - 3 + 5)]
+    until(lambda: sum(map(is_closed, idle)) == 5, "none was closed")
+    assert not any(map(is_closed, kept))
+    assert all(answer_on(made).startswith(b"HTTP/1.1 200") for made in kept)
+
+
+def test_where_all_are_in_use_another_is_refused_by_name(server, opened):
+    body = b"POST /v1/maps HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Type: application/json\r\n"
+    busy = [opened(body + b"Content-Length: 100\r\n\r\n{") for _ in range(LIMIT)]
+    time.sleep(0.3)  # until their heads are read
+    told = opened().recv(4096)
+    head, _, problem = told.partition(b"\r\n\r\n")
+    assert head.startswith(b"HTTP/1.1 503 ")
+    assert b"retry-after: 1" in head.lower()
+    assert json.loads(problem)["type"] == "/problems/too-many-connections"
+    assert not any(map(is_closed, busy))
+    busy.pop().close()
+    until(
+        lambda: answer_on(opened()).startswith(b"HTTP/1.1 200"), "the room of one that ended stays"
+    )
+
+
+@pytest.mark.parametrize("sent", [b"", b"GET /livez HTT", HEAD], ids=["none", "line", "field"])
+def test_a_connection_that_sends_no_whole_head_is_closed(server, opened, sent):
+    made = opened(sent)
+    began = time.monotonic()
+    assert made.recv(1) == b""
+    assert time.monotonic() - began < 20  # of 0.8 s; uvicorn alone waits for ever
+
+
+def test_a_head_that_comes_byte_by_byte_is_closed_too_on_a_kept_connection(server, opened):
+    made = opened()
+    assert answer_on(made).startswith(b"HTTP/1.1 200")
+    for byte in b"GET /" + b"x" * 95:
+        if is_closed(made):
+            break
+        with suppress(ConnectionError):
+            made.sendall(bytes([byte]))
+        time.sleep(0.2)
+    else:
+        pytest.fail("it stayed open for 20 s")
+
+
+def test_a_slow_body_is_no_late_head(server, opened):
+    made = opened(
+        b"POST /v1/maps HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Type: application/json\r\n"
+        b"Content-Length: 15\r\n\r\n"
+    )
+    for byte in b'{"map": "slow"}':
+        made.sendall(bytes([byte]))
+        time.sleep(0.1)  # 1.5 s in all, longer than a head may take
+    assert made.recv(4096).startswith(b"HTTP/1.1 201")
+
+
+def test_a_kept_connection_asks_again_and_again(server):
+    with httpx2.Client(base_url=f"http://127.0.0.1:{server.port}", verify=NO_TLS) as client:
+        for _ in range(3):
+            assert client.get("/livez").status_code == 200
+            time.sleep(0.6)
+
+
+def test_full_of_connections_the_log_stays_short(server):
+    log = server.log.read_text()
+    assert "as many as may be" in log
+    assert "Traceback" not in log, log
+    assert log.count("as many as may be") < 10
