@@ -11,14 +11,12 @@ from datetime import UTC, datetime
 from enum import StrEnum
 from typing import Any, TextIO
 
+from app.access.secrets import hidden
 from app.request_id import current_id
 
 __all__ = ["LogFormat", "configure_logging", "fields"]
 
 _FIELDS = "tensormap_fields"
-# Whoever puts a key into a path by mistake does not put it into the log as well.
-_KEY = re.compile(r"tm_[0-9A-Za-z]+_[\w-]{8,}")
-_HIDDEN = "tm_(hidden)"
 _CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029]")
 
 
@@ -76,7 +74,7 @@ class _JsonLine(_Line):
         facts = self.facts(record)
         if (traceback := self.traceback(record)) is not None:
             facts["traceback"] = traceback
-        return _KEY.sub(_HIDDEN, json.dumps(facts, default=str))
+        return hidden(json.dumps(facts, default=str))
 
 
 class _TextLine(_Line):
@@ -87,4 +85,4 @@ class _TextLine(_Line):
         # A path holds any character; a line break in one would begin a line of its own.
         line = _CONTROL.sub(lambda found: repr(found[0])[1:-1], " ".join(map(str, head + told)))
         traceback = self.traceback(record)
-        return _KEY.sub(_HIDDEN, line if traceback is None else f"{line}\n{traceback}")
+        return hidden(line if traceback is None else f"{line}\n{traceback}")

@@ -53,6 +53,9 @@ def serve(
         ws="websockets-sansio",  # what `auto` takes too, if the package is there: say so, or fail
         log_config=None,
         access_log=False,  # ours is of the application, and without queries
+        # Without: Uvicorn believes whoever connects from this machine, and so anybody on it.
+        proxy_headers=bool(settings.trusted_proxies),
+        forwarded_allow_ips=list(settings.trusted_proxies),
         ws_max_size=settings.max_json_bytes,
         timeout_graceful_shutdown=_GRACE_S,
     )
