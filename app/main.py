@@ -28,6 +28,7 @@ from app.revisions import LoadedRevisions
 from app.routes import api, open_routes, streams
 from app.service import Service
 from app.settings import Settings
+from app.systemd import supervised
 from app.tracks import Tracks
 from storage.catalog import JobRecord
 from storage.store import Store
@@ -57,7 +58,8 @@ def create_app(settings: Settings | None = None) -> FastAPI:
         service = await run_in_threadpool(_start, chosen, metrics)
         app.state.service = service
         try:
-            yield
+            async with supervised():
+                yield
         finally:
             await run_in_threadpool(_stop, service)
 

@@ -77,7 +77,7 @@ def _restore(backup: Path, folder: Path) -> int:
     if missing := sorted(named - manifest.keys()):
         raise CorruptFile(f"the backup lacks {missing[0]} ({len(missing)} in all)")
     _check_catalog(folder)
-    (folder / "maps").mkdir(exist_ok=True)
+    make_folder(folder / "maps")
     for path, _, names in os.walk(folder, topdown=False):
         for name in names:
             sync(Path(path, name))
@@ -114,10 +114,10 @@ def _write(tar: tarfile.TarFile, member: tarfile.TarInfo, path: Path) -> dict[st
     source = tar.extractfile(member)
     if source is None:
         raise CorruptFile(f"the backup's {member.name} has no content")
-    path.parent.mkdir(parents=True, exist_ok=True)
+    make_folder(path.parent)
     digest = hashlib.sha256()
     size = 0
-    descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644)
+    descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
     with os.fdopen(descriptor, "wb") as sink:
         while block := source.read(_BLOCK_BYTES):
             sink.write(block)

@@ -8,6 +8,7 @@ import typer
 
 from app.cli.console import output
 from app.cli.options import require_folder
+from app.process import private_files
 from core.errors import InvalidParameters
 from storage.backup import write_backup
 from storage.restore import restore_backup
@@ -32,6 +33,7 @@ def backup(
     if os.environ.get("TENSORMAP_CATALOG_URL"):
         raise InvalidParameters(_ELSEWHERE)
     require_folder(output_file)
+    private_files()
     written = write_backup(data, output_file)
     output().print(
         f"{output_file}: {written.files} files, {written.size_bytes} bytes",
@@ -51,5 +53,6 @@ def restore(
     ],
 ) -> None:
     """Make a new data directory of a backup; the service is then started on it."""
+    private_files()
     files = restore_backup(backup_file, data)
     output().print(f"{data}: {files} files", markup=False, soft_wrap=True)

@@ -39,8 +39,10 @@ def serve(
 
     from app.logs import configure_logging
     from app.main import create_app
+    from app.process import private_files
     from storage.store import Store
 
+    private_files()
     settings = _settings(host=host, port=port, data_dir=data)
     configure_logging(settings.log_format, settings.log_level)
     for name in unknown_variables(os.environ):
