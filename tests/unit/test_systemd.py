@@ -39,7 +39,7 @@ def test_a_manager_hears_of_the_start_of_each_turn_and_of_the_end(manager):
 
     async def serve():
         async with supervised(environment):
-            messages = []
+            messages: list[str] = []
             while len(messages) < 4:
                 messages += heard(listening)
                 await asyncio.sleep(0.01)
