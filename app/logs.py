@@ -13,14 +13,12 @@ from datetime import UTC, datetime
 from enum import StrEnum
 from typing import Any, TextIO
 
+from app.access.secrets import hidden
 from app.request_id import current_id
 
 __all__ = ["LogFormat", "configure_logging", "fields"]
 
 _FIELDS = "tensormap_fields"
-# Whoever puts a key into a path by mistake does not put it into the log as well.
-_KEY = re.compile(r"tm_[0-9A-Za-z]+_[\w-]{8,}")
-_HIDDEN = "tm_(hidden)"
 _CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029]")
 # What is said of each stream besides our own line: one repeats its query, and another takes a
 # refusal for a fault.
@@ -123,7 +121,7 @@ class _JsonLine(_Line):
         facts = self.facts(record)
         if (traceback := self.traceback(record)) is not None:
             facts["traceback"] = traceback
-        return _KEY.sub(_HIDDEN, json.dumps(facts, default=str))
+        return hidden(json.dumps(facts, default=str))
 
 
 class _TextLine(_Line):
@@ -134,4 +132,4 @@ class _TextLine(_Line):
         # A path holds any character; a line break in one would begin a line of its own.
         line = _CONTROL.sub(lambda found: repr(found[0])[1:-1], " ".join(map(str, head + told)))
         traceback = self.traceback(record)
-        return _KEY.sub(_HIDDEN, line if traceback is None else f"{line}\n{traceback}")
+        return hidden(line if traceback is None else f"{line}\n{traceback}")

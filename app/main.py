@@ -30,6 +30,7 @@ from app.routes import api, open_routes, streams
 from app.service import Service
 from app.settings import Settings
 from app.streams import Streams
+from app.systemd import supervised
 from app.tracks import Tracks
 from storage.catalog import JobRecord
 from storage.store import Store
@@ -59,7 +60,8 @@ def create_app(settings: Settings | None = None) -> FastAPI:
         service = await run_in_threadpool(_start, chosen, metrics)
         app.state.service = service
         try:
-            yield
+            async with supervised():
+                yield
         finally:
             await run_in_threadpool(_stop, service)
 

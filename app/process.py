@@ -9,7 +9,13 @@ from pathlib import Path
 
 from threadpoolctl import threadpool_limits
 
-__all__ = ["keep_freed_memory", "limited_memory", "most_build_memory_bytes", "one_blas_thread"]
+__all__ = [
+    "keep_freed_memory",
+    "limited_memory",
+    "most_build_memory_bytes",
+    "one_blas_thread",
+    "private_files",
+]
 
 # Of glibc's malloc.h.
 _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3
@@ -27,6 +33,11 @@ def one_blas_thread() -> None:
     same drive would get another digest on another machine.
     """
     threadpool_limits(limits=1)
+
+
+def private_files() -> None:
+    """Let files that this process makes be its user's, and nobody else's."""
+    os.umask(0o077)
 
 
 def keep_freed_memory() -> None:

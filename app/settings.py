@@ -162,12 +162,26 @@ class Settings(BaseSettings):
         " between; none by default.",
     )
 
+    trusted_proxies: Annotated[tuple[str, ...], NoDecode] = Field(
+        (),
+        description="Addresses or networks of reverse proxies whose `X-Forwarded-For` and"
+        " `X-Forwarded-Proto` are believed, as `127.0.0.1`, comma between; none by default.",
+    )
+    scrub_days: float = Field(
+        30.0,
+        ge=0.0,
+        le=LONGEST_DAYS,
+        allow_inf_nan=False,
+        description="Within how many days every stored file is read and checked once; 0 checks"
+        " none.",
+    )
+
     @property
     def retention(self) -> Retention:
         """What maps keep that have not chosen otherwise."""
         return Retention(self.retained_revisions, self.retained_for_days, self.raw_scans)
 
-    @field_validator("allowed_origins", mode="before")
+    @field_validator("allowed_origins", "trusted_proxies", mode="before")
     @classmethod
     def _split(cls, given: object) -> object:
         if isinstance(given, str):
@@ -183,6 +197,19 @@ class Settings(BaseSettings):
                     "wanted origins as a browser sends them, `https://maps.example` or"
                     " `http://127.0.0.1:3000`, lower case, without a path and without `*`"
                 )
+        return given
+
+    @field_validator("trusted_proxies")
+    @classmethod
+    def _are_networks(cls, given: tuple[str, ...]) -> tuple[str, ...]:
+        for network in given:
+            try:
+                ipaddress.ip_network(network)
+            except ValueError:
+                raise ValueError(
+                    "wanted addresses or networks, as `127.0.0.1` or `10.0.0.0/8`, without names"
+                    " and without `*`"
+                ) from None
         return given
 
 

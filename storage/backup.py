@@ -3,12 +3,16 @@
     maps/...           every file that the catalog names, as in the data directory, and images
     store-id           which catalog and directory belong together
     catalog.sqlite3    the catalog as it was at one moment
-    manifest.json      size and SHA-256 of all that belongs to the backup
+    manifest.json      size and SHA-256 of all that belongs to the backup, and what it lacks
 
 Files never change, so the catalog's copy says which ones belong together. A file that was deleted
 before it could be copied is in a catalog of the past only: then the catalog is copied again, and
 what is missing in the backup is added. So catalog and manifest stand at the end, and a file more
 than the manifest names may stand before them.
+
+A file that is damaged is in the backup as it is. One that is gone, or that the disk does not give,
+is not: the manifest says so, and the rest is a backup. Files are checked in a process of their own,
+so that damage that keeps a reader busy for ever ends neither here.
 
 Images that builds cache are left out where a build can make them anew; those of drives whose
 returns were dropped are the only source that is left, and are in the backup.
@@ -20,18 +24,19 @@ import json
 import os
 import sqlite3
 import tarfile
-from collections.abc import Mapping
-from contextlib import closing, suppress
-from dataclasses import dataclass
+from collections.abc import Iterator
+from contextlib import ExitStack, closing, contextmanager, suppress
+from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import BinaryIO
 
-from storage.drive_chunks import ChunkFile, scan_digest
+from storage.checker import Checker
+from storage.claims import claimed, remove_abandoned
 from storage.errors import CorruptFile, StorageBusy, StorageUnavailable
 from storage.files import named_disk_errors, publish
-from storage.map_file import read_map
 from storage.store.layout import Layout
+from storage.stored_file import StoredFile
 
 __all__ = [
     "CATALOG",
@@ -40,7 +45,7 @@ __all__ = [
     "MANIFEST",
     "STORE_ID",
     "Backup",
-    "NamedFile",
+    "abandoned_copies",
     "named_files",
     "store_id_of",
     "write_backup",
@@ -58,21 +63,6 @@ _REVISIONS = "SELECT map_id, file_name, digest FROM revisions ORDER BY 1, 2"
 
 
 @dataclass(frozen=True)
-class NamedFile:
-    """A file that a catalog names.
-
-    Attributes:
-        path: Under the data directory.
-        scans: Digests of the scans that the catalog finds in it, by row.
-        revision: Digest of the revision that it holds, `None` if it holds scans.
-    """
-
-    path: str
-    scans: Mapping[int, str]
-    revision: str | None
-
-
-@dataclass(frozen=True)
 class Backup:
     """What was written.
 
@@ -80,11 +70,13 @@ class Backup:
         files: How many files of scans and revisions.
         size_bytes: Of the backup.
         damaged: What is not as it was stored, in words; it is in the backup as it is.
+        missing: What the catalog names and the backup lacks, in words.
     """
 
     files: int
     size_bytes: int
     damaged: tuple[str, ...]
+    missing: tuple[str, ...]
 
 
 def write_backup(data_dir: Path, output: Path) -> Backup:
@@ -98,70 +90,132 @@ def write_backup(data_dir: Path, output: Path) -> Backup:
 
     Raises:
         FileNotFoundError: If the directory holds no catalog.
-        CorruptFile: If the catalog is damaged, or a file that it names is gone.
+        CorruptFile: If the catalog is damaged.
         StorageBusy: If files are deleted faster than they are copied.
         StorageFull: If no space is left for the backup; nothing is left behind.
     """
     layout = Layout(data_dir.absolute())
     if not layout.catalog.is_file():
         raise FileNotFoundError(2, "holds no catalog", str(data_dir))
-    written: dict[str, dict[str, object]] = {}
-    damaged: dict[str, str] = {}
-    with (
-        publish(output) as part,
-        TemporaryDirectory(prefix=".backup-", dir=output.absolute().parent) as folder,
-    ):
-        copy = Path(folder) / CATALOG
+    folder = output.absolute().parent
+    for left in (*abandoned_copies(folder), *folder.glob(f".{output.name}.*.part")):
+        remove_abandoned(left)
+    copied = _Copied()
+    with publish(output) as part, ExitStack() as stack:
+        copy = stack.enter_context(_folder_beside(output)) / CATALOG
         descriptor = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
         with (
             named_disk_errors(),
             os.fdopen(descriptor, "wb") as sink,
+            claimed(part),
+            Checker() as checker,
             tarfile.open(fileobj=sink, mode="w", format=tarfile.PAX_FORMAT) as tar,
         ):
-            named = _copy_files(layout, copy, tar, written, damaged)
-            kept = {path: written[path] for path in named}
+            named = _copy_files(layout, copy, tar, copied, checker)
             for image in _only_images(layout, copy):
-                with suppress(FileNotFoundError), (layout.data_dir / image).open("rb") as source:
-                    kept[image] = _add(tar, image, source)  # or its drive was deleted meanwhile
+                named.add(image)
+                _copy_image(layout, image, tar, copied, checker)
+            kept = {path: told for path, told in copied.written.items() if path in named}
             kept[STORE_ID] = _add_bytes(tar, STORE_ID, f"{store_id_of(copy)}\n".encode())
             with copy.open("rb") as source:
                 kept[CATALOG] = _add(tar, CATALOG, source)
             manifest = {"format": FORMAT, "format_version": FORMAT_VERSION, "files": kept}
+            for kind, told in (("damaged", copied.damaged), ("missing", copied.missing)):
+                if wrong := {path: said for path, said in told.items() if path in named}:
+                    manifest[kind] = wrong
             _add_bytes(tar, MANIFEST, json.dumps(manifest, indent=1).encode())
         size_bytes = part.stat().st_size
-    told = tuple(said for path, said in damaged.items() if path in named)
-    return Backup(len(named), size_bytes, told)
+    return Backup(
+        sum(1 for path in kept if path.startswith("maps/") and "/images/" not in path),
+        size_bytes,
+        tuple(f"{path}: {said}" for path, said in copied.damaged.items() if path in named),
+        tuple(f"{path}: {said}" for path, said in copied.missing.items() if path in named),
+    )
+
+
+@dataclass
+class _Copied:
+    """What became of the files: what the manifest says of each, or in words what is wrong."""
+
+    written: dict[str, dict[str, object]] = field(default_factory=dict)
+    damaged: dict[str, str] = field(default_factory=dict)
+    missing: dict[str, str] = field(default_factory=dict)
+
+
+@contextmanager
+def _folder_beside(output: Path) -> Iterator[Path]:
+    prefix, parent = ".tensormap-backup-", output.absolute().parent
+    with TemporaryDirectory(prefix=prefix, dir=parent) as folder, claimed(Path(folder)):
+        yield Path(folder)
+
+
+def abandoned_copies(folder: Path) -> list[Path]:
+    """Return the folders with a catalog's copy that backups made in a folder, also older versions.
+
+    Whether one is still in use, `storage.claims.remove_abandoned` finds out.
+    """
+    found = [*folder.glob(".tensormap-backup-*"), *folder.glob(".backup-????????")]
+    return [
+        path
+        for path in found
+        if path.is_dir() and all(held.name.startswith(CATALOG) for held in path.iterdir())
+    ]
 
 
 def _copy_files(
-    layout: Layout,
-    copy: Path,
-    tar: tarfile.TarFile,
-    written: dict[str, dict[str, object]],
-    damaged: dict[str, str],
+    layout: Layout, copy: Path, tar: tarfile.TarFile, copied: _Copied, checker: Checker
 ) -> set[str]:
-    """Copy catalog and files until they belong together; return the paths of these files."""
-    missing: str | None = None
+    """Copy catalog and files until they belong together; return the paths of these files.
+
+    A file that is gone, and that a copy of the catalog which was made after that still names, is
+    missing; else it was deleted or moved while the backup was made.
+    """
+    gone: set[str] = set()
     for _ in range(_PASSES):
         _copy_catalog(layout.catalog, copy)
         files = named_files(copy)
-        if missing is not None and missing in {file.path for file in files}:
-            raise CorruptFile(f"the catalog names {missing}, and it is gone")
-        missing = None
+        first_gone = False
         for file in files:
-            if file.path in written:
+            if file.path in copied.written or file.path in copied.missing:
                 continue
             try:
-                with (layout.data_dir / file.path).open("rb") as source:
-                    if (said := _check(Path(f"/proc/self/fd/{source.fileno()}"), file)) is not None:
-                        damaged[file.path] = said
-                    written[file.path] = _add(tar, file.path, source)
+                _copy_file(layout, file, tar, copied, checker)
             except FileNotFoundError:
-                missing = file.path
-                break
-        else:
+                if file.path in gone:
+                    copied.missing[file.path] = "the file is gone"
+                else:
+                    gone.add(file.path)
+                    first_gone = True
+        if not first_gone:
             return {file.path for file in files}
     raise StorageBusy(f"files were deleted {_PASSES} times while they were copied: try again")
+
+
+def _copy_file(
+    layout: Layout, file: StoredFile, tar: tarfile.TarFile, copied: _Copied, checker: Checker
+) -> None:
+    path = layout.data_dir / file.path
+    if path.exists() and not path.is_file():
+        copied.missing[file.path] = "it is no file"
+        return
+    if (fault := checker.fault(path, file)) is not None:
+        copied.damaged[file.path] = fault.what
+    try:
+        with path.open("rb") as source:
+            copied.written[file.path] = _add(tar, file.path, source)
+    except FileNotFoundError:
+        copied.damaged.pop(file.path, None)
+        raise
+    except _SourceError as error:
+        copied.damaged.pop(file.path, None)
+        copied.missing[file.path] = f"it cannot be read: {error}"
+
+
+def _copy_image(
+    layout: Layout, image: str, tar: tarfile.TarFile, copied: _Copied, checker: Checker
+) -> None:
+    with suppress(FileNotFoundError):  # its drive was deleted meanwhile
+        _copy_file(layout, StoredFile(image), tar, copied, checker)
 
 
 def _only_images(layout: Layout, catalog: Path) -> list[str]:
@@ -191,7 +245,7 @@ def _copy_catalog(catalog: Path, copy: Path) -> None:
         raise CorruptFile(f"the catalog is damaged: {said}")
 
 
-def named_files(catalog: Path) -> list[NamedFile]:
+def named_files(catalog: Path) -> list[StoredFile]:
     """Return all files that a catalog names, in the order of their paths.
 
     Raises:
@@ -205,12 +259,12 @@ def named_files(catalog: Path) -> list[NamedFile]:
                 path = str(layout.chunks(map_id, drive_id) / chunk)
                 scans.setdefault(path, {})[row] = digest
             revisions = [
-                NamedFile(str(layout.revisions(map_id) / name), {}, digest)
+                StoredFile(str(layout.revisions(map_id) / name), revision=digest)
                 for map_id, name, digest in connection.execute(_REVISIONS)
             ]
     except sqlite3.Error as error:
         raise CorruptFile(f"the backup's catalog cannot be read: {error}") from error
-    return [*(NamedFile(path, rows, None) for path, rows in scans.items()), *revisions]
+    return [*(StoredFile(path, rows) for path, rows in scans.items()), *revisions]
 
 
 def store_id_of(catalog: Path) -> str:
@@ -229,47 +283,60 @@ def store_id_of(catalog: Path) -> str:
     return str(found[0])
 
 
-def _check(path: Path, file: NamedFile) -> str | None:
-    """Return what is wrong with a file, `None` if it is what was stored."""
-    try:
-        if file.revision is not None:
-            found = read_map(path).revision
-            if found == file.revision:
-                return None
-            return f"{file.path} holds revision {found}, not {file.revision}"
-        chunk = ChunkFile(path)
-        for row, wanted in file.scans.items():
-            if scan_digest(chunk.points_m(row)) != wanted:
-                return f"row {row} of {file.path} is not the scan that was put"
-    except CorruptFile as error:
-        return f"{file.path}: {error}"
-    return None
-
-
 def _add_bytes(tar: tarfile.TarFile, name: str, content: bytes) -> dict[str, object]:
     return _add(tar, name, io.BytesIO(content))
 
 
 def _add(tar: tarfile.TarFile, name: str, source: BinaryIO) -> dict[str, object]:
-    """Add a file; return what the manifest says about it."""
-    size = source.seek(0, os.SEEK_END)
-    source.seek(0)
+    """Add a file; return what the manifest says about it.
+
+    Raises:
+        _SourceError: If it cannot be read to its end: what the backup holds of it is of no use.
+    """
+    try:
+        size = source.seek(0, os.SEEK_END)
+        source.seek(0)
+    except OSError as error:
+        raise _SourceError(str(error)) from error
     member = tarfile.TarInfo(name)
     member.size, member.mode = size, 0o600
-    hashed = _Hashed(source)
+    hashed = _Hashed(source, size)
     tar.addfile(member, hashed)  # all that it calls is `read`
+    if hashed.fault is not None:
+        raise _SourceError(hashed.fault)
     return {"size": size, "sha256": hashed.digest.hexdigest()}
 
 
+class _SourceError(Exception):
+    """A file that the disk does not give."""
+
+
 class _Hashed:
-    """A file that is hashed while it is read."""
+    """A file that is hashed while it is read; where it cannot be, zeros take its place.
 
-    def __init__(self, source: BinaryIO) -> None:
+    A tar has told a member's size before its content: the next one begins where that ends.
+    """
+
+    def __init__(self, source: BinaryIO, size: int) -> None:
         self._source = source
+        self._left = size
         self.digest = hashlib.sha256()
+        self.fault: str | None = None
 
-    def read(self, size: int = -1) -> bytes:
+    def read(self, size: int = -1, /) -> bytes:
         """Read on."""
-        content = self._source.read(size)
+        wanted = self._left if size < 0 else min(size, self._left)
+        content = b"" if self.fault is not None else self._content(wanted)
+        if len(content) < wanted:
+            self.fault = self.fault or "it became shorter while it was copied"
+            content = content.ljust(wanted, b"\0")
+        self._left -= wanted
         self.digest.update(content)
         return content
+
+    def _content(self, size: int) -> bytes:
+        try:
+            return self._source.read(size)
+        except OSError as error:
+            self.fault = str(error)
+            return b""

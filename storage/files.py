@@ -44,6 +44,8 @@ def publish(path: Path, *, synced: bool = False) -> Iterator[Path]:
             yield part
             if not synced:
                 sync(part)
+            # Readable by no more people than its folder, whatever the umask.
+            part.chmod(part.stat().st_mode & path.parent.stat().st_mode & 0o666)
             part.rename(path)
             sync(path.parent)
     except BaseException:
@@ -90,6 +92,8 @@ def sync(path: Path) -> None:
 def make_folder(path: Path) -> Path:
     """Make a folder and its parents, durably, and return it; one that is there stays.
 
+    It is this user's, and nobody else's.
+
     Raises:
         StorageFull: If no space or quota is left.
         StorageReadOnly: If its parent cannot be written.
@@ -97,7 +101,7 @@ def make_folder(path: Path) -> Path:
     if not path.is_dir():
         make_folder(path.parent)
         with named_disk_errors():
-            path.mkdir(exist_ok=True)
+            path.mkdir(0o700, exist_ok=True)
             sync(path.parent)
     return path
 

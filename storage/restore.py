@@ -8,6 +8,7 @@ import shutil
 import sqlite3
 import tarfile
 from contextlib import closing
+from dataclasses import dataclass
 from pathlib import Path
 from tempfile import mkdtemp
 from typing import Any
@@ -22,10 +23,11 @@ from storage.backup import (
     named_files,
     store_id_of,
 )
+from storage.claims import claimed, remove_abandoned
 from storage.errors import CorruptFile
 from storage.files import make_folder, named_disk_errors, sync
 
-__all__ = ["restore_backup"]
+__all__ = ["Restored", "restore_backup"]
 
 _BLOCK_BYTES = 2**20
 _MOST_MANIFEST_BYTES = 2**30
@@ -38,10 +40,26 @@ _NAMES = re.compile(
 )
 
 
-def restore_backup(backup: Path, data_dir: Path) -> int:
-    """Make a data directory of a backup, all of it checked; return how many files it holds.
+@dataclass(frozen=True)
+class Restored:
+    """What was restored.
 
-    The directory appears whole, or not at all.
+    Attributes:
+        files: How many files of scans and revisions.
+        damaged: What was damaged before the backup, in words; it is restored as it was.
+        missing: What the backup lacks, in words: it was gone, or could not be read, before.
+    """
+
+    files: int
+    damaged: tuple[str, ...]
+    missing: tuple[str, ...]
+
+
+def restore_backup(backup: Path, data_dir: Path) -> Restored:
+    """Make a data directory of a backup, all of it checked.
+
+    The directory appears whole, or not at all; it lacks what the manifest says that the backup
+    lacks, and serves the rest.
 
     Raises:
         InvalidParameters: If there is something at `data_dir` already.
@@ -52,37 +70,44 @@ def restore_backup(backup: Path, data_dir: Path) -> int:
     if target.exists() and (not target.is_dir() or any(target.iterdir())):
         raise InvalidParameters(f"{data_dir} is there already: restore into a new folder")
     make_folder(target.parent)
+    for left in target.parent.glob(f".{target.name}.restore-*"):
+        remove_abandoned(left)
     with named_disk_errors():
         staging = Path(mkdtemp(prefix=f".{target.name}.restore-", dir=target.parent))
     try:
-        with named_disk_errors():
-            files = _restore(backup, staging)
+        with named_disk_errors(), claimed(staging):
+            restored = _restore(backup, staging)
             staging.rename(target)
             sync(target.parent)
     except BaseException:
         shutil.rmtree(staging, ignore_errors=True)
         raise
-    return files
+    return restored
 
 
-def _restore(backup: Path, folder: Path) -> int:
+def _restore(backup: Path, folder: Path) -> Restored:
     found = _unpack(backup, folder)
-    manifest = _manifest(folder / MANIFEST)
+    whole = _manifest(folder / MANIFEST)
+    manifest, lacks = whole["files"], whole["missing"]
     for name, told in manifest.items():
         if found.get(name) != told:
             raise CorruptFile(f"the backup's {name} is not what was written")
     for name in found.keys() - manifest.keys() - {MANIFEST}:  # deleted while the backup was made
         _remove(folder, name)
     named = {file.path for file in named_files(folder / CATALOG)}
-    if missing := sorted(named - manifest.keys()):
+    if missing := sorted(named - manifest.keys() - lacks.keys()):
         raise CorruptFile(f"the backup lacks {missing[0]} ({len(missing)} in all)")
     _check_catalog(folder)
-    (folder / "maps").mkdir(exist_ok=True)
+    make_folder(folder / "maps")
     for path, _, names in os.walk(folder, topdown=False):
         for name in names:
             sync(Path(path, name))
         sync(Path(path))
-    return len(named)
+    return Restored(len(named & manifest.keys()), _said(whole["damaged"]), _said(lacks))
+
+
+def _said(of_each: dict[str, Any]) -> tuple[str, ...]:
+    return tuple(f"{path}: {said}" for path, said in sorted(of_each.items()))
 
 
 def _remove(folder: Path, name: str) -> None:
@@ -114,10 +139,10 @@ def _write(tar: tarfile.TarFile, member: tarfile.TarInfo, path: Path) -> dict[st
     source = tar.extractfile(member)
     if source is None:
         raise CorruptFile(f"the backup's {member.name} has no content")
-    path.parent.mkdir(parents=True, exist_ok=True)
+    make_folder(path.parent)
     digest = hashlib.sha256()
     size = 0
-    descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644)
+    descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
     with os.fdopen(descriptor, "wb") as sink:
         while block := source.read(_BLOCK_BYTES):
             sink.write(block)
@@ -127,23 +152,24 @@ def _write(tar: tarfile.TarFile, member: tarfile.TarInfo, path: Path) -> dict[st
 
 
 def _manifest(path: Path) -> dict[str, Any]:
-    """Return what the manifest says of each file, and remove it."""
+    """Return the manifest's `files`, `damaged` and `missing`, by path, and remove it."""
     try:
         if path.stat().st_size > _MOST_MANIFEST_BYTES:
             raise CorruptFile("the backup's manifest is too long to be one")
         manifest = json.loads(path.read_bytes())
         kind = (manifest["format"], manifest["format_version"])
-        files = dict(manifest["files"])
+        told = {kind: dict(manifest.get(kind, {})) for kind in ("damaged", "missing")}
+        told["files"] = files = dict(manifest["files"])
     except FileNotFoundError:
         raise CorruptFile("the backup has no manifest: it is cut off, or none") from None
-    except (ValueError, KeyError, TypeError, RecursionError) as error:
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise CorruptFile(f"the backup's manifest cannot be read: {error}") from error
     if kind != (FORMAT, FORMAT_VERSION):
         raise CorruptFile(f"the backup is a {kind}, wanted {(FORMAT, FORMAT_VERSION)}")
     if missing := {CATALOG, STORE_ID} - files.keys():
         raise CorruptFile(f"the backup's manifest lacks {min(missing)}")
     path.unlink()
-    return files
+    return told
 
 
 def _check_catalog(folder: Path) -> None:

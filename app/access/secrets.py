@@ -9,6 +9,7 @@ __all__ = [
     "KEY_PREFIX",
     "TOKEN_PREFIX",
     "Secret",
+    "hidden",
     "is_token",
     "is_well_formed",
     "new_secret",
@@ -20,6 +21,8 @@ TOKEN_PREFIX = "tmt"  # noqa: S105 - it is no secret
 _ID_BYTES = 8
 _SECRET_BYTES = 32
 # The first release's keys have an id of 4 bytes. 43 characters of base64url are 32 bytes.
+# Looser than what is well formed: one that was cut off or mistyped is hidden too.
+_ANYWHERE = re.compile(r"(tmt?)_[0-9A-Za-z]+_[\w-]{8,}")
 _SENT = re.compile(r"tmt?_[0-9a-f]{8,32}_[A-Za-z0-9_-]{43}")
 
 
@@ -50,6 +53,18 @@ def is_well_formed(sent: str) -> bool:
 def is_token(sent: str) -> bool:
     """Return whether a text calls itself a token."""
     return sent.startswith(f"{TOKEN_PREFIX}_")
+
+
+def hidden(text: str) -> str:
+    """Return a text with the keys and tokens struck out that stand in it.
+
+    Whoever puts one into a path by mistake does not put it into the logs as well.
+
+    Examples:
+        >>> hidden("/v1/maps/tmt_0123456789abcdef_AbCdEfGhIjKl/live")
+        '/v1/maps/tmt_(hidden)/live'
+    """
+    return _ANYWHERE.sub(r"\1_(hidden)", text)
 
 
 def secret_hash(sent: str) -> str:

@@ -10,6 +10,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from app.access.caller import Caller
 from app.access.scopes import Scope as KeyScope
 from app.access.scopes import needed_by
+from app.access.secrets import hidden
 from core.errors import TensorMapError
 from storage.catalog import Act, on_behalf
 from storage.catalog.acts import current_act
@@ -41,7 +42,7 @@ class AuditTrail:
         if scope["type"] != "http" or scope["method"] in _SAFE:
             await self._app(scope, receive, send)
             return
-        act = Act(key_id="", action="", subject=quote(scope["path"]))
+        act = Act(key_id="", action="", subject=hidden(quote(scope["path"])))
         state = scope.setdefault("state", {})
         status = 500
 
@@ -76,7 +77,7 @@ def note(detail: str, *, map_slug: str | None = None) -> None:
     """Say what the path of a request does not: call it before the change."""
     act = current_act()
     if act is not None:
-        act.detail = detail
+        act.detail = hidden(detail)
         act.map_slug = act.map_slug or _slug_or_none(map_slug)
 
 

@@ -5,6 +5,7 @@ from typing import Annotated
 
 import typer
 
+from app.process import private_files
 from app.settings import Settings
 from core.errors import InvalidParameters
 from storage.catalog import AuditState
@@ -45,6 +46,7 @@ def verify(
     layout = Layout(settings.data_dir.absolute())
     if settings.catalog_url is None and not layout.catalog.exists():
         raise StorageUnavailable(f"there is no catalog in {settings.data_dir}")
+    private_files()
     with Store(settings.data_dir, settings.catalog_url) as store:
         found = store.audit.verify(None if known is None else _state(known))
     state = f"{found.state.seq}:{found.state.hash}"

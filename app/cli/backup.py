@@ -8,9 +8,10 @@ import typer
 
 from app.cli.console import output
 from app.cli.options import require_folder
+from app.process import private_files
 from core.errors import InvalidParameters
-from storage.backup import write_backup
-from storage.restore import restore_backup
+from storage.backup import Backup, write_backup
+from storage.restore import Restored, restore_backup
 
 __all__ = ["backup", "restore"]
 
@@ -28,20 +29,22 @@ def backup(
         Path, typer.Option(metavar="DIR", help="The data directory.", envvar="TENSORMAP_DATA_DIR")
     ] = Path("data"),
 ) -> None:
-    """Back up a data directory into one file, while the service runs; every digest is checked."""
+    """Back up a data directory into one file, while the service runs; every digest is checked.
+
+    What is damaged is in it as it is, what is gone or cannot be read is not: both are reported, the
+    exit status is then 1, and the rest is a backup.
+    """
     if os.environ.get("TENSORMAP_CATALOG_URL"):
         raise InvalidParameters(_ELSEWHERE)
     require_folder(output_file)
+    private_files()
     written = write_backup(data, output_file)
     output().print(
         f"{output_file}: {written.files} files, {written.size_bytes} bytes",
         markup=False,
         soft_wrap=True,
     )
-    for said in written.damaged:
-        typer.echo(f"tensormap: damaged before the backup, and as it is in it: {said}", err=True)
-    if written.damaged:
-        raise typer.Exit(1)
+    _require_whole(written)
 
 
 def restore(
@@ -50,6 +53,21 @@ def restore(
         Path, typer.Option(metavar="NEWDIR", help="The data directory to make; not there yet.")
     ],
 ) -> None:
-    """Make a new data directory of a backup; the service is then started on it."""
-    files = restore_backup(backup_file, data)
-    output().print(f"{data}: {files} files", markup=False, soft_wrap=True)
+    """Make a new data directory of a backup; the service is then started on it.
+
+    What the backup lacks is reported, with exit status 1; the service then serves the rest.
+    """
+    private_files()
+    restored = restore_backup(backup_file, data)
+    output().print(f"{data}: {restored.files} files", markup=False, soft_wrap=True)
+    _require_whole(restored)
+
+
+def _require_whole(made: Backup | Restored) -> None:
+    """Say what is not as it was stored, and fail if anything is not."""
+    for said in made.damaged:
+        typer.echo(f"tensormap: damaged before the backup, and as it is in it: {said}", err=True)
+    for said in made.missing:
+        typer.echo(f"tensormap: the backup lacks what its catalog names: {said}", err=True)
+    if made.damaged or made.missing:
+        raise typer.Exit(1)

@@ -40,8 +40,10 @@ def serve(
     from app.connections import BoundedServer, close_unread, connection_options, within_descriptors
     from app.logs import configure_logging
     from app.main import create_app
+    from app.process import private_files
     from storage.store import Store
 
+    private_files()
     settings = _settings(host=host, port=port, data_dir=data)
     configure_logging(settings.log_format, settings.log_level)
     for name in unknown_variables(os.environ):
@@ -55,6 +57,9 @@ def serve(
         ws="websockets-sansio",  # what `auto` takes too, if the package is there: say so, or fail
         log_config=None,
         access_log=False,  # ours is of the application, and without queries
+        # Without: Uvicorn believes whoever connects from this machine, and so anybody on it.
+        proxy_headers=bool(settings.trusted_proxies),
+        forwarded_allow_ips=list(settings.trusted_proxies),
         ws_max_size=settings.max_json_bytes,
         timeout_graceful_shutdown=_GRACE_S,
         **connection_options(settings),

@@ -12,7 +12,7 @@ from app.errors import BuildOutOfMemory
 from app.jobs.parameters import BuildParameters
 from app.logs import LogFormat, configure_logging
 from app.pipelines import build_revision
-from app.process import keep_freed_memory, limited_memory, one_blas_thread
+from app.process import keep_freed_memory, limited_memory, one_blas_thread, private_files
 from core.errors import Cancelled, TensorMapError
 from storage.catalog import JobRecord
 from storage.errors import JobNotFound
@@ -47,6 +47,7 @@ def run_build(
     if parent_process() is not None:  # nobody's logging or memory but its own
         configure_logging(log_format, log_level)
         keep_freed_memory()
+        private_files()
     _end_with_parent()
     one_blas_thread()
     with (

@@ -8,9 +8,10 @@ would hide a field's bounds from the description.
 """
 
 import re
+from datetime import UTC, datetime
 from typing import Annotated
 
-from pydantic import AwareDatetime, BeforeValidator, Field, Strict
+from pydantic import AfterValidator, AwareDatetime, BeforeValidator, Field, Strict
 from pydantic_core import PydanticCustomError, PydanticKnownError
 
 from storage.names import SLUG_PATTERN
@@ -39,6 +40,16 @@ def _written_out(given: object) -> object:
     return given
 
 
+def _in_utc(given: datetime) -> datetime:
+    """Return a moment in UTC; at the ends of the calendar an offset leads out of it."""
+    try:
+        return given.astimezone(UTC)
+    except OverflowError:
+        raise PydanticCustomError(
+            "moment", "wanted a moment that is in the years 1 to 9999 in UTC too"
+        ) from None
+
+
 def each_once(given: object) -> object:
     """Take no list that has a name twice for a set."""
     texts = [item for item in _items_of(given) if isinstance(item, str)]
@@ -53,6 +64,6 @@ def _items_of(given: object) -> list[object]:
 
 Flag = Annotated[bool, Strict()]
 Number = Annotated[float, Strict()]
-Moment = Annotated[AwareDatetime, BeforeValidator(_written_out)]
+Moment = Annotated[AwareDatetime, BeforeValidator(_written_out), AfterValidator(_in_utc)]
 # Described only: `storage.names` refuses what is none, by a name of its own.
 SlugText = Annotated[str, Field(json_schema_extra={"pattern": SLUG_PATTERN})]

@@ -6,7 +6,8 @@ server.lock                                    held by the one server of this di
 maps/<map id>/drives/<drive id>/chunks/*.h5    raw scans
 maps/<map id>/drives/<drive id>/images/        what builds cache
 maps/<map id>/revisions/<digest>.<id>.h5
-orphans/maps/...                               what a start found that no row names
+orphans/<day>/maps/...                         what a start found that no row names
+damaged/<day>/maps/...                         what a repair found that is not what was stored
 """
 
 from dataclasses import dataclass
@@ -40,6 +41,16 @@ class Layout:
     def orphans(self) -> Path:
         """Where files go that no row names, under the path that they had."""
         return self.data_dir / "orphans"
+
+    @property
+    def damaged(self) -> Path:
+        """Where a repair puts files that are not what was stored, under the path that they had."""
+        return self.data_dir / "damaged"
+
+    @property
+    def folders(self) -> tuple[Path, ...]:
+        """All folders of ours that the data directory may have."""
+        return self.maps, self.orphans, self.damaged
 
     @property
     def maps(self) -> Path:

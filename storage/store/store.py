@@ -6,11 +6,12 @@ from pathlib import Path
 from typing import Self
 
 from storage.catalog import Catalog
-from storage.files import make_folder
+from storage.files import make_folder, named_disk_errors
 from storage.store.drives import Drives
 from storage.store.identity import check_identity
 from storage.store.layout import Layout
 from storage.store.maps import Maps
+from storage.store.permissions import make_private
 from storage.store.recovery import ServerLock, sweep
 from storage.store.revisions import Revisions
 
@@ -68,6 +69,9 @@ class Store:
         self.layout = Layout(data_dir.absolute())
         make_folder(self.layout.maps)
         self._lock = lock or ServerLock(self.layout.lock)
+        if catalog_url is None and not self.layout.catalog.exists():
+            with named_disk_errors():
+                self.layout.catalog.touch(0o600)  # SQLite would make it readable by others
         self.catalog = Catalog(catalog_url or f"sqlite:///{self.layout.catalog}", self._lock.held())
         try:
             check_identity(self.catalog, self.layout)
@@ -115,6 +119,7 @@ class Store:
             DataDirInUse: If another server runs on it.
         """
         self._lock.take()
+        make_private(self.layout)
         sweep(self.catalog, self.layout)
         self.jobs.requeue_interrupted()
 

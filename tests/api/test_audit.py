@@ -54,6 +54,18 @@ def test_every_change_is_there_with_who_made_it_and_nothing_that_only_asks(clien
     assert entries(client, "until=2020-01-01T00:00:00Z") == []
 
 
+def test_a_key_or_token_that_stands_in_a_path_is_not_in_the_log(client):
+    secrets = [make(client, "localize")["secret"]]
+    token = client.post("/v1/tokens", json={"scopes": ["localize"]}, headers=bearer(secrets[0]))
+    secrets.append(token.json()["secret"])
+    assert [secret.partition("_")[0] for secret in secrets] == ["tm", "tmt"]
+    for secret in secrets:
+        client.delete(f"/v1/maps/{secret}", headers=ADMIN)
+    for prefix, secret, told in zip(("tm", "tmt"), secrets, entries(client)[-2:], strict=True):
+        assert told["subject"] == f"/v1/maps/{prefix}_(hidden)"
+        assert secret.rpartition("_")[2] not in str(entries(client))
+
+
 def test_what_is_refused_to_a_key_is_there_and_what_comes_without_one_is_not(client):
     reader = holder(client, "maps:read")
     client.post("/v1/maps", json={"map": "campus"}, headers=reader)

@@ -2,6 +2,7 @@
 
 import pytest
 
+from tests.support.access import ADMIN
 from tests.support.service import problem_of
 
 JSON = {"Content-Type": "application/json"}
@@ -51,6 +52,28 @@ def test_a_moment_is_written_out_with_its_zone(client, moment):
         assert refusal(client.get("/v1/audit", params={name: moment}))[0] == f"query/{name}"
     wanted = {"name": "fleet", "scopes": ["admin"], "expires_at": moment}
     assert refusal(client.post("/v1/keys", json=wanted))[0] == "body/expires_at"
+
+
+@pytest.mark.parametrize("moment", ["0001-01-01T00:00:00+14:00", "9999-12-31T23:59:59-14:00"])
+def test_a_moment_that_is_none_in_utc_is_the_clients_fault(client, moment):
+    what = "wanted a moment that is in the years 1 to 9999 in UTC too"
+    for name in ("since", "until"):
+        refused = client.get("/v1/audit", params={name: moment})
+        assert refusal(refused) == (f"query/{name}", what)
+    wanted = {"name": "fleet", "scopes": ["admin"], "expires_at": moment}
+    assert refusal(client.post("/v1/keys", json=wanted)) == ("body/expires_at", what)
+
+
+@pytest.mark.parametrize("moment", ["0001-01-01T00:00:00Z", "9999-12-31T23:59:59.999999Z"])
+def test_the_first_and_the_last_moment_of_the_calendar_are_moments(client, moment):
+    assert client.get("/v1/audit", params={"since": moment}).status_code == 200
+
+
+def test_a_key_may_last_until_the_end_of_the_calendar(guarded):
+    wanted = {"name": "f", "scopes": ["localize"], "expires_at": "9999-12-31T23:59:59+14:00"}
+    made = guarded.post("/v1/keys", json=wanted, headers=ADMIN)
+    assert made.status_code == 201
+    assert made.json()["expires_at"] == "9999-12-31T09:59:59Z"
 
 
 def test_a_number_is_no_moment(client):

@@ -43,6 +43,12 @@ def test_systemd_finds_nothing_wrong_with_the_unit(tmp_path):
     assert not [line for line in done.stderr.splitlines() if "tensormap" in line]
 
 
+def test_the_unit_has_the_service_watched_and_its_files_private():
+    lines = set(UNIT.splitlines())
+    assert {"Type=notify", "WatchdogSec=30", "UMask=0077", "LimitNOFILE=65536"} <= lines
+    assert "Restart=on-failure" in lines  # which a watchdog's end is
+
+
 def test_the_unit_runs_the_command_of_the_guide_and_gives_a_build_time_to_be_queued():
     guide = (ROOT / "docs/how-to/deploy.md").read_text()
     [command] = re.findall(r"^ExecStart=(\S+) serve --data (\S+)$", UNIT, re.MULTILINE)

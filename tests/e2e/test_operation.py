@@ -3,6 +3,7 @@
 import json
 import os
 import signal
+import socket
 import subprocess
 import sys
 import tempfile
@@ -112,6 +113,35 @@ def test_the_service_ends_with_what_it_was_asked_answered_and_its_build_queued(
     with serving(data, tmp_path / "second") as server:
         assert server.client.get("/v1/maps/campus/drives/monday").json()["scans"] == 41
         assert wait_for(server.client, job)["state"] == "done"
+
+
+def test_a_service_manager_hears_of_it_and_its_files_are_private(tmp_path, temporary, tensormap):
+    """`tensormap serve` itself, started with the umask that shells have."""
+    data, address = tmp_path / "data", temporary / "notify"
+    before = os.umask(0o022)
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as manager:
+        manager.bind(str(address))
+        manager.settimeout(60)
+        manage = {"NOTIFY_SOCKET": str(address), "WATCHDOG_USEC": "2000000"}
+        try:
+            port, process = started(data, tmp_path / "log", **manage)
+        finally:
+            os.umask(before)
+        try:
+            assert [manager.recv(100) for _ in range(3)] == [b"READY=1", *[b"WATCHDOG=1"] * 2]
+            with httpx2.Client(base_url=f"http://127.0.0.1:{port}", timeout=60) as client:
+                client.post("/v1/maps", json={"map": "campus"})
+                upload(client, "monday", recording(scans=6))
+                job = client.post("/v1/maps/campus/builds", json={"segments": 1}).json()["job"]
+                assert wait_for(client, job)["state"] == "done"
+            files = [data, *data.rglob("*")]
+            assert {path.name for path in files} > {"images", "revisions", "catalog.sqlite3-wal"}
+            assert [path for path in files if path.stat().st_mode & 0o077] == []
+        finally:
+            process.terminate()
+            while manager.recv(100) != b"STOPPING=1":  # behind those that were sent meanwhile
+                pass
+            process.wait(30)
 
 
 def test_nothing_new_is_taken_once_the_service_is_to_end(tmp_path, tensormap):

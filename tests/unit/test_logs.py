@@ -59,8 +59,9 @@ def test_a_text_line_stays_one_line_whatever_a_client_sends(path):
     assert len(_TextLine().format(record).splitlines()) == 1
 
 
-def test_no_key_stands_in_a_line(lines):
-    key = "tm_0a1b2c3d_" + "s3cret-" * 6
+@pytest.mark.parametrize("prefix", ["tm", "tmt"])
+def test_no_key_and_no_token_stands_in_a_line(lines, prefix):
+    key = f"{prefix}_0a1b2c3d_" + "s3cret-" * 6
     for log_format in LogFormat:
         written = lines(log_format)
         logging.getLogger("tensormap").info("request", extra=fields(path=f"/v1/keys/{key}"))
@@ -69,7 +70,7 @@ def test_no_key_stands_in_a_line(lines):
         except ValueError:
             logging.getLogger("tensormap").exception("failed")
         assert "s3cret" not in written.getvalue()
-        assert "tm_(hidden)" in written.getvalue()
+        assert f"{prefix}_(hidden)" in written.getvalue()
 
 
 def test_a_line_is_of_the_request_that_it_was_written_in(lines):

@@ -17,9 +17,10 @@ from core.errors import InvalidParameters
 from core.scan import Scan
 from storage.backup import write_backup
 from storage.catalog import RevisionFacts
+from storage.claims import claimed
 from storage.errors import CorruptFile
 from storage.map_file import write_map
-from storage.restore import restore_backup
+from storage.restore import Restored, restore_backup
 from storage.store import Store
 from tests.support.samples import sample_map
 
@@ -62,10 +63,11 @@ def test_a_restored_store_is_the_one_that_was_backed_up(filled, tmp_path):
     filled.keys.add("hash", ["admin"])
     path = tmp_path / "backup.tar"
     told = write_backup(filled.layout.data_dir, path)
-    assert (told.files, told.size_bytes, told.damaged) == (6, path.stat().st_size, ())
+    assert (told.files, told.size_bytes) == (6, path.stat().st_size)
+    assert (told.damaged, told.missing) == ((), ())
     assert stat.S_IMODE(path.stat().st_mode) == 0o600
     put(filled, [5])  # later than the backup
-    assert restore_backup(path, tmp_path / "new") == 6
+    assert restore_backup(path, tmp_path / "new") == Restored(6, (), ())
     with Store.serving(tmp_path / "new") as restored:
         assert restored.maps.list() == filled.maps.list()
         assert restored.jobs.list() == filled.jobs.list()
@@ -83,7 +85,7 @@ def test_a_restored_store_is_the_one_that_was_backed_up(filled, tmp_path):
 def test_an_empty_store_is_backed_up_and_restored(tmp_path):
     Store(tmp_path / "data").close()
     assert write_backup(tmp_path / "data", tmp_path / "b.tar").files == 0
-    assert restore_backup(tmp_path / "b.tar", tmp_path / "new") == 0
+    assert restore_backup(tmp_path / "b.tar", tmp_path / "new").files == 0
     with Store.serving(tmp_path / "new") as restored:
         assert restored.maps.list().items == ()
 
@@ -166,16 +168,95 @@ def test_of_a_drive_that_is_deleted_once_it_was_copied_not_even_a_folder_is_rest
     monkeypatch.setattr(storage.backup, "_add", delete_after_the_first)
     assert write_backup(filled.layout.data_dir, tmp_path / "b.tar").files == 6
     assert len(copied) == 1
-    assert restore_backup(tmp_path / "b.tar", tmp_path / "new") == 6
+    assert restore_backup(tmp_path / "b.tar", tmp_path / "new").files == 6
     with Store.serving(tmp_path / "new") as restored:
         assert not restored.layout.orphans.exists()
 
 
-def test_a_file_that_the_catalog_names_and_that_is_gone_is_told(filled, tmp_path):
-    next(filled.layout.maps.rglob("chunks/*.h5")).unlink()
-    with pytest.raises(CorruptFile, match="it is gone"):
+def test_a_backup_goes_on_without_a_file_that_is_gone_and_a_restore_says_what_it_lacks(
+    filled, tmp_path
+):
+    put(filled, range(3), drive="tuesday")
+    gone = {record.chunk for record in filled.drives.scan_records("campus", "monday")[:2]}
+    for path in filled.layout.maps.rglob("chunks/*.h5"):
+        if path.name in gone:
+            path.unlink()
+    next(filled.layout.maps.rglob("revisions/*.h5")).unlink()
+    told = write_backup(filled.layout.data_dir, tmp_path / "b.tar")
+    assert (told.files, len(told.missing), told.damaged) == (6, 3, ())
+    restored = restore_backup(tmp_path / "b.tar", tmp_path / "new")
+    assert (restored.files, set(restored.missing)) == (6, set(told.missing))
+    assert all(said.endswith("the file is gone") for said in restored.missing)
+    with Store.serving(tmp_path / "new") as store:
+        for drive, index in (("monday", 2), ("monday", 4), ("tuesday", 0)):
+            assert store.drives.read_scan("campus", drive, index).points_m.size
+        with pytest.raises(CorruptFile, match="is gone"):
+            store.drives.read_scan("campus", "monday", 0)
+        put(store, [5])
+    again = write_backup(tmp_path / "new", tmp_path / "again.tar")
+    assert (again.files, len(again.missing)) == (7, 3)
+
+
+def test_what_the_disk_does_not_give_is_missing_in_the_backup(filled, tmp_path, monkeypatch):
+    bad = next(filled.layout.maps.rglob("chunks/*.h5")).name
+    add = storage.backup._add
+
+    class BadDisk(io.BytesIO):
+        def read(self, size=-1, /):
+            if size > 0:
+                raise OSError(5, "Input/output error")
+            return super().read(size)
+
+    def of_bad_disk(tar, name, source):
+        return add(tar, name, BadDisk(source.read()) if bad in name else source)
+
+    monkeypatch.setattr(storage.backup, "_add", of_bad_disk)
+    told = write_backup(filled.layout.data_dir, tmp_path / "b.tar")
+    assert (told.files, told.damaged) == (5, ())
+    [said] = told.missing
+    assert bad in said
+    assert "Input/output error" in said
+    restored = restore_backup(tmp_path / "b.tar", tmp_path / "new")
+    assert restored == Restored(5, (), told.missing)
+    assert not list((tmp_path / "new").rglob(bad))
+
+
+def test_a_backup_removes_what_killed_ones_left_beside_it_and_nothing_else(filled, tmp_path):
+    old, held, own, other = (
+        tmp_path / name
+        for name in (
+            ".backup-a1b2c3d4",
+            ".tensormap-backup-held",
+            ".backup-personal",
+            ".x.tar.1.part",
+        )
+    )
+    for folder, file in (
+        (old, "catalog.sqlite3-journal"),
+        (held, "catalog.sqlite3"),
+        (own, "diary"),
+    ):
+        folder.mkdir()
+        (folder / file).touch()
+    other.touch()
+    part = tmp_path / ".b.tar.0123.part"
+    part.touch()
+    with claimed(held):  # by a backup that runs
         write_backup(filled.layout.data_dir, tmp_path / "b.tar")
-    assert [p.name for p in tmp_path.iterdir()] == ["data"]
+    assert not old.exists()
+    assert not part.exists()
+    assert held.exists()
+    assert (own / "diary").exists()
+    assert other.exists()  # of a backup of another name
+    write_backup(filled.layout.data_dir, tmp_path / "b.tar")
+    assert not held.exists()
+
+
+def test_a_restore_removes_what_a_killed_one_left(backup, tmp_path):
+    left = tmp_path / ".new.restore-a1b2"
+    (left / "maps").mkdir(parents=True)
+    restore_backup(backup, tmp_path / "new")
+    assert not left.exists()
 
 
 @pytest.mark.parametrize(("which", "array"), [("chunks", "points_m"), ("revisions", "signatures")])
@@ -186,7 +267,9 @@ def test_what_is_damaged_is_told_and_the_rest_is_safe(filled, tmp_path, which, a
     told = write_backup(filled.layout.data_dir, tmp_path / "b.tar")
     assert len(told.damaged) == 1
     assert path.name in told.damaged[0]
-    assert restore_backup(tmp_path / "b.tar", tmp_path / "new") == 6
+    assert told.missing == ()
+    restored = restore_backup(tmp_path / "b.tar", tmp_path / "new")
+    assert restored == Restored(6, told.damaged, ())
 
 
 def test_a_folder_with_something_in_it_is_not_restored_into(backup, tmp_path):
@@ -199,7 +282,7 @@ def test_a_folder_with_something_in_it_is_not_restored_into(backup, tmp_path):
         restore_backup(backup, target / "file")
     assert (target / "file").read_text() == "mine"
     (target / "file").unlink()
-    assert restore_backup(backup, target) == 6
+    assert restore_backup(backup, target).files == 6
 
 
 def test_a_folder_without_a_catalog_is_not_backed_up(tmp_path):

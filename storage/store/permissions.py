@@ -1,0 +1,64 @@
+"""Modes of the data directory: all in it is its owner's and nobody else's."""
+
+import logging
+import os
+import stat
+from pathlib import Path
+
+from storage.store.layout import Layout
+
+__all__ = ["make_private"]
+
+_OTHERS = stat.S_IRWXG | stat.S_IRWXO
+
+_log = logging.getLogger("tensormap.storage")
+
+
+def make_private(layout: Layout) -> int:
+    """Take from group and others what older versions, or the operator's umask, gave them.
+
+    The folder itself comes last, once all in it is done: where it is private already nothing else
+    is looked at, so that a start does not pass over a million files each time.
+
+    Args:
+        layout: Of a data directory; what is not of ours in it stays as it is.
+
+    Returns:
+        How many modes were changed.
+    """
+    if not _is_open(layout.data_dir) and not _is_open(layout.maps):
+        return 0
+    changed = sum(_close(path) for path in _ours(layout))
+    changed += _close(layout.maps) + _close(layout.data_dir)
+    if changed:
+        _log.info("%d files and folders of %s are now private", changed, layout.data_dir)
+    return changed
+
+
+def _ours(layout: Layout) -> list[Path]:
+    found = [*layout.data_dir.glob(f"{layout.catalog.name}*"), layout.store_id, layout.lock]
+    for top in layout.folders:
+        for folder, folders, files in os.walk(top):
+            found += [Path(folder, name) for name in (*files, *folders)]
+        if top != layout.maps:
+            found.append(top)
+    return found
+
+
+def _is_open(path: Path) -> bool:
+    return path.exists() and bool(path.stat().st_mode & _OTHERS)
+
+
+def _close(path: Path) -> bool:
+    """Take a mode's bits of group and others; return whether it had any."""
+    try:
+        mode = path.lstat().st_mode
+        if stat.S_ISLNK(mode) or not mode & _OTHERS:
+            return False
+        path.chmod(stat.S_IMODE(mode) & ~_OTHERS)
+    except FileNotFoundError:  # SQLite's own come and go
+        return False
+    except OSError as error:  # another's, as a mounted volume may be
+        _log.warning("%s can be read by others: %s", path, error)
+        return False
+    return True
