@@ -11,6 +11,7 @@ from core.imager import Grid, ImageKind, Imager, grid_from_attributes
 from core.reducer import Reducer
 from core.rings import RingGrid
 from core.sensor import HDL_64E, AngularGrid, sensor_named
+from core.text import flaw_in
 
 __all__ = [
     "DEFAULT_ENCODING",
@@ -24,6 +25,7 @@ __all__ = [
 ]
 
 HDL_64E_ON_KITTI_HEIGHT_M = 1.73  # KITTI's sensor set-up: above ground
+_LONGEST_SENSOR = 64
 LATERAL_RENDERINGS_M = (-3.0, -1.5, 0.0, 1.5, 3.0)
 """A lane to either side: docs/decisions/0010-harmonic-encoding.md."""
 
@@ -102,6 +104,9 @@ class MapParameters:
         object.__setattr__(self, "reducer", Reducer(self.reducer))
         object.__setattr__(self, "segmentation", Segmentation(self.segmentation))
         object.__setattr__(self, "sensor_height_m", float(self.sensor_height_m))
+        flaw = flaw_in(self.sensor, _LONGEST_SENSOR)
+        if flaw is not None:
+            raise InvalidParameters(f"sensor is {ascii(self.sensor)[:80]}: {flaw}")
         if len(self.ranks) != 2:
             raise InvalidParameters(f"ranks is {self.ranks}, wanted (r1, r2)")
         rows, columns = self.grid.shape

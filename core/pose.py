@@ -119,7 +119,8 @@ def first_invalid(rows: FloatArray) -> int | None:
     unknown = np.isnan(rows).all(axis=1)
     with np.errstate(over="ignore", invalid="ignore"):
         off_unit = np.abs(np.linalg.norm(rows[:, 3:], axis=1) - 1.0)
-        wrong = ~unknown & ~(is_known(rows) & (off_unit <= _UNIT_TOLERANCE))
+        near = (np.abs(rows[:, :3]) <= _FARTHEST_M).all(axis=1)
+        wrong = ~unknown & ~(is_known(rows) & near & (off_unit <= _UNIT_TOLERANCE))
     return int(wrong.argmax()) if wrong.any() else None
 
 

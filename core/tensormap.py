@@ -18,7 +18,7 @@ from core.basis import (
 )
 from core.encodings.harmonic import HarmonicModel
 from core.encodings.paper import PaperModel
-from core.errors import InvalidMap
+from core.errors import EmptyDrive, InvalidMap, InvalidParameters
 from core.parameters import Encoding, MapParameters
 from core.revision import content_digest
 from core.topology import JOINED, Topology, segment_ends
@@ -26,6 +26,18 @@ from core.trajectory import Trajectory
 from core.trust.calibration import Calibration
 
 __all__ = ["TensorMap"]
+
+_WHOLE = {
+    "segment_start",
+    "drive_start",
+    "scan_index",
+    "node_scan",
+    "edge_nodes",
+    "edge_scans",
+    "edge_of_segment",
+    "segment_reversed",
+}
+_COMPLEX = {"signatures"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,7 +209,7 @@ class TensorMap:
         """
         try:
             parameters = MapParameters.from_attributes(dict(attributes))
-            a = dict(arrays)
+            a = {name: _numbers(name, array) for name, array in arrays.items()}
             tensor_map = cls(
                 parameters,
                 _model(parameters, a),
@@ -214,13 +226,31 @@ class TensorMap:
             )
         except KeyError as error:
             raise InvalidMap(f"the map lacks {error}") from error
-        except (OverflowError, TypeError, ValueError) as error:
+        except (
+            AttributeError,
+            EmptyDrive,
+            IndexError,
+            InvalidParameters,
+            OverflowError,
+            RecursionError,
+            TypeError,
+            ValueError,
+        ) as error:
             raise InvalidMap(f"the map's parts are not of their kind: {error}") from error
         if tensor_map.attributes() != dict(attributes):
             raise InvalidMap("the map has attributes that are unknown or not in their own form")
         if revision is not None:
             tensor_map.__dict__["revision"] = revision  # where `cached_property` keeps it
         return tensor_map
+
+
+def _numbers(name: str, array: NDArray[Any]) -> NDArray[Any]:
+    """Return an array that holds numbers of its kind: none is rounded, cut off or made of text."""
+    wanted = "iu" if name in _WHOLE else "fiu" if name not in _COMPLEX else "cfiu"
+    values = np.asarray(array)
+    if values.dtype.kind not in wanted:
+        raise InvalidMap(f"{name} holds {values.dtype}, wanted numbers of another kind")
+    return values
 
 
 def _calibration(attributes: Mapping[str, Any]) -> Calibration | None:

@@ -8,8 +8,13 @@ import numpy as np
 from core.arrays import BoolArray, FloatArray, IntArray, frozen
 from core.errors import EmptyDrive, InvalidMap
 from core.pose import first_invalid, is_known
+from core.text import LONGEST_NAME, flaw_in
 
-__all__ = ["Trajectory"]
+__all__ = ["LAST_SCAN_INDEX", "Trajectory"]
+
+LAST_SCAN_INDEX = 2**53
+"""Indices are below it: every JSON parser reads them exactly."""
+_FARTHEST_S = 1e300  # differences of any two of them are finite; whatever clock they are of
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,15 +53,18 @@ class Trajectory:
         ):
             if getattr(self, name).shape != shape:
                 raise InvalidMap(f"{name} has shape {getattr(self, name).shape}, wanted {shape}")
-        if np.isinf(self.timestamp_s).any():
-            raise InvalidMap("timestamp_s holds infinite numbers")
+        # A comparison with NaN, the unknown, is false.
+        if (np.abs(self.timestamp_s) > _FARTHEST_S).any():
+            raise InvalidMap(f"timestamp_s holds infinite numbers, or beyond {_FARTHEST_S:g} s")
         wrong = first_invalid(self.poses)
         if wrong is not None:
             raise InvalidMap(f"the pose of row {wrong} is none: {self.poses[wrong].tolist()}")
-        if not all(isinstance(name, str) and name for name in self.drives):
-            raise InvalidMap(f"drives is {self.drives}, wanted names")
+        for name in self.drives:
+            flaw = flaw_in(name, LONGEST_NAME)
+            if flaw is not None:
+                raise InvalidMap(f"drives holds {ascii(name)[:80]}, wanted names: {flaw}")
         if len(set(self.drives)) < len(self.drives):
-            raise InvalidMap(f"a drive comes twice in {list(self.drives)}")
+            raise InvalidMap(f"a drive comes twice in {_short(self.drives)}")
         starts = self.drive_start
         if (
             starts.shape != (len(self.drives) + 1,)
@@ -65,12 +73,16 @@ class Trajectory:
             or (np.diff(starts) < 1).any()
         ):
             raise InvalidMap(
-                f"drive_start {starts.tolist()} does not cut {scans} scans"
+                f"drive_start {_short(starts.tolist())} does not cut {scans} scans"
                 f" into {len(self.drives)} drives"
             )
         same_drive = np.diff(self.drive_of_scan) == 0
         if self.scan_index.min() < 0 or (np.diff(self.scan_index)[same_drive] < 1).any():
             raise InvalidMap("scan_index does not rise from 0 or more in every drive")
+        if self.scan_index.max() >= LAST_SCAN_INDEX:
+            raise InvalidMap(
+                f"scan_index holds {self.scan_index.max()}, wanted below {LAST_SCAN_INDEX}"
+            )
 
     def __len__(self) -> int:
         return len(self.scan_index)
@@ -132,3 +144,8 @@ class Trajectory:
             self.timestamp_s[rows],
             self.poses[rows],
         )
+
+
+def _short(value: object) -> str:
+    text = ascii(value)
+    return text if len(text) <= 120 else f"{text[:117]}..."

@@ -14,9 +14,10 @@ from typing import Annotated
 from pydantic import AfterValidator, AwareDatetime, BeforeValidator, Field, Strict
 from pydantic_core import PydanticCustomError, PydanticKnownError
 
+from core.text import flaw_in
 from storage.names import SLUG_PATTERN
 
-__all__ = ["Flag", "Moment", "Number", "SlugText", "each_once", "integers"]
+__all__ = ["Flag", "Lines", "Moment", "Name", "Number", "SlugText", "each_once", "integers"]
 
 _RFC_3339 = re.compile(
     r"[0-9]{4}-[0-9]{2}-[0-9]{2}[Tt ][0-9]{2}:[0-9]{2}:[0-9]{2}(\.[0-9]+)?"
@@ -62,8 +63,27 @@ def _items_of(given: object) -> list[object]:
     return given if isinstance(given, list) else [given]
 
 
+def _name(given: str) -> str:
+    return _checked(given, "")
+
+
+def _lines(given: str) -> str:
+    return _checked(given, "\t\n\r")
+
+
+def _checked(given: str, allowed: str) -> str:
+    flaw = flaw_in(given, len(given), allowed=allowed) if given else None
+    if flaw is not None:
+        raise PydanticCustomError("text", "{flaw}, wanted text that can be shown", {"flaw": flaw})
+    return given
+
+
 Flag = Annotated[bool, Strict()]
 Number = Annotated[float, Strict()]
 Moment = Annotated[AwareDatetime, BeforeValidator(_written_out), AfterValidator(_in_utc)]
+Name = Annotated[str, AfterValidator(_name)]
+"""Text of one line, without control characters."""
+Lines = Annotated[str, AfterValidator(_lines)]
+"""Text of any lines, without other control characters."""
 # Described only: `storage.names` refuses what is none, by a name of its own.
 SlugText = Annotated[str, Field(json_schema_extra={"pattern": SLUG_PATTERN})]

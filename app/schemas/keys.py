@@ -5,7 +5,7 @@ from datetime import UTC, datetime
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from app.access.scopes import Scope
-from app.schemas.exact import Moment, SlugText, each_once
+from app.schemas.exact import Moment, Name, SlugText, each_once
 from storage.catalog import KeyRecord
 
 __all__ = ["KeyIn", "KeyMade", "KeyOut"]
@@ -28,7 +28,7 @@ class KeyIn(BaseModel):
         },
     )
 
-    name: str = Field(min_length=1, max_length=100, description="What the key is for.")
+    name: Name = Field(min_length=1, max_length=100, description="What the key is for.")
     scopes: set[Scope] = Field(
         min_length=1, description="What it allows; none implies another, but `admin` implies all."
     )

@@ -4,7 +4,7 @@ from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, field_validator
 
-from app.schemas.exact import Number, integers
+from app.schemas.exact import Name, Number, integers
 from app.schemas.localizations import SignaturesIn
 from core.loop_closure import ACCEPT_FROM, LoopClosure, Verdict
 
@@ -18,7 +18,7 @@ class StoredScanIn(BaseModel):
 
     model_config = ConfigDict(extra="forbid")
 
-    drive: str = Field(max_length=64)
+    drive: Name = Field(max_length=64)
     scan_index: int = Field(ge=0, lt=2**53)
 
     _integers = field_validator("scan_index", mode="before")(integers)

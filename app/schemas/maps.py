@@ -4,7 +4,7 @@ from datetime import datetime
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from app.schemas.exact import SlugText
+from app.schemas.exact import Lines, SlugText
 from app.schemas.retention import OwnRetentionOut, RetentionOut, RetentionPatch
 from storage.catalog import MapRecord
 from storage.retention import Retention
@@ -23,7 +23,7 @@ class MapIn(BaseModel):
     map: SlugText = Field(
         description="Its name: 1 to 64 of a-z, 0-9, `.`, `_`, `-`; a letter or digit first."
     )
-    description: str = Field("", max_length=2000)
+    description: Lines = Field("", max_length=2000)
 
 
 class MapPatch(BaseModel):
@@ -37,7 +37,7 @@ class MapPatch(BaseModel):
         },
     )
 
-    description: str | None = Field(None, max_length=2000)
+    description: Lines | None = Field(None, max_length=2000)
     retention: RetentionPatch | None = Field(
         None, description="What is kept; what no policy keeps any more is removed at once."
     )

@@ -6,8 +6,10 @@ from typing import Any
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
+from app.schemas.exact import Name
 from core.basis import Basis, HarmonicBasis, PaperBasis
 from core.parameters import MapParameters
+from core.text import shown
 from storage.catalog import RevisionRecord
 
 __all__ = ["BasisOut", "LiveIn", "RevisionOut"]
@@ -35,7 +37,8 @@ class RevisionOut(BaseModel):
             encoding=record.encoding,
             scans=record.scans,
             segments=record.segments,
-            parameters=dict(record.parameters),
+            # A name that an earlier version let in is shown with what UTF-8 has of it.
+            parameters={str(shown(k)): shown(v) for k, v in record.parameters.items()},
             size_bytes=record.size_bytes,
             job=record.job_id,
             created_at=record.created_at,
@@ -49,7 +52,7 @@ class LiveIn(BaseModel):
         extra="forbid", json_schema_extra={"example": {"revision": "0f" * 32}}
     )
 
-    revision: str = Field(max_length=64, description="Its digest, or at least 12 first digits.")
+    revision: Name = Field(max_length=64, description="Its digest, or at least 12 first digits.")
 
 
 class SegmentBasisOut(BaseModel):

@@ -1,15 +1,19 @@
-"""Poses as files have them: KITTI, TUM and CSV."""
+"""Poses as files have them: KITTI, TUM and CSV, read in blocks of lines."""
 
-import math
-from collections.abc import Iterator
-from dataclasses import dataclass, field
+import contextlib
+import re
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 
+from core.arrays import FloatArray, IntArray
 from core.errors import InvalidPose
-from core.pose import Pose
+from core.pose import UNKNOWN_POSE, Pose, first_invalid, is_known, rows_from_matrices
+from storage.formats.text_numbers import blocks_of_lines, number_rows
 
-__all__ = ["CSV", "KITTI", "POSE_TYPES", "TUM", "PoseFile", "read_poses"]
+__all__ = ["CSV", "KITTI", "POSE_TYPES", "TUM", "ByScan", "PoseFile", "read_poses"]
 
 KITTI = "application/vnd.tensormap.poses.kitti"
 TUM = "application/vnd.tensormap.poses.tum"
@@ -19,9 +23,44 @@ POSE_TYPES = {
     TUM: "TUM: a line a scan, `t x y z qx qy qz qw`; `#` begins a comment",
     CSV: "CSV with the columns `scan,x,y,z,qx,qy,qz,qw` and, if known, `timestamp_s`, in any order",
 }
+T = TypeVar("T")
 _MOST_LINES = 1_000_000
+_MOST_LINE_BYTES = 2**16
+_MOST_COLUMNS = 64
+_BLOCK_BYTES = 2**20
 _POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
 _LAST_INDEX = 2**53
+_COMMENT = re.compile(rb"#[^\n]*")
+_BLANK_LINE = re.compile(rb"(?m)^[ \t]*\n")
+_NOTHING = re.compile(rb"(?<![^,\n])[ \t]*(?=[,\n])")
+
+
+class ByScan(Mapping[int, T]):
+    """What scans have, by their index, kept as an array: a million poses are 64 MB.
+
+    Args:
+        scans: `(n,)` indices, rising.
+        rows: `(n, ...)` what each of them has.
+        value: Makes a value of a row.
+    """
+
+    def __init__(self, scans: IntArray, rows: FloatArray, value: Callable[[FloatArray], T]) -> None:
+        self._scans, self._rows, self._value = scans, rows, value
+
+    def __getitem__(self, scan: int) -> T:
+        """Return what a scan has."""
+        at = int(np.searchsorted(self._scans, scan))
+        if at == len(self._scans) or self._scans[at] != scan:
+            raise KeyError(scan)
+        return self._value(self._rows[at])
+
+    def __iter__(self) -> Iterator[int]:
+        """Give the scans, rising."""
+        return iter(self._scans.tolist())
+
+    def __len__(self) -> int:
+        """Return how many scans there are."""
+        return len(self._scans)
 
 
 @dataclass(frozen=True)
@@ -33,8 +72,17 @@ class PoseFile:
         timestamps_s: Seconds by scan index.
     """
 
-    poses: dict[int, Pose | None] = field(default_factory=dict)
-    timestamps_s: dict[int, float] = field(default_factory=dict)
+    poses: Mapping[int, Pose | None]
+    timestamps_s: Mapping[int, float]
+
+
+@dataclass(frozen=True)
+class _Rows:
+    """Some lines: the scan of each, `(n,)`, -1 if told by position; its seconds; `(n, 7)` poses."""
+
+    scans: IntArray
+    timestamps_s: FloatArray
+    poses: FloatArray
 
 
 def read_poses(body: bytes, media_type: str, first: int = 0) -> PoseFile:
@@ -49,88 +97,128 @@ def read_poses(body: bytes, media_type: str, first: int = 0) -> PoseFile:
         InvalidPose: If a line is none; the message says which.
 
     Examples:
-        >>> read_poses(b"12.5 1 2 3 0 0 0 1", TUM, first=7).timestamps_s
+        >>> dict(read_poses(b"12.5 1 2 3 0 0 0 1", TUM, first=7).timestamps_s)
         {7: 12.5}
     """
-    found = PoseFile()
-    read = {KITTI: _kitti, TUM: _tum, CSV: _csv}[media_type]
-    for number, scan, timestamp_s, pose in read(_lines(body), first):
-        if not 0 <= scan < _LAST_INDEX or scan in found.poses:
-            raise InvalidPose(f"line {number}: scan {scan} comes twice or is no index")
-        found.poses[scan] = pose
-        if math.isfinite(timestamp_s):
-            found.timestamps_s[scan] = timestamp_s
-    if not found.poses:
-        raise InvalidPose("the file has no line with a pose")
-    return found
-
-
-_Row = tuple[int, int, float, Pose | None]
-_Lines = Iterator[tuple[int, str]]
-
-
-def _kitti(lines: _Lines, first: int) -> Iterator[_Row]:
-    for position, (number, line) in enumerate(lines):
-        values = _numbers(number, line.split(), 12)
-        matrix = np.array(values).reshape(3, 4)
-        pose = None
-        if np.isfinite(matrix).all():
-            try:
-                pose = Pose.from_matrix(matrix)
-            except InvalidPose as error:
-                raise InvalidPose(f"line {number}: {error}") from error
-        yield number, first + position, math.nan, pose
-
-
-def _tum(lines: _Lines, first: int) -> Iterator[_Row]:
-    for position, (number, line) in enumerate(lines):
-        timestamp_s, *values = _numbers(number, line.split(), 8)
-        yield number, first + position, timestamp_s, _pose(number, values)
-
-
-def _csv(lines: _Lines, first: int) -> Iterator[_Row]:
-    del first  # a column has the index
-    number, head = next(lines, (1, ""))
-    names = [name.strip().strip('"').lower() for name in head.split(",")]
-    wanted = ("scan", *_POSE)
-    if not set(wanted) <= set(names) or len(set(names)) != len(names):
-        raise InvalidPose(f"line {number} is {head[:120]!r}, wanted columns {','.join(wanted)}")
-    for number, line in lines:
-        row = dict(zip(names, line.split(","), strict=False))
-        if len(row) != len(names) or line.count(",") != len(names) - 1:
-            raise InvalidPose(f"line {number} has not the {len(names)} columns of the first")
-        scan = row["scan"].strip()
-        if not (scan.isascii() and scan.isdecimal() and len(scan) <= 16):
-            raise InvalidPose(f"line {number}: scan is {scan[:40]!r}, wanted an index")
-        (timestamp_s,) = _numbers(number, [row.get("timestamp_s", "").strip() or "nan"], 1)
-        values = _numbers(number, [row[name].strip() or "nan" for name in _POSE], 7)
-        yield number, int(scan), timestamp_s, _pose(number, values)
-
-
-def _pose(number: int, values: list[float]) -> Pose | None:
-    if not all(map(math.isfinite, values)):
-        return None
-    try:
-        return Pose(*values)
-    except InvalidPose as error:
-        raise InvalidPose(f"line {number}: {error}") from error
-
-
-def _numbers(number: int, words: list[str], count: int) -> list[float]:
-    if len(words) != count:
-        raise InvalidPose(f"line {number} has {len(words)} values, wanted {count}")
-    try:
-        return [float(word) for word in words]
-    except ValueError as error:
-        raise InvalidPose(f"line {number}: {str(error)[:120]}") from error
-
-
-def _lines(body: bytes) -> _Lines:
-    """Give the lines that say something, with their numbers."""
-    text = body.removeprefix(b"\xef\xbb\xbf")
-    for number, line in enumerate(text.splitlines(), start=1):
-        if number > _MOST_LINES:
+    text = memoryview(body.removeprefix(b"\xef\xbb\xbf"))
+    parts: list[_Rows] = []
+    parse: Callable[[bytes], _Rows] | None = {KITTI: _kitti, TUM: _tum}.get(media_type)
+    number = 1
+    for block in blocks_of_lines(text, _BLOCK_BYTES):
+        if block is None:
+            raise InvalidPose(f"line {number} has more than {_BLOCK_BYTES} bytes")
+        if number + block.count(b"\n") - 1 > _MOST_LINES:
             raise InvalidPose(f"the file has more than {_MOST_LINES} lines")
-        told = line.decode("utf-8", "replace").partition("#")[0].strip()
-        if told:
-            yield number, told
+        says = _COMMENT.sub(b"", block) if b"#" in block else block
+        begin = number
+        if parse is None:
+            parse, says, begin = _table(says, number)
+        parts.append(_block(parse, says, begin))
+        number += block.count(b"\n")
+    return _joined(parts, first)
+
+
+def _joined(parts: list[_Rows], first: int) -> PoseFile:
+    if not sum(len(part.scans) for part in parts):
+        raise InvalidPose("the file has no line with a pose")
+    scans = np.concatenate([part.scans for part in parts])
+    if scans[0] < 0:  # told by position
+        scans = first + np.arange(len(scans))
+    beyond = (scans < 0) | (scans >= _LAST_INDEX)
+    if beyond.any():
+        raise InvalidPose(f"scan {scans[beyond.argmax()]} is no index")
+    order = np.argsort(scans, kind="stable")
+    scans = scans[order]
+    twice = np.flatnonzero(np.diff(scans) == 0)
+    if len(twice):
+        raise InvalidPose(f"scan {scans[twice[0]]} comes twice")
+    timestamps_s = np.concatenate([part.timestamps_s for part in parts])[order]
+    known = np.isfinite(timestamps_s)
+    poses = np.concatenate([part.poses for part in parts])[order]
+    return PoseFile(
+        ByScan(scans, poses, Pose.from_row), ByScan(scans[known], timestamps_s[known], float)
+    )
+
+
+def _block(parse: Callable[[bytes], _Rows], block: bytes, number: int) -> _Rows:
+    """Read a block of whole lines; if one is wrong, find the first of them by halves.
+
+    Raises:
+        InvalidPose: Naming the line.
+    """
+    try:
+        return parse(block)
+    except (InvalidPose, ValueError) as error:
+        wrong = error
+    lines = block.splitlines(keepends=True)
+    while len(lines) > 1:
+        half = lines[: len(lines) // 2]
+        try:
+            parse(b"".join(half))
+        except (InvalidPose, ValueError) as error:
+            wrong, lines = error, half
+        else:
+            number, lines = number + len(half), lines[len(half) :]
+    with contextlib.suppress(InvalidPose, ValueError):
+        parse(b"".join(lines))
+    raise InvalidPose(f"line {number}: {wrong}") from wrong
+
+
+def _kitti(block: bytes) -> _Rows:
+    matrices = number_rows(block, range(12), 12, None).reshape(-1, 3, 4)
+    matrices[~np.isfinite(matrices).all(axis=(1, 2))] = np.nan
+    poses = rows_from_matrices(matrices)
+    return _checked(np.full(len(poses), -1), np.full(len(poses), np.nan), poses)
+
+
+def _tum(block: bytes) -> _Rows:
+    numbers = number_rows(block, range(8), 8, None)
+    return _checked(np.full(len(numbers), -1), numbers[:, 0], numbers[:, 1:])
+
+
+def _table(block: bytes, number: int) -> tuple[Callable[[bytes], _Rows], bytes, int]:
+    """Return what reads the lines of a table, those after its line of names, and their number."""
+    begin = number
+    head = b""
+    while block and not head:
+        head, _, block = block.partition(b"\n")
+        head, number = head.strip(), number + 1
+    told = head[:_MOST_LINE_BYTES].decode("utf-8", "replace")
+    names = [name.strip().strip('"').lower() for name in told.split(",")]
+    wanted = ("scan", *_POSE)
+    if not set(wanted) <= set(names) or len(set(names)) != len(names) or len(names) > _MOST_COLUMNS:
+        raise InvalidPose(
+            f"line {max(number - 1, begin)} is {told[:120]!r}, wanted columns {','.join(wanted)}"
+        )
+    columns = [names.index(name) for name in wanted]
+    timed = "timestamp_s" in names
+    if timed:
+        columns.append(names.index("timestamp_s"))
+
+    def parse(lines: bytes) -> _Rows:
+        return _table_rows(lines, columns, len(names), timed=timed)
+
+    return parse, block, number
+
+
+def _table_rows(block: bytes, columns: list[int], width: int, *, timed: bool) -> _Rows:
+    try:
+        numbers = number_rows(block, columns, width, ",")
+    except ValueError:  # perhaps since values are left out
+        whole = _NOTHING.sub(b"nan", _BLANK_LINE.sub(b"", block))
+        numbers = number_rows(whole, columns, width, ",")
+    scans = numbers[:, 0]
+    if not ((scans >= 0) & (scans < _LAST_INDEX) & (scans == np.floor(scans))).all():
+        raise InvalidPose("a scan is no index")
+    timestamps_s = numbers[:, 8] if timed else np.full(len(numbers), np.nan)
+    return _checked(scans.astype(np.int64), timestamps_s, numbers[:, 1:8])
+
+
+def _checked(scans: IntArray, timestamps_s: FloatArray, poses: FloatArray) -> _Rows:
+    """Refuse what is no pose; what is not wholly known is unknown."""
+    poses = np.array(poses)
+    poses[~is_known(poses)] = UNKNOWN_POSE
+    wrong = first_invalid(poses)
+    if wrong is not None:
+        Pose(*poses[wrong].tolist())  # says what is wrong with it
+    return _Rows(scans, np.array(timestamps_s), poses)

@@ -7,6 +7,8 @@ trust and less of the format: ustar headers, and the long names of GNU and PAX.
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
+import numpy as np
+
 from app.errors import MalformedUpload
 
 __all__ = ["TarMember", "TarStream"]
@@ -16,7 +18,12 @@ _SKIP_BYTES = 2**16
 _MAX_HEADER_BYTES = 2**16
 _FILE, _FOLDER = {b"0", b"\0", b"7"}, b"5"
 _GNU_NAME, _PAX, _PAX_GLOBAL = b"L", b"x", b"g"
+_EXTENDED = {_GNU_NAME, _PAX, _PAX_GLOBAL}
 _SIZE_LIMIT = 2**53
+# Folders, links and long names are in every archive; a reader's time goes by headers, however
+# little comes with them. Some programs write three headers a file.
+_STRAY_HEADERS, _FILE_BYTES_PER_HEADER = 10_000, 256
+_EXTENDED_IN_A_ROW = 8
 
 
 @dataclass(frozen=True)
@@ -48,13 +55,23 @@ class TarStream:
     def __init__(self, read: Callable[[int], bytes], most_bytes: int) -> None:
         self._read = read
         self._most_bytes = most_bytes
+        self._headers = 0
+        self._file_bytes = 0
 
     def __iter__(self) -> Iterator[TarMember]:
         """Give the files, each once."""
         long_name: str | None = None
+        extended = 0
         while (header := self._header()) is not None:
             size, kind = _size(header), header[156:157]
-            if kind in {_GNU_NAME, _PAX, _PAX_GLOBAL}:
+            self._require_files()
+            extended = extended + 1 if kind in _EXTENDED else 0
+            if extended > _EXTENDED_IN_A_ROW:
+                raise MalformedUpload(
+                    f"more than {_EXTENDED_IN_A_ROW} extended headers of the tar stream follow one"
+                    " another; wanted a file"
+                )
+            if kind in _EXTENDED:
                 if size > _MAX_HEADER_BYTES:
                     raise MalformedUpload(f"a header of the tar stream takes {size} bytes")
                 content = self._content(size)
@@ -74,6 +91,7 @@ class TarStream:
                     name, None, f"it has {size} bytes, at most {self._most_bytes} are read"
                 )
             else:
+                self._file_bytes += size
                 yield TarMember(name, self._content(size))
 
     def _header(self) -> bytes | None:
@@ -85,12 +103,23 @@ class TarStream:
         # The sum is of bytes, with blanks where it stands itself; some wrote it of signed ones.
         wanted = _octal(block[148:156])
         rest = block[:148] + b" " * 8 + block[156:]
-        if wanted not in {sum(rest), sum(b - 256 * (b > 127) for b in rest)}:
+        if wanted != sum(rest) and wanted != _signed_sum(rest):
             raise MalformedUpload(
                 f"a header begins with {block[:8]!r} and its checksum is wrong: is the body a tar"
                 " stream?"
             )
         return block
+
+    def _require_files(self) -> None:
+        """Count a header; refuse a stream of little else."""
+        self._headers += 1
+        most = _STRAY_HEADERS + self._file_bytes // _FILE_BYTES_PER_HEADER
+        if self._headers > most:
+            raise MalformedUpload(
+                f"the tar stream has more than {most} headers for {self._file_bytes} bytes of"
+                f" files: beyond the first {_STRAY_HEADERS} there must be"
+                f" {_FILE_BYTES_PER_HEADER} bytes of files a header"
+            )
 
     def _content(self, size: int) -> bytes:
         content = self._exactly(size, "a file") if size else b""
@@ -124,6 +153,10 @@ class TarStream:
                 )
             parts += chunk
         return bytes(parts)
+
+
+def _signed_sum(block: bytes) -> int:
+    return sum(block) - 256 * int(np.count_nonzero(np.frombuffer(block, np.uint8) > 127))
 
 
 def _size(header: bytes) -> int:

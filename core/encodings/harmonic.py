@@ -22,7 +22,7 @@ from core.arrays import (
     IntArray,
     frozen,
 )
-from core.encodings.model import Found, Segmented, nearest
+from core.encodings.model import Found, Segmented, nearest, require_sane
 from core.errors import InvalidMap, InvalidSignature
 from core.parameters import Distance
 from core.signature import Signature
@@ -138,9 +138,9 @@ class HarmonicModel(Segmented):
         if not 1 <= r2 <= self.columns // 2 + 1 or r1 < 1:
             raise InvalidMap(f"signatures have {r2} harmonics of {self.columns} columns")
         self._require_rising(scans)
-        for name in ("radial_basis", "signatures", "lateral_offset_m"):
-            if not np.isfinite(getattr(self, name)).all():
-                raise InvalidMap(f"{name} holds numbers that are not finite")
+        require_sane({"radial_basis": self.radial_basis}, self.signatures)
+        if not np.isfinite(self.lateral_offset_m).all():
+            raise InvalidMap("lateral_offset_m holds numbers that are not finite")
         if self.signatures[..., 0].imag.any():
             raise InvalidMap("the first column of a harmonic signature is real")
 

@@ -1,6 +1,6 @@
 """What every encoding gives: its arrays, and a search through its scans."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -11,7 +11,10 @@ from core.arrays import BoolArray, FloatArray, IntArray
 from core.errors import InvalidMap, UnknownSegment
 from core.signature import Signature
 
-__all__ = ["Found", "Model", "Search", "Segmented", "nearest"]
+__all__ = ["Found", "Model", "Search", "Segmented", "nearest", "require_sane"]
+
+_LARGEST_SIGNATURE = 1e12  # sums of squares stay finite in single precision too
+_LARGEST_OF_BASIS = 1.001  # its columns have length 1
 
 
 @dataclass(frozen=True)
@@ -134,6 +137,24 @@ class Segmented:
             raise UnknownSegment(
                 f"there is no segment {unknown[0]}; the map has 0..{self.segments - 1}"
             )
+
+
+def require_sane(bases: Mapping[str, NDArray[Any]], signatures: NDArray[Any]) -> None:
+    """Refuse numbers that no build makes, and with which no distance is finite.
+
+    Raises:
+        InvalidMap: If one is not finite or too large.
+    """
+    for name, array, most in (
+        *((name, basis, _LARGEST_OF_BASIS) for name, basis in bases.items()),
+        ("signatures", signatures, _LARGEST_SIGNATURE),
+    ):
+        # Parts, not magnitudes: those of complex numbers take ten times as long.
+        parts = array.view(array.real.dtype)
+        if not np.isfinite(parts).all():
+            raise InvalidMap(f"{name} holds numbers that are not finite")
+        if parts.size and max(-parts.min(), parts.max()) > most:
+            raise InvalidMap(f"{name} holds numbers beyond {most:g}")
 
 
 def nearest(distances: FloatArray, k: int) -> IntArray:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.arrays import BoolArray, Float32Array, FloatArray, IntArray, frozen
-from core.encodings.model import Found, Segmented, nearest
+from core.encodings.model import Found, Segmented, nearest, require_sane
 from core.errors import InvalidMap, InvalidSignature
 from core.signature import Signature
 from core.tucker import storage_elements
@@ -67,9 +67,10 @@ class PaperModel(Segmented):
                 f" {self.azimuth_basis.shape}, signatures {self.signatures.shape} and"
                 f" segment_start {self.segment_start.shape} do not fit together"
             )
-        for name in ("elevation_basis", "azimuth_basis", "signatures"):
-            if not np.isfinite(getattr(self, name)).all():
-                raise InvalidMap(f"{name} holds numbers that are not finite")
+        require_sane(
+            {"elevation_basis": self.elevation_basis, "azimuth_basis": self.azimuth_basis},
+            self.signatures,
+        )
 
     @property
     def ranks(self) -> tuple[int, int]:

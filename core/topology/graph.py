@@ -17,6 +17,8 @@ __all__ = ["JOINED", "Entry", "Topology", "segment_ends"]
 
 JOINED = ("edge_scans", "edge_of_segment", "segment_reversed")
 """Arrays that only a joined graph has in its file: all three or none."""
+_LONGEST_M = 1e15  # more than millions of poses can be apart
+_MOST_SCANS = 2**53  # every JSON parser reads them exactly
 
 
 @dataclass(frozen=True, order=True)
@@ -82,8 +84,10 @@ class Topology:
             raise InvalidMap(f"node_scan has shape {self.node_scan.shape}, wanted (N,)")
         if self.edge_length_m.ndim != 1:
             raise InvalidMap(f"edge_length_m has shape {self.edge_length_m.shape}, wanted (E,)")
-        if (self.edge_length_m < 0).any() or np.isinf(self.edge_length_m).any():
-            raise InvalidMap("edge_length_m holds negative or infinite numbers")
+        if (self.edge_length_m < 0).any() or (self.edge_length_m > _LONGEST_M).any():
+            raise InvalidMap(
+                f"edge_length_m holds negative or infinite numbers, or beyond {_LONGEST_M:g}"
+            )
         if self.edge_nodes.shape != (edges, 2):
             raise InvalidMap(f"edge_nodes has shape {self.edge_nodes.shape}, wanted ({edges}, 2)")
         if edges and not (
@@ -109,6 +113,8 @@ class Topology:
             raise InvalidMap("the first segment of an edge runs along it backwards")
         if not self.is_plain and (self.edge_scans < 0).any():
             raise InvalidMap("edge_scans holds negative numbers")
+        if (self.edge_scans >= _MOST_SCANS).any():
+            raise InvalidMap(f"edge_scans holds numbers of {_MOST_SCANS} or more")
 
     def _path_scans(self) -> IntArray:
         return np.asarray(np.diff(self.node_scan[self.edge_nodes], axis=1)[:, 0])

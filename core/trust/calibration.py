@@ -18,6 +18,8 @@ __all__ = ["MIN_PROBABILITY", "Calibration"]
 MIN_PROBABILITY = 0.5
 """An answer that is more likely wrong than right is none."""
 
+_MOST_CELLS = 4_000_000  # as of a grid
+_LARGEST = 1e12  # of a coefficient: with any distance that has a logarithm, sums stay finite
 _SURE = 1.0 - 2.0**-53  # the largest float64 below 1: no answer is beyond doubt
 
 
@@ -51,8 +53,10 @@ class Calibration:
         for name, length in (("both", 3), ("alone", 2), ("likelihood", 2)):
             values = tuple(float(value) for value in getattr(self, name))
             object.__setattr__(self, name, values)
-            if len(values) != length or not all(map(math.isfinite, values)):
-                raise InvalidParameters(f"{name} is {values}, wanted {length} finite numbers")
+            if len(values) != length or not all(abs(value) <= _LARGEST for value in values):
+                raise InvalidParameters(
+                    f"{name} is {values}, wanted {length} numbers within {_LARGEST:g}"
+                )
             if any(slope > 0.0 for slope in values[1:]):
                 raise InvalidParameters(f"{name} is {values}: a greater distance speaks against")
         object.__setattr__(self, "floor", float(self.floor))
@@ -62,8 +66,8 @@ class Calibration:
         if not 0.0 <= self.threshold <= 1.0:
             raise InvalidParameters(f"threshold is {self.threshold}, wanted 0..1")
         object.__setattr__(self, "least_cells", operator.index(self.least_cells))
-        if self.least_cells < 0:
-            raise InvalidParameters(f"least_cells is {self.least_cells}, wanted at least 0")
+        if not 0 <= self.least_cells <= _MOST_CELLS:
+            raise InvalidParameters(f"least_cells is {self.least_cells}, wanted 0..{_MOST_CELLS}")
 
     def with_spread(self, spread: Spread | None) -> "Calibration":
         """Return this calibration with another spread."""

@@ -12,6 +12,8 @@ from core.errors import InvalidMap, InvalidParameters
 
 __all__ = ["Deviation", "Spread", "along_spread_m", "fit_variance"]
 
+# Deviations and their squares stay finite: a distance over the least typical one is below 1e110.
+_LEAST_TYPICAL, _LARGEST = 1e-30, 1e12
 _LEAST_RELATIVE = 1e-3  # of the errors' root mean square: no standard deviation is 0
 
 
@@ -71,13 +73,13 @@ class Spread:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "typical", float(self.typical))
-        if not (math.isfinite(self.typical) and self.typical > 0.0):
-            raise InvalidParameters(f"typical is {self.typical}, wanted above 0")
+        if not _LEAST_TYPICAL <= self.typical < math.inf:
+            raise InvalidParameters(f"typical is {self.typical}, wanted {_LEAST_TYPICAL:g} or more")
         for name in ("along_m", "lateral_m", "heading_deg"):
             values = tuple(float(value) for value in getattr(self, name))
             object.__setattr__(self, name, values)
-            if len(values) != 2 or not all(math.isfinite(v) and v >= 0.0 for v in values):
-                raise InvalidParameters(f"{name} is {values}, wanted two numbers of at least 0")
+            if len(values) != 2 or not all(0.0 <= value <= _LARGEST for value in values):
+                raise InvalidParameters(f"{name} is {values}, wanted two numbers 0..{_LARGEST:g}")
 
     def deviation(self, distance: float, spread_m: float) -> Deviation:
         """Return the standard deviations of an answer.

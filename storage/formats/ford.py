@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from core.arrays import Float32Array
+from storage.formats.budget import BUDGET
 from storage.formats.errors import MalformedScan, ScanTooLarge, TruncatedScan
 
 __all__ = ["FordFormat"]
@@ -22,7 +23,6 @@ _NUMBER_CLASSES = range(6, 16)
 _COMPLEX = 0x0800
 _NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8"}
 _INT8, _INT32, _UINT32 = 1, 5, 6
-_MOST_FIELDS = 1000
 
 
 @dataclass(frozen=True)
@@ -30,14 +30,14 @@ class FordFormat:
     """Ford's `.mat`; the laser's own axes are kept, x to the right of the truck.
 
     Attributes:
-        max_decoded_bytes: What a compressed element may unpack to.
+        max_decoded_bytes: What the compressed elements of a file may unpack to, all together.
     """
 
     name: str = "Ford Campus"
     media_type: str = "application/vnd.tensormap.ford"
     suffixes: tuple[str, ...] = (".mat",)
     magics: tuple[bytes, ...] = (b"MATLAB 5.0 MAT-file",)
-    max_decoded_bytes: int = 256 * 2**20
+    max_decoded_bytes: int = BUDGET.unpacked_bytes
 
     def read(self, body: bytes) -> Float32Array:
         """Return `(n, 3)` metres.
@@ -53,25 +53,30 @@ class FordFormat:
         if not body.startswith(b"MATLAB 5.0") or order is None:
             raise MalformedScan(f"the body begins with {body[:10]!r}, wanted a MATLAB 5.0 MAT-file")
         elements = _Elements(memoryview(body)[_HEADER_BYTES:], order)
-        while elements:
+        left_bytes = self.max_decoded_bytes
+        for _ in range(BUDGET.elements):
+            if not elements:
+                raise MalformedScan("the file has no struct SCAN")
             kind, content = elements.take()
             if kind == _COMPRESSED:
-                kind, content = _Elements(self._unpacked(content), order).take()
+                unpacked = self._unpacked(content, left_bytes)
+                left_bytes -= len(unpacked)
+                kind, content = _Elements(unpacked, order).take()
             if kind == _MATRIX:
                 found = _scan_matrix(_Elements(content, order))
                 if found is not None:
                     return found
-        raise MalformedScan("the file has no struct SCAN")
+        raise MalformedScan(f"the first {BUDGET.elements} elements are no struct SCAN")
 
-    def _unpacked(self, packed: memoryview) -> memoryview:
+    def _unpacked(self, packed: memoryview, most_bytes: int) -> memoryview:
         unpacker = zlib.decompressobj()
         try:
-            content = unpacker.decompress(packed, self.max_decoded_bytes)
+            content = unpacker.decompress(packed, most_bytes + 1)
         except zlib.error as error:
             raise MalformedScan(f"an element does not unpack: {error}") from error
-        if unpacker.unconsumed_tail:
+        if len(content) > most_bytes:
             raise ScanTooLarge(
-                f"an element unpacks to more than the {self.max_decoded_bytes} bytes that may be"
+                f"the elements unpack to more than the {self.max_decoded_bytes} bytes that may be"
             )
         return memoryview(content)
 
@@ -128,9 +133,11 @@ def _scan_matrix(elements: _Elements) -> Float32Array | None:
     if len(length) != 1 or not 0 < length[0] <= 64 or len(names) % length[0]:
         raise MalformedScan("the names of SCAN's fields cannot be read")
     step = int(length[0])
+    if len(names) > BUDGET.elements * step:
+        raise MalformedScan(
+            f"SCAN has {len(names) // step} fields, at most {BUDGET.elements} may be"
+        )
     fields = [names[at : at + step].rstrip(b"\0") for at in range(0, len(names), step)]
-    if len(fields) > _MOST_FIELDS:
-        raise MalformedScan(f"SCAN has {len(fields)} fields, at most {_MOST_FIELDS} may be")
     for field in fields:
         outer, content = elements.take()
         if outer != _MATRIX:
@@ -149,6 +156,7 @@ def _points(elements: _Elements) -> Float32Array:
     values = elements.numbers(*_NUMBERS)
     if len(values) != shape[0] * shape[1]:
         raise TruncatedScan(f"SCAN.XYZ has shape {shape} and {len(values)} numbers")
+    BUDGET.require_returns(shape[1])
     with np.errstate(over="ignore", invalid="ignore"):  # beyond float32 is infinite: no return
         return values.reshape(-1, 3).astype(np.float32)  # by columns, as MATLAB writes
 

@@ -6,6 +6,7 @@ import numpy as np
 
 from core.arrays import Float32Array
 from core.scan import Scan
+from storage.formats.budget import BUDGET
 from storage.formats.errors import TruncatedScan, WrongDtype
 
 __all__ = ["KittiFormat", "kitti_body", "refuse_implausible"]
@@ -53,6 +54,7 @@ class KittiFormat:
                 f"the body has {len(body)} bytes, which is {len(body) // _RECORD_BYTES} records of"
                 f" {_RECORD_BYTES} and {len(body) % _RECORD_BYTES} left over; wanted {_WANTED}"
             )
+        BUDGET.require_returns(len(body) // _RECORD_BYTES)
         returns_m = np.frombuffer(body, dtype="<f4").reshape(-1, 4)[:, :3].astype(np.float32)
         refuse_implausible(returns_m, _WANTED)
         return returns_m

@@ -8,6 +8,7 @@ import struct
 from dataclasses import dataclass
 
 from core.arrays import Float32Array
+from storage.formats.budget import BUDGET
 from storage.formats.errors import MalformedScan, ScanTooLarge, TruncatedScan
 from storage.formats.laz import read_points, unpack
 
@@ -101,5 +102,11 @@ class LasFormat:
             raise TruncatedScan(
                 f"{points} points of {record_bytes} bytes from {first_point} on take more than the"
                 f" {len(body)} bytes that came"
+            )
+        BUDGET.require_returns(points)
+        if kind & _COMPRESSED and len(body) > BUDGET.packed_points_bytes:
+            raise ScanTooLarge(
+                f"the compressed points come in {len(body)} bytes, at most"
+                f" {BUDGET.packed_points_bytes} may be"
             )
         return int(points)

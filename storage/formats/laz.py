@@ -13,12 +13,13 @@ import sys
 import numpy as np
 
 from core.arrays import Float32Array
+from storage.formats.budget import BUDGET
 from storage.formats.errors import MalformedScan
 
 __all__ = ["read_points", "unpack"]
 
-_CHUNK_POINTS = 2**16
-_MEMORY_BYTES, _CPU_S, _WALL_S = 2**30, 30, 60
+_CHUNK_BYTES = 4 * 2**20
+_MEMORY_BYTES, _WALL_S = 2**30, 60
 _READ_BYTES = 12
 
 
@@ -57,7 +58,8 @@ def read_points(body: bytes, points: int) -> Float32Array:
         scales, offsets = reader.header.scales, reader.header.offsets
         if not (np.isfinite(scales).all() and np.isfinite(offsets).all()):
             raise MalformedScan(f"scales are {scales} and offsets {offsets}, wanted numbers")
-        for chunk in reader.chunk_iterator(_CHUNK_POINTS):
+        chunk_points = max(1, _CHUNK_BYTES // reader.header.point_format.size)
+        for chunk in reader.chunk_iterator(chunk_points):
             with np.errstate(over="ignore", invalid="ignore"):  # infinite is no return
                 steps = np.stack([chunk["X"], chunk["Y"], chunk["Z"]], axis=1)
                 returns_m[at : at + len(steps)] = steps * scales + offsets
@@ -69,7 +71,7 @@ def _main() -> None:
     import laspy
 
     resource.setrlimit(resource.RLIMIT_AS, (_MEMORY_BYTES, _MEMORY_BYTES))
-    resource.setrlimit(resource.RLIMIT_CPU, (_CPU_S, _CPU_S))
+    resource.setrlimit(resource.RLIMIT_CPU, (BUDGET.laz_cpu_s, BUDGET.laz_cpu_s))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     body = sys.stdin.buffer.read()
     with laspy.open(io.BytesIO(body), read_evlrs=False) as reader:

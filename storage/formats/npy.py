@@ -14,6 +14,7 @@ import numpy as np
 from numpy.lib import format as npy_format
 
 from core.arrays import Float32Array
+from storage.formats.budget import BUDGET
 from storage.formats.errors import MalformedScan, TruncatedScan, WrongDtype
 
 __all__ = ["NpyFormat"]
@@ -65,6 +66,7 @@ class NpyFormat:
             raise MalformedScan(f"the array takes {wanted} bytes, {came} came")
         if wanted == 0:
             return np.empty((0, 3), np.float32)
+        BUDGET.require_returns(shape[0] if dtype.names is None else math.prod(shape))
         values = np.frombuffer(body, dtype=dtype, offset=start)
         with np.errstate(over="ignore", invalid="ignore"):  # beyond float32 is infinite: no return
             if dtype.names is not None:

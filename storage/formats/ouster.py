@@ -5,15 +5,16 @@ they are two files, `NAME.json` beside `NAME.pcap`. Packets and the way from ran
 as the sensor's software manual has them, firmware 2.x and 3.x, and 1.x for the profile LEGACY.
 """
 
+import itertools
 import json
-import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from core.arrays import Float32Array, FloatArray, frozen
+from core.arrays import Float32Array, FloatArray, IntArray, frozen
+from storage.formats.budget import BUDGET
 from storage.formats.errors import MalformedScan, TruncatedScan
 from storage.formats.pcap import datagrams
 
@@ -21,6 +22,7 @@ __all__ = ["OusterFormat", "ouster_frames"]
 
 _MAX_METADATA_BYTES = 2**20
 _MOST_FRAMES = 2000
+_BATCH_PACKETS = 256
 _ROWS, _COLUMNS, _PER_PACKET = {16, 32, 64, 128}, {512, 1024, 2048, 4096}, {8, 16}
 
 
@@ -64,13 +66,18 @@ class OusterFormat:
 
         Raises:
             MalformedScan: If metadata or capture cannot be parsed, or do not fit each other.
-            TruncatedScan: If the capture ends within a packet, or holds no whole frame.
+            TruncatedScan: If the capture ends within a packet, or holds no whole frame among the
+                first packets.
         """
-        return next(ouster_frames(body))
+        return next(ouster_frames(body, BUDGET.frame_packets))
 
 
-def ouster_frames(body: bytes) -> Iterator[Float32Array]:
+def ouster_frames(body: bytes, most_packets: int | None = None) -> Iterator[Float32Array]:
     """Give the whole frames of a capture that follows its metadata.
+
+    Args:
+        body: Metadata and capture.
+        most_packets: In how many packets of the sensor, the first ones, frames are looked for.
 
     Raises:
         MalformedScan: If metadata or capture cannot be parsed, or do not fit each other.
@@ -81,23 +88,23 @@ def ouster_frames(body: bytes) -> Iterator[Float32Array]:
     seen = np.zeros(sensor.columns, dtype=bool)
     current: int | None = None
     best = given = 0
-    for frame, column, range_m in _columns(sensor, body[start:]):
+    wanted = int(sensor.window.sum())
+    for frame, columns, range_m in _runs(sensor, body, start, most_packets):
         if frame != current:
             current = frame
-            ranges_m[:] = 0.0
             seen[:] = False
-        ranges_m[column] = range_m
-        seen[column] = True
-        best = max(best, int(seen.sum()))
-        if seen[sensor.window].all():
+        ranges_m[columns] = range_m
+        seen[columns] = True
+        count = int(np.count_nonzero(seen))
+        best = max(best, count)
+        if count >= wanted and seen[sensor.window].all():
+            ranges_m[~seen] = 0.0  # of an earlier frame
             yield sensor.points_m(ranges_m)
             current, given = None, given + 1
         if given >= _MOST_FRAMES:
             return
     if not given:
-        raise TruncatedScan(
-            f"no frame is whole: the fullest has {best} of {sensor.window.sum()} columns"
-        )
+        raise TruncatedScan(f"no frame is whole: the fullest has {best} of {wanted} columns")
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,6 +142,25 @@ class _Sensor:
     def packet_bytes(self) -> int:
         return self.profile.head + self.per_packet * self.column_bytes + self.profile.foot
 
+    @property
+    def packet_layout(self) -> np.dtype[np.void]:
+        """Where numbers, states and ranges of columns are in a packet."""
+        profile = self.profile
+        pixel = np.dtype(
+            {"names": ["range"], "formats": [profile.range_type], "itemsize": profile.pixel}
+        )
+        fields: dict[str, tuple[Any, int]] = {
+            "number": ("<u2", 8),
+            "pixels": ((pixel, self.rows), profile.column_head),
+        }
+        if profile.head:
+            fields["status"] = ("<u2", 10)
+        else:
+            fields |= {"frame": ("<u2", 10), "status": ("<u4", self.column_bytes - 4)}
+        columns = ((_layout(fields, self.column_bytes), self.per_packet), profile.head)
+        frame = {"frame": ("<u2", 2)} if profile.head else {}
+        return _layout({"columns": columns, **frame}, self.packet_bytes)
+
     def points_m(self, ranges_m: FloatArray) -> Float32Array:
         """Turn `(columns, rows)` ranges into `(n, 3)` points."""
         encoder = 2.0 * np.pi * (1.0 - np.arange(self.columns) / self.columns)[:, None]
@@ -152,46 +178,57 @@ class _Sensor:
         return (points_m.reshape(-1, 3) @ self.turn.T).astype(np.float32)
 
 
-def _columns(sensor: _Sensor, capture: bytes) -> Iterator[tuple[int, int, FloatArray]]:
-    """Give frame number, column number and ranges in metres of every valid column."""
-    profile = sensor.profile
-    packets = 0
-    for datagram in datagrams(capture):
-        payload = datagram.payload
-        if len(payload) != sensor.packet_bytes:
-            continue
-        packets += 1
-        for number in range(sensor.per_packet):
-            at = profile.head + number * sensor.column_bytes
-            if profile.head:
-                (frame,) = struct.unpack_from("<H", payload, 2)
-                column, status = struct.unpack_from("<HH", payload, at + 8)
-                valid = status & 1
-            else:
-                column, frame = struct.unpack_from("<HH", payload, at + 8)
-                (status,) = struct.unpack_from("<I", payload, at + sensor.column_bytes - 4)
-                valid = status == 0xFFFFFFFF
-            if not valid or column >= sensor.columns:
-                continue
-            pixels = np.frombuffer(
-                payload,
-                dtype=np.dtype(
-                    {
-                        "names": ["range"],
-                        "formats": [profile.range_type],
-                        "itemsize": profile.pixel,
-                    }
-                ),
-                count=sensor.rows,
-                offset=at + profile.column_head,
-            )
-            steps = (pixels["range"] & profile.range_mask).astype(np.float64)
-            yield frame, column, steps * (profile.step_mm / 1000.0)
-    if not packets:
+def _layout(fields: dict[str, tuple[Any, int]], size_bytes: int) -> np.dtype[np.void]:
+    """Return a record of fields at their offsets."""
+    return np.dtype(
+        {
+            "names": list(fields),
+            "formats": [dtype for dtype, _ in fields.values()],
+            "offsets": [offset for _, offset in fields.values()],
+            "itemsize": size_bytes,
+        }
+    )
+
+
+def _runs(
+    sensor: _Sensor, body: bytes, start: int, most_packets: int | None
+) -> Iterator[tuple[int, IntArray, FloatArray]]:
+    """Give frame number, column numbers and ranges in metres of columns that rise in one frame."""
+    packets = (
+        datagram.payload
+        for datagram in datagrams(body, start)
+        if len(datagram.payload) == sensor.packet_bytes
+    )
+    layout, profile = sensor.packet_layout, sensor.profile
+    any_came = False
+    for batch in _batches(itertools.islice(packets, most_packets)):
+        any_came = True
+        records = np.frombuffer(batch, layout)
+        columns = records["columns"].reshape(-1)
+        if profile.head:
+            frame = np.repeat(records["frame"], sensor.per_packet)
+            valid = columns["status"] & 1 == 1
+        else:
+            frame, valid = columns["frame"], columns["status"] == 0xFFFFFFFF
+        valid = valid & (columns["number"] < sensor.columns)
+        frame, number = frame[valid], columns["number"][valid].astype(np.int64)
+        steps = columns["pixels"]["range"][valid] & profile.range_mask
+        range_m = steps.astype(np.float64) * (profile.step_mm / 1000.0)
+        breaks = np.flatnonzero((np.diff(frame) != 0) | (np.diff(number) < 0)) + 1
+        ends = [0, *breaks.tolist(), len(number)]
+        for first, end in itertools.pairwise(ends if len(number) else []):
+            yield int(frame[first]), number[first:end], range_m[first:end]
+    if not any_came:
         raise MalformedScan(
             f"the capture has no UDP packets of {sensor.packet_bytes} bytes, which the metadata"
             " tells of"
         )
+
+
+def _batches(payloads: Iterator[bytes]) -> Iterator[bytes]:
+    """Join payloads, some at a time."""
+    while batch := b"".join(itertools.islice(payloads, _BATCH_PACKETS)):
+        yield batch
 
 
 def _read_sensor(body: bytes) -> tuple[_Sensor, int]:

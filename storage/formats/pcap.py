@@ -3,8 +3,9 @@
 import mmap
 import struct
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
+from storage.formats.budget import BUDGET
 from storage.formats.errors import MalformedScan, TruncatedScan
 
 __all__ = ["PCAP_MAGICS", "Buffer", "Datagram", "datagrams"]
@@ -26,6 +27,7 @@ _IPV4, _VLAN = b"\x08\x00", b"\x81\x00"
 _UDP = 17
 _LARGEST_PACKET_BYTES = 2**18
 _MOST_PARTIAL = 64  # datagrams in pieces at a time
+_COUNTED_PACKETS = 1024
 
 
 @dataclass(frozen=True)
@@ -43,26 +45,38 @@ class Datagram:
     payload: bytes
 
 
-def datagrams(body: Buffer) -> Iterator[Datagram]:
+def datagrams(body: Buffer, start: int = 0) -> Iterator[Datagram]:
     """Give the UDP datagrams of a capture; those that came in pieces are put together.
 
+    Every packet is looked at once: the time is linear in the length of the capture.
+
+    Args:
+        body: What holds the capture, to its end.
+        start: Where it begins.
+
     Raises:
-        MalformedScan: If it is no classic pcap of Ethernet or IP packets.
+        MalformedScan: If it is no classic pcap of Ethernet or IP packets, or has more packets
+            than may be.
         TruncatedScan: If the capture ends within a packet.
     """
-    if body[:4] == _PCAPNG:
+    magic = body[start : start + 4]
+    if magic == _PCAPNG:
         raise MalformedScan("this is a pcapng capture, wanted classic pcap (editcap -F pcap)")
-    if body[:4] not in _ORDERS:
-        raise MalformedScan(f"the body begins with {body[:4]!r}, which is no classic pcap")
-    order, tick_s = _ORDERS[body[:4]]
-    if len(body) < 24:
-        raise TruncatedScan(f"a capture begins with 24 bytes, {len(body)} came")
-    link = struct.unpack_from(f"{order}I", body, 20)[0] & 0xFFFF
+    if magic not in _ORDERS:
+        raise MalformedScan(f"the body begins with {magic!r}, which is no classic pcap")
+    order, tick_s = _ORDERS[magic]
+    if len(body) < start + 24:
+        raise TruncatedScan(f"a capture begins with 24 bytes, {len(body) - start} came")
+    link = struct.unpack_from(f"{order}I", body, start + 20)[0] & 0xFFFF
     if link not in _LINK_BYTES:
         raise MalformedScan(f"the packets are of link type {link}, wanted {sorted(_LINK_BYTES)}")
     pieces = _Pieces()
-    at = 24
+    at = start + 24
+    packets = 0
     while at < len(body):
+        packets += 1
+        if packets % _COUNTED_PACKETS == 0:
+            BUDGET.require_packets(packets, len(body))
         if at + 16 > len(body):
             raise TruncatedScan(f"the capture ends within the head of a packet, at byte {at}")
         seconds, ticks, size, _ = struct.unpack_from(f"{order}IIII", body, at)
@@ -83,20 +97,64 @@ def _ip_packet(packet: bytes, link: int) -> bytes:
     """Return the IPv4 packet inside, empty if there is none."""
     start = _LINK_BYTES[link]
     if link != _RAW_IP:
-        kind = packet[start - 2 : start]
-        while kind == _VLAN:
+        for _ in range(BUDGET.vlan_tags):
+            if packet[start - 2 : start] != _VLAN:
+                break
             start += 4
-            kind = packet[start - 2 : start]
-        if kind != _IPV4:
+        if packet[start - 2 : start] != _IPV4:
             return b""
     return packet[start:]
 
 
+@dataclass
+class _Partial:
+    """The pieces of one datagram that have come.
+
+    Attributes:
+        parts: By their offset.
+        came_bytes: How long they are together.
+        total_bytes: How long the datagram is, `None` before its last piece has come.
+    """
+
+    parts: dict[int, bytes] = field(default_factory=dict)
+    came_bytes: int = 0
+    total_bytes: int | None = None
+
+    def add(self, offset: int, content: bytes, *, more: bool) -> None:
+        """Take a piece; one that came before is replaced."""
+        self.came_bytes += len(content) - len(self.parts.get(offset, b""))
+        self.parts[offset] = content
+        if not more:
+            self.total_bytes = offset + len(content)
+
+    @property
+    def is_over(self) -> bool:
+        """Whether as many bytes have come as are wanted, or more pieces than may be."""
+        return len(self.parts) > BUDGET.fragments or (
+            self.total_bytes is not None and self.came_bytes >= self.total_bytes
+        )
+
+    def joined(self) -> bytes | None:
+        """Return the datagram, `None` if the pieces overlap or are too many."""
+        whole = []
+        at = 0
+        for offset, content in sorted(self.parts.items()):
+            if offset != at:
+                return None
+            whole.append(content)
+            at += len(content)
+        return b"".join(whole) if at == self.total_bytes else None
+
+
 class _Pieces:
-    """Puts fragments of IPv4 packets together; what is never completed is forgotten."""
+    """Puts fragments of IPv4 packets together; what is never completed is forgotten.
+
+    A datagram is joined once, when all its bytes have come: to look after every piece whether it
+    is complete would take time in the square of their number.
+    """
 
     def __init__(self) -> None:
-        self._partial: dict[bytes, dict[int, tuple[bytes, bool]]] = {}
+        self._partial: dict[bytes, _Partial] = {}
 
     def add(self, packet: bytes) -> bytes | None:
         """Take a packet; return a UDP datagram with its head if that completes one."""
@@ -111,18 +169,11 @@ class _Pieces:
         if not offset and not more:
             return content
         key = packet[4:6] + packet[12:20]
-        parts = self._partial.setdefault(key, {})
-        parts[offset] = (content, more)
+        partial = self._partial.setdefault(key, _Partial())
+        partial.add(offset, content, more=more)
+        if partial.is_over:
+            del self._partial[key]
+            return partial.joined()
         if len(self._partial) > _MOST_PARTIAL:
             del self._partial[next(iter(self._partial))]
-        joined, expected = [], 0
-        while expected in parts:
-            content, more = parts[expected]
-            joined.append(content)
-            if not more:
-                self._partial.pop(key, None)
-                return b"".join(joined)
-            if not content:
-                return None
-            expected += len(content)
         return None

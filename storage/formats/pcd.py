@@ -1,8 +1,9 @@
 """Point Cloud Library files, `.pcd`: ascii, binary and binary_compressed.
 
-pypcd4 reads the points. The header is read here first, because the library trusts it: it makes
-arrays of whatever size is claimed, wants lines that the format allows to be missing, and lets a
-field's name decide how a line is split. It gets a plain header that agrees with the body.
+pypcd4 unpacks compressed points. The header is read here first, because the library trusts it: it
+makes arrays of whatever size is claimed, wants lines that the format allows to be missing, and lets
+a field's name decide how a line is split. It gets a plain header that agrees with the body. Text
+and binary points are read in place: the library would hold three copies of them.
 """
 
 import io
@@ -13,7 +14,9 @@ import numpy as np
 from pypcd4.pypcd4 import PointCloud
 
 from core.arrays import Float32Array
+from storage.formats.budget import BUDGET
 from storage.formats.errors import MalformedScan, ScanTooLarge, TruncatedScan, WrongDtype
+from storage.formats.text_numbers import text_columns
 
 __all__ = ["PcdFormat"]
 
@@ -30,7 +33,7 @@ class PcdFormat:
     """PCD; fields but x, y and z are skipped, padding included, and so is the viewpoint.
 
     Attributes:
-        max_decoded_bytes: What a compressed body may unpack to.
+        max_decoded_bytes: What points may take; compressed ones may unpack to half of it.
     """
 
     name: str = "PCD"
@@ -54,7 +57,7 @@ class PcdFormat:
             array([[10.,  0., -1.]], dtype=float32)
         """
         header, start = _read_header(body)
-        points = body[start:]
+        points = memoryview(body)[start:]
         if header.points * header.point_bytes > self.max_decoded_bytes:
             came = f"{len(points)} bytes of points came"
             if header.claims_more_than(len(points)):
@@ -63,25 +66,12 @@ class PcdFormat:
                 f"the header claims {header.claim}, at most {self.max_decoded_bytes} bytes may be"
             )
         if header.encoding == "ascii":
-            points = _one_space_between(points, header)
-        elif header.encoding == "binary":
-            wanted = header.points * header.point_bytes
-            zeros_end = len(points.rstrip(b"\0"))  # some writers fill the last page with zeros
-            points = points[: max(wanted, zeros_end)]
-            _agree(header.claim, wanted, len(points))
-        elif header.points:
-            _check_compressed(points, header)
-        if not header.points:
-            return np.empty((0, 3), np.float32)
-        file: io.BufferedReader = io.BufferedReader(io.BytesIO(header.plain() + points))
-        try:
-            with np.errstate(over="ignore", invalid="ignore"):  # beyond float32 is no return
-                returns_m = PointCloud.from_fileobj(file).numpy(_AXES).astype(np.float32)
-        except (KeyError, RuntimeError, TypeError, ValueError) as error:
-            raise MalformedScan(
-                f"the {header.encoding} points cannot be parsed: {error}"
-            ) from error
-        return returns_m
+            if body.find(b"#", start) >= 0:
+                raise MalformedScan("a '#' stands among the ascii points")
+            return _text_points(points, header)
+        if header.encoding == "binary":
+            return _binary_points(points, header)
+        return _compressed_points(points, header)
 
 
 @dataclass(frozen=True)
@@ -96,6 +86,27 @@ class _Header:
     @property
     def columns(self) -> int:
         return sum(self.counts)
+
+    @property
+    def first_columns(self) -> tuple[int, ...]:
+        """In which columns of a line x, y and z are."""
+        return tuple(sum(self.counts[: self.fields.index(axis)]) for axis in _AXES)
+
+    @property
+    def record(self) -> np.dtype[np.void]:
+        """x, y and z within a binary point."""
+        at = [self.fields.index(axis) for axis in _AXES]
+        ends = np.cumsum(
+            [size * count for size, count in zip(self.sizes, self.counts, strict=True)]
+        )
+        return np.dtype(
+            {
+                "names": list(_AXES),
+                "formats": [f"<f{self.sizes[i]}" for i in at],
+                "offsets": [int(ends[i]) - self.sizes[i] for i in at],
+                "itemsize": self.point_bytes,
+            }
+        )
 
     @property
     def point_bytes(self) -> int:
@@ -213,23 +224,51 @@ def _agree(claim: str, wanted_bytes: int, came_bytes: int) -> None:
         raise MalformedScan(message)
 
 
-def _one_space_between(text: bytes, header: _Header) -> bytes:
-    if b"#" in text:
-        raise MalformedScan("a '#' stands among the ascii points")
-    lines = [b" ".join(words) for line in text.splitlines() if (words := line.split())]
-    if len(lines) < header.points:
-        raise TruncatedScan(f"the header claims {header.claim}, {len(lines)} lines came")
-    if len(lines) > header.points:
-        raise MalformedScan(f"the header claims {header.claim}, {len(lines)} lines came")
-    return b"\n".join(lines)
+def _text_points(points: memoryview, header: _Header) -> Float32Array:
+    returns_m = text_columns(points, header.first_columns, header.columns, None)
+    if len(returns_m) < header.points:
+        raise TruncatedScan(f"the header claims {header.claim}, {len(returns_m)} lines came")
+    if len(returns_m) > header.points:
+        raise MalformedScan(f"the header claims {header.claim}, {len(returns_m)} lines came")
+    return returns_m
 
 
-def _check_compressed(points: bytes, header: _Header) -> None:
+def _binary_points(points: memoryview, header: _Header) -> Float32Array:
+    wanted = header.points * header.point_bytes
+    # Some writers fill the last page with zeros.
+    padding = np.frombuffer(points[wanted:], np.uint8)
+    _agree(header.claim, wanted, len(points) if padding.any() else min(len(points), wanted))
+    BUDGET.require_returns(header.points)
+    return _stacked(np.frombuffer(points, header.record, count=header.points))
+
+
+def _compressed_points(points: memoryview, header: _Header) -> Float32Array:
+    if not header.points:
+        return np.empty((0, 3), np.float32)
+    _check_compressed(points, header)
+    BUDGET.require_returns(header.points)
+    file: io.BufferedReader = io.BufferedReader(io.BytesIO(header.plain() + points))
+    try:
+        return _stacked(PointCloud.from_fileobj(file).pc_data)
+    except (KeyError, RuntimeError, TypeError, ValueError) as error:
+        raise MalformedScan(f"the {header.encoding} points cannot be parsed: {error}") from error
+
+
+def _stacked(points: np.ndarray) -> Float32Array:
+    with np.errstate(over="ignore", invalid="ignore"):  # beyond float32 is infinite: no return
+        return np.stack([points[axis].astype(np.float32) for axis in _AXES], axis=1)
+
+
+def _check_compressed(points: memoryview, header: _Header) -> None:
     if len(points) < 8:
         raise TruncatedScan(f"two sizes of 4 bytes were wanted, {len(points)} bytes came")
     packed, unpacked = (int.from_bytes(points[at : at + 4], "little") for at in (0, 4))
     _agree(f"{packed} compressed bytes", packed, len(points) - 8)
     _agree(f"{header.claim}", header.points * header.point_bytes, unpacked)
+    if unpacked > BUDGET.unpacked_bytes:
+        raise ScanTooLarge(
+            f"the points unpack to {unpacked} bytes, at most {BUDGET.unpacked_bytes} may be"
+        )
     if unpacked > packed * _LZF_RATIO:
         raise TruncatedScan(f"{packed} compressed bytes cannot unpack to {unpacked}")
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from core.arrays import Float32Array
+from storage.formats.budget import BUDGET
 from storage.formats.errors import MalformedScan, TruncatedScan, WrongDtype
 from storage.formats.text_numbers import text_columns
 
@@ -29,6 +30,7 @@ _TYPES = {
 _ENDIANS = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": ""}
 _MAX_HEADER_BYTES = 16_384
 _MAX_PROPERTIES = 1024
+_SOUGHT_BYTES = 2**20
 
 
 @dataclass(frozen=True)
@@ -83,6 +85,7 @@ class PlyFormat:
             )
         if came > wanted and header.is_last:
             raise MalformedScan(f"the vertices take {wanted} bytes, {came} came")
+        BUDGET.require_returns(header.vertices)
         vertices = np.frombuffer(body, dtype=dtype, count=header.vertices, offset=start)
         with np.errstate(over="ignore", invalid="ignore"):  # beyond float32 is infinite: no return
             return np.stack([vertices[axis].astype(np.float32) for axis in _AXES], axis=1)
@@ -153,11 +156,14 @@ def _lines(body: bytes) -> tuple[list[list[str]], int]:
 
 def _end_of_lines(body: bytes, start: int, count: int) -> int:
     """Return where `count` lines end; of more lines than there are, the end of the body."""
-    for _ in range(min(count, len(body))):
-        start = body.find(b"\n", start) + 1
-        if not start:
-            return len(body)
-    return start
+    while start < len(body):
+        block = np.frombuffer(body, np.uint8, min(_SOUGHT_BYTES, len(body) - start), start)
+        ends = np.flatnonzero(block == ord("\n"))
+        if len(ends) >= count:
+            return start + (int(ends[count - 1]) + 1 if count else 0)
+        count -= len(ends)
+        start += len(block)
+    return len(body)
 
 
 def _short(value: object) -> str:

@@ -8,6 +8,7 @@ from core.arrays import Float32Array
 from core.errors import InvalidScan
 from core.pose import Pose
 from core.scan import Scan
+from storage.formats.budget import BUDGET
 from storage.formats.delimited import CsvFormat
 from storage.formats.errors import EmptyBody, UnknownFormat
 from storage.formats.ford import FordFormat
@@ -114,9 +115,9 @@ def read_scan(
     scan_format = _choose(body, media_type, suffix)
     if not body:
         raise EmptyBody(f"no bytes came, wanted a {scan_format.name} scan")
-    return Scan.from_returns(
-        scan_format.read(body), min_returns=min_returns, timestamp_s=timestamp_s, pose=pose
-    )
+    returns_m = scan_format.read(body)
+    BUDGET.require_returns(len(returns_m))
+    return Scan.from_returns(returns_m, min_returns=min_returns, timestamp_s=timestamp_s, pose=pose)
 
 
 def read_scan_file(

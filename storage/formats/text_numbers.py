@@ -1,16 +1,20 @@
-"""Columns of numbers in text."""
+"""Columns of numbers in text, block by block, in time linear in its length."""
 
+import io
 from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from core.arrays import Float32Array
-from storage.formats.errors import MalformedScan
+from core.arrays import Float32Array, FloatArray
+from storage.formats.budget import BUDGET
+from storage.formats.errors import MalformedScan, ScanTooLarge
 
-__all__ = ["text_columns"]
+__all__ = ["blocks_of_lines", "number_rows", "text_columns"]
 
-# A line that is taken apart needs some thirty times its bytes.
 _BLOCK_BYTES = 2**20
+_NEWLINE, _BLANK = ord("\n"), ord(" ")
+# Whatever is no character of a number is one that no parser takes for white space or a digit.
+_PLAIN = bytes(code if code in b"\t\n\v\f" or 32 <= code < 127 else ord("?") for code in range(256))
 
 
 def text_columns(
@@ -29,36 +33,99 @@ def text_columns(
 
     Raises:
         MalformedScan: If a line has other columns, or something that is no number in one of them.
+        ScanTooLarge: If there are more bytes or lines than a scan may have.
     """
-    separator = None if delimiter is None else delimiter.encode()
+    BUDGET.require_text(text)
     parts: list[Float32Array] = [np.empty((0, 3), np.float32)]
-    for block in _blocks(text):
-        rows = []
-        for line in block.splitlines():
-            if not line or line.isspace():
-                continue
-            row = line.split(separator)
-            if len(row) != width:
-                raise MalformedScan(f"wanted {width} columns, {len(row)} came: {line[:80]!r}")
-            rows.append([row[column] for column in columns])
+    lines = 0
+    for block in blocks_of_lines(text, _BLOCK_BYTES):
+        if block is None:
+            raise MalformedScan(f"a line has more than {_BLOCK_BYTES} bytes")
+        lines += block.count(b"\n")
+        if lines > BUDGET.text_returns:
+            raise ScanTooLarge(f"the scan has more than {BUDGET.text_returns} lines")
         try:
-            values = [[float(word) for word in row] for row in rows]
+            values = number_rows(block, columns, width, delimiter)
         except ValueError as error:
-            raise MalformedScan(f"a coordinate is no number: {str(error)[:120]}") from error
+            raise MalformedScan(str(error)) from error
         with np.errstate(over="ignore", invalid="ignore"):  # beyond float32 is infinite: no return
-            parts.append(np.array(values, dtype=np.float64).reshape(-1, 3).astype(np.float32))
+            parts.append(values.astype(np.float32))
     return np.concatenate(parts)
 
 
-def _blocks(text: memoryview) -> Iterator[bytes]:
-    """Cut text into blocks of whole lines."""
+def number_rows(
+    block: bytes, columns: Sequence[int], width: int, delimiter: str | None
+) -> FloatArray:
+    """Return some columns of a block of whole lines, `(n, columns)`; blank lines give no row.
+
+    Args:
+        block: Lines that end in newlines.
+        columns: Which columns; rows have them in this order.
+        width: How many columns every line must have.
+        delimiter: One character, or `None` for white space.
+
+    Raises:
+        ValueError: If a line has another width, or no number in one of the columns; it says why.
+    """
+    if not _has_width(block, width, delimiter):
+        block = b"".join(_of_width(block, width, delimiter))
+        if not block:
+            return np.empty((0, len(columns)))
+    plain = block.translate(_PLAIN).decode("ascii")
+    try:
+        return np.loadtxt(
+            io.StringIO(plain), delimiter=delimiter, usecols=columns, comments=None, ndmin=2
+        )
+    except ValueError as error:
+        raise ValueError(f"a coordinate is no number: {str(error)[:120]}") from error
+
+
+def blocks_of_lines(text: memoryview, most_bytes: int) -> Iterator[bytes | None]:
+    """Give text in blocks of whole lines that end in newlines; `None` where a line is longer."""
     start = 0
     while start < len(text):
-        block = bytes(text[start : start + _BLOCK_BYTES])
+        block = bytes(text[start : start + most_bytes])
         if start + len(block) < len(text):
-            end = block.rfind(b"\n") + 1
+            # A carriage return at the very end may be half of a line's end.
+            end = max(block.rfind(b"\n"), block.rfind(b"\r", 0, len(block) - 1)) + 1
             if not end:
-                raise MalformedScan(f"a line has more than {_BLOCK_BYTES} bytes")
+                yield None
+                return
             block = block[:end]
-        yield block
         start += len(block)
+        if b"\r" in block:
+            block = block.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
+        yield block if block.endswith(b"\n") else block + b"\n"
+
+
+def _has_width(block: bytes, width: int, delimiter: str | None) -> bool:
+    """Return whether every line has so many columns; a blank line has another number of them."""
+    codes = np.frombuffer(block, np.uint8)
+    if delimiter is None:
+        inside = codes > _BLANK
+        begins = inside.copy()
+        begins[1:] &= ~inside[:-1]
+        wanted = width
+    else:
+        begins = codes == ord(delimiter)
+        wanted = width - 1
+    before = np.cumsum(begins, dtype=np.int32)[codes == _NEWLINE]
+    return bool((np.diff(before, prepend=0) == wanted).all()) and (
+        wanted > 0 or not _has_blank_line(block)
+    )
+
+
+def _has_blank_line(block: bytes) -> bool:
+    return block.startswith(b"\n") or b"\n\n" in block
+
+
+def _of_width(block: bytes, width: int, delimiter: str | None) -> Iterator[bytes]:
+    """Give the lines that are not blank, checked one by one."""
+    separator = None if delimiter is None else delimiter.encode()
+    for line in block.split(b"\n"):
+        if not line or line.isspace():
+            continue
+        came = len(line.split(separator))
+        if came != width:
+            raise ValueError(f"wanted {width} columns, {came} came: {line[:80]!r}")
+        yield line + b"\n"

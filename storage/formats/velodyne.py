@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from core.arrays import Float32Array, FloatArray, frozen
+from storage.formats.budget import BUDGET
 from storage.formats.errors import MalformedScan, ScanTooLarge, TruncatedScan
 from storage.formats.pcap import PCAP_MAGICS, Buffer, datagrams
 
@@ -21,10 +22,10 @@ _PAYLOAD_BYTES = 1206
 _BLOCK = np.dtype(
     [("flag", "<u2"), ("azimuth", "<u2"), ("returns", [("range", "<u2"), ("i", "u1")], 32)]
 )
+_PACKET = np.dtype([("blocks", _BLOCK, 12), ("tail", "V6")])
 _FLAG = 0xEEFF
 _RANGE_STEP_M = 0.002
 _DUAL_RETURN = 0x39
-_MOST_PACKETS = 200_000  # some three minutes
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,11 +86,17 @@ class VelodyneFormat:
             TruncatedScan: If it ends within a packet, or before the sensor turned once.
             ScanTooLarge: If it has more packets than a scan can need.
         """
-        return Turns(body, most_packets=_MOST_PACKETS).returns_m(0)
+        first = Turns(body, most_packets=BUDGET.scan_packets, kept_packets=BUDGET.frame_packets)
+        return first.returns_m(0)
 
 
 class Turns:
     """The full turns of a capture; what is left at its end is none.
+
+    Args:
+        body: The capture.
+        most_packets: How many packets of the sensor it may have.
+        kept_packets: Of how many of them, the first ones, turns are made.
 
     Attributes:
         time_s: `(K,)` when the first packet of each was captured, seconds since 1970.
@@ -97,10 +104,13 @@ class Turns:
     Raises:
         MalformedScan: If it is no capture, or holds no packets of an HDL-32E or VLP-16.
         TruncatedScan: If it ends within a packet, or before the sensor turned once.
+        ScanTooLarge: If it has more packets than may be.
     """
 
-    def __init__(self, body: Buffer, *, most_packets: int | None = None) -> None:
-        self._model, times_s, self._blocks = _blocks(body, most_packets)
+    def __init__(
+        self, body: Buffer, *, most_packets: int | None = None, kept_packets: int | None = None
+    ) -> None:
+        self._model, times_s, self._blocks = _blocks(body, most_packets, kept_packets)
         self._azimuth_deg = self._blocks["azimuth"] / 100.0
         step_deg = (np.diff(self._azimuth_deg) + 180.0) % 360.0 - 180.0
         turned_deg = np.maximum.accumulate(np.concatenate([[0.0], np.cumsum(step_deg)]))
@@ -118,8 +128,13 @@ class Turns:
         return len(self.time_s)
 
     def returns_m(self, turn: int) -> Float32Array:
-        """Return the `(n, 3)` metres of a turn, zero where nothing came back."""
+        """Return the `(n, 3)` metres of a turn, zero where nothing came back.
+
+        Raises:
+            ScanTooLarge: If the sensor turned so slowly that it has more returns than may be.
+        """
         blocks = slice(self._starts[turn], self._starts[turn + 1])
+        BUDGET.require_returns((blocks.stop - blocks.start) * len(self._model.firing))
         fired = self._spread_deg[blocks, None] * self._model.firing
         return _returns(
             self._model,
@@ -136,23 +151,29 @@ def _returns(model: _Model, azimuth_deg: FloatArray, range_m: FloatArray) -> Flo
     return points_m.reshape(-1, 3).astype(np.float32)
 
 
-def _blocks(body: Buffer, most_packets: int | None) -> tuple[_Model, FloatArray, np.ndarray]:
+def _blocks(
+    body: Buffer, most_packets: int | None, kept_packets: int | None
+) -> tuple[_Model, FloatArray, np.ndarray]:
     """Return the sensor, and the time and content of each block."""
-    payloads: list[bytes] = []
+    payloads = bytearray()
     times_s: list[float] = []
+    packets = 0
     for datagram in datagrams(body):
-        if len(datagram.payload) == _PAYLOAD_BYTES:
-            payloads.append(datagram.payload)
-            times_s.append(datagram.time_s)
-        if most_packets is not None and len(payloads) > most_packets:
+        if len(datagram.payload) != _PAYLOAD_BYTES:
+            continue
+        packets += 1
+        if most_packets is not None and packets > most_packets:
             raise ScanTooLarge(f"the capture has more than {most_packets} packets")
-    if not payloads:
+        if kept_packets is None or packets <= kept_packets:
+            payloads += datagram.payload
+            times_s.append(datagram.time_s)
+    if not packets:
         raise MalformedScan(f"the capture has no UDP packets of {_PAYLOAD_BYTES} bytes")
-    mode, product = struct.unpack_from("BB", payloads[0], _PAYLOAD_BYTES - 2)
+    mode, product = struct.unpack_from("BB", payloads, _PAYLOAD_BYTES - 2)
     if product not in _MODELS:
         known = ", ".join(f"{model.name} (0x{code:02x})" for code, model in _MODELS.items())
         raise MalformedScan(f"the packets are of product 0x{product:02x}, wanted {known}")
-    blocks = np.concatenate([np.frombuffer(p, dtype=_BLOCK, count=12) for p in payloads])
+    blocks = np.frombuffer(payloads, dtype=_PACKET)["blocks"].reshape(-1)
     if not (blocks["flag"] == _FLAG).all():
         raise MalformedScan("a packet has blocks that do not begin with 0xffee")
     # Of two returns the first block of each pair has the last.

@@ -1,0 +1,54 @@
+"""Text that can be shown: names and descriptions that reach a disk or an answer."""
+
+import re
+
+__all__ = ["LONGEST_NAME", "flaw_in", "shown"]
+
+LONGEST_NAME = 255
+"""Of a drive, in characters; as long as a folder's name may be."""
+
+# Controls (C0, delete, C1), breaks of lines and paragraphs, marks that turn the direction of the
+# text around them, and lone halves of surrogate pairs.
+_UNSHOWN = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028-\u202e\u2066-\u2069\ud800-\udfff]")
+
+
+def flaw_in(text: object, most: int, *, allowed: str = "") -> str | None:
+    r"""Return what keeps `text` from being shown, `None` if nothing does.
+
+    Args:
+        text: Anything.
+        most: How many characters it may have; it must have one.
+        allowed: Control characters that are welcome.
+
+    Examples:
+        >>> flaw_in("Straße 7", 64) is None, flaw_in("a\nb", 64, allowed="\n") is None
+        (True, True)
+        >>> flaw_in("a\ud800", 64)
+        "it has the character '\\ud800'"
+    """
+    if not isinstance(text, str):
+        return f"it is a {type(text).__name__}, wanted text"
+    if not 1 <= len(text) <= most:
+        return f"it has {len(text)} characters, wanted 1 to {most}"
+    for found in _UNSHOWN.finditer(text):
+        if found[0] not in allowed:
+            return f"it has the character {found[0]!a}"
+    return None
+
+
+def shown(value: object) -> object:
+    r"""Return plain values with every text in them made fit for UTF-8.
+
+    Examples:
+        >>> shown({"drives": ["a\ud800"]})
+        {'drives': ['a?']}
+    """
+    match value:
+        case str():
+            return value.encode("utf-8", "replace").decode("utf-8")
+        case dict():
+            return {shown(key): shown(item) for key, item in value.items()}
+        case list() | tuple():
+            return [shown(item) for item in value]
+        case _:
+            return value
