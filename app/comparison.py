@@ -1,5 +1,6 @@
 """What changed between two revisions of a map, in recall on its own scans too."""
 
+from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
 from enum import StrEnum
@@ -19,7 +20,15 @@ from storage.errors import CorruptImages, DriveNotFound
 from storage.image_file import ImageFile
 from storage.store import Store, StoredDrive
 
-__all__ = ["MOST_ASKED", "Comparison", "NoRecall", "Recall", "Side", "compare_revisions"]
+__all__ = [
+    "MOST_ASKED",
+    "Comparison",
+    "NoRecall",
+    "Recall",
+    "Side",
+    "compare_revisions",
+    "measure_recall",
+]
 
 MOST_ASKED = 200
 """How many scans are asked at most, evenly spread: some seconds on maps of thousands of scans."""
@@ -110,7 +119,7 @@ def compare_revisions(
         Side(other_record, MapFacts.of(other_map)),
         changed_parameters(_chosen(*this), _chosen(*other)),
         drive_overlaps(tensor_map, other_map, recorded_anew=anew),
-        _recall(store, this, other),
+        measure_recall(store, record.map_id, (mine, tensor_map), (theirs, other_map)),
     )
 
 
@@ -121,13 +130,27 @@ def _chosen(record: RevisionRecord, tensor_map: TensorMap) -> dict[str, Any]:
     return chosen
 
 
-def _recall(
-    store: Store, this: tuple[RevisionRecord, TensorMap], other: tuple[RevisionRecord, TensorMap]
+def measure_recall(
+    store: Store,
+    map_id: str,
+    this: tuple[Mapping[str, str], TensorMap],
+    other: tuple[Mapping[str, str], TensorMap],
 ) -> Recall | NoRecall:
-    (record, tensor_map), (other_record, other_map) = this, other
-    if not (record.drive_ids and other_record.drive_ids):
+    """Return how many of their common scans two revisions find; one need not be published yet.
+
+    Args:
+        store: With the images of their drives.
+        map_id: Of the map.
+        this: Ids of its drives by slug, and the one.
+        other: The same of the other.
+
+    Raises:
+        MapNotFound: If the map is gone.
+    """
+    (drive_ids, tensor_map), (other_ids, other_map) = this, other
+    if not (drive_ids and other_ids):
         return NoRecall.NOT_BUILT_HERE
-    shared = [n for n, i in record.drive_ids.items() if other_record.drive_ids.get(n) == i]
+    shared = [n for n, i in drive_ids.items() if other_ids.get(n) == i]
     if not any(
         drive.in_both for drive in drive_overlaps(tensor_map, other_map) if drive.drive in shared
     ):
@@ -136,10 +159,10 @@ def _recall(
     with ExitStack() as stack:
         for name in shared:
             try:
-                (drive,) = store.drives.open_of_map(record.map_id, [name])
+                (drive,) = store.drives.open_of_map(map_id, [name])
             except DriveNotFound:
                 continue
-            if drive.id == record.drive_ids[name]:
+            if drive.id == drive_ids[name]:
                 mine = _questions(store, drive, tensor_map, stack)
                 theirs = _questions(store, drive, other_map, stack)
                 pairs += [

@@ -170,6 +170,7 @@ STATUS: dict[type[core.TensorMapError], HTTPStatus] = {
     core.InvalidSignature: S.UNPROCESSABLE_ENTITY,
     core.StaleSignature: S.CONFLICT,
     core.BasisMismatch: S.CONFLICT,
+    core.FramesDisagree: S.CONFLICT,
     core.UnknownDrive: S.NOT_FOUND,
     core.StaleObservation: S.CONFLICT,
     core.UnknownSegment: S.UNPROCESSABLE_ENTITY,

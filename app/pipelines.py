@@ -8,12 +8,14 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from app.jobs.parameters import BuildParameters
+from app.jobs.parameters import BuildParameters, PoseCheck
+from app.live_gate import Gate, pass_gate
 from app.plans import KeptBasis, Plan, plan_build
 from app.stored_images import images_path, open_images
 from core.arrays import Float32Array, FloatArray
 from core.builder import build_map
 from core.drive import Drive
+from core.frames import FrameCheck, check_frames, require_one_frame
 from core.images import ConcatenatedImages, Probes, Skipped
 from core.merging import BasisFit, basis_fits
 from core.parameters import MapParameters, Segmentation
@@ -23,12 +25,15 @@ from core.tensormap import TensorMap
 from core.topology import cut_at_meetings
 from core.trajectory import Trajectory
 from storage.catalog import Act, RevisionFacts, RevisionRecord, on_behalf
-from storage.errors import CorruptImages
+from storage.catalog.scans import LostRace
+from storage.errors import CorruptImages, StorageBusy
 from storage.image_file import ImageFile, write_image_file
 from storage.map_file import write_map
 from storage.store import Store, StoredDrive
 
 _log = logging.getLogger("tensormap.builds")
+
+_ATTEMPTS = 20  # each lost race is another revision that became live
 
 __all__ = ["Built", "build_drive", "build_drives", "build_revision"]
 
@@ -43,6 +48,7 @@ class Built:
         skipped: Scans that could not be used, by drive.
         fits: How well a basis that was kept fits each drive; none if it was fitted.
         segment_length: k that drives were cut with.
+        frames: What is known of the world frames of the drives after the first.
     """
 
     tensor_map: TensorMap
@@ -50,11 +56,15 @@ class Built:
     skipped: dict[str, tuple[Skipped, ...]]
     fits: tuple[BasisFit, ...]
     segment_length: int
+    frames: tuple[FrameCheck, ...] = ()
 
     @property
     def notes(self) -> tuple[str, ...]:
         """What whoever asked for the build should know."""
-        return tuple(f"{fit}: consider to fit it anew" for fit in self.fits if fit.much_worse)
+        return (
+            *(f"{fit}: consider to fit it anew" for fit in self.fits if fit.much_worse),
+            *(note for check in self.frames if (note := check.note) is not None),
+        )
 
 
 def build_revision(
@@ -76,6 +86,7 @@ def build_revision(
         DriveNotFound: If the map lacks one of the drives, or no longer has it.
         EmptyDrive: If it has no drive, or one has no usable scan.
         ReturnsGone: If images are not kept, and the returns that they are made of were dropped.
+        FramesDisagree: If the poses of two drives are in different world frames.
         Cancelled: If `progress` says so; nothing is published.
         TensorMapError: What `app.plans.plan_build` raises.
     """
@@ -90,8 +101,34 @@ def build_revision(
             if drive.has_returns.all():
                 images_path(store, drive, map_parameters).unlink(missing_ok=True)
         built = _build_stored(store, drives, plan, map_parameters, progress)
+    for _ in range(_ATTEMPTS):
+        gate = None
+        if parameters.make_live:
+            progress.start("comparing", 1)
+            ids = {drive.name: drive.id for drive in drives}
+            gate = pass_gate(store, map_id, ids, built.tensor_map, parameters)
+            progress.advance()
+        facts = _facts(drives, plan, map_parameters, built, gate, job_id)
+        try:
+            return _publish(store, map_id, built.tensor_map, facts, gate)
+        except LostRace as error:
+            _log.info("%s: the build is compared with that one", error)
+    raise StorageBusy(f"another revision became live {_ATTEMPTS} times while one was compared")
+
+
+def _facts(
+    drives: Sequence[StoredDrive],
+    plan: Plan,
+    map_parameters: MapParameters,
+    built: Built,
+    gate: Gate | None,
+    job_id: str | None,
+) -> RevisionFacts:
     tensor_map = built.tensor_map
-    facts = RevisionFacts(
+    notes = built.notes
+    if gate is not None and gate.reason is not None:
+        notes = (*notes, gate.reason)
+    return RevisionFacts(
         encoding=map_parameters.encoding,
         scans=len(tensor_map),
         segments=tensor_map.model.segments,
@@ -107,13 +144,19 @@ def build_revision(
         },
         job_id=job_id,
         bases=tensor_map.basis_digests,
-        notes=built.notes,
+        notes=notes,
         drive_ids={drive.name: drive.id for drive in drives},
+        job_result={} if gate is None else {"gate": gate.as_json()},
     )
+
+
+def _publish(
+    store: Store, map_id: str, tensor_map: TensorMap, facts: RevisionFacts, gate: Gate | None
+) -> RevisionRecord:
     act = Act(
         "service",
         "publish_revision",
-        "the store" if job_id is None else f"/v1/jobs/{job_id}",
+        "the store" if facts.job_id is None else f"/v1/jobs/{facts.job_id}",
         store.maps.get_by_id(map_id).slug,
         f"revision {tensor_map.revision}",
     )
@@ -123,7 +166,8 @@ def build_revision(
             tensor_map.revision,
             lambda path: write_map(path, tensor_map),
             facts,
-            make_live=parameters.make_live,
+            make_live=gate is not None and gate.live,
+            if_live=None if gate is None else gate.if_live,
         )
 
 
@@ -153,6 +197,7 @@ def build_drives(
         EmptyDrive: If a drive has no usable scan.
         InvalidParameters: If a parameter does not fit.
         InvalidMap: If two drives have one name.
+        FramesDisagree: If the poses of two drives are in different world frames.
     """
     map_parameters = parameters.map_parameters()
     with TemporaryDirectory(prefix="tensormap-") as folder, ExitStack() as stack:
@@ -214,6 +259,10 @@ def _build(
         radial_basis=radial_basis,
         grams=grams,
     )
+    frames: tuple[FrameCheck, ...] = ()
+    if parameters.poses == PoseCheck.CHECKED:
+        frames = check_frames(tensor_map, progress)
+        require_one_frame(frames)
     fits = () if radial_basis is None or grams is None else basis_fits(radial_basis, grams)
     return Built(
         tensor_map,
@@ -221,6 +270,7 @@ def _build(
         {drive.name: of_it.skipped for drive, of_it in zip(drives, images, strict=True)},
         fits,
         length,
+        frames,
     )
 
 

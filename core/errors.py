@@ -10,6 +10,7 @@ TensorMapError
 ├── InvalidSignature        a signature of the wrong shape or content
 ├── StaleSignature          a signature made with another revision's bases
 ├── BasisMismatch           maps whose bases differ, where one was wanted
+├── FramesDisagree          drives of one map whose poses are in different world frames
 ├── UnknownDrive            a drive the map does not have
 ├── StaleObservation        an observation that is not newer than the track's last one
 ├── UnknownSegment          a segment the map does not have
@@ -22,6 +23,7 @@ __all__ = [
     "BasisMismatch",
     "Cancelled",
     "EmptyDrive",
+    "FramesDisagree",
     "InvalidImage",
     "InvalidMap",
     "InvalidParameters",
@@ -76,6 +78,10 @@ class StaleSignature(TensorMapError):
 
 class BasisMismatch(TensorMapError):
     """Maps whose bases differ cannot be merged without their images."""
+
+
+class FramesDisagree(TensorMapError):
+    """Drives of one map whose poses are in different world frames."""
 
 
 class UnknownDrive(TensorMapError):

@@ -20,6 +20,7 @@ from app.cli.options import (
     ImageOption,
     LateralRenderingsOption,
     MapArgument,
+    PosesOption,
     RanksOption,
     ReducerOption,
     SegmentationOption,
@@ -31,7 +32,7 @@ from app.cli.options import (
     ranks,
     require_folder,
 )
-from app.jobs.parameters import BuildParameters
+from app.jobs.parameters import BuildParameters, PoseCheck
 from app.schemas.hints import hints_of
 from app.schemas.localizations import LocalizationOut, SignaturesIn
 from app.schemas.topology import TopologyOut
@@ -82,6 +83,7 @@ def build(
             rich_help_panel="Map",
         ),
     ] = None,
+    poses: PosesOption = PoseCheck.CHECKED,
 ) -> None:
     """Build a map of one or more recorded drives."""
     from app.pipelines import build_drives  # here: it brings the store, which no other one needs
@@ -97,6 +99,7 @@ def build(
             reducer=reducer,
             sensor=sensor,
             sensor_height_m=sensor_height_m,
+            poses=poses,
             image=image,
             distance=distance,
             lateral_renderings_m=(

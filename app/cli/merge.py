@@ -5,9 +5,11 @@ from typing import Annotated
 
 import typer
 
-from app.cli.console import output
-from app.cli.options import require_folder
+from app.cli.console import output, progress_bar
+from app.cli.options import PosesOption, require_folder
+from app.jobs.parameters import PoseCheck
 from core.errors import UnknownDrive
+from core.frames import check_frames, require_one_frame
 from core.merging import merge_maps, without_drives
 from storage.files import publish
 from storage.map_file import read_map, write_map
@@ -24,6 +26,7 @@ def merge(
         list[str] | None,
         typer.Option("--without", metavar="DRIVE", help="Leave this drive out; repeatable."),
     ] = None,
+    poses: PosesOption = PoseCheck.CHECKED,
 ) -> None:
     """Merge maps of one encoding and basis, drive after drive; no number of them changes."""
     require_folder(output_file)
@@ -37,6 +40,13 @@ def merge(
     merged = merge_maps(
         [without_drives(part, left_out & set(part.trajectory.drives)) for part in kept]
     )
+    if poses == PoseCheck.CHECKED and len(kept) > 1:
+        with progress_bar() as progress:
+            checks = check_frames(merged, progress)
+        require_one_frame(checks)
+        for check in checks:
+            if check.note is not None:
+                output().print(check.note, markup=False, soft_wrap=True)
     with publish(output_file) as part:
         write_map(part, merged)
     output().print(

@@ -6,6 +6,7 @@ from typing import Annotated
 
 import typer
 
+from app.jobs.parameters import PoseCheck
 from core.imager import ImageKind
 from core.parameters import Distance, Encoding, Segmentation
 from core.reducer import Reducer
@@ -22,6 +23,7 @@ __all__ = [
     "ImageOption",
     "LateralRenderingsOption",
     "MapArgument",
+    "PosesOption",
     "RanksOption",
     "ReducerOption",
     "SegmentLengthOption",
@@ -107,6 +109,14 @@ LateralRenderingsOption = Annotated[
         "--lateral-renderings",
         help="From where a harmonic map's scans are rendered, metres to the left,"
         " comma-separated. [-3,-1.5,0,1.5,3]",
+        rich_help_panel=_BUILD,
+    ),
+]
+PosesOption = Annotated[
+    PoseCheck,
+    typer.Option(
+        help="`checked` refuses drives whose poses are in different world frames, `unchecked`"
+        " insists on them.",
         rich_help_panel=_BUILD,
     ),
 ]

@@ -1,6 +1,7 @@
 """What a build is asked for, as the catalog keeps it."""
 
 from collections.abc import Mapping
+from enum import StrEnum
 from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
@@ -20,13 +21,33 @@ from core.reducer import Reducer
 from core.segmentation import PAPER_SEGMENT_LENGTH
 from core.sensor import HDL_64E, SENSORS
 
-__all__ = ["BuildParameters"]
+__all__ = ["BuildParameters", "PoseCheck"]
 
 _MOST = 2**31 - 1  # scans
 _OF_REQUEST = frozenset(
-    {"base", "add", "remove", "drives", "max_age_days", "refit", "make_live", "segments"}
+    {
+        "base",
+        "add",
+        "remove",
+        "drives",
+        "max_age_days",
+        "refit",
+        "poses",
+        "make_live",
+        "max_recall_loss",
+        "force",
+        "segments",
+    }
 )
 """What a build on another does not take over from it."""
+
+
+class PoseCheck(StrEnum):
+    """Whether the poses of several drives must agree."""
+
+    CHECKED = "checked"
+    UNCHECKED = "unchecked"
+
 
 DriveNames = Annotated[
     list[Annotated[str, Field(max_length=64)]],
@@ -115,8 +136,26 @@ class BuildParameters(BaseModel):
     )
     sensor: str = Field(HDL_64E.name, description=f"One of {', '.join(sorted(SENSORS))}.")
     sensor_height_m: Number = Field(1.73, gt=0, lt=100, description="Sensor above ground.")
+    poses: PoseCheck = Field(
+        PoseCheck.CHECKED,
+        description="`checked`: the scans of each drive are matched with those before it, and the"
+        " build fails with `frames-disagree` if the poses of one are in another world frame;"
+        " `unchecked` insists on them. It is not taken over from `base`.",
+    )
     make_live: Flag = Field(
-        default=False, description="Make the result live; the first one always is."
+        default=False,
+        description="Make the result live unless it finds fewer scans than the live revision; the"
+        " first one always is.",
+    )
+    max_recall_loss: Number = Field(
+        0.02,
+        ge=0,
+        le=1,
+        description="By how much recall on the scans that both have may be lower than the live"
+        " revision's; beyond, the result of `make_live` is done but not live.",
+    )
+    force: Flag = Field(
+        default=False, description="Make the result of `make_live` live whatever it finds."
     )
 
     _integers = field_validator("ranks", "segment_length", "segments", mode="before")(integers)

@@ -4,6 +4,7 @@ from datetime import UTC, datetime
 
 from pydantic import BaseModel, Field
 
+from app.comparison import NoRecall
 from app.jobs.parameters import BuildParameters
 from app.problems import problem_type
 from storage.catalog import JobRecord, JobState
@@ -19,6 +20,24 @@ class JobErrorOut(BaseModel):
         examples=["/problems/empty-drive"],
     )
     detail: str
+
+
+class LiveGateOut(BaseModel):
+    """Whether a build was made live, and what it finds beside the revision that was live."""
+
+    live: bool = Field(description="Whether it was made live when it was done.")
+    compared_with: str | None = Field(
+        description="The revision that was live; null for a first build and with `force`."
+    )
+    asked: int | None = Field(description="How many scans both were asked for.")
+    recall: float | None = Field(description="Share of them that it finds, 0..1.")
+    recall_of_live: float | None = Field(description="Share that the live revision found.")
+    recall_unknown: NoRecall | None = Field(
+        description="Why recall is not known, as in a comparison."
+    )
+    reason: str | None = Field(
+        description="Why it was not made live, or was without being measured; also a note."
+    )
 
 
 class JobOut(BaseModel):
@@ -37,6 +56,9 @@ class JobOut(BaseModel):
     revision: str | None = Field(description="What it built, once it is done.")
     notes: list[str] = Field(
         description="What whoever asked for it should know, such as a basis that fits badly."
+    )
+    gate: LiveGateOut | None = Field(
+        description="Of a build that was to be made live, once it is done; else null."
     )
     error: JobErrorOut | None
     created_at: datetime
@@ -62,6 +84,9 @@ class JobOut(BaseModel):
             parameters=BuildParameters.model_validate(record.parameters),
             revision=record.revision,
             notes=list(record.notes),
+            gate=LiveGateOut.model_validate(record.result["gate"])
+            if "gate" in record.result
+            else None,
             error=error,
             created_at=record.created_at,
             started_at=record.started_at,

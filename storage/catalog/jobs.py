@@ -270,12 +270,17 @@ class Jobs:
 
 
 def finish_if_running(
-    session: Session, job_id: str, revision: str, notes: Sequence[str] = ()
+    session: Session,
+    job_id: str,
+    revision: str,
+    notes: Sequence[str] = (),
+    result: Mapping[str, Any] | None = None,
 ) -> None:
     """End a job that built `revision`, if it runs, within the transaction that publishes it."""
     row = session.get(Job, job_id, with_for_update=True)
     if row is not None and row.state == JobState.RUNNING:
         row.notes = list(notes)
+        row.result = dict(result) if result else None
         _finish_row(row, revision)
 
 
@@ -331,6 +336,7 @@ def _record(row: Job) -> JobRecord:
         started_at=row.started_at,
         finished_at=row.finished_at,
         notes=tuple(row.notes or ()),
+        result=row.result or {},
         stage_started_at=row.stage_started_at,
         key_id=row.key_id,
     )

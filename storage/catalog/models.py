@@ -261,6 +261,7 @@ class Job(Base):
     revision: Mapped[str | None] = mapped_column(Digest)
     cancel_requested: Mapped[bool]
     notes: Mapped[list[str] | None] = mapped_column(JSON(none_as_null=True))
+    result: Mapped[dict[str, Any] | None] = mapped_column(JSON(none_as_null=True))
     # Of the request that made it, if it said so: who repeats that is given the same job.
     request_key: Mapped[str | None] = mapped_column(PlainString(255))
     request_digest: Mapped[str | None] = mapped_column(Digest)

@@ -149,6 +149,7 @@ class RevisionFacts:
         bases: Digests of the bases that it answers to.
         notes: What the job that built it tells besides.
         drive_ids: Ids of the drives that it was built of, by slug; none if that was elsewhere.
+        job_result: What the job that built it decided, in plain values.
     """
 
     encoding: str
@@ -159,6 +160,7 @@ class RevisionFacts:
     bases: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     drive_ids: Mapping[str, str] = field(default_factory=dict)
+    job_result: Mapping[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -205,6 +207,7 @@ class JobRecord:
         cancel_requested: Someone asked a running job to stop.
         stage_started_at: When this stage began, of a running job that told one.
         notes: What it tells about what it built.
+        result: What it decided about it, in plain values.
         key_id: Id of the key that asked for it, `None` where that was not written down.
     """
 
@@ -224,6 +227,7 @@ class JobRecord:
     started_at: datetime | None
     finished_at: datetime | None
     notes: tuple[str, ...] = ()
+    result: Mapping[str, Any] = field(default_factory=dict)
     stage_started_at: datetime | None = None
     key_id: str | None = None
 

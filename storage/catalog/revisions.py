@@ -12,6 +12,7 @@ from storage.catalog.maps import locked_map, map_named, map_of_id
 from storage.catalog.models import LiveRevision, Map, Revision, RevisionBasis
 from storage.catalog.pages import DEFAULT_LIMIT, one_more, page_of
 from storage.catalog.records import Page, RevisionFacts, RevisionRecord
+from storage.catalog.scans import LostRace
 from storage.errors import (
     AmbiguousRevision,
     NoLiveRevision,
@@ -39,6 +40,7 @@ class Revisions:
         facts: RevisionFacts,
         *,
         make_live: bool = False,
+        if_live: str | None = None,
     ) -> RevisionRecord:
         """Add a revision whose file is on disk; the first one of a map becomes live.
 
@@ -47,9 +49,14 @@ class Revisions:
 
         Raises:
             MapNotFound: If the map is gone.
+            LostRace: If another revision than `if_live` is live, and that was given; nothing is
+                changed. Empty means that none is.
         """
         with self._database.writing() as session:
             of_map = map_of_id(session, map_id, lock=True)
+            live = session.get(LiveRevision, of_map.id)
+            if if_live is not None and if_live != (live.digest if live else ""):
+                raise LostRace(f"another revision of {of_map.slug!r} became live meanwhile")
             row = session.get(Revision, (of_map.id, digest))
             now = datetime.now(UTC)
             if row is None:
@@ -73,10 +80,10 @@ class Revisions:
             for basis in facts.bases:  # also of one from before they were written down
                 session.merge(RevisionBasis(map_id=of_map.id, basis=basis, digest=digest))
             session.flush()
-            if make_live or session.get(LiveRevision, of_map.id) is None:
+            if make_live or live is None:
                 _make_live(session, of_map, digest)
             if facts.job_id is not None:
-                finish_if_running(session, facts.job_id, digest, facts.notes)
+                finish_if_running(session, facts.job_id, digest, facts.notes, facts.job_result)
             return revision_record(row)
 
     def get(self, map_slug: str, digest: str) -> RevisionRecord:

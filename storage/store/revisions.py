@@ -36,6 +36,7 @@ class Revisions:
         facts: RevisionFacts,
         *,
         make_live: bool = False,
+        if_live: str | None = None,
     ) -> RevisionRecord:
         """Write a revision's file and add its row; the first one of a map becomes live.
 
@@ -47,9 +48,11 @@ class Revisions:
             write: Writes the file at the path it is given.
             facts: What the builder knows about it.
             make_live: Make it live even if it is not the first.
+            if_live: The revision that must be live now, empty for none; any by default.
 
         Raises:
             MapNotFound: If the map is gone.
+            LostRace: If another revision than `if_live` is live; nothing is changed.
             StorageFull: If no space is left; nothing is changed.
         """
         self._catalog.maps.get_by_id(map_id)
@@ -62,7 +65,7 @@ class Revisions:
                 write(part)
                 size_bytes = part.stat().st_size
             record = self._catalog.revisions.add(
-                map_id, digest, name, size_bytes, facts, make_live=make_live
+                map_id, digest, name, size_bytes, facts, make_live=make_live, if_live=if_live
             )
         except FileNotFoundError:  # the map's folder was removed, and its row before that
             self._catalog.maps.get_by_id(map_id)
