@@ -3,10 +3,14 @@
 import errno
 import os
 import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Self
 
-__all__ = ["DurableFile"]
+from storage.errors import CorruptFile
+
+__all__ = ["DurableFile", "reading_back"]
 
 _PIECE_BYTES = 2**20  # written at once, and compared at once
 
@@ -100,3 +104,16 @@ class DurableFile:
                 break
             content += more
         return content
+
+
+@contextmanager
+def reading_back() -> Iterator[None]:
+    """Raise what is wrong with a file that was written just now as the disk's error that it is.
+
+    Raises:
+        OSError: If the file is not what was written.
+    """
+    try:
+        yield
+    except CorruptFile as error:
+        raise OSError(errno.EIO, f"what was written cannot be read back: {error}") from error

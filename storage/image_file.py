@@ -15,7 +15,7 @@ from core.imager import Grid, Imager
 from core.images import ImageSource, Skipped, project_into
 from core.progress import NO_PROGRESS, Progress
 from core.revision import content_digest
-from storage.durable_file import DurableFile
+from storage.durable_file import DurableFile, reading_back
 from storage.errors import CorruptFile, CorruptImages
 from storage.files import publish
 from storage.hdf5 import ChunkedDataset, Dataset, FileSource, Hdf5File, Hdf5Writer
@@ -212,7 +212,8 @@ def write_image_file(
         with DurableFile(part) as file:
             _write(file, part, drive, imager, progress)
             file.settle()
-        ImageFile(part, imager).close()
+        with reading_back():
+            ImageFile(part, imager).close()
 
 
 def _write(file: DurableFile, part: Path, drive: Drive, imager: Imager, progress: Progress) -> None:
@@ -229,7 +230,7 @@ def _write(file: DurableFile, part: Path, drive: Drive, imager: Imager, progress
     _add_checked(writer, "scans", "<i8", told.scans)
     if imager.lateral_renderings_m is not None:
         file.flush()
-        with FileSource(part) as source:
+        with reading_back(), FileSource(part) as source:
             shape, chunk_shape = (len(images), *imager.shape), images.chunk_shape
             dtype = np.dtype("<f4")
             written = ChunkedDataset(source, "images", dtype, shape, chunk_shape, chunks)

@@ -1,6 +1,5 @@
 """A map revision as one immutable, packed HDF5 file (docs/reference/format.md)."""
 
-import errno
 import json
 import threading
 from collections import OrderedDict
@@ -16,7 +15,7 @@ from numpy.typing import NDArray
 from core.errors import TensorMapError
 from core.parameters import Encoding
 from core.tensormap import TensorMap
-from storage.durable_file import DurableFile
+from storage.durable_file import DurableFile, reading_back
 from storage.errors import CorruptFile
 from storage.hdf5 import (
     BytesSource,
@@ -103,8 +102,8 @@ def write_map(path: Path, tensor_map: TensorMap, created_at: datetime | None = N
             }
         )
         file.settle()
-    if (found := read_map(path).revision) != tensor_map.revision:
-        raise OSError(errno.EIO, f"revision {found} came back, {tensor_map.revision} was written")
+    with reading_back():
+        read_revision(path, tensor_map.revision)
 
 
 def read_map(path: Path) -> TensorMap:
@@ -154,8 +153,8 @@ def read_revision(path: Path, digest: str) -> TensorMap:
         else:
             tensor_map = _whole(source)
             _checked.add(source.identity)
-    if tensor_map.revision != digest:
-        raise CorruptFile(f"the file of revision {digest} holds {tensor_map.revision}")
+        if tensor_map.revision != digest:
+            raise CorruptFile(f"it holds {tensor_map.revision}, not revision {digest}")
     return tensor_map
 
 

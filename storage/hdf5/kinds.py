@@ -32,11 +32,12 @@ CODES: Final = {
 TEXT: Final = bytes.fromhex("1901010010000000100000000100000000000800")
 """How a file describes text of any length in UTF-8."""
 
-# The same in version 3, as newer files have it: names end with a zero, offsets take a byte.
-_COMPLEX_3 = b"".join((bytes.fromhex("3602000008000000"), b"r\0\0", _FLOAT32, b"i\0\4", _FLOAT32))
+# The same in versions 3 and 4, as newer files have it: names end with a zero, offsets take a byte.
+_NEWER_COMPLEX = bytes.fromhex("02000008000000") + b"r\0\0" + _FLOAT32 + b"i\0\4" + _FLOAT32
 _MOST_AXES = 8
 _DTYPES: dict[bytes, np.dtype[Any]] = {code: np.dtype(name) for name, code in CODES.items()}
-_DTYPES[_COMPLEX_3] = np.dtype("<c8")
+for _version in (b"\x36", b"\x46"):
+    _DTYPES[_version + _NEWER_COMPLEX] = np.dtype("<c8")
 _TEXTS = {
     head + base
     for head in (TEXT[:8], bytes.fromhex("1901000010000000"))  # in UTF-8 or ASCII

@@ -1,0 +1,170 @@
+"""Nothing gets its name before what is on disk was read back, whichever write fails."""
+
+import errno
+import os
+
+import numpy as np
+import pytest
+
+from core.imager import Imager
+from core.reducer import Reducer
+from core.rings import RingGrid
+from core.scan import Scan
+from storage.drive_chunks import ChunkFile, write_chunk
+from storage.durable_file import DurableFile
+from storage.errors import StorageFull
+from storage.files import publish
+from storage.image_file import ImageFile, write_image_file
+from storage.map_file import read_map, write_map
+from tests.support.samples import SMALL_GRID, sample_drive, sample_map
+
+MAP, _ = sample_map(count=12, segment_length=4, drives=2)
+IMAGERS = [
+    Imager(SMALL_GRID, Reducer.LAST),
+    Imager(RingGrid(), Reducer.MEAN, 1.73, (-1.5, 0.0, 1.5)),
+]
+
+
+def put_map(path):
+    with publish(path) as part:
+        write_map(part, MAP)
+
+
+def put_chunk(path):
+    scans = [Scan.from_returns(np.full((n, 3), 2.0), min_returns=0) for n in (5, 0, 40_000)]
+    write_chunk(path, list(enumerate(scans)))
+
+
+def put_images(path):
+    write_image_file(path, sample_drive(20), IMAGERS[0])
+
+
+def put_renderings(path):
+    write_image_file(path, sample_drive(20), IMAGERS[1])
+
+
+WRITERS = {
+    "map": (put_map, lambda path: read_map(path).revision),
+    "chunk": (put_chunk, lambda path: ChunkFile(path).points_m(2).tobytes()),
+    "images": (put_images, lambda path: ImageFile(path, IMAGERS[0]).read(0, 20).tobytes()),
+    "renderings": (put_renderings, lambda path: ImageFile(path, IMAGERS[1]).read(0, 20).tobytes()),
+}
+
+
+@pytest.fixture(params=WRITERS)
+def written(request, tmp_path):
+    """How a kind of file is written, and what a whole one says."""
+    write, read = WRITERS[request.param]
+    write(tmp_path / "whole.h5")
+    whole = read(tmp_path / "whole.h5")
+    (tmp_path / "whole.h5").unlink()
+    return write, read, whole
+
+
+class Disk:
+    """The calls of the disk, of which the n-th fails."""
+
+    def __init__(self, monkeypatch, name, fail):
+        self.calls, self.fail_at = 0, -1
+        inner = getattr(os, name)
+
+        def call(*args):
+            self.calls += 1
+            return fail(inner, *args) if self.calls == self.fail_at else inner(*args)
+
+        monkeypatch.setattr(os, name, call)
+
+
+def refuse(number):
+    def fail(_inner, *_args):
+        raise OSError(number, os.strerror(number))
+
+    return fail
+
+
+def each_failing(disk, write, path):
+    """Write again and again, another call failing each time; yield what it ended in."""
+    write(path)
+    path.unlink()
+    for number in range(1, disk.calls + 1):
+        disk.calls, disk.fail_at = 0, number
+        try:
+            write(path)
+        except OSError as error:
+            yield number, error.errno
+        except StorageFull:
+            yield number, errno.ENOSPC
+        else:
+            yield number, None
+
+
+@pytest.mark.parametrize("name", ["pwrite", "fsync", "open"])
+@pytest.mark.parametrize("number", [errno.EIO, errno.ENOSPC])
+def test_whichever_call_fails_is_told_and_leaves_nothing(
+    written, tmp_path, monkeypatch, name, number
+):
+    write, _, _ = written
+    disk = Disk(monkeypatch, name, refuse(number))
+    path = tmp_path / "a.h5"
+    ends = list(each_failing(disk, write, path))
+    assert len(ends) >= 2
+    for call, error in ends[: -1 if name == "fsync" else None]:  # the last one is the folder's
+        assert error is not None, f"{name} {call} failed and nobody said so"
+        assert not path.exists() or name in {"fsync", "open"}
+    assert not list(tmp_path.glob(".*.part"))
+
+
+def short(inner, descriptor, content, at):
+    return inner(descriptor, content[: max(1, len(content) // 2)], at)
+
+
+def lost(_inner, _descriptor, content, _at):
+    return len(content)
+
+
+def other(inner, descriptor, content, at):
+    changed = bytearray(content)
+    changed[len(changed) // 2] ^= 16
+    return inner(descriptor, changed, at)
+
+
+def test_a_write_that_takes_less_is_followed_by_another(written, tmp_path, monkeypatch):
+    write, read, whole = written
+    disk = Disk(monkeypatch, "pwrite", short)
+    path = tmp_path / "a.h5"
+    for _, error in each_failing(disk, write, path):
+        assert error is None
+        assert read(path) == whole
+        path.unlink()
+
+
+@pytest.mark.parametrize("fault", [lost, other])
+def test_bytes_that_are_not_on_the_disk_as_written_are_found(written, tmp_path, monkeypatch, fault):
+    write, _, _ = written
+    disk = Disk(monkeypatch, "pwrite", fault)
+    path = tmp_path / "a.h5"
+    for call, error in each_failing(disk, write, path):
+        assert error == errno.EIO, f"write {call} was not read back"
+        assert not list(tmp_path.iterdir())
+
+
+def test_returns_with_another_digest_than_the_catalog_will_have_are_not_stored(tmp_path):
+    scan = Scan.from_returns([[1.0, 2.0, 3.0]])
+    with pytest.raises(OSError, match="cannot be read back: row 0 has digest"):
+        write_chunk(tmp_path / "a.h5", [(0, scan)], ["0" * 64])
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_file_is_readable_by_this_user_only(written, tmp_path):
+    write, _, _ = written
+    write(tmp_path / "a.h5")
+    assert (tmp_path / "a.h5").stat().st_mode & 0o777 == 0o600
+
+
+def test_half_a_file_is_no_file(tmp_path):
+    with DurableFile(tmp_path / "a.h5") as file:
+        file.write(48, b"numbers")
+        file.flush()
+    assert (tmp_path / "a.h5").read_bytes()[:48] == bytes(48)
+    with pytest.raises(FileExistsError):
+        DurableFile(tmp_path / "a.h5")
