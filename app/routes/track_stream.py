@@ -11,7 +11,6 @@ from pydantic import ValidationError
 from starlette.concurrency import run_in_threadpool
 from starlette.types import Message
 
-from app.access.caller import Caller
 from app.access.dependency import stream_caller
 from app.access.scopes import Scope
 from app.errors import (
@@ -54,10 +53,9 @@ async def stream(
     """
     service: Service = websocket.app.state.service
     with ExitStack() as counted:
+        check = partial(_open, websocket, service, map_slug, track_id, counted)
         try:
-            check = partial(_open, websocket, service, map_slug, track_id)
-            caller = await to_thread.run_sync(check, limiter=service.streams.opening)
-            counted.enter_context(service.streams.opened(caller.key_id))
+            await to_thread.run_sync(check, limiter=service.streams.opening)
         except TensorMapError as error:
             await websocket.send_denial_response(problem_response(error))
             return
@@ -98,10 +96,13 @@ async def _close(websocket: WebSocket, code: int, reason: str | None = None) -> 
     raise WebSocketDisconnect(code, reason)
 
 
-def _open(websocket: WebSocket, service: Service, map_slug: str, track_id: str) -> Caller:
+def _open(
+    websocket: WebSocket, service: Service, map_slug: str, track_id: str, counted: ExitStack
+) -> None:
+    """Check who opens a stream of which track, and count it until `counted` is closed."""
     caller = stream_caller(websocket, Scope.LOCALIZE, map_slug=map_slug)
+    counted.enter_context(service.streams.opened(caller.key_id))
     track_of(service, map_slug, track_id)
-    return caller
 
 
 def _observe(

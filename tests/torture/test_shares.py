@@ -171,25 +171,37 @@ def test_a_key_that_takes_all_it_can_get_leaves_the_others_theirs(tmp_path):
             )
             track = tracks[0].json()["track"]
 
-            async def attack() -> None:
-                stream = f"{MAP}/tracks/{track}/stream"
-                headers = bearer(greedy_key)
-                async with (
-                    idle_connections(port, IDLE) as idle,
-                    open_websockets(port, stream, headers, WEBSOCKETS) as websockets,
-                ):
-                    print(f"idle {len(idle)}, websockets {dict(websockets.answers)}")  # noqa: T201
-                    print(f"meanwhile: fixes {fixes}, livez {alive}")  # noqa: T201
-                    await asyncio.sleep(MEASURED_S)
-                    print(f"idle {len(idle)}, {idle.closed} were closed")  # noqa: T201
-
             asked = f"{MAP}/localizations/signature"
             headers = {**bearer(other_key), "Content-Type": "application/json"}
-            with (
-                measured(port, "POST", asked, headers, fix) as fixes,
-                measured(port, "GET", "/livez", {}, b"") as alive,
-            ):
-                asyncio.run(attack())
+            found: dict[str, tuple[Answers, Answers]] = {}
+
+            @contextmanager
+            def phase(name: str) -> Iterator[None]:
+                with (
+                    measured(port, "POST", asked, headers, fix) as fixes,
+                    measured(port, "GET", "/livez", {}, b"") as alive,
+                ):
+                    yield
+                print(f"{name}: fixes {fixes}; livez {alive}")  # noqa: T201 - the figures
+                found[name] = fixes, alive
+
+            async def attack() -> None:
+                stream = f"{MAP}/tracks/{track}/stream"
+                with phase("builds only"):
+                    await asyncio.sleep(MEASURED_S / 2)
+                async with idle_connections(port, IDLE) as idle:
+                    with phase(f"{IDLE} idle connections besides"):
+                        await asyncio.sleep(MEASURED_S)
+                    with phase(f"{WEBSOCKETS} WebSockets asked for besides"):
+                        streams = open_websockets(port, stream, bearer(greedy_key), WEBSOCKETS)
+                        websockets = await streams.__aenter__()
+                    print(f"WebSockets: {dict(websockets.answers)}")  # noqa: T201 - the figures
+                    with phase("those that were accepted besides"):
+                        await asyncio.sleep(MEASURED_S)
+                    await streams.__aexit__(None, None, None)
+                    print(f"{idle.closed} idle connections were closed")  # noqa: T201
+
+            asyncio.run(attack())
             theirs = other.post(f"{MAP}/tracks").status_code
             job = other.post(f"{MAP}/builds", json=build).json()["job"]
             done = wait_for(other, job, {"running", "done"})
@@ -200,16 +212,15 @@ def test_a_key_that_takes_all_it_can_get_leaves_the_others_theirs(tmp_path):
         lines = log.read_text().splitlines()
         other_bytes = sum(len(line) for line in lines if " tensormap.requests " not in line)
         figures = (
-            f"fixes {fixes}\nlivez {alive}\n"
             f"tracks of the greedy key {dict(Counter(t.status_code for t in tracks))},"
             f" of the other {theirs}\n"
             f"builds of the greedy key {dict(queued)}, started before the other's: {between}\n"
             f"log {log.stat().st_size / 1e6:.2f} MB, {other_bytes / 1e6:.3f} MB not of requests"
         )
         print(figures)  # noqa: T201
-    assert set(fixes.statuses) == set(alive.statuses) == {200}
-    assert fixes.p99_s() < P99_S
-    assert alive.p99_s() < P99_S
+    for fixes, alive in found.values():
+        assert set(fixes.statuses) == set(alive.statuses) == {200}
+        assert max(fixes.p99_s(), alive.p99_s()) < P99_S
     assert theirs == 201
     assert between == 0
     assert other_bytes < OTHER_LOG_BYTES
