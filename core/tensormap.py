@@ -1,6 +1,6 @@
 """A TensorMap: the immutable content of one map revision (paper, fig. 2d)."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -209,7 +209,8 @@ class TensorMap:
         """
         try:
             parameters = MapParameters.from_attributes(dict(attributes))
-            a = {name: _numbers(name, array) for name, array in arrays.items()}
+            of_complex = _COMPLEX if parameters.encoding == Encoding.HARMONIC else ()
+            a = {name: _numbers(name, arrays[name], of_complex) for name in arrays}
             tensor_map = cls(
                 parameters,
                 _model(parameters, a),
@@ -244,9 +245,9 @@ class TensorMap:
         return tensor_map
 
 
-def _numbers(name: str, array: NDArray[Any]) -> NDArray[Any]:
+def _numbers(name: str, array: NDArray[Any], of_complex: Collection[str]) -> NDArray[Any]:
     """Return an array that holds numbers of its kind: none is rounded, cut off or made of text."""
-    wanted = "iu" if name in _WHOLE else "fiu" if name not in _COMPLEX else "cfiu"
+    wanted = "iu" if name in _WHOLE else "cfiu" if name in of_complex else "fiu"
     values = np.asarray(array)
     if values.dtype.kind not in wanted:
         raise InvalidMap(f"{name} holds {values.dtype}, wanted numbers of another kind")

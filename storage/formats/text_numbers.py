@@ -69,8 +69,8 @@ def number_rows(
     """
     if not _has_width(block, width, delimiter):
         block = b"".join(_of_width(block, width, delimiter))
-        if not block:
-            return np.empty((0, len(columns)))
+    if not block:
+        return np.empty((0, len(columns)))
     plain = block.translate(_PLAIN).decode("ascii")
     try:
         return np.loadtxt(

@@ -1,0 +1,55 @@
+"""What the worst bodies cost that a search found: 5 s of CPU and 500 MB at most.
+
+Every row is measured in a process of its own. The table is kept in
+docs/decisions/0027-budgets-of-readers.md.
+"""
+
+import json
+import subprocess
+import sys
+from typing import Any
+
+import pytest
+
+from tests.torture.worst_bodies import ARCHIVES, SINGLE, TWINS, UNPACKED
+
+pytestmark = [pytest.mark.torture, pytest.mark.alone]
+
+MOST_CPU_S, MOST_MB = 5.0, 500
+MOST_TIMES_A_WELL_FORMED_ONE = 3.0
+ARCHIVE_BYTES = 32 * 2**20
+
+
+def cost_of(kind: str, name: str, size: int) -> dict[str, Any]:
+    """Make a body and read it; return its bytes, CPU seconds, megabytes and outcome."""
+    done = subprocess.run(
+        [sys.executable, "-m", "tests.torture.worst_bodies", kind, name, str(size)],
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=600,
+    )
+    told: dict[str, Any] = json.loads(done.stdout)
+    print(  # noqa: T201 - the table that the decision keeps
+        f"| {name} | {told['bytes'] / 2**20:.1f} | {told['cpu_s']:.2f} | {told['mb']}"
+        f" | {told['outcome']} |"
+    )
+    return told
+
+
+@pytest.mark.parametrize("name", SINGLE)
+def test_the_worst_single_body_is_within_the_budget(name: str) -> None:
+    told = cost_of("single", name, UNPACKED)
+    assert told["cpu_s"] <= MOST_CPU_S, told
+    assert told["mb"] <= MOST_MB, told
+
+
+@pytest.mark.parametrize("name", ARCHIVES)
+def test_a_byte_of_the_worst_archive_costs_what_three_of_a_well_formed_one_do(name: str) -> None:
+    twin = ARCHIVES[name][2]
+    assert twin in TWINS
+    good = cost_of("twin", twin, ARCHIVE_BYTES)
+    bad = cost_of("archive", name, ARCHIVE_BYTES)
+    assert bad["mb"] <= MOST_MB, bad
+    most_s = MOST_TIMES_A_WELL_FORMED_ONE * good["cpu_s"] * bad["bytes"] / good["bytes"]
+    assert bad["cpu_s"] <= max(most_s, 0.2), (bad, good)

@@ -1,0 +1,389 @@
+"""The worst bodies that were thought of, for every reader, as large as the service takes them.
+
+Each maker takes `size`, the bytes that a body may have, unpacked, and returns a body near it. Run
+as a program, this module makes one, reads it, and prints what that cost.
+"""
+
+import gzip
+import io
+import json
+import resource
+import struct
+import sys
+import time
+import zlib
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import laspy
+import lzf  # type: ignore[import-not-found]  # ships no types
+import numpy as np
+import zstandard
+
+from app.bodies.content_encoding import decoder_of
+from app.uploads.many_scans import _scan as read_member
+from app.uploads.pose_files import CSV, KITTI, TUM, read_poses
+from app.uploads.tar_stream import TarStream
+from core.errors import TensorMapError
+from storage.formats.registry import FORMAT_NAMES, read_scan
+from tests.support.captures import hdl32, ouster, ouster_metadata, udp
+from tests.support.recording import tar
+
+__all__ = ["ARCHIVES", "SINGLE", "TWINS"]
+
+UNPACKED, SENT = 256 * 2**20, 64 * 2**20
+_PCAP = struct.pack("<IHHiIII", 0xA1B2C3D4, 2, 4, 0, 0, 65535, 1)
+_PLY = "ply\nformat {} 1.0\nelement vertex {}\n{}end_header\n"
+_KITTI = FORMAT_NAMES["kitti"]
+_TEXT_SCAN = b"x,y,z\n" + b"-12.345678,23.456789,-1.234567\n" * 30_000
+_TABLE = b"scan,x,y,z,qx,qy,qz,qw\n"
+_WIDE = b" ".join(b"%.18f" % v for v in (1, 0, 0, 7, 0, 1, 0, 7, 0, 0, 1, 7)) + b"\n"
+_FLOATS = "".join(f"property float {axis}\n" for axis in "xyz")
+
+Read = Callable[[bytes], object]
+Make = Callable[[int], bytes]
+
+
+def _lines(line: bytes, size: int, most: int = 10**9) -> bytes:
+    return line * min(size // len(line), most)
+
+
+def _captured(frames: list[bytes], size: int) -> bytes:
+    records = b"".join(struct.pack("<IIII", 1, 0, len(f), len(f)) + f for f in frames)
+    return _PCAP + records * (size // len(records))
+
+
+def _ply(line: bytes, size: int, properties: int = 0) -> bytes:
+    more = "".join(f"property float p{number}\n" for number in range(properties))
+    points = min(size // len(line), 2_000_000)
+    return _PLY.format("ascii", points, _FLOATS + more).encode() + line * points
+
+
+def _pcd(fields: int, encoding: str, points: int, body: bytes) -> bytes:
+    names = ["x", "y", "z", *(f"f{n}" for n in range(fields - 3))]
+    head = (
+        f"VERSION .7\nFIELDS {' '.join(names)}\nSIZE {'4 ' * fields}\nTYPE {'F ' * fields}\n"
+        f"COUNT {'1 ' * fields}\nWIDTH {points}\nHEIGHT 1\nPOINTS {points}\nDATA {encoding}\n"
+    )
+    return head.encode() + body
+
+
+def _pcd_packed(size: int) -> bytes:
+    points = min(size, 128 * 2**20) // 32
+    packed = lzf.compress(bytes(points * 32))
+    return _pcd(
+        8, "binary_compressed", points, struct.pack("<II", len(packed), points * 32) + packed
+    )
+
+
+def _element(kind: int, content: bytes) -> bytes:
+    return struct.pack("<II", kind, len(content)) + content
+
+
+def _mat(elements: bytes) -> bytes:
+    return b"MATLAB 5.0 MAT-file".ljust(124) + b"\0\1IM" + elements
+
+
+def _las(points: int, *, packed: bool) -> bytes:
+    header = laspy.LasHeader(point_format=0, version="1.2")
+    header.scales = np.full(3, 1e-4)
+    data = laspy.LasData(header)
+    data.x, data.y, data.z = np.random.default_rng(0).normal(scale=20.0, size=(3, points))
+    file = io.BytesIO()
+    data.write(file, do_compress=packed)
+    return file.getvalue()
+
+
+def _fragments(size: int, number: int = 0, *, step: int = 8) -> list[bytes]:
+    """Return as many pieces of one datagram as fit, the last one never sent."""
+    frames = []
+    for at in range(0, min(size, 65_000), step):
+        head = struct.pack(
+            "!BBHHHBBH4s4s", 0x45, 0, 20 + step, number, 0x2000 | at // 8, 9, 17, 0, b"", b""
+        )
+        frames.append(bytes(12) + b"\x08\x00" + head + bytes(step))
+    return frames
+
+
+def _ouster_flips(size: int) -> bytes:
+    """Return columns of which each is of another frame than the one before."""
+    layout = ouster_metadata()["data_format"] | {"udp_profile_lidar": "LEGACY"}
+    column = struct.pack("<QHHI", 0, 5, 1, 0) + bytes(16 * 12) + b"\xff" * 4
+    other = struct.pack("<QHHI", 0, 5, 2, 0) + bytes(16 * 12) + b"\xff" * 4
+    frames = udp((column + other) * 8, 7502)
+    return (
+        json.dumps(ouster_metadata(data_format=layout)).encode() + b"\n" + _captured(frames, size)
+    )
+
+
+def _scan(name: str) -> Read:
+    return lambda body: read_scan(body, media_type=FORMAT_NAMES[name], min_returns=1)
+
+
+def _poses(kind: str) -> Read:
+    return lambda body: read_poses(body, kind)
+
+
+def _unpacked(encoding: str) -> Read:
+    def read(body: bytes) -> None:
+        decoder = decoder_of(encoding)
+        assert decoder is not None
+        left = UNPACKED
+        for start in range(0, len(body), 2**16):
+            for piece in decoder.feed(body[start : start + 2**16]):
+                left -= len(piece)
+                if left < 0:
+                    return
+        decoder.finish()
+
+    return read
+
+
+def _tar_read(body: bytes) -> None:
+    for member in TarStream(io.BytesIO(body).read, SENT):
+        with suppress(TensorMapError):
+            read_member(member, None if member.name.endswith(".csv") else _KITTI, 1)
+
+
+def _big_endian(size: int) -> bytes:
+    count = min(size // 12, 2**22)
+    return _PLY.format("binary_big_endian", count, _FLOATS).encode() + b"\x41\0\0\0" * 3 * count
+
+
+def _kitti(size: int) -> bytes:
+    return struct.pack("<4f", 10, 1, 1, 0) * min(size // 16, 2**22)
+
+
+def _npy(size: int) -> bytes:
+    file = io.BytesIO()
+    np.save(file, np.full((3, min(size // 24, 2**22)), 7.0).T)
+    return file.getvalue()
+
+
+def _members(body: bytes, size: int) -> bytes:
+    return body * (size // len(body))
+
+
+def _archive(files: int, content: bytes, size: int, suffix: str = "bin") -> bytes:
+    one = tar([(f"{index}.{suffix}", content) for index in range(files)])[: -2 * 512]
+    one = one[: len(one) // 512 * 512].rstrip(b"\0")
+    one += bytes(-len(one) % 512)
+    return one * max(size // len(one), 1)
+
+
+SINGLE: dict[str, tuple[Read, Make]] = {
+    "kitti: all returns": (_scan("kitti"), _kitti),
+    "kitti: more than may be": (_scan("kitti"), bytes),
+    "nclt: all returns": (_scan("nclt"), lambda size: bytes(min(size, 8 * 2**22))),
+    "nuscenes: all returns": (_scan("nuscenes"), lambda size: bytes(min(size // 20, 2**22) * 20)),
+    "npy: doubles in columns": (_scan("npy"), _npy),
+    "csv: short lines": (_scan("csv"), lambda size: b"x,y,z\n" + _lines(b"0,0,0\n", size)),
+    "csv: as many as may be": (
+        _scan("csv"),
+        lambda size: b"x,y,z\n" + _lines(b"-12.345678,23.456789,-1.234567\n", size, 1_999_998),
+    ),
+    "csv: hard numbers": (
+        _scan("csv"),
+        lambda size: b"x,y,z\n" + _lines(b"8.5e-300,2.2e-308,8.5e-301\n", size, 1_999_998),
+    ),
+    "csv: many columns": (
+        _scan("csv"),
+        lambda size: _lines(b"1,2,3" + b",0" * 995 + b"\n", min(size, 127 * 2**20)),
+    ),
+    "csv: blank lines": (_scan("csv"), lambda size: b"1,2,3\n" + _lines(b"\n", size)),
+    "csv: a blank line each": (
+        _scan("csv"),
+        lambda size: b"1,2,3\n" + _lines(b"1,2,3\n \n", size, 999_998),
+    ),
+    "csv: one line": (_scan("csv"), lambda size: b"1,2,3\n" + b"1" * size),
+    "csv: the last line is wrong": (
+        _scan("csv"),
+        lambda size: b"x,y,z\n" + _lines(b"1.5,2.5,3.5\n", size, 1_999_990) + b"1,2\n",
+    ),
+    "csv: long numbers": (
+        _scan("csv"),
+        lambda size: _lines((b"1" * 5000 + b",") * 2 + b"3\n", min(size, 127 * 2**20)),
+    ),
+    "ply: text": (_scan("ply"), lambda size: _ply(b"1.5 2.5 3.5\n", size)),
+    "ply: text of many columns": (
+        _scan("ply"),
+        lambda size: _ply(b"1 " * 500 + b"\n", min(size, 120 * 2**20), 497),
+    ),
+    "ply: binary": (_scan("ply"), _big_endian),
+    "pcd: text": (
+        _scan("pcd"),
+        lambda size: _pcd(3, "ascii", 1_999_990, _lines(b"1.5 2.5 3.5\n", size, 1_999_990)),
+    ),
+    "pcd: binary of many fields": (
+        _scan("pcd"),
+        lambda size: _pcd(1000, "binary", size // 4000, bytes(size // 4000 * 4000)),
+    ),
+    "pcd: packed zeros": (_scan("pcd"), _pcd_packed),
+    "las: all returns": (_scan("las"), lambda size: _las(min(size // 20, 2**22), packed=False)),
+    "laz: all returns": (_scan("las"), lambda size: _las(2**22, packed=True)),
+    "ford: empty elements": (_scan("ford"), lambda size: _mat(_members(_element(9, b""), size))),
+    "ford: packed elements": (
+        _scan("ford"),
+        lambda size: _mat(_element(15, zlib.compress(_element(9, bytes(100 * 2**20)))) * 200),
+    ),
+    "velodyne: no packets": (_scan("velodyne"), lambda size: _captured([b""], size)),
+    "velodyne: quadratic fragments": (
+        _scan("velodyne"),
+        lambda size: _captured(_fragments(65_000), size),
+    ),
+    "velodyne: large fragments": (
+        _scan("velodyne"),
+        lambda size: _captured(_fragments(65_000, step=256), size),
+    ),
+    "velodyne: VLAN tags": (
+        _scan("velodyne"),
+        lambda size: _captured([bytes(12) + b"\x81\0\0\0" * 65_000], size),
+    ),
+    "velodyne: a sensor that stands": (
+        _scan("velodyne"),
+        lambda size: _captured(udp(hdl32(turns=0.01)[0], 2368), size),
+    ),
+    "ouster: no packets": (
+        _scan("ouster"),
+        lambda size: json.dumps(ouster_metadata()).encode() + _captured([b""], size),
+    ),
+    "ouster: a frame each column": (_scan("ouster"), _ouster_flips),
+    "ouster: no frame is whole": (
+        _scan("ouster"),
+        lambda size: json.dumps(ouster_metadata()).encode()
+        + _captured([f for p in ouster(496) for f in udp(p, 7502)], size),
+    ),
+    "poses: KITTI": (
+        _poses(KITTI),
+        lambda size: _lines(b"1 0 0 4.123456789 0 1 0 5.123456789 0 0 1 6.12\n", size, 10**6),
+    ),
+    "poses: KITTI, wide": (
+        _poses(KITTI),
+        lambda size: _lines(_WIDE, size, 10**6),
+    ),
+    "poses: KITTI, the last is wrong": (
+        _poses(KITTI),
+        lambda size: _lines(b"1 0 0 4.1 0 1 0 5.1 0 0 1 6.1\n", size, 999_999) + b"1 2 3\n",
+    ),
+    "poses: TUM, hard numbers": (
+        _poses(TUM),
+        lambda size: _lines(b"8.5e-300 8.5e-300 2.2e-308 8.5e-301 0 0 0 1\n", size, 10**6),
+    ),
+    "poses: CSV, nothing known": (
+        _poses(CSV),
+        lambda _: b"".join([_TABLE, *(b"%d, ,,,,,,\n" % i for i in range(999_998))]),
+    ),
+    "poses: CSV, blank lines": (
+        _poses(CSV),
+        lambda size: _TABLE + _lines(b"\n", size),
+    ),
+    "gzip: empty members": (_unpacked("gzip"), lambda _: _members(gzip.compress(b""), SENT)),
+    "gzip: members of 1 KiB": (
+        _unpacked("gzip"),
+        lambda _: _members(gzip.compress(bytes(1024)), SENT),
+    ),
+    "gzip: zeros": (_unpacked("gzip"), lambda _: gzip.compress(bytes(UNPACKED))),
+    "gzip: empty blocks": (
+        _unpacked("gzip"),
+        lambda _: gzip.compress(b"")[:10] + _members(b"\0\0\0\xff\xff", SENT),
+    ),
+    "zstd: empty frames": (_unpacked("zstd"), lambda _: _members(zstandard.compress(b""), SENT)),
+    "zstd: zeros": (_unpacked("zstd"), lambda _: zstandard.compress(bytes(UNPACKED))),
+}  # fmt: skip
+"""By name: what reads a body, and what makes it."""
+
+ARCHIVES: dict[str, tuple[Read, Make, str]] = {
+    "tar: empty files": (_tar_read, lambda size: _archive(500, b"", size), "tar"),
+    "tar: files of a byte": (_tar_read, lambda size: _archive(500, b"a", size), "tar"),
+    "tar: scans of 16 returns": (
+        _tar_read,
+        lambda size: _archive(500, _kitti(256), size),
+        "tar",
+    ),
+    "tar: scans of 100 returns": (
+        _tar_read,
+        lambda size: _archive(500, _kitti(1600), size),
+        "tar",
+    ),
+    "velodyne: fragments of 256 bytes": (
+        _scan("velodyne"),
+        lambda size: _captured(_fragments(65_000, step=256), size),
+        "velodyne",
+    ),
+    "velodyne: packets of 240 bytes": (
+        _scan("velodyne"),
+        lambda size: _captured(udp(bytes(200), 1), size),
+        "velodyne",
+    ),
+    "velodyne: empty packets": (
+        _scan("velodyne"),
+        lambda size: _captured([b""], size),
+        "velodyne",
+    ),
+}
+TWINS: dict[str, tuple[Read, Make]] = {
+    "tar": (_tar_read, lambda size: _archive(4, _TEXT_SCAN, size, "csv")),
+    "velodyne": (
+        _scan("velodyne"),
+        lambda size: _captured([f for p in hdl32(turns=3) for f in udp(p, 2368)], size),
+    ),
+}
+"""Well-formed ones, whose CPU a byte is what archives are held against: scans as text, a turn."""
+
+
+def _main(kind: str, name: str, size: int) -> None:
+    known: dict[str, Any] = {"single": SINGLE, "archive": ARCHIVES, "twin": TWINS}
+    read, make = known[kind][name][:2]
+    body = make(size)
+    idle_kb, forked_kb = _resident_kb(), _forked_kb()
+    _forget_peak()
+    start_s = _cpu_s()
+    try:
+        outcome = type(read(body)).__name__
+    except TensorMapError as error:
+        outcome = f"{type(error).__name__}: {error}"[:120]
+    cpu_s = _cpu_s() - start_s
+    child_kb = _forked_kb() if _forked_kb() > forked_kb else 0
+    # What the interpreter and its libraries take is there already: a body costs what it adds.
+    added_kb = max(_peak_kb() - idle_kb, 0) + len(body) // 1024 + child_kb
+    json.dump(
+        {
+            "bytes": len(body),
+            "cpu_s": round(cpu_s, 2),
+            "mb": round(added_kb / 1024),
+            "outcome": outcome,
+        },
+        sys.stdout,
+    )
+
+
+def _cpu_s() -> float:
+    children = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return time.process_time() + children.ru_utime + children.ru_stime
+
+
+def _forked_kb() -> int:
+    return resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss
+
+
+def _resident_kb() -> int:
+    return _status("VmRSS")
+
+
+def _peak_kb() -> int:
+    return _status("VmHWM")
+
+
+def _forget_peak() -> None:
+    Path("/proc/self/clear_refs").write_text("5", encoding="ascii")  # the peak is from now on
+
+
+def _status(key: str) -> int:
+    lines = Path("/proc/self/status").read_text(encoding="ascii").splitlines()
+    return next(int(line.split()[1]) for line in lines if line.startswith(key))
+
+
+if __name__ == "__main__":
+    _main(sys.argv[1], sys.argv[2], int(sys.argv[3]))
