@@ -62,7 +62,20 @@ def read_poses(body: bytes, media_type: str, first: int = 0) -> PoseFile:
             found.timestamps_s[scan] = timestamp_s
     if not found.poses:
         raise InvalidPose("the file has no line with a pose")
+    _require_rising(found.timestamps_s)
     return found
+
+
+def _require_rising(timestamps_s: dict[int, float]) -> None:
+    """Refuse times that fall from one scan to the next: lines of another order are other scans'."""
+    scans = sorted(timestamps_s)
+    falls = np.flatnonzero(np.diff([timestamps_s[scan] for scan in scans]) < 0.0)
+    if len(falls):
+        before, scan = scans[falls[0]], scans[falls[0] + 1]
+        raise InvalidPose(
+            f"scan {scan} is of {timestamps_s[scan]:.3f} s, before scan {before} of"
+            f" {timestamps_s[before]:.3f} s: wanted times that rise with the scans"
+        )
 
 
 _Row = tuple[int, int, float, Pose | None]
