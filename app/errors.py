@@ -194,6 +194,7 @@ STATUS: dict[type[core.TensorMapError], HTTPStatus] = {
     stored.MapExists: S.CONFLICT,
     stored.MapChanged: S.PRECONDITION_FAILED,
     stored.ScanConflict: S.CONFLICT,
+    stored.PosesDoNotFit: S.CONFLICT,
     stored.DriveClosed: S.CONFLICT,
     stored.ReturnsGone: S.CONFLICT,
     stored.NoLiveRevision: S.CONFLICT,

@@ -101,6 +101,12 @@ def build_revision(
             if drive.has_returns.all():
                 images_path(store, drive, map_parameters).unlink(missing_ok=True)
         built = _build_stored(store, drives, plan, map_parameters, progress)
+    left_over = [
+        f"drive {drive.slug} has {drive.expected_poses} poses of scans that it lacks: are they"
+        " another drive's?"
+        for drive in store.drives.of_map(map_id, plan.drives)
+        if drive.expected_poses
+    ]
     for _ in range(_ATTEMPTS):
         gate = None
         if parameters.make_live:
@@ -108,7 +114,7 @@ def build_revision(
             ids = {drive.name: drive.id for drive in drives}
             gate = pass_gate(store, map_id, ids, built.tensor_map, parameters)
             progress.advance()
-        facts = _facts(drives, plan, map_parameters, built, gate, job_id)
+        facts = _facts(drives, plan, map_parameters, built, gate, left_over, job_id)
         try:
             return _publish(store, map_id, built.tensor_map, facts, gate)
         except LostRace as error:
@@ -122,10 +128,11 @@ def _facts(
     map_parameters: MapParameters,
     built: Built,
     gate: Gate | None,
+    left_over: Sequence[str],
     job_id: str | None,
 ) -> RevisionFacts:
     tensor_map = built.tensor_map
-    notes = built.notes
+    notes = (*left_over, *built.notes)
     if gate is not None and gate.reason is not None:
         notes = (*notes, gate.reason)
     return RevisionFacts(

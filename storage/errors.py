@@ -12,6 +12,7 @@ StorageError                 a TensorMapError
 │   ├── MapExists            another map has this slug
 │   ├── MapChanged           the map is no longer at the version the caller saw
 │   ├── ScanConflict         other content is stored at this index
+│   ├── PosesDoNotFit        poses that cannot be those of the scans that are stored
 │   ├── DriveClosed          a closed drive takes no new scans
 │   ├── ReturnsGone          the returns of a scan were dropped after a build
 │   ├── NoLiveRevision       the map has no revision to answer with yet
@@ -50,6 +51,7 @@ __all__ = [
     "MapNotFound",
     "NoLiveRevision",
     "NotFound",
+    "PosesDoNotFit",
     "RequestKeyReused",
     "ReturnsGone",
     "RevisionIsLive",
@@ -112,6 +114,10 @@ class MapChanged(Conflict):
 
 class ScanConflict(Conflict):
     """Other content is stored at this index."""
+
+
+class PosesDoNotFit(Conflict):
+    """Poses that cannot be those of the scans that are stored: too few, or of another drive."""
 
 
 class DriveClosed(Conflict):

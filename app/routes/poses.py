@@ -10,12 +10,18 @@ from app.access.scopes import Scope, needs
 from app.bodies.bodies import Body, ContentType, binary_body, media_type
 from app.errors import JSON_BODY, WRITING, UnsupportedBody
 from app.problems import problems
-from app.schemas.drives import DriveOut
+from app.schemas.drives import DriveWithPosesOut
 from app.schemas.poses import PosesIn
 from app.service import DriveSlug, MapSlug, Running
-from app.uploads.pose_files import POSE_TYPES, read_poses
+from app.uploads.pose_files import CSV, POSE_TYPES, read_poses
 from core.errors import InvalidPose
-from storage.errors import DriveNotFound, InvalidSlug, MapNotFound, ScanNotFound
+from storage.errors import (
+    DriveNotFound,
+    InvalidSlug,
+    MapNotFound,
+    PosesDoNotFit,
+    ScanNotFound,
+)
 
 __all__ = ["router"]
 
@@ -26,6 +32,13 @@ _JSON = "application/json"
 First = Annotated[
     int,
     Query(ge=0, lt=2**52, description="The scan of the first line, of KITTI's and TUM's files."),
+]
+Partial = Annotated[
+    bool,
+    Query(
+        description="Set a file's poses even if their number, or scans that would lose theirs, show"
+        " that they cannot be those of all scans."
+    ),
 ]
 
 
@@ -42,7 +55,14 @@ First = Annotated[
         }
     },
     responses=problems(
-        MapNotFound, DriveNotFound, InvalidSlug, ScanNotFound, InvalidPose, *JSON_BODY, *WRITING
+        MapNotFound,
+        DriveNotFound,
+        InvalidSlug,
+        ScanNotFound,
+        PosesDoNotFit,
+        InvalidPose,
+        *JSON_BODY,
+        *WRITING,
     ),
 )
 def put_poses(
@@ -52,23 +72,33 @@ def put_poses(
     running: Running,
     content_type: ContentType = None,
     first: First = 0,
-) -> DriveOut:
+    partial: Partial = False,
+) -> DriveWithPosesOut:
     """Set poses and timestamps of scans, all or none; those of a file also of scans to come.
 
     As JSON, of scans that are stored only. From a file, what a scan to come has not of its own.
+    A file whose lines count scans is refused if it has fewer than the drive has scans, or more and
+    would replace other poses: it is another drive's, or cut off.
     """
     kind = media_type(content_type)
     drives = running.store.drives
     if kind in POSE_TYPES:
         found = read_poses(body, kind, first)
-        drives.expect_poses(map_slug, drive_slug, found.poses, found.timestamps_s)
+        put = drives.expect_poses(
+            map_slug,
+            drive_slug,
+            found.poses,
+            found.timestamps_s,
+            consecutive=kind != CSV,
+            partial=partial,
+        )
     elif kind == _JSON:
         poses, timestamps_s = _from_json(body).to_core()
-        drives.put_poses(map_slug, drive_slug, poses, timestamps_s)
+        put = drives.put_poses(map_slug, drive_slug, poses, timestamps_s)
     else:
         wanted = ", ".join((_JSON, *POSE_TYPES))
         raise UnsupportedBody(f"Content-Type is {kind[:80]!r}, wanted one of {wanted}")
-    return DriveOut.from_record(drives.get(map_slug, drive_slug))
+    return DriveWithPosesOut.of(drives.get(map_slug, drive_slug), put)
 
 
 def _from_json(body: bytes) -> PosesIn:

@@ -6,9 +6,9 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from storage.catalog import DriveRecord, IndexRange, ScanRecord
+from storage.catalog import DriveRecord, IndexRange, PosesPut, ScanRecord
 
-__all__ = ["DriveOut", "DrivePatch", "ScanOut"]
+__all__ = ["DriveOut", "DrivePatch", "DriveWithPosesOut", "ScanOut"]
 
 
 class IndexRangeOut(BaseModel):
@@ -36,6 +36,11 @@ class DriveOut(BaseModel):
         description="Scans whose returns were dropped after a build, as the map's policy asks. They"
         " stay listed, and sent again they are known; builds use the images that were kept."
     )
+    scans_with_pose: int
+    poses_waiting: int = Field(description="Poses of scans that are still to come.")
+    poses_left_over: int = Field(
+        description="Poses of scans that the drive was closed without: are they another drive's?"
+    )
     present: list[IndexRangeOut] = Field(description="The indices that are stored.")
     gaps: list[IndexRangeOut] = Field(description="The indices that are missing in between.")
 
@@ -50,9 +55,38 @@ class DriveOut(BaseModel):
             returns=record.returns,
             size_bytes=record.size_bytes,
             scans_without_returns=record.dropped_scans,
+            scans_with_pose=record.posed_scans,
+            poses_waiting=0 if record.closed else record.expected_poses,
+            poses_left_over=record.expected_poses if record.closed else 0,
             present=[IndexRangeOut.from_record(item) for item in record.present],
             gaps=[IndexRangeOut.from_record(item) for item in record.gaps],
         )
+
+
+class PosesPutOut(BaseModel):
+    """What became of poses that were put."""
+
+    model_config = ConfigDict(from_attributes=True)
+
+    set: int = Field(description="How many scans have a pose of them.")
+    replaced: int = Field(description="How many of these had another before.")
+    forgotten: int = Field(description="How many scans had a pose and have none now.")
+    waiting: int = Field(description="How many wait for scans to come.")
+    left_over: int = Field(
+        description="How many are of scans that the drive was closed without; they are not kept."
+    )
+
+
+class DriveWithPosesOut(DriveOut):
+    """A drive, and what became of poses that were put."""
+
+    poses: PosesPutOut
+
+    @classmethod
+    def of(cls, record: DriveRecord, put: PosesPut) -> "DriveWithPosesOut":
+        """Show both."""
+        drive = DriveOut.from_record(record)
+        return cls(**drive.model_dump(), poses=PosesPutOut.model_validate(put))
 
 
 class DrivePatch(BaseModel):

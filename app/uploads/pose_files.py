@@ -135,9 +135,21 @@ def _joined(parts: list[_Rows], first: int) -> PoseFile:
     timestamps_s = np.concatenate([part.timestamps_s for part in parts])[order]
     known = np.isfinite(timestamps_s)
     poses = np.concatenate([part.poses for part in parts])[order]
+    _require_rising(scans[known], timestamps_s[known])
     return PoseFile(
         ByScan(scans, poses, Pose.from_row), ByScan(scans[known], timestamps_s[known], float)
     )
+
+
+def _require_rising(scans: IntArray, timestamps_s: FloatArray) -> None:
+    """Refuse times that fall from one scan to the next: lines of another order are other scans'."""
+    falls = np.flatnonzero(np.diff(timestamps_s) < 0.0)
+    if len(falls):
+        before, after = falls[0], falls[0] + 1
+        raise InvalidPose(
+            f"scan {scans[after]} is of {timestamps_s[after]:.3f} s, before scan {scans[before]} of"
+            f" {timestamps_s[before]:.3f} s: wanted times that rise with the scans"
+        )
 
 
 def _block(parse: Callable[[bytes], _Rows], block: bytes, number: int) -> _Rows:

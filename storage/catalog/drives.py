@@ -8,7 +8,7 @@ from sqlalchemy.orm import Session
 
 from storage.catalog.database import Database
 from storage.catalog.maps import map_named, map_of_id
-from storage.catalog.models import Drive, Map, Scan
+from storage.catalog.models import Drive, ExpectedPose, Map, Scan
 from storage.catalog.pages import DEFAULT_LIMIT, one_more, page_of
 from storage.catalog.records import DriveRecord, IndexRange, Page
 from storage.errors import DriveNotFound
@@ -142,6 +142,7 @@ def _records(session: Session, rows: Sequence[Drive]) -> list[DriveRecord]:
             Scan.index.label("at"),
             Scan.returns,
             case((Scan.chunk == "", 1), else_=0).label("dropped"),
+            case((Scan.pose.is_(None), 0), else_=1).label("posed"),
             (Scan.index - rank).label("island"),
         )
         .where(Scan.drive_id.in_([row.id for row in rows]))
@@ -155,6 +156,7 @@ def _records(session: Session, rows: Sequence[Drive]) -> list[DriveRecord]:
             func.sum(ranked.c.returns),
             func.sum(ranked.c.dropped),
             func.sum(ranked.c.dropped * ranked.c.returns),
+            func.sum(ranked.c.posed),
         )
         .group_by(ranked.c.drive_id, ranked.c.island)
         .order_by(ranked.c.drive_id, func.min(ranked.c.at))
@@ -163,11 +165,19 @@ def _records(session: Session, rows: Sequence[Drive]) -> list[DriveRecord]:
     returns: dict[str, int] = defaultdict(int)
     dropped_scans: dict[str, int] = defaultdict(int)
     dropped_returns: dict[str, int] = defaultdict(int)
-    for drive_id, first, last, count, without, gone in session.execute(islands):
+    posed: dict[str, int] = defaultdict(int)
+    for drive_id, first, last, count, without, gone, with_pose in session.execute(islands):
         present[drive_id].append(IndexRange(first, last))
         returns[drive_id] += int(count)
         dropped_scans[drive_id] += int(without)
         dropped_returns[drive_id] += int(gone)
+        posed[drive_id] += int(with_pose)
+    waiting = (
+        select(ExpectedPose.drive_id, func.count())
+        .where(ExpectedPose.drive_id.in_([row.id for row in rows]), ExpectedPose.pose.is_not(None))
+        .group_by(ExpectedPose.drive_id)
+    )
+    expected = {row[0]: int(row[1]) for row in session.execute(waiting)}
     return [
         DriveRecord(
             id=row.id,
@@ -180,6 +190,8 @@ def _records(session: Session, rows: Sequence[Drive]) -> list[DriveRecord]:
             dropped_scans=dropped_scans[row.id],
             kept_returns=returns[row.id] - dropped_returns[row.id],
             present=tuple(present[row.id]),
+            posed_scans=posed[row.id],
+            expected_poses=expected.get(row.id, 0),
         )
         for row in rows
     ]

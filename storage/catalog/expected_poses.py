@@ -10,8 +10,9 @@ from sqlalchemy.orm import Session
 from core.pose import Pose
 from storage.catalog.models import ExpectedPose
 from storage.catalog.records import ScanRecord
+from storage.errors import PosesDoNotFit
 
-__all__ = ["expect", "met"]
+__all__ = ["expect", "met", "require_fit"]
 
 
 def expect(
@@ -28,6 +29,57 @@ def expect(
     ]
     if rows:
         session.execute(insert(ExpectedPose), rows)
+
+
+def require_fit(
+    drive_slug: str,
+    poses: Mapping[int, Pose | None],
+    stored: Mapping[int, ScanRecord],
+    last_index: int | None,
+    *,
+    consecutive: bool,
+) -> None:
+    """Refuse a file of poses that cannot be those of a drive's scans.
+
+    Args:
+        drive_slug: The drive.
+        poses: By scan index, at least one.
+        stored: The scans that are there, of those of the poses.
+        last_index: Of the drive's scans, `None` without one.
+        consecutive: Whether lines count scans, so that a wrong number shows another drive's file.
+
+    Raises:
+        PosesDoNotFit: If poses that are stored would be forgotten; or lines count scans, and there
+            are too few for the drive, or too many, and they would replace other poses.
+    """
+    insist = "; partial=true sets them all the same"
+    if last_index is not None and consecutive:
+        first, last = min(poses), max(poses)
+        counted = f"the file has {len(poses)} lines, of scans {first} to {last}"
+        if last < last_index:
+            raise PosesDoNotFit(
+                f"{counted}, drive {drive_slug!r} has scans up to {last_index}{insist}"
+            )
+        replaced = [i for i, scan in stored.items() if scan.pose not in {None, poses.get(i)}]
+        if last > last_index and replaced:
+            raise PosesDoNotFit(
+                f"{counted}, drive {drive_slug!r} has scans up to {last_index} and other poses of"
+                f" {len(replaced)} of them{insist}"
+            )
+    forgotten = _forgotten(poses, stored)
+    if forgotten:
+        raise PosesDoNotFit(
+            f"the file has no pose of scan {min(forgotten)} of drive {drive_slug!r}, which has one"
+            f" ({len(forgotten)} scans would lose theirs){insist}"
+        )
+
+
+def _forgotten(poses: Mapping[int, Pose | None], stored: Mapping[int, ScanRecord]) -> list[int]:
+    return [
+        index
+        for index, scan in stored.items()
+        if index in poses and poses[index] is None and scan.pose is not None
+    ]
 
 
 def met(session: Session, drive_id: str, records: Sequence[ScanRecord]) -> list[ScanRecord]:

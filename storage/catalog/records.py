@@ -78,6 +78,8 @@ class DriveRecord:
         dropped_scans: Of how many scans the returns were dropped after a build.
         kept_returns: How many returns are stored: those of the other scans.
         present: The indices there are, as ranges in ascending order.
+        posed_scans: How many scans have a pose.
+        expected_poses: How many poses are kept of scans that are not there.
     """
 
     id: str
@@ -90,6 +92,8 @@ class DriveRecord:
     dropped_scans: int
     kept_returns: int
     present: tuple[IndexRange, ...]
+    posed_scans: int = 0
+    expected_poses: int = 0
 
     @property
     def first_index(self) -> int | None:
@@ -111,6 +115,25 @@ class DriveRecord:
     def size_bytes(self) -> int:
         """What the returns take; a chunk file adds some 5 KB to its own."""
         return self.kept_returns * BYTES_PER_RETURN
+
+
+@dataclass(frozen=True)
+class PosesPut:
+    """What became of poses that were put.
+
+    Attributes:
+        set: How many scans have a pose of them.
+        replaced: How many of these had another before.
+        forgotten: How many scans had a pose and have none now.
+        waiting: How many wait for scans to come.
+        left_over: How many are of scans that the drive was closed without; they are not kept.
+    """
+
+    set: int
+    replaced: int
+    forgotten: int
+    waiting: int = 0
+    left_over: int = 0
 
 
 @dataclass(frozen=True)

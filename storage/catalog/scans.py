@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 
 from sqlalchemy import func, insert, select, update
@@ -12,10 +12,10 @@ from sqlalchemy.orm import Session
 from core.pose import Pose
 from storage.catalog.database import Database
 from storage.catalog.drives import drive_named
-from storage.catalog.expected_poses import expect, met
+from storage.catalog.expected_poses import expect, met, require_fit
 from storage.catalog.maps import map_named
 from storage.catalog.models import Drive, Map, Scan
-from storage.catalog.records import BYTES_PER_RETURN, ScanRecord
+from storage.catalog.records import BYTES_PER_RETURN, PosesPut, ScanRecord
 from storage.errors import ScanNotFound, StorageBusy
 from storage.names import checked_slug, new_id
 
@@ -140,7 +140,7 @@ class Scans:
         drive_slug: str,
         poses: Mapping[int, Pose | None],
         timestamps_s: Mapping[int, float],
-    ) -> None:
+    ) -> PosesPut:
         """Set poses and timestamps of scans that are there: all or nothing.
 
         Raises:
@@ -151,7 +151,8 @@ class Scans:
         wanted = {*poses, *timestamps_s}
         with self._database.writing() as session:
             drive_id = drive_named(session, map_slug, drive_slug, lock=True).id
-            missing = sorted(wanted - _among(session, drive_id, wanted).keys())
+            stored = _among(session, drive_id, wanted)
+            missing = sorted(wanted - stored.keys())
             if missing:
                 raise ScanNotFound(
                     f"drive {drive_slug!r} has no scan {missing[0]}"
@@ -161,29 +162,47 @@ class Scans:
             _update(
                 session, drive_id, "timestamp_s", {i: _known(t) for i, t in timestamps_s.items()}
             )
+            return _put(poses, stored)
 
     def expect_poses(
         self,
         target: PutTarget,
         poses: Mapping[int, Pose | None],
         timestamps_s: Mapping[int, float],
-    ) -> None:
+        *,
+        consecutive: bool = False,
+        partial: bool = False,
+    ) -> PosesPut:
         """Set poses and timestamps of scans that are there, and keep those of scans to come.
+
+        Args:
+            target: The drive.
+            poses: By scan index.
+            timestamps_s: By scan index.
+            consecutive: Whether they are of consecutive scans, one a line.
+            partial: Set them even if they cannot be those of all scans; of a closed drive those
+                of scans that it lacks are left over.
 
         Raises:
             LostRace: If the target is no longer what it was.
             ScanNotFound: If the drive is closed and lacks one of the scans.
+            PosesDoNotFit: If they cannot be those of the drive's scans.
         """
         wanted = {*poses, *timestamps_s}
         try:
             with self._database.writing() as session:
                 self._hold(session, target)
-                there = _among(session, target.drive_id, wanted).keys()
-                missing = wanted - there
-                if missing and target.closed:
+                there = _among(session, target.drive_id, wanted)
+                missing = wanted - there.keys()
+                if missing and target.closed and not partial:
                     raise ScanNotFound(
                         f"drive {target.drive_slug!r} is closed and has no scan {min(missing)}"
                     )
+                if not partial:
+                    last = session.scalar(
+                        select(func.max(Scan.index)).where(Scan.drive_id == target.drive_id)
+                    )
+                    require_fit(target.drive_slug, poses, there, last, consecutive=consecutive)
                 for name, values in (
                     ("pose", {i: _pose_value(pose) for i, pose in poses.items()}),
                     ("timestamp_s", {i: _known(t) for i, t in timestamps_s.items()}),
@@ -194,6 +213,9 @@ class Scans:
                         name,
                         {index: value for index, value in values.items() if index in there},
                     )
+                extra = sum(poses.get(index) is not None for index in missing)
+                if target.closed:
+                    return replace(_put(poses, there), left_over=extra)
                 expect(
                     session,
                     target.drive_id,
@@ -202,6 +224,7 @@ class Scans:
                         for index in missing
                     },
                 )
+                return replace(_put(poses, there), waiting=extra)
         except IntegrityError as error:  # databases that let two writers in at once
             raise LostRace(f"drive {target.drive_slug!r} changed meanwhile") from error
 
@@ -294,6 +317,16 @@ def _record(row: Scan) -> ScanRecord:
         dropped_returns=row.dropped_returns,
         timestamp_s=math.nan if row.timestamp_s is None else row.timestamp_s,
         pose=None if row.pose is None else Pose(*row.pose),
+    )
+
+
+def _put(poses: Mapping[int, Pose | None], stored: Mapping[int, ScanRecord]) -> PosesPut:
+    """Count what poses of scans that were stored become."""
+    pairs = [(poses[index], scan.pose) for index, scan in stored.items() if index in poses]
+    return PosesPut(
+        set=sum(pose is not None for pose, _ in pairs),
+        replaced=sum(None not in {pose, had} and pose != had for pose, had in pairs),
+        forgotten=sum(pose is None and had is not None for pose, had in pairs),
     )
 
 

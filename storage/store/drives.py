@@ -10,7 +10,7 @@ from pathlib import Path
 from core.errors import InvalidParameters
 from core.pose import Pose
 from core.scan import Scan
-from storage.catalog import Catalog, DriveRecord, ScanRecord
+from storage.catalog import Catalog, DriveRecord, PosesPut, ScanRecord
 from storage.catalog.scans import LostRace, PutTarget
 from storage.drive_chunks import scan_digest, write_chunk
 from storage.errors import (
@@ -140,7 +140,7 @@ class Drives:
         drive_slug: str,
         poses: Mapping[int, Pose | None],
         timestamps_s: Mapping[int, float] | None = None,
-    ) -> None:
+    ) -> PosesPut:
         """Set poses, and timestamps, of scans that are there: all or none; closed drives too.
 
         Raises:
@@ -148,7 +148,7 @@ class Drives:
             DriveNotFound: If it has no such drive.
             ScanNotFound: If one of the scans is not there.
         """
-        self._catalog.scans.set_poses(map_slug, drive_slug, poses, timestamps_s or {})
+        return self._catalog.scans.set_poses(map_slug, drive_slug, poses, timestamps_s or {})
 
     def expect_poses(
         self,
@@ -156,21 +156,36 @@ class Drives:
         drive_slug: str,
         poses: Mapping[int, Pose | None],
         timestamps_s: Mapping[int, float] | None = None,
-    ) -> None:
+        *,
+        consecutive: bool = False,
+        partial: bool = False,
+    ) -> PosesPut:
         """Set poses, and timestamps, of scans that are there and of those to come: all or none.
 
         A scan that comes with a pose or time of its own keeps it. The drive is made if it is new.
+
+        Args:
+            map_slug: The map.
+            drive_slug: The drive.
+            poses: By scan index, `None` where unknown.
+            timestamps_s: By scan index.
+            consecutive: Whether they are of consecutive scans, so that their number says whether
+                they are this drive's.
+            partial: Set them whatever their number; those of scans that a closed drive lacks are
+                left over.
 
         Raises:
             MapNotFound: If there is no such map.
             InvalidSlug: If the drive is new, and its name is no slug.
             ScanNotFound: If the drive is closed and lacks one of the scans.
+            PosesDoNotFit: If they cannot be those of the drive's scans.
         """
         for _ in range(_ATTEMPTS):
             target = self._catalog.scans.target(map_slug, drive_slug, ())
             with suppress(LostRace):
-                self._catalog.scans.expect_poses(target, poses, timestamps_s or {})
-                return
+                return self._catalog.scans.expect_poses(
+                    target, poses, timestamps_s or {}, consecutive=consecutive, partial=partial
+                )
         raise StorageBusy(f"drive {drive_slug!r} changed {_ATTEMPTS} times while poses were put")
 
     def close(self, map_slug: str, drive_slug: str) -> DriveRecord:

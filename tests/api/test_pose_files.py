@@ -116,6 +116,91 @@ def test_a_file_that_is_wrong_in_one_line_changes_nothing(empty, body, kind, pro
     assert (whole_store(empty), records(empty)) == before
 
 
+def lines(count, first_m=0.0):
+    return "".join(f"1 0 0 {first_m + i} 0 1 0 0 0 0 1 0\n" for i in range(count))
+
+
+@pytest.fixture
+def posed(empty):
+    """A drive of three scans with good poses."""
+    for index in range(3):
+        upload_scan(empty, "campus", "monday", index, SCANS[index])
+    put(empty, lines(3), KITTI)
+    return empty
+
+
+def test_an_upload_of_poses_answers_how_many_were_set_and_how_many_wait(empty):
+    upload_scan(empty, "campus", "monday", 0, SCANS[0])
+    told = put(empty, lines(3), KITTI).json()
+    counts = {"set": 1, "replaced": 0, "forgotten": 0, "waiting": 2, "left_over": 0}
+    assert told["poses"] == counts
+    assert (told["scans_with_pose"], told["poses_waiting"], told["poses_left_over"]) == (1, 2, 0)
+    upload_scan(empty, "campus", "monday", 1, SCANS[1])
+    drive = empty.get(DRIVE).json()
+    assert (drive["scans_with_pose"], drive["poses_waiting"]) == (2, 1)
+    drive = empty.patch(DRIVE, json={"closed": True}).json()
+    assert (drive["scans_with_pose"], drive["poses_waiting"], drive["poses_left_over"]) == (2, 0, 1)
+
+
+@pytest.mark.parametrize("count", [2, 9])
+def test_poses_of_another_drive_do_not_replace_good_ones(posed, count):
+    before = records(posed)
+    refused = put(posed, lines(count, first_m=50.0), KITTI)
+    assert problem_of(refused) == (409, "poses-do-not-fit")
+    assert f"{count} lines" in refused.json()["detail"]
+    assert "partial=true" in refused.json()["detail"]
+    assert records(posed) == before
+    told = put(posed, lines(count, first_m=50.0), KITTI, partial=True).json()["poses"]
+    assert told["set"] == told["replaced"] == min(count, 3)
+    assert told["waiting"] == max(0, count - 3)
+
+
+def test_too_few_poses_are_refused_also_where_there_were_none(empty):
+    for index in range(3):
+        upload_scan(empty, "campus", "monday", index, SCANS[index])
+    assert problem_of(put(empty, lines(2), KITTI)) == (409, "poses-do-not-fit")
+    assert empty.get(DRIVE).json()["scans_with_pose"] == 0
+    assert put(empty, lines(2), KITTI, partial=True).json()["scans_with_pose"] == 2
+    assert put(empty, lines(1, 2.0), KITTI, first=2).json()["scans_with_pose"] == 3
+
+
+def test_a_file_does_not_take_poses_away(posed):
+    body = f"{lines(1)}{'nan ' * 12}\n{lines(1, 2.0)}"
+    refused = put(posed, body, KITTI)
+    assert problem_of(refused) == (409, "poses-do-not-fit")
+    assert "scan 1" in refused.json()["detail"]
+    assert put(posed, body, KITTI, partial=True).json()["poses"]["forgotten"] == 1
+
+
+def test_the_same_poses_and_better_ones_of_all_scans_are_set(posed):
+    assert put(posed, lines(3), KITTI).json()["poses"]["replaced"] == 0
+    assert put(posed, lines(5), KITTI).json()["poses"]["waiting"] == 2
+    assert put(posed, lines(3, first_m=0.5), KITTI).json()["poses"]["replaced"] == 3
+
+
+def test_poses_of_scans_that_a_closed_drive_lacks_are_left_over(posed):
+    posed.patch(DRIVE, json={"closed": True})
+    assert problem_of(put(posed, lines(9), KITTI)) == (404, "scan-not-found")
+    told = put(posed, lines(9), KITTI, partial=True).json()
+    assert (told["poses"]["set"], told["poses"]["left_over"]) == (3, 6)
+    assert told["poses_left_over"] == 0
+
+
+def test_poses_as_json_are_counted_too(posed):
+    own = {"scan": 1, "pose": [9, 9, 9, 0, 0, 0, 1]}
+    told = posed.put(f"{DRIVE}/poses", json={"poses": [own, {"scan": 2, "pose": None}]}).json()
+    counts = {"set": 1, "replaced": 1, "forgotten": 1, "waiting": 0, "left_over": 0}
+    assert told["poses"] == counts
+    assert told["scans_with_pose"] == 2
+
+
+def test_times_that_fall_are_refused(posed):
+    body = "1 0 0 0 0 0 0 1\n3 1 0 0 0 0 0 1\n2 2 0 0 0 0 0 1\n"
+    refused = put(posed, body, TUM)
+    assert problem_of(refused) == (422, "invalid-pose")
+    assert "scan 2 is of 2.000 s, before scan 1 of 3.000 s" in refused.json()["detail"]
+
+
 def test_poses_for_a_map_that_is_not_there_are_refused(empty):
     refused = empty.put(
         "/v1/maps/none/drives/monday/poses",
