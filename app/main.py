@@ -26,6 +26,7 @@ from app.problems import add_handlers
 from app.process import one_blas_thread
 from app.revisions import LoadedRevisions
 from app.routes import api, open_routes, streams
+from app.scrub import Scrub
 from app.service import Service
 from app.settings import Settings
 from app.systemd import supervised
@@ -111,6 +112,8 @@ def _start(settings: Settings, metrics: Metrics) -> Service:
     runner = JobRunner(settings, store, ended=ended)
     runner.start()
     collector.start()
+    scrub = Scrub(store, metrics, settings.scrub_days)
+    scrub.start()
     return Service(
         settings=settings,
         store=store,
@@ -120,10 +123,12 @@ def _start(settings: Settings, metrics: Metrics) -> Service:
         tracks=Tracks(settings.max_tracks, settings.track_idle_s),
         metrics=metrics,
         collector=collector,
+        scrub=scrub,
     )
 
 
 def _stop(service: Service) -> None:
     service.runner.stop()
     service.collector.stop()
+    service.scrub.stop()
     service.store.close()

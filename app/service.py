@@ -10,6 +10,7 @@ from app.collector import GarbageCollector
 from app.jobs.runner import JobRunner
 from app.metrics import Metrics
 from app.revisions import LoadedRevisions
+from app.scrub import Scrub
 from app.settings import Settings
 from app.tracks import Tracks
 from storage.names import SLUG_PATTERN
@@ -31,6 +32,7 @@ class Service:
         tracks: Vehicles that are followed.
         metrics: What is counted.
         collector: Removes what is not retained.
+        scrub: Checks what is stored.
     """
 
     settings: Settings
@@ -41,6 +43,7 @@ class Service:
     tracks: Tracks
     metrics: Metrics
     collector: GarbageCollector
+    scrub: Scrub
 
 
 async def running_service(request: Request) -> Service:
