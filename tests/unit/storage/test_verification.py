@@ -206,3 +206,17 @@ def test_a_start_removes_what_killed_backups_left_in_the_data_directory(filled):
     (data / "backup.tar").touch()  # a backup, and none of a server's business
     filled.recover()
     assert {path.name for path in data.iterdir() if "backup" in path.name} == {"backup.tar"}
+
+
+def test_a_store_on_any_database_is_verified_and_repaired(database_url, tmp_path):
+    with Store(tmp_path / "data", database_url) as store:
+        store.maps.create("campus")
+        for index in range(3):
+            store.drives.put_scan("campus", "monday", index, sample_scan(index, 200))
+        store.drives.close("campus", "monday")
+        assert verify(store).findings == ()
+        flip(packed(store), sample_scan(1, 200).points_m.tobytes())
+        found = verify(store, repair=True)
+        assert [finding.condition for finding in found.findings] == [Condition.DAMAGED]
+        for index in (0, 2):
+            assert len(store.drives.read_scan("campus", "monday", index)) == 200
