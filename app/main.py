@@ -27,6 +27,7 @@ from app.problems import add_handlers
 from app.process import one_blas_thread
 from app.revisions import LoadedRevisions
 from app.routes import api, open_routes, streams
+from app.scrub import Scrub
 from app.service import Service
 from app.settings import Settings
 from app.streams import Streams
@@ -113,6 +114,8 @@ def _start(settings: Settings, metrics: Metrics) -> Service:
     runner = JobRunner(settings, store, ended=ended)
     runner.start()
     collector.start()
+    scrub = Scrub(store, metrics, settings.scrub_days)
+    scrub.start()
     return Service(
         settings=settings,
         store=store,
@@ -124,10 +127,12 @@ def _start(settings: Settings, metrics: Metrics) -> Service:
         job_events=JobEvents(store, access),
         metrics=metrics,
         collector=collector,
+        scrub=scrub,
     )
 
 
 def _stop(service: Service) -> None:
     service.runner.stop()
     service.collector.stop()
+    service.scrub.stop()
     service.store.close()

@@ -87,6 +87,22 @@ class Metrics:
         self._catalog_up = Gauge(
             "tensormap_catalog_up", "1 if the catalog could be read just now.", registry=registry
         )
+        self._scrubbed = Counter(
+            "tensormap_scrub_files",
+            "Stored files that were read and checked in the background, by what was found.",
+            ["result"],
+            registry=registry,
+        )
+        self._scrub_damaged = Gauge(
+            "tensormap_scrub_damaged_files",
+            "Files that were damaged or missing when they were last checked.",
+            registry=registry,
+        )
+        self._scrub_passed_s = Gauge(
+            "tensormap_scrub_last_pass_timestamp_seconds",
+            "When all stored files had been checked last; 0 before the first time.",
+            registry=registry,
+        )
         self._lock = threading.Lock()
         self._added_up_at: float | None = None
         self._stored: _StoredScans | None = None
@@ -115,6 +131,15 @@ class Metrics:
         self._builds.labels(job.state.value).inc()
         seconds = (job.finished_at - job.started_at).total_seconds()
         self._build_s.labels(job.state.value).observe(max(seconds, 0.0))
+
+    def scrubbed(self, result: str) -> None:
+        """Count a stored file that was checked: `good`, `damaged`, `missing` or `unreadable`."""
+        self._scrubbed.labels(result).inc()
+
+    def scrub_state(self, damaged: int, passed_at_s: float) -> None:
+        """Note how many files are damaged, and when the last pass over all of them ended."""
+        self._scrub_damaged.set(damaged)
+        self._scrub_passed_s.set(passed_at_s)
 
     def render(self, store: Store, tracks: int) -> bytes:
         """Return all metrics as text; what the store holds is looked up now.

@@ -11,6 +11,7 @@ from app.job_events import JobEvents
 from app.jobs.runner import JobRunner
 from app.metrics import Metrics
 from app.revisions import LoadedRevisions
+from app.scrub import Scrub
 from app.settings import Settings
 from app.streams import Streams
 from app.tracks import Tracks
@@ -35,6 +36,7 @@ class Service:
         job_events: Of jobs that clients follow.
         metrics: What is counted.
         collector: Removes what is not retained.
+        scrub: Checks what is stored.
     """
 
     settings: Settings
@@ -47,6 +49,7 @@ class Service:
     job_events: JobEvents
     metrics: Metrics
     collector: GarbageCollector
+    scrub: Scrub
 
 
 async def running_service(request: Request) -> Service:

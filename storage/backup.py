@@ -32,7 +32,7 @@ from tempfile import TemporaryDirectory
 from typing import BinaryIO
 
 from storage.checker import Checker
-from storage.claims import claimed, remove_abandoned
+from storage.claims import abandoned_copies, claimed, remove_abandoned
 from storage.errors import CorruptFile, StorageBusy, StorageUnavailable
 from storage.files import named_disk_errors, publish
 from storage.store.layout import Layout
@@ -45,7 +45,6 @@ __all__ = [
     "MANIFEST",
     "STORE_ID",
     "Backup",
-    "abandoned_copies",
     "named_files",
     "store_id_of",
     "write_backup",
@@ -147,19 +146,6 @@ def _folder_beside(output: Path) -> Iterator[Path]:
     prefix, parent = ".tensormap-backup-", output.absolute().parent
     with TemporaryDirectory(prefix=prefix, dir=parent) as folder, claimed(Path(folder)):
         yield Path(folder)
-
-
-def abandoned_copies(folder: Path) -> list[Path]:
-    """Return the folders with a catalog's copy that backups made in a folder, also older versions.
-
-    Whether one is still in use, `storage.claims.remove_abandoned` finds out.
-    """
-    found = [*folder.glob(".tensormap-backup-*"), *folder.glob(".backup-????????")]
-    return [
-        path
-        for path in found
-        if path.is_dir() and all(held.name.startswith(CATALOG) for held in path.iterdir())
-    ]
 
 
 def _copy_files(

@@ -7,7 +7,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-__all__ = ["claimed", "remove_abandoned"]
+__all__ = ["abandoned_copies", "claimed", "remove_abandoned"]
+
+_CATALOG = "catalog.sqlite3"
 
 
 @contextmanager
@@ -41,3 +43,16 @@ def remove_abandoned(path: Path) -> bool:
     finally:
         os.close(descriptor)
     return not path.exists()
+
+
+def abandoned_copies(folder: Path) -> list[Path]:
+    """Return the folders with a catalog's copy that backups made in a folder, also older versions.
+
+    Whether one is still in use, `remove_abandoned` finds out.
+    """
+    found = [*folder.glob(".tensormap-backup-*"), *folder.glob(".backup-????????")]
+    return [
+        path
+        for path in found
+        if path.is_dir() and all(held.name.startswith(_CATALOG) for held in path.iterdir())
+    ]

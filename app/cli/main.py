@@ -17,6 +17,7 @@ _MODULES = {
     "serve": "serve",
     "backup": "backup",
     "restore": "backup",
+    "verify": "verify",
     "demo": "demo",
     "build": "maps",
     "merge": "merge",

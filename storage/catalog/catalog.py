@@ -44,6 +44,13 @@ class Catalog:
         self.tokens = Tokens(self._database)
         self.audit = Audit(self._database)
 
+    def faults(self) -> list[str]:
+        """Return what is wrong with the database itself, in words; nothing if it is sound.
+
+        Only of SQLite: PostgreSQL has tools of its own.
+        """
+        return self._database.faults()
+
     def close(self) -> None:
         """Close the idle connections."""
         self._database.close()

@@ -117,6 +117,19 @@ class Database:
         if act is not None:
             act.recorded = True
 
+    def faults(self) -> list[str]:
+        """Return what is wrong with a SQLite database, in words."""
+        if self.engine.dialect.name != "sqlite":
+            return []
+        try:
+            with self._reading_engine.connect() as connection:
+                said = [str(row[0]) for row in connection.exec_driver_sql("PRAGMA integrity_check")]
+                broken = connection.exec_driver_sql("PRAGMA foreign_key_check").all()
+        except (SQLAlchemyError, sqlite3.Error) as error:
+            return [str(error)]
+        told = [] if said == ["ok"] else said
+        return told + [f"a row of {row[0]} refers to none of {row[2]}" for row in broken]
+
     def close(self) -> None:
         """Close the idle connections."""
         self.engine.dispose()

@@ -227,10 +227,11 @@ class Revisions:
         with self._database.reading() as session:
             return int(session.scalar(select(func.sum(Revision.size_bytes))) or 0)
 
-    def files(self, map_id: str) -> set[str]:
-        """Return the names of the files that hold the revisions of a map."""
+    def files(self, map_id: str) -> dict[str, str]:
+        """Return the digests of the revisions of a map, by the names of their files."""
+        query = select(Revision.file_name, Revision.digest).where(Revision.map_id == map_id)
         with self._database.reading() as session:
-            return set(session.scalars(select(Revision.file_name).where(Revision.map_id == map_id)))
+            return {row.file_name: row.digest for row in session.execute(query)}
 
 
 def _make_live(session: Session, of_map: Map, digest: str) -> None:

@@ -2,6 +2,7 @@
 
 import os
 import shutil
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Self
 
@@ -10,9 +11,10 @@ from storage.files import make_folder, named_disk_errors
 from storage.store.drives import Drives
 from storage.store.identity import check_identity
 from storage.store.layout import Layout
+from storage.store.leftovers import sweep
 from storage.store.maps import Maps
 from storage.store.permissions import make_private
-from storage.store.recovery import ServerLock, sweep
+from storage.store.recovery import ServerLock
 from storage.store.revisions import Revisions
 
 __all__ = ["Store"]
@@ -122,6 +124,14 @@ class Store:
         make_private(self.layout)
         sweep(self.catalog, self.layout)
         self.jobs.requeue_interrupted()
+
+    def owned(self) -> AbstractContextManager[None]:
+        """Own the data directory for a block, as a server does, or go on owning it.
+
+        Raises:
+            DataDirInUse: If another server runs on it.
+        """
+        return self._lock.held()
 
     def lacking(self) -> list[str]:
         """Return what keeps the data directory from being written, in words; nothing if it can."""

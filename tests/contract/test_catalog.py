@@ -245,7 +245,7 @@ class TestDrivesAndScans:
         job = catalog.jobs.create("campus", {})
         catalog.maps.delete("campus")
         assert catalog.scans.of_drive(target.drive_id) == []
-        assert catalog.revisions.files(target.map_id) == set()
+        assert catalog.revisions.files(target.map_id) == {}
         assert catalog.drives.known() == set()
         with pytest.raises(JobNotFound):
             catalog.jobs.get(job.id)

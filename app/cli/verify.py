@@ -1,0 +1,61 @@
+"""`tensormap verify`: is everything stored what was stored?"""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from app.cli.console import output, progress_bar
+from app.process import private_files
+from app.settings import Settings
+from storage.errors import StorageUnavailable
+from storage.store import Store
+from storage.store.layout import Layout
+from storage.store.verification import Finding
+from storage.store.verification import verify as verify_store
+
+__all__ = ["verify"]
+
+
+def verify(
+    data: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="The service's data. [data]")
+    ] = None,
+    repair: Annotated[
+        bool,
+        typer.Option(
+            "--repair", help="Set aside what is damaged and sweep; the service must be stopped."
+        ),
+    ] = False,
+) -> None:
+    """Check every stored file against its digest, and list what is damaged, missing or left over.
+
+    The exit status is 1 if something that the catalog names is damaged or missing; what is left
+    over harms nothing. Nothing that may be the only copy of something is ever removed.
+    """
+    settings = Settings() if data is None else Settings(data_dir=data)
+    layout = Layout(settings.data_dir.absolute())
+    at_hand = layout.store_id if settings.catalog_url else layout.catalog
+    if not at_hand.exists():
+        raise StorageUnavailable(
+            f"{settings.data_dir} is no data directory: it has no {at_hand.name}"
+        )
+    private_files()
+    with Store(settings.data_dir, settings.catalog_url) as store, progress_bar() as bar:
+        found = verify_store(store, repair=repair, progress=bar)
+    for finding in found.findings:
+        output().print(_line(finding), markup=False, soft_wrap=True, highlight=False)
+    losses = sum(finding.is_loss for finding in found.findings)
+    output().print(
+        f"{settings.data_dir}: {found.files} files checked, {losses} damaged or missing",
+        markup=False,
+        soft_wrap=True,
+        highlight=False,
+    )
+    if not found.is_whole:
+        raise typer.Exit(1)
+
+
+def _line(finding: Finding) -> str:
+    done = f" ({finding.done})" if finding.done else ""
+    return f"{finding.condition}: {finding.path}: {finding.what}{done}"

@@ -1,0 +1,88 @@
+"""The files that the catalog names, and the images that builds cache of its drives."""
+
+from collections.abc import Iterator
+
+from storage.catalog import Catalog
+from storage.checker import Checker
+from storage.store.layout import Layout
+from storage.stored_file import Fault, StoredFile
+
+__all__ = ["Inventory"]
+
+
+class Inventory:
+    """What should be in a data directory, as the catalog has it when it is asked.
+
+    Args:
+        catalog: What is named.
+        layout: Where it is.
+    """
+
+    def __init__(self, catalog: Catalog, layout: Layout) -> None:
+        self._catalog = catalog
+        self._layout = layout
+
+    def files(self) -> Iterator[StoredFile]:
+        """Yield each file, map by map; what is added meanwhile may be left out."""
+        for map_id, drives in self._drives():
+            for drive_id in drives:
+                yield from self._of_drive(map_id, drive_id)
+            folder = self._path(self._layout.revisions(map_id))
+            for name, digest in sorted(self._catalog.revisions.files(map_id).items()):
+                yield StoredFile(f"{folder}/{name}", revision=digest)
+
+    def paths(self) -> list[str]:
+        """Return the paths of all files, in the order of `files`, without reading their rows."""
+        found = []
+        for map_id, drives in self._drives():
+            for drive_id in drives:
+                chunks = self._path(self._layout.chunks(map_id, drive_id))
+                names = sorted(self._catalog.scans.chunks(drive_id))
+                found += [f"{chunks}/{name}" for name in names]
+                found += self._images(map_id, drive_id)
+            folder = self._path(self._layout.revisions(map_id))
+            found += [f"{folder}/{name}" for name in sorted(self._catalog.revisions.files(map_id))]
+        return found
+
+    def file(self, path: str) -> StoredFile | None:
+        """Return the file of a path, `None` if nothing names it, or no longer."""
+        asked = StoredFile(path)
+        if asked.kind == "revisions":
+            digest = self._catalog.revisions.files(asked.map_id).get(asked.name)
+            return None if digest is None else StoredFile(path, revision=digest)
+        of_drive = self._of_drive(asked.map_id, asked.drive_id)
+        return next((file for file in of_drive if file.path == path), None)
+
+    def fault(self, file: StoredFile, checker: Checker) -> Fault | None:
+        """Return what is wrong with a file; one that is gone, and no longer named, is no fault.
+
+        Raises:
+            FileNotFoundError: If it is gone, and still named.
+        """
+        try:
+            return checker.fault(self._layout.data_dir / file.path, file)
+        except FileNotFoundError:
+            if self.file(file.path) is None:  # deleted or moved meanwhile
+                return None
+            raise
+
+    def _drives(self) -> Iterator[tuple[str, list[str]]]:
+        known = self._catalog.drives.known()
+        for map_id in sorted({map_id for map_id, _ in known}):
+            yield map_id, sorted(drive for of_map, drive in known if of_map == map_id and drive)
+
+    def _of_drive(self, map_id: str, drive_id: str) -> Iterator[StoredFile]:
+        rows: dict[str, dict[int, str]] = {}
+        for record in self._catalog.scans.of_drive(drive_id):
+            if record.has_returns:
+                rows.setdefault(record.chunk, {})[record.row] = record.digest
+        folder = self._path(self._layout.chunks(map_id, drive_id))
+        for name, scans in sorted(rows.items()):
+            yield StoredFile(f"{folder}/{name}", scans)
+        yield from map(StoredFile, self._images(map_id, drive_id))
+
+    def _images(self, map_id: str, drive_id: str) -> list[str]:
+        return sorted(map(self._path, self._layout.images(map_id, drive_id).glob("[!.]*.h5")))
+
+    def _path(self, path: object) -> str:
+        return str(path).removeprefix(f"{self._layout.data_dir}/")

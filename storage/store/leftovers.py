@@ -1,0 +1,145 @@
+"""What killed processes and old catalogs leave behind: found, removed, or set aside by the day."""
+
+import logging
+import re
+import shutil
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from datetime import UTC, date, datetime, timedelta
+from pathlib import Path
+
+from storage.catalog import Catalog
+from storage.claims import abandoned_copies, remove_abandoned
+from storage.files import make_folder
+from storage.names import new_id
+from storage.store.layout import Layout
+
+__all__ = ["ORPHANS_KEPT_DAYS", "Leftover", "leftovers", "set_aside", "sweep"]
+
+ORPHANS_KEPT_DAYS = 30
+"""As long as revisions are retained by default: in that time it shows whether one is missed."""
+
+_DAY = re.compile(r"\d{4}-\d{2}-\d{2}")
+_IN_USE_S = 86_400.0  # a build writes for hours, and its file changes all the time
+
+_log = logging.getLogger("tensormap.storage")
+
+
+@dataclass(frozen=True)
+class Leftover:
+    """Something in the data directory that no row names.
+
+    Attributes:
+        path: Where it is.
+        what: What it is, in words.
+        useless: Whether it can be removed; else it may be the only copy of something.
+    """
+
+    path: Path
+    what: str
+    useless: bool
+
+
+def leftovers(catalog: Catalog, layout: Layout, *, alone: bool) -> list[Leftover]:
+    """Return what is left over.
+
+    Args:
+        catalog: What is named.
+        layout: Where.
+        alone: Whether no server runs; else what is younger than a day may be in use, and is left
+            out.
+    """
+    found = [
+        *(Leftover(path, "half-written", useless=True) for path in _half_written(layout)),
+        *(Leftover(path, "no row names it", useless=False) for path in _unnamed(catalog, layout)),
+    ]
+    kept = [item for item in found if alone or _age_s(item.path) > _IN_USE_S]
+    return sorted(kept, key=lambda item: item.path)
+
+
+def sweep(catalog: Catalog, layout: Layout) -> list[Leftover]:
+    """Remove what is half-written, and move what no row names to `orphans/`; return what it was.
+
+    Mostly that is what a crash left. Should the catalog be at fault, as after a partial restore,
+    nothing is lost: there it stays under the day and the path that it had, for
+    `ORPHANS_KEPT_DAYS`.
+
+    Only safe while nobody writes: a file is there before its row.
+    """
+    swept = leftovers(catalog, layout, alone=True)
+    orphans = 0
+    for item in swept:
+        if item.useless:
+            remove_abandoned(item.path)
+        else:
+            set_aside(item.path, layout, layout.orphans)
+            orphans += 1
+    if orphans:
+        _log.warning(
+            "%d files or folders that the catalog does not name were moved to %s",
+            orphans,
+            layout.orphans,
+        )
+    _expire(layout)
+    return swept
+
+
+def set_aside(path: Path, layout: Layout, folder: Path) -> Path:
+    """Move a file or folder of ours to `folder`, under today and the path that it had."""
+    aside = folder / _today().isoformat() / path.relative_to(layout.data_dir)
+    make_folder(aside.parent)
+    if aside.exists():
+        aside = aside.with_name(f"{aside.name}.{new_id()[:8]}")
+    shutil.move(path, aside)
+    return aside
+
+
+def _today() -> date:
+    return datetime.now(UTC).date()
+
+
+def _expire(layout: Layout) -> None:
+    """Remove the days of `orphans/` that are over; what older versions put there is today's."""
+    if not layout.orphans.is_dir():
+        return
+    last = _today() - timedelta(days=ORPHANS_KEPT_DAYS)
+    for path in list(layout.orphans.iterdir()):
+        if not _DAY.fullmatch(path.name):
+            today = make_folder(layout.orphans / _today().isoformat())
+            target = today / path.name
+            shutil.move(path, f"{target}.{new_id()[:8]}" if target.exists() else target)
+        elif path.name < last.isoformat():
+            shutil.rmtree(path, ignore_errors=True)
+            _log.warning("%s was removed, after %d days", path, ORPHANS_KEPT_DAYS)
+
+
+def _half_written(layout: Layout) -> Iterator[Path]:
+    yield from layout.maps.rglob(".*.part")
+    yield from layout.data_dir.glob(".*.part")
+    yield from abandoned_copies(layout.data_dir)
+
+
+def _unnamed(catalog: Catalog, layout: Layout) -> Iterator[Path]:
+    known = catalog.drives.known()
+    maps = {map_id for map_id, _ in known}
+    yield from _others(layout.maps, maps)
+    for map_id in maps:
+        yield from _others(layout.revisions(map_id), set(catalog.revisions.files(map_id)))
+        drives = {drive_id for of_map, drive_id in known if of_map == map_id}
+        yield from _others(layout.map(map_id) / "drives", drives)
+        for drive_id in drives:
+            yield from _others(layout.chunks(map_id, drive_id), catalog.scans.chunks(drive_id))
+
+
+def _others(folder: Path, names: set[str]) -> Iterator[Path]:
+    for path in folder.iterdir() if folder.is_dir() else ():
+        if path.name not in names and not re.fullmatch(r"\..*\.part", path.name):
+            yield path
+
+
+def _age_s(path: Path) -> float:
+    try:
+        return time.time() - path.stat().st_mtime
+    except FileNotFoundError:  # it was in use
+        return 0.0

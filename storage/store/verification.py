@@ -1,0 +1,164 @@
+"""Every file that the catalog names, checked against its digest; what is damaged, set aside."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from itertools import chain
+
+from core.progress import NO_PROGRESS, Progress
+from storage.checker import Checker
+from storage.errors import DataDirInUse, StorageError
+from storage.files import discard
+from storage.store.compaction import in_chunks, move_into_one
+from storage.store.inventory import Inventory
+from storage.store.leftovers import leftovers, set_aside, sweep
+from storage.store.scan_reader import ScanReader
+from storage.store.store import Store
+from storage.stored_file import Fault, StoredFile
+
+__all__ = ["Condition", "Finding", "Verification", "verify"]
+
+
+class Condition(StrEnum):
+    """What is wrong with a file."""
+
+    DAMAGED = "damaged"
+    MISSING = "missing"
+    UNREADABLE = "unreadable"
+    LEFT_OVER = "left over"
+
+
+@dataclass(frozen=True)
+class Finding:
+    """What is wrong with a file, and what was done about it.
+
+    Attributes:
+        condition: Damaged or missing; unreadable if it may be good; or left over.
+        path: Under the data directory.
+        what: In words.
+        done: What a repair did, empty if nothing.
+        is_loss: Whether something that the catalog names cannot be read, nor be made anew.
+    """
+
+    condition: Condition
+    path: str
+    what: str
+    done: str = ""
+    is_loss: bool = True
+
+
+@dataclass(frozen=True)
+class Verification:
+    """What was found.
+
+    Attributes:
+        files: How many files were checked.
+        findings: What is wrong, leftovers last.
+    """
+
+    files: int
+    findings: tuple[Finding, ...]
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether all that the catalog names can be read."""
+        return not any(finding.is_loss for finding in self.findings)
+
+
+def verify(store: Store, *, repair: bool = False, progress: Progress = NO_PROGRESS) -> Verification:
+    """Check every file that the catalog names, and look for what it does not name.
+
+    The service may run meanwhile. A repair owns the data directory while it works: it moves what
+    is damaged to `damaged/`, so that all that is left can be read, and sweeps as a start does.
+    It removes nothing but half-written files, old orphans, and cached images that a build makes
+    anew.
+
+    Args:
+        store: Its files.
+        repair: Whether to set aside what is damaged, and to sweep.
+        progress: Told of every file.
+
+    Raises:
+        DataDirInUse: If a server runs, and a repair is wanted.
+    """
+    if not repair:
+        return _verify(store, progress, repair=False)
+    with store.owned():
+        return _verify(store, progress, repair=True)
+
+
+def _verify(store: Store, progress: Progress, *, repair: bool) -> Verification:
+    inventory = Inventory(store.catalog, store.layout)
+    findings = [Finding(Condition.DAMAGED, "catalog", said) for said in store.catalog.faults()]
+    progress.start("files", len(inventory.paths()))
+    checked = 0
+    with Checker() as checker:
+        for file in inventory.files():
+            progress.advance()
+            checked += 1
+            try:
+                fault = inventory.fault(file, checker)
+            except FileNotFoundError:
+                findings.append(Finding(Condition.MISSING, file.path, "the file is gone"))
+                continue
+            if fault is not None:
+                found = Condition.DAMAGED if fault.certain else Condition.UNREADABLE
+                finding = Finding(found, file.path, fault.what)
+                findings.append(_repaired(store, file, fault, finding) if repair else finding)
+    return Verification(checked, tuple(chain(findings, _left_over(store, repair=repair))))
+
+
+def _left_over(store: Store, *, repair: bool) -> Iterator[Finding]:
+    catalog, layout = store.catalog, store.layout
+    if repair:
+        found = sweep(catalog, layout)
+    else:
+        try:
+            with store.owned():
+                found = leftovers(catalog, layout, alone=True)
+        except DataDirInUse:
+            found = leftovers(catalog, layout, alone=False)
+    for item in found:
+        done = ("removed" if item.useless else "moved to orphans/") if repair else ""
+        path = str(item.path.relative_to(layout.data_dir))
+        yield Finding(Condition.LEFT_OVER, path, item.what, done, is_loss=False)
+
+
+def _repaired(store: Store, file: StoredFile, fault: Fault, finding: Finding) -> Finding:
+    """Set a damaged file aside, and what is good in it into another file."""
+    if not fault.certain:
+        return finding
+    path = store.layout.data_dir / file.path
+    if file.kind == "images" and _has_all_returns(store, file.drive_id):
+        discard(path)
+        return replace(finding, done="removed: a build makes it anew", is_loss=False)
+    saved = ""
+    try:
+        if fault.good_rows:
+            _save(store, file, fault.good_rows)
+            saved = f"; {len(fault.good_rows)} good scans have a new file"
+        aside = set_aside(path, store.layout, store.layout.damaged)
+    except (StorageError, OSError) as error:  # as long as it is there its good rows can be read
+        return replace(finding, done=f"left as it is: {error}")
+    return replace(finding, done=f"moved to {aside.relative_to(store.layout.data_dir)}{saved}")
+
+
+def _has_all_returns(store: Store, drive_id: str) -> bool:
+    return all(record.has_returns for record in store.catalog.scans.of_drive(drive_id))
+
+
+def _save(store: Store, file: StoredFile, rows: tuple[int, ...]) -> None:
+    """Move the scans of these rows into new files; each is held against its digest once more."""
+    good = set(rows)
+    records = [
+        record
+        for record in store.catalog.scans.of_drive(file.drive_id)
+        if record.chunk == file.name and record.row in good
+    ]
+    [drive] = [
+        drive for drive in store.catalog.drives.of_map(file.map_id) if drive.id == file.drive_id
+    ]
+    chunks = store.layout.chunks(file.map_id, file.drive_id)
+    read = ScanReader(store.catalog, drive, chunks).scan
+    for group in in_chunks(records):
+        move_into_one(store.catalog, file.drive_id, chunks, group, read)

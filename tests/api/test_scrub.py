@@ -1,0 +1,125 @@
+"""Damage is noticed in the background, by name, in the log and in the metrics; the rest serves."""
+
+import json
+import logging
+
+import h5py
+import pytest
+
+from app.metrics import Metrics
+from app.scrub import Scrub
+from storage.store import Store
+from tests.support.recording import KITTI, kitti, recording
+from tests.support.service import copy_of, damage, problem_of, running
+
+DAY_S = 86_400
+AT_ONCE = 1e-9
+
+
+def value(metrics_text, name):
+    [line] = [line for line in metrics_text.splitlines() if line.startswith(f"{name} ")]
+    return float(line.rpartition(" ")[2])
+
+
+@pytest.fixture
+def data(tmp_path, built):
+    return copy_of(built.data_dir, tmp_path / "data")
+
+
+def live_file(data, built):
+    [path] = data.rglob(f"{built.live}*")
+    return path
+
+
+def spoil(path):
+    content = path.read_bytes()
+    damage(path, content)  # a file of its own, where copies share theirs
+    with h5py.File(path, "r+") as file:
+        file["signatures"][0] += 1.0
+
+
+def test_a_pass_finds_what_is_damaged_and_names_it_each_time(data, built, caplog):
+    spoil(live_file(data, built))
+    metrics = Metrics()
+    with Store(data) as store:
+        scrub = Scrub(store, metrics, AT_ONCE)
+        for passes in (1, 2):
+            caplog.clear()
+            with caplog.at_level(logging.INFO, "tensormap.scrub"):
+                scrub.run_pass()
+            text = metrics.render(store, 0).decode()
+            assert value(text, 'tensormap_scrub_files_total{result="damaged"}') == passes
+            assert value(text, 'tensormap_scrub_files_total{result="good"}') == passes * 5
+            assert value(text, "tensormap_scrub_damaged_files") == 1
+            assert value(text, "tensormap_scrub_last_pass_timestamp_seconds") > 1e9
+            [told] = [record for record in caplog.records if record.levelno == logging.ERROR]
+            assert live_file(data, built).name in told.tensormap_fields["file"]
+    assert live_file(data, built).exists()
+
+
+def test_what_is_damaged_is_refused_by_name_and_the_rest_serves(data, built):
+    spoil(live_file(data, built))
+    with running(data, scrub_days=AT_ONCE) as client:
+        while value(client.get("/metrics").text, "tensormap_scrub_damaged_files") < 1:
+            pass
+        body = kitti(recording().scans[5])
+        asked = "/v1/maps/campus/localizations/scan"
+        assert problem_of(client.post(asked, content=body, headers=KITTI)) == (500, "corrupt-file")
+        rolled = client.put("/v1/maps/campus/live", json={"revision": built.other})
+        assert rolled.status_code == 200
+        assert client.post(asked, content=body, headers=KITTI).json()["best"]["scan_index"] == 5
+        assert client.get("/v1/maps/campus/drives/monday/scans/5").status_code == 200
+
+
+def test_a_pass_goes_on_after_a_start_where_it_stopped(data):
+    with Store(data) as store:
+        counted = []
+        for done in (0, 4):
+            paths = sorted(path for path in Scrub(store, Metrics(), 1)._inventory.paths())
+            state = {"checked_at_s": 0.0, "passed_at_s": 0.0, "bad": {paths[0]: "x", "gone": "y"}}
+            after = {"after": paths[done - 1] if done else ""}
+            (data / "scrub.json").write_text(json.dumps({**state, **after}))
+            metrics = Metrics()
+            scrub = Scrub(store, metrics, AT_ONCE)
+            scrub.start()
+            while "_timestamp_seconds 0.0" in metrics.render(store, 0).decode():
+                pass
+            scrub.stop()
+            text = metrics.render(store, 0).decode()
+            counted.append(value(text, "tensormap_scrub_damaged_files"))
+    assert counted == [0, 1]  # what was found before the start is still known
+
+
+@pytest.mark.parametrize("content", [b"", b"[]", b"{", b'{"after": 1}', b"\xff"])
+def test_a_state_that_cannot_be_read_begins_a_new_pass(data, content):
+    (data / "scrub.json").write_bytes(content)
+    with Store(data) as store:
+        metrics = Metrics()
+        scrub = Scrub(store, metrics, 1e6)
+        scrub.start()
+        scrub.stop()
+        assert value(metrics.render(store, 0).decode(), "tensormap_scrub_damaged_files") == 0
+
+
+def test_zero_days_check_nothing(data):
+    with Store(data) as store:
+        scrub = Scrub(store, Metrics(), 0.0)
+        scrub.start()
+        assert not scrub._thread.is_alive()
+        scrub.stop()
+    assert not (data / "scrub.json").exists()
+
+
+def test_files_are_spread_over_the_days(data, monkeypatch):
+    waits: list[float] = []
+
+    def note(wait_s):
+        waits.append(wait_s)
+        return True
+
+    with Store(data) as store:
+        scrub = Scrub(store, Metrics(), 100 / DAY_S)
+        monkeypatch.setattr(scrub, "_wait", note)
+        scrub.run_pass()
+    assert len(waits) == 6
+    assert sum(waits) == pytest.approx(100)

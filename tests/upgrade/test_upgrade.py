@@ -1,0 +1,93 @@
+"""The data directory of an earlier version starts, answers and verifies as before."""
+
+import json
+import tarfile
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from app.cli.main import cli
+from storage.backup import write_backup
+from storage.catalog import AuditState
+from storage.restore import restore_backup
+from storage.store import Store
+from storage.store.verification import verify
+from tests import golden
+from tests.support.access import bearer
+from tests.support.recording import KITTI
+from tests.support.service import problem_of, running, wait_for
+from tests.upgrade.make import ADMIN, ADMIN_KEY, digest_of, query
+
+FOLDER = Path(golden.__file__).parent
+RELEASED = ["data-83290e7.tar.xz"]
+
+
+@pytest.fixture(params=RELEASED)
+def released(request, tmp_path):
+    """Return a data directory of a release, and what its service answered."""
+    with tarfile.open(FOLDER / request.param) as tar:
+        tar.extractall(tmp_path, filter="tar")
+    return tmp_path / "data", json.loads((tmp_path / "answers.json").read_text())
+
+
+def holds(now, before):
+    """Return whether an answer says all that it said before; it may say more."""
+    if isinstance(before, dict):
+        return isinstance(now, dict) and all(
+            name in now and holds(now[name], value) for name, value in before.items()
+        )
+    if isinstance(before, list):
+        return len(now) == len(before) and all(map(holds, now, before))
+    return now == before
+
+
+def test_it_starts_answers_as_before_and_goes_on(released):
+    data, told = released
+    with running(data, admin_key=ADMIN_KEY) as client:
+        assert client.get("/readyz").json()["ready"]
+        client.headers.update(ADMIN)
+        for path, before in told["answers"].items():
+            now = client.get(path).json()
+            if path.startswith("/v1/audit"):  # what the start did is added
+                now["items"] = now["items"][: len(before["items"])]
+            assert holds(now, before), path
+        for path, before in told["downloads"].items():
+            assert digest_of(client.get(path).content) == before, path
+        asked = "/v1/maps/campus/localizations/scan"
+        fleet = {**KITTI, **bearer(told["secret"])}
+        best = client.post(asked, content=query(), headers=fleet).json()["best"]
+        assert [best["drive"], best["scan_index"]] == told["best"]
+        lost = {**KITTI, **bearer(told["revoked"])}
+        assert problem_of(client.post(asked, content=query(), headers=lost)) == (401, "key-refused")
+        assert wait_for(client, told["waiting"])["state"] == "done"
+        wanted = {"encoding": "paper", "segment_length": 5, "drives": ["monday"]}
+        built = wait_for(client, client.post("/v1/maps/campus/builds", json=wanted).json()["job"])
+        revisions = [
+            item["revision"] for item in told["answers"]["/v1/maps/campus/revisions"]["items"]
+        ]
+        assert built["revision"] in revisions  # of the same images, to the bit
+        depot = {"encoding": "paper", "segment_length": 2}
+        job = client.post("/v1/maps/depot/builds", json=depot).json()["job"]
+        assert wait_for(client, job)["state"] == "done"  # of images alone: its returns are gone
+
+
+def test_it_verifies_before_and_after_its_first_start(released):
+    data, told = released
+    result = CliRunner().invoke(cli, ["verify", "--data", str(data)])
+    assert (result.exit_code, "0 damaged or missing" in result.output) == (0, True), result.output
+    with Store.serving(data) as store:
+        assert verify(store).findings == ()
+        assert store.audit.verify(AuditState(*told["audit"])).fault is None
+        assert not [path for path in data.rglob("*") if path.stat().st_mode & 0o077]
+        [stray] = data.rglob("stray.h5")
+        assert stray.read_bytes() == b"named by no row"
+
+
+def test_it_is_backed_up_and_restored(released, tmp_path):
+    data, _ = released
+    written = write_backup(data, tmp_path / "backup.tar")
+    assert (written.damaged, written.missing) == ((), ())
+    assert restore_backup(tmp_path / "backup.tar", tmp_path / "new").files == written.files
+    with Store.serving(tmp_path / "new") as store:
+        assert verify(store).findings == ()
