@@ -9,7 +9,7 @@ DEVELOP := $(VENV)/.installed-dev
 PIP_INSTALL := PIP_CONSTRAINT=constraints.txt PIP_BUILD_CONSTRAINT=constraints.txt $(BIN)/python -m pip install --quiet --disable-pip-version-check
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test install lint bench constraints clean
+.PHONY: help demo test torture soak install lint bench constraints clean
 
 help: ## Show this list.
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  make %-12s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -19,6 +19,28 @@ demo: $(RUNTIME) ## Record, post, build, localize; leaves the service running. O
 
 test: $(DEVELOP) ## Run all tests; those on recorded drives too if TENSORMAP_DATA names their folder.
 	PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest -n auto -q
+
+# What `make torture` attacks with, unless the environment says otherwise; with SHORT=1 the tests' own
+# sizes, which take four minutes.
+ifndef SHORT
+torture: export TENSORMAP_TORTURE_KILLS ?= 300
+torture: export TENSORMAP_TORTURE_FAULTS ?= 0
+torture: export TENSORMAP_TORTURE_INTERMITTENT ?= 500
+torture: export TENSORMAP_TORTURE_FLIPS ?= 20000
+torture: export TENSORMAP_TORTURE_IMPORTS ?= 5000
+torture: export TENSORMAP_TORTURE_STORED ?= 500
+torture: export TENSORMAP_TORTURE_HOSTILE ?= 100000
+torture: export TENSORMAP_TORTURE_TRUNCATION_STEP ?= 1
+torture: export TENSORMAP_TORTURE_INPUTS ?= 50000
+torture: export TENSORMAP_TORTURE_STARVATION_S ?= 60
+endif
+
+torture: $(DEVELOP) ## Attack the service for hours: kills, disk faults, damage, starvation. SHORT=1 takes 4 minutes.
+	$(BIN)/python -m pytest -n 2 -q -m 'not alone' tests/torture
+	$(BIN)/python -m pytest -n 0 -q -m 'alone and not soak' $(if $(SHORT),tests/torture/test_all_at_once.py,tests/torture)
+
+soak: $(DEVELOP) ## Use the service for TENSORMAP_SOAK_S seconds (600): nothing may grow or fail.
+	TENSORMAP_SOAK_S=$${TENSORMAP_SOAK_S:-600} $(BIN)/python -m pytest -n 0 -q -m soak tests/torture
 
 install: $(DEVELOP) ## Install the service and all that its development needs into .venv.
 

@@ -19,6 +19,8 @@ NOT_RUN = {
     "make test": "runs this test",
     "make install": "makes the environment that runs this test",
     "make lint": "a job of its own",
+    "make torture": "takes hours; .ci/run runs four minutes of it",
+    "TENSORMAP_TORTURE_SEED=": "takes minutes; .ci/run runs the same",
     "python -m tests.docs.tables": "test_a_table_says_what_the_code_says does the same",
     "TENSORMAP_SCHEMATHESIS_EXAMPLES=": "takes minutes; `make test` runs it with few examples",
     "docker compose up": "needs a container engine",

@@ -1,0 +1,210 @@
+"""Every write, sync and rename of every kind of write fails once, and from then on.
+
+The service goes on answering. What it acknowledged under the fault is read back bit for bit, what
+it refused has a name, and asked for again it succeeds; nothing that was stored before has changed.
+"""
+
+import hashlib
+import re
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import httpx2
+import pytest
+
+from core.errors import TensorMapError
+from tests.support.recording import NPY
+from tests.torture.support.bodies import HDF5, map_file, noise
+from tests.torture.support.faults import FAULTS, Fault, Faults
+from tests.torture.support.service import Tortured, tortured
+from tests.torture.support.sizes import chance, size
+from tests.torture.support.writes import WRITES, Backup, Build, Import, PutScan, Write
+
+_WHOLE = {PutScan, Import, Build}  # every call of these fails once in every run
+_SAMPLE = size("faults", 2)  # calls of each write and kind of fault otherwise; 0 for every one
+_INTERMITTENT = size("intermittent", 20)
+_MOST = 2_000  # calls of one write
+_UNSTEADY = 12  # calls that it may have more of the next time: a catalog's checkpoint, progress
+_SHOWN = 5
+
+_WRONG = (AssertionError, httpx2.HTTPError, TensorMapError)
+_REFUSED = {"storage-full", "storage-read-only", "storage-unavailable", "storage-busy"}
+
+
+class Attacked:
+    """A service whose disk fails, and what it held before.
+
+    Attributes:
+        service: The service.
+        faults: Its disk.
+        client: An administrator.
+        kept: Writes that it acknowledged and that are to be there whatever comes.
+    """
+
+    def __init__(self, service: Tortured, faults: Faults) -> None:
+        self.service, self.faults = service, faults
+        self.client = service.client()
+        self.kept: list[Write] = []
+        self._number = 0
+        self.client.post("/v1/maps", json={"map": "before"}).raise_for_status()
+        path = "/v1/maps/before/drives/monday/scans/0"
+        self.client.put(path, content=noise("before"), headers=NPY).raise_for_status()
+        path = "/v1/maps/before/revisions"
+        self.client.post(path, content=map_file()[1], headers=HDF5).raise_for_status()
+        self._before = self._stored_before()
+
+    def new(self, kind: type[Write]) -> Write:
+        """Prepare a write that nobody has asked for yet."""
+        self._number += 1
+        write = kind(self.service, self.client, self._number)
+        if isinstance(write, Backup):
+            write.variables = self.faults.environment
+        write.prepare()
+        return write
+
+    def calls_of(self, kind: type[Write]) -> int:
+        """Return of how many calls a write consists."""
+        write = self.new(kind)
+        with self.faults.counting():
+            assert write.attempt() is None
+        return sum(self.faults.counted.values())
+
+    def struck(self, kind: type[Write], fault: Fault, first: int) -> str | None:
+        """Let a write meet a fault; return what is wrong, `None` if all is well."""
+        told: str | None = "?"
+        try:
+            write = self.new(kind)
+        except httpx2.TransportError as wrong:
+            return self.explained(kind, fault, 0, "of the fault before this one", wrong)
+        try:
+            with self.faults.failing(fault, first):
+                told = write.attempt()
+            self.require_well(write, told, fault)
+        except _WRONG as wrong:
+            return self.explained(kind, fault, first, told, wrong)
+        return None
+
+    def require_well(self, write: Write, told: str | None, fault: Fault) -> None:
+        assert self.service.is_alive
+        with self.service.client(None) as client:
+            assert client.get("/livez").status_code == 200
+        if told is None:
+            write.require_kept()
+        else:
+            assert told in _REFUSED, f"it was refused as {told!r}"
+            assert not fault.halve, f"a short write was refused as {told!r}"
+            again = write.attempt()
+            assert again is None, f"without a fault it was refused as {again!r}"
+            write.require_kept()
+        write.require_usable()
+        assert self._stored_before() == self._before, "what was stored before has changed"
+        self.kept.append(write)
+
+    def explained(
+        self, kind: type[Write], fault: Fault, first: int, told: str | None, wrong: Exception
+    ) -> str:
+        where = f"{kind.__name__}, {fault.name}, {self.faults.called(first)}"
+        met = f"{self.faults.failed} calls failed, answer {told or 'success'}"
+        ended = "" if self.service.is_alive else f"; THE SERVICE ENDED: {self.service.said()}"
+        if not self.service.is_alive:
+            self.restart()
+        first_line = str(wrong).strip().partition("\n")[0] or repr(wrong)
+        return f"{where} ({met}): {re.sub('[0-9a-f]{32,}', '...', first_line)[:400]}{ended}"
+
+    def restart(self) -> None:
+        """Kill the service and start it again, on a disk without faults."""
+        if self.service.is_alive:
+            self.service.kill()
+        self.service.start()
+        self.client.close()
+        self.client = self.service.client()
+        for write in self.kept:
+            write.client = self.client
+
+    def require_kept(self) -> None:
+        """Require all that was acknowledged to be there after a kill."""
+        self.restart()
+        assert self._stored_before() == self._before
+        for write in self.kept:
+            write.require_kept()
+
+    def _stored_before(self) -> tuple[str, str, object]:
+        scan = self.client.get("/v1/maps/before/drives/monday/scans/0").raise_for_status()
+        file = self.client.get(f"/v1/maps/before/revisions/{map_file()[0]}/file").raise_for_status()
+        live = self.client.get("/v1/maps/before").raise_for_status().json()["live_revision"]
+        return (
+            hashlib.sha256(scan.content).hexdigest(),
+            hashlib.sha256(file.content).hexdigest(),
+            live,
+        )
+
+
+@pytest.fixture
+def attacked(faults_library: Path) -> Iterator[Attacked]:
+    with tempfile.TemporaryDirectory(prefix="torture-") as name:
+        folder = Path(name).resolve()
+        with (
+            Faults(faults_library, folder, folder / "disk") as faults,
+            tortured(folder, faults.environment) as service,
+        ):
+            attacked = Attacked(service, faults)
+            yield attacked
+            attacked.client.close()
+
+
+def numbers(kind: type[Write], fault: Fault, calls: int) -> Iterator[int]:
+    """Yield which calls of a write are to fail: each and one more, or a sample."""
+    if _SAMPLE == 0 or (kind in _WHOLE and fault is FAULTS[0]):
+        yield from range(1, _MOST)
+    else:
+        chosen = chance("faults", kind.__name__, fault.name)
+        yield from chosen.sample(range(1, calls + 1), min(_SAMPLE, calls))
+
+
+def shown(wrong: list[str], struck: int) -> str:
+    """Return what is wrong, an example of each kind of it first."""
+    examples: dict[str, str] = {}
+    for said in wrong:
+        examples.setdefault(said.partition("): ")[2][:60], said)
+    others = [said for said in wrong if said not in examples.values()]
+    lines = [*examples.values(), *others[:_SHOWN]]
+    return f"{len(wrong)} of {struck} faults:\n" + "\n".join(lines)
+
+
+@pytest.mark.parametrize("kind", WRITES, ids=lambda kind: kind.__name__)
+def test_a_fault_of_the_disk_loses_nothing_that_was_acknowledged(attacked, kind):
+    calls = attacked.calls_of(kind)
+    assert calls > 0
+    wrong: list[str] = []
+    struck = 0
+    for fault in FAULTS:
+        for number in numbers(kind, fault, calls):
+            said = attacked.struck(kind, fault, number)
+            if said is not None:
+                wrong.append(said)
+            if attacked.faults.failed:
+                struck += 1
+            elif number > calls + _UNSTEADY:
+                break  # the write has no more calls
+    assert struck
+    assert not wrong, shown(wrong, struck)
+    attacked.require_kept()
+
+
+def test_write_errors_now_and_then_do_not_end_the_service(attacked):
+    wrong: list[str] = []
+    for number in range(_INTERMITTENT):
+        chosen = chance("intermittent", number)
+        kind = chosen.choice([Import, Build] * 4 + [k for k in WRITES if k is not Backup])
+        fault, share = chosen.choice(FAULTS[:2]), chosen.choice([0.02, 0.1, 0.3])
+        told: str | None = "?"
+        try:
+            write = attacked.new(kind)
+            with attacked.faults.failing_often(fault, share, number):
+                told = write.attempt()
+            attacked.require_well(write, told, fault)
+        except _WRONG as error:
+            wrong.append(attacked.explained(kind, fault, 0, told, error))
+    assert not wrong, shown(wrong, _INTERMITTENT)
+    attacked.require_kept()

@@ -1,0 +1,189 @@
+"""Hours of ordinary use in minutes: memory, threads and descriptors stay flat, and nothing fails.
+
+`make soak` takes ten minutes, or `TENSORMAP_SOAK_S`. Less than a few minutes says little about
+memory, which is why `.ci/run` leaves it out.
+"""
+
+import threading
+import time
+from collections import Counter, defaultdict
+from pathlib import Path
+
+import httpx2
+import numpy as np
+import pytest
+
+from tests.support.recording import KITTI, NPY, TAR, kitti
+from tests.torture.support.bodies import HDF5, driven, driven_tar, map_file, noise, noise_tar
+from tests.torture.support.service import Tortured, tortured
+from tests.torture.support.sizes import chance, seconds
+from tests.torture.support.watching import Used, used_by
+from tests.torture.support.writes import ended_job
+
+pytestmark = [pytest.mark.torture, pytest.mark.alone, pytest.mark.soak]
+
+_SOAK_S = seconds("TENSORMAP_SOAK_S", 60.0)
+_WARM_SHARE = 0.4  # caches fill, threads start
+_EVERY_S = 1.0
+_CLIENTS = 4
+_SCANS = 12
+_KEPT = 3  # drives and revisions of a client, so that what is stored stays as much
+_GROWN_BYTES = 30 * 2**20  # of a process, over the measured part of ten minutes
+_MORE_THREADS, _MORE_DESCRIPTORS = 4, 16
+
+
+class User:
+    """A client with a key and a map of its own, who does what users do."""
+
+    def __init__(self, service: Tortured, number: int) -> None:
+        self.map, self._chance = f"soak-{number}", chance("soak", number)
+        self.statuses: Counter[str] = Counter()
+        self.faults: list[str] = []
+        self._round = 0
+        with service.client() as admin:
+            admin.post("/v1/maps", json={"map": self.map}).raise_for_status()
+            wanted = {"name": self.map, "scopes": ["maps:read", "maps:write", "localize"]}
+            made = admin.post("/v1/keys", json=wanted).raise_for_status().json()
+            policy = {"retention": {"retained_revisions": 1, "retained_for_days": 0}}
+            admin.patch(f"/v1/maps/{self.map}", json=policy).raise_for_status()
+        self.client = service.client(made["secret"])
+        path = f"/v1/maps/{self.map}/drives/monday/scans"
+        form = {"format": "kitti"}
+        self._ask("POST", path, content=driven_tar(_SCANS), headers=TAR, params=form)
+        self._build()
+
+    def use_until(self, stop: threading.Event) -> None:
+        """Do one thing after the other."""
+        steps = [self._localize] * 12 + [self._put] * 4 + [self._look] * 4
+        steps += [self._track, self._import, self._refused, self._build]
+        try:
+            while not stop.is_set():
+                self._round += 1
+                self._chance.choice(steps)()
+        except (AssertionError, httpx2.HTTPError) as error:
+            self.faults.append(repr(error))
+        finally:
+            self.client.close()
+
+    def _ask(self, method: str, path: str, **body: object) -> httpx2.Response:
+        answer = self.client.request(method, path, **body)  # type: ignore[arg-type]
+        self.statuses[f"{answer.status_code // 100}xx"] += 1
+        assert answer.status_code < 500, f"{method} {path}: {answer.text[:300]}"
+        return answer
+
+    def _localize(self) -> None:
+        body = kitti(driven(self._chance.randrange(_SCANS)))
+        path = f"/v1/maps/{self.map}/localizations/scan"
+        assert self._ask("POST", path, content=body, headers=KITTI).is_success
+
+    def _put(self) -> None:
+        drive = f"drive-{self._round % _KEPT}"
+        path = f"/v1/maps/{self.map}/drives/{drive}"
+        self._ask("DELETE", path)
+        self._ask("PUT", f"{path}/scans/0", content=noise(self.map, self._round), headers=NPY)
+        body = noise_tar({index: (self.map, self._round, index) for index in range(1, 6)})
+        assert self._ask("POST", f"{path}/scans", content=body, headers=TAR).is_success
+        poses = [{"scan": 0, "pose": [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]}]
+        self._ask("PUT", f"{path}/poses", json={"poses": poses})
+        self._ask("PATCH", path, json={"closed": True})
+
+    def _look(self) -> None:
+        for path in ("", "/drives", "/revisions", "/topology", "/basis"):
+            self._ask("GET", f"/v1/maps/{self.map}{path}")
+        self._ask("GET", "/v1/jobs")
+
+    def _track(self) -> None:
+        path = f"/v1/maps/{self.map}/tracks"
+        track = self._ask("POST", path).json()["track"]
+        for index in range(3):
+            body = kitti(driven(index))
+            self._ask("POST", f"{path}/{track}/observations", content=body, headers=KITTI)
+        self._ask("DELETE", f"{path}/{track}")
+
+    def _import(self) -> None:
+        _, body = map_file(self._round % 4, harmonic=self._round % 2 == 1)
+        path = f"/v1/maps/{self.map}/revisions"
+        told = self._ask("POST", path, content=body, headers=HDF5).json()
+        self._ask("GET", f"{path}/{told['revision']}/file")
+
+    def _refused(self) -> None:
+        self._ask("PUT", f"/v1/maps/{self.map}/drives/x/scans/0", content=b"\0" * 1000, headers=NPY)
+        self._ask("POST", f"/v1/maps/{self.map}/revisions", content=b"\0" * 1000, headers=HDF5)
+        self._ask("POST", f"/v1/maps/{self.map}/builds", json={"no": "such"})
+
+    def _build(self) -> None:
+        wanted = {
+            "segments": 1,
+            "drives": ["monday"],
+            "sensor_height_m": 1.7 + self._round % 50 / 1000,
+        }
+        answer = self._ask("POST", f"/v1/maps/{self.map}/builds", json=wanted)
+        if answer.is_success:
+            assert ended_job(self.client, answer.json()["job"])["state"] == "done"
+
+
+class Meter:
+    """What every lasting process of a service used, time after time."""
+
+    def __init__(self, service: Tortured) -> None:
+        self._service = service
+        self._seen: defaultdict[int, list[tuple[float, Used]]] = defaultdict(list)
+
+    def look(self) -> None:
+        """Note what each process uses now."""
+        for pid in self._service.processes():
+            used = used_by(pid)
+            if used is not None:
+                self._seen[pid].append((time.monotonic(), used))
+
+    def faults(self, since: float) -> list[str]:
+        """Return what grew in processes that were there from then to the end."""
+        wrong = []
+        last = max(at for seen in self._seen.values() for at, _ in seen)
+        for pid, seen in self._seen.items():
+            late = [(at, used) for at, used in seen if at >= since]
+            if len(late) < 5 or seen[0][0] > since or seen[-1][0] < last - 2 * _EVERY_S:
+                continue  # a build's, which ends with it
+            grown = self._grown_bytes(late)
+            print(f"process {pid}: {grown / 2**20:+.1f} MB, {late[-1][1]}")
+            if grown > _GROWN_BYTES:
+                wrong.append(f"process {pid} grew by {grown / 2**20:.0f} MB")
+            first = max((used for _, used in late[: len(late) // 3]), key=lambda u: u.threads)
+            if late[-1][1].threads > first.threads + _MORE_THREADS:
+                wrong.append(f"process {pid}: {first.threads}, then {late[-1][1].threads} threads")
+            most = max(used.descriptors for _, used in late[: len(late) // 3])
+            if late[-1][1].descriptors > most + _MORE_DESCRIPTORS:
+                wrong.append(f"process {pid}: {most}, then {late[-1][1].descriptors} descriptors")
+        return wrong
+
+    @staticmethod
+    def _grown_bytes(late: list[tuple[float, Used]]) -> float:
+        """Return the slope of memory over time, times that time."""
+        times = np.array([at for at, _ in late])
+        memory = np.array([float(used.memory_bytes) for _, used in late])
+        slope = float(np.polyfit(times - times[0], memory, 1)[0])
+        return slope * float(times[-1] - times[0])
+
+
+def test_a_service_in_use_stays_as_large_as_it_is(tmp_path: Path) -> None:
+    with tortured(tmp_path, build_workers="1") as service:
+        users = [User(service, number) for number in range(_CLIENTS)]
+        stop = threading.Event()
+        using = [threading.Thread(target=user.use_until, args=(stop,)) for user in users]
+        meter, began = Meter(service), time.monotonic()
+        for thread in using:
+            thread.start()
+        while time.monotonic() < began + _SOAK_S and not any(user.faults for user in users):
+            meter.look()
+            time.sleep(_EVERY_S)
+        stop.set()
+        for thread in using:
+            thread.join()
+        faults = [fault for user in users for fault in user.faults]
+        statuses = sum((user.statuses for user in users), Counter[str]())
+        print(f"{_SOAK_S:.0f} s: {dict(statuses)}")
+        assert not faults, faults
+        wrong = meter.faults(began + _WARM_SHARE * _SOAK_S)
+        assert not wrong, wrong
+        assert "Traceback" not in service.log.read_text(errors="replace")
+        assert service.is_alive
