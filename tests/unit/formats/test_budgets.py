@@ -3,6 +3,7 @@
 import gzip
 import io
 import struct
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -104,7 +105,7 @@ def test_a_mat_file_of_empty_elements_is_refused_after_a_thousand() -> None:
         FordFormat().read(head + struct.pack("<II", 9, 0) * 2000)
 
 
-PACK = {"gzip": gzip.compress, "zstd": zstandard.compress}
+PACK: dict[str, Callable[[bytes], bytes]] = {"gzip": gzip.compress, "zstd": zstandard.compress}
 
 
 def unpacked(body: bytes, encoding: str, step: int = 50_000) -> int:
