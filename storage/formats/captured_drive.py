@@ -9,6 +9,7 @@ from core.arrays import FloatArray, frozen
 from core.errors import InvalidScan
 from core.pose import UNKNOWN_POSE
 from core.scan import Scan
+from storage.formats.errors import EmptyBody
 from storage.formats.velodyne import Turns
 
 __all__ = ["CapturedDrive", "open_captured_drive"]
@@ -52,6 +53,8 @@ def open_captured_drive(path: Path, *, min_returns: int = 1) -> CapturedDrive:
     Raises:
         InvalidScan: If it is no such capture; a subclass says why.
     """
+    if not path.stat().st_size:
+        raise EmptyBody(f"{path.name} is empty, wanted a capture")
     try:
         with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as body:
             turns = Turns(body)

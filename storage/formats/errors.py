@@ -43,7 +43,7 @@ class MalformedScan(InvalidScan):
 
 
 class ScanTooLarge(InvalidScan):
-    """A scan that would unpack to more bytes than the reader allows."""
+    """A scan of more returns, or that would unpack to more bytes, than a reader allows."""
 
 
 class UnknownFormat(TensorMapError):
