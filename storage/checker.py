@@ -22,7 +22,8 @@ __all__ = ["Checker", "Limits"]
 
 _PAGE_BYTES = resource.getpagesize()
 _END_S = 5.0  # to wait for a process that was killed; one that waits for a dead disk stays
-_ENDED_BY_OTHERS = {None, -signal.SIGKILL, -signal.SIGTERM}  # such as a machine out of memory
+# What content does to a reader; other ends, such as a machine out of memory, are not its fault.
+_CRASHES = {-number for number in (signal.SIGSEGV, signal.SIGBUS, signal.SIGABRT, signal.SIGFPE)}
 _GONE = "gone"
 
 
@@ -104,7 +105,7 @@ class Checker:
             if code == -signal.SIGXCPU:
                 return Fault(f"to read it took more than {seconds:.0f} s of CPU")
             ended = f"the process that read it ended with exit code {code}"
-            return Fault(ended, certain=code not in _ENDED_BY_OTHERS)
+            return Fault(ended, certain=code in _CRASHES)
         self.close()
         return Fault(f"to read it took more than {seconds:.0f} s", certain=False)
 

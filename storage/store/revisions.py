@@ -6,7 +6,7 @@ from typing import BinaryIO
 
 from storage.catalog import Catalog, RevisionFacts, RevisionRecord
 from storage.errors import CorruptFile, StorageError
-from storage.files import discard, make_folder, publish
+from storage.files import discard, make_folder, publish, sync
 from storage.names import new_id
 from storage.retention import Retention
 from storage.store.layout import Layout
@@ -40,7 +40,8 @@ class Revisions:
     ) -> RevisionRecord:
         """Write a revision's file and add its row; the first one of a map becomes live.
 
-        A digest that the map has already keeps its file and record.
+        A digest that the map has already keeps its file and record; if its file was lost, or set
+        aside because it was damaged, this one takes its place.
 
         Args:
             map_id: The map; one that was made anew under the same slug is another.
@@ -74,8 +75,17 @@ class Revisions:
             discard(path)
             raise
         if record.file_name != name:
-            discard(path)
+            self._put_back(record, path)
         return record
+
+    def _put_back(self, record: RevisionRecord, path: Path) -> None:
+        """Let a file that was written again take the place of the first one, if that is gone."""
+        first = self.path_of(record)
+        if first.exists():
+            discard(path)
+        else:
+            path.rename(first)
+            sync(first.parent)
 
     def path(self, map_slug: str, digest: str) -> Path:
         """Return the file of a revision, named by its digest or a unique prefix.

@@ -41,6 +41,12 @@ class Crashing:
         time.sleep(60)
 
 
+class Ended:
+    def items(self):
+        os.kill(os.getpid(), signal.SIGKILL)  # as a machine out of memory does
+        time.sleep(60)
+
+
 class Greedy:
     def items(self):
         return bytearray(2**40)
@@ -60,6 +66,7 @@ def test_what_was_stored_has_no_fault(checker, path):
     [
         (Endless(), "more than 3 s", False),
         (Crashing(), "ended with exit code -11", True),
+        (Ended(), "ended with exit code -9", False),
         (Greedy(), "MB of memory", False),
         (Odd(), "RecursionError: too deep", True),
     ],

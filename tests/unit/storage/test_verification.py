@@ -1,5 +1,6 @@
 """Every file is held against its digest; a repair sets aside and removes no only copy."""
 
+import functools
 import os
 import shutil
 from datetime import UTC, datetime, timedelta
@@ -102,6 +103,19 @@ def test_a_damaged_revision_is_set_aside_and_the_other_one_stays(filled):
     assert not path.exists()
     assert not found.is_whole
     assert [f.path for f in verify(filled).findings] == [finding.path]
+
+
+def test_a_revision_that_was_lost_is_put_back_by_adding_it_again(filled):
+    live = filled.revisions.live("campus")
+    path = filled.revisions.path_of(live)
+    path.unlink()
+    for seed in range(2):
+        made, _ = sample_map(seed=seed)
+        write = functools.partial(write_map, tensor_map=made)
+        filled.revisions.add(live.map_id, made.revision, write, FACTS)
+    assert path.exists()
+    assert len(list(path.parent.iterdir())) == 2
+    assert verify(filled).findings == ()
 
 
 def test_damaged_images_go_where_a_build_makes_them_anew_and_are_kept_where_it_cannot(filled):
