@@ -34,7 +34,7 @@ First = Annotated[
     Query(ge=0, lt=2**52, description="The scan of the first line, of KITTI's and TUM's files."),
 ]
 Partial = Annotated[
-    bool,
+    bool | None,
     Query(
         description="Set a file's poses even if their number, or scans that would lose theirs, show"
         " that they cannot be those of all scans."
@@ -72,7 +72,7 @@ def put_poses(
     running: Running,
     content_type: ContentType = None,
     first: First = 0,
-    partial: Partial = False,
+    partial: Partial = None,
 ) -> DriveWithPosesOut:
     """Set poses and timestamps of scans, all or none; those of a file also of scans to come.
 
@@ -90,7 +90,7 @@ def put_poses(
             found.poses,
             found.timestamps_s,
             consecutive=kind != CSV,
-            partial=partial,
+            partial=bool(partial),
         )
     elif kind == _JSON:
         poses, timestamps_s = _from_json(body).to_core()

@@ -1,0 +1,170 @@
+"""A drive whose poses are in another world frame does not ruin a map."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from core.pose import Pose
+from core.scan import Scan
+from tests.support.recording import Recording, kitti, recording, upload_scan
+from tests.support.service import copy_of, running, upload, wait_for
+
+MAP = "/v1/maps/campus"
+ADDED = {"base": "live", "add": ["tuesday"], "make_live": True}
+
+
+def moved(drive, *, turn_deg=0.0, x_m=0.0):
+    """Return a drive as another survey would place it."""
+    turn = Rotation.from_euler("z", turn_deg, degrees=True)
+    scans = []
+    for scan in drive.scans:
+        x, y, z, *quaternion = scan.pose.as_tuple()
+        place = turn.apply([x, y, z]) + np.array([x_m, 0.0, 0.0])
+        pose = Pose(*place, *(turn * Rotation.from_quat(quaternion)).as_quat())
+        scans.append(Scan(scan.points_m, scan.timestamp_s, pose))
+    return Recording(tuple(scans))
+
+
+def found(client):
+    """Return how many of 16 scans of a third drive are localized where they are."""
+    return sum(is_found(client, scan) for scan in recording(noise_seed=3).scans[::3])
+
+
+def is_found(client, scan):
+    told = client.post(
+        f"{MAP}/localizations/scan",
+        content=kitti(scan),
+        headers={"Content-Type": "application/vnd.tensormap.kitti"},
+    ).json()
+    place = told["matches"][0]["pose"]
+    apart_m = np.hypot(place["x_m"] - scan.pose.x_m, place["y_m"] - scan.pose.y_m)
+    return told["localized"] and apart_m <= 5.0
+
+
+def build(client, **wanted):
+    queued = client.post(f"{MAP}/builds", json=wanted)
+    assert queued.status_code == 202, queued.text
+    return wait_for(client, queued.json()["job"])
+
+
+def live(client):
+    return client.get(MAP).json()["live_revision"]
+
+
+@pytest.fixture(scope="module")
+def mapped(tmp_path_factory):
+    """A live map of one drive."""
+    data_dir = tmp_path_factory.mktemp("frames") / "data"
+    with running(data_dir) as client:
+        client.post("/v1/maps", json={"map": "campus"})
+        upload(client, "monday", recording())
+        assert build(client, segments=3)["state"] == "done"
+    return data_dir
+
+
+@pytest.fixture
+def campus(mapped, tmp_path):
+    with running(copy_of(mapped, tmp_path / "data")) as client:
+        yield client
+
+
+@pytest.fixture
+def foreign(campus):
+    """The same with a second drive of the same streets, in another world frame."""
+    upload(campus, "tuesday", moved(recording(noise_seed=1), turn_deg=30.0, x_m=500.0))
+    return campus
+
+
+def test_a_second_drive_in_another_world_frame_does_not_reach_the_map(foreign):
+    before, was_live = found(foreign), live(foreign)
+    job = build(foreign, **ADDED)
+    after = found(foreign)
+    assert (before, after, job["state"]) == (16, 16, "failed")
+    assert job["error"]["type"] == "/problems/frames-disagree"
+    for evidence in ("tuesday", "monday", "-30.0 deg", "m away"):
+        assert evidence in job["error"]["detail"]
+    assert live(foreign) == was_live
+
+
+def test_a_drive_that_is_moved_by_20_metres_is_refused_too(campus):
+    upload(campus, "tuesday", moved(recording(noise_seed=1), x_m=20.0))
+    assert build(campus, **ADDED)["error"]["type"] == "/problems/frames-disagree"
+
+
+@pytest.mark.parametrize("x_m", [0.0, 2.0])
+def test_a_drive_in_the_same_frame_is_added_without_a_note_and_measured(campus, x_m):
+    upload(campus, "tuesday", moved(recording(noise_seed=1), x_m=x_m))
+    was_live = live(campus)
+    job = build(campus, **ADDED)
+    assert (job["state"], job["notes"]) == ("done", [])
+    gate = job["gate"]
+    assert (gate["live"], gate["compared_with"], gate["reason"]) == (True, was_live, None)
+    assert gate["asked"] > 20
+    assert gate["recall"] >= gate["recall_of_live"] - 0.02
+    assert live(campus) == job["revision"]
+    assert found(campus) == 16
+
+
+def test_a_drive_without_poses_has_no_frame_to_check(campus):
+    for index, scan in enumerate(recording(noise_seed=1).scans[:12]):
+        upload_scan(campus, "campus", "tuesday", index, scan)
+    job = build(campus, base="live", add=["tuesday"])
+    assert job["state"] == "done"
+    assert not any("world frame" in note for note in job["notes"])
+    assert job["gate"] is None
+
+
+def test_a_build_that_insists_is_done_but_not_live_if_it_finds_less(foreign):
+    was_live = live(foreign)
+    job = build(foreign, **ADDED, poses="unchecked")
+    assert job["state"] == "done"
+    gate = job["gate"]
+    assert gate["live"] is False
+    assert gate["compared_with"] == was_live
+    assert gate["recall"] < gate["recall_of_live"] - 0.02
+    assert gate["reason"] in job["notes"]
+    assert "not made live" in gate["reason"]
+    assert live(foreign) == was_live
+    put = foreign.put(f"{MAP}/live", json={"revision": job["revision"]})  # is never gated
+    assert put.status_code == 200
+    assert live(foreign) == job["revision"]
+
+
+@pytest.mark.parametrize("insisting", [{"force": True}, {"max_recall_loss": 1.0}])
+def test_a_loss_of_recall_can_be_insisted_on(foreign, insisting):
+    job = build(foreign, **ADDED, poses="unchecked", **insisting)
+    assert (job["state"], job["gate"]["live"]) == ("done", True)
+    assert live(foreign) == job["revision"]
+
+
+def test_what_is_insisted_on_once_is_not_taken_over(foreign):
+    job = build(foreign, **ADDED, poses="unchecked", force=True)
+    parameters = foreign.get(f"/v1/jobs/{job['job']}").json()["parameters"]
+    assert (parameters["poses"], parameters["force"]) == ("unchecked", True)
+    again = build(foreign, base="live", refit=True)
+    assert again["error"]["type"] == "/problems/frames-disagree"
+
+
+def test_the_first_build_of_a_map_is_live_and_one_that_cannot_be_measured_says_so(campus):
+    campus.post("/v1/maps", json={"map": "other"})
+    upload(campus, "monday", recording(), slug="other")
+    queued = campus.post("/v1/maps/other/builds", json={"segments": 3, "make_live": True}).json()
+    gate = wait_for(campus, queued["job"])["gate"]
+    assert (gate["live"], gate["compared_with"], gate["reason"]) == (True, None, None)
+    upload(campus, "tuesday", recording(noise_seed=1))
+    job = build(campus, drives=["tuesday"], segments=3, make_live=True)
+    assert job["gate"]["live"] is True
+    assert job["gate"]["recall_unknown"] == "no-scan-in-both"
+    assert job["gate"]["reason"] in job["notes"]
+
+
+def test_poses_that_are_left_over_are_noted_by_a_build(campus):
+    upload(campus, "tuesday", recording(noise_seed=1))
+    lines = "".join(f"1 0 0 {i} 0 1 0 0 0 0 1 0\n" for i in range(2))
+    kind = {"Content-Type": "application/vnd.tensormap.poses.kitti"}
+    put = campus.put(
+        f"{MAP}/drives/tuesday/poses", content=lines, headers=kind, params={"first": 48}
+    )
+    assert put.json()["poses"]["waiting"] == 2
+    (note,) = build(campus, **ADDED)["notes"]
+    assert "drive tuesday has 2 poses of scans that it lacks" in note

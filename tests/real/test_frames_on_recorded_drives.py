@@ -1,0 +1,157 @@
+"""Drives in one world frame and in two, of recorded scans."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from core.arrays import FloatArray
+from core.builder import build_map
+from core.drive import Drive
+from core.frames import FrameCheck, check_frames
+from core.images import ConcatenatedImages, project_drive
+from core.parameters import Encoding, MapParameters
+from core.segmentation import cut_drives
+from core.topology import cut_at_meetings
+from core.trajectory import Trajectory
+from tests.real.conftest import Drives
+from tests.support.recording import kitti, tar
+from tests.support.service import Client, running, wait_for
+
+pytestmark = pytest.mark.real_data
+
+MAP = "/v1/maps/campus"
+
+
+def moved(rows: FloatArray, turn_deg: float, x_m: float) -> FloatArray:
+    """Return `(n, 7)` poses as another survey would give them."""
+    turn, poses = Rotation.from_euler("z", turn_deg, degrees=True), rows.copy()
+    poses[:, :3] = turn.apply(poses[:, :3]) + np.array([x_m, 0.0, 0.0])
+    poses[:, 3:] = (turn * Rotation.from_quat(poses[:, 3:])).as_quat()
+    return poses
+
+
+def upload(client: Client, name: str, drive: Drive, scans: range, poses: FloatArray) -> None:
+    files = tar((f"{i:06}.bin", kitti(drive.scan(scan))) for i, scan in enumerate(scans))
+    sent = client.post(
+        f"{MAP}/drives/{name}/scans",
+        content=files,
+        headers={"Content-Type": "application/x-tar"},
+        params={"format": "kitti"},
+    )
+    assert sent.status_code == 200, sent.text
+    placed = [{"scan": i, "pose": row} for i, row in enumerate(poses.tolist())]
+    assert client.put(f"{MAP}/drives/{name}/poses", json={"poses": placed}).status_code == 200
+
+
+def build(client: Client, **wanted: Any) -> Any:
+    return wait_for(client, client.post(f"{MAP}/builds", json=wanted).json()["job"])
+
+
+def localized(client: Client, drive: Drive, scans: range) -> int:
+    answers = [
+        client.post(
+            f"{MAP}/localizations/scan",
+            content=kitti(drive.scan(scan)),
+            headers={"Content-Type": "application/vnd.tensormap.kitti"},
+        ).json()
+        for scan in scans
+    ]
+    return sum(answer["localized"] for answer in answers)
+
+
+@pytest.mark.parametrize(("turn_deg", "x_m"), [(30.0, 500.0), (0.0, 20.0)])
+def test_odd_scans_of_kitti00_in_another_frame_do_not_reach_the_map_of_the_even_ones(
+    drives: Drives, tmp_path: Path, turn_deg: float, x_m: float
+) -> None:
+    kitti00 = drives.open("kitti00")
+    even, odd, asked = range(0, 120, 2), range(1, 120, 2), range(1, 120, 6)
+    with running(tmp_path / "data") as client:
+        client.post("/v1/maps", json={"map": "campus"})
+        upload(client, "a", kitti00, even, kitti00.poses[list(even)])
+        assert build(client, segments=3)["state"] == "done"
+        before = localized(client, kitti00, asked)
+        upload(client, "b", kitti00, odd, moved(kitti00.poses[list(odd)], turn_deg, x_m))
+        job = build(client, base="live", add=["b"], make_live=True)
+        after = localized(client, kitti00, asked)
+        assert (before, after, job["state"]) == (20, 20, "failed")
+        assert job["error"]["type"] == "/problems/frames-disagree"
+        placed = [
+            {"scan": i, "pose": row} for i, row in enumerate(kitti00.poses[list(odd)].tolist())
+        ]
+        client.put(f"{MAP}/drives/b/poses", json={"poses": placed})
+        job = build(client, base="live", add=["b"], make_live=True)
+        assert (job["state"], job["notes"], job["gate"]["live"]) == ("done", [], True)
+        assert localized(client, kitti00, asked) >= 19
+
+
+Part = tuple[str, range, Callable[[FloatArray], FloatArray]]
+
+
+def checked(drives: Drives, encoding: Encoding, first: Part, second: Part) -> FrameCheck:
+    parts, trajectories = [], []
+    for number, (name, scans, change) in enumerate((first, second)):
+        drive = drives.open(name)
+        height_m = 0.95 if name == "nclt_turn" else 1.73
+        parameters = MapParameters.for_sensor(encoding=encoding, sensor_height_m=height_m)
+        projected = project_drive(drive, np.array(scans), parameters.imager)
+        parts.append(projected.images)
+        kept = projected.scans
+        trajectories.append(
+            Trajectory.of_drive(
+                f"{number}", drive.timestamp_s[kept], change(drive.poses[kept]), kept
+            )
+        )
+    trajectory = Trajectory.concatenate(trajectories)
+    tensor_map = build_map(
+        ConcatenatedImages(parts),
+        trajectory,
+        cut_at_meetings(trajectory, cut_drives(trajectory.drive_start, 50)),
+        parameters,
+    )
+    (check,) = check_frames(tensor_map)
+    return check
+
+
+def as_they_are(poses: FloatArray) -> FloatArray:
+    return poses
+
+
+@pytest.mark.parametrize("encoding", Encoding)
+@pytest.mark.parametrize(("name", "x_m"), [("kitti00", 2.0), ("kitti_drive0001", 0.0)])
+def test_even_and_odd_scans_are_in_one_frame(
+    drives: Drives, encoding: Encoding, name: str, x_m: float
+) -> None:
+    scans = len(drives.open(name))
+    even, odd = range(0, scans, 2), range(1, scans, 2)
+    check = checked(
+        drives, encoding, (name, even, as_they_are), (name, odd, lambda p: moved(p, 0.0, x_m))
+    )
+    assert check.met, str(check)
+
+
+def test_passes_of_one_street_in_opposite_directions_are_in_one_frame_or_not(
+    drives: Drives,
+) -> None:
+    halves = range(93), range(93, 186)
+    passes = [("nclt_turn", half, as_they_are) for half in halves]
+    assert checked(drives, Encoding.HARMONIC, *passes).met
+    turned: Part = ("nclt_turn", halves[1], lambda poses: moved(poses, 30.0, 500.0))
+    found = checked(drives, Encoding.HARMONIC, passes[0], turned).disagreement
+    assert found is not None
+    assert found.transform.yaw_deg == pytest.approx(-30.0, abs=3.0)
+
+
+@pytest.mark.parametrize("encoding", Encoding)
+@pytest.mark.parametrize("other", ["kit_muehlburger", "kitti_drive0001"])
+def test_drives_of_two_towns_are_not_found_to_disagree(
+    drives: Drives, encoding: Encoding, other: str
+) -> None:
+    whole = [(name, range(len(drives.open(name))), as_they_are) for name in ("kitti00", other)]
+    for first, second in (whole, whole[::-1]):
+        check = checked(drives, encoding, first, second)
+        assert check.disagreement is None
+        assert not check.met
