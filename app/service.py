@@ -6,9 +6,11 @@ from typing import Annotated
 from fastapi import Depends, Path, Request
 
 from app.access.access import Access
+from app.bodies.spool import SpoolRoom
 from app.collector import GarbageCollector
 from app.jobs.runner import JobRunner
 from app.metrics import Metrics
+from app.pools import Pools
 from app.revisions import LoadedRevisions
 from app.settings import Settings
 from app.tracks import Tracks
@@ -31,6 +33,8 @@ class Service:
         tracks: Vehicles that are followed.
         metrics: What is counted.
         collector: Removes what is not retained.
+        pools: Threads for requests.
+        spool_room: Where their bodies wait.
     """
 
     settings: Settings
@@ -41,6 +45,8 @@ class Service:
     tracks: Tracks
     metrics: Metrics
     collector: GarbageCollector
+    pools: Pools
+    spool_room: SpoolRoom
 
 
 async def running_service(request: Request) -> Service:

@@ -2,7 +2,7 @@
 
 from typing import Annotated
 
-from fastapi import APIRouter, Header, Path, Query, Request, Response, status
+from fastapi import Header, Path, Query, Request, Response, status
 from starlette.responses import StreamingResponse
 
 from app.access.caller import Caller
@@ -10,6 +10,7 @@ from app.access.dependency import Asking
 from app.access.scopes import Scope, needs
 from app.errors import READING, WRITING, InvalidRequest
 from app.job_events import event_id, events_of
+from app.pooled_route import pooled_router
 from app.problems import problems
 from app.schemas.jobs import JobOut
 from app.schemas.pages import After, Limit, PageOut
@@ -20,7 +21,7 @@ from storage.errors import JobNotFound, MapNotFound
 
 __all__ = ["job_of", "router"]
 
-router = APIRouter(tags=["builds"])
+router = pooled_router(tags=["builds"])
 
 _EVENTS = "text/event-stream"
 _EVENT = {
