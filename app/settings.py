@@ -81,14 +81,14 @@ class Settings(BaseSettings):
         " directory, until they are whole; three quarters of that for one key.",
     )
     heavy_threads: int = Field(
-        8,
+        6,
         ge=1,
         le=256,
         description="How many requests that take long run at once: scans, archives, closures,"
         " imports, comparisons, large JSON.",
     )
     heavy_threads_per_key: int = Field(
-        4, ge=1, description="How many of these of one key run at once; others of it wait."
+        2, ge=1, description="How many of these of one key run at once; others of it wait."
     )
     short_threads: int = Field(
         32, ge=2, le=256, description="How many other requests run at once; 3/4 of one key."

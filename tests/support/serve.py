@@ -17,4 +17,7 @@ if __name__ == "__main__":  # the processes of builds import this file too, and 
     listener = socket.create_server(("127.0.0.1", 0))
     sys.stdout.write(f"{listener.getsockname()[1]} {os.getpid()}\n")
     sys.stdout.flush()  # whoever started it waits for it
-    uvicorn.Server(uvicorn.Config(create_app())).run(sockets=[listener])
+    # Uvicorn's own log of requests goes to standard output, of which one line is read: as soon as
+    # that pipe is full the service would wait for ever.
+    config = uvicorn.Config(create_app(), access_log=False)
+    uvicorn.Server(config).run(sockets=[listener])

@@ -93,15 +93,16 @@ class Load:
 
         async def one() -> None:
             reader, writer = await asyncio.open_connection(_HOST, self._port)
+            answer = asyncio.ensure_future(read_answer(reader))
             try:
                 writer.write(request.head(length) + request.body)
                 began = time.perf_counter()
-                answer = asyncio.ensure_future(read_answer(reader))
                 while not answer.done():
                     writer.write(b"\0")
                     await asyncio.wait([answer], timeout=every_s)
                 self.answers.add((await answer)[0], time.perf_counter() - began)
             finally:
+                answer.cancel()
                 writer.close()
 
         self._keep(one, count)
