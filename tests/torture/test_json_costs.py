@@ -218,7 +218,7 @@ def test_the_worst_json_takes_little_memory():
     found: list[tuple[Cost, str]] = []
     bodies = {name: make() for name, make in VALUES.items()}
     chance = random.Random(13)
-    cases = [
+    cases: list[tuple[type[BaseModel], bytes, str]] = [
         (model, put(value), f"{model.__name__} {place} {name}")
         for model in (MapIn, PosesIn, SignaturesIn, LoopClosuresIn)
         for (place, put), (name, value) in itertools.product(places(model), bodies.items())
