@@ -1,5 +1,6 @@
 """How a proposed closure of a stored map is judged: by what is known of its two scans."""
 
+from app.client import require_client
 from app.revisions import LoadedRevisions
 from app.schemas.loop_closures import LoopClosuresIn, StoredScanIn
 from core.localizer import Localizer
@@ -31,6 +32,7 @@ def judge_closures(
         height_m = revisions.live(map_slug).localizer.map.parameters.sensor_height_m
     found = []
     for proposal in wanted.proposals:
+        require_client()
         if isinstance(proposal.second, StoredScanIn):
             first, second = (
                 _read(store, map_slug, scan) for scan in (proposal.first, proposal.second)

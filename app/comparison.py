@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from app.client import require_client
 from app.stored_images import images_path
 from core.arrays import FloatArray
 from core.difference import DriveOverlap, MapFacts, changed_parameters, drive_overlaps
@@ -32,6 +33,7 @@ __all__ = [
 
 MOST_ASKED = 200
 """How many scans are asked at most, evenly spread: some seconds on maps of thousands of scans."""
+_ASKED_AT_ONCE = 10  # then it is seen whether anyone still waits for the answer
 
 
 class NoRecall(StrEnum):
@@ -186,9 +188,13 @@ def measure_recall(
 
 
 def _found(tensor_map: TensorMap, questions: list[_Question]) -> float:
-    rows = [question.row for question in questions]
-    probes = [(question.images, question.position) for question in questions]
-    return float(finds_own(tensor_map, rows, probes).mean())
+    found = []
+    for at in range(0, len(questions), _ASKED_AT_ONCE):
+        require_client()
+        asked = questions[at : at + _ASKED_AT_ONCE]
+        probes = [(question.images, question.position) for question in asked]
+        found.append(finds_own(tensor_map, [question.row for question in asked], probes))
+    return float(np.concatenate(found).mean())
 
 
 def _questions(

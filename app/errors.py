@@ -29,6 +29,8 @@ __all__ = [
     "MethodNotAllowed",
     "NoSuchRoute",
     "ScopeMissing",
+    "ServiceBusy",
+    "SlowBody",
     "TooManyConnections",
     "TooManyRequests",
     "TooManyStreams",
@@ -71,6 +73,10 @@ class DigestMismatch(AppError):
     """A body that is not what its Content-Digest says."""
 
 
+class SlowBody(AppError):
+    """A body that comes slower than the service waits for; what was stored of it stays."""
+
+
 class MalformedUpload(AppError):
     """A body of many scans that is no tar stream, or breaks off; what came before is stored."""
 
@@ -98,11 +104,19 @@ class ScopeMissing(AppError):
 
 
 class TooManyRequests(AppError):
-    """More requests, or bytes, than a key may send in this time; see `Retry-After`."""
+    """More requests, or bytes, than a key may send in this time or have open; see `Retry-After`."""
 
     def __init__(self, detail: str, wait_s: int, headers: Mapping[str, str]) -> None:
         super().__init__(detail)
         self.headers = {"Retry-After": str(wait_s), **headers}
+
+
+class ServiceBusy(AppError):
+    """More requests, or bytes of bodies, than this service takes at once; see `Retry-After`."""
+
+    def __init__(self, detail: str, wait_s: int) -> None:
+        super().__init__(detail)
+        self.headers = {"Retry-After": str(wait_s)}
 
 
 class HostNotAllowed(AppError):
@@ -217,11 +231,13 @@ STATUS: dict[type[core.TensorMapError], HTTPStatus] = {
     UnsupportedBody: S.UNSUPPORTED_MEDIA_TYPE,
     MalformedBody: S.BAD_REQUEST,
     DigestMismatch: S.BAD_REQUEST,
+    SlowBody: S.REQUEST_TIMEOUT,
     MalformedUpload: S.UNPROCESSABLE_ENTITY,
     KeyNeeded: S.UNAUTHORIZED,
     KeyRefused: S.UNAUTHORIZED,
     ScopeMissing: S.FORBIDDEN,
     TooManyRequests: S.TOO_MANY_REQUESTS,
+    ServiceBusy: S.SERVICE_UNAVAILABLE,
     HostNotAllowed: S.MISDIRECTED_REQUEST,
     NoSuchRoute: S.NOT_FOUND,
     MethodNotAllowed: S.METHOD_NOT_ALLOWED,
@@ -241,7 +257,15 @@ READING = (stored.StorageBusy, stored.StorageUnavailable, InternalError)
 """How every route that reads the store may end."""
 WRITING = (*READING, stored.StorageFull, stored.StorageReadOnly)
 """How every route that writes to it may end."""
-ANY_BODY = (BodyTooLarge, UnsupportedBody, MalformedBody, DigestMismatch)
+ANY_BODY = (
+    BodyTooLarge,
+    UnsupportedBody,
+    MalformedBody,
+    DigestMismatch,
+    SlowBody,
+    stored.StorageFull,  # a large body waits on the disk until it is whole
+    stored.StorageReadOnly,
+)
 """How every route that reads a body may end."""
 JSON_BODY = (InvalidRequest, *ANY_BODY)
 """How every route that takes JSON may end."""

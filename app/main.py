@@ -17,12 +17,15 @@ from app.access.answer_headers import AnswerHeaders
 from app.access.origins import allow_origins
 from app.access.trail import AuditTrail
 from app.bodies.bodies import BodyGuard
+from app.bodies.spool import SpoolRoom
+from app.bodies.unread import UnreadBody
 from app.collector import GarbageCollector
 from app.job_events import JobEvents
 from app.jobs.runner import JobRunner
 from app.metrics import Metrics
 from app.observing import RequestObserver
 from app.openapi import complete_openapi
+from app.pools import Pools
 from app.problems import add_handlers
 from app.process import one_blas_thread
 from app.revisions import LoadedRevisions
@@ -58,7 +61,9 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
         one_blas_thread()
-        service = await run_in_threadpool(_start, chosen, metrics)
+        pools = Pools(chosen)
+        pools.size_the_default()
+        service = await run_in_threadpool(_start, chosen, metrics, pools)
         app.state.service = service
         try:
             async with supervised():
@@ -78,6 +83,7 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     app.add_middleware(BodyGuard, settings=chosen)
     app.add_middleware(Admission)
     app.add_middleware(AuditTrail)
+    app.add_middleware(UnreadBody)
     app.add_middleware(AnswerHeaders)
     allow_origins(app, chosen.allowed_origins)
     app.add_middleware(RequestObserver, metrics=metrics)  # the last one added is the outermost
@@ -95,7 +101,7 @@ def _routes() -> tuple[BaseRoute, ...]:
     return tuple(router.routes)
 
 
-def _start(settings: Settings, metrics: Metrics) -> Service:
+def _start(settings: Settings, metrics: Metrics, pools: Pools) -> Service:
     store = Store.serving(settings.data_dir, settings.catalog_url)
     try:
         access, made = open_access(settings, store)
@@ -128,6 +134,8 @@ def _start(settings: Settings, metrics: Metrics) -> Service:
         metrics=metrics,
         collector=collector,
         scrub=scrub,
+        pools=pools,
+        spool_room=SpoolRoom(settings, pools.spool),
     )
 
 

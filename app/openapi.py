@@ -5,14 +5,33 @@ from typing import Any
 from fastapi import FastAPI
 from pydantic.json_schema import models_json_schema
 
+from app.jobs.parameters import BuildParameters
 from app.problems import Problem
+from app.schemas.drives import DrivePatch
+from app.schemas.keys import KeyIn
 from app.schemas.localizations import SignaturesIn
+from app.schemas.loop_closures import LoopClosuresIn
+from app.schemas.maps import MapIn, MapPatch
 from app.schemas.poses import PosesIn
+from app.schemas.revisions import LiveIn
+from app.schemas.tokens import TokenIn
 
 __all__ = ["complete_openapi"]
 
 # Named by routes that read the body, or answer, by themselves.
-_MODELS = (Problem, SignaturesIn, PosesIn)
+_MODELS = (
+    Problem,
+    BuildParameters,
+    DrivePatch,
+    KeyIn,
+    LiveIn,
+    LoopClosuresIn,
+    MapIn,
+    MapPatch,
+    PosesIn,
+    SignaturesIn,
+    TokenIn,
+)
 _NOT_OURS = ("HTTPValidationError", "ValidationError")
 
 

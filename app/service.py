@@ -6,10 +6,12 @@ from typing import Annotated
 from fastapi import Depends, Path, Request
 
 from app.access.access import Access
+from app.bodies.spool import SpoolRoom
 from app.collector import GarbageCollector
 from app.job_events import JobEvents
 from app.jobs.runner import JobRunner
 from app.metrics import Metrics
+from app.pools import Pools
 from app.revisions import LoadedRevisions
 from app.scrub import Scrub
 from app.settings import Settings
@@ -37,6 +39,8 @@ class Service:
         metrics: What is counted.
         collector: Removes what is not retained.
         scrub: Checks what is stored.
+        pools: Threads for requests.
+        spool_room: Where their bodies wait.
     """
 
     settings: Settings
@@ -50,6 +54,8 @@ class Service:
     metrics: Metrics
     collector: GarbageCollector
     scrub: Scrub
+    pools: Pools
+    spool_room: SpoolRoom
 
 
 async def running_service(request: Request) -> Service:

@@ -54,6 +54,51 @@ class Settings(BaseSettings):
         ge=2**10,
         description="The largest JSON body that is read: it is parsed whole, scans are not.",
     )
+    body_idle_s: float = Field(
+        20.0,
+        gt=0.0,
+        description="How many seconds a request body may bring nothing; then it is refused.",
+    )
+    body_bytes_per_s: float = Field(
+        256.0,
+        ge=0.0,
+        allow_inf_nan=False,
+        description="The least rate of a request body; 0 asks for none. There is no total time.",
+    )
+    body_grace_s: float = Field(
+        30.0,
+        gt=0.0,
+        allow_inf_nan=False,
+        description="How many seconds a request body may lag behind TENSORMAP_BODY_BYTES_PER_S.",
+    )
+    bodies_per_key: int = Field(
+        512, ge=1, description="How many request bodies of one key are read at once."
+    )
+    max_spool_bytes: int = Field(
+        96 * 2**30,
+        ge=2**20,
+        description="How many bytes of request bodies wait, in memory or in files of the data"
+        " directory, until they are whole; three quarters of that for one key.",
+    )
+    heavy_threads: int = Field(
+        6,
+        ge=1,
+        le=256,
+        description="How many requests that take long run at once: scans, archives, closures,"
+        " imports, comparisons, large JSON.",
+    )
+    heavy_threads_per_key: int = Field(
+        2, ge=1, description="How many of these of one key run at once; others of it wait."
+    )
+    short_threads: int = Field(
+        32, ge=2, le=256, description="How many other requests run at once; 3/4 of one key."
+    )
+    queued_requests: int = Field(
+        1024,
+        ge=1,
+        description="How many requests wait for a thread of each kind, half of them of one key;"
+        " more are refused. Keys that wait take turns.",
+    )
     log_format: LogFormat = Field(
         LogFormat.TEXT, description="How a line of the log is written: `text` or `json`."
     )

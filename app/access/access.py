@@ -20,7 +20,7 @@ from app.settings import Settings, is_loopback
 from storage.catalog import KeyRecord, TokenRecord
 from storage.store import Store
 
-__all__ = ["Access", "make_first_key", "open_access"]
+__all__ = ["Access", "make_first_key", "open_access", "sender_of"]
 
 _SENDER = "tensormap.sender"
 _DAY_S = 86_400
@@ -87,7 +87,7 @@ class Access:
             TooManyRequests: If it is.
             TensorMapError: What `caller_of` raises.
         """
-        address = f"address {connection.client.host if connection.client else ''}"
+        address = _address_of(connection.client.host if connection.client else "")
         try:
             caller = self.caller_of(connection)
         except (KeyNeeded, KeyRefused):
@@ -160,6 +160,19 @@ class Access:
         if key.first_run and self._operator_hash is not None:
             # To set a key is how a made one that was lost or seen is put out of use.
             raise KeyRefused(f"key {key.id} is out of use while TENSORMAP_ADMIN_KEY is set")
+
+
+def sender_of(scope: Scope) -> str:
+    """Return whose request it is: the id of a key, or the address of who has none."""
+    who: str | None = scope.get("state", {}).get(_SENDER)
+    if who is None:  # of a route that needs no key
+        client = scope.get("client")
+        return _address_of(client[0] if client else "")
+    return who
+
+
+def _address_of(host: str) -> str:
+    return f"address {host}"
 
 
 def _tell(state: MutableMapping[str, Any], allowance: Allowance | None) -> None:

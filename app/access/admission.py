@@ -1,9 +1,10 @@
 """The key comes first: nothing of a request is read, parsed or looked at before it."""
 
 import logging
+from functools import partial
 from http import HTTPStatus
 
-from starlette.concurrency import run_in_threadpool
+from anyio import to_thread
 from starlette.requests import HTTPConnection
 from starlette.types import ASGIApp, Receive, Scope, Send
 
@@ -33,10 +34,14 @@ class Admission:
         if scope["type"] != "http" or not scope["path"].startswith(_BEHIND_THE_KEY):
             await self._app(scope, receive, send)
             return
-        access: Access = scope["app"].state.service.access
+        service = scope["app"].state.service
+        access: Access = service.access
         state = scope.setdefault("state", {})
         try:
-            state[CALLER_STATE] = await run_in_threadpool(access.admit, HTTPConnection(scope))
+            # Threads of its own: whatever others do, a key is looked up at once.
+            state[CALLER_STATE] = await to_thread.run_sync(
+                partial(access.admit, HTTPConnection(scope)), limiter=service.pools.admission
+            )
         except TensorMapError as error:
             response = problem_response(error)
             if response.status_code >= HTTPStatus.INTERNAL_SERVER_ERROR:

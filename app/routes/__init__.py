@@ -8,6 +8,7 @@ from app.errors import (
     KeyNeeded,
     KeyRefused,
     ScopeMissing,
+    ServiceBusy,
     TooManyRequests,
 )
 from app.problems import problems
@@ -39,7 +40,9 @@ def api() -> APIRouter:
     router = APIRouter(
         prefix="/v1",
         dependencies=[Depends(require_access)],
-        responses=problems(KeyNeeded, KeyRefused, HostNotAllowed, ScopeMissing, TooManyRequests),
+        responses=problems(
+            KeyNeeded, KeyRefused, HostNotAllowed, ScopeMissing, ServiceBusy, TooManyRequests
+        ),
     )
     for module in (
         maps,

@@ -2,10 +2,11 @@
 
 from typing import Annotated
 
-from fastapi import APIRouter, Query
+from fastapi import Query
 
 from app.access.scopes import Scope, needs
 from app.errors import READING, InvalidRequest
+from app.pooled_route import pooled_router
 from app.problems import problems
 from app.schemas.audit import AuditEntryOut
 from app.schemas.exact import Moment
@@ -14,7 +15,7 @@ from app.service import Running
 
 __all__ = ["router"]
 
-router = APIRouter(tags=["access"])
+router = pooled_router(tags=["access"])
 
 AfterEntry = Annotated[
     int,

@@ -3,13 +3,15 @@
 from hashlib import sha256
 from typing import Annotated
 
-from fastapi import APIRouter, Header, Response, status
+from fastapi import Header, Response, status
 
 from app.access.dependency import Asking
 from app.access.scopes import Scope, needs
+from app.bodies.bodies import Json
 from app.errors import JSON_BODY, WRITING
 from app.jobs.parameters import BuildParameters
 from app.plans import plan_build
+from app.pooled_route import pooled_router
 from app.problems import problems
 from app.schemas.jobs import JobOut
 from app.service import MapSlug, Running
@@ -30,7 +32,7 @@ from storage.errors import (
 
 __all__ = ["router"]
 
-router = APIRouter(tags=["builds"])
+router = pooled_router(tags=["builds"])
 
 IdempotencyKey = Annotated[
     str | None,
@@ -66,7 +68,7 @@ IdempotencyKey = Annotated[
 )
 def build(
     map_slug: MapSlug,
-    parameters: BuildParameters,
+    parameters: Json[BuildParameters],
     running: Running,
     asking: Asking,
     response: Response,

@@ -2,11 +2,12 @@
 
 from typing import Annotated
 
-from fastapi import APIRouter, Query
+from fastapi import Query
 
 from app.access.scopes import Scope, needs
 from app.comparison import compare_revisions
 from app.errors import READING
+from app.pooled_route import heavy, pooled_router
 from app.problems import problems
 from app.revisions import Answering
 from app.routes.revisions import RevisionId
@@ -24,7 +25,7 @@ from storage.errors import (
 
 __all__ = ["router"]
 
-router = APIRouter(tags=["revisions"])
+router = pooled_router(tags=["revisions"])
 
 Other = Annotated[
     str | None,
@@ -43,6 +44,7 @@ Other = Annotated[
         MapNotFound, NoLiveRevision, RevisionNotFound, AmbiguousRevision, CorruptFile, *READING
     ),
 )
+@heavy
 def compare(
     map_slug: MapSlug, revision: RevisionId, running: Running, other: Other = None
 ) -> ComparisonOut:

@@ -5,10 +5,10 @@ import math
 from typing import Annotated, Any
 
 import numpy as np
-from fastapi import APIRouter, Path, Query, Response, status
+from fastapi import Path, Query, Response, status
 
 from app.access.scopes import Scope, needs
-from app.bodies.bodies import SCAN_BODY, Body, ContentType
+from app.bodies.bodies import SCAN_BODY, Body, ContentType, Json
 from app.errors import (
     ANY_BODY,
     JSON_BODY,
@@ -16,6 +16,7 @@ from app.errors import (
     WRITING,
     InvalidRequest,
 )
+from app.pooled_route import heavy, pooled_router
 from app.problems import problems
 from app.schemas.drives import DriveOut, DrivePatch, ScanOut
 from app.schemas.pages import After, Limit, PageOut
@@ -44,7 +45,7 @@ from storage.formats.registry import read_scan
 
 __all__ = ["BAD_SCAN", "TimestampQuery", "router"]
 
-router = APIRouter(tags=["drives"])
+router = pooled_router(tags=["drives"])
 
 BAD_SCAN = (
     EmptyBody,
@@ -106,7 +107,7 @@ def get_drive(map_slug: MapSlug, drive_slug: DriveSlug, running: Running) -> Dri
 def close_drive(
     map_slug: MapSlug,
     drive_slug: DriveSlug,
-    change: DrivePatch,  # noqa: ARG001 - its schema allows one change only
+    change: Json[DrivePatch],  # noqa: ARG001 - its schema allows one change only
     running: Running,
 ) -> DriveOut:
     """Close a drive: it takes no new scans, and its files are packed."""
@@ -145,6 +146,7 @@ def delete_drive(map_slug: MapSlug, drive_slug: DriveSlug, running: Running) -> 
         ),
     },
 )
+@heavy
 def put_scan(
     map_slug: MapSlug,
     drive_slug: DriveSlug,
@@ -193,6 +195,7 @@ def put_scan(
         ),
     },
 )
+@heavy
 def get_scan(
     map_slug: MapSlug, drive_slug: DriveSlug, index: ScanIndex, running: Running
 ) -> Response:

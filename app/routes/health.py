@@ -3,18 +3,19 @@
 from importlib.metadata import version
 from typing import Annotated, Literal
 
-from fastapi import APIRouter, Path, Response, status
+from fastapi import Path, Response, status
 from fastapi.responses import RedirectResponse
 from pydantic import BaseModel
 
 from app.errors import STATUS, NoSuchRoute
+from app.pooled_route import pooled_router
 from app.problems import problem_name, problems
 from app.service import Running
 from core.errors import TensorMapError
 
 __all__ = ["router"]
 
-router = APIRouter(tags=["health"])
+router = pooled_router(tags=["health"])
 
 ProblemName = Annotated[str, Path(description="The last part of its type.")]
 

@@ -4,7 +4,7 @@ from collections.abc import AsyncIterator
 from contextlib import AbstractContextManager
 from typing import Annotated
 
-from fastapi import APIRouter, Header, Path, Query, Request, Response, status
+from fastapi import Header, Path, Query, Request, Response, status
 from starlette.responses import StreamingResponse
 from starlette.types import Receive, Send
 from starlette.types import Scope as ASGIScope
@@ -14,6 +14,7 @@ from app.access.dependency import Asking
 from app.access.scopes import Scope, needs
 from app.errors import READING, WRITING, InvalidRequest, TooManyStreams, TooManyStreamsOfKey
 from app.job_events import event_id
+from app.pooled_route import pooled_router
 from app.problems import problems
 from app.schemas.jobs import JobOut
 from app.schemas.pages import After, Limit, PageOut
@@ -24,7 +25,7 @@ from storage.errors import JobNotFound, MapNotFound
 
 __all__ = ["job_of", "router"]
 
-router = APIRouter(tags=["builds"])
+router = pooled_router(tags=["builds"])
 
 _EVENTS = "text/event-stream"
 _EVENT = {

@@ -3,17 +3,19 @@
 from datetime import UTC, datetime
 from typing import Annotated
 
-from fastapi import APIRouter, Path, Response, status
+from fastapi import Path, Response, status
 
 from app.access.scopes import Scope, needs
 from app.access.secrets import new_secret, secret_hash
 from app.access.trail import note
+from app.bodies.bodies import Json
 from app.errors import (
     JSON_BODY,
     READING,
     WRITING,
     InvalidRequest,
 )
+from app.pooled_route import pooled_router
 from app.problems import problems
 from app.schemas.keys import KeyIn, KeyMade, KeyOut
 from app.schemas.pages import After, Limit, PageOut
@@ -24,7 +26,7 @@ from storage.names import checked_slug
 
 __all__ = ["router"]
 
-router = APIRouter(prefix="/keys", tags=["access"])
+router = pooled_router(prefix="/keys", tags=["access"])
 
 KeyId = Annotated[str, Path(alias="key", description="The key's id.")]
 
@@ -35,7 +37,7 @@ KeyId = Annotated[str, Path(alias="key", description="The key's id.")]
     status_code=status.HTTP_201_CREATED,
     responses=problems(InvalidParameters, InvalidSlug, *JSON_BODY, *WRITING),
 )
-def make_key(wanted: KeyIn, running: Running, response: Response) -> KeyMade:
+def make_key(wanted: Json[KeyIn], running: Running, response: Response) -> KeyMade:
     """Make a key; its secret is in this answer and nowhere else.
 
     The first key of a service must be an administrator's: from then on keys are asked for.

@@ -3,18 +3,19 @@
 from typing import Annotated
 
 import numpy as np
-from fastapi import APIRouter, Query
+from fastapi import Query
 from fastapi.exceptions import RequestValidationError
-from pydantic import ValidationError
 
 from app.access.scopes import Scope, needs
 from app.bodies.bodies import SCAN_BODY, Body, ContentType, binary_body, media_type
+from app.bodies.json_body import read_json
 from app.errors import (
     ANY_BODY,
     READING,
     InvalidRequest,
     UnsupportedBody,
 )
+from app.pooled_route import heavy, pooled_router
 from app.problems import problems
 from app.revisions import Answering
 from app.routes.drives import BAD_SCAN
@@ -52,7 +53,7 @@ __all__ = [
     "router",
 ]
 
-router = APIRouter(tags=["localizations"], prefix="/maps/{map}/localizations")
+router = pooled_router(tags=["localizations"], prefix="/maps/{map}/localizations")
 
 _ANSWERING = (
     MapNotFound,
@@ -92,6 +93,7 @@ SensorName = Annotated[
     openapi_extra=SCAN_BODY,
     responses=problems(*_ANSWERING, SensorMismatch, *BAD_SCAN),
 )
+@heavy
 def localize_scan(
     map_slug: MapSlug,
     body: Body,
@@ -243,13 +245,12 @@ def read_signatures(body: bytes, content_type: str | None) -> tuple[Signature, .
             f"Content-Type is {kind[:80]!r}, wanted application/json or {SIGNATURE_TYPE}"
         )
     try:
-        return SignaturesIn.model_validate_json(body).to_core()
-    except ValidationError as error:
-        found = error.errors(include_url=False, include_input=False, include_context=False)
+        return read_json(body, SignaturesIn).to_core()
+    except RequestValidationError as error:
         raise RequestValidationError(
             # The encoding was told by the fields' names: it is no place in the body.
             [
-                {**item, "loc": ("body", *(p for p in item["loc"] if p not in ENCODING_TAGS))}
-                for item in found
+                {**item, "loc": tuple(p for p in item["loc"] if p not in ENCODING_TAGS)}
+                for item in error.errors()
             ]
         ) from None

@@ -1,10 +1,10 @@
 """Loop closures: is a proposed one true?"""
 
-from fastapi import APIRouter
-
 from app.access.scopes import Scope, needs
+from app.bodies.bodies import Json
 from app.closures import judge_closures
 from app.errors import JSON_BODY, READING
+from app.pooled_route import heavy, pooled_router
 from app.problems import problems
 from app.schemas.loop_closures import LoopClosureOut, LoopClosuresIn, LoopClosuresOut
 from app.service import MapSlug, Running
@@ -20,7 +20,7 @@ from storage.errors import (
 
 __all__ = ["router"]
 
-router = APIRouter(tags=["loop closures"])
+router = pooled_router(tags=["loop closures"])
 
 
 @router.post(
@@ -41,8 +41,9 @@ router = APIRouter(tags=["loop closures"])
         *READING,
     ),
 )
+@heavy
 def check_loop_closures(
-    map_slug: MapSlug, wanted: LoopClosuresIn, running: Running
+    map_slug: MapSlug, wanted: Json[LoopClosuresIn], running: Running
 ) -> LoopClosuresOut:
     """Judge proposed closures before they bend a map.
 

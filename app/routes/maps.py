@@ -3,17 +3,19 @@
 import re
 from typing import Annotated
 
-from fastapi import APIRouter, Header, Response, status
+from fastapi import Header, Response, status
 
 from app.access.dependency import Asking
 from app.access.scopes import Scope, needs
 from app.access.trail import note
+from app.bodies.bodies import Json
 from app.errors import (
     JSON_BODY,
     READING,
     WRITING,
     InvalidRequest,
 )
+from app.pooled_route import pooled_router
 from app.problems import problems
 from app.schemas.maps import MapIn, MapOut, MapPatch
 from app.schemas.pages import After, Limit, PageOut
@@ -22,7 +24,7 @@ from storage.errors import InvalidSlug, MapChanged, MapExists, MapNotFound
 
 __all__ = ["IfMatch", "etag_of", "router", "version_seen"]
 
-router = APIRouter(tags=["maps"])
+router = pooled_router(tags=["maps"])
 
 _ETAG = re.compile(r'\s*(?:\*|(?:W/)?"([0-9]{1,18})")\s*')
 IfMatch = Annotated[
@@ -40,7 +42,7 @@ IfMatch = Annotated[
     status_code=status.HTTP_201_CREATED,
     responses=problems(InvalidSlug, MapExists, *JSON_BODY, *WRITING),
 )
-def create_map(wanted: MapIn, running: Running, response: Response, asking: Asking) -> MapOut:
+def create_map(wanted: Json[MapIn], running: Running, response: Response, asking: Asking) -> MapOut:
     """Make an empty map."""
     note("", map_slug=wanted.map)
     asking.require_new_map(wanted.map)
@@ -80,7 +82,7 @@ def get_map(map_slug: MapSlug, running: Running, response: Response) -> MapOut:
 )
 def update_map(
     map_slug: MapSlug,
-    change: MapPatch,
+    change: Json[MapPatch],
     running: Running,
     response: Response,
     if_match: IfMatch = None,

@@ -1,6 +1,6 @@
 """Metrics for Prometheus."""
 
-from fastapi import APIRouter, Depends, Response
+from fastapi import Depends, Response
 from prometheus_client import CONTENT_TYPE_LATEST
 
 from app.access.dependency import require_access
@@ -11,14 +11,16 @@ from app.errors import (
     KeyNeeded,
     KeyRefused,
     ScopeMissing,
+    ServiceBusy,
     TooManyRequests,
 )
+from app.pooled_route import pooled_router
 from app.problems import problems
 from app.service import Running
 
 __all__ = ["router"]
 
-router = APIRouter(tags=["health"])
+router = pooled_router(tags=["health"])
 
 
 @router.get(
@@ -31,7 +33,13 @@ router = APIRouter(tags=["health"])
             "content": {CONTENT_TYPE_LATEST.partition(";")[0]: {"schema": {"type": "string"}}},
         },
         **problems(
-            KeyNeeded, KeyRefused, HostNotAllowed, ScopeMissing, TooManyRequests, InternalError
+            KeyNeeded,
+            KeyRefused,
+            HostNotAllowed,
+            ScopeMissing,
+            ServiceBusy,
+            TooManyRequests,
+            InternalError,
         ),
     },
 )

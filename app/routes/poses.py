@@ -2,13 +2,13 @@
 
 from typing import Annotated
 
-from fastapi import APIRouter, Query
-from fastapi.exceptions import RequestValidationError
-from pydantic import ValidationError
+from fastapi import Query
 
 from app.access.scopes import Scope, needs
 from app.bodies.bodies import Body, ContentType, binary_body, media_type
+from app.bodies.json_body import read_json
 from app.errors import JSON_BODY, WRITING, UnsupportedBody
+from app.pooled_route import pooled_router
 from app.problems import problems
 from app.schemas.drives import DriveWithPosesOut
 from app.schemas.poses import PosesIn
@@ -25,7 +25,7 @@ from storage.errors import (
 
 __all__ = ["router"]
 
-router = APIRouter(tags=["drives"])
+router = pooled_router(tags=["drives"])
 
 _JSON = "application/json"
 
@@ -93,19 +93,9 @@ def put_poses(
             partial=bool(partial),
         )
     elif kind == _JSON:
-        poses, timestamps_s = _from_json(body).to_core()
+        poses, timestamps_s = read_json(body, PosesIn).to_core()
         put = drives.put_poses(map_slug, drive_slug, poses, timestamps_s)
     else:
         wanted = ", ".join((_JSON, *POSE_TYPES))
         raise UnsupportedBody(f"Content-Type is {kind[:80]!r}, wanted one of {wanted}")
     return DriveWithPosesOut.of(drives.get(map_slug, drive_slug), put)
-
-
-def _from_json(body: bytes) -> PosesIn:
-    try:
-        return PosesIn.model_validate_json(body)
-    except ValidationError as error:
-        found = error.errors(include_url=False, include_input=False, include_context=False)
-        raise RequestValidationError(
-            [{**item, "loc": ("body", *item["loc"])} for item in found]
-        ) from None

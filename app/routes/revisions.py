@@ -5,13 +5,13 @@ import json
 from typing import Annotated, Any
 
 import numpy as np
-from fastapi import APIRouter, Header, Path, Query, Response, status
+from fastapi import Header, Path, Query, Response, status
 from fastapi.responses import FileResponse
 from pydantic import Field
 
 from app.access.scopes import Scope, needs
 from app.access.trail import note
-from app.bodies.bodies import Body, ContentType, binary_body, media_type
+from app.bodies.bodies import Body, ContentType, Json, binary_body, media_type
 from app.errors import (
     JSON_BODY,
     READING,
@@ -22,6 +22,7 @@ from app.errors import (
 )
 from app.imports import import_revision
 from app.open_file import OpenFileResponse
+from app.pooled_route import heavy, pooled_router
 from app.problems import problems
 from app.revisions import Answering
 from app.routes.maps import IfMatch, etag_of, version_seen
@@ -44,7 +45,7 @@ from storage.formats.errors import EmptyBody
 
 __all__ = ["router"]
 
-router = APIRouter(tags=["revisions"])
+router = pooled_router(tags=["revisions"])
 
 RevisionId = Annotated[
     str, Path(alias="revision", description="Digest of a revision, or at least 12 first digits.")
@@ -107,6 +108,7 @@ def list_revisions(
     },
     openapi_extra=binary_body(**{_HDF5: "A revision's file, as its download gives it."}),
 )
+@heavy
 def import_a_revision(
     map_slug: MapSlug,
     running: Running,
@@ -183,7 +185,7 @@ def delete_revision(map_slug: MapSlug, revision: RevisionId, running: Running) -
 )
 def make_live(
     map_slug: MapSlug,
-    wanted: LiveIn,
+    wanted: Json[LiveIn],
     running: Running,
     response: Response,
     if_match: IfMatch = None,
@@ -207,6 +209,7 @@ def make_live(
         **problems(*_OF_ONE, UnknownSegment, InvalidRequest),
     },
 )
+@heavy
 def get_basis(
     map_slug: MapSlug,
     running: Running,
@@ -255,6 +258,7 @@ def get_basis(
     dependencies=[needs(Scope.MAPS_READ)],
     responses=problems(*_OF_ONE),
 )
+@heavy
 def get_topology(map_slug: MapSlug, running: Running, revision: OneRevision = None) -> TopologyOut:
     """Show a map as a graph: nodes where segments end and drives meet, edges along streets."""
     return TopologyOut.from_core(_answering(running, map_slug, revision).localizer.map)

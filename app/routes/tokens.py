@@ -3,19 +3,21 @@
 from collections.abc import Set as AbstractSet
 from datetime import UTC, datetime, timedelta
 
-from fastapi import APIRouter, Response, status
+from fastapi import Response, status
 
 from app.access.caller import Caller
 from app.access.dependency import Asking
 from app.access.scopes import ANY_SCOPE, Scope, needs
 from app.access.secrets import TOKEN_PREFIX, new_secret, secret_hash
 from app.access.trail import note
+from app.bodies.bodies import Json
 from app.errors import (
     JSON_BODY,
     WRITING,
     KeyNeeded,
     ScopeMissing,
 )
+from app.pooled_route import pooled_router
 from app.problems import problems
 from app.schemas.tokens import TokenIn, TokenMade
 from app.service import Running
@@ -25,7 +27,7 @@ from storage.names import checked_slug
 
 __all__ = ["router"]
 
-router = APIRouter(tags=["access"])
+router = pooled_router(tags=["access"])
 
 
 @router.post(
@@ -35,7 +37,7 @@ router = APIRouter(tags=["access"])
     responses=problems(InvalidParameters, InvalidSlug, *JSON_BODY, *WRITING),
 )
 def exchange_token(
-    wanted: TokenIn, running: Running, asking: Asking, response: Response
+    wanted: Json[TokenIn], running: Running, asking: Asking, response: Response
 ) -> TokenMade:
     """Exchange a token for the key of this request, with no more rights and for an hour at most.
 

@@ -7,12 +7,13 @@ from typing import Annotated, NoReturn
 
 from anyio import to_thread
 from fastapi import APIRouter, Path, WebSocket, WebSocketDisconnect, status
-from pydantic import ValidationError
+from fastapi.exceptions import RequestValidationError
 from starlette.concurrency import run_in_threadpool
 from starlette.types import Message
 
 from app.access.dependency import stream_caller
 from app.access.scopes import Scope
+from app.bodies.json_body import read_json
 from app.errors import (
     BodyTooLarge,
     HostNotAllowed,
@@ -122,8 +123,8 @@ def _observation(body: bytes | str) -> Observation:
     if isinstance(body, bytes):
         return Observation(unpack_signatures(body))
     try:
-        return ObservationIn.model_validate_json(body).to_observation()
-    except ValidationError as error:
-        found = error.errors(include_url=False, include_input=False, include_context=False)[0]
-        where = "/".join(map(str, found["loc"]))
+        return read_json(body.encode(), ObservationIn).to_observation()
+    except RequestValidationError as error:
+        found = error.errors()[0]
+        where = "/".join(map(str, found["loc"][1:]))
         raise InvalidRequest(f"{where}: {found['msg']}"[:200]) from None

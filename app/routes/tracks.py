@@ -3,7 +3,7 @@
 from http import HTTPStatus
 from typing import Annotated
 
-from fastapi import APIRouter, Path, Query, Response
+from fastapi import Path, Query, Response
 
 from app.access.dependency import Asking
 from app.access.scopes import Scope, needs
@@ -16,6 +16,7 @@ from app.errors import (
     TooManyTracksOfKey,
     TrackNotFound,
 )
+from app.pooled_route import pooled_router
 from app.problems import problems
 from app.routes.drives import BAD_SCAN
 from app.routes.localizations import (
@@ -52,7 +53,7 @@ from storage.formats.registry import read_scan
 
 __all__ = ["TrackId", "router", "track_of"]
 
-router = APIRouter(tags=["tracks"], prefix="/maps/{map}/tracks")
+router = pooled_router(tags=["tracks"], prefix="/maps/{map}/tracks")
 
 TrackId = Annotated[str, Path(alias="track", description="The track's name.")]
 

@@ -1,6 +1,7 @@
 """What a query says beside its scan: what is known of the place, and how sure an answer must be."""
 
-from typing import Annotated
+import inspect
+from typing import Annotated, Any
 
 from fastapi import Depends, Query
 
@@ -102,4 +103,11 @@ def _together(**numbers: float | None) -> tuple[float, ...] | None:
     return given or None
 
 
-HintsIn = Annotated[Hints, Depends(hints_of)]
+async def _on_the_loop(**given: Any) -> Hints:  # noqa: ANN401 - those of `hints_of`
+    """Read hints where no thread is waited for: the framework would take one for each request."""
+    return hints_of(**given)
+
+
+_on_the_loop.__signature__ = inspect.signature(hints_of)  # type: ignore[attr-defined]
+
+HintsIn = Annotated[Hints, Depends(_on_the_loop)]

@@ -1,65 +1,34 @@
 """Many scans in one body: a tar stream of scan files that are named by their index."""
 
 import re
-from collections.abc import AsyncIterator, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from pathlib import PurePosixPath
-from tempfile import TemporaryFile
-from typing import IO
+from functools import partial
+from pathlib import Path, PurePosixPath
+from tempfile import SpooledTemporaryFile
 
-from anyio import from_thread
-from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect
 
-from app.errors import MalformedUpload
+from app.client import require_client
+from app.errors import BodyTooLarge, MalformedBody, MalformedUpload
 from app.problems import problem_name
-from app.uploads.tar_stream import TarMember, TarStream
+from app.uploads.tar_stream import TarFeed, TarMember
 from core.errors import InvalidScan, TensorMapError
 from core.scan import Scan
 from storage.errors import DriveClosed, ScanConflict
-from storage.files import named_disk_errors
 from storage.formats.errors import ScanTooLarge, UnknownFormat
 from storage.formats.registry import read_scan, suffix_of
 from storage.store import Store
 
-__all__ = ["BodyReader", "SetAside", "Upload", "spooled", "store_scans"]
+__all__ = ["ScanUpload", "SetAside", "Upload"]
 
 _NAME = re.compile(r"(\d{1,16})\.\w+(\.\w+)?", re.ASCII)
 _PLAIN = ".bin"
 _LAST_INDEX = 2**53
 _GROUP_BYTES, _GROUP_SCANS = 4 * 2**20, 256
+_PART_BYTES = 64 * 2**10  # of a file that is yet to end, in memory
 _MOST_TOLD = 1000
 _MOST_CHARACTERS = 200
-
-
-class BodyReader:
-    """Reads an asynchronous body from the thread of a route."""
-
-    def __init__(self, stream: AsyncIterator[bytes]) -> None:
-        self._stream = stream
-        self._chunk = b""
-        self._at = 0
-
-    def __call__(self, size: int) -> bytes:
-        """Return up to so many bytes, none at the end.
-
-        Raises:
-            ClientDisconnect: If the connection is cut.
-        """
-        while self._at >= len(self._chunk):
-            self._chunk, self._at = from_thread.run(self._next), 0
-            if not self._chunk:
-                return b""
-        piece = self._chunk[self._at : self._at + size]
-        self._at += len(piece)
-        return piece
-
-    async def _next(self) -> bytes:
-        async for chunk in self._stream:
-            if chunk:
-                return chunk
-        return b""
 
 
 @dataclass(frozen=True)
@@ -102,62 +71,95 @@ class Upload:
             self.set_aside.append(SetAside(shown, problem_name(type(error)), told))
 
 
-@contextmanager
-def spooled(read: BodyReader, folder: str) -> Iterator[IO[bytes]]:
-    """Write a body to a file without a name, whole, and give it back from its beginning."""
-    with TemporaryFile(dir=folder) as file:
-        while chunk := read(2**20):
-            with named_disk_errors():
-                file.write(chunk)
-        with named_disk_errors():
-            file.seek(0)
-        yield file
-
-
-def store_scans(
-    store: Store,
-    map_slug: str,
-    drive_slug: str,
-    archive: TarStream,
-    *,
-    media_type: str | None,
-    min_returns: int,
-) -> Upload:
-    """Store the scans of a tar stream as they come, small ones some at a time.
+class ScanUpload:
+    """Stores the scans of a tar stream as its bytes are given, small ones some at a time.
 
     A file's name is its scan's index, `000012.pcd`; its format is that of `media_type`, or of its
-    suffix. What cannot be used is set aside and the rest goes on. When it returns, what is stored
-    is on disk.
+    suffix. What cannot be used is set aside and the rest goes on. Its methods are called from
+    threads, one after another.
 
-    Raises:
-        MalformedUpload: If the stream is no tar, breaks off, or holds no file; scans that came
-            before are stored.
-        HTTPException: If the body goes beyond a limit; scans that came before are stored.
-        MapNotFound: If there is no such map.
-        InvalidSlug: If the drive is new, and its name is no slug.
-        StorageFull: If no space is left; scans that came before are stored.
+    Args:
+        store: Where to.
+        map_slug: The map.
+        drive_slug: The drive.
+        media_type: Of the files; `None` if their suffixes tell it.
+        min_returns: A scan with fewer is set aside.
+        most_bytes: How long a file may be.
+        folder: Where what came of a file waits for the rest.
     """
-    upload = Upload()
-    group = _Group(store, map_slug, drive_slug, upload)
-    try:
-        for member in archive:
-            try:
-                group.add(member.name, _index(member), _scan(member, media_type, min_returns))
-            except (InvalidScan, UnknownFormat) as error:
-                upload.refuse(member.name, error)
-    except (ClientDisconnect, HTTPException):  # cut off by the client, or by a limit of ours
-        group.store()  # what came need not come again
-        raise
-    except MalformedUpload as error:
-        group.store()
-        raise MalformedUpload(
-            f"{error}; {len(upload.stored)} scans were stored, {len(upload.present)} were there"
-            f" and {upload.set_aside_count} were set aside before"
-        ) from error
-    group.store()
-    if not (upload.stored or upload.present or upload.set_aside):
-        raise MalformedUpload("the tar stream holds no file; wanted scans named by their index")
-    return upload
+
+    def __init__(
+        self,
+        store: Store,
+        map_slug: str,
+        drive_slug: str,
+        *,
+        media_type: str | None,
+        min_returns: int,
+        most_bytes: int,
+        folder: Path,
+    ) -> None:
+        self._media_type, self._min_returns = media_type, min_returns
+        self._upload = Upload()
+        self._group = _Group(store, map_slug, drive_slug, self._upload)
+        place = partial(SpooledTemporaryFile, _PART_BYTES, dir=folder)
+        self._feed = TarFeed(most_bytes, place)
+
+    def take(self, pieces: Iterable[bytes]) -> None:
+        """Store the scans that end within the next bytes; the last ones may wait for more.
+
+        Raises:
+            MalformedUpload: If the stream is no tar; scans that came before are stored.
+            MapNotFound: If there is no such map.
+            InvalidSlug: If the drive is new, and its name is no slug.
+            StorageFull: If no space is left; scans that came before are stored.
+            TensorMapError: What `pieces` raises; scans that came before are stored.
+            ClientDisconnect: If the client left; scans that came before are stored.
+        """
+        try:
+            for piece in pieces:
+                if piece:  # no bytes would be the end of the stream
+                    self._take(piece)
+        except (ClientDisconnect, BodyTooLarge, MalformedBody):  # the client's, or ours
+            self.store()  # what came need not come again
+            raise
+
+    def store(self) -> None:
+        """Store the scans that came whole and wait for others."""
+        self._group.store()
+
+    def finish(self) -> Upload:
+        """Return what became of the files; what is stored is on disk.
+
+        Raises:
+            MalformedUpload: If the stream breaks off, or held no file; scans that came before are
+                stored.
+            TensorMapError: What `take` raises.
+        """
+        self._take(b"")
+        self.store()
+        upload = self._upload
+        if not (upload.stored or upload.present or upload.set_aside):
+            raise MalformedUpload("the tar stream holds no file; wanted scans named by their index")
+        return upload
+
+    def _take(self, piece: bytes) -> None:
+        upload = self._upload
+        try:
+            for member in self._feed.take(piece):
+                require_client()
+                try:
+                    index = _index(member)
+                    scan = _scan(member, self._media_type, self._min_returns)
+                    self._group.add(member.name, index, scan)
+                except (InvalidScan, UnknownFormat) as error:
+                    upload.refuse(member.name, error)
+        except MalformedUpload as error:
+            self.store()
+            raise MalformedUpload(
+                f"{error}; {len(upload.stored)} scans were stored, {len(upload.present)} were"
+                f" there and {upload.set_aside_count} were set aside before"
+            ) from error
 
 
 class _Group:

@@ -1,17 +1,24 @@
 """A tar stream, read as it comes: one file in memory at a time, and that of bounded size.
 
+Its parser is a generator that asks for bytes: `TarStream` reads them where they are, `TarFeed` is
+given them as they come.
+
 Python's `tarfile` reads extended headers of any size into memory; a stranger's stream needs less
 trust and less of the format: ustar headers, and the long names of GNU and PAX.
 """
 
-from collections.abc import Callable, Iterator
+import io
+from collections.abc import Callable, Generator, Iterator
 from dataclasses import dataclass
+from typing import IO, TypeVar
 
 import numpy as np
 
 from app.errors import MalformedUpload
 
-__all__ = ["TarMember", "TarStream"]
+__all__ = ["TarFeed", "TarMember", "TarStream"]
+
+T = TypeVar("T")
 
 _BLOCK = 512
 _SKIP_BYTES = 2**16
@@ -55,14 +62,73 @@ class TarStream:
     def __init__(self, read: Callable[[int], bytes], most_bytes: int) -> None:
         self._read = read
         self._most_bytes = most_bytes
-        self._headers = 0
-        self._file_bytes = 0
 
     def __iter__(self) -> Iterator[TarMember]:
         """Give the files, each once."""
+        feed = TarFeed(self._most_bytes)
+        while not feed.ended:
+            yield from feed.take(self._read(_SKIP_BYTES))
+
+
+class TarFeed:
+    """The files of a tar stream whose bytes are given as they come.
+
+    Args:
+        most_bytes: How long a file may be.
+        place: Gives a file for what came of one that is yet to end.
+    """
+
+    def __init__(self, most_bytes: int, place: Callable[[], IO[bytes]] = io.BytesIO) -> None:
+        self._parser = _Parser(most_bytes, place).files()
+        self._asked = next(self._parser)
+        self.ended = False
+
+    def take(self, chunk: bytes) -> Iterator[TarMember]:
+        """Give the files that end within the next bytes of the stream; none is its end.
+
+        Raises:
+            MalformedUpload: If it is no tar stream or breaks off.
+        """
+        at = 0
+        while not self.ended:
+            asked = self._asked
+            piece: bytes | None = None
+            if isinstance(asked, TarMember):
+                yield asked
+            elif at == len(chunk) and chunk:
+                return
+            else:
+                piece = chunk[at : at + asked]
+                at += len(piece)
+            try:
+                self._asked = self._parser.send(piece)
+            except StopIteration:
+                self.ended = True
+
+
+# What asks for up to so many bytes, is sent them, none at the end, and at last returns something.
+_Reading = Generator[int, bytes, T]
+
+
+class _Parser:
+    """Takes a tar stream apart.
+
+    Args:
+        most_bytes: How long a file may be.
+        place: Gives a file for the content of one.
+    """
+
+    def __init__(self, most_bytes: int, place: Callable[[], IO[bytes]]) -> None:
+        self._most_bytes = most_bytes
+        self._place = place
+        self._headers = 0
+        self._file_bytes = 0
+
+    def files(self) -> Generator["int | TarMember", bytes | None, None]:
+        """Yield the files, and how many bytes are wanted."""
         long_name: str | None = None
         extended = 0
-        while (header := self._header()) is not None:
+        while (header := (yield from self._header())) is not None:
             size, kind = _size(header), header[156:157]
             self._require_files()
             extended = extended + 1 if kind in _EXTENDED else 0
@@ -74,7 +140,7 @@ class TarStream:
             if kind in _EXTENDED:
                 if size > _MAX_HEADER_BYTES:
                     raise MalformedUpload(f"a header of the tar stream takes {size} bytes")
-                content = self._content(size)
+                content = yield from self._content(size)
                 if kind == _GNU_NAME:
                     long_name = _text(content)
                 elif kind == _PAX:
@@ -82,23 +148,23 @@ class TarStream:
                 continue
             name, long_name = long_name or _name(header), None
             if kind not in _FILE:
-                self._skip(size)
+                yield from self._skip(size)
                 if kind != _FOLDER:
                     yield TarMember(name, None, "it is a link or device, no file")
             elif size > self._most_bytes:
-                self._skip(size)
+                yield from self._skip(size)
                 yield TarMember(
                     name, None, f"it has {size} bytes, at most {self._most_bytes} are read"
                 )
             else:
                 self._file_bytes += size
-                yield TarMember(name, self._content(size))
+                yield TarMember(name, (yield from self._content(size)))
 
-    def _header(self) -> bytes | None:
+    def _header(self) -> _Reading[bytes | None]:
         """Return the next header, `None` at the end of the stream."""
-        block = self._exactly(_BLOCK, "its next header")
+        block = yield from self._exactly(_BLOCK, "its next header")
         if block is None or not block.strip(b"\0"):
-            self._drain()  # a block of zeros ends the archive, what follows is padding
+            yield from self._drain()  # a block of zeros ends the archive, what follows is padding
             return None
         # The sum is of bytes, with blanks where it stands itself; some wrote it of signed ones.
         wanted = _octal(block[148:156])
@@ -121,38 +187,41 @@ class TarStream:
                 f" {_FILE_BYTES_PER_HEADER} bytes of files a header"
             )
 
-    def _content(self, size: int) -> bytes:
-        content = self._exactly(size, "a file") if size else b""
+    def _content(self, size: int) -> _Reading[bytes]:
+        content = (yield from self._exactly(size, "a file")) if size else b""
         if content is None:
             raise MalformedUpload(f"the tar stream breaks off before a file of {size} bytes")
-        self._skip(-size % _BLOCK, exact=False)
+        yield from self._skip(-size % _BLOCK, exact=False)
         return content
 
-    def _skip(self, size: int, *, exact: bool = True) -> None:
+    def _skip(self, size: int, *, exact: bool = True) -> _Reading[None]:
         left = size + (-size % _BLOCK if exact else 0)
         while left:
-            chunk = self._read(min(left, _SKIP_BYTES))
+            chunk = yield min(left, _SKIP_BYTES)
             if not chunk:
                 raise MalformedUpload("the tar stream breaks off within a file")
             left -= len(chunk)
 
-    def _drain(self) -> None:
-        while self._read(_SKIP_BYTES):
+    def _drain(self) -> _Reading[None]:
+        while (yield _SKIP_BYTES):
             pass
 
-    def _exactly(self, size: int, what: str) -> bytes | None:
+    def _exactly(self, size: int, what: str) -> _Reading[bytes | None]:
         """Return so many bytes, `None` if the stream has ended before the first of them."""
-        parts = bytearray()
-        while len(parts) < size:
-            chunk = self._read(min(size - len(parts), 2**20))
-            if not chunk:
-                if not parts:
-                    return None
-                raise MalformedUpload(
-                    f"the tar stream breaks off within {what}: {len(parts)} of {size} bytes came"
-                )
-            parts += chunk
-        return bytes(parts)
+        came = 0
+        with self._place() as parts:
+            while came < size:
+                chunk = yield min(size - came, 2**20)
+                if not chunk:
+                    if not came:
+                        return None
+                    raise MalformedUpload(
+                        f"the tar stream breaks off within {what}: {came} of {size} bytes came"
+                    )
+                parts.write(chunk)
+                came += len(chunk)
+            parts.seek(0)
+            return parts.read()
 
 
 def _signed_sum(block: bytes) -> int:

@@ -9,10 +9,9 @@ import tarfile
 import numpy as np
 import pytest
 import zstandard
-from starlette.exceptions import HTTPException
 
-from app.uploads.many_scans import store_scans
-from app.uploads.tar_stream import TarStream
+from app.errors import BodyTooLarge
+from app.uploads.many_scans import ScanUpload
 from tests.support.recording import KITTI, TAR, kitti, npy, recording, tar
 from tests.support.service import problem_of, running, whole_store
 
@@ -113,20 +112,24 @@ def test_a_closed_drive_takes_what_it_has_and_nothing_else(empty):
     assert empty.get(f"{DRIVE}/scans").json()["closed"] is True
 
 
-def test_scans_that_came_before_a_limit_was_reached_are_stored(empty):
-    source = io.BytesIO(tar(npy_files()))
-    limit = len(source.getvalue()) // 2
+def test_scans_that_came_before_a_limit_was_reached_are_stored(empty, tmp_path):
+    body = tar(npy_files())
 
-    def read(size):
-        if source.tell() >= limit:  # as the guard of bodies does in the middle of a stream
-            raise HTTPException(429)
-        return source.read(min(size, limit - source.tell()))
+    def pieces():
+        yield from (body[at : at + 999] for at in range(0, len(body) // 2, 999))
+        raise BodyTooLarge("as it is told in the middle of a body that unpacks to too much")
 
-    archive = TarStream(read, limit)
-    with pytest.raises(HTTPException):
-        store_scans(
-            empty.service.store, "campus", "monday", archive, media_type=None, min_returns=1
-        )
+    upload = ScanUpload(
+        empty.service.store,
+        "campus",
+        "monday",
+        media_type=None,
+        min_returns=1,
+        most_bytes=len(body),
+        folder=tmp_path,
+    )
+    with pytest.raises(BodyTooLarge):
+        upload.take(pieces())
     assert empty.get(f"{DRIVE}/scans").json()["present"] == ranges((0, 2))
 
 

@@ -20,5 +20,7 @@ if __name__ == "__main__":  # the processes of builds import this file too, and 
     sys.stdout.write(f"{listener.getsockname()[1]} {os.getpid()}\n")
     sys.stdout.flush()  # whoever started it waits for it
     settings = within_descriptors(Settings())
-    config = uvicorn.Config(create_app(settings), **connection_options(settings))
+    # Uvicorn's own log of requests goes to standard output, of which one line is read: as soon as
+    # that pipe is full the service would wait for ever.
+    config = uvicorn.Config(create_app(settings), access_log=False, **connection_options(settings))
     BoundedServer(config).run(sockets=[listener])

@@ -1,0 +1,53 @@
+"""Whether the client of a request still waits for its answer."""
+
+import asyncio
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+
+from starlette.requests import ClientDisconnect
+from starlette.types import Receive
+
+__all__ = ["Client", "require_client"]
+
+
+class Client:
+    """The client of one request; a thread that works for it asks `require_client` now and then."""
+
+    def __init__(self) -> None:
+        self._left = asyncio.Event()
+
+    @property
+    def left(self) -> asyncio.Event:
+        """Set when the connection is gone."""
+        return self._left
+
+    async def watch(self, receive: Receive) -> None:
+        """Wait for the connection to go; of a body that is yet to come nothing is read."""
+        while (message := await receive())["type"] != "http.disconnect":
+            if message.get("more_body", False):
+                return
+        self._left.set()
+
+    @contextmanager
+    def waiting(self) -> Iterator[None]:
+        """Make `require_client` ask for this one within the block."""
+        token = _client.set(self)
+        try:
+            yield
+        finally:
+            _client.reset(token)
+
+
+_client: ContextVar[Client | None] = ContextVar("tensormap_client", default=None)
+
+
+def require_client() -> None:
+    """Stop long work whose client has left; called between its units, from any thread.
+
+    Raises:
+        ClientDisconnect: If the client of the present request has left.
+    """
+    client = _client.get()
+    if client is not None and client.left.is_set():
+        raise ClientDisconnect
