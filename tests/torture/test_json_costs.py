@@ -209,8 +209,8 @@ def test_the_worst_json_costs_seconds_and_little_memory():
         found.append((cost_of(body, model, memory=False), f"{model.__name__} {name}"))
     found.sort(key=lambda pair: -pair[0].cpu_s)
     for cost, name in found[:8]:
-        print(f"{cost.cpu_s:.2f} s {name}: {cost.outcome}")  # noqa: T201 - the figures
-    print(f"{len(found)} bodies; peak {peak_mb()} MB")  # noqa: T201 - the figures
+        print(f"{cost.cpu_s:.2f} s {name}: {cost.outcome}")
+    print(f"{len(found)} bodies; peak {peak_mb()} MB")
     assert found[0][0].cpu_s < MOST_CPU_S
 
 
@@ -231,7 +231,7 @@ def test_the_worst_json_takes_little_memory():
             found.append((cost_of(body, model, memory=True), name))
     found.sort(key=lambda pair: -pair[0].peak_bytes)
     for cost, name in found[:8]:
-        print(f"{cost.peak_bytes / 2**20:.0f} MB {name}: {cost.outcome}")  # noqa: T201 - the figures
+        print(f"{cost.peak_bytes / 2**20:.0f} MB {name}: {cost.outcome}")
     assert found[0][0].peak_bytes < MOST_MEMORY_BYTES
 
 

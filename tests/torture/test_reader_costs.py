@@ -30,7 +30,7 @@ def cost_of(kind: str, name: str, size: int) -> dict[str, Any]:
         timeout=600,
     )
     told: dict[str, Any] = json.loads(done.stdout)
-    print(  # noqa: T201 - the table that the decision keeps
+    print(
         f"| {name} | {told['bytes'] / 2**20:.1f} | {told['cpu_s']:.2f} | {told['mb']}"
         f" | {told['outcome']} |"
     )

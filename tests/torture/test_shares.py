@@ -182,7 +182,7 @@ def test_a_key_that_takes_all_it_can_get_leaves_the_others_theirs(tmp_path):
                     measured(port, "GET", "/livez", {}, b"") as alive,
                 ):
                     yield
-                print(f"{name}: fixes {fixes}; livez {alive}")  # noqa: T201 - the figures
+                print(f"{name}: fixes {fixes}; livez {alive}")
                 found[name] = fixes, alive
 
             async def attack() -> None:
@@ -195,11 +195,11 @@ def test_a_key_that_takes_all_it_can_get_leaves_the_others_theirs(tmp_path):
                     with phase(f"{WEBSOCKETS} WebSockets asked for besides"):
                         streams = open_websockets(port, stream, bearer(greedy_key), WEBSOCKETS)
                         websockets = await streams.__aenter__()
-                    print(f"WebSockets: {dict(websockets.answers)}")  # noqa: T201 - the figures
+                    print(f"WebSockets: {dict(websockets.answers)}")
                     with phase("those that were accepted besides"):
                         await asyncio.sleep(MEASURED_S)
                     await streams.__aexit__(None, None, None)
-                    print(f"{idle.closed} idle connections were closed")  # noqa: T201
+                    print(f"{idle.closed} idle connections were closed")
 
             asyncio.run(attack())
             theirs = other.post(f"{MAP}/tracks").status_code
@@ -217,7 +217,7 @@ def test_a_key_that_takes_all_it_can_get_leaves_the_others_theirs(tmp_path):
             f"builds of the greedy key {dict(queued)}, started before the other's: {between}\n"
             f"log {log.stat().st_size / 1e6:.2f} MB, {other_bytes / 1e6:.3f} MB not of requests"
         )
-        print(figures)  # noqa: T201
+        print(figures)
     for fixes, alive in found.values():
         assert set(fixes.statuses) == set(alive.statuses) == {200}
         assert max(fixes.p99_s(), alive.p99_s()) < P99_S

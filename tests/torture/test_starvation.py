@@ -103,14 +103,14 @@ def test_a_fix_of_another_key_is_answered_while_one_key_holds_uploads_and_closur
             load.trickle(uploads, SLOW_UPLOADS, length=10**9)
             load.repeat(closures, SLOW_CLOSURES)
             answers = await measured(served, fix, load, warm_s=5.0)
-            print(f"load: {load.answers.statuses}")  # noqa: T201 - the figures
+            print(f"load: {load.answers.statuses}")
             return answers
 
     answers = asyncio.run(run())
     grown = resident_bytes(served) - before
     for name, found in zip(("kept", "new"), answers, strict=True):
-        print(f"{name}: {found}")  # noqa: T201 - the figures
-    print(f"grown by {grown / 2**20:.0f} MB")  # noqa: T201 - the figures
+        print(f"{name}: {found}")
+    print(f"grown by {grown / 2**20:.0f} MB")
     for found in answers:
         assert set(found.statuses) == {200}, found
         assert found.quantile(0.99) < P99_S, found
@@ -131,8 +131,8 @@ def test_the_service_is_alive_while_the_largest_json_comes_in(served):
     answers = asyncio.run(run())
     grown = resident_bytes(served) - before
     for name, found in zip(("kept", "new"), answers, strict=True):
-        print(f"{name}: {found}")  # noqa: T201 - the figures
-    print(f"grown by {grown / 2**20:.0f} MB")  # noqa: T201 - the figures
+        print(f"{name}: {found}")
+    print(f"grown by {grown / 2**20:.0f} MB")
     for found in answers:
         assert set(found.statuses) == {200}, found
         assert found.quantile(0.99) < P99_S, found
