@@ -3,7 +3,7 @@
 import subprocess
 import sys
 
-_ALL = ("fit_segment", "localize", "match_harmonic", "build_memory")
+_ALL = ("fit_segment", "localize", "match_harmonic", "build_memory", "open_revision")
 
 
 def main() -> int:

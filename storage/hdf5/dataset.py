@@ -1,5 +1,6 @@
 """Arrays of numbers in a file, contiguous or in chunks with checksums."""
 
+import math
 from dataclasses import dataclass
 from itertools import product
 from typing import Any
@@ -40,7 +41,7 @@ class Dataset:
     @property
     def size_bytes(self) -> int:
         """How many bytes its numbers take."""
-        return _product(self.shape) * self.dtype.itemsize
+        return math.prod(self.shape) * self.dtype.itemsize
 
     def read(self) -> NDArray[Any]:
         """Return all numbers.
@@ -75,7 +76,7 @@ class ContiguousDataset(Dataset):
     def rows(self, start: int, stop: int) -> NDArray[Any]:
         """Return the numbers of rows `start` up to `stop` of the first axis."""
         start, stop, _ = slice(start, stop).indices(self.shape[0])
-        row_bytes = _product(self.shape[1:]) * self.dtype.itemsize
+        row_bytes = math.prod(self.shape[1:]) * self.dtype.itemsize
         shape = (max(0, stop - start), *self.shape[1:])
         return self.source.array(self.at + start * row_bytes, self.dtype, shape, self.name)
 
@@ -100,12 +101,13 @@ class ChunkedDataset(Dataset):
         start, stop, _ = slice(start, stop).indices(self.shape[0])
         stop = max(start, stop)
         rows = np.empty((stop - start, *self.shape[1:]), self.dtype)
+        if not rows.size:
+            return rows
         grid = _grid(self.shape, self.chunk_shape)
         length = self.chunk_shape[0]
-        for first in range(start // length, -(-stop // length) if stop > start else 0):
+        for first in range(start // length, -(-stop // length)):
             for others in product(*(range(count) for count in grid[1:])):
                 number = int(np.ravel_multi_index((first, *others), grid)) if grid[1:] else first
-                chunk = self._chunk(number)
                 begin = first * length
                 into = (
                     slice(max(0, begin - start), min(stop, begin + length) - start),
@@ -120,25 +122,30 @@ class ChunkedDataset(Dataset):
                     slice(max(0, start - begin), min(stop - begin, length)),
                     *(slice(0, part.stop - part.start) for part in into[1:]),
                 )
-                rows[into] = chunk[out_of]
+                target = rows[into]
+                if target.shape == self.chunk_shape and target.flags.c_contiguous:
+                    self._load(number, target)
+                else:
+                    chunk = np.empty(self.chunk_shape, self.dtype)
+                    self._load(number, chunk)
+                    rows[into] = chunk[out_of]
         return rows
 
     def _scalar(self) -> NDArray[Any]:
         raise CorruptFile(f"{self.name} is one number in chunks")
 
-    def _chunk(self, number: int) -> NDArray[Any]:
-        count = _product(self.chunk_shape) * self.dtype.itemsize
-        place = self.chunks[number]
+    def _load(self, number: int, target: NDArray[Any]) -> None:
+        """Read a whole chunk into `target` and check its sum."""
+        place, name = self.chunks[number], f"{self.name}: chunk {number}"
         if place.at == UNDEFINED:
-            raise CorruptFile(f"{self.name}: chunk {number} was never written")
-        if place.mask or place.size != count + _CHECKSUM:
-            raise CorruptFile(
-                f"{self.name}: chunk {number} has {place.size} bytes, wanted {count + _CHECKSUM}"
-            )
-        raw = self.source.read(place.at, place.size, f"{self.name}: chunk {number}")
-        if fletcher32(memoryview(raw)[:count]) != int.from_bytes(raw[count:], "little"):
+            raise CorruptFile(f"{name} was never written")
+        if place.mask or place.size != target.nbytes + _CHECKSUM:
+            raise CorruptFile(f"{name} has {place.size} bytes, wanted {target.nbytes + _CHECKSUM}")
+        content = target.reshape(-1).view(np.uint8)
+        self.source.read_into(place.at, content.data, name)
+        told = self.source.read(place.at + target.nbytes, _CHECKSUM, name)
+        if fletcher32(content) != int.from_bytes(told, "little"):
             raise CorruptFile(f"{self.name}: the checksum of chunk {number} does not fit")
-        return np.frombuffer(raw, self.dtype, _product(self.chunk_shape)).reshape(self.chunk_shape)
 
 
 def open_dataset(source: Source, messages: Messages) -> Dataset:
@@ -164,7 +171,7 @@ def open_dataset(source: Source, messages: Messages) -> Dataset:
     if filtered:
         raise CorruptFile(f"{name} is filtered and contiguous")
     at, size = layout.unsigned(8), layout.unsigned(8)
-    count = _product(shape) * dtype.itemsize
+    count = math.prod(shape) * dtype.itemsize
     if at == UNDEFINED:
         at, size = 0, 0
     if count > size:
@@ -208,8 +215,8 @@ def _chunked(
     grid = _grid(shape, chunk_shape) if all(chunk_shape) else ()
     if item != dtype.itemsize or not grid or flags & ~2:
         raise CorruptFile(f"{name} has chunks of shape {chunk_shape} with items of {item} bytes")
-    wanted = _product(grid)
-    size = _product(chunk_shape) * item + _CHECKSUM
+    wanted = math.prod(grid)
+    size = math.prod(chunk_shape) * item + _CHECKSUM
     if wanted * size > source.size_bytes:
         raise CorruptFile(f"{name} has more numbers than the file")
     if kind == 1 and flags == 2 and wanted <= 1:
@@ -229,10 +236,3 @@ def _chunked(
 
 def _grid(shape: tuple[int, ...], chunk_shape: tuple[int, ...]) -> tuple[int, ...]:
     return tuple(-(-whole // part) for whole, part in zip(shape, chunk_shape, strict=True))
-
-
-def _product(lengths: tuple[int, ...]) -> int:
-    count = 1
-    for length in lengths:
-        count *= length
-    return count

@@ -1,5 +1,6 @@
 """Shapes and kinds of numbers, as messages describe them."""
 
+import math
 from typing import Any, Final
 
 import numpy as np
@@ -32,11 +33,12 @@ CODES: Final = {
 TEXT: Final = bytes.fromhex("1901010010000000100000000100000000000800")
 """How a file describes text of any length in UTF-8."""
 
-# The same in versions 3 and 4, as newer files have it: names end with a zero, offsets take a byte.
+# The same in versions 3 to 5, as newer files have it: names end with a zero, offsets take a byte.
 _NEWER_COMPLEX = bytes.fromhex("02000008000000") + b"r\0\0" + _FLOAT32 + b"i\0\4" + _FLOAT32
 _MOST_AXES = 8
+_MOST_NUMBERS = 2**48  # NumPy takes no axis much longer, not even beside one of none
 _DTYPES: dict[bytes, np.dtype[Any]] = {code: np.dtype(name) for name, code in CODES.items()}
-for _version in (b"\x36", b"\x46"):
+for _version in (b"\x36", b"\x46", b"\x56"):
     _DTYPES[_version + _NEWER_COMPLEX] = np.dtype("<c8")
 _TEXTS = {
     head + base
@@ -105,6 +107,8 @@ def shape_of(fields: Fields) -> tuple[int, ...]:
     if axes > _MOST_AXES or flags & ~1:
         raise CorruptFile(f"{fields.name} has {axes} axes, at most {_MOST_AXES} are read here")
     shape = tuple(fields.unsigned(8) for _ in range(axes))
+    if math.prod(length or 1 for length in shape) > _MOST_NUMBERS:
+        raise CorruptFile(f"{fields.name} has shape {shape}: more numbers than any file")
     if flags:
         longest = tuple(fields.unsigned(8) for _ in range(axes))
         if any(most < now for now, most in zip(shape, longest, strict=True)):

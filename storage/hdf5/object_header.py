@@ -1,5 +1,6 @@
 """Object headers: the messages that say what a group or a dataset is."""
 
+import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -41,6 +42,7 @@ _WITHOUT_MEANING_HERE = {
 }
 _KNOWN = {value for name, value in vars(Message).items() if name.isupper()} | _WITHOUT_MEANING_HERE
 _SHARED = 2
+_MESSAGE = struct.Struct("<BHB")
 
 
 @dataclass(frozen=True)
@@ -161,7 +163,7 @@ def _version_2(source: Source, at: int, start: Fields) -> Iterator[tuple[int, in
             block.take(prefix)
         tracked = 2 if flags & 4 else 0
         while block.left >= 4 + 4 + tracked:  # what is smaller is a gap
-            kind, size, told = block.unsigned(1), block.unsigned(2), block.unsigned(1)
+            kind, size, told = _MESSAGE.unpack(block.take(4))
             block.take(tracked)
             if size > block.left - 4:
                 raise CorruptFile(f"{start.name}: a message is cut off")

@@ -1,7 +1,7 @@
 """Bytes of a file, on a disk or in memory, and fields cut out of them: nothing beyond their end."""
 
+import math
 import os
-import struct
 from abc import ABC, abstractmethod
 from pathlib import Path
 from typing import Any, Self
@@ -17,7 +17,6 @@ UNDEFINED = 2**64 - 1
 """The address of what was never given a place."""
 
 _STRUCTURE_BYTES = 2**19  # ours take some 10 kB; their checksums are computed in Python, 4 MB/s
-_UNSIGNED = {1: "<B", 2: "<H", 4: "<I", 8: "<Q"}
 
 
 class Fields:
@@ -44,18 +43,15 @@ class Fields:
         Raises:
             CorruptFile: If the structure has fewer.
         """
-        if not 0 <= count <= self.left:
+        begin, end = self.at, self.at + count
+        if not begin <= end <= len(self.content):
             raise CorruptFile(f"{self.name} is cut off: {count} bytes wanted, {self.left} left")
-        begin, self.at = self.at, self.at + count
-        return self.content[begin : self.at]
+        self.at = end
+        return self.content[begin:end]
 
     def unsigned(self, size: int) -> int:
         """Return the next little-endian unsigned number of `size` bytes."""
-        taken = self.take(size)
-        if (form := _UNSIGNED.get(size)) is not None:
-            number: int = struct.unpack(form, taken)[0]
-            return number
-        return int.from_bytes(taken, "little")
+        return int.from_bytes(self.take(size), "little")
 
     def expect(self, wanted: bytes, what: str) -> None:
         """Refuse a structure whose next bytes are others than `wanted`."""
@@ -108,7 +104,7 @@ class Source(ABC):
         """
         self.require(at, count, name)
         content = bytearray(count)
-        self._fill(at, memoryview(content), name)
+        self.read_into(at, memoryview(content), name)
         return bytes(content)
 
     def array(
@@ -119,15 +115,19 @@ class Source(ABC):
         Raises:
             CorruptFile: If it does not lie within the file, or cannot be read.
         """
-        count = dtype.itemsize
-        for length in shape:
-            count *= length
+        count = dtype.itemsize * math.prod(shape)
         self.require(at, count, name)
         array = np.empty(shape, dtype)
-        self._fill(at, array.reshape(-1).view(np.uint8).data, name)
+        self.read_into(at, array.reshape(-1).view(np.uint8).data, name)
         return array
 
-    def _fill(self, at: int, target: memoryview, name: str) -> None:
+    def read_into(self, at: int, target: memoryview, name: str) -> None:
+        """Fill `target` with bytes of the file.
+
+        Raises:
+            CorruptFile: If they do not lie within it, or cannot be read.
+        """
+        self.require(at, len(target), name)
         try:
             count = self._read_into(at, target)
         except OSError as error:

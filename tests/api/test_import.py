@@ -1,10 +1,14 @@
 """A revision from elsewhere: checked whole, written anew, answering as it did there."""
 
+import errno
 import io
+import tempfile
+from pathlib import Path
 
 import h5py
 import pytest
 
+from tests import golden
 from tests.support.recording import KITTI, kitti, recording
 from tests.support.service import problem_of, whole_store
 
@@ -106,3 +110,25 @@ def test_an_import_says_what_it_is_and_goes_into_a_map_that_is_there(empty, expo
     assert problem_of(empty.post(REVISIONS, content=exported)) == (415, "unsupported-body")
     nowhere = empty.post("/v1/maps/other/revisions", content=exported, headers=HDF5)
     assert problem_of(nowhere) == (404, "map-not-found")
+
+
+@pytest.mark.parametrize("bit", [1, 2, 3])
+def test_an_import_on_which_the_hdf5_library_never_ends_is_refused(empty, bit):
+    """One bit of the size of the first text in the global heap of a file that HDF5 wrote."""
+    older = (Path(golden.__file__).parent / "map-v1.h5").read_bytes()
+    assert empty.post(REVISIONS, content=older, headers=HDF5).status_code == 201
+    harmed = bytearray(older)
+    harmed[harmed.index(b"GCOL") + 16 + 9] ^= 1 << bit
+    refused = empty.post(REVISIONS, content=bytes(harmed), headers=HDF5)
+    assert problem_of(refused) == (422, "invalid-map")
+    assert empty.get("/livez").status_code == 200
+
+
+def test_an_import_writes_no_copy_of_its_own(empty, exported, monkeypatch):
+    """A disk that failed under that copy was reported as a map that is invalid."""
+
+    def fail(*_args, **_options):
+        raise OSError(errno.EIO, "Input/output error")
+
+    monkeypatch.setattr(tempfile, "mkdtemp", fail)
+    assert empty.post(REVISIONS, content=exported, headers=HDF5).status_code == 201

@@ -10,12 +10,15 @@ import resource
 import sys
 import tempfile
 import time
+from array import array
 from collections import Counter
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from core.imager import Imager
 from core.reducer import Reducer
@@ -71,7 +74,12 @@ def _read_chunk(path: Path) -> str:
 def _read_images(path: Path) -> str:
     """Read all that a build reads but the reasons why scans were skipped, which are words."""
     with ImageFile(path, _IMAGER) as images:
-        parts = [images.scans, images.probed, images.standing, images.read(0, len(images))]
+        parts: list[NDArray[Any]] = [
+            images.scans,
+            images.probed,
+            images.standing,
+            images.read(0, len(images)),
+        ]
         if images.probes is not None:
             parts.append(images.probes.read(0, len(images.probes)))
         told = [images.returns, len(images.skipped)]
@@ -133,17 +141,15 @@ def main(names: list[str]) -> None:
     """Flip all bits of a file of each kind, or of those that are named."""
     with tempfile.TemporaryDirectory() as folder:
         for name in names or KINDS:
-            path, seconds = Path(folder, "file.h5"), [0.0]
+            path, seconds = Path(folder, "file.h5"), array("d")
             path.unlink(missing_ok=True)
             KINDS[name].make(path)
             count = 8 * path.stat().st_size
             before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-            ended = flipped(
-                KINDS[name], path, range(count), lambda s, m=seconds: m.append(max(m.pop(), s))
-            )
+            ended = flipped(KINDS[name], path, range(count), seconds.append)
             grown = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before
             sys.stdout.write(
-                f"{name}: {count} flips, {dict(ended)}, at most {1e3 * seconds[0]:.0f} ms each,"
+                f"{name}: {count} flips, {dict(ended)}, at most {1e3 * max(seconds):.0f} ms each,"
                 f" memory grew by {grown // 1024} MB\n"
             )
             sys.stdout.flush()
