@@ -19,7 +19,8 @@ T = TypeVar("T")
 _RETRY_S = 2
 _ADMISSION_THREADS = 8  # a look-up of a key takes the catalog a fraction of a millisecond
 _SPOOL_THREADS = 8
-_INNER_THREADS = 40  # of the framework: files that are sent, the audit of refusals
+_AUDIT_THREADS = 2  # the catalog takes one writer at a time
+_INNER_THREADS = 40  # of the framework: files that are sent, streams
 
 
 class Pool:
@@ -159,6 +160,7 @@ class Pools:
         heavy: What takes longer: scans, archives, closures, imports, comparisons, large JSON.
         admission: Threads that look up keys; nobody's work takes one.
         spool: Threads that write bodies to disk.
+        audit: Threads that log refusals, of whoever asks too often for what is not allowed.
     """
 
     def __init__(self, settings: Settings) -> None:
@@ -176,6 +178,7 @@ class Pools:
         )
         self.admission = CapacityLimiter(_ADMISSION_THREADS)
         self.spool = CapacityLimiter(_SPOOL_THREADS)
+        self.audit = CapacityLimiter(_AUDIT_THREADS)
 
     def size_the_default(self) -> None:
         """Size the pool that the framework takes threads from by itself."""

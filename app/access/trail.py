@@ -1,10 +1,11 @@
 """What goes into the audit log: every change that is asked for, and what came of it."""
 
 import logging
+from functools import partial
 from urllib.parse import quote
 
+from anyio import to_thread
 from fastapi import Request
-from starlette.concurrency import run_in_threadpool
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from app.access.caller import Caller
@@ -57,8 +58,9 @@ class AuditTrail:
                 await self._app(scope, receive, watched)
         finally:
             if state.get(_STATE) and status >= _ERROR:
-                store: Store = scope["app"].state.service.store
-                await run_in_threadpool(_add_failure, store, act, status)
+                service = scope["app"].state.service
+                failure = partial(_add_failure, service.store, act, status)
+                await to_thread.run_sync(failure, limiter=service.pools.audit)
 
 
 def sign(request: Request, caller: Caller) -> None:
