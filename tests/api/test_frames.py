@@ -38,7 +38,7 @@ def is_found(client, scan):
     ).json()
     place = told["matches"][0]["pose"]
     apart_m = np.hypot(place["x_m"] - scan.pose.x_m, place["y_m"] - scan.pose.y_m)
-    return told["localized"] and apart_m <= 5.0
+    return bool(told["localized"] and apart_m <= 5.0)
 
 
 def build(client, **wanted):

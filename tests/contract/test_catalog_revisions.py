@@ -11,6 +11,7 @@ from storage.catalog import (
     JobState,
     RequestKey,
 )
+from storage.catalog.scans import LostRace
 from storage.errors import (
     AmbiguousRevision,
     JobNotFound,
@@ -50,6 +51,18 @@ class TestRevisions:
         assert catalog.maps.get("campus").version == 4
         catalog.revisions.set_live("campus", A)
         assert catalog.maps.get("campus").version == 4
+
+    def test_one_is_added_only_if_that_is_live_which_it_was_compared_with(self, catalog):
+        campus = catalog.maps.get("campus").id
+        with pytest.raises(LostRace):
+            catalog.revisions.add(campus, A, "a.h5", 10, FACTS, make_live=True, if_live=B)
+        catalog.revisions.add(campus, A, "a.h5", 10, FACTS, make_live=True, if_live="")
+        for other in ("", B):
+            with pytest.raises(LostRace, match="became live meanwhile"):
+                catalog.revisions.add(campus, C, "c.h5", 10, FACTS, make_live=True, if_live=other)
+        assert [item.digest for item in catalog.revisions.list("campus").items] == [A]
+        catalog.revisions.add(campus, C, "c.h5", 10, FACTS, make_live=True, if_live=A)
+        assert catalog.revisions.live("campus").digest == C
 
     def test_making_live_refuses_a_map_that_changed(self, catalog):
         catalog.revisions.add(catalog.maps.get("campus").id, A, "a.h5", 10, FACTS)

@@ -3,11 +3,20 @@
 import json
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from typer.testing import CliRunner
 
 from app.cli.main import cli
-from core.errors import BasisMismatch, EmptyDrive, InvalidParameters, UnknownDrive
+from core.errors import (
+    BasisMismatch,
+    EmptyDrive,
+    FramesDisagree,
+    InvalidParameters,
+    UnknownDrive,
+)
+from core.simulation import SimulatedDrive, SimulatedSensor
+from storage.formats.kitti_drive import write_kitti_drive
 from storage.map_file import read_map
 from tests.support.recording import kitti, recording
 
@@ -57,6 +66,35 @@ def test_a_drive_is_left_out_of_a_file(maps, tmp_path):
     run("merge", tmp_path / "both.h5", "--without", "monday", "-o", tmp_path / "one.h5")
     tuesday = replace(read_map(maps[1]), calibration=None)
     assert read_map(tmp_path / "one.h5").revision == tuesday.revision
+
+
+@pytest.fixture(scope="module")
+def frames(tmp_path_factory):
+    """Two passes of the same streets, the second's poses in another world frame."""
+    parent = tmp_path_factory.mktemp("frames")
+    for seed, name in enumerate(("monday", "tuesday")):
+        drive = SimulatedDrive(
+            seed=1, scans=48, stops=False, noise_seed=seed, sensor=SimulatedSensor(firings=180)
+        )
+        write_kitti_drive(drive, parent / name)
+    rows = np.loadtxt(parent / "tuesday" / "poses.txt")
+    rows[:, 3] += 500.0
+    np.savetxt(parent / "tuesday" / "poses.txt", rows)
+    return parent / "monday", parent / "tuesday"
+
+
+def test_drives_in_different_world_frames_are_neither_built_nor_merged(frames, tmp_path):
+    monday, tuesday = tmp_path / "monday.h5", tmp_path / "tuesday.h5"
+    out = tmp_path / "both.h5"
+    with pytest.raises(FramesDisagree, match=r"tuesday .* than those of monday"):
+        run("build", *frames, "-o", out, *HARMONIC)
+    run("build", frames[0], "-o", monday, *HARMONIC)
+    run("build", frames[1], "-o", tuesday, *HARMONIC, "--keep-basis", monday)
+    with pytest.raises(FramesDisagree, match="poses unchecked"):
+        run("merge", monday, tuesday, "-o", out)
+    assert not out.exists()
+    assert "96 scans" in run("merge", monday, tuesday, "-o", out, "--poses", "unchecked")
+    assert "96 scans" in run("build", *frames, "-o", out, *HARMONIC, "--poses", "unchecked")
 
 
 def test_files_that_cannot_be_merged_are_refused_and_nothing_is_written(maps, folders, tmp_path):

@@ -3,7 +3,9 @@
 import h5py
 import pytest
 
+from app import pipelines
 from app.jobs.parameters import BuildParameters
+from app.live_gate import pass_gate
 from app.pipelines import Built, build_revision
 from core.merging import BasisFit
 from core.progress import Progress
@@ -98,6 +100,38 @@ def test_a_map_that_is_renamed_during_a_build_gets_its_revision(store):
     assert store.maps.get("yard").live_revision == record.digest
     assert store.maps.get("campus").live_revision is None
     assert store.revisions.path("yard", record.digest).is_relative_to(store.layout.map(map_id))
+
+
+def test_a_build_is_compared_again_with_what_became_live_meanwhile(store, monkeypatch):
+    map_id = store.maps.get("campus").id
+    first, second = (
+        build_revision(store, map_id, BuildParameters(segments=segments)) for segments in (2, 3)
+    )
+    compared = []
+
+    def decide(*arguments):
+        gate = pass_gate(*arguments)
+        compared.append(gate.compared_with)
+        store.revisions.set_live("campus", second.digest)
+        return gate
+
+    monkeypatch.setattr(pipelines, "pass_gate", decide)
+    wanted = BuildParameters(segments=4, make_live=True, max_recall_loss=1.0)
+    third = build_revision(store, map_id, wanted)
+    assert compared == [first.digest, second.digest]
+    assert store.revisions.live("campus") == third
+    assert len(list(store.layout.revisions(map_id).iterdir())) == 3  # none of the lost race
+
+
+def test_a_live_revision_that_cannot_be_read_does_not_hold_up_its_successor(store):
+    map_id = store.maps.get("campus").id
+    first = build_revision(store, map_id, PARAMETERS)
+    store.revisions.path_of(first).unlink()
+    gate = pass_gate(
+        store, map_id, first.drive_ids, sample_harmonic_map()[0], BuildParameters(make_live=True)
+    )
+    assert gate.live
+    assert "cannot be read" in str(gate.reason)
 
 
 def test_images_that_were_damaged_are_made_anew_and_the_revision_is_the_same(store):
