@@ -10,7 +10,7 @@ from contextlib import AsyncExitStack, asynccontextmanager, suppress
 __all__ = ["Crowd", "idle_connections", "open_websockets"]
 
 _HOST = "127.0.0.1"
-_AT_ONCE = 50
+_AT_ONCE, _STREAMS_AT_ONCE = 50, 20
 _PATIENCE_S = 30.0
 _PING, _PONG, _PING_BYTES = 0x89, 0x8A, 6  # Uvicorn's has four bytes of content
 
@@ -121,7 +121,7 @@ async def open_websockets(
                 left -= 1
                 await crowd.connect(upgrade)
 
-        await asyncio.gather(*(opener() for _ in range(_AT_ONCE)))
+        await asyncio.gather(*(opener() for _ in range(_STREAMS_AT_ONCE)))
         yield crowd
 
 
