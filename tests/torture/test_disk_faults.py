@@ -7,6 +7,7 @@ it refused has a name, and asked for again it succeeds; nothing that was stored 
 import hashlib
 import re
 import tempfile
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -27,6 +28,7 @@ _INTERMITTENT = size("intermittent", 20)
 _MOST = 2_000  # calls of one write
 _UNSTEADY = 12  # calls that it may have more of the next time: a catalog's checkpoint, progress
 _SHOWN = 5
+_ENDING_S = 2.0
 
 _WRONG = (AssertionError, httpx2.HTTPError, TensorMapError)
 _REFUSED = {"storage-full", "storage-read-only", "storage-unavailable", "storage-busy"}
@@ -105,6 +107,8 @@ class Attacked:
         self, kind: type[Write], fault: Fault, first: int, told: str | None, wrong: Exception
     ) -> str:
         where = f"{kind.__name__}, {fault.name}, {self.faults.called(first)}"
+        if isinstance(wrong, httpx2.TransportError):
+            time.sleep(_ENDING_S)  # a crash takes a moment
         met = f"{self.faults.failed} calls failed, answer {told or 'success'}"
         ended = "" if self.service.is_alive else f"; THE SERVICE ENDED: {self.service.said()}"
         if not self.service.is_alive:
