@@ -177,7 +177,7 @@ class StorageReadOnly(StorageError):
 
 
 class StorageUnavailable(StorageError):
-    """The catalog's database fails or cannot be reached."""
+    """The disk, or the catalog's database, fails or cannot be reached."""
 
 
 class WrongCatalog(StorageError):

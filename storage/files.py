@@ -7,12 +7,13 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from storage.errors import StorageFull, StorageReadOnly
+from storage.errors import StorageFull, StorageReadOnly, StorageUnavailable
 
 __all__ = ["discard", "make_folder", "named_disk_errors", "publish", "remove_parts", "sync"]
 
 _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}  # the last is `ulimit -f`
 _READ_ONLY = {errno.EROFS, errno.EACCES, errno.EPERM}
+_FAILING = {errno.EIO, errno.ENXIO, errno.ESTALE, errno.ETIMEDOUT}  # the last two: a network's
 
 
 @contextmanager
@@ -27,6 +28,7 @@ def publish(path: Path, *, synced: bool = False) -> Iterator[Path]:
     Raises:
         StorageFull: If no space or quota is left.
         StorageReadOnly: If the folder cannot be written.
+        StorageUnavailable: If the disk fails.
 
     Examples:
         >>> import tempfile
@@ -55,11 +57,12 @@ def publish(path: Path, *, synced: bool = False) -> Iterator[Path]:
 
 @contextmanager
 def named_disk_errors() -> Iterator[None]:
-    """Raise a full or read-only disk under its own name; every other error passes.
+    """Raise a full, read-only or failing disk under its own name; every other error passes.
 
     Raises:
         StorageFull: If no space or quota is left.
         StorageReadOnly: If the folder cannot be written.
+        StorageUnavailable: If the disk fails.
     """
     try:
         yield
@@ -68,6 +71,8 @@ def named_disk_errors() -> Iterator[None]:
             raise StorageFull(f"no space is left to write: {error}") from error
         if error.errno in _READ_ONLY:
             raise StorageReadOnly(f"the data directory cannot be written: {error}") from error
+        if error.errno in _FAILING:
+            raise StorageUnavailable(f"the disk fails: {error}") from error
         raise
 
 

@@ -12,7 +12,7 @@ from core.rings import RingGrid
 from core.scan import Scan
 from storage.drive_chunks import ChunkFile, write_chunk
 from storage.durable_file import DurableFile
-from storage.errors import StorageFull
+from storage.errors import StorageFull, StorageUnavailable
 from storage.files import publish
 from storage.image_file import ImageFile, write_image_file
 from storage.map_file import read_map, write_map
@@ -90,8 +90,8 @@ def each_failing(disk, write, path):
         disk.calls, disk.fail_at = 0, number
         try:
             write(path)
-        except OSError as error:
-            yield number, error.errno
+        except StorageUnavailable:
+            yield number, errno.EIO
         except StorageFull:
             yield number, errno.ENOSPC
         else:
@@ -150,7 +150,7 @@ def test_bytes_that_are_not_on_the_disk_as_written_are_found(written, tmp_path, 
 
 def test_returns_with_another_digest_than_the_catalog_will_have_are_not_stored(tmp_path):
     scan = Scan.from_returns([[1.0, 2.0, 3.0]])
-    with pytest.raises(OSError, match="cannot be read back: row 0 has digest"):
+    with pytest.raises(StorageUnavailable, match="cannot be read back: row 0 has digest"):
         write_chunk(tmp_path / "a.h5", [(0, scan)], ["0" * 64])
     assert not list(tmp_path.iterdir())
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from storage.errors import StorageFull, StorageReadOnly
+from storage.errors import StorageFull, StorageReadOnly, StorageUnavailable
 from storage.files import make_folder, publish, remove_parts
 
 
@@ -60,7 +60,7 @@ def test_the_file_is_synced_before_the_rename_and_the_folder_after_it(tmp_path, 
         (errno.ENOSPC, StorageFull),
         (errno.EDQUOT, StorageFull),
         (errno.EROFS, StorageReadOnly),
-        (errno.EIO, OSError),
+        (errno.EIO, StorageUnavailable),
     ],
 )
 @pytest.mark.parametrize("call", ["fsync", "rename"])
