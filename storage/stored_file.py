@@ -4,13 +4,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 
-import h5py
-
 from storage.drive_chunks import ChunkFile, scan_digest
 from storage.errors import CorruptFile
+from storage.hdf5 import FileSource, Hdf5File
 from storage.map_file import read_map
 
 __all__ = ["Fault", "StoredFile", "fault_of"]
+
+_ROWS = 64  # of images, some megabytes
 
 
 @dataclass(frozen=True)
@@ -67,7 +68,7 @@ class Fault:
 def fault_of(path: Path, file: StoredFile) -> Fault | None:
     """Read a file to its end; return what is wrong with it, `None` if it is what was stored.
 
-    Damage may keep a reader busy for ever: `storage.checker` calls this in a process of its own.
+    A disk may keep a reader busy for ever: `storage.checker` calls this in a process of its own.
 
     Args:
         path: Where it is.
@@ -115,15 +116,11 @@ def _read_images(path: Path) -> None:
     Raises:
         CorruptFile: If it cannot be read.
     """
-    try:
-        with h5py.File(path, "r", locking=False) as file:
-            for name in ("images", "scans"):
-                if name not in file:
-                    raise CorruptFile(f"it has no {name}")
-            for dataset in file.values():
-                for block in dataset.iter_chunks() if dataset.chunks else [()]:
-                    dataset[block]
-    except FileNotFoundError:
-        raise
-    except (AttributeError, OSError, RuntimeError, KeyError, TypeError, ValueError) as error:
-        raise CorruptFile(f"{path.name} cannot be read: {error}") from error
+    with Hdf5File(FileSource(path)) as file:
+        missing = {"images", "scans"} - file.names
+        if missing:
+            raise CorruptFile(f"it has no {min(missing)}")
+        for name in sorted(file.names):
+            dataset = file.dataset(name)
+            for start in range(0, dataset.shape[0] if dataset.shape else 0, _ROWS):
+                dataset.rows(start, start + _ROWS)
