@@ -81,9 +81,13 @@ def _checked(given: str, allowed: str) -> str:
 Flag = Annotated[bool, Strict()]
 Number = Annotated[float, Strict()]
 Moment = Annotated[AwareDatetime, BeforeValidator(_written_out), AfterValidator(_in_utc)]
-Name = Annotated[str, AfterValidator(_name)]
+# Described as `core.text` has it; halves of pairs are in no JSON text.
+_UNSHOWN = r"\u007f-\u009f\u2028-\u202e\u2066-\u2069"
+_NAME = {"pattern": rf"^[^\u0000-\u001f{_UNSHOWN}]*$"}
+_LINES = {"pattern": rf"^[^\u0000-\u0008\u000b\u000c\u000e-\u001f{_UNSHOWN}]*$"}
+Name = Annotated[str, AfterValidator(_name), Field(json_schema_extra=_NAME)]
 """Text of one line, without control characters."""
-Lines = Annotated[str, AfterValidator(_lines)]
+Lines = Annotated[str, AfterValidator(_lines), Field(json_schema_extra=_LINES)]
 """Text of any lines, without other control characters."""
 # Described only: `storage.names` refuses what is none, by a name of its own.
 SlugText = Annotated[str, Field(json_schema_extra={"pattern": SLUG_PATTERN})]

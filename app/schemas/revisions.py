@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from app.schemas.exact import Name
 from core.basis import Basis, HarmonicBasis, PaperBasis
 from core.parameters import MapParameters
 from core.text import shown
@@ -52,7 +51,7 @@ class LiveIn(BaseModel):
         extra="forbid", json_schema_extra={"example": {"revision": "0f" * 32}}
     )
 
-    revision: Name = Field(max_length=64, description="Its digest, or at least 12 first digits.")
+    revision: str = Field(max_length=64, description="Its digest, or at least 12 first digits.")
 
 
 class SegmentBasisOut(BaseModel):

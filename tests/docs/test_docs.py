@@ -92,4 +92,7 @@ def test_every_module_and_path_that_is_named_exists() -> None:
         for named in re.findall(
             r"`((?:app|core|storage|tests|docs)/[^`\s*<{]+)`", path.read_text()
         ):
-            assert (ROOT / named.partition(":")[0]).exists(), f"{path.name} names {named}"
+            file, _, test = named.partition("::")
+            assert (ROOT / file.partition(":")[0]).exists(), f"{path.name} names {named}"
+            if test:
+                assert f"def {test}(" in (ROOT / file).read_text(), f"{path.name} names {named}"

@@ -317,8 +317,11 @@ def refuse(backup, tmp_path, match=None):
 
 def test_a_backup_that_is_cut_off_anywhere_is_refused(backup, tmp_path):
     whole = backup.read_bytes()
+    with tarfile.open(backup) as tar:
+        last = tar.getmembers()[-1]
+    end = last.offset_data + last.size  # what follows is padding
     for share in (0.0, 0.1, 0.5, 0.9, 0.97):
-        backup.write_bytes(whole[: int(share * len(whole))])
+        backup.write_bytes(whole[: int(share * end)])
         refuse(backup, tmp_path)
 
 
