@@ -4,7 +4,6 @@ Damage may make a reader loop for ever, end its process, or ask for all memory t
 of that reaches the service or the command that asks.
 """
 
-import multiprocessing
 import os
 import resource
 import signal
@@ -16,6 +15,7 @@ from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Self
 
+from storage.forking import forkserver
 from storage.stored_file import Fault, StoredFile, fault_of
 
 __all__ = ["Checker", "Limits"]
@@ -128,7 +128,7 @@ class Checker:
 
 
 def _start() -> tuple[BaseProcess, Connection]:
-    context = multiprocessing.get_context("forkserver")  # no fork of a process with threads
+    context = forkserver()  # no fork of a process with threads
     ours, its = context.Pipe()
     process = context.Process(target=_answer_all, args=(its,), name="checker", daemon=True)
     process.start()

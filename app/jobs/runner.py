@@ -1,12 +1,12 @@
 """Starts a process for each queued build, and sees to it that each one ends."""
 
 import logging
-import multiprocessing
 import signal
 import threading
 import time
 from collections.abc import Callable
 from multiprocessing import resource_tracker
+from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 
 from app.errors import AppError, BuildStalled, WorkerDied
@@ -18,6 +18,7 @@ from app.settings import Settings
 from core.errors import TensorMapError
 from storage.catalog import JobRecord
 from storage.errors import JobNotFound, JobNotRunning
+from storage.forking import forkserver
 from storage.store import Store
 
 __all__ = ["JobRunner"]
@@ -56,7 +57,7 @@ class JobRunner:
         self._wake = threading.Event()
         self._stopping = threading.Event()
         # Processes are forked from one that has loaded all that a build needs, and nothing else.
-        self._context = multiprocessing.get_context("forkserver")
+        self._context = forkserver()
         self._context.set_forkserver_preload([run_build.__module__, *IMPORTED_LATE])
         self._threads = [
             threading.Thread(target=self._loop, name=f"builds-{i}", daemon=True)
@@ -100,10 +101,11 @@ class JobRunner:
             except (OSError, RuntimeError):  # no process: the next build may be luckier
                 _log.exception("job %s cannot be run", job.id)
                 reason = "no process could be started for the build; see the log"
-                self._settle(job.id, WorkerDied(reason))
+                self._settle(job.id, WorkerDied.__name__, reason)
             self._tell_end(job.id)
 
     def _run(self, job: JobRecord) -> None:
+        reports, report = self._context.Pipe(duplex=False)
         worker = self._context.Process(
             target=run_build,
             args=(
@@ -113,17 +115,20 @@ class JobRunner:
                 self._settings.log_format,
                 self._settings.log_level,
                 self._memory_bytes,
+                report,
             ),
             name=f"build-{job.id}",
         )
-        self._start(worker)
-        try:
-            ended_for = self._watch(worker, job.id)
-        finally:
-            worker.kill()
-            worker.join(_KILL_S)
-        if not self._stopping.is_set():
-            self._settle(job.id, ended_for or _death(worker))
+        with reports:
+            with report:
+                self._start(worker)
+            try:
+                stalled = self._watch(worker, job.id)
+            finally:
+                worker.kill()
+                worker.join(_KILL_S)
+            if not self._stopping.is_set():
+                self._settle(job.id, *(_named(stalled) or _reported(reports) or _death(worker)))
         if worker.is_alive():
             _log.error("the process of job %s cannot be ended: the disk hangs", job.id)
         else:
@@ -183,21 +188,41 @@ class JobRunner:
                 )
         return None
 
-    def _settle(self, job_id: str, error: AppError) -> None:
-        """Write down the end of a worker that could not do so itself."""
-        try:
-            if self._store.jobs.get(job_id).cancel_requested:
-                self._store.jobs.cancelled(job_id)
+    def _settle(self, job_id: str, error: str, reason: str) -> None:
+        """Write down the end of a worker that could not do so itself.
+
+        While the catalog does not take it, nothing else could be built either: it is tried again.
+        """
+        while not self._stopping.is_set():
+            try:
+                if self._store.jobs.get(job_id).cancel_requested:
+                    self._store.jobs.cancelled(job_id)
+                else:
+                    self._store.jobs.fail(job_id, error, reason)
+            except (JobNotFound, JobNotRunning):
+                return  # gone with its map, or ended as it should
+            except TensorMapError:
+                _log.exception("the end of job %s cannot be written down yet", job_id)
+                self._stopping.wait(_POLL_S * 5)
             else:
-                self._store.jobs.fail(job_id, type(error).__name__, str(error))
-        except (JobNotFound, JobNotRunning):
-            pass  # gone with its map, or ended as it should
-        except TensorMapError:
-            _log.exception("the end of job %s cannot be written down", job_id)
+                return
 
 
-def _death(worker: BaseProcess) -> WorkerDied:
+def _named(error: AppError | None) -> tuple[str, str] | None:
+    return None if error is None else (type(error).__name__, str(error))
+
+
+def _reported(reports: Connection) -> tuple[str, str] | None:
+    """Return the error that a worker could not write down itself, `None` if it sent none."""
+    try:
+        found: tuple[str, str] | None = reports.recv() if reports.poll() else None
+    except (EOFError, OSError):
+        return None
+    return found
+
+
+def _death(worker: BaseProcess) -> tuple[str, str]:
     reason = f"the build process ended with exit code {worker.exitcode}; see the log"
     if worker.exitcode == -signal.SIGKILL:
         reason += ", and the system's, which ends what takes too much memory like this"
-    return WorkerDied(reason)
+    return WorkerDied.__name__, reason

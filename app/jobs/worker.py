@@ -5,7 +5,7 @@ import threading
 import time
 from contextlib import suppress
 from multiprocessing import parent_process
-from multiprocessing.connection import wait
+from multiprocessing.connection import Connection, wait
 from pathlib import Path
 
 from app.errors import BuildOutOfMemory
@@ -33,6 +33,7 @@ def run_build(
     log_format: LogFormat = LogFormat.TEXT,
     log_level: str = "INFO",
     memory_bytes: int = 0,
+    report: Connection | None = None,
 ) -> None:
     """Run one claimed job to its end and write down how it ended.
 
@@ -43,6 +44,10 @@ def run_build(
         log_format: Of a process of its own.
         log_level: As well.
         memory_bytes: What the build may allocate, 0 for any amount; the process is its own, then.
+        report: Takes the name of the error and what it says, if the catalog does not.
+
+    Raises:
+        TensorMapError: If how it ended cannot be written down, and nobody takes a report.
     """
     if parent_process() is not None:  # nobody's logging or memory but its own
         configure_logging(log_format, log_level)
@@ -50,6 +55,15 @@ def run_build(
         private_files()
     _end_with_parent()
     one_blas_thread()
+    try:
+        _run(data_dir, catalog_url, job, memory_bytes)
+    except TensorMapError as error:
+        if report is None:
+            raise
+        report.send((type(error).__name__, str(error)))
+
+
+def _run(data_dir: Path, catalog_url: str | None, job: JobRecord, memory_bytes: int) -> None:
     with (
         Store(data_dir, catalog_url) as store,
         suppress(JobNotFound),

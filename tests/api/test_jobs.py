@@ -14,11 +14,11 @@ from app.jobs import runner as runner_module
 from app.jobs.worker import run_build
 from core.scan import Scan
 from storage.catalog import JobState
-from storage.errors import JobNotFound, StorageBusy
+from storage.errors import JobNotFound, StorageBusy, StorageUnavailable
 from storage.store import Store
 from tests.support.recording import recording, upload_scan
 from tests.support.service import problem_of, running, wait_for, whole_store
-from tests.support.workers import fall_over, stand_still, take_memory
+from tests.support.workers import fall_over, find_no_catalog, stand_still, take_memory
 
 
 def build(client, **wanted):
@@ -93,6 +93,28 @@ def test_a_worker_that_is_killed_fails_its_job_and_the_next_one_is_done(standing
     monkeypatch.undo()
     assert wait_for(standing, build(standing))["state"] == "done"
     assert standing.get("/readyz").json() == {"ready": True, "missing": []}
+
+
+def test_a_worker_that_cannot_write_down_its_end_reports_it(standing, monkeypatch):
+    monkeypatch.setattr(runner_module, "run_build", find_no_catalog)
+    failed = wait_for(standing, build(standing))
+    assert (failed["state"], failed["error"]["type"]) == ("failed", "/problems/storage-read-only")
+
+
+def test_an_end_that_the_catalog_does_not_take_is_written_down_later(standing, monkeypatch):
+    jobs, refusals = standing.service.store.jobs, iter([True, True])
+    fail = jobs.fail
+
+    def refuse_twice(*arguments):
+        if next(refusals, False):
+            raise StorageUnavailable("the disk is gone for a moment")
+        return fail(*arguments)
+
+    monkeypatch.setattr(jobs, "fail", refuse_twice)
+    monkeypatch.setattr(runner_module, "run_build", fall_over)
+    failed = wait_for(standing, build(standing))
+    assert (failed["state"], failed["error"]["type"]) == ("failed", "/problems/worker-died")
+    assert next(refusals, None) is None
 
 
 def test_a_build_without_progress_is_ended_and_fails_by_name(tmp_path, monkeypatch):

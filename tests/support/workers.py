@@ -4,7 +4,7 @@ import os
 import time
 from typing import Any
 
-__all__ = ["fall_over", "stand_still", "take_memory"]
+__all__ = ["fall_over", "find_no_catalog", "stand_still", "take_memory"]
 
 
 def stand_still(*_: object) -> None:
@@ -25,3 +25,10 @@ def take_memory(*arguments: Any) -> None:
 
     vars(worker)["build_revision"] = lambda *_, **__: np.ones(2**33)
     worker.run_build(*arguments)
+
+
+def find_no_catalog(data_dir: Any, _: object, *arguments: Any) -> None:
+    """Be a worker that cannot open the catalog."""
+    from app.jobs import worker
+
+    worker.run_build(data_dir, f"sqlite:///{data_dir}/nowhere/catalog.sqlite3", *arguments)
