@@ -4,7 +4,7 @@ import io
 import math
 import os
 import zlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from storage.durable_file import DurableFile, reading_back
 from storage.errors import CorruptFile
-from storage.hdf5.attributes import Attributes
 from storage.hdf5.chunk_index import ChunkAddress
 from storage.hdf5.dataset import ChunkedDataset
 from storage.hdf5.file import Hdf5File
@@ -106,41 +105,35 @@ class _QuietFile:
         """Return the place."""
         return self._at
 
-    def write(self, content: bytes | bytearray | memoryview) -> int:
-        """Write bytes, or say so."""
-        count = memoryview(content).nbytes
-        if self.error is None:
-            try:
-                self._disk.write(self._at, content)
-            except OSError as error:
-                self.error = error
-        self._at += count
+    def write(self, content: bytearray) -> int:
+        """Write bytes."""
+        self._unless_failed(self._disk.write, self._at, content)
+        self._at += len(content)
         self._size = max(self._size, self._at)
-        return count
+        return len(content)
 
     def truncate(self, size: int) -> int:
-        """Make the file that long, or say so."""
-        if self.error is None:
-            try:
-                self._disk.truncate(size)
-            except OSError as error:
-                self.error = error
+        """Make the file that long."""
+        self._unless_failed(self._disk.truncate, size)
         self._size = size
         return size
 
     def read(self, count: int) -> bytes:
         """Return bytes that were written here: the library may need some of its own again."""
-        content = b""
-        if self.error is None:
-            try:
-                content = self._disk.read(self._at, count)
-            except OSError as error:
-                self.error = error
+        content = self._unless_failed(self._disk.read, self._at, count) or b""
         self._at += count
         return content.ljust(count, b"\0")
 
     def flush(self) -> None:
         """Nothing waits here."""
+
+    def _unless_failed(self, call: Callable[..., bytes | None], *args: object) -> bytes | None:
+        if self.error is None:
+            try:
+                return call(*args)
+            except OSError as error:
+                self.error = error
+        return None
 
 
 @dataclass
@@ -221,7 +214,12 @@ class FileWriter:
                 if found != wanted:
                     raise CorruptFile(f"{name} is {found}, {wanted} was written")
             for name, value in self._attributes.items():
-                if not _has(file.attributes, name, value):
+                told: str | int = (
+                    file.attributes.text(name, len(value.encode()))
+                    if isinstance(value, str)
+                    else file.attributes.whole(name)
+                )
+                if told != value:
                     raise CorruptFile(f"its attribute {name} is not what was written")
 
 
@@ -275,9 +273,3 @@ class Rows:
                 self._dataset.chunks,
                 tuple(chunks),
             )
-
-
-def _has(told: Attributes, name: str, value: str | int) -> bool:
-    if isinstance(value, int):
-        return told.whole(name) == value
-    return told.text(name, len(value.encode())) == value
