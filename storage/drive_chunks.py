@@ -19,10 +19,11 @@ import numpy as np
 
 from core.arrays import Float32Array, IntArray
 from core.scan import Scan
-from storage.durable_file import DurableFile, reading_back
+from storage.durable_file import reading_back, write_whole
 from storage.errors import CorruptFile
 from storage.files import publish
-from storage.hdf5 import ContiguousDataset, FileSource, Hdf5File, Hdf5Writer
+from storage.hdf5 import ContiguousDataset, FileSource, Hdf5File
+from storage.hdf5.writer import hdf5_in_memory
 
 __all__ = ["ChunkFile", "scan_digest", "write_chunk"]
 
@@ -61,15 +62,16 @@ def write_chunk(
     starts = np.cumsum([0, *(len(scan) for _, scan in scans)], dtype="<i8")
     indices = np.array([index for index, _ in scans], dtype="<i8")
     digests = digests or [scan_digest(scan.points_m) for _, scan in scans]
+    content = hdf5_in_memory(
+        {
+            "scan_start": [starts],
+            "scan_index": [indices],
+            "points_m": [scan.points_m for _, scan in scans] or [np.empty((0, 3), "<f4")],
+        },
+        {"format": FORMAT, "format_version": FORMAT_VERSION},
+    )
     with publish(path, synced=True) as part:
-        with DurableFile(part) as file:
-            writer = Hdf5Writer(file)
-            writer.add("scan_start", "<i8", starts.shape, [starts])
-            writer.add("scan_index", "<i8", indices.shape, [indices])
-            points = (scan.points_m for _, scan in scans)
-            writer.add("points_m", "<f4", (int(starts[-1]), 3), points)
-            writer.finish({"format": FORMAT, "format_version": FORMAT_VERSION})
-            file.settle()
+        write_whole(part, content)
         with reading_back():
             written = ChunkFile(part)
             for row, digest in enumerate(digests):

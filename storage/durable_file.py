@@ -2,7 +2,6 @@
 
 import errno
 import os
-import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -10,9 +9,9 @@ from typing import Self
 
 from storage.errors import CorruptFile
 
-__all__ = ["DurableFile", "reading_back"]
+__all__ = ["DurableFile", "reading_back", "write_whole"]
 
-_PIECE_BYTES = 2**20  # written at once, and compared at once
+_PIECE_BYTES = 2**20  # compared at once
 
 
 class DurableFile:
@@ -29,49 +28,46 @@ class DurableFile:
     def __init__(self, path: Path) -> None:
         self._path = path
         self._descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600)
-        self._waiting = bytearray()
-        self._waits_at = 0
-        self._written: list[tuple[int, int, int]] = []  # where, bytes, CRC-32
 
-    def write(self, at: int, content: bytes | memoryview) -> None:
-        """Put bytes at a place where none were put before; short runs wait for more.
+    def write(self, at: int, content: bytes | bytearray | memoryview) -> None:
+        """Put bytes at a place.
 
         Raises:
-            OSError: If the disk refuses them, or those that waited.
+            OSError: If the disk refuses them.
         """
-        if self._waiting and at != self._waits_at + len(self._waiting):
-            self.flush()
-        if not self._waiting:
-            self._waits_at = at
-        if len(self._waiting) + len(content) < _PIECE_BYTES:
-            self._waiting += content
-            return
-        self.flush()
-        self._write(at, memoryview(content))
+        left = memoryview(content).cast("B")
+        while left:
+            count = os.pwrite(self._descriptor, left, at)
+            if not count:
+                raise OSError(errno.EIO, "nothing was written", str(self._path))
+            left, at = left[count:], at + count
 
-    def flush(self) -> None:
-        """Write what waits.
+    def read(self, at: int, count: int) -> bytes:
+        """Return bytes of it, fewer if it ends before.
+
+        Raises:
+            OSError: If the disk cannot read them.
+        """
+        content = b""
+        while more := os.pread(self._descriptor, count - len(content), at + len(content)):
+            content += more
+        return content
+
+    def truncate(self, size_bytes: int) -> None:
+        """Make it that long.
 
         Raises:
             OSError: If the disk refuses it.
         """
-        if self._waiting:
-            content, self._waiting = self._waiting, bytearray()
-            self._write(self._waits_at, memoryview(content))
+        os.ftruncate(self._descriptor, size_bytes)
 
-    def settle(self) -> None:
-        """Wait until all is on disk, and read it back.
+    def sync(self) -> None:
+        """Wait until all is on disk.
 
         Raises:
-            OSError: If the disk refuses it, or gives back other bytes than were written.
+            OSError: If the disk refuses it.
         """
-        self.flush()
         os.fsync(self._descriptor)
-        for at, count, checksum in self._written:
-            if zlib.crc32(self._read(at, count)) != checksum:
-                raise OSError(
-                    errno.EIO, f"other bytes came back than were written at {at}", str(self._path)
-                )
 
     def close(self) -> None:
         """Close it, finished or not."""
@@ -85,25 +81,23 @@ class DurableFile:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _write(self, at: int, content: memoryview) -> None:
-        for begin in range(0, len(content), _PIECE_BYTES):
-            piece = content[begin : begin + _PIECE_BYTES]
-            self._written.append((at + begin, len(piece), zlib.crc32(piece)))
-            done = 0
-            while done < len(piece):
-                count = os.pwrite(self._descriptor, piece[done:], at + begin + done)
-                if not count:
-                    raise OSError(errno.EIO, "nothing was written", str(self._path))
-                done += count
 
-    def _read(self, at: int, count: int) -> bytes:
-        content = b""
-        while len(content) < count:
-            more = os.pread(self._descriptor, count - len(content), at + len(content))
-            if not more:
-                break
-            content += more
-        return content
+def write_whole(path: Path, content: memoryview) -> None:
+    """Write a new file, wait until it is on disk, and read it back.
+
+    Raises:
+        FileExistsError: If there is a file.
+        OSError: If the disk refuses it, or gives back other bytes than were written.
+    """
+    with DurableFile(path) as file:
+        file.write(0, content)
+        file.sync()
+        for at in range(0, len(content), _PIECE_BYTES):
+            piece = content[at : at + _PIECE_BYTES]
+            if file.read(at, len(piece)) != bytes(piece):  # views are compared item by item
+                raise OSError(
+                    errno.EIO, f"other bytes came back than were written at {at}", str(path)
+                )
 
 
 @contextmanager

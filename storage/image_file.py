@@ -2,10 +2,9 @@
 
 import json
 from pathlib import Path
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from core.arrays import Float32Array, FloatArray, IntArray
 from core.drive import Drive
@@ -15,10 +14,12 @@ from core.imager import Grid, Imager
 from core.images import ImageSource, Skipped, project_into
 from core.progress import NO_PROGRESS, Progress
 from core.revision import content_digest
-from storage.durable_file import DurableFile, reading_back
+from core.trust.probe import probed_among
+from storage.durable_file import reading_back
 from storage.errors import CorruptFile, CorruptImages
 from storage.files import publish
-from storage.hdf5 import ChunkedDataset, Dataset, FileSource, Hdf5File, Hdf5Writer
+from storage.hdf5 import Dataset, FileSource, Hdf5File
+from storage.hdf5.writer import FileWriter, hdf5_on_disk
 from storage.json_text import parse_json
 
 __all__ = [
@@ -209,48 +210,33 @@ def write_image_file(
     if not len(drive):
         raise EmptyDrive(Skipped.explain(drive.name, ()))
     with publish(path, synced=True) as part:
-        with DurableFile(part) as file:
-            _write(file, part, drive, imager, progress)
-            file.settle()
+        with hdf5_on_disk(part) as writer:
+            _write(writer, drive, imager, progress)
         with reading_back():
             ImageFile(part, imager).close()
 
 
-def _write(file: DurableFile, part: Path, drive: Drive, imager: Imager, progress: Progress) -> None:
+def _write(writer: FileWriter, drive: Drive, imager: Imager, progress: Progress) -> None:
+    scans = np.arange(len(drive))
     renderings = imager.shape[0] if imager.lateral_renderings_m is not None else 1
-    block = max(1, _BLOCK // renderings)
-    writer = Hdf5Writer(file)
-    images = writer.chunked("images", "<f4", (min(block, len(drive)), *imager.shape))
-    probes = writer.chunked("probes", "<f4", (1, *imager.grid.shape))
-    told = project_into(images, probes, drive, range(len(drive)), imager, progress)
-    chunks = images.end()
+    block = min(max(1, _BLOCK // renderings), len(scans))
+    images = writer.add_rows("images", "<f4", len(scans), (block, *imager.shape))
+    most_probes = len(probed_among(scans))
+    probes = writer.add_rows("probes", "<f4", most_probes, (1, *imager.grid.shape))
+    told = project_into(images, probes, drive, range(len(scans)), imager, progress)
+    images.end()
     probes.end()
-    _add_checked(writer, "probed", "<i8", told.probed)
-    _add_checked(writer, "standing", "<f8", told.standing)
-    _add_checked(writer, "scans", "<i8", told.scans)
+    writer.add("probed", told.probed.astype("<i8"))
+    writer.add("standing", told.standing.astype("<f8"))
+    writer.add("scans", told.scans.astype("<i8"))
     if imager.lateral_renderings_m is not None:
-        file.flush()
-        with reading_back(), FileSource(part) as source:
-            shape, chunk_shape = (len(images), *imager.shape), images.chunk_shape
-            dtype = np.dtype("<f4")
-            written = ChunkedDataset(source, "images", dtype, shape, chunk_shape, chunks)
-            gram = drive_gram(_Stored(written, imager.grid, part.name), 0, len(images))
-        _add_checked(writer, _DETAIL_GRAM, "<f8", gram)
-    writer.finish(
+        with images.readable() as written:
+            gram = drive_gram(_Stored(written, imager.grid, "images"), 0, len(images))
+        writer.add(_DETAIL_GRAM, gram.astype("<f8"))
+    writer.add_attributes(
         {
             "probe_version": PROBE_VERSION,
             "returns": told.returns,
             "skipped": json.dumps([[item.scan, item.reason] for item in told.skipped]),
         }
     )
-
-
-def _add_checked(writer: Hdf5Writer, name: str, dtype: str, array: NDArray[Any]) -> None:
-    """Write a small array as one chunk, which has a checksum; nothing at all needs none."""
-    if not array.size:
-        writer.add(name, dtype, array.shape, [])
-        return
-    cells = writer.chunked(name, dtype, array.shape)
-    for row, numbers in enumerate(array):
-        cells[row] = numbers
-    cells.end()

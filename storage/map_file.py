@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from core.errors import TensorMapError
 from core.parameters import Encoding
 from core.tensormap import TensorMap
-from storage.durable_file import DurableFile, reading_back
+from storage.durable_file import reading_back, write_whole
 from storage.errors import CorruptFile
 from storage.hdf5 import (
     BytesSource,
@@ -23,9 +23,9 @@ from storage.hdf5 import (
     Dataset,
     FileSource,
     Hdf5File,
-    Hdf5Writer,
     Source,
 )
+from storage.hdf5.writer import hdf5_in_memory
 from storage.json_text import MOST_JSON_BYTES, parse_json
 
 __all__ = [
@@ -88,20 +88,17 @@ def write_map(path: Path, tensor_map: TensorMap, created_at: datetime | None = N
         OSError: If the disk refuses it, or gives back something else.
     """
     dtypes = {**_DTYPES[tensor_map.parameters.encoding], **_OF_JOINED}
-    with DurableFile(path) as file:
-        writer = Hdf5Writer(file)
-        for name, array in tensor_map.arrays().items():
-            writer.add(name, dtypes[name], array.shape, [array])
-        writer.finish(
-            {
-                "format": FORMAT,
-                "format_version": FORMAT_VERSION,
-                "attributes": json.dumps(tensor_map.attributes(), sort_keys=True),
-                "digest": tensor_map.revision,
-                "created_at": (created_at or datetime.now(UTC)).isoformat(),
-            }
-        )
-        file.settle()
+    content = hdf5_in_memory(
+        {name: [np.asarray(array, dtypes[name])] for name, array in tensor_map.arrays().items()},
+        {
+            "format": FORMAT,
+            "format_version": FORMAT_VERSION,
+            "attributes": json.dumps(tensor_map.attributes(), sort_keys=True),
+            "digest": tensor_map.revision,
+            "created_at": (created_at or datetime.now(UTC)).isoformat(),
+        },
+    )
+    write_whole(path, content)
     with reading_back():
         read_revision(path, tensor_map.revision)
 

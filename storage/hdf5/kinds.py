@@ -8,7 +8,7 @@ import numpy as np
 from storage.errors import CorruptFile
 from storage.hdf5.source import Fields
 
-__all__ = ["CODES", "TEXT", "dtype_of", "shape_of", "text_or_dtype"]
+__all__ = ["CODES", "dtype_of", "shape_of", "text_or_dtype"]
 
 _FLOAT32 = bytes.fromhex("11201f000400000000002000170800177f000000")
 
@@ -30,7 +30,7 @@ CODES: Final = {
 }
 """How a file describes the numbers that these files hold, all little-endian."""
 
-TEXT: Final = bytes.fromhex("1901010010000000100000000100000000000800")
+_TEXT: Final = bytes.fromhex("1901010010000000100000000100000000000800")
 """How a file describes text of any length in UTF-8."""
 
 # The same in versions 3 to 5, as newer files have it: names end with a zero, offsets take a byte.
@@ -42,8 +42,8 @@ for _version in (b"\x36", b"\x46", b"\x56"):
     _DTYPES[_version + _NEWER_COMPLEX] = np.dtype("<c8")
 _TEXTS = {
     head + base
-    for head in (TEXT[:8], bytes.fromhex("1901000010000000"))  # in UTF-8 or ASCII
-    for base in (TEXT[8:], bytes.fromhex("100800000100000000000800"))
+    for head in (_TEXT[:8], bytes.fromhex("1901000010000000"))  # in UTF-8 or ASCII
+    for base in (_TEXT[8:], bytes.fromhex("100800000100000000000800"))
 }
 _CLASSES = {
     0: "whole numbers",
@@ -72,7 +72,7 @@ def dtype_of(fields: Fields) -> np.dtype[Any]:
 
 def text_or_dtype(content: bytes, name: str) -> np.dtype[Any] | None:
     """Return the kind of number that is described, `None` for text of any length."""
-    return None if content[: len(TEXT)] in _TEXTS else _known(content, name)
+    return None if content[: len(_TEXT)] in _TEXTS else _known(content, name)
 
 
 def _known(content: bytes, name: str) -> np.dtype[Any]:

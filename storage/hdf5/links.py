@@ -7,9 +7,9 @@ from storage.hdf5.fractal_heap import FractalHeap
 from storage.hdf5.object_header import Message, Messages, check_sum
 from storage.hdf5.source import UNDEFINED, Fields, Source
 
-__all__ = ["MOST_LINKS", "Link", "read_links"]
+__all__ = ["Link", "read_links"]
 
-MOST_LINKS = 64
+_MOST_LINKS = 64
 """More than any file of ours has in its root."""
 
 _KINDS = {0: "hard", 1: "soft", 64: "external"}
@@ -43,8 +43,8 @@ def read_links(source: Source, group: Messages) -> dict[str, Link]:
         links += _of_table(source, table)
     if info is not None:
         links += _of_heap(source, info)
-    if len(links) > MOST_LINKS:
-        raise CorruptFile(f"{group.name} has more than {MOST_LINKS} members")
+    if len(links) > _MOST_LINKS:
+        raise CorruptFile(f"{group.name} has more than {_MOST_LINKS} members")
     named = {link.name: link for link in links}
     if len(named) != len(links):
         raise CorruptFile(f"{group.name} has two members of one name")
@@ -94,7 +94,7 @@ def _records(source: Source, at: int, group: str) -> list[bytes]:
     root, count = header.unsigned(8), header.unsigned(2)
     if not count and root == UNDEFINED:
         return []
-    if depth or count > MOST_LINKS or size < 5 or 10 + count * size > node_size:
+    if depth or count > _MOST_LINKS or size < 5 or 10 + count * size > node_size:
         raise CorruptFile(f"{name} has {count} records at depth {depth}: too many members")
     leaf = source.structure(root, 10 + count * size, name)
     check_sum(leaf)
@@ -111,8 +111,8 @@ def _of_table(source: Source, table: Fields) -> list[Link]:
     tree = source.structure(tree_at, 24, f"the index of {table.name}")
     tree.expect(b"TREE\0\0", "its signature, type and level")
     nodes = tree.unsigned(2)
-    if nodes > MOST_LINKS:
-        raise CorruptFile(f"{table.name} has more than {MOST_LINKS} members")
+    if nodes > _MOST_LINKS:
+        raise CorruptFile(f"{table.name} has more than {_MOST_LINKS} members")
     children = source.structure(tree_at + 24, nodes * 16, tree.name)
     links: list[Link] = []
     for _ in range(nodes):
@@ -125,8 +125,8 @@ def _of_node(source: Source, at: int, names: bytes, group: str) -> list[Link]:
     node = source.structure(at, 8, f"a list of members of {group}")
     node.expect(b"SNOD\x01\0", "its signature and version")
     count = node.unsigned(2)
-    if count > MOST_LINKS:
-        raise CorruptFile(f"{group} has more than {MOST_LINKS} members")
+    if count > _MOST_LINKS:
+        raise CorruptFile(f"{group} has more than {_MOST_LINKS} members")
     entries = source.structure(at + 8, count * 40, node.name)
     links = []
     for _ in range(count):

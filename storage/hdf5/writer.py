@@ -1,283 +1,275 @@
-"""Files of arrays in their root, written without the HDF5 library, front to back."""
+"""New HDF5 files, made by h5py, which is given no file to read and sees no error of the disk."""
 
-import struct
-from collections.abc import Iterable, Mapping, Sequence
-from typing import Any, Protocol
+import io
+import math
+import os
+import zlib
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
+import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from storage.hdf5.checksums import fletcher32, lookup3
+from storage.durable_file import DurableFile, reading_back
+from storage.errors import CorruptFile
 from storage.hdf5.chunk_index import ChunkAddress
-from storage.hdf5.kinds import CODES, TEXT
-from storage.hdf5.links import MOST_LINKS
-from storage.hdf5.object_header import Message
-from storage.hdf5.source import UNDEFINED
+from storage.hdf5.dataset import ChunkedDataset
+from storage.hdf5.file import Hdf5File
+from storage.hdf5.source import FileSource
 
-__all__ = ["ChunkWriter", "Hdf5Writer", "Sink"]
+__all__ = ["FileWriter", "Rows", "hdf5_in_memory", "hdf5_on_disk"]
 
-_SIGNATURE = b"\x89HDF\r\n\x1a\n"
-_SUPERBLOCK_BYTES = 48
-_PAGE_BITS = 10  # as HDF5 does: 1,024 addresses of chunks in a page
-_FILL_VALUE = 0x05
-_GROUP_INFO = 0x0A
-_LEAST_COLLECTION = 4096  # HDF5 refuses a smaller one
+_LIBVER = "v110"  # checksums of all structures, and a fixed array that lists the chunks
+_BLOCK_BYTES = 2**22  # read back at once
 
 
-class Sink(Protocol):
-    """Where bytes go; what it raises is raised here, and nothing was lost before that."""
-
-    def write(self, at: int, content: bytes | memoryview) -> None:
-        """Put bytes at a place."""
-
-
-class Hdf5Writer:
-    """Writes arrays one after another, then the structures that name them.
-
-    The file is none until `finish` writes its first bytes, so that half a file is never read.
+def hdf5_in_memory(
+    arrays: Mapping[str, Sequence[NDArray[Any]]], attributes: Mapping[str, str | int]
+) -> memoryview:
+    """Return the bytes of a file of contiguous arrays.
 
     Args:
-        sink: Where the bytes go.
+        arrays: Each in pieces of its first axis, one or more.
+        attributes: Of the root.
+    """
+    buffer = io.BytesIO()
+    with h5py.File(buffer, "w", libver=_LIBVER) as file:
+        for name, (first, *others) in arrays.items():
+            if not others:
+                file.create_dataset(name, data=first)
+                continue
+            rows = len(first) + sum(map(len, others))
+            dataset = file.create_dataset(name, (rows, *first.shape[1:]), first.dtype)
+            start = 0
+            for piece in (first, *others):
+                dataset[start : start + len(piece)] = piece
+                start += len(piece)
+        file.attrs.update(attributes)
+    return buffer.getbuffer()
+
+
+@contextmanager
+def hdf5_on_disk(path: Path) -> Iterator["FileWriter"]:
+    """Give what writes a new file; at the end, wait until it is on disk, and read it back.
+
+    Raises:
+        FileExistsError: If there is a file.
+        OSError: If the disk refuses it, or gives back something else.
+    """
+    with DurableFile(path) as disk:
+        quiet = _QuietFile(disk)
+        try:
+            with h5py.File(quiet, "w", libver=_LIBVER) as file:
+                writer = FileWriter(path, file, quiet)
+                yield writer
+        except Exception as error:
+            if quiet.error not in {None, error}:
+                raise quiet.error from error
+            raise
+        quiet.require_well()
+        disk.sync()
+    with reading_back():
+        writer.require_same()
+
+
+class _QuietFile:
+    """A file object that keeps the first error of the disk to itself.
+
+    After some writes that failed, HDF5 ends the process. So from the first error on nothing is
+    written, the library is told that all is well, and we raise the error.
+
+    Attributes:
+        error: The first error.
     """
 
-    def __init__(self, sink: Sink) -> None:
-        self._sink = sink
-        self._end = _SUPERBLOCK_BYTES
-        self._headers: dict[str, list[bytes]] = {}
+    def __init__(self, disk: DurableFile) -> None:
+        self.error: OSError | None = None
+        self._disk = disk
+        self._at = self._size = 0
 
-    def add(
-        self,
-        name: str,
-        dtype: str,
-        shape: tuple[int, ...],
-        pieces: Iterable[NDArray[Any]],
-    ) -> None:
-        """Write a contiguous array that comes in pieces of its first axis.
+    def require_well(self) -> None:
+        """Raise the error, if there was one."""
+        if self.error is not None:
+            raise self.error
+
+    def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
+        """Go to a place, counted from the beginning or the end."""
+        self._at = offset + (self._size if whence == os.SEEK_END else 0)
+        return self._at
+
+    def tell(self) -> int:
+        """Return the place."""
+        return self._at
+
+    def write(self, content: bytearray) -> int:
+        """Write bytes."""
+        self._unless_failed(self._disk.write, self._at, content)
+        self._at += len(content)
+        self._size = max(self._size, self._at)
+        return len(content)
+
+    def truncate(self, size: int) -> int:
+        """Make the file that long."""
+        self._unless_failed(self._disk.truncate, size)
+        self._size = size
+        return size
+
+    def read(self, count: int) -> bytes:
+        """Return bytes that were written here: the library may need some of its own again."""
+        content = self._unless_failed(self._disk.read, self._at, count) or b""
+        self._at += count
+        return content.ljust(count, b"\0")
+
+    def flush(self) -> None:
+        """Nothing waits here."""
+
+    def _unless_failed(self, call: Callable[..., bytes | None], *args: object) -> bytes | None:
+        if self.error is None:
+            try:
+                return call(*args)
+            except OSError as error:
+                self.error = error
+        return None
+
+
+@dataclass
+class _Sum:
+    """What an array is known by: a CRC-32 of its numbers, row after row."""
+
+    dtype: np.dtype[Any]
+    row_shape: tuple[int, ...]
+    rows: int = 0
+    crc: int = 0
+
+    def add(self, rows: NDArray[Any]) -> None:
+        """Count more rows in."""
+        self.rows += len(rows)
+        if rows.size:
+            self.crc = zlib.crc32(np.ascontiguousarray(rows).data, self.crc)
+
+
+class FileWriter:
+    """Adds arrays with checksums, and attributes, to the root of a new file."""
+
+    def __init__(self, path: Path, file: h5py.File, quiet: _QuietFile) -> None:
+        self._path, self._file, self._quiet = path, file, quiet
+        self._written: dict[str, _Sum] = {}
+        self._attributes: dict[str, str | int] = {}
+
+    def add(self, name: str, array: NDArray[Any]) -> None:
+        """Write a small array as one chunk; nothing at all needs no checksum."""
+        checked = bool(array.size)
+        chunks = array.shape if checked else None
+        self._file.create_dataset(name, data=array, chunks=chunks, fletcher32=checked)
+        self._quiet.require_well()
+        self._written[name] = _Sum(array.dtype, array.shape[1:])
+        self._written[name].add(array)
+
+    def add_rows(self, name: str, dtype: str, most: int, chunk_shape: tuple[int, ...]) -> "Rows":
+        """Return what writes an array row by row.
 
         Args:
             name: Its name.
-            dtype: The kind of its numbers, a key of `CODES`.
-            shape: Of the whole.
-            pieces: Arrays whose numbers make up the whole.
-        """
-        self._align()
-        at, size = self._end, 0
-        for piece in pieces:
-            numbers = np.ascontiguousarray(piece, dtype)
-            if numbers.size:
-                self._append(numbers.reshape(-1).view(np.uint8).data)
-                size += numbers.nbytes
-        if size != int(np.prod(shape, dtype=np.int64)) * np.dtype(dtype).itemsize:
-            raise ValueError(f"{name}: {size} bytes came for shape {shape} of {dtype}")
-        layout = struct.pack("<BBQQ", 3, 1, at if size else UNDEFINED, size)
-        self._describe(name, dtype, shape, layout, _message(_FILL_VALUE, b"\x03\x0a"))
-
-    def chunked(self, name: str, dtype: str, chunk_shape: tuple[int, ...]) -> "ChunkWriter":
-        """Return what writes an array in chunks with checksums; it is ended before `finish`.
-
-        Args:
-            name: Its name.
-            dtype: The kind of its numbers, a key of `CODES`.
+            dtype: The kind of its numbers.
+            most: How many rows it may become.
             chunk_shape: Of each chunk; its rows span all axes but the first.
         """
-        return ChunkWriter(self, name, dtype, chunk_shape)
+        shape = (most, *chunk_shape[1:])
+        dataset = self._file.create_dataset(
+            name,
+            shape=shape,
+            maxshape=shape,
+            chunks=chunk_shape,
+            dtype=dtype,
+            fletcher32=True,
+            # Room for a chunk: else the library reads it again for each of its rows.
+            rdcc_nbytes=math.prod(chunk_shape) * np.dtype(dtype).itemsize,
+        )
+        self._written[name] = _Sum(np.dtype(dtype), shape[1:])
+        return Rows(self._path, dataset, self._quiet, self._written[name])
 
-    def finish(self, attributes: Mapping[str, str | int]) -> None:
-        """Write the structures, and the root's attributes.
+    def add_attributes(self, attributes: Mapping[str, str | int]) -> None:
+        """Write attributes."""
+        self._file.attrs.update(attributes)
+        self._quiet.require_well()
+        self._attributes.update(attributes)
+
+    def require_same(self) -> None:
+        """Read the file without the library, and compare it with what was written.
 
         Raises:
-            ValueError: If there are more arrays than the reader takes.
+            CorruptFile: If it cannot be read, or holds something else.
         """
-        if len(self._headers) > MOST_LINKS:
-            raise ValueError(f"{len(self._headers)} arrays, at most {MOST_LINKS}")
-        links = [
-            _message(Message.LINK, _link(name, self._append(_object(messages))))
-            for name, messages in self._headers.items()
-        ]
-        texts = [value.encode() for value in attributes.values() if isinstance(value, str)]
-        self._align()
-        texts_at = self._append(_collection(texts))
-        numbers = iter(range(1, len(texts) + 1))
-        root = _object(
-            [
-                _message(Message.LINK_INFO, struct.pack("<BBQQ", 0, 0, UNDEFINED, UNDEFINED)),
-                # Links stay in the header up to the most that are read, also if a tool adds one.
-                _message(_GROUP_INFO, struct.pack("<BBHH", 0, 1, MOST_LINKS, 0)),
-                *links,
-                *(
-                    _message(
-                        Message.ATTRIBUTE,
-                        _text_attribute(name, len(value.encode()), texts_at, next(numbers))
-                        if isinstance(value, str)
-                        else _whole_attribute(name, value),
-                    )
-                    for name, value in attributes.items()
-                ),
-            ]
-        )
-        root_at = self._append(root)
-        block = _SIGNATURE + struct.pack("<BBBBQQQQ", 3, 8, 8, 0, 0, UNDEFINED, self._end, root_at)
-        self._sink.write(0, _summed(block))
-
-    def _describe(
-        self, name: str, dtype: str, shape: tuple[int, ...], layout: bytes, *more: bytes
-    ) -> None:
-        if name in self._headers:
-            raise ValueError(f"{name} is written twice")
-        axes = struct.pack(f"<BBBB{len(shape)}Q", 2, len(shape), 0, 1, *shape)
-        self._headers[name] = [
-            _message(Message.DATASPACE, axes),
-            _message(Message.DATATYPE, CODES[dtype]),
-            *more,
-            _message(Message.LAYOUT, layout),
-        ]
-
-    def _align(self) -> None:
-        if gap := -self._end % 8:
-            self._append(bytes(gap))
-
-    def _append(self, content: bytes | memoryview) -> int:
-        """Write bytes at the end and return where that was."""
-        at = self._end
-        self._sink.write(at, content)
-        self._end += len(content)
-        return at
+        with Hdf5File(FileSource(self._path)) as file:
+            for name, wanted in self._written.items():
+                dataset = file.dataset(name)
+                found = _Sum(dataset.dtype, dataset.shape[1:])
+                block = max(1, _BLOCK_BYTES * dataset.shape[0] // max(1, dataset.size_bytes))
+                for start in range(0, dataset.shape[0], block):
+                    found.add(dataset.rows(start, start + block))
+                if found != wanted:
+                    raise CorruptFile(f"{name} is {found}, {wanted} was written")
+            for name, value in self._attributes.items():
+                told: str | int = (
+                    file.attributes.text(name, len(value.encode()))
+                    if isinstance(value, str)
+                    else file.attributes.whole(name)
+                )
+                if told != value:
+                    raise CorruptFile(f"its attribute {name} is not what was written")
 
 
-class ChunkWriter:
-    """An array that is written chunk after chunk, row after row; HDF5's fixed array lists them.
+class Rows:
+    """An array that is written row after row: `rows[i] = row`, with i counting up."""
 
-    A row is `writer[i] = row`, with i counting up; only the rows of one chunk are in memory.
-    """
-
-    def __init__(
-        self, writer: "Hdf5Writer", name: str, dtype: str, chunk_shape: tuple[int, ...]
-    ) -> None:
-        self._writer, self._name, self._dtype = writer, name, dtype
-        self._chunk = np.zeros(chunk_shape, dtype)
-        self._rows = 0
-        self._written: list[ChunkAddress] = []
+    def __init__(self, path: Path, dataset: h5py.Dataset, quiet: _QuietFile, written: _Sum) -> None:
+        self._path, self._dataset, self._quiet, self._written = path, dataset, quiet, written
 
     def __len__(self) -> int:
-        return self._rows
+        return self._written.rows
 
     def __setitem__(self, row: int, numbers: NDArray[Any]) -> None:
         """Add the next row.
 
         Raises:
-            ValueError: If it is not the next, or has another shape.
+            ValueError: If it is not the next.
+            OSError: If the disk refused what was written up to now.
         """
-        if row != self._rows:
-            raise ValueError(f"{self._name}: row {row} came, the next is {self._rows}")
-        self._chunk[row % len(self._chunk)] = numbers
-        self._rows += 1
-        if self._rows % len(self._chunk) == 0:
-            self._flush()
+        if row != len(self):
+            raise ValueError(f"row {row} came, the next is {len(self)}")
+        array = np.asarray(numbers, self._written.dtype)
+        self._dataset[row] = array
+        self._quiet.require_well()
+        self._written.add(array[np.newaxis])
 
-    @property
-    def chunk_shape(self) -> tuple[int, ...]:
-        """The shape of a chunk."""
-        return self._chunk.shape
+    def end(self) -> None:
+        """Cut off the rows that did not come."""
+        self._dataset.resize(len(self), axis=0)
+        self._quiet.require_well()
 
-    def end(self) -> tuple[ChunkAddress, ...]:
-        """Write what is left and the list of the chunks; return where they are."""
-        if used := self._rows % len(self._chunk):
-            self._chunk[used:] = 0
-            self._flush()
-        shape = (self._rows, *self._chunk.shape[1:])
-        lengths = (*self._chunk.shape, self._chunk.itemsize)
-        width = (max(lengths).bit_length() + 7) // 8  # HDF5 refuses more bytes than it takes
-        layout = b"".join(
-            (
-                struct.pack("<BBBBB", 4, 2, 0, len(lengths), width),
-                *(length.to_bytes(width, "little") for length in lengths),
-                struct.pack("<BBQ", 3, _PAGE_BITS, self._index() if self._written else UNDEFINED),
+    @contextmanager
+    def readable(self) -> Iterator[ChunkedDataset]:
+        """Give what was written, read without the library while it has the file open.
+
+        Raises:
+            OSError: If the disk refuses it, or gives back something else.
+        """
+        self._dataset.flush()
+        self._quiet.require_well()
+        chunks: list[ChunkAddress] = []
+        self._dataset.id.chunk_iter(
+            lambda chunk: chunks.append(ChunkAddress(chunk.byte_offset, chunk.size, 0))
+        )
+        with reading_back(), FileSource(self._path) as source:
+            yield ChunkedDataset(
+                source,
+                self._dataset.name,
+                self._written.dtype,
+                self._dataset.shape,
+                self._dataset.chunks,
+                tuple(chunks),
             )
-        )
-        self._writer._describe(
-            self._name,
-            self._dtype,
-            shape,
-            layout,
-            _message(_FILL_VALUE, b"\x03\x0b"),
-            _message(Message.FILTERS, struct.pack("<BBHHH", 2, 1, 3, 0, 0)),
-        )
-        return tuple(self._written)
-
-    def _flush(self) -> None:
-        content = self._chunk.reshape(-1).view(np.uint8).data
-        at = self._writer._append(content)
-        self._writer._append(struct.pack("<I", fletcher32(content)))
-        self._written.append(ChunkAddress(at, len(content) + 4, 0))
-
-    def _index(self) -> int:
-        """Write the fixed array and return where its header is."""
-        writer, width = self._writer, _size_bytes(self._chunk.nbytes)
-        entries = [
-            struct.pack("<Q", chunk.at) + chunk.size.to_bytes(width, "little") + bytes(4)
-            for chunk in self._written
-        ]
-        at = writer._end
-        block_at = at + 28
-        header = struct.pack(
-            "<4sBBBBQQ", b"FAHD", 0, 1, len(entries[0]), _PAGE_BITS, len(entries), block_at
-        )
-        begin = struct.pack("<4sBBQ", b"FADB", 0, 1, at)
-        page = 1 << _PAGE_BITS
-        if len(entries) <= page:
-            parts = [begin + b"".join(entries)]
-        else:
-            pages = [b"".join(entries[i : i + page]) for i in range(0, len(entries), page)]
-            present = int("1" * len(pages), 2) << (-len(pages) % 8)
-            parts = [begin + present.to_bytes((len(pages) + 7) // 8, "big"), *pages]
-        writer._append(b"".join(map(_summed, [header, *parts])))
-        return at
-
-
-def _size_bytes(chunk_bytes: int) -> int:
-    """Return how many bytes tell a chunk's size in an index: the library takes that for granted."""
-    return min(8, 1 + (chunk_bytes.bit_length() - 1 + 8) // 8)
-
-
-def _summed(content: bytes) -> bytes:
-    return content + struct.pack("<I", lookup3(content))
-
-
-def _message(kind: int, content: bytes) -> bytes:
-    return struct.pack("<BHB", kind, len(content), 0) + content
-
-
-def _object(messages: Iterable[bytes]) -> bytes:
-    content = b"".join(messages)
-    return _summed(struct.pack("<4sBBI", b"OHDR", 2, 2, len(content)) + content)
-
-
-def _link(name: str, address: int) -> bytes:
-    told = name.encode()
-    return struct.pack("<BBB", 1, 0, len(told)) + told + struct.pack("<Q", address)
-
-
-def _collection(texts: Sequence[bytes]) -> bytes:
-    """Return HDF5's global heap of the texts, numbered from 1; what is left of it is object 0."""
-    objects = b"".join(
-        struct.pack("<HHIQ", number, 1, 0, len(text)) + text + bytes(-len(text) % 8)
-        for number, text in enumerate(texts, start=1)
-    )
-    size = max(_LEAST_COLLECTION, 16 + len(objects) + 16)
-    left = size - 16 - len(objects)
-    free = struct.pack("<HHIQ", 0, 0, 0, left) + bytes(left - 16)
-    return struct.pack("<4sBxxxQ", b"GCOL", 1, size) + objects + free
-
-
-def _text_attribute(name: str, length: int, at: int, number: int) -> bytes:
-    return _attribute(name, TEXT, struct.pack("<IQI", length, at, number))
-
-
-def _whole_attribute(name: str, value: int) -> bytes:
-    return _attribute(name, CODES["<i8"], struct.pack("<q", value))
-
-
-def _attribute(name: str, kind: bytes, value: bytes) -> bytes:
-    told, scalar = name.encode() + b"\0", bytes([2, 0, 0, 0])
-    sizes = struct.pack("<HHH", len(told), len(kind), len(scalar))
-    return bytes([3, 0]) + sizes + b"\1" + told + kind + scalar + value

@@ -1,6 +1,8 @@
-"""What h5py writes is read the same without the HDF5 library, and what we write is HDF5."""
+"""What h5py writes is read the same without the HDF5 library."""
 
 import io
+import tempfile
+from pathlib import Path
 
 import h5py
 import numpy as np
@@ -9,9 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from storage.errors import CorruptFile
-from storage.hdf5 import BytesSource, Hdf5File, Hdf5Writer
+from storage.hdf5 import BytesSource, FileSource, Hdf5File
 from storage.hdf5.checksums import fletcher32
 from storage.hdf5.kinds import CODES
+from storage.hdf5.writer import hdf5_in_memory, hdf5_on_disk
 
 NAMES = st.text(
     st.characters(codec="utf-8", exclude_characters="/.\0", exclude_categories=["Cs"]),
@@ -22,17 +25,6 @@ SHAPES = st.lists(st.integers(0, 7), min_size=1, max_size=4).map(tuple)
 ARRAYS = st.dictionaries(NAMES, st.tuples(st.sampled_from(sorted(CODES)), SHAPES), max_size=24)
 TEXTS = st.text(st.characters(codec="utf-8", exclude_characters="\0"), max_size=5000)
 ATTRIBUTES = st.dictionaries(NAMES, st.one_of(TEXTS, st.integers(-(2**63), 2**63 - 1)), max_size=6)
-
-
-class Memory:
-    """A sink in memory."""
-
-    def __init__(self):
-        self.content = bytearray()
-
-    def write(self, at, content):
-        self.content.extend(bytes(max(0, at - len(self.content))))
-        self.content[at : at + len(content)] = content
 
 
 def numbers(described):
@@ -71,52 +63,41 @@ def test_a_file_of_h5py_is_read_as_h5py_reads_it(described, attributes, libver):
 
 @settings(deadline=None)
 @given(ARRAYS, ATTRIBUTES)
-def test_a_file_of_ours_is_read_by_h5py_and_by_us(described, attributes):
-    arrays, sink = numbers(described), Memory()
-    writer = Hdf5Writer(sink)
-    for name, array in arrays.items():
-        writer.add(name, array.dtype.str, array.shape, [array[:2], array[2:]])
-    writer.finish(attributes)
-    content = bytes(sink.content)
-    require_same(content, arrays, attributes)
-    with h5py.File(io.BytesIO(content)) as file:
-        assert set(file) == arrays.keys()
-        for name, array in arrays.items():
-            again = file[name][()]
-            assert (again.dtype, again.tobytes()) == (array.dtype, array.tobytes())
-        assert dict(file.attrs) == attributes
+def test_a_file_in_memory_holds_the_pieces_of_each_array(described, attributes):
+    arrays = numbers(described)
+    pieces = {name: [array[:2], array[2:]] for name, array in arrays.items()}
+    require_same(bytes(hdf5_in_memory(pieces, attributes)), arrays, attributes)
+
+
+@settings(deadline=None)
+@given(ARRAYS, ATTRIBUTES)
+def test_a_file_on_disk_holds_each_array_with_checksums(described, attributes):
+    arrays = numbers(described)
+    with tempfile.TemporaryDirectory() as folder:
+        with hdf5_on_disk(Path(folder, "a.h5")) as writer:
+            for name, array in arrays.items():
+                writer.add(name, array)
+            writer.add_attributes(attributes)
+        require_same(Path(folder, "a.h5").read_bytes(), arrays, attributes)
 
 
 @pytest.mark.parametrize("rows", [1, 2, 3, 3071, 3072, 3073, 3076, 9000])
-def test_chunks_are_listed_on_one_page_or_many_and_read_by_both(rows):
+@pytest.mark.parametrize("more", [0, 4])
+def test_chunks_are_listed_on_one_page_or_many(tmp_path, rows, more):
     """Three rows in a chunk, 1,024 chunks on a page of their list."""
     array = np.arange(rows * 2, dtype="<f4").reshape(rows, 2)
-    sink, buffer = Memory(), io.BytesIO()
-    writer = Hdf5Writer(sink)
-    cells = writer.chunked("a", "<f4", (3, 2))
-    for row, values in enumerate(array):
-        cells[row] = values
-    cells.end()
-    writer.finish({})
-    with h5py.File(io.BytesIO(bytes(sink.content))) as file:
-        assert (file["a"][()] == array).all()
-        assert (file["a"].chunks, file["a"].fletcher32) == ((3, 2), True)
-    with h5py.File(buffer, "w", libver="v110") as file:
-        made = file.create_dataset(
-            "a",
-            shape=(rows + 4, 2),
-            maxshape=(rows + 4, 2),
-            chunks=(3, 2),
-            dtype="<f4",
-            fletcher32=True,
-        )
-        made[:rows] = array
-        made.resize(rows, axis=0)
-    for content in (bytes(sink.content), buffer.getvalue()):
-        dataset = Hdf5File(BytesSource(content)).dataset("a")
-        assert (dataset.read() == array).all()
+    with hdf5_on_disk(tmp_path / "a.h5") as writer:
+        cells = writer.add_rows("a", "<f4", rows + more, (min(3, rows + more), 2))
+        for row, values in enumerate(array):
+            cells[row] = values
+        cells.end()
+        with cells.readable() as open_still:
+            assert (open_still.read() == array).all()
+    with Hdf5File(FileSource(tmp_path / "a.h5")) as file:
+        dataset = file.dataset("a")
         for start, stop in ((0, 0), (1, 2), (2, 7), (rows - 2, rows + 9), (rows, rows)):
             assert (dataset.rows(start, stop) == array[max(0, start) : stop]).all()
+        assert dataset.rows(0, rows + 9).shape == (rows, 2)
 
 
 @settings(deadline=None)

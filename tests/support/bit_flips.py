@@ -27,7 +27,7 @@ from storage.drive_chunks import ChunkFile, scan_digest, write_chunk
 from storage.errors import CorruptFile
 from storage.image_file import ImageFile, write_image_file
 from storage.map_file import map_of_bytes, write_map
-from tests.support.older_files import older_chunk, older_images, older_map
+from tests.support.older_files import copied_map, older_chunk
 from tests.support.samples import (
     SMALL_GRID,
     FaultyDrive,
@@ -95,16 +95,14 @@ KINDS = {
     "harmonic map": Kind(
         lambda p: write_map(p, sample_harmonic_map(count=3, segment_length=3)[0]), _read_map
     ),
-    "older map": Kind(lambda p: older_map(p, sample_map(count=3, segment_length=3)[0]), _read_map),
     "copied map": Kind(
-        lambda p: older_map(p, sample_map(count=3, segment_length=3)[0], None), _read_map
+        lambda p: copied_map(p, sample_map(count=3, segment_length=3)[0]), _read_map
     ),
     "chunk": Kind(lambda p: write_chunk(p, _scans()), _read_chunk),
     "older chunk": Kind(lambda p: older_chunk(p, _scans()), _read_chunk),
     "images": Kind(lambda p: write_image_file(p, _drive(), _IMAGER), _read_images),
-    "older images": Kind(lambda p: older_images(p, _drive(), _IMAGER), _read_images),
 }
-"""Files as they are written now, and as they were."""
+"""Files as they are written now, and as they were or are copied."""
 
 
 def flipped(

@@ -16,7 +16,7 @@ from storage.errors import StorageFull, StorageUnavailable
 from storage.files import publish
 from storage.image_file import ImageFile, write_image_file
 from storage.map_file import read_map, write_map
-from tests.support.samples import SMALL_GRID, sample_drive, sample_map
+from tests.support.samples import SMALL_GRID, FaultyDrive, sample_drive, sample_map
 
 MAP, _ = sample_map(count=12, segment_length=4, drives=2)
 IMAGERS = [
@@ -36,18 +36,26 @@ def put_chunk(path):
 
 
 def put_images(path):
-    write_image_file(path, sample_drive(20), IMAGERS[0])
+    write_image_file(path, FaultyDrive(sample_drive(20), {3, 11}), IMAGERS[0])
 
 
 def put_renderings(path):
     write_image_file(path, sample_drive(20), IMAGERS[1])
 
 
+def content_of_images(path, imager):
+    with ImageFile(path, imager) as images:
+        assert images.probes is not None
+        cells = images.read(0, 20).tobytes() + images.probes.read(0, 20).tobytes()
+        facts = [images.scans.tolist(), images.probed.tolist(), images.standing.tolist()]
+        return cells, facts, images.detail_gram().tolist(), images.returns, images.skipped
+
+
 WRITERS = {
     "map": (put_map, lambda path: read_map(path).revision),
     "chunk": (put_chunk, lambda path: ChunkFile(path).points_m(2).tobytes()),
-    "images": (put_images, lambda path: ImageFile(path, IMAGERS[0]).read(0, 20).tobytes()),
-    "renderings": (put_renderings, lambda path: ImageFile(path, IMAGERS[1]).read(0, 20).tobytes()),
+    "images": (put_images, lambda path: content_of_images(path, IMAGERS[0])),
+    "renderings": (put_renderings, lambda path: content_of_images(path, IMAGERS[1])),
 }
 
 
@@ -98,7 +106,7 @@ def each_failing(disk, write, path):
             yield number, None
 
 
-@pytest.mark.parametrize("name", ["pwrite", "fsync", "open"])
+@pytest.mark.parametrize("name", ["pwrite", "fsync", "open", "ftruncate"])
 @pytest.mark.parametrize("number", [errno.EIO, errno.ENOSPC])
 def test_whichever_call_fails_is_told_and_leaves_nothing(
     written, tmp_path, monkeypatch, name, number
@@ -107,7 +115,7 @@ def test_whichever_call_fails_is_told_and_leaves_nothing(
     disk = Disk(monkeypatch, name, refuse(number))
     path = tmp_path / "a.h5"
     ends = list(each_failing(disk, write, path))
-    assert len(ends) >= 2
+    assert ends or name == "ftruncate"  # done to images only
     for call, error in ends[: -1 if name == "fsync" else None]:  # the last one is the folder's
         assert error is not None, f"{name} {call} failed and nobody said so"
         assert not path.exists() or name in {"fsync", "open"}
@@ -140,12 +148,20 @@ def test_a_write_that_takes_less_is_followed_by_another(written, tmp_path, monke
 
 @pytest.mark.parametrize("fault", [lost, other])
 def test_bytes_that_are_not_on_the_disk_as_written_are_found(written, tmp_path, monkeypatch, fault):
-    write, _, _ = written
+    """Unless they do not matter: the library writes some places again, and leaves gaps."""
+    write, read, whole = written
     disk = Disk(monkeypatch, "pwrite", fault)
     path = tmp_path / "a.h5"
+    found = 0
     for call, error in each_failing(disk, write, path):
-        assert error == errno.EIO, f"write {call} was not read back"
+        if error is None:
+            assert read(path) == whole, f"write {call} was not read back"
+            path.unlink()
+        else:
+            assert error == errno.EIO
+            found += 1
         assert not list(tmp_path.iterdir())
+    assert found > disk.calls // 2
 
 
 def test_returns_with_another_digest_than_the_catalog_will_have_are_not_stored(tmp_path):
@@ -161,10 +177,9 @@ def test_a_file_is_readable_by_this_user_only(written, tmp_path):
     assert (tmp_path / "a.h5").stat().st_mode & 0o777 == 0o600
 
 
-def test_half_a_file_is_no_file(tmp_path):
-    with DurableFile(tmp_path / "a.h5") as file:
-        file.write(48, b"numbers")
-        file.flush()
-    assert (tmp_path / "a.h5").read_bytes()[:48] == bytes(48)
-    with pytest.raises(FileExistsError):
-        DurableFile(tmp_path / "a.h5")
+def test_a_file_that_is_there_is_not_written_over(tmp_path):
+    (tmp_path / "a.h5").write_bytes(b"kept")
+    for write in (lambda path: write_map(path, MAP), DurableFile):
+        with pytest.raises(FileExistsError):
+            write(tmp_path / "a.h5")
+    assert (tmp_path / "a.h5").read_bytes() == b"kept"

@@ -16,7 +16,7 @@ from storage.hdf5 import BytesSource, FileSource, Hdf5File
 from storage.json_text import parse_json
 from storage.map_file import _CheckedFiles, map_of_bytes, read_map, read_revision, write_map
 from tests import golden
-from tests.support.older_files import older_map
+from tests.support.older_files import copied_map
 from tests.support.samples import sample_map
 
 MAP, _ = sample_map(count=3, segment_length=3)
@@ -33,10 +33,11 @@ except TensorMapError as error:
 """
 
 
-@pytest.fixture(params=["v110", None])
-def older(request, tmp_path):
-    """The bytes of a map as the HDF5 library wrote it, in its newer and its first structures."""
-    return bytearray(older_map(tmp_path / "older.h5", MAP, request.param).read_bytes())
+@pytest.fixture(params=[write_map, copied_map])
+def whole(request, tmp_path):
+    """The bytes of a map, in HDF5's newer and its first structures."""
+    request.param(tmp_path / "whole.h5", MAP)
+    return bytearray((tmp_path / "whole.h5").read_bytes())
 
 
 def read_in_a_child(path):
@@ -58,16 +59,16 @@ def test_a_text_of_another_size_in_the_global_heap_is_refused_in_time(tmp_path, 
 
 
 @pytest.mark.parametrize("number", range(8 * 24))
-def test_every_bit_of_the_description_of_a_text_may_flip(older, number):
+def test_every_bit_of_the_description_of_a_text_may_flip(whole, number):
     """One of them ended the process in HDF5 2.0.0."""
-    at = older.index(bytes.fromhex("19010100"))
-    older[at + number // 8] ^= 1 << number % 8
+    at = whole.index(bytes.fromhex("19010100"))
+    whole[at + number // 8] ^= 1 << number % 8
     with suppress(CorruptFile):
-        assert map_of_bytes(bytes(older), "it").revision == MAP.revision
+        assert map_of_bytes(bytes(whole), "it").revision == MAP.revision
 
 
 def test_a_header_that_continues_in_itself_ends(tmp_path):
-    content = bytearray(older_map(tmp_path / "a.h5", MAP, None).read_bytes())
+    content = bytearray(copied_map(tmp_path / "a.h5", MAP).read_bytes())
     root = int.from_bytes(content[64:72], "little")
     size = int.from_bytes(content[root + 8 : root + 12], "little")
     content[root + 2 : root + 4] = (65535).to_bytes(2, "little")
