@@ -18,6 +18,7 @@ from uvicorn.protocols.http.auto import AutoHTTPProtocol
 
 from app.errors import TooManyConnections
 from app.problems import problem_response
+from app.process import keep_for_ever
 from app.settings import Settings
 
 if TYPE_CHECKING:
@@ -98,6 +99,7 @@ class BoundedServer(uvicorn.Server):
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
         """Start, with a longer queue."""
         await super().startup(sockets)
+        keep_for_ever()
         for listening in sockets or ():
             listening.listen(_BACKLOG)
 
