@@ -21,7 +21,8 @@ test: $(DEVELOP) ## Run all tests; those on recorded drives too if TENSORMAP_DAT
 	PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest -n auto -q
 
 # What `make torture` attacks with, unless the environment says otherwise; with SHORT=1 the tests' own
-# sizes, which take four minutes.
+# sizes, which take four minutes. Starvation: seconds that each load is measured for, and how many
+# WebSockets, tracks and builds one key asks for.
 ifndef SHORT
 torture: export TENSORMAP_TORTURE_KILLS ?= 300
 torture: export TENSORMAP_TORTURE_FAULTS ?= 0
@@ -33,11 +34,14 @@ torture: export TENSORMAP_TORTURE_HOSTILE ?= 100000
 torture: export TENSORMAP_TORTURE_TRUNCATION_STEP ?= 1
 torture: export TENSORMAP_TORTURE_INPUTS ?= 50000
 torture: export TENSORMAP_TORTURE_STARVATION_S ?= 60
+torture: export TENSORMAP_TORTURE_WEBSOCKETS ?= 5000
+torture: export TENSORMAP_TORTURE_TRACKS ?= 1000
+torture: export TENSORMAP_TORTURE_BUILDS ?= 300
 endif
 
 torture: $(DEVELOP) ## Attack the service for hours: kills, disk faults, damage, starvation. SHORT=1 takes 4 minutes.
 	$(BIN)/python -m pytest -n 2 -q -m 'not alone' tests/torture
-	$(BIN)/python -m pytest -n 0 -q -m 'alone and not soak' $(if $(SHORT),tests/torture/test_all_at_once.py,tests/torture)
+	$(BIN)/python -m pytest -n 0 -q -m 'alone and not soak' $(if $(SHORT),tests/torture/test_starvation.py,tests/torture)
 
 soak: $(DEVELOP) ## Use the service for TENSORMAP_SOAK_S seconds (600): nothing may grow or fail.
 	TENSORMAP_SOAK_S=$${TENSORMAP_SOAK_S:-600} $(BIN)/python -m pytest -n 0 -q -m soak tests/torture

@@ -18,6 +18,7 @@ from uvicorn.protocols.http.auto import AutoHTTPProtocol
 
 from app.errors import TooManyConnections
 from app.problems import problem_response
+from app.process import collect_seldom
 from app.settings import Settings
 
 if TYPE_CHECKING:
@@ -96,8 +97,9 @@ class BoundedServer(uvicorn.Server):
     """
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
-        """Start, with a longer queue."""
+        """Start, with a longer queue; what is loaded by then is no garbage."""
         await super().startup(sockets)
+        collect_seldom()
         for listening in sockets or ():
             listening.listen(_BACKLOG)
 

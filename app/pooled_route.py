@@ -27,7 +27,6 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 _MARK = "tensormap_heavy"
 _REQUEST = "pooled_request"
-_SMALL_BYTES = 64 * 2**10
 
 
 def heavy(function: F) -> F:
@@ -69,7 +68,8 @@ def _pooled(function: Callable[..., Any]) -> Callable[..., Any]:
         request: Request = given.pop(_REQUEST)
         bodies = [value for value in given.values() if isinstance(value, Received)]
         pools: Pools = request.app.state.service.pools
-        if is_heavy or any(body.packed or len(body) > _SMALL_BYTES for body in bodies):
+        of_bodies = (pools.of_body(len(body)) for body in bodies)
+        if is_heavy or any(body.packed for body in bodies) or pools.heavy in of_bodies:
             return await run_heavy(request, partial(_call, function, given))
         return await pools.short.run(sender_of(request.scope), partial(_call, function, given))
 

@@ -17,9 +17,11 @@ __all__ = ["Pool", "Pools"]
 
 T = TypeVar("T")
 _RETRY_S = 2
+_SMALL_BYTES = 64 * 2**10
 _ADMISSION_THREADS = 8  # a look-up of a key takes the catalog a fraction of a millisecond
 _SPOOL_THREADS = 8
 _AUDIT_THREADS = 2  # the catalog takes one writer at a time
+_OPENING_THREADS = 2  # each that computes takes turns with whatever else does
 _INNER_THREADS = 40  # of the framework: files that are sent, streams
 
 
@@ -161,6 +163,8 @@ class Pools:
         admission: Threads that look up keys; nobody's work takes one.
         spool: Threads that write bodies to disk.
         audit: Threads that log refusals, of whoever asks too often for what is not allowed.
+        opening: Threads that check who opens a stream: thousands that come at once leave the others
+            to requests.
     """
 
     def __init__(self, settings: Settings) -> None:
@@ -179,6 +183,11 @@ class Pools:
         self.admission = CapacityLimiter(_ADMISSION_THREADS)
         self.spool = CapacityLimiter(_SPOOL_THREADS)
         self.audit = CapacityLimiter(_AUDIT_THREADS)
+        self.opening = CapacityLimiter(_OPENING_THREADS)
+
+    def of_body(self, length: int) -> Pool:
+        """Return the pool of work on a body: what is large takes longer wherever it goes."""
+        return self.heavy if length > _SMALL_BYTES else self.short
 
     def size_the_default(self) -> None:
         """Size the pool that the framework takes threads from by itself."""

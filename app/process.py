@@ -1,6 +1,7 @@
 """What processes of ours set up before they compute."""
 
 import ctypes
+import gc
 import os
 import resource
 from collections.abc import Iterator
@@ -10,6 +11,7 @@ from pathlib import Path
 from threadpoolctl import threadpool_limits
 
 __all__ = [
+    "collect_seldom",
     "keep_freed_memory",
     "limited_memory",
     "most_build_memory_bytes",
@@ -21,6 +23,7 @@ __all__ = [
 _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3
 _MEGABYTE = 2**20
 
+_MIDDLE_PER_FULL = 50  # collections of 7,000 objects each; Python's own is 10
 _LEAST_BUILD_BYTES = 2**30
 _CGROUPS = Path("/sys/fs/cgroup")
 
@@ -38,6 +41,20 @@ def one_blas_thread() -> None:
 def private_files() -> None:
     """Let files that this process makes be its user's, and nobody else's."""
     os.umask(0o077)
+
+
+def collect_seldom() -> None:
+    """Let full garbage collections be short and rare from now on.
+
+    One looks at every object that may be part of a cycle, and nothing else runs meanwhile: 0.2 s
+    when all modules, routes and models are loaded, twice that with a thousand streams open, every
+    few seconds (measured on two cores). What there is now is left out for good. A full one comes
+    after 350,000 objects more than were freed, not 70,000; young ones come as often as ever.
+    """
+    gc.collect()
+    gc.freeze()
+    young, middle, _ = gc.get_threshold()
+    gc.set_threshold(young, middle, _MIDDLE_PER_FULL)
 
 
 def keep_freed_memory() -> None:

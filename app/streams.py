@@ -5,13 +5,9 @@ from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from anyio import CapacityLimiter
-
 from app.errors import TooManyStreams, TooManyStreamsOfKey
 
 __all__ = ["Streams"]
-
-_OPENED_AT_ONCE = 4
 
 
 class Streams:
@@ -20,10 +16,6 @@ class Streams:
     Args:
         limit: How many may be open.
         per_key: How many may be open of one key.
-
-    Attributes:
-        opening: Limits the threads that check who opens a stream: thousands that come at once leave
-            the others to requests.
 
     Examples:
         >>> streams = Streams(limit=3, per_key=1)
@@ -40,27 +32,46 @@ class Streams:
         self._per_key = per_key
         self._open: Counter[str] = Counter()
         self._lock = threading.Lock()
-        self.opening = CapacityLimiter(_OPENED_AT_ONCE)
+        self._open_with: Counter[str] = Counter()
 
     def __len__(self) -> int:
         with self._lock:
             return self._open.total()
 
+    def require_room(self, secret_hash: str) -> None:
+        """Refuse what is sure to be refused, without a look at the catalog.
+
+        Args:
+            secret_hash: Of the key or token that was sent, whether it is good or not.
+
+        Raises:
+            TooManyStreamsOfKey: If as many were opened with this very one as a key may have open.
+        """
+        with self._lock:
+            if self._open_with[secret_hash] >= self._per_key:
+                raise TooManyStreamsOfKey(
+                    f"{self._per_key} streams of this key are open, as many as may be: close one"
+                )
+
     @contextmanager
-    def opened(self, key_id: str) -> Iterator[None]:
+    def opened(self, key_id: str, secret_hash: str = "") -> Iterator[None]:
         """Count a stream of a key for as long as the block runs.
+
+        Args:
+            key_id: Whose it is.
+            secret_hash: Of what was sent, for `require_room`.
 
         Raises:
             TooManyStreamsOfKey: If as many of this key are open as may be.
             TooManyStreams: If as many of all keys are.
         """
-        self._take(key_id)
+        self._take(key_id, secret_hash)
         try:
             yield
         finally:
-            self._give_back(key_id)
+            self._give_back(key_id, secret_hash)
 
-    def _take(self, key_id: str) -> None:
+    def _take(self, key_id: str, secret_hash: str) -> None:
         with self._lock:
             if self._open[key_id] >= self._per_key:
                 raise TooManyStreamsOfKey(
@@ -73,9 +84,11 @@ class Streams:
                     " one, or ask again"
                 )
             self._open[key_id] += 1
+            self._open_with[secret_hash] += 1
 
-    def _give_back(self, key_id: str) -> None:
+    def _give_back(self, key_id: str, secret_hash: str) -> None:
         with self._lock:
-            self._open[key_id] -= 1
-            if not self._open[key_id]:
-                del self._open[key_id]
+            for counted, of in ((self._open, key_id), (self._open_with, secret_hash)):
+                counted[of] -= 1
+                if not counted[of]:
+                    del counted[of]

@@ -20,7 +20,7 @@ from app.settings import Settings, is_loopback
 from storage.catalog import KeyRecord, TokenRecord
 from storage.store import Store
 
-__all__ = ["Access", "make_first_key", "open_access", "sender_of"]
+__all__ = ["Access", "make_first_key", "open_access", "sender_of", "sent_hash"]
 
 _SENDER = "tensormap.sender"
 _DAY_S = 86_400
@@ -169,6 +169,11 @@ def sender_of(scope: Scope) -> str:
         client = scope.get("client")
         return _address_of(client[0] if client else "")
     return who
+
+
+def sent_hash(connection: HTTPConnection) -> str:
+    """Return the hash of the key or token that came, good or not; all that sent none are one."""
+    return secret_hash(_bearer_of(connection))
 
 
 def _address_of(host: str) -> str:

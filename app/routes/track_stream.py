@@ -8,9 +8,9 @@ from typing import Annotated, NoReturn
 from anyio import to_thread
 from fastapi import APIRouter, Path, WebSocket, WebSocketDisconnect, status
 from fastapi.exceptions import RequestValidationError
-from starlette.concurrency import run_in_threadpool
 from starlette.types import Message
 
+from app.access.access import sent_hash
 from app.access.dependency import stream_caller
 from app.access.scopes import Scope
 from app.bodies.json_body import read_json
@@ -56,23 +56,27 @@ async def stream(
     with ExitStack() as counted:
         check = partial(_open, websocket, service, map_slug, track_id, counted)
         try:
-            await to_thread.run_sync(check, limiter=service.streams.opening)
+            service.streams.require_room(sent_hash(websocket))
+            key_id = await to_thread.run_sync(check, limiter=service.pools.opening)
         except TensorMapError as error:
             await websocket.send_denial_response(problem_response(error))
             return
         await websocket.accept()
         with suppress(WebSocketDisconnect):
             while True:
-                await _answer(websocket, service, map_slug, track_id)
+                await _answer(websocket, service, map_slug, track_id, key_id)
 
 
-async def _answer(websocket: WebSocket, service: Service, map_slug: str, track_id: str) -> None:
+async def _answer(
+    websocket: WebSocket, service: Service, map_slug: str, track_id: str, key_id: str
+) -> None:
     message = await _next_message(websocket, service.settings.stream_idle_s)
     if message["type"] == "websocket.disconnect":
         raise WebSocketDisconnect(message.get("code", status.WS_1000_NORMAL_CLOSURE))
     body: bytes | str = message.get("bytes") or message.get("text") or b""
+    work = partial(_observe, websocket, service, map_slug, track_id, body)
     try:
-        answer = await run_in_threadpool(_observe, websocket, service, map_slug, track_id, body)
+        answer = await service.pools.of_body(len(body)).run(key_id, work)
     except TensorMapError as error:
         await websocket.send_text(bytes(problem_response(error).body).decode())
         if isinstance(error, BodyTooLarge):
@@ -99,11 +103,12 @@ async def _close(websocket: WebSocket, code: int, reason: str | None = None) -> 
 
 def _open(
     websocket: WebSocket, service: Service, map_slug: str, track_id: str, counted: ExitStack
-) -> None:
-    """Check who opens a stream of which track, and count it until `counted` is closed."""
+) -> str:
+    """Return the id of the key that opens a stream, and count it until `counted` is closed."""
     caller = stream_caller(websocket, Scope.LOCALIZE, map_slug=map_slug)
-    counted.enter_context(service.streams.opened(caller.key_id))
+    counted.enter_context(service.streams.opened(caller.key_id, sent_hash(websocket)))
     track_of(service, map_slug, track_id)
+    return caller.key_id
 
 
 def _observe(

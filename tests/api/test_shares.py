@@ -73,6 +73,47 @@ def test_streams_are_bounded_for_a_key_and_for_all(sparing):
         pass  # what was closed is open to others again
 
 
+def test_a_key_whose_streams_are_all_open_is_refused_without_a_look_at_the_catalog(
+    sparing, monkeypatch
+):
+    one, two = holder(sparing, LOCALIZE), holder(sparing, LOCALIZE)
+    track = begin_track(sparing, one)
+    looked_up: list[str] = []
+    known = sparing.service.store.keys.with_hash
+
+    def counted(secret_hash):
+        looked_up.append(secret_hash)
+        return known(secret_hash)
+
+    with ExitStack() as opened:
+        for _ in range(2):
+            opened.enter_context(stream_of(sparing, track, one))
+        monkeypatch.setattr(sparing.service.store.keys, "with_hash", counted)
+        assert refused_stream(sparing, track, one) == (429, "too-many-streams-of-key")
+        assert not looked_up
+        opened.enter_context(stream_of(sparing, track, two))
+        assert looked_up
+
+
+def test_a_large_message_of_a_stream_is_heavy_work(sparing, monkeypatch):
+    one = holder(sparing, LOCALIZE)
+    track = begin_track(sparing, one)
+    pools = sparing.service.pools
+    ran = []
+    for pool in (pools.short, pools.heavy):
+
+        async def run(key, work, pool=pool, in_pool=pool.run):
+            ran.append(pool)
+            return await in_pool(key, work)
+
+        monkeypatch.setattr(pool, "run", run)
+    with stream_of(sparing, track, one) as stream:
+        for spaces in (0, 2**17):
+            stream.send_text("{" + " " * spaces + "}")
+            assert stream.receive_json()["type"] == "/problems/invalid-request"
+    assert ran == [pools.short, pools.heavy]
+
+
 def test_a_refused_stream_takes_nothing(sparing):
     one = holder(sparing, LOCALIZE)
     for _ in range(5):

@@ -11,11 +11,6 @@ from tests.torture.support import faults
 from tests.torture.support.sizes import SEED, TREE
 
 HERE = Path(__file__).parent
-_ALONE = {
-    "test_all_at_once",
-    "test_starvation",
-    "test_shares",
-}  # they measure how long answers take
 
 
 def _are_asked_for(config: pytest.Config) -> bool:
@@ -32,8 +27,6 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         if HERE in item.path.parents:
             item.add_marker("torture")
-            if item.path.stem in _ALONE:
-                item.add_marker("alone")
 
 
 def pytest_report_header() -> str:

@@ -33,6 +33,10 @@ class Crowd:
     def __len__(self) -> int:
         return len(self._open)
 
+    def __str__(self) -> str:
+        answers = f", answered {dict(self.answers)}" if self.answers else ""
+        return f"{len(self)} open, {self.closed} closed{answers}"
+
     async def connect(self, sent: bytes) -> int:
         """Open a connection, send this and keep it open; return the status that came, 0 if none."""
         try:

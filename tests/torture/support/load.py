@@ -56,14 +56,20 @@ class Answers:
         self.seconds.append(seconds)
         self.statuses[status] = self.statuses.get(status, 0) + 1
 
+    def extend(self, more: "Answers") -> None:
+        """Add what came later."""
+        self.seconds += more.seconds
+        for status, count in more.statuses.items():
+            self.statuses[status] = self.statuses.get(status, 0) + count
+
     def quantile(self, share: float) -> float:
         """Return the seconds within which this share of the answers came."""
         ordered = sorted(self.seconds)
         return ordered[min(len(ordered) - 1, int(share * len(ordered)))]
 
     def __str__(self) -> str:
-        shown = {f"p{100 * share:g}": f"{self.quantile(share):.3f} s" for share in (0.5, 0.99, 1)}
-        return f"{len(self.seconds)} answers, {self.statuses}, {shown}"
+        p50, p99, most = map(self.quantile, (0.5, 0.99, 1))
+        return f"{self.statuses} p50 {p50:.3f} p99 {p99:.3f} most {most:.3f} s"
 
 
 class Load:

@@ -5,7 +5,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -30,10 +30,18 @@ class Tortured:
         data_dir: Its data.
         log: What it writes.
         environment: More variables: settings with their prefix, and what is preloaded.
+        within: A command that runs the one that follows it, in the same process.
     """
 
-    def __init__(self, data_dir: Path, log: Path, environment: Mapping[str, str]) -> None:
+    def __init__(
+        self,
+        data_dir: Path,
+        log: Path,
+        environment: Mapping[str, str],
+        within: Sequence[str] = (),
+    ) -> None:
         self.data_dir, self.log = data_dir, log
+        self._within = within
         self._more = environment
         self._process: subprocess.Popen[bytes] | None = None
         self.port = 0
@@ -64,7 +72,10 @@ class Tortured:
         said_before = self.log.stat().st_size if self.log.exists() else 0
         with self.log.open("ab") as log:
             self._process = subprocess.Popen(
-                [sys.executable, "-m", "app.cli", "serve", "--port", "0", "--data", self.data_dir],
+                [
+                    *(*self._within, sys.executable, "-m", "app.cli", "serve"),
+                    *("--port", "0", "--data", self.data_dir),
+                ],
                 cwd=TREE,
                 env=environment_of(**self._more),
                 stdin=subprocess.DEVNULL,
@@ -148,13 +159,18 @@ class Tortured:
 
 @contextmanager
 def tortured(
-    folder: Path, environment: Mapping[str, str] | None = None, **settings: str
+    folder: Path,
+    environment: Mapping[str, str] | None = None,
+    *,
+    within: Sequence[str] = (),
+    **settings: str,
 ) -> Iterator[Tortured]:
     """Run a service until the block ends.
 
     Args:
         folder: All that it stores goes into `disk`, the data into `disk/data`; its log is `log`.
         environment: More variables.
+        within: A command that runs the one that follows it, in the same process.
         settings: Settings without their prefix; without `admin_key` it is `ADMIN_KEY`.
     """
     given = {"admin_key": ADMIN_KEY, **settings}
@@ -163,7 +179,7 @@ def tortured(
     temporary.mkdir(parents=True)
     variables["TMPDIR"] = str(temporary)
     variables.update(environment or {})
-    service = Tortured(folder / "disk" / "data", folder / "log", variables)
+    service = Tortured(folder / "disk" / "data", folder / "log", variables, within)
     service.start()
     try:
         yield service
