@@ -60,8 +60,7 @@ class Attacked:
         """Prepare a write that nobody has asked for yet."""
         self._number += 1
         write = kind(self.service, self.client, self._number)
-        if isinstance(write, Backup):
-            write.variables = self.faults.environment
+        write.lift, write.variables = self.faults.lift, self.faults.environment
         write.prepare()
         return write
 

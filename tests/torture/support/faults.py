@@ -146,6 +146,10 @@ class Faults:
         with self._armed(1, _EVER, fault, share, seed):
             yield
 
+    def lift(self) -> None:
+        """Let no more calls fail before the block ends: the disk is well again."""
+        self._control.armed = 0
+
     @contextmanager
     def counting(self) -> Iterator[None]:
         """Count the calls of a block; none fails."""

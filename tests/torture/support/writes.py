@@ -5,8 +5,10 @@ import json
 import shutil
 import sqlite3
 import time
+from collections.abc import Callable, Mapping
 from contextlib import closing
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import httpx2
@@ -29,6 +31,7 @@ __all__ = ["WRITES", "Write", "ended_job", "poses_of"]
 _ENDED = {"done", "failed", "cancelled"}
 _SCANS = 6
 _COLLECTING_S = 0.2
+_LIFT_S = 3.0
 
 
 class Write(abc.ABC):
@@ -37,7 +40,14 @@ class Write(abc.ABC):
     Args:
         service: Whose.
         number: Makes it another one than all before.
+
+    Attributes:
+        lift: Makes the disk well again, if a write waits for something that needs it.
+        variables: Of the environment of commands, so that they meet the same disk.
     """
+
+    lift: Callable[[], None] = staticmethod(lambda: None)
+    variables: Mapping[str, str] = MappingProxyType({})
 
     def __init__(self, service: Tortured, client: httpx2.Client, number: int) -> None:
         self.service, self.client = service, client
@@ -171,7 +181,7 @@ class Build(Write):
         answer = self.client.post(f"/v1/maps/{self.map}/builds", json=wanted)
         if not answer.is_success:
             return named(answer)
-        job = ended_job(self.client, answer.json()["job"])
+        job = ended_job(self.client, answer.json()["job"], lift=self.lift)
         if job["state"] != "done":
             return str(job["error"]["type"]).removeprefix("/problems/")
         self.digest = str(job["revision"])
@@ -280,7 +290,6 @@ class Backup(Import):
         self.folder = self.service.data_dir.parent / "backups" / self.map
         self.folder.mkdir(parents=True, exist_ok=True)
         self.file = self.folder / "backup.tar"
-        self.variables: dict[str, str] = {}
 
     def attempt(self) -> str | None:
         ended = self.service.command("backup", "-o", self.file, **self.variables)
@@ -314,10 +323,21 @@ def require_revision(write: Write, digest: str) -> None:
     assert digest_of_file(got.content) == digest
 
 
-def ended_job(client: httpx2.Client, job: str, *, within_s: float = 30.0) -> dict[str, Any]:
-    """Poll a job to its end; what cannot be read now may be read later."""
-    deadline = time.monotonic() + within_s
-    while time.monotonic() < deadline:
+def ended_job(
+    client: httpx2.Client,
+    job: str,
+    *,
+    within_s: float = 30.0,
+    lift: Callable[[], None] = lambda: None,
+) -> dict[str, Any]:
+    """Poll a job to its end; what cannot be read now may be read later.
+
+    How a job ended cannot be written down while no write succeeds: after a while `lift` ends that.
+    """
+    begin = time.monotonic()
+    while (waited_s := time.monotonic() - begin) < within_s:
+        if waited_s > _LIFT_S:
+            lift()
         answer = client.get(f"/v1/jobs/{job}")
         if answer.is_success and answer.json()["state"] in _ENDED:
             told: dict[str, Any] = answer.json()
