@@ -31,10 +31,12 @@ pytestmark = [pytest.mark.torture, pytest.mark.alone]
 MAP = "/v1/maps/campus"
 JSON = {"Content-Type": "application/json"}
 P99_S = 0.5
+BURST_P99_S = 1.0  # while thousands of handshakes, or megabytes of JSON, are worked on beside that
 SECONDS = seconds("TENSORMAP_TORTURE_STARVATION_S", 4.0)
+FEWEST_ANSWERS, MOST_S = 100, 30.0
 UPLOADS, CLOSURES, IDLE, BODIES = 200, 100, 2000, 8
 WEBSOCKETS = size("websockets", 1500)
-TRACKS, BUILDS = size("tracks", 600), size("builds", 100)
+TRACKS, BUILDS = size("tracks", 520), size("builds", 60)
 OTHER_LOG_BYTES = 10**5  # all but the lines of requests and streams, one each
 BODY_BYTES = 4 * 2**20 - 2**10
 SOFT_DESCRIPTORS = 1024  # what a Linux system gives a program that does not ask for more
@@ -95,20 +97,31 @@ class Table:
         port: Of the service.
         fix: What another key asks.
         rows: The answers to it, and of `/livez`.
+        bars: Seconds that 99 of 100 answers may take, of each phase.
     """
 
     port: int
     fix: Request
     rows: dict[str, Answers] = field(default_factory=dict)
+    bars: dict[str, float] = field(default_factory=dict)
 
-    def measure(self, phase: str, *, until: "Future[str] | None" = None) -> None:
-        """Ask for `SECONDS`, or for as long as something is not done."""
+    def measure(
+        self, phase: str, *, p99_s: float = P99_S, until: "Future[str] | None" = None
+    ) -> None:
+        """Ask for `SECONDS` or as long as something is not done, and until there is a p99."""
+        self.bars[phase] = p99_s
+        began = time.monotonic()
         self._ask(phase, SECONDS if until is None else 1.0)
-        while until is not None and not until.done():
+        while not (until is None or until.done()) or (
+            self._fewest(phase) < FEWEST_ANSWERS and time.monotonic() < began + MOST_S
+        ):
             self._ask(phase, 1.0)
         for row, answers in self.rows.items():
             if row.startswith(phase):
                 print(f"{row}: {answers} (load {os.getloadavg()[0]:.1f})")
+
+    def _fewest(self, phase: str) -> int:
+        return min(len(found.seconds) for row, found in self.rows.items() if row.startswith(phase))
 
     def _ask(self, phase: str, for_s: float) -> None:
         alive = Request("GET", "/livez")
@@ -132,7 +145,7 @@ class Table:
         """Require that all was answered, and in time."""
         for row, answers in self.rows.items():
             assert set(answers.statuses) == {200}, (row, answers.statuses)
-            assert answers.quantile(0.99) < P99_S, f"{row}: {answers}"
+            assert answers.quantile(0.99) < self.bars[row.partition(": ")[0]], f"{row}: {answers}"
 
 
 def test_a_fix_of_another_key_is_answered_in_time_whatever_one_key_holds_open(service):
@@ -150,14 +163,14 @@ def test_a_fix_of_another_key_is_answered_in_time_whatever_one_key_holds_open(se
         attack.hold("uploads", count=UPLOADS)
         attack.hold("closures", count=CLOSURES, proposals=closure_proposals())
         time.sleep(2)
-        held = f"{UPLOADS} uploads, {CLOSURES} closures, {IDLE} idle connections"
-        table.measure(held)
+        table.measure(f"{UPLOADS} uploads, {CLOSURES} closures, {IDLE} idle connections")
         attack.begin("websockets", count=WEBSOCKETS, track=begun.json()["track"])
         opened = waiting.submit(attack.wait)
-        table.measure(f"and {WEBSOCKETS} WebSockets asked for", until=opened)
+        burst = f"and {WEBSOCKETS} WebSockets asked for"
+        table.measure(burst, p99_s=BURST_P99_S, until=opened)
         table.measure("and those that were accepted")
         attack.hold("bodies", count=BODIES, length=BODY_BYTES)
-        table.measure(f"and {BODIES} of 4 MB of JSON")
+        table.measure(f"and {BODIES} of 4 MB of JSON", p99_s=BURST_P99_S)
     print(f"grown by {watch.grown_bytes / 2**20:.0f} MB, /livez at most {watch.longest_s:.2f} s")
     table.require()
     watch.require()

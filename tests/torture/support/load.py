@@ -2,6 +2,7 @@
 
 import asyncio
 import json
+import math
 import time
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 from contextlib import suppress
@@ -65,7 +66,7 @@ class Answers:
     def quantile(self, share: float) -> float:
         """Return the seconds within which this share of the answers came."""
         ordered = sorted(self.seconds)
-        return ordered[min(len(ordered) - 1, int(share * len(ordered)))]
+        return ordered[max(0, math.ceil(share * len(ordered)) - 1)]
 
     def __str__(self) -> str:
         p50, p99, most = map(self.quantile, (0.5, 0.99, 1))
