@@ -141,7 +141,7 @@ def test_a_damaged_packed_signature_is_a_signature_or_refused() -> None:
     attack("signatures", inputs())
 
 
-@pytest.mark.parametrize("kind", ["capture", "kitti", "scans"])
+@pytest.mark.parametrize("kind", ["capture", "kitti", "scans", "nclt", "ford"])
 def test_a_damaged_drive_is_a_drive_or_refused(kind: str, tmp_path) -> None:
     chance = chance_of(kind)
 
@@ -155,9 +155,14 @@ def test_a_damaged_drive_is_a_drive_or_refused(kind: str, tmp_path) -> None:
 
 def _read_drive(path) -> None:
     drive = open_drive(path)
+    with suppress(TensorMapError):
+        assert len(drive.poses) == len(drive.timestamp_s) == len(drive)
     for index in range(min(len(drive), 3)):
         with suppress(TensorMapError):
             drive.scan(index)
+
+
+_FOLDERS = {"kitti": "velodyne", "nclt": "velodyne_sync", "ford": "SCANS", "scans": "scans"}
 
 
 def _drive(kind, chance, folder):
@@ -165,14 +170,18 @@ def _drive(kind, chance, folder):
         path = folder / "a.pcap"
         path.write_bytes(damaged(chance.choice(WHOLE["velodyne"]), chance))
         return path
-    scans = folder / ("velodyne" if kind == "kitti" else "scans")
+    scans = folder / _FOLDERS[kind]
     scans.mkdir(exist_ok=True)
-    name = chance.choice(["kitti", "npy", "pcd", "ply", "csv"]) if kind == "scans" else "kitti"
-    suffix = ".bin" if name == "kitti" else f".{name}"
+    name = chance.choice(["kitti", "npy", "pcd", "ply", "csv"]) if kind == "scans" else kind
+    suffix = {"kitti": ".bin", "nclt": ".bin", "ford": ".mat"}.get(name, f".{name}")
     for index in range(2):
-        (scans / f"{index}{suffix}").write_bytes(damaged(chance.choice(WHOLE[name]), chance))
+        (scans / f"{'Scan' if kind == 'ford' else ''}{index}{suffix}").write_bytes(
+            damaged(chance.choice(WHOLE[name]), chance)
+        )
     if kind == "scans":
         return scans
+    if kind in {"nclt", "ford"}:
+        return folder
     line = b"1 0 0 1 0 1 0 2 0 0 1 3\n"
     for beside, body in (
         ("times.txt", b"0.0\n0.1\n"),
