@@ -83,12 +83,10 @@ def put_poses(
     kind = media_type(content_type)
     drives = running.store.drives
     if kind in POSE_TYPES:
-        found = read_poses(body, kind, first)
         put = drives.expect_poses(
             map_slug,
             drive_slug,
-            found.poses,
-            found.timestamps_s,
+            read_poses(body, kind, first),
             consecutive=kind != CSV,
             partial=bool(partial),
         )

@@ -86,7 +86,7 @@ class DriveWithPosesOut(DriveOut):
     def of(cls, record: DriveRecord, put: PosesPut) -> "DriveWithPosesOut":
         """Show both."""
         drive = DriveOut.from_record(record)
-        return cls(**drive.model_dump(), poses=PosesPutOut.model_validate(put))
+        return cls(**dict(drive), poses=PosesPutOut.model_validate(put))
 
 
 class DrivePatch(BaseModel):

@@ -170,32 +170,51 @@ class _Group:
         self._target = map_slug, drive_slug
         self._upload = upload
         self._scans: dict[int, tuple[str, Scan]] = {}
+        self._again: list[tuple[int, str, Scan]] = []
         self._bytes = 0
 
     def add(self, name: str, index: int, scan: Scan) -> None:
         """Take a scan; store those that there are if they are enough."""
         if index in self._scans:
-            self.store()
-        self._scans[index] = name, scan
+            self._again.append((index, name, scan))
+        else:
+            self._scans[index] = name, scan
         self._bytes += scan.points_m.nbytes
-        if self._bytes >= _GROUP_BYTES or len(self._scans) >= _GROUP_SCANS:
+        if self._bytes >= _GROUP_BYTES or len(self._scans) + len(self._again) >= _GROUP_SCANS:
             self.store()
 
     def store(self) -> None:
-        """Store the scans: together, or each by itself if one of them stands in the way."""
+        """Store the scans, without those that stand in the way of others."""
         scans, self._scans, self._bytes = self._scans, {}, 0
-        try:
-            self._put(scans)
-        except (ScanConflict, DriveClosed):
-            for index, (name, scan) in scans.items():
-                try:
-                    self._put({index: (name, scan)})
-                except (ScanConflict, DriveClosed) as error:
-                    self._upload.refuse(name, error)
+        again, self._again = self._again, []
+        while scans:
+            try:
+                self._put(scans)
+                break
+            except (ScanConflict, DriveClosed):
+                scans = self._without_refused(scans)
+        if not again:
+            return
+        # At each of these indices a scan is stored now: what came first, or what was there.
+        refusals = self._drives.refusals(*self._target, [(index, scan) for index, _, scan in again])
+        for (index, name, _), refusal in zip(again, refusals, strict=True):
+            if refusal is None:
+                self._upload.present.append(index)
+            else:
+                self._upload.refuse(name, refusal)
+
+    def _without_refused(
+        self, scans: Mapping[int, tuple[str, Scan]]
+    ) -> dict[int, tuple[str, Scan]]:
+        pairs = [(index, scan) for index, (_, scan) in scans.items()]
+        refusals = self._drives.refusals(*self._target, pairs)
+        left = dict(scans)
+        for (index, _), refusal in zip(pairs, refusals, strict=True):
+            if refusal is not None:
+                self._upload.refuse(left.pop(index)[0], refusal)
+        return left
 
     def _put(self, scans: Mapping[int, tuple[str, Scan]]) -> None:
-        if not scans:
-            return
         pairs = [(index, scan) for index, (_, scan) in scans.items()]
         for result in self._drives.put_scans(*self._target, pairs):
             told = self._upload.stored if result.created else self._upload.present

@@ -2,18 +2,18 @@
 
 import contextlib
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TypeVar
 
 import numpy as np
 
 from core.arrays import FloatArray, IntArray
 from core.errors import InvalidPose
 from core.pose import UNKNOWN_POSE, Pose, first_invalid, is_known, rows_from_matrices
+from storage.catalog import ScanPoses
 from storage.formats.text_numbers import blocks_of_lines, number_rows
 
-__all__ = ["CSV", "KITTI", "POSE_TYPES", "TUM", "ByScan", "PoseFile", "read_poses"]
+__all__ = ["CSV", "KITTI", "MOST_LINES", "POSE_TYPES", "TUM", "read_poses"]
 
 KITTI = "application/vnd.tensormap.poses.kitti"
 TUM = "application/vnd.tensormap.poses.tum"
@@ -23,8 +23,7 @@ POSE_TYPES = {
     TUM: "TUM: a line a scan, `t x y z qx qy qz qw`; `#` begins a comment",
     CSV: "CSV with the columns `scan,x,y,z,qx,qy,qz,qw` and, if known, `timestamp_s`, in any order",
 }
-T = TypeVar("T")
-_MOST_LINES = 1_000_000
+MOST_LINES = 72_000  # 2 hours at 10 Hz; to read, compare and store one takes up to 50 us
 _MOST_LINE_BYTES = 2**16
 _MOST_COLUMNS = 64
 _BLOCK_BYTES = 2**20
@@ -33,47 +32,6 @@ _LAST_INDEX = 2**53
 _COMMENT = re.compile(rb"#[^\n]*")
 _BLANK_LINE = re.compile(rb"(?m)^[ \t]*\n")
 _NOTHING = re.compile(rb"(?<![^,\n])[ \t]*(?=[,\n])")
-
-
-class ByScan(Mapping[int, T]):
-    """What scans have, by their index, kept as an array: a million poses are 64 MB.
-
-    Args:
-        scans: `(n,)` indices, rising.
-        rows: `(n, ...)` what each of them has.
-        value: Makes a value of a row.
-    """
-
-    def __init__(self, scans: IntArray, rows: FloatArray, value: Callable[[FloatArray], T]) -> None:
-        self._scans, self._rows, self._value = scans, rows, value
-
-    def __getitem__(self, scan: int) -> T:
-        """Return what a scan has."""
-        at = int(np.searchsorted(self._scans, scan))
-        if at == len(self._scans) or self._scans[at] != scan:
-            raise KeyError(scan)
-        return self._value(self._rows[at])
-
-    def __iter__(self) -> Iterator[int]:
-        """Give the scans, rising."""
-        return iter(self._scans.tolist())
-
-    def __len__(self) -> int:
-        """Return how many scans there are."""
-        return len(self._scans)
-
-
-@dataclass(frozen=True)
-class PoseFile:
-    """What a file says about the scans of a drive.
-
-    Attributes:
-        poses: Sensor to world by scan index, `None` where unknown.
-        timestamps_s: Seconds by scan index.
-    """
-
-    poses: Mapping[int, Pose | None]
-    timestamps_s: Mapping[int, float]
 
 
 @dataclass(frozen=True)
@@ -85,7 +43,7 @@ class _Rows:
     poses: FloatArray
 
 
-def read_poses(body: bytes, media_type: str, first: int = 0) -> PoseFile:
+def read_poses(body: bytes, media_type: str, first: int = 0) -> ScanPoses:
     """Read a file of poses.
 
     Args:
@@ -97,8 +55,9 @@ def read_poses(body: bytes, media_type: str, first: int = 0) -> PoseFile:
         InvalidPose: If a line is none; the message says which.
 
     Examples:
-        >>> dict(read_poses(b"12.5 1 2 3 0 0 0 1", TUM, first=7).timestamps_s)
-        {7: 12.5}
+        >>> found = read_poses(b"12.5 1 2 3 0 0 0 1", TUM, first=7)
+        >>> found.scans.tolist(), found.timestamps_s.tolist()
+        ([7], [12.5])
     """
     text = memoryview(body.removeprefix(b"\xef\xbb\xbf"))
     parts: list[_Rows] = []
@@ -107,8 +66,8 @@ def read_poses(body: bytes, media_type: str, first: int = 0) -> PoseFile:
     for block in blocks_of_lines(text, _BLOCK_BYTES):
         if block is None:
             raise InvalidPose(f"line {number} has more than {_BLOCK_BYTES} bytes")
-        if number + block.count(b"\n") - 1 > _MOST_LINES:
-            raise InvalidPose(f"the file has more than {_MOST_LINES} lines")
+        if number + block.count(b"\n") - 1 > MOST_LINES:
+            raise InvalidPose(f"the file has more than {MOST_LINES} lines")
         says = _COMMENT.sub(b"", block) if b"#" in block else block
         begin = number
         if parse is None:
@@ -118,7 +77,7 @@ def read_poses(body: bytes, media_type: str, first: int = 0) -> PoseFile:
     return _joined(parts, first)
 
 
-def _joined(parts: list[_Rows], first: int) -> PoseFile:
+def _joined(parts: list[_Rows], first: int) -> ScanPoses:
     if not sum(len(part.scans) for part in parts):
         raise InvalidPose("the file has no line with a pose")
     scans = np.concatenate([part.scans for part in parts])
@@ -136,9 +95,7 @@ def _joined(parts: list[_Rows], first: int) -> PoseFile:
     known = np.isfinite(timestamps_s)
     poses = np.concatenate([part.poses for part in parts])[order]
     _require_rising(scans[known], timestamps_s[known])
-    return PoseFile(
-        ByScan(scans, poses, Pose.from_row), ByScan(scans[known], timestamps_s[known], float)
-    )
+    return ScanPoses(scans, poses, np.where(known, timestamps_s, np.nan))
 
 
 def _require_rising(scans: IntArray, timestamps_s: FloatArray) -> None:

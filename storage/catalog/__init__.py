@@ -20,6 +20,7 @@ from storage.catalog.records import (
     RevisionRecord,
     ScanRecord,
 )
+from storage.catalog.scan_poses import ScanPoses
 from storage.catalog.tokens import TokenRecord
 
 __all__ = [
@@ -39,6 +40,7 @@ __all__ = [
     "RequestKey",
     "RevisionFacts",
     "RevisionRecord",
+    "ScanPoses",
     "ScanRecord",
     "TokenRecord",
     "on_behalf",

@@ -1,40 +1,41 @@
 """Poses and times of scans that are still to come: kept until the scan is there."""
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
-from sqlalchemy import delete, insert, select
+import numpy as np
+from sqlalchemy import select
 from sqlalchemy.orm import Session
 
-from core.pose import Pose
+from core.arrays import IntArray
+from core.pose import Pose, is_known
 from storage.catalog.models import ExpectedPose
 from storage.catalog.records import ScanRecord
+from storage.catalog.scan_poses import ScanPoses, at_indices, poses_put, row_values, write_rows
 from storage.errors import PosesDoNotFit
 
 __all__ = ["expect", "met", "require_fit"]
 
 
-def expect(
-    session: Session,
-    drive_id: str,
-    wanted: Mapping[int, tuple[list[float] | None, float | None]],
-) -> None:
+def expect(session: Session, drive_id: str, wanted: ScanPoses) -> None:
     """Keep pose and time of scans by index; what was expected of them before is forgotten."""
-    _forget(session, drive_id, _expected(session, drive_id, wanted))
-    rows = [
-        {"drive_id": drive_id, "index": index, "pose": pose, "timestamp_s": timestamp_s}
-        for index, (pose, timestamp_s) in wanted.items()
-        if pose is not None or timestamp_s is not None
-    ]
-    if rows:
-        session.execute(insert(ExpectedPose), rows)
+    _forget(session, drive_id, wanted.scans)
+    known = is_known(wanted.poses) | np.isfinite(wanted.timestamps_s)
+    for rows in row_values(wanted.only(known)):
+        write_rows(
+            session,
+            "INSERT INTO expected_poses (drive_id, scan_index, pose, timestamp_s)"
+            " VALUES (?, ?, ?, ?)",
+            [(drive_id, *row) for row in rows],
+        )
 
 
 def require_fit(
     drive_slug: str,
-    poses: Mapping[int, Pose | None],
-    stored: Mapping[int, ScanRecord],
+    poses: ScanPoses,
+    before: ScanPoses,
     last_index: int | None,
     *,
     consecutive: bool,
@@ -43,8 +44,8 @@ def require_fit(
 
     Args:
         drive_slug: The drive.
-        poses: By scan index, at least one.
-        stored: The scans that are there, of those of the poses.
+        poses: The file's, at least one.
+        before: What is stored, of those of its scans that are.
         last_index: Of the drive's scans, `None` without one.
         consecutive: Whether lines count scans, so that a wrong number shows another drive's file.
 
@@ -53,85 +54,72 @@ def require_fit(
             are too few for the drive, or too many, and they would replace other poses.
     """
     insist = "; partial=true sets them all the same"
+    after = poses.only(np.isin(poses.scans, before.scans))
+    put = poses_put(before, after)
     if last_index is not None and consecutive:
-        first, last = min(poses), max(poses)
+        first, last = int(poses.scans[0]), int(poses.scans[-1])
         counted = f"the file has {len(poses)} lines, of scans {first} to {last}"
         if last < last_index:
             raise PosesDoNotFit(
                 f"{counted}, drive {drive_slug!r} has scans up to {last_index}{insist}"
             )
-        replaced = [i for i, scan in stored.items() if scan.pose not in {None, poses.get(i)}]
-        if last > last_index and replaced:
+        others = put.replaced + put.forgotten
+        if last > last_index and others:
             raise PosesDoNotFit(
                 f"{counted}, drive {drive_slug!r} has scans up to {last_index} and other poses of"
-                f" {len(replaced)} of them{insist}"
+                f" {others} of them{insist}"
             )
-    forgotten = _forgotten(poses, stored)
-    if forgotten:
+    if put.forgotten:
+        forgotten = is_known(before.poses) & ~is_known(after.poses)
         raise PosesDoNotFit(
-            f"the file has no pose of scan {min(forgotten)} of drive {drive_slug!r}, which has one"
-            f" ({len(forgotten)} scans would lose theirs){insist}"
+            f"the file has no pose of scan {before.scans[forgotten.argmax()]} of drive"
+            f" {drive_slug!r}, which has one ({put.forgotten} scans would lose theirs){insist}"
         )
-
-
-def _forgotten(poses: Mapping[int, Pose | None], stored: Mapping[int, ScanRecord]) -> list[int]:
-    return [
-        index
-        for index, scan in stored.items()
-        if index in poses and poses[index] is None and scan.pose is not None
-    ]
 
 
 def met(session: Session, drive_id: str, records: Sequence[ScanRecord]) -> list[ScanRecord]:
     """Return new scans with what was expected of them where they do not say it; forget that."""
-    expected = _expected(session, drive_id, {record.index for record in records})
-    _forget(session, drive_id, expected)
-    return [_completed(record, expected.get(record.index)) for record in records]
+    wanted = sorted(record.index for record in records)
+    expected: dict[int, Sequence[Any]] = {}
+    for clause in at_indices(ExpectedPose.index, wanted):
+        query = select(ExpectedPose.index, ExpectedPose.pose, ExpectedPose.timestamp_s)
+        for index, *values in session.execute(
+            query.where(ExpectedPose.drive_id == drive_id, clause)
+        ):
+            expected[index] = values
+    met_here = sorted(expected.keys() & set(wanted))
+    _forget(session, drive_id, np.array(met_here, dtype=np.int64))
+    return [_completed(record, expected.get(record.index, (None, None))) for record in records]
 
 
-def _completed(record: ScanRecord, expected: ExpectedPose | None) -> ScanRecord:
-    if expected is None:
-        return record
-    if record.pose is None and expected.pose is not None:
-        record = replace(record, pose=Pose(*expected.pose))
-    if math.isnan(record.timestamp_s) and expected.timestamp_s is not None:
-        record = replace(record, timestamp_s=expected.timestamp_s)
+def _completed(record: ScanRecord, expected: Sequence[Any]) -> ScanRecord:
+    pose, timestamp_s = expected
+    if record.pose is None and pose is not None:
+        record = replace(record, pose=Pose(*pose))
+    if math.isnan(record.timestamp_s) and timestamp_s is not None:
+        record = replace(record, timestamp_s=timestamp_s)
     return record
 
 
-def _expected(session: Session, drive_id: str, indices: Collection[int]) -> dict[int, ExpectedPose]:
-    """Return what is expected of these scans."""
-    if not indices:
-        return {}
-    # A span, not IN (...): a database takes only so many parameters.
-    query = select(ExpectedPose).where(
-        ExpectedPose.drive_id == drive_id,
-        ExpectedPose.index.between(min(indices), max(indices)),
-    )
-    wanted = set(indices)
-    return {row.index: row for row in session.scalars(query) if row.index in wanted}
-
-
-def _forget(session: Session, drive_id: str, indices: Collection[int]) -> None:
-    for first, last in _spans(indices):
-        session.execute(
-            delete(ExpectedPose)
-            .where(ExpectedPose.drive_id == drive_id, ExpectedPose.index.between(first, last))
-            .execution_options(synchronize_session=False)
+def _forget(session: Session, drive_id: str, indices: IntArray) -> None:
+    """Remove what is expected of scans, whose indices rise."""
+    spans = [(drive_id, first, last) for first, last in _spans(indices)]
+    if spans:
+        write_rows(
+            session,
+            "DELETE FROM expected_poses WHERE drive_id = ? AND scan_index BETWEEN ? AND ?",
+            spans,
         )
 
 
-def _spans(indices: Collection[int]) -> list[tuple[int, int]]:
-    """Return the spans that indices make.
+def _spans(indices: IntArray) -> list[tuple[int, int]]:
+    """Return the spans that rising indices make.
 
     Examples:
-        >>> _spans({3, 1, 2, 7})
+        >>> _spans(np.array([1, 2, 3, 7]))
         [(1, 3), (7, 7)]
     """
-    spans: list[tuple[int, int]] = []
-    for index in sorted(indices):
-        if spans and spans[-1][1] == index - 1:
-            spans[-1] = spans[-1][0], index
-        else:
-            spans.append((index, index))
-    return spans
+    ends = np.flatnonzero(np.diff(indices) != 1)
+    firsts = indices[np.concatenate([[0], ends + 1])] if len(indices) else indices
+    lasts = indices[np.concatenate([ends, [len(indices) - 1]])] if len(indices) else indices
+    return list(zip(firsts.tolist(), lasts.tolist(), strict=True))

@@ -5,17 +5,25 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 
+import numpy as np
 from sqlalchemy import func, insert, select, update
 from sqlalchemy.exc import IntegrityError
 from sqlalchemy.orm import Session
 
-from core.pose import Pose
+from core.pose import Pose, is_known, pose_rows
 from storage.catalog.database import Database
 from storage.catalog.drives import drive_named
 from storage.catalog.expected_poses import expect, met, require_fit
 from storage.catalog.maps import map_named
 from storage.catalog.models import Drive, Map, Scan
 from storage.catalog.records import BYTES_PER_RETURN, PosesPut, ScanRecord
+from storage.catalog.scan_poses import (
+    ScanPoses,
+    at_indices,
+    poses_put,
+    stored_poses,
+    update_poses,
+)
 from storage.errors import ScanNotFound, StorageBusy
 from storage.names import checked_slug, new_id
 
@@ -148,27 +156,29 @@ class Scans:
             DriveNotFound: If it has no such drive.
             ScanNotFound: If one of the scans is not there; the message names the first.
         """
-        wanted = {*poses, *timestamps_s}
+        wanted = sorted({*poses, *timestamps_s})
+        scans = np.array(wanted, dtype=np.int64)
         with self._database.writing() as session:
             drive_id = drive_named(session, map_slug, drive_slug, lock=True).id
-            stored = _among(session, drive_id, wanted)
-            missing = sorted(wanted - stored.keys())
-            if missing:
+            before = stored_poses(session, drive_id, scans)
+            if len(before) < len(scans):
+                missing = np.setdiff1d(scans, before.scans)
                 raise ScanNotFound(
                     f"drive {drive_slug!r} has no scan {missing[0]}"
                     f" ({len(missing)} of {len(wanted)} are missing)"
                 )
-            _update(session, drive_id, "pose", {i: _pose_value(p) for i, p in poses.items()})
-            _update(
-                session, drive_id, "timestamp_s", {i: _known(t) for i, t in timestamps_s.items()}
-            )
-            return _put(poses, stored)
+            posed = np.array([index in poses for index in wanted], dtype=bool)
+            after = ScanPoses(scans, before.poses.copy(), before.timestamps_s.copy())
+            after.poses[posed] = pose_rows([poses[index] for index in wanted if index in poses])
+            for at, index in enumerate(wanted):
+                after.timestamps_s[at] = timestamps_s.get(index, before.timestamps_s[at])
+            update_poses(session, drive_id, before, after)
+            return poses_put(before.only(posed), after.only(posed))
 
     def expect_poses(
         self,
         target: PutTarget,
-        poses: Mapping[int, Pose | None],
-        timestamps_s: Mapping[int, float],
+        poses: ScanPoses,
         *,
         consecutive: bool = False,
         partial: bool = False,
@@ -177,8 +187,7 @@ class Scans:
 
         Args:
             target: The drive.
-            poses: By scan index.
-            timestamps_s: By scan index.
+            poses: At least one; a time that is unknown is left as it is.
             consecutive: Whether they are of consecutive scans, one a line.
             partial: Set them even if they cannot be those of all scans; of a closed drive those
                 of scans that it lacks are left over.
@@ -188,45 +197,35 @@ class Scans:
             ScanNotFound: If the drive is closed and lacks one of the scans.
             PosesDoNotFit: If they cannot be those of the drive's scans.
         """
-        wanted = {*poses, *timestamps_s}
+        slug, drive_id = target.drive_slug, target.drive_id
         try:
             with self._database.writing() as session:
                 self._hold(session, target)
-                there = _among(session, target.drive_id, wanted)
-                missing = wanted - there.keys()
-                if missing and target.closed and not partial:
+                before = stored_poses(session, drive_id, poses.scans)
+                there = np.isin(poses.scans, before.scans)
+                missing = poses.only(~there)
+                if len(missing) and target.closed and not partial:
                     raise ScanNotFound(
-                        f"drive {target.drive_slug!r} is closed and has no scan {min(missing)}"
+                        f"drive {slug!r} is closed and has no scan {missing.scans[0]}"
                     )
                 if not partial:
                     last = session.scalar(
-                        select(func.max(Scan.index)).where(Scan.drive_id == target.drive_id)
+                        select(func.max(Scan.index)).where(Scan.drive_id == drive_id)
                     )
-                    require_fit(target.drive_slug, poses, there, last, consecutive=consecutive)
-                for name, values in (
-                    ("pose", {i: _pose_value(pose) for i, pose in poses.items()}),
-                    ("timestamp_s", {i: _known(t) for i, t in timestamps_s.items()}),
-                ):
-                    _update(
-                        session,
-                        target.drive_id,
-                        name,
-                        {index: value for index, value in values.items() if index in there},
-                    )
-                extra = sum(poses.get(index) is not None for index in missing)
+                    require_fit(slug, poses, before, last, consecutive=consecutive)
+                said = poses.only(there)
+                timed = np.isfinite(said.timestamps_s)
+                timestamps_s = np.where(timed, said.timestamps_s, before.timestamps_s)
+                after = ScanPoses(said.scans, said.poses, timestamps_s)
+                update_poses(session, drive_id, before, after)
+                put = poses_put(before, after)
+                extra = int(np.count_nonzero(is_known(missing.poses)))
                 if target.closed:
-                    return replace(_put(poses, there), left_over=extra)
-                expect(
-                    session,
-                    target.drive_id,
-                    {
-                        index: (_pose_value(poses.get(index)), timestamps_s.get(index))
-                        for index in missing
-                    },
-                )
-                return replace(_put(poses, there), waiting=extra)
+                    return replace(put, left_over=extra)
+                expect(session, drive_id, missing)
+                return replace(put, waiting=extra)
         except IntegrityError as error:  # databases that let two writers in at once
-            raise LostRace(f"drive {target.drive_slug!r} changed meanwhile") from error
+            raise LostRace(f"drive {slug!r} changed meanwhile") from error
 
     def move(self, drive_id: str, scans: Sequence[ScanRecord], chunk: str) -> set[str]:
         """Let scans be found in another chunk file, in the order given.
@@ -269,28 +268,18 @@ class Scans:
 
 def _among(session: Session, drive_id: str, indices: Collection[int]) -> dict[int, ScanRecord]:
     """Return which of these indices are stored."""
-    if not indices:
-        return {}
-    # A span, not IN (...): a database takes only so many parameters.
-    query = select(Scan).where(
-        Scan.drive_id == drive_id, Scan.index.between(min(indices), max(indices))
-    )
     wanted = set(indices)
-    return {row.index: _record(row) for row in session.scalars(query) if row.index in wanted}
+    found: dict[int, ScanRecord] = {}
+    for clause in at_indices(Scan.index, sorted(wanted)):
+        rows = session.scalars(select(Scan).where(Scan.drive_id == drive_id, clause))
+        found.update((row.index, _record(row)) for row in rows if row.index in wanted)
+    return found
 
 
 def chunks_of(session: Session, drive_id: str) -> set[str]:
     """Return the names of the chunk files that hold the scans of a drive."""
     kept = (Scan.drive_id == drive_id) & (Scan.chunk != "")
     return set(session.scalars(select(Scan.chunk).where(kept).distinct()))
-
-
-def _update(session: Session, drive_id: str, name: str, values: Mapping[int, object]) -> None:
-    if values:
-        session.execute(
-            update(Scan),
-            [{"drive_id": drive_id, "index": index, name: v} for index, v in values.items()],
-        )
 
 
 def _values(drive_id: str, record: ScanRecord) -> dict[str, object]:
@@ -317,16 +306,6 @@ def _record(row: Scan) -> ScanRecord:
         dropped_returns=row.dropped_returns,
         timestamp_s=math.nan if row.timestamp_s is None else row.timestamp_s,
         pose=None if row.pose is None else Pose(*row.pose),
-    )
-
-
-def _put(poses: Mapping[int, Pose | None], stored: Mapping[int, ScanRecord]) -> PosesPut:
-    """Count what poses of scans that were stored become."""
-    pairs = [(poses[index], scan.pose) for index, scan in stored.items() if index in poses]
-    return PosesPut(
-        set=sum(pose is not None for pose, _ in pairs),
-        replaced=sum(None not in {pose, had} and pose != had for pose, had in pairs),
-        forgotten=sum(pose is None and had is not None for pose, had in pairs),
     )
 
 

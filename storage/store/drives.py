@@ -10,7 +10,7 @@ from pathlib import Path
 from core.errors import InvalidParameters
 from core.pose import Pose
 from core.scan import Scan
-from storage.catalog import Catalog, DriveRecord, PosesPut, ScanRecord
+from storage.catalog import Catalog, DriveRecord, PosesPut, ScanPoses, ScanRecord
 from storage.catalog.scans import LostRace, PutTarget
 from storage.drive_chunks import scan_digest, write_chunk
 from storage.errors import (
@@ -92,10 +92,14 @@ class Drives:
         by_index = {index: (scan, scan_digest(scan.points_m)) for index, scan in scans}
         for _ in range(_ATTEMPTS):
             target = self._catalog.scans.target(map_slug, drive_slug, by_index)
-            _refuse_conflicts(target, {index: digest for index, (_, digest) in by_index.items()})
+            refused = [
+                refusal
+                for index, (_, digest) in by_index.items()
+                if (refusal := _refusal(target, index, digest)) is not None
+            ]
+            if refused:
+                raise min(refused, key=lambda refusal: isinstance(refusal, DriveClosed))
             fresh = [(index, scan) for index, scan in scans if index not in target.stored]
-            if fresh and target.closed:
-                raise DriveClosed(f"drive {drive_slug!r} is closed and has no scan {fresh[0][0]}")
             name = f"{new_id()}.h5"
             records = [
                 _new_record(name, row, index, scan, by_index[index][1])
@@ -113,6 +117,16 @@ class Drives:
                 for index, _ in scans
             ]
         raise StorageBusy(f"drive {drive_slug!r} changed {_ATTEMPTS} times while a scan was put")
+
+    def refusals(
+        self, map_slug: str, drive_slug: str, scans: Sequence[tuple[int, Scan]]
+    ) -> list[ScanConflict | DriveClosed | None]:
+        """Return why each of some scans cannot be put as the drive is now, `None` if it can.
+
+        An index may come more than once.
+        """
+        target = self._catalog.scans.target(map_slug, drive_slug, {index for index, _ in scans})
+        return [_refusal(target, index, scan_digest(scan.points_m)) for index, scan in scans]
 
     def _write(
         self,
@@ -154,8 +168,7 @@ class Drives:
         self,
         map_slug: str,
         drive_slug: str,
-        poses: Mapping[int, Pose | None],
-        timestamps_s: Mapping[int, float] | None = None,
+        poses: ScanPoses,
         *,
         consecutive: bool = False,
         partial: bool = False,
@@ -167,8 +180,7 @@ class Drives:
         Args:
             map_slug: The map.
             drive_slug: The drive.
-            poses: By scan index, `None` where unknown.
-            timestamps_s: By scan index.
+            poses: At least one; a time that is unknown is left as it is.
             consecutive: Whether they are of consecutive scans, so that their number says whether
                 they are this drive's.
             partial: Set them whatever their number; those of scans that a closed drive lacks are
@@ -184,7 +196,7 @@ class Drives:
             target = self._catalog.scans.target(map_slug, drive_slug, ())
             with suppress(LostRace):
                 return self._catalog.scans.expect_poses(
-                    target, poses, timestamps_s or {}, consecutive=consecutive, partial=partial
+                    target, poses, consecutive=consecutive, partial=partial
                 )
         raise StorageBusy(f"drive {drive_slug!r} changed {_ATTEMPTS} times while poses were put")
 
@@ -308,13 +320,18 @@ def _check_indices(indices: Sequence[int]) -> None:
         raise InvalidParameters("a scan index is given twice")
 
 
-def _refuse_conflicts(target: PutTarget, digests: Mapping[int, str]) -> None:
-    for index, stored in target.stored.items():
-        if stored.digest != digests[index]:
-            raise ScanConflict(
-                f"scan {index} of drive {target.drive_slug!r} is stored with digest"
-                f" {stored.digest}, the one put has {digests[index]}"
-            )
+def _refusal(target: PutTarget, index: int, digest: str) -> ScanConflict | DriveClosed | None:
+    stored = target.stored.get(index)
+    if stored is None:
+        if not target.closed:
+            return None
+        return DriveClosed(f"drive {target.drive_slug!r} is closed and has no scan {index}")
+    if stored.digest == digest:
+        return None
+    return ScanConflict(
+        f"scan {index} of drive {target.drive_slug!r} is stored with digest {stored.digest}, the"
+        f" one put has {digest}"
+    )
 
 
 def _new_record(chunk: str, row: int, index: int, scan: Scan, digest: str) -> ScanRecord:

@@ -305,3 +305,15 @@ def test_a_digest_that_we_do_not_know_is_passed_over(empty):
     headers = {**KITTI, "Content-Digest": "md5=:AAAA:"}
     put = empty.put(f"{DRIVE}/scans/0", content=kitti(SCANS[0]), headers=headers)
     assert put.status_code == 201
+
+
+def test_of_scans_of_one_index_the_first_is_stored_and_the_others_are_set_aside(empty):
+    one, other, third = (npy(scan.points_m) for scan in SCANS[:3])
+    files = [("0.npy", one), ("1.npy", third), ("0.npy", one), ("0.npy", other), ("2.npy", one)]
+    sent = empty.post(f"{DRIVE}/scans", content=tar(files), headers=TAR).json()
+    assert (sent["scans_stored"], sent["files_set_aside"]) == (3, 1)
+    (aside,) = sent["set_aside"]
+    assert (aside["file"], aside["type"]) == ("0.npy", "/problems/scan-conflict")
+    files = [("0.npy", other), ("3.npy", one)]
+    again = empty.post(f"{DRIVE}/scans", content=tar(files), headers=TAR).json()
+    assert (again["scans_stored"], again["files_set_aside"]) == (1, 1)

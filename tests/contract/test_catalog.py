@@ -4,6 +4,7 @@ import math
 from concurrent.futures import ThreadPoolExecutor
 from datetime import UTC
 
+import numpy as np
 import pytest
 from alembic.autogenerate import compare_metadata
 from alembic.migration import MigrationContext
@@ -16,7 +17,8 @@ from storage.catalog import (
     database,
     migrations,
 )
-from storage.catalog.models import Base
+from storage.catalog.models import Base, Scan
+from storage.catalog.scan_poses import ScanPoses, at_indices
 from storage.catalog.scans import LostRace
 from storage.errors import (
     DriveNotFound,
@@ -225,6 +227,36 @@ class TestDrivesAndScans:
         assert (first.pose, second.pose, second.timestamp_s) == (pose, None, 7.5)
         catalog.scans.set_poses("campus", "monday", {0: None}, {})
         assert catalog.scans.get(target.drive_id, 0).pose is None
+
+    def test_poses_of_scans_far_apart_are_set_and_wait(self, catalog):
+        catalog.maps.create("campus")
+        stored = list(range(0, 40_000, 20))
+        drive = add_scans(catalog, "campus", "monday", stored)
+        scans = np.arange(0, 60_000, 10)
+        poses = np.tile([0.0, 2.0, 3.0, 0.0, 0.0, 0.0, 1.0], (len(scans), 1))
+        poses[:, 0] = scans / 7
+        poses[1] = np.nan
+        wanted = ScanPoses(scans, poses, np.where(scans % 3, np.nan, scans / 10))
+        for replaced in (0, 2000):
+            target = catalog.scans.target("campus", "monday", ())
+            put = catalog.scans.expect_poses(target, wanted)
+            assert (put.set, put.replaced, put.forgotten, put.waiting) == (2000, replaced, 0, 3999)
+            poses[2:, 1] += 1.0
+            poses[0, 1] += 1.0
+        add_scans(catalog, "campus", "monday", [10, 30, 59_990])
+        found = {record.index: record for record in catalog.scans.of_drive(drive.drive_id)}
+        assert found[10].pose is None
+        assert found[30].pose == Pose(30 / 7, 3.0, 3.0)
+        assert (found[30].timestamp_s, found[20].pose) == (3.0, Pose(20 / 7, 3.0, 3.0))
+        assert math.isnan(found[59_990].timestamp_s)
+        assert catalog.drives.get("campus", "monday").expected_poses == 3997
+
+    def test_a_drive_is_not_read_from_end_to_end_for_the_scans_at_its_ends(self, catalog):
+        clauses = [str(clause) for clause in at_indices(Scan.index, [0, 10**6])]
+        assert len(clauses) == 1
+        assert " IN " in clauses[0]
+        assert len(list(at_indices(Scan.index, range(0, 10_000, 10)))) == 2
+        assert "BETWEEN" in str(next(at_indices(Scan.index, [3, 4, 7])))
 
     def test_moved_scans_are_found_in_the_new_chunk(self, catalog):
         catalog.maps.create("campus")

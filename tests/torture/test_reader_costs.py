@@ -11,6 +11,7 @@ from typing import Any
 
 import pytest
 
+from tests.torture import worst_requests
 from tests.torture.worst_bodies import ARCHIVES, SINGLE, TWINS, UNPACKED
 
 pytestmark = [pytest.mark.torture, pytest.mark.alone]
@@ -22,8 +23,18 @@ ARCHIVE_BYTES = 32 * 2**20
 
 def cost_of(kind: str, name: str, size: int) -> dict[str, Any]:
     """Make a body and read it; return its bytes, CPU seconds, megabytes and outcome."""
+    return _told("tests.torture.worst_bodies", kind, name, str(size))
+
+
+def cost_over_http(name: str) -> dict[str, Any]:
+    """Send a body to a service; return the same, of all that the service does."""
+    return _told("tests.torture.worst_requests", name)
+
+
+def _told(module: str, *words: str) -> dict[str, Any]:
+    name = words[-1] if len(words) == 1 else words[1]
     done = subprocess.run(
-        [sys.executable, "-m", "tests.torture.worst_bodies", kind, name, str(size)],
+        [sys.executable, "-m", module, *words],
         capture_output=True,
         text=True,
         check=True,
@@ -53,3 +64,20 @@ def test_a_byte_of_the_worst_archive_costs_what_three_of_a_well_formed_one_do(na
     assert bad["mb"] <= MOST_MB, bad
     most_s = MOST_TIMES_A_WELL_FORMED_ONE * good["cpu_s"] * bad["bytes"] / good["bytes"]
     assert bad["cpu_s"] <= max(most_s, 0.2), (bad, good)
+
+
+@pytest.mark.parametrize("name", worst_requests.REQUESTS)
+def test_poses_are_read_compared_and_stored_within_the_budget(name: str) -> None:
+    told = cost_over_http(name)
+    assert told["cpu_s"] <= MOST_CPU_S, told
+    assert told["mb"] <= MOST_MB, told
+
+
+@pytest.mark.parametrize("name", worst_requests.ARCHIVES)
+def test_files_that_are_refused_cost_what_three_scans_of_their_size_do(name: str) -> None:
+    bad = cost_over_http(name)
+    assert bad["mb"] <= MOST_MB, bad
+    if twin := worst_requests.ARCHIVES[name][1]:
+        good = cost_over_http(twin)
+        most_s = MOST_TIMES_A_WELL_FORMED_ONE * good["cpu_s"] * bad["bytes"] / good["bytes"]
+        assert bad["cpu_s"] <= most_s, (bad, good)

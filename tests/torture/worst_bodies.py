@@ -7,14 +7,11 @@ as a program, this module makes one, reads it, and prints what that cost.
 import gzip
 import io
 import json
-import resource
 import struct
 import sys
-import time
 import zlib
 from collections.abc import Callable
 from contextlib import suppress
-from pathlib import Path
 from typing import Any
 
 import laspy
@@ -24,12 +21,13 @@ import zstandard
 
 from app.bodies.content_encoding import decoder_of
 from app.uploads.many_scans import _scan as read_member
-from app.uploads.pose_files import CSV, KITTI, TUM, read_poses
+from app.uploads.pose_files import CSV, KITTI, MOST_LINES, TUM, read_poses
 from app.uploads.tar_stream import TarStream
 from core.errors import TensorMapError
 from storage.formats.registry import FORMAT_NAMES, read_scan
 from tests.support.captures import hdl32, ouster, ouster_metadata, udp
 from tests.support.recording import tar
+from tests.torture.support.costs import cost_of
 
 __all__ = ["ARCHIVES", "SINGLE", "TWINS"]
 
@@ -257,23 +255,23 @@ SINGLE: dict[str, tuple[Read, Make]] = {
     ),
     "poses: KITTI": (
         _poses(KITTI),
-        lambda size: _lines(b"1 0 0 4.123456789 0 1 0 5.123456789 0 0 1 6.12\n", size, 10**6),
+        lambda size: _lines(b"1 0 0 4.123456789 0 1 0 5.123456789 0 0 1 6.12\n", size, MOST_LINES),
     ),
     "poses: KITTI, wide": (
         _poses(KITTI),
-        lambda size: _lines(_WIDE, size, 10**6),
+        lambda size: _lines(_WIDE, size, MOST_LINES),
     ),
     "poses: KITTI, the last is wrong": (
         _poses(KITTI),
-        lambda size: _lines(b"1 0 0 4.1 0 1 0 5.1 0 0 1 6.1\n", size, 999_999) + b"1 2 3\n",
+        lambda size: _lines(b"1 0 0 4.1 0 1 0 5.1 0 0 1 6.1\n", size, MOST_LINES - 1) + b"1 2 3\n",
     ),
     "poses: TUM, hard numbers": (
         _poses(TUM),
-        lambda size: _lines(b"8.5e-300 8.5e-300 2.2e-308 8.5e-301 0 0 0 1\n", size, 10**6),
+        lambda size: _lines(b"8.5e-300 8.5e-300 2.2e-308 8.5e-301 0 0 0 1\n", size, MOST_LINES),
     ),
     "poses: CSV, nothing known": (
         _poses(CSV),
-        lambda _: b"".join([_TABLE, *(b"%d, ,,,,,,\n" % i for i in range(999_998))]),
+        lambda _: b"".join([_TABLE, *(b"%d, ,,,,,,\n" % i for i in range(MOST_LINES - 2))]),
     ),
     "poses: CSV, blank lines": (
         _poses(CSV),
@@ -337,52 +335,16 @@ def _main(kind: str, name: str, size: int) -> None:
     known: dict[str, Any] = {"single": SINGLE, "archive": ARCHIVES, "twin": TWINS}
     read, make = known[kind][name][:2]
     body = make(size)
-    idle_kb, forked_kb = _resident_kb(), _forked_kb()
-    _forget_peak()
-    start_s = _cpu_s()
-    try:
-        outcome = type(read(body)).__name__
-    except TensorMapError as error:
-        outcome = f"{type(error).__name__}: {error}"[:120]
-    cpu_s = _cpu_s() - start_s
-    child_kb = _forked_kb() if _forked_kb() > forked_kb else 0
-    # What the interpreter and its libraries take is there already: a body costs what it adds.
-    added_kb = max(_peak_kb() - idle_kb, 0) + len(body) // 1024 + child_kb
-    json.dump(
-        {
-            "bytes": len(body),
-            "cpu_s": round(cpu_s, 2),
-            "mb": round(added_kb / 1024),
-            "outcome": outcome,
-        },
-        sys.stdout,
-    )
 
+    def attempt() -> str:
+        try:
+            return type(read(body)).__name__
+        except TensorMapError as error:
+            return f"{type(error).__name__}: {error}"[:120]
 
-def _cpu_s() -> float:
-    children = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return time.process_time() + children.ru_utime + children.ru_stime
-
-
-def _forked_kb() -> int:
-    return resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss
-
-
-def _resident_kb() -> int:
-    return _status("VmRSS")
-
-
-def _peak_kb() -> int:
-    return _status("VmHWM")
-
-
-def _forget_peak() -> None:
-    Path("/proc/self/clear_refs").write_text("5", encoding="ascii")  # the peak is from now on
-
-
-def _status(key: str) -> int:
-    lines = Path("/proc/self/status").read_text(encoding="ascii").splitlines()
-    return next(int(line.split()[1]) for line in lines if line.startswith(key))
+    told = cost_of(attempt)
+    told["mb"] += len(body) // 2**20
+    json.dump({"bytes": len(body), **told}, sys.stdout)
 
 
 if __name__ == "__main__":

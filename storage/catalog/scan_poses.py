@@ -1,0 +1,160 @@
+"""Poses and times of many scans as arrays, and their rows in the catalog."""
+
+import json
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from sqlalchemy import ColumnElement, select
+from sqlalchemy.orm import InstrumentedAttribute, Session
+
+from core.arrays import BoolArray, FloatArray, IntArray
+from core.pose import UNKNOWN_POSE, is_known
+from storage.catalog.models import Scan
+from storage.catalog.records import PosesPut
+
+__all__ = [
+    "ScanPoses",
+    "at_indices",
+    "poses_put",
+    "row_values",
+    "stored_poses",
+    "update_poses",
+    "write_rows",
+]
+
+_ROWS_AT_ONCE = 5_000  # of those that are Python objects at a time
+_MOST_LISTED = 500
+_SPARSE = 4
+
+
+@dataclass(frozen=True, eq=False)
+class ScanPoses:
+    """Poses and times of scans: 72 bytes a scan.
+
+    Attributes:
+        scans: `(n,)` int64 indices, rising, none twice.
+        poses: `(n, 7)` poses, NaN where unknown.
+        timestamps_s: `(n,)` seconds, NaN where unknown.
+    """
+
+    scans: IntArray
+    poses: FloatArray
+    timestamps_s: FloatArray
+
+    def __len__(self) -> int:
+        """Return how many scans there are."""
+        return len(self.scans)
+
+    def only(self, which: BoolArray) -> "ScanPoses":
+        """Return those of some of the scans, `(n,)`."""
+        return ScanPoses(self.scans[which], self.poses[which], self.timestamps_s[which])
+
+
+def at_indices(
+    column: InstrumentedAttribute[int], indices: Sequence[int]
+) -> Iterator[ColumnElement[bool]]:
+    """Give conditions that together hold for the rows of these indices, which rise.
+
+    They may hold for others between them, but for no more than four a wanted one: a drive's two
+    ends are not asked for with all that lies in between.
+    """
+    if not len(indices):
+        return
+    first, last = indices[0], indices[-1]
+    if last - first < _SPARSE * len(indices):
+        yield column.between(first, last)
+        return
+    # A database takes only so many parameters.
+    for start in range(0, len(indices), _MOST_LISTED):
+        yield column.in_(indices[start : start + _MOST_LISTED])
+
+
+def stored_poses(session: Session, drive_id: str, scans: IntArray) -> ScanPoses:
+    """Return poses and times that are stored, of those of these scans that are; they rise."""
+    found = [_no_rows()]
+    for clause in at_indices(Scan.index, scans.tolist()):
+        query = (
+            select(Scan.index, Scan.pose, Scan.timestamp_s)
+            .where(Scan.drive_id == drive_id, clause)
+            .order_by(Scan.index)
+            .execution_options(yield_per=_ROWS_AT_ONCE)
+        )
+        for rows in session.execute(query).partitions():
+            indices, poses, timestamps_s = zip(*rows, strict=True)
+            found.append(
+                ScanPoses(
+                    np.array(indices, dtype=np.int64),
+                    np.array([pose or UNKNOWN_POSE for pose in poses], dtype=np.float64),
+                    np.array(timestamps_s, dtype=np.float64),  # None becomes NaN
+                )
+            )
+    all_of_them = ScanPoses(
+        np.concatenate([part.scans for part in found]),
+        np.concatenate([part.poses for part in found]),
+        np.concatenate([part.timestamps_s for part in found]),
+    )
+    return all_of_them.only(np.isin(all_of_them.scans, scans))
+
+
+def _no_rows() -> ScanPoses:
+    return ScanPoses(np.empty(0, np.int64), np.empty((0, 7)), np.empty(0))
+
+
+def update_poses(session: Session, drive_id: str, before: ScanPoses, after: ScanPoses) -> None:
+    """Store poses and times of scans that are stored, where they are others than before."""
+    changed = _differ(before.poses, after.poses).any(axis=1)
+    changed |= _differ(before.timestamps_s, after.timestamps_s)
+    for rows in row_values(after.only(changed)):
+        write_rows(
+            session,
+            "UPDATE scans SET pose = ?, timestamp_s = ? WHERE drive_id = ? AND scan_index = ?",
+            [(pose, timestamp_s, drive_id, index) for index, pose, timestamp_s in rows],
+        )
+
+
+def row_values(poses: ScanPoses) -> Iterator[list[tuple[int, str | None, float | None]]]:
+    """Give index, pose and time of each scan as their columns have them, some at a time."""
+    posed, timed = is_known(poses.poses), np.isfinite(poses.timestamps_s)
+    numbers = np.where(posed[:, None], poses.poses, 0.0)
+    for start in range(0, len(poses), _ROWS_AT_ONCE):
+        part = slice(start, start + _ROWS_AT_ONCE)
+        # One text of all poses takes a third of the time that a text of each does.
+        texts = json.dumps(numbers[part].tolist())[2:-2].split("], [")
+        columns = (poses.scans, posed, poses.timestamps_s, timed)
+        rows = zip(*(column[part].tolist() for column in columns), texts, strict=True)
+        yield [
+            (index, f"[{text}]" if with_pose else None, timestamp_s if with_time else None)
+            for index, with_pose, timestamp_s, with_time, text in rows
+        ]
+
+
+def write_rows(session: Session, statement: str, rows: Sequence[tuple[Any, ...]]) -> None:
+    """Execute a statement for each row, whose values are as the database takes them.
+
+    What SQLAlchemy does with each value of 200,000 rows takes thrice the time of all else.
+
+    Args:
+        session: The transaction.
+        statement: In SQL of both databases, `?` for each value.
+        rows: At least one.
+    """
+    connection = session.connection()
+    mark = {"sqlite": "?", "postgresql": "%s"}[connection.dialect.name]
+    connection.exec_driver_sql(statement.replace("?", mark), list(rows))
+
+
+def poses_put(before: ScanPoses, after: ScanPoses) -> PosesPut:
+    """Count what poses of scans that were stored become."""
+    had, has = is_known(before.poses), is_known(after.poses)
+    other = _differ(before.poses, after.poses).any(axis=1)
+    return PosesPut(
+        set=int(np.count_nonzero(has)),
+        replaced=int(np.count_nonzero(had & has & other)),
+        forgotten=int(np.count_nonzero(had & ~has)),
+    )
+
+
+def _differ(before: FloatArray, after: FloatArray) -> BoolArray:
+    return np.asarray((before != after) & ~(np.isnan(before) & np.isnan(after)))
