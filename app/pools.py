@@ -21,7 +21,7 @@ _SMALL_BYTES = 64 * 2**10
 _ADMISSION_THREADS = 8  # a look-up of a key takes the catalog a fraction of a millisecond
 _SPOOL_THREADS = 8
 _AUDIT_THREADS = 2  # the catalog takes one writer at a time
-_OPENING_THREADS = 2  # each that computes takes turns with whatever else does
+_OPENING_THREADS = 1  # each that computes takes turns with all that answers others
 _INNER_THREADS = 40  # of the framework: files that are sent, streams
 
 
