@@ -12,7 +12,6 @@ from starlette.requests import HTTPConnection
 from app.access.access import Access
 from app.errors import HostNotAllowed, KeyNeeded, KeyRefused
 from app.schemas.jobs import JobOut
-from core.errors import TensorMapError
 from storage.catalog import JobRecord
 from storage.store import Store
 
@@ -110,8 +109,8 @@ class JobEvents:
             followers = tuple(self._followers)
             try:
                 found = await asyncio.to_thread(self._read, followers)
-            except TensorMapError as error:  # the next look may be luckier
-                _log.warning("followed jobs cannot be read: %s", error)
+            except Exception:  # noqa: BLE001 - it serves all followers; the next look may be luckier
+                _log.exception("followed jobs cannot be read")
                 continue
             for follower, record in zip(followers, found, strict=True):
                 if record != follower.record:

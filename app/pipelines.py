@@ -2,7 +2,7 @@
 
 import logging
 from collections.abc import Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -26,7 +26,7 @@ from core.topology import cut_at_meetings
 from core.trajectory import Trajectory
 from storage.catalog import Act, RevisionFacts, RevisionRecord, on_behalf
 from storage.catalog.scans import LostRace
-from storage.errors import CorruptImages, StorageBusy
+from storage.errors import CorruptImages, DriveNotFound, StorageBusy
 from storage.image_file import ImageFile, write_image_file
 from storage.map_file import write_map
 from storage.store import Store, StoredDrive
@@ -101,12 +101,14 @@ def build_revision(
             if drive.has_returns.all():
                 images_path(store, drive, map_parameters).unlink(missing_ok=True)
         built = _build_stored(store, drives, plan, map_parameters, progress)
-    left_over = [
-        f"drive {drive.slug} has {drive.expected_poses} poses of scans that it lacks: are they"
-        " another drive's?"
-        for drive in store.drives.of_map(map_id, plan.drives)
-        if drive.expected_poses
-    ]
+    left_over: list[str] = []
+    with suppress(DriveNotFound):  # deleted meanwhile: what was built of it stays
+        left_over = [
+            f"drive {drive.slug} has {drive.expected_poses} poses of scans that it lacks: are they"
+            " another drive's?"
+            for drive in store.drives.of_map(map_id, plan.drives)
+            if drive.expected_poses
+        ]
     for _ in range(_ATTEMPTS):
         gate = None
         if parameters.make_live:

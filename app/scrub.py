@@ -9,7 +9,6 @@ from pathlib import Path
 
 from app.logs import fields
 from app.metrics import Metrics
-from core.errors import TensorMapError
 from storage.checker import Checker
 from storage.files import publish
 from storage.store import Store
@@ -19,6 +18,7 @@ __all__ = ["Scrub"]
 
 _DAY_S = 86_400.0
 _LONGEST_WAIT_S = 3600.0  # of a small store: its files are read more often than they must be
+_END_S = 5.0  # that an end waits for the file at hand, which a disk may never give
 _AGAIN_S = 60.0  # after the catalog could not be read
 
 _log = logging.getLogger("tensormap.scrub")
@@ -74,13 +74,13 @@ class Scrub:
         """End; the file at hand is checked again after the next start."""
         self._stopping.set()
         if self._thread.is_alive():
-            self._thread.join()
+            self._thread.join(_END_S)
 
     def _loop(self) -> None:
         while not self._stopping.is_set():
             try:
                 self.run_pass()
-            except (TensorMapError, OSError):
+            except Exception:  # noqa: BLE001 - whatever it is, the next pass is due
                 _log.exception("the stored files cannot be checked now")
                 self._stopping.wait(_AGAIN_S)
 
@@ -96,7 +96,7 @@ class Scrub:
                 return
             self._state.after, self._state.checked_at_s = path, time.time()
             self._keep()
-        if not paths and not self._wait(min(self._period_s, _LONGEST_WAIT_S)):
+        if not sum(sizes) and not self._wait(min(self._period_s, _LONGEST_WAIT_S)):
             return
         there = set(paths)
         self._state.bad = {path: what for path, what in self._state.bad.items() if path in there}

@@ -23,13 +23,14 @@ import io
 import json
 import os
 import sqlite3
+import stat
 import tarfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import BinaryIO
+from typing import BinaryIO, TypeVar
 
 from storage.checker import Checker
 from storage.claims import abandoned_copies, claimed, remove_abandoned
@@ -52,6 +53,8 @@ __all__ = [
 
 FORMAT, FORMAT_VERSION = "tensormap-backup", 1
 CATALOG, STORE_ID, MANIFEST = "catalog.sqlite3", "store-id", "manifest.json"
+
+T = TypeVar("T")
 
 _PASSES = 50  # each one that fails met a deletion or compaction, which are rare
 _SCANS = """SELECT drives.map_id, drives.id, chunk, chunk_row, digest FROM scans
@@ -181,13 +184,12 @@ def _copy_file(
     layout: Layout, file: StoredFile, tar: tarfile.TarFile, copied: _Copied, checker: Checker
 ) -> None:
     path = layout.data_dir / file.path
-    if path.exists() and not path.is_file():
-        copied.missing[file.path] = "it is no file"
-        return
-    if (fault := checker.fault(path, file)) is not None:
-        copied.damaged[file.path] = fault.what
     try:
-        with path.open("rb") as source:
+        if not stat.S_ISREG(_of_source(path.stat).st_mode):
+            raise _SourceError("it is no file")
+        if (fault := checker.fault(path, file)) is not None:
+            copied.damaged[file.path] = fault.what
+        with _of_source(lambda: path.open("rb")) as source:
             copied.written[file.path] = _add(tar, file.path, source)
     except FileNotFoundError:
         copied.damaged.pop(file.path, None)
@@ -195,6 +197,16 @@ def _copy_file(
     except _SourceError as error:
         copied.damaged.pop(file.path, None)
         copied.missing[file.path] = f"it cannot be read: {error}"
+
+
+def _of_source(do: Callable[[], T]) -> T:
+    """Do something with a file that is to be copied; what fails is its fault, not the backup's."""
+    try:
+        return do()
+    except FileNotFoundError:
+        raise
+    except OSError as error:
+        raise _SourceError(str(error)) from error
 
 
 def _copy_image(

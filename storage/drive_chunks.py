@@ -125,7 +125,8 @@ def _opened(file: Hdf5File) -> tuple[IntArray, int]:
     kind, version = told.text("format", _MOST_WORD_BYTES), told.whole("format_version")
     if (kind, version) != (FORMAT, FORMAT_VERSION):
         raise CorruptFile(f"it is no {FORMAT} of version {FORMAT_VERSION}")
-    points, scan_start = file.dataset("points_m"), file.dataset("scan_start")
+    points = file.dataset("points_m", contiguous=True)
+    scan_start = file.dataset("scan_start", contiguous=True)
     plain = isinstance(points, ContiguousDataset) and isinstance(scan_start, ContiguousDataset)
     counted = plain and scan_start.dtype == "<i8" and len(scan_start.shape) == 1
     starts: IntArray = scan_start.read() if counted else np.empty(0, np.int64)

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from storage.errors import StorageFull, StorageReadOnly, StorageUnavailable
 
-__all__ = ["discard", "make_folder", "named_disk_errors", "publish", "remove_parts", "sync"]
+__all__ = ["discard", "make_folder", "named_disk_errors", "publish", "sync"]
 
 _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}  # the last is `ulimit -f`
 _READ_ONLY = {errno.EROFS, errno.EACCES, errno.EPERM}
@@ -109,15 +109,3 @@ def make_folder(path: Path) -> Path:
             path.mkdir(0o700, exist_ok=True)
             sync(path.parent)
     return path
-
-
-def remove_parts(folder: Path) -> int:
-    """Remove what writers that were killed left under `folder`; return how many files it was.
-
-    Only safe while nobody writes there.
-    """
-    removed = 0
-    for part in folder.rglob(".*.part"):
-        part.unlink(missing_ok=True)
-        removed += 1
-    return removed

@@ -208,7 +208,9 @@ def _parts(source: Source) -> tuple[dict[str, NDArray[Any]], dict[str, Any], str
     odd = file.names ^ dtypes.keys()
     if odd:
         raise CorruptFile(f"it lacks or should not hold {', '.join(sorted(odd))}")
-    datasets = {name: _plain(file.dataset(name), dtypes[name]) for name in sorted(dtypes)}
+    datasets = {
+        name: _plain(file.dataset(name, contiguous=True), dtypes[name]) for name in sorted(dtypes)
+    }
     size_bytes = sum(dataset.size_bytes for dataset in datasets.values())
     if size_bytes > source.size_bytes:
         raise CorruptFile(f"its arrays take {size_bytes} bytes, the file {source.size_bytes}")

@@ -88,12 +88,12 @@ def fault_of(path: Path, file: StoredFile) -> Fault | None:
         else:
             return _fault_of_scans(ChunkFile(path), file.scans)
     except CorruptFile as error:
-        return Fault(str(error))
+        return Fault(str(error), certain=not _is_of_the_disk(error))
     return None
 
 
 def _fault_of_scans(chunk: ChunkFile, scans: Mapping[int, str]) -> Fault | None:
-    good, wrong = [], []
+    good, wrong, certain = [], [], True
     for row, wanted in sorted(scans.items()):
         try:
             if scan_digest(chunk.points_m(row)) == wanted:
@@ -102,10 +102,18 @@ def _fault_of_scans(chunk: ChunkFile, scans: Mapping[int, str]) -> Fault | None:
                 wrong.append(f"row {row} is not the scan that was put")
         except CorruptFile as error:
             wrong.append(str(error))
+            certain = certain and not _is_of_the_disk(error)
     if not wrong:
         return None
     more = f"; {len(wrong)} of {len(scans)} rows are damaged" if len(wrong) > 1 else ""
-    return Fault(wrong[0] + more, good_rows=tuple(good))
+    return Fault(wrong[0] + more, certain, tuple(good))
+
+
+def _is_of_the_disk(error: BaseException | None) -> bool:
+    """Return whether an error of the disk caused another: the content may be good."""
+    while error is not None and not isinstance(error, OSError):
+        error = error.__cause__
+    return error is not None
 
 
 def _read_images(path: Path) -> None:

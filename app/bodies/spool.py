@@ -1,5 +1,6 @@
 """Where bodies wait until they are whole: in memory while they are small, then in a file."""
 
+import shutil
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -11,6 +12,7 @@ from anyio import CapacityLimiter, to_thread
 
 from app.errors import ServiceBusy, TooManyRequests
 from app.settings import Settings
+from storage.errors import StorageFull
 from storage.files import named_disk_errors
 
 __all__ = ["Spool", "SpoolRoom"]
@@ -20,6 +22,7 @@ _SMALL_BYTES = 128 * 2**10  # of each body in memory
 _LARGE_BYTES = 8 * 2**20  # of a body that finds room in what all share
 _SHARED_BYTES = 64 * 2**20
 _PIECE_BYTES = 2**20
+_KEPT_FREE_BYTES = 2**30  # of a large disk; of a small one a twentieth
 
 
 class SpoolRoom:
@@ -166,11 +169,28 @@ class Spool:
             if self._file is None:
                 # `clear` closes it.
                 self._file = TemporaryFile(dir=self._room.folder, buffering=0)  # noqa: SIM115
+            self._require_room_on_disk()
+            begin = self._file.tell()
             view = memoryview(self._memory)
-            while view:
-                view = view[self._file.write(view) :]
+            try:
+                while view:
+                    view = view[self._file.write(view) :]
+            except OSError:  # half of it would come twice: it is still in memory
+                self._file.seek(begin)
+                self._file.truncate()
+                raise
         view.release()
         self._memory = bytearray()
+
+    def _require_room_on_disk(self) -> None:
+        """Refuse to fill the disk, which the catalog and acknowledged scans need."""
+        disk = shutil.disk_usage(self._room.folder)
+        kept_free = min(disk.total // 20, _KEPT_FREE_BYTES)
+        if disk.free < kept_free + len(self._memory):
+            raise StorageFull(
+                f"the disk has {disk.free} bytes left, {kept_free} are kept free of bodies that"
+                " still come"
+            )
 
     def _return_memory(self) -> None:
         self._room.return_memory(self._lent)

@@ -1,5 +1,6 @@
 """`tensormap verify`: is everything stored what was stored?"""
 
+import os
 from pathlib import Path
 from typing import Annotated
 
@@ -8,6 +9,7 @@ import typer
 from app.cli.console import output, progress_bar
 from app.process import private_files
 from app.settings import Settings
+from core.errors import InvalidParameters
 from storage.errors import StorageUnavailable
 from storage.store import Store
 from storage.store.layout import Layout
@@ -39,6 +41,12 @@ def verify(
     if not at_hand.exists():
         raise StorageUnavailable(
             f"{settings.data_dir} is no data directory: it has no {at_hand.name}"
+        )
+    owner = settings.data_dir.stat().st_uid
+    if repair and owner != os.geteuid():  # what it makes could not be read by the service
+        raise InvalidParameters(
+            f"{settings.data_dir} belongs to user {owner}, this is user {os.geteuid()}: repair it"
+            " as its owner, with sudo -u"
         )
     private_files()
     with Store(settings.data_dir, settings.catalog_url) as store, progress_bar() as bar:

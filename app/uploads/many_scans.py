@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path, PurePosixPath
@@ -15,7 +16,8 @@ from app.problems import problem_name
 from app.uploads.tar_stream import TarFeed, TarMember
 from core.errors import InvalidScan, TensorMapError
 from core.scan import Scan
-from storage.errors import DriveClosed, ScanConflict
+from storage.errors import DriveClosed, ScanConflict, StorageError
+from storage.files import named_disk_errors
 from storage.formats.errors import ScanTooLarge, UnknownFormat
 from storage.formats.registry import read_scan, suffix_of
 from storage.store import Store
@@ -117,9 +119,14 @@ class ScanUpload:
             ClientDisconnect: If the client left; scans that came before are stored.
         """
         try:
-            for piece in pieces:
-                if piece:  # no bytes would be the end of the stream
-                    self._take(piece)
+            with named_disk_errors():  # what came of a long file waits on the disk
+                for piece in pieces:
+                    if piece:  # no bytes would be the end of the stream
+                        self._take(piece)
+        except StorageError:
+            with suppress(StorageError):  # what came whole may still fit
+                self.store()
+            raise
         except (ClientDisconnect, BodyTooLarge, MalformedBody):  # the client's, or ours
             self.store()  # what came need not come again
             raise

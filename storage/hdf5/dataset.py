@@ -148,8 +148,13 @@ class ChunkedDataset(Dataset):
             raise CorruptFile(f"{self.name}: the checksum of chunk {number} does not fit")
 
 
-def open_dataset(source: Source, messages: Messages) -> Dataset:
+def open_dataset(source: Source, messages: Messages, *, contiguous: bool) -> Dataset:
     """Return the array that an object header describes; its numbers are not read yet.
+
+    Args:
+        source: The file.
+        messages: Of the header.
+        contiguous: Refuse chunks, before the list of them is read.
 
     Raises:
         CorruptFile: If it is none, or one that is not read here; it says why.
@@ -167,6 +172,9 @@ def open_dataset(source: Source, messages: Messages) -> Dataset:
     if version not in {3, 4} or kind not in {_CONTIGUOUS, _CHUNKED}:
         raise CorruptFile(f"{name} has layout {kind} of version {version}, which is not read here")
     if kind == _CHUNKED:
+        if contiguous:
+            what = "filtered" if filtered else "chunked"
+            raise CorruptFile(f"{name} is {what}; its numbers must be contiguous")
         return _chunked(source, name, dtype, shape, layout, filtered=filtered, version=version)
     if filtered:
         raise CorruptFile(f"{name} is filtered and contiguous")

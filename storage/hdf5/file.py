@@ -43,7 +43,7 @@ class Hdf5File:
         """The names of the root's members."""
         return frozenset(self._links)
 
-    def dataset(self, name: str) -> Dataset:
+    def dataset(self, name: str, *, contiguous: bool = False) -> Dataset:
         """Return the array of a name; its numbers are read when it is asked for them.
 
         Raises:
@@ -54,7 +54,8 @@ class Hdf5File:
             raise CorruptFile(f"it has no array {name}")
         if link.address is None:
             raise CorruptFile(f"{name} is no plain array of numbers: it is a link elsewhere")
-        return open_dataset(self._source, read_messages(self._source, link.address, name))
+        messages = read_messages(self._source, link.address, name)
+        return open_dataset(self._source, messages, contiguous=contiguous)
 
     def close(self) -> None:
         """Let the file go."""

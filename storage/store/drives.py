@@ -28,6 +28,7 @@ from storage.store.dropping import drop_returns
 from storage.store.layout import Layout
 from storage.store.scan_reader import ScanReader
 from storage.store.stored_drive import StoredDrive
+from storage.stored_file import Fault, StoredFile, fault_of
 
 __all__ = ["Drives", "PutResult"]
 
@@ -106,6 +107,7 @@ class Drives:
                 for row, (index, scan) in enumerate(fresh)
             ]
             try:
+                self._put_back(target, {i: scan for i, (scan, _) in by_index.items()})
                 records = self._write(target, name, fresh, records)
             except (LostRace, FileNotFoundError):  # the latter: the drive's folder was deleted
                 continue
@@ -147,6 +149,37 @@ class Drives:
             # a file too many, which the next start sets aside, is better than one too few.
             discard(path)
             raise
+
+    def _put_back(self, target: PutTarget, scans: Mapping[int, Scan]) -> None:
+        """Store scans anew that are put again and whose file is damaged or gone.
+
+        What is acknowledged can be read, also what was acknowledged long ago and lost since.
+        """
+        folder = self._layout.chunks(target.map_id, target.drive_id)
+        chunks: dict[str, dict[int, ScanRecord]] = {}
+        for record in target.stored.values():
+            if record.has_returns:
+                chunks.setdefault(record.chunk, {})[record.row] = record
+        lost: list[ScanRecord] = []
+        for chunk, records in chunks.items():
+            path = folder / chunk
+            digests = {row: record.digest for row, record in records.items()}
+            try:
+                fault = fault_of(path, StoredFile(str(path), digests))
+            except FileNotFoundError:
+                fault = Fault("it is gone")
+            if fault is not None:
+                lost += [record for row, record in records.items() if row not in fault.good_rows]
+        if lost:
+            path = make_folder(folder) / f"{new_id()}.h5"
+            try:
+                write_chunk(path, [(record.index, scans[record.index]) for record in lost])
+                emptied = self._catalog.scans.move(target.drive_id, lost, path.name)
+            except StorageError:
+                discard(path)
+                raise
+            for name in emptied:
+                discard(folder / name)
 
     def put_poses(
         self,

@@ -6,7 +6,8 @@ from typing import BinaryIO
 
 from storage.catalog import Catalog, RevisionFacts, RevisionRecord
 from storage.errors import CorruptFile, StorageError
-from storage.files import discard, make_folder, publish, sync
+from storage.files import discard, make_folder, named_disk_errors, publish, sync
+from storage.map_file import read_revision
 from storage.names import new_id
 from storage.retention import Retention
 from storage.store.layout import Layout
@@ -84,8 +85,9 @@ class Revisions:
         if first.exists():
             discard(path)
         else:
-            path.rename(first)
-            sync(first.parent)
+            with named_disk_errors():
+                path.rename(first)
+                sync(first.parent)
 
     def path(self, map_slug: str, digest: str) -> Path:
         """Return the file of a revision, named by its digest or a unique prefix.
@@ -104,11 +106,18 @@ class Revisions:
             MapNotFound: If there is no such map.
             RevisionNotFound: If it has no such revision, or no longer.
             AmbiguousRevision: If several begin with this prefix.
-            CorruptFile: If its file is gone.
+            CorruptFile: If its file is gone, or is not what was stored.
         """
         record = self._catalog.revisions.get(map_slug, digest)
+        path = self.path_of(record)
         try:
-            return record, self.path_of(record).open("rb")
+            file = path.open("rb")
+            try:
+                read_revision(path, record.digest)
+            except BaseException:
+                file.close()
+                raise
+            return record, file
         except FileNotFoundError as error:
             self._catalog.revisions.get(map_slug, record.digest)  # perhaps deleted meanwhile
             raise CorruptFile(f"the file of revision {record.digest} is gone") from error

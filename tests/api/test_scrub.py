@@ -123,3 +123,30 @@ def test_files_are_spread_over_the_days(data, monkeypatch):
         scrub.run_pass()
     assert len(waits) == 6
     assert sum(waits) == pytest.approx(100)
+
+
+def test_a_store_whose_files_are_all_gone_is_not_checked_again_and_again(tmp_path, monkeypatch):
+    with Store(tmp_path / "data") as store:
+        store.maps.create("campus")
+        scan = recording().scans[0]
+        store.drives.put_scan("campus", "monday", 0, scan)
+        [path] = (tmp_path / "data").rglob("chunks/*.h5")
+        path.unlink()
+        scrub = Scrub(store, Metrics(), 1.0)
+        waited = []
+
+        def wait(wait_s):
+            waited.append(wait_s)
+            return True
+
+        monkeypatch.setattr(scrub, "_wait", wait)
+        scrub.run_pass()
+    assert max(waited) > 0
+
+
+def test_a_damaged_revision_is_not_sent(data, built):
+    spoil(live_file(data, built))
+    with running(data) as client:
+        path = f"/v1/maps/campus/revisions/{built.live}/file"
+        assert problem_of(client.get(path)) == (500, "corrupt-file")
+        assert client.get(f"/v1/maps/campus/revisions/{built.other}/file").status_code == 200

@@ -4,6 +4,7 @@ import pytest
 from typer.testing import CliRunner
 
 from app.cli.main import cli
+from core.errors import InvalidParameters
 from storage.errors import DataDirInUse, StorageUnavailable
 from storage.store import Store
 from tests.unit.storage.samples import sample_scan
@@ -78,3 +79,11 @@ def test_a_damaged_catalog_is_told(data):
     catalog.write_bytes(content)
     status, printed, _ = ran(data)
     assert (status, "damaged: catalog: " in printed) == (1, True)
+
+
+def test_a_repair_is_its_owners(data, monkeypatch):
+    monkeypatch.setattr("os.geteuid", lambda: data.stat().st_uid + 1)
+    _, _, error = ran(data, "--repair")
+    assert isinstance(error, InvalidParameters)
+    assert "belongs to user" in str(error)
+    assert not (data / "damaged").exists()

@@ -1,7 +1,9 @@
 """Where bodies wait, how slowly they may come, and what JSON may cost."""
 
 import asyncio
+import errno
 import json
+import shutil
 
 import pytest
 from anyio import CapacityLimiter
@@ -14,6 +16,7 @@ from app.errors import InvalidRequest, ServiceBusy, SlowBody, TooManyRequests
 from app.schemas.maps import MapIn
 from app.schemas.poses import PosesIn
 from app.settings import Settings
+from storage.errors import StorageFull
 
 CHUNK = bytes(range(256)) * 256  # 64 KiB, as they come from a socket
 
@@ -41,6 +44,51 @@ def test_a_spool_gives_back_what_it_was_given_again_and_again(tmp_path, chunks):
         spool.clear()
         assert b"".join(spool.pieces()) == b""
         assert not list(tmp_path.iterdir())  # its file has no name
+
+    asyncio.run(run())
+
+
+class Filling:
+    """A file on a disk that takes half of the next bytes, and no more."""
+
+    def __init__(self, file):
+        self._file, self._writes = file, 0
+
+    def write(self, content):
+        self._writes += 1
+        if self._writes > 1:
+            raise OSError(errno.ENOSPC, "no space")
+        return self._file.write(content[: len(content) // 2])
+
+    def __getattr__(self, name):
+        return getattr(self._file, name)
+
+
+def test_what_a_full_disk_did_not_take_comes_once(tmp_path):
+    async def run():
+        spool = await filled(room_in(tmp_path), "a", 200)
+        await spool.write(b"x" * 2**20)
+        spool._file = Filling(spool._file)
+        with pytest.raises(StorageFull):
+            await spool.write(CHUNK * 200)
+        spool._file = spool._file._file
+        came = b"".join(spool.pieces())
+        assert (CHUNK * 200 + b"x" * 2**20 + CHUNK * 200).startswith(came)
+        spool.clear()
+
+    asyncio.run(run())
+
+
+def test_a_disk_is_not_filled_by_bodies(tmp_path, monkeypatch):
+    total = 2**34
+    usage = shutil.disk_usage(tmp_path)._replace(total=total, free=total // 40)
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: usage)
+
+    async def run():
+        spool = Spool(room_in(tmp_path), "a")
+        with pytest.raises(StorageFull, match="kept free"):
+            await spool.write(CHUNK * 200)
+        spool.clear()
 
     asyncio.run(run())
 

@@ -1,5 +1,6 @@
 """Whatever a damaged file does to its reader, whoever has it checked goes on, within limits."""
 
+import errno
 import os
 import signal
 import time
@@ -8,7 +9,7 @@ import pytest
 
 from storage.checker import Checker, Limits
 from storage.drive_chunks import scan_digest, write_chunk
-from storage.stored_file import StoredFile
+from storage.stored_file import StoredFile, fault_of
 from tests.unit.storage.samples import sample_scan
 
 SCANS = [(index, sample_scan(index)) for index in range(3)]
@@ -114,3 +115,18 @@ def test_no_process_is_left_when_nothing_is_checked_any_more(path):
     assert child is not None
     with pytest.raises(ProcessLookupError):
         os.kill(child, 0)
+
+
+def test_an_error_of_the_disk_is_no_certain_damage(path, monkeypatch):
+    def fail(*_):
+        raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+    for name in ("preadv", "pread"):
+        with monkeypatch.context() as failing:
+            failing.setattr(os, name, fail)
+            fault = fault_of(path, StoredFile(CHUNK, DIGESTS))
+        if fault is not None:
+            assert not fault.certain, fault
+            break
+    else:
+        pytest.fail("no read of the file failed")

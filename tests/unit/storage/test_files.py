@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from storage.errors import StorageFull, StorageReadOnly, StorageUnavailable
-from storage.files import make_folder, publish, remove_parts
+from storage.files import make_folder, publish
 
 
 def names_in(folder):
@@ -79,11 +79,3 @@ def test_another_runtime_error_passes(tmp_path):
 def test_folders_are_made_with_their_parents_and_may_be_there(tmp_path):
     for _ in range(2):
         assert make_folder(tmp_path / "a" / "b").is_dir()
-
-
-def test_only_parts_are_removed(tmp_path):
-    make_folder(tmp_path / "deep")
-    for name in (".a.h5.0011.part", "deep/.b.h5.22.part", "a.h5", "deep/b.h5", "c.part"):
-        (tmp_path / name).write_bytes(b"")
-    assert remove_parts(tmp_path) == 2
-    assert {p.name for p in tmp_path.rglob("*") if p.is_file()} == {"a.h5", "b.h5", "c.part"}

@@ -7,6 +7,7 @@ import h5py
 import numpy as np
 import pytest
 
+import storage.hdf5.dataset
 from core.errors import InvalidMap
 from core.parameters import MapParameters
 from core.sensor import AngularGrid
@@ -246,6 +247,13 @@ def test_a_virtual_array_is_corrupt(path, tmp_path, tensor_map):
 def test_chunked_or_filtered_arrays_are_corrupt(path, tensor_map, options, said):
     replaced(path, "signatures", tensor_map.arrays()["signatures"], **options)
     with pytest.raises(CorruptFile, match=f"signatures is {said}"):
+        read_map(path)
+
+
+def test_the_list_of_the_chunks_of_a_map_is_not_read(path, tensor_map, monkeypatch):
+    replaced(path, "signatures", tensor_map.arrays()["signatures"], chunks=True, fletcher32=True)
+    monkeypatch.setattr(storage.hdf5.dataset, "read_fixed_array", None)
+    with pytest.raises(CorruptFile, match="must be contiguous"):
         read_map(path)
 
 

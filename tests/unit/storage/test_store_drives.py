@@ -348,3 +348,27 @@ class TestStarting:
             assert_stored(second, [0, 1])
             put_many(second, [2])
         assert_stored(store, [2])
+
+
+@pytest.mark.parametrize("how", ["gone", "damaged"])
+def test_a_scan_whose_file_was_lost_is_put_back_by_putting_it_again(tmp_path, how):
+    with Store(tmp_path) as store:
+        store.maps.create("campus")
+        scans = [(index, sample_scan(index)) for index in range(3)]
+        store.drives.put_scans("campus", "monday", scans)
+        store.drives.put_scan("campus", "monday", 7, sample_scan(7))
+        path = max(tmp_path.rglob("chunks/*.h5"), key=lambda path: path.stat().st_size)
+        if how == "gone":
+            path.unlink()
+        else:
+            content = bytearray(path.read_bytes())
+            at = content.index(scans[1][1].points_m.tobytes())
+            content[at + 1] ^= 1
+            path.write_bytes(content)
+        assert not store.drives.put_scans("campus", "monday", scans)[1].created
+        for index, scan in scans:
+            assert np.array_equal(
+                store.drives.read_scan("campus", "monday", index).points_m, scan.points_m
+            )
+        with pytest.raises(ScanConflict):
+            store.drives.put_scan("campus", "monday", 1, sample_scan(9))
