@@ -237,7 +237,7 @@ def _copy_catalog(catalog: Path, copy: Path) -> None:
         ):
             source.backup(target)
             [(said,), *_] = target.execute("PRAGMA integrity_check")
-    except sqlite3.Error as error:
+    except (sqlite3.Error, UnicodeDecodeError) as error:
         raise StorageUnavailable(f"the catalog cannot be copied: {error}") from error
     if said != "ok":
         raise CorruptFile(f"the catalog is damaged: {said}")
@@ -260,7 +260,7 @@ def named_files(catalog: Path) -> list[StoredFile]:
                 StoredFile(str(layout.revisions(map_id) / name), revision=digest)
                 for map_id, name, digest in connection.execute(_REVISIONS)
             ]
-    except sqlite3.Error as error:
+    except (sqlite3.Error, UnicodeDecodeError) as error:
         raise CorruptFile(f"the backup's catalog cannot be read: {error}") from error
     return [*(StoredFile(path, rows) for path, rows in scans.items()), *revisions]
 
@@ -274,7 +274,7 @@ def store_id_of(catalog: Path) -> str:
     try:
         with closing(sqlite3.connect(catalog)) as connection:
             found = connection.execute("SELECT id FROM store").fetchone()
-    except sqlite3.Error as error:
+    except (sqlite3.Error, UnicodeDecodeError) as error:
         raise CorruptFile(f"the catalog cannot be read: {error}") from error
     if found is None:
         raise CorruptFile("the catalog belongs to no store")

@@ -176,7 +176,7 @@ def _check_catalog(folder: Path) -> None:
     try:
         with closing(sqlite3.connect(folder / CATALOG)) as connection:
             [(said,), *_] = connection.execute("PRAGMA integrity_check")
-    except sqlite3.Error as error:
+    except (sqlite3.Error, UnicodeDecodeError) as error:
         raise CorruptFile(f"the backup's catalog cannot be read: {error}") from error
     if said != "ok":
         raise CorruptFile(f"the backup's catalog is damaged: {said}")

@@ -49,6 +49,8 @@ _NAMED_STATES: dict[str, type[StorageError]] = {
     "53100": StorageFull,  # disk full
     "25006": StorageReadOnly,  # a standby, or default_transaction_read_only
 }
+# The last: the driver cannot decode what SQLite says of a damaged file.
+_FAILURES = (SQLAlchemyError, sqlite3.Error, UnicodeDecodeError)
 _KINDS = ("sqlite", "postgresql")
 
 
@@ -125,7 +127,7 @@ class Database:
             with self._reading_engine.connect() as connection:
                 said = [str(row[0]) for row in connection.exec_driver_sql("PRAGMA integrity_check")]
                 broken = connection.exec_driver_sql("PRAGMA foreign_key_check").all()
-        except (SQLAlchemyError, sqlite3.Error) as error:
+        except _FAILURES as error:
             return [str(error)]
         told = [] if said == ["ok"] else said
         return told + [f"a row of {row[0]} refers to none of {row[2]}" for row in broken]
@@ -212,7 +214,7 @@ def _named_errors() -> Iterator[None]:
         yield
     except IntegrityError:
         raise  # two writers met: who wrote knows what that means
-    except (SQLAlchemyError, sqlite3.Error) as error:
+    except _FAILURES as error:
         cause = error.orig if isinstance(error, DBAPIError) else error
         raise _name_of(cause)(f"the catalog cannot be used: {cause or error}") from error
 

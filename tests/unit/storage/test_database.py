@@ -16,7 +16,13 @@ from sqlalchemy.exc import (
 )
 
 from storage.catalog import Catalog
-from storage.errors import StorageBusy, StorageFull, StorageReadOnly, StorageUnavailable
+from storage.errors import (
+    StorageBusy,
+    StorageError,
+    StorageFull,
+    StorageReadOnly,
+    StorageUnavailable,
+)
 from storage.store import Store
 
 FAULTS = [
@@ -97,3 +103,14 @@ def test_a_url_that_leads_to_no_catalog_is_told_without_its_password(url, said):
     with pytest.raises(StorageUnavailable, match=said) as told:
         Catalog(url)
     assert "secret" not in str(told.value)
+
+
+def test_a_fault_that_sqlite_does_not_tell_in_utf_8_is_named_too(tmp_path):
+    with Store(tmp_path) as store:
+        store.maps.create("campus")
+    path = tmp_path / "catalog.sqlite3"
+    content = path.read_bytes()
+    name = b"sqlite_autoindex_maps_1"
+    path.write_bytes(content.replace(name, name[:-2] + b"\x80" + name[-1:]))
+    with pytest.raises(StorageError, match="catalog cannot be used"), Store(tmp_path) as store:
+        store.maps.list()
