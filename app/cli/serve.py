@@ -18,7 +18,6 @@ __all__ = ["serve"]
 
 _log = logging.getLogger("tensormap")
 
-_BACKLOG = 2048  # connections that wait to be taken; uvicorn's own
 _GRACE_S = 10  # for answers that are under way when the service is asked to stop
 
 
@@ -104,7 +103,7 @@ def _listen(host: str, port: int) -> socket.socket:
     listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
         listening.bind((host, port))
-        listening.listen(_BACKLOG)  # the port is ours only now
+        listening.listen()  # the port is ours only now; the server sets how many may wait
     except OSError as error:
         listening.close()
         reason = os.strerror(error.errno) if error.errno else str(error)

@@ -95,7 +95,7 @@ async def post_scans(
     if media_type(content_type) not in _TYPES:
         raise UnsupportedBody(f"Content-Type is {(content_type or '')[:80]!r}, wanted {_TAR}")
     wanted = None if format_name is None else media_type_of(format_name)
-    # A map that is not there is told before a body is read.
+    # A missing map is reported before a body is read.
     await running.pools.short.run(
         sender_of(request.scope), partial(running.store.drives.slugs, map_slug)
     )
@@ -149,6 +149,6 @@ def _store_batch(upload: ScanUpload, pieces: Iterator[bytes]) -> bool:
 
 def _store_rest(upload: ScanUpload, body: Incoming, spool: Spool) -> None:
     """Store what came before the body was cut off."""
-    with suppress(TensorMapError):  # of two faults the first one is told
+    with suppress(TensorMapError):  # of two faults the first one is reported
         upload.take(body.unpacked(spool.pieces()))
         upload.store()

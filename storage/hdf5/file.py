@@ -44,7 +44,7 @@ class Hdf5File:
         return frozenset(self._links)
 
     def dataset(self, name: str, *, contiguous: bool = False) -> Dataset:
-        """Return the array of a name; its numbers are read when it is asked for them.
+        """Return the array of a name; its numbers are read on demand.
 
         Raises:
             CorruptFile: If there is none, or one that is not read here; it says why.

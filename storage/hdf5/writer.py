@@ -80,7 +80,7 @@ class _QuietFile:
     """A file object that keeps the first error of the disk to itself.
 
     After some writes that failed, HDF5 ends the process. So from the first error on nothing is
-    written, the library is told that all is well, and we raise the error.
+    written, the library sees success, and we raise the error.
 
     Attributes:
         error: The first error.
