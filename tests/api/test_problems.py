@@ -8,8 +8,8 @@ import pytest
 import app
 import core
 import storage
-from app.errors import STATUS, AppError
-from app.problems import problem_name
+from app.http.errors import STATUS, AppError
+from app.http.problems import problem_name
 from core.errors import TensorMapError
 from storage.catalog.scans import LostRace
 from storage.errors import Conflict, NotFound, StorageError

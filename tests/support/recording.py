@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from core.pose import Pose
-from core.scan import Scan
+from core.scans.pose import Pose
+from core.scans.scan import Scan
 from core.simulation import SimulatedDrive, SimulatedSensor
 
 __all__ = ["KITTI", "NPY", "TAR", "Recording", "kitti", "npy", "recording", "tar", "upload_scan"]
