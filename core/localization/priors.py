@@ -14,6 +14,7 @@ from core.encodings.base import Found, Search
 from core.errors import InvalidParameters
 from core.mapping.tensormap import TensorMap
 from core.parameters import Encoding
+from core.scans.angles import wrapped_deg
 from core.scans.pose import heading_deg
 
 __all__ = [
@@ -184,7 +185,7 @@ class Prior:
                 self.rows &= trajectory.known
                 heading_share = min(1.0, 2.0 * _heading_gate_deg(hints.heading) / 360.0)
             else:  # a scan answers who looks as it was recorded, and no one else
-                turn = _turn_deg(self._path_heading_deg, hints.heading.heading_deg)
+                turn = wrapped_deg(self._path_heading_deg - hints.heading.heading_deg)
                 self.rows &= np.abs(turn) <= _heading_gate_deg(hints.heading)
         self.share = float(self.rows.mean()) * heading_share
 
@@ -227,7 +228,7 @@ class Prior:
         if found.turn_deg is None:  # one harmonic tells no heading
             return 0.0
         estimated = self._path_heading_deg[found.row] + found.turn_deg
-        return float(_turn_deg(np.array(estimated), hint.heading_deg))
+        return wrapped_deg(estimated - hint.heading_deg)
 
 
 def nearest_within(
@@ -266,10 +267,6 @@ def _since(hint: OdometryHint, tensor_map: TensorMap) -> tuple[float, float]:
 
 def _heading_gate_deg(hint: HeadingHint) -> float:
     return _GATE * hint.sigma_deg + _HEADING_SLACK_DEG
-
-
-def _turn_deg(one: FloatArray, other: float) -> FloatArray:
-    return np.asarray((one - other + 180.0) % 360.0 - 180.0)
 
 
 def _half_square(sigmas: FloatArray) -> FloatArray:
