@@ -227,7 +227,7 @@ class Prior:
     def _off_deg(self, found: Found, hint: HeadingHint) -> float:
         if found.turn_deg is None:  # one harmonic tells no heading
             return 0.0
-        estimated = self._path_heading_deg[found.row] + found.turn_deg
+        estimated = float(self._path_heading_deg[found.row]) + found.turn_deg
         return wrapped_deg(estimated - hint.heading_deg)
 
 
