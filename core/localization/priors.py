@@ -251,18 +251,15 @@ def _since(hint: OdometryHint, tensor_map: TensorMap) -> tuple[float, float]:
     if not isinstance(hint.since, ScanOfMap):
         return hint.since
     trajectory, named = tensor_map.trajectory, hint.since
-    if named.drive in trajectory.drives:
-        drive = trajectory.drives.index(named.drive)
-        start, end = trajectory.drive_start[drive : drive + 2].tolist()
-        row = start + int(np.searchsorted(trajectory.scan_index[start:end], named.scan_index))
-        if row < end and trajectory.scan_index[row] == named.scan_index:
-            if not trajectory.known[row]:
-                raise InvalidParameters(f"the pose of scan {named.scan_index} is not known")
-            x_m, y_m = trajectory.poses[row, :2].tolist()
-            return x_m, y_m
-    raise InvalidParameters(
-        f"the map has no scan {named.scan_index} of a drive {named.drive[:64]!r}"
-    )
+    row = trajectory.row_of(named.drive, named.scan_index)
+    if row is None:
+        raise InvalidParameters(
+            f"the map has no scan {named.scan_index} of a drive {named.drive[:64]!r}"
+        )
+    if not trajectory.known[row]:
+        raise InvalidParameters(f"the pose of scan {named.scan_index} is not known")
+    x_m, y_m = trajectory.poses[row, :2].tolist()
+    return x_m, y_m
 
 
 def _heading_gate_deg(hint: HeadingHint) -> float:

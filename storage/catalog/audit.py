@@ -116,12 +116,6 @@ class Audit(Repository):
             records = [record_of(AuditRecord, row) for row in session.scalars(query)]
         return page_of(records, limit, lambda record: str(record.seq))
 
-    def state(self) -> AuditState:
-        """Return the state that the log says that it is in."""
-        with self._database.reading() as session:
-            head = head_of(session)
-            return AuditState(head.seq, head.hash)
-
     def verify(self, known: AuditState | None = None) -> AuditCheck:
         """Recompute the whole chain.
 

@@ -101,16 +101,6 @@ class DriveRecord:
     expected_poses: int = 0
 
     @property
-    def first_index(self) -> int | None:
-        """The lowest index, `None` without a scan."""
-        return self.present[0].first if self.present else None
-
-    @property
-    def last_index(self) -> int | None:
-        """The highest index, `None` without a scan."""
-        return self.present[-1].last if self.present else None
-
-    @property
     def gaps(self) -> tuple[IndexRange, ...]:
         """The indices that are missing between the first and the last."""
         pairs = zip(self.present, self.present[1:], strict=False)

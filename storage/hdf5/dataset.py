@@ -48,7 +48,7 @@ class Dataset:
         Raises:
             CorruptFile: If they are not where they should be, or a checksum does not fit.
         """
-        return self.rows(0, self.shape[0]) if self.shape else self._scalar()
+        return self.rows(0, self.shape[0])
 
     def rows(self, start: int, stop: int) -> NDArray[Any]:
         """Return the numbers of rows `start` up to `stop` of the first axis.
@@ -56,9 +56,6 @@ class Dataset:
         Raises:
             CorruptFile: If they are not where they should be, or a checksum does not fit.
         """
-        raise NotImplementedError
-
-    def _scalar(self) -> NDArray[Any]:
         raise NotImplementedError
 
 
@@ -79,8 +76,9 @@ class ContiguousDataset(Dataset):
         shape = (max(0, stop - start), *self.shape[1:])
         return self.source.array(self.at + start * row_bytes, self.dtype, shape, self.name)
 
-    def _scalar(self) -> NDArray[Any]:
-        return self.source.array(self.at, self.dtype, (), self.name)
+    def read(self) -> NDArray[Any]:
+        """Return all numbers, or the only one."""
+        return self.source.array(self.at, self.dtype, self.shape, self.name)
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,9 +111,6 @@ class ChunkedDataset(Dataset):
                 self._load(number, chunk)
                 target[:] = chunk[max(0, start - begin) : stop - begin]
         return rows
-
-    def _scalar(self) -> NDArray[Any]:
-        raise CorruptFile(f"{self.name} is one number in chunks")
 
     def _load(self, number: int, target: NDArray[Any]) -> None:
         """Read a whole chunk into `target` and check its sum."""

@@ -17,7 +17,7 @@ from core.errors import EmptyDrive
 from core.scans.pose import UNKNOWN_POSE
 from core.scans.scan import Scan
 from storage.formats.errors import MalformedDrive, MalformedScan, TruncatedScan, WrongDtype
-from storage.formats.scans.coordinates import AXES, coordinates
+from storage.formats.scans.coordinates import AXES, coordinates, record_of
 
 if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
@@ -129,13 +129,9 @@ def returns_m_of(cloud: Any) -> Float32Array:  # noqa: ANN401 - its class is mad
                 " wanted one of 7 or 8: floating point"
             )
     try:
-        record = np.dtype(
-            {
-                "names": list(AXES),
-                "formats": [f"{order}{kinds[axis]}" for axis in AXES],
-                "offsets": [fields[axis].offset for axis in AXES],
-                "itemsize": cloud.point_step,
-            }
+        record = record_of(
+            {axis: (f"{order}{kinds[axis]}", fields[axis].offset) for axis in AXES},
+            cloud.point_step,
         )
     except ValueError as error:
         raise MalformedScan(f"points of {cloud.point_step} bytes: {error}") from error

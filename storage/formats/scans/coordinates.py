@@ -1,12 +1,21 @@
 """The x, y and z of points: from records of any layout to float32 metres."""
 
+from typing import Any
+
 import numpy as np
 
 from core.arrays import Float32Array
 from storage.formats.budget import BUDGET
 from storage.formats.errors import MalformedScan, TruncatedScan
 
-__all__ = ["AXES", "as_float32", "coordinates", "require_amount", "require_records"]
+__all__ = [
+    "AXES",
+    "as_float32",
+    "coordinates",
+    "record_of",
+    "require_amount",
+    "require_records",
+]
 
 AXES = ("x", "y", "z")
 
@@ -20,6 +29,18 @@ def as_float32(values: np.ndarray) -> Float32Array:
 def coordinates(records: np.ndarray) -> Float32Array:
     """Return the fields x, y and z of `(n,)` records, `(n, 3)`."""
     return np.stack([as_float32(records[axis]) for axis in AXES], axis=1)
+
+
+def record_of(fields: dict[str, tuple[Any, int]], size_bytes: int) -> np.dtype[np.void]:
+    """Return a record of `size_bytes`, of fields with a kind and an offset; the rest is skipped."""
+    return np.dtype(
+        {
+            "names": list(fields),
+            "formats": [dtype for dtype, _ in fields.values()],
+            "offsets": [offset for _, offset in fields.values()],
+            "itemsize": size_bytes,
+        }
+    )
 
 
 def require_amount(came: int, wanted: int, message: str) -> None:

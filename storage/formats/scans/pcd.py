@@ -14,7 +14,13 @@ import numpy as np
 from core.arrays import Float32Array
 from storage.formats.budget import BUDGET
 from storage.formats.errors import MalformedScan, ScanTooLarge, TruncatedScan, WrongDtype, short
-from storage.formats.scans.coordinates import AXES, as_float32, coordinates, require_amount
+from storage.formats.scans.coordinates import (
+    AXES,
+    as_float32,
+    coordinates,
+    record_of,
+    require_amount,
+)
 from storage.formats.scans.text_numbers import text_columns
 
 __all__ = ["PcdFormat"]
@@ -93,15 +99,7 @@ class _Header:
     @property
     def record(self) -> np.dtype[np.void]:
         """x, y and z within a binary point."""
-        layout = {axis: self.place(axis) for axis in AXES}
-        return np.dtype(
-            {
-                "names": list(layout),
-                "formats": [dtype for dtype, _ in layout.values()],
-                "offsets": [offset for _, offset in layout.values()],
-                "itemsize": self.point_bytes,
-            }
-        )
+        return record_of({axis: self.place(axis) for axis in AXES}, self.point_bytes)
 
     def place(self, axis: str) -> tuple[str, int]:
         """Return the kind of an axis' numbers, and how many bytes of a point are before it."""
