@@ -137,6 +137,23 @@ def test_a_loss_of_recall_can_be_insisted_on(foreign, insisting):
     assert live(foreign) == job["revision"]
 
 
+@pytest.mark.parametrize("option", [{"force": True}, {"max_recall_loss": 1.0}])
+@pytest.mark.parametrize("live", [{}, {"make_live": False}])
+def test_an_option_of_make_live_is_refused_without_it(campus, option, live):
+    asked = {"drives": ["monday"], **option, **live}
+    answer = campus.post(f"{MAP}/builds", json=asked)
+    (name,) = option
+    assert (answer.status_code, answer.json()["type"]) == (422, "/problems/invalid-request")
+    assert f"{name} only applies with make_live: true" in answer.json()["detail"]
+
+
+def test_the_defaults_of_a_job_may_be_sent_again(campus):
+    job = build(campus, base="live", refit=True)
+    parameters = campus.get(f"/v1/jobs/{job['job']}").json()["parameters"]
+    asked = {name: parameters[name] for name in ("force", "max_recall_loss", "make_live")}
+    assert build(campus, drives=["monday"], segments=3, **asked)["state"] == "done"
+
+
 def test_what_is_insisted_on_once_is_not_taken_over(foreign):
     job = build(foreign, **ADDED, poses="unchecked", force=True)
     parameters = foreign.get(f"/v1/jobs/{job['job']}").json()["parameters"]
