@@ -4,7 +4,6 @@
 `tests/unit/formats/test_crashers.py`.
 """
 
-import io
 import random
 import resource
 import time
@@ -24,7 +23,6 @@ from app.schemas.poses import PosesIn
 from app.schemas.revisions import BasisOut
 from app.schemas.topology import TopologyOut
 from app.uploads.pose_files import CSV, KITTI, TUM, read_poses
-from app.uploads.tar_stream import TarStream
 from core.errors import TensorMapError
 from core.pose import Pose, first_invalid
 from core.scan import Scan
@@ -32,6 +30,7 @@ from core.signature import Packing, pack_signatures, unpack_signatures
 from core.tensormap import TensorMap
 from storage.formats.drives import open_drive
 from storage.formats.registry import FORMAT_NAMES, read_scan
+from tests.support.recording import tar_members
 from tests.support.samples import calibrated_map, sample_harmonic_map, sample_map
 from tests.torture.reader_inputs import CLOUD, INPUTS, SEED, damaged, samples
 
@@ -92,7 +91,7 @@ def test_a_damaged_file_of_poses_is_poses_or_refused(name: str, kind: str) -> No
 
 def test_a_damaged_tar_stream_is_files_or_refused() -> None:
     def read(body: bytes) -> None:
-        for member in TarStream(io.BytesIO(body).read, 2**20):
+        for member in tar_members(body, 2**20):
             member.name.encode()
 
     attack("tar", bodies("tar", read))
