@@ -86,7 +86,11 @@ def plan_build(store: Store, map_id: str, parameters: BuildParameters) -> Plan:
         try:
             kept = _kept(base or _live(store, map_id), parameters)
         except CorruptFile as error:
-            raise CorruptFile(f"{error}: its basis cannot be kept, refit fits another") from error
+            raise CorruptFile(
+                f"{error}: a build keeps the basis of the live revision, which cannot be read. Send"
+                " refit: true to fit a new basis, which vehicles then download; or, to keep one,"
+                " first make a revision live whose file is good, imported or built before"
+            ) from error
     return Plan(parameters, tuple(drive.slug for drive in drives), kept)
 
 
