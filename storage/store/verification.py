@@ -119,9 +119,8 @@ def _left_over(store: Store, *, repair: bool) -> Iterator[Finding]:
         except DataDirInUse:
             found = leftovers(catalog, layout, alone=False)
     for item in found:
-        done = ("removed" if item.useless else "moved to orphans/") if repair else ""
         path = str(item.path.relative_to(layout.data_dir))
-        yield Finding(Condition.LEFT_OVER, path, item.what, done, is_loss=False)
+        yield Finding(Condition.LEFT_OVER, path, item.what, item.done, is_loss=False)
 
 
 def _repaired(store: Store, file: StoredFile, fault: Fault, finding: Finding) -> Finding:

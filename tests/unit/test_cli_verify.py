@@ -5,6 +5,7 @@ from typer.testing import CliRunner
 
 from app.cli.main import cli
 from core.errors import InvalidParameters
+from storage.claims import claimed
 from storage.errors import DataDirInUse, StorageUnavailable
 from storage.store import Store
 from tests.unit.storage.samples import sample_scan
@@ -56,6 +57,18 @@ def test_what_is_left_over_alone_is_no_failure(data):
     assert ran(data)[:2] == (0, f"{data}: 3 files checked, 0 damaged or missing\n")
     [kept] = (data / "orphans").glob("*/maps/stray")
     assert kept.is_file()
+
+
+def test_what_a_repair_could_not_remove_is_reported_as_left(data):
+    part = data / "maps" / ".x.1.part"
+    part.touch()
+    with claimed(part):  # as by a process that still writes it
+        status, printed, _ = ran(data, "--repair")
+    assert status == 0
+    assert "half-written (left: it is in use, or is not this user's)" in printed
+    assert part.exists()
+    assert "half-written (removed)" in ran(data, "--repair")[1]
+    assert not part.exists()
 
 
 def test_a_folder_that_is_no_data_directory_stays_what_it_is(tmp_path):
