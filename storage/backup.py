@@ -57,10 +57,11 @@ CATALOG, STORE_ID, MANIFEST = "catalog.sqlite3", "store-id", "manifest.json"
 T = TypeVar("T")
 
 _PASSES = 50  # each one that fails met a deletion or compaction, which are rare
-_SCANS = """SELECT drives.map_id, drives.id, chunk, chunk_row, digest FROM scans
+_SCANS = """SELECT drives.map_id, drives.id, chunk, chunk_row, scan_index, digest FROM scans
             JOIN drives ON drives.id = scans.drive_id WHERE chunk <> '' ORDER BY 1, 2, 3, 4"""
 _WITHOUT_RETURNS = """SELECT DISTINCT drives.map_id, drives.id FROM scans
                       JOIN drives ON drives.id = scans.drive_id WHERE chunk = '' ORDER BY 1, 2"""
+_SLUGS = "SELECT id, slug FROM maps UNION ALL SELECT id, slug FROM drives"
 _REVISIONS = "SELECT map_id, file_name, digest FROM revisions ORDER BY 1, 2"
 
 
@@ -130,15 +131,20 @@ def write_backup(data_dir: Path, output: Path) -> Backup:
     return Backup(
         sum(1 for path in kept if path.startswith("maps/") and "/images/" not in path),
         size_bytes,
-        tuple(f"{path}: {said}" for path, said in copied.damaged.items() if path in named),
-        tuple(f"{path}: {said}" for path, said in copied.missing.items() if path in named),
+        tuple(f"{said} ({path})" for path, said in copied.damaged.items() if path in named),
+        tuple(f"{said} ({path})" for path, said in copied.missing.items() if path in named),
     )
 
 
 @dataclass
 class _Copied:
-    """What became of the files: what the manifest says of each, or in words what is wrong."""
+    """What became of the files: what the manifest says of each, or in words what is wrong.
 
+    Attributes:
+        slugs: Of maps and drives, by id.
+    """
+
+    slugs: dict[str, str] = field(default_factory=dict)
     written: dict[str, dict[str, object]] = field(default_factory=dict)
     damaged: dict[str, str] = field(default_factory=dict)
     missing: dict[str, str] = field(default_factory=dict)
@@ -163,6 +169,7 @@ def _copy_files(
     for _ in range(_PASSES):
         _copy_catalog(layout.catalog, copy)
         files = named_files(copy)
+        copied.slugs = _slugs(copy)
         first_gone = False
         for file in files:
             if file.path in copied.written or file.path in copied.missing:
@@ -171,7 +178,8 @@ def _copy_files(
                 _copy_file(layout, file, tar, copied, checker)
             except FileNotFoundError:
                 if file.path in gone:
-                    copied.missing[file.path] = "the file is gone"
+                    described = file.described(copied.slugs)
+                    copied.missing[file.path] = f"{described}: the file is gone"
                 else:
                     gone.add(file.path)
                     first_gone = True
@@ -188,7 +196,8 @@ def _copy_file(
         if not stat.S_ISREG(_of_source(path.stat).st_mode):
             raise _SourceError("it is no file")
         if (fault := checker.fault(path, file)) is not None:
-            copied.damaged[file.path] = fault.what
+            described = file.described(copied.slugs, fault.good_rows)
+            copied.damaged[file.path] = f"{described}: {fault.what}"
         with _of_source(lambda: path.open("rb")) as source:
             copied.written[file.path] = _add(tar, file.path, source)
     except FileNotFoundError:
@@ -196,7 +205,8 @@ def _copy_file(
         raise
     except _SourceError as error:
         copied.damaged.pop(file.path, None)
-        copied.missing[file.path] = f"it cannot be read: {error}"
+        described = file.described(copied.slugs)
+        copied.missing[file.path] = f"{described}: the file cannot be read: {error}"
 
 
 def _of_source(do: Callable[[], T]) -> T:
@@ -251,18 +261,26 @@ def named_files(catalog: Path) -> list[StoredFile]:
     """
     layout = Layout(Path())
     scans: dict[str, dict[int, str]] = {}
+    indices: dict[str, dict[int, int]] = {}
     try:
         with closing(sqlite3.connect(catalog)) as connection:
-            for map_id, drive_id, chunk, row, digest in connection.execute(_SCANS):
+            for map_id, drive_id, chunk, row, index, digest in connection.execute(_SCANS):
                 path = str(layout.chunks(map_id, drive_id) / chunk)
                 scans.setdefault(path, {})[row] = digest
+                indices.setdefault(path, {})[row] = index
             revisions = [
                 StoredFile(str(layout.revisions(map_id) / name), revision=digest)
                 for map_id, name, digest in connection.execute(_REVISIONS)
             ]
     except (sqlite3.Error, UnicodeDecodeError) as error:
         raise CorruptFile(f"the backup's catalog cannot be read: {error}") from error
-    return [*(StoredFile(path, rows) for path, rows in scans.items()), *revisions]
+    chunks = (StoredFile(path, digests, indices[path]) for path, digests in scans.items())
+    return [*chunks, *revisions]
+
+
+def _slugs(catalog: Path) -> dict[str, str]:
+    with closing(sqlite3.connect(catalog)) as connection:
+        return dict(connection.execute(_SLUGS).fetchall())
 
 
 def store_id_of(catalog: Path) -> str:

@@ -32,6 +32,9 @@ def test_a_sound_store_is_one_line_and_no_failure(data):
 
 def test_each_finding_is_a_line_and_a_loss_is_a_failure(data):
     damaged, gone, _ = sorted(data.rglob("chunks/*.h5"))
+    with Store(data) as store:
+        scans = {r.chunk: r.index for r in store.drives.scan_records("campus", "monday")}
+    of_drive = "map campus, drive monday, scan"
     damaged.write_bytes(damaged.read_bytes()[:-100])
     gone.unlink()
     (data / "maps" / ".x.1.part").touch()
@@ -39,12 +42,14 @@ def test_each_finding_is_a_line_and_a_loss_is_a_failure(data):
     lines = printed.splitlines()
     assert status == 1
     assert len(lines) == 4
-    assert lines[0].startswith(f"damaged: {damaged.relative_to(data)}: ")
-    assert lines[1] == f"missing: {gone.relative_to(data)}: the file is gone"
+    assert lines[0].startswith(f"damaged: {of_drive} {scans[damaged.name]}: ")
+    assert lines[0].endswith(f" ({damaged.relative_to(data)})")
+    where = gone.relative_to(data)
+    assert lines[1] == f"missing: {of_drive} {scans[gone.name]}: the file is gone ({where})"
     assert lines[2] == "left over: maps/.x.1.part: half-written"
     assert lines[3] == f"{data}: 3 files checked, 2 damaged or missing"
     status, printed, _ = ran(data, "--repair")
-    assert (status, "(moved to damaged/" in printed) == (1, True)
+    assert (status, "; moved to damaged/" in printed) == (1, True)
     assert "half-written (removed)" in printed
     status, printed, _ = ran(data)
     assert (status, printed.count("missing: ")) == (1, 2)

@@ -186,7 +186,14 @@ def test_a_backup_goes_on_without_a_file_that_is_gone_and_a_restore_says_what_it
     assert (told.files, len(told.missing), told.damaged) == (6, 3, ())
     restored = restore_backup(tmp_path / "b.tar", tmp_path / "new")
     assert (restored.files, set(restored.missing)) == (6, set(told.missing))
-    assert all(said.endswith("the file is gone") for said in restored.missing)
+    names = [said.partition(": the file is gone (maps/")[0] for said in told.missing]
+    revision = filled.revisions.list("campus").items[0].digest[:12]
+    of_drive = "map campus, drive monday, scan"
+    assert sorted(names) == [
+        f"{of_drive} 0",
+        f"{of_drive} 1",
+        f"map campus, revision {revision}",
+    ]
     with Store.serving(tmp_path / "new") as store:
         for drive, index in (("monday", 2), ("monday", 4), ("tuesday", 0)):
             assert store.drives.read_scan("campus", drive, index).points_m.size
@@ -266,7 +273,13 @@ def test_what_is_damaged_is_told_and_the_rest_is_safe(filled, tmp_path, which, a
         file[array][0] += 1.0
     told = write_backup(filled.layout.data_dir, tmp_path / "b.tar")
     assert len(told.damaged) == 1
-    assert path.name in told.damaged[0]
+    assert told.damaged[0].endswith(f"({path.relative_to(filled.layout.data_dir)})")
+    [revision] = filled.revisions.list("campus").items
+    names = [
+        *(f"drive monday, scan {index}" for index in range(5)),
+        f"revision {revision.digest[:12]}",
+    ]
+    assert any(told.damaged[0].startswith(f"map campus, {name}: ") for name in names)
     assert told.missing == ()
     restored = restore_backup(tmp_path / "b.tar", tmp_path / "new")
     assert restored == Restored(6, told.damaged, ())
