@@ -56,6 +56,7 @@ CATALOG, STORE_ID, MANIFEST = "catalog.sqlite3", "store-id", "manifest.json"
 
 T = TypeVar("T")
 
+_LACKING = ("damaged", "missing")
 _PASSES = 50  # each one that fails met a deletion or compaction, which are rare
 _SCANS = """SELECT drives.map_id, drives.id, chunk, chunk_row, scan_index, digest FROM scans
             JOIN drives ON drives.id = scans.drive_id WHERE chunk <> '' ORDER BY 1, 2, 3, 4"""
@@ -70,12 +71,14 @@ class Backup:
     """What was written.
 
     Attributes:
+        path: Where it is.
         files: How many files of scans and revisions.
         size_bytes: Of the backup.
         damaged: What is not as it was stored, in words; it is in the backup as it is.
         missing: What the catalog names and the backup lacks, in words.
     """
 
+    path: Path
     files: int
     size_bytes: int
     damaged: tuple[str, ...]
@@ -85,7 +88,9 @@ class Backup:
 def write_backup(data_dir: Path, output: Path) -> Backup:
     """Copy a data directory whose catalog is its own SQLite file; the service may run.
 
-    Every scan and revision is checked against its digest on the way.
+    Every scan and revision is checked against its digest on the way. A backup in which something is
+    damaged or missing replaces no file that is at `output`: it goes beside it, `backup.tar` to
+    `backup.incomplete.tar`, where it replaces an earlier one.
 
     Args:
         data_dir: The data directory.
@@ -104,7 +109,8 @@ def write_backup(data_dir: Path, output: Path) -> Backup:
     for left in (*abandoned_copies(folder), *folder.glob(f".{output.name}.*.part")):
         remove_abandoned(left)
     copied = _Copied()
-    with publish(output) as part, ExitStack() as stack:
+    path = output
+    with publish(output, instead=lambda: path) as part, ExitStack() as stack:
         copy = stack.enter_context(_folder_beside(output)) / CATALOG
         descriptor = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
         with (
@@ -123,12 +129,15 @@ def write_backup(data_dir: Path, output: Path) -> Backup:
             with copy.open("rb") as source:
                 kept[CATALOG] = _add(tar, CATALOG, source)
             manifest = {"format": FORMAT, "format_version": FORMAT_VERSION, "files": kept}
-            for kind, told in (("damaged", copied.damaged), ("missing", copied.missing)):
+            for kind, told in zip(_LACKING, (copied.damaged, copied.missing), strict=True):
                 if wrong := {path: said for path, said in told.items() if path in named}:
                     manifest[kind] = wrong
             _add_bytes(tar, MANIFEST, json.dumps(manifest, indent=1).encode())
         size_bytes = part.stat().st_size
+        if manifest.keys() & _LACKING and output.exists():
+            path = output.with_name(f"{output.stem}.incomplete{output.suffix}")
     return Backup(
+        path,
         sum(1 for path in kept if path.startswith("maps/") and "/images/" not in path),
         size_bytes,
         tuple(f"{said} ({path})" for path, said in copied.damaged.items() if path in named),

@@ -1,4 +1,4 @@
-"""`tensormap verify`: what it prints, and how it ends."""
+"""`tensormap verify`, and `backup` of what it finds: what they print, and how they end."""
 
 import pytest
 from typer.testing import CliRunner
@@ -97,6 +97,17 @@ def test_a_damaged_catalog_is_told(data):
     catalog.write_bytes(content)
     status, printed, _ = ran(data)
     assert (status, "damaged: catalog: " in printed) == (1, True)
+
+
+def test_an_incomplete_backup_says_where_it_is_and_fails(data, tmp_path):
+    whole, beside = tmp_path / "b.tar", tmp_path / "b.incomplete.tar"
+    backup = ["backup", "--data", str(data), "-o", str(whole)]
+    first = CliRunner().invoke(cli, backup)
+    assert (first.exit_code, first.stderr) == (0, "")
+    next(data.rglob("chunks/*.h5")).unlink()
+    second = CliRunner().invoke(cli, backup)
+    assert (second.exit_code, second.stdout.partition(":")[0]) == (1, str(beside))
+    assert f"incomplete: it is in {beside}, and {whole} is what it was" in second.stderr
 
 
 def test_a_repair_is_its_owners(data, monkeypatch):

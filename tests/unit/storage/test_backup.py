@@ -204,6 +204,30 @@ def test_a_backup_goes_on_without_a_file_that_is_gone_and_a_restore_says_what_it
     assert (again.files, len(again.missing)) == (7, 3)
 
 
+@pytest.mark.parametrize("lost", ["damaged", "missing"])
+def test_an_incomplete_backup_goes_beside_the_one_that_is_there(filled, tmp_path, lost):
+    data, path = filled.layout.data_dir, tmp_path / "b.tar"
+    beside = tmp_path / "b.incomplete.tar"
+    assert write_backup(data, path).path == path
+    put(filled, [5])
+    assert write_backup(data, path).path == path  # a whole one replaces it, as every night
+    kept = path.read_bytes()
+    chunk = next(filled.layout.maps.rglob("chunks/*.h5"))
+    if lost == "damaged":
+        chunk.write_bytes(chunk.read_bytes()[:-100])
+    else:
+        chunk.unlink()
+    for _ in range(2):
+        told = write_backup(data, path)
+        assert (told.path, len(told.damaged + told.missing)) == (beside, 1)
+    assert path.read_bytes() == kept
+    assert sorted(tmp_path.glob("b*.tar")) == [beside, path]
+    assert restore_backup(path, tmp_path / "good") == Restored(7, (), ())
+    assert restore_backup(beside, tmp_path / "rest").files == told.files
+    path.unlink()
+    assert write_backup(data, path).path == path  # nothing is there that it would replace
+
+
 def test_what_the_disk_does_not_give_is_missing_in_the_backup(filled, tmp_path, monkeypatch):
     bad = next(filled.layout.maps.rglob("chunks/*.h5")).name
     add = storage.backup._add
