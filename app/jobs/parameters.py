@@ -71,7 +71,7 @@ class BuildParameters(BaseModel):
     )
 
     drives: DriveNames | None = Field(
-        None, description="Which drives, in this order; all of the map by default."
+        None, description="Which drives, in this order; all of the map that have scans by default."
     )
     base: Annotated[str, Field(pattern="^(live|[0-9a-f]{12,64})$")] | None = Field(
         None,

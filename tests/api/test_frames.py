@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 from core.pose import Pose
 from core.scan import Scan
 from tests.support.recording import Recording, kitti, recording, upload_scan
-from tests.support.service import copy_of, running, upload, wait_for
+from tests.support.service import copy_of, problem_of, running, upload, wait_for
 
 MAP = "/v1/maps/campus"
 ADDED = {"base": "live", "add": ["tuesday"], "make_live": True}
@@ -185,3 +185,36 @@ def test_poses_that_are_left_over_are_noted_by_a_build(campus):
     assert put.json()["poses"]["waiting"] == 2
     (note,) = build(campus, **ADDED)["notes"]
     assert "drive tuesday has 2 poses of scans that it lacks" in note
+
+
+@pytest.mark.parametrize("remove", ["delete", "put"])
+def test_a_mistyped_drive_that_has_poses_only_is_left_out_of_a_build_with_a_note(campus, remove):
+    lines = "".join(f"1 0 0 {i} 0 1 0 0 0 0 1 0\n" for i in range(2))
+    kind = {"Content-Type": "application/vnd.tensormap.poses.kitti"}
+    mistyped = f"{MAP}/drives/mondya"
+    assert campus.put(f"{mistyped}/poses", content=lines, headers=kind).status_code == 200
+    (note,) = build(campus, segments=3)["notes"]
+    assert note == (
+        "drive mondya is left out, it has no scans, 2 poses wait for them: is its name mistyped?"
+    )
+    for named in ({"drives": ["monday", "mondya"]}, {"base": "live", "add": ["mondya"]}):
+        refused = campus.post(f"{MAP}/builds", json=named)
+        assert problem_of(refused) == (422, "empty-drive")
+        assert "drive 'mondya' has no scan" in refused.json()["detail"]
+    if remove == "delete":
+        assert campus.delete(mistyped).status_code == 204
+        assert build(campus, segments=3)["notes"] == []
+    else:
+        unknown = f"{'nan ' * 12}\n" * 2
+        put = campus.put(f"{mistyped}/poses", content=unknown, headers=kind).json()
+        assert put["poses_waiting"] == 0
+
+
+def test_a_map_whose_drives_have_no_scans_is_not_built(campus):
+    campus.post("/v1/maps", json={"map": "other"})
+    kind = {"Content-Type": "application/vnd.tensormap.poses.kitti"}
+    line = "1 0 0 0 0 1 0 0 0 0 1 0\n"
+    campus.put("/v1/maps/other/drives/monday/poses", content=line, headers=kind)
+    refused = campus.post("/v1/maps/other/builds", json={})
+    assert problem_of(refused) == (422, "empty-drive")
+    assert "upload scans first" in refused.json()["detail"]
