@@ -13,29 +13,29 @@ from starlette.routing import BaseRoute
 
 from app.access.access import open_access
 from app.access.admission import Admission
-from app.access.answer_headers import AnswerHeaders
-from app.access.origins import allow_origins
 from app.access.trail import AuditTrail
-from app.bodies.bodies import BodyGuard
-from app.bodies.spool import SpoolRoom
-from app.bodies.unread import UnreadBody
-from app.collector import GarbageCollector
-from app.job_events import JobEvents
-from app.jobs.runner import JobRunner
-from app.metrics import Metrics
-from app.observing import RequestObserver
-from app.openapi import complete_openapi
-from app.pools import Pools
-from app.problems import add_handlers
+from app.builds.job_events import JobEvents
+from app.builds.runner import JobRunner
+from app.http.answer_headers import AnswerHeaders
+from app.http.bodies.bodies import BodyGuard
+from app.http.bodies.spool import SpoolRoom
+from app.http.bodies.unread import UnreadBody
+from app.http.metrics import Metrics
+from app.http.observing import RequestObserver
+from app.http.openapi import complete_openapi
+from app.http.origins import allow_origins
+from app.http.pools import Pools
+from app.http.problems import add_handlers
+from app.http.streams import Streams
+from app.maps.collector import GarbageCollector
 from app.process import one_blas_thread
-from app.revisions import LoadedRevisions
+from app.revisions.loaded import LoadedRevisions
 from app.routes import api, open_routes, streams
 from app.scrub import Scrub
 from app.service import Service
 from app.settings import Settings
-from app.streams import Streams
 from app.systemd import supervised
-from app.tracks import Tracks
+from app.tracking.tracks import Tracks
 from storage.catalog import JobRecord
 from storage.store import Store
 

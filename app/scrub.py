@@ -7,10 +7,10 @@ import time
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
-from app.logs import fields
-from app.metrics import Metrics
-from storage.checker import Checker
-from storage.files import publish
+from app.http.logs import fields
+from app.http.metrics import Metrics
+from storage.files.checker import Checker
+from storage.files.files import publish
 from storage.store import Store
 from storage.store.inventory import Inventory
 

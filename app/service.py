@@ -6,17 +6,17 @@ from typing import Annotated
 from fastapi import Depends, Path, Request
 
 from app.access.access import Access
-from app.bodies.spool import SpoolRoom
-from app.collector import GarbageCollector
-from app.job_events import JobEvents
-from app.jobs.runner import JobRunner
-from app.metrics import Metrics
-from app.pools import Pools
-from app.revisions import LoadedRevisions
+from app.builds.job_events import JobEvents
+from app.builds.runner import JobRunner
+from app.http.bodies.spool import SpoolRoom
+from app.http.metrics import Metrics
+from app.http.pools import Pools
+from app.http.streams import Streams
+from app.maps.collector import GarbageCollector
+from app.revisions.loaded import LoadedRevisions
 from app.scrub import Scrub
 from app.settings import Settings
-from app.streams import Streams
-from app.tracks import Tracks
+from app.tracking.tracks import Tracks
 from storage.names import SLUG_PATTERN
 from storage.store import Store
 

@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 from pydantic import Field, SecretStr, field_validator
 from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
 
-from app.logs import LogFormat
+from app.http.logs import LogFormat
 from storage.retention import LONGEST_DAYS, MOST_REVISIONS, RawScans, Retention
 
 __all__ = ["Settings", "is_loopback", "unknown_variables"]

@@ -14,14 +14,14 @@ from pathlib import Path
 from threadpoolctl import threadpool_limits
 
 from benchmarks.timing import machine
-from core.drive import Drive
 from core.evaluation.condition import Condition, conditions
 from core.evaluation.evaluate import Protocol, evaluate
 from core.evaluation.split import Every, Interleaved
 from core.parameters import MapParameters
-from core.reducer import RANGE_REDUCERS
+from core.projection.reducer import RANGE_REDUCERS
+from core.scans.drive import Drive
 from core.simulation import SimulatedDrive
-from storage.formats.drives import open_drive
+from storage.formats.drives.layouts import open_drive
 
 __all__ = ["commit", "print_table"]
 

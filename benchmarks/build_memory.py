@@ -12,10 +12,10 @@ import numpy as np
 from app.process import keep_freed_memory, one_blas_thread
 from benchmarks.images import GeneratedImages
 from benchmarks.timing import machine
-from core.builder import build_map
+from core.mapping.build import build_map
 from core.parameters import MapParameters
+from core.scans.trajectory import Trajectory
 from core.segmentation import PAPER_SEGMENT_LENGTH, cut_fixed
-from core.trajectory import Trajectory
 
 BAR_MB = 200.0
 SCANS = 100_000

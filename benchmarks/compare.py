@@ -15,11 +15,10 @@ from typing import Any
 
 from threadpoolctl import threadpool_limits
 
-from app.peers.roster import METHODS, contestants, default_methods
+from app.baselines.roster import METHODS, contestants, default_methods
 from app.provenance import commit, machine, provenance
 from benchmarks.accuracy import print_table
 from core.arrays import IntArray
-from core.drive import Drive, MemoryDrive
 from core.evaluation.compare import ComparisonProtocol, compare
 from core.evaluation.comparison import Comparison, MethodResult, MethodUnderCondition
 from core.evaluation.condition import Condition, conditions
@@ -27,9 +26,10 @@ from core.evaluation.contestants import Contestant, Enrolled
 from core.evaluation.pairing import HeldOut, LoopClosing, SecondPass
 from core.evaluation.split import Every
 from core.progress import NO_PROGRESS, Progress
-from core.sensor import HDL_64E
+from core.scans.drive import Drive, MemoryDrive
+from core.scans.sensor import HDL_64E
 from core.simulation import SimulatedDrive
-from storage.formats.drives import open_drive
+from storage.formats.drives.layouts import open_drive
 
 SEEDS = (101, 102, 103)
 SCANS = 300

@@ -10,7 +10,7 @@ from threadpoolctl import threadpool_limits
 
 from benchmarks.images import GeneratedImages
 from benchmarks.timing import machine, medians_s
-from core.tucker import Grams, leading_basis, project, relative_error
+from core.encodings.tucker import Grams, leading_basis, project, relative_error
 
 BAR = 20.0
 RANKS = (5, 5)

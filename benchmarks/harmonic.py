@@ -16,25 +16,25 @@ from threadpoolctl import threadpool_limits
 from benchmarks.accuracy import commit, print_table
 from benchmarks.timing import machine
 from core.arrays import FloatArray, IntArray
-from core.builder import build_map
-from core.displacement import left_of_m
-from core.drive import Drive, MemoryDrive
+from core.encodings.signature import Packing, pack_signatures, unpack_signatures
+from core.encodings.tucker import leading_basis, row_gram
 from core.evaluation.condition import Condition, conditions
 from core.evaluation.evaluate import Protocol, evaluate
 from core.evaluation.result import Evaluation
 from core.evaluation.split import Every
-from core.imager import ImageKind
-from core.images import project_drive
-from core.localizer import Localizer, Match
+from core.localization.localizer import Localizer, Match
+from core.mapping.build import build_map
 from core.parameters import Distance, Encoding, MapParameters
-from core.pose import heading_deg
-from core.reducer import Reducer
+from core.projection.imager import ImageKind
+from core.projection.images import project_drive
+from core.projection.reducer import Reducer
+from core.scans.displacement import left_of_m
+from core.scans.drive import Drive, MemoryDrive
+from core.scans.pose import heading_deg
+from core.scans.trajectory import Trajectory
 from core.segmentation import cut_fixed, segment_length_for
-from core.signature import Packing, pack_signatures, unpack_signatures
 from core.simulation import SimulatedDrive
-from core.trajectory import Trajectory
-from core.tucker import leading_basis, row_gram
-from storage.formats.drives import open_drive
+from storage.formats.drives.layouts import open_drive
 
 SEEDS = (101, 102, 103)
 OFFSETS_M = (2.0, -2.0, 3.0, -3.0)

@@ -3,7 +3,7 @@
 import numpy as np
 
 from core.arrays import Float32Array
-from core.sensor import AngularGrid
+from core.scans.sensor import AngularGrid
 
 __all__ = ["GeneratedImages"]
 

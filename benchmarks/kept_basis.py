@@ -15,19 +15,19 @@ from threadpoolctl import threadpool_limits
 from benchmarks.accuracy import commit, print_table
 from benchmarks.timing import machine
 from core.arrays import Float32Array
-from core.builder import build_map
-from core.displacement import seen_from_beside
-from core.drive import Drive
-from core.grams import drive_gram, fit_radial_basis
-from core.images import project_drive
-from core.localizer import Localizer
-from core.merging import basis_fits
+from core.encodings.grams import drive_gram, fit_radial_basis
+from core.localization.localizer import Localizer
+from core.mapping.build import build_map
+from core.mapping.merge import basis_fits
 from core.parameters import Encoding, MapParameters
-from core.scan import Scan
+from core.projection.images import project_drive
+from core.scans.displacement import seen_from_beside
+from core.scans.drive import Drive
+from core.scans.scan import Scan
+from core.scans.trajectory import Trajectory
 from core.segmentation import cut_fixed
 from core.simulation import SimulatedDrive
-from core.trajectory import Trajectory
-from storage.formats.drives import open_drive
+from storage.formats.drives.layouts import open_drive
 
 SEEDS = (201, 202, 203)
 CITY_SCANS = 150

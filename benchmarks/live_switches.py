@@ -20,10 +20,10 @@ from typing import Any
 import httpx2
 import numpy as np
 
-from app.schemas.revisions import BasisOut
+from app.revisions.schemas import BasisOut
 from benchmarks.timing import machine
-from core.scan import Scan
-from core.signature import pack_signatures
+from core.encodings.signature import pack_signatures
+from core.scans.scan import Scan
 from core.simulation import SimulatedDrive, SimulatedSensor
 
 SWITCHES, CLIENTS = 1000, 8

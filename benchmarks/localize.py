@@ -10,12 +10,12 @@ from threadpoolctl import threadpool_limits
 
 from benchmarks.images import GeneratedImages
 from benchmarks.timing import machine, medians_s
-from core.builder import build_map
-from core.localizer import Localizer
+from core.localization.localizer import Localizer
+from core.mapping.build import build_map
 from core.parameters import MapParameters
-from core.projection import RangeImage
+from core.projection.range_image import RangeImage
+from core.scans.trajectory import Trajectory
 from core.segmentation import PAPER_SEGMENT_LENGTH, cut_fixed
-from core.trajectory import Trajectory
 
 BAR = 20.0
 SCANS = 3800

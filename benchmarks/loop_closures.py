@@ -4,7 +4,8 @@
 
 DRIVES is a folder of drives in the KITTI odometry layout that holds `kitti00` and
 `kit_muehlburger`. `fit` prints the
-coefficients of the logistic curve in core/loop_closure.py, from cities of other seeds. Without it,
+coefficients of the logistic curve in core/loop_closure/closure.py, from cities of other seeds.
+Without it,
 the curve is judged on cities on whose seeds nothing was chosen, and on the recorded drives; the
 command fails if a bar is missed.
 """
@@ -20,18 +21,18 @@ from threadpoolctl import threadpool_limits
 from benchmarks.accuracy import commit, print_table
 from benchmarks.timing import machine
 from core.arrays import FloatArray, IntArray
-from core.builder import build_map
-from core.drive import Drive, MemoryDrive
-from core.images import project_drive
-from core.localizer import Localizer
-from core.loop_closure import ACCEPT_FROM, LoopClosure, Verdict, check_scans
+from core.localization.localizer import Localizer
+from core.loop_closure.closure import ACCEPT_FROM, LoopClosure, Verdict, check_scans
+from core.mapping.build import build_map
 from core.parameters import Encoding, MapParameters
-from core.pose import heading_deg
-from core.scan import Scan
+from core.projection.images import project_drive
+from core.scans.drive import Drive, MemoryDrive
+from core.scans.pose import heading_deg
+from core.scans.scan import Scan
+from core.scans.trajectory import Trajectory
 from core.segmentation import cut_fixed
 from core.simulation import SimulatedDrive
-from core.trajectory import Trajectory
-from storage.formats.drives import open_drive
+from storage.formats.drives.layouts import open_drive
 
 FIT_SEEDS = (11, 12, 13, 14)
 SEEDS = (201, 202, 203)

@@ -15,17 +15,17 @@ from threadpoolctl import threadpool_limits
 
 from benchmarks.timing import machine, medians_s
 from core.arrays import IntArray
-from core.builder import build_map
+from core.encodings.base import Found
 from core.encodings.harmonic import HarmonicModel
-from core.encodings.model import Found
-from core.images import project_drive
-from core.localizer import Localizer
+from core.encodings.signature import Signature
+from core.evaluation.baselines.scan_context import ScanContext
+from core.localization.localizer import Localizer
+from core.mapping.build import build_map
 from core.parameters import Encoding, MapParameters
-from core.peers.scan_context import ScanContext
+from core.projection.images import project_drive
+from core.scans.trajectory import Trajectory
 from core.segmentation import PAPER_SEGMENT_LENGTH, cut_fixed
-from core.signature import Signature
 from core.simulation import SimulatedDrive, SimulatedSensor
-from core.trajectory import Trajectory
 
 BAR_MS = 1.0
 SCANS = 3800

@@ -17,12 +17,12 @@ import numpy as np
 
 from benchmarks.timing import machine
 from core.encodings.paper import PaperModel
+from core.mapping.tensormap import TensorMap
 from core.parameters import MapParameters
+from core.scans.trajectory import Trajectory
 from core.segmentation import cut_fixed
-from core.tensormap import TensorMap
 from core.topology import Topology
-from core.trajectory import Trajectory
-from storage.map_file import read_map, read_revision, write_map
+from storage.files.map_file import read_map, read_revision, write_map
 
 BAR_MS = 10.0
 SEGMENTS, SCANS_A_SEGMENT = 1000, 20

@@ -17,13 +17,13 @@ from threadpoolctl import threadpool_limits
 
 from benchmarks.accuracy import commit, print_table
 from benchmarks.timing import machine
-from core.drive import Drive, MemoryDrive
 from core.evaluation.evaluate import Protocol, evaluate
 from core.evaluation.result import Evaluation
 from core.evaluation.split import Every
 from core.parameters import Encoding, MapParameters, Segmentation
+from core.scans.drive import Drive, MemoryDrive
 from core.simulation import SimulatedDrive
-from storage.formats.drives import open_drive
+from storage.formats.drives.layouts import open_drive
 
 RECORDED = ("kitti00", "kit_muehlburger")
 DRIVES = (*RECORDED, "simulated-101", "simulated-102", "simulated-103")

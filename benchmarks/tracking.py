@@ -14,15 +14,15 @@ from threadpoolctl import threadpool_limits
 
 from benchmarks.accuracy import commit, print_table
 from benchmarks.timing import machine
-from core.drive import Drive
 from core.evaluation.evaluate import Protocol, evaluate
 from core.evaluation.result import Evaluation
 from core.evaluation.split import Interleaved
 from core.evaluation.tracks import TrackResult
 from core.parameters import Encoding, MapParameters
-from core.scan import Scan
+from core.scans.drive import Drive
+from core.scans.scan import Scan
 from core.simulation import SimulatedDrive
-from storage.formats.drives import open_drive
+from storage.formats.drives.layouts import open_drive
 
 SEEDS = (301, 302, 303)
 LENGTHS = (50, 100, 167)

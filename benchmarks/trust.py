@@ -17,18 +17,18 @@ from threadpoolctl import threadpool_limits
 from benchmarks.accuracy import commit, print_table
 from benchmarks.timing import machine
 from core.arrays import FloatArray, IntArray
-from core.builder import build_map
-from core.drive import Drive, MemoryDrive
+from core.confidence.places import AWAY_M
 from core.evaluation.reliability import Judged, Reliability, reliability
-from core.images import project_drive
-from core.localizer import Localization, Localizer
+from core.localization.localizer import Localization, Localizer
+from core.mapping.build import build_map
 from core.parameters import Encoding, MapParameters
-from core.places import AWAY_M
-from core.pose import Pose
+from core.projection.images import project_drive
+from core.scans.drive import Drive, MemoryDrive
+from core.scans.pose import Pose
+from core.scans.trajectory import Trajectory
 from core.segmentation import cut_fixed, segment_length_for
 from core.simulation import SimulatedDrive
-from core.trajectory import Trajectory
-from storage.formats.drives import open_drive
+from storage.formats.drives.layouts import open_drive
 
 SEEDS = (601, 602, 603)
 CITY_SCANS = 300

@@ -7,10 +7,10 @@ from enum import StrEnum
 from typing import Any
 
 from core.errors import InvalidMap, InvalidParameters
-from core.imager import Grid, ImageKind, Imager, grid_from_attributes
-from core.reducer import Reducer
-from core.rings import RingGrid
-from core.sensor import HDL_64E, AngularGrid, sensor_named
+from core.projection.imager import Grid, ImageKind, Imager, grid_from_attributes
+from core.projection.reducer import Reducer
+from core.projection.rings import RingGrid
+from core.scans.sensor import HDL_64E, AngularGrid, sensor_named
 from core.text import flaw_in
 
 __all__ = [

@@ -1,1 +1,1 @@
-"""Who may ask for what: keys, their scopes and their limits."""
+"""Access: keys, tokens, scopes, limits and the audit log."""

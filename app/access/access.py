@@ -10,12 +10,12 @@ from urllib.parse import urlsplit
 from starlette.requests import HTTPConnection
 from starlette.types import Scope
 
-from app.access.answer_headers import RATE_STATE
 from app.access.caller import EVERYONE_ID, OPERATOR_ID, Caller, everyone_here, the_operator
 from app.access.rate_limits import BYTES, NO_LIMITS, Allowance, RateLimits
 from app.access.scopes import Scope as KeyScope
 from app.access.secrets import is_token, is_well_formed, new_secret, secret_hash
-from app.errors import BodyTooLarge, HostNotAllowed, KeyNeeded, KeyRefused
+from app.http.answer_headers import RATE_STATE
+from app.http.errors import BodyTooLarge, HostNotAllowed, KeyNeeded, KeyRefused
 from app.settings import Settings, is_loopback
 from storage.catalog import KeyRecord, TokenRecord
 from storage.store import Store

@@ -9,7 +9,7 @@ from starlette.requests import HTTPConnection
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from app.access.access import Access
-from app.problems import problem_response
+from app.http.problems import problem_response
 from core.errors import TensorMapError
 
 __all__ = ["CALLER_STATE", "Admission"]

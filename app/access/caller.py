@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from typing import NoReturn
 
 from app.access.scopes import Scope
-from app.errors import ScopeMissing
+from app.http.errors import ScopeMissing
 from storage.errors import MapNotFound
 
 __all__ = ["EVERYONE_ID", "OPERATOR_ID", "Caller", "everyone_here", "the_operator"]

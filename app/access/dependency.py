@@ -10,7 +10,7 @@ from app.access.admission import CALLER_STATE
 from app.access.caller import Caller
 from app.access.scopes import Scope, bearer_scheme, needed_by
 from app.access.trail import sign
-from app.errors import KeyNeeded
+from app.http.errors import KeyNeeded
 
 __all__ = ["Asking", "require_access", "stream_caller"]
 

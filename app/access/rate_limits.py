@@ -7,7 +7,7 @@ from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from app.errors import TooManyRequests
+from app.http.errors import TooManyRequests
 
 __all__ = ["BYTES", "NO_LIMITS", "REQUESTS", "Allowance", "RateLimits", "Unit"]
 
@@ -84,7 +84,7 @@ class RateLimits:
         [2, 1, 0]
         >>> limits.take("fleet")
         Traceback (most recent call last):
-        app.errors.TooManyRequests: 2 requests a second, 3 at once, are allowed: wait 1 s
+        app.http.errors.TooManyRequests: 2 requests a second, 3 at once, are allowed: wait 1 s
     """
 
     def __init__(

@@ -1,4 +1,4 @@
-"""The command line: `tensormap`; commands are siblings of the routes over `app.pipelines`."""
+"""The command line: `tensormap`."""
 
 from app.cli.main import main
 

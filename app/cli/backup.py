@@ -10,8 +10,8 @@ from app.cli.console import output
 from app.cli.options import require_folder
 from app.process import private_files
 from core.errors import InvalidParameters
-from storage.backup import Backup, write_backup
-from storage.restore import Restored, restore_backup
+from storage.backup.backup import Backup, write_backup
+from storage.backup.restore import Restored, restore_backup
 
 __all__ = ["backup", "restore"]
 

@@ -8,6 +8,7 @@ import typer
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
+from app.baselines.roster import METHODS, contestants, default_methods
 from app.cli.console import output, progress_bar
 from app.cli.options import (
     MIN_RETURNS,
@@ -20,9 +21,7 @@ from app.cli.options import (
     numbers,
     require_folder,
 )
-from app.peers.roster import METHODS, contestants, default_methods
 from app.provenance import provenance
-from core.drive import Drive
 from core.errors import InvalidParameters
 from core.evaluation.compare import ComparisonProtocol
 from core.evaluation.compare import compare as compare_methods
@@ -30,10 +29,11 @@ from core.evaluation.comparison import Comparison, MethodUnderCondition
 from core.evaluation.condition import conditions
 from core.evaluation.pairing import RECENT_SCANS, HeldOut, LoopClosing, Pairing, SecondPass
 from core.evaluation.split import Interleaved, parse_split
+from core.scans.drive import Drive
+from core.scans.sensor import HDL_64E
 from core.segmentation import segment_length_for
-from core.sensor import HDL_64E
-from storage.files import publish
-from storage.formats.drives import open_drive
+from storage.files.files import publish
+from storage.formats.drives.layouts import open_drive
 
 __all__ = ["compare"]
 

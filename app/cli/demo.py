@@ -11,10 +11,10 @@ from rich.table import Table
 from app.cli.console import output, progress_bar
 from app.cli.options import MIN_RETURNS
 from app.demo.outcome import MAX_SCANS, RECALL_M, Outcome
-from core.drive import Drive
 from core.parameters import DEFAULT_ENCODING, Encoding
+from core.scans.drive import Drive
 from core.simulation import SimulatedDrive
-from storage.formats.drives import open_drive
+from storage.formats.drives.layouts import open_drive
 
 __all__ = ["demo"]
 

@@ -36,9 +36,9 @@ from core.evaluation.evaluate import evaluate as evaluate_drive
 from core.evaluation.result import Evaluation
 from core.evaluation.split import Interleaved, parse_split
 from core.parameters import MapParameters, Segmentation, encoding_with
-from core.sensor import HDL_64E
-from storage.files import publish
-from storage.formats.drives import open_drive
+from core.scans.sensor import HDL_64E
+from storage.files.files import publish
+from storage.formats.drives.layouts import open_drive
 
 __all__ = ["evaluate"]
 

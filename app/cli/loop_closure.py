@@ -9,13 +9,13 @@ from rich.table import Table
 
 from app.cli.console import output, progress_bar
 from app.cli.options import MIN_RETURNS, DriveArgument
-from app.schemas.loop_closures import LoopClosureOut
-from core.drive import Drive
+from app.loop_closures.schemas import LoopClosureOut
 from core.errors import InvalidParameters
-from core.loop_closure import ACCEPT_FROM, check_scans
+from core.loop_closure.closure import ACCEPT_FROM, check_scans
 from core.parameters import HDL_64E_ON_KITTI_HEIGHT_M
-from core.scan import Scan
-from storage.formats.drives import open_drive
+from core.scans.drive import Drive
+from core.scans.scan import Scan
+from storage.formats.drives.layouts import open_drive
 
 __all__ = ["loop_closure"]
 

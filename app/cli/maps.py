@@ -10,6 +10,7 @@ import typer
 from pydantic import ValidationError
 from rich.table import Table
 
+from app.builds.parameters import BuildParameters, PoseCheck
 from app.cli.console import output, progress_bar
 from app.cli.options import (
     MIN_RETURNS,
@@ -32,26 +33,25 @@ from app.cli.options import (
     ranks,
     require_folder,
 )
-from app.jobs.parameters import BuildParameters, PoseCheck
-from app.schemas.hints import hints_of
-from app.schemas.localizations import LocalizationOut, SignaturesIn
-from app.schemas.topology import TopologyOut
+from app.localization.prior_schemas import hints_of
+from app.localization.schemas import LocalizationOut, SignaturesIn
+from app.revisions.topology_schemas import TopologyOut
 from core.arrays import Float32Array
-from core.basis import harmonic_basis_digest
-from core.compression import Compression
+from core.encodings.basis import harmonic_basis_digest
+from core.encodings.compression import Compression
 from core.encodings.harmonic import HarmonicModel
+from core.encodings.signature import Packing, pack_signatures
 from core.errors import InvalidParameters, InvalidScan
-from core.localizer import Localization, Localizer
+from core.localization.localizer import Localization, Localizer
+from core.mapping.tensormap import TensorMap
 from core.parameters import Segmentation, encoding_with
-from core.pose import path_length_m
-from core.sensor import HDL_64E
-from core.signature import Packing, pack_signatures
-from core.tensormap import TensorMap
-from storage.files import publish
-from storage.formats.drives import open_drive
+from core.scans.pose import path_length_m
+from core.scans.sensor import HDL_64E
+from storage.files.files import publish
+from storage.files.map_file import read_map, write_map
+from storage.formats.drives.layouts import open_drive
 from storage.formats.errors import UnknownFormat
-from storage.formats.registry import media_type_of, read_scan_file
-from storage.map_file import read_map, write_map
+from storage.formats.scans.registry import media_type_of, read_scan_file
 
 __all__ = ["build", "inspect", "localize", "signature"]
 
@@ -86,7 +86,9 @@ def build(
     poses: PosesOption = PoseCheck.CHECKED,
 ) -> None:
     """Build a map of one or more recorded drives."""
-    from app.pipelines import build_drives  # here: it brings the store, which no other one needs
+    from app.builds.pipelines import (
+        build_drives,  # here: it brings the store, which no other one needs
+    )
 
     require_folder(output_file)
     try:

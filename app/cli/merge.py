@@ -5,14 +5,14 @@ from typing import Annotated
 
 import typer
 
+from app.builds.parameters import PoseCheck
 from app.cli.console import output, progress_bar
 from app.cli.options import PosesOption, require_folder
-from app.jobs.parameters import PoseCheck
 from core.errors import UnknownDrive
-from core.frames import check_frames, require_one_frame
-from core.merging import merge_maps, without_drives
-from storage.files import publish
-from storage.map_file import read_map, write_map
+from core.frames.agreement import check_frames, require_one_frame
+from core.mapping.merge import merge_maps, without_drives
+from storage.files.files import publish
+from storage.files.map_file import read_map, write_map
 
 __all__ = ["merge"]
 

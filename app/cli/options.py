@@ -6,12 +6,12 @@ from typing import Annotated
 
 import typer
 
-from app.jobs.parameters import PoseCheck
-from core.imager import ImageKind
+from app.builds.parameters import PoseCheck
 from core.parameters import Distance, Encoding, Segmentation
-from core.reducer import Reducer
-from core.sensor import SENSORS
-from storage.formats.registry import FORMAT_NAMES
+from core.projection.imager import ImageKind
+from core.projection.reducer import Reducer
+from core.scans.sensor import SENSORS
+from storage.formats.scans.registry import FORMAT_NAMES
 
 __all__ = [
     "MIN_RETURNS",

@@ -23,9 +23,9 @@ from core.evaluation.split import Interleaved, parse_split
 from core.evaluation.study import Study
 from core.evaluation.study_drive import StudyProtocol, study_drive
 from core.parameters import Encoding, MapParameters
-from core.sensor import HDL_64E
-from storage.files import publish
-from storage.formats.drives import open_drive
+from core.scans.sensor import HDL_64E
+from storage.files.files import publish
+from storage.formats.drives.layouts import open_drive
 
 __all__ = ["report"]
 

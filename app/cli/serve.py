@@ -36,8 +36,13 @@ def serve(
     """Start the service; `TENSORMAP_*` variables hold what no option sets."""
     import uvicorn  # here, not above: no other command needs to wait for the whole service
 
-    from app.connections import BoundedServer, close_unread, connection_options, within_descriptors
-    from app.logs import configure_logging
+    from app.http.connections import (
+        BoundedServer,
+        close_unread,
+        connection_options,
+        within_descriptors,
+    )
+    from app.http.logs import configure_logging
     from app.main import create_app
     from app.process import private_files
     from storage.store import Store

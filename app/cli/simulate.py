@@ -7,7 +7,7 @@ import typer
 
 from app.cli.console import output, progress_bar
 from core.simulation import SimulatedDrive
-from storage.formats.kitti_drive import write_kitti_drive
+from storage.formats.drives.kitti_drive import write_kitti_drive
 
 __all__ = ["simulate"]
 

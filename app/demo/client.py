@@ -6,13 +6,13 @@ from typing import Any, Self
 import httpx2
 import numpy as np
 
+from app.builds.job_schemas import JobOut
+from app.builds.parameters import BuildParameters
 from app.demo.errors import DemoFailed
-from app.jobs.parameters import BuildParameters
-from app.schemas.jobs import JobOut
-from app.schemas.localizations import LocalizationOut
-from app.schemas.revisions import BasisOut
-from app.schemas.topology import TopologyOut
-from core.scan import Scan
+from app.localization.schemas import LocalizationOut
+from app.revisions.schemas import BasisOut
+from app.revisions.topology_schemas import TopologyOut
+from core.scans.scan import Scan
 from storage.catalog import JobState
 
 __all__ = ["Client"]

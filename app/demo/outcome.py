@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from core.compression import Compression
+from core.encodings.compression import Compression
 
 __all__ = ["MAX_SCANS", "RECALL_M", "Fixes", "Outcome"]
 

@@ -9,28 +9,28 @@ from typing import Protocol
 
 import numpy as np
 
+from app.builds.parameters import BuildParameters
 from app.demo.client import Client
 from app.demo.errors import DemoFailed
 from app.demo.outcome import MAX_SCANS, RECALL_M, Fixes, Outcome
-from app.jobs.parameters import BuildParameters
-from app.schemas.localizations import LocalizationOut
-from app.schemas.topology import EdgeOut
+from app.localization.schemas import LocalizationOut
+from app.revisions.topology_schemas import EdgeOut
 from core.arrays import BoolArray
-from core.basis import Basis, HarmonicBasis
-from core.compression import Compression
-from core.drive import Drive
+from core.encodings.basis import Basis, HarmonicBasis
+from core.encodings.compression import Compression
 from core.encodings.harmonic import harmonic_elements
+from core.encodings.signature import Packing, pack_signatures
+from core.encodings.tucker import storage_elements
 from core.errors import InvalidScan
 from core.evaluation.split import Interleaved
 from core.parameters import DEFAULT_ENCODING, Encoding, MapParameters
 from core.progress import Progress
-from core.reducer import Reducer
-from core.scan import Scan
+from core.projection.reducer import Reducer
+from core.scans.drive import Drive
+from core.scans.scan import Scan
 from core.segmentation import cut_fixed, segment_length_for
-from core.signature import Packing, pack_signatures
-from core.tucker import storage_elements
 from storage.catalog import JobState
-from storage.formats.kitti import kitti_body
+from storage.formats.scans.kitti import kitti_body
 
 __all__ = ["hold_out", "run_demo"]
 

@@ -6,7 +6,7 @@ from app.report.drawing import ACCENT, ERROR, GOOD, Drawing
 from app.report.figure import Figure, Panel, Table, shown
 from core.arrays import FloatArray, IntArray
 from core.evaluation.study import Study
-from core.pose import is_known
+from core.scans.pose import is_known
 from core.segmentation import cut_fixed
 
 __all__ = ["nodes_figure"]

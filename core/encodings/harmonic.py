@@ -22,10 +22,10 @@ from core.arrays import (
     IntArray,
     frozen,
 )
-from core.encodings.model import Found, Segmented, nearest, require_sane
+from core.encodings.base import Found, Segmented, nearest, require_sane
+from core.encodings.signature import Signature
 from core.errors import InvalidMap, InvalidSignature
 from core.parameters import Distance
-from core.signature import Signature
 
 __all__ = [
     "HarmonicModel",

@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.arrays import BoolArray, Float32Array, FloatArray, IntArray, frozen
-from core.encodings.model import Found, Segmented, nearest, require_sane
+from core.encodings.base import Found, Segmented, nearest, require_sane
+from core.encodings.signature import Signature
+from core.encodings.tucker import storage_elements
 from core.errors import InvalidMap, InvalidSignature
-from core.signature import Signature
-from core.tucker import storage_elements
 
 __all__ = ["PaperModel", "PaperSearch", "SegmentModel"]
 

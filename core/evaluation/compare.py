@@ -8,16 +8,16 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from core.arrays import BoolArray, FloatArray, IntArray
-from core.drive import Drive
 from core.errors import InvalidParameters, InvalidScan
 from core.evaluation.comparison import Comparison, MethodResult, MethodUnderCondition
 from core.evaluation.condition import Condition
 from core.evaluation.contestants import Contestant, Enrolled
 from core.evaluation.pairing import HeldOut, Paired, Pairing
 from core.evaluation.retrieval import auroc, precision_recall
-from core.pose import heading_deg, is_known
 from core.progress import NO_PROGRESS, Progress
-from core.scan import Scan
+from core.scans.drive import Drive
+from core.scans.pose import heading_deg, is_known
+from core.scans.scan import Scan
 
 __all__ = ["ComparisonProtocol", "compare"]
 

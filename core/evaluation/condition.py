@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from core.arrays import FloatArray
-from core.displacement import pose_beside, seen_from_beside
 from core.errors import InvalidParameters
-from core.scan import Scan
+from core.scans.displacement import pose_beside, seen_from_beside
+from core.scans.scan import Scan
 
 __all__ = ["Condition", "conditions"]
 

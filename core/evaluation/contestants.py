@@ -8,18 +8,18 @@ from typing import Any, Protocol
 import numpy as np
 
 from core.arrays import IntArray
-from core.builder import build_map
-from core.drive import Drive
+from core.encodings.signature import Signature, pack_signatures
 from core.errors import EmptyDrive, InvalidScan
-from core.images import Skipped, project_drive
+from core.evaluation.baselines.descriptor import Nearest, PlaceDescriptor, sent_bytes
+from core.mapping.build import build_map
+from core.mapping.tensormap import TensorMap
 from core.parameters import MapParameters
-from core.peers.descriptor import Nearest, PlaceDescriptor, sent_bytes
 from core.progress import NO_PROGRESS, Progress
-from core.scan import Scan
+from core.projection.images import Skipped, project_drive
+from core.scans.drive import Drive
+from core.scans.scan import Scan
+from core.scans.trajectory import Trajectory
 from core.segmentation import cut_fixed
-from core.signature import Signature, pack_signatures
-from core.tensormap import TensorMap
-from core.trajectory import Trajectory
 
 __all__ = ["Ask", "Contestant", "DescribedPlaces", "Enrolled", "MappedPlaces"]
 

@@ -7,9 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from core.arrays import IntArray
-from core.builder import build_map
-from core.compression import Compression
-from core.drive import Drive
+from core.encodings.compression import Compression
 from core.errors import EmptyDrive, InvalidParameters
 from core.evaluation.condition import Condition
 from core.evaluation.queries import Queries, ask, drive_queries, held_out_queries
@@ -17,14 +15,16 @@ from core.evaluation.result import Evaluation
 from core.evaluation.split import Interleaved, Split
 from core.evaluation.summary import summarize
 from core.evaluation.tracks import Asked, cut_position, evaluate_tracks
-from core.images import ProjectedDrive, project_drive
-from core.localizer import Localizer
+from core.localization.localizer import Localizer
+from core.mapping.build import build_map
+from core.mapping.tensormap import TensorMap
 from core.parameters import MapParameters, Segmentation
 from core.progress import NO_PROGRESS, Progress
+from core.projection.images import ProjectedDrive, project_drive
+from core.scans.drive import Drive
+from core.scans.trajectory import Trajectory
 from core.segmentation import cut_fixed, cut_unequal, segment_length_for
-from core.tensormap import TensorMap
 from core.tracking.track import Tracker
-from core.trajectory import Trajectory
 
 __all__ = ["Protocol", "evaluate"]
 

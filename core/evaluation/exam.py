@@ -6,14 +6,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from core.arrays import BoolArray, Float32Array, IntArray, frozen
-from core.drive import Drive
 from core.errors import InvalidParameters, InvalidScan
 from core.evaluation.condition import Condition
 from core.evaluation.split import Split
-from core.images import ProjectedDrive, project_drive
 from core.parameters import MapParameters
 from core.progress import NO_PROGRESS, Progress
-from core.trajectory import Trajectory
+from core.projection.images import ProjectedDrive, project_drive
+from core.scans.drive import Drive
+from core.scans.trajectory import Trajectory
 
 __all__ = ["Exam", "held_out_scans"]
 

@@ -7,7 +7,7 @@ import numpy as np
 from core.arrays import BoolArray, FloatArray, IntArray, frozen
 from core.errors import InvalidParameters
 from core.evaluation.motion import is_standing
-from core.pose import is_known
+from core.scans.pose import is_known
 
 __all__ = ["Judge"]
 

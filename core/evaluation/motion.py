@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from core.arrays import BoolArray, FloatArray
-from core.pose import is_known
+from core.scans.pose import is_known
 
 __all__ = ["NOMINAL_PERIOD_S", "STANDING_M", "is_standing", "motion_surrogate"]
 

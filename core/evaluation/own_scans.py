@@ -10,11 +10,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from core.arrays import BoolArray
-from core.images import ImageSource
-from core.places import AWAY_M
-from core.tensormap import TensorMap
-from core.trust.own_place import RIGHT_SCANS, image_of, own_place
-from core.trust.probe import LEFT_OUT_M
+from core.confidence.places import AWAY_M
+from core.mapping.own_place import RIGHT_SCANS, image_of, own_place
+from core.mapping.tensormap import TensorMap
+from core.projection.images import ImageSource
+from core.projection.probe import LEFT_OUT_M
 
 __all__ = ["CRITERION", "finds_own", "is_findable"]
 

@@ -7,9 +7,9 @@ from typing import Protocol
 import numpy as np
 
 from core.arrays import IntArray
-from core.drive import Drive
 from core.errors import EmptyDrive, InvalidParameters
 from core.evaluation.split import Interleaved, Split
+from core.scans.drive import Drive
 from core.segmentation import PAPER_SEGMENT_LENGTH, cut_fixed
 
 __all__ = ["RECENT_SCANS", "HeldOut", "LoopClosing", "Paired", "Pairing", "SecondPass"]

@@ -8,14 +8,14 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from core.arrays import BoolArray, FloatArray, IntArray
-from core.drive import Drive
 from core.errors import InvalidScan
 from core.evaluation.condition import Condition
 from core.evaluation.motion import is_standing, motion_surrogate
-from core.localizer import Localization, Localizer
-from core.pose import is_known
+from core.localization.localizer import Localization, Localizer
+from core.mapping.tensormap import TensorMap
 from core.progress import Progress
-from core.tensormap import TensorMap
+from core.scans.drive import Drive
+from core.scans.pose import is_known
 
 __all__ = ["Answer", "Queries", "ask", "drive_queries", "held_out_queries"]
 

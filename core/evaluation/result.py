@@ -3,11 +3,11 @@
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from core.compression import Compression
+from core.encodings.compression import Compression
 from core.evaluation.condition import Condition
 from core.evaluation.reliability import Reliability
 from core.evaluation.tracks import TrackResult
-from core.images import Skipped
+from core.projection.images import Skipped
 
 __all__ = ["ConditionResult", "Evaluation", "SegmentError"]
 

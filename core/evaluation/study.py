@@ -6,12 +6,12 @@ from typing import Any
 import numpy as np
 
 from core.arrays import BoolArray, FloatArray, IntArray
-from core.compression import Compression
+from core.encodings.compression import Compression
 from core.evaluation.advisor import Advice
 from core.evaluation.condition import Condition
 from core.evaluation.sweep import Sweep
 from core.parameters import MapParameters
-from core.pose import path_length_m
+from core.scans.pose import path_length_m
 
 __all__ = ["Answers", "CurvePoint", "EncodingStudy", "Study"]
 

@@ -6,9 +6,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from core.arrays import IntArray
-from core.builder import build_map
-from core.compression import Compression
-from core.drive import Drive
+from core.encodings.compression import Compression
 from core.errors import EmptyDrive, InvalidParameters, InvalidScan
 from core.evaluation.advisor import advise
 from core.evaluation.condition import Condition
@@ -18,11 +16,13 @@ from core.evaluation.motion import motion_surrogate
 from core.evaluation.split import Interleaved, Split
 from core.evaluation.study import Answers, CurvePoint, EncodingStudy, Study
 from core.evaluation.sweep import SweepGrid, map_cuts, sweep
-from core.localizer import Localizer
+from core.localization.localizer import Localizer
+from core.mapping.build import build_map
+from core.mapping.tensormap import TensorMap
 from core.parameters import MapParameters
 from core.progress import NO_PROGRESS, Progress
+from core.scans.drive import Drive
 from core.segmentation import cut_fixed
-from core.tensormap import TensorMap
 
 __all__ = ["StudyProtocol", "segment_lengths_for", "study_drive"]
 

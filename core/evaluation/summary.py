@@ -5,14 +5,14 @@ from collections.abc import Sequence
 import numpy as np
 
 from core.arrays import FloatArray
-from core.displacement import left_of_m
+from core.confidence.places import AWAY_M
 from core.evaluation.condition import Condition
 from core.evaluation.queries import Answer, Queries
 from core.evaluation.reliability import Judged, Reliability, reliability
 from core.evaluation.result import ConditionResult, SegmentError
-from core.localizer import Localization
-from core.places import AWAY_M
-from core.pose import heading_deg
+from core.localization.localizer import Localization
+from core.scans.displacement import left_of_m
+from core.scans.pose import heading_deg
 
 __all__ = ["summarize"]
 

@@ -13,21 +13,21 @@ from typing import Any
 import numpy as np
 
 from core.arrays import FloatArray, IntArray
+from core.encodings.grams import detail_gram
 from core.encodings.harmonic import (
     HarmonicModel,
     encode,
     energy,
     harmonic_elements,
 )
+from core.encodings.signature import Signature
+from core.encodings.tucker import BLOCK_SCANS, Grams, leading_basis, project, storage_elements
 from core.errors import InvalidParameters
 from core.evaluation.exam import Exam
 from core.evaluation.judge import Judge
-from core.grams import detail_gram
 from core.parameters import Encoding
 from core.progress import NO_PROGRESS, Progress
 from core.segmentation import cut_fixed
-from core.signature import Signature
-from core.tucker import BLOCK_SCANS, Grams, leading_basis, project, storage_elements
 
 __all__ = ["BYTES_A_NUMBER", "Sweep", "SweepGrid", "SweepPoint", "leading_sums", "sweep"]
 

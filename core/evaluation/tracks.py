@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 
 from core.arrays import BoolArray, FloatArray, IntArray
-from core.drive import Drive
+from core.encodings.signature import Signature
 from core.errors import InvalidScan
 from core.evaluation.condition import Condition
-from core.localizer import Localizer
+from core.localization.localizer import Localizer
 from core.progress import NO_PROGRESS, Progress
-from core.signature import Signature
+from core.scans.drive import Drive
 from core.tracking.step import TrackStep
 from core.tracking.track import Observation, Track, Tracker
 

@@ -5,8 +5,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from core.arrays import FloatArray, IntArray
+from core.scans.trajectory import Trajectory
 from core.topology.lines import SAMPLE_M, Line, driven_lines
-from core.trajectory import Trajectory
 
 __all__ = ["turns"]
 

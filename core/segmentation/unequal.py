@@ -19,13 +19,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.arrays import FloatArray, IntArray
+from core.encodings.tucker import BLOCK_SCANS, Grams, leading_basis, row_gram
 from core.errors import InvalidParameters
-from core.images import ImageSource
 from core.parameters import Encoding, MapParameters
 from core.progress import NO_PROGRESS, Progress
+from core.projection.images import ImageSource
+from core.scans.trajectory import Trajectory
 from core.segmentation.turns import turns
-from core.trajectory import Trajectory
-from core.tucker import BLOCK_SCANS, Grams, leading_basis, row_gram
 
 __all__ = ["SURPRISE", "cut_unequal", "length_limits"]
 

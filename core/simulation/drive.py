@@ -7,8 +7,8 @@ import numpy as np
 
 from core.arrays import FloatArray, frozen
 from core.errors import InvalidParameters
-from core.pose import Pose
-from core.scan import Scan
+from core.scans.pose import Pose
+from core.scans.scan import Scan
 from core.simulation.city import make_city
 from core.simulation.raycast import SimulatedSensor, cast
 from core.simulation.route import Route

@@ -9,8 +9,8 @@ import numpy as np
 
 from core.arrays import BoolArray, FloatArray, IntArray
 from core.errors import InvalidParameters, InvalidPose
-from core.pose import Pose
-from core.scan import Scan
+from core.scans.pose import Pose
+from core.scans.scan import Scan
 from core.simulation.world import Boxes, Cylinders, Scene
 
 __all__ = ["HDL_64E_BEAMS_DEG", "SimulatedSensor", "cast"]

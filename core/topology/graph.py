@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from core.arrays import BoolArray, FloatArray, IntArray, frozen
 from core.errors import InvalidMap
-from core.pose import path_length_m
-from core.trajectory import Trajectory
+from core.scans.pose import path_length_m
+from core.scans.trajectory import Trajectory
 
 __all__ = ["JOINED", "Entry", "Topology", "segment_ends"]
 

@@ -6,10 +6,10 @@ from collections.abc import Iterator
 import numpy as np
 
 from core.arrays import BoolArray, FloatArray, IntArray
-from core.pose import path_length_m
+from core.scans.pose import path_length_m
+from core.scans.trajectory import Trajectory
 from core.topology.graph import Topology, segment_ends
 from core.topology.streets import Place, Streets, Stretch, find_streets
-from core.trajectory import Trajectory
 
 __all__ = ["cut_at_meetings", "join_segments"]
 

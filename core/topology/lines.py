@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from core.arrays import FloatArray, IntArray
-from core.trajectory import Trajectory
+from core.scans.trajectory import Trajectory
 
 __all__ = ["SAMPLE_M", "Line", "driven_lines"]
 

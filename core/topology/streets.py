@@ -16,8 +16,8 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from core.arrays import BoolArray, FloatArray, IntArray
+from core.scans.trajectory import Trajectory
 from core.topology.lines import SAMPLE_M, Line, driven_lines
-from core.trajectory import Trajectory
 
 __all__ = ["Meeting", "Place", "Streets", "Stretch", "find_streets"]
 

@@ -8,8 +8,8 @@ import numpy as np
 from core.arrays import BoolArray, FloatArray
 from core.encodings.harmonic import HarmonicModel
 from core.encodings.paper import PaperModel
-from core.signature import Signature
-from core.tensormap import TensorMap
+from core.encodings.signature import Signature
+from core.mapping.tensormap import TensorMap
 
 __all__ = ["DistanceSpread", "Emission", "LikelihoodRatio", "own_signatures"]
 

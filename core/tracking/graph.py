@@ -9,7 +9,7 @@ from scipy.sparse import csr_array
 
 from core.arrays import FloatArray, IntArray
 from core.errors import InvalidParameters
-from core.tensormap import TensorMap
+from core.mapping.tensormap import TensorMap
 
 __all__ = ["TravelGraph"]
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from core.arrays import BoolArray, FloatArray
-from core.tensormap import TensorMap
+from core.mapping.tensormap import TensorMap
 from core.tracking.belief import Belief
 
 __all__ = ["NEAR_M", "NEAR_SCANS", "Place", "gathered"]

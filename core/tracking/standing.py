@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from core.arrays import BoolArray, FloatArray
 from core.encodings.harmonic import HarmonicModel, weights
-from core.signature import Signature
-from core.tensormap import TensorMap
+from core.encodings.signature import Signature
+from core.mapping.tensormap import TensorMap
 
 __all__ = ["Standing", "StandingDetector", "change", "changes_of_map"]
 

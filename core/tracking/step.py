@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from enum import StrEnum
 
-from core.pose import Pose
+from core.scans.pose import Pose
 
 __all__ = ["SURE", "Direction", "Doubt", "TrackStep"]
 

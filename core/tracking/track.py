@@ -7,14 +7,14 @@ import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
 from core.arrays import FloatArray
-from core.displacement import pose_beside
+from core.encodings.base import Found, Search
 from core.encodings.harmonic import HarmonicSearch
-from core.encodings.model import Found, Search
+from core.encodings.signature import Signature
 from core.errors import InvalidParameters, StaleObservation
-from core.estimate import estimate
-from core.localizer import Localizer
-from core.pose import Pose
-from core.signature import Signature
+from core.localization.estimate import estimate
+from core.localization.localizer import Localizer
+from core.scans.displacement import pose_beside
+from core.scans.pose import Pose
 from core.tracking.belief import Belief
 from core.tracking.emission import Emission
 from core.tracking.graph import TravelGraph

@@ -10,7 +10,7 @@ from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from core.arrays import IntArray
-from core.pose import Pose, is_known
+from core.scans.pose import Pose, is_known
 from storage.catalog.models import ExpectedPose
 from storage.catalog.records import ScanRecord
 from storage.catalog.scan_poses import ScanPoses, at_indices, poses_put, row_values, write_rows

@@ -6,7 +6,7 @@ from datetime import datetime
 from enum import StrEnum
 from typing import Any, Generic, TypeVar
 
-from core.pose import Pose
+from core.scans.pose import Pose
 from storage.retention import OwnRetention
 
 __all__ = [
@@ -145,7 +145,7 @@ class ScanRecord:
         chunk: Name of its chunk file; a closed drive's scans move into bigger ones. Empty once
             its returns were dropped.
         row: Its row there.
-        digest: SHA-256 of its returns, see `storage.drive_chunks.scan_digest`.
+        digest: SHA-256 of its returns, see `storage.files.drive_chunks.scan_digest`.
         timestamp_s: Seconds, NaN where unknown.
     """
 

@@ -10,7 +10,7 @@ from sqlalchemy import ColumnElement, select
 from sqlalchemy.orm import InstrumentedAttribute, Session
 
 from core.arrays import BoolArray, FloatArray, IntArray
-from core.pose import UNKNOWN_POSE, is_known
+from core.scans.pose import UNKNOWN_POSE, is_known
 from storage.catalog.models import Scan
 from storage.catalog.records import PosesPut
 

@@ -10,7 +10,7 @@ from sqlalchemy import func, insert, select, update
 from sqlalchemy.exc import IntegrityError
 from sqlalchemy.orm import Session
 
-from core.pose import Pose, is_known, pose_rows
+from core.scans.pose import Pose, is_known, pose_rows
 from storage.catalog.database import Database
 from storage.catalog.drives import drive_named
 from storage.catalog.expected_poses import expect, forget, met, require_fit

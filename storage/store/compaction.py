@@ -4,12 +4,12 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
-from core.scan import Scan
+from core.scans.scan import Scan
 from storage.catalog import Catalog, ScanRecord
 from storage.catalog.records import BYTES_PER_RETURN
-from storage.drive_chunks import write_chunk
 from storage.errors import StorageError
-from storage.files import discard
+from storage.files.drive_chunks import write_chunk
+from storage.files.files import discard
 from storage.names import new_id
 
 __all__ = ["compact", "in_chunks", "move_into_one"]

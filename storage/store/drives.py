@@ -8,11 +8,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from core.errors import InvalidParameters
-from core.pose import Pose
-from core.scan import Scan
+from core.scans.pose import Pose
+from core.scans.scan import Scan
 from storage.catalog import Catalog, DriveRecord, PosesPut, ScanPoses, ScanRecord
 from storage.catalog.scans import LostRace, PutTarget
-from storage.drive_chunks import scan_digest, write_chunk
 from storage.errors import (
     DriveClosed,
     ScanConflict,
@@ -20,7 +19,9 @@ from storage.errors import (
     StorageBusy,
     StorageError,
 )
-from storage.files import discard, make_folder
+from storage.files.drive_chunks import scan_digest, write_chunk
+from storage.files.files import discard, make_folder
+from storage.files.stored_file import Fault, StoredFile, fault_of
 from storage.names import new_id
 from storage.retention import Retention
 from storage.store.compaction import compact
@@ -28,7 +29,6 @@ from storage.store.dropping import drop_returns
 from storage.store.layout import Layout
 from storage.store.scan_reader import ScanReader
 from storage.store.stored_drive import StoredDrive
-from storage.stored_file import Fault, StoredFile, fault_of
 
 __all__ = ["Drives", "PutResult"]
 

@@ -3,9 +3,9 @@
 from collections.abc import Callable, Collection
 from pathlib import Path
 
-from core.scan import Scan
+from core.scans.scan import Scan
 from storage.catalog import Catalog, DriveRecord, on_behalf
-from storage.files import discard
+from storage.files.files import discard
 from storage.retention import Retention
 from storage.store.compaction import in_chunks, move_into_one
 

@@ -3,7 +3,7 @@
 from core.errors import InvalidParameters
 from storage.catalog import Catalog
 from storage.errors import WrongCatalog
-from storage.files import publish
+from storage.files.files import publish
 from storage.names import new_id
 from storage.store.layout import Layout
 

@@ -3,9 +3,9 @@
 from collections.abc import Iterator
 
 from storage.catalog import Catalog, ScanRecord
-from storage.checker import Checker
+from storage.files.checker import Checker
+from storage.files.stored_file import Fault, StoredFile
 from storage.store.layout import Layout
-from storage.stored_file import Fault, StoredFile
 
 __all__ = ["Inventory"]
 

@@ -10,8 +10,8 @@ from datetime import UTC, date, datetime, timedelta
 from pathlib import Path
 
 from storage.catalog import Catalog
-from storage.claims import abandoned_copies, remove_abandoned
-from storage.files import make_folder
+from storage.files.claims import abandoned_copies, remove_abandoned
+from storage.files.files import make_folder
 from storage.names import new_id
 from storage.store.layout import Layout
 

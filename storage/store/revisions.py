@@ -6,8 +6,8 @@ from typing import BinaryIO
 
 from storage.catalog import Catalog, RevisionFacts, RevisionRecord
 from storage.errors import CorruptFile, StorageError
-from storage.files import discard, make_folder, named_disk_errors, publish, sync
-from storage.map_file import read_revision
+from storage.files.files import discard, make_folder, named_disk_errors, publish, sync
+from storage.files.map_file import read_revision
 from storage.names import new_id
 from storage.retention import Retention
 from storage.store.layout import Layout

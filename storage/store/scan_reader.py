@@ -3,10 +3,10 @@
 from pathlib import Path
 
 from core.arrays import Float32Array
-from core.scan import Scan
+from core.scans.scan import Scan
 from storage.catalog import Catalog, DriveRecord, ScanRecord
-from storage.drive_chunks import ChunkFile, scan_digest
 from storage.errors import CorruptFile, ReturnsGone
+from storage.files.drive_chunks import ChunkFile, scan_digest
 
 __all__ = ["ScanReader"]
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Self
 
 from storage.catalog import Catalog
-from storage.files import make_folder, named_disk_errors
+from storage.files.files import make_folder, named_disk_errors
 from storage.store.drives import Drives
 from storage.store.identity import check_identity, require_own_folder
 from storage.store.layout import Layout
@@ -52,7 +52,7 @@ class Store:
 
     Examples:
         >>> import tempfile
-        >>> from core.scan import Scan
+        >>> from core.scans.scan import Scan
         >>> store = Store(Path(tempfile.mkdtemp()))
         >>> _ = store.maps.create("campus")
         >>> scan = Scan.from_returns([[10.0, 0.0, 0.0]])

@@ -5,15 +5,15 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from core.arrays import BoolArray, FloatArray, IntArray, frozen
-from core.pose import pose_rows
-from core.scan import Scan
+from core.scans.pose import pose_rows
+from core.scans.scan import Scan
 from storage.catalog import DriveRecord, ScanRecord
 
 __all__ = ["StoredDrive"]
 
 
 class StoredDrive:
-    """The scans that a drive had when it was opened; satisfies `core.drive.Drive`.
+    """The scans that a drive had when it was opened; satisfies `core.scans.drive.Drive`.
 
     Position i is the i-th scan in the order of the indices: without gaps, so that the method
     counts 0, 1, 2 where the drive has 0, 5, 6.

@@ -6,15 +6,15 @@ from enum import StrEnum
 from itertools import chain
 
 from core.progress import NO_PROGRESS, Progress
-from storage.checker import Checker
 from storage.errors import DataDirInUse, StorageError
-from storage.files import discard
+from storage.files.checker import Checker
+from storage.files.files import discard
+from storage.files.stored_file import Fault, StoredFile
 from storage.store.compaction import in_chunks, move_into_one
 from storage.store.inventory import Inventory
 from storage.store.leftovers import leftovers, set_aside, sweep
 from storage.store.scan_reader import ScanReader
 from storage.store.store import Store
-from storage.stored_file import Fault, StoredFile
 
 __all__ = ["Condition", "Finding", "Verification", "verify"]
 

@@ -5,8 +5,8 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
-from app.schemas.revisions import BasisOut
-from core.signature import pack_signatures
+from app.revisions.schemas import BasisOut
+from core.encodings.signature import pack_signatures
 from tests.support.recording import KITTI, kitti, recording, upload_scan
 
 PACKED = {"Content-Type": "application/vnd.tensormap.signature"}

@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 from sqlalchemy import event
 
-from app.schemas.revisions import BasisOut
-from core.signature import pack_signatures
+from app.revisions.schemas import BasisOut
+from core.encodings.signature import pack_signatures
 from storage.errors import CorruptFile
-from storage.map_file import read_map
+from storage.files.map_file import read_map
 from tests.support.recording import KITTI, kitti, recording, upload_scan
 from tests.support.service import damage, problem_of, whole_store
 

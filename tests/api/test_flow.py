@@ -5,12 +5,12 @@ import io
 import numpy as np
 import pytest
 
-from app.schemas.revisions import BasisOut
-from core.basis import PaperBasis
-from core.localizer import Localizer
+from app.revisions.schemas import BasisOut
+from core.encodings.basis import PaperBasis
+from core.encodings.signature import pack_signatures
+from core.localization.localizer import Localizer
 from core.parameters import MapParameters
-from core.signature import pack_signatures
-from storage.map_file import read_map
+from storage.files.map_file import read_map
 from tests.support.recording import KITTI, NPY, kitti, npy, recording
 from tests.support.service import pose_text, problem_of, wait_for
 

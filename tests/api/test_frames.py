@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from core.pose import Pose
-from core.scan import Scan
+from core.scans.pose import Pose
+from core.scans.scan import Scan
 from tests.support.recording import Recording, kitti, recording, upload_scan
 from tests.support.service import copy_of, problem_of, running, upload, wait_for
 

@@ -5,11 +5,11 @@ import io
 import numpy as np
 import pytest
 
-from app.schemas.revisions import BasisOut
-from core.basis import HarmonicBasis
-from core.localizer import Localizer
-from core.signature import Packing, pack_signatures
-from storage.map_file import read_map
+from app.revisions.schemas import BasisOut
+from core.encodings.basis import HarmonicBasis
+from core.encodings.signature import Packing, pack_signatures
+from core.localization.localizer import Localizer
+from storage.files.map_file import read_map
 from tests.api.test_flow import IMAGE, NPZ, PACKED, localize
 from tests.support.recording import KITTI, kitti, recording
 from tests.support.service import problem_of, running, upload, wait_for

@@ -45,7 +45,7 @@ def test_who_comes_back_is_not_told_again(built, client):
 
 
 def test_a_job_that_goes_with_its_map_ends_its_events(own, monkeypatch):
-    monkeypatch.setattr("app.jobs.runner.run_build", stand_still)
+    monkeypatch.setattr("app.builds.runner.run_build", stand_still)
     job = own.post("/v1/maps/campus/builds", json={"segments": 2}).json()["job"]
     wait_for(own, job, {"running"})
     told = []
@@ -62,7 +62,7 @@ def test_there_are_no_events_of_no_job(client):
 
 
 def test_what_remains_of_a_stage_is_told_by_its_pace(own, monkeypatch):
-    monkeypatch.setattr("app.jobs.runner.run_build", stand_still)
+    monkeypatch.setattr("app.builds.runner.run_build", stand_still)
     jobs = own.service.store.jobs
     job = own.post("/v1/maps/campus/builds", json={"segments": 2}).json()["job"]
     wait_for(own, job, {"running"})

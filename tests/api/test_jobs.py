@@ -10,9 +10,9 @@ from multiprocessing import active_children
 import numpy as np
 import pytest
 
-from app.jobs import runner as runner_module
-from app.jobs.worker import run_build
-from core.scan import Scan
+from app.builds import runner as runner_module
+from app.builds.worker import run_build
+from core.scans.scan import Scan
 from storage.catalog import JobState
 from storage.errors import JobNotFound, StorageBusy, StorageUnavailable
 from storage.store import Store

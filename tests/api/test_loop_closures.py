@@ -6,10 +6,10 @@ import pytest
 from typer.testing import CliRunner
 
 from app.cli.main import cli
-from app.schemas.localizations import SignaturesIn
-from app.schemas.revisions import BasisOut
+from app.localization.schemas import SignaturesIn
+from app.revisions.schemas import BasisOut
 from core.errors import InvalidParameters
-from core.loop_closure import check_scans
+from core.loop_closure.closure import check_scans
 from tests.support.recording import kitti, recording
 from tests.support.service import problem_of, upload, wait_for
 

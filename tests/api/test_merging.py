@@ -5,9 +5,9 @@ from datetime import UTC, datetime, timedelta
 
 import pytest
 
-from app.schemas.localizations import SignaturesIn
-from app.schemas.revisions import BasisOut
-from core.signature import pack_signatures
+from app.localization.schemas import SignaturesIn
+from app.revisions.schemas import BasisOut
+from core.encodings.signature import pack_signatures
 from storage.catalog.models import Drive, RevisionBasis
 from tests.api.test_flow import PACKED, localize
 from tests.support.recording import Recording, recording

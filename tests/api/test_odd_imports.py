@@ -7,8 +7,8 @@ import h5py
 import numpy as np
 import pytest
 
-import core.trajectory
-import storage.map_file
+import core.scans.trajectory
+import storage.files.map_file
 from core.revision import content_digest
 from tests.support.recording import KITTI, kitti, recording
 from tests.support.service import copy_of, problem_of, running, whole_store
@@ -203,8 +203,8 @@ def test_a_name_that_an_earlier_version_let_in_is_refused_by_name_and_the_rest_a
 ):
     data_dir = copy_of(built.data_dir, tmp_path / "data")
     with running(data_dir) as client, monkeypatch.context() as earlier:
-        earlier.setattr(core.trajectory, "flaw_in", lambda *_: None)
-        earlier.setattr(storage.map_file, "parse_json", lambda text, _: json.loads(text))
+        earlier.setattr(core.scans.trajectory, "flaw_in", lambda *_: None)
+        earlier.setattr(storage.files.map_file, "parse_json", lambda text, _: json.loads(text))
         client.post("/v1/maps", json={"map": "old"})
         body = odd(exported, drives=["monday\ud800"])
         client.post("/v1/maps/old/revisions", content=body, headers=HDF5)

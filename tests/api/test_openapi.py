@@ -5,8 +5,8 @@ from html.parser import HTMLParser
 
 import pytest
 
-from app.errors import STATUS
-from app.problems import problem_name
+from app.http.errors import STATUS
+from app.http.problems import problem_name
 
 
 @pytest.fixture(scope="module")

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from app.uploads.pose_files import CSV, KITTI, TUM
-from core.pose import Pose
+from app.drives.pose_files import CSV, KITTI, TUM
+from core.scans.pose import Pose
 from tests.support.recording import recording, upload_scan
 from tests.support.service import pose_text, problem_of, whole_store
 

@@ -9,9 +9,9 @@ from fastapi.routing import APIRoute, iter_route_contexts
 import app
 import core
 import storage
-from app.errors import STATUS, AppError
+from app.http.errors import STATUS, AppError
+from app.http.problems import problem_name
 from app.main import create_app
-from app.problems import problem_name
 from app.settings import Settings
 from core.errors import TensorMapError
 from storage.catalog.scans import LostRace

@@ -2,8 +2,8 @@
 
 import pytest
 
-from storage.backup import write_backup
-from storage.restore import restore_backup
+from storage.backup.backup import write_backup
+from storage.backup.restore import restore_backup
 from tests.api.test_flow import localize
 from tests.api.test_merging import built as build
 from tests.api.test_retention import MAP, acts, keep, wait_until

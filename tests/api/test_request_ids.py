@@ -6,7 +6,7 @@ import logging
 
 import pytest
 
-from app.logs import _JsonLine
+from app.http.logs import _JsonLine
 from tests.support.recording import KITTI, recording, upload_scan
 from tests.support.service import problem_of, running
 

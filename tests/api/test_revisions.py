@@ -2,8 +2,8 @@
 
 import pytest
 
-from app.schemas.revisions import BasisOut
-from core.signature import pack_signatures
+from app.revisions.schemas import BasisOut
+from core.encodings.signature import pack_signatures
 from tests.support.recording import KITTI, kitti, recording, upload_scan
 from tests.support.service import problem_of, wait_for
 

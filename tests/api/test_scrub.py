@@ -6,7 +6,7 @@ import logging
 import h5py
 import pytest
 
-from app.metrics import Metrics
+from app.http.metrics import Metrics
 from app.scrub import Scrub
 from storage.store import Store
 from tests.support.recording import KITTI, kitti, recording

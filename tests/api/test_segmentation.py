@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from core.pose import Pose
-from core.scan import Scan
+from core.scans.pose import Pose
+from core.scans.scan import Scan
 from tests.support.recording import Recording, recording
 from tests.support.service import problem_of, upload, wait_for
 

@@ -7,8 +7,8 @@ import pytest
 from starlette.testclient import WebSocketDenialResponse
 from starlette.websockets import WebSocketDisconnect
 
-from app.schemas.revisions import BasisOut
-from core.signature import pack_signatures
+from app.revisions.schemas import BasisOut
+from core.encodings.signature import pack_signatures
 from tests.support.recording import KITTI, kitti, recording
 from tests.support.service import problem_of, running, upload, wait_for
 

@@ -2,8 +2,8 @@
 
 import pytest
 
-from core.localizer import Localizer
-from storage.map_file import read_map
+from core.localization.localizer import Localizer
+from storage.files.map_file import read_map
 from tests.api.test_flow import localize
 from tests.support.recording import KITTI, kitti, recording
 from tests.support.service import problem_of, running, upload, wait_for

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 import zstandard
 
-from app.errors import BodyTooLarge
-from app.uploads.many_scans import ScanUpload
+from app.drives.many_scans import ScanUpload
+from app.http.errors import BodyTooLarge
 from tests.support.recording import KITTI, TAR, kitti, npy, recording, tar
 from tests.support.service import problem_of, running, whole_store
 

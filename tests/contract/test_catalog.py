@@ -10,7 +10,7 @@ from alembic.autogenerate import compare_metadata
 from alembic.migration import MigrationContext
 
 from core.errors import InvalidParameters
-from core.pose import Pose
+from core.scans.pose import Pose
 from storage.catalog import (
     Catalog,
     IndexRange,

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from core.errors import InvalidParameters
+from core.evaluation.baselines.descriptor import sent_bytes
+from core.evaluation.baselines.m2dp import M2dp
+from core.evaluation.baselines.scan_context import ScanContext
+from core.evaluation.baselines.solid import Solid
 from core.evaluation.condition import Condition
-from core.peers.descriptor import sent_bytes
-from core.peers.m2dp import M2dp
-from core.peers.scan_context import ScanContext
-from core.peers.solid import Solid
-from core.scan import Scan
+from core.scans.scan import Scan
 from core.simulation import SimulatedDrive, SimulatedSensor
 
 # A peer joins by its descriptor, the numbers in it, and whether it tells the heading.

@@ -13,11 +13,11 @@ import typer.main
 from pydantic_core import PydanticUndefined
 
 from app.cli.main import cli
-from app.errors import STATUS
+from app.http.errors import STATUS
+from app.http.problems import problem_name
 from app.main import create_app
-from app.problems import problem_name
 from app.settings import Settings
-from storage.formats.registry import SCAN_FORMATS
+from storage.formats.scans.registry import SCAN_FORMATS
 
 ROOT = Path(__file__).parents[2]
 _METHODS = ("get", "post", "put", "patch", "delete")

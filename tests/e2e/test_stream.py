@@ -7,8 +7,8 @@ import pytest
 from websockets.exceptions import ConnectionClosedError, InvalidStatus
 from websockets.sync.client import connect
 
-from app.schemas.revisions import BasisOut
-from core.signature import pack_signatures
+from app.revisions.schemas import BasisOut
+from core.encodings.signature import pack_signatures
 from tests.support.recording import recording
 from tests.support.service import upload, wait_for
 

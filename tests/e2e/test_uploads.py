@@ -12,7 +12,7 @@ import httpx2
 import numpy as np
 import pytest
 
-from storage.drive_chunks import scan_digest
+from storage.files.drive_chunks import scan_digest
 from storage.store import Store
 from tests.support.process import NO_TLS
 from tests.support.recording import NPY, TAR, npy, tar

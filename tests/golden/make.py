@@ -9,15 +9,15 @@ from pathlib import Path
 
 import numpy as np
 
-from core.builder import build_map
-from core.images import MemoryImages
+from core.mapping.build import build_map
+from core.mapping.tensormap import TensorMap
 from core.parameters import Distance, Encoding, MapParameters
-from core.reducer import Reducer
-from core.rings import RingGrid
-from core.sensor import AngularGrid
-from core.tensormap import TensorMap
-from core.trajectory import Trajectory
-from storage.map_file import write_map
+from core.projection.images import MemoryImages
+from core.projection.reducer import Reducer
+from core.projection.rings import RingGrid
+from core.scans.sensor import AngularGrid
+from core.scans.trajectory import Trajectory
+from storage.files.map_file import write_map
 
 __all__ = ["golden_harmonic_map", "golden_map", "make"]
 

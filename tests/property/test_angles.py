@@ -6,7 +6,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from core.angles import azimuth_steps, elevation_steps
+from core.projection.angles import azimuth_steps, elevation_steps
 
 STEPS_DEG = [90.0, 45.0, 2.0, 1.0, 0.2, 0.1, 360 / 1024, 0.001]
 numbers = st.floats(width=32, allow_nan=False, allow_infinity=False) | st.sampled_from(

@@ -12,9 +12,9 @@ from core.encodings.harmonic import (
     energy,
     weights,
 )
+from core.encodings.signature import Packing, Signature, pack_signatures, unpack_signatures
+from core.encodings.tucker import leading_basis, row_gram
 from core.parameters import Distance
-from core.signature import Packing, Signature, pack_signatures, unpack_signatures
-from core.tucker import leading_basis, row_gram
 
 REVISION = "0123456789abcdef" * 4
 ROWS, COLUMNS = 6, 24

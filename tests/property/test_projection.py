@@ -10,10 +10,10 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from core.errors import InvalidScan
-from core.projection import project_scan
-from core.reducer import RANGE_REDUCERS, Reducer
-from core.scan import Scan
-from core.sensor import SENSORS, AngularGrid
+from core.projection.range_image import project_scan
+from core.projection.reducer import RANGE_REDUCERS, Reducer
+from core.scans.scan import Scan
+from core.scans.sensor import SENSORS, AngularGrid
 from tests.support.samples import sample_points
 
 GRIDS = [

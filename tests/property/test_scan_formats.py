@@ -14,9 +14,9 @@ from pypcd4.pypcd4 import Encoding, PointCloud
 from scipy.io import savemat
 
 from core.errors import TensorMapError
-from core.scan import Scan
-from storage.formats.records import NuscenesFormat
-from storage.formats.registry import SCAN_FORMATS, read_scan
+from core.scans.scan import Scan
+from storage.formats.scans.records import NuscenesFormat
+from storage.formats.scans.registry import SCAN_FORMATS, read_scan
 
 COORDINATES = st.floats(0.125, 200.0, width=32) | st.floats(-200.0, -0.125, width=32)
 CLOUDS = arrays(np.float32, st.tuples(st.integers(1, 40), st.just(3)), elements=COORDINATES)

@@ -6,8 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
+from core.encodings.signature import Signature, pack_signatures, unpack_signatures
 from core.errors import InvalidSignature
-from core.signature import Signature, pack_signatures, unpack_signatures
 
 REVISION = "0123456789abcdef" * 4
 shapes = st.tuples(st.integers(1, 8), st.integers(1, 8))

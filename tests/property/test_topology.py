@@ -6,9 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from core.arrays import FloatArray, IntArray
+from core.scans.trajectory import Trajectory
 from core.segmentation import cut_drives
 from core.topology import Topology, cut_at_meetings, join_segments, segment_ends
-from core.trajectory import Trajectory
 
 steps_m = st.floats(0.8, 4.0)
 lengths = st.integers(12, 80)  # scans in a segment

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from core.localizer import Localizer
+from core.localization.localizer import Localizer
 from core.tracking.belief import Belief
 from core.tracking.emission import own_signatures
 from core.tracking.graph import TravelGraph

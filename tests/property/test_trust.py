@@ -5,11 +5,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from core.height_image import HeightImage
-from core.localizer import Localizer
-from core.projection import RangeImage
-from core.trust.calibration import Calibration
-from core.trust.logistic import fit_logistic
+from core.confidence.calibration import Calibration
+from core.confidence.logistic import fit_logistic
+from core.localization.localizer import Localizer
+from core.projection.height_image import HeightImage
+from core.projection.range_image import RangeImage
 from tests.support.samples import sample_harmonic_map, sample_map
 
 intercepts = st.floats(-50.0, 50.0)

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from core.encodings.tucker import Grams, leading_basis, project, relative_error
 from core.errors import InvalidParameters
-from core.tucker import Grams, leading_basis, project, relative_error
 from tests.support.samples import random_images
 
 tensors = st.builds(

@@ -8,16 +8,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from core.arrays import Float32Array, FloatArray
+from core.encodings.tucker import BLOCK_SCANS
 from core.errors import InvalidParameters
-from core.images import MemoryImages
 from core.parameters import Distance, Encoding, MapParameters, Segmentation
-from core.reducer import Reducer
-from core.rings import RingGrid
+from core.projection.images import MemoryImages
+from core.projection.reducer import Reducer
+from core.projection.rings import RingGrid
+from core.scans.sensor import AngularGrid
+from core.scans.trajectory import Trajectory
 from core.segmentation import cut_unequal, length_limits
 from core.segmentation.turns import turns
-from core.sensor import AngularGrid
-from core.trajectory import Trajectory
-from core.tucker import BLOCK_SCANS
 from tests.support.samples import RecordedProgress, straight_poses
 
 GRID = AngularGrid(elevation_min_deg=-30.0, elevation_step_deg=10.0, rows=6, azimuth_step_deg=20.0)

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from core.drive import Drive
-from storage.formats.drives import open_drive
+from core.scans.drive import Drive
+from storage.formats.drives.layouts import open_drive
 
 
 @pytest.fixture(scope="session")

@@ -3,15 +3,15 @@
 import numpy as np
 import pytest
 
+from core.evaluation.baselines.m2dp import M2dp
+from core.evaluation.baselines.scan_context import ScanContext
+from core.evaluation.baselines.solid import Solid
 from core.evaluation.compare import ComparisonProtocol, compare
 from core.evaluation.comparison import MethodUnderCondition
 from core.evaluation.condition import Condition, conditions
 from core.evaluation.contestants import DescribedPlaces
 from core.evaluation.pairing import HeldOut
 from core.evaluation.split import Every
-from core.peers.m2dp import M2dp
-from core.peers.scan_context import ScanContext
-from core.peers.solid import Solid
 from tests.real.conftest import Drives
 
 pytestmark = pytest.mark.real_data

@@ -9,14 +9,14 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from core.arrays import FloatArray
-from core.builder import build_map
-from core.drive import Drive
-from core.frames import FrameCheck, check_frames
-from core.images import ConcatenatedImages, project_drive
+from core.frames.agreement import FrameCheck, check_frames
+from core.mapping.build import build_map
 from core.parameters import Encoding, MapParameters
+from core.projection.images import ConcatenatedImages, project_drive
+from core.scans.drive import Drive
+from core.scans.trajectory import Trajectory
 from core.segmentation import cut_drives
 from core.topology import cut_at_meetings
-from core.trajectory import Trajectory
 from tests.real.conftest import Drives
 from tests.support.recording import kitti, tar
 from tests.support.service import Client, running, wait_for

@@ -8,16 +8,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from core.builder import build_map
+from core.encodings.signature import pack_signatures, unpack_signatures
 from core.evaluation.condition import Condition, conditions
 from core.evaluation.evaluate import Protocol, evaluate
 from core.evaluation.result import ConditionResult
 from core.evaluation.split import Every
-from core.images import project_drive
-from core.localizer import Localizer
+from core.localization.localizer import Localizer
+from core.mapping.build import build_map
 from core.parameters import Encoding, MapParameters
-from core.signature import pack_signatures, unpack_signatures
-from core.trajectory import Trajectory
+from core.projection.images import project_drive
+from core.scans.trajectory import Trajectory
 from tests.real.conftest import Drives
 
 pytestmark = pytest.mark.real_data

@@ -5,15 +5,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from core.projection import project_scan
-from core.reducer import Reducer
-from core.scan import Scan
-from core.sensor import AngularGrid
-from storage.formats.drives import open_drive
+from core.projection.range_image import project_scan
+from core.projection.reducer import Reducer
+from core.scans.scan import Scan
+from core.scans.sensor import AngularGrid
+from storage.formats.drives.ford_drive import read_ford_scan
+from storage.formats.drives.layouts import open_drive
 from storage.formats.errors import TruncatedScan, UnknownFormat, WrongDtype
-from storage.formats.ford_drive import read_ford_scan
-from storage.formats.records import NcltFormat, NuscenesFormat
-from storage.formats.registry import read_scan, read_scan_file
+from storage.formats.scans.records import NcltFormat, NuscenesFormat
+from storage.formats.scans.registry import read_scan, read_scan_file
 
 pytestmark = pytest.mark.real_data
 

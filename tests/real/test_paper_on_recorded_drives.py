@@ -13,7 +13,7 @@ from core.evaluation.evaluate import Protocol, evaluate
 from core.evaluation.result import Evaluation
 from core.evaluation.split import Every, Interleaved
 from core.parameters import MapParameters
-from core.reducer import Reducer
+from core.projection.reducer import Reducer
 from tests.real.conftest import Drives
 
 pytestmark = pytest.mark.real_data

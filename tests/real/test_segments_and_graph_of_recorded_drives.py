@@ -6,10 +6,10 @@ import pytest
 from core.evaluation.evaluate import Protocol, evaluate
 from core.evaluation.split import Every
 from core.parameters import Encoding, MapParameters, Segmentation
+from core.scans.trajectory import Trajectory
 from core.segmentation import cut_drives
 from core.segmentation.turns import turns
 from core.topology import cut_at_meetings, join_segments
-from core.trajectory import Trajectory
 from tests.real.conftest import Drives
 
 pytestmark = pytest.mark.real_data

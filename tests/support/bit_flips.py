@@ -20,13 +20,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from core.imager import Imager
-from core.reducer import Reducer
-from core.scan import Scan
-from storage.drive_chunks import ChunkFile, scan_digest, write_chunk
+from core.projection.imager import Imager
+from core.projection.reducer import Reducer
+from core.scans.scan import Scan
 from storage.errors import CorruptFile
-from storage.image_file import ImageFile, write_image_file
-from storage.map_file import map_of_bytes, write_map
+from storage.files.drive_chunks import ChunkFile, scan_digest, write_chunk
+from storage.files.image_file import ImageFile, write_image_file
+from storage.files.map_file import map_of_bytes, write_map
 from tests.support.older_files import copied_map, older_chunk
 from tests.support.samples import (
     SMALL_GRID,

@@ -34,7 +34,7 @@ _CLIENT = Path(__file__).with_name("command_client.py")
 _REQUEST_BYTES = 200_000
 _START_S, _RUN_S = 60.0, 120.0
 _LATE = (  # what our programs import no earlier than they need it
-    *("app.demo.run", "app.demo.server", "app.main", "app.pipelines", "app.report.page"),
+    *("app.demo.run", "app.demo.server", "app.main", "app.builds.pipelines", "app.report.page"),
     *("alembic.command", "alembic.config", "anyio._backends._asyncio", "laspy"),
     *("rich._emoji_codes", "sqlalchemy.dialects.sqlite", "uvicorn", "uvicorn.loops.auto"),
     *("uvicorn.lifespan.on", "uvicorn.protocols.http.auto", "uvicorn.protocols.websockets.auto"),
@@ -172,7 +172,7 @@ def _run() -> None:
 def _import_all() -> None:
     """Import what our programs need, each of which imports only its own part by itself."""
     commands_of = importlib.import_module("app.cli.main")._MODULES
-    late = importlib.import_module("app.jobs.worker").IMPORTED_LATE
+    late = importlib.import_module("app.builds.worker").IMPORTED_LATE
     for module in (*_LATE, *late, *(f"app.cli.{name}" for name in commands_of.values())):
         importlib.import_module(module)
     settings = importlib.import_module("app.settings").Settings()

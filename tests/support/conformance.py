@@ -15,12 +15,12 @@ from hypothesis import strategies as st
 from schemathesis.core.parameters import ParameterLocation
 from starlette.types import Receive, Scope, Send
 
-from app.routes.localizations import IMAGE_TYPE, SIGNATURE_TYPE
-from app.schemas.hints import hints_of
-from app.uploads.pose_files import CSV, KITTI, POSE_TYPES, TUM
-from core.localizer import Localizer
-from core.signature import pack_signatures
-from storage.formats.registry import SCAN_FORMATS
+from app.drives.pose_files import CSV, KITTI, POSE_TYPES, TUM
+from app.localization.prior_schemas import hints_of
+from app.localization.routes import IMAGE_TYPE, SIGNATURE_TYPE
+from core.encodings.signature import pack_signatures
+from core.localization.localizer import Localizer
+from storage.formats.scans.registry import SCAN_FORMATS
 from tests.support.recording import kitti, npy, recording
 
 __all__ = ["Bridge", "KnownNames", "register_bodies", "without_long_lists"]

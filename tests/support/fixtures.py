@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from app.jobs.worker import IMPORTED_LATE
+from app.builds.worker import IMPORTED_LATE
 from app.process import one_blas_thread
 from storage.catalog import database, migrations
 from tests.support.commands import Commands, commands
@@ -18,7 +18,7 @@ from tests.support.postgresql import Cluster, cluster, reason_to_skip
 from tests.support.schema import made_once
 from tests.support.statements import share_compiled
 
-multiprocessing.set_forkserver_preload(["app.jobs.worker", *IMPORTED_LATE])  # whoever starts it
+multiprocessing.set_forkserver_preload(["app.builds.worker", *IMPORTED_LATE])  # whoever starts it
 one_blas_thread()  # as every command and service does for itself
 gc.set_threshold(20_000, 20, 20)  # seldom: little of what tests leave behind are cycles
 

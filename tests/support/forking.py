@@ -17,7 +17,7 @@ def fork_builds() -> None:
     with mock.patch.object(multiprocessing.util, "spawnv_passfds", _fork_instead):
         multiprocessing.resource_tracker.ensure_running()
         blocked = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
-        multiprocessing.forkserver.ensure_running()  # deaf, as when app.jobs.runner starts it
+        multiprocessing.forkserver.ensure_running()  # deaf, as when app.builds.runner starts it
         signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
 
 

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from app.uploads.tar_stream import TarFeed, TarMember
-from core.pose import Pose
-from core.scan import Scan
+from app.drives.tar_stream import TarFeed, TarMember
+from core.scans.pose import Pose
+from core.scans.scan import Scan
 from core.simulation import SimulatedDrive, SimulatedSensor
 
 __all__ = [

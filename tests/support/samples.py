@@ -3,20 +3,20 @@
 import numpy as np
 
 from core.arrays import Float32Array, FloatArray, IntArray
-from core.builder import build_map
-from core.drive import MemoryDrive
 from core.errors import InvalidScan
-from core.images import MemoryImages, Probes
+from core.mapping.build import build_map
+from core.mapping.tensormap import TensorMap
 from core.parameters import Distance, Encoding, MapParameters
-from core.pose import Pose
-from core.projection import RangeImage
-from core.reducer import Reducer
-from core.rings import RingGrid
-from core.scan import Scan
+from core.projection.images import MemoryImages, Probes
+from core.projection.range_image import RangeImage
+from core.projection.reducer import Reducer
+from core.projection.rings import RingGrid
+from core.scans.drive import MemoryDrive
+from core.scans.pose import Pose
+from core.scans.scan import Scan
+from core.scans.sensor import AngularGrid
+from core.scans.trajectory import Trajectory
 from core.segmentation import cut_drives
-from core.sensor import AngularGrid
-from core.tensormap import TensorMap
-from core.trajectory import Trajectory
 
 __all__ = [
     "SMALL_GRID",

@@ -11,7 +11,7 @@ import sys
 if __name__ == "__main__":  # the processes of builds import this file too, and need nothing of it
     import uvicorn
 
-    from app.connections import BoundedServer, connection_options, within_descriptors
+    from app.http.connections import BoundedServer, connection_options, within_descriptors
     from app.main import create_app
     from app.settings import Settings
 

@@ -17,7 +17,7 @@ from starlette.testclient import TestClient
 from app.main import create_app
 from app.service import Service
 from app.settings import Settings
-from core.pose import Pose
+from core.scans.pose import Pose
 from tests.support.recording import TAR, Recording, kitti, tar
 from tests.support.transport import IN_PARTS, AtOnce
 

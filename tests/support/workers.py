@@ -21,7 +21,7 @@ def take_memory(*arguments: Any) -> None:
     """Be a worker whose build wants 64 GB."""
     import numpy as np
 
-    from app.jobs import worker
+    from app.builds import worker
 
     vars(worker)["build_revision"] = lambda *_, **__: np.ones(2**33)
     worker.run_build(*arguments)
@@ -29,6 +29,6 @@ def take_memory(*arguments: Any) -> None:
 
 def find_no_catalog(data_dir: Any, _: object, *arguments: Any) -> None:
     """Be a worker that cannot open the catalog."""
-    from app.jobs import worker
+    from app.builds import worker
 
     worker.run_build(data_dir, f"sqlite:///{data_dir}/nowhere/catalog.sqlite3", *arguments)

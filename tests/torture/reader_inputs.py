@@ -14,7 +14,7 @@ import numpy as np
 import zstandard
 from pypcd4.pypcd4 import Encoding
 
-from storage.formats.registry import FORMAT_NAMES
+from storage.formats.scans.registry import FORMAT_NAMES
 from tests.property import test_scan_formats as scans
 from tests.support.captures import hdl32, ouster, ouster_body, ouster_metadata, pcap, udp
 

@@ -16,20 +16,20 @@ import numpy as np
 import pytest
 from pydantic import BaseModel, ValidationError
 
-from app.bodies.content_encoding import decoder_of
-from app.schemas.keys import KeyIn
-from app.schemas.maps import MapIn
-from app.schemas.poses import PosesIn
-from app.schemas.revisions import BasisOut
-from app.schemas.topology import TopologyOut
-from app.uploads.pose_files import CSV, KITTI, TUM, read_poses
+from app.access.key_schemas import KeyIn
+from app.drives.pose_files import CSV, KITTI, TUM, read_poses
+from app.drives.pose_schemas import PosesIn
+from app.http.bodies.content_encoding import decoder_of
+from app.maps.schemas import MapIn
+from app.revisions.schemas import BasisOut
+from app.revisions.topology_schemas import TopologyOut
+from core.encodings.signature import Packing, pack_signatures, unpack_signatures
 from core.errors import TensorMapError
-from core.pose import Pose, first_invalid
-from core.scan import Scan
-from core.signature import Packing, pack_signatures, unpack_signatures
-from core.tensormap import TensorMap
-from storage.formats.drives import open_drive
-from storage.formats.registry import FORMAT_NAMES, read_scan
+from core.mapping.tensormap import TensorMap
+from core.scans.pose import Pose, first_invalid
+from core.scans.scan import Scan
+from storage.formats.drives.layouts import open_drive
+from storage.formats.scans.registry import FORMAT_NAMES, read_scan
 from tests.support.recording import tar_members
 from tests.support.samples import calibrated_map, sample_harmonic_map, sample_map
 from tests.torture.reader_inputs import CLOUD, INPUTS, SEED, damaged, samples

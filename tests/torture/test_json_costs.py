@@ -14,18 +14,18 @@ import pytest
 from fastapi.exceptions import RequestValidationError
 from pydantic import BaseModel
 
-from app.bodies.json_body import MOST_DEPTH, MOST_KEYS, MOST_VALUES, read_json
-from app.jobs.parameters import BuildParameters
-from app.schemas.drives import DrivePatch
-from app.schemas.keys import KeyIn
-from app.schemas.localizations import SignaturesIn
-from app.schemas.loop_closures import LoopClosuresIn
-from app.schemas.maps import MapIn, MapPatch
-from app.schemas.poses import PosesIn
-from app.schemas.revisions import LiveIn
-from app.schemas.tokens import TokenIn
-from app.schemas.tracks import ObservationIn
+from app.access.key_schemas import KeyIn
+from app.access.token_schemas import TokenIn
+from app.builds.parameters import BuildParameters
+from app.drives.pose_schemas import PosesIn
+from app.drives.schemas import DrivePatch
+from app.http.bodies.json_body import MOST_DEPTH, MOST_KEYS, MOST_VALUES, read_json
+from app.localization.schemas import SignaturesIn
+from app.loop_closures.schemas import LoopClosuresIn
+from app.maps.schemas import MapIn, MapPatch
+from app.revisions.schemas import LiveIn
 from app.settings import Settings
+from app.tracking.schemas import ObservationIn
 from core.errors import TensorMapError
 
 pytestmark = pytest.mark.torture

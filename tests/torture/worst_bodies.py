@@ -19,11 +19,11 @@ import lzf  # type: ignore[import-not-found]  # ships no types
 import numpy as np
 import zstandard
 
-from app.bodies.content_encoding import decoder_of
-from app.uploads.many_scans import _scan as read_member
-from app.uploads.pose_files import CSV, KITTI, MOST_LINES, TUM, read_poses
+from app.drives.many_scans import _scan as read_member
+from app.drives.pose_files import CSV, KITTI, MOST_LINES, TUM, read_poses
+from app.http.bodies.content_encoding import decoder_of
 from core.errors import TensorMapError
-from storage.formats.registry import FORMAT_NAMES, read_scan
+from storage.formats.scans.registry import FORMAT_NAMES, read_scan
 from tests.support.captures import hdl32, ouster, ouster_metadata, udp
 from tests.support.recording import tar, tar_members
 from tests.torture.support.costs import cost_of

@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from app.uploads.pose_files import CSV, KITTI, MOST_LINES, TUM
-from core.pose import Pose
+from app.drives.pose_files import CSV, KITTI, MOST_LINES, TUM
+from core.scans.pose import Pose
 from storage.catalog import ScanRecord
 from tests.support.recording import TAR, tar
 from tests.support.service import Client, running

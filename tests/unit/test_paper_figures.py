@@ -3,15 +3,15 @@
 import numpy as np
 import pytest
 
-from core.compression import Compression
+from core.encodings.compression import Compression
+from core.encodings.signature import Signature, pack_signatures
+from core.encodings.tucker import Grams, leading_basis, project, storage_elements
 from core.parameters import MapParameters
-from core.projection import project_scan
-from core.reducer import Reducer
+from core.projection.range_image import project_scan
+from core.projection.reducer import Reducer
+from core.scans.sensor import HDL_64E, AngularGrid
 from core.segmentation import PAPER_SEGMENT_LENGTH, cut_fixed, segment_length_for
-from core.sensor import HDL_64E, AngularGrid
-from core.signature import Signature, pack_signatures
 from core.simulation import SimulatedDrive
-from core.tucker import Grams, leading_basis, project, storage_elements
 
 K, RETURNS = 3800, 77_000
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from core.tucker import Grams, leading_basis, project, relative_error
+from core.encodings.tucker import Grams, leading_basis, project, relative_error
 from tests.support.samples import random_images
 
 pytest.importorskip("tensorly")

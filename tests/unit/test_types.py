@@ -7,9 +7,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from core.arrays import frozen
-from core.drive import MemoryDrive
 from core.errors import EmptyDrive, InvalidMap, InvalidPose, InvalidScan, TooFewReturns
-from core.pose import (
+from core.scans.drive import MemoryDrive
+from core.scans.pose import (
     Pose,
     heading_deg,
     is_known,
@@ -17,9 +17,9 @@ from core.pose import (
     pose_rows,
     rows_from_matrices,
 )
-from core.scan import Scan
+from core.scans.scan import Scan
+from core.scans.trajectory import Trajectory
 from core.topology import Topology
-from core.trajectory import Trajectory
 from tests.support.samples import straight_poses
 
 POINTS = np.array([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]], dtype=np.float32)

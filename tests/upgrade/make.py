@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from core.scan import Scan
+from core.scans.scan import Scan
 from storage.store import Store
 from tests.support.recording import KITTI, Recording, kitti, recording
 from tests.support.service import running, upload, wait_for

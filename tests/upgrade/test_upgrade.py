@@ -8,9 +8,9 @@ import pytest
 from typer.testing import CliRunner
 
 from app.cli.main import cli
-from storage.backup import write_backup
+from storage.backup.backup import write_backup
+from storage.backup.restore import restore_backup
 from storage.catalog import AuditState
-from storage.restore import restore_backup
 from storage.store import Store
 from storage.store.verification import verify
 from tests import golden

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from core.scan import Scan
-from storage.drive_chunks import scan_digest
-from storage.map_file import read_map, write_map
+from core.scans.scan import Scan
+from storage.files.drive_chunks import scan_digest
+from storage.files.map_file import read_map, write_map
 from tests.support.recording import kitti, npy, recording, tar
 from tests.support.samples import sample_harmonic_map, sample_map
 

@@ -15,13 +15,13 @@ from pathlib import Path
 import numpy as np
 
 from core.errors import TensorMapError
-from core.scan import Scan
-from storage.backup import write_backup
+from core.scans.scan import Scan
+from storage.backup.backup import write_backup
+from storage.backup.restore import restore_backup
 from storage.catalog import RevisionFacts
-from storage.drive_chunks import ChunkFile, write_chunk
-from storage.image_file import ImageFile, write_image_file
-from storage.map_file import read_map, write_map
-from storage.restore import restore_backup
+from storage.files.drive_chunks import ChunkFile, write_chunk
+from storage.files.image_file import ImageFile, write_image_file
+from storage.files.map_file import read_map, write_map
 from storage.store import Store
 from tests.support.samples import (
     calibrated_map,

@@ -5,20 +5,20 @@ import json
 import numpy as np
 import pytest
 
-from core.drive import MemoryDrive
 from core.errors import EmptyDrive, InvalidParameters, InvalidScan
+from core.evaluation.baselines.descriptor import Nearest
+from core.evaluation.baselines.m2dp import M2dp
+from core.evaluation.baselines.scan_context import ScanContext
+from core.evaluation.baselines.solid import Solid
 from core.evaluation.compare import ComparisonProtocol, compare
 from core.evaluation.condition import Condition, conditions
 from core.evaluation.contestants import DescribedPlaces, MappedPlaces
 from core.evaluation.pairing import HeldOut, LoopClosing, SecondPass
 from core.evaluation.split import Every
 from core.parameters import Encoding, MapParameters
-from core.peers.descriptor import Nearest
-from core.peers.m2dp import M2dp
-from core.peers.scan_context import ScanContext
-from core.peers.solid import Solid
-from core.pose import Pose
-from core.scan import Scan
+from core.scans.drive import MemoryDrive
+from core.scans.pose import Pose
+from core.scans.scan import Scan
 from tests.support.samples import FaultyDrive, RecordedProgress, sample_drive
 
 

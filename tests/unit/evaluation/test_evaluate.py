@@ -5,14 +5,14 @@ import json
 import numpy as np
 import pytest
 
-from core.drive import MemoryDrive
 from core.errors import Cancelled, EmptyDrive, InvalidParameters
 from core.evaluation.condition import Condition
 from core.evaluation.evaluate import Protocol, evaluate
 from core.evaluation.motion import is_standing
 from core.evaluation.split import Every, Interleaved
 from core.parameters import Encoding, MapParameters, Segmentation
-from core.scan import Scan
+from core.scans.drive import MemoryDrive
+from core.scans.scan import Scan
 from core.simulation import SimulatedDrive
 from tests.support.samples import SMALL_GRID, FaultyDrive, RecordedProgress, sample_drive
 

@@ -12,7 +12,7 @@ from core.errors import InvalidParameters
 from core.evaluation.condition import Condition, conditions
 from core.evaluation.motion import is_standing, motion_surrogate
 from core.evaluation.split import Every, Interleaved, parse_split
-from core.scan import Scan
+from core.scans.scan import Scan
 from tests.support.samples import sample_points, straight_poses
 
 # Splits

@@ -7,8 +7,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from core.builder import build_map
-from core.drive import MemoryDrive
 from core.encodings.harmonic import HarmonicModel
 from core.encodings.paper import PaperModel
 from core.errors import InvalidParameters
@@ -18,8 +16,10 @@ from core.evaluation.exam import Exam, held_out_scans
 from core.evaluation.judge import Judge
 from core.evaluation.split import Every, Interleaved
 from core.evaluation.sweep import SweepGrid, leading_sums, map_cuts, sweep
+from core.mapping.build import build_map
 from core.parameters import Encoding, MapParameters
-from core.scan import Scan
+from core.scans.drive import MemoryDrive
+from core.scans.scan import Scan
 from tests.support.recording import recording
 
 GRID = SweepGrid(r1=(2, 3, 5), r2=(2, 4, 5), segment_lengths=(10, 25))

@@ -9,18 +9,18 @@ import numpy as np
 import pytest
 import zstandard
 
-from app.bodies.content_encoding import decoder_of
-from app.errors import BodyTooLarge, MalformedBody, MalformedUpload
-from app.uploads.pose_files import CSV, KITTI, TUM, read_poses
+from app.drives.pose_files import CSV, KITTI, TUM, read_poses
+from app.http.bodies.content_encoding import decoder_of
+from app.http.errors import BodyTooLarge, MalformedBody, MalformedUpload
 from core.errors import InvalidPose
-from storage.formats import pcap as captures
-from storage.formats import text_numbers
 from storage.formats.budget import BUDGET
-from storage.formats.delimited import CsvFormat
 from storage.formats.errors import MalformedScan, ScanTooLarge
-from storage.formats.ford import FordFormat
-from storage.formats.kitti import KittiFormat
-from storage.formats.registry import FORMAT_NAMES, read_scan
+from storage.formats.scans import pcap as captures
+from storage.formats.scans import text_numbers
+from storage.formats.scans.delimited import CsvFormat
+from storage.formats.scans.ford import FordFormat
+from storage.formats.scans.kitti import KittiFormat
+from storage.formats.scans.registry import FORMAT_NAMES, read_scan
 from tests.support.captures import hdl32, pcap, udp
 from tests.support.recording import tar, tar_members
 

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from core.errors import InvalidScan
-from storage.formats.drives import open_drive
+from storage.formats.drives.layouts import open_drive
 from storage.formats.errors import MalformedScan, ScanTooLarge, TruncatedScan
-from storage.formats.ouster import OusterFormat, ouster_frames
-from storage.formats.registry import read_scan, read_scan_file
-from storage.formats.velodyne import Turns, VelodyneFormat
+from storage.formats.scans.ouster import OusterFormat, ouster_frames
+from storage.formats.scans.registry import read_scan, read_scan_file
+from storage.formats.scans.velodyne import Turns, VelodyneFormat
 from tests.support.captures import hdl32, ouster, ouster_body, ouster_metadata, pcap, udp
 
 

@@ -4,12 +4,12 @@ from pathlib import Path
 
 import pytest
 
-from app.uploads.pose_files import CSV, read_poses
+from app.drives.pose_files import CSV, read_poses
 from core.errors import InvalidMap, InvalidPose
-from core.tensormap import TensorMap
-from storage.formats.delimited import CsvFormat
-from storage.formats.drives import open_drive
+from core.mapping.tensormap import TensorMap
+from storage.formats.drives.layouts import open_drive
 from storage.formats.errors import EmptyBody
+from storage.formats.scans.delimited import CsvFormat
 from tests.support.samples import sample_map
 
 

@@ -7,9 +7,9 @@ import pytest
 from scipy.io import savemat
 
 from core.errors import EmptyDrive
-from storage.formats.drives import open_drive
+from storage.formats.drives.ford_drive import FORD_LASER_ON_VEHICLE, open_ford_drive
+from storage.formats.drives.layouts import open_drive
 from storage.formats.errors import MalformedDrive, MalformedScan, UnknownDriveLayout
-from storage.formats.ford_drive import FORD_LASER_ON_VEHICLE, open_ford_drive
 
 IDENTITY = "1 0 0 0 0 1 0 0 0 0 1 0"
 # Lidar x forward, y left, z up to camera x right, y down, z forward; the camera sits 0.3 m ahead

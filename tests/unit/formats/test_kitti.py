@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from core.errors import TooFewReturns
-from core.scan import Scan
+from core.scans.scan import Scan
 from storage.formats.errors import TruncatedScan, WrongDtype
-from storage.formats.kitti import refuse_implausible
-from storage.formats.registry import read_scan
+from storage.formats.scans.kitti import refuse_implausible
+from storage.formats.scans.registry import read_scan
 
 KITTI = "application/vnd.tensormap.kitti"
 

@@ -10,12 +10,12 @@ import pytest
 from scipy.io import savemat
 
 from core.errors import InvalidScan
-from storage.formats.delimited import CsvFormat
 from storage.formats.errors import MalformedScan, ScanTooLarge, TruncatedScan, WrongDtype
-from storage.formats.ford import FordFormat
-from storage.formats.las import LasFormat
-from storage.formats.ply import PlyFormat
-from storage.formats.records import NcltFormat, NuscenesFormat
+from storage.formats.scans.delimited import CsvFormat
+from storage.formats.scans.ford import FordFormat
+from storage.formats.scans.las import LasFormat
+from storage.formats.scans.ply import PlyFormat
+from storage.formats.scans.records import NcltFormat, NuscenesFormat
 
 POINTS = np.random.default_rng(0).normal(scale=20.0, size=(300, 3)).astype(np.float32)
 

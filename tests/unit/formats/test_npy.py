@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from storage.formats.errors import MalformedScan, TruncatedScan, WrongDtype
-from storage.formats.npy import NpyFormat
-from storage.formats.registry import read_scan
+from storage.formats.scans.npy import NpyFormat
+from storage.formats.scans.registry import read_scan
 
 POINTS = np.array([[10.5, -2.25, 0.5], [np.nan, 0, 0], [-7, 3, -1.5]])
 

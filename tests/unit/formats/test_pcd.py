@@ -9,7 +9,7 @@ import pytest
 from pypcd4.pypcd4 import Encoding, PointCloud
 
 from storage.formats.errors import MalformedScan, ScanTooLarge, TruncatedScan, WrongDtype
-from storage.formats.pcd import PcdFormat
+from storage.formats.scans.pcd import PcdFormat
 
 POINTS = np.random.default_rng(2).normal(0, 20, (200, 3)).astype(np.float32)
 

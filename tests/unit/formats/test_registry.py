@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from core.errors import TooFewReturns
-from core.pose import Pose
+from core.scans.pose import Pose
 from storage.formats.errors import EmptyBody, MalformedScan, TruncatedScan, UnknownFormat
-from storage.formats.registry import SCAN_FORMATS, read_scan, read_scan_file
+from storage.formats.scans.registry import SCAN_FORMATS, read_scan, read_scan_file
 
 ROWS = np.array([[10.0, 1.0, -1.0, 0.5], [0.0, 0.0, 0.0, 0.5]], "<f4")
 PCD = (

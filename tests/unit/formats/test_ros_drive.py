@@ -11,7 +11,7 @@ from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_typestore
 
 from core.errors import EmptyDrive, TooFewReturns
-from storage.formats.drives import open_drive
+from storage.formats.drives.layouts import open_drive
 from storage.formats.errors import MalformedDrive, MalformedScan, TruncatedScan, WrongDtype
 
 CLOUD = "sensor_msgs/msg/PointCloud2"

@@ -7,13 +7,13 @@ import pytest
 from typer.testing import CliRunner
 
 from app.cli.main import cli
-from core.drive import MemoryDrive
 from core.errors import InvalidScan
-from core.pose import Pose
-from core.scan import Scan
+from core.scans.drive import MemoryDrive
+from core.scans.pose import Pose
+from core.scans.scan import Scan
 from core.simulation import SimulatedDrive
-from storage.formats.drives import open_drive
-from storage.formats.kitti_drive import write_kitti_drive
+from storage.formats.drives.kitti_drive import write_kitti_drive
+from storage.formats.drives.layouts import open_drive
 
 
 def test_scans_times_and_poses_come_back_as_they_were(tmp_path: Path) -> None:

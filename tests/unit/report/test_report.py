@@ -14,11 +14,11 @@ from app.cli.main import cli
 from app.report.figure import Table
 from app.report.page import render_report
 from app.report.provenance import commit, processor
-from core.drive import MemoryDrive
 from core.errors import InvalidParameters
 from core.evaluation.study_drive import StudyProtocol, segment_lengths_for, study_drive
 from core.parameters import Encoding, MapParameters
-from core.scan import Scan
+from core.scans.drive import MemoryDrive
+from core.scans.scan import Scan
 from tests.support.recording import kitti, recording
 
 VOID = {"meta", "link", "br", "img", "hr", "input"}

@@ -5,9 +5,9 @@ import pytest
 
 from core import simulation
 from core.arrays import FloatArray
-from core.drive import Drive
 from core.errors import InvalidParameters
-from core.pose import heading_deg
+from core.scans.drive import Drive
+from core.scans.pose import heading_deg
 from core.simulation import Route, SimulatedDrive
 
 

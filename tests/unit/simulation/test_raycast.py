@@ -7,7 +7,7 @@ import pytest
 
 from core.arrays import FloatArray
 from core.errors import InvalidParameters, InvalidPose, TooFewReturns
-from core.pose import Pose
+from core.scans.pose import Pose
 from core.simulation import (
     HDL_64E_BEAMS_DEG,
     Boxes,

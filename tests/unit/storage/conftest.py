@@ -4,7 +4,7 @@ import shutil
 
 import pytest
 
-from storage.map_file import write_map
+from storage.files.map_file import write_map
 from storage.store import Store
 
 

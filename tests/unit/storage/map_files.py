@@ -3,7 +3,7 @@
 import h5py
 
 from core.errors import TensorMapError
-from storage.map_file import read_map
+from storage.files.map_file import read_map
 
 __all__ = ["replaced", "whole_or_refused"]
 

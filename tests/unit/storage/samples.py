@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from core.scan import Scan
+from core.scans.scan import Scan
 
 __all__ = ["sample_scan"]
 

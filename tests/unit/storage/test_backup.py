@@ -12,15 +12,15 @@ import h5py
 import numpy as np
 import pytest
 
-import storage.backup
+import storage.backup.backup
 from core.errors import InvalidParameters
-from core.scan import Scan
-from storage.backup import write_backup
+from core.scans.scan import Scan
+from storage.backup.backup import write_backup
+from storage.backup.restore import Restored, restore_backup
 from storage.catalog import RevisionFacts
-from storage.claims import claimed
 from storage.errors import CorruptFile
-from storage.map_file import write_map
-from storage.restore import Restored, restore_backup
+from storage.files.claims import claimed
+from storage.files.map_file import write_map
 from storage.store import Store
 from tests.support.samples import sample_map
 
@@ -131,7 +131,7 @@ def test_a_drive_that_is_deleted_while_it_is_copied_is_not_in_the_backup(
     filled, tmp_path, monkeypatch
 ):
     put(filled, range(3), drive="tuesday")
-    named = storage.backup.named_files
+    named = storage.backup.backup.named_files
     deleted: list[object] = []
 
     def delete_after_naming(catalog):
@@ -140,7 +140,7 @@ def test_a_drive_that_is_deleted_while_it_is_copied_is_not_in_the_backup(
             deleted.append(filled.drives.delete("campus", "tuesday"))
         return files
 
-    monkeypatch.setattr(storage.backup, "named_files", delete_after_naming)
+    monkeypatch.setattr(storage.backup.backup, "named_files", delete_after_naming)
     assert write_backup(filled.layout.data_dir, tmp_path / "b.tar").files == 6
     restore_backup(tmp_path / "b.tar", tmp_path / "new")
     with Store.serving(tmp_path / "new") as restored:
@@ -153,7 +153,7 @@ def test_of_a_drive_that_is_deleted_once_it_was_copied_not_even_a_folder_is_rest
 ):
     for drive in ("tuesday", "wednesday"):
         put(filled, range(2), drive=drive)
-    add = storage.backup._add
+    add = storage.backup.backup._add
     of_both = [filled.drives.get("campus", drive).id for drive in ("tuesday", "wednesday")]
     copied: list[str] = []
 
@@ -165,7 +165,7 @@ def test_of_a_drive_that_is_deleted_once_it_was_copied_not_even_a_folder_is_rest
                 filled.drives.delete("campus", drive)
         return told
 
-    monkeypatch.setattr(storage.backup, "_add", delete_after_the_first)
+    monkeypatch.setattr(storage.backup.backup, "_add", delete_after_the_first)
     assert write_backup(filled.layout.data_dir, tmp_path / "b.tar").files == 6
     assert len(copied) == 1
     assert restore_backup(tmp_path / "b.tar", tmp_path / "new").files == 6
@@ -230,7 +230,7 @@ def test_an_incomplete_backup_goes_beside_the_one_that_is_there(filled, tmp_path
 
 def test_what_the_disk_does_not_give_is_missing_in_the_backup(filled, tmp_path, monkeypatch):
     bad = next(filled.layout.maps.rglob("chunks/*.h5")).name
-    add = storage.backup._add
+    add = storage.backup.backup._add
 
     class BadDisk(io.BytesIO):
         def read(self, size=-1, /):
@@ -241,7 +241,7 @@ def test_what_the_disk_does_not_give_is_missing_in_the_backup(filled, tmp_path, 
     def of_bad_disk(tar, name, source):
         return add(tar, name, BadDisk(source.read()) if bad in name else source)
 
-    monkeypatch.setattr(storage.backup, "_add", of_bad_disk)
+    monkeypatch.setattr(storage.backup.backup, "_add", of_bad_disk)
     told = write_backup(filled.layout.data_dir, tmp_path / "b.tar")
     assert (told.files, told.damaged) == (5, ())
     [said] = told.missing

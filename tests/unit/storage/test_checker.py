@@ -7,9 +7,9 @@ import time
 
 import pytest
 
-from storage.checker import Checker, Limits
-from storage.drive_chunks import scan_digest, write_chunk
-from storage.stored_file import StoredFile, fault_of
+from storage.files.checker import Checker, Limits
+from storage.files.drive_chunks import scan_digest, write_chunk
+from storage.files.stored_file import StoredFile, fault_of
 from tests.unit.storage.samples import sample_scan
 
 SCANS = [(index, sample_scan(index)) for index in range(3)]

@@ -6,9 +6,9 @@ import h5py
 import numpy as np
 import pytest
 
-from core.scan import Scan
-from storage.drive_chunks import ChunkFile, scan_digest, write_chunk
+from core.scans.scan import Scan
 from storage.errors import CorruptFile
+from storage.files.drive_chunks import ChunkFile, scan_digest, write_chunk
 
 
 @pytest.fixture

@@ -6,16 +6,16 @@ import os
 import numpy as np
 import pytest
 
-from core.imager import Imager
-from core.reducer import Reducer
-from core.rings import RingGrid
-from core.scan import Scan
-from storage.drive_chunks import ChunkFile, write_chunk
-from storage.durable_file import DurableFile
+from core.projection.imager import Imager
+from core.projection.reducer import Reducer
+from core.projection.rings import RingGrid
+from core.scans.scan import Scan
 from storage.errors import StorageFull, StorageUnavailable
-from storage.files import publish
-from storage.image_file import ImageFile, write_image_file
-from storage.map_file import read_map, write_map
+from storage.files.drive_chunks import ChunkFile, write_chunk
+from storage.files.durable_file import DurableFile
+from storage.files.files import publish
+from storage.files.image_file import ImageFile, write_image_file
+from storage.files.map_file import read_map, write_map
 from tests.support.samples import SMALL_GRID, FaultyDrive, sample_drive, sample_map
 
 MAP, _ = sample_map(count=12, segment_length=4, drives=2)

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from storage.errors import StorageFull, StorageReadOnly, StorageUnavailable
-from storage.files import make_folder, publish
+from storage.files.files import make_folder, publish
 
 
 def names_in(folder):

@@ -6,7 +6,7 @@ import sys
 
 _PROGRAM = """
 import tempfile
-from storage.forking import forkserver
+from storage.files.forking import forkserver
 
 if __name__ == "__main__":
     chosen = tempfile.gettempdir()

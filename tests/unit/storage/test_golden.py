@@ -5,12 +5,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from core.height_image import HeightImage
-from core.localizer import Localizer
-from core.projection import RangeImage
-from core.rings import RingGrid
-from core.sensor import AngularGrid
-from storage.map_file import read_map
+from core.localization.localizer import Localizer
+from core.projection.height_image import HeightImage
+from core.projection.range_image import RangeImage
+from core.projection.rings import RingGrid
+from core.scans.sensor import AngularGrid
+from storage.files.map_file import read_map
 from tests import golden
 from tests.golden.make import golden_harmonic_map, golden_map
 

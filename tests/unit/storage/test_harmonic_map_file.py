@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from core.errors import InvalidMap
-from core.sensor import AngularGrid
+from core.scans.sensor import AngularGrid
 from storage.errors import CorruptFile
-from storage.map_file import read_map
+from storage.files.map_file import read_map
 from tests.support.samples import sample_harmonic_map
 from tests.unit.storage.map_files import replaced, whole_or_refused
 

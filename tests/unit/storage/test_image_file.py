@@ -4,18 +4,18 @@ import h5py
 import numpy as np
 import pytest
 
-from core.drive import MemoryDrive
+from core.encodings.grams import drive_gram
 from core.errors import Cancelled, EmptyDrive
-from core.grams import drive_gram
-from core.imager import Imager
-from core.images import project_drive
-from core.projection import project_scan
-from core.reducer import HEIGHT_REDUCERS, RANGE_REDUCERS, Reducer
-from core.rings import RingGrid
-from core.sensor import AngularGrid
-from storage import image_file
+from core.projection.imager import Imager
+from core.projection.images import project_drive
+from core.projection.range_image import project_scan
+from core.projection.reducer import HEIGHT_REDUCERS, RANGE_REDUCERS, Reducer
+from core.projection.rings import RingGrid
+from core.scans.drive import MemoryDrive
+from core.scans.sensor import AngularGrid
 from storage.errors import CorruptFile, CorruptImages
-from storage.image_file import ImageFile, image_file_name, write_image_file
+from storage.files import image_file
+from storage.files.image_file import ImageFile, image_file_name, write_image_file
 from tests.support.samples import SMALL_GRID, FaultyDrive, RecordedProgress, sample_drive
 
 LAST = Imager(SMALL_GRID, Reducer.LAST)

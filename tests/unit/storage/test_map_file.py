@@ -9,11 +9,11 @@ import pytest
 
 import storage.hdf5.dataset
 from core.errors import InvalidMap
+from core.mapping.tensormap import TensorMap
 from core.parameters import MapParameters
-from core.sensor import AngularGrid
-from core.tensormap import TensorMap
+from core.scans.sensor import AngularGrid
 from storage.errors import CorruptFile
-from storage.map_file import read_map, write_map
+from storage.files.map_file import read_map, write_map
 from tests.support.samples import sample_harmonic_map, sample_map
 from tests.unit.storage.map_files import replaced, whole_or_refused
 

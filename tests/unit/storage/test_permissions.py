@@ -5,9 +5,9 @@ import stat
 
 import pytest
 
-from storage.backup import write_backup
-from storage.map_file import write_map
-from storage.restore import restore_backup
+from storage.backup.backup import write_backup
+from storage.backup.restore import restore_backup
+from storage.files.map_file import write_map
 from storage.store import Store
 from tests.support.samples import sample_map
 from tests.unit.storage.samples import sample_scan

@@ -9,7 +9,7 @@ import pytest
 from alembic import command
 from sqlalchemy import create_engine, event, text
 
-from core.pose import Pose
+from core.scans.pose import Pose
 from storage.catalog import Catalog, JobState
 from storage.catalog.migrations import alembic_config
 from storage.catalog.models import Revision

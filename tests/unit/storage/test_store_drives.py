@@ -12,10 +12,9 @@ import h5py
 import numpy as np
 import pytest
 
-from core.drive import Drive
 from core.errors import InvalidParameters
-from core.pose import Pose
-from storage.drive_chunks import scan_digest
+from core.scans.drive import Drive
+from core.scans.pose import Pose
 from storage.errors import (
     CorruptFile,
     DriveClosed,
@@ -27,6 +26,7 @@ from storage.errors import (
     StorageFull,
     StorageReadOnly,
 )
+from storage.files.drive_chunks import scan_digest
 from storage.store import Store
 from tests.unit.storage.samples import sample_scan
 

@@ -12,9 +12,9 @@ import pytest
 
 from core.revision import content_digest
 from storage.errors import CorruptFile
+from storage.files.json_text import parse_json
+from storage.files.map_file import _CheckedFiles, map_of_bytes, read_map, read_revision, write_map
 from storage.hdf5 import BytesSource, FileSource, Hdf5File
-from storage.json_text import parse_json
-from storage.map_file import _CheckedFiles, map_of_bytes, read_map, read_revision, write_map
 from tests import golden
 from tests.support.older_files import copied_map
 from tests.support.samples import sample_map
@@ -25,7 +25,7 @@ READ = """
 import sys
 from pathlib import Path
 from core.errors import TensorMapError
-from storage.map_file import read_map
+from storage.files.map_file import read_map
 try:
     read_map(Path(sys.argv[1]))
 except TensorMapError as error:
@@ -195,8 +195,8 @@ def test_the_digest_of_a_revision_is_computed_once_and_anew_after_a_change(tmp_p
         asked.append(parts)
         return content_digest(*parts)
 
-    monkeypatch.setattr("core.tensormap.content_digest", counted)
-    monkeypatch.setattr("storage.map_file._checked", _CheckedFiles())
+    monkeypatch.setattr("core.mapping.tensormap.content_digest", counted)
+    monkeypatch.setattr("storage.files.map_file._checked", _CheckedFiles())
     for _ in range(3):
         assert read_revision(path, MAP.revision).revision == MAP.revision
     assert len(asked) == 1

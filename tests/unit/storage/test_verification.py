@@ -8,13 +8,13 @@ from datetime import UTC, datetime, timedelta
 import h5py
 import pytest
 
-from core.imager import Imager
-from core.reducer import Reducer
-from core.sensor import AngularGrid
+from core.projection.imager import Imager
+from core.projection.reducer import Reducer
+from core.scans.sensor import AngularGrid
 from storage.catalog import RevisionFacts
 from storage.errors import CorruptFile, DataDirInUse
-from storage.image_file import image_file_name, write_image_file
-from storage.map_file import write_map
+from storage.files.image_file import image_file_name, write_image_file
+from storage.files.map_file import write_map
 from storage.store import Store
 from storage.store.leftovers import ORPHANS_KEPT_DAYS
 from storage.store.verification import Condition, verify

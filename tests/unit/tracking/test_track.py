@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from app.errors import TooManyTracks, TooManyTracksOfKey, TrackNotFound
-from app.tracks import Tracks
+from app.http.errors import TooManyTracks, TooManyTracksOfKey, TrackNotFound
+from app.tracking.tracks import Tracks
+from core.encodings.signature import Signature
 from core.errors import InvalidParameters, InvalidSignature, StaleObservation, StaleSignature
-from core.localizer import Localizer
-from core.signature import Signature
+from core.localization.localizer import Localizer
 from core.tracking.belief import Belief
 from core.tracking.emission import Emission, own_signatures
 from core.tracking.graph import TravelGraph

@@ -1,0 +1,1 @@
+"""Other methods of place recognition that the comparison can run."""

@@ -1,0 +1,130 @@
+"""MapClosures (Gupta et al., ICRA 2024) of the package index, as a contestant.
+
+The package asks for older versions of what we need newer ones of, so that it is no extra of ours:
+`pip install --no-deps map_closures` beside us is enough for what is called here.
+"""
+
+import importlib
+import importlib.util
+import tempfile
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from core.arrays import FloatArray, IntArray
+from core.errors import EmptyDrive, InvalidParameters, InvalidScan
+from core.evaluation.baselines.descriptor import Nearest
+from core.evaluation.contestants import Ask
+from core.progress import NO_PROGRESS, Progress
+from core.projection.images import Skipped
+from core.scans.drive import Drive
+from core.scans.scan import Scan
+
+__all__ = ["MapClosuresContestant", "is_installed"]
+
+_QUERY_ID = 1_000_000  # queries enter the detector's database too: their ids begin here
+
+
+class _Closure(Protocol):
+    source_id: int
+    target_id: int
+    pose: FloatArray
+    number_of_inliers: int
+
+
+def is_installed() -> bool:
+    """Return whether the package can be imported."""
+    return importlib.util.find_spec("map_closures") is not None
+
+
+class MapClosuresContestant:
+    """Single scans as local maps: the package is made for maps of many scans, joined by odometry.
+
+    The detector keeps whatever it is asked with. Closures with other queries are left out, but they
+    stay in its database, so that matching becomes slower with every query.
+    """
+
+    name = "map-closures"
+
+    def configuration(self) -> dict[str, Any]:
+        """Return the package's version and its own defaults.
+
+        Raises:
+            InvalidParameters: If it is not installed.
+        """
+        _require_installed()
+        config = importlib.import_module("map_closures.config").MapClosuresConfig()
+        return {"version": version("map_closures"), **config.model_dump()}
+
+    def enrol(
+        self, drive: Drive, scans: IntArray, progress: Progress = NO_PROGRESS
+    ) -> "MapClosuresPlaces":
+        """Give the scans to the detector one by one.
+
+        Raises:
+            EmptyDrive: If not one of them is usable.
+            InvalidParameters: If the package is not installed.
+        """
+        _require_installed()
+        detector = importlib.import_module("map_closures.map_closures").MapClosures()
+        progress.start(self.name, len(scans))
+        kept: list[int] = []
+        skipped: list[Skipped] = []
+        for index in scans.tolist():
+            try:
+                points = drive.scan(index).points_m.astype(np.float64)
+            except InvalidScan as error:
+                skipped.append(Skipped(index, str(error)))
+            else:
+                detector.get_best_closure(len(kept), points)
+                kept.append(index)
+            progress.advance()
+        if not kept:
+            raise EmptyDrive(Skipped.explain(drive.name, skipped))
+        return MapClosuresPlaces(detector, np.array(kept, dtype=np.int64))
+
+
+class MapClosuresPlaces:
+    """A detector that holds the places of a drive."""
+
+    sent_bytes: float | None = None  # a set of features, of no fixed size
+
+    def __init__(self, detector: Any, scans: IntArray) -> None:  # noqa: ANN401 - the package has no types
+        self.scans = scans
+        self._detector = detector
+        self._queries = 0
+        self.stored_bytes = _database_bytes(detector) / len(scans)
+
+    def describe(self, scan: Scan) -> Ask:
+        """Return what matches: the package describes and matches in one call."""
+        points = scan.points_m.astype(np.float64)
+
+        def ask(before: int | None) -> Nearest | None:
+            last = len(self.scans) if before is None else before
+            self._queries += 1
+            closures: list[_Closure] = self._detector.get_closures(
+                _QUERY_ID + self._queries, points
+            )
+            among = [closure for closure in closures if closure.source_id < last]
+            if not among:
+                return None
+            best = max(among, key=lambda closure: (closure.number_of_inliers, -closure.source_id))
+            forward = np.asarray(best.pose)[:2, 0]  # of the place, seen from the query
+            turn_deg = -float(np.degrees(np.arctan2(forward[1], forward[0])))
+            return Nearest(best.source_id, 1.0 / (1.0 + best.number_of_inliers), turn_deg)
+
+        return ask
+
+
+def _database_bytes(detector: Any) -> int:  # noqa: ANN401 - the package has no types
+    with tempfile.TemporaryDirectory(prefix="tensormap-") as folder:
+        path = Path(folder) / "database"
+        detector.save_hbst_database(str(path))
+        return sum(file.stat().st_size for file in Path(folder).rglob("*") if file.is_file())
+
+
+def _require_installed() -> None:
+    if not is_installed():
+        raise InvalidParameters("map_closures is not installed: pip install --no-deps map_closures")

@@ -1,1 +1,0 @@
-"""Bodies of requests: limits, compression and digests, checked before a route sees them."""

@@ -1,0 +1,1 @@
+"""Builds: planned, queued, and run in processes of their own."""

@@ -1,0 +1,147 @@
+"""Jobs: what the service does in the background."""
+
+from collections.abc import AsyncIterator
+from contextlib import AbstractContextManager
+from typing import Annotated
+
+from fastapi import Header, Path, Query, Request, Response, status
+from starlette.responses import StreamingResponse
+from starlette.types import Receive, Send
+from starlette.types import Scope as ASGIScope
+
+from app.access.caller import Caller
+from app.access.dependency import Asking
+from app.access.scopes import Scope, needs
+from app.builds.job_events import event_id
+from app.builds.job_schemas import JobOut
+from app.http.errors import READING, WRITING, InvalidRequest, TooManyStreams, TooManyStreamsOfKey
+from app.http.pages import After, Limit, PageOut
+from app.http.pooled_route import pooled_router
+from app.http.problems import problems
+from app.service import Running, Service
+from core.errors import InvalidParameters
+from storage.catalog import JobRecord
+from storage.errors import JobNotFound, MapNotFound
+
+__all__ = ["job_of", "router"]
+
+router = pooled_router(tags=["builds"])
+
+_EVENTS = "text/event-stream"
+_EVENT = {
+    "type": "object",
+    "required": ["data", "id"],
+    "properties": {
+        "data": {
+            "type": "string",
+            "contentMediaType": "application/json",
+            "contentSchema": {"$ref": "#/components/schemas/JobOut"},
+        },
+        "id": {"type": "string", "description": "For `Last-Event-ID`."},
+    },
+}
+
+JobId = Annotated[str, Path(alias="job", description="The job's id.")]
+LastEventId = Annotated[
+    str | None, Header(max_length=200, description="Of the last event that the client was told.")
+]
+OfMap = Annotated[str | None, Query(alias="map", description="Only the jobs of this map.")]
+
+
+@router.get(
+    "/jobs",
+    dependencies=[needs(Scope.MAPS_READ, Scope.MAPS_WRITE)],
+    responses=problems(MapNotFound, InvalidParameters, InvalidRequest, *READING),
+)
+def list_jobs(
+    running: Running, asking: Asking, map_slug: OfMap = None, after: After = "", limit: Limit = 100
+) -> PageOut[JobOut]:
+    """List the jobs, newest first, those of maps within the limits of the key."""
+    if map_slug is not None:
+        asking.require_map(map_slug)
+    page = running.store.jobs.list(map_slug, after, limit, slugs=asking.maps)
+    return PageOut(items=[JobOut.from_record(r) for r in page.items], next_after=page.next_after)
+
+
+@router.get(
+    "/jobs/{job}",
+    dependencies=[needs(Scope.MAPS_READ, Scope.MAPS_WRITE)],
+    responses=problems(JobNotFound, *READING),
+)
+def get_job(job_id: JobId, running: Running, asking: Asking) -> JobOut:
+    """Show a job and how far it is."""
+    return JobOut.from_record(job_of(running, asking, job_id))
+
+
+@router.get(
+    "/jobs/{job}/events",
+    dependencies=[needs(Scope.MAPS_READ, Scope.MAPS_WRITE)],
+    response_class=Response,
+    responses={
+        200: {
+            "description": "The job whenever it has got further.",
+            "content": {_EVENTS: {"itemSchema": _EVENT}},
+        },
+        204: {"description": "It has ended, and the client was told so: do not come back."},
+        **problems(JobNotFound, InvalidRequest, TooManyStreams, TooManyStreamsOfKey, *READING),
+    },
+)
+def follow_job(
+    job_id: JobId,
+    running: Running,
+    asking: Asking,
+    request: Request,
+    last_event_id: LastEventId = None,
+) -> Response:
+    """Follow a job: an event now and whenever it has got further, each the whole job as JSON.
+
+    The stream ends when the job has, or the key is revoked. `Last-Event-ID`, as a browser sends it
+    when it comes back, leaves out what was seen.
+    """
+    record = job_of(running, asking, job_id)
+    if record.ended and last_event_id == event_id(record):
+        return Response(status_code=status.HTTP_204_NO_CONTENT)
+    events = running.job_events.follow(request, record, last_event_id)
+    return _Followed(events, running.streams.opened(asking.key_id))
+
+
+@router.delete(
+    "/jobs/{job}", dependencies=[needs(Scope.MAPS_WRITE)], responses=problems(JobNotFound, *WRITING)
+)
+def cancel_job(job_id: JobId, running: Running, asking: Asking) -> JobOut:
+    """Cancel a job: a waiting one at once, a running one within a second; one that ended stays."""
+    job = job_of(running, asking, job_id)
+    return JobOut.from_record(running.store.jobs.request_cancel(job.id))
+
+
+class _Followed(StreamingResponse):
+    """An answer that counts as an open stream from its first byte to its last."""
+
+    def __init__(
+        self, events: AsyncIterator[bytes], while_open: AbstractContextManager[None]
+    ) -> None:
+        # Proxies that buffer would hold back what is meant for now.
+        headers = {"Cache-Control": "no-store", "X-Accel-Buffering": "no"}
+        super().__init__(events, media_type=_EVENTS, headers=headers)
+        self._while_open = while_open
+
+    async def __call__(self, scope: ASGIScope, receive: Receive, send: Send) -> None:
+        with self._while_open:
+            await super().__call__(scope, receive, send)
+
+
+def job_of(running: Service, asking: Caller, job_id: str) -> JobRecord:
+    """Return a job of a map within the limits of the caller's key.
+
+    Raises:
+        JobNotFound: If there is none, for this caller.
+    """
+    job = running.store.jobs.get(job_id)
+    if asking.maps is not None:
+        try:
+            of_map = running.store.maps.get_by_id(job.map_id).slug
+        except MapNotFound:
+            of_map = ""  # it went a moment ago, and its jobs with it
+        if not asking.sees(of_map):
+            raise JobNotFound(f"there is no job {job_id[:80]!r}")
+    return job

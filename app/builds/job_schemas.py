@@ -1,0 +1,94 @@
+"""Jobs over the wire."""
+
+from datetime import UTC, datetime
+
+from pydantic import BaseModel, Field
+
+from app.builds.parameters import BuildParameters
+from app.http.problems import problem_type
+from app.revisions.comparison import NoRecall
+from storage.catalog import JobRecord, JobState
+
+__all__ = ["JobOut"]
+
+
+class JobErrorOut(BaseModel):
+    """Why a job failed."""
+
+    type: str = Field(
+        description="Stable name of the error, as in a problem; the path explains it.",
+        examples=["/problems/empty-drive"],
+    )
+    detail: str
+
+
+class LiveGateOut(BaseModel):
+    """Whether a build was made live, and what it finds beside the revision that was live."""
+
+    live: bool = Field(description="Whether it was made live when it was done.")
+    compared_with: str | None = Field(
+        description="The revision that was live; null for a first build and with `force`."
+    )
+    asked: int | None = Field(description="How many scans both were asked for.")
+    recall: float | None = Field(description="Share of them that it finds, 0..1.")
+    recall_of_live: float | None = Field(description="Share that the live revision found.")
+    recall_unknown: NoRecall | None = Field(
+        description="Why recall is not known, as in a comparison."
+    )
+    reason: str | None = Field(
+        description="Why it was not made live, or was without being measured; also a note."
+    )
+
+
+class JobOut(BaseModel):
+    """A build and how far it is."""
+
+    job: str
+    kind: str
+    state: JobState
+    stage: str = Field(description="What it does now.", examples=["projecting", "fitting"])
+    done: int = Field(description="Units of this stage that are done.")
+    total: int = Field(description="Units of this stage.")
+    remaining_s: float | None = Field(
+        description="Seconds until this stage is done at its pace so far; null if nothing tells."
+    )
+    parameters: BuildParameters
+    revision: str | None = Field(description="What it built, once it is done.")
+    notes: list[str] = Field(
+        description="What whoever asked for it should know, such as a basis that fits badly."
+    )
+    gate: LiveGateOut | None = Field(
+        description="Of a build that was to be made live, once it is done; else null."
+    )
+    error: JobErrorOut | None
+    created_at: datetime
+    started_at: datetime | None
+    finished_at: datetime | None
+
+    @classmethod
+    def from_record(cls, record: JobRecord) -> "JobOut":
+        """Show a job's record."""
+        error = None
+        if record.error_type is not None:
+            error = JobErrorOut(
+                type=problem_type(record.error_type), detail=record.error_detail or ""
+            )
+        return cls(
+            job=record.id,
+            kind=record.kind,
+            state=record.state,
+            stage=record.stage,
+            done=record.done_units,
+            total=record.total_units,
+            remaining_s=record.remaining_s(datetime.now(UTC)),
+            parameters=BuildParameters.model_validate(record.parameters),
+            revision=record.revision,
+            notes=list(record.notes),
+            gate=LiveGateOut.model_validate(record.result["gate"])
+            if "gate" in record.result
+            else None,
+            error=error,
+            created_at=record.created_at,
+            started_at=record.started_at,
+            finished_at=record.finished_at,
+        )

@@ -1,0 +1,238 @@
+"""What a build is asked for, as the catalog keeps it."""
+
+from collections.abc import Mapping
+from enum import StrEnum
+from typing import Annotated, Any
+
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+
+from app.http.exact_types import Flag, Number, integers
+from core.errors import InvalidParameters
+from core.parameters import (
+    DEFAULT_ENCODING,
+    LATERAL_RENDERINGS_M,
+    Distance,
+    Encoding,
+    MapParameters,
+    Segmentation,
+)
+from core.projection.imager import ImageKind
+from core.projection.reducer import Reducer
+from core.scans.sensor import HDL_64E, SENSORS
+from core.segmentation import PAPER_SEGMENT_LENGTH
+
+__all__ = ["BuildParameters", "PoseCheck"]
+
+_MOST = 2**31 - 1  # scans
+_OF_REQUEST = frozenset(
+    {
+        "base",
+        "add",
+        "remove",
+        "drives",
+        "max_age_days",
+        "refit",
+        "poses",
+        "make_live",
+        "max_recall_loss",
+        "force",
+        "segments",
+    }
+)
+"""What a build on another does not take over from it."""
+
+
+class PoseCheck(StrEnum):
+    """Whether the poses of several drives must agree."""
+
+    CHECKED = "checked"
+    UNCHECKED = "unchecked"
+
+
+DriveNames = Annotated[
+    list[Annotated[str, Field(max_length=64)]],
+    Field(min_length=1, max_length=1000, fail_fast=True),
+]
+
+
+class BuildParameters(BaseModel):
+    """How a map is built; the paper's values are the defaults, or the harmonic encoding's own."""
+
+    model_config = ConfigDict(
+        extra="forbid",
+        frozen=True,
+        json_schema_extra={
+            "example": {"drives": ["monday"], "segments": 5},
+            "examples": [
+                {"encoding": "harmonic", "lateral_renderings_m": [-3, -1.5, 0, 1.5, 3]},
+                {"base": "live", "add": ["tuesday"], "remove": ["monday"]},
+            ],
+        },
+    )
+
+    drives: DriveNames | None = Field(
+        None, description="Which drives, in this order; all of the map that have scans by default."
+    )
+    base: Annotated[str, Field(pattern="^(live|[0-9a-f]{12,64})$")] | None = Field(
+        None,
+        description="`live`, or the digest of a revision: its drives and parameters, and `add` and"
+        " `remove` tell what changes.",
+    )
+    add: DriveNames | None = Field(
+        None, description="Drives to put after those of `base`; one that it has is read anew."
+    )
+    remove: DriveNames | None = Field(None, description="Drives of `base` to leave out.")
+    max_age_days: Number | None = Field(
+        None,
+        gt=0,
+        le=36525,
+        description="Leave out drives whose upload began longer ago. They stay stored.",
+    )
+    refit: Flag = Field(
+        default=False,
+        description="Fit a harmonic map's basis anew: vehicles have to download it again. By"
+        " default that of `base`, or of the live revision if its parameters are the same, is kept.",
+    )
+    encoding: Encoding = Field(
+        DEFAULT_ENCODING,
+        description="`harmonic`: one basis for the map, answers in any direction and lane; `paper`:"
+        " bases of each segment.",
+    )
+    ranks: tuple[int, int] = Field((5, 5), description="r1 and r2: the shape of a signature.")
+    segmentation: Segmentation = Field(
+        Segmentation.FIXED,
+        description="`fixed`: k scans each; `unequal`: k/2 to 2k, ending where the drive turns or"
+        " one model explains the scans no more. Where drives meet both are cut besides.",
+    )
+    segment_length: int | None = Field(
+        None,
+        ge=1,
+        le=_MOST,
+        description=f"k, scans in a segment; {PAPER_SEGMENT_LENGTH} without it and `segments`.",
+    )
+    segments: int | None = Field(
+        None,
+        ge=1,
+        le=_MOST,
+        description="L instead: k = ceil(K / L) of the longest drive's K scans.",
+    )
+    reducer: Reducer | None = Field(
+        None,
+        description="What a shared cell keeps: `last`, `nearest`, `farthest` or `mean` range,"
+        " `mean` or `highest` height. By default `highest`, of ranges `mean`; of paper `last`.",
+    )
+    image: ImageKind | None = Field(
+        None, description="What is encoded. By default `height`; in a paper map `range`."
+    )
+    distance: Distance | None = Field(
+        None, description="How harmonic signatures are compared; `normalised` by default."
+    )
+    lateral_renderings_m: list[Number] | None = Field(
+        None,
+        min_length=1,
+        max_length=64,
+        description="From where a harmonic map's scans are rendered, metres to the left, rising;"
+        f" {list(LATERAL_RENDERINGS_M)} by default, [0] for none.",
+    )
+    sensor: str = Field(HDL_64E.name, description=f"One of {', '.join(sorted(SENSORS))}.")
+    sensor_height_m: Number = Field(1.73, gt=0, lt=100, description="Sensor above ground.")
+    poses: PoseCheck = Field(
+        PoseCheck.CHECKED,
+        description="`checked`: the scans of each drive are matched with those before it, and the"
+        " build fails with `frames-disagree` if the poses of one are in another world frame;"
+        " `unchecked` insists on them. It is not taken over from `base`.",
+    )
+    make_live: Flag = Field(
+        default=False,
+        description="Make the result live unless it finds fewer scans than the live revision; the"
+        " first one always is.",
+    )
+    max_recall_loss: Number = Field(
+        0.02,
+        ge=0,
+        le=1,
+        description="By how much recall on the scans that both have may be lower than the live"
+        " revision's; beyond, the result of `make_live` is done but not live. Only with it.",
+    )
+    force: Flag = Field(
+        default=False,
+        description="Make the result of `make_live` live whatever it finds. Only with it.",
+    )
+
+    _integers = field_validator("ranks", "segment_length", "segments", mode="before")(integers)
+
+    @model_validator(mode="after")
+    def _one_way_to_cut(self) -> "BuildParameters":
+        if self.segment_length is not None and self.segments is not None:
+            raise ValueError("give segment_length or segments, not both")
+        return self
+
+    @model_validator(mode="after")
+    def _changes_of_a_base(self) -> "BuildParameters":
+        if self.base is None:
+            for name in ("add", "remove"):
+                if getattr(self, name) is not None:
+                    raise ValueError(f"{name} wants base: the revision that it changes")
+            return self
+        if self.drives is not None:
+            raise ValueError("give drives, or base with add and remove, not both")
+        both = sorted(set(self.add or ()) & set(self.remove or ()))
+        if both:
+            raise ValueError(f"drive {both[0]} is in add and in remove")
+        if not (self.add or self.remove or self.max_age_days or self.refit):
+            raise ValueError("base wants something that changes: add, remove, max_age_days, refit")
+        return self
+
+    @field_validator("drives", "add", "remove")
+    @classmethod
+    def _each_once(cls, drives: list[str] | None) -> list[str] | None:
+        if drives is not None and len(set(drives)) < len(drives):
+            raise ValueError("a drive comes twice")
+        return drives
+
+    def on_base(self, digest: str, of_base: Mapping[str, Any]) -> "BuildParameters":
+        """Return what a build on that revision is: all that is not asked for is as there.
+
+        Args:
+            digest: Of the revision that `base` names.
+            of_base: The parameters that it was built with, as its record tells them.
+
+        Raises:
+            InvalidParameters: If something is asked for that is otherwise there.
+        """
+        fields = type(self).model_fields
+        taken = {k: v for k, v in of_base.items() if k in fields and k not in _OF_REQUEST}
+        given = self.model_dump(mode="json", exclude_unset=True)
+        asked = {name: value for name, value in given.items() if value is not None}
+        for name in sorted(asked.keys() - _OF_REQUEST):
+            if asked[name] != taken.get(name):
+                raise InvalidParameters(
+                    f"{name} is {asked[name]}, that of base {digest[:12]} is {taken.get(name)}:"
+                    " leave it out, or build without base"
+                )
+        if self.segments is not None:
+            raise InvalidParameters("segments cuts drives anew: build without base")
+        return type(self).model_validate({**taken, **asked, "base": digest})
+
+    def map_parameters(self) -> MapParameters:
+        """Return what the map will keep.
+
+        Raises:
+            InvalidParameters: If the sensor is unknown, a rank does not fit its grid or something
+                is not of this encoding.
+        """
+        return MapParameters.for_sensor(
+            self.sensor,
+            encoding=self.encoding,
+            ranks=self.ranks,
+            reducer=self.reducer,
+            sensor_height_m=self.sensor_height_m,
+            image=self.image,
+            distance=self.distance,
+            lateral_renderings_m=self.lateral_renderings_m,
+            segmentation=self.segmentation,
+        )
+
+    def as_json(self) -> dict[str, Any]:
+        """Return plain values."""
+        return self.model_dump(mode="json")

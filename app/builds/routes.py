@@ -1,0 +1,129 @@
+"""Builds: from the scans of a map to a revision of it."""
+
+from hashlib import sha256
+from typing import Annotated
+
+from fastapi import Header, Response, status
+
+from app.access.dependency import Asking
+from app.access.scopes import Scope, needs
+from app.builds.job_schemas import JobOut
+from app.builds.parameters import BuildParameters
+from app.builds.plans import plan_build
+from app.drives.stored_images import require_images
+from app.http.bodies.bodies import Json
+from app.http.errors import JSON_BODY, WRITING, InvalidRequest
+from app.http.pooled_route import pooled_router
+from app.http.problems import problems
+from app.service import MapSlug, Running
+from core.errors import EmptyDrive, InvalidParameters, UnknownDrive
+from storage.catalog import RequestKey
+from storage.errors import (
+    AmbiguousRevision,
+    CorruptFile,
+    DriveNotFound,
+    MapNotFound,
+    NoLiveRevision,
+    RequestKeyReused,
+    ReturnsGone,
+    RevisionNotFound,
+    TooManyBuilds,
+)
+
+__all__ = ["router"]
+
+router = pooled_router(tags=["builds"])
+
+IdempotencyKey = Annotated[
+    str | None,
+    Header(
+        min_length=1,
+        max_length=255,
+        pattern="^[!-~]+$",
+        description="A name that the client chooses for this request, as a UUID, to repeat it.",
+    ),
+]
+
+
+@router.post(
+    "/maps/{map}/builds",
+    dependencies=[needs(Scope.MAPS_WRITE)],
+    status_code=status.HTTP_202_ACCEPTED,
+    responses=problems(
+        MapNotFound,
+        DriveNotFound,
+        UnknownDrive,
+        NoLiveRevision,
+        RevisionNotFound,
+        AmbiguousRevision,
+        EmptyDrive,
+        InvalidParameters,
+        CorruptFile,
+        RequestKeyReused,
+        ReturnsGone,
+        TooManyBuilds,
+        *JSON_BODY,
+        *WRITING,
+    ),
+)
+def build(
+    map_slug: MapSlug,
+    parameters: Json[BuildParameters],
+    running: Running,
+    asking: Asking,
+    response: Response,
+    idempotency_key: IdempotencyKey = None,
+) -> JobOut:
+    """Queue a build; follow it at `Location`.
+
+    What can be refused now is refused now: unknown drives, a base that is not there, a map without
+    scans, parameters that do not fit the sensor, images of returns that were dropped, `force` or
+    `max_recall_loss` without `make_live`.
+
+    With `base`, the new revision is that one with the drives of `add` after its own and without
+    those of `remove`. A harmonic map keeps its basis, so that the signatures of vehicles stay good,
+    until `refit` asks for another. Nothing that is stored is removed.
+
+    Keys take turns in the queue, and so do the maps of a key; a key may have so many builds in it
+    and no more.
+
+    With an `Idempotency-Key`, a client that did not hear the answer asks again: the job that it has
+    made is told, and no other is queued.
+    """
+    _require_make_live(parameters)
+    jobs = running.store.jobs
+    request = None if idempotency_key is None else _request(idempotency_key, parameters)
+    job = None if request is None else jobs.made_by(map_slug, request)
+    if job is None:
+        record = running.store.maps.get(map_slug)
+        plan = plan_build(running.store, record.id, parameters)
+        require_images(running.store, record.id, plan.drives, plan.parameters.map_parameters())
+        job = jobs.create(
+            map_slug,
+            plan.parameters.as_json(),
+            request=request,
+            key_id=asking.key_id,
+            most_queued=running.settings.max_queued_builds_per_key,
+        )
+        running.runner.wake()
+    response.headers["Location"] = f"/v1/jobs/{job.id}"
+    return JobOut.from_record(job)
+
+
+def _require_make_live(parameters: BuildParameters) -> None:
+    """Refuse options of `make_live` without it.
+
+    Here, and not in the model: that reads the jobs of older versions too, which accepted them.
+    """
+    for name in ("force", "max_recall_loss"):
+        default = BuildParameters.model_fields[name].default
+        if not parameters.make_live and getattr(parameters, name) != default:
+            raise InvalidRequest(
+                f"{name} only applies with make_live: true; without it a build is not compared with"
+                " the live revision, and only the first one of a map becomes live"
+            )
+
+
+def _request(key: str, parameters: BuildParameters) -> RequestKey:
+    asked = parameters.model_dump_json(exclude_unset=True)
+    return RequestKey(key, sha256(asked.encode()).hexdigest())

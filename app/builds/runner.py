@@ -1,0 +1,228 @@
+"""Starts a process for each queued build, and sees to it that each one ends."""
+
+import logging
+import signal
+import threading
+import time
+from collections.abc import Callable
+from multiprocessing import resource_tracker
+from multiprocessing.connection import Connection
+from multiprocessing.process import BaseProcess
+
+from app.builds.job_events import event_id
+from app.builds.worker import IMPORTED_LATE, run_build
+from app.http.errors import AppError, BuildStalled, WorkerDied
+from app.http.logs import fields
+from app.process import most_build_memory_bytes
+from app.settings import Settings
+from core.errors import TensorMapError
+from storage.catalog import JobRecord
+from storage.errors import JobNotFound, JobNotRunning
+from storage.files.forking import forkserver
+from storage.store import Store
+
+__all__ = ["JobRunner"]
+
+_POLL_S = 0.2
+_CANCEL_GRACE_S = 0.8  # a worker looks for a cancel every 0.2 s, unless it is deep in one scan
+_KILL_S = 10.0  # that a killed process takes at most, unless the disk that it waits for hangs
+
+_log = logging.getLogger("tensormap.jobs")
+
+
+class JobRunner:
+    """Runs queued builds, `build_workers` at a time, one process each.
+
+    A process rather than a thread: a build neither slows the answers nor can take the service down,
+    and it can be ended at any point because a revision is published whole or not at all.
+
+    Args:
+        settings: What the operator chose.
+        store: Where the queue is.
+        ended: Told of every build that ran and ended, unless it went with its map.
+    """
+
+    def __init__(
+        self,
+        settings: Settings,
+        store: Store,
+        *,
+        ended: Callable[[JobRecord], None] = lambda _job: None,
+    ) -> None:
+        self._ended = ended
+        self._settings = settings
+        self._store = store
+        given = settings.build_memory_bytes
+        self._memory_bytes = most_build_memory_bytes() if given is None else given
+        self._wake = threading.Event()
+        self._stopping = threading.Event()
+        # Processes are forked from one that has loaded all that a build needs, and nothing else.
+        self._context = forkserver()
+        self._context.set_forkserver_preload([run_build.__module__, *IMPORTED_LATE])
+        self._threads = [
+            threading.Thread(target=self._loop, name=f"builds-{i}", daemon=True)
+            for i in range(settings.build_workers)
+        ]
+
+    def start(self) -> None:
+        """Begin with what is queued."""
+        for thread in self._threads:
+            thread.start()
+
+    @property
+    def alive(self) -> bool:
+        """Whether queued builds will be run."""
+        return all(thread.is_alive() for thread in self._threads)
+
+    def wake(self) -> None:
+        """Look at the queue now: a job was added."""
+        self._wake.set()
+
+    def stop(self) -> None:
+        """End every running build; the next start of the service queues them again."""
+        self._stopping.set()
+        self._wake.set()
+        for thread in self._threads:
+            thread.join(_KILL_S + _POLL_S * 5)
+
+    def _loop(self) -> None:
+        while not self._stopping.is_set():
+            try:
+                job = self._store.jobs.claim()
+            except TensorMapError:
+                _log.exception("the queue of jobs cannot be read")
+                job = None
+            if job is None:
+                self._wake.wait(_POLL_S * 5)
+                self._wake.clear()
+                continue
+            try:
+                self._run(job)
+            except (OSError, RuntimeError):  # no process: the next build may be luckier
+                _log.exception("job %s cannot be run", job.id)
+                reason = "no process could be started for the build; see the log"
+                self._settle(job.id, WorkerDied.__name__, reason)
+            self._tell_end(job.id)
+
+    def _run(self, job: JobRecord) -> None:
+        reports, report = self._context.Pipe(duplex=False)
+        worker = self._context.Process(
+            target=run_build,
+            args=(
+                self._settings.data_dir,
+                self._settings.catalog_url,
+                job,
+                self._settings.log_format,
+                self._settings.log_level,
+                self._memory_bytes,
+                report,
+            ),
+            name=f"build-{job.id}",
+        )
+        with reports:
+            with report:
+                self._start(worker)
+            try:
+                stalled = self._watch(worker, job.id)
+            finally:
+                worker.kill()
+                worker.join(_KILL_S)
+            if not self._stopping.is_set():
+                self._settle(job.id, *(_named(stalled) or _reported(reports) or _death(worker)))
+        if worker.is_alive():
+            _log.error("the process of job %s cannot be ended: the disk hangs", job.id)
+        else:
+            worker.close()
+
+    def _tell_end(self, job_id: str) -> None:
+        try:
+            job = self._store.jobs.get(job_id)
+        except TensorMapError:  # gone with its map, or the catalog is
+            return
+        event = "build ended" if job.ended else "build interrupted, it is queued at a start"
+        _log.info(event, extra=fields(job=job.id, state=job.state.value, error=job.error_type))
+        self._ended(job)
+
+    @staticmethod
+    def _start(worker: BaseProcess) -> None:
+        """Start a worker that is deaf to what stops the service.
+
+        Ctrl-C and a service manager signal the whole group: the worker would end first, and its
+        build would count as failed instead of being queued again. A process inherits what the
+        thread that starts it blocks; `kill` ends it all the same.
+        """
+        resource_tracker.ensure_running()  # which would unblock them when it starts by itself
+        blocked = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
+        try:
+            worker.start()
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
+
+    def _watch(self, worker: BaseProcess, job_id: str) -> BuildStalled | None:
+        """Wait for the worker, give it time to notice a cancel, and no longer.
+
+        Returns:
+            Why it is to be ended, if it makes no progress.
+        """
+        patience_s = _CANCEL_GRACE_S
+        seen, since_s = "", time.monotonic()
+        while worker.is_alive() and patience_s > 0 and not self._stopping.is_set():
+            worker.join(_POLL_S)
+            try:
+                job = self._store.jobs.get(job_id)
+            except JobNotFound:  # its map was deleted
+                patience_s -= _POLL_S
+                continue
+            except TensorMapError:
+                _log.exception("job %s cannot be read", job_id)
+                since_s = time.monotonic()  # nor can the worker write how far it is
+                continue
+            if job.cancel_requested:
+                patience_s -= _POLL_S
+            if (now := event_id(job)) != seen:
+                seen, since_s = now, time.monotonic()
+            elif time.monotonic() - since_s > self._settings.build_stall_s:
+                return BuildStalled(
+                    f"the build made no progress for {self._settings.build_stall_s:g} s, in stage"
+                    f" {job.stage!r} after {job.done_units} of {job.total_units} units"
+                )
+        return None
+
+    def _settle(self, job_id: str, error: str, reason: str) -> None:
+        """Write down the end of a worker that could not do so itself.
+
+        While the catalog does not take it, nothing else could be built either: it is tried again.
+        """
+        while not self._stopping.is_set():
+            try:
+                if self._store.jobs.get(job_id).cancel_requested:
+                    self._store.jobs.cancelled(job_id)
+                else:
+                    self._store.jobs.fail(job_id, error, reason)
+            except (JobNotFound, JobNotRunning):
+                return  # gone with its map, or ended as it should
+            except TensorMapError:
+                _log.exception("the end of job %s cannot be written down yet", job_id)
+                self._stopping.wait(_POLL_S * 5)
+            else:
+                return
+
+
+def _named(error: AppError | None) -> tuple[str, str] | None:
+    return None if error is None else (type(error).__name__, str(error))
+
+
+def _reported(reports: Connection) -> tuple[str, str] | None:
+    """Return the error that a worker could not write down itself, `None` if it sent none."""
+    try:
+        found: tuple[str, str] | None = reports.recv() if reports.poll() else None
+    except (EOFError, OSError):
+        return None
+    return found
+
+
+def _death(worker: BaseProcess) -> tuple[str, str]:
+    reason = f"the build process ended with exit code {worker.exitcode}; see the log"
+    if worker.exitcode == -signal.SIGKILL:
+        reason += ", and the system's, which ends what takes too much memory like this"
+    return WorkerDied.__name__, reason

@@ -1,0 +1,1 @@
+"""Drives: uploads of scans and poses, and the images made of them."""

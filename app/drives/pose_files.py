@@ -1,0 +1,193 @@
+"""Poses as files have them: KITTI, TUM and CSV, read in blocks of lines."""
+
+import contextlib
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from core.arrays import FloatArray, IntArray
+from core.errors import InvalidPose
+from core.scans.pose import UNKNOWN_POSE, Pose, first_invalid, is_known, rows_from_matrices
+from storage.catalog import ScanPoses
+from storage.formats.scans.text_numbers import blocks_of_lines, number_rows
+
+__all__ = ["CSV", "KITTI", "MOST_LINES", "POSE_TYPES", "TUM", "read_poses"]
+
+KITTI = "application/vnd.tensormap.poses.kitti"
+TUM = "application/vnd.tensormap.poses.tum"
+CSV = "application/vnd.tensormap.poses.csv"
+POSE_TYPES = {
+    KITTI: "KITTI: a line a scan, the 12 numbers of `[R | t]`, lidar to world; `nan` where unknown",
+    TUM: "TUM: a line a scan, `t x y z qx qy qz qw`; `#` begins a comment",
+    CSV: "CSV with the columns `scan,x,y,z,qx,qy,qz,qw` and, if known, `timestamp_s`, in any order",
+}
+MOST_LINES = 72_000  # 2 hours at 10 Hz; to read, compare and store one takes up to 50 us
+_MOST_LINE_BYTES = 2**16
+_MOST_COLUMNS = 64
+_BLOCK_BYTES = 2**20
+_POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
+_LAST_INDEX = 2**53
+_COMMENT = re.compile(rb"#[^\n]*")
+_BLANK_LINE = re.compile(rb"(?m)^[ \t]*\n")
+_NOTHING = re.compile(rb"(?<![^,\n])[ \t]*(?=[,\n])")
+
+
+@dataclass(frozen=True)
+class _Rows:
+    """Some lines: the scan of each, `(n,)`, -1 if told by position; its seconds; `(n, 7)` poses."""
+
+    scans: IntArray
+    timestamps_s: FloatArray
+    poses: FloatArray
+
+
+def read_poses(body: bytes, media_type: str, first: int = 0) -> ScanPoses:
+    """Read a file of poses.
+
+    Args:
+        body: The file.
+        media_type: One of `POSE_TYPES`.
+        first: The scan of the first line, of a file that names none.
+
+    Raises:
+        InvalidPose: If a line is none; the message says which.
+
+    Examples:
+        >>> found = read_poses(b"12.5 1 2 3 0 0 0 1", TUM, first=7)
+        >>> found.scans.tolist(), found.timestamps_s.tolist()
+        ([7], [12.5])
+    """
+    text = memoryview(body.removeprefix(b"\xef\xbb\xbf"))
+    parts: list[_Rows] = []
+    parse: Callable[[bytes], _Rows] | None = {KITTI: _kitti, TUM: _tum}.get(media_type)
+    number = 1
+    for block in blocks_of_lines(text, _BLOCK_BYTES):
+        if block is None:
+            raise InvalidPose(f"line {number} has more than {_BLOCK_BYTES} bytes")
+        if number + block.count(b"\n") - 1 > MOST_LINES:
+            raise InvalidPose(f"the file has more than {MOST_LINES} lines")
+        says = _COMMENT.sub(b"", block) if b"#" in block else block
+        begin = number
+        if parse is None:
+            parse, says, begin = _table(says, number)
+        parts.append(_block(parse, says, begin))
+        number += block.count(b"\n")
+    return _joined(parts, first)
+
+
+def _joined(parts: list[_Rows], first: int) -> ScanPoses:
+    if not sum(len(part.scans) for part in parts):
+        raise InvalidPose("the file has no line with a pose")
+    scans = np.concatenate([part.scans for part in parts])
+    if scans[0] < 0:  # told by position
+        scans = first + np.arange(len(scans))
+    beyond = (scans < 0) | (scans >= _LAST_INDEX)
+    if beyond.any():
+        raise InvalidPose(f"scan {scans[beyond.argmax()]} is no index")
+    order = np.argsort(scans, kind="stable")
+    scans = scans[order]
+    twice = np.flatnonzero(np.diff(scans) == 0)
+    if len(twice):
+        raise InvalidPose(f"scan {scans[twice[0]]} comes twice")
+    timestamps_s = np.concatenate([part.timestamps_s for part in parts])[order]
+    known = np.isfinite(timestamps_s)
+    poses = np.concatenate([part.poses for part in parts])[order]
+    _require_rising(scans[known], timestamps_s[known])
+    return ScanPoses(scans, poses, np.where(known, timestamps_s, np.nan))
+
+
+def _require_rising(scans: IntArray, timestamps_s: FloatArray) -> None:
+    """Refuse times that fall from one scan to the next: lines of another order are other scans'."""
+    falls = np.flatnonzero(np.diff(timestamps_s) < 0.0)
+    if len(falls):
+        before, after = falls[0], falls[0] + 1
+        raise InvalidPose(
+            f"scan {scans[after]} is of {timestamps_s[after]:.3f} s, before scan {scans[before]} of"
+            f" {timestamps_s[before]:.3f} s: wanted times that rise with the scans"
+        )
+
+
+def _block(parse: Callable[[bytes], _Rows], block: bytes, number: int) -> _Rows:
+    """Read a block of whole lines; if one is wrong, find the first of them by halves.
+
+    Raises:
+        InvalidPose: Naming the line.
+    """
+    try:
+        return parse(block)
+    except (InvalidPose, ValueError) as error:
+        wrong = error
+    lines = block.splitlines(keepends=True)
+    while len(lines) > 1:
+        half = lines[: len(lines) // 2]
+        try:
+            parse(b"".join(half))
+        except (InvalidPose, ValueError) as error:
+            wrong, lines = error, half
+        else:
+            number, lines = number + len(half), lines[len(half) :]
+    with contextlib.suppress(InvalidPose, ValueError):
+        parse(b"".join(lines))
+    raise InvalidPose(f"line {number}: {wrong}") from wrong
+
+
+def _kitti(block: bytes) -> _Rows:
+    matrices = number_rows(block, range(12), 12, None).reshape(-1, 3, 4)
+    matrices[~np.isfinite(matrices).all(axis=(1, 2))] = np.nan
+    poses = rows_from_matrices(matrices)
+    return _checked(np.full(len(poses), -1), np.full(len(poses), np.nan), poses)
+
+
+def _tum(block: bytes) -> _Rows:
+    numbers = number_rows(block, range(8), 8, None)
+    return _checked(np.full(len(numbers), -1), numbers[:, 0], numbers[:, 1:])
+
+
+def _table(block: bytes, number: int) -> tuple[Callable[[bytes], _Rows], bytes, int]:
+    """Return what reads the lines of a table, those after its line of names, and their number."""
+    begin = number
+    head = b""
+    while block and not head:
+        head, _, block = block.partition(b"\n")
+        head, number = head.strip(), number + 1
+    told = head[:_MOST_LINE_BYTES].decode("utf-8", "replace")
+    names = [name.strip().strip('"').lower() for name in told.split(",")]
+    wanted = ("scan", *_POSE)
+    if not set(wanted) <= set(names) or len(set(names)) != len(names) or len(names) > _MOST_COLUMNS:
+        raise InvalidPose(
+            f"line {max(number - 1, begin)} is {told[:120]!r}, wanted columns {','.join(wanted)}"
+        )
+    columns = [names.index(name) for name in wanted]
+    timed = "timestamp_s" in names
+    if timed:
+        columns.append(names.index("timestamp_s"))
+
+    def parse(lines: bytes) -> _Rows:
+        return _table_rows(lines, columns, len(names), timed=timed)
+
+    return parse, block, number
+
+
+def _table_rows(block: bytes, columns: list[int], width: int, *, timed: bool) -> _Rows:
+    try:
+        numbers = number_rows(block, columns, width, ",")
+    except ValueError:  # perhaps since values are left out
+        whole = _NOTHING.sub(b"nan", _BLANK_LINE.sub(b"", block))
+        numbers = number_rows(whole, columns, width, ",")
+    scans = numbers[:, 0]
+    if not ((scans >= 0) & (scans < _LAST_INDEX) & (scans == np.floor(scans))).all():
+        raise InvalidPose("a scan is no index")
+    timestamps_s = numbers[:, 8] if timed else np.full(len(numbers), np.nan)
+    return _checked(scans.astype(np.int64), timestamps_s, numbers[:, 1:8])
+
+
+def _checked(scans: IntArray, timestamps_s: FloatArray, poses: FloatArray) -> _Rows:
+    """Refuse what is no pose; what is not wholly known is unknown."""
+    poses = np.array(poses)
+    poses[~is_known(poses)] = UNKNOWN_POSE
+    wrong = first_invalid(poses)
+    if wrong is not None:
+        Pose(*poses[wrong].tolist())  # says what is wrong with it
+    return _Rows(scans, np.array(timestamps_s), poses)

@@ -1,0 +1,99 @@
+"""Poses of a drive's scans, as JSON or as files have them."""
+
+from typing import Annotated
+
+from fastapi import Query
+
+from app.access.scopes import Scope, needs
+from app.drives.pose_files import CSV, POSE_TYPES, read_poses
+from app.drives.pose_schemas import PosesIn
+from app.drives.schemas import DriveWithPosesOut
+from app.http.bodies.bodies import Body, ContentType, binary_body, media_type
+from app.http.bodies.json_body import read_json
+from app.http.errors import JSON_BODY, WRITING, UnsupportedBody
+from app.http.pooled_route import pooled_router
+from app.http.problems import problems
+from app.service import DriveSlug, MapSlug, Running
+from core.errors import InvalidPose
+from storage.errors import (
+    DriveNotFound,
+    InvalidSlug,
+    MapNotFound,
+    PosesDoNotFit,
+    ScanNotFound,
+)
+
+__all__ = ["router"]
+
+router = pooled_router(tags=["drives"])
+
+_JSON = "application/json"
+
+First = Annotated[
+    int,
+    Query(ge=0, lt=2**52, description="The scan of the first line, of KITTI's and TUM's files."),
+]
+Partial = Annotated[
+    bool | None,
+    Query(
+        description="Set a file's poses even if their number, or scans that would lose theirs, show"
+        " that they cannot be those of all scans."
+    ),
+]
+
+
+@router.put(
+    "/maps/{map}/drives/{drive}/poses",
+    dependencies=[needs(Scope.MAPS_WRITE)],
+    openapi_extra={
+        "requestBody": {
+            "required": True,
+            "content": {
+                _JSON: {"schema": {"$ref": "#/components/schemas/PosesIn"}},
+                **binary_body(**POSE_TYPES)["requestBody"]["content"],
+            },
+        }
+    },
+    responses=problems(
+        MapNotFound,
+        DriveNotFound,
+        InvalidSlug,
+        ScanNotFound,
+        PosesDoNotFit,
+        InvalidPose,
+        *JSON_BODY,
+        *WRITING,
+    ),
+)
+def put_poses(
+    map_slug: MapSlug,
+    drive_slug: DriveSlug,
+    body: Body,
+    running: Running,
+    content_type: ContentType = None,
+    first: First = 0,
+    partial: Partial = None,
+) -> DriveWithPosesOut:
+    """Set poses and timestamps of scans, all or none; those of a file also of scans to come.
+
+    As JSON, of scans that are stored only. From a file, what a scan to come has not of its own.
+    A file whose lines count scans is refused if it has fewer than the drive has scans, or more and
+    would replace other poses: it is another drive's, or cut off.
+    """
+    kind = media_type(content_type)
+    drives = running.store.drives
+    if kind in POSE_TYPES:
+        put = drives.expect_poses(
+            map_slug,
+            drive_slug,
+            read_poses(body, kind, first),
+            consecutive=kind != CSV,
+            partial=bool(partial),
+        )
+    elif kind == _JSON:
+        poses, timestamps_s = read_json(body, PosesIn).to_core()
+        put = drives.put_poses(map_slug, drive_slug, poses, timestamps_s)
+    else:
+        wanted = ", ".join((_JSON, *POSE_TYPES))
+        raise UnsupportedBody(f"Content-Type is {kind[:80]!r}, wanted one of {wanted}")
+    return DriveWithPosesOut.of(drives.get(map_slug, drive_slug), put)

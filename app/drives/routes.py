@@ -1,0 +1,206 @@
+"""Drives: recordings of scans, made by their first one."""
+
+import io
+import math
+from typing import Annotated, Any
+
+import numpy as np
+from fastapi import Path, Query, Response, status
+
+from app.access.scopes import Scope, needs
+from app.drives.pose_schemas import PoseQuery, pose_from_query
+from app.drives.schemas import DriveOut, DrivePatch, ScanOut
+from app.http.bodies.bodies import SCAN_BODY, Body, ContentType, Json
+from app.http.errors import (
+    ANY_BODY,
+    JSON_BODY,
+    READING,
+    WRITING,
+    InvalidRequest,
+)
+from app.http.pages import After, Limit, PageOut
+from app.http.pooled_route import heavy, pooled_router
+from app.http.problems import problems
+from app.service import DriveSlug, MapSlug, Running
+from core.errors import InvalidPose, InvalidScan, TooFewReturns
+from storage.errors import (
+    CorruptFile,
+    DriveClosed,
+    DriveNotFound,
+    InvalidSlug,
+    MapNotFound,
+    ReturnsGone,
+    ScanConflict,
+    ScanNotFound,
+)
+from storage.formats.errors import (
+    EmptyBody,
+    MalformedScan,
+    ScanTooLarge,
+    TruncatedScan,
+    UnknownFormat,
+    WrongDtype,
+)
+from storage.formats.scans.registry import read_scan
+
+__all__ = ["BAD_SCAN", "TimestampQuery", "router"]
+
+router = pooled_router(tags=["drives"])
+
+BAD_SCAN = (
+    EmptyBody,
+    TruncatedScan,
+    WrongDtype,
+    MalformedScan,
+    TooFewReturns,
+    InvalidScan,
+    UnknownFormat,
+    *ANY_BODY,
+    ScanTooLarge,
+)
+
+ScanIndex = Annotated[
+    int, Path(alias="index", ge=0, lt=2**53, description="The scan's index in the drive.")
+]
+TimestampQuery = Annotated[
+    float | None, Query(allow_inf_nan=False, description="When the scan was taken, in seconds.")
+]
+
+_NPY: dict[int | str, dict[str, Any]] = {
+    200: {
+        "description": "`(n, 3)` float32 metres.",
+        "content": {
+            "application/vnd.tensormap.npy": {"schema": {"type": "string", "format": "binary"}}
+        },
+    }
+}
+
+
+@router.get(
+    "/maps/{map}/drives",
+    dependencies=[needs(Scope.MAPS_READ, Scope.MAPS_WRITE)],
+    responses=problems(MapNotFound, InvalidRequest, *READING),
+)
+def list_drives(
+    map_slug: MapSlug, running: Running, after: After = "", limit: Limit = 100
+) -> PageOut[DriveOut]:
+    """List a map's drives by name."""
+    page = running.store.drives.list(map_slug, after, limit)
+    return PageOut(items=[DriveOut.from_record(r) for r in page.items], next_after=page.next_after)
+
+
+@router.get(
+    "/maps/{map}/drives/{drive}",
+    dependencies=[needs(Scope.MAPS_READ, Scope.MAPS_WRITE)],
+    responses=problems(MapNotFound, DriveNotFound, *READING),
+)
+def get_drive(map_slug: MapSlug, drive_slug: DriveSlug, running: Running) -> DriveOut:
+    """Show a drive: which scans are in, and which are missing."""
+    return DriveOut.from_record(running.store.drives.get(map_slug, drive_slug))
+
+
+@router.patch(
+    "/maps/{map}/drives/{drive}",
+    dependencies=[needs(Scope.MAPS_WRITE)],
+    responses=problems(MapNotFound, DriveNotFound, CorruptFile, *JSON_BODY, *WRITING),
+)
+def close_drive(
+    map_slug: MapSlug,
+    drive_slug: DriveSlug,
+    change: Json[DrivePatch],  # noqa: ARG001 - its schema allows one change only
+    running: Running,
+) -> DriveOut:
+    """Close a drive: it takes no new scans, and its files are packed."""
+    closed = running.store.drives.close(map_slug, drive_slug)
+    running.collector.wake()
+    return DriveOut.from_record(closed)
+
+
+@router.delete(
+    "/maps/{map}/drives/{drive}",
+    dependencies=[needs(Scope.MAPS_WRITE)],
+    status_code=status.HTTP_204_NO_CONTENT,
+    responses=problems(MapNotFound, DriveNotFound, *WRITING),
+)
+def delete_drive(map_slug: MapSlug, drive_slug: DriveSlug, running: Running) -> None:
+    """Remove a drive and its scans; revisions that were built of it stay."""
+    running.store.drives.delete(map_slug, drive_slug)
+
+
+@router.put(
+    "/maps/{map}/drives/{drive}/scans/{index}",
+    dependencies=[needs(Scope.MAPS_WRITE)],
+    openapi_extra=SCAN_BODY,
+    status_code=status.HTTP_201_CREATED,
+    responses={
+        200: {"model": ScanOut, "description": "The same returns were stored already."},
+        **problems(
+            MapNotFound,
+            InvalidSlug,
+            ScanConflict,
+            DriveClosed,
+            InvalidPose,
+            InvalidRequest,
+            *BAD_SCAN,
+            *WRITING,
+        ),
+    },
+)
+@heavy
+def put_scan(
+    map_slug: MapSlug,
+    drive_slug: DriveSlug,
+    index: ScanIndex,
+    body: Body,
+    running: Running,
+    response: Response,
+    content_type: ContentType = None,
+    timestamp_s: TimestampQuery = None,
+    pose: PoseQuery = None,
+) -> ScanOut:
+    """Store one scan; the first scan of a drive makes the drive.
+
+    When the answer is there the scan is on disk. Safe to repeat: the same returns at the same
+    index answer 200 and change nothing, others are refused.
+    """
+    scan = read_scan(
+        body,
+        media_type=content_type,
+        min_returns=running.settings.min_returns,
+        timestamp_s=math.nan if timestamp_s is None else timestamp_s,
+        pose=pose_from_query(pose),
+    )
+    result = running.store.drives.put_scan(map_slug, drive_slug, index, scan)
+    if result.created:
+        response.headers["Location"] = f"/v1/maps/{map_slug}/drives/{drive_slug}/scans/{index}"
+    else:
+        response.status_code = status.HTTP_200_OK
+    return ScanOut.from_record(result.record)
+
+
+@router.get(
+    "/maps/{map}/drives/{drive}/scans/{index}",
+    dependencies=[needs(Scope.MAPS_READ)],
+    response_class=Response,
+    responses={
+        **_NPY,
+        **problems(
+            MapNotFound,
+            DriveNotFound,
+            ScanNotFound,
+            ReturnsGone,
+            CorruptFile,
+            InvalidRequest,
+            *READING,
+        ),
+    },
+)
+@heavy
+def get_scan(
+    map_slug: MapSlug, drive_slug: DriveSlug, index: ScanIndex, running: Running
+) -> Response:
+    """Give a scan's returns back, as a NumPy array file."""
+    scan = running.store.drives.read_scan(map_slug, drive_slug, index)
+    file = io.BytesIO()
+    np.save(file, scan.points_m, allow_pickle=False)
+    return Response(file.getvalue(), media_type="application/vnd.tensormap.npy")

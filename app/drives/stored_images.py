@@ -1,0 +1,104 @@
+"""The images of a stored drive: kept beside it, or made of its returns while these are there."""
+
+import hashlib
+import logging
+from collections.abc import Sequence
+from pathlib import Path
+
+from core.parameters import MapParameters
+from core.progress import NO_PROGRESS, Progress
+from storage.errors import CorruptImages, NotFound, ReturnsGone
+from storage.files.image_file import (
+    ImageFile,
+    image_file_name,
+    remove_other_versions,
+    write_image_file,
+)
+from storage.store import Store, StoredDrive
+
+__all__ = ["images_path", "open_images", "require_images"]
+
+_log = logging.getLogger("tensormap.builds")
+
+
+def images_path(store: Store, drive: StoredDrive, parameters: MapParameters) -> Path:
+    """Return where the images of a drive, as it is now, are kept for maps of these parameters.
+
+    Raises:
+        DriveNotFound: If the drive was deleted since it was opened.
+    """
+    digest = hashlib.sha256("\n".join(drive.digests).encode()).hexdigest()
+    name = image_file_name(parameters.imager, digest)
+    return store.drives.images_folder(drive) / name
+
+
+def require_images(
+    store: Store, map_id: str, drives: Sequence[str], parameters: MapParameters
+) -> None:
+    """Refuse drives that have neither the images for these parameters nor all their returns.
+
+    Raises:
+        MapNotFound: If the map is gone.
+        DriveNotFound: If it lacks one of the drives.
+        ReturnsGone: If the images of one can no longer be made.
+    """
+    for drive in store.drives.of_map(map_id, drives):
+        if drive.dropped_scans:
+            (opened,) = store.drives.open_of_map(map_id, [drive.slug])
+            if not images_path(store, opened, parameters).exists():
+                raise _gone(opened)
+
+
+def open_images(
+    store: Store,
+    drive: StoredDrive,
+    parameters: MapParameters,
+    progress: Progress = NO_PROGRESS,
+) -> ImageFile:
+    """Open a stored drive's images, projecting them first if they are not kept yet.
+
+    Raises:
+        DriveNotFound: If the drive was deleted meanwhile.
+        EmptyDrive: If it has no usable scan.
+        ReturnsGone: If they are not kept, and returns that they would be made of were dropped.
+        CorruptImages: If they are damaged, and cannot be made anew for the same reason.
+    """
+    path = images_path(store, drive, parameters)
+    whole = bool(drive.has_returns.all())
+    kept: ImageFile | None = None
+    if path.exists():
+        try:
+            kept = ImageFile(path, parameters.imager)
+            if kept.probes is not None:
+                return kept
+        except CorruptImages as error:
+            if not whole:
+                raise CorruptImages(f"{error}; the returns were dropped after a build") from error
+            _log.warning("%s; they are made anew from the raw returns", error)
+    if not whole:
+        if kept is None:
+            raise _gone(drive)
+        _log.warning("drive %s: its returns were dropped, and there are no probes", drive.name)
+        return kept
+    try:
+        write_image_file(path, drive, parameters.imager, progress)
+    except (FileNotFoundError, NotFound):  # files go when their map or drive is deleted
+        if kept is not None:
+            _log.warning("drive %s: its returns are gone, and there are no probes", drive.name)
+            return kept
+        store.maps.get_by_id(drive.map_id)
+        store.drives.images_folder(drive)
+        raise
+    if kept is not None:
+        kept.close()
+    remove_other_versions(path)
+    return ImageFile(path, parameters.imager)
+
+
+def _gone(drive: StoredDrive) -> ReturnsGone:
+    dropped = int((~drive.has_returns).sum())
+    return ReturnsGone(
+        f"drive {drive.name!r}: this build needs other images than were kept, and the returns of"
+        f" {dropped} of {len(drive)} scans were dropped after a build: build with the parameters of"
+        " that one, or without this drive, or upload it again under another name"
+    )

@@ -1,0 +1,240 @@
+"""A tar stream, read as it comes: one file in memory at a time, and that of bounded size.
+
+Its parser is a generator that asks for bytes; `TarFeed` gives it those that came.
+
+Python's `tarfile` reads extended headers of any size into memory; a stranger's stream needs less
+trust and less of the format: ustar headers, and the long names of GNU and PAX.
+"""
+
+import io
+from collections.abc import Callable, Generator, Iterator
+from dataclasses import dataclass
+from typing import IO, TypeVar
+
+import numpy as np
+
+from app.http.errors import MalformedUpload
+
+__all__ = ["TarFeed", "TarMember"]
+
+T = TypeVar("T")
+
+_BLOCK = 512
+_SKIP_BYTES = 2**16
+_MAX_HEADER_BYTES = 2**16
+_FILE, _FOLDER = {b"0", b"\0", b"7"}, b"5"
+_GNU_NAME, _PAX, _PAX_GLOBAL = b"L", b"x", b"g"
+_EXTENDED = {_GNU_NAME, _PAX, _PAX_GLOBAL}
+_SIZE_LIMIT = 2**53
+# Folders, links and long names are in every archive; a reader's time goes by headers, however
+# little comes with them. Some programs write three headers a file.
+_STRAY_HEADERS, _FILE_BYTES_PER_HEADER = 10_000, 256
+_EXTENDED_IN_A_ROW = 8
+
+
+@dataclass(frozen=True)
+class TarMember:
+    """A file in the stream.
+
+    Attributes:
+        name: Its path, as the archive has it.
+        content: Its bytes; `None` if it is longer than may be, or no plain file.
+        reason: Why there is no content.
+    """
+
+    name: str
+    content: bytes | None
+    reason: str = ""
+
+
+class TarFeed:
+    """The files of a tar stream whose bytes are given as they come.
+
+    Args:
+        most_bytes: How long a file may be.
+        place: Gives a file for what came of one that is yet to end.
+    """
+
+    def __init__(self, most_bytes: int, place: Callable[[], IO[bytes]] = io.BytesIO) -> None:
+        self._parser = _Parser(most_bytes, place).files()
+        self._asked = next(self._parser)
+        self.ended = False
+
+    def take(self, chunk: bytes) -> Iterator[TarMember]:
+        """Give the files that end within the next bytes of the stream; none is its end.
+
+        Raises:
+            MalformedUpload: If it is no tar stream or breaks off.
+        """
+        at = 0
+        while not self.ended:
+            asked = self._asked
+            piece: bytes | None = None
+            if isinstance(asked, TarMember):
+                yield asked
+            elif at == len(chunk) and chunk:
+                return
+            else:
+                piece = chunk[at : at + asked]
+                at += len(piece)
+            try:
+                self._asked = self._parser.send(piece)
+            except StopIteration:
+                self.ended = True
+
+
+# What asks for up to so many bytes, is sent them, none at the end, and at last returns something.
+_Reading = Generator[int, bytes, T]
+
+
+class _Parser:
+    """Takes a tar stream apart.
+
+    Args:
+        most_bytes: How long a file may be.
+        place: Gives a file for the content of one.
+    """
+
+    def __init__(self, most_bytes: int, place: Callable[[], IO[bytes]]) -> None:
+        self._most_bytes = most_bytes
+        self._place = place
+        self._headers = 0
+        self._file_bytes = 0
+
+    def files(self) -> Generator["int | TarMember", bytes | None, None]:
+        """Yield the files, and how many bytes are wanted."""
+        long_name: str | None = None
+        extended = 0
+        while (header := (yield from self._header())) is not None:
+            size, kind = _size(header), header[156:157]
+            self._require_files()
+            extended = extended + 1 if kind in _EXTENDED else 0
+            if extended > _EXTENDED_IN_A_ROW:
+                raise MalformedUpload(
+                    f"more than {_EXTENDED_IN_A_ROW} extended headers of the tar stream follow one"
+                    " another; wanted a file"
+                )
+            if kind in _EXTENDED:
+                if size > _MAX_HEADER_BYTES:
+                    raise MalformedUpload(f"a header of the tar stream takes {size} bytes")
+                content = yield from self._content(size)
+                if kind == _GNU_NAME:
+                    long_name = _text(content)
+                elif kind == _PAX:
+                    long_name = _pax_name(content) or long_name
+                continue
+            name, long_name = long_name or _name(header), None
+            if kind not in _FILE:
+                yield from self._skip(size)
+                if kind != _FOLDER:
+                    yield TarMember(name, None, "it is a link or device, no file")
+            elif size > self._most_bytes:
+                yield from self._skip(size)
+                yield TarMember(
+                    name, None, f"it has {size} bytes, at most {self._most_bytes} are read"
+                )
+            else:
+                self._file_bytes += size
+                yield TarMember(name, (yield from self._content(size)))
+
+    def _header(self) -> _Reading[bytes | None]:
+        """Return the next header, `None` at the end of the stream."""
+        block = yield from self._exactly(_BLOCK, "its next header")
+        if block is None or not block.strip(b"\0"):
+            yield from self._drain()  # a block of zeros ends the archive, what follows is padding
+            return None
+        # The sum is of bytes, with blanks where it stands itself; some wrote it of signed ones.
+        wanted = _octal(block[148:156])
+        rest = block[:148] + b" " * 8 + block[156:]
+        if wanted != sum(rest) and wanted != _signed_sum(rest):
+            raise MalformedUpload(
+                f"a header begins with {block[:8]!r} and its checksum is wrong: is the body a tar"
+                " stream?"
+            )
+        return block
+
+    def _require_files(self) -> None:
+        """Count a header; refuse a stream of little else."""
+        self._headers += 1
+        most = _STRAY_HEADERS + self._file_bytes // _FILE_BYTES_PER_HEADER
+        if self._headers > most:
+            raise MalformedUpload(
+                f"the tar stream has more than {most} headers for {self._file_bytes} bytes of"
+                f" files: beyond the first {_STRAY_HEADERS} there must be"
+                f" {_FILE_BYTES_PER_HEADER} bytes of files a header"
+            )
+
+    def _content(self, size: int) -> _Reading[bytes]:
+        content = (yield from self._exactly(size, "a file")) if size else b""
+        if content is None:
+            raise MalformedUpload(f"the tar stream breaks off before a file of {size} bytes")
+        yield from self._skip(-size % _BLOCK, exact=False)
+        return content
+
+    def _skip(self, size: int, *, exact: bool = True) -> _Reading[None]:
+        left = size + (-size % _BLOCK if exact else 0)
+        while left:
+            chunk = yield min(left, _SKIP_BYTES)
+            if not chunk:
+                raise MalformedUpload("the tar stream breaks off within a file")
+            left -= len(chunk)
+
+    def _drain(self) -> _Reading[None]:
+        while (yield _SKIP_BYTES):
+            pass
+
+    def _exactly(self, size: int, what: str) -> _Reading[bytes | None]:
+        """Return so many bytes, `None` if the stream has ended before the first of them."""
+        came = 0
+        with self._place() as parts:
+            while came < size:
+                chunk = yield min(size - came, 2**20)
+                if not chunk:
+                    if not came:
+                        return None
+                    raise MalformedUpload(
+                        f"the tar stream breaks off within {what}: {came} of {size} bytes came"
+                    )
+                parts.write(chunk)
+                came += len(chunk)
+            parts.seek(0)
+            return parts.read()
+
+
+def _signed_sum(block: bytes) -> int:
+    return sum(block) - 256 * int(np.count_nonzero(np.frombuffer(block, np.uint8) > 127))
+
+
+def _size(header: bytes) -> int:
+    field = header[124:136]
+    size = int.from_bytes(field[1:], "big") if field[0] == 0x80 else _octal(field)
+    if not 0 <= size < _SIZE_LIMIT:
+        raise MalformedUpload(f"the size of a file in the tar stream is {field!r}")
+    return size
+
+
+def _octal(field: bytes) -> int:
+    digits = field.strip(b" \0")
+    try:
+        return int(digits or b"0", 8) if digits.isdigit() or not digits else -1
+    except ValueError:
+        return -1
+
+
+def _name(header: bytes) -> str:
+    name, prefix = _text(header[:100]), _text(header[345:500])
+    return f"{prefix}/{name}" if prefix and header[257:262] == b"ustar" else name
+
+
+def _text(field: bytes) -> str:
+    return field.partition(b"\0")[0].decode("utf-8", "replace")
+
+
+def _pax_name(content: bytes) -> str | None:
+    """Return the path in a PAX header: lines `LENGTH KEY=VALUE`."""
+    for line in content.split(b"\n"):
+        _, _, pair = line.partition(b" ")
+        key, _, value = pair.partition(b"=")
+        if key == b"path":
+            return _text(value)
+    return None

@@ -1,0 +1,88 @@
+"""What became of an upload, over the wire."""
+
+from collections.abc import Sequence
+
+from pydantic import BaseModel, Field
+
+from app.drives.many_scans import Upload
+from app.drives.schemas import IndexRangeOut
+from storage.catalog import DriveRecord
+
+__all__ = ["PresentOut", "UploadOut"]
+
+
+class PresentOut(BaseModel):
+    """Which scans of a drive are in, so that an upload can go on where it was cut."""
+
+    drive: str
+    closed: bool = Field(description="A closed drive takes no new scans.")
+    scans: int
+    scans_without_returns: int = Field(
+        description="Those whose returns were dropped after a build; they need not be sent again."
+    )
+    present: list[IndexRangeOut] = Field(description="The indices that are stored.")
+    gaps: list[IndexRangeOut] = Field(description="The indices that are missing in between.")
+
+    @classmethod
+    def from_record(cls, record: DriveRecord) -> "PresentOut":
+        """Show a drive's record."""
+        return cls(
+            drive=record.slug,
+            closed=record.closed,
+            scans=record.scans,
+            scans_without_returns=record.dropped_scans,
+            present=[IndexRangeOut.from_record(item) for item in record.present],
+            gaps=[IndexRangeOut.from_record(item) for item in record.gaps],
+        )
+
+
+class SetAsideOut(BaseModel):
+    """A file of an upload that was not stored."""
+
+    file: str = Field(description="Its name in the archive.")
+    type: str = Field(description="The stable name of what was wrong with it.")
+    detail: str = Field(description="What was wanted and what came.")
+
+
+class UploadOut(BaseModel):
+    """What became of the files of an upload; what is stored is on disk."""
+
+    scans_stored: int
+    scans_present: int
+    files_set_aside: int
+    stored: list[IndexRangeOut] = Field(description="Indices that are new.")
+    present: list[IndexRangeOut] = Field(description="Those whose scan was there, the same.")
+    set_aside: list[SetAsideOut] = Field(
+        description="Files that were not stored, with the reason; the first thousand."
+    )
+
+    @classmethod
+    def from_upload(cls, upload: Upload) -> "UploadOut":
+        """Show what became of an upload."""
+        return cls(
+            scans_stored=len(upload.stored),
+            scans_present=len(upload.present),
+            files_set_aside=upload.set_aside_count,
+            stored=_ranges(upload.stored),
+            present=_ranges(upload.present),
+            set_aside=[
+                SetAsideOut(file=item.name, type=f"/problems/{item.problem}", detail=item.detail)
+                for item in upload.set_aside
+            ],
+        )
+
+
+def _ranges(indices: Sequence[int]) -> list[IndexRangeOut]:
+    """Return the ranges that indices make, in rising order.
+
+    Examples:
+        >>> [(r.first, r.last) for r in _ranges([7, 1, 2, 2, 3])]
+        [(1, 3), (7, 7)]
+    """
+    ranges: list[IndexRangeOut] = []
+    for index in sorted(set(indices)):
+        if ranges and ranges[-1].last == index - 1:
+            ranges[-1].last = index
+        else:
+            ranges.append(IndexRangeOut(first=index, last=index))
+    return ranges

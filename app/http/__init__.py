@@ -1,0 +1,1 @@
+"""What all routes share: bodies, errors, connections, pools, logs and metrics."""

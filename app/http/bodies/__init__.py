@@ -1,0 +1,1 @@
+"""Request bodies: limits, compression and digests, checked before a route reads them."""

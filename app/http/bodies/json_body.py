@@ -1,0 +1,86 @@
+"""JSON bodies: bounded before they are parsed, and their first faults reported."""
+
+import json
+import re
+from typing import TypeVar
+
+import numpy as np
+from fastapi.exceptions import RequestValidationError
+from pydantic import BaseModel, ValidationError
+
+from app.http.errors import InvalidRequest
+
+__all__ = ["MOST_DEPTH", "MOST_KEYS", "MOST_VALUES", "read_json", "require_bounded"]
+
+M = TypeVar("M", bound=BaseModel)
+
+MOST_KEYS = 50_000
+"""Each key that is unknown costs an error object; 10,000 poses have 30,001 keys."""
+MOST_VALUES = 500_000
+"""The numbers of 20,000 signatures of rank (5, 5)."""
+MOST_DEPTH = 32
+"""What the API describes is no deeper than 9."""
+_SMALL_BYTES = 2**10
+
+_TEXT = re.compile(rb'"[^"]*"')
+_STEPS = np.zeros(256, np.int8)
+_STEPS[[ord("["), ord("{")]] = 1
+_STEPS[[ord("]"), ord("}")]] = -1
+
+
+def read_json(body: bytes, model: type[M]) -> M:
+    """Return what a JSON body says; it costs time and memory, so call it from a thread.
+
+    Raises:
+        InvalidRequest: If it has too many keys or values, or is nested too deep.
+        RequestValidationError: If it is no JSON, or not as `model` wants it.
+    """
+    require_bounded(body)
+    try:
+        found = json.loads(body)
+    except (ValueError, RecursionError) as error:
+        raise RequestValidationError(
+            [
+                {
+                    "type": "json_invalid",
+                    "loc": ("body", getattr(error, "pos", 0)),
+                    "msg": "JSON decode error",
+                    "input": {},
+                    "ctx": {"error": getattr(error, "msg", str(error))[:200]},
+                }
+            ]
+        ) from None
+    try:
+        return model.model_validate(found)
+    except ValidationError as error:
+        faults = error.errors(include_url=False, include_input=False, include_context=False)
+        raise RequestValidationError(
+            [{**fault, "loc": ("body", *fault["loc"])} for fault in faults]
+        ) from None
+
+
+def require_bounded(body: bytes) -> None:
+    """Refuse JSON that would take long to parse, in a small part of that time.
+
+    Separators inside texts count too: no text of the API has so many.
+
+    Raises:
+        InvalidRequest: If it has too many keys or values, or is nested too deep.
+    """
+    if len(body) <= _SMALL_BYTES:
+        return  # the parser's own limits hold it
+    keys = body.count(b":")
+    if keys > MOST_KEYS:
+        raise InvalidRequest(f"the JSON has {keys} keys, at most {MOST_KEYS} are read")
+    openings = body.count(b"[") + body.count(b"{")
+    values = openings + body.count(b",")
+    if values > MOST_VALUES:
+        raise InvalidRequest(f"the JSON has {values} values, at most {MOST_VALUES} are read")
+    if openings > MOST_DEPTH and (depth := _depth(body)) > MOST_DEPTH:
+        raise InvalidRequest(f"the JSON is nested {depth} deep, at most {MOST_DEPTH} is read")
+
+
+def _depth(body: bytes) -> int:
+    plain = _TEXT.sub(b"", body.replace(b"\\\\", b"").replace(b'\\"', b""))
+    steps = _STEPS[np.frombuffer(plain, np.uint8)]
+    return int(np.cumsum(steps, dtype=np.int32).max(initial=0))

@@ -1,0 +1,197 @@
+"""Where bodies wait until they are whole: in memory while they are small, then in a file."""
+
+import shutil
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from tempfile import TemporaryFile
+from typing import IO
+
+from anyio import CapacityLimiter, to_thread
+
+from app.http.errors import ServiceBusy, TooManyRequests
+from app.settings import Settings
+from storage.errors import StorageFull
+from storage.files.files import named_disk_errors
+
+__all__ = ["Spool", "SpoolRoom"]
+
+_RETRY_S = 5
+_SMALL_BYTES = 128 * 2**10  # of each body in memory
+_LARGE_BYTES = 8 * 2**20  # of a body that finds room in what all share
+_SHARED_BYTES = 64 * 2**20
+_PIECE_BYTES = 2**20
+_KEPT_FREE_BYTES = 2**30  # of a large disk; of a small one a twentieth
+
+
+class SpoolRoom:
+    """What all bodies that are being read may take together; used on the event loop only.
+
+    Args:
+        settings: Its `max_spool_bytes`, `bodies_per_key` and `data_dir`.
+        limiter: Of the threads that write files.
+    """
+
+    def __init__(self, settings: Settings, limiter: CapacityLimiter) -> None:
+        self.folder = Path(settings.data_dir)
+        self.limiter = limiter
+        self._most_bytes = settings.max_spool_bytes
+        # The rest stays for the other keys.
+        self._most_of_key = self._most_bytes * 3 // 4
+        self._bodies_per_key = settings.bodies_per_key
+        self._bodies: Counter[str] = Counter()
+        self._bytes: Counter[str] = Counter()
+        self._total = 0
+        self._shared = _SHARED_BYTES
+
+    @contextmanager
+    def body(self, key: str) -> Iterator[None]:
+        """Count a body of this key until the block ends.
+
+        Raises:
+            TooManyRequests: If the key sends as many as it may.
+        """
+        if self._bodies[key] >= self._bodies_per_key:
+            raise TooManyRequests(
+                f"{self._bodies_per_key} bodies of this key are being read, as many as may:"
+                f" wait {_RETRY_S} s",
+                _RETRY_S,
+                {},
+            )
+        self._bodies[key] += 1
+        try:
+            yield
+        finally:
+            _subtract(self._bodies, key, 1)
+
+    def take(self, key: str, amount: int) -> None:
+        """Take room for so many bytes.
+
+        Raises:
+            ServiceBusy: If there is none.
+        """
+        if self._total + amount > self._most_bytes or self._bytes[key] + amount > self._most_of_key:
+            raise ServiceBusy(
+                f"{self._total} bytes of bodies wait to be read whole, at most {self._most_bytes}"
+                f" are kept and {self._most_of_key} of one key: wait {_RETRY_S} s",
+                _RETRY_S,
+            )
+        self._total += amount
+        self._bytes[key] += amount
+
+    def give_back(self, key: str, amount: int) -> None:
+        """Give room back."""
+        self._total -= amount
+        _subtract(self._bytes, key, amount)
+
+    def lend(self, amount: int) -> bool:
+        """Return whether so many bytes more may stay in memory; if so they are taken."""
+        if amount > self._shared:
+            return False
+        self._shared -= amount
+        return True
+
+    def return_memory(self, amount: int) -> None:
+        """Give lent memory back."""
+        self._shared += amount
+
+
+def _subtract(counted: Counter[str], key: str, amount: int) -> None:
+    counted[key] -= amount
+    if not counted[key]:
+        del counted[key]
+
+
+class Spool:
+    """Bytes that were received and wait; written on the event loop, read in a thread.
+
+    Args:
+        room: What it takes from.
+        key: Whose bytes they are.
+    """
+
+    def __init__(self, room: SpoolRoom, key: str) -> None:
+        self._room, self._key = room, key
+        self._memory = bytearray()
+        self._lent = 0
+        self._length = 0
+        self._file: IO[bytes] | None = None
+
+    def __len__(self) -> int:
+        return self._length
+
+    async def write(self, chunk: bytes) -> None:
+        """Add bytes.
+
+        Raises:
+            ServiceBusy: If all bodies together take too much.
+            StorageFull: If no space is left on the disk.
+            StorageReadOnly: If the data directory cannot be written.
+        """
+        self._room.take(self._key, len(chunk))
+        self._length += len(chunk)
+        self._memory += chunk
+        if len(self._memory) > _SMALL_BYTES + self._lent and not self._grows():
+            # A disk that is slow, or full of what is yet to be written, holds no other request up.
+            await to_thread.run_sync(self._write_out, limiter=self._room.limiter)
+            self._return_memory()
+
+    def pieces(self) -> Iterator[bytes]:
+        """Yield all bytes from the first one on."""
+        if self._file is not None:
+            self._file.seek(0)
+            while piece := self._file.read(_PIECE_BYTES):
+                yield piece
+            self._file.seek(0, 2)
+        if self._memory:
+            yield bytes(self._memory)
+
+    def clear(self) -> None:
+        """Forget the bytes, and give back what they took."""
+        self._room.give_back(self._key, self._length)
+        self._length = 0
+        self._memory = bytearray()
+        self._return_memory()
+        if self._file is not None:
+            self._file.close()
+            self._file = None
+
+    def _grows(self) -> bool:
+        more = len(self._memory) - _SMALL_BYTES - self._lent
+        if self._file is not None or len(self._memory) > _LARGE_BYTES or not self._room.lend(more):
+            return False
+        self._lent += more
+        return True
+
+    def _write_out(self) -> None:
+        with named_disk_errors():
+            if self._file is None:
+                # `clear` closes it.
+                self._file = TemporaryFile(dir=self._room.folder, buffering=0)  # noqa: SIM115
+            self._require_room_on_disk()
+            begin = self._file.tell()
+            view = memoryview(self._memory)
+            try:
+                while view:
+                    view = view[self._file.write(view) :]
+            except OSError:  # half of it would come twice: it is still in memory
+                self._file.seek(begin)
+                self._file.truncate()
+                raise
+        view.release()
+        self._memory = bytearray()
+
+    def _require_room_on_disk(self) -> None:
+        """Refuse to fill the disk, which the catalog and acknowledged scans need."""
+        disk = shutil.disk_usage(self._room.folder)
+        kept_free = min(disk.total // 20, _KEPT_FREE_BYTES)
+        if disk.free < kept_free + len(self._memory):
+            raise StorageFull(
+                f"the disk has {disk.free} bytes left, {kept_free} are kept free of bodies that"
+                " still come"
+            )
+
+    def _return_memory(self) -> None:
+        self._room.return_memory(self._lent)
+        self._lent = 0

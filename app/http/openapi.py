@@ -1,0 +1,85 @@
+"""The OpenAPI document, completed where FastAPI does not know what we do."""
+
+from typing import Any
+
+from fastapi import FastAPI
+from pydantic.json_schema import models_json_schema
+
+from app.access.key_schemas import KeyIn
+from app.access.token_schemas import TokenIn
+from app.builds.parameters import BuildParameters
+from app.drives.pose_schemas import PosesIn
+from app.drives.schemas import DrivePatch
+from app.http.problems import Problem
+from app.localization.schemas import SignaturesIn
+from app.loop_closures.schemas import LoopClosuresIn
+from app.maps.schemas import MapIn, MapPatch
+from app.revisions.schemas import LiveIn
+
+__all__ = ["complete_openapi"]
+
+# Named by routes that read the body, or answer, by themselves.
+_MODELS = (
+    Problem,
+    BuildParameters,
+    DrivePatch,
+    KeyIn,
+    LiveIn,
+    LoopClosuresIn,
+    MapIn,
+    MapPatch,
+    PosesIn,
+    SignaturesIn,
+    TokenIn,
+)
+_NOT_OURS = ("HTTPValidationError", "ValidationError")
+
+
+def complete_openapi(app: FastAPI) -> None:
+    """Add the schemas that only we name, and take out FastAPI's own 422, which we never answer."""
+    described = app.openapi
+
+    def complete() -> dict[str, Any]:
+        if app.openapi_schema is None:
+            document = described()
+            schemas = document["components"]["schemas"]
+            _, ours = models_json_schema(
+                [(model, "validation") for model in _MODELS],
+                ref_template="#/components/schemas/{model}",
+            )
+            schemas.update(ours["$defs"])
+            for name in _NOT_OURS:
+                schemas.pop(name, None)
+            for path in document["paths"].values():
+                for operation in path.values():
+                    _drop_foreign_422(operation["responses"])
+                    _tell_alternatives(operation)
+                    _leave_out_null(operation)
+        return app.openapi_schema or {}
+
+    # FastAPI's documented way to extend the document.
+    app.openapi = complete  # type: ignore[method-assign]
+
+
+def _tell_alternatives(operation: dict[str, Any]) -> None:
+    # FastAPI lists a route's scopes as if all were needed; with us each one opens it.
+    if security := operation.get("security"):
+        [(scheme, scopes)] = security[0].items()
+        operation["security"] = [{scheme: [scope]} for scope in scopes]
+
+
+def _leave_out_null(operation: dict[str, Any]) -> None:
+    # What is optional may be left out; no text in a path, query or header is null.
+    for parameter in operation.get("parameters", ()):
+        schema = parameter["schema"]
+        kinds = [kind for kind in schema.get("anyOf", ()) if kind != {"type": "null"}]
+        if len(kinds) == 1:
+            del schema["anyOf"]
+            parameter["schema"] = {**kinds[0], **schema}
+
+
+def _drop_foreign_422(responses: dict[str, Any]) -> None:
+    content = responses.get("422", {}).get("content", {})
+    schema = content.get("application/json", {}).get("schema", {})
+    if schema.get("$ref", "").endswith(_NOT_OURS):
+        del responses["422"]

@@ -1,0 +1,122 @@
+"""Routes whose functions run in a pool: `short`, or `heavy` if they say so.
+
+A plain function under `@router.get(...)` runs in the short pool; `@heavy` below that puts it in the
+heavy one. Its body is read before, on the event loop: a thread is taken only once the bytes are
+there. What came with a large or packed body is heavy work in any case.
+"""
+
+import asyncio
+import inspect
+from collections.abc import Callable
+from functools import partial
+from typing import Annotated, Any, TypeVar
+
+from fastapi import APIRouter, Depends, Request
+from fastapi.routing import APIRoute
+from pydantic import BaseModel
+
+from app.access.access import sender_of
+from app.http.bodies.bodies import JsonFrom, Received, described_json, incoming_of
+from app.http.client import Client
+from app.http.pools import Pools
+
+__all__ = ["PooledRoute", "heavy", "pooled_router", "run_heavy"]
+
+T = TypeVar("T")
+F = TypeVar("F", bound=Callable[..., Any])
+
+_MARK = "tensormap_heavy"
+_REQUEST = "pooled_request"
+
+
+def heavy(function: F) -> F:
+    """Run a route's function in the heavy pool; declared below the route."""
+    setattr(function, _MARK, True)
+    return function
+
+
+def pooled_router(**options: Any) -> APIRouter:  # noqa: ANN401 - those of FastAPI's
+    """Return a router whose routes run in pools."""
+    return APIRouter(route_class=PooledRoute, **options)
+
+
+class PooledRoute(APIRoute):
+    """A route that runs its plain function in a pool; an asynchronous one does that by itself."""
+
+    def __init__(self, path: str, endpoint: Callable[..., Any], **options: Any) -> None:  # noqa: ANN401
+        if not inspect.iscoroutinefunction(endpoint):
+            if (model := _json_of(endpoint)) is not None:
+                options["openapi_extra"] = described_json(model)
+            endpoint = _pooled(endpoint)
+        super().__init__(path, endpoint, **options)
+
+
+def _json_of(function: Callable[..., Any]) -> type[BaseModel] | None:
+    """Return what the function takes as `Json[...]`, `None` if it takes no JSON."""
+    for parameter in inspect.signature(function).parameters.values():
+        for mark in getattr(parameter.annotation, "__metadata__", ()):
+            if isinstance(found := getattr(mark, "dependency", None), JsonFrom):
+                return found.model
+    return None
+
+
+def _pooled(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Return the function as FastAPI calls it: with the request, on the event loop."""
+    is_heavy = getattr(function, _MARK, False)
+
+    async def in_pool(**given: Any) -> Any:  # noqa: ANN401 - what the function takes and returns
+        request: Request = given.pop(_REQUEST)
+        bodies = [value for value in given.values() if isinstance(value, Received)]
+        pools: Pools = request.app.state.service.pools
+        of_bodies = (pools.of_body(len(body)) for body in bodies)
+        if is_heavy or any(body.packed for body in bodies) or pools.heavy in of_bodies:
+            return await run_heavy(request, partial(_call, function, given))
+        return await pools.short.run(sender_of(request.scope), partial(_call, function, given))
+
+    signature = inspect.signature(function)
+    # By a dependency: FastAPI hands the request itself to one parameter only.
+    of_it = Annotated[Request, Depends(_itself)]
+    added = inspect.Parameter(_REQUEST, inspect.Parameter.KEYWORD_ONLY, annotation=of_it)
+    in_pool.__signature__ = signature.replace(  # type: ignore[attr-defined]
+        parameters=[*signature.parameters.values(), added]
+    )
+    in_pool.__name__, in_pool.__doc__ = function.__name__, function.__doc__
+    in_pool.__module__, in_pool.__qualname__ = function.__module__, function.__qualname__
+    return in_pool
+
+
+async def _itself(request: Request) -> Request:
+    return request
+
+
+async def run_heavy(request: Request, work: Callable[[], T], *, begun: bool = False) -> T:
+    """Return what `work` returns, from a thread of the heavy pool.
+
+    Args:
+        request: What it is for; `require_client` stops the work once its client has left.
+        work: What to do.
+        begun: It goes on with what was begun: it waits however many do.
+
+    Raises:
+        TooManyRequests: If too much heavy work of the caller waits.
+        ServiceBusy: If too much heavy work waits.
+        ClientDisconnect: If the client left.
+    """
+    pools: Pools = request.app.state.service.pools
+    client = Client()
+    # While a body comes, whoever reads it notices that the client left.
+    watching = None if incoming_of(request).is_coming else client.watch(request.receive)
+    task = None if watching is None else asyncio.ensure_future(watching)
+    try:
+        with client.waiting():
+            return await pools.heavy.run(sender_of(request.scope), work, client=client, begun=begun)
+    finally:
+        if task is not None:
+            task.cancel()
+
+
+def _call(function: Callable[..., Any], given: dict[str, Any]) -> Any:  # noqa: ANN401
+    """Call a route's function with its body read; in a thread."""
+    return function(
+        **{name: v.open() if isinstance(v, Received) else v for name, v in given.items()}
+    )

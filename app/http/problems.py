@@ -1,0 +1,222 @@
+"""From errors to `application/problem+json` (RFC 9457): described, answered, handled."""
+
+import logging
+import re
+from collections.abc import Iterator
+from http import HTTPStatus
+from typing import Any
+
+from fastapi import FastAPI, Request
+from fastapi.exceptions import RequestValidationError
+from fastapi.responses import JSONResponse
+from pydantic import BaseModel, ConfigDict, Field
+from starlette.exceptions import HTTPException
+from starlette.requests import ClientDisconnect
+from starlette.responses import Response
+from starlette.routing import Match
+
+from app.http.errors import (
+    STATUS,
+    AppError,
+    InternalError,
+    InvalidRequest,
+    MethodNotAllowed,
+    NoSuchRoute,
+)
+from app.http.request_id import current_id
+from core import errors as core
+
+__all__ = [
+    "MEDIA_TYPE",
+    "Problem",
+    "add_handlers",
+    "internal_error",
+    "problem_name",
+    "problem_response",
+    "problem_type",
+    "problems",
+]
+
+MEDIA_TYPE = "application/problem+json"
+
+_METHODS = ("DELETE", "GET", "HEAD", "PATCH", "POST", "PUT")
+_MOST_FIELDS = 20  # a body of 100,000 poses may be wrong 700,000 times
+_MOST_CHARACTERS = 200  # of what a client sent and an answer repeats
+
+_log = logging.getLogger("tensormap")
+
+
+class FieldProblem(BaseModel):
+    """One thing that is wrong with a request."""
+
+    where: str = Field(description="Path to it, as `body/ranks/0` or `query/k`.")
+    what: str = Field(description="What was wanted.")
+
+
+class Problem(BaseModel):
+    """An error, as RFC 9457 writes it."""
+
+    model_config = ConfigDict(
+        json_schema_extra={
+            "example": {
+                "type": "/problems/map-not-found",
+                "title": "A map that is not there.",
+                "status": 404,
+                "detail": "there is no map 'campus'",
+            }
+        }
+    )
+
+    type: str = Field(description="Stable name of the error; the path explains it.")
+    title: str = Field(description="What it means, the same for every error of this type.")
+    status: int
+    detail: str = Field(description="What was wanted and what came, this time.")
+    errors: list[FieldProblem] | None = None
+    request_id: str | None = Field(
+        None, description="Of the request, as in `X-Request-Id` and in the service's log."
+    )
+
+
+def problem_name(error: type[core.TensorMapError]) -> str:
+    """Return an error's stable name.
+
+    Examples:
+        >>> problem_name(core.TooFewReturns)
+        'too-few-returns'
+    """
+    return _name_of(error.__name__)
+
+
+def problem_type(error: str) -> str:
+    """Return the `type` of the error class called `error`: the path that explains it.
+
+    Examples:
+        >>> problem_type("EmptyDrive")
+        '/problems/empty-drive'
+    """
+    return f"/problems/{_name_of(error)}"
+
+
+def _name_of(error: str) -> str:
+    return re.sub(r"(?<!^)(?=[A-Z])", "-", error).lower()
+
+
+def problems(*kinds: type[core.TensorMapError]) -> dict[int | str, dict[str, Any]]:
+    """Return the OpenAPI `responses` of a route that may end in these errors."""
+    by_status: dict[HTTPStatus, list[type[core.TensorMapError]]] = {}
+    for kind in dict.fromkeys(kinds):
+        by_status.setdefault(STATUS[kind], []).append(kind)
+    return {
+        status.value: {
+            "description": "; ".join(f"`{problem_name(kind)}`: {_title(kind)}" for kind in of_it),
+            "content": {
+                MEDIA_TYPE: {
+                    "schema": {"$ref": "#/components/schemas/Problem"},
+                    "examples": {
+                        problem_name(kind): {
+                            "value": {
+                                "type": problem_type(kind.__name__),
+                                "title": _title(kind),
+                                "status": status.value,
+                                "detail": "what was wanted and what came",
+                            }
+                        }
+                        for kind in of_it
+                    },
+                }
+            },
+        }
+        for status, of_it in sorted(by_status.items())
+    }
+
+
+def problem_response(
+    error: core.TensorMapError, errors: list[dict[str, str]] | None = None
+) -> JSONResponse:
+    """Answer with an error."""
+    kind = next(kind for kind in type(error).__mro__ if kind in STATUS)
+    status = STATUS[kind]
+    content: dict[str, Any] = {
+        "type": problem_type(kind.__name__),
+        "title": _title(kind),
+        "status": status.value,
+        "detail": str(error),
+    }
+    if errors is not None:
+        content["errors"] = errors
+    if (request_id := current_id()) is not None:
+        content["request_id"] = request_id
+    headers = error.headers if isinstance(error, AppError) else None
+    return JSONResponse(content, status, headers, media_type=MEDIA_TYPE)
+
+
+def add_handlers(app: FastAPI) -> None:
+    """Make every error of the service a problem.
+
+    The handlers wait for nothing: to hand them to a thread, as plain functions are, takes longer
+    than they do.
+    """
+
+    @app.exception_handler(core.TensorMapError)
+    async def known(request: Request, error: core.TensorMapError) -> JSONResponse:
+        response = problem_response(error)
+        if response.status_code >= HTTPStatus.INTERNAL_SERVER_ERROR:
+            _log.error("%s %s: %s", request.method, request.url.path, error, exc_info=error)
+        return response
+
+    @app.exception_handler(RequestValidationError)
+    async def invalid(_request: Request, error: RequestValidationError) -> JSONResponse:
+        fields = list(_field_problems(error))
+        more = len(error.errors()) - len(fields)
+        detail = "; ".join(f"{field['where']}: {field['what']}" for field in fields)
+        return problem_response(
+            InvalidRequest(f"{detail}; and {more} more" if more else detail), fields
+        )
+
+    @app.exception_handler(HTTPException)
+    async def http(request: Request, error: HTTPException) -> JSONResponse:
+        path = request.url.path[:_MOST_CHARACTERS]
+        if error.status_code == HTTPStatus.NOT_FOUND:
+            return problem_response(NoSuchRoute(f"there is no {path}; see /docs"))
+        if error.status_code == HTTPStatus.METHOD_NOT_ALLOWED:
+            allowed = ", ".join(_allowed_methods(request))
+            response = problem_response(
+                MethodNotAllowed(f"{path} has no {request.method[:40]}, it has {allowed}")
+            )
+            response.headers["Allow"] = allowed
+            return response
+        return problem_response(InvalidRequest(str(error.detail)))
+
+    @app.exception_handler(ClientDisconnect)
+    async def gone(request: Request, _error: ClientDisconnect) -> Response:
+        # A vehicle drove out of reach: nobody reads the answer, and it is no fault of the service.
+        _log.info("%s %s: the client went away", request.method, request.url.path)
+        return Response(status_code=HTTPStatus.BAD_REQUEST)
+
+
+def internal_error(error: Exception) -> JSONResponse:
+    """Answer with a fault of ours: its traceback is in the log, under the request's id."""
+    _log.error("a fault of the service", exc_info=error)
+    return problem_response(InternalError("the service failed; its log says where"))
+
+
+def _allowed_methods(request: Request) -> list[str]:
+    # Starlette's own Allow has the methods of the first route only, and ours have one each.
+    return [
+        method
+        for method in _METHODS
+        if any(
+            route.matches({**request.scope, "method": method})[0] is Match.FULL
+            for route in request.app.routes
+        )
+    ]
+
+
+def _field_problems(error: RequestValidationError) -> Iterator[dict[str, str]]:
+    for found in error.errors()[:_MOST_FIELDS]:
+        where = "/".join(str(part) for part in found["loc"])
+        yield {"where": where[:_MOST_CHARACTERS], "what": str(found["msg"])[:_MOST_CHARACTERS]}
+
+
+def _title(kind: type[core.TensorMapError]) -> str:
+    return (kind.__doc__ or "").strip().splitlines()[0]

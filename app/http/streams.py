@@ -1,0 +1,94 @@
+"""Streams that are open: of tracks, and of jobs' events."""
+
+import threading
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from app.http.errors import TooManyStreams, TooManyStreamsOfKey
+
+__all__ = ["Streams"]
+
+
+class Streams:
+    """Counts the open streams of all keys and of each; safe to share between threads.
+
+    Args:
+        limit: How many may be open.
+        per_key: How many may be open of one key.
+
+    Examples:
+        >>> streams = Streams(limit=3, per_key=1)
+        >>> with streams.opened("a"), streams.opened("a"):
+        ...     pass
+        Traceback (most recent call last):
+        app.http.errors.TooManyStreamsOfKey: 1 streams of key a are open, ...
+        >>> len(streams)
+        0
+    """
+
+    def __init__(self, limit: int, per_key: int) -> None:
+        self._limit = limit
+        self._per_key = per_key
+        self._open: Counter[str] = Counter()
+        self._lock = threading.Lock()
+        self._open_with: Counter[str] = Counter()
+
+    def __len__(self) -> int:
+        with self._lock:
+            return self._open.total()
+
+    def require_room(self, secret_hash: str) -> None:
+        """Refuse what is sure to be refused, without a look at the catalog.
+
+        Args:
+            secret_hash: Of the key or token that was sent, whether it is good or not.
+
+        Raises:
+            TooManyStreamsOfKey: If as many were opened with this very one as a key may have open.
+        """
+        with self._lock:
+            if self._open_with[secret_hash] >= self._per_key:
+                raise TooManyStreamsOfKey(
+                    f"{self._per_key} streams of this key are open, as many as may be: close one"
+                )
+
+    @contextmanager
+    def opened(self, key_id: str, secret_hash: str = "") -> Iterator[None]:
+        """Count a stream of a key for as long as the block runs.
+
+        Args:
+            key_id: Whose it is.
+            secret_hash: Of what was sent, for `require_room`.
+
+        Raises:
+            TooManyStreamsOfKey: If as many of this key are open as may be.
+            TooManyStreams: If as many of all keys are.
+        """
+        self._take(key_id, secret_hash)
+        try:
+            yield
+        finally:
+            self._give_back(key_id, secret_hash)
+
+    def _take(self, key_id: str, secret_hash: str) -> None:
+        with self._lock:
+            if self._open[key_id] >= self._per_key:
+                raise TooManyStreamsOfKey(
+                    f"{self._per_key} streams of key {key_id} are open, as many as may be:"
+                    " close one"
+                )
+            if self._open.total() >= self._limit:
+                raise TooManyStreams(
+                    f"{self._limit} streams are open, as many as may be: post observations one by"
+                    " one, or ask again"
+                )
+            self._open[key_id] += 1
+            self._open_with[secret_hash] += 1
+
+    def _give_back(self, key_id: str, secret_hash: str) -> None:
+        with self._lock:
+            for counted, of in ((self._open, key_id), (self._open_with, secret_hash)):
+                counted[of] -= 1
+                if not counted[of]:
+                    del counted[of]

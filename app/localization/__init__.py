@@ -1,0 +1,1 @@
+"""Localization: where am I, by a scan, an image or a signature."""

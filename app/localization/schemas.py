@@ -1,0 +1,302 @@
+"""Queries and answers over the wire."""
+
+from collections.abc import Sequence
+from typing import Annotated, Any
+
+import numpy as np
+from fastapi import Query
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Discriminator,
+    Field,
+    Tag,
+    field_validator,
+    model_validator,
+)
+
+from app.drives.pose_schemas import PoseOut
+from app.http.exact_types import Number, integers
+from core.arrays import Complex64Array
+from core.confidence.verdict import Refusal
+from core.encodings.signature import Signature
+from core.errors import InvalidSignature
+from core.localization.localizer import Localization, Match
+from core.parameters import Encoding
+
+__all__ = ["ENCODING_TAGS", "LocalizationOut", "NearestCount", "SignaturesIn"]
+
+ENCODING_TAGS = {Encoding.PAPER.value, Encoding.HARMONIC.value}
+"""Told apart by these in errors of pydantic's, where they stand between an item and its fields."""
+
+NearestCount = Annotated[
+    int, Query(alias="k", ge=1, le=1000, description="How many nearest scans to answer.")
+]
+
+
+# Bounds as in the packed form; of a list that is wrong, its first fault is told.
+_Row = Annotated[list[Number], Field(max_length=255, fail_fast=True)]
+
+
+class SegmentSignatureIn(BaseModel):
+    """A signature and the segment whose bases made it."""
+
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+
+    segment: int = Field(ge=0, le=0xFFFF)
+    values: list[_Row] = Field(
+        min_length=1, max_length=255, fail_fast=True, description="r1 rows of r2 numbers."
+    )
+
+    _integers = field_validator("segment", mode="before")(integers)
+
+
+class HarmonicSignatureIn(BaseModel):
+    """A signature made with a harmonic map's basis, good for all its segments."""
+
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+
+    values_real: list[_Row] = Field(
+        min_length=1,
+        max_length=255,
+        fail_fast=True,
+        description="Real parts, r1 rows of r2 numbers.",
+    )
+    values_imag: list[_Row] = Field(
+        min_length=1,
+        max_length=255,
+        fail_fast=True,
+        description="Imaginary parts, of the same shape; the first column is 0.",
+    )
+
+
+def _encoding_of(item: Any) -> str:  # noqa: ANN401 - whatever a client sends
+    if isinstance(item, dict):
+        harmonic = bool({"values_real", "values_imag"} & item.keys())
+    else:
+        harmonic = isinstance(item, HarmonicSignatureIn)
+    return (Encoding.HARMONIC if harmonic else Encoding.PAPER).value
+
+
+SignatureIn = Annotated[
+    Annotated[SegmentSignatureIn, Tag(Encoding.PAPER.value)]
+    | Annotated[HarmonicSignatureIn, Tag(Encoding.HARMONIC.value)],
+    Discriminator(_encoding_of),
+]
+
+
+class SignaturesIn(BaseModel):
+    """One scan's signatures, made with one basis; a harmonic map's is one.
+
+    They name that basis, or a revision that has it.
+    """
+
+    model_config = ConfigDict(
+        extra="forbid",
+        json_schema_extra={
+            "example": {
+                "basis": "0f" * 32,
+                "signatures": [{"segment": 3, "values": [[950.1, -3.2], [12.5, 60.8]]}],
+            },
+            "examples": [
+                {
+                    "basis": "0f" * 32,
+                    "signatures": [
+                        {
+                            "values_real": [[85.2, -3.1], [10.4, 6.2]],
+                            "values_imag": [[0.0, 7.5], [0.0, -1.9]],
+                        }
+                    ],
+                },
+            ],
+        },
+    )
+
+    basis: Annotated[str, Field(pattern="^[0-9a-f]{16,64}$")] | None = Field(
+        None,
+        description="Digest of the basis that made them, or at least 16 first digits: any revision"
+        " that has it answers, the live one first.",
+    )
+    revision: Annotated[str, Field(pattern="^[0-9a-f]{16,64}$")] | None = Field(
+        None, description="Instead: digest of the revision that is to answer."
+    )
+    signatures: list[SignatureIn] = Field(min_length=1, max_length=0x10000, fail_fast=True)
+
+    @model_validator(mode="after")
+    def _one_name(self) -> "SignaturesIn":
+        if (self.basis is None) == (self.revision is None):
+            raise ValueError("give the basis that made the signatures, or else a revision")
+        return self
+
+    @property
+    def named(self) -> str:
+        """What they name."""
+        return self.basis or self.revision or ""
+
+    @classmethod
+    def from_core(cls, signatures: Sequence[Signature]) -> "SignaturesIn":
+        """Show signatures of one basis as they are sent."""
+        return cls(
+            basis=signatures[0].revision,
+            signatures=[_shown(signature) for signature in signatures],
+        )
+
+    def to_core(self) -> tuple[Signature, ...]:
+        """Return the signatures.
+
+        Raises:
+            InvalidSignature: If one's rows differ in length or a number is beyond float32.
+        """
+        signatures = []
+        for item in self.signatures:
+            if isinstance(item, HarmonicSignatureIn):
+                signatures.append(Signature(_complex(item), None, self.named))
+                continue
+            if len({len(row) for row in item.values}) > 1:
+                raise InvalidSignature(f"the rows of segment {item.segment} differ in length")
+            with np.errstate(over="ignore"):  # infinite then, and refused as such
+                values = np.array(item.values, dtype=np.float64).astype(np.float32)
+            signatures.append(Signature(values, item.segment, self.named))
+        return tuple(signatures)
+
+
+def _shown(signature: Signature) -> SegmentSignatureIn | HarmonicSignatureIn:
+    values = signature.values
+    if signature.segment is None:
+        return HarmonicSignatureIn(
+            values_real=values.real.tolist(), values_imag=values.imag.tolist()
+        )
+    return SegmentSignatureIn(segment=signature.segment, values=values.tolist())
+
+
+def _complex(item: HarmonicSignatureIn) -> Complex64Array:
+    lengths = {len(row) for row in (*item.values_real, *item.values_imag)}
+    if len(lengths) > 1 or len(item.values_real) != len(item.values_imag):
+        raise InvalidSignature("values_real and values_imag are not of one shape r1 x r2")
+    values = np.zeros((len(item.values_real), lengths.pop()), np.complex64)
+    with np.errstate(over="ignore"):  # infinite then, and refused as such
+        values.real, values.imag = item.values_real, item.values_imag
+    return values
+
+
+class MatchOut(BaseModel):
+    """A scan of the map, and how far the query is from it."""
+
+    segment: int
+    fraction: float = Field(description="How far along the segment: 0 at one node, 1 at the other.")
+    along_m: float | None = Field(description="The same in metres; null without poses.")
+    drive: str
+    scan_index: int = Field(description="Its index in that drive.")
+    distance: float = Field(
+        description="Of the signatures: Frobenius; in a harmonic map the one it was built with."
+    )
+    timestamp_s: float | None
+    pose: PoseOut | None
+    turn_deg: float | None = Field(
+        description="How far the query is turned from that scan, counter-clockwise, -180..180; null"
+        " in the paper's encoding."
+    )
+    lateral_m: float | None = Field(
+        description="How far to the left of that scan the query stands; null likewise."
+    )
+    heading_deg: float | None = Field(
+        description="Estimated heading of the query in the world; null likewise or without poses."
+    )
+    estimated_pose: PoseOut | None = Field(
+        description="Where the query stands: that scan's pose, displaced and turned; null likewise."
+    )
+
+    @classmethod
+    def from_core(cls, match: Match) -> "MatchOut":
+        """Show a match."""
+        return cls(
+            segment=match.segment,
+            fraction=match.fraction,
+            along_m=match.along_m,
+            drive=match.drive,
+            scan_index=match.scan_index,
+            distance=match.distance,
+            timestamp_s=match.timestamp_s,
+            pose=None if match.pose is None else PoseOut.from_core(match.pose),
+            turn_deg=match.turn_deg,
+            lateral_m=match.lateral_m,
+            heading_deg=match.heading_deg,
+            estimated_pose=(
+                None if match.estimated_pose is None else PoseOut.from_core(match.estimated_pose)
+            ),
+        )
+
+
+class CovarianceOut(BaseModel):
+    """Of the position, in the map's frame."""
+
+    xx_m2: float
+    xy_m2: float
+    yy_m2: float
+
+
+class LocalizationOut(BaseModel):
+    """Where the query was taken, as far as the map can tell.
+
+    It names its nearest scan for a query from elsewhere too, to be looked at: only with
+    `localized` true is it an answer.
+    """
+
+    revision: str = Field(description="The revision that answered.")
+    live_revision: str = Field(description="The revision that is live now.")
+    localized: bool = Field(description="Whether the best match may be taken for the place.")
+    reason: Refusal | None = Field(
+        description="Why not. `unknown_place`: nothing is near enough; `ambiguous`: it is, but"
+        " another place nearly as much; `too_few_returns`: the image is too empty;"
+        " `outside_prior`: nothing fits the hints, or elsewhere fits far better;"
+        " `not_calibrated`: `min_probability` was asked of a map that cannot tell."
+    )
+    probability: float | None = Field(
+        description="That the best match is right, if a query is as likely in the map as"
+        " elsewhere; null from a map that was not calibrated: it refuses nothing."
+    )
+    along_std_m: float | None = Field(
+        description="If it is right: standard deviation of the position along the path; null"
+        " without calibration or poses."
+    )
+    lateral_std_m: float | None = Field(description="The same across the path.")
+    heading_std_deg: float | None = Field(
+        description="The same of the heading; null in the paper's encoding."
+    )
+    position_covariance: CovarianceOut | None = Field(
+        description="The two of them in the map's frame."
+    )
+    best: MatchOut
+    matches: list[MatchOut] = Field(description="The k nearest scans, nearest first.")
+    runner_up: MatchOut | None = Field(description="The nearest scan away from the best one.")
+    ratio: float | None = Field(description="Distance of the best over that of the runner-up.")
+    segments_searched: list[int]
+
+    @classmethod
+    def from_core(cls, found: Localization, live_revision: str) -> "LocalizationOut":
+        """Show an answer."""
+        deviation, covariance = found.deviation, found.position_covariance_m2
+        return cls(
+            revision=found.revision,
+            live_revision=live_revision,
+            localized=found.localized,
+            reason=found.verdict.reason,
+            probability=found.verdict.probability,
+            along_std_m=None if deviation is None else deviation.along_m,
+            lateral_std_m=None if deviation is None else deviation.lateral_m,
+            heading_std_deg=(
+                None
+                if deviation is None or found.best.heading_deg is None
+                else deviation.heading_deg
+            ),
+            position_covariance=(
+                None
+                if covariance is None
+                else CovarianceOut(xx_m2=covariance[0], xy_m2=covariance[1], yy_m2=covariance[2])
+            ),
+            best=MatchOut.from_core(found.best),
+            matches=[MatchOut.from_core(match) for match in found.matches],
+            runner_up=None if found.runner_up is None else MatchOut.from_core(found.runner_up),
+            ratio=found.ratio,
+            segments_searched=list(found.segments),
+        )

@@ -1,0 +1,1 @@
+"""Loop closures: checks of proposed ones."""

@@ -1,0 +1,57 @@
+"""Loop closures: is a proposed one true?"""
+
+from app.access.scopes import Scope, needs
+from app.http.bodies.bodies import Json
+from app.http.errors import JSON_BODY, READING
+from app.http.pooled_route import heavy, pooled_router
+from app.http.problems import problems
+from app.loop_closures.closures import judge_closures
+from app.loop_closures.schemas import LoopClosureOut, LoopClosuresIn, LoopClosuresOut
+from app.service import MapSlug, Running
+from core.errors import InvalidScan, InvalidSignature, StaleSignature, UnknownSegment
+from storage.errors import (
+    CorruptFile,
+    DriveNotFound,
+    MapNotFound,
+    NoLiveRevision,
+    ReturnsGone,
+    ScanNotFound,
+)
+
+__all__ = ["router"]
+
+router = pooled_router(tags=["loop closures"])
+
+
+@router.post(
+    "/maps/{map}/loop-closures",
+    dependencies=[needs(Scope.LOCALIZE)],
+    responses=problems(
+        MapNotFound,
+        DriveNotFound,
+        ScanNotFound,
+        ReturnsGone,
+        NoLiveRevision,
+        StaleSignature,
+        UnknownSegment,
+        InvalidSignature,
+        InvalidScan,
+        CorruptFile,
+        *JSON_BODY,
+        *READING,
+    ),
+)
+@heavy
+def check_loop_closures(
+    map_slug: MapSlug, wanted: Json[LoopClosuresIn], running: Running
+) -> LoopClosuresOut:
+    """Judge proposed closures before they bend a map.
+
+    Two stored scans are judged by their returns, laid over each other in every heading: reliable,
+    and independent of the map's encoding. A scan of which only signatures came is judged by these,
+    which tells far less.
+    """
+    found = judge_closures(running.store, running.revisions, map_slug, wanted)
+    return LoopClosuresOut(
+        closures=[LoopClosureOut.from_core(closure, wanted.accept_from) for closure in found]
+    )

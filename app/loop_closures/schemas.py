@@ -1,0 +1,124 @@
+"""Proposed loop closures over the wire."""
+
+from typing import Annotated, Any
+
+from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, field_validator
+
+from app.http.exact_types import Name, Number, integers
+from app.localization.schemas import SignaturesIn
+from core.loop_closure.closure import ACCEPT_FROM, LoopClosure, Verdict
+
+__all__ = ["LoopClosureOut", "LoopClosuresIn", "LoopClosuresOut", "StoredScanIn"]
+
+_MOST = 100  # proposals; a pair of scans takes about a tenth of a second
+
+
+class StoredScanIn(BaseModel):
+    """A scan of one of the map's drives."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    drive: Name = Field(max_length=64)
+    scan_index: int = Field(ge=0, lt=2**53)
+
+    _integers = field_validator("scan_index", mode="before")(integers)
+
+
+def _told_of(item: Any) -> str:  # noqa: ANN401 - whatever a client sends
+    if isinstance(item, dict):
+        return "signatures" if "signatures" in item else "scan"
+    return "signatures" if isinstance(item, SignaturesIn) else "scan"
+
+
+ScanIn = Annotated[
+    Annotated[StoredScanIn, Tag("scan")] | Annotated[SignaturesIn, Tag("signatures")],
+    Discriminator(_told_of),
+]
+
+
+class ProposalIn(BaseModel):
+    """Two scans that may show one place."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    first: StoredScanIn = Field(description="What the answer is relative to.")
+    second: ScanIn = Field(
+        description="Another stored scan, judged by the returns of both; or signatures of one that"
+        " is not, judged against the first one's in the revision that they name."
+    )
+
+
+class LoopClosuresIn(BaseModel):
+    """Proposed closures, judged one by one."""
+
+    model_config = ConfigDict(
+        extra="forbid",
+        json_schema_extra={
+            "example": {
+                "proposals": [
+                    {
+                        "first": {"drive": "monday", "scan_index": 3},
+                        "second": {"drive": "monday", "scan_index": 47},
+                    }
+                ]
+            }
+        },
+    )
+
+    proposals: list[ProposalIn] = Field(min_length=1, max_length=_MOST, fail_fast=True)
+    accept_from: Number = Field(
+        ACCEPT_FROM,
+        gt=0.5,
+        le=1,
+        description="The least probability to accept; below 0.5 it is rejected.",
+    )
+    sensor_height_m: Number | None = Field(
+        None,
+        gt=0,
+        lt=100,
+        description="Of the drives' sensor above ground; that of the live revision by default.",
+    )
+
+
+class LoopClosureOut(BaseModel):
+    """What is thought of one proposal."""
+
+    verdict: Verdict
+    probability: float | None = Field(
+        description="That the scans stand within some 5 m of each other, true and false being as"
+        " likely beforehand; null if a map without calibration is asked by signature."
+    )
+    turn_deg: float | None = Field(
+        description="How far the second is turned from the first, counter-clockwise, -180..180."
+    )
+    forward_m: float | None = Field(description="How far ahead of the first the second stands.")
+    lateral_m: float | None = Field(description="How far to its left.")
+    image_similarity: float | None = Field(
+        description="Of the height images in the best heading, at most 1; null without returns."
+    )
+    overlap: float | None = Field(
+        description="Of the views from above as they lie best, at most 1; null without returns."
+    )
+    signature_distance: float | None = Field(
+        description="In the measure of the map; null where returns were compared."
+    )
+
+    @classmethod
+    def from_core(cls, found: LoopClosure, accept_from: float) -> "LoopClosureOut":
+        """Show a judged closure."""
+        return cls(
+            verdict=found.verdict(accept_from),
+            probability=found.probability,
+            turn_deg=found.turn_deg,
+            forward_m=found.forward_m,
+            lateral_m=found.lateral_m,
+            image_similarity=found.image_similarity,
+            overlap=found.overlap,
+            signature_distance=found.signature_distance,
+        )
+
+
+class LoopClosuresOut(BaseModel):
+    """The proposals' verdicts, in their order."""
+
+    closures: list[LoopClosureOut]

@@ -1,0 +1,1 @@
+"""Maps: the named containers of drives and revisions."""

@@ -1,0 +1,150 @@
+"""Removes what the maps' policies do not keep: old revisions, and the returns of mapped scans."""
+
+import logging
+import threading
+
+import numpy as np
+
+from app.drives.stored_images import images_path
+from app.http.logs import fields
+from app.settings import Settings
+from core.errors import TensorMapError
+from core.mapping.tensormap import TensorMap
+from storage.catalog import Act, MapRecord, on_behalf
+from storage.catalog.scans import LostRace
+from storage.errors import CorruptImages, MapNotFound
+from storage.files.image_file import ImageFile
+from storage.files.map_file import read_map
+from storage.retention import RawScans
+from storage.store import Store, StoredDrive
+
+__all__ = ["GarbageCollector"]
+
+_EVERY_S = 3600.0  # what is kept by its age grows older by itself
+
+_log = logging.getLogger("tensormap.collector")
+
+
+class GarbageCollector:
+    """Collects at the start, when it is woken, and every hour.
+
+    Args:
+        settings: What the operator chose: the policy of maps that have none of their own.
+        store: Whose revisions and scans.
+    """
+
+    def __init__(self, settings: Settings, store: Store) -> None:
+        self._default = settings.retention
+        self._store = store
+        self._wake = threading.Event()
+        self._stopping = threading.Event()
+        self._one = threading.Lock()
+        self._thread = threading.Thread(target=self._loop, name="collector", daemon=True)
+
+    def start(self) -> None:
+        """Begin, with what the last service left."""
+        self._thread.start()
+
+    def wake(self) -> None:
+        """Look now: a revision was added or replaced, or a policy changed."""
+        self._wake.set()
+
+    def stop(self) -> None:
+        """End, after the file at hand."""
+        self._stopping.set()
+        self._wake.set()
+        self._thread.join()
+
+    def collect(self) -> None:
+        """Remove what no policy keeps now; what cannot be removed is logged and stays."""
+        with self._one:
+            after: str | None = ""
+            while after is not None and not self._stopping.is_set():
+                page = self._store.maps.list(after)
+                for of_map in page.items:
+                    self._collect_of(of_map)
+                after = page.next_after
+
+    def _loop(self) -> None:
+        while not self._stopping.is_set():
+            try:
+                self.collect()
+            except TensorMapError:
+                _log.exception("the maps cannot be listed")
+            self._wake.wait(_EVERY_S)
+            self._wake.clear()
+
+    def _collect_of(self, of_map: MapRecord) -> None:
+        try:
+            for digest in self._store.revisions.collectable(of_map.id, self._default):
+                self._collect_one(of_map, digest)
+            if of_map.retention.over(self._default).raw_scans == RawScans.DROP:
+                self._drop_returns(of_map)
+        except MapNotFound:
+            pass  # gone, and all that it had
+        except LostRace as error:
+            _log.info("map %s: %s", of_map.slug, error)
+        except (TensorMapError, OSError):
+            _log.exception("what map %s does not keep cannot be removed", of_map.slug)
+
+    def _collect_one(self, of_map: MapRecord, digest: str) -> None:
+        try:
+            with on_behalf(_act("collect_revision", of_map, f"revision {digest}")):
+                self._store.revisions.collect(of_map.id, digest, self._default)
+        except LostRace as error:
+            _log.info("map %s: %s", of_map.slug, error)
+        else:
+            _log.info("revision collected", extra=fields(map=of_map.slug, revision=digest))
+
+    def _drop_returns(self, of_map: MapRecord) -> None:
+        """Drop the returns that the live revision was built of, if later builds can do without."""
+        if of_map.live_revision is None or self._store.catalog.collector.has_open_job(of_map.id):
+            return
+        live = self._store.revisions.of_map(of_map.id, of_map.live_revision)
+        drives = [
+            drive
+            for drive in self._store.drives.of_map(of_map.id)
+            if drive.closed and drive.kept_returns and live.drive_ids.get(drive.slug) == drive.id
+        ]
+        if not drives:
+            return
+        tensor_map = read_map(self._store.revisions.path_of(live))
+        for drive in self._store.drives.open_of_map(of_map.id, [drive.slug for drive in drives]):
+            if self._stopping.is_set():
+                return
+            indices = _mapped(tensor_map, drive)
+            if not indices or not self._has_images(drive, tensor_map):
+                continue
+            detail = f"drive {drive.name}: returns of {len(indices)} scans"
+            with on_behalf(_act("drop_returns", of_map, f"{detail}, mapped in {live.digest}")):
+                self._store.drives.drop_returns(
+                    of_map.id, live.digest, drive.name, indices, self._default
+                )
+            _log.info(
+                "returns dropped",
+                extra=fields(map=of_map.slug, drive=drive.name, scans=len(indices)),
+            )
+
+    def _has_images(self, drive: StoredDrive, tensor_map: TensorMap) -> bool:
+        """Return whether the images of the drive as it is now are kept, so that builds go on."""
+        path = images_path(self._store, drive, tensor_map.parameters)
+        if not path.exists():
+            return False
+        try:
+            with ImageFile(path, tensor_map.parameters.imager) as images:
+                return images.probes is not None
+        except CorruptImages as error:
+            _log.warning("%s; the returns of drive %s are kept", error, drive.name)
+            return False
+
+
+def _mapped(tensor_map: TensorMap, drive: StoredDrive) -> frozenset[int]:
+    """Return the indices of the drive's scans that a map has and whose returns are stored."""
+    trajectory = tensor_map.trajectory
+    of_drive = trajectory.drive_of_scan == trajectory.drives.index(drive.name)
+    stored = drive.scan_index[drive.has_returns]
+    return frozenset(np.intersect1d(trajectory.scan_index[of_drive], stored).tolist())
+
+
+def _act(action: str, of_map: MapRecord, detail: str) -> Act:
+    return Act("service", action, f"/v1/maps/{of_map.slug}", of_map.slug, detail)

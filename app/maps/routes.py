@@ -1,0 +1,133 @@
+"""Maps: the named containers of drives and revisions."""
+
+import re
+from typing import Annotated
+
+from fastapi import Header, Response, status
+
+from app.access.dependency import Asking
+from app.access.scopes import Scope, needs
+from app.access.trail import note
+from app.http.bodies.bodies import Json
+from app.http.errors import (
+    JSON_BODY,
+    READING,
+    WRITING,
+    InvalidRequest,
+)
+from app.http.pages import After, Limit, PageOut
+from app.http.pooled_route import pooled_router
+from app.http.problems import problems
+from app.maps.schemas import MapIn, MapOut, MapPatch
+from app.service import MapSlug, Running
+from storage.errors import InvalidSlug, MapChanged, MapExists, MapNotFound
+
+__all__ = ["IfMatch", "etag_of", "router", "version_seen"]
+
+router = pooled_router(tags=["maps"])
+
+_ETAG = re.compile(r'\s*(?:\*|(?:W/)?"([0-9]{1,18})")\s*')
+IfMatch = Annotated[
+    str | None,
+    Header(
+        description="The ETag that was seen: change only that version.",
+        json_schema_extra={"pattern": r'^(\*|(W/)?"[0-9]{1,18}")$'},
+    ),
+]
+
+
+@router.post(
+    "/maps",
+    dependencies=[needs(Scope.MAPS_WRITE)],
+    status_code=status.HTTP_201_CREATED,
+    responses=problems(InvalidSlug, MapExists, *JSON_BODY, *WRITING),
+)
+def create_map(wanted: Json[MapIn], running: Running, response: Response, asking: Asking) -> MapOut:
+    """Make an empty map."""
+    note("", map_slug=wanted.map)
+    asking.require_new_map(wanted.map)
+    record = running.store.maps.create(wanted.map, wanted.description)
+    response.headers["Location"] = f"/v1/maps/{record.slug}"
+    response.headers["ETag"] = etag_of(record.version)
+    return MapOut.from_record(record, running.settings.retention)
+
+
+@router.get(
+    "/maps", dependencies=[needs(Scope.MAPS_READ)], responses=problems(InvalidRequest, *READING)
+)
+def list_maps(
+    running: Running, asking: Asking, after: After = "", limit: Limit = 100
+) -> PageOut[MapOut]:
+    """List the maps by name, those within the limits of the key."""
+    page = running.store.maps.list(after, limit, slugs=asking.maps)
+    default = running.settings.retention
+    items = [MapOut.from_record(record, default) for record in page.items]
+    return PageOut(items=items, next_after=page.next_after)
+
+
+@router.get(
+    "/maps/{map}", dependencies=[needs(Scope.MAPS_READ)], responses=problems(MapNotFound, *READING)
+)
+def get_map(map_slug: MapSlug, running: Running, response: Response) -> MapOut:
+    """Show a map."""
+    record = running.store.maps.get(map_slug)
+    response.headers["ETag"] = etag_of(record.version)
+    return MapOut.from_record(record, running.settings.retention)
+
+
+@router.patch(
+    "/maps/{map}",
+    dependencies=[needs(Scope.MAPS_WRITE)],
+    responses=problems(MapNotFound, MapChanged, *JSON_BODY, *WRITING),
+)
+def update_map(
+    map_slug: MapSlug,
+    change: Json[MapPatch],
+    running: Running,
+    response: Response,
+    if_match: IfMatch = None,
+) -> MapOut:
+    """Change a map's description, or what is kept of it."""
+    kept = None if change.retention is None else change.retention.model_dump(exclude_unset=True)
+    if kept:
+        note("retention " + ", ".join(f"{name}={value}" for name, value in kept.items()))
+    record = running.store.maps.update(
+        map_slug,
+        description=change.description,
+        retention=kept,
+        if_version=version_seen(if_match),
+    )
+    if kept:
+        running.collector.wake()
+    response.headers["ETag"] = etag_of(record.version)
+    return MapOut.from_record(record, running.settings.retention)
+
+
+@router.delete(
+    "/maps/{map}",
+    dependencies=[needs(Scope.MAPS_WRITE)],
+    status_code=status.HTTP_204_NO_CONTENT,
+    responses=problems(MapNotFound, MapChanged, InvalidRequest, *WRITING),
+)
+def delete_map(map_slug: MapSlug, running: Running, if_match: IfMatch = None) -> None:
+    """Remove a map with its drives, revisions and jobs."""
+    running.store.maps.delete(map_slug, if_version=version_seen(if_match))
+
+
+def etag_of(version: int) -> str:
+    """Return the ETag of a map's version."""
+    return f'"{version}"'
+
+
+def version_seen(if_match: str | None) -> int | None:
+    """Return the version that a client saw, `None` if any will do.
+
+    Raises:
+        InvalidRequest: If it is no ETag of a map.
+    """
+    if if_match is None:
+        return None
+    found = _ETAG.fullmatch(if_match)
+    if found is None:
+        raise InvalidRequest(f"If-Match is {if_match[:80]!r}, wanted a map's ETag")
+    return None if found[1] is None else int(found[1])

@@ -1,1 +1,0 @@
-"""Peers that are packages of their own, compared with where they are installed."""

@@ -1,0 +1,1 @@
+"""Revisions: loaded, imported, compared, downloaded."""

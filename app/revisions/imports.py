@@ -1,0 +1,86 @@
+"""A map from elsewhere becomes a revision: checked whole, and written anew."""
+
+from core.errors import InvalidMap
+from core.mapping.tensormap import TensorMap
+from core.parameters import MapParameters
+from storage.catalog import RevisionFacts, RevisionRecord
+from storage.errors import CorruptFile, RevisionNotFound
+from storage.files.map_file import map_of_bytes, write_map
+from storage.store import Store
+
+__all__ = ["import_revision"]
+
+
+def import_revision(
+    store: Store, map_slug: str, body: bytes, *, make_live: bool
+) -> tuple[RevisionRecord, bool]:
+    """Add a map file to a map.
+
+    What is stored is written from what was read and checked: nothing else that the file may hold
+    gets in. Its drives are names of scans that are not here, so no build can be based on it.
+
+    Args:
+        store: Where to.
+        map_slug: The map.
+        body: The bytes of an HDF5 file.
+        make_live: Make it live even if it is not the map's first.
+
+    Returns:
+        The revision, and whether it is new to the map.
+
+    Raises:
+        MapNotFound: If there is no such map.
+        InvalidMap: If the file is no map, is torn, or its content has another digest.
+        StorageFull: If no space is left; nothing is changed.
+    """
+    map_id = store.maps.get(map_slug).id
+    tensor_map = _read(body)
+    parameters = tensor_map.parameters
+    facts = RevisionFacts(
+        encoding=parameters.encoding,
+        scans=len(tensor_map),
+        segments=tensor_map.model.segments,
+        parameters={
+            "imported": True,
+            **_told(parameters),
+            "drives": list(tensor_map.trajectory.drives),
+            "calibrated": tensor_map.calibration is not None,
+        },
+        bases=tensor_map.basis_digests,
+    )
+    try:
+        store.revisions.get(map_slug, tensor_map.revision)
+        added = False
+    except RevisionNotFound:
+        added = True
+    record = store.revisions.add(
+        map_id,
+        tensor_map.revision,
+        lambda path: write_map(path, tensor_map),
+        facts,
+        make_live=make_live,
+    )
+    return record, added
+
+
+def _read(body: bytes) -> TensorMap:
+    try:
+        return map_of_bytes(body, "the body")
+    except CorruptFile as error:
+        raise InvalidMap(str(error)) from error
+
+
+def _told(parameters: MapParameters) -> dict[str, object]:
+    """Return what a build would have been asked for."""
+    offsets = parameters.lateral_renderings_m
+    return {
+        "encoding": parameters.encoding.value,
+        "ranks": list(parameters.ranks),
+        "segmentation": parameters.segmentation.value,
+        "reducer": parameters.reducer.value,
+        "image": parameters.image.value,
+        "distance": None if parameters.distance is None else parameters.distance.value,
+        "lateral_renderings_m": None if offsets is None else list(offsets),
+        "sensor": parameters.sensor,
+        "sensor_height_m": parameters.sensor_height_m,
+    }

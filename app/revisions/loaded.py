@@ -1,0 +1,152 @@
+"""Revisions in memory, ready to answer."""
+
+import threading
+from collections import OrderedDict
+from contextlib import suppress
+from dataclasses import dataclass
+
+from core.encodings.signature import REVISION_PREFIX_BYTES
+from core.errors import StaleSignature
+from core.localization.localizer import Localizer
+from core.mapping.tensormap import TensorMap
+from storage.catalog import MapRecord
+from storage.errors import (
+    AmbiguousRevision,
+    CorruptFile,
+    NoLiveRevision,
+    RevisionNotFound,
+    StorageBusy,
+)
+from storage.files.map_file import read_revision
+from storage.store import Store
+
+__all__ = ["Answering", "LoadedRevisions"]
+
+_ATTEMPTS = 20
+
+
+@dataclass(frozen=True)
+class Answering:
+    """A revision that answers, and the one that is live.
+
+    Attributes:
+        localizer: Of the revision that answers.
+        live_revision: Digest of the live one; scan queries are answered by it.
+    """
+
+    localizer: Localizer
+    live_revision: str
+
+
+class LoadedRevisions:
+    """The revisions used last, read once; a revision never changes, so none grows stale.
+
+    Args:
+        store: Where they are kept.
+        limit: How many are held.
+    """
+
+    def __init__(self, store: Store, limit: int) -> None:
+        self._store = store
+        self._limit = limit
+        self._loaded: OrderedDict[tuple[str, str], Localizer] = OrderedDict()
+        self._lock = threading.Lock()
+        self._reading: dict[tuple[str, str], threading.Lock] = {}
+
+    def live(self, map_slug: str) -> Answering:
+        """Return the live revision of a map.
+
+        Raises:
+            MapNotFound: If there is no such map.
+            NoLiveRevision: If nothing was built of it yet.
+            CorruptFile: If its file is not what was written.
+            StorageBusy: If another one becomes live again and again while it is read.
+        """
+        for _ in range(_ATTEMPTS):
+            of_map, live = self._live(map_slug)
+            with suppress(RevisionNotFound):  # another became live, and this one was not retained
+                return Answering(self._get(map_slug, of_map.id, live), live)
+        raise StorageBusy(f"another revision of {map_slug!r} became live {_ATTEMPTS} times")
+
+    def named(self, map_slug: str, revision: str) -> Answering:
+        """Return a retained revision by its digest or a prefix of at least 12 digits.
+
+        Raises:
+            MapNotFound: If there is no such map.
+            NoLiveRevision: If nothing was built of it yet.
+            RevisionNotFound: If the map has no such revision, or no longer.
+            AmbiguousRevision: If the map has several.
+            CorruptFile: If its file is not what was written.
+        """
+        of_map, live = self._live(map_slug)
+        digest = self._store.revisions.get(map_slug, revision).digest
+        return Answering(self._get(map_slug, of_map.id, digest), live)
+
+    def of_signature(self, map_slug: str, revision: str) -> Answering:
+        """Return the revision that answers signatures which name a basis or a revision.
+
+        That of a basis is the live one if it has it, else the newest retained one that does.
+
+        Args:
+            map_slug: The map.
+            revision: Digest of the basis or revision, or at least 16 first digits.
+
+        Raises:
+            MapNotFound: If there is no such map.
+            NoLiveRevision: If nothing was built of it yet.
+            StaleSignature: If the map has nothing of that name, or no longer; names the live one.
+            CorruptFile: If its file is not what was written.
+        """
+        _, live = self._live(map_slug)
+        stale = StaleSignature(
+            f"map {map_slug!r} has no revision or basis {revision[:64] or '(none)'!r}, or no"
+            f" longer; live is {live}"
+        )
+        if len(revision) < 2 * REVISION_PREFIX_BYTES:
+            raise stale
+        for _ in range(_ATTEMPTS):
+            holder = self._store.revisions.with_basis(map_slug, revision)
+            if holder is None:
+                break
+            with suppress(RevisionNotFound):  # not retained since; another may have the basis
+                return self.named(map_slug, holder.digest)
+        try:
+            return self.named(map_slug, revision)
+        except (RevisionNotFound, AmbiguousRevision):
+            # A revision from before bases had names of their own has none in the catalog.
+            answering = self.live(map_slug)
+            if answering.localizer.answers(revision):
+                return answering
+            raise stale from None
+
+    def _live(self, map_slug: str) -> tuple[MapRecord, str]:
+        record = self._store.maps.get(map_slug)
+        if record.live_revision is None:
+            raise NoLiveRevision(f"map {map_slug!r} has no revision yet: post a build")
+        return record, record.live_revision
+
+    def _get(self, map_slug: str, map_id: str, digest: str) -> Localizer:
+        key = (map_id, digest)
+        with self._lock:
+            if (found := self._loaded.get(key)) is not None:
+                self._loaded.move_to_end(key)
+                return found
+            reading = self._reading.setdefault(key, threading.Lock())
+        with reading:  # one reader a revision; others of it wait, all else goes on
+            with self._lock:
+                if (found := self._loaded.get(key)) is not None:
+                    return found
+            localizer = Localizer(self._read(map_slug, digest))
+            with self._lock:
+                self._loaded[key] = localizer
+                self._reading.pop(key, None)
+                while len(self._loaded) > self._limit:
+                    self._loaded.popitem(last=False)
+        return localizer
+
+    def _read(self, map_slug: str, digest: str) -> TensorMap:
+        try:
+            return read_revision(self._store.revisions.path(map_slug, digest), digest)
+        except FileNotFoundError as error:
+            self._store.revisions.get(map_slug, digest)  # it may have been deleted meanwhile
+            raise CorruptFile(f"the file of revision {digest} is gone") from error

@@ -1,0 +1,275 @@
+"""Revisions: immutable builds of a map, one of them live, and what is read from them."""
+
+import io
+import json
+from typing import Annotated, Any
+
+import numpy as np
+from fastapi import Header, Path, Query, Response, status
+from fastapi.responses import FileResponse
+from pydantic import Field
+
+from app.access.scopes import Scope, needs
+from app.access.trail import note
+from app.http.bodies.bodies import Body, ContentType, Json, binary_body, media_type
+from app.http.errors import (
+    JSON_BODY,
+    READING,
+    WRITING,
+    BodyTooLarge,
+    InvalidRequest,
+    UnsupportedBody,
+)
+from app.http.open_file import OpenFileResponse
+from app.http.pages import After, Limit, PageOut
+from app.http.pooled_route import heavy, pooled_router
+from app.http.problems import problems
+from app.maps.routes import IfMatch, etag_of, version_seen
+from app.maps.schemas import MapOut
+from app.revisions.imports import import_revision
+from app.revisions.loaded import Answering
+from app.revisions.schemas import BasisOut, LiveIn, RevisionOut
+from app.revisions.topology_schemas import TopologyOut
+from app.service import MapSlug, Running
+from core.errors import InvalidMap, InvalidParameters, UnknownSegment
+from storage.errors import (
+    AmbiguousRevision,
+    CorruptFile,
+    MapChanged,
+    MapNotFound,
+    NoLiveRevision,
+    RevisionIsLive,
+    RevisionNotFound,
+)
+from storage.formats.errors import EmptyBody
+
+__all__ = ["router"]
+
+router = pooled_router(tags=["revisions"])
+
+RevisionId = Annotated[
+    str, Path(alias="revision", description="Digest of a revision, or at least 12 first digits.")
+]
+OneRevision = Annotated[
+    str | None, Query(alias="revision", description="Which revision; the live one by default.")
+]
+Segments = Annotated[
+    list[Annotated[int, Field(ge=0, lt=2**31)]] | None,
+    Query(alias="segment", description="Only these segments; may be given several times."),
+]
+
+MakeLive = Annotated[
+    bool | None, Query(description="Make it live; the first one of a map always is.")
+]
+
+_OF_ONE = (
+    MapNotFound,
+    NoLiveRevision,
+    RevisionNotFound,
+    AmbiguousRevision,
+    CorruptFile,
+    *READING,
+)
+
+_NPZ = "application/vnd.tensormap.basis+npz"
+_HDF5 = "application/vnd.tensormap.map+hdf5"
+
+
+@router.get(
+    "/maps/{map}/revisions",
+    dependencies=[needs(Scope.MAPS_READ)],
+    responses=problems(MapNotFound, InvalidParameters, InvalidRequest, *READING),
+)
+def list_revisions(
+    map_slug: MapSlug, running: Running, after: After = "", limit: Limit = 100
+) -> PageOut[RevisionOut]:
+    """List a map's revisions, newest first."""
+    live = running.store.maps.get(map_slug).live_revision
+    page = running.store.revisions.list(map_slug, after, limit)
+    items = [RevisionOut.from_record(record, live) for record in page.items]
+    return PageOut(items=items, next_after=page.next_after)
+
+
+@router.post(
+    "/maps/{map}/revisions",
+    dependencies=[needs(Scope.MAPS_WRITE)],
+    status_code=status.HTTP_201_CREATED,
+    responses={
+        200: {"model": RevisionOut, "description": "The map has it already."},
+        **problems(
+            MapNotFound,
+            InvalidMap,
+            EmptyBody,
+            UnsupportedBody,
+            BodyTooLarge,
+            InvalidRequest,
+            *WRITING,
+        ),
+    },
+    openapi_extra=binary_body(**{_HDF5: "A revision's file, as its download gives it."}),
+)
+@heavy
+def import_a_revision(
+    map_slug: MapSlug,
+    running: Running,
+    response: Response,
+    body: Body,
+    content_type: ContentType = None,
+    make_live: MakeLive = None,
+) -> RevisionOut:
+    """Import a revision from elsewhere: a map's file, which is checked whole and written anew.
+
+    It answers as it did there, and has the same digest. Builds cannot be based on it: the scans
+    that it was made of are not here.
+    """
+    if media_type(content_type) != _HDF5:
+        raise UnsupportedBody(f"Content-Type is {(content_type or '')[:80]!r}, wanted {_HDF5}")
+    if not body:
+        raise EmptyBody("the body is empty, wanted a map's file")
+    record, added = import_revision(running.store, map_slug, body, make_live=bool(make_live))
+    running.collector.wake()
+    if not added:
+        response.status_code = status.HTTP_200_OK
+    response.headers["Location"] = f"/v1/maps/{map_slug}/revisions/{record.digest}"
+    return RevisionOut.from_record(record, running.store.maps.get(map_slug).live_revision)
+
+
+@router.get(
+    "/maps/{map}/revisions/{revision}",
+    dependencies=[needs(Scope.MAPS_READ)],
+    responses=problems(MapNotFound, RevisionNotFound, AmbiguousRevision, *READING),
+)
+def get_revision(map_slug: MapSlug, revision: RevisionId, running: Running) -> RevisionOut:
+    """Show a revision."""
+    live = running.store.maps.get(map_slug).live_revision
+    return RevisionOut.from_record(running.store.revisions.get(map_slug, revision), live)
+
+
+@router.get(
+    "/maps/{map}/revisions/{revision}/file",
+    dependencies=[needs(Scope.MAPS_READ)],
+    response_class=FileResponse,
+    responses={
+        200: {"content": {_HDF5: {"schema": {"type": "string", "format": "binary"}}}},
+        **problems(MapNotFound, RevisionNotFound, AmbiguousRevision, CorruptFile, *READING),
+    },
+)
+def download_revision(map_slug: MapSlug, revision: RevisionId, running: Running) -> FileResponse:
+    """Download a revision as its HDF5 file."""
+    record, file = running.store.revisions.open(map_slug, revision)
+    return OpenFileResponse(
+        file,
+        media_type=_HDF5,
+        filename=f"{map_slug}-{record.digest[:12]}.h5",
+        headers={"ETag": f'"{record.digest}"'},
+    )
+
+
+@router.delete(
+    "/maps/{map}/revisions/{revision}",
+    dependencies=[needs(Scope.MAPS_WRITE)],
+    status_code=status.HTTP_204_NO_CONTENT,
+    responses=problems(MapNotFound, RevisionNotFound, AmbiguousRevision, RevisionIsLive, *WRITING),
+)
+def delete_revision(map_slug: MapSlug, revision: RevisionId, running: Running) -> None:
+    """Remove a revision that is not live; signatures made with it are stale from then on."""
+    running.store.revisions.delete(map_slug, revision)
+
+
+@router.put(
+    "/maps/{map}/live",
+    dependencies=[needs(Scope.MAPS_WRITE)],
+    responses=problems(
+        MapNotFound, RevisionNotFound, AmbiguousRevision, MapChanged, *JSON_BODY, *WRITING
+    ),
+)
+def make_live(
+    map_slug: MapSlug,
+    wanted: Json[LiveIn],
+    running: Running,
+    response: Response,
+    if_match: IfMatch = None,
+) -> MapOut:
+    """Make a revision live: to go ahead, or to roll back."""
+    note(f"revision {wanted.revision}")
+    running.store.revisions.set_live(map_slug, wanted.revision, if_version=version_seen(if_match))
+    running.collector.wake()
+    record = running.store.maps.get(map_slug)
+    response.headers["ETag"] = etag_of(record.version)
+    return MapOut.from_record(record, running.settings.retention)
+
+
+@router.get(
+    "/maps/{map}/basis",
+    dependencies=[needs(Scope.MAPS_READ, Scope.LOCALIZE)],
+    response_model=BasisOut,
+    responses={
+        200: {"content": {_NPZ: {"schema": {"type": "string", "format": "binary"}}}},
+        304: {"description": "The vehicle's copy is the basis of this revision."},
+        **problems(*_OF_ONE, UnknownSegment, InvalidRequest),
+    },
+)
+@heavy
+def get_basis(
+    map_slug: MapSlug,
+    running: Running,
+    revision: OneRevision = None,
+    segments: Segments = None,
+    accept: Annotated[str, Header(include_in_schema=False)] = "",
+    if_none_match: Annotated[
+        str | None, Header(description="ETags of the bases that the vehicle holds.")
+    ] = None,
+) -> Any:  # noqa: ANN401 - JSON by its model, or bytes as they are
+    """Download what a vehicle needs to make signatures, as JSON or, on `Accept`, as NumPy's npz.
+
+    Only the whole has an ETag: who holds that one holds every segment. It names the basis, not the
+    revision, and is weak: revisions that share the basis share it, so that a vehicle downloads
+    nothing anew when a drive was added. A harmonic map has one basis for all its segments, and
+    answers with it whichever are asked for.
+    """
+    tensor_map = _answering(running, map_slug, revision).localizer.map
+    as_npz = _NPZ in accept
+    headers = {"Vary": "Accept"}
+    if segments is None:
+        headers["ETag"] = f'W/"{tensor_map.basis_digest}{"-npz" if as_npz else ""}"'
+        if _is_held(headers["ETag"].removeprefix("W/"), if_none_match):
+            return Response(status_code=status.HTTP_304_NOT_MODIFIED, headers=headers)
+    basis = tensor_map.basis(segments)
+    if not as_npz:
+        return Response(
+            BasisOut.from_core(basis).model_dump_json(),
+            media_type="application/json",
+            headers=headers,
+        )
+    file = io.BytesIO()
+    np.savez(
+        file,
+        # None of the arrays is called allow_pickle.
+        **basis.arrays(),  # type: ignore[arg-type]
+        revision=np.array(basis.revision),
+        basis=np.array(basis.digest),
+        parameters=np.array(json.dumps(basis.parameters.as_attributes())),
+    )
+    return Response(file.getvalue(), media_type=_NPZ, headers=headers)
+
+
+@router.get(
+    "/maps/{map}/topology",
+    dependencies=[needs(Scope.MAPS_READ)],
+    responses=problems(*_OF_ONE),
+)
+@heavy
+def get_topology(map_slug: MapSlug, running: Running, revision: OneRevision = None) -> TopologyOut:
+    """Show a map as a graph: nodes where segments end and drives meet, edges along streets."""
+    return TopologyOut.from_core(_answering(running, map_slug, revision).localizer.map)
+
+
+def _is_held(etag: str, if_none_match: str | None) -> bool:
+    held = {part.strip().removeprefix("W/") for part in (if_none_match or "").split(",")}
+    return etag in held or "*" in held
+
+
+def _answering(running: Running, map_slug: str, revision: str | None) -> Answering:
+    if revision is None:
+        return running.revisions.live(map_slug)
+    return running.revisions.named(map_slug, revision)

@@ -1,0 +1,1 @@
+"""Tracking: a vehicle's observations, one after another."""

@@ -1,0 +1,137 @@
+"""Tracks over the wire."""
+
+from pydantic import BaseModel, Field, field_validator
+
+from app.drives.pose_schemas import PoseOut
+from app.http.exact_types import Number, integers
+from app.localization.schemas import SignaturesIn
+from app.tracking.tracks import LiveTrack
+from core.tracking.step import Direction, Doubt, TrackStep
+from core.tracking.track import Observation
+
+__all__ = ["ObservationIn", "TrackOut", "TrackStepOut"]
+
+
+class ObservationIn(SignaturesIn):
+    """One scan's signatures and, if the vehicle knows, when it was and how far it came."""
+
+    timestamp_s: Number | None = Field(
+        None, allow_inf_nan=False, description="By the vehicle's own clock; rises."
+    )
+    sequence: int | None = Field(None, ge=0, lt=2**53, description="Its number; rises.")
+    travelled_m: Number | None = Field(
+        None, allow_inf_nan=False, description="Odometry since the last one, negative backwards."
+    )
+
+    _sequence = field_validator("sequence", mode="before")(integers)
+
+    def to_observation(self) -> Observation:
+        """Return the observation.
+
+        Raises:
+            InvalidSignature: If a signature is none.
+        """
+        return Observation(self.to_core(), self.timestamp_s, self.sequence, self.travelled_m)
+
+
+class TrackStepOut(BaseModel):
+    """Where the vehicle is taken to be.
+
+    The likeliest place is told in any case; `localized` says whether to believe it.
+    """
+
+    track: str
+    revision: str = Field(description="The revision that the track is pinned to.")
+    live_revision: str | None = Field(description="The revision that is live now.")
+    observations: int = Field(description="How many the track has seen.")
+    localized: bool
+    reason: Doubt | None = Field(description="Why not; null if it is.")
+    segment: int
+    segment_probability: float = Field(
+        description="Of that segment, as far as the place is right; near a cut two are as likely."
+    )
+    segment_sure: bool = Field(
+        description="Whether it is told: localized, and that probability is 0.9 or more."
+    )
+    fraction: float = Field(
+        description="How far along the segment: 0 where it begins, 1 at its end."
+    )
+    drive: str
+    scan_index: int = Field(description="Of the nearest scan, in that drive.")
+    distance: float | None = Field(
+        description="Of that scan's signature; null if its segment's was not sent."
+    )
+    probability: float = Field(
+        description="Of being within 5 m of that scan, or 5 scans without poses."
+    )
+    direction: Direction | None = Field(
+        description="Whether its scans are passed as recorded; null while that is not told."
+    )
+    standing: bool = Field(description="Whether the vehicle stands, by its signatures alone.")
+    along_sigma_m: float | None = Field(
+        description="Standard deviation along the path; null without poses."
+    )
+    along_variance_m2: float | None = Field(
+        description="Its square, the covariance along the path."
+    )
+    along_sigma_scans: float = Field(description="The same in scans of the map.")
+    turn_deg: float | None = Field(
+        description="How far the query is turned from that scan; null in the paper's encoding."
+    )
+    lateral_m: float | None = Field(description="How far to the left of it; null likewise.")
+    pose: PoseOut | None = Field(description="Where the vehicle is; null without poses.")
+
+    @classmethod
+    def from_core(cls, track: str, step: TrackStep, live_revision: str | None) -> "TrackStepOut":
+        """Show an answer."""
+        sigma_m = step.along_sigma_m
+        return cls(
+            track=track,
+            revision=step.revision,
+            live_revision=live_revision,
+            observations=step.observations,
+            localized=step.localized,
+            reason=step.reason,
+            segment=step.segment,
+            segment_probability=step.segment_probability,
+            segment_sure=step.segment_sure,
+            fraction=step.fraction,
+            drive=step.drive,
+            scan_index=step.scan_index,
+            distance=step.distance,
+            probability=step.probability,
+            direction=step.direction,
+            standing=step.standing,
+            along_sigma_m=sigma_m,
+            along_variance_m2=None if sigma_m is None else sigma_m * sigma_m,
+            along_sigma_scans=step.along_sigma_scans,
+            turn_deg=step.turn_deg,
+            lateral_m=step.lateral_m,
+            pose=None if step.pose is None else PoseOut.from_core(step.pose),
+        )
+
+
+class TrackOut(BaseModel):
+    """A track and its last answer."""
+
+    track: str = Field(description="Its name.")
+    map: str
+    revision: str = Field(description="The revision that the track is pinned to.")
+    live_revision: str | None = Field(description="The revision that is live now.")
+    idle_s: float = Field(description="How long after its last use it is forgotten.")
+    last: TrackStepOut | None = Field(description="Null before the first observation.")
+
+    @classmethod
+    def from_track(
+        cls, found: LiveTrack, map_slug: str, live_revision: str | None, idle_s: float
+    ) -> "TrackOut":
+        """Show a track."""
+        last = found.last
+        return cls(
+            track=found.id,
+            map=map_slug,
+            revision=found.revision,
+            live_revision=live_revision,
+            idle_s=idle_s,
+            last=None if last is None else TrackStepOut.from_core(found.id, last, live_revision),
+        )

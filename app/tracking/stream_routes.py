@@ -1,0 +1,135 @@
+"""A track over one connection: packed signatures in, answers out."""
+
+import asyncio
+from contextlib import ExitStack, suppress
+from functools import partial
+from typing import Annotated, NoReturn
+
+from anyio import to_thread
+from fastapi import APIRouter, Path, WebSocket, WebSocketDisconnect, status
+from fastapi.exceptions import RequestValidationError
+from starlette.types import Message
+
+from app.access.access import sent_hash
+from app.access.dependency import stream_caller
+from app.access.scopes import Scope
+from app.http.bodies.json_body import read_json
+from app.http.errors import (
+    BodyTooLarge,
+    HostNotAllowed,
+    InvalidRequest,
+    KeyNeeded,
+    KeyRefused,
+    ScopeMissing,
+    TrackNotFound,
+)
+from app.http.problems import problem_response
+from app.service import Service
+from app.tracking.routes import track_of
+from app.tracking.schemas import ObservationIn, TrackStepOut
+from core.encodings.signature import unpack_signatures
+from core.errors import TensorMapError
+from core.tracking.track import Observation
+from storage.errors import MapNotFound
+
+__all__ = ["router"]
+
+router = APIRouter(tags=["tracks"])
+
+_ENDING = (TrackNotFound, MapNotFound, HostNotAllowed, KeyNeeded, KeyRefused, ScopeMissing)
+
+
+@router.websocket("/maps/{map}/tracks/{track}/stream")
+async def stream(
+    websocket: WebSocket,
+    map_slug: Annotated[str, Path(alias="map")],
+    track_id: Annotated[str, Path(alias="track")],
+) -> None:
+    """Take observations as they come, and answer each one.
+
+    A binary message is packed signatures, a text one is the JSON of `ObservationIn`. An observation
+    that is refused is answered with the problem that HTTP would answer, and the stream goes on. It
+    ends when the track is gone or the key is revoked, which each message finds out, and when no
+    message came for long.
+    """
+    service: Service = websocket.app.state.service
+    with ExitStack() as counted:
+        check = partial(_open, websocket, service, map_slug, track_id, counted)
+        try:
+            service.streams.require_room(sent_hash(websocket))
+            key_id = await to_thread.run_sync(check, limiter=service.pools.opening)
+        except TensorMapError as error:
+            await websocket.send_denial_response(problem_response(error))
+            return
+        await websocket.accept()
+        with suppress(WebSocketDisconnect):
+            while True:
+                await _answer(websocket, service, map_slug, track_id, key_id)
+
+
+async def _answer(
+    websocket: WebSocket, service: Service, map_slug: str, track_id: str, key_id: str
+) -> None:
+    message = await _next_message(websocket, service.settings.stream_idle_s)
+    if message["type"] == "websocket.disconnect":
+        raise WebSocketDisconnect(message.get("code", status.WS_1000_NORMAL_CLOSURE))
+    body: bytes | str = message.get("bytes") or message.get("text") or b""
+    work = partial(_observe, websocket, service, map_slug, track_id, body)
+    try:
+        answer = await service.pools.of_body(len(body)).run(key_id, work)
+    except TensorMapError as error:
+        await websocket.send_text(bytes(problem_response(error).body).decode())
+        if isinstance(error, BodyTooLarge):
+            await _close(websocket, status.WS_1009_MESSAGE_TOO_BIG)
+        if isinstance(error, _ENDING):
+            await _close(websocket, status.WS_1008_POLICY_VIOLATION)
+        return
+    await websocket.send_text(answer)
+
+
+async def _next_message(websocket: WebSocket, idle_s: float) -> Message:
+    try:
+        async with asyncio.timeout(idle_s):
+            return await websocket.receive()
+    except TimeoutError:
+        reason = f"no message for {idle_s:g} s"
+        await _close(websocket, status.WS_1001_GOING_AWAY, reason)  # it may come back
+
+
+async def _close(websocket: WebSocket, code: int, reason: str | None = None) -> NoReturn:
+    await websocket.close(code, reason)
+    raise WebSocketDisconnect(code, reason)
+
+
+def _open(
+    websocket: WebSocket, service: Service, map_slug: str, track_id: str, counted: ExitStack
+) -> str:
+    """Return the id of the key that opens a stream, and count it until `counted` is closed."""
+    caller = stream_caller(websocket, Scope.LOCALIZE, map_slug=map_slug)
+    counted.enter_context(service.streams.opened(caller.key_id, sent_hash(websocket)))
+    track_of(service, map_slug, track_id)
+    return caller.key_id
+
+
+def _observe(
+    websocket: WebSocket, service: Service, map_slug: str, track_id: str, body: bytes | str
+) -> str:
+    stream_caller(websocket, Scope.LOCALIZE, map_slug=map_slug)
+    limit = service.settings.max_json_bytes
+    if len(body) > limit:
+        raise BodyTooLarge(f"the message has {len(body)} bytes, at most {limit} are read")
+    found, live = track_of(service, map_slug, track_id)
+    step = found.observe(_observation(body))
+    service.metrics.localized("track", step.reason)
+    return TrackStepOut.from_core(found.id, step, live).model_dump_json()
+
+
+def _observation(body: bytes | str) -> Observation:
+    if isinstance(body, bytes):
+        return Observation(unpack_signatures(body))
+    try:
+        return read_json(body.encode(), ObservationIn).to_observation()
+    except RequestValidationError as error:
+        found = error.errors()[0]
+        where = "/".join(map(str, found["loc"][1:]))
+        raise InvalidRequest(f"{where}: {found['msg']}"[:200]) from None

@@ -1,1 +1,0 @@
-"""What is uploaded beside single scans: many in one body, and poses."""

@@ -1,0 +1,54 @@
+"""Which scans of a map were recorded away from, or close to, one of them."""
+
+import numpy as np
+
+from core.arrays import BoolArray, FloatArray, IntArray
+from core.scans.pose import heading_deg
+from core.scans.trajectory import Trajectory
+
+__all__ = ["AWAY_M", "AWAY_SCANS", "CLOSE_SCANS", "away_from", "close_along_m"]
+
+AWAY_M = 10.0
+"""A runner-up stands at least this far from the winner: nearer ones only confirm it."""
+AWAY_SCANS = 50
+"""The same where poses are unknown, in scans of one drive (5 s at 10 Hz)."""
+CLOSE_SCANS = 64
+"""Of the scans around a winner so many say how sharply it stands out."""
+
+
+def away_from(
+    trajectory: Trajectory, row: int, metres: float = AWAY_M, scans: int = AWAY_SCANS
+) -> BoolArray:
+    """Return which scans are away from scan `row`, `(K,)`.
+
+    Those at least `metres` from it; where a pose is unknown those at least `scans` from it in its
+    drive, and all of other drives.
+    """
+    index, poses, known = trajectory.scan_index, trajectory.poses, trajectory.known
+    drive = trajectory.drive_of_scan
+    by_scans: BoolArray = (drive != drive[row]) | (np.abs(index - index[row]) >= scans)
+    if not known[row]:
+        return by_scans
+    distance_m = np.linalg.norm(poses[:, :3] - poses[row, :3], axis=1)
+    return np.where(known, distance_m >= metres, by_scans)
+
+
+def close_along_m(trajectory: Trajectory, row: int) -> tuple[IntArray, FloatArray] | None:
+    """Return the scans within `AWAY_M` of scan `row` and how far ahead of it each was recorded.
+
+    At most `CLOSE_SCANS` of them, evenly spread, and `row` itself: a vehicle that stood there left
+    hundreds.
+
+    Returns:
+        `(n,)` rows, rising, and `(n,)` metres along the heading of scan `row`; `None` where its
+        pose is unknown.
+    """
+    if not trajectory.known[row]:
+        return None
+    rows = np.flatnonzero(trajectory.known & ~away_from(trajectory, row))
+    if len(rows) > CLOSE_SCANS:
+        rows = rows[np.linspace(0, len(rows) - 1, CLOSE_SCANS).round().astype(np.int64)]
+        rows = np.union1d(rows, row)
+    ahead = np.radians(heading_deg(trajectory.poses[[row]])[0])
+    offset_m = trajectory.poses[rows, :2] - trajectory.poses[row, :2]
+    return rows, offset_m @ np.array([np.cos(ahead), np.sin(ahead)])

@@ -1,0 +1,1 @@
+"""Other methods of place recognition, implemented from their papers to compare with."""

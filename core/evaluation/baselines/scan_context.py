@@ -1,0 +1,176 @@
+"""Scan Context (Kim and Kim, IROS 2018): the highest return of each polar cell around the sensor.
+
+Re-derived from the paper's equations 1 to 8. What it leaves open, and what is done here: heights
+are above ground, z + `sensor_height_m`, clipped at 0, so that 0 means empty as the paper says; the
+cosine of an empty column is not defined, so that the mean is over the columns in which both
+descriptors hold something, and two that share none are at distance 1.
+"""
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from core.arrays import Complex64Array, Float32Array, FloatArray, IntArray
+from core.errors import InvalidParameters, InvalidScan
+from core.evaluation.baselines.descriptor import Nearest, require_descriptors, turn_deg
+from core.scans.scan import Scan
+
+__all__ = ["ScanContext", "ScanContextPlaces", "ring_keys"]
+
+
+@dataclass(frozen=True)
+class ScanContext:
+    """The descriptor, with the paper's parameters as defaults.
+
+    Attributes:
+        rings: N_r.
+        sectors: N_s.
+        reach_m: L_max; returns beyond it are left out.
+        sensor_height_m: Of the sensor above the ground.
+        candidates: How many places, nearest by their ring key, are compared with the query; `None`
+            compares all of them (brute force). The paper's are 10 and 50.
+
+    Examples:
+        >>> wall = Scan(np.array([[0.0, 10.0, 0.5], [0.0, 11.0, 1.5]]))
+        >>> context = ScanContext(sensor_height_m=2.0).describe(wall)
+        >>> context.shape, float(context[2, 15])
+        ((20, 60), 3.5)
+    """
+
+    rings: int = 20
+    sectors: int = 60
+    reach_m: float = 80.0
+    sensor_height_m: float = 1.73
+    candidates: int | None = None
+
+    def __post_init__(self) -> None:
+        if self.rings < 1 or self.sectors < 1:
+            raise InvalidParameters(
+                f"Scan Context has {self.rings} rings and {self.sectors} sectors, wanted 1 or more"
+            )
+        if not (self.reach_m > 0 and np.isfinite([self.reach_m, self.sensor_height_m]).all()):
+            raise InvalidParameters(f"reach_m is {self.reach_m}, wanted metres above 0")
+        if self.candidates is not None and self.candidates < 1:
+            raise InvalidParameters(f"candidates is {self.candidates}, wanted 1 or more")
+
+    @property
+    def name(self) -> str:
+        """`scan-context`, with the number of candidates if it is limited."""
+        return "scan-context" + ("" if self.candidates is None else "-ring-key")
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """`(N_r, N_s)`."""
+        return self.rings, self.sectors
+
+    def configuration(self) -> dict[str, Any]:
+        """Return all parameters."""
+        return asdict(self)
+
+    def describe(self, scan: Scan) -> Float32Array:
+        """Return the greatest height of each ring and sector in metres, 0 where nothing is.
+
+        Raises:
+            InvalidScan: If no return within reach stands above the ground.
+        """
+        x, y, z = scan.points_m.T.astype(np.float64)
+        ring = np.floor(np.sqrt(x * x + y * y) * (self.rings / self.reach_m))
+        inside = ring < self.rings
+        azimuth = np.arctan2(y[inside], x[inside]) / (2.0 * np.pi) % 1.0
+        sector = np.floor(azimuth * self.sectors).astype(np.int64) % self.sectors
+        cells = ring[inside].astype(np.int64) * self.sectors + sector
+        heights_m = (z[inside] + self.sensor_height_m).astype(np.float32)
+        context = np.zeros(self.rings * self.sectors, np.float32)
+        np.maximum.at(context, cells, heights_m)
+        if not context.any():
+            raise InvalidScan(
+                f"none of the {len(scan)} returns stands above the ground within {self.reach_m:g} m"
+            )
+        return context.reshape(self.shape)
+
+    def places(self, descriptors: Float32Array) -> "ScanContextPlaces":
+        """Return places to search."""
+        require_descriptors(descriptors, self.shape)
+        return ScanContextPlaces(descriptors, self.candidates)
+
+
+def ring_keys(contexts: Float32Array) -> FloatArray:
+    """Return the share of each ring's sectors that hold something, `(..., N_r)`: equation 7."""
+    return np.asarray(np.count_nonzero(contexts, axis=-1) / contexts.shape[-1])
+
+
+class ScanContextPlaces:
+    """Scan Contexts compared column by column, in every shift.
+
+    The sum over columns j of cos(q_j, c_{j+s}) is a circular correlation of unit columns, and so is
+    the number of columns that both hold: both are done for all shifts s by Fourier transforms.
+    """
+
+    def __init__(self, contexts: Float32Array, candidates: int | None) -> None:
+        self._sectors = contexts.shape[-1]
+        self._candidates = candidates
+        self.stored_bytes = contexts.astype(np.float32).nbytes
+        self._spectra, self._held = _spectra(contexts)
+        keys = ring_keys(contexts)
+        self._tree = cKDTree(keys) if candidates is not None and len(keys) else None
+        if candidates is not None:
+            self.stored_bytes += keys.astype(np.float32).nbytes
+
+    def __len__(self) -> int:
+        return len(self._spectra[0])
+
+    def nearest(self, descriptor: Float32Array, before: int | None = None) -> Nearest | None:
+        """Return the place at the least distance in its best shift, equations 5 and 6."""
+        last = len(self) if before is None else min(before, len(self))
+        if last <= 0:
+            return None
+        rows = None if self._tree is None else self._candidate_rows(descriptor, last)
+        distances = self.distances(descriptor, slice(last) if rows is None else rows)
+        best, shift = np.unravel_index(int(distances.argmin()), distances.shape)
+        return Nearest(
+            int(best if rows is None else rows[best]),
+            max(0.0, float(distances[best, shift])),
+            turn_deg(int(shift), self._sectors),
+        )
+
+    def distances(self, descriptor: Float32Array, rows: IntArray | slice) -> Float32Array:
+        """Return the distance to some places in every shift, `(n, N_s)`.
+
+        In shift s sector j of the query lies on sector j + s of the place.
+        """
+        spectrum, held = _spectra(descriptor[None])
+        products = (self._spectra[:, rows] @ np.conj(spectrum[:, 0, :, None]))[..., 0]
+        shared = self._held[:, rows] * np.conj(held)
+        cosines = np.fft.irfft(products, self._sectors, axis=0)
+        columns = np.rint(np.fft.irfft(shared, self._sectors, axis=0))
+        mean = np.divide(cosines, columns, out=np.zeros_like(cosines), where=columns > 0)
+        return np.asarray(1.0 - mean.T, dtype=np.float32)
+
+    def _candidate_rows(self, descriptor: Float32Array, last: int) -> IntArray:
+        """Return the rows below `last` whose ring keys are nearest, rising."""
+        assert self._tree is not None  # noqa: S101 - for mypy
+        assert self._candidates is not None  # noqa: S101 - for mypy
+        wanted = min(self._candidates, last)
+        key = ring_keys(descriptor)
+        asked = wanted
+        while True:  # rows that come too late are skipped, and more are asked for instead
+            found = np.atleast_1d(self._tree.query(key, k=asked)[1])
+            allowed = found[found < last]
+            if len(allowed) >= wanted or asked >= len(self):
+                return np.sort(allowed[:wanted])
+            asked = min(2 * asked, len(self))
+
+
+def _spectra(contexts: Float32Array) -> tuple[Complex64Array, Complex64Array]:
+    """Return transforms over the sectors: of unit columns `(F, K, N_r)`, of which hold `(F, K)`."""
+    norms = np.linalg.norm(contexts, axis=-2)
+    held = norms > 0
+    unit = contexts / np.where(held, norms, 1.0)[..., None, :]
+    of_columns = np.fft.rfft(unit, axis=-1).transpose(2, 0, 1)
+    of_held = np.fft.rfft(held.astype(np.float64), axis=-1).T
+    return (
+        np.ascontiguousarray(of_columns, dtype=np.complex64),
+        np.ascontiguousarray(of_held, dtype=np.complex64),
+    )

@@ -1,0 +1,1 @@
+"""World frames: whether the drives of a map agree on theirs."""

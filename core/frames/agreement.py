@@ -1,0 +1,341 @@
+"""Whether the drives of a map are in one world frame, found by matching their scans.
+
+A drive whose poses are of another frame ruins a map without a sign: what was recorded at one place
+then lies at two. Its scans still look like those of the others, so each is matched with them, and
+where the match is clear its poses must agree with theirs.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from core.arrays import BoolArray, FloatArray, IntArray
+from core.confidence.places import away_from
+from core.encodings.base import Search
+from core.encodings.harmonic import HarmonicModel, HarmonicSearch
+from core.encodings.signature import Signature
+from core.errors import FramesDisagree
+from core.frames.rigid import RigidTransform, find_consensus
+from core.localization.estimate import estimate
+from core.mapping.tensormap import TensorMap
+from core.progress import NO_PROGRESS, Progress
+from core.projection.probe import probed_among
+from core.scans.displacement import pose_beside
+from core.scans.pose import heading_deg
+from core.scans.trajectory import Trajectory
+
+__all__ = ["MOST_MATCHED", "Disagreement", "FrameCheck", "check_frames", "require_one_frame"]
+
+MOST_MATCHED = 200
+"""How many scans of a drive are matched at most, evenly spread along its path."""
+
+# Chosen on recorded drives and simulated cities, and measured on others:
+# docs/decisions/0028-frames-and-the-gate.md.
+_CLEAR = 0.7  # a match is clear if the runner-up away from it is so much farther
+_ALONG_M = 5.0  # a match may lie so far from where the poses say: scans are metres apart
+_ACROSS_M = 10.0  # likewise to the side: other lanes look alike, and renderings reach 3 m
+_PLACES = 8  # that have to agree on a transform
+_PLACE_M = 5.0  # between two of them: scans of one place err alike
+_STRETCH_M = 10.0  # around the scans that agree; in it most clear matches must
+_MOST_CLEAR_AGREE = 0.5
+_FEW_AS_CLAIMED = 0.25  # of the others, may lie where the poses say: in streets that repeat more do
+_TILTED_MORE = 1.2  # matches that another vertical explains, before it is believed
+_NAMED = 5  # scans in the message
+
+
+@dataclass(frozen=True)
+class Disagreement:
+    """Where a drive's scans were found, against where its poses place them.
+
+    Attributes:
+        others: The drives in which they were found.
+        scans: `(scan, drive, scan there, metres apart)` of those that agree on the transform.
+        matched: How many clear matches are in the same stretches of the drive.
+        apart_m: The median of how far they are apart.
+        transform: From the frame of the drive's poses to that of the others.
+    """
+
+    others: tuple[str, ...]
+    scans: tuple[tuple[int, str, int, float], ...]
+    matched: int
+    apart_m: float
+    transform: RigidTransform
+
+
+@dataclass(frozen=True)
+class FrameCheck:
+    """What is known of the frame of one drive.
+
+    Attributes:
+        drive: Its name.
+        asked: How many of its scans were matched with those of the drives before it.
+        clear: How many of these matches are clear.
+        agreeing: How many of the clear ones lie where the poses say.
+        disagreement: The evidence against its frame, `None` if there is none.
+    """
+
+    drive: str
+    asked: int
+    clear: int
+    agreeing: int
+    disagreement: Disagreement | None
+
+    @property
+    def met(self) -> bool:
+        """Whether its poses are known to agree with those of the drives before it."""
+        return self.disagreement is None and 2 * self.agreeing >= max(6, self.clear)
+
+    @property
+    def note(self) -> str | None:
+        """What a user should know if the frame could not be checked, `None` if it was."""
+        if self.met or self.disagreement is not None:
+            return None
+        return f"{self}: whether they share a world frame could not be checked"
+
+    def __str__(self) -> str:
+        found = self.disagreement
+        if found is None:
+            return (
+                f"of {self.asked} scans of drive {self.drive} {self.clear} have a clear match in"
+                f" the drives before it, {self.agreeing} of them where its poses say"
+            )
+        step = max(1, len(found.scans) // _NAMED)
+        named = ", ".join(
+            f"{scan} matches {other} of {drive} {apart_m:.1f} m away"
+            for scan, drive, other, apart_m in found.scans[::step][:_NAMED]
+        )
+        x_m, y_m, z_m = found.transform.translation_m.tolist()
+        tilt_deg = found.transform.tilt_deg
+        tilted = f", its vertical tilted by {tilt_deg:.1f} deg" if tilt_deg > 1.0 else ""
+        return (
+            f"the poses of drive {self.drive} are in another world frame than those of"
+            f" {', '.join(found.others)}: {len(found.scans)} of {found.matched} clear matches agree"
+            f" on a place {found.apart_m:.1f} m (median) from where its poses say: scan {named};"
+            f" turned by {found.transform.yaw_deg:.1f} deg{tilted} and then moved by"
+            f" ({x_m:.1f}, {y_m:.1f}, {z_m:.1f}) m they would fit"
+        )
+
+
+def check_frames(tensor_map: TensorMap, progress: Progress = NO_PROGRESS) -> tuple[FrameCheck, ...]:
+    """Match every drive's scans with the drives before it and compare their poses.
+
+    The queries are the map's own signatures, so that no image is read, and the answer depends on
+    nothing but the map. Matches do not depend on the poses of the drive that is checked.
+
+    Args:
+        tensor_map: Of one or more drives, built with the poses in question.
+        progress: Receives every scan that is matched.
+
+    Returns:
+        A check for each drive that has poses and comes after another that has.
+    """
+    trajectory = tensor_map.trajectory
+    pairs = list(_pairs(trajectory))
+    if pairs:
+        progress.start("checking frames", sum(len(rows) for rows, _ in pairs))
+    return tuple(_check(tensor_map, rows, among, progress) for rows, among in pairs)
+
+
+def require_one_frame(checks: Sequence[FrameCheck]) -> None:
+    """Refuse drives that disagree.
+
+    Raises:
+        FramesDisagree: With the evidence of the first that does.
+    """
+    for check in checks:
+        if check.disagreement is not None:
+            raise FramesDisagree(
+                f"{check}: correct its poses, leave it out, or insist with poses unchecked"
+            )
+
+
+def _pairs(trajectory: Trajectory) -> Iterator[tuple[IntArray, BoolArray]]:
+    """Yield rows of each drive to match, and among which rows."""
+    drive_of_scan, known = trajectory.drive_of_scan, trajectory.known
+    for drive in range(1, len(trajectory.drives)):
+        rows = np.flatnonzero(known & (drive_of_scan == drive))
+        among = known & (drive_of_scan < drive)
+        if len(rows) and among.any():
+            yield _along_path(trajectory, rows), among
+
+
+def _along_path(trajectory: Trajectory, rows: IntArray) -> IntArray:
+    """Return some rows, evenly spread over a drive's path: none more where it stood."""
+    steps_m = np.linalg.norm(np.diff(trajectory.poses[rows, :3], axis=0), axis=1)
+    path_m = np.concatenate([[0.0], np.cumsum(steps_m)])
+    spacing_m = max(1.0, path_m[-1] / MOST_MATCHED)
+    _, first = np.unique(np.floor(path_m / spacing_m), return_index=True)
+    return probed_among(rows[first], MOST_MATCHED)
+
+
+@dataclass(frozen=True, eq=False)
+class _Matches:
+    """Clear matches: rows, the rows they match, and both places."""
+
+    rows: IntArray
+    found: IntArray
+    points_m: FloatArray
+    matched_m: FloatArray
+    turn_deg: FloatArray | None
+    agrees: BoolArray
+
+
+def _check(
+    tensor_map: TensorMap, rows: IntArray, among: BoolArray, progress: Progress
+) -> FrameCheck:
+    matches = _clear_matches(tensor_map, rows, among, progress)
+    trajectory = tensor_map.trajectory
+    drive = trajectory.drives[trajectory.drive_of_scan[rows[0]]]
+    return FrameCheck(
+        drive,
+        len(rows),
+        len(matches.rows),
+        int(matches.agrees.sum()),
+        _disagreement(trajectory, matches),
+    )
+
+
+def _clear_matches(
+    tensor_map: TensorMap, rows: IntArray, among: BoolArray, progress: Progress
+) -> _Matches:
+    trajectory, poses = tensor_map.trajectory, tensor_map.trajectory.poses
+    queries = _OwnQueries(tensor_map, among)
+    kept: list[tuple[int, int]] = []
+    places: list[tuple[FloatArray, FloatArray]] = []
+    for row in rows.tolist():
+        search = queries.search(row)
+        (found,) = search.nearest(1, among)
+        away = search.nearest(1, among & away_from(trajectory, found.row))
+        if away and found.distance < _CLEAR * away[0].distance:
+            matched = poses[found.row]
+            if isinstance(search, HarmonicSearch):
+                pose = estimate(search, trajectory, found).pose
+                matched = matched if pose is None else np.array(pose.as_tuple())
+            kept.append((row, found.row))
+            places.append((pose_beside(poses[row], queries.left_m), matched))
+        progress.advance()
+    pairs = np.array(kept, dtype=np.int64).reshape(-1, 2)
+    both = np.array(places, dtype=np.float64).reshape(-1, 2, 7)
+    mine, theirs = both[:, 0], both[:, 1]
+    turns_known = queries.turns_known
+    ahead = np.radians(heading_deg(poses[pairs[:, 1]]))
+    x_m, y_m, z_m = (theirs - mine)[:, :3].T
+    along_m = np.hypot(x_m * np.cos(ahead) + y_m * np.sin(ahead), z_m)
+    across_m = np.abs(y_m * np.cos(ahead) - x_m * np.sin(ahead))
+    return _Matches(
+        pairs[:, 0],
+        pairs[:, 1],
+        mine[:, :3],
+        theirs[:, :3],
+        heading_deg(theirs) - heading_deg(mine) if turns_known else None,
+        (along_m <= _ALONG_M) & (across_m <= _ACROSS_M),
+    )
+
+
+def _disagreement(trajectory: Trajectory, matches: _Matches) -> Disagreement | None:
+    """Return what the matches that are not where the poses say agree on, if it convinces."""
+    others = np.flatnonzero(~matches.agrees)
+    points_m, matched_m = matches.points_m[others], matches.matched_m[others]
+    turn_deg = None if matches.turn_deg is None else matches.turn_deg[others]
+    found = find_consensus(points_m, matched_m, turn_deg, _ALONG_M)
+    tilted = find_consensus(points_m, matched_m, None, _ALONG_M, level=False)
+    if tilted is not None and (
+        found is None or tilted.agrees.sum() > _TILTED_MORE * found.agrees.sum()
+    ):
+        found = tilted
+    if found is None or _places(points_m[found.agrees], matched_m[found.agrees]) < _PLACES:
+        return None
+    support = others[found.agrees]
+    gaps_m = np.linalg.norm(matches.points_m[:, None] - matches.points_m[support][None], axis=2)
+    stretch = gaps_m.min(axis=1) <= _STRETCH_M
+    if len(support) < _MOST_CLEAR_AGREE * stretch.sum():
+        return None
+    if (stretch & matches.agrees).sum() > _FEW_AS_CLAIMED * len(support):
+        return None
+    return _evidence(trajectory, matches, support, int(stretch.sum()), found.transform)
+
+
+def _evidence(
+    trajectory: Trajectory,
+    matches: _Matches,
+    support: IntArray,
+    matched: int,
+    transform: RigidTransform,
+) -> Disagreement:
+    apart_m = np.linalg.norm((matches.points_m - matches.matched_m)[support], axis=1)
+    found = matches.found[support]
+    drives = [trajectory.drives[drive] for drive in trajectory.drive_of_scan[found].tolist()]
+    scans = zip(
+        trajectory.scan_index[matches.rows[support]].tolist(),
+        drives,
+        trajectory.scan_index[found].tolist(),
+        apart_m.tolist(),
+        strict=True,
+    )
+    return Disagreement(
+        tuple(dict.fromkeys(drives)), tuple(scans), matched, float(np.median(apart_m)), transform
+    )
+
+
+def _places(points_m: FloatArray, matched_m: FloatArray) -> int:
+    """Return how many matches are left when none is near another, in either frame."""
+    both = np.stack([points_m, matched_m], axis=1)
+    kept: list[FloatArray] = []
+    for place in both:
+        if all((np.linalg.norm(place - other, axis=1) >= _PLACE_M).all() for other in kept):
+            kept.append(place)
+    return len(kept)
+
+
+class _OwnQueries:
+    """The scans of a map as queries to some of its drives.
+
+    A harmonic signature is one in the whole map. The paper's is brought from the bases of its
+    segment into those of the others: what they leave out of the image is missing there.
+
+    Attributes:
+        left_m: How far to the left of its scan each query is seen from.
+        turns_known: Whether a match says how far the query is turned; the paper's encoding answers
+            only who drives as was mapped.
+    """
+
+    def __init__(self, tensor_map: TensorMap, among: BoolArray) -> None:
+        self._map = tensor_map
+        self._rendering = 0
+        self.left_m, self.turns_known = 0.0, True
+        self._segment: int | None = None
+        self._segments = np.unique(tensor_map.model.segment_of_scan[among])
+        model = tensor_map.model
+        if isinstance(model, HarmonicModel):
+            self._rendering = int(np.abs(model.lateral_offset_m).argmin())
+            self.left_m = float(model.lateral_offset_m[self._rendering])
+            self.turns_known = model.ranks[1] > 1
+
+    def search(self, row: int) -> Search:
+        """Return the search for one scan."""
+        model, digest = self._map.model, self._map.basis_digest
+        if isinstance(model, HarmonicModel):
+            return model.search([Signature(model.signatures[row, self._rendering], None, digest)])
+        segment = int(model.segment_of_scan[row])
+        if segment != self._segment:
+            self._segment = segment
+            self._u = np.einsum(
+                "lia,ib->lab",
+                model.elevation_basis[self._segments],
+                model.elevation_basis[segment],
+                dtype=np.float64,
+            )
+            self._v = np.einsum(
+                "lja,jb->lab",
+                model.azimuth_basis[self._segments],
+                model.azimuth_basis[segment],
+                dtype=np.float64,
+            )
+        values = self._u @ model.signatures[row].astype(np.float64) @ self._v.swapaxes(1, 2)
+        return model.search(
+            [
+                Signature(of_segment, index, digest)
+                for of_segment, index in zip(values, self._segments.tolist(), strict=True)
+            ]
+        )

@@ -1,0 +1,1 @@
+"""Whether a proposed loop closure is true (paper, sec. 4)."""

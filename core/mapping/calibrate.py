@@ -1,0 +1,232 @@
+"""From probes of a map to its calibration: positives, and the same where their place is missing.
+
+A *positive* asks the map for a probe of scan i with i and what was recorded within a metre left
+out: a vehicle never stands exactly there. It is right if the match is within `AWAY_M` of i. A
+*negative* asks with i's whole neighbourhood left out: whatever matches is wrong.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from core.arrays import BoolArray, FloatArray
+from core.confidence.calibration import Calibration
+from core.confidence.logistic import fit_logistic
+from core.confidence.places import away_from, close_along_m
+from core.confidence.spread import Spread, along_spread_m, fit_variance
+from core.encodings.base import Found, Search
+from core.mapping.own_place import image_of, own_place
+from core.mapping.tensormap import TensorMap
+from core.parameters import Encoding
+from core.progress import NO_PROGRESS, Progress
+from core.projection.images import Probes
+from core.projection.probe import probed_among
+from core.scans.displacement import pose_beside
+from core.scans.pose import heading_deg
+
+__all__ = ["MOST_PROBES", "calibrate"]
+
+MOST_PROBES = 400
+"""How many probes of a map are asked at most, evenly spread over its drives."""
+
+_ELSEWHERE_M, _ELSEWHERE_SCANS = 25.0, 50
+_LEAST = 10  # samples of each kind; fewer are no evidence
+_HERE_SCANS = 2  # of each probe, the nearest in place and as many elsewhere, compared by distance
+_FLOOR = 0.05  # of the median distance of right answers
+_SPARSE = 0.5  # of the fewest occupied cells that a probe has
+_SEED = 20_003
+# Probes are of several ways to stand elsewhere at once, and cars are put before them: they divide
+# less sharply than the scans of one drive do. How much less was measured on simulated cities.
+_SHARPER = {Encoding.HARMONIC: 1.4, Encoding.PAPER: 1.0}
+
+
+@dataclass(frozen=True)
+class _Answer:
+    """The best distance, the runner-up's away from it, and whether the best is right."""
+
+    distance: float
+    runner_up: float | None
+    right: bool
+
+
+@dataclass(frozen=True, eq=False)
+class _Error:
+    """How far off a right answer is, and what its neighbours say of that."""
+
+    distance: float
+    along_m: FloatArray
+    distances: FloatArray
+    errors: tuple[float, float, float]  # along, lateral, heading
+
+
+def calibrate(
+    tensor_map: TensorMap, probes: Probes, progress: Progress = NO_PROGRESS
+) -> Calibration | None:
+    """Learn how far a map's answers can be trusted.
+
+    It depends on nothing but the map and its probes.
+
+    Args:
+        tensor_map: Whose calibration it becomes.
+        probes: Of its own scans.
+        progress: Told of each probe.
+
+    Returns:
+        The calibration; `None` if the map is too small to learn from: fewer than ten right answers
+        or ten wrong ones, as a map all of whose scans are one neighbourhood gives.
+    """
+    trajectory, basis = tensor_map.trajectory, tensor_map.basis()
+    asked = probed_among(np.arange(len(probes.rows)), MOST_PROBES).tolist()
+    rng = np.random.default_rng(_SEED)
+    answers: list[_Answer] = []
+    at_scan: list[tuple[float, bool]] = []
+    errors: list[_Error] = []
+    least_cells = math.inf
+    progress.start("calibrating", len(asked))
+    for probe in asked:
+        row = int(probes.rows[probe])
+        image = image_of(tensor_map, probes.images, probe)
+        search = tensor_map.model.search(basis.encode(image))
+        least_cells = min(least_cells, int(np.count_nonzero(image.cells)))
+        beside, here = own_place(trajectory, row)
+        elsewhere = away_from(trajectory, row, _ELSEWHERE_M, _ELSEWHERE_SCANS)
+        if here.any():
+            found, answer = _ask(tensor_map, search, beside, here)
+            answers.append(answer)
+            if answer.right:
+                errors += _error(tensor_map, search, found, beside, row, probes.standing[probe])
+        if elsewhere.any():
+            answers.append(_ask(tensor_map, search, elsewhere, ~elsewhere)[1])
+        if here.any() and elsewhere.any():
+            at_scan += _at_scan(tensor_map, search, row, here, elsewhere, rng)
+        progress.advance()
+    right = sum(answer.right for answer in answers)
+    if min(right, len(answers) - right) < _LEAST or not at_scan:
+        return None
+    sharper = _SHARPER[tensor_map.parameters.encoding]
+    return _fitted(answers, at_scan, errors, int(_SPARSE * least_cells), sharper)
+
+
+def _ask(
+    tensor_map: TensorMap, search: Search, among: BoolArray, right: BoolArray
+) -> tuple[Found, _Answer]:
+    (found,) = search.nearest(1, among)
+    away = search.nearest(1, among & away_from(tensor_map.trajectory, found.row))
+    runner_up = away[0].distance if away else None
+    return found, _Answer(found.distance, runner_up, bool(right[found.row]))
+
+
+def _at_scan(
+    tensor_map: TensorMap,
+    search: Search,
+    row: int,
+    here: BoolArray,
+    elsewhere: BoolArray,
+    rng: np.random.Generator,
+) -> list[tuple[float, bool]]:
+    """Return distances of some scans of the probe's place, and of as many elsewhere."""
+    trajectory = tensor_map.trajectory
+    close = np.flatnonzero(here)
+    gap = np.abs(close - row).astype(np.float64)
+    if trajectory.known[row]:
+        gap_m = np.linalg.norm(trajectory.poses[close, :3] - trajectory.poses[row, :3], axis=1)
+        gap = np.where(np.isnan(gap_m), np.inf, gap_m)
+    close = close[np.argsort(gap, kind="stable")[:_HERE_SCANS]]
+    far = rng.choice(np.flatnonzero(elsewhere), len(close))
+    asked = np.zeros(len(trajectory), dtype=bool)
+    asked[close] = asked[far] = True
+    distances = search.distances(asked)
+    return [
+        *((float(distances[i]), True) for i in close.tolist()),
+        *((float(distances[i]), False) for i in far.tolist()),
+    ]
+
+
+def _error(
+    tensor_map: TensorMap,
+    search: Search,
+    found: Found,
+    among: BoolArray,
+    row: int,
+    standing: FloatArray,
+) -> list[_Error]:
+    """Return how far off the place is that a match tells; nothing where poses are unknown."""
+    poses = tensor_map.trajectory.poses
+    ahead_m, left_m, turn_deg = standing.tolist()
+    true = pose_beside(poses[row], left_m, turn_deg, ahead_m)
+    matched = poses[found.row]
+    near = close_along_m(tensor_map.trajectory, found.row)
+    if near is None or not np.isfinite(true).all():
+        return []
+    estimated = pose_beside(matched, found.lateral_m or 0.0, found.turn_deg or 0.0)
+    rows, along_m = near
+    kept = among[rows]
+    asked = np.zeros(len(poses), dtype=bool)
+    asked[rows[kept]] = True
+    x_m, y_m = (estimated - true)[:2].tolist()
+    turn = float(heading_deg(estimated[None])[0] - heading_deg(true[None])[0])
+    # The winner's own path is what `along` and `lateral` are of, whichever way the probe looks.
+    path = math.radians(heading_deg(matched[None])[0])
+    forward_m = x_m * math.cos(path) + y_m * math.sin(path)
+    return [
+        _Error(
+            found.distance,
+            along_m[kept],
+            search.distances(asked)[rows[kept]],
+            (
+                forward_m,
+                y_m * math.cos(path) - x_m * math.sin(path),
+                (turn + 180.0) % 360.0 - 180.0,
+            ),
+        )
+    ]
+
+
+def _fitted(
+    answers: list[_Answer],
+    at_scan: list[tuple[float, bool]],
+    errors: list[_Error],
+    least_cells: int,
+    sharper: float,
+) -> Calibration:
+    distance = np.array([answer.distance for answer in answers])
+    right = np.array([answer.right for answer in answers])
+    typical = float(np.median(distance[right])) or float(distance.max()) or 1.0
+    floor = _FLOOR * typical
+    far = np.log(distance + floor)
+    alone = fit_logistic(far[:, None], right, np.array([True]))
+    told = np.array([answer.runner_up is not None for answer in answers])
+    runner_up = np.array([answer.runner_up or 0.0 for answer in answers])
+    both = np.array([alone[0], alone[1], 0.0])
+    if min(right[told].sum(), (~right[told]).sum()) >= _LEAST:
+        alike = Calibration.ratio(distance[told], runner_up[told])
+        features = np.column_stack([far[told], alike])
+        both = fit_logistic(features, right[told], np.array([True, True]))
+    of_scan = np.array([d for d, _ in at_scan])
+    here = np.array([is_here for _, is_here in at_scan])
+    likelihood = fit_logistic(np.log(of_scan + floor)[:, None], here, np.array([True]))
+    calibration = Calibration(
+        floor,
+        tuple(sharper * both),
+        tuple(sharper * alone),
+        tuple(likelihood),
+        least_cells=least_cells,
+    )
+    return calibration.with_spread(_spread(calibration, errors, typical))
+
+
+def _spread(calibration: Calibration, errors: list[_Error], typical: float) -> Spread | None:
+    if len(errors) < _LEAST:
+        return None
+    along, lateral, turn = np.array([error.errors for error in errors]).T
+    spread = np.array(
+        [along_spread_m(e.along_m, calibration.log_likelihood_ratio(e.distances)) for e in errors]
+    )
+    far = np.maximum(1.0, np.array([error.distance for error in errors]) / typical)
+    return Spread(
+        typical,
+        fit_variance(along, spread),
+        fit_variance(lateral, far),
+        fit_variance(turn, far),
+    )

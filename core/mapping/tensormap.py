@@ -1,0 +1,282 @@
+"""A TensorMap: the immutable content of one map revision (paper, fig. 2d)."""
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from core.arrays import FloatArray, IntArray, frozen
+from core.confidence.calibration import Calibration
+from core.encodings.basis import (
+    Basis,
+    HarmonicBasis,
+    PaperBasis,
+    harmonic_basis_digest,
+    paper_basis_digests,
+)
+from core.encodings.harmonic import HarmonicModel
+from core.encodings.paper import PaperModel
+from core.errors import EmptyDrive, InvalidMap, InvalidParameters
+from core.parameters import Encoding, MapParameters
+from core.revision import content_digest
+from core.scans.trajectory import Trajectory
+from core.topology import JOINED, Topology, segment_ends
+
+__all__ = ["TensorMap"]
+
+_WHOLE = {
+    "segment_start",
+    "drive_start",
+    "scan_index",
+    "node_scan",
+    "edge_nodes",
+    "edge_scans",
+    "edge_of_segment",
+    "segment_reversed",
+}
+_COMPLEX = {"signatures"}
+
+
+@dataclass(frozen=True, eq=False)
+class TensorMap:
+    """Segments' models, where their scans were recorded, and the graph they form.
+
+    Attributes:
+        parameters: The choices it was built with.
+        model: Bases and signatures, in the encoding of the parameters.
+        trajectory: Drive, time and pose of each scan.
+        topology: Nodes, edges, and the edge along which each segment runs.
+        relative_error: `(L,)` |X - X^| / |X| of each segment's images, renderings included.
+        calibration: From distances to probabilities; `None` where the map cannot tell.
+    """
+
+    parameters: MapParameters
+    model: PaperModel | HarmonicModel
+    trajectory: Trajectory
+    topology: Topology
+    relative_error: FloatArray
+    calibration: Calibration | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "relative_error", frozen(self.relative_error, np.float64))
+        scans, segments = len(self.model), self.model.segments
+        if len(self.trajectory) != scans:
+            raise InvalidMap(f"{scans} signatures and {len(self.trajectory)} scans")
+        if self.relative_error.shape != (segments,):
+            raise InvalidMap(f"{segments} segments and {self.relative_error.shape} errors")
+        if not ((self.relative_error >= 0) & (self.relative_error <= 1)).all():
+            raise InvalidMap("relative_error holds numbers that are not within 0..1")
+        if len(self.topology.edge_of_segment) != segments:
+            raise InvalidMap(
+                f"{segments} segments and {len(self.topology.edge_of_segment)} in the graph"
+            )
+        if len(self.topology.node_scan) and not (
+            self.topology.node_scan.min() >= 0 and self.topology.node_scan.max() < scans
+        ):
+            raise InvalidMap("node_scan names a scan that does not exist")
+        starts = self.model.segment_start
+        if not np.isin(self.trajectory.drive_start, starts).all():
+            raise InvalidMap("a segment runs from one drive into the next")
+        self._require_nodes()
+        if self.model.ranks != self.parameters.ranks:
+            raise InvalidMap(f"signatures are {self.model.ranks}, ranks {self.parameters.ranks}")
+        if self.model.grid_shape != self.parameters.grid.shape:
+            raise InvalidMap(f"bases are for {self.model.grid_shape}, not for the grid")
+        self._require_encoding()
+
+    def _require_nodes(self) -> None:
+        nodes, starts = (
+            self.topology.node_scan[self.topology.segment_nodes],
+            self.model.segment_start,
+        )
+        if self.topology.is_plain:
+            if (nodes[:, 0] > starts[:-1]).any() or (nodes[:, 1] < starts[1:] - 1).any():
+                raise InvalidMap("a segment's scans do not lie between its edge's nodes")
+        elif (nodes > self.segment_ends).any() or not np.isin(
+            self.topology.node_scan, self.segment_ends
+        ).all():
+            raise InvalidMap("a node does not stand at the first segment end that came there")
+
+    def _require_encoding(self) -> None:
+        harmonic = isinstance(self.model, HarmonicModel)
+        if harmonic != (self.parameters.encoding == Encoding.HARMONIC):
+            raise InvalidMap(f"the model is not of the encoding {self.parameters.encoding}")
+        if isinstance(self.model, HarmonicModel):
+            if self.model.measure != self.parameters.distance:
+                raise InvalidMap("the model's distance is not that of the parameters")
+            offsets = tuple(self.model.lateral_offset_m.tolist())
+            if offsets != self.parameters.lateral_renderings_m:
+                raise InvalidMap(f"lateral_offset_m is {offsets}, not that of the parameters")
+
+    def __len__(self) -> int:
+        return len(self.trajectory)
+
+    @cached_property
+    def revision(self) -> str:
+        """The digest of the content, 64 hexadecimal digits."""
+        return content_digest(self.arrays(), self.attributes())
+
+    @cached_property
+    def segment_ends(self) -> IntArray:
+        """Rows of the scans at which each segment begins and ends, `(L, 2)`."""
+        return segment_ends(self.trajectory.drive_start, self.model.segment_start)
+
+    @cached_property
+    def basis_digests(self) -> tuple[str, ...]:
+        """What names the bases that this map answers to, 64 hexadecimal digits each.
+
+        One of a harmonic map; of the paper's those of its first 1, 2, ... L segments.
+        """
+        if isinstance(self.model, HarmonicModel):
+            return (harmonic_basis_digest(self.parameters, self.model.radial_basis),)
+        return paper_basis_digests(
+            self.parameters, self.model.elevation_basis, self.model.azimuth_basis
+        )
+
+    @property
+    def basis_digest(self) -> str:
+        """What names the basis of all segments."""
+        return self.basis_digests[-1]
+
+    @property
+    def elements(self) -> int:
+        """How many numbers the bases and signatures are (paper, sec. 2.4)."""
+        return self.model.elements
+
+    def basis(self, segments: Sequence[int] | IntArray | None = None) -> Basis:
+        """Return what a vehicle needs to make signatures, for all or some segments.
+
+        A harmonic map has one basis for all of them.
+
+        Raises:
+            UnknownSegment: If the map has no such segment.
+        """
+        wanted = np.arange(self.model.segments)
+        if segments is not None:
+            wanted = np.unique(np.asarray(segments, dtype=np.int64))
+            self.model.require_segments(wanted)
+        if isinstance(self.model, HarmonicModel):
+            return HarmonicBasis(
+                self.revision, self.basis_digest, self.parameters, self.model.radial_basis
+            )
+        return PaperBasis(
+            revision=self.revision,
+            digest=self.basis_digest,
+            parameters=self.parameters,
+            segments=wanted,
+            elevation_basis=self.model.elevation_basis[wanted],
+            azimuth_basis=self.model.azimuth_basis[wanted],
+        )
+
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """Return every array of the map by its name in the file."""
+        return {
+            **self.model.arrays(),
+            "relative_error": self.relative_error,
+            "drive_start": self.trajectory.drive_start,
+            "scan_index": self.trajectory.scan_index,
+            "timestamp_s": self.trajectory.timestamp_s,
+            "pose": self.trajectory.poses,
+            **self.topology.arrays(),
+        }
+
+    def attributes(self) -> dict[str, Any]:
+        """Return every attribute of the map, as plain values."""
+        attributes = {**self.parameters.as_attributes(), "drives": list(self.trajectory.drives)}
+        if self.calibration is not None:
+            attributes["calibration"] = self.calibration.as_attributes()
+        return attributes
+
+    @classmethod
+    def from_parts(
+        cls,
+        arrays: Mapping[str, NDArray[Any]],
+        attributes: Mapping[str, Any],
+        revision: str | None = None,
+    ) -> "TensorMap":
+        """Make the map of what `arrays` and `attributes` gave.
+
+        Args:
+            arrays: By name.
+            attributes: By name.
+            revision: Their digest, if it was checked before; computed when it is needed otherwise.
+
+        Raises:
+            InvalidMap: If something is missing or does not fit together.
+        """
+        try:
+            parameters = MapParameters.from_attributes(dict(attributes))
+            of_complex = _COMPLEX if parameters.encoding == Encoding.HARMONIC else ()
+            a = {name: _numbers(name, arrays[name], of_complex) for name in arrays}
+            tensor_map = cls(
+                parameters,
+                _model(parameters, a),
+                Trajectory(
+                    tuple(attributes["drives"]),
+                    a["drive_start"],
+                    a["scan_index"],
+                    a["timestamp_s"],
+                    a["pose"],
+                ),
+                _topology(a),
+                a["relative_error"],
+                _calibration(attributes),
+            )
+        except KeyError as error:
+            raise InvalidMap(f"the map lacks {error}") from error
+        except (
+            AttributeError,
+            EmptyDrive,
+            IndexError,
+            InvalidParameters,
+            OverflowError,
+            RecursionError,
+            TypeError,
+            ValueError,
+        ) as error:
+            raise InvalidMap(f"the map's parts are not of their kind: {error}") from error
+        if tensor_map.attributes() != dict(attributes):
+            raise InvalidMap("the map has attributes that are unknown or not in their own form")
+        if revision is not None:
+            tensor_map.__dict__["revision"] = revision  # where `cached_property` keeps it
+        return tensor_map
+
+
+def _numbers(name: str, array: NDArray[Any], of_complex: Collection[str]) -> NDArray[Any]:
+    """Return an array that holds numbers of its kind: none is rounded, cut off or made of text."""
+    wanted = "iu" if name in _WHOLE else "cfiu" if name in of_complex else "fiu"
+    values = np.asarray(array)
+    if values.dtype.kind not in wanted:
+        raise InvalidMap(f"{name} holds {values.dtype}, wanted numbers of another kind")
+    return values
+
+
+def _calibration(attributes: Mapping[str, Any]) -> Calibration | None:
+    if "calibration" not in attributes:  # a file of before there was any, or of gone returns
+        return None
+    return Calibration.from_attributes(attributes["calibration"])
+
+
+def _topology(a: dict[str, NDArray[Any]]) -> Topology:
+    joined = {name: a[name] for name in JOINED if name in a}
+    if joined and not np.isin(joined["segment_reversed"], (0, 1)).all():
+        raise InvalidMap("segment_reversed holds other numbers than 0 and 1")
+    return Topology(a["node_scan"], a["edge_nodes"], a["edge_length_m"], **joined)
+
+
+def _model(parameters: MapParameters, a: dict[str, NDArray[Any]]) -> PaperModel | HarmonicModel:
+    if parameters.distance is None:
+        return PaperModel(
+            a["elevation_basis"], a["azimuth_basis"], a["signatures"], a["segment_start"]
+        )
+    return HarmonicModel(
+        a["radial_basis"],
+        a["signatures"],
+        a["lateral_offset_m"],
+        a["segment_start"],
+        parameters.grid.columns,
+        parameters.distance,
+    )

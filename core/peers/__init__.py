@@ -1,1 +1,0 @@
-"""Place recognition by others, re-derived from their papers, to compare with."""

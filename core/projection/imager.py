@@ -1,0 +1,143 @@
+"""How a map's scans, and the queries to it, become images."""
+
+import itertools
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Any
+
+import numpy as np
+
+from core.arrays import Float32Array
+from core.errors import InvalidParameters
+from core.projection.height_image import HeightImage, project_heights
+from core.projection.range_image import RangeImage, project_scan
+from core.projection.reducer import HEIGHT_REDUCERS, RANGE_REDUCERS, Reducer
+from core.projection.rings import RingGrid
+from core.scans.displacement import seen_from_beside
+from core.scans.scan import Scan
+from core.scans.sensor import AngularGrid
+
+__all__ = ["Grid", "Image", "ImageKind", "Imager", "grid_from_attributes"]
+
+Grid = AngularGrid | RingGrid
+Image = RangeImage | HeightImage
+
+_MAX_LATERAL_M = 50.0
+_MAX_RENDERINGS = 64
+
+
+class ImageKind(StrEnum):
+    """What an image's cells hold."""
+
+    RANGE = "range"
+    HEIGHT = "height"
+
+
+@dataclass(frozen=True)
+class Imager:
+    """Everything that an image depends on besides its scan.
+
+    Attributes:
+        grid: The lattice; an angular one makes range images, one of rings height images.
+        reducer: What a shared cell keeps.
+        sensor_height_m: Height of the sensor above ground; only height images depend on it.
+        lateral_renderings_m: `D` places, metres to the left, from which a scan of the map is also
+            rendered; `None` for the image as it was recorded and nothing else.
+    """
+
+    grid: Grid
+    reducer: Reducer
+    sensor_height_m: float = 0.0
+    lateral_renderings_m: tuple[float, ...] | None = None
+
+    def __post_init__(self) -> None:
+        allowed = HEIGHT_REDUCERS if self.kind == ImageKind.HEIGHT else RANGE_REDUCERS
+        if self.reducer not in allowed:
+            raise InvalidParameters(
+                f"reducer is {self.reducer}, a {self.kind} image wants {', '.join(allowed)}"
+            )
+        offsets = self.lateral_renderings_m
+        if offsets is None:
+            return
+        # 0 and -0.0 are one place, and must be one digest.
+        offsets = tuple(float(offset) + 0.0 for offset in offsets)
+        object.__setattr__(self, "lateral_renderings_m", offsets)
+        if not 1 <= len(offsets) <= _MAX_RENDERINGS:
+            raise InvalidParameters(
+                f"lateral_renderings_m holds {len(offsets)} places, wanted 1..{_MAX_RENDERINGS}"
+            )
+        if not all(abs(offset) <= _MAX_LATERAL_M for offset in offsets) or not all(
+            one < two for one, two in itertools.pairwise(offsets)
+        ):
+            raise InvalidParameters(
+                f"lateral_renderings_m is {list(offsets)}, wanted rising metres within"
+                f" {_MAX_LATERAL_M:g}"
+            )
+
+    @property
+    def kind(self) -> ImageKind:
+        """What the cells hold."""
+        return ImageKind.HEIGHT if isinstance(self.grid, RingGrid) else ImageKind.RANGE
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """`(I, J)`, or `(D, I, J)` with lateral renderings: what a scan of the map becomes."""
+        if self.lateral_renderings_m is None:
+            return self.grid.shape
+        return len(self.lateral_renderings_m), *self.grid.shape
+
+    def image(self, scan: Scan, sensor_height_m: float | None = None) -> Image:
+        """Return a scan's image.
+
+        Args:
+            scan: The returns.
+            sensor_height_m: Of this scan's sensor, if it is mounted otherwise than the map's.
+
+        Raises:
+            InvalidScan: If no return falls inside the grid, or all on the ground.
+        """
+        if isinstance(self.grid, AngularGrid):
+            return project_scan(scan, self.grid, self.reducer)
+        height_m = self.sensor_height_m if sensor_height_m is None else sensor_height_m
+        return project_heights(scan, self.grid, self.reducer, height_m)
+
+    def render(self, scan: Scan) -> Float32Array:
+        """Return what a scan of the map becomes, of `shape`.
+
+        Raises:
+            InvalidScan: If one of the images would be empty.
+        """
+        if self.lateral_renderings_m is None:
+            return self.image(scan).cells
+        return np.stack(
+            [
+                self.image(_beside(scan, left_m) if left_m else scan).cells
+                for left_m in self.lateral_renderings_m
+            ]
+        )
+
+    def as_attributes(self) -> dict[str, Any]:
+        """Return everything that a rendering depends on, as plain values."""
+        attributes: dict[str, Any] = {
+            "grid": self.grid.as_attributes(),
+            "reducer": self.reducer.value,
+        }
+        if self.kind == ImageKind.HEIGHT:
+            attributes["sensor_height_m"] = self.sensor_height_m
+        if self.lateral_renderings_m is not None:
+            attributes["lateral_renderings_m"] = list(self.lateral_renderings_m)
+        return attributes
+
+
+def grid_from_attributes(attributes: dict[str, Any]) -> Grid:
+    """Read a grid of either kind.
+
+    Raises:
+        InvalidParameters: If a value is out of its range.
+        TypeError: If something is missing or of neither kind.
+    """
+    return RingGrid(**attributes) if "rings" in attributes else AngularGrid(**attributes)
+
+
+def _beside(scan: Scan, left_m: float) -> Scan:
+    return Scan.from_returns(seen_from_beside(scan.points_m, left_m))

@@ -1,0 +1,287 @@
+"""Where a build reads its images from, as often as it needs them."""
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from core.arrays import Float32Array, FloatArray, IntArray, frozen
+from core.errors import EmptyDrive, InvalidImage, InvalidParameters, InvalidScan
+from core.progress import NO_PROGRESS, Progress
+from core.projection.imager import Grid, Imager
+from core.projection.probe import Standing, probe_image, probed_among, standing_of_probe
+from core.scans.drive import Drive
+from core.scans.scan import Scan
+
+__all__ = [
+    "Cells",
+    "ConcatenatedImages",
+    "ImageSource",
+    "MemoryImages",
+    "Probes",
+    "Projected",
+    "ProjectedDrive",
+    "Skipped",
+    "project_drive",
+    "project_each",
+    "project_into",
+]
+
+
+class ImageSource(Protocol):
+    """Images on one grid, in the order of the map's scans; one a scan, or its D renderings.
+
+    A build reads them twice, block by block, so that it never holds them all.
+    """
+
+    @property
+    def grid(self) -> Grid:
+        """The lattice of every image."""
+
+    def __len__(self) -> int:
+        """Return how many images there are."""
+
+    def read(self, start: int, stop: int) -> Float32Array:
+        """Return those of scans `start` up to `stop`, `(stop - start, [D,] I, J)` float32."""
+
+
+class MemoryImages:
+    """Images held in memory, `(n, I, J)`, or renderings, `(n, D, I, J)`."""
+
+    def __init__(self, cells: Float32Array, grid: Grid) -> None:
+        if cells.ndim not in {3, 4} or cells.shape[-2:] != grid.shape:
+            raise InvalidImage(f"images have shape {cells.shape[1:]}, the grid {grid.shape}")
+        self.grid = grid
+        self._cells: Float32Array = frozen(cells, "float32")
+
+    def __len__(self) -> int:
+        return len(self._cells)
+
+    def read(self, start: int, stop: int) -> Float32Array:
+        """Return images `start` up to `stop`."""
+        return self._cells[start:stop]
+
+
+class ConcatenatedImages:
+    """Several sources on one grid, one after another."""
+
+    def __init__(self, parts: Sequence[ImageSource]) -> None:
+        if not parts or any(part.grid != parts[0].grid for part in parts):
+            raise InvalidImage("images can be joined on one grid only")
+        self.grid = parts[0].grid
+        self._parts = tuple(parts)
+        self._starts = np.cumsum([0, *(len(part) for part in parts)])
+
+    def __len__(self) -> int:
+        return int(self._starts[-1])
+
+    def read(self, start: int, stop: int) -> Float32Array:
+        """Return images `start` up to `stop`, from as many parts as they lie in."""
+        pieces = [
+            part.read(max(0, start - first), min(len(part), stop - first))
+            for part, first in zip(self._parts, self._starts.tolist(), strict=False)
+            if start < first + len(part) and stop > first
+        ]
+        if not pieces:
+            return self._parts[0].read(0, 0)
+        return pieces[0] if len(pieces) == 1 else np.concatenate(pieces)
+
+
+@dataclass(frozen=True)
+class Skipped:
+    """A scan that gave no image, and why."""
+
+    scan: int
+    reason: str
+
+    @staticmethod
+    def explain(drive: str, skipped: Sequence["Skipped"]) -> str:
+        """Say that a drive has no usable scan, and why its first one is none."""
+        reason = f": scan {skipped[0].scan}: {skipped[0].reason}" if skipped else ""
+        return f"drive {drive} has no usable scan{reason}"
+
+
+class Cells(Protocol):
+    """Where images are put, one a row: an array in memory, or a dataset in a file."""
+
+    def __setitem__(self, row: int, image: Float32Array) -> None:
+        """Keep an image."""
+
+
+@dataclass(frozen=True, eq=False)
+class Probes:
+    """Disturbed scans of a map, to find out how far its answers can be trusted.
+
+    Attributes:
+        rows: `(p,)` rows of the map whose scans they are, rising.
+        standing: `(p, 3)` how far ahead of its scan and to its left each stands, metres, and its
+            turn, degrees counter-clockwise.
+        images: Their images, one each, without renderings.
+    """
+
+    rows: IntArray
+    standing: FloatArray
+    images: ImageSource
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "rows", frozen(self.rows, np.int64))
+        object.__setattr__(self, "standing", frozen(self.standing, np.float64))
+        count = len(self.images)
+        if self.rows.shape != (count,) or self.standing.shape != (count, 3):
+            raise InvalidParameters(
+                f"rows {self.rows.shape} and standing {self.standing.shape} are not those of"
+                f" {count} probes"
+            )
+        if not np.isfinite(self.standing).all():
+            raise InvalidParameters("standing holds numbers that are not finite")
+        if (np.diff(self.rows) < 1).any() or (self.rows < 0).any():
+            raise InvalidParameters("rows of probes do not rise from 0 or more")
+
+    @classmethod
+    def of_drives(
+        cls, drives: Sequence[tuple[IntArray, IntArray, FloatArray, ImageSource]]
+    ) -> "Probes":
+        """Return the probes of a map of drives, one after another.
+
+        Args:
+            drives: Of each the positions of its mapped scans, rising, those of its probed ones,
+                where the probes stand, and their images.
+        """
+        first = np.cumsum([0, *(len(scans) for scans, *_ in drives)])
+        rows = [
+            start + np.searchsorted(scans, probed)
+            for start, (scans, probed, *_) in zip(first.tolist(), drives, strict=False)
+        ]
+        return cls(
+            np.concatenate(rows),
+            np.concatenate([standing for _, _, standing, _ in drives]),
+            ConcatenatedImages([images for *_, images in drives]),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Projected:
+    """Which scans of a drive gave an image.
+
+    Attributes:
+        scans: `(n,)` positions of the usable scans in the drive, rising.
+        returns: How many returns they hold together.
+        skipped: The scans that could not be used.
+        probed: `(p,)` positions of those of which a probe was made, rising.
+        standing: `(p, 3)` where the probes stand, as in `Probes`.
+    """
+
+    scans: IntArray
+    returns: int
+    skipped: tuple[Skipped, ...]
+    probed: IntArray
+    standing: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class ProjectedDrive(Projected):
+    """The images of a drive's usable scans, one for each, and those of its probes."""
+
+    images: ImageSource
+    probes: ImageSource
+
+    def probes_of_map(self) -> Probes:
+        """Return the probes as those of a map of this drive's usable scans and no others."""
+        return Probes.of_drives([(self.scans, self.probed, self.standing, self.probes)])
+
+
+def project_each(
+    drive: Drive,
+    scans: Iterable[int],
+    imager: Imager,
+    progress: Progress = NO_PROGRESS,
+) -> Iterator[tuple[int, Scan, Float32Array] | Skipped]:
+    """Read and render scans one by one; one that cannot be used is told, the rest goes on."""
+    for index in scans:
+        try:
+            scan = drive.scan(index)
+            yield index, scan, imager.render(scan)
+        except InvalidScan as error:
+            yield Skipped(index, str(error))
+        progress.advance()
+
+
+def project_into(
+    cells: Cells,
+    probe_cells: Cells,
+    drive: Drive,
+    scans: Sequence[int],
+    imager: Imager,
+    progress: Progress = NO_PROGRESS,
+) -> Projected:
+    """Project scans of a drive one by one into the first rows of `cells`, and probes of some.
+
+    Args:
+        cells: `(n, [D,] I, J)` for n scans.
+        probe_cells: `(p, I, J)` for as many of them as `probed_among` gives.
+        drive: The drive.
+        scans: Which of its scans, rising.
+        imager: How a scan becomes an image.
+        progress: Told of each scan.
+
+    Raises:
+        EmptyDrive: If not one of them is usable; the message gives the first reason.
+    """
+    progress.start("projecting", len(scans))
+    kept: list[int] = []
+    probed: list[int] = []
+    standing: list[Standing] = []
+    skipped: list[Skipped] = []
+    to_probe = set(probed_among(np.array(scans, dtype=np.int64)).tolist())
+    row_of = {index: row for row, index in enumerate(scans)}
+    poses = drive.poses[list(scans)]
+    returns = 0
+    for item in project_each(drive, scans, imager, progress):
+        if isinstance(item, Skipped):
+            skipped.append(item)
+            continue
+        index, scan, cells[len(kept)] = item
+        kept.append(index)
+        returns += len(scan)
+        if index not in to_probe:
+            continue
+        stands = standing_of_probe(index, imager, poses, row_of[index])
+        if (probe := probe_image(scan, index, imager, stands)) is not None:
+            probe_cells[len(probed)] = probe.cells
+            probed.append(index)
+            standing.append(stands)
+    if not kept:
+        raise EmptyDrive(Skipped.explain(drive.name, skipped))
+    return Projected(
+        np.array(kept, dtype=np.int64),
+        returns,
+        tuple(skipped),
+        np.array(probed, dtype=np.int64),
+        np.array(standing, dtype=np.float64).reshape(-1, 3),
+    )
+
+
+def project_drive(
+    drive: Drive,
+    scans: IntArray,
+    imager: Imager,
+    progress: Progress = NO_PROGRESS,
+) -> ProjectedDrive:
+    """Project scans of a drive into memory, 43 kB an image on the paper's grid.
+
+    Raises:
+        EmptyDrive: If not one of them is usable; the message gives the first reason.
+    """
+    cells = np.empty((len(scans), *imager.shape), np.float32)
+    probe_cells = np.empty((len(probed_among(scans)), *imager.grid.shape), np.float32)
+    told = project_into(cells, probe_cells, drive, scans.tolist(), imager, progress)
+    return ProjectedDrive(
+        told.scans,
+        told.returns,
+        told.skipped,
+        told.probed,
+        told.standing,
+        MemoryImages(cells[: len(told.scans)], imager.grid),
+        MemoryImages(probe_cells[: len(told.probed)], imager.grid),
+    )

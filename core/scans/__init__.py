@@ -1,0 +1,1 @@
+"""What is recorded: scans, poses, drives and the sensors that make them."""

@@ -1,0 +1,68 @@
+"""A drive: an ordered recording of scans."""
+
+from collections.abc import Iterator, Sequence
+from typing import Protocol
+
+import numpy as np
+
+from core.arrays import FloatArray, frozen
+from core.scans.pose import pose_rows
+from core.scans.scan import Scan
+
+__all__ = ["Drive", "MemoryDrive"]
+
+
+class Drive(Protocol):
+    """An ordered recording of scans; what every reader, store and simulator gives.
+
+    Timestamps and poses are at hand without reading a scan, because splits, cuts and
+    progress need them first.
+    """
+
+    @property
+    def name(self) -> str:
+        """A short name, for tables and provenance."""
+
+    @property
+    def timestamp_s(self) -> FloatArray:
+        """`(K,)` seconds, NaN where unknown."""
+
+    @property
+    def poses(self) -> FloatArray:
+        """`(K, 7)` pose rows, sensor to world, NaN where unknown."""
+
+    def __len__(self) -> int:
+        """Return how many scans there are."""
+
+    def scan(self, index: int) -> Scan:
+        """Read scan `index`, 0-based.
+
+        Raises:
+            InvalidScan: If what is recorded there cannot be used.
+        """
+
+
+class MemoryDrive:
+    """A drive held in memory."""
+
+    def __init__(self, name: str, scans: Sequence[Scan]) -> None:
+        self.name = name
+        self._scans = tuple(scans)
+        self.timestamp_s: FloatArray = frozen([s.timestamp_s for s in scans], np.float64)
+        self.poses: FloatArray = frozen(pose_rows([s.pose for s in scans]), np.float64)
+
+    def __len__(self) -> int:
+        return len(self._scans)
+
+    def __iter__(self) -> Iterator[Scan]:
+        return iter(self._scans)
+
+    def scan(self, index: int) -> Scan:
+        """Return scan `index`.
+
+        Raises:
+            IndexError: If there is no such scan.
+        """
+        if not 0 <= index < len(self):
+            raise IndexError(f"there is no scan {index} in a drive of {len(self)}")
+        return self._scans[index]

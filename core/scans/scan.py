@@ -1,0 +1,102 @@
+"""A scan: the returns of one turn of the sensor."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from core.arrays import BoolArray, Float32Array, frozen
+from core.errors import InvalidScan, TooFewReturns
+from core.scans.pose import Pose
+
+__all__ = ["Scan"]
+
+
+@dataclass(frozen=True, eq=False)
+class Scan:
+    """The returns of one turn, in the sensor's frame (x forward, y left, z up).
+
+    Attributes:
+        points_m: `(n, 3)` float32 metres; every return finite and away from the origin.
+        timestamp_s: Seconds, NaN where unknown.
+        pose: Sensor to world, `None` where unknown.
+        dropped_returns: Returns that were not finite or zero, and were left out.
+
+    Examples:
+        >>> scan = Scan.from_returns([[10.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
+        >>> len(scan), scan.dropped_returns
+        (1, 1)
+    """
+
+    points_m: Float32Array
+    timestamp_s: float = math.nan
+    pose: Pose | None = None
+    dropped_returns: int = 0
+
+    def __post_init__(self) -> None:
+        points = np.asarray(self.points_m)
+        if points.ndim != 2 or points.shape[1] != 3:
+            raise InvalidScan(f"points_m has shape {points.shape}, wanted (n, 3)")
+        points = frozen(points, np.float32)
+        if not _is_return(points).all():
+            raise InvalidScan(
+                "points_m holds returns that are not finite or zero; use Scan.from_returns"
+            )
+        if math.isinf(self.timestamp_s):
+            raise InvalidScan(f"timestamp_s is {self.timestamp_s}, wanted seconds or NaN")
+        object.__setattr__(self, "points_m", points)
+
+    def __len__(self) -> int:
+        return len(self.points_m)
+
+    @classmethod
+    def from_returns(
+        cls,
+        returns_m: ArrayLike,
+        *,
+        min_returns: int = 1,
+        timestamp_s: float = math.nan,
+        pose: Pose | None = None,
+    ) -> "Scan":
+        """Make a scan of what a sensor or file gives, dropping and counting what is no return.
+
+        Args:
+            returns_m: `(n, 3)` metres; non-finite and zero rows are dropped.
+            min_returns: How many must be left.
+            timestamp_s: Seconds, NaN where unknown.
+            pose: Sensor to world, `None` where unknown.
+
+        Raises:
+            InvalidScan: If the shape is not `(n, 3)`.
+            TooFewReturns: If fewer than `min_returns` are left.
+        """
+        # Beyond float32 is infinite and a signalling NaN is a NaN: both are dropped.
+        with np.errstate(over="ignore", invalid="ignore"):
+            points = np.asarray(returns_m, dtype=np.float32, order="C")
+        if points.ndim != 2 or points.shape[1] != 3:
+            raise InvalidScan(f"returns have shape {points.shape}, wanted (n, 3)")
+        keep = _is_return(points)
+        kept = int(keep.sum())
+        if kept < min_returns:
+            raise TooFewReturns(
+                f"{kept} of {len(points)} returns are finite and non-zero,"
+                f" at least {min_returns} are wanted"
+            )
+        return cls(
+            points if kept == len(points) else points[keep],
+            timestamp_s=timestamp_s,
+            pose=pose,
+            dropped_returns=len(points) - kept,
+        )
+
+
+def _is_return(points_m: Float32Array) -> BoolArray:
+    x, y, z = points_m.T  # column by column: eight times faster than reducing short rows
+    with np.errstate(invalid="ignore"):  # a signalling NaN is a NaN, nothing to warn of
+        keep = np.asarray(x != 0)
+        if not keep.all():
+            keep |= (y != 0) | (z != 0)
+        if not np.isfinite(points_m).all():
+            keep &= np.isfinite(x) & np.isfinite(y) & np.isfinite(z)
+        return keep

@@ -1,0 +1,151 @@
+"""Where, when and in which drive a map's scans were recorded."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from core.arrays import BoolArray, FloatArray, IntArray, frozen
+from core.errors import EmptyDrive, InvalidMap
+from core.scans.pose import first_invalid, is_known
+from core.text import LONGEST_NAME, flaw_in
+
+__all__ = ["LAST_SCAN_INDEX", "Trajectory"]
+
+LAST_SCAN_INDEX = 2**53
+"""Indices are below it: every JSON parser reads them exactly."""
+_FARTHEST_S = 1e300  # differences of any two of them are finite; whatever clock they are of
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """The scans of a map in order, drive after drive, without their returns.
+
+    Attributes:
+        drives: Names of the D drives, no two alike.
+        drive_start: `(D + 1,)` row of each drive's first scan, and K.
+        scan_index: `(K,)` index of each scan in its own drive, rising; gaps are allowed.
+        timestamp_s: `(K,)` seconds, NaN where unknown.
+        poses: `(K, 7)` sensor to world, NaN where unknown.
+    """
+
+    drives: tuple[str, ...]
+    drive_start: IntArray
+    scan_index: IntArray
+    timestamp_s: FloatArray
+    poses: FloatArray
+
+    def __post_init__(self) -> None:
+        for name, dtype in (
+            ("drive_start", np.int64),
+            ("scan_index", np.int64),
+            ("timestamp_s", np.float64),
+            ("poses", np.float64),
+        ):
+            object.__setattr__(self, name, frozen(getattr(self, name), dtype))
+        scans = len(self.scan_index)
+        if scans == 0:
+            raise EmptyDrive("a trajectory needs at least one scan")
+        for name, shape in (
+            ("scan_index", (scans,)),
+            ("timestamp_s", (scans,)),
+            ("poses", (scans, 7)),
+        ):
+            if getattr(self, name).shape != shape:
+                raise InvalidMap(f"{name} has shape {getattr(self, name).shape}, wanted {shape}")
+        # A comparison with NaN, the unknown, is false.
+        if (np.abs(self.timestamp_s) > _FARTHEST_S).any():
+            raise InvalidMap(f"timestamp_s holds infinite numbers, or beyond {_FARTHEST_S:g} s")
+        wrong = first_invalid(self.poses)
+        if wrong is not None:
+            raise InvalidMap(f"the pose of row {wrong} is none: {self.poses[wrong].tolist()}")
+        for name in self.drives:
+            flaw = flaw_in(name, LONGEST_NAME)
+            if flaw is not None:
+                raise InvalidMap(f"drives holds {ascii(name)[:80]}, wanted names: {flaw}")
+        if len(set(self.drives)) < len(self.drives):
+            raise InvalidMap(f"a drive comes twice in {_short(self.drives)}")
+        starts = self.drive_start
+        if (
+            starts.shape != (len(self.drives) + 1,)
+            or starts[0] != 0
+            or starts[-1] != scans
+            or (np.diff(starts) < 1).any()
+        ):
+            raise InvalidMap(
+                f"drive_start {_short(starts.tolist())} does not cut {scans} scans"
+                f" into {len(self.drives)} drives"
+            )
+        same_drive = np.diff(self.drive_of_scan) == 0
+        if self.scan_index.min() < 0 or (np.diff(self.scan_index)[same_drive] < 1).any():
+            raise InvalidMap("scan_index does not rise from 0 or more in every drive")
+        if self.scan_index.max() >= LAST_SCAN_INDEX:
+            raise InvalidMap(
+                f"scan_index holds {self.scan_index.max()}, wanted below {LAST_SCAN_INDEX}"
+            )
+
+    def __len__(self) -> int:
+        return len(self.scan_index)
+
+    @property
+    def known(self) -> BoolArray:
+        """Which scans have a pose, `(K,)`."""
+        return is_known(self.poses)
+
+    @property
+    def drive_of_scan(self) -> IntArray:
+        """The drive of each scan, `(K,)` indices into `drives`."""
+        return np.repeat(np.arange(len(self.drives)), np.diff(self.drive_start))
+
+    def row_of(self, drive: str, scan_index: int) -> int | None:
+        """Return the row of a drive's scan, `None` if it is not here."""
+        if drive not in self.drives:
+            return None
+        start, end = self.drive_start[self.drives.index(drive) :][:2].tolist()
+        row = start + int(np.searchsorted(self.scan_index[start:end], scan_index))
+        return row if row < end and self.scan_index[row] == scan_index else None
+
+    @classmethod
+    def of_drive(
+        cls, name: str, timestamp_s: FloatArray, poses: FloatArray, scan_index: IntArray
+    ) -> "Trajectory":
+        """Return the trajectory of one drive."""
+        return cls((name,), np.array([0, len(scan_index)]), scan_index, timestamp_s, poses)
+
+    @classmethod
+    def concatenate(cls, parts: Sequence["Trajectory"]) -> "Trajectory":
+        """Put trajectories one after another.
+
+        Raises:
+            EmptyDrive: If there is none.
+        """
+        if not parts:
+            raise EmptyDrive("there is no drive to map")
+        offsets = np.cumsum([0] + [len(part) for part in parts])
+        starts = [
+            part.drive_start[:-1] + offset for part, offset in zip(parts, offsets, strict=False)
+        ]
+        return cls(
+            tuple(name for part in parts for name in part.drives),
+            np.concatenate([*starts, offsets[-1:]]),
+            np.concatenate([part.scan_index for part in parts]),
+            np.concatenate([part.timestamp_s for part in parts]),
+            np.concatenate([part.poses for part in parts]),
+        )
+
+    def select(self, rows: IntArray) -> "Trajectory":
+        """Return the trajectory of some rows, in rising order, leaving out drives left empty."""
+        drive = self.drive_of_scan[rows]
+        kept, counts = np.unique(drive, return_counts=True)
+        return Trajectory(
+            tuple(self.drives[i] for i in kept),
+            np.cumsum([0, *counts]),
+            self.scan_index[rows],
+            self.timestamp_s[rows],
+            self.poses[rows],
+        )
+
+
+def _short(value: object) -> str:
+    text = ascii(value)
+    return text if len(text) <= 120 else f"{text[:117]}..."

@@ -1,1 +1,0 @@
-"""Whether an answer can be trusted."""

@@ -1,0 +1,1 @@
+"""Files of a data directory: durable writes, checked reads, and what each kind of file holds."""

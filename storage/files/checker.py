@@ -1,0 +1,183 @@
+"""Checks stored files in a process of its own, within limits of time and memory.
+
+Damage may make a reader loop for ever, end its process, or ask for all memory that there is: none
+of that reaches the service or the command that asks.
+"""
+
+import os
+import resource
+import signal
+import stat
+from contextlib import suppress
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
+from multiprocessing.process import BaseProcess
+from pathlib import Path
+from typing import Self
+
+from storage.files.forking import forkserver
+from storage.files.stored_file import Fault, StoredFile, fault_of
+
+__all__ = ["Checker", "Limits"]
+
+_PAGE_BYTES = resource.getpagesize()
+_END_S = 5.0  # to wait for a process that was killed; one that waits for a dead disk stays
+# What content does to a reader; other ends, such as a machine out of memory, are not its fault.
+_CRASHES = {-number for number in (signal.SIGSEGV, signal.SIGBUS, signal.SIGABRT, signal.SIGFPE)}
+_GONE = "gone"
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What a file may take to be checked.
+
+    Attributes:
+        seconds: Whatever its size; to start a process is within it.
+        bytes_per_s: The least rate at which its content must come, on top.
+        memory_bytes: Whatever its size.
+        memory_ratio: Bytes of memory for each byte of the file, on top.
+    """
+
+    seconds: float = 30.0
+    bytes_per_s: float = 4e6
+    memory_bytes: int = 512 * 2**20
+    memory_ratio: float = 4.0
+
+    def seconds_for(self, size_bytes: int) -> float:
+        """Return how long a file of a size may take."""
+        return self.seconds + size_bytes / self.bytes_per_s
+
+    def memory_for(self, size_bytes: int) -> int:
+        """Return how many bytes of memory a file of a size may take."""
+        return self.memory_bytes + int(self.memory_ratio * size_bytes)
+
+
+DEFAULT = Limits()
+
+
+class Checker:
+    """Checks one file after the other in a child process; used by one thread at a time.
+
+    A child that hangs or ends is replaced, and the file at hand is at fault.
+
+    Args:
+        limits: For each file.
+    """
+
+    def __init__(self, limits: Limits = DEFAULT) -> None:
+        self._limits = limits
+        self._child: tuple[BaseProcess, Connection] | None = None
+
+    def fault(self, path: Path, file: StoredFile) -> Fault | None:
+        """Return what is wrong with a file, `None` if it is what was stored.
+
+        Args:
+            path: Where it is.
+            file: What it should hold.
+
+        Raises:
+            FileNotFoundError: If it is gone.
+        """
+        try:
+            found = path.stat()
+        except FileNotFoundError:
+            raise
+        except OSError as error:
+            return Fault(f"it cannot be read: {error}", certain=False)
+        if not stat.S_ISREG(found.st_mode):  # to open one could wait for ever
+            return Fault("it is no file")
+        seconds = self._limits.seconds_for(found.st_size)
+        answer = self._ask(path, file, seconds, self._limits.memory_for(found.st_size))
+        if answer == _GONE:
+            raise FileNotFoundError(2, os.strerror(2), str(path))
+        return answer if isinstance(answer, Fault) else None
+
+    def _ask(self, path: Path, file: StoredFile, seconds: float, memory: int) -> object:
+        process, connection = self._child = self._child or _start()
+        try:
+            connection.send((path, file, seconds, memory))
+            if connection.poll(seconds):
+                return connection.recv()
+        except (EOFError, OSError):
+            process.join(_END_S)
+            code = process.exitcode
+            self.close()
+            if code == -signal.SIGXCPU:
+                return Fault(f"to read it took more than {seconds:.0f} s of CPU")
+            ended = f"the process that read it ended with exit code {code}"
+            return Fault(ended, certain=code in _CRASHES)
+        self.close()
+        return Fault(f"to read it took more than {seconds:.0f} s", certain=False)
+
+    def close(self) -> None:
+        """End the child."""
+        if self._child is not None:
+            process, connection = self._child
+            self._child = None
+            connection.close()
+            process.kill()
+            process.join(_END_S)
+            with suppress(ValueError):  # it still waits for a disk
+                process.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+def _start() -> tuple[BaseProcess, Connection]:
+    context = forkserver()  # no fork of a process with threads
+    ours, its = context.Pipe()
+    process = context.Process(target=_answer_all, args=(its,), name="checker", daemon=True)
+    process.start()
+    its.close()
+    return process, ours
+
+
+def _answer_all(connection: Connection) -> None:
+    """Check what comes until nobody asks any more."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the asker's, who then goes
+    os.nice(10)
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    while True:
+        try:
+            path, file, seconds, memory = connection.recv()
+        except EOFError:
+            return
+        _limit(resource.RLIMIT_AS, _mapped_bytes() + memory)
+        # An endless loop ends also when nobody is left who would end it.
+        _limit(resource.RLIMIT_CPU, int(_cpu_s() + seconds) + 1)
+        answer = _answer(path, file, memory)
+        _limit(resource.RLIMIT_AS, resource.RLIM_INFINITY)
+        connection.send(answer)
+
+
+def _answer(path: Path, file: StoredFile, memory: int) -> Fault | str | None:
+    try:
+        return fault_of(path, file)
+    except FileNotFoundError:
+        return _GONE
+    except MemoryError:
+        return Fault(f"to read it took more than {memory // 2**20} MB of memory", certain=False)
+    except OSError as error:
+        return Fault(f"it cannot be read: {error}", certain=False)
+    except Exception as error:  # noqa: BLE001 - whatever damage leads to is a fault of the file
+        return Fault(f"it cannot be read: {type(error).__name__}: {error}")
+
+
+def _limit(which: int, soft: int) -> None:
+    _, hard = resource.getrlimit(which)
+    if hard != resource.RLIM_INFINITY:
+        soft = hard if soft == resource.RLIM_INFINITY else min(soft, hard)
+    resource.setrlimit(which, (soft, hard))
+
+
+def _mapped_bytes() -> int:
+    return int(Path("/proc/self/statm").read_text().split()[0]) * _PAGE_BYTES
+
+
+def _cpu_s() -> float:
+    used = resource.getrusage(resource.RUSAGE_SELF)
+    return used.ru_utime + used.ru_stime

@@ -1,0 +1,136 @@
+"""Chunk files: raw scans of a drive in immutable HDF5 files.
+
+One file holds m scans in packed, contiguous arrays:
+
+    points_m    (sum of n, 3) float32   every return of every scan, one scan after the other
+    scan_start  (m + 1,)      int64     where scan `row` begins and ends in points_m
+    scan_index  (m,)          int64     its index in the drive
+
+The returns are not compressed. On the 60 scans of KITTI's drive 0001 (3,651,598 returns; h5py 3.16,
+two cores) gzip-1 with shuffle leaves 59 % of the bytes and lzf 74 %, but writing a scan then takes
+12.8 and 9.2 ms instead of 1.8, and reading it 4.0 and 3.5 ms instead of 0.3.
+"""
+
+import hashlib
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from core.arrays import Float32Array, IntArray
+from core.scans.scan import Scan
+from storage.errors import CorruptFile
+from storage.files.durable_file import reading_back, write_whole
+from storage.files.files import publish
+from storage.hdf5 import ContiguousDataset, FileSource, Hdf5File
+from storage.hdf5.writer import hdf5_in_memory
+
+__all__ = ["ChunkFile", "scan_digest", "write_chunk"]
+
+FORMAT = "tensormap-drive-chunk"
+FORMAT_VERSION = 1
+_RETURN_BYTES = 12
+_MOST_WORD_BYTES = 256
+
+
+def scan_digest(points_m: Float32Array) -> str:
+    """Return the SHA-256 of a scan's returns as little-endian float32, 64 hex digits.
+
+    Two bodies of different formats that decode to the same returns in the same order are the same
+    scan; timestamp and pose are facts about it, not content.
+    """
+    return hashlib.sha256(np.ascontiguousarray(points_m, dtype="<f4").data).hexdigest()
+
+
+def write_chunk(
+    path: Path, scans: Sequence[tuple[int, Scan]], digests: Sequence[str] | None = None
+) -> None:
+    """Write `(index, scan)` pairs into a new chunk file, durably, in the order given.
+
+    It appears under its name only after what is on disk was read back.
+
+    Args:
+        path: Where.
+        scans: The scans.
+        digests: Those of their returns, as the catalog has them; computed by default.
+
+    Raises:
+        StorageFull: If no space or quota is left; nothing is left behind.
+        StorageReadOnly: If the folder cannot be written.
+        OSError: If the disk gives back something else, or other returns than have these digests.
+    """
+    starts = np.cumsum([0, *(len(scan) for _, scan in scans)], dtype="<i8")
+    indices = np.array([index for index, _ in scans], dtype="<i8")
+    digests = digests or [scan_digest(scan.points_m) for _, scan in scans]
+    content = hdf5_in_memory(
+        {
+            "scan_start": [starts],
+            "scan_index": [indices],
+            "points_m": [scan.points_m for _, scan in scans] or [np.empty((0, 3), "<f4")],
+        },
+        {"format": FORMAT, "format_version": FORMAT_VERSION},
+    )
+    with publish(path, synced=True) as part:
+        write_whole(part, content)
+        with reading_back():
+            written = ChunkFile(part)
+            for row, digest in enumerate(digests):
+                if (found := scan_digest(written.points_m(row))) != digest:
+                    raise CorruptFile(f"row {row} has digest {found}, {digest} was written")
+
+
+class ChunkFile:
+    """Where a chunk file has the returns of each scan; the file itself is not kept open.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        CorruptFile: If it is not a chunk file.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        try:
+            with FileSource(path) as source:
+                self._starts, self._offset = _opened(Hdf5File(source))
+        except CorruptFile as error:
+            raise CorruptFile(f"{path.name} cannot be read: {error}") from error
+
+    def points_m(self, row: int) -> Float32Array:
+        """Read the returns of one scan, `(n, 3)` metres, and nothing of the others.
+
+        To open the file as HDF5 for each scan of 60,000 returns would take three times as long.
+
+        Raises:
+            FileNotFoundError: If the file is gone.
+            CorruptFile: If it has no such row, ends before it, or cannot be read.
+        """
+        if not 0 <= row < len(self._starts) - 1:
+            raise CorruptFile(f"row {row} of {self._path.name}: it has {len(self._starts) - 1}")
+        start, end = self._starts[row : row + 2].tolist()
+        at = self._offset + start * _RETURN_BYTES
+        try:
+            points = np.fromfile(self._path, "<f4", count=3 * (end - start), offset=at)
+        except FileNotFoundError:
+            raise
+        except OSError as error:
+            raise CorruptFile(f"row {row} of {self._path.name} cannot be read: {error}") from error
+        if len(points) != 3 * (end - start):
+            raise CorruptFile(f"row {row} of {self._path.name} is cut off")
+        return points.reshape(-1, 3)
+
+
+def _opened(file: Hdf5File) -> tuple[IntArray, int]:
+    """Return where each scan begins in a file's returns, and the address of the first return."""
+    told = file.attributes
+    kind, version = told.text("format", _MOST_WORD_BYTES), told.whole("format_version")
+    if (kind, version) != (FORMAT, FORMAT_VERSION):
+        raise CorruptFile(f"it is no {FORMAT} of version {FORMAT_VERSION}")
+    points = file.dataset("points_m", contiguous=True)
+    scan_start = file.dataset("scan_start", contiguous=True)
+    plain = isinstance(points, ContiguousDataset) and isinstance(scan_start, ContiguousDataset)
+    counted = plain and scan_start.dtype == "<i8" and len(scan_start.shape) == 1
+    starts: IntArray = scan_start.read() if counted else np.empty(0, np.int64)
+    in_order = starts.size > 0 and starts[0] == 0 and bool(np.all(np.diff(starts) >= 0))
+    if not in_order or points.shape != (starts[-1], 3) or points.dtype != "<f4":
+        raise CorruptFile("it does not hold its scans one after the other")
+    return starts, points.at if isinstance(points, ContiguousDataset) else 0

@@ -1,0 +1,242 @@
+"""A drive's images in one HDF5 file, so that a build reads raw returns once."""
+
+import json
+from pathlib import Path
+from typing import Self
+
+import numpy as np
+
+from core.arrays import Float32Array, FloatArray, IntArray
+from core.encodings.grams import drive_gram
+from core.errors import EmptyDrive
+from core.progress import NO_PROGRESS, Progress
+from core.projection.imager import Grid, Imager
+from core.projection.images import ImageSource, Skipped, project_into
+from core.projection.probe import probed_among
+from core.revision import content_digest
+from core.scans.drive import Drive
+from storage.errors import CorruptFile, CorruptImages
+from storage.files.durable_file import reading_back
+from storage.files.files import publish
+from storage.files.json_text import parse_json
+from storage.hdf5 import Dataset, FileSource, Hdf5File
+from storage.hdf5.writer import FileWriter, hdf5_on_disk
+
+__all__ = [
+    "PROBE_VERSION",
+    "PROJECTION_VERSION",
+    "ImageFile",
+    "image_file_name",
+    "remove_other_versions",
+    "write_image_file",
+]
+
+PROJECTION_VERSION = 1
+"""Counted up whenever the code makes other images of the same scans, or skips others."""
+
+PROBE_VERSION = 2
+"""Counted up whenever the code makes other probes of the same scans; images stay what they are."""
+
+_DETAIL_GRAM = "detail_gram"
+_BLOCK = 8  # images in an HDF5 chunk: 340 kB on the paper's grid
+_MOST_SKIPPED_BYTES = 2**26  # some 100 bytes a scan
+
+
+class ImageFile:
+    """Images of a drive's usable scans, read block by block; an `ImageSource`.
+
+    Attributes:
+        grid: The lattice of every image.
+        scans: `(n,)` position of each image's scan in the drive.
+        skipped: The scans that could not be used.
+        returns: How many returns the usable scans hold together.
+        probes: Images of disturbed scans, `None` in a file of another version of the probes.
+        probed: `(p,)` position of each probe's scan in the drive.
+        standing: `(p, 3)` where each probe stands, as in `core.projection.images.Probes`.
+    """
+
+    def __init__(self, path: Path, imager: Imager) -> None:
+        self.grid: Grid = imager.grid
+        self._name = path.name
+        self._file: Hdf5File | None = None
+        try:
+            self._file = Hdf5File(FileSource(path))
+            self._read_facts(self._file, imager)
+        except (CorruptFile, FileNotFoundError) as error:
+            self.close()
+            raise CorruptImages(f"{path.name} holds no images: {error}") from error
+
+    def _read_facts(self, file: Hdf5File, imager: Imager) -> None:
+        told = file.attributes
+        self.scans: IntArray = _typed(file, "scans", "<i8", 1).read()
+        self._images = _typed(file, "images", "<f4", 1 + len(imager.shape))
+        self.returns = told.whole("returns")
+        self.skipped = _skipped(told.text("skipped", _MOST_SKIPPED_BYTES))
+        if self._images.shape != (len(self.scans), *imager.shape):
+            raise CorruptFile(f"they have shape {self._images.shape}")
+        self.probes: ImageSource | None = None
+        self.probed: IntArray = np.empty(0, np.int64)
+        self.standing: FloatArray = np.empty((0, 3))
+        if "probe_version" not in told or told.whole("probe_version") != PROBE_VERSION:
+            return
+        probes = _typed(file, "probes", "<f4", 1 + len(self.grid.shape))
+        self.probed = _typed(file, "probed", "<i8", 1).read()
+        self.standing = _typed(file, "standing", "<f8", 2).read()
+        self.probes = _Stored(probes, self.grid, self._name)
+        if probes.shape != (len(self.probed), *self.grid.shape):
+            raise CorruptFile(f"probes have shape {probes.shape}")
+        if self.standing.shape != (len(self.probed), 3):
+            raise CorruptFile(f"standing has shape {self.standing.shape}")
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Let the file go."""
+        if self._file is not None:
+            self._file.close()
+
+    def __len__(self) -> int:
+        return len(self.scans)
+
+    def read(self, start: int, stop: int) -> Float32Array:
+        """Return those of scans `start` up to `stop`, `(stop - start, [D,] I, J)`.
+
+        Raises:
+            CorruptImages: If they cannot be read, or their checksum does not fit.
+        """
+        return _read(self._images, start, stop, self._name)
+
+    def detail_gram(self, progress: Progress = NO_PROGRESS) -> FloatArray:
+        """Return what a radial basis is fitted to, `(I, I)`; reads no image if it is kept.
+
+        Files of renderings keep it beside them; in one that was written before they did, it is
+        summed when it is asked for.
+
+        Raises:
+            CorruptImages: If it cannot be read, or its checksum does not fit.
+        """
+        if self._file is not None and _DETAIL_GRAM in self._file.names:
+            try:
+                kept: FloatArray = _typed(self._file, _DETAIL_GRAM, "<f8", 2).read()
+                if kept.shape != (self.grid.rows, self.grid.rows):
+                    raise CorruptFile(f"{_DETAIL_GRAM} has shape {kept.shape}")
+            except CorruptFile as error:
+                raise CorruptImages(f"{self._name} cannot be read: {error}") from error
+            return kept
+        return drive_gram(self, 0, len(self), progress)
+
+
+class _Stored:
+    """Images in an open file, read block by block; an `ImageSource`."""
+
+    def __init__(self, images: Dataset, grid: Grid, name: str) -> None:
+        self.grid = grid
+        self._images, self._name = images, name
+
+    def __len__(self) -> int:
+        return self._images.shape[0]
+
+    def read(self, start: int, stop: int) -> Float32Array:
+        return _read(self._images, start, stop, self._name)
+
+
+def _read(images: Dataset, start: int, stop: int, name: str) -> Float32Array:
+    try:
+        block: Float32Array = images.rows(start, stop)
+    except CorruptFile as error:
+        raise CorruptImages(f"{name} cannot be read: {error}") from error
+    return block
+
+
+def _typed(file: Hdf5File, name: str, dtype: str, axes: int) -> Dataset:
+    dataset = file.dataset(name)
+    if dataset.dtype != dtype or len(dataset.shape) != axes:
+        raise CorruptFile(f"{name} has shape {dataset.shape} of {dataset.dtype}, wanted {dtype}")
+    return dataset
+
+
+def _skipped(text: str) -> tuple[Skipped, ...]:
+    """Return the scans that could not be used, from pairs of position and reason."""
+    told = parse_json(text, "its attribute skipped")
+    if not isinstance(told, list):
+        raise CorruptFile("its attribute skipped is no list")
+    skipped = []
+    for item in told:
+        match item:
+            case [int(scan), str(reason)]:
+                skipped.append(Skipped(scan, reason))
+            case _:
+                raise CorruptFile(f"its attribute skipped holds {item!r:.80}")
+    return tuple(skipped)
+
+
+def image_file_name(imager: Imager, scans_digest: str) -> str:
+    """Return the name under which a drive's images are kept.
+
+    It tells the scans' content, the grid, the reducer and `PROJECTION_VERSION`: a file of that name
+    is out of date only if the code was changed without counting that up.
+    """
+    projection = content_digest({}, {"version": PROJECTION_VERSION, **imager.as_attributes()})
+    return f"{imager.reducer}-{projection[:16]}-{scans_digest[:32]}.h5"
+
+
+def remove_other_versions(path: Path) -> None:
+    """Remove the images of the same projection that the drive had with fewer scans.
+
+    Whoever reads one goes on to its end.
+    """
+    projection, _, _ = path.stem.rpartition("-")
+    for other in path.parent.glob(f"{projection}-*.h5"):
+        if other != path:
+            other.unlink(missing_ok=True)
+
+
+def write_image_file(
+    path: Path,
+    drive: Drive,
+    imager: Imager,
+    progress: Progress = NO_PROGRESS,
+) -> None:
+    """Read and project every scan of a drive, and publish the images and probes at `path`.
+
+    Raises:
+        EmptyDrive: If not one scan is usable; the message gives the first reason.
+        StorageFull: If no space is left; nothing is left behind.
+    """
+    if not len(drive):
+        raise EmptyDrive(Skipped.explain(drive.name, ()))
+    with publish(path, synced=True) as part:
+        with hdf5_on_disk(part) as writer:
+            _write(writer, drive, imager, progress)
+        with reading_back():
+            ImageFile(part, imager).close()
+
+
+def _write(writer: FileWriter, drive: Drive, imager: Imager, progress: Progress) -> None:
+    scans = np.arange(len(drive))
+    renderings = imager.shape[0] if imager.lateral_renderings_m is not None else 1
+    block = min(max(1, _BLOCK // renderings), len(scans))
+    images = writer.add_rows("images", "<f4", len(scans), (block, *imager.shape))
+    most_probes = len(probed_among(scans))
+    probes = writer.add_rows("probes", "<f4", most_probes, (1, *imager.grid.shape))
+    told = project_into(images, probes, drive, range(len(scans)), imager, progress)
+    images.end()
+    probes.end()
+    writer.add("probed", told.probed.astype("<i8"))
+    writer.add("standing", told.standing.astype("<f8"))
+    writer.add("scans", told.scans.astype("<i8"))
+    if imager.lateral_renderings_m is not None:
+        with images.readable() as written:
+            gram = drive_gram(_Stored(written, imager.grid, "images"), 0, len(images))
+        writer.add(_DETAIL_GRAM, gram.astype("<f8"))
+    writer.add_attributes(
+        {
+            "probe_version": PROBE_VERSION,
+            "returns": told.returns,
+            "skipped": json.dumps([[item.scan, item.reason] for item in told.skipped]),
+        }
+    )

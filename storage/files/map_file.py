@@ -1,0 +1,235 @@
+"""A map revision as one immutable, packed HDF5 file (docs/reference/format.md)."""
+
+import json
+import threading
+from collections import OrderedDict
+from collections.abc import Iterator
+from contextlib import contextmanager
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from core.errors import TensorMapError
+from core.mapping.tensormap import TensorMap
+from core.parameters import Encoding
+from storage.errors import CorruptFile
+from storage.files.durable_file import reading_back, write_whole
+from storage.files.json_text import MOST_JSON_BYTES, parse_json
+from storage.hdf5 import (
+    BytesSource,
+    ContiguousDataset,
+    Dataset,
+    FileSource,
+    Hdf5File,
+    Source,
+)
+from storage.hdf5.writer import hdf5_in_memory
+
+__all__ = [
+    "FORMAT",
+    "FORMAT_VERSION",
+    "map_of_bytes",
+    "read_map",
+    "read_revision",
+    "write_map",
+]
+
+FORMAT = "tensormap"
+FORMAT_VERSION = 1
+
+_MOST_WORD_BYTES = 256  # of an attribute that is a word or a digest
+_REMEMBERED = 4096  # files whose digest was checked
+
+_OF_ALL = {
+    "segment_start": "<i8",
+    "relative_error": "<f8",
+    "drive_start": "<i8",
+    "scan_index": "<i8",
+    "timestamp_s": "<f8",
+    "pose": "<f8",
+    "node_scan": "<i8",
+    "edge_nodes": "<i8",
+    "edge_length_m": "<f8",
+}
+_DTYPES = {
+    Encoding.PAPER: {
+        "elevation_basis": "<f4",
+        "azimuth_basis": "<f4",
+        "signatures": "<f4",
+        **_OF_ALL,
+    },
+    Encoding.HARMONIC: {
+        "radial_basis": "<f4",
+        "signatures": "<c8",
+        "lateral_offset_m": "<f8",
+        **_OF_ALL,
+    },
+}
+
+_OF_JOINED = {"edge_scans": "<i8", "edge_of_segment": "<i8", "segment_reversed": "|i1"}
+"""All three or none: a map whose segments are its edges has none of them."""
+
+
+def write_map(path: Path, tensor_map: TensorMap, created_at: datetime | None = None) -> None:
+    """Write a revision to a new file, wait until it is on disk, and read it back.
+
+    The caller publishes it: writes beside and renames (`storage.files.files`).
+
+    Args:
+        path: A file that does not exist yet.
+        tensor_map: The content.
+        created_at: Kept beside the digest, outside of it.
+
+    Raises:
+        FileExistsError: If there is a file.
+        OSError: If the disk refuses it, or gives back something else.
+    """
+    dtypes = {**_DTYPES[tensor_map.parameters.encoding], **_OF_JOINED}
+    content = hdf5_in_memory(
+        {name: [np.asarray(array, dtypes[name])] for name, array in tensor_map.arrays().items()},
+        {
+            "format": FORMAT,
+            "format_version": FORMAT_VERSION,
+            "attributes": json.dumps(tensor_map.attributes(), sort_keys=True),
+            "digest": tensor_map.revision,
+            "created_at": (created_at or datetime.now(UTC)).isoformat(),
+        },
+    )
+    write_whole(path, content)
+    with reading_back():
+        read_revision(path, tensor_map.revision)
+
+
+def read_map(path: Path) -> TensorMap:
+    """Read a revision, whole or not at all.
+
+    Raises:
+        CorruptFile: If the file is no map, lacks something or its content has another digest.
+        FileNotFoundError: If there is no such file.
+    """
+    with _named(path.name), FileSource(path) as source:
+        tensor_map = _whole(source)
+        _checked.add(source.identity)
+        return tensor_map
+
+
+def map_of_bytes(content: bytes, name: str) -> TensorMap:
+    """Read the revision that bytes in memory hold, whole or not at all.
+
+    Args:
+        content: A file's bytes.
+        name: What they are, for errors.
+
+    Raises:
+        CorruptFile: If they are no map, lack something or the content has another digest.
+    """
+    with _named(name):
+        return _whole(BytesSource(content))
+
+
+def read_revision(path: Path, digest: str) -> TensorMap:
+    """Read a stored revision; that its content has the digest is checked once in a process.
+
+    All places and checksums of the file's structure are checked every time. A file that was
+    written to since, or another one of that name, is checked as if it came for the first time.
+
+    Args:
+        path: Where it is.
+        digest: What the catalog says that it holds.
+
+    Raises:
+        CorruptFile: If the file is no map, lacks something or holds another revision.
+        FileNotFoundError: If there is no such file.
+    """
+    with _named(path.name), FileSource(path) as source:
+        if source.identity in _checked:
+            tensor_map = TensorMap.from_parts(*_parts(source))
+        else:
+            tensor_map = _whole(source)
+            _checked.add(source.identity)
+        if tensor_map.revision != digest:
+            raise CorruptFile(f"it holds {tensor_map.revision}, not revision {digest}")
+    return tensor_map
+
+
+class _CheckedFiles:
+    """The files of which this process has checked the digest, those read last."""
+
+    def __init__(self) -> None:
+        self._identities: OrderedDict[tuple[int, ...], None] = OrderedDict()
+        self._lock = threading.Lock()
+
+    def __contains__(self, identity: tuple[int, ...]) -> bool:
+        return identity in self._identities
+
+    def add(self, identity: tuple[int, ...]) -> None:
+        with self._lock:
+            self._identities[identity] = None
+            while len(self._identities) > _REMEMBERED:
+                self._identities.popitem(last=False)
+
+
+_checked = _CheckedFiles()
+
+
+@contextmanager
+def _named(name: str) -> Iterator[None]:
+    try:
+        yield
+    except CorruptFile as error:
+        raise CorruptFile(f"{name} cannot be read as a map: {error}") from error
+    except TensorMapError as error:
+        raise CorruptFile(f"{name} holds no map: {error}") from error
+
+
+def _whole(source: Source) -> TensorMap:
+    arrays, attributes, digest = _parts(source)
+    tensor_map = TensorMap.from_parts(arrays, attributes)
+    if tensor_map.revision != digest:
+        raise CorruptFile(f"it says it holds {digest}, its content is {tensor_map.revision}")
+    return tensor_map
+
+
+def _parts(source: Source) -> tuple[dict[str, NDArray[Any]], dict[str, Any], str]:
+    file = Hdf5File(source)
+    told = file.attributes
+    if "format" not in told or told.text("format", _MOST_WORD_BYTES) != FORMAT:
+        raise CorruptFile("it has no attribute format = tensormap")
+    version = told.whole("format_version")
+    if version != FORMAT_VERSION:
+        raise CorruptFile(f"its format version is {version}, {FORMAT_VERSION} is read here")
+    attributes = parse_json(told.text("attributes", MOST_JSON_BYTES), "its attribute attributes")
+    dtypes = _dtypes(attributes)
+    if not file.names.isdisjoint(_OF_JOINED):
+        dtypes = {**dtypes, **_OF_JOINED}
+    odd = file.names ^ dtypes.keys()
+    if odd:
+        raise CorruptFile(f"it lacks or should not hold {', '.join(sorted(odd))}")
+    datasets = {
+        name: _plain(file.dataset(name, contiguous=True), dtypes[name]) for name in sorted(dtypes)
+    }
+    size_bytes = sum(dataset.size_bytes for dataset in datasets.values())
+    if size_bytes > source.size_bytes:
+        raise CorruptFile(f"its arrays take {size_bytes} bytes, the file {source.size_bytes}")
+    arrays = {name: dataset.read() for name, dataset in datasets.items()}
+    return arrays, attributes, told.text("digest", _MOST_WORD_BYTES)
+
+
+def _dtypes(attributes: object) -> dict[str, str]:
+    encoding = attributes.get("encoding") if isinstance(attributes, dict) else None
+    if not isinstance(encoding, str) or encoding not in set(Encoding):
+        raise CorruptFile(f"its encoding is {encoding!r:.80}, wanted {', '.join(Encoding)}")
+    return _DTYPES[Encoding(encoding)]
+
+
+def _plain(dataset: Dataset, dtype: str) -> ContiguousDataset:
+    """Refuse an array that is not all of its numbers, one after another."""
+    name = dataset.name
+    if dataset.dtype != np.dtype(dtype):
+        raise CorruptFile(f"{name} holds {dataset.dtype}, wanted {dtype}")
+    if not isinstance(dataset, ContiguousDataset):
+        raise CorruptFile(f"{name} is filtered or chunked; a map's arrays are contiguous")
+    return dataset

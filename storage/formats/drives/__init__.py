@@ -1,0 +1,1 @@
+"""Recorded drives: one reader for each layout of folders and captures."""

@@ -1,0 +1,118 @@
+"""A drive whose scans are files, read when asked for."""
+
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from core.arrays import FloatArray, frozen
+from core.errors import EmptyDrive
+from core.scans.pose import UNKNOWN_POSE, Pose
+from core.scans.scan import Scan
+from storage.formats.errors import MalformedDrive
+from storage.formats.scans.records import NcltFormat
+from storage.formats.scans.registry import is_scan_file, read_scan_file
+
+__all__ = ["FileDrive", "in_order", "open_nclt_drive", "open_scan_folder"]
+
+
+@dataclass(frozen=True, eq=False)
+class FileDrive:
+    """One scan a file; timestamps and poses are known beforehand.
+
+    Attributes:
+        name: A short name.
+        files: The scan files in order.
+        timestamp_s: `(K,)` seconds, NaN where unknown.
+        poses: `(K, 7)` pose rows, sensor to world, NaN where unknown.
+        min_returns: How many returns a scan must have.
+        media_type: What the files are, if their suffix does not tell.
+    """
+
+    name: str
+    files: tuple[Path, ...]
+    timestamp_s: FloatArray
+    poses: FloatArray
+    min_returns: int = 1
+    media_type: str | None = None
+
+    def __post_init__(self) -> None:
+        count = len(self.files)
+        if not count:
+            raise EmptyDrive(f"drive {self.name!r} has no scan files")
+        if self.timestamp_s.shape != (count,) or self.poses.shape != (count, 7):
+            raise MalformedDrive(
+                f"drive {self.name!r} has {count} scans, timestamps of shape"
+                f" {self.timestamp_s.shape} and poses of shape {self.poses.shape}"
+            )
+        object.__setattr__(self, "timestamp_s", frozen(self.timestamp_s, np.float64))
+        object.__setattr__(self, "poses", frozen(self.poses, np.float64))
+
+    def __len__(self) -> int:
+        return len(self.files)
+
+    def scan(self, index: int) -> Scan:
+        """Read scan `index`, 0-based.
+
+        Raises:
+            InvalidScan: If the file cannot be used; a subclass says why.
+        """
+        return read_scan_file(
+            self.files[index],
+            min_returns=self.min_returns,
+            media_type=self.media_type,
+            timestamp_s=float(self.timestamp_s[index]),
+            pose=Pose.from_row(self.poses[index]),
+        )
+
+
+def open_scan_folder(path: Path, *, min_returns: int = 1) -> FileDrive:
+    """Open a flat folder of scan files; timestamps and poses are unknown.
+
+    Raises:
+        EmptyDrive: If it holds no scan file.
+    """
+    files = in_order(file for file in path.iterdir() if is_scan_file(file))
+    return FileDrive(
+        path.resolve().name,
+        files,
+        np.full(len(files), np.nan),
+        np.full((len(files), 7), UNKNOWN_POSE),
+        min_returns,
+    )
+
+
+def open_nclt_drive(path: Path, *, min_returns: int = 1) -> FileDrive:
+    """Open a drive of NCLT: `velodyne_sync/*.bin`, named by microseconds; poses are unknown.
+
+    Raises:
+        EmptyDrive: If there are no scans.
+    """
+    files = in_order(
+        file for file in (path / "velodyne_sync").glob("*.bin") if not file.name.startswith(".")
+    )
+    return FileDrive(
+        path.resolve().name,
+        files,
+        np.array([float(f.stem) / 1e6 if f.stem.isdecimal() else np.nan for f in files]),
+        np.full((len(files), 7), UNKNOWN_POSE),
+        min_returns,
+        NcltFormat().media_type,
+    )
+
+
+def in_order(files: Iterable[Path]) -> tuple[Path, ...]:
+    """Sort files by name, the numbers in it by value.
+
+    Examples:
+        >>> [file.name for file in in_order([Path("10.npy"), Path("9.npy"), Path("a1.npy")])]
+        ['9.npy', '10.npy', 'a1.npy']
+    """
+    return tuple(sorted(files, key=_name_key))
+
+
+def _name_key(file: Path) -> tuple[list[tuple[str, int]], str]:
+    parts = re.findall(r"([^0-9]*)([0-9]*)", file.name)
+    return [(text, int(digits or -1)) for text, digits in parts], file.name

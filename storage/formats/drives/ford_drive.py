@@ -1,0 +1,238 @@
+"""Drives in the layout of the Ford Campus data set: `SCANS/Scan*.mat`.
+
+Pandey, McBride and Eustice, "Ford Campus vision and lidar data set", IJRR 30 (2011). Each file has
+a struct `SCAN` with `XYZ` (3 x N metres in the laser's frame), `X_wv` (the vehicle's pose in a
+local world) and `timestamp_laser` (microseconds since 1970).
+
+Frames. X_ij is the pose of frame j in frame i after Smith, Self and Cheeseman: x, y, z, roll r,
+pitch p, heading h, with R_ij = Rz(h) Ry(p) Rx(r), so that p_i = R_ij p_j + t_ij and poses compose
+by product. The world is x north, y east, z down; the vehicle x forward, y right, z down. The laser
+is mounted at X_vl = (2.4, -0.01, -2.3, pi, 0, pi/2), 2.3 m above the vehicle's origin, with
+
+    R_vl = Rz(pi/2) Rx(pi) = [0 1  0]     laser x is the vehicle's y: right
+                             [1 0  0]     laser y is the vehicle's x: forward
+                             [0 0 -1]     laser z is up
+
+So the laser's frame is ours but for a turn about z by 90 degrees: z is up already. The points stay
+as the laser gives them (the sensor's x axis is the laser's own, in the original recordings to the
+right of the truck) and the pose is the laser's, in a world with z up, x north and y west:
+
+    T_world_laser = diag(1, -1, -1, 1) T_wv T_vl
+
+A truck heading north stands at heading -90 degrees here. What depends on turns only does not
+notice; renderings from the sensor's sides are, for these recordings, renderings from ahead and
+behind, unless the points are turned first.
+
+Verified: the numbers of X_vl, the fields and the order of the rotations, in independent public code
+for this data set; that code also takes laser y as forward and z as up. Not verified for want of an
+original recording: that X_wv is z-down, as the authors' convention has it, and `PARAM.mat`.
+"""
+
+import math
+import zlib
+from dataclasses import dataclass
+from functools import cached_property
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.io import loadmat
+from scipy.io.matlab import MatReadError
+from scipy.spatial.transform import Rotation
+
+from core.arrays import Float32Array, FloatArray, frozen
+from core.errors import EmptyDrive, InvalidScan
+from core.scans.pose import UNKNOWN_POSE, Pose, rows_from_matrices
+from core.scans.scan import Scan
+from storage.formats.drives.file_drive import in_order
+from storage.formats.errors import MalformedScan
+
+__all__ = ["FORD_LASER_ON_VEHICLE", "FordDrive", "open_ford_drive", "read_ford_scan"]
+
+FORD_LASER_ON_VEHICLE: tuple[float, ...] = (2.4, -0.01, -2.3, math.pi, 0.0, math.pi / 2)
+_Z_DOWN_TO_Z_UP = np.diag([1.0, -1.0, -1.0, 1.0])
+
+_Mount = tuple[float, ...]
+
+
+class FordDrive:
+    """A drive of `Scan*.mat` files.
+
+    Timestamps and poses are inside the files: the first to ask for them reads every file once.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        files: tuple[Path, ...],
+        *,
+        min_returns: int = 1,
+        laser_on_vehicle: _Mount = FORD_LASER_ON_VEHICLE,
+    ) -> None:
+        if not files:
+            raise EmptyDrive(f"drive {name!r} has no files Scan*.mat")
+        self.name = name
+        self._files = files
+        self._min_returns = min_returns
+        self._laser_on_vehicle = laser_on_vehicle
+
+    def __len__(self) -> int:
+        return len(self._files)
+
+    @property
+    def timestamp_s(self) -> FloatArray:
+        """`(K,)` seconds since 1970, NaN where unknown."""
+        return self._facts[0]
+
+    @property
+    def poses(self) -> FloatArray:
+        """`(K, 7)` pose rows of the laser, NaN where unknown."""
+        return self._facts[1]
+
+    def scan(self, index: int) -> Scan:
+        """Read scan `index`, 0-based.
+
+        Raises:
+            InvalidScan: If the file cannot be used; a subclass says why.
+        """
+        return read_ford_scan(
+            self._files[index],
+            min_returns=self._min_returns,
+            laser_on_vehicle=self._laser_on_vehicle,
+        )
+
+    @cached_property
+    def _facts(self) -> tuple[FloatArray, FloatArray]:
+        timestamp_s = np.full(len(self), np.nan)
+        poses = np.full((len(self), 7), UNKNOWN_POSE)
+        for index, file in enumerate(self._files):
+            try:
+                record = _read(file)
+            except InvalidScan:  # told when the scan is read; the rest of the drive is whole
+                continue
+            timestamp_s[index] = record.timestamp_s
+            poses[index] = _laser_pose_row(record.vehicle_pose, self._laser_on_vehicle)
+        return frozen(timestamp_s, np.float64), frozen(poses, np.float64)
+
+
+def open_ford_drive(
+    path: Path,
+    *,
+    min_returns: int = 1,
+    laser_on_vehicle: _Mount = FORD_LASER_ON_VEHICLE,
+) -> FordDrive:
+    """Open a drive of `SCANS/Scan*.mat`, in the order of their numbers.
+
+    Raises:
+        EmptyDrive: If there are no scans.
+    """
+    return FordDrive(
+        path.resolve().name,
+        in_order((path / "SCANS").glob("Scan*.mat")),
+        min_returns=min_returns,
+        laser_on_vehicle=laser_on_vehicle,
+    )
+
+
+def read_ford_scan(
+    path: Path,
+    *,
+    min_returns: int = 1,
+    laser_on_vehicle: _Mount = FORD_LASER_ON_VEHICLE,
+) -> Scan:
+    """Read one `Scan*.mat`.
+
+    It is no format of the registry, and must not be reachable from the network: a `.mat` file
+    unpacks to whatever it claims, and SciPy 1.17.1 checks no element's type, so that one damaged
+    byte can end the process. Read only what the operator put on the disk.
+
+    Raises:
+        MalformedScan: If the file has no `SCAN.XYZ` of shape (3, N).
+        TooFewReturns: If fewer than `min_returns` are left.
+    """
+    record = _read(path)
+    try:
+        return Scan.from_returns(
+            record.returns_m,
+            min_returns=min_returns,
+            timestamp_s=record.timestamp_s,
+            pose=Pose.from_row(_laser_pose_row(record.vehicle_pose, laser_on_vehicle)),
+        )
+    except InvalidScan as error:
+        raise type(error)(f"{path.name}: {error}") from error
+
+
+@dataclass(frozen=True, eq=False)
+class _FordRecord:
+    returns_m: Float32Array
+    timestamp_s: float
+    vehicle_pose: FloatArray
+
+
+def _read(path: Path) -> _FordRecord:
+    file = BytesIO(path.read_bytes())
+    try:
+        content = loadmat(
+            file,  # type: ignore[arg-type]  # SciPy takes open files too, its stubs do not
+            variable_names=["SCAN"],
+            struct_as_record=False,
+        )
+        scan = np.asarray(content["SCAN"], dtype=object).reshape(-1)[0]
+        returns_m = _numbers(scan, "XYZ")
+    # What SciPy raises over a damaged file depends on the byte that is damaged.
+    except (
+        AttributeError,
+        IndexError,
+        KeyError,
+        MatReadError,
+        MemoryError,
+        NotImplementedError,
+        OSError,
+        OverflowError,
+        EOFError,
+        TypeError,
+        ValueError,
+        zlib.error,
+    ) as error:
+        raise MalformedScan(f"{path.name}: no SCAN.XYZ of numbers can be read: {error}") from error
+    if returns_m.ndim != 2 or returns_m.shape[0] != 3:
+        raise MalformedScan(f"{path.name}: SCAN.XYZ has shape {returns_m.shape}, wanted (3, N)")
+    pose = _optional(path, scan, "X_wv", 6)
+    with np.errstate(over="ignore", invalid="ignore"):  # beyond float32 is infinite: no return
+        points_m = np.ascontiguousarray(returns_m.T, dtype=np.float32)
+    return _FordRecord(points_m, float(_optional(path, scan, "timestamp_laser", 1)[0]) / 1e6, pose)
+
+
+def _optional(path: Path, scan: Any, field: str, size: int) -> FloatArray:  # noqa: ANN401 - SciPy's struct has any field
+    if not hasattr(scan, field):
+        return np.full(size, np.nan)
+    try:
+        values = _numbers(scan, field).reshape(-1)
+    except (TypeError, ValueError) as error:
+        raise MalformedScan(f"{path.name}: SCAN.{field} holds no numbers: {error}") from error
+    if values.size != size:
+        raise MalformedScan(f"{path.name}: SCAN.{field} has {values.size} values, wanted {size}")
+    return values
+
+
+def _numbers(scan: Any, field: str) -> FloatArray:  # noqa: ANN401 - SciPy's struct has any field
+    values = np.asarray(getattr(scan, field))
+    if values.dtype.kind not in "fiu":
+        raise TypeError(f"SCAN.{field} holds {values.dtype}, wanted real numbers")
+    return values.astype(np.float64)
+
+
+def _laser_pose_row(vehicle_pose: FloatArray, laser_on_vehicle: _Mount) -> FloatArray:
+    if not np.isfinite(vehicle_pose).all():
+        return np.array(UNKNOWN_POSE)
+    laser_in_world = _Z_DOWN_TO_Z_UP @ _matrix(vehicle_pose) @ _matrix(np.array(laser_on_vehicle))
+    return np.asarray(rows_from_matrices(laser_in_world[None])[0])
+
+
+def _matrix(pose: FloatArray) -> FloatArray:
+    """Return the `(4, 4)` matrix of `(x, y, z, roll, pitch, heading)`."""
+    matrix = np.eye(4)
+    matrix[:3, :3] = Rotation.from_euler("ZYX", pose[:2:-1]).as_matrix()
+    matrix[:3, 3] = pose[:3]
+    return matrix

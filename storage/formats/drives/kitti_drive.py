@@ -1,0 +1,205 @@
+"""Drives in the layout of KITTI odometry: `velodyne/`, `times.txt`, `poses.txt`, `calib.txt`.
+
+KITTI's poses are those of camera 0 (x right, y down, z forward) in the world that is camera 0's
+own frame at the first scan. `Tr` in `calib.txt` takes lidar coordinates to camera coordinates. A
+point p of the lidar at scan i is Tr p in camera i, T_i Tr p in the camera world and
+
+    Tr^-1 T_i Tr p
+
+in the lidar's frame at the first scan: x forward, y left, z up. Without `calib.txt` the poses are
+taken to be the lidar's already, and that is how a drive is written here.
+"""
+
+import errno
+import secrets
+import shutil
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from core.arrays import FloatArray
+from core.errors import InvalidPose
+from core.progress import NO_PROGRESS, Progress
+from core.scans.drive import Drive
+from core.scans.pose import UNKNOWN_POSE, Pose, is_known, rows_from_matrices
+from storage.files.files import named_disk_errors
+from storage.formats.drives.file_drive import FileDrive, in_order
+from storage.formats.errors import MalformedDrive
+from storage.formats.scans.kitti import kitti_body
+
+__all__ = ["camera_to_lidar_poses", "open_kitti_drive", "write_kitti_drive"]
+
+
+def open_kitti_drive(path: Path, *, min_returns: int = 1) -> FileDrive:
+    """Open a drive of `velodyne/*.bin`; all the files beside it are optional.
+
+    Raises:
+        EmptyDrive: If there are no scans.
+        MalformedDrive: If times, poses or calibration do not parse or do not fit the scans.
+    """
+    files = in_order(
+        file for file in (path / "velodyne").glob("*.bin") if not file.name.startswith(".")
+    )
+    return FileDrive(
+        path.resolve().name,
+        files,
+        _times(path / "times.txt", len(files)),
+        _poses(path / "poses.txt", path / "calib.txt", len(files)),
+        min_returns,
+    )
+
+
+def write_kitti_drive(drive: Drive, path: Path, progress: Progress = NO_PROGRESS) -> None:
+    """Write a drive as a new folder, whole or not at all; `open_kitti_drive` reads it back.
+
+    Reflectances are 0. Poses are the lidar's own, so no `calib.txt` is written; what is unknown is
+    `nan`, and a file that would hold nothing else is left out.
+
+    Args:
+        drive: What to write.
+        path: A folder that is empty or does not exist; its parent does.
+        progress: Told of each scan.
+
+    Raises:
+        FileExistsError: If something is at `path` already.
+        InvalidScan: If a scan of the drive cannot be read.
+        StorageFull: If no space is left.
+    """
+    if path.exists() and not (path.is_dir() and not any(path.iterdir())):
+        raise FileExistsError(errno.EEXIST, "there is something already", str(path))
+    whole = path.resolve()  # `.` has no name to write beside
+    part = whole.with_name(f".{whole.name}.{secrets.token_hex(8)}.part")
+    progress.start("writing", len(drive))
+    try:
+        with named_disk_errors():
+            (part / "velodyne").mkdir(parents=True)
+            for index in range(len(drive)):
+                file = part / "velodyne" / f"{index:06d}.bin"
+                file.write_bytes(kitti_body(drive.scan(index)))
+                progress.advance()
+            if np.isfinite(drive.timestamp_s).any():
+                _write_numbers(part / "times.txt", drive.timestamp_s[:, None])
+            if is_known(drive.poses).any():
+                _write_numbers(part / "poses.txt", _matrices(drive.poses).reshape(-1, 12))
+            part.rename(whole)
+    finally:
+        shutil.rmtree(part, ignore_errors=True)
+
+
+def _matrices(rows: FloatArray) -> FloatArray:
+    """Return `(n, 3, 4)` matrices `[R | t]` of `(n, 7)` pose rows; NaN stays NaN."""
+    matrices = np.full((len(rows), 3, 4), np.nan)
+    known = is_known(rows)
+    matrices[known, :, :3] = Rotation.from_quat(rows[known, 3:]).as_matrix()
+    matrices[known, :, 3] = rows[known, :3]
+    return matrices
+
+
+def _write_numbers(file: Path, rows: FloatArray) -> None:
+    lines = (" ".join(map(repr, row)) for row in rows.tolist())
+    file.write_text("".join(f"{line}\n" for line in lines), encoding="utf-8")
+
+
+def camera_to_lidar_poses(camera_poses: FloatArray, lidar_to_camera: FloatArray) -> FloatArray:
+    """Turn poses of the camera in its own world into poses of the lidar in its own.
+
+    Args:
+        camera_poses: `(n, 3, 4)` or `(n, 4, 4)`, camera to camera world; NaN where unknown.
+        lidar_to_camera: `(3, 4)` or `(4, 4)`, KITTI's `Tr`.
+
+    Returns:
+        `(n, 4, 4)`, lidar to a world with x forward, y left, z up.
+
+    Examples:
+        The camera looks along the lidar's x axis and moves 5 m forward, its z.
+
+        >>> Tr = np.array([[0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0]], dtype=float)
+        >>> forward = np.eye(4)[None]
+        >>> forward[0, 2, 3] = 5.0
+        >>> camera_to_lidar_poses(forward, Tr)[0, :3, 3].tolist()
+        [5.0, 0.0, 0.0]
+    """
+    to_camera = _homogeneous(lidar_to_camera)
+    return np.asarray(np.linalg.inv(to_camera) @ _homogeneous(camera_poses) @ to_camera)
+
+
+def _homogeneous(matrices: FloatArray) -> FloatArray:
+    whole = np.broadcast_to(np.eye(4), (*matrices.shape[:-2], 4, 4)).copy()
+    whole[..., :3, :] = matrices[..., :3, :]
+    return whole
+
+
+def _times(file: Path, scans: int) -> FloatArray:
+    if not file.exists():
+        return np.full(scans, np.nan)
+    return _numbers(file, scans, columns=1)[:, 0]
+
+
+def _poses(file: Path, calibration: Path, scans: int) -> FloatArray:
+    if not file.exists():
+        return np.full((scans, 7), UNKNOWN_POSE)
+    matrices = _numbers(file, scans, columns=12).reshape(-1, 3, 4)
+    matrices[~np.isfinite(matrices).all(axis=(1, 2))] = np.nan  # half a pose is none
+    _refuse_what_is_no_rotation(file, matrices)
+    if not calibration.exists():
+        return rows_from_matrices(matrices)
+    try:
+        return rows_from_matrices(camera_to_lidar_poses(matrices, _lidar_to_camera(calibration)))
+    except InvalidPose as error:  # each is nearly a rotation, their product is not
+        raise MalformedDrive(f"{file.name} and {calibration.name} together: {error}") from error
+
+
+def _refuse_what_is_no_rotation(file: Path, matrices: FloatArray) -> None:
+    try:
+        rows_from_matrices(matrices)
+    except InvalidPose:
+        for number, matrix in enumerate(matrices, start=1):
+            if np.isfinite(matrix).all():
+                _pose_of_line(file, number, matrix)
+
+
+def _pose_of_line(file: Path, number: int, matrix: FloatArray) -> Pose:
+    try:
+        return Pose.from_matrix(matrix)
+    except InvalidPose as error:
+        raise MalformedDrive(f"{file.name}, line {number}: {error}") from error
+
+
+def _lidar_to_camera(file: Path) -> FloatArray:
+    """Return the `Tr` of a calibration, `(3, 4)`."""
+    for number, line in enumerate(_lines(file), start=1):
+        key, _, values = line.partition(":")
+        if key.strip() == "Tr":
+            matrix = _line_numbers(file, number, values, columns=12).reshape(3, 4)
+            _pose_of_line(file, number, matrix)
+            return matrix
+    raise MalformedDrive(
+        f"{file.name} has no line 'Tr:' of 12 numbers, lidar to camera 0; without the file the"
+        " poses are taken as the lidar's own"
+    )
+
+
+def _numbers(file: Path, scans: int, columns: int) -> FloatArray:
+    """Return the numbers of a text file with a line a scan, `(scans, columns)`."""
+    lines = _lines(file)
+    rows = [_line_numbers(file, number, line, columns) for number, line in enumerate(lines, 1)]
+    if len(rows) != scans:
+        raise MalformedDrive(f"{file.name} ends at line {len(rows)}, there are {scans} scans")
+    return np.array(rows, dtype=np.float64).reshape(scans, columns)
+
+
+def _line_numbers(file: Path, number: int, line: str, columns: int) -> FloatArray:
+    words = line.split()
+    if len(words) != columns:
+        raise MalformedDrive(
+            f"{file.name}, line {number}: {len(words)} values, wanted {columns}: {line[:80]!r}"
+        )
+    try:
+        return np.array([float(word) for word in words])
+    except ValueError as error:
+        raise MalformedDrive(f"{file.name}, line {number}: {error}") from error
+
+
+def _lines(file: Path) -> list[str]:
+    return file.read_text(encoding="utf-8", errors="replace").rstrip().splitlines()

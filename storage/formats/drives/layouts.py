@@ -1,0 +1,57 @@
+"""Recorded drives: which layout a folder has."""
+
+from pathlib import Path
+
+from core.errors import EmptyDrive
+from core.scans.drive import Drive
+from storage.formats.drives.captured_drive import open_captured_drive
+from storage.formats.drives.file_drive import open_nclt_drive, open_scan_folder
+from storage.formats.drives.ford_drive import open_ford_drive
+from storage.formats.drives.kitti_drive import open_kitti_drive
+from storage.formats.drives.ros_drive import is_ros_bag, open_ros_drive, split_topic
+from storage.formats.errors import UnknownDriveLayout
+from storage.formats.scans.registry import SCAN_FORMATS
+
+__all__ = ["open_drive"]
+
+
+def open_drive(path: Path, *, min_returns: int = 1) -> Drive:
+    """Open a recorded drive; scans are read when asked for.
+
+    Args:
+        path: A folder with `velodyne/` (KITTI odometry), `velodyne_sync/` (NCLT) or `SCANS/` (Ford
+            Campus), or of scan files, in the order of their names; or a capture, `.pcap`, of which
+            each full turn is a scan; or a ROS bag, `.bag`, `.mcap`, `.db3` or what ROS 2 recorded,
+            with `#TOPIC` after it where several have clouds. Its name becomes the drive's.
+        min_returns: How many finite, non-zero returns a scan must have.
+
+    Raises:
+        UnknownDriveLayout: If it is none of these.
+        InvalidScan: If a capture cannot be read; a subclass says why.
+        EmptyDrive: If it has a layout and no scans.
+        MalformedDrive: If a file beside the scans cannot be used.
+    """
+    bag, topic = split_topic(path)
+    if is_ros_bag(bag):
+        return open_ros_drive(bag, topic, min_returns=min_returns)
+    if path.suffix.lower() == ".pcap" and path.is_file():
+        return open_captured_drive(path, min_returns=min_returns)
+    if (path / "velodyne").is_dir():
+        return open_kitti_drive(path, min_returns=min_returns)
+    if (path / "velodyne_sync").is_dir():
+        return open_nclt_drive(path, min_returns=min_returns)
+    if (path / "SCANS").is_dir():
+        return open_ford_drive(path, min_returns=min_returns)
+    suffixes = " ".join(suffix for known in SCAN_FORMATS for suffix in known.suffixes)
+    wanted = (
+        "velodyne/*.bin (KITTI), velodyne_sync/*.bin (NCLT), SCANS/Scan*.mat (Ford Campus) or scan"
+        f" files ({suffixes})"
+    )
+    if not path.is_dir():
+        raise UnknownDriveLayout(
+            f"{path} is no folder, no .pcap and no ROS bag; wanted a folder with {wanted}"
+        )
+    try:
+        return open_scan_folder(path, min_returns=min_returns)
+    except EmptyDrive as error:
+        raise UnknownDriveLayout(f"{path} has none of {wanted}") from error

@@ -1,0 +1,197 @@
+"""Drives that are ROS bags: the PointCloud2 messages of one topic, a scan each.
+
+Bags of ROS 1 and ROS 2, as SQLite or MCAP; the library that reads them is an extra. Messages are
+laid out as sensor_msgs says: https://docs.ros.org/en/api/sensor_msgs/html/msg/PointCloud2.html
+"""
+
+import weakref
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from core.arrays import Float32Array, FloatArray, frozen
+from core.errors import EmptyDrive
+from core.scans.pose import UNKNOWN_POSE
+from core.scans.scan import Scan
+from storage.formats.errors import MalformedDrive, MalformedScan, TruncatedScan, WrongDtype
+
+if TYPE_CHECKING:
+    from rosbags.highlevel import AnyReader
+    from rosbags.interfaces import Connection
+
+__all__ = ["RosDrive", "is_ros_bag", "open_ros_drive", "split_topic"]
+
+_SUFFIXES = frozenset({".bag", ".mcap", ".db3"})
+_METADATA = "metadata.yaml"  # in the folder that ROS 2 records
+_CLOUD = "sensor_msgs/msg/PointCloud2"
+_FLOATS = {7: "f4", 8: "f8"}  # sensor_msgs/PointField: FLOAT32, FLOAT64
+_AXES = ("x", "y", "z")
+_NANO = 1e-9
+
+
+def is_ros_bag(path: Path) -> bool:
+    """Return whether a path looks like a bag: a file by its suffix, a folder by its metadata."""
+    return (path.suffix.lower() in _SUFFIXES and path.is_file()) or (path / _METADATA).is_file()
+
+
+def split_topic(path: Path) -> tuple[Path, str | None]:
+    """Return a bag's path and the topic that follows it, as in `monday.bag#/velodyne_points`.
+
+    Examples:
+        >>> split_topic(Path("monday.bag"))[1] is None
+        True
+    """
+    bag, mark, topic = str(path).partition("#")
+    if mark and not path.exists() and is_ros_bag(Path(bag)):
+        return Path(bag), topic
+    return path, None
+
+
+class RosDrive:
+    """The clouds of one topic; each is read when asked for, fastest one after another.
+
+    Attributes:
+        name: A short name.
+        timestamp_s: `(K,)` when each message was recorded, seconds since 1970.
+        poses: `(K, 7)`, all unknown: where a sensor was is in no PointCloud2.
+    """
+
+    def __init__(
+        self, name: str, reader: "AnyReader", connections: list["Connection"], *, min_returns: int
+    ) -> None:
+        self.name = name
+        self._reader = reader
+        weakref.finalize(self, reader.close)
+        self._connections = connections
+        self._min_returns = min_returns
+        self._time_ns = [time_ns for _, time_ns, _ in reader.messages(connections)]
+        self.timestamp_s: FloatArray = frozen(np.array(self._time_ns) * _NANO, np.float64)
+        self.poses: FloatArray = frozen(np.full((len(self), 7), UNKNOWN_POSE), np.float64)
+        self._next = 0
+        self._messages: Iterator[tuple[Connection, int, bytes]] = iter(())
+
+    def __len__(self) -> int:
+        return len(self._time_ns)
+
+    def scan(self, index: int) -> Scan:
+        """Return the scan of message `index`, 0-based.
+
+        Raises:
+            InvalidScan: If the message is no cloud of x, y and z; a subclass says why.
+            MalformedDrive: If the bag cannot be read there.
+        """
+        index = range(len(self))[index]
+        if index != self._next or index == 0:
+            self._seek(index)
+        self._next = -1  # until the message is there
+        connection, _, raw = next(self._messages)
+        self._next = index + 1
+        try:
+            cloud = self._reader.deserialize(raw, connection.msgtype)
+        except Exception as error:  # the library raises whatever its parser meets
+            raise MalformedScan(
+                f"message {index} of {self.name} cannot be read: {error}"
+            ) from error
+        return Scan.from_returns(
+            returns_m_of(cloud),
+            min_returns=self._min_returns,
+            timestamp_s=float(self.timestamp_s[index]),
+        )
+
+    def _seek(self, index: int) -> None:
+        begin_ns = self._time_ns[index]
+        self._messages = iter(self._reader.messages(self._connections, start=begin_ns))
+        for _ in range(index - self._time_ns.index(begin_ns)):  # those of the same nanosecond
+            next(self._messages)
+
+
+def returns_m_of(cloud: Any) -> Float32Array:  # noqa: ANN401 - its class is made of the bag's text
+    """Return the points of a PointCloud2, `(n, 3)` metres.
+
+    Raises:
+        MalformedScan: If it has no x, y and z within its points.
+        WrongDtype: If they are not floating point.
+        TruncatedScan: If it has fewer bytes than its rows need.
+    """
+    fields = {field.name: field for field in cloud.fields}
+    missing = [axis for axis in _AXES if axis not in fields]
+    if missing:
+        raise MalformedScan(f"a cloud of the fields {', '.join(fields)} has no {missing[0]}")
+    order = ">" if cloud.is_bigendian else "<"
+    kinds = {axis: _FLOATS.get(fields[axis].datatype) for axis in _AXES}
+    for axis, kind in kinds.items():
+        if kind is None or fields[axis].count not in {0, 1}:  # some drivers leave the count out
+            raise WrongDtype(
+                f"{axis} is {fields[axis].count} of PointField's datatype {fields[axis].datatype},"
+                " wanted one of 7 or 8: floating point"
+            )
+    try:
+        record = np.dtype(
+            {
+                "names": list(_AXES),
+                "formats": [f"{order}{kinds[axis]}" for axis in _AXES],
+                "offsets": [fields[axis].offset for axis in _AXES],
+                "itemsize": cloud.point_step,
+            }
+        )
+    except ValueError as error:
+        raise MalformedScan(f"points of {cloud.point_step} bytes: {error}") from error
+    data = np.asarray(cloud.data, dtype=np.uint8)
+    if cloud.row_step < cloud.width * cloud.point_step or len(data) < cloud.height * cloud.row_step:
+        raise TruncatedScan(
+            f"{cloud.height} rows of {cloud.width} points of {cloud.point_step} bytes do not fit"
+            f" into {len(data)} bytes, {cloud.row_step} a row"
+        )
+    rows = data[: cloud.height * cloud.row_step].reshape(cloud.height, cloud.row_step)
+    packed = np.ascontiguousarray(rows[:, : cloud.width * cloud.point_step])
+    points = packed.reshape(-1).view(record)
+    return np.stack([points[axis].astype(np.float32) for axis in _AXES], axis=1)
+
+
+def open_ros_drive(path: Path, topic: str | None = None, *, min_returns: int = 1) -> RosDrive:
+    """Open a bag; it stays open as long as the drive is used.
+
+    Args:
+        path: A `.bag` of ROS 1, an `.mcap` or `.db3`, or the folder that ROS 2 recorded.
+        topic: Whose messages are the scans; not needed where one topic has clouds.
+        min_returns: How many finite, non-zero returns a scan must have.
+
+    Raises:
+        MalformedDrive: If the library is not there, the bag cannot be read, or it is not clear
+            which topic is meant.
+        EmptyDrive: If the topic has no message.
+    """
+    try:
+        from rosbags.highlevel import AnyReader
+        from rosbags.typesys import Stores, get_typestore
+    except ModuleNotFoundError as error:
+        raise MalformedDrive(
+            f"to read {path.name}, Python's {error.name} is needed: install tensormap-server[ros]"
+        ) from error
+    drive = None
+    topics: Counter[str] = Counter()
+    try:
+        # Bags as SQLite may hold no definitions: PointCloud2 has been the same in all of ROS 2.
+        reader = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
+        reader.open()
+        clouds = [one for one in reader.connections if one.msgtype == _CLOUD]
+        for one in clouds:
+            topics[one.topic] += one.msgcount
+        chosen = topic if topic is not None else next(iter(topics), None)
+        if chosen in topics and (topic is not None or len(topics) == 1):
+            of_topic = [one for one in clouds if one.topic == chosen]
+            drive = RosDrive(path.stem, reader, of_topic, min_returns=min_returns)
+        else:
+            reader.close()
+    except Exception as error:
+        raise MalformedDrive(f"{path.name} cannot be read as a bag: {error}") from error
+    if drive is None:
+        has = ", ".join(f"{name} ({count})" for name, count in sorted(topics.items())) or "none"
+        wanted = f"topic {topic}" if topic is not None else "one topic, or its name after a #"
+        raise MalformedDrive(f"{path.name} has these topics of PointCloud2: {has}; wanted {wanted}")
+    if not len(drive):
+        raise EmptyDrive(f"topic {chosen} of {path.name} has no message")
+    return drive

@@ -1,0 +1,77 @@
+"""Points as text, `.csv`: a line a return, with or without a line of names before them."""
+
+from dataclasses import dataclass
+
+from core.arrays import Float32Array
+from storage.formats.errors import MalformedScan
+from storage.formats.scans.text_numbers import text_columns
+
+__all__ = ["CsvFormat"]
+
+_AXES = ("x", "y", "z")
+_DELIMITERS = (",", ";", "\t", " ")
+_MAX_LINE_BYTES = 16_384
+
+
+@dataclass(frozen=True)
+class CsvFormat:
+    """CSV: the columns named x, y and z, in any order, or the first three if none is named.
+
+    A column's name may have a unit after it, as `x (m)` or `x_m`. Columns end at commas,
+    semicolons, tabs or spaces, whichever of them the first line has, in this order.
+    """
+
+    name: str = "CSV"
+    media_type: str = "application/vnd.tensormap.csv"
+    suffixes: tuple[str, ...] = (".csv",)
+    magics: tuple[bytes, ...] = (b"x,y,z", b"X,Y,Z")
+
+    def read(self, body: bytes) -> Float32Array:
+        r"""Return `(n, 3)` metres.
+
+        Raises:
+            MalformedScan: If there is no column x, y or z, a line has other columns than the
+                first, or a coordinate is no number.
+
+        Examples:
+            >>> CsvFormat().read(b"i,z,y,x\n7,-1,0,10\n")
+            array([[10.,  0., -1.]], dtype=float32)
+        """
+        text = body.removeprefix(b"\xef\xbb\xbf")  # spreadsheets mark UTF-8 so
+        if b"\0" in text[:_MAX_LINE_BYTES]:
+            raise MalformedScan("the body is no text: it has zero bytes")
+        text = text.lstrip()
+        head, newline, _ = text[:_MAX_LINE_BYTES].partition(b"\n")
+        if not newline and len(text) > _MAX_LINE_BYTES:
+            raise MalformedScan(f"the first line has more than {_MAX_LINE_BYTES} bytes")
+        first = head.decode("latin-1").rstrip()
+        delimiter = next((d for d in _DELIMITERS if d in first), None)
+        if delimiter is None:
+            raise MalformedScan(f"the first line is {first[:80]!r}, wanted columns x, y and z")
+        separator = None if delimiter == " " else delimiter
+        names = first.split(separator)
+        if _is_number(names[0]):
+            if len(names) < 3:
+                raise MalformedScan(f"the first line has {len(names)} columns, wanted x, y and z")
+            return text_columns(memoryview(text), (0, 1, 2), len(names), separator)
+        returns = memoryview(text)[len(head) + len(newline) :]
+        return text_columns(returns, _columns(names), len(names), separator)
+
+
+def _columns(names: list[str]) -> list[int]:
+    plain = [
+        name.strip().strip("\"'").lower().partition("(")[0].strip().removesuffix("_m")
+        for name in names
+    ]
+    for axis in _AXES:
+        if plain.count(axis) != 1:
+            raise MalformedScan(f"wanted one column {axis}, the columns are {str(names)[:120]}")
+    return [plain.index(axis) for axis in _AXES]
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True

@@ -1,0 +1,296 @@
+"""Ouster's sensors: a capture of their packets, `.pcap`, and the metadata that explains them.
+
+The two come in one body: the metadata, a JSON object, and right behind it the capture. On disk
+they are two files, `NAME.json` beside `NAME.pcap`. Packets and the way from ranges to points are
+as the sensor's software manual has them, firmware 2.x and 3.x, and 1.x for the profile LEGACY.
+"""
+
+import itertools
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from core.arrays import Float32Array, FloatArray, IntArray, frozen
+from storage.formats.budget import BUDGET
+from storage.formats.errors import MalformedScan, TruncatedScan
+from storage.formats.scans.pcap import datagrams
+
+__all__ = ["OusterFormat", "ouster_frames"]
+
+_MAX_METADATA_BYTES = 2**20
+_MOST_FRAMES = 2000
+_BATCH_PACKETS = 256
+_ROWS, _COLUMNS, _PER_PACKET = {16, 32, 64, 128}, {512, 1024, 2048, 4096}, {8, 16}
+
+
+@dataclass(frozen=True)
+class _Profile:
+    """How a packet is laid out, in bytes, and which bits of a pixel are its first range."""
+
+    head: int
+    column_head: int
+    pixel: int
+    column_foot: int
+    foot: int
+    range_type: str
+    range_mask: int
+    step_mm: int
+
+
+_PROFILES = {
+    "LEGACY": _Profile(0, 16, 12, 4, 0, "<u4", 0xFFFFF, 1),
+    "RNG19_RFL8_SIG16_NIR16": _Profile(32, 12, 12, 0, 32, "<u4", 0x7FFFF, 1),
+    "RNG19_RFL8_SIG16_NIR16_DUAL": _Profile(32, 12, 16, 0, 32, "<u4", 0x7FFFF, 1),
+    "RNG15_RFL8_NIR8": _Profile(32, 12, 4, 0, 32, "<u2", 0x7FFF, 8),
+}
+
+
+@dataclass(frozen=True)
+class OusterFormat:
+    """Metadata and capture in one body; the first whole frame is the scan, its first returns.
+
+    The points are turned into the sensor's frame, x forward, and stay at the lidar's own origin,
+    where the beams meet, which is up to 80 mm above the sensor's.
+    """
+
+    name: str = "Ouster capture"
+    media_type: str = "application/vnd.tensormap.ouster"
+    suffixes: tuple[str, ...] = ()
+    magics: tuple[bytes, ...] = ()
+
+    def read(self, body: bytes) -> Float32Array:
+        """Return `(n, 3)` metres, zero where nothing came back.
+
+        Raises:
+            MalformedScan: If metadata or capture cannot be parsed, or do not fit each other.
+            TruncatedScan: If the capture ends within a packet, or holds no whole frame among the
+                first packets.
+        """
+        return next(ouster_frames(body, BUDGET.frame_packets))
+
+
+def ouster_frames(body: bytes, most_packets: int | None = None) -> Iterator[Float32Array]:
+    """Give the whole frames of a capture that follows its metadata.
+
+    Args:
+        body: Metadata and capture.
+        most_packets: In how many packets of the sensor, the first ones, frames are looked for.
+
+    Raises:
+        MalformedScan: If metadata or capture cannot be parsed, or do not fit each other.
+        TruncatedScan: If the capture ends within a packet, or holds no whole frame.
+    """
+    sensor, start = _read_sensor(body)
+    ranges_m = np.zeros((sensor.columns, sensor.rows))
+    seen = np.zeros(sensor.columns, dtype=bool)
+    current: int | None = None
+    best = given = 0
+    wanted = int(sensor.window.sum())
+    for frame, columns, range_m in _runs(sensor, body, start, most_packets):
+        if frame != current:
+            current = frame
+            seen[:] = False
+        ranges_m[columns] = range_m
+        seen[columns] = True
+        count = int(np.count_nonzero(seen))
+        best = max(best, count)
+        if count >= wanted and seen[sensor.window].all():
+            ranges_m[~seen] = 0.0  # of an earlier frame
+            yield sensor.points_m(ranges_m)
+            current, given = None, given + 1
+        if given >= _MOST_FRAMES:
+            return
+    if not given:
+        raise TruncatedScan(f"no frame is whole: the fullest has {best} of {wanted} columns")
+
+
+@dataclass(frozen=True, eq=False)
+class _Sensor:
+    """What the metadata says.
+
+    Attributes:
+        rows: Beams.
+        columns: Directions in a turn.
+        per_packet: Columns in a packet.
+        window: `(columns,)`, which of them the sensor sends.
+        profile: How packets are laid out.
+        elevation: `(rows,)` radians.
+        azimuth: `(rows,)` radians, each beam's own, clockwise.
+        origin_m: From the lidar's origin to where a beam begins.
+        turn: `(3, 3)`, lidar to sensor.
+    """
+
+    rows: int
+    columns: int
+    per_packet: int
+    window: np.ndarray
+    profile: _Profile
+    elevation: FloatArray
+    azimuth: FloatArray
+    origin_m: float
+    turn: FloatArray
+
+    @property
+    def column_bytes(self) -> int:
+        profile = self.profile
+        return profile.column_head + self.rows * profile.pixel + profile.column_foot
+
+    @property
+    def packet_bytes(self) -> int:
+        return self.profile.head + self.per_packet * self.column_bytes + self.profile.foot
+
+    @property
+    def packet_layout(self) -> np.dtype[np.void]:
+        """Where numbers, states and ranges of columns are in a packet."""
+        profile = self.profile
+        pixel = np.dtype(
+            {"names": ["range"], "formats": [profile.range_type], "itemsize": profile.pixel}
+        )
+        fields: dict[str, tuple[Any, int]] = {
+            "number": ("<u2", 8),
+            "pixels": ((pixel, self.rows), profile.column_head),
+        }
+        if profile.head:
+            fields["status"] = ("<u2", 10)
+        else:
+            fields |= {"frame": ("<u2", 10), "status": ("<u4", self.column_bytes - 4)}
+        columns = ((_layout(fields, self.column_bytes), self.per_packet), profile.head)
+        frame = {"frame": ("<u2", 2)} if profile.head else {}
+        return _layout({"columns": columns, **frame}, self.packet_bytes)
+
+    def points_m(self, ranges_m: FloatArray) -> Float32Array:
+        """Turn `(columns, rows)` ranges into `(n, 3)` points."""
+        encoder = 2.0 * np.pi * (1.0 - np.arange(self.columns) / self.columns)[:, None]
+        beam_m = ranges_m - self.origin_m
+        level_m = beam_m * np.cos(self.elevation)
+        points_m = np.stack(
+            [
+                level_m * np.cos(encoder - self.azimuth) + self.origin_m * np.cos(encoder),
+                level_m * np.sin(encoder - self.azimuth) + self.origin_m * np.sin(encoder),
+                beam_m * np.sin(self.elevation),
+            ],
+            axis=-1,
+        )
+        points_m[ranges_m <= 0] = 0.0
+        return (points_m.reshape(-1, 3) @ self.turn.T).astype(np.float32)
+
+
+def _layout(fields: dict[str, tuple[Any, int]], size_bytes: int) -> np.dtype[np.void]:
+    """Return a record of fields at their offsets."""
+    return np.dtype(
+        {
+            "names": list(fields),
+            "formats": [dtype for dtype, _ in fields.values()],
+            "offsets": [offset for _, offset in fields.values()],
+            "itemsize": size_bytes,
+        }
+    )
+
+
+def _runs(
+    sensor: _Sensor, body: bytes, start: int, most_packets: int | None
+) -> Iterator[tuple[int, IntArray, FloatArray]]:
+    """Give frame number, column numbers and ranges in metres of columns that rise in one frame."""
+    packets = (
+        datagram.payload
+        for datagram in datagrams(body, start)
+        if len(datagram.payload) == sensor.packet_bytes
+    )
+    layout, profile = sensor.packet_layout, sensor.profile
+    any_came = False
+    for batch in _batches(itertools.islice(packets, most_packets)):
+        any_came = True
+        records = np.frombuffer(batch, layout)
+        columns = records["columns"].reshape(-1)
+        if profile.head:
+            frame = np.repeat(records["frame"], sensor.per_packet)
+            valid = columns["status"] & 1 == 1
+        else:
+            frame, valid = columns["frame"], columns["status"] == 0xFFFFFFFF
+        valid = valid & (columns["number"] < sensor.columns)
+        frame, number = frame[valid], columns["number"][valid].astype(np.int64)
+        steps = columns["pixels"]["range"][valid] & profile.range_mask
+        range_m = steps.astype(np.float64) * (profile.step_mm / 1000.0)
+        breaks = np.flatnonzero((np.diff(frame) != 0) | (np.diff(number) < 0)) + 1
+        ends = [0, *breaks.tolist(), len(number)]
+        for first, end in itertools.pairwise(ends if len(number) else []):
+            yield int(frame[first]), number[first:end], range_m[first:end]
+    if not any_came:
+        raise MalformedScan(
+            f"the capture has no UDP packets of {sensor.packet_bytes} bytes, which the metadata"
+            " tells of"
+        )
+
+
+def _batches(payloads: Iterator[bytes]) -> Iterator[bytes]:
+    """Join payloads, some at a time."""
+    while batch := b"".join(itertools.islice(payloads, _BATCH_PACKETS)):
+        yield batch
+
+
+def _read_sensor(body: bytes) -> tuple[_Sensor, int]:
+    """Return the sensor, and where the capture begins."""
+    text = body[:_MAX_METADATA_BYTES].decode("latin-1")
+    blank = len(text) - len(text.lstrip())
+    try:
+        metadata, end = json.JSONDecoder().raw_decode(text[blank:])
+    except (ValueError, RecursionError) as error:
+        raise MalformedScan(
+            f"the body does not begin with the sensor's metadata, a JSON object: {str(error)[:80]}"
+        ) from error
+    start = blank + end
+    while text[start : start + 1] in {" ", "\r", "\n", "\t"}:
+        start += 1
+    try:
+        return _sensor(_flat(metadata)), start
+    except (AttributeError, KeyError, OverflowError, TypeError, ValueError) as error:
+        raise MalformedScan(f"the metadata cannot be used: {str(error)[:120]}") from error
+
+
+def _flat(metadata: dict[str, Any]) -> dict[str, Any]:
+    """Put the sections of newer metadata side by side, as older metadata has them."""
+    flat = dict(metadata)
+    for section in ("beam_intrinsics", "lidar_intrinsics", "lidar_data_format"):
+        flat.update(metadata.get(section, {}))
+    flat["data_format"] = metadata.get("lidar_data_format") or metadata["data_format"]
+    return flat
+
+
+def _sensor(metadata: dict[str, Any]) -> _Sensor:
+    layout = metadata["data_format"]
+    rows, columns = layout["pixels_per_column"], layout["columns_per_frame"]
+    per_packet = layout["columns_per_packet"]
+    if rows not in _ROWS or columns not in _COLUMNS or per_packet not in _PER_PACKET:
+        raise ValueError(f"{rows} rows, {columns} columns, {per_packet} columns a packet")
+    name = layout.get("udp_profile_lidar", "LEGACY")
+    if name not in _PROFILES:
+        raise ValueError(f"packets are {str(name)[:60]!r}, wanted {', '.join(_PROFILES)}")
+    first, last = (int(side) for side in layout.get("column_window", [0, columns - 1]))
+    if not (0 <= first < columns and 0 <= last < columns):
+        raise ValueError(f"the column window is {first}..{last}")
+    order = np.arange(columns)
+    inside = (order >= first) & (order <= last)
+    window = inside if first <= last else (order >= first) | (order <= last)
+    transform = np.array(metadata["lidar_to_sensor_transform"], dtype=np.float64).reshape(4, 4)
+    sensor = _Sensor(
+        rows,
+        columns,
+        per_packet,
+        window,
+        _PROFILES[name],
+        frozen(np.radians(np.array(metadata["beam_altitude_angles"], np.float64)), np.float64),
+        frozen(np.radians(np.array(metadata["beam_azimuth_angles"], np.float64)), np.float64),
+        float(metadata["lidar_origin_to_beam_origin_mm"]) / 1000.0,
+        frozen(transform[:3, :3], np.float64),
+    )
+    angles = np.concatenate(
+        [sensor.elevation, sensor.azimuth, [sensor.origin_m], transform.ravel()]
+    )
+    if sensor.elevation.shape != (rows,) or sensor.azimuth.shape != (rows,):
+        raise ValueError(f"wanted {rows} beam angles")
+    if not np.isfinite(angles).all():
+        raise ValueError("an angle is no number")
+    return sensor

@@ -1,0 +1,279 @@
+"""Point Cloud Library files, `.pcd`: ascii, binary and binary_compressed.
+
+pypcd4 unpacks compressed points. The header is read here first, because the library trusts it: it
+makes arrays of whatever size is claimed, wants lines that the format allows to be missing, and lets
+a field's name decide how a line is split. It gets a plain header that agrees with the body. Text
+and binary points are read in place: the library would hold three copies of them.
+"""
+
+import io
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from pypcd4.pypcd4 import PointCloud
+
+from core.arrays import Float32Array
+from storage.formats.budget import BUDGET
+from storage.formats.errors import MalformedScan, ScanTooLarge, TruncatedScan, WrongDtype
+from storage.formats.scans.text_numbers import text_columns
+
+__all__ = ["PcdFormat"]
+
+_AXES = ("x", "y", "z")
+_SIZES = {"F": {4, 8}, "I": {1, 2, 4, 8}, "U": {1, 2, 4, 8}}
+_ENCODINGS = ("ascii", "binary", "binary_compressed")
+_MAX_HEADER_BYTES = 16_384
+_MAX_COLUMNS = 1024  # the longest of PCL's own point types, ESFSignature640, has 640
+_LZF_RATIO = 88  # LZF's longest match: 264 bytes out of 3
+
+
+@dataclass(frozen=True)
+class PcdFormat:
+    """PCD; fields but x, y and z are skipped, padding included, and so is the viewpoint.
+
+    Attributes:
+        max_decoded_bytes: What points may take; compressed ones may unpack to half of it.
+    """
+
+    name: str = "PCD"
+    media_type: str = "application/vnd.tensormap.pcd"
+    suffixes: tuple[str, ...] = (".pcd",)
+    magics: tuple[bytes, ...] = (b"# .PCD", b"VERSION ", b"FIELDS ")
+    max_decoded_bytes: int = 256 * 2**20
+
+    def read(self, body: bytes) -> Float32Array:
+        r"""Return `(n, 3)` metres, the NaN points of organized clouds included.
+
+        Raises:
+            MalformedScan: If header or points cannot be parsed or do not agree.
+            TruncatedScan: If the header claims more than came.
+            WrongDtype: If x, y or z is not a float.
+            ScanTooLarge: If the points would take more than `max_decoded_bytes`.
+
+        Examples:
+            >>> text = "FIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nWIDTH 1\nHEIGHT 1\nDATA ascii\n"
+            >>> PcdFormat().read(text.encode() + b"10 0 -1\n")
+            array([[10.,  0., -1.]], dtype=float32)
+        """
+        header, start = _read_header(body)
+        points = memoryview(body)[start:]
+        if header.points * header.point_bytes > self.max_decoded_bytes:
+            came = f"{len(points)} bytes of points came"
+            if header.claims_more_than(len(points)):
+                raise TruncatedScan(f"the header claims {header.claim}, {came}")
+            raise ScanTooLarge(
+                f"the header claims {header.claim}, at most {self.max_decoded_bytes} bytes may be"
+            )
+        if header.encoding == "ascii":
+            if body.find(b"#", start) >= 0:
+                raise MalformedScan("a '#' stands among the ascii points")
+            return _text_points(points, header)
+        if header.encoding == "binary":
+            return _binary_points(points, header)
+        return _compressed_points(points, header)
+
+
+@dataclass(frozen=True)
+class _Header:
+    fields: tuple[str, ...]
+    sizes: tuple[int, ...]
+    types: tuple[str, ...]
+    counts: tuple[int, ...]
+    points: int
+    encoding: str
+
+    @property
+    def columns(self) -> int:
+        return sum(self.counts)
+
+    @property
+    def first_columns(self) -> tuple[int, ...]:
+        """In which columns of a line x, y and z are."""
+        return tuple(sum(self.counts[: self.fields.index(axis)]) for axis in _AXES)
+
+    @property
+    def record(self) -> np.dtype[np.void]:
+        """x, y and z within a binary point."""
+        at = [self.fields.index(axis) for axis in _AXES]
+        ends = np.cumsum(
+            [size * count for size, count in zip(self.sizes, self.counts, strict=True)]
+        )
+        return np.dtype(
+            {
+                "names": list(_AXES),
+                "formats": [f"<f{self.sizes[i]}" for i in at],
+                "offsets": [int(ends[i]) - self.sizes[i] for i in at],
+                "itemsize": self.point_bytes,
+            }
+        )
+
+    @property
+    def point_bytes(self) -> int:
+        return sum(size * count for size, count in zip(self.sizes, self.counts, strict=True))
+
+    @property
+    def claim(self) -> str:
+        return f"{self.points:.6g} points of {self.point_bytes} bytes ({self.encoding})"
+
+    def claims_more_than(self, came_bytes: int) -> bool:
+        """Return whether no body of that length can hold the points."""
+        if self.encoding == "ascii":  # a digit and a separator a value
+            return self.points * self.columns * 2 > came_bytes + 1
+        ratio = _LZF_RATIO if self.encoding == "binary_compressed" else 1
+        return self.points * self.point_bytes > came_bytes * ratio
+
+    def plain(self) -> bytes:
+        """Return the same header as pypcd4 understands it."""
+        names = (name if name in _AXES else f"other_{i}" for i, name in enumerate(self.fields))
+        # Text is read as doubles whatever is declared: an integer column may hold "7.0".
+        is_text = self.encoding == "ascii"
+        lines = {
+            "VERSION": "0.7",
+            "FIELDS": " ".join(names),
+            "SIZE": " ".join("8" if is_text else str(size) for size in self.sizes),
+            "TYPE": " ".join("F" if is_text else kind for kind in self.types),
+            "COUNT": " ".join(str(count) for count in self.counts),
+            "WIDTH": self.points,
+            "HEIGHT": 1,
+            "POINTS": self.points,
+            "DATA": self.encoding,
+        }
+        return "".join(f"{key} {value}\n" for key, value in lines.items()).encode()
+
+
+def _read_header(body: bytes) -> tuple[_Header, int]:
+    """Return the header and where the points begin."""
+    entries, start = _entries(body)
+    fields = tuple(entries.get("FIELDS") or entries.get("COLUMNS") or ())
+    sizes, types = _integers(entries, "SIZE"), tuple(entries.get("TYPE", ()))
+    counts = _integers(entries, "COUNT") if "COUNT" in entries else (1,) * len(fields)
+    if not fields or not len(fields) == len(sizes) == len(types) == len(counts):
+        raise MalformedScan(
+            f"the header has {len(fields)} FIELDS, {len(sizes)} SIZE, {len(types)} TYPE and"
+            f" {len(counts)} COUNT, wanted as many of each"
+        )
+    if not all(size in _SIZES.get(kind, ()) for kind, size in zip(types, sizes, strict=True)):
+        raise MalformedScan(f"TYPE {_short(types)} has no SIZE {_short(sizes)}")
+    if min(counts) < 1 or sum(counts) > _MAX_COLUMNS:
+        raise MalformedScan(
+            f"a point has COUNT {_short(counts)}, wanted 1 to {_MAX_COLUMNS} in all"
+        )
+    for axis in _AXES:
+        at = fields.index(axis) if fields.count(axis) == 1 else None
+        if at is None or counts[at] != 1:
+            raise MalformedScan(f"wanted one field {axis} of COUNT 1, FIELDS are {_short(fields)}")
+        if types[at] != "F":
+            raise WrongDtype(f"field {axis} has TYPE {types[at]}, wanted F, metres in 4 or 8 bytes")
+    encoding = " ".join(entries["DATA"])
+    if encoding not in _ENCODINGS:
+        raise MalformedScan(f"DATA is {_short(encoding)}, wanted one of {', '.join(_ENCODINGS)}")
+    return _Header(fields, sizes, types, counts, _points(entries), encoding), start
+
+
+def _entries(body: bytes) -> tuple[dict[str, list[str]], int]:
+    entries: dict[str, list[str]] = {}
+    start = 0
+    while start < min(len(body), _MAX_HEADER_BYTES):
+        end = body.find(b"\n", start, _MAX_HEADER_BYTES)
+        end = end if end >= 0 else min(len(body), _MAX_HEADER_BYTES)
+        key, *words = body[start:end].decode("latin-1").split() or ["#"]
+        start = end + 1
+        if key in entries:
+            raise MalformedScan(f"the header has two lines {_short(key)}")
+        if not key.startswith("#"):
+            entries[key] = words
+        if key == "DATA":
+            return entries, start
+    raise MalformedScan(f"no DATA line in the first {min(len(body), _MAX_HEADER_BYTES)} bytes")
+
+
+def _points(entries: dict[str, list[str]]) -> int:
+    sides = [_integer(entries, key) for key in ("WIDTH", "HEIGHT") if key in entries]
+    if "POINTS" not in entries:
+        if len(sides) != 2:
+            raise MalformedScan("the header has neither POINTS nor WIDTH and HEIGHT")
+        return math.prod(sides)
+    points = _integer(entries, "POINTS")
+    if len(sides) == 2 and math.prod(sides) != points:
+        raise MalformedScan(f"WIDTH x HEIGHT is {math.prod(sides):.6g}, POINTS is {points:.6g}")
+    return points
+
+
+def _integer(entries: dict[str, list[str]], key: str) -> int:
+    numbers = _integers(entries, key)
+    if len(numbers) != 1:
+        raise MalformedScan(f"{key} is {_short(entries[key])}, wanted one number")
+    return numbers[0]
+
+
+def _integers(entries: dict[str, list[str]], key: str) -> tuple[int, ...]:
+    words = entries.get(key, [])
+    # 15 digits are a petabyte, and print as a number in every message.
+    if not all(word.isascii() and word.isdecimal() and len(word) <= 15 for word in words):
+        raise MalformedScan(f"{key} is {_short(words)}, wanted whole numbers")
+    return tuple(int(word) for word in words)
+
+
+def _agree(claim: str, wanted_bytes: int, came_bytes: int) -> None:
+    """Refuse too few bytes, and too many: then SIZE or COUNT hides part of each point."""
+    message = f"the header claims {claim}, {wanted_bytes} bytes; {came_bytes} bytes of points came"
+    if came_bytes < wanted_bytes:
+        raise TruncatedScan(message)
+    if came_bytes > wanted_bytes:
+        raise MalformedScan(message)
+
+
+def _text_points(points: memoryview, header: _Header) -> Float32Array:
+    returns_m = text_columns(points, header.first_columns, header.columns, None)
+    if len(returns_m) < header.points:
+        raise TruncatedScan(f"the header claims {header.claim}, {len(returns_m)} lines came")
+    if len(returns_m) > header.points:
+        raise MalformedScan(f"the header claims {header.claim}, {len(returns_m)} lines came")
+    return returns_m
+
+
+def _binary_points(points: memoryview, header: _Header) -> Float32Array:
+    wanted = header.points * header.point_bytes
+    # Some writers fill the last page with zeros.
+    padding = np.frombuffer(points[wanted:], np.uint8)
+    _agree(header.claim, wanted, len(points) if padding.any() else min(len(points), wanted))
+    BUDGET.require_returns(header.points)
+    return _stacked(np.frombuffer(points, header.record, count=header.points))
+
+
+def _compressed_points(points: memoryview, header: _Header) -> Float32Array:
+    if not header.points:
+        return np.empty((0, 3), np.float32)
+    _check_compressed(points, header)
+    BUDGET.require_returns(header.points)
+    file: io.BufferedReader = io.BufferedReader(io.BytesIO(header.plain() + points))
+    try:
+        return _stacked(PointCloud.from_fileobj(file).pc_data)
+    except (KeyError, RuntimeError, TypeError, ValueError) as error:
+        raise MalformedScan(f"the {header.encoding} points cannot be parsed: {error}") from error
+
+
+def _stacked(points: np.ndarray) -> Float32Array:
+    with np.errstate(over="ignore", invalid="ignore"):  # beyond float32 is infinite: no return
+        return np.stack([points[axis].astype(np.float32) for axis in _AXES], axis=1)
+
+
+def _check_compressed(points: memoryview, header: _Header) -> None:
+    if len(points) < 8:
+        raise TruncatedScan(f"two sizes of 4 bytes were wanted, {len(points)} bytes came")
+    packed, unpacked = (int.from_bytes(points[at : at + 4], "little") for at in (0, 4))
+    _agree(f"{packed} compressed bytes", packed, len(points) - 8)
+    _agree(f"{header.claim}", header.points * header.point_bytes, unpacked)
+    if unpacked > BUDGET.unpacked_bytes:
+        raise ScanTooLarge(
+            f"the points unpack to {unpacked} bytes, at most {BUDGET.unpacked_bytes} may be"
+        )
+    if unpacked > packed * _LZF_RATIO:
+        raise TruncatedScan(f"{packed} compressed bytes cannot unpack to {unpacked}")
+
+
+def _short(value: object) -> str:
+    """Return `value` for a message, cut: a client chose it."""
+    text = repr(value)
+    return text if len(text) <= 120 else f"{text[:117]}..."

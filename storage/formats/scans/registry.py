@@ -1,0 +1,208 @@
+"""From the bytes of a scan file to a scan, by media type, suffix or magic."""
+
+import math
+from pathlib import Path, PurePath
+from typing import Protocol
+
+from core.arrays import Float32Array
+from core.errors import InvalidScan
+from core.scans.pose import Pose
+from core.scans.scan import Scan
+from storage.formats.budget import BUDGET
+from storage.formats.errors import EmptyBody, UnknownFormat
+from storage.formats.scans.delimited import CsvFormat
+from storage.formats.scans.ford import FordFormat
+from storage.formats.scans.kitti import KittiFormat
+from storage.formats.scans.las import LasFormat
+from storage.formats.scans.npy import NpyFormat
+from storage.formats.scans.ouster import OusterFormat
+from storage.formats.scans.pcd import PcdFormat
+from storage.formats.scans.ply import PlyFormat
+from storage.formats.scans.records import NcltFormat, NuscenesFormat
+from storage.formats.scans.velodyne import VelodyneFormat
+
+__all__ = [
+    "FORMAT_NAMES",
+    "SCAN_FORMATS",
+    "ScanFormat",
+    "is_scan_file",
+    "media_type_of",
+    "read_scan",
+    "read_scan_file",
+    "suffix_of",
+]
+
+_ANY_BYTES = "application/octet-stream"
+
+
+class ScanFormat(Protocol):
+    """One way to write a scan down."""
+
+    @property
+    def name(self) -> str:
+        """What people call it."""
+
+    @property
+    def media_type(self) -> str:
+        """The Content-Type it is sent under, lower case."""
+
+    @property
+    def suffixes(self) -> tuple[str, ...]:
+        """How its files end, lower case, with the dot."""
+
+    @property
+    def magics(self) -> tuple[bytes, ...]:
+        """How its bytes may begin; none if they may begin with anything."""
+
+    def read(self, body: bytes) -> Float32Array:
+        """Return all returns, `(n, 3)` metres, those that are not finite or zero included.
+
+        Raises:
+            InvalidScan: If the bytes are something else.
+        """
+
+
+SCAN_FORMATS: tuple[ScanFormat, ...] = (
+    KittiFormat(),
+    NpyFormat(),
+    PcdFormat(),
+    PlyFormat(),
+    CsvFormat(),
+    LasFormat(),
+    NuscenesFormat(),
+    NcltFormat(),
+    FordFormat(),
+    VelodyneFormat(),
+    OusterFormat(),
+)
+FORMAT_NAMES = {known.media_type.rpartition(".")[2]: known.media_type for known in SCAN_FORMATS}
+"""Media types by their last word."""
+
+
+def read_scan(
+    body: bytes,
+    *,
+    media_type: str | None = None,
+    suffix: str | None = None,
+    min_returns: int,
+    timestamp_s: float = math.nan,
+    pose: Pose | None = None,
+) -> Scan:
+    """Read one scan.
+
+    A media type decides; without one, or with `application/octet-stream`, the suffix does, and
+    without a suffix the magic at the beginning of the body.
+
+    Args:
+        body: The file, whole.
+        media_type: A Content-Type; its parameters are ignored.
+        suffix: The end of the file's name, with the dot.
+        min_returns: How many finite, non-zero returns must be left.
+        timestamp_s: Seconds, NaN where unknown.
+        pose: Sensor to world, `None` where unknown.
+
+    Raises:
+        UnknownFormat: If no reader claims the bytes.
+        InvalidScan: If the reader cannot use them; a subclass says why.
+
+    Examples:
+        >>> import numpy as np
+        >>> body = np.array([[10, 0, -1, 0.3], [0, 0, 0, 0]], "<f4").tobytes()
+        >>> scan = read_scan(body, media_type="application/vnd.tensormap.kitti", min_returns=1)
+        >>> len(scan), scan.dropped_returns
+        (1, 1)
+    """
+    scan_format = _choose(body, media_type, suffix)
+    if not body:
+        raise EmptyBody(f"no bytes came, wanted a {scan_format.name} scan")
+    returns_m = scan_format.read(body)
+    BUDGET.require_returns(len(returns_m))
+    return Scan.from_returns(returns_m, min_returns=min_returns, timestamp_s=timestamp_s, pose=pose)
+
+
+def read_scan_file(
+    path: Path,
+    *,
+    min_returns: int,
+    media_type: str | None = None,
+    timestamp_s: float = math.nan,
+    pose: Pose | None = None,
+) -> Scan:
+    """Read one scan file, its format by its suffix; errors name the file.
+
+    A media type decides instead where one is given: of a `.bin` that is not KITTI's. A `.pcap`
+    with a `.json` of the same name beside it is an Ouster's, whose metadata that is.
+
+    Raises:
+        UnknownFormat: If no reader claims the file.
+        InvalidScan: If the reader cannot use it; a subclass says why.
+    """
+    metadata = path.with_suffix(".json")
+    body = path.read_bytes()
+    if path.suffix.lower() == ".pcap" and media_type is None and metadata.is_file():
+        body, media_type = metadata.read_bytes() + body, OusterFormat().media_type
+    try:
+        return read_scan(
+            body,
+            media_type=media_type,
+            suffix=suffix_of(path.name),
+            min_returns=min_returns,
+            timestamp_s=timestamp_s,
+            pose=pose,
+        )
+    except (InvalidScan, UnknownFormat) as error:
+        raise type(error)(f"{path.name}: {error}") from error
+
+
+def is_scan_file(path: Path) -> bool:
+    """Return whether the name ends as a scan file's; hidden files are none."""
+    ends = {suffix for scan_format in SCAN_FORMATS for suffix in scan_format.suffixes}
+    return not path.name.startswith(".") and suffix_of(path.name) in ends
+
+
+def media_type_of(name: str) -> str:
+    """Return the media type of a format by its short name, the last word of its type.
+
+    Raises:
+        UnknownFormat: If there is no such format.
+
+    Examples:
+        >>> media_type_of("nclt")
+        'application/vnd.tensormap.nclt'
+    """
+    if name not in FORMAT_NAMES:
+        wanted = ", ".join(FORMAT_NAMES)
+        raise UnknownFormat(f"there is no format {name[:80]!r}; wanted one of {wanted}")
+    return FORMAT_NAMES[name]
+
+
+def suffix_of(file_name: str) -> str:
+    """Return how the name of a scan file ends, with the dot, lower case."""
+    # nuScenes' `.pcd.bin` is not KITTI's `.bin`: its records hold five floats, and read as four
+    # they would be plausible nonsense.
+    name = file_name.lower()
+    return ".pcd.bin" if name.endswith(".pcd.bin") else PurePath(name).suffix
+
+
+def _choose(body: bytes, media_type: str | None, suffix: str | None) -> ScanFormat:
+    wanted = (media_type or "").partition(";")[0].strip().lower()
+    if wanted not in {"", _ANY_BYTES}:
+        found = [known for known in SCAN_FORMATS if known.media_type == wanted]
+        what = f"media type {wanted[:80]!r}"
+    elif suffix:
+        found = [known for known in SCAN_FORMATS if suffix.lower() in known.suffixes]
+        what = f"suffix {suffix[:80]!r}"
+    elif not body:
+        raise EmptyBody("no bytes came, wanted a scan")
+    else:
+        found = [known for known in SCAN_FORMATS if body.startswith(known.magics)]
+        what = (
+            f"a body that begins with {body[:8]!r} and whose type is not told; set the Content-Type"
+        )
+    if not found:
+        known_types = ", ".join(
+            f"{known.media_type} ({' '.join(known.suffixes) or 'no suffix'})"
+            for known in SCAN_FORMATS
+        )
+        raise UnknownFormat(f"no reader for {what}; wanted one of {known_types}")
+    return found[0]

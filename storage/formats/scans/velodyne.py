@@ -1,0 +1,181 @@
+"""Velodyne's HDL-32E and VLP-16, as captured from the network: `.pcap`.
+
+A packet of 1206 bytes holds 12 blocks of 100: two bytes of flag, the azimuth in hundredths of a
+degree clockwise from the sensor's front, and 32 returns of a distance in steps of 2 mm and an
+intensity. The azimuth is that of the block's first firing; later ones are interpolated by the time
+at which they fire. (HDL-32E manual 63-9113, VLP-16 manual 63-9243: sections on data packets.)
+"""
+
+import struct
+from dataclasses import dataclass
+
+import numpy as np
+
+from core.arrays import Float32Array, FloatArray, frozen
+from storage.formats.budget import BUDGET
+from storage.formats.errors import MalformedScan, ScanTooLarge, TruncatedScan
+from storage.formats.scans.pcap import PCAP_MAGICS, Buffer, datagrams
+
+__all__ = ["Turns", "VelodyneFormat"]
+
+_PAYLOAD_BYTES = 1206
+_BLOCK = np.dtype(
+    [("flag", "<u2"), ("azimuth", "<u2"), ("returns", [("range", "<u2"), ("i", "u1")], 32)]
+)
+_PACKET = np.dtype([("blocks", _BLOCK, 12), ("tail", "V6")])
+_FLAG = 0xEEFF
+_RANGE_STEP_M = 0.002
+_DUAL_RETURN = 0x39
+
+
+@dataclass(frozen=True, eq=False)
+class _Model:
+    """What the packets of one kind of sensor mean.
+
+    Attributes:
+        name: What people call it.
+        elevation_deg: `(32,)`, of each return of a block.
+        height_m: `(32,)`, of each laser above the sensor's centre.
+        firing: `(32,)`, when each fires, as a share of the time between blocks.
+    """
+
+    name: str
+    elevation_deg: FloatArray
+    height_m: FloatArray
+    firing: FloatArray
+
+
+_HDL32_DEG = np.stack(
+    [np.linspace(-92 / 3, -32 / 3, 16), np.linspace(-28 / 3, 32 / 3, 16)], axis=1
+).ravel()
+_VLP16_DEG = np.stack([np.arange(-15.0, 0.0, 2.0), np.arange(1.0, 16.0, 2.0)], axis=1).ravel()
+# The VLP-16's lasers do not leave it at one height: manual, vertical correction.
+_VLP16_MM = np.array(
+    [11.2, -0.7, 9.7, -2.2, 8.1, -3.7, 6.6, -5.1, 5.1, -6.6, 3.7, -8.1, 2.2, -9.7, 0.7, -11.2]
+)
+_MODELS = {
+    0x21: _Model(
+        "HDL-32E",
+        frozen(_HDL32_DEG, np.float64),
+        frozen(np.zeros(32), np.float64),
+        frozen(np.arange(32) * 1.152 / 46.08, np.float64),
+    ),
+    0x22: _Model(
+        "VLP-16",
+        frozen(np.tile(_VLP16_DEG, 2), np.float64),
+        frozen(np.tile(_VLP16_MM / 1000.0, 2), np.float64),
+        frozen(np.arange(32) % 16 * 2.304 / 110.592 + np.arange(32) // 16 / 2.0, np.float64),
+    ),
+}
+
+
+@dataclass(frozen=True)
+class VelodyneFormat:
+    """A capture; the first full turn in it is the scan. Of dual returns the last is taken."""
+
+    name: str = "Velodyne capture"
+    media_type: str = "application/vnd.tensormap.velodyne"
+    suffixes: tuple[str, ...] = (".pcap",)
+    magics: tuple[bytes, ...] = PCAP_MAGICS
+
+    def read(self, body: bytes) -> Float32Array:
+        """Return `(n, 3)` metres, x forward, y left, z up.
+
+        Raises:
+            MalformedScan: If it is no capture, or holds no packets of an HDL-32E or VLP-16.
+            TruncatedScan: If it ends within a packet, or before the sensor turned once.
+            ScanTooLarge: If it has more packets than a scan can need.
+        """
+        first = Turns(body, most_packets=BUDGET.scan_packets, kept_packets=BUDGET.frame_packets)
+        return first.returns_m(0)
+
+
+class Turns:
+    """The full turns of a capture; what is left at its end is none.
+
+    Args:
+        body: The capture.
+        most_packets: How many packets of the sensor it may have.
+        kept_packets: Of how many of them, the first ones, turns are made.
+
+    Attributes:
+        time_s: `(K,)` when the first packet of each was captured, seconds since 1970.
+
+    Raises:
+        MalformedScan: If it is no capture, or holds no packets of an HDL-32E or VLP-16.
+        TruncatedScan: If it ends within a packet, or before the sensor turned once.
+        ScanTooLarge: If it has more packets than may be.
+    """
+
+    def __init__(
+        self, body: Buffer, *, most_packets: int | None = None, kept_packets: int | None = None
+    ) -> None:
+        self._model, times_s, self._blocks = _blocks(body, most_packets, kept_packets)
+        self._azimuth_deg = self._blocks["azimuth"] / 100.0
+        step_deg = (np.diff(self._azimuth_deg) + 180.0) % 360.0 - 180.0
+        turned_deg = np.maximum.accumulate(np.concatenate([[0.0], np.cumsum(step_deg)]))
+        count = int(turned_deg[-1] // 360.0)
+        if not count:
+            raise TruncatedScan(f"the capture ends after {turned_deg[-1]:.0f} of 360 degrees")
+        # A lost packet leaves a gap, which no firing of the block before it is spread over.
+        usual_deg = float(np.median(step_deg))
+        spread_deg = np.where(step_deg > 2.0 * usual_deg, usual_deg, step_deg)
+        self._spread_deg = np.append(spread_deg, usual_deg)
+        self._starts = np.searchsorted(turned_deg, np.arange(count + 1) * 360.0)
+        self.time_s: FloatArray = frozen(times_s[self._starts[:-1]], np.float64)
+
+    def __len__(self) -> int:
+        return len(self.time_s)
+
+    def returns_m(self, turn: int) -> Float32Array:
+        """Return the `(n, 3)` metres of a turn, zero where nothing came back.
+
+        Raises:
+            ScanTooLarge: If the sensor turned so slowly that it has more returns than may be.
+        """
+        blocks = slice(self._starts[turn], self._starts[turn + 1])
+        BUDGET.require_returns((blocks.stop - blocks.start) * len(self._model.firing))
+        fired = self._spread_deg[blocks, None] * self._model.firing
+        return _returns(
+            self._model,
+            self._azimuth_deg[blocks, None] + fired,
+            self._blocks["returns"]["range"][blocks] * _RANGE_STEP_M,
+        )
+
+
+def _returns(model: _Model, azimuth_deg: FloatArray, range_m: FloatArray) -> Float32Array:
+    azimuth, elevation = np.radians(azimuth_deg), np.radians(model.elevation_deg)
+    level_m = range_m * np.cos(elevation)
+    height_m = np.where(range_m > 0, range_m * np.sin(elevation) + model.height_m, 0.0)
+    points_m = np.stack([level_m * np.cos(azimuth), -level_m * np.sin(azimuth), height_m], axis=-1)
+    return points_m.reshape(-1, 3).astype(np.float32)
+
+
+def _blocks(
+    body: Buffer, most_packets: int | None, kept_packets: int | None
+) -> tuple[_Model, FloatArray, np.ndarray]:
+    """Return the sensor, and the time and content of each block."""
+    payloads = bytearray()
+    times_s: list[float] = []
+    packets = 0
+    for datagram in datagrams(body):
+        if len(datagram.payload) != _PAYLOAD_BYTES:
+            continue
+        packets += 1
+        if most_packets is not None and packets > most_packets:
+            raise ScanTooLarge(f"the capture has more than {most_packets} packets")
+        if kept_packets is None or packets <= kept_packets:
+            payloads += datagram.payload
+            times_s.append(datagram.time_s)
+    if not packets:
+        raise MalformedScan(f"the capture has no UDP packets of {_PAYLOAD_BYTES} bytes")
+    mode, product = struct.unpack_from("BB", payloads, _PAYLOAD_BYTES - 2)
+    if product not in _MODELS:
+        known = ", ".join(f"{model.name} (0x{code:02x})" for code, model in _MODELS.items())
+        raise MalformedScan(f"the packets are of product 0x{product:02x}, wanted {known}")
+    blocks = np.frombuffer(payloads, dtype=_PACKET)["blocks"].reshape(-1)
+    if not (blocks["flag"] == _FLAG).all():
+        raise MalformedScan("a packet has blocks that do not begin with 0xffee")
+    # Of two returns the first block of each pair has the last.
+    step = 2 if mode == _DUAL_RETURN else 1
+    return _MODELS[product], np.repeat(times_s, 12)[::step], blocks[::step]

@@ -1,0 +1,213 @@
+"""Builds from the store: of the map that was asked for, and never of damaged images."""
+
+import h5py
+import pytest
+
+from app.builds import pipelines
+from app.builds.live_gate import pass_gate
+from app.builds.parameters import BuildParameters
+from app.builds.pipelines import Built, build_revision
+from core.mapping.merge import BasisFit
+from core.progress import Progress
+from storage.catalog import JobState
+from storage.errors import CorruptFile, JobNotRunning, MapNotFound
+from storage.files.image_file import write_image_file
+from storage.store import Store
+from tests.support.recording import recording
+from tests.support.samples import sample_harmonic_map
+
+SCANS = 8
+PARAMETERS = BuildParameters(segments=2)
+
+
+@pytest.fixture
+def store(tmp_path):
+    with Store.serving(tmp_path) as opened:
+        opened.maps.create("campus")
+        put(opened)
+        yield opened
+
+
+def put(store):
+    store.drives.put_scans("campus", "monday", list(enumerate(recording().scans[:SCANS])))
+
+
+class AtTheEnd:
+    """Does something once the last unit of a stage is done."""
+
+    def __init__(self, stage, act):
+        self._stage, self._act = stage, act
+        self._left = -1
+
+    def start(self, stage, total):
+        self._left = total if stage == self._stage else -1
+
+    def advance(self, units=1):
+        self._left -= units
+        if self._left == 0:
+            self._act()
+
+
+def stages_of(store):
+    seen: list[str] = []
+
+    class Seen:
+        def start(self, stage, total):
+            seen.append(stage)
+
+        def advance(self, units=1):
+            pass
+
+    progress: Progress = Seen()
+    record = build_revision(store, store.maps.get("campus").id, PARAMETERS, progress)
+    return seen, record
+
+
+def files_of(store):
+    return sorted(
+        path.relative_to(store.layout.maps)
+        for path in store.layout.maps.rglob("*")
+        if path.is_file()
+    )
+
+
+@pytest.mark.parametrize("stage", ["projecting", "fitting"])
+def test_a_map_that_is_made_anew_during_a_build_gets_nothing_of_the_old_one(store, stage):
+    def make_anew():
+        store.maps.delete("campus")
+        store.maps.create("campus")
+        put(store)
+
+    map_id = store.maps.get("campus").id
+    with pytest.raises(MapNotFound):
+        build_revision(store, map_id, PARAMETERS, AtTheEnd(stage, make_anew))
+    made = store.maps.get("campus")
+    assert made.id != map_id
+    assert made.live_revision is None
+    assert store.revisions.list("campus").items == ()
+    assert {path.parts[0] for path in files_of(store)} == {made.id}
+    assert not any("revisions" in path.parts for path in files_of(store))
+
+
+def test_a_map_that_is_renamed_during_a_build_gets_its_revision(store):
+    def rename():
+        store.maps.update("campus", new_slug="yard")
+        store.maps.create("campus")
+
+    map_id = store.maps.get("campus").id
+    record = build_revision(store, map_id, PARAMETERS, AtTheEnd("fitting", rename))
+    assert record.map_id == map_id
+    assert store.maps.get("yard").live_revision == record.digest
+    assert store.maps.get("campus").live_revision is None
+    assert store.revisions.path("yard", record.digest).is_relative_to(store.layout.map(map_id))
+
+
+def test_a_build_is_compared_again_with_what_became_live_meanwhile(store, monkeypatch):
+    map_id = store.maps.get("campus").id
+    first, second = (
+        build_revision(store, map_id, BuildParameters(segments=segments)) for segments in (2, 3)
+    )
+    compared = []
+
+    def decide(*arguments):
+        gate = pass_gate(*arguments)
+        compared.append(gate.compared_with)
+        store.revisions.set_live("campus", second.digest)
+        return gate
+
+    monkeypatch.setattr(pipelines, "pass_gate", decide)
+    wanted = BuildParameters(segments=4, make_live=True, max_recall_loss=1.0)
+    third = build_revision(store, map_id, wanted)
+    assert compared == [first.digest, second.digest]
+    assert store.revisions.live("campus") == third
+    assert len(list(store.layout.revisions(map_id).iterdir())) == 3  # none of the lost race
+
+
+def test_a_live_revision_that_cannot_be_read_does_not_hold_up_its_successor(store):
+    map_id = store.maps.get("campus").id
+    first = build_revision(store, map_id, PARAMETERS)
+    store.revisions.path_of(first).unlink()
+    gate = pass_gate(
+        store, map_id, first.drive_ids, sample_harmonic_map()[0], BuildParameters(make_live=True)
+    )
+    assert gate.live
+    assert "cannot be read" in str(gate.reason)
+
+
+def test_images_that_were_damaged_are_made_anew_and_the_revision_is_the_same(store):
+    _, whole = stages_of(store)
+    assert stages_of(store)[0] == ["fitting", "calibrating"]  # from the images that are kept
+    damage(store)
+    seen, again = stages_of(store)
+    assert seen == ["fitting", "projecting", "fitting", "calibrating"]
+    assert again.digest == whole.digest
+    assert stages_of(store)[0] == ["fitting", "calibrating"]
+
+
+def test_images_that_are_damaged_each_time_end_the_build(store, monkeypatch):
+    def write_and_damage(path, *args):
+        write_image_file(path, *args)
+        damage(store)
+
+    monkeypatch.setattr("app.drives.stored_images.write_image_file", write_and_damage)
+    with pytest.raises(CorruptFile):
+        stages_of(store)
+    assert store.revisions.list("campus").items == ()
+
+
+def damage(store):
+    [path] = store.layout.maps.rglob("images/*.h5")
+    with h5py.File(path, "r") as file:
+        at = file["images"].id.get_chunk_info(0).byte_offset
+    content = bytearray(path.read_bytes())
+    content[at + 1000] ^= 1
+    path.write_bytes(content)
+
+
+def test_a_job_is_done_at_the_moment_its_revision_is_published(store):
+    """A worker killed after it published, or asked to stop then, leaves no job that denies it."""
+    job = store.jobs.create("campus", {})
+    store.jobs.claim()
+    store.jobs.request_cancel(job.id)
+    record = build_revision(store, job.map_id, PARAMETERS, job_id=job.id)
+    with pytest.raises(JobNotRunning):  # what the runner does with a worker that died
+        store.jobs.cancelled(job.id)
+    store.recover()  # or the next start
+    ended = store.jobs.get(job.id)
+    assert (ended.state, ended.revision) == (JobState.DONE, record.digest)
+    assert store.jobs.finish(job.id, record.digest) == ended  # what a worker that lives does
+
+
+def test_images_without_probes_are_made_anew_and_without_returns_the_map_is_not_calibrated(
+    store, monkeypatch
+):
+    seen, _ = stages_of(store)
+    assert seen == ["projecting", "fitting", "calibrating"]
+    seen, _ = stages_of(store)
+    assert seen == ["fitting", "calibrating"]
+    drop_probes(store)
+    seen, _ = stages_of(store)
+    assert seen == ["projecting", "fitting", "calibrating"]
+    drop_probes(store)
+
+    def gone(*_):
+        raise FileNotFoundError("the returns are gone")
+
+    monkeypatch.setattr("app.drives.stored_images.write_image_file", gone)
+    seen, record = stages_of(store)
+    assert seen == ["fitting"]
+    assert record.parameters["calibrated"] is False
+
+
+def drop_probes(store):
+    [path] = store.layout.maps.rglob("images/*.h5")
+    with h5py.File(path, "r+") as file:
+        del file.attrs["probe_version"], file["probes"], file["probed"]
+
+
+def test_a_basis_that_fits_a_drive_badly_is_noted():
+    tensor_map, _ = sample_harmonic_map(8)
+    fits = BasisFit("monday", 0.80, 0.70), BasisFit("tuesday", 0.71, 0.70)
+    [note] = Built(tensor_map, 0, {}, fits, 8).notes
+    assert "monday" in note
+    assert "fit it anew" in note

@@ -1,0 +1,136 @@
+"""From distances to probabilities."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from core.confidence.calibration import MIN_PROBABILITY, Calibration
+from core.confidence.logistic import fit_logistic
+from core.errors import InvalidMap, InvalidParameters
+from core.mapping.tensormap import TensorMap
+from storage.files.map_file import read_map, write_map
+from tests.support.samples import sample_harmonic_map, sample_map
+
+CALIBRATION = Calibration(
+    floor=0.001, both=(-9.0, -3.0, -2.0), alone=(-9.0, -3.5), likelihood=(-8.0, -3.0)
+)
+
+
+def test_a_probability_is_the_logistic_of_the_logarithm_of_the_distance_and_of_the_ratio():
+    odds = -9.0 - 3.0 * np.log(0.051) - 2.0 * 0.4
+    assert CALIBRATION.probability(0.05, 0.4) == pytest.approx(1 / (1 + np.exp(-odds)))
+    odds = -9.0 - 3.5 * np.log(0.051)
+    assert CALIBRATION.probability(0.05, None) == pytest.approx(1 / (1 + np.exp(-odds)))
+
+
+def test_a_likelihood_ratio_keeps_the_shape_and_rules_out_what_was_not_compared():
+    ratios = CALIBRATION.log_likelihood_ratio(np.array([[0.0, 0.05], [0.5, np.inf]]))
+    assert ratios.shape == (2, 2)
+    assert ratios[0, 1] == pytest.approx(-8.0 - 3.0 * np.log(0.051))
+    assert ratios[0, 0] > ratios[0, 1] > ratios[1, 0] > ratios[1, 1] == -np.inf
+    blind = replace(CALIBRATION, likelihood=(0.25, 0.0))
+    assert blind.log_likelihood_ratio(np.array([0.1, np.inf])).tolist() == [0.25, 0.25]
+
+
+@pytest.mark.parametrize(
+    "part",
+    [
+        {"floor": 0.0},
+        {"floor": np.inf},
+        {"both": (-9.0, -3.0)},
+        {"both": (-9.0, 3.0, -2.0)},
+        {"both": (np.nan, -3.0, -2.0)},
+        {"alone": (-9.0, 0.5)},
+        {"likelihood": (-8.0, 1e-9)},
+        {"threshold": -0.1},
+        {"threshold": 1.1},
+        {"threshold": np.nan},
+    ],
+)
+def test_a_calibration_that_makes_no_sense_is_refused(part):
+    with pytest.raises(InvalidParameters, match=next(iter(part))):
+        replace(CALIBRATION, **part)
+
+
+@pytest.mark.parametrize(("distance", "ratio"), [(-0.1, 0.5), (np.nan, 0.5), (0.1, 1.1), (0.1, -1)])
+def test_a_distance_or_ratio_that_cannot_be_is_refused(distance, ratio):
+    with pytest.raises(InvalidParameters):
+        CALIBRATION.probability(distance, ratio)
+
+
+def test_attributes_come_back_as_they_were_through_json():
+    attributes = json.loads(json.dumps(CALIBRATION.as_attributes()))
+    assert Calibration.from_attributes(attributes) == CALIBRATION
+    assert CALIBRATION.threshold == MIN_PROBABILITY
+
+
+@pytest.mark.parametrize(
+    "change",
+    [{"floor": "none"}, {"both": 3}, {"extra": 1}, {"threshold": 2.0}, {"alone": [1.0, None]}],
+)
+def test_attributes_that_are_no_calibration_are_an_invalid_map(change):
+    with pytest.raises(InvalidMap, match="calibration"):
+        Calibration.from_attributes({**CALIBRATION.as_attributes(), **change})
+
+
+@pytest.mark.parametrize("made", [sample_map, sample_harmonic_map])
+def test_a_calibration_is_in_the_digest_and_comes_back_from_the_file(tmp_path, made):
+    tensor_map, _ = made()
+    assert tensor_map.calibration is None
+    assert "calibration" not in tensor_map.attributes()
+    calibrated = replace(tensor_map, calibration=CALIBRATION)
+    other = replace(tensor_map, calibration=replace(CALIBRATION, threshold=0.25))
+    assert len({m.revision for m in (tensor_map, calibrated, other)}) == 3
+    write_map(tmp_path / "map.h5", calibrated)
+    again = read_map(tmp_path / "map.h5")
+    assert again.calibration == CALIBRATION
+    assert again.revision == calibrated.revision
+
+
+def test_a_map_whose_calibration_is_torn_is_refused():
+    tensor_map, _ = sample_map()
+    torn = {**tensor_map.attributes(), "calibration": {"floor": 0.1}}
+    with pytest.raises(InvalidMap, match="calibration"):
+        TensorMap.from_parts(tensor_map.arrays(), torn)
+
+
+def test_classes_that_separate_give_finite_weights_and_sane_probabilities():
+    distance = np.log([[0.01], [0.02], [0.03], [0.5], [0.6], [0.7]])
+    right = np.array([True] * 3 + [False] * 3)
+    weights = fit_logistic(distance, right, np.array([True]))
+    probability = 1 / (1 + np.exp(-(weights[0] + distance[:, 0] * weights[1])))
+    assert np.isfinite(weights).all()
+    assert (probability[:3] > 0.5).all()
+    assert (probability[3:] < 0.5).all()
+    assert probability.max() < 0.9  # three samples are not much
+
+
+def test_a_feature_that_may_only_fall_does_not_rise():
+    rising = np.arange(20.0)[:, None]
+    right = rising[:, 0] > 9
+    assert fit_logistic(rising, right, np.array([True]))[1] == 0.0
+    assert fit_logistic(rising, right, np.array([False]))[1] > 0.0
+
+
+def test_many_samples_recover_the_weights_they_were_drawn_from():
+    rng = np.random.default_rng(0)
+    features = rng.normal(size=(20_000, 2)) * (2.0, 0.5) + (1.0, -3.0)
+    odds = 0.5 - 1.5 * features[:, 0] - 2.0 * (features[:, 1] + 3.0)
+    right = rng.random(20_000) < 1 / (1 + np.exp(-odds))
+    found = fit_logistic(features, right, np.array([True, True]))
+    assert found == pytest.approx([-5.5, -1.5, -2.0], rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("features", "right", "said"),
+    [
+        (np.zeros((3, 1)), [True, False], "fit together"),
+        (np.full((2, 1), np.inf), [True, False], "finite"),
+        (np.zeros((2, 1)), [True, True], "both kinds"),
+    ],
+)
+def test_samples_that_cannot_be_learned_from_are_refused(features, right, said):
+    with pytest.raises(InvalidParameters, match=said):
+        fit_logistic(features, np.array(right), np.array([True]))

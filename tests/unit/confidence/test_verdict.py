@@ -1,0 +1,59 @@
+"""Why an answer is refused."""
+
+import numpy as np
+import pytest
+
+from core.confidence.calibration import Calibration
+from core.confidence.verdict import Refusal, judge
+from core.errors import InvalidParameters
+
+CALIBRATION = Calibration(
+    0.001, (-9.0, -3.0, -2.0), (-9.0, -3.5), (-8.0, -3.0), threshold=0.5, least_cells=100
+)
+
+
+@pytest.mark.parametrize(
+    ("distance", "ratio", "cells", "reason"),
+    [
+        (0.02, 0.3, 500, None),
+        (0.02, 0.3, None, None),
+        (0.02, 0.3, 99, Refusal.TOO_FEW_RETURNS),
+        (0.3, 0.3, 99, Refusal.TOO_FEW_RETURNS),
+        (0.3, 0.3, 500, Refusal.UNKNOWN_PLACE),
+        (0.3, None, 500, Refusal.UNKNOWN_PLACE),
+        (0.06, 1.0, 500, Refusal.AMBIGUOUS),
+        (0.06, None, 500, None),
+    ],
+)
+def test_a_reason_is_named(distance, ratio, cells, reason):
+    verdict = judge(CALIBRATION, distance, ratio, occupied_cells=cells)
+    assert verdict.reason == reason
+    assert verdict.localized == (reason is None)
+    assert verdict.probability == CALIBRATION.probability(distance, ratio)
+
+
+def test_a_query_can_ask_for_more_or_for_less():
+    assert judge(CALIBRATION, 0.02, 0.3, min_probability=0.999).reason is not None
+    assert judge(CALIBRATION, 0.5, 1.0, min_probability=0.0).localized
+    with pytest.raises(InvalidParameters, match="min_probability"):
+        judge(CALIBRATION, 0.5, 1.0, min_probability=1.5)
+
+
+def test_a_map_that_cannot_tell_refuses_only_who_asks_for_a_probability():
+    assert judge(None, 0.5, 1.0).localized
+    assert judge(None, 0.5, 1.0).probability is None
+    assert judge(None, 0.5, 1.0, min_probability=0.0).localized
+    assert judge(None, 0.1, 0.1, min_probability=0.5).reason == Refusal.NOT_CALIBRATED
+
+
+def test_a_smaller_share_is_more_probable_but_not_more_than_a_single_scan():
+    whole = CALIBRATION.probability(0.06, 1.0)
+    tenth = CALIBRATION.probability(0.06, 1.0, share=0.1)
+    odds = [p / (1 - p) for p in (whole, tenth)]
+    assert whole < tenth
+    assert odds[1] <= 10 * odds[0] * (1 + 1e-9)
+    one = CALIBRATION.probability(0.2, 0.9, share=1e-6)
+    alone = float(CALIBRATION.log_likelihood_ratio(np.array(0.2)))
+    assert one == pytest.approx(1 / (1 + np.exp(-alone)))
+    with pytest.raises(InvalidParameters, match="share"):
+        CALIBRATION.probability(0.1, None, share=0.0)

@@ -1,0 +1,198 @@
+"""Drives in one world frame, and in several."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from core.errors import FramesDisagree
+from core.frames.agreement import check_frames, require_one_frame
+from core.frames.rigid import find_consensus
+from core.mapping.build import build_map
+from core.parameters import Encoding, MapParameters
+from core.projection.images import ConcatenatedImages, project_drive
+from core.scans.trajectory import Trajectory
+from core.segmentation import cut_drives
+from core.simulation import SimulatedDrive, SimulatedSensor
+from core.topology import cut_at_meetings
+
+
+class Stages:
+    """Remembers what was told."""
+
+    def __init__(self):
+        self.stages, self.units = [], 0
+
+    def start(self, stage, total):
+        self.stages.append((stage, total))
+
+    def advance(self, units=1):
+        self.units += units
+
+
+def passed(**other):
+    """Pass the streets of one simulated city, on another day, in another lane, the other way."""
+    return SimulatedDrive(
+        seed=1, scans=60, stops=False, sensor=SimulatedSensor(firings=180), **other
+    )
+
+
+@pytest.fixture(scope="module", params=Encoding)
+def parameters(request):
+    return MapParameters.for_sensor(encoding=request.param)
+
+
+@pytest.fixture(scope="module")
+def images(parameters):
+    """Images of four drives, by name."""
+    drives = {
+        "monday": passed(),
+        "tuesday": passed(noise_seed=2),
+        "back": passed(noise_seed=3, reverse=True, lateral_offset_m=-3.0),
+        "elsewhere": SimulatedDrive(
+            seed=5, scans=60, stops=False, sensor=SimulatedSensor(firings=180)
+        ),
+    }
+    return {
+        name: (drive, project_drive(drive, np.arange(len(drive)), parameters.imager).images)
+        for name, drive in drives.items()
+    }
+
+
+def checked(images, parameters, progress=None, **places):
+    """Build a map of drives, their poses changed, and check its frames."""
+    trajectory = Trajectory.concatenate(
+        [
+            Trajectory.of_drive(
+                name, images[name][0].timestamp_s, change(images[name][0].poses), np.arange(60)
+            )
+            for name, change in places.items()
+        ]
+    )
+    tensor_map = build_map(
+        ConcatenatedImages([images[name][1] for name in places]),
+        trajectory,
+        cut_at_meetings(trajectory, cut_drives(trajectory.drive_start, 30)),
+        parameters,
+    )
+    return check_frames(tensor_map) if progress is None else check_frames(tensor_map, progress)
+
+
+def as_they_are(poses):
+    return poses
+
+
+def unknown(poses):
+    return np.full_like(poses, np.nan)
+
+
+def moved(x_m=0.0, turn=None):
+    """Return what another survey makes of poses."""
+    turn = Rotation.identity() if turn is None else turn
+
+    def change(poses):
+        rows = poses.copy()
+        rows[:, :3] = turn.apply(rows[:, :3]) + np.array([x_m, 0.0, 0.0])
+        rows[:, 3:] = (turn * Rotation.from_quat(rows[:, 3:])).as_quat()
+        return rows
+
+    return change
+
+
+@pytest.mark.parametrize("x_m", [0.0, 1.0, 2.0])
+def test_drives_of_one_frame_agree_although_they_drift_apart(images, parameters, x_m):
+    (check,) = checked(images, parameters, monday=as_they_are, tuesday=moved(x_m))
+    assert check.met
+    assert check.note is None
+    require_one_frame([check])
+
+
+@pytest.mark.parametrize(
+    ("x_m", "turn_deg"), [(500.0, 30.0), (20.0, 0.0), (0.0, 180.0), (1e6, -90.0)]
+)
+def test_a_frame_that_is_turned_or_moved_is_found_with_its_transform(
+    images, parameters, x_m, turn_deg
+):
+    turn = Rotation.from_euler("z", turn_deg, degrees=True)
+    (check,) = checked(images, parameters, monday=as_they_are, tuesday=moved(x_m, turn))
+    found = check.disagreement
+    assert found is not None
+    assert found.others == ("monday",)
+    own = images["tuesday"][0].poses[:, :3].copy()
+    as_given = moved(x_m, turn)(images["tuesday"][0].poses)[:, :3]
+    rows = [scan for scan, *_ in found.scans]
+    off_m = np.linalg.norm(found.transform.apply(as_given) - own, axis=1)[rows]
+    assert off_m.max() < 3.0
+    with pytest.raises(FramesDisagree, match=r"tuesday .* than those of monday"):
+        require_one_frame([check])
+
+
+def test_axes_of_a_camera_are_found_with_their_tilt(images, parameters):
+    camera = Rotation.from_matrix([[0, -1, 0], [0, 0, -1], [1, 0, 0]])
+    (check,) = checked(images, parameters, monday=as_they_are, tuesday=moved(0.0, camera))
+    assert check.disagreement is not None
+    assert check.disagreement.transform.tilt_deg == pytest.approx(90.0, abs=5.0)
+    assert "its vertical tilted by" in str(check)
+
+
+def test_who_drives_the_other_way_in_the_other_lane_agrees_or_is_not_found(images, parameters):
+    (check,) = checked(images, parameters, monday=as_they_are, back=as_they_are)
+    assert check.disagreement is None
+    assert check.met == (parameters.encoding == Encoding.HARMONIC)  # the paper's does not match it
+
+
+def test_drives_that_never_meet_have_a_note_and_no_more(images, parameters):
+    (check,) = checked(images, parameters, monday=as_they_are, elsewhere=moved(1000.0))
+    assert check.disagreement is None
+    assert not check.met
+    assert "could not be checked" in str(check.note)
+
+
+def test_only_the_drive_in_another_frame_is_named(images, parameters):
+    turn = Rotation.from_euler("z", 30.0, degrees=True)
+    elsewhere, tuesday = checked(
+        images,
+        parameters,
+        monday=as_they_are,
+        elsewhere=moved(1000.0),
+        tuesday=moved(500.0, turn),
+    )
+    assert elsewhere.disagreement is None
+    assert tuesday.disagreement is not None
+    assert tuesday.disagreement.others == ("monday",)
+
+
+def test_drives_without_poses_are_not_checked(images, parameters):
+    progress = Stages()
+    assert not checked(images, parameters, progress, monday=as_they_are, tuesday=unknown)
+    assert not checked(images, parameters, progress, monday=unknown, tuesday=as_they_are)
+    assert not progress.stages
+
+
+def test_checking_reports_its_progress(images, parameters):
+    progress = Stages()
+    checked(images, parameters, progress, monday=as_they_are, tuesday=as_they_are)
+    ((stage, total),) = progress.stages
+    assert stage == "checking frames"
+    assert progress.units == total
+
+
+@pytest.mark.parametrize("level", [True, False])
+def test_a_consensus_is_found_among_mostly_wrong_matches(level):
+    rng = np.random.default_rng(1)
+    points = rng.uniform(0.0, 300.0, (100, 3)) * [1.0, 1.0, 0.02]
+    turn = Rotation.from_euler("z", 40.0, degrees=True)
+    matched = turn.apply(points) + np.array([500.0, -20.0, 1.0])
+    matched += rng.normal(scale=0.5, size=(100, 3))
+    wrong = np.arange(100) >= 40
+    matched[wrong] = rng.uniform(0.0, 300.0, (60, 3))
+    turn_deg = np.where(wrong, rng.uniform(-180.0, 180.0, 100), 40.0) if level else None
+    found = find_consensus(points, matched, turn_deg, 5.0, level=level)
+    assert found is not None
+    assert found.agrees[~wrong].all()
+    assert found.agrees[wrong].sum() <= 3
+    assert found.transform.yaw_deg == pytest.approx(40.0, abs=1.0)
+
+
+def test_two_matches_are_no_consensus():
+    places = np.array([[0.0, 0.0, 0.0], [50.0, 0.0, 0.0]])
+    assert find_consensus(places, places, None, 5.0) is None

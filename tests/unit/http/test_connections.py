@@ -1,0 +1,95 @@
+"""How many connections a process takes, and which goes first."""
+
+import resource
+
+import pytest
+
+from app.http.connections import BoundedConnection, ConnectionSlots, within_descriptors
+from app.settings import Settings
+
+
+@pytest.fixture
+def descriptors(monkeypatch):
+    """Sets the limits of descriptors, soft and hard, of a process that is not this one."""
+    limits: list[int] = []
+    monkeypatch.setattr(resource, "getrlimit", lambda _which: tuple(limits))
+    monkeypatch.setattr(
+        resource, "setrlimit", lambda _which, given: limits.__setitem__(0, given[0])
+    )
+
+    def chosen(soft, hard):
+        limits[:] = [soft, hard]
+        return limits
+
+    return chosen
+
+
+def bounds(**chosen):
+    settings = within_descriptors(Settings(**chosen))
+    return settings.max_connections, settings.max_streams, settings.max_streams_per_key
+
+
+@pytest.mark.parametrize(
+    ("soft", "hard", "expected"),
+    [
+        (1024, 524_288, (4096, 2000, 1000)),
+        (1024, 1024, (512, 256, 128)),
+        (256, 256, (128, 64, 32)),
+        (1024, 4096, (3584, 1792, 896)),
+    ],
+)
+def test_connections_are_what_the_raised_descriptors_allow(descriptors, soft, hard, expected):
+    limits = descriptors(soft, hard)
+    assert bounds() == expected
+    assert limits[0] == hard
+
+
+def test_endless_descriptors_are_no_endless_connections(descriptors):
+    descriptors(resource.RLIM_INFINITY, resource.RLIM_INFINITY)
+    assert bounds() == (4096, 2000, 1000)
+    assert bounds(max_connections=20_000, max_streams=9000)[:2] == (20_000, 9000)
+
+
+def test_more_connections_than_descriptors_are_lowered_and_reported(descriptors, caplog):
+    descriptors(1024, 1024)
+    assert bounds(max_connections=5000)[0] == 512
+    assert "1024 descriptors allow 512 connections, not 5000" in caplog.text
+    assert bounds(max_connections=100, max_streams=10, max_streams_per_key=3) == (100, 10, 3)
+
+
+def test_descriptors_that_cannot_be_raised_are_taken_as_they_are(descriptors, monkeypatch):
+    descriptors(1024, 4096)
+
+    def refuse(*_):
+        raise ValueError("not allowed to raise maximum limit")
+
+    monkeypatch.setattr(resource, "setrlimit", refuse)
+    assert bounds()[0] == 512
+
+
+class Idle(BoundedConnection):
+    """A connection that only notes that it was closed."""
+
+    def __init__(self, closed, name):
+        self.closed, self.name = closed, name
+
+    def give_way(self):
+        self.closed.append(self.name)
+
+
+def test_the_idle_give_way_in_order_and_the_report_comes_once_in_a_while(caplog):
+    now = [0.0]
+    closed: list[str] = []
+    slots = ConnectionSlots(4, clock=lambda: now[0])
+    kept, first, second, busy = (Idle(closed, name) for name in ("kept", "first", "second", "busy"))
+    slots.waits(kept, asked=True)
+    for fresh in (first, busy, second):
+        slots.waits(fresh, asked=False)
+    slots.busy(busy)
+    assert slots.has_room(4)
+    assert [slots.has_room(5) for _ in range(5)] == [True, True, True, False, False]
+    assert closed == ["first", "second", "kept"]
+    assert len(caplog.records) == 1
+    now[0] = 10.0
+    assert not slots.has_room(5)
+    assert "2 idle ones were closed for others, 3 were refused" in caplog.text

@@ -1,0 +1,137 @@
+"""Log lines: one an event, readable by machines, without what must stay secret."""
+
+import contextvars
+import io
+import json
+import logging
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from app.http.logs import LogFormat, _Seldom, _TextLine, configure_logging, fields
+from app.http.request_id import accepted_id, current_id, enter_request
+
+
+@pytest.fixture
+def lines():
+    """Logs of a format, as they were written; logging is put back as it was."""
+    names = ["", "tensormap", "uvicorn", "uvicorn.access", "uvicorn.error", "asyncio"]
+    kept = [
+        (log, log.handlers[:], log.level, log.disabled, log.filters[:])
+        for log in map(logging.getLogger, names)
+    ]
+    written = io.StringIO()
+
+    def configure(log_format):
+        configure_logging(log_format, "INFO", written)
+        return written
+
+    yield configure
+    for log, handlers, level, disabled, filters in kept:
+        log.handlers[:], log.disabled, log.filters[:] = handlers, disabled, filters
+        log.setLevel(level)
+
+
+def log_a_fault(logger):
+    try:
+        raise ValueError("first line\nsecond line")
+    except ValueError:
+        logger.exception("it failed")
+
+
+def test_a_json_line_has_the_event_its_fields_and_its_fault(lines):
+    written = lines(LogFormat.JSON)
+    logger = logging.getLogger("tensormap.test")
+    logger.info("two\nlines", extra=fields(status=200, path="/v1/maps"))
+    log_a_fault(logger)
+    first, second = map(json.loads, written.getvalue().splitlines())
+    assert (first["event"], first["status"], first["path"]) == ("two\nlines", 200, "/v1/maps")
+    assert (first["level"], first["logger"]) == ("info", "tensormap.test")
+    assert first["time"].endswith("Z")
+    assert second["event"] == "it failed"
+    assert "second line" in second["traceback"]
+
+
+@given(st.text(max_size=40))
+def test_a_text_line_stays_one_line_whatever_a_client_sends(path):
+    record = logging.makeLogRecord({"name": "tensormap", "msg": "request", **fields(path=path)})
+    assert len(_TextLine().format(record).splitlines()) == 1
+
+
+@pytest.mark.parametrize("prefix", ["tm", "tmt"])
+def test_no_key_and_no_token_stands_in_a_line(lines, prefix):
+    key = f"{prefix}_0a1b2c3d_" + "s3cret-" * 6
+    for log_format in LogFormat:
+        written = lines(log_format)
+        logging.getLogger("tensormap").info("request", extra=fields(path=f"/v1/keys/{key}"))
+        try:
+            raise ValueError(key)
+        except ValueError:
+            logging.getLogger("tensormap").exception("failed")
+        assert "s3cret" not in written.getvalue()
+        assert f"{prefix}_(hidden)" in written.getvalue()
+
+
+def test_a_line_is_of_the_request_that_it_was_written_in(lines):
+    def answer():
+        enter_request("truck-7")
+        assert current_id() == "truck-7"
+        logging.getLogger("tensormap").info("during")
+
+    written = lines(LogFormat.JSON)
+    logging.getLogger("tensormap").info("before")
+    contextvars.copy_context().run(answer)
+    before, during = map(json.loads, written.getvalue().splitlines())
+    assert "request_id" not in before
+    assert during["request_id"] == "truck-7"
+
+
+@pytest.mark.parametrize("log_format", LogFormat)
+def test_nothing_is_written_twice_nor_below_the_level(lines, log_format):
+    written = lines(log_format)
+    logging.getLogger("tensormap").debug("hidden")
+    logging.getLogger("uvicorn.access").info("GET /v1/maps?after=secret")
+    logging.getLogger("uvicorn.error").info("started")
+    logging.getLogger("another").info("chatter")
+    assert len(written.getvalue().splitlines()) == 1
+    assert "started" in written.getvalue()
+
+
+@pytest.mark.parametrize("sent", ["a", "truck-7:42", "01HZX.3_k", "f" * 64])
+def test_a_sane_request_id_is_kept(sent):
+    assert accepted_id(sent) == sent
+
+
+@pytest.mark.parametrize("sent", [None, "", "f" * 65, "two words", "a\nb", "é", '{"x":1}', "-a"])
+def test_any_other_request_id_is_replaced(sent):
+    made = accepted_id(sent)
+    assert made != sent
+    assert accepted_id(made) == made
+    assert made != accepted_id(sent)
+
+
+def test_what_a_client_can_cause_at_will_is_logged_once_in_a_while():
+    now = [0.0]
+    seldom = _Seldom(lambda: now[0])
+
+    def passes(event):
+        return seldom.filter(logging.makeLogRecord({"msg": event}))
+
+    accept = "socket.accept() out of system resource\nsocket: <socket>"
+    assert [passes(accept) for _ in range(3)] == [True, False, False]
+    assert passes("Invalid HTTP request received.")
+    assert all(passes("Shutting down") for _ in range(3))
+    now[0] = 10.0
+    assert [passes(accept), passes(accept)] == [True, False]
+
+
+def test_a_stream_is_logged_by_us_and_not_by_the_server_with_its_query(lines):
+    written = lines(LogFormat.TEXT)
+    error = logging.getLogger("uvicorn.error")
+    error.info('%s - "WebSocket %s" [accepted]', "127.0.0.1:1", "/v1/maps/m/tracks/t/stream?key=1")
+    error.info("connection rejected (%d %s)", 429, "Too Many Requests")
+    error.error("ASGI callable returned without completing handshake.")
+    error.info("Shutting down")
+    [line] = written.getvalue().splitlines()
+    assert "Shutting down" in line

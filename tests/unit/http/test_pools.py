@@ -1,0 +1,168 @@
+"""Pools of threads: what runs at once, of whom, and who is next."""
+
+import asyncio
+import threading
+from collections import Counter
+
+import pytest
+from starlette.requests import ClientDisconnect
+
+from app.http.client import Client, require_client
+from app.http.errors import ServiceBusy, TooManyRequests
+from app.http.pools import Pool
+
+
+class Gate:
+    """Work that waits until it is let go, and notes who began."""
+
+    def __init__(self):
+        self.began: list[str] = []
+        self.most_at_once = Counter[str]()
+        self._now = Counter[str]()
+        self._lock = threading.Lock()
+        self._go = threading.Event()
+
+    def open(self):
+        self._go.set()
+
+    def work(self, key):
+        def run():
+            with self._lock:
+                self.began.append(key)
+                self._now[key] += 1
+                self.most_at_once[key] = max(self.most_at_once[key], self._now[key])
+            assert self._go.wait(60)
+            with self._lock:
+                self._now[key] -= 1
+            return key
+
+        return run
+
+
+async def settled(condition):
+    async with asyncio.timeout(60):
+        while not condition():
+            await asyncio.sleep(0.001)
+
+
+def test_a_key_never_takes_all_threads_and_another_one_is_let_in_at_once():
+    async def run():
+        pool, gate = Pool("tests", threads=4, per_key=3, queue=100), Gate()
+        greedy = [asyncio.create_task(pool.run("greedy", gate.work("greedy"))) for _ in range(20)]
+        await settled(lambda: len(gate.began) == 3)
+        other = asyncio.create_task(pool.run("other", gate.work("other")))
+        await settled(lambda: len(gate.began) == 4)
+        gate.open()
+        assert await other == "other"
+        assert await asyncio.gather(*greedy) == ["greedy"] * 20
+        assert gate.most_at_once == {"greedy": 3, "other": 1}
+        assert pool.waiting == 0
+
+    asyncio.run(run())
+
+
+def test_keys_that_wait_take_turns():
+    async def run():
+        pool, gate = Pool("tests", threads=1, per_key=1, queue=100), Gate()
+        first = asyncio.create_task(pool.run("a", gate.work("a")))
+        await settled(lambda: gate.began == ["a"])
+        waiting = []
+        for key in "aaabbc":
+            waiting.append(asyncio.create_task(pool.run(key, gate.work(key))))
+            await asyncio.sleep(0)
+        gate.open()
+        await asyncio.gather(first, *waiting)
+        assert "".join(gate.began) == "a" + "abcaba"
+
+    asyncio.run(run())
+
+
+def test_more_than_may_wait_is_refused_first_the_key_that_has_most():
+    async def run():
+        pool, gate = Pool("tests", threads=1, per_key=1, queue=4), Gate()
+        tasks = [asyncio.create_task(pool.run("a", gate.work("a"))) for _ in range(3)]
+        await settled(lambda: pool.waiting == 2)
+        with pytest.raises(TooManyRequests) as refused:
+            await pool.run("a", gate.work("a"))
+        assert refused.value.headers["Retry-After"] == "2"
+        tasks += [asyncio.create_task(pool.run("b", gate.work("b"))) for _ in range(2)]
+        await settled(lambda: pool.waiting == 4)
+        with pytest.raises(ServiceBusy) as busy:
+            await pool.run("c", gate.work("c"))
+        assert busy.value.headers["Retry-After"] == "2"
+        tasks.append(asyncio.create_task(pool.run("a", gate.work("a"), begun=True)))
+        await settled(lambda: pool.waiting == 5)
+        gate.open()
+        await asyncio.gather(*tasks)
+
+    asyncio.run(run())
+
+
+def test_who_leaves_while_it_waits_is_forgotten_and_the_next_one_is_served():
+    async def run():
+        pool, gate, client = Pool("tests", threads=1, per_key=1, queue=10), Gate(), Client()
+        first = asyncio.create_task(pool.run("a", gate.work("a")))
+        await settled(lambda: gate.began == ["a"])
+        leaving = asyncio.create_task(pool.run("a", gate.work("left"), client=client))
+        cancelled = asyncio.create_task(pool.run("b", gate.work("cancelled")))
+        staying = asyncio.create_task(pool.run("b", gate.work("b")))
+        await settled(lambda: pool.waiting == 3)
+        client.left.set()
+        with pytest.raises(ClientDisconnect):
+            await leaving
+        cancelled.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await cancelled
+        gate.open()
+        assert await first == "a"
+        assert await staying == "b"
+        assert gate.began == ["a", "b"]
+        assert pool.waiting == 0
+
+    asyncio.run(run())
+
+
+def test_what_fails_gives_its_thread_back():
+    async def run():
+        pool = Pool("tests", threads=1, per_key=1, queue=1)
+
+        def fail():
+            raise ValueError("as it should")
+
+        for _ in range(3):
+            with pytest.raises(ValueError, match="as it should"):
+                await pool.run("a", fail)
+        assert await pool.run("b", lambda: 7) == 7
+
+    asyncio.run(run())
+
+
+def test_work_stops_between_two_units_once_its_client_has_left():
+    async def run():
+        pool, client, units = Pool("tests", threads=1, per_key=1, queue=1), Client(), []
+        parts = iter([{"type": "http.request", "more_body": False}])
+        disconnected = asyncio.Event()
+
+        async def receive():
+            for part in parts:
+                return part
+            await disconnected.wait()
+            return {"type": "http.disconnect"}
+
+        loop = asyncio.get_running_loop()
+
+        def work():
+            for unit in range(10**9):
+                require_client()
+                units.append(unit)
+                if unit == 10:
+                    loop.call_soon_threadsafe(disconnected.set)
+
+        watching = asyncio.create_task(client.watch(receive))
+        with client.waiting(), pytest.raises(ClientDisconnect):
+            await pool.run("a", work, client=client)
+        await watching
+        assert len(units) > 10
+        require_client()  # here nobody waits, and nobody left
+
+    asyncio.run(run())

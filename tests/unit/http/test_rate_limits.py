@@ -1,0 +1,123 @@
+"""Buckets of requests: what is let through in any time is bounded, and told."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from app.access.rate_limits import _MOST_BUCKETS, BYTES, REQUESTS, Allowance, RateLimits
+from app.http.errors import TooManyRequests
+
+
+class Clock:
+    now_s = 100.0
+
+    def __call__(self):
+        return self.now_s
+
+
+@pytest.fixture
+def clock():
+    return Clock()
+
+
+def takes(limits, who):
+    try:
+        limits.take(who)
+    except TooManyRequests:
+        return False
+    return True
+
+
+def test_zero_limits_nothing():
+    limits = RateLimits(0.0, 1)
+    assert [limits.take("fleet") for _ in range(100)] == [None] * 100
+
+
+def test_a_burst_is_let_through_and_then_as_many_as_flow_in(clock):
+    limits = RateLimits(2.0, 5, clock)
+    assert [takes(limits, "fleet") for _ in range(7)] == [True] * 5 + [False] * 2
+    clock.now_s += 1.0
+    assert [takes(limits, "fleet") for _ in range(3)] == [True, True, False]
+    clock.now_s += 1000.0
+    assert [takes(limits, "fleet") for _ in range(6)] == [True] * 5 + [False]
+
+
+def test_one_does_not_pay_for_another(clock):
+    limits = RateLimits(1.0, 1, clock)
+    assert takes(limits, "fleet")
+    assert not takes(limits, "fleet")
+    assert takes(limits, "other")
+
+
+def test_what_is_left_and_when_to_come_back_is_told(clock):
+    limits = RateLimits(0.5, 3, clock)
+    left = limits.take("fleet")
+    assert left is not None
+    assert left.headers() == {
+        "RateLimit-Policy": '"requests";q=3;w=6',
+        "RateLimit": '"requests";r=2;t=2',
+    }
+    limits.take("fleet")
+    limits.take("fleet")
+    with pytest.raises(TooManyRequests, match="wait 2 s") as refused:
+        limits.take("fleet")
+    assert refused.value.headers == {
+        "Retry-After": "2",
+        "RateLimit-Policy": '"requests";q=3;w=6',
+        "RateLimit": '"requests";r=0;t=6',
+    }
+    clock.now_s += 2.0
+    assert limits.take("fleet") == Allowance(REQUESTS, 3, 6, remaining=0, full_in_s=6)
+
+
+def test_a_bucket_of_bytes_takes_many_at_once_or_none(clock):
+    limits = RateLimits(10.0, 1000, clock, BYTES)
+    left = limits.take("fleet", 600)
+    assert left is not None
+    assert left.headers() == {
+        "RateLimit-Policy": '"bytes";q=1000;qu="content-bytes";w=100',
+        "RateLimit": '"bytes";r=400;t=60',
+    }
+    for ask in (limits.take, limits.require):
+        with pytest.raises(
+            TooManyRequests, match=r"1000 bytes of request bodies a day .* wait 20 s"
+        ):
+            ask("fleet", 600)
+    assert limits.require("fleet", 400) == limits.take("fleet", 0)
+    with pytest.raises(TooManyRequests, match="wait 60 s"):  # never fits, whatever the wait
+        limits.take("fleet", 5000)
+
+
+def test_buckets_are_bounded(clock):
+    limits = RateLimits(1.0, 1, clock)
+    for number in range(_MOST_BUCKETS + 5):
+        limits.take(f"address {number}")
+    assert len(limits._buckets) == _MOST_BUCKETS
+
+
+@given(
+    rate=st.floats(0.01, 1000),
+    burst=st.integers(1, 50),
+    waits_s=st.lists(st.floats(0, 10), max_size=60),
+)
+def test_no_pattern_of_asking_gets_more_than_the_burst_and_the_flow(rate, burst, waits_s):
+    clock = Clock()
+    limits = RateLimits(rate, burst, clock)
+    let_through = 0
+    for wait_s in waits_s:
+        clock.now_s += wait_s
+        let_through += takes(limits, "fleet")
+    assert let_through <= burst + rate * sum(waits_s) + 1e-6
+
+
+@given(rate=st.floats(0.01, 1000), burst=st.integers(1, 50))
+def test_who_waits_as_told_is_let_through(rate, burst):
+    clock = Clock()
+    limits = RateLimits(rate, burst, clock)
+    for _ in range(burst):
+        limits.take("fleet")
+    try:
+        limits.take("fleet")
+    except TooManyRequests as refused:
+        clock.now_s += int(refused.headers["Retry-After"])
+    assert takes(limits, "fleet")

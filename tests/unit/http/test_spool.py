@@ -1,0 +1,228 @@
+"""Where bodies wait, how slowly they may come, and what JSON may cost."""
+
+import asyncio
+import errno
+import json
+import shutil
+
+import pytest
+from anyio import CapacityLimiter
+from fastapi.exceptions import RequestValidationError
+
+from app.drives.pose_schemas import PosesIn
+from app.http.bodies.json_body import MOST_DEPTH, MOST_KEYS, MOST_VALUES, read_json
+from app.http.bodies.pace import Pace
+from app.http.bodies.spool import Spool, SpoolRoom
+from app.http.errors import InvalidRequest, ServiceBusy, SlowBody, TooManyRequests
+from app.maps.schemas import MapIn
+from app.settings import Settings
+from storage.errors import StorageFull
+
+CHUNK = bytes(range(256)) * 256  # 64 KiB, as they come from a socket
+
+
+def room_in(folder, **settings):
+    return SpoolRoom(Settings(data_dir=folder, **settings), CapacityLimiter(1))
+
+
+async def filled(room, key, chunks):
+    spool = Spool(room, key)
+    for _ in range(chunks):
+        await spool.write(CHUNK)
+    return spool
+
+
+@pytest.mark.parametrize("chunks", [0, 1, 3, 100, 200])
+def test_a_spool_gives_back_what_it_was_given_again_and_again(tmp_path, chunks):
+    async def run():
+        spool = await filled(room_in(tmp_path), "a", chunks)
+        assert len(spool) == chunks * len(CHUNK)
+        for _ in range(2):
+            assert b"".join(spool.pieces()) == CHUNK * chunks
+        await spool.write(b"more")
+        assert b"".join(spool.pieces()) == CHUNK * chunks + b"more"
+        spool.clear()
+        assert b"".join(spool.pieces()) == b""
+        assert not list(tmp_path.iterdir())  # its file has no name
+
+    asyncio.run(run())
+
+
+class Filling:
+    """A file on a disk that takes half of the next bytes, and no more."""
+
+    def __init__(self, file):
+        self._file, self._writes = file, 0
+
+    def write(self, content):
+        self._writes += 1
+        if self._writes > 1:
+            raise OSError(errno.ENOSPC, "no space")
+        return self._file.write(content[: len(content) // 2])
+
+    def __getattr__(self, name):
+        return getattr(self._file, name)
+
+
+def test_what_a_full_disk_did_not_take_comes_once(tmp_path):
+    async def run():
+        spool = await filled(room_in(tmp_path), "a", 200)
+        await spool.write(b"x" * 2**20)
+        spool._file = Filling(spool._file)
+        with pytest.raises(StorageFull):
+            await spool.write(CHUNK * 200)
+        spool._file = spool._file._file
+        came = b"".join(spool.pieces())
+        assert (CHUNK * 200 + b"x" * 2**20 + CHUNK * 200).startswith(came)
+        spool.clear()
+
+    asyncio.run(run())
+
+
+def test_a_disk_is_not_filled_by_bodies(tmp_path, monkeypatch):
+    total = 2**34
+    usage = shutil.disk_usage(tmp_path)._replace(total=total, free=total // 40)
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: usage)
+
+    async def run():
+        spool = Spool(room_in(tmp_path), "a")
+        with pytest.raises(StorageFull, match="kept free"):
+            await spool.write(CHUNK * 200)
+        spool.clear()
+
+    asyncio.run(run())
+
+
+def test_many_bodies_together_stay_out_of_memory(tmp_path):
+    async def run():
+        room = room_in(tmp_path)
+        spools = [await filled(room, "a", 8) for _ in range(200)]
+        held = sum(len(spool._memory) for spool in spools)
+        assert held < 100 * 2**20
+        for spool in spools:
+            assert b"".join(spool.pieces()) == CHUNK * 8
+            spool.clear()
+        again = await filled(room, "a", 100)
+        assert again._file is None  # what was lent came back
+        again.clear()
+
+    asyncio.run(run())
+
+
+def test_a_key_takes_three_quarters_of_the_room_and_gives_it_back(tmp_path):
+    async def run():
+        room = room_in(tmp_path, max_spool_bytes=16 * len(CHUNK))
+        first = await filled(room, "a", 12)
+        with pytest.raises(ServiceBusy):
+            await filled(room, "a", 1)
+        second = await filled(room, "b", 4)
+        with pytest.raises(ServiceBusy):
+            await filled(room, "c", 1)
+        first.clear()
+        third = await filled(room, "c", 12)
+        for spool in (second, third):
+            spool.clear()
+
+    asyncio.run(run())
+
+
+def test_a_key_has_so_many_bodies_and_no_more(tmp_path):
+    room = room_in(tmp_path, bodies_per_key=2)
+    with (
+        room.body("a"),
+        room.body("a"),
+        room.body("b"),
+        pytest.raises(TooManyRequests),
+        room.body("a"),
+    ):
+        pass
+    with room.body("a"), room.body("a"):
+        pass
+
+
+class Sender:
+    """Sends parts of a body after so many seconds each."""
+
+    def __init__(self, *parts):
+        self.parts = list(parts)
+
+    async def receive(self):
+        seconds, amount = self.parts.pop(0)
+        await asyncio.sleep(seconds)
+        return {"type": "http.request", "body": bytes(amount), "more_body": True}
+
+
+def paced(**settings):
+    wanted = {"body_idle_s": 60.0, "body_grace_s": 60.0, "body_bytes_per_s": 1.0, **settings}
+    return Pace(Settings(**wanted))
+
+
+async def taken(pace, sender):
+    while sender.parts:
+        await pace.next(sender.receive)
+
+
+def test_a_body_that_is_idle_is_refused():
+    with pytest.raises(SlowBody, match=r"nothing of the body came for 0\.05 s"):
+        asyncio.run(taken(paced(body_idle_s=0.05), Sender((0, 10), (60, 10))))
+
+
+def test_a_body_that_trickles_is_refused_however_fast_it_began():
+    pace = paced(body_bytes_per_s=10_000.0, body_grace_s=0.05)
+    trickle = [(0.01, 1)] * 1_000
+    with pytest.raises(SlowBody, match="slower than 10000 bytes a second"):
+        asyncio.run(taken(pace, Sender((0, 10**9), *trickle)))
+
+
+def test_a_body_at_its_pace_is_read_and_time_that_we_take_does_not_count():
+    async def run():
+        pace = paced(body_idle_s=0.5, body_bytes_per_s=1_000.0, body_grace_s=0.5)
+        sender = Sender(*[(0.001, 1_000)] * 20)
+        while sender.parts:
+            await pace.next(sender.receive)
+            await asyncio.sleep(0.05)  # as long as it takes us to store it
+
+    asyncio.run(run())
+
+
+HOSTILE = {
+    "keys": b"{" + b",".join(b'"%d":1' % n for n in range(MOST_KEYS + 1)) + b"}",
+    "values": b'{"map":[' + b"1," * MOST_VALUES + b"1]}",
+    "empty lists": b"[" + b"[]," * MOST_VALUES + b"[]]",
+    "depth": b'{"map":' + b"[" * 2_000 + b"]" * 2_000 + b"}",
+    "depth of objects": b'{"a":' * 2_000 + b"1" + b"}" * 2_000,
+    "depth behind texts": b'{"map":"'
+    + b"]" * 3_000
+    + b'","b":'
+    + b"[" * 2_000
+    + b"]" * 2_000
+    + b"}",
+    "depth behind escapes": b'{"map":"\\"' + b"]" * 3_000 + b'","b":' + b"[" * 2_000 + b"}",
+}
+
+
+@pytest.mark.parametrize("body", HOSTILE.values(), ids=HOSTILE)
+def test_json_that_would_cost_much_is_refused_before_it_is_parsed(body, monkeypatch):
+    monkeypatch.setattr(json, "loads", lambda _: pytest.fail("it was parsed"))
+    with pytest.raises(InvalidRequest, match=r"at most|deep"):
+        read_json(body, MapIn)
+
+
+def test_brackets_and_separators_in_texts_are_no_depth():
+    body = json.dumps({"map": "campus", "description": '[{"\\' * 400}).encode()
+    assert read_json(body, MapIn).description == '[{"\\' * 400
+    assert MOST_DEPTH > 9
+
+
+def test_the_largest_poses_that_the_api_describes_are_within_the_bounds():
+    poses = [
+        {"scan": n, "pose": [1.5, -2.0, 1.73, 0.0, 0.0, 0.0, 1.0], "timestamp_s": n + 0.5}
+        for n in range(10_000)
+    ]
+    assert len(read_json(json.dumps({"poses": poses}).encode(), PosesIn).poses) == 10_000
+
+
+@pytest.mark.parametrize("body", [b"", b"{", b"\xff", b"[" * 900, b"1" * 1_000, b'"\\ud800'])
+def test_what_is_no_json_is_named(body):
+    with pytest.raises(RequestValidationError):
+        read_json(body, MapIn)

@@ -1,0 +1,166 @@
+"""Proposed closures: true in any direction and lane, false elsewhere, else undecided."""
+
+import functools
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from core.encodings.signature import Signature
+from core.errors import (
+    InvalidParameters,
+    InvalidScan,
+    InvalidSignature,
+    StaleSignature,
+)
+from core.localization.localizer import Localizer
+from core.loop_closure.birds_eye_view import align_overhead, upright_m
+from core.loop_closure.closure import (
+    LoopClosure,
+    Verdict,
+    check_scans,
+    check_signatures,
+    closure_probability,
+)
+from core.scans.displacement import left_of_m, seen_from_beside
+from core.scans.scan import Scan
+from core.simulation import SimulatedDrive
+from tests.support.samples import sample_harmonic_map, sample_image, sample_map
+
+HEIGHT_M = 1.73
+SHARES = st.floats(0.0, 1.0)
+
+
+@functools.cache
+def drive(*, lateral_offset_m=0.0, reverse=False):
+    """Pass the same streets of an unseen seed; a pass aside comes on another day."""
+    other_day = lateral_offset_m != 0.0 or reverse
+    return SimulatedDrive(
+        seed=401,
+        scans=200,
+        stops=False,
+        lateral_offset_m=lateral_offset_m,
+        reverse=reverse,
+        traffic_seed=1401 if other_day else None,
+    )
+
+
+def nearest(other, place_m):
+    return int(np.linalg.norm(other.poses[:, :3] - place_m[:3], axis=1).argmin())
+
+
+@pytest.mark.parametrize("row", [20, 75, 130])
+@pytest.mark.parametrize(("offset_m", "reverse"), [(2.0, False), (-3.0, False), (2.0, True)])
+def test_a_true_closure_is_told_with_heading_and_offset(row, offset_m, reverse):
+    first, second = drive(), drive(lateral_offset_m=offset_m, reverse=reverse)
+    at = nearest(second, first.poses[row])
+    found = check_scans(first.scan(row), second.scan(at), HEIGHT_M)
+    assert found.probability is not None
+    assert found.probability > 0.95  # 0.99 accepts: a few true ones are left undecided
+    assert found.turn_deg is not None
+    assert found.lateral_m is not None
+    turned = 180.0 if reverse else 0.0
+    assert abs((found.turn_deg - turned + 180.0) % 360.0 - 180.0) <= 3.0
+    assert found.lateral_m == pytest.approx(left_of_m(first.poses[row], second.poses[at]), abs=0.75)
+
+
+@pytest.mark.parametrize("row", [20, 75, 130])
+def test_a_false_closure_is_rejected(row):
+    first = drive()
+    away_m = np.linalg.norm(first.poses[:, :3] - first.poses[row, :3], axis=1)
+    for other in np.flatnonzero(away_m > 25.0)[::30]:
+        found = check_scans(first.scan(row), first.scan(int(other)), HEIGHT_M)
+        assert found.verdict() == Verdict.REJECTED
+
+
+@pytest.mark.parametrize(("left_m", "turn_deg"), [(0.0, 0.0), (2.0, 90.0), (-3.0, 180.0)])
+def test_a_moved_scan_tells_exactly_how_it_was_moved(left_m, turn_deg):
+    scan = drive().scan(60)
+    moved = Scan(seen_from_beside(scan.points_m, left_m, turn_deg).astype(np.float32))
+    found = check_scans(scan, moved, HEIGHT_M)
+    assert found.turn_deg is not None
+    assert (found.turn_deg - turn_deg + 180.0) % 360.0 - 180.0 == pytest.approx(0.0, abs=1.0)
+    assert (found.forward_m, found.lateral_m) == (0.0, left_m)
+    assert found.probability is not None
+    assert found.probability > 0.99
+
+
+def test_the_order_of_returns_and_another_mount_change_nothing():
+    first, second = drive().scan(60), drive(lateral_offset_m=2.0).scan(60)
+    plain = check_scans(first, second, HEIGHT_M)
+    shuffled = np.random.default_rng(0).permutation(second.points_m)
+    again = check_scans(first, Scan(shuffled), HEIGHT_M)
+    assert again.overlap == plain.overlap
+    assert again.image_similarity == pytest.approx(plain.image_similarity, abs=1e-6)
+    lifted = Scan(second.points_m - np.array([0.0, 0.0, 0.5], np.float32))
+    higher = check_scans(first, lifted, HEIGHT_M, HEIGHT_M + 0.5)
+    assert higher.probability == pytest.approx(plain.probability, abs=1e-3)
+
+
+def test_scans_that_show_nothing_upright_are_refused_or_overlap_nothing():
+    road = Scan(np.array([[5.0, 0.0, -HEIGHT_M], [0.0, 9.0, -HEIGHT_M]]))
+    with pytest.raises(InvalidScan, match="above the ground"):
+        check_scans(road, drive().scan(0), HEIGHT_M)
+    kerb = Scan(np.array([[5.0, 0.0, -HEIGHT_M + 0.2]]))
+    assert len(upright_m(kerb, HEIGHT_M)) == 0
+    found = align_overhead(kerb, drive().scan(0), np.zeros(1), HEIGHT_M, HEIGHT_M)
+    assert found.overlap == 0.0
+    far = Scan(np.array([[3e38, 0.0, 0.0], [5.0, 5.0, 0.0]]))
+    assert upright_m(far, HEIGHT_M).tolist() == [[5.0, 5.0]]
+
+
+@given(SHARES, SHARES, SHARES)
+def test_more_evidence_is_never_less_probable(one, other, overlap):
+    low, high = sorted((one, other))
+    assert closure_probability(low, overlap) <= closure_probability(high, overlap)
+    assert closure_probability(overlap, low) <= closure_probability(overlap, high)
+
+
+def test_the_verdict_follows_the_threshold():
+    likely = LoopClosure(0.97)
+    assert likely.verdict() == Verdict.UNDECIDED
+    assert likely.verdict(0.95) == Verdict.ACCEPTED
+    assert LoopClosure(0.5).verdict() == Verdict.UNDECIDED
+    assert LoopClosure(0.49).verdict() == Verdict.REJECTED
+    assert LoopClosure(None).verdict() == Verdict.UNDECIDED
+    for wrong in (0.5, 1.01, float("nan")):
+        with pytest.raises(InvalidParameters, match="accept_from"):
+            likely.verdict(wrong)
+    with pytest.raises(InvalidParameters, match="probability"):
+        LoopClosure(1.5)
+
+
+class Ratio:
+    """A calibration that trusts distances below 0.1."""
+
+    def log_likelihood_ratio(self, distances):
+        return np.where(distances < 0.1, 6.0, -6.0)
+
+
+def test_a_signature_is_judged_by_the_maps_calibration():
+    tensor_map, _ = sample_harmonic_map()
+    localizer = Localizer(tensor_map)
+    own = Signature(tensor_map.model.signatures[5, 1], None, tensor_map.basis_digest)
+    same = check_signatures(localizer, 5, [own], Ratio())
+    assert same.verdict() == Verdict.ACCEPTED
+    assert same.turn_deg == pytest.approx(0.0, abs=1e-6)
+    assert same.lateral_m == 0.0
+    assert same.signature_distance == pytest.approx(0.0, abs=1e-6)
+    assert check_signatures(localizer, 20, [own], None).verdict() == Verdict.UNDECIDED
+    with pytest.raises(StaleSignature):
+        check_signatures(localizer, 5, [Signature(own.values, None, "0" * 64)], None)
+    for row in (-1, len(tensor_map)):
+        with pytest.raises(InvalidParameters, match=f"row is {row}"):
+            check_signatures(localizer, row, [own], None)
+
+
+def test_a_papers_signature_is_compared_in_its_own_segment_only():
+    tensor_map, images = sample_map()
+    localizer = Localizer(tensor_map)
+    all_of_it = localizer.basis.encode(sample_image(tensor_map, images[12]))
+    found = check_signatures(localizer, 12, all_of_it, Ratio())
+    assert found.signature_distance == pytest.approx(0.0, abs=1e-3)
+    assert found.turn_deg is None
+    with pytest.raises(InvalidSignature, match="of segment 1, none of the signatures"):
+        check_signatures(localizer, 12, [all_of_it[0]], None)
