@@ -4,6 +4,7 @@ from hashlib import sha256
 from typing import Annotated
 
 from fastapi import Header, Response, status
+from fastapi.exceptions import RequestValidationError
 
 from app.access.dependency import Asking
 from app.access.scopes import Scope, needs
@@ -12,7 +13,7 @@ from app.builds.parameters import BuildParameters
 from app.builds.plans import plan_build
 from app.drives.stored_images import require_images
 from app.http.bodies.bodies import Json
-from app.http.errors import JSON_BODY, WRITING, InvalidRequest
+from app.http.errors import JSON_BODY, WRITING
 from app.http.pooled_route import pooled_router
 from app.http.problems import problems
 from app.service import MapSlug, Running
@@ -118,9 +119,12 @@ def _require_make_live(parameters: BuildParameters) -> None:
     for name in ("force", "max_recall_loss"):
         default = BuildParameters.model_fields[name].default
         if not parameters.make_live and getattr(parameters, name) != default:
-            raise InvalidRequest(
-                f"{name} only applies with make_live: true; without it a build is not compared with"
-                " the live revision, and only the first one of a map becomes live"
+            told = (
+                f"Value error, {name} only applies with make_live: true; without it a build is not"
+                " compared with the live revision, and only the first one of a map becomes live"
+            )
+            raise RequestValidationError(
+                [{"type": "value_error", "loc": ("body", name), "msg": told}]
             )
 
 

@@ -144,7 +144,9 @@ def test_an_option_of_make_live_is_refused_without_it(campus, option, live):
     answer = campus.post(f"{MAP}/builds", json=asked)
     (name,) = option
     assert (answer.status_code, answer.json()["type"]) == (422, "/problems/invalid-request")
-    assert f"{name} only applies with make_live: true" in answer.json()["detail"]
+    [fault] = answer.json()["errors"]
+    assert fault["where"] == f"body/{name}"
+    assert f"{name} only applies with make_live: true" in fault["what"]
 
 
 def test_the_defaults_of_a_job_may_be_sent_again(campus):
