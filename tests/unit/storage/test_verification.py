@@ -75,6 +75,7 @@ def test_a_damaged_row_is_set_aside_and_all_other_scans_are_read(filled):
     damaged = path.read_bytes()
     [finding] = verify(filled).findings
     assert (finding.condition, finding.path.endswith(path.name)) == (Condition.DAMAGED, True)
+    assert finding.described == "map campus, drive monday, scan 3"
     assert path.exists()
     assert not filled.layout.damaged.exists()
     found = verify(filled, repair=True)
