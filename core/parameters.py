@@ -54,7 +54,11 @@ def encoding_with(reducer: Reducer | None) -> Encoding:
 
 
 class Segmentation(StrEnum):
-    """How drives are cut into segments."""
+    """How drives are cut into segments.
+
+    The paper's are of one length. It asks for unequal ones as its future work, so they are kept,
+    though no default chooses them: docs/decisions/0013-unequal-segments-and-topology.md.
+    """
 
     FIXED = "fixed"
     UNEQUAL = "unequal"

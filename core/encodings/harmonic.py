@@ -26,6 +26,7 @@ from core.encodings.base import Found, Segmented, nearest, require_sane
 from core.encodings.signature import Signature
 from core.errors import InvalidMap, InvalidSignature
 from core.parameters import Distance
+from core.scans.angles import wrapped_deg
 
 __all__ = [
     "HarmonicModel",
@@ -328,7 +329,7 @@ class HarmonicSearch:
         offset = np.where(curved, 0.5 * slope / safe, 0.0)
         best = np.where(curved, at + slope * slope / (8.0 * safe), at)
         turn_deg = -(peak + offset) * (360.0 / samples)
-        return self._distance(np.minimum(best, at_most), rows), (turn_deg + 180.0) % 360.0 - 180.0
+        return self._distance(np.minimum(best, at_most), rows), wrapped_deg(turn_deg)
 
     def _distance(self, correlation: FloatArray, rows: IntArray) -> FloatArray:
         norms = self._model.norms[rows]

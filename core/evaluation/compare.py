@@ -15,6 +15,7 @@ from core.evaluation.contestants import Contestant, Enrolled
 from core.evaluation.pairing import HeldOut, Paired, Pairing
 from core.evaluation.retrieval import auroc, precision_recall
 from core.progress import NO_PROGRESS, Progress
+from core.scans.angles import wrapped_deg
 from core.scans.drive import Drive
 from core.scans.pose import heading_deg, is_known
 from core.scans.scan import Scan
@@ -220,7 +221,7 @@ class _Truth:
     def turn_error_deg(self, answered: IntArray, told: FloatArray, yaw_deg: float) -> FloatArray:
         """Return the error of each answer's heading, NaN where none is told."""
         true = heading_deg(self.queries) + yaw_deg - heading_deg(self.places)[answered]
-        return np.asarray(np.abs((told - true + 180.0) % 360.0 - 180.0))
+        return np.asarray(np.abs(wrapped_deg(told - true)))
 
 
 def _summarize(

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from core.arrays import BoolArray, FloatArray
+from core.scans.angles import wrapped_rad
 from core.scans.pose import is_known
 
 __all__ = ["NOMINAL_PERIOD_S", "STANDING_M", "is_standing", "motion_surrogate"]
@@ -44,8 +45,7 @@ def motion_surrogate(poses: FloatArray) -> FloatArray:
     angles = np.full((len(poses), 3), np.nan)
     if known.any():
         angles[known] = Rotation.from_quat(poses[known, 3:]).as_euler("xyz")
-    turned = np.diff(angles, axis=0)
-    turned = (turned + np.pi) % (2 * np.pi) - np.pi
+    turned = wrapped_rad(np.diff(angles, axis=0))
     change = np.hstack([np.diff(poses[:, :3], axis=0), turned])
     return _since_previous(np.linalg.norm(change, axis=1), len(poses), alone=np.nan)
 

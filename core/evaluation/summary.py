@@ -11,6 +11,7 @@ from core.evaluation.queries import Answer, Queries
 from core.evaluation.reliability import Judged, Reliability, reliability
 from core.evaluation.result import ConditionResult, SegmentError
 from core.localization.localizer import Localization
+from core.scans.angles import wrapped_deg
 from core.scans.displacement import left_of_m
 from core.scans.pose import heading_deg
 
@@ -120,8 +121,7 @@ def _distances_m(found: Sequence[FloatArray], true: Sequence[FloatArray]) -> Flo
 
 def _heading_error_deg(estimated: FloatArray, true: FloatArray) -> float:
     found, wanted = heading_deg(np.stack([estimated, true])).tolist()
-    error: float = abs((found - wanted + 180.0) % 360.0 - 180.0)
-    return error
+    return abs(wrapped_deg(float(found - wanted)))
 
 
 def _median(values: FloatArray) -> float | None:

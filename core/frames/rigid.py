@@ -7,6 +7,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from core.arrays import BoolArray, FloatArray, IntArray, frozen
+from core.scans.angles import wrapped_deg
 
 __all__ = ["Consensus", "RigidTransform", "find_consensus"]
 
@@ -212,5 +213,5 @@ def _same_turn(rotations: FloatArray, turn_deg: FloatArray | None) -> BoolArray:
     if turn_deg is None:
         return np.ones((len(rotations), 1), np.bool_)
     yaw_deg = np.degrees(np.arctan2(rotations[:, 1, 0], rotations[:, 0, 0]))
-    aside_deg = (turn_deg - yaw_deg[:, None] + 180.0) % 360.0 - 180.0
+    aside_deg = wrapped_deg(turn_deg - yaw_deg[:, None])
     return np.asarray(np.abs(aside_deg) <= _HEADING_DEG)

@@ -4,9 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from core.arrays import FloatArray, IntArray
+from core.arrays import IntArray
 from core.encodings.base import Found
 from core.encodings.harmonic import HarmonicSearch
+from core.scans.angles import wrapped_deg
 from core.scans.displacement import left_of_m, places_beside_m, pose_beside
 from core.scans.pose import Pose, heading_deg
 from core.scans.trajectory import Trajectory
@@ -55,9 +56,9 @@ def estimate(search: HarmonicSearch, trajectory: Trajectory, found: Found) -> Es
         aside_deg = np.zeros_like(turns_deg)
     elif known:
         headings_deg = heading_deg(poses[rows]) - heading_deg(poses[[found.row]])
-        aside_deg = _wrapped(turns_deg + headings_deg[:, None] - found.turn_deg)
+        aside_deg = wrapped_deg(turns_deg + headings_deg[:, None] - found.turn_deg)
     else:
-        aside_deg = _wrapped(turns_deg - found.turn_deg)
+        aside_deg = wrapped_deg(turns_deg - found.turn_deg)
     nearest = max(found.distance, float(np.finfo(np.float32).tiny))
     weights = (nearest / np.maximum(distances, nearest)) ** _SHARPNESS
     weights *= np.abs(aside_deg) <= _SAME_TURN_DEG
@@ -65,7 +66,7 @@ def estimate(search: HarmonicSearch, trajectory: Trajectory, found: Found) -> Es
     turn_deg = None
     if found.turn_deg is not None:
         turn_deg = found.turn_deg + float(np.sum(weights * aside_deg))
-        turn_deg = (turn_deg + 180.0) % 360.0 - 180.0
+        turn_deg = wrapped_deg(turn_deg)
     offsets_m = search.lateral_offset_m
     if not known:
         return Estimate(turn_deg, float(np.sum(weights @ offsets_m)), None)
@@ -82,7 +83,3 @@ def _rows_beside(trajectory: Trajectory, row: int) -> IntArray:
     same_drive = trajectory.drive_of_scan[rows] == trajectory.drive_of_scan[row]
     near = same_drive & (apart_m <= _SAME_PLACE_M)  # a distance to the unknown, NaN, is not
     return np.asarray(rows[near])
-
-
-def _wrapped(angle_deg: FloatArray) -> FloatArray:
-    return (angle_deg + 180.0) % 360.0 - 180.0

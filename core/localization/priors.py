@@ -14,6 +14,7 @@ from core.encodings.base import Found, Search
 from core.errors import InvalidParameters
 from core.mapping.tensormap import TensorMap
 from core.parameters import Encoding
+from core.scans.angles import wrapped_deg
 from core.scans.pose import heading_deg
 
 __all__ = [
@@ -184,7 +185,7 @@ class Prior:
                 self.rows &= trajectory.known
                 heading_share = min(1.0, 2.0 * _heading_gate_deg(hints.heading) / 360.0)
             else:  # a scan answers who looks as it was recorded, and no one else
-                turn = _turn_deg(self._path_heading_deg, hints.heading.heading_deg)
+                turn = wrapped_deg(self._path_heading_deg - hints.heading.heading_deg)
                 self.rows &= np.abs(turn) <= _heading_gate_deg(hints.heading)
         self.share = float(self.rows.mean()) * heading_share
 
@@ -226,8 +227,8 @@ class Prior:
     def _off_deg(self, found: Found, hint: HeadingHint) -> float:
         if found.turn_deg is None:  # one harmonic tells no heading
             return 0.0
-        estimated = self._path_heading_deg[found.row] + found.turn_deg
-        return float(_turn_deg(np.array(estimated), hint.heading_deg))
+        estimated = float(self._path_heading_deg[found.row]) + found.turn_deg
+        return wrapped_deg(estimated - hint.heading_deg)
 
 
 def nearest_within(
@@ -250,26 +251,19 @@ def _since(hint: OdometryHint, tensor_map: TensorMap) -> tuple[float, float]:
     if not isinstance(hint.since, ScanOfMap):
         return hint.since
     trajectory, named = tensor_map.trajectory, hint.since
-    if named.drive in trajectory.drives:
-        drive = trajectory.drives.index(named.drive)
-        start, end = trajectory.drive_start[drive : drive + 2].tolist()
-        row = start + int(np.searchsorted(trajectory.scan_index[start:end], named.scan_index))
-        if row < end and trajectory.scan_index[row] == named.scan_index:
-            if not trajectory.known[row]:
-                raise InvalidParameters(f"the pose of scan {named.scan_index} is not known")
-            x_m, y_m = trajectory.poses[row, :2].tolist()
-            return x_m, y_m
-    raise InvalidParameters(
-        f"the map has no scan {named.scan_index} of a drive {named.drive[:64]!r}"
-    )
+    row = trajectory.row_of(named.drive, named.scan_index)
+    if row is None:
+        raise InvalidParameters(
+            f"the map has no scan {named.scan_index} of a drive {named.drive[:64]!r}"
+        )
+    if not trajectory.known[row]:
+        raise InvalidParameters(f"the pose of scan {named.scan_index} is not known")
+    x_m, y_m = trajectory.poses[row, :2].tolist()
+    return x_m, y_m
 
 
 def _heading_gate_deg(hint: HeadingHint) -> float:
     return _GATE * hint.sigma_deg + _HEADING_SLACK_DEG
-
-
-def _turn_deg(one: FloatArray, other: float) -> FloatArray:
-    return np.asarray((one - other + 180.0) % 360.0 - 180.0)
 
 
 def _half_square(sigmas: FloatArray) -> FloatArray:

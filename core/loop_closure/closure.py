@@ -17,6 +17,7 @@ from core.parameters import LATERAL_RENDERINGS_M
 from core.projection.height_image import project_heights
 from core.projection.reducer import Reducer
 from core.projection.rings import RingGrid
+from core.scans.angles import wrapped_deg
 from core.scans.displacement import seen_from_beside
 from core.scans.scan import Scan
 
@@ -128,7 +129,7 @@ def check_scans(
     found = align_overhead(first, second, turns_deg, first_height_m, height_m)
     return LoopClosure(
         closure_probability(similarity, found.overlap),
-        turn_deg=float(_wrapped(np.array(found.turn_deg))),
+        turn_deg=wrapped_deg(found.turn_deg),
         forward_m=found.forward_m,
         lateral_m=found.lateral_m,
         image_similarity=similarity,
@@ -217,13 +218,9 @@ def _headings(correlation: FloatArray) -> FloatArray:
     for _ in range(_PEAKS):
         turn_deg = -float(left.argmax()) * step_deg
         turns.append(turn_deg)
-        away = np.abs(_wrapped(-step_deg * np.arange(len(left), dtype=np.float64) - turn_deg))
+        away = np.abs(wrapped_deg(-step_deg * np.arange(len(left), dtype=np.float64) - turn_deg))
         left[away < _APART_DEG] = -np.inf
     return np.asarray(np.add.outer(turns, _AROUND_DEG)).ravel()
-
-
-def _wrapped(angle_deg: FloatArray) -> FloatArray:
-    return np.asarray((angle_deg + 180.0) % 360.0 - 180.0)
 
 
 def _logistic(odds: float) -> float:

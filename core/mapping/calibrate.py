@@ -22,6 +22,7 @@ from core.parameters import Encoding
 from core.progress import NO_PROGRESS, Progress
 from core.projection.images import Probes
 from core.projection.probe import probed_among
+from core.scans.angles import wrapped_deg
 from core.scans.displacement import pose_beside
 from core.scans.pose import heading_deg
 
@@ -177,7 +178,7 @@ def _error(
             (
                 forward_m,
                 y_m * math.cos(path) - x_m * math.sin(path),
-                (turn + 180.0) % 360.0 - 180.0,
+                wrapped_deg(turn),
             ),
         )
     ]

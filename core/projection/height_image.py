@@ -4,9 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from core.arrays import Float32Array, FloatArray, IntArray, frozen
-from core.errors import InvalidImage, InvalidParameters, InvalidScan
+from core.arrays import Float32Array, FloatArray, IntArray
+from core.errors import InvalidParameters, InvalidScan
 from core.projection.angles import azimuth_steps
+from core.projection.cells import checked_cells
 from core.projection.reducer import HEIGHT_REDUCERS, Reducer, reduce_returns
 from core.projection.rings import RingGrid
 from core.scans.scan import Scan
@@ -21,25 +22,14 @@ class HeightImage:
     Attributes:
         heights_m: `(I, J)` float32 metres, finite, 0 where nothing fell and on the ground.
         grid: The lattice of rings and azimuths.
-        outside_returns: Returns beyond the last ring, left out.
     """
 
     heights_m: Float32Array
     grid: RingGrid
-    outside_returns: int = 0
 
     def __post_init__(self) -> None:
-        heights = np.asarray(self.heights_m)
-        if heights.shape != self.grid.shape:
-            raise InvalidImage(
-                f"heights_m has shape {heights.shape}, the grid has {self.grid.shape}"
-            )
-        heights = frozen(heights, np.float32)
-        if not np.isfinite(heights).all() or (heights < 0).any():
-            raise InvalidImage("heights_m holds values that are not finite or are negative")
-        if not heights.any():
-            raise InvalidImage("heights_m is empty: every cell is 0")
-        object.__setattr__(self, "heights_m", heights)
+        cells = checked_cells("heights_m", self.heights_m, self.grid.shape)
+        object.__setattr__(self, "heights_m", cells)
 
     @property
     def cells(self) -> Float32Array:
@@ -57,7 +47,7 @@ def project_heights(
 
     Args:
         scan: The returns, sensor at the origin.
-        grid: The lattice; returns beyond its last ring are left out and counted.
+        grid: The lattice; returns beyond its last ring are left out.
         reducer: `mean` or `highest` of a shared cell.
         sensor_height_m: The sensor's height above ground.
 
@@ -88,9 +78,7 @@ def project_heights(
         raise InvalidScan(f"a return is {reduced.largest:.3g} m high, beyond float32")
     if not reduced.cells.any():
         raise InvalidScan(f"none of the {len(scan)} returns stands above the ground")
-    return HeightImage(
-        reduced.cells.reshape(grid.shape), grid, outside_returns=len(scan) - reduced.inside
-    )
+    return HeightImage(reduced.cells.reshape(grid.shape), grid)
 
 
 def _cells_and_heights(

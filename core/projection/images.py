@@ -277,11 +277,7 @@ def project_drive(
     probe_cells = np.empty((len(probed_among(scans)), *imager.grid.shape), np.float32)
     told = project_into(cells, probe_cells, drive, scans.tolist(), imager, progress)
     return ProjectedDrive(
-        told.scans,
-        told.returns,
-        told.skipped,
-        told.probed,
-        told.standing,
-        MemoryImages(cells[: len(told.scans)], imager.grid),
-        MemoryImages(probe_cells[: len(told.probed)], imager.grid),
+        **vars(told),
+        images=MemoryImages(cells[: len(told.scans)], imager.grid),
+        probes=MemoryImages(probe_cells[: len(told.probed)], imager.grid),
     )

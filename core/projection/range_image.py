@@ -4,9 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from core.arrays import Float32Array, FloatArray, IntArray, frozen
-from core.errors import InvalidImage, InvalidParameters, InvalidScan
+from core.arrays import Float32Array, FloatArray, IntArray
+from core.errors import InvalidParameters, InvalidScan
 from core.projection.angles import azimuth_steps, elevation_steps
+from core.projection.cells import checked_cells
 from core.projection.reducer import RANGE_REDUCERS, Reducer, reduce_returns
 from core.scans.scan import Scan
 from core.scans.sensor import AngularGrid, whole_and_fraction
@@ -21,23 +22,14 @@ class RangeImage:
     Attributes:
         ranges_m: `(I, J)` float32 metres, finite, 0 where nothing fell.
         grid: The lattice of elevations and azimuths.
-        outside_returns: Returns outside the grid, left out.
     """
 
     ranges_m: Float32Array
     grid: AngularGrid
-    outside_returns: int = 0
 
     def __post_init__(self) -> None:
-        ranges = np.asarray(self.ranges_m)
-        if ranges.shape != self.grid.shape:
-            raise InvalidImage(f"ranges_m has shape {ranges.shape}, the grid has {self.grid.shape}")
-        ranges = frozen(ranges, np.float32)
-        if not np.isfinite(ranges).all() or (ranges < 0).any():
-            raise InvalidImage("ranges_m holds values that are not finite or are negative")
-        if not ranges.any():
-            raise InvalidImage("ranges_m is empty: every cell is 0")
-        object.__setattr__(self, "ranges_m", ranges)
+        cells = checked_cells("ranges_m", self.ranges_m, self.grid.shape)
+        object.__setattr__(self, "ranges_m", cells)
 
     @property
     def cells(self) -> Float32Array:
@@ -53,7 +45,7 @@ def project_scan(scan: Scan, grid: AngularGrid, reducer: Reducer) -> RangeImage:
 
     Args:
         scan: The returns, sensor at the origin.
-        grid: The lattice; returns outside it are left out and counted.
+        grid: The lattice; returns outside it are left out.
         reducer: Which return a shared cell keeps.
 
     Returns:
@@ -84,9 +76,7 @@ def project_scan(scan: Scan, grid: AngularGrid, reducer: Reducer) -> RangeImage:
         )
     if reduced.largest > float(np.finfo(np.float32).max):
         raise InvalidScan(f"a return is {reduced.largest:.3g} m away, beyond float32")
-    return RangeImage(
-        reduced.cells.reshape(grid.shape), grid, outside_returns=len(scan) - reduced.inside
-    )
+    return RangeImage(reduced.cells.reshape(grid.shape), grid)
 
 
 def _cells_and_ranges(xyz: FloatArray, grid: AngularGrid) -> tuple[IntArray, FloatArray]:

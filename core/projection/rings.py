@@ -3,10 +3,10 @@
 from dataclasses import asdict, dataclass
 
 from core.errors import InvalidParameters
+from core.scans.sensor import MAX_CELLS, require_lattice
 
 __all__ = ["RingGrid"]
 
-_MAX_CELLS = 4_000_000  # as of an angular grid
 _MIN_STEP = 1e-3  # metres, degrees
 
 
@@ -34,18 +34,10 @@ class RingGrid:
                 raise InvalidParameters(
                     f"{name} is {getattr(self, name)}, wanted {_MIN_STEP}..{most:g}"
                 )
-        if self.rings != self.rings // 1 or not 1 <= self.rings <= _MAX_CELLS:
+        if self.rings != self.rings // 1 or not 1 <= self.rings <= MAX_CELLS:
             raise InvalidParameters(f"rings is {self.rings}, wanted a whole number, at least 1")
         object.__setattr__(self, "rings", int(self.rings))
-        half_turn = 180.0 / self.azimuth_step_deg
-        if abs(half_turn - round(half_turn)) > 1e-9 * half_turn:
-            raise InvalidParameters(
-                f"azimuth_step_deg is {self.azimuth_step_deg}, which does not divide 180"
-            )
-        if self.rows * self.columns > _MAX_CELLS:
-            raise InvalidParameters(
-                f"the grid has {self.rows} x {self.columns} cells, at most {_MAX_CELLS} are wanted"
-            )
+        require_lattice(self.azimuth_step_deg, self.rows, self.columns)
 
     @property
     def rows(self) -> int:

@@ -8,10 +8,37 @@ import numpy as np
 from core.arrays import FloatArray
 from core.errors import InvalidParameters
 
-__all__ = ["HDL_64E", "SENSORS", "AngularGrid", "Sensor", "sensor_named"]
+__all__ = [
+    "HDL_64E",
+    "MAX_CELLS",
+    "SENSORS",
+    "AngularGrid",
+    "Sensor",
+    "require_lattice",
+    "sensor_named",
+    "whole_and_fraction",
+]
 
 _MIN_STEP_DEG = 1e-3
-_MAX_CELLS = 4_000_000  # a grid of a hundredth of a degree is a typing error, not a sensor
+MAX_CELLS = 4_000_000
+"""Of a grid: one of a hundredth of a degree is a typing error, not a sensor."""
+
+
+def require_lattice(azimuth_step_deg: float, rows: int, columns: int) -> None:
+    """Refuse a grid whose azimuths do not fill half a turn, or that has too many cells.
+
+    Raises:
+        InvalidParameters: If it is such a grid.
+    """
+    half_turn = 180.0 / azimuth_step_deg
+    if abs(half_turn - round(half_turn)) > 1e-9 * half_turn:
+        raise InvalidParameters(
+            f"azimuth_step_deg is {azimuth_step_deg}, which does not divide 180"
+        )
+    if rows * columns > MAX_CELLS:
+        raise InvalidParameters(
+            f"the grid has {rows} x {columns} cells, at most {MAX_CELLS} are wanted"
+        )
 
 
 @dataclass(frozen=True)
@@ -48,21 +75,13 @@ class AngularGrid:
             raise InvalidParameters(
                 f"elevation_min_deg is {self.elevation_min_deg}, wanted -90..90"
             )
-        if self.rows != self.rows // 1 or not 1 <= self.rows <= _MAX_CELLS:
+        if self.rows != self.rows // 1 or not 1 <= self.rows <= MAX_CELLS:
             raise InvalidParameters(f"rows is {self.rows}, wanted a whole number, at least 1")
         object.__setattr__(self, "rows", int(self.rows))
         highest_deg = self.elevation_min_deg + self.elevation_step_deg * (self.rows - 1)
         if highest_deg > 90.0 + 1e-9:
             raise InvalidParameters(f"the highest elevation is {highest_deg:g}, wanted up to 90")
-        half_turn = 180.0 / self.azimuth_step_deg
-        if abs(half_turn - round(half_turn)) > 1e-9 * half_turn:
-            raise InvalidParameters(
-                f"azimuth_step_deg is {self.azimuth_step_deg}, which does not divide 180"
-            )
-        if self.rows * self.columns > _MAX_CELLS:
-            raise InvalidParameters(
-                f"the grid has {self.rows} x {self.columns} cells, at most {_MAX_CELLS} are wanted"
-            )
+        require_lattice(self.azimuth_step_deg, self.rows, self.columns)
 
     @property
     def columns(self) -> int:
@@ -93,18 +112,16 @@ class AngularGrid:
 
 @dataclass(frozen=True)
 class Sensor:
-    """A LiDAR model: its grid and how far it is believed.
+    """A LiDAR model and its grid.
 
     Attributes:
         name: The short name that commands, requests and maps use.
         grid: Default lattice; one row per beam where beams are evenly spaced.
-        max_range_m: Datasheet range; returns farther away are kept.
         source: Where the figures stand.
     """
 
     name: str
     grid: AngularGrid
-    max_range_m: float
     source: str
 
 
@@ -116,7 +133,6 @@ def _even_beams(lowest_deg: float, highest_deg: float, beams: int) -> AngularGri
 HDL_64E = Sensor(
     "hdl-64e",
     AngularGrid(),
-    120.0,
     "paper, sec. 2.1: 26.3 deg of elevation, 30 whole degrees -25..4",
 )
 
@@ -127,25 +143,21 @@ SENSORS: dict[str, Sensor] = {
         Sensor(
             "hdl-32e",
             _even_beams(-92.0 / 3.0, 32.0 / 3.0, 32),
-            100.0,
             "Velodyne HDL-32E datasheet 97-0038: +10.67..-30.67 deg, 32 beams 1.33 deg apart",
         ),
         Sensor(
             "vlp-16",
             _even_beams(-15.0, 15.0, 16),
-            100.0,
             "Velodyne VLP-16 datasheet 63-9229: +15..-15 deg, 16 beams 2 deg apart",
         ),
         Sensor(
             "os0-64",
             _even_beams(-45.0, 45.0, 64),
-            50.0,
             "Ouster OS0 datasheet: 90 deg of elevation (+45..-45), 64 channels",
         ),
         Sensor(
             "os1-64",
             _even_beams(-22.5, 22.5, 64),
-            120.0,
             "Ouster OS1 datasheet: 45 deg of elevation (+22.5..-22.5), 64 channels",
         ),
     )

@@ -9,6 +9,7 @@ import numpy as np
 
 from core.arrays import BoolArray, FloatArray, IntArray
 from core.errors import InvalidParameters, InvalidPose
+from core.scans.angles import wrapped_deg
 from core.scans.pose import Pose
 from core.scans.scan import Scan
 from core.simulation.world import Boxes, Cylinders, Scene
@@ -210,8 +211,8 @@ def _box_crossings(boxes: Boxes, pose: Pose, sensor: SimulatedSensor) -> _Crossi
     across = width[:, None] / 2.0 * [1, -1, 1, -1]
     corner_x = x[:, None] + along * cos[:, None] - across * sin[:, None]
     corner_y = y[:, None] + along * sin[:, None] + across * cos[:, None]
-    aside_deg = np.degrees(np.arctan2(corner_y, corner_x)) - bearing_deg[:, None]
-    aside_deg = (aside_deg + 180.0) % 360.0 - 180.0
+    corner_deg = np.degrees(np.arctan2(corner_y, corner_x))
+    aside_deg = wrapped_deg(corner_deg - bearing_deg[:, None])
     solid, firing = _covered(
         bearing_deg - pose.yaw_deg, aside_deg.min(axis=1), aside_deg.max(axis=1), sensor
     )

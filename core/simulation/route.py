@@ -7,6 +7,7 @@ from numpy.typing import ArrayLike
 
 from core.arrays import BoolArray, FloatArray, IntArray, frozen
 from core.errors import InvalidParameters
+from core.scans.angles import wrapped_rad
 
 __all__ = ["Route"]
 
@@ -52,7 +53,7 @@ class Route:
         sides = np.roll(corners, -1, axis=0) - corners
         side_m = np.hypot(*sides.T)
         heading = np.arctan2(sides[:, 1], sides[:, 0])
-        turn = (np.roll(heading, -1) - heading + np.pi) % (2.0 * np.pi) - np.pi
+        turn = wrapped_rad(np.roll(heading, -1) - heading)
         # From where an arc begins to its corner, at the end of each side.
         tangent_m = turn_radius_m * np.tan(np.abs(turn) / 2.0)
         straight_m = side_m - tangent_m - np.roll(tangent_m, 1)

@@ -4,6 +4,8 @@ import itertools
 from collections.abc import Iterator
 
 import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from core.arrays import BoolArray, FloatArray, IntArray
 from core.scans.pose import path_length_m
@@ -128,13 +130,12 @@ class _Nodes:
     def __init__(self, streets: Streets, plain: Topology) -> None:
         self._lines = streets.lines
         self._row = plain.node_scan
-        self._first = list(range(len(plain.node_scan)))
+        self._links: list[tuple[int, int]] = []
         self.beside: list[dict[int, int]] = [
             dict(self._pairs(stretch)) for stretch in streets.stretches
         ]
         for pairs in self.beside:
-            for own, of_street in pairs.items():
-                self._link(own, of_street)
+            self._links += pairs.items()
         for meeting in streets.meetings:
             self._link_places(meeting.first, meeting.second)
 
@@ -169,22 +170,18 @@ class _Nodes:
             if not len(nodes):
                 return
             found.append(int(nodes[np.abs(arc_m - place.arc_m).argmin()]))
-        self._link(found[0], found[1])
-
-    def _link(self, node: int, other: int) -> None:
-        first, second = sorted((self.first(node), self.first(other)))
-        self._first[second] = first
-
-    def first(self, node: int) -> int:
-        """Return the first node at the same place."""
-        while self._first[node] != node:
-            node = self._first[node]
-        return node
+        self._links.append((found[0], found[1]))
 
     def numbers(self) -> IntArray:
-        """Return the number of each plain node in the joined graph."""
-        firsts = [self.first(node) for node in range(len(self._first))]
-        return np.unique(firsts, return_inverse=True)[1].reshape(-1)
+        """Return the number of each plain node in the joined graph, in the order of first nodes."""
+        nodes = len(self._row)
+        one, other = np.array(self._links, dtype=np.int64).reshape(-1, 2).T
+        links = coo_array((np.ones(len(one)), (one, other)), shape=(nodes, nodes))
+        _, part = connected_components(links, directed=False)
+        _, first = np.unique(part, return_index=True)
+        number = np.empty(len(first), dtype=np.int64)
+        number[np.argsort(first)] = np.arange(len(first))
+        return number[part]
 
 
 def _shared_edges(streets: Streets, plain: Topology, nodes: _Nodes) -> tuple[IntArray, BoolArray]:

@@ -9,10 +9,10 @@ from sqlalchemy import select
 from core.errors import InvalidParameters
 from storage.catalog.acts import Act, on_behalf
 from storage.catalog.audit_chain import append, entry_hash, head_of
-from storage.catalog.database import Database
+from storage.catalog.database import Repository
 from storage.catalog.models import AuditEntry
 from storage.catalog.pages import DEFAULT_LIMIT, one_more, page_of
-from storage.catalog.records import Page
+from storage.catalog.records import Page, record_of
 
 __all__ = ["START", "Audit", "AuditCheck", "AuditRecord", "AuditState"]
 
@@ -74,11 +74,8 @@ class AuditCheck:
     fault: str | None
 
 
-class Audit:
+class Audit(Repository):
     """The entries, in the order in which they were written."""
-
-    def __init__(self, database: Database) -> None:
-        self._database = database
 
     def append(self, act: Act, outcome: str) -> None:
         """Add an entry about an act that changed nothing, such as one that was refused."""
@@ -116,14 +113,8 @@ class Audit:
             query = query.where(AuditEntry.at < until)
         query = query.order_by(AuditEntry.seq).limit(one_more(limit))
         with self._database.reading() as session:
-            records = [_record(row) for row in session.scalars(query)]
+            records = [record_of(AuditRecord, row) for row in session.scalars(query)]
         return page_of(records, limit, lambda record: str(record.seq))
-
-    def state(self) -> AuditState:
-        """Return the state that the log says that it is in."""
-        with self._database.reading() as session:
-            head = head_of(session)
-            return AuditState(head.seq, head.hash)
 
     def verify(self, known: AuditState | None = None) -> AuditCheck:
         """Recompute the whole chain.
@@ -159,17 +150,3 @@ class Audit:
         if known is not None and known.seq > good.seq:
             return AuditCheck(good, f"entry {known.seq} was known, {good.seq} are left")
         return AuditCheck(good, None)
-
-
-def _record(row: AuditEntry) -> AuditRecord:
-    return AuditRecord(
-        seq=row.seq,
-        at=row.at,
-        key_id=row.key_id,
-        action=row.action,
-        subject=row.subject,
-        map_slug=row.map_slug,
-        detail=row.detail,
-        outcome=row.outcome,
-        hash=row.hash,
-    )

@@ -6,7 +6,7 @@ from datetime import UTC, datetime
 from sqlalchemy import delete, select, update
 from sqlalchemy.orm import Session
 
-from storage.catalog.database import Database
+from storage.catalog.database import Repository
 from storage.catalog.maps import map_of_id
 from storage.catalog.models import Drive, Job, LiveRevision, Map, Revision, Scan
 from storage.catalog.records import JobState, RevisionRecord
@@ -19,11 +19,8 @@ __all__ = ["Collector"]
 _OPEN = (JobState.QUEUED, JobState.RUNNING)
 
 
-class Collector:
+class Collector(Repository):
     """Removes what is not retained, and only what still is not when it is removed."""
-
-    def __init__(self, database: Database) -> None:
-        self._database = database
 
     def collectable(
         self, map_id: str, default: Retention, now: datetime | None = None

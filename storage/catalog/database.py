@@ -28,7 +28,7 @@ from storage.errors import (
     StorageUnavailable,
 )
 
-__all__ = ["Database"]
+__all__ = ["Database", "Repository"]
 
 _BUSY_TIMEOUT_S = 30  # of another process's transaction; ours take milliseconds
 
@@ -135,6 +135,13 @@ class Database:
     def close(self) -> None:
         """Close the idle connections."""
         self.engine.dispose()
+
+
+class Repository:
+    """Base of what reads and writes one noun's rows."""
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
 
 
 def _engine(url: str) -> Engine:

@@ -6,21 +6,18 @@ from collections.abc import Sequence
 from sqlalchemy import case, delete, func, select
 from sqlalchemy.orm import Session
 
-from storage.catalog.database import Database
+from storage.catalog.database import Repository
 from storage.catalog.maps import map_named, map_of_id
 from storage.catalog.models import Drive, ExpectedPose, Map, Scan
 from storage.catalog.pages import DEFAULT_LIMIT, one_more, page_of
-from storage.catalog.records import DriveRecord, IndexRange, Page
+from storage.catalog.records import DriveRecord, IndexRange, Page, record_of
 from storage.errors import DriveNotFound
 
 __all__ = ["Drives", "drive_named"]
 
 
-class Drives:
+class Drives(Repository):
     """The drives of each map, in the order of their slugs."""
-
-    def __init__(self, database: Database) -> None:
-        self._database = database
 
     def get(self, map_slug: str, slug: str) -> DriveRecord:
         """Return a drive.
@@ -168,37 +165,30 @@ def _records(session: Session, rows: Sequence[Drive]) -> list[DriveRecord]:
         .group_by(ranked.c.drive_id, ranked.c.island)
         .order_by(ranked.c.drive_id, func.min(ranked.c.at))
     )
-    present: dict[str, list[IndexRange]] = defaultdict(list)
-    returns: dict[str, int] = defaultdict(int)
-    dropped_scans: dict[str, int] = defaultdict(int)
-    dropped_returns: dict[str, int] = defaultdict(int)
-    posed: dict[str, int] = defaultdict(int)
-    for drive_id, first, last, count, without, gone, with_pose in session.execute(islands):
-        present[drive_id].append(IndexRange(first, last))
-        returns[drive_id] += int(count)
-        dropped_scans[drive_id] += int(without)
-        dropped_returns[drive_id] += int(gone)
-        posed[drive_id] += int(with_pose)
+    of_drive: dict[str, list[list[int]]] = defaultdict(list)
+    for drive_id, *numbers in session.execute(islands):
+        of_drive[drive_id].append([int(number) for number in numbers])
     waiting = (
         select(ExpectedPose.drive_id, func.count())
         .where(ExpectedPose.drive_id.in_([row.id for row in rows]), ExpectedPose.pose.is_not(None))
         .group_by(ExpectedPose.drive_id)
     )
     expected = {row[0]: int(row[1]) for row in session.execute(waiting)}
-    return [
-        DriveRecord(
-            id=row.id,
-            map_id=row.map_id,
-            slug=row.slug,
-            created_at=row.created_at,
-            closed=row.closed,
-            scans=sum(span.last - span.first + 1 for span in present[row.id]),
-            returns=returns[row.id],
-            dropped_scans=dropped_scans[row.id],
-            kept_returns=returns[row.id] - dropped_returns[row.id],
-            present=tuple(present[row.id]),
-            posed_scans=posed[row.id],
-            expected_poses=expected.get(row.id, 0),
-        )
-        for row in rows
-    ]
+    return [_record(row, of_drive[row.id], expected.get(row.id, 0)) for row in rows]
+
+
+def _record(row: Drive, islands: Sequence[Sequence[int]], expected_poses: int) -> DriveRecord:
+    columns = list(zip(*islands, strict=True)) or [()] * 6
+    firsts, lasts = columns[:2]
+    returns, dropped_scans, dropped_returns, posed_scans = map(sum, columns[2:])
+    return record_of(
+        DriveRecord,
+        row,
+        scans=sum(lasts) - sum(firsts) + len(islands),
+        returns=returns,
+        dropped_scans=dropped_scans,
+        kept_returns=returns - dropped_returns,
+        present=tuple(map(IndexRange, firsts, lasts)),
+        posed_scans=posed_scans,
+        expected_poses=expected_poses,
+    )

@@ -9,16 +9,15 @@ from collections.abc import Collection, Mapping, Sequence
 from datetime import UTC, datetime
 from typing import Any
 
-from sqlalchemy import func, select, tuple_
+from sqlalchemy import func, select
 from sqlalchemy.exc import IntegrityError
 from sqlalchemy.orm import Session
 
-from core.errors import InvalidParameters
-from storage.catalog.database import Database
-from storage.catalog.maps import held_map, map_named
+from storage.catalog.database import Repository
+from storage.catalog.maps import map_named
 from storage.catalog.models import Job, Map
-from storage.catalog.pages import DEFAULT_LIMIT, one_more, page_of
-from storage.catalog.records import JobRecord, JobState, Page, RequestKey
+from storage.catalog.pages import DEFAULT_LIMIT, page_by_age
+from storage.catalog.records import JobRecord, JobState, Page, RequestKey, record_of
 from storage.catalog.turns import next_job
 from storage.errors import JobNotFound, JobNotRunning, RequestKeyReused, TooManyBuilds
 from storage.names import new_id
@@ -26,11 +25,8 @@ from storage.names import new_id
 __all__ = ["Jobs", "finish_if_running"]
 
 
-class Jobs:
+class Jobs(Repository):
     """The jobs of all maps, newest first."""
-
-    def __init__(self, database: Database) -> None:
-        self._database = database
 
     def create(
         self,
@@ -82,7 +78,7 @@ class Jobs:
 
     def _insert(self, map_slug: str, row: Job, most_queued: int | None) -> JobRecord:
         with self._database.writing() as session:
-            row.map_id = held_map(session, map_slug).id
+            row.map_id = map_named(session, map_slug, shared=True).id
             if most_queued is not None:
                 _require_room(session, row.key_id, most_queued)
             session.add(row)
@@ -159,16 +155,7 @@ class Jobs:
                 query = query.where(Job.map_id == map_named(session, map_slug).id)
             if slugs is not None:
                 query = query.where(Job.map_id.in_(select(Map.id).where(Map.slug.in_(slugs))))
-            if after:
-                last = session.get(Job, after)
-                if last is None:
-                    raise InvalidParameters(f"the cursor {after[:80]!r} is no job")
-                query = query.where(
-                    tuple_(Job.created_at, Job.id) < tuple_(last.created_at, last.id)
-                )
-            query = query.order_by(Job.created_at.desc(), Job.id.desc())
-            records = [_record(row) for row in session.scalars(query.limit(one_more(limit)))]
-        return page_of(records, limit, lambda record: record.id)
+            return page_by_age(session, query, Job.id, after, limit, _record)
 
     def counts(self) -> Mapping[JobState, int]:
         """Return how many jobs wait and run; those that ended are not counted."""
@@ -319,24 +306,10 @@ def _running(session: Session, job_id: str) -> Job:
 
 
 def _record(row: Job) -> JobRecord:
-    return JobRecord(
-        id=row.id,
-        map_id=row.map_id,
-        kind=row.kind,
+    return record_of(
+        JobRecord,
+        row,
         state=JobState(row.state),
-        stage=row.stage,
-        done_units=row.done_units,
-        total_units=row.total_units,
-        parameters=row.parameters,
-        error_type=row.error_type,
-        error_detail=row.error_detail,
-        revision=row.revision,
-        cancel_requested=row.cancel_requested,
-        created_at=row.created_at,
-        started_at=row.started_at,
-        finished_at=row.finished_at,
         notes=tuple(row.notes or ()),
         result=row.result or {},
-        stage_started_at=row.stage_started_at,
-        key_id=row.key_id,
     )

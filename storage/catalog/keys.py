@@ -3,25 +3,21 @@
 from collections.abc import Iterable
 from datetime import UTC, datetime
 
-from sqlalchemy import select, tuple_
+from sqlalchemy import select
 from sqlalchemy.orm import Session
 
-from core.errors import InvalidParameters
-from storage.catalog.database import Database
-from storage.catalog.models import Key
-from storage.catalog.pages import DEFAULT_LIMIT, one_more, page_of
-from storage.catalog.records import KeyRecord, Page
+from storage.catalog.database import Repository
+from storage.catalog.models import Key, Token
+from storage.catalog.pages import DEFAULT_LIMIT, page_by_age
+from storage.catalog.records import KeyRecord, Page, record_of
 from storage.errors import KeyNotFound
 from storage.names import new_id
 
-__all__ = ["Keys", "key_record"]
+__all__ = ["Keys", "allowed", "key_record"]
 
 
-class Keys:
+class Keys(Repository):
     """The keys, in the order in which they were made."""
-
-    def __init__(self, database: Database) -> None:
-        self._database = database
 
     def add(
         self,
@@ -86,17 +82,10 @@ class Keys:
         Raises:
             InvalidParameters: If `after` is no key.
         """
-        query = select(Key).order_by(Key.created_at, Key.id).limit(one_more(limit))
         with self._database.reading() as session:
-            if after:
-                last = session.get(Key, after)
-                if last is None:
-                    raise InvalidParameters(f"the cursor {after[:80]!r} is no key")
-                query = query.where(
-                    tuple_(Key.created_at, Key.id) > tuple_(last.created_at, last.id)
-                )
-            records = [key_record(row) for row in session.scalars(query)]
-        return page_of(records, limit, lambda record: record.id)
+            return page_by_age(
+                session, select(Key), Key.id, after, limit, key_record, newest_first=False
+            )
 
     def revoke(self, key_id: str) -> KeyRecord:
         """Let a key open nothing any more; a revoked one keeps its time.
@@ -113,17 +102,13 @@ class Keys:
 
 def key_record(row: Key) -> KeyRecord:
     """Return the record of a key's row."""
-    return KeyRecord(
-        id=row.id,
-        name=row.name,
-        secret_hash=row.secret_hash,
-        scopes=tuple(row.scopes),
-        maps=None if row.maps is None else tuple(row.maps),
-        first_run=row.first_run,
-        created_at=row.created_at,
-        expires_at=row.expires_at,
-        revoked_at=row.revoked_at,
-    )
+    return record_of(KeyRecord, row, **allowed(row))
+
+
+def allowed(row: Key | Token) -> dict[str, tuple[str, ...] | None]:
+    """Return the scopes of a row, and the maps that it is limited to."""
+    maps = None if row.maps is None else tuple(row.maps)
+    return {"scopes": tuple(row.scopes), "maps": maps}
 
 
 def _found(session: Session, key_id: str) -> Key:

@@ -9,22 +9,19 @@ from sqlalchemy import delete, select
 from sqlalchemy.exc import IntegrityError
 from sqlalchemy.orm import Session
 
-from storage.catalog.database import Database
+from storage.catalog.database import Repository
 from storage.catalog.models import LiveRevision, Map, plain
 from storage.catalog.pages import DEFAULT_LIMIT, one_more, page_of
-from storage.catalog.records import MapRecord, Page
+from storage.catalog.records import MapRecord, Page, record_of
 from storage.errors import MapChanged, MapExists, MapNotFound
 from storage.names import checked_slug, new_id
 from storage.retention import OwnRetention
 
-__all__ = ["Maps", "held_map", "locked_map", "map_named", "map_of_id"]
+__all__ = ["Maps", "locked_map", "map_named", "map_of_id"]
 
 
-class Maps:
+class Maps(Repository):
     """The maps, in the order of their slugs."""
-
-    def __init__(self, database: Database) -> None:
-        self._database = database
 
     def create(self, slug: str, description: str = "") -> MapRecord:
         """Make an empty map.
@@ -143,9 +140,22 @@ class Maps:
             return record
 
 
-def map_named(session: Session, slug: str) -> Map:
-    """Return the row of a map, or raise `MapNotFound`."""
-    row = session.scalar(select(Map).where(Map.slug == slug))
+def map_named(session: Session, slug: str, *, lock: bool = False, shared: bool = False) -> Map:
+    """Return the row of a map.
+
+    Args:
+        session: The transaction.
+        slug: The map.
+        lock: Keep others from changing the row until the transaction ends.
+        shared: Lock it against deletion only: what is added to a map waits for nothing else.
+
+    Raises:
+        MapNotFound: If there is none of that slug.
+    """
+    query = select(Map).where(Map.slug == slug)
+    if lock or shared:
+        query = query.with_for_update(read=shared, key_share=shared)
+    row = session.scalar(query)
     if row is None:
         raise MapNotFound(f"there is no map {slug[:80]!r}")
     return row
@@ -159,22 +169,6 @@ def map_of_id(session: Session, map_id: str, *, lock: bool = False) -> Map:
     return row
 
 
-def held_map(session: Session, slug: str) -> Map:
-    """Return the row of a map that cannot be deleted until the transaction ends.
-
-    Others may hold it too: what is added to a map waits for its removal only.
-
-    Raises:
-        MapNotFound: If there is none of that slug.
-    """
-    row = session.scalar(
-        select(Map).where(Map.slug == slug).with_for_update(read=True, key_share=True)
-    )
-    if row is None:
-        raise MapNotFound(f"there is no map {slug[:80]!r}")
-    return row
-
-
 def locked_map(session: Session, slug: str, if_version: int | None = None) -> Map:
     """Return the row of a map, locked until the transaction ends.
 
@@ -183,9 +177,7 @@ def locked_map(session: Session, slug: str, if_version: int | None = None) -> Ma
         MapChanged: If its version is another than `if_version`.
     """
     # SQLite leaves FOR UPDATE out: there the whole transaction holds the one write lock.
-    row = session.scalar(select(Map).where(Map.slug == slug).with_for_update())
-    if row is None:
-        raise MapNotFound(f"there is no map {slug[:80]!r}")
+    row = map_named(session, slug, lock=True)
     if if_version is not None and row.version != if_version:
         raise MapChanged(f"map {slug!r} is at version {row.version}, not {if_version}")
     return row
@@ -214,12 +206,4 @@ def _retention(row: Map) -> OwnRetention:
 
 
 def _record(row: Map, live_revision: str | None) -> MapRecord:
-    return MapRecord(
-        id=row.id,
-        slug=row.slug,
-        description=row.description,
-        created_at=row.created_at,
-        version=row.version,
-        live_revision=live_revision,
-        retention=_retention(row),
-    )
+    return record_of(MapRecord, row, live_revision=live_revision, retention=_retention(row))

@@ -1,13 +1,17 @@
 """Cursor pagination: a page, and where the next one begins."""
 
 from collections.abc import Callable, Sequence
-from typing import TypeVar
+from typing import Any, TypeVar
+
+from sqlalchemy import Select, tuple_
+from sqlalchemy.orm import InstrumentedAttribute, Session
 
 from core.errors import InvalidParameters
 from storage.catalog.records import Page
 
-__all__ = ["DEFAULT_LIMIT", "one_more", "page_of"]
+__all__ = ["DEFAULT_LIMIT", "one_more", "page_by_age", "page_of"]
 
+M = TypeVar("M")
 T = TypeVar("T")
 
 DEFAULT_LIMIT = 100
@@ -28,3 +32,42 @@ def page_of(rows: Sequence[T], limit: int, cursor: Callable[[T], str]) -> Page[T
     """Make a page of at most `limit` of `rows`, which were asked for with `one_more`."""
     items = tuple(rows[:limit])
     return Page(items, cursor(items[-1]) if len(rows) > limit else None)
+
+
+def page_by_age(
+    session: Session,
+    query: Select[M],
+    name: InstrumentedAttribute[str],
+    after: str,
+    limit: int,
+    record: Callable[[M], T],
+    *,
+    of_map: str | None = None,
+    newest_first: bool = True,
+) -> Page[T]:
+    """Return a page of rows in the order in which they were created.
+
+    Args:
+        session: The transaction.
+        query: The rows; each has a `created_at`.
+        name: The column that is their cursor; it decides between rows of one moment.
+        after: The cursor of the row before the page, empty for the first page.
+        limit: How many a page holds.
+        record: Makes a row's record, which has the same name.
+        of_map: The map whose id is the other half of the rows' primary key, if they have one.
+        newest_first: Whether the newest row comes first.
+
+    Raises:
+        InvalidParameters: If `after` is no row, or the page would be empty.
+    """
+    model: Any = name.class_
+    columns = (model.created_at, name)
+    if after:
+        last = session.get(model, after if of_map is None else (of_map, after))
+        if last is None:
+            raise InvalidParameters(f"the cursor {after[:80]!r} is no {model.__name__.lower()}")
+        rows, cursor = tuple_(*columns), tuple_(last.created_at, after)
+        query = query.where(rows < cursor if newest_first else rows > cursor)
+    query = query.order_by(*(column.desc() if newest_first else column for column in columns))
+    records = [record(row) for row in session.scalars(query.limit(one_more(limit)))]
+    return page_of(records, limit, lambda found: str(getattr(found, name.key)))

@@ -1,13 +1,17 @@
 """What the catalog answers with: frozen facts, free of any session."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from datetime import datetime
 from enum import StrEnum
-from typing import Any, Generic, TypeVar
+from functools import cache
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from core.scans.pose import Pose
 from storage.retention import OwnRetention
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
 
 __all__ = [
     "DriveRecord",
@@ -21,6 +25,7 @@ __all__ = [
     "RevisionFacts",
     "RevisionRecord",
     "ScanRecord",
+    "record_of",
 ]
 
 T = TypeVar("T")
@@ -94,16 +99,6 @@ class DriveRecord:
     present: tuple[IndexRange, ...]
     posed_scans: int = 0
     expected_poses: int = 0
-
-    @property
-    def first_index(self) -> int | None:
-        """The lowest index, `None` without a scan."""
-        return self.present[0].first if self.present else None
-
-    @property
-    def last_index(self) -> int | None:
-        """The highest index, `None` without a scan."""
-        return self.present[-1].last if self.present else None
 
     @property
     def gaps(self) -> tuple[IndexRange, ...]:
@@ -307,3 +302,18 @@ class KeyRecord:
     def opens_at(self, moment: datetime) -> bool:
         """Return whether it opens anything at a moment."""
         return self.revoked_at is None and (self.expires_at is None or moment < self.expires_at)
+
+
+R = TypeVar("R", bound="DataclassInstance")
+
+
+@cache
+def _names(kind: type["DataclassInstance"]) -> tuple[str, ...]:
+    return tuple(field.name for field in fields(kind))
+
+
+def record_of(kind: type[R], row: object, **others: object) -> R:
+    """Return the record of a row: its columns of the same names, and what `others` says instead."""
+    return kind(
+        **{name: others[name] if name in others else getattr(row, name) for name in _names(kind)}
+    )

@@ -2,16 +2,15 @@
 
 from datetime import UTC, datetime
 
-from sqlalchemy import delete, func, select, tuple_
+from sqlalchemy import delete, func, select
 from sqlalchemy.orm import Session
 
-from core.errors import InvalidParameters
-from storage.catalog.database import Database
+from storage.catalog.database import Repository
 from storage.catalog.jobs import finish_if_running
 from storage.catalog.maps import locked_map, map_named, map_of_id
 from storage.catalog.models import LiveRevision, Map, Revision, RevisionBasis
-from storage.catalog.pages import DEFAULT_LIMIT, one_more, page_of
-from storage.catalog.records import Page, RevisionFacts, RevisionRecord
+from storage.catalog.pages import DEFAULT_LIMIT, page_by_age
+from storage.catalog.records import Page, RevisionFacts, RevisionRecord, record_of
 from storage.catalog.scans import LostRace
 from storage.errors import (
     AmbiguousRevision,
@@ -25,11 +24,8 @@ __all__ = ["Revisions", "revision_record"]
 _SHORTEST_PREFIX = 12  # hex digits; 48 bits, a clash among a million revisions is 1 in 500
 
 
-class Revisions:
+class Revisions(Repository):
     """The revisions of each map, newest first."""
-
-    def __init__(self, database: Database) -> None:
-        self._database = database
 
     def add(
         self,
@@ -169,20 +165,11 @@ class Revisions:
             MapNotFound: If there is no such map.
             InvalidParameters: If `after` is none of its revisions.
         """
-        order = tuple_(Revision.created_at, Revision.digest)
         with self._database.reading() as session:
-            of_map = map_named(session, map_slug)
-            query = select(Revision).where(Revision.map_id == of_map.id)
-            if after:
-                last = session.get(Revision, (of_map.id, after))
-                if last is None:
-                    raise InvalidParameters(f"the cursor {after[:80]!r} is no revision")
-                query = query.where(order < tuple_(last.created_at, last.digest))
-            query = query.order_by(Revision.created_at.desc(), Revision.digest.desc())
-            records = [
-                revision_record(row) for row in session.scalars(query.limit(one_more(limit)))
-            ]
-        return page_of(records, limit, lambda record: record.digest)
+            map_id = map_named(session, map_slug).id
+            query = select(Revision).where(Revision.map_id == map_id)
+            name = Revision.digest
+            return page_by_age(session, query, name, after, limit, revision_record, of_map=map_id)
 
     def set_live(
         self, map_slug: str, digest: str, *, if_version: int | None = None
@@ -263,16 +250,4 @@ def _found(session: Session, of_map: Map, digest: str) -> Revision:
 
 def revision_record(row: Revision) -> RevisionRecord:
     """Return what a row says."""
-    return RevisionRecord(
-        digest=row.digest,
-        map_id=row.map_id,
-        file_name=row.file_name,
-        encoding=row.encoding,
-        scans=row.scans,
-        segments=row.segments,
-        parameters=row.parameters,
-        size_bytes=row.size_bytes,
-        job_id=row.job_id,
-        created_at=row.created_at,
-        drive_ids=row.drive_ids or {},
-    )
+    return record_of(RevisionRecord, row, drive_ids=row.drive_ids or {})

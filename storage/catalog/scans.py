@@ -11,12 +11,12 @@ from sqlalchemy.exc import IntegrityError
 from sqlalchemy.orm import Session
 
 from core.scans.pose import Pose, is_known, pose_rows
-from storage.catalog.database import Database
+from storage.catalog.database import Repository
 from storage.catalog.drives import drive_named
 from storage.catalog.expected_poses import expect, forget, met, require_fit
 from storage.catalog.maps import map_named
 from storage.catalog.models import Drive, Map, Scan
-from storage.catalog.records import BYTES_PER_RETURN, PosesPut, ScanRecord
+from storage.catalog.records import BYTES_PER_RETURN, PosesPut, ScanRecord, record_of
 from storage.catalog.scan_poses import (
     ScanPoses,
     at_indices,
@@ -51,11 +51,8 @@ class PutTarget:
     stored: Mapping[int, ScanRecord]
 
 
-class Scans:
+class Scans(Repository):
     """The scans of each drive, in the order of their indices."""
-
-    def __init__(self, database: Database) -> None:
-        self._database = database
 
     def target(self, map_slug: str, drive_slug: str, indices: Collection[int]) -> PutTarget:
         """Return where scans of these indices go.
@@ -284,35 +281,17 @@ def chunks_of(session: Session, drive_id: str) -> set[str]:
 
 
 def _values(drive_id: str, record: ScanRecord) -> dict[str, object]:
-    return {
+    return vars(record) | {
         "drive_id": drive_id,
-        "index": record.index,
-        "chunk": record.chunk,
-        "row": record.row,
-        "digest": record.digest,
-        "returns": record.returns,
-        "dropped_returns": record.dropped_returns,
-        "timestamp_s": _known(record.timestamp_s),
-        "pose": _pose_value(record.pose),
+        "timestamp_s": record.timestamp_s if math.isfinite(record.timestamp_s) else None,
+        "pose": None if record.pose is None else list(record.pose.as_tuple()),
     }
 
 
 def _record(row: Scan) -> ScanRecord:
-    return ScanRecord(
-        index=row.index,
-        chunk=row.chunk,
-        row=row.row,
-        digest=row.digest,
-        returns=row.returns,
-        dropped_returns=row.dropped_returns,
+    return record_of(
+        ScanRecord,
+        row,
         timestamp_s=math.nan if row.timestamp_s is None else row.timestamp_s,
         pose=None if row.pose is None else Pose(*row.pose),
     )
-
-
-def _known(timestamp_s: float) -> float | None:
-    return timestamp_s if math.isfinite(timestamp_s) else None
-
-
-def _pose_value(pose: Pose | None) -> list[float] | None:
-    return None if pose is None else list(pose.as_tuple())

@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 from sqlalchemy import select, text
 
-from storage.catalog.database import Database
+from storage.catalog.database import Repository
 from storage.catalog.models import Map, StoreId
 
 __all__ = ["StoreIds"]
@@ -12,11 +12,8 @@ __all__ = ["StoreIds"]
 _ROW = 1
 
 
-class StoreIds:
+class StoreIds(Repository):
     """The id that a catalog shares with its data directory."""
-
-    def __init__(self, database: Database) -> None:
-        self._database = database
 
     def get(self) -> str | None:
         """Return the id, `None` before the catalog's first use."""

@@ -6,10 +6,10 @@ from datetime import UTC, datetime
 
 from sqlalchemy import delete, select
 
-from storage.catalog.database import Database
-from storage.catalog.keys import key_record
+from storage.catalog.database import Repository
+from storage.catalog.keys import allowed, key_record
 from storage.catalog.models import Key, Token
-from storage.catalog.records import KeyRecord
+from storage.catalog.records import KeyRecord, record_of
 
 __all__ = ["TokenRecord", "Tokens"]
 
@@ -35,11 +35,8 @@ class TokenRecord:
     expires_at: datetime
 
 
-class Tokens:
+class Tokens(Repository):
     """The tokens that have not ended; those that have are removed when one is added."""
-
-    def __init__(self, database: Database) -> None:
-        self._database = database
 
     def add(
         self,
@@ -65,7 +62,7 @@ class Tokens:
             )
             session.add(row)
             session.flush()
-            return _record(row)
+            return record_of(TokenRecord, row, **allowed(row))
 
     def with_hash(self, secret_hash: str) -> tuple[TokenRecord, KeyRecord | None] | None:
         """Return the token of that hash and its key, `None` if there is no such token.
@@ -82,16 +79,5 @@ class Tokens:
             if found is None:
                 return None
             token, key = found
-            return _record(token), None if key is None else key_record(key)
-
-
-def _record(row: Token) -> TokenRecord:
-    return TokenRecord(
-        id=row.id,
-        secret_hash=row.secret_hash,
-        key_hash=row.key_hash,
-        scopes=tuple(row.scopes),
-        maps=None if row.maps is None else tuple(row.maps),
-        created_at=row.created_at,
-        expires_at=row.expires_at,
-    )
+            record = record_of(TokenRecord, token, **allowed(token))
+            return record, None if key is None else key_record(key)

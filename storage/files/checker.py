@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from pathlib import Path
-from typing import Self
 
+from storage.closing import Closing
 from storage.files.forking import forkserver
 from storage.files.stored_file import Fault, StoredFile, fault_of
 
@@ -55,7 +55,7 @@ class Limits:
 DEFAULT = Limits()
 
 
-class Checker:
+class Checker(Closing):
     """Checks one file after the other in a child process; used by one thread at a time.
 
     A child that hangs or ends is replaced, and the file at hand is at fault.
@@ -119,12 +119,6 @@ class Checker:
             process.join(_END_S)
             with suppress(ValueError):  # it still waits for a disk
                 process.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
 
 def _start() -> tuple[BaseProcess, Connection]:

@@ -5,8 +5,8 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Self
 
+from storage.closing import Closing
 from storage.errors import CorruptFile
 
 __all__ = ["DurableFile", "reading_back", "write_whole"]
@@ -14,7 +14,7 @@ __all__ = ["DurableFile", "reading_back", "write_whole"]
 _PIECE_BYTES = 2**20  # compared at once
 
 
-class DurableFile:
+class DurableFile(Closing):
     """A file that does not exist yet, readable by this user only.
 
     Args:
@@ -74,12 +74,6 @@ class DurableFile:
         descriptor, self._descriptor = self._descriptor, -1
         if descriptor >= 0:
             os.close(descriptor)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
 
 def write_whole(path: Path, content: memoryview) -> None:

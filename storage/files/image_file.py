@@ -2,7 +2,6 @@
 
 import json
 from pathlib import Path
-from typing import Self
 
 import numpy as np
 
@@ -15,6 +14,7 @@ from core.projection.images import ImageSource, Skipped, project_into
 from core.projection.probe import probed_among
 from core.revision import content_digest
 from core.scans.drive import Drive
+from storage.closing import Closing
 from storage.errors import CorruptFile, CorruptImages
 from storage.files.durable_file import reading_back
 from storage.files.files import publish
@@ -42,7 +42,7 @@ _BLOCK = 8  # images in an HDF5 chunk: 340 kB on the paper's grid
 _MOST_SKIPPED_BYTES = 2**26  # some 100 bytes a scan
 
 
-class ImageFile:
+class ImageFile(Closing):
     """Images of a drive's usable scans, read block by block; an `ImageSource`.
 
     Attributes:
@@ -87,12 +87,6 @@ class ImageFile:
             raise CorruptFile(f"probes have shape {probes.shape}")
         if self.standing.shape != (len(self.probed), 3):
             raise CorruptFile(f"standing has shape {self.standing.shape}")
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def close(self) -> None:
         """Let the file go."""

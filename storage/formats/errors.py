@@ -23,7 +23,22 @@ __all__ = [
     "UnknownDriveLayout",
     "UnknownFormat",
     "WrongDtype",
+    "short",
 ]
+
+
+def short(value: object) -> str:
+    """Return a value for a message, cut: a client chose it.
+
+    Examples:
+        >>> short("a" * 200)[:4], len(short("a" * 200))
+        ("'aaa", 120)
+    """
+    try:
+        text = repr(value)
+    except ValueError:  # an integer of more digits than Python prints
+        return "a number beyond printing"
+    return text if len(text) <= 120 else f"{text[:117]}..."
 
 
 class EmptyBody(InvalidScan):

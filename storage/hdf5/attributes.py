@@ -132,8 +132,5 @@ def _attribute(fields: Fields) -> _Attribute:
     name, kind, shape = (
         fields.take(size + (-size % 8 if version == 1 else 0))[:size] for size in sizes
     )
-    try:
-        told = name.rstrip(b"\0").decode()
-    except UnicodeDecodeError as error:
-        raise CorruptFile(f"{fields.name}: the name of an attribute is no UTF-8") from error
+    told = Fields(name, fields.name).text(len(name), "the name of an attribute")
     return _Attribute(told, kind, shape, fields.take(fields.left))

@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 
 from storage.errors import CorruptFile
-from storage.hdf5.object_header import check_sum
 from storage.hdf5.source import UNDEFINED, Fields, Source
 
 __all__ = ["ChunkAddress", "read_fixed_array"]
@@ -39,7 +38,7 @@ def read_fixed_array(source: Source, at: int, wanted: int, name: str) -> list[Ch
         CorruptFile: If the index is damaged or shorter.
     """
     header = Fields(source.read(at, 28, f"the chunk index of {name}"), f"the chunk index of {name}")
-    check_sum(header)
+    header.check_sum()
     header.expect(b"FAHD\0\x01", "its signature, version and client")
     entry, page_bits = header.unsigned(1), header.unsigned(1)
     count, block_at = header.unsigned(8), header.unsigned(8)
@@ -82,7 +81,7 @@ class _Pages:
     def _checked(self, at: int, size: int) -> Fields:
         """Read a piece, check the sum that follows it, and return it without."""
         whole = Fields(self._source.read(at, size + _CHECKSUM, self._name), self._name)
-        check_sum(whole)
+        whole.check_sum()
         return Fields(whole.content[:-_CHECKSUM], self._name)
 
     def _begin(self, block: Fields) -> None:

@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import dataclass
-from itertools import product
 from typing import Any
 
 import numpy as np
@@ -49,7 +48,7 @@ class Dataset:
         Raises:
             CorruptFile: If they are not where they should be, or a checksum does not fit.
         """
-        return self.rows(0, self.shape[0]) if self.shape else self._scalar()
+        return self.rows(0, self.shape[0])
 
     def rows(self, start: int, stop: int) -> NDArray[Any]:
         """Return the numbers of rows `start` up to `stop` of the first axis.
@@ -57,9 +56,6 @@ class Dataset:
         Raises:
             CorruptFile: If they are not where they should be, or a checksum does not fit.
         """
-        raise NotImplementedError
-
-    def _scalar(self) -> NDArray[Any]:
         raise NotImplementedError
 
 
@@ -80,20 +76,21 @@ class ContiguousDataset(Dataset):
         shape = (max(0, stop - start), *self.shape[1:])
         return self.source.array(self.at + start * row_bytes, self.dtype, shape, self.name)
 
-    def _scalar(self) -> NDArray[Any]:
-        return self.source.array(self.at, self.dtype, (), self.name)
+    def read(self) -> NDArray[Any]:
+        """Return all numbers, or the only one."""
+        return self.source.array(self.at, self.dtype, self.shape, self.name)
 
 
 @dataclass(frozen=True, eq=False)
 class ChunkedDataset(Dataset):
-    """An array in chunks of one shape, each with a Fletcher checksum.
+    """An array in chunks of whole rows, each with a Fletcher checksum.
 
     Attributes:
-        chunk_shape: The shape of a chunk; those at an end are filled up.
-        chunks: Where they lie, in row-major order of the grid of chunks.
+        chunk_rows: How many rows a chunk has; the last is filled up.
+        chunks: Where they lie, in the order of their rows.
     """
 
-    chunk_shape: tuple[int, ...]
+    chunk_rows: int
     chunks: tuple[ChunkAddress, ...]
 
     def rows(self, start: int, stop: int) -> NDArray[Any]:
@@ -103,36 +100,17 @@ class ChunkedDataset(Dataset):
         rows = np.empty((stop - start, *self.shape[1:]), self.dtype)
         if not rows.size:
             return rows
-        grid = _grid(self.shape, self.chunk_shape)
-        length = self.chunk_shape[0]
-        for first in range(start // length, -(-stop // length)):
-            for others in product(*(range(count) for count in grid[1:])):
-                number = int(np.ravel_multi_index((first, *others), grid)) if grid[1:] else first
-                begin = first * length
-                into = (
-                    slice(max(0, begin - start), min(stop, begin + length) - start),
-                    *(
-                        slice(place * size, min((place + 1) * size, whole))
-                        for place, size, whole in zip(
-                            others, self.chunk_shape[1:], self.shape[1:], strict=True
-                        )
-                    ),
-                )
-                out_of = (
-                    slice(max(0, start - begin), min(stop - begin, length)),
-                    *(slice(0, part.stop - part.start) for part in into[1:]),
-                )
-                target = rows[into]
-                if target.shape == self.chunk_shape and target.flags.c_contiguous:
-                    self._load(number, target)
-                else:
-                    chunk = np.empty(self.chunk_shape, self.dtype)
-                    self._load(number, chunk)
-                    rows[into] = chunk[out_of]
+        length = self.chunk_rows
+        for number in range(start // length, -(-stop // length)):
+            begin = number * length
+            target = rows[max(0, begin - start) : begin + length - start]
+            if len(target) == length:
+                self._load(number, target)
+            else:
+                chunk = np.empty((length, *self.shape[1:]), self.dtype)
+                self._load(number, chunk)
+                target[:] = chunk[max(0, start - begin) : stop - begin]
         return rows
-
-    def _scalar(self) -> NDArray[Any]:
-        raise CorruptFile(f"{self.name} is one number in chunks")
 
     def _load(self, number: int, target: NDArray[Any]) -> None:
         """Read a whole chunk into `target` and check its sum."""
@@ -218,13 +196,11 @@ def _chunked(
     if axes != len(shape) + 1 or not shape or not 0 < width <= 8:
         raise CorruptFile(f"{name} has {len(shape)} axes, its chunks {axes - 1}")
     *lengths, item = [layout.unsigned(width) for _ in range(axes)]
-    chunk_shape = tuple(lengths)
     kind = layout.unsigned(1)
-    grid = _grid(shape, chunk_shape) if all(chunk_shape) else ()
-    if item != dtype.itemsize or not grid or flags & ~2:
-        raise CorruptFile(f"{name} has chunks of shape {chunk_shape} with items of {item} bytes")
-    wanted = math.prod(grid)
-    size = math.prod(chunk_shape) * item + _CHECKSUM
+    if item != dtype.itemsize or not lengths[0] or tuple(lengths[1:]) != shape[1:] or flags & ~2:
+        raise CorruptFile(f"{name} has chunks of shape {lengths} with items of {item} bytes")
+    wanted = -(-shape[0] // lengths[0])
+    size = math.prod(lengths) * item + _CHECKSUM
     if wanted * size > source.size_bytes:
         raise CorruptFile(f"{name} has more numbers than the file")
     if kind == 1 and flags == 2 and wanted <= 1:
@@ -239,8 +215,4 @@ def _chunked(
     for chunk in chunks:
         if chunk.at != UNDEFINED:
             source.require(chunk.at, chunk.size, f"a chunk of {name}")
-    return ChunkedDataset(source, name, dtype, shape, chunk_shape, tuple(chunks))
-
-
-def _grid(shape: tuple[int, ...], chunk_shape: tuple[int, ...]) -> tuple[int, ...]:
-    return tuple(-(-whole // part) for whole, part in zip(shape, chunk_shape, strict=True))
+    return ChunkedDataset(source, name, dtype, shape, lengths[0], tuple(chunks))

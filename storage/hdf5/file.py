@@ -1,13 +1,13 @@
 """A file of arrays in its root, read without the HDF5 library."""
 
 from functools import cached_property
-from typing import Self
 
+from storage.closing import Closing
 from storage.errors import CorruptFile
 from storage.hdf5.attributes import Attributes
 from storage.hdf5.dataset import Dataset, open_dataset
 from storage.hdf5.links import read_links
-from storage.hdf5.object_header import check_sum, read_messages
+from storage.hdf5.object_header import read_messages
 from storage.hdf5.source import UNDEFINED, Fields, Source
 
 __all__ = ["Hdf5File"]
@@ -15,7 +15,7 @@ __all__ = ["Hdf5File"]
 _SIGNATURE = b"\x89HDF\r\n\x1a\n"
 
 
-class Hdf5File:
+class Hdf5File(Closing):
     """The arrays and attributes of the root group of an HDF5 file.
 
     It reads what `docs/reference/format.md` lists and refuses all else by name. No place is
@@ -61,12 +61,6 @@ class Hdf5File:
         """Let the file go."""
         self._source.close()
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
 
 def _root_address(source: Source) -> int:
     if source.size_bytes < 9 or source.read(0, 8, "its signature") != _SIGNATURE:
@@ -82,8 +76,7 @@ def _root_address(source: Source) -> int:
         block.take(8)
         address = block.unsigned(8)
     elif version in {2, 3}:
-        block = source.structure(0, 48, "the superblock")
-        check_sum(block)
+        block = source.checked(0, 48, "the superblock")
         block.take(9)
         block.expect(b"\x08\x08\0", "the size of addresses and lengths, and whether it is open")
         base, driver, end, address = (block.unsigned(8) for _ in range(4))

@@ -1,7 +1,6 @@
 """The fractal heap, in which a group of many members keeps its links."""
 
 from storage.errors import CorruptFile
-from storage.hdf5.object_header import check_sum
 from storage.hdf5.source import UNDEFINED, Fields, Source
 
 __all__ = ["FractalHeap"]
@@ -19,8 +18,7 @@ class FractalHeap:
     def __init__(self, source: Source, at: int, owner: str) -> None:
         self._source = source
         self._name = f"the heap of {owner}"
-        header = source.structure(at, 146, self._name)
-        check_sum(header)
+        header = source.checked(at, 146, self._name)
         header.expect(b"FRHP\0", "its signature and version")
         self._id_bytes = header.unsigned(2)
         filtered, self._flags, most = header.unsigned(2), header.unsigned(1), header.unsigned(4)
@@ -62,8 +60,7 @@ class FractalHeap:
     def _list(self, at: int, rows: int, width: int, first: int, largest: int) -> None:
         if rows > 16:
             raise CorruptFile(f"{self._name} has {rows} rows of blocks")
-        block = self._source.structure(at, self._start() + rows * width * 8 + 4, self._name)
-        check_sum(block)
+        block = self._source.checked(at, self._start() + rows * width * 8 + 4, self._name)
         self._begin(block, b"FHIB", 0)
         offset = 0
         for row in range(rows):
@@ -82,10 +79,8 @@ class FractalHeap:
         if self._flags & 2:
             wanted = block.take(4)
             end = block.at
-            blank = Fields(
-                block.content[: end - 4] + bytes(4) + block.content[end:] + wanted, self._name
-            )
-            check_sum(blank)
+            blank = block.content[: end - 4] + bytes(4) + block.content[end:]
+            Fields(blank + wanted, self._name).check_sum()
         self._read[address] = block.content
         return block.content
 

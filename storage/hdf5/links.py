@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from storage.errors import CorruptFile
 from storage.hdf5.fractal_heap import FractalHeap
-from storage.hdf5.object_header import Message, Messages, check_sum
+from storage.hdf5.object_header import Message, Messages
 from storage.hdf5.source import UNDEFINED, Fields, Source
 
 __all__ = ["Link", "read_links"]
@@ -12,7 +12,8 @@ __all__ = ["Link", "read_links"]
 _MOST_LINKS = 64
 """More than any file of ours has in its root."""
 
-_KINDS = {0: "hard", 1: "soft", 64: "external"}
+_NAME = "the name of a member"
+_HARD = 0  # a link to an object of the file; others lead to another name or file
 
 
 @dataclass(frozen=True)
@@ -56,17 +57,8 @@ def _link(fields: Fields) -> Link:
     flags = fields.unsigned(1)
     kind = fields.unsigned(1) if flags & 8 else 0
     fields.take((8 if flags & 4 else 0) + (1 if flags & 16 else 0))
-    name = _text(fields.take(fields.unsigned(1 << (flags & 3))), fields.name)
-    if _KINDS.get(kind) == "hard":
-        return Link(name, fields.unsigned(8))
-    return Link(name, None)
-
-
-def _text(content: bytes, group: str) -> str:
-    try:
-        return content.decode()
-    except UnicodeDecodeError as error:
-        raise CorruptFile(f"{group}: the name of a member is no UTF-8") from error
+    name = fields.text(fields.unsigned(1 << (flags & 3)), _NAME)
+    return Link(name, fields.unsigned(8) if kind == _HARD else None)
 
 
 def _of_heap(source: Source, info: Fields) -> list[Link]:
@@ -86,8 +78,7 @@ def _of_heap(source: Source, info: Fields) -> list[Link]:
 def _records(source: Source, at: int, group: str) -> list[bytes]:
     """Return the records of a B-tree of version 2 that is one leaf: a hash and a heap's id."""
     name = f"the index of {group}"
-    header = source.structure(at, 38, name)
-    check_sum(header)
+    header = source.checked(at, 38, name)
     header.expect(b"BTHD\0\x05", "its signature, version and type")
     node_size, size, depth = header.unsigned(4), header.unsigned(2), header.unsigned(2)
     header.take(2)
@@ -96,8 +87,7 @@ def _records(source: Source, at: int, group: str) -> list[bytes]:
         return []
     if depth or count > _MOST_LINKS or size < 5 or 10 + count * size > node_size:
         raise CorruptFile(f"{name} has {count} records at depth {depth}: too many members")
-    leaf = source.structure(root, 10 + count * size, name)
-    check_sum(leaf)
+    leaf = source.checked(root, 10 + count * size, name)
     leaf.expect(b"BTLF\0\x05", "its signature, version and type")
     return [leaf.take(size) for _ in range(count)]
 
@@ -135,5 +125,10 @@ def _of_node(source: Source, at: int, names: bytes, group: str) -> list[Link]:
         end = names.find(b"\0", begin)
         if begin >= len(names) or end < 0:
             raise CorruptFile(f"{group}: the name of a member is cut off")
-        links.append(Link(_text(names[begin:end], group), None if kind == 2 else address))
+        links.append(
+            Link(
+                Fields(names[begin:end], group).text(end - begin, _NAME),
+                None if kind == 2 else address,
+            )
+        )
     return links

@@ -5,10 +5,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from storage.errors import CorruptFile
-from storage.hdf5.checksums import lookup3
 from storage.hdf5.source import Fields, Source
 
-__all__ = ["Message", "Messages", "check_sum", "read_messages"]
+__all__ = ["Message", "Messages", "read_messages"]
 
 _CONTINUATION = 0x10
 _MOST_BLOCKS = 64
@@ -85,13 +84,6 @@ class Messages:
         return found
 
 
-def check_sum(fields: Fields) -> None:
-    """Refuse a structure whose last four bytes are not the checksum of those before them."""
-    content = fields.content
-    if len(content) < 4 or lookup3(content[:-4]) != int.from_bytes(content[-4:], "little"):
-        raise CorruptFile(f"the checksum of {fields.name} does not fit")
-
-
 def read_messages(source: Source, at: int, name: str) -> Messages:
     """Read the header of an object, of version 1 or 2, with its continuations.
 
@@ -155,8 +147,7 @@ def _version_2(source: Source, at: int, start: Fields) -> Iterator[tuple[int, in
     while blocks:
         visited += 1
         at, prefix, length = blocks.pop(0)
-        block = source.structure(at, length, start.name)
-        check_sum(block)
+        block = source.checked(at, length, start.name)
         if visited > 1:
             block.expect(b"OCHK", "a continuation's signature")
         else:

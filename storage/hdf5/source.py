@@ -2,14 +2,16 @@
 
 import math
 import os
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from storage.closing import Closing
 from storage.errors import CorruptFile
+from storage.hdf5.checksums import lookup3
 
 __all__ = ["UNDEFINED", "BytesSource", "Fields", "FileSource", "Source"]
 
@@ -49,9 +51,26 @@ class Fields:
         self.at = end
         return self.content[begin:end]
 
+    def check_sum(self) -> None:
+        """Refuse a structure whose last four bytes are not the checksum of those before them."""
+        content = self.content
+        if len(content) < 4 or lookup3(content[:-4]) != int.from_bytes(content[-4:], "little"):
+            raise CorruptFile(f"the checksum of {self.name} does not fit")
+
     def unsigned(self, size: int) -> int:
         """Return the next little-endian unsigned number of `size` bytes."""
         return int.from_bytes(self.take(size), "little")
+
+    def text(self, size: int, what: str) -> str:
+        """Return the next bytes as UTF-8, without the zeros at their end.
+
+        Raises:
+            CorruptFile: If they are none; `what` says what they should be.
+        """
+        try:
+            return self.take(size).rstrip(b"\0").decode()
+        except UnicodeDecodeError as error:
+            raise CorruptFile(f"{self.name}: {what} is no UTF-8") from error
 
     def expect(self, wanted: bytes, what: str) -> None:
         """Refuse a structure whose next bytes are others than `wanted`."""
@@ -59,7 +78,7 @@ class Fields:
             raise CorruptFile(f"{self.name}: {what} is {found!r}, wanted {wanted!r}")
 
 
-class Source(ABC):
+class Source(Closing):
     """A file of known size that is read at any place.
 
     Structures of all kinds may take half a megabyte together, and text as much as the file has:
@@ -81,6 +100,16 @@ class Source(ABC):
         if self._structures_left < 0:
             raise CorruptFile(f"its structures take more than {_STRUCTURE_BYTES} bytes")
         return Fields(self.read(at, count, name), name)
+
+    def checked(self, at: int, count: int, name: str) -> Fields:
+        """Read a structure whose last four bytes are the checksum of those before them.
+
+        Raises:
+            CorruptFile: As `structure`, or if the checksum does not fit.
+        """
+        fields = self.structure(at, count, name)
+        fields.check_sum()
+        return fields
 
     def text(self, at: int, count: int, name: str) -> Fields:
         """Read what holds text, all of it together no more than the file has bytes."""
@@ -136,18 +165,8 @@ class Source(ABC):
             raise CorruptFile(f"{name} is cut off: the file became shorter")
 
     @abstractmethod
-    def close(self) -> None:
-        """Let the file go."""
-
-    @abstractmethod
     def _read_into(self, at: int, target: memoryview) -> int:
         """Read bytes that lie in the file into `target`; return how many there were."""
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
 
 class BytesSource(Source):

@@ -270,6 +270,6 @@ class Rows:
                 self._dataset.name,
                 self._written.dtype,
                 self._dataset.shape,
-                self._dataset.chunks,
+                self._dataset.chunks[0],
                 tuple(chunks),
             )

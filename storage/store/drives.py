@@ -24,7 +24,7 @@ from storage.files.files import discard, make_folder
 from storage.files.stored_file import Fault, StoredFile, fault_of
 from storage.names import new_id
 from storage.retention import Retention
-from storage.store.compaction import compact
+from storage.store.compaction import compact, move_into_one
 from storage.store.dropping import drop_returns
 from storage.store.layout import Layout
 from storage.store.scan_reader import ScanReader
@@ -171,15 +171,8 @@ class Drives:
             if fault is not None:
                 lost += [record for row, record in records.items() if row not in fault.good_rows]
         if lost:
-            path = make_folder(folder) / f"{new_id()}.h5"
-            try:
-                write_chunk(path, [(record.index, scans[record.index]) for record in lost])
-                emptied = self._catalog.scans.move(target.drive_id, lost, path.name)
-            except StorageError:
-                discard(path)
-                raise
-            for name in emptied:
-                discard(folder / name)
+            make_folder(folder)
+            move_into_one(self._catalog, target.drive_id, folder, lost, scans.__getitem__)
 
     def put_poses(
         self,

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Self
 
 from storage.catalog import Catalog
+from storage.closing import Closing
 from storage.files.files import make_folder, named_disk_errors
 from storage.store.drives import Drives
 from storage.store.identity import check_identity, require_own_folder
@@ -22,7 +23,7 @@ __all__ = ["Store"]
 _LEAST_FREE_BYTES = 2**20  # a scan of an HDL-64E has 1.5 million bytes
 
 
-class Store:
+class Store(Closing):
     """Maps, drives, revisions, jobs and keys of one data directory.
 
     A write that returns is on disk, file and row: the file is written beside, fsynced and renamed
@@ -155,9 +156,3 @@ class Store:
         """Close the catalog and let another server have the data directory."""
         self.catalog.close()
         self._lock.release()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()

@@ -117,7 +117,7 @@ class TestAudit:
         told = (entry.seq, entry.key_id, entry.action, entry.subject, entry.map_slug, entry.outcome)
         assert told == (1, "ab12", "create_map", "/v1/maps", "campus", "done")
         assert before <= entry.at <= datetime.now(UTC)
-        assert catalog.audit.state() == AuditState(1, entry.hash)
+        assert catalog.audit.verify().state == AuditState(1, entry.hash)
 
     def test_what_is_rolled_back_leaves_no_entry(self, catalog):
         changed_by(catalog, "ab12", "campus")
@@ -153,11 +153,11 @@ class TestAudit:
         assert every[2] not in catalog.audit.list(until=every[2].at).items
 
     def test_a_whole_log_is_good_and_its_states_are_known_again(self, catalog):
-        states = [catalog.audit.state()]
+        states = [catalog.audit.verify().state]
         assert catalog.audit.verify(states[0]) == AuditCheck(START, None)
         for slug in ("one", "two", "three"):
             changed_by(catalog, "ab12", slug)
-            states.append(catalog.audit.state())
+            states.append(catalog.audit.verify().state)
         for known in states:
             assert catalog.audit.verify(known) == AuditCheck(states[-1], None)
 
@@ -187,7 +187,7 @@ class TestAudit:
     def test_a_log_that_was_written_anew_is_known_by_a_state_kept_elsewhere(self, catalog):
         for slug in ("one", "two", "three"):
             changed_by(catalog, "ab12", slug)
-        known = catalog.audit.state()
+        known = catalog.audit.verify().state
         tamper(catalog, "DELETE FROM audit")
         tamper(catalog, f"UPDATE audit_head SET seq = 0, hash = '{START.hash}'")
         for slug in ("new-one", "new-two"):
@@ -202,7 +202,7 @@ class TestAudit:
         with ThreadPoolExecutor(8) as pool:
             slugs = [f"map-{number}" for number in range(24)]
             list(pool.map(lambda slug: changed_by(catalog, "ab12", slug), slugs))
-        assert catalog.audit.verify() == AuditCheck(catalog.audit.state(), None)
+        assert catalog.audit.verify() == AuditCheck(catalog.audit.verify().state, None)
         assert {entry.map_slug for entry in catalog.audit.list().items} == set(slugs)
 
     def test_a_state_is_a_number_and_a_hash(self):

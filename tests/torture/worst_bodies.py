@@ -15,7 +15,7 @@ from contextlib import suppress
 from typing import Any
 
 import laspy
-import lzf  # type: ignore[import-not-found]  # ships no types
+import lzf
 import numpy as np
 import zstandard
 

@@ -99,7 +99,7 @@ def make(data: Path) -> dict[str, object]:
         waiting = store.jobs.create(
             "yard", {"encoding": "paper", "segment_length": 3, "drives": ["thursday"]}
         )
-        state = store.audit.state()
+        state = store.audit.verify().state
     return {
         "answers": answers,
         "downloads": downloads,

@@ -5,6 +5,7 @@ from typing import Any, Protocol
 
 from core.arrays import Float32Array
 from core.errors import InvalidParameters
+from core.scans.angles import wrapped_deg
 from core.scans.scan import Scan
 
 __all__ = ["Nearest", "PlaceDescriptor", "Places", "require_descriptors", "sent_bytes", "turn_deg"]
@@ -107,4 +108,4 @@ def turn_deg(shift: int, sectors: int) -> float:
         >>> turn_deg(15, 60), turn_deg(45, 60)
         (90.0, -90.0)
     """
-    return (shift * 360.0 / sectors + 180.0) % 360.0 - 180.0
+    return wrapped_deg(shift * 360.0 / sectors)

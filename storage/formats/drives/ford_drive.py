@@ -29,16 +29,11 @@ original recording: that X_wv is z-down, as the authors' convention has it, and 
 """
 
 import math
-import zlib
 from dataclasses import dataclass
 from functools import cached_property
-from io import BytesIO
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from scipy.io import loadmat
-from scipy.io.matlab import MatReadError
 from scipy.spatial.transform import Rotation
 
 from core.arrays import Float32Array, FloatArray, frozen
@@ -47,13 +42,12 @@ from core.scans.pose import UNKNOWN_POSE, Pose, rows_from_matrices
 from core.scans.scan import Scan
 from storage.formats.drives.file_drive import in_order
 from storage.formats.errors import MalformedScan
+from storage.formats.scans.ford import points_m_of, scan_matrices
 
-__all__ = ["FORD_LASER_ON_VEHICLE", "FordDrive", "open_ford_drive", "read_ford_scan"]
+__all__ = ["FordDrive", "open_ford_drive", "read_ford_scan"]
 
-FORD_LASER_ON_VEHICLE: tuple[float, ...] = (2.4, -0.01, -2.3, math.pi, 0.0, math.pi / 2)
+_LASER_ON_VEHICLE = np.array([2.4, -0.01, -2.3, math.pi, 0.0, math.pi / 2])
 _Z_DOWN_TO_Z_UP = np.diag([1.0, -1.0, -1.0, 1.0])
-
-_Mount = tuple[float, ...]
 
 
 class FordDrive:
@@ -62,20 +56,12 @@ class FordDrive:
     Timestamps and poses are inside the files: the first to ask for them reads every file once.
     """
 
-    def __init__(
-        self,
-        name: str,
-        files: tuple[Path, ...],
-        *,
-        min_returns: int = 1,
-        laser_on_vehicle: _Mount = FORD_LASER_ON_VEHICLE,
-    ) -> None:
+    def __init__(self, name: str, files: tuple[Path, ...], *, min_returns: int = 1) -> None:
         if not files:
             raise EmptyDrive(f"drive {name!r} has no files Scan*.mat")
         self.name = name
         self._files = files
         self._min_returns = min_returns
-        self._laser_on_vehicle = laser_on_vehicle
 
     def __len__(self) -> int:
         return len(self._files)
@@ -96,11 +82,7 @@ class FordDrive:
         Raises:
             InvalidScan: If the file cannot be used; a subclass says why.
         """
-        return read_ford_scan(
-            self._files[index],
-            min_returns=self._min_returns,
-            laser_on_vehicle=self._laser_on_vehicle,
-        )
+        return read_ford_scan(self._files[index], min_returns=self._min_returns)
 
     @cached_property
     def _facts(self) -> tuple[FloatArray, FloatArray]:
@@ -108,56 +90,38 @@ class FordDrive:
         poses = np.full((len(self), 7), UNKNOWN_POSE)
         for index, file in enumerate(self._files):
             try:
-                record = _read(file)
+                record = _read(file.read_bytes())
             except InvalidScan:  # told when the scan is read; the rest of the drive is whole
                 continue
-            timestamp_s[index] = record.timestamp_s
-            poses[index] = _laser_pose_row(record.vehicle_pose, self._laser_on_vehicle)
+            timestamp_s[index], poses[index] = record.timestamp_s, record.laser_pose
         return frozen(timestamp_s, np.float64), frozen(poses, np.float64)
 
 
-def open_ford_drive(
-    path: Path,
-    *,
-    min_returns: int = 1,
-    laser_on_vehicle: _Mount = FORD_LASER_ON_VEHICLE,
-) -> FordDrive:
+def open_ford_drive(path: Path, *, min_returns: int = 1) -> FordDrive:
     """Open a drive of `SCANS/Scan*.mat`, in the order of their numbers.
 
     Raises:
         EmptyDrive: If there are no scans.
     """
-    return FordDrive(
-        path.resolve().name,
-        in_order((path / "SCANS").glob("Scan*.mat")),
-        min_returns=min_returns,
-        laser_on_vehicle=laser_on_vehicle,
-    )
+    files = in_order((path / "SCANS").glob("Scan*.mat"))
+    return FordDrive(path.resolve().name, files, min_returns=min_returns)
 
 
-def read_ford_scan(
-    path: Path,
-    *,
-    min_returns: int = 1,
-    laser_on_vehicle: _Mount = FORD_LASER_ON_VEHICLE,
-) -> Scan:
-    """Read one `Scan*.mat`.
-
-    It is no format of the registry, and must not be reachable from the network: a `.mat` file
-    unpacks to whatever it claims, and SciPy 1.17.1 checks no element's type, so that one damaged
-    byte can end the process. Read only what the operator put on the disk.
+def read_ford_scan(path: Path, *, min_returns: int = 1) -> Scan:
+    """Read one `Scan*.mat`, with its time and pose; errors name the file.
 
     Raises:
-        MalformedScan: If the file has no `SCAN.XYZ` of shape (3, N).
+        InvalidScan: If the file has no `SCAN.XYZ` of shape (3, N), or a pose or time of another
+            size; a subclass says why.
         TooFewReturns: If fewer than `min_returns` are left.
     """
-    record = _read(path)
     try:
+        record = _read(path.read_bytes())
         return Scan.from_returns(
             record.returns_m,
             min_returns=min_returns,
             timestamp_s=record.timestamp_s,
-            pose=Pose.from_row(_laser_pose_row(record.vehicle_pose, laser_on_vehicle)),
+            pose=Pose.from_row(record.laser_pose),
         )
     except InvalidScan as error:
         raise type(error)(f"{path.name}: {error}") from error
@@ -167,66 +131,27 @@ def read_ford_scan(
 class _FordRecord:
     returns_m: Float32Array
     timestamp_s: float
-    vehicle_pose: FloatArray
+    laser_pose: FloatArray
 
 
-def _read(path: Path) -> _FordRecord:
-    file = BytesIO(path.read_bytes())
-    try:
-        content = loadmat(
-            file,  # type: ignore[arg-type]  # SciPy takes open files too, its stubs do not
-            variable_names=["SCAN"],
-            struct_as_record=False,
-        )
-        scan = np.asarray(content["SCAN"], dtype=object).reshape(-1)[0]
-        returns_m = _numbers(scan, "XYZ")
-    # What SciPy raises over a damaged file depends on the byte that is damaged.
-    except (
-        AttributeError,
-        IndexError,
-        KeyError,
-        MatReadError,
-        MemoryError,
-        NotImplementedError,
-        OSError,
-        OverflowError,
-        EOFError,
-        TypeError,
-        ValueError,
-        zlib.error,
-    ) as error:
-        raise MalformedScan(f"{path.name}: no SCAN.XYZ of numbers can be read: {error}") from error
-    if returns_m.ndim != 2 or returns_m.shape[0] != 3:
-        raise MalformedScan(f"{path.name}: SCAN.XYZ has shape {returns_m.shape}, wanted (3, N)")
-    pose = _optional(path, scan, "X_wv", 6)
-    with np.errstate(over="ignore", invalid="ignore"):  # beyond float32 is infinite: no return
-        points_m = np.ascontiguousarray(returns_m.T, dtype=np.float32)
-    return _FordRecord(points_m, float(_optional(path, scan, "timestamp_laser", 1)[0]) / 1e6, pose)
+def _read(body: bytes) -> _FordRecord:
+    sizes = {"timestamp_laser": 1, "X_wv": 6}
+    matrices = scan_matrices(body, {"XYZ", *sizes})
+    returns_m = points_m_of(matrices)
+    facts = {}
+    for field, size in sizes.items():
+        values = matrices.get(field, np.full(size, np.nan)).astype(np.float64).reshape(-1)
+        if len(values) != size:
+            raise MalformedScan(f"SCAN.{field} has {len(values)} values, wanted {size}")
+        facts[field] = values
+    timestamp_s = float(facts["timestamp_laser"][0]) / 1e6
+    return _FordRecord(returns_m, timestamp_s, _laser_pose_row(facts["X_wv"]))
 
 
-def _optional(path: Path, scan: Any, field: str, size: int) -> FloatArray:  # noqa: ANN401 - SciPy's struct has any field
-    if not hasattr(scan, field):
-        return np.full(size, np.nan)
-    try:
-        values = _numbers(scan, field).reshape(-1)
-    except (TypeError, ValueError) as error:
-        raise MalformedScan(f"{path.name}: SCAN.{field} holds no numbers: {error}") from error
-    if values.size != size:
-        raise MalformedScan(f"{path.name}: SCAN.{field} has {values.size} values, wanted {size}")
-    return values
-
-
-def _numbers(scan: Any, field: str) -> FloatArray:  # noqa: ANN401 - SciPy's struct has any field
-    values = np.asarray(getattr(scan, field))
-    if values.dtype.kind not in "fiu":
-        raise TypeError(f"SCAN.{field} holds {values.dtype}, wanted real numbers")
-    return values.astype(np.float64)
-
-
-def _laser_pose_row(vehicle_pose: FloatArray, laser_on_vehicle: _Mount) -> FloatArray:
+def _laser_pose_row(vehicle_pose: FloatArray) -> FloatArray:
     if not np.isfinite(vehicle_pose).all():
         return np.array(UNKNOWN_POSE)
-    laser_in_world = _Z_DOWN_TO_Z_UP @ _matrix(vehicle_pose) @ _matrix(np.array(laser_on_vehicle))
+    laser_in_world = _Z_DOWN_TO_Z_UP @ _matrix(vehicle_pose) @ _matrix(_LASER_ON_VEHICLE)
     return np.asarray(rows_from_matrices(laser_in_world[None])[0])
 
 

@@ -17,6 +17,7 @@ from core.errors import EmptyDrive
 from core.scans.pose import UNKNOWN_POSE
 from core.scans.scan import Scan
 from storage.formats.errors import MalformedDrive, MalformedScan, TruncatedScan, WrongDtype
+from storage.formats.scans.coordinates import AXES, coordinates, record_of
 
 if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
@@ -28,7 +29,6 @@ _SUFFIXES = frozenset({".bag", ".mcap", ".db3"})
 _METADATA = "metadata.yaml"  # in the folder that ROS 2 records
 _CLOUD = "sensor_msgs/msg/PointCloud2"
 _FLOATS = {7: "f4", 8: "f8"}  # sensor_msgs/PointField: FLOAT32, FLOAT64
-_AXES = ("x", "y", "z")
 _NANO = 1e-9
 
 
@@ -117,11 +117,11 @@ def returns_m_of(cloud: Any) -> Float32Array:  # noqa: ANN401 - its class is mad
         TruncatedScan: If it has fewer bytes than its rows need.
     """
     fields = {field.name: field for field in cloud.fields}
-    missing = [axis for axis in _AXES if axis not in fields]
+    missing = [axis for axis in AXES if axis not in fields]
     if missing:
         raise MalformedScan(f"a cloud of the fields {', '.join(fields)} has no {missing[0]}")
     order = ">" if cloud.is_bigendian else "<"
-    kinds = {axis: _FLOATS.get(fields[axis].datatype) for axis in _AXES}
+    kinds = {axis: _FLOATS.get(fields[axis].datatype) for axis in AXES}
     for axis, kind in kinds.items():
         if kind is None or fields[axis].count not in {0, 1}:  # some drivers leave the count out
             raise WrongDtype(
@@ -129,13 +129,9 @@ def returns_m_of(cloud: Any) -> Float32Array:  # noqa: ANN401 - its class is mad
                 " wanted one of 7 or 8: floating point"
             )
     try:
-        record = np.dtype(
-            {
-                "names": list(_AXES),
-                "formats": [f"{order}{kinds[axis]}" for axis in _AXES],
-                "offsets": [fields[axis].offset for axis in _AXES],
-                "itemsize": cloud.point_step,
-            }
+        record = record_of(
+            {axis: (f"{order}{kinds[axis]}", fields[axis].offset) for axis in AXES},
+            cloud.point_step,
         )
     except ValueError as error:
         raise MalformedScan(f"points of {cloud.point_step} bytes: {error}") from error
@@ -148,7 +144,7 @@ def returns_m_of(cloud: Any) -> Float32Array:  # noqa: ANN401 - its class is mad
     rows = data[: cloud.height * cloud.row_step].reshape(cloud.height, cloud.row_step)
     packed = np.ascontiguousarray(rows[:, : cloud.width * cloud.point_step])
     points = packed.reshape(-1).view(record)
-    return np.stack([points[axis].astype(np.float32) for axis in _AXES], axis=1)
+    return coordinates(points)
 
 
 def open_ros_drive(path: Path, topic: str | None = None, *, min_returns: int = 1) -> RosDrive:

@@ -4,11 +4,11 @@ from dataclasses import dataclass
 
 from core.arrays import Float32Array
 from storage.formats.errors import MalformedScan
+from storage.formats.scans.coordinates import AXES
 from storage.formats.scans.text_numbers import text_columns
 
 __all__ = ["CsvFormat"]
 
-_AXES = ("x", "y", "z")
 _DELIMITERS = (",", ";", "\t", " ")
 _MAX_LINE_BYTES = 16_384
 
@@ -63,10 +63,10 @@ def _columns(names: list[str]) -> list[int]:
         name.strip().strip("\"'").lower().partition("(")[0].strip().removesuffix("_m")
         for name in names
     ]
-    for axis in _AXES:
+    for axis in AXES:
         if plain.count(axis) != 1:
             raise MalformedScan(f"wanted one column {axis}, the columns are {str(names)[:120]}")
-    return [plain.index(axis) for axis in _AXES]
+    return [plain.index(axis) for axis in AXES]
 
 
 def _is_number(text: str) -> bool:

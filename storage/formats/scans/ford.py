@@ -2,10 +2,12 @@
 
 SciPy reads MATLAB's files and must not be given a stranger's: it unpacks whatever is claimed, and
 checks no element's type (1.17.1), so that a damaged byte can end the process. What a scan needs of
-the format, level 5, is small: a struct `SCAN` with a matrix `XYZ` of real numbers.
+the format, level 5, is small: a struct `SCAN` with matrices of real numbers.
 """
 
+import math
 import zlib
+from collections.abc import Collection
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,8 +15,9 @@ import numpy as np
 from core.arrays import Float32Array
 from storage.formats.budget import BUDGET
 from storage.formats.errors import MalformedScan, ScanTooLarge, TruncatedScan
+from storage.formats.scans.coordinates import as_float32
 
-__all__ = ["FordFormat"]
+__all__ = ["FordFormat", "points_m_of", "scan_matrices"]
 
 _HEADER_BYTES = 128
 _MATRIX, _COMPRESSED = 14, 15
@@ -47,38 +50,71 @@ class FordFormat:
             TruncatedScan: If an element claims more bytes than came.
             ScanTooLarge: If an element would unpack to more than `max_decoded_bytes`.
         """
-        if len(body) < _HEADER_BYTES:
-            raise TruncatedScan(f"{len(body)} bytes came, the header takes {_HEADER_BYTES}")
-        order = {b"IM": "<", b"MI": ">"}.get(body[126:128])
-        if not body.startswith(b"MATLAB 5.0") or order is None:
-            raise MalformedScan(f"the body begins with {body[:10]!r}, wanted a MATLAB 5.0 MAT-file")
-        elements = _Elements(memoryview(body)[_HEADER_BYTES:], order)
-        left_bytes = self.max_decoded_bytes
-        for _ in range(BUDGET.elements):
-            if not elements:
-                raise MalformedScan("the file has no struct SCAN")
-            kind, content = elements.take()
-            if kind == _COMPRESSED:
-                unpacked = self._unpacked(content, left_bytes)
-                left_bytes -= len(unpacked)
-                kind, content = _Elements(unpacked, order).take()
-            if kind == _MATRIX:
-                found = _scan_matrix(_Elements(content, order))
-                if found is not None:
-                    return found
-        raise MalformedScan(f"the first {BUDGET.elements} elements are no struct SCAN")
+        return points_m_of(scan_matrices(body, {"XYZ"}, self.max_decoded_bytes))
 
-    def _unpacked(self, packed: memoryview, most_bytes: int) -> memoryview:
-        unpacker = zlib.decompressobj()
-        try:
-            content = unpacker.decompress(packed, most_bytes + 1)
-        except zlib.error as error:
-            raise MalformedScan(f"an element does not unpack: {error}") from error
-        if len(content) > most_bytes:
-            raise ScanTooLarge(
-                f"the elements unpack to more than the {self.max_decoded_bytes} bytes that may be"
-            )
-        return memoryview(content)
+
+def scan_matrices(
+    body: bytes, wanted: Collection[str], max_decoded_bytes: int = BUDGET.unpacked_bytes
+) -> dict[str, np.ndarray]:
+    """Return those fields of the struct SCAN that are wanted and there, each with two axes.
+
+    Args:
+        body: The file.
+        wanted: Names of fields.
+        max_decoded_bytes: What the compressed elements of the file may unpack to, all together.
+
+    Raises:
+        MalformedScan: If there is no struct SCAN, or a wanted field is no matrix of numbers.
+        TruncatedScan: If an element claims more bytes than came.
+        ScanTooLarge: If an element would unpack to more than `max_decoded_bytes`.
+    """
+    if len(body) < _HEADER_BYTES:
+        raise TruncatedScan(f"{len(body)} bytes came, the header takes {_HEADER_BYTES}")
+    order = {b"IM": "<", b"MI": ">"}.get(body[126:128])
+    if not body.startswith(b"MATLAB 5.0") or order is None:
+        raise MalformedScan(f"the body begins with {body[:10]!r}, wanted a MATLAB 5.0 MAT-file")
+    elements = _Elements(memoryview(body)[_HEADER_BYTES:], order)
+    left_bytes = max_decoded_bytes
+    for _ in range(BUDGET.elements):
+        if not elements:
+            raise MalformedScan("the file has no struct SCAN")
+        kind, content = elements.take()
+        if kind == _COMPRESSED:
+            unpacked = _unpacked(content, left_bytes, max_decoded_bytes)
+            left_bytes -= len(unpacked)
+            kind, content = _Elements(unpacked, order).take()
+        if kind == _MATRIX:
+            found = _matrices(_Elements(content, order), wanted)
+            if found is not None:
+                return found
+    raise MalformedScan(f"the first {BUDGET.elements} elements are no struct SCAN")
+
+
+def points_m_of(matrices: dict[str, np.ndarray]) -> Float32Array:
+    """Return the `(n, 3)` metres of the matrix XYZ.
+
+    Raises:
+        MalformedScan: If it is not there, or not of shape (3, n).
+        ScanTooLarge: If it has more returns than may be.
+    """
+    if "XYZ" not in matrices:
+        raise MalformedScan("SCAN has no field XYZ")
+    xyz = matrices["XYZ"]
+    if len(xyz) != 3:
+        raise MalformedScan(f"SCAN.XYZ has shape {xyz.shape}, wanted (3, N)")
+    BUDGET.require_returns(xyz.shape[1])
+    return as_float32(xyz.T)
+
+
+def _unpacked(packed: memoryview, left_bytes: int, most_bytes: int) -> memoryview:
+    unpacker = zlib.decompressobj()
+    try:
+        content = unpacker.decompress(packed, left_bytes + 1)
+    except zlib.error as error:
+        raise MalformedScan(f"an element does not unpack: {error}") from error
+    if len(content) > left_bytes:
+        raise ScanTooLarge(f"the elements unpack to more than the {most_bytes} bytes that may be")
+    return memoryview(content)
 
 
 class _Elements:
@@ -121,8 +157,8 @@ class _Elements:
         return np.frombuffer(content, dtype=dtype)
 
 
-def _scan_matrix(elements: _Elements) -> Float32Array | None:
-    """Return the points of a variable if it is the struct SCAN."""
+def _matrices(elements: _Elements, wanted: Collection[str]) -> dict[str, np.ndarray] | None:
+    """Return the wanted fields of a variable if it is the struct SCAN."""
     kind, _, shape, name = _start(elements)
     if name != b"SCAN":
         return None
@@ -137,28 +173,29 @@ def _scan_matrix(elements: _Elements) -> Float32Array | None:
         raise MalformedScan(
             f"SCAN has {len(names) // step} fields, at most {BUDGET.elements} may be"
         )
-    fields = [names[at : at + step].rstrip(b"\0") for at in range(0, len(names), step)]
-    for field in fields:
+    found: dict[str, np.ndarray] = {}
+    for at in range(0, len(names), step):
+        field = names[at : at + step].rstrip(b"\0").decode("latin-1")
         outer, content = elements.take()
         if outer != _MATRIX:
             raise MalformedScan(f"field {field!r} of SCAN has type {outer}, wanted a matrix")
-        if field == b"XYZ":
-            return _points(_Elements(content, elements.order))
-    raise MalformedScan("SCAN has no field XYZ")
+        if field in wanted:
+            found[field] = _numbers(_Elements(content, elements.order), field)
+            if len(found) == len(wanted):
+                break
+    return found
 
 
-def _points(elements: _Elements) -> Float32Array:
+def _numbers(elements: _Elements, field: str) -> np.ndarray:
     kind, flags, shape, _ = _start(elements)
     if kind not in _NUMBER_CLASSES or flags & _COMPLEX:
-        raise MalformedScan(f"SCAN.XYZ is of class {kind}, wanted real numbers")
-    if len(shape) != 2 or shape[0] != 3:
-        raise MalformedScan(f"SCAN.XYZ has shape {shape}, wanted (3, N)")
+        raise MalformedScan(f"SCAN.{field} is of class {kind}, wanted real numbers")
+    if len(shape) != 2 or min(shape) < 0:
+        raise MalformedScan(f"SCAN.{field} has {len(shape)} axes {shape[:2]}, wanted a matrix")
     values = elements.numbers(*_NUMBERS)
-    if len(values) != shape[0] * shape[1]:
-        raise TruncatedScan(f"SCAN.XYZ has shape {shape} and {len(values)} numbers")
-    BUDGET.require_returns(shape[1])
-    with np.errstate(over="ignore", invalid="ignore"):  # beyond float32 is infinite: no return
-        return values.reshape(-1, 3).astype(np.float32)  # by columns, as MATLAB writes
+    if len(values) != math.prod(shape):
+        raise TruncatedScan(f"SCAN.{field} has shape {shape} and {len(values)} numbers")
+    return values.reshape(shape, order="F")
 
 
 def _start(elements: _Elements) -> tuple[int, int, list[int], bytes]:

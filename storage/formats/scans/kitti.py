@@ -6,8 +6,8 @@ import numpy as np
 
 from core.arrays import Float32Array
 from core.scans.scan import Scan
-from storage.formats.budget import BUDGET
-from storage.formats.errors import TruncatedScan, WrongDtype
+from storage.formats.errors import WrongDtype
+from storage.formats.scans.coordinates import require_records
 
 __all__ = ["KittiFormat", "kitti_body", "refuse_implausible"]
 
@@ -49,12 +49,7 @@ class KittiFormat:
             >>> KittiFormat().read(np.array([[10, 0, -1, 0.3]], "<f4").tobytes())
             array([[10.,  0., -1.]], dtype=float32)
         """
-        if len(body) % _RECORD_BYTES:
-            raise TruncatedScan(
-                f"the body has {len(body)} bytes, which is {len(body) // _RECORD_BYTES} records of"
-                f" {_RECORD_BYTES} and {len(body) % _RECORD_BYTES} left over; wanted {_WANTED}"
-            )
-        BUDGET.require_returns(len(body) // _RECORD_BYTES)
+        require_records(body, _RECORD_BYTES, _WANTED)
         returns_m = np.frombuffer(body, dtype="<f4").reshape(-1, 4)[:, :3].astype(np.float32)
         refuse_implausible(returns_m, _WANTED)
         return returns_m

@@ -15,7 +15,8 @@ from numpy.lib import format as npy_format
 
 from core.arrays import Float32Array
 from storage.formats.budget import BUDGET
-from storage.formats.errors import MalformedScan, TruncatedScan, WrongDtype
+from storage.formats.errors import MalformedScan, TruncatedScan, WrongDtype, short
+from storage.formats.scans.coordinates import AXES, as_float32, coordinates, require_amount
 
 __all__ = ["NpyFormat"]
 
@@ -25,7 +26,6 @@ _MAX_HEADER_BYTES = 10_000  # NumPy's own limit
 _LITERALS = re.compile(r"(?:'[^'\\]*'|\d+(?!\w)|True|False|[{}()\[\],: ])*\n?")
 _FLOAT = re.compile(r"[<>=|]?f[248]")
 _PLAIN = re.compile(r"[<>=|]?[fiubcSUV?]\d*")
-_AXES = ("x", "y", "z")
 _WANTED = "float16, float32 or float64 metres"
 
 
@@ -56,23 +56,18 @@ class NpyFormat:
         header, start = _header(body)
         dtype, shape = _dtype(header["descr"]), _shape(header["shape"])
         if dtype.names is None and (len(shape) != 2 or shape[1] < 3):
-            raise MalformedScan(f"the array has shape {_short(shape)}, wanted (n, 3) or wider")
+            raise MalformedScan(f"the array has shape {short(shape)}, wanted (n, 3) or wider")
         wanted, came = math.prod(shape) * dtype.itemsize, len(body) - start
-        if came < wanted:
-            raise TruncatedScan(
-                f"shape {_short(shape)} of {dtype} takes {_short(wanted)} bytes, {came} came"
-            )
-        if came > wanted:
-            raise MalformedScan(f"the array takes {wanted} bytes, {came} came")
+        told = f"shape {short(shape)} of {dtype} takes {short(wanted)} bytes, {came} came"
+        require_amount(came, wanted, told)
         if wanted == 0:
             return np.empty((0, 3), np.float32)
         BUDGET.require_returns(shape[0] if dtype.names is None else math.prod(shape))
         values = np.frombuffer(body, dtype=dtype, offset=start)
-        with np.errstate(over="ignore", invalid="ignore"):  # beyond float32 is infinite: no return
-            if dtype.names is not None:
-                return np.stack([values[axis].astype(np.float32) for axis in _AXES], axis=1)
-            order: Literal["C", "F"] = "F" if header["fortran_order"] else "C"
-            return values.reshape(shape, order=order)[:, :3].astype(np.float32)
+        if dtype.names is not None:
+            return coordinates(values)
+        order: Literal["C", "F"] = "F" if header["fortran_order"] else "C"
+        return as_float32(values.reshape(shape, order=order)[:, :3])
 
 
 def _header(body: bytes) -> tuple[dict[str, Any], int]:
@@ -90,23 +85,23 @@ def _header(body: bytes) -> tuple[dict[str, Any], int]:
         raise MalformedScan(f"the header takes {length} bytes, at most {_MAX_HEADER_BYTES} may be")
     text = body[begin : begin + length].decode("latin-1")
     if not _LITERALS.fullmatch(text):
-        raise MalformedScan(f"the header is no dictionary of literals: {_short(text)}")
+        raise MalformedScan(f"the header is no dictionary of literals: {short(text)}")
     try:
         header = ast.literal_eval(text)
     except (SyntaxError, TypeError, ValueError, MemoryError, RecursionError) as error:
-        raise MalformedScan(f"the header is no dictionary of literals: {_short(text)}") from error
+        raise MalformedScan(f"the header is no dictionary of literals: {short(text)}") from error
     if not isinstance(header, dict) or set(header) != {"descr", "fortran_order", "shape"}:
-        raise MalformedScan(f"the header lacks descr, fortran_order or shape: {_short(text)}")
+        raise MalformedScan(f"the header lacks descr, fortran_order or shape: {short(text)}")
     return header, begin + length
 
 
 def _dtype(descr: object) -> np.dtype[Any]:
     if isinstance(descr, str):
         if not _FLOAT.fullmatch(descr):
-            raise WrongDtype(f"the array holds {_short(descr)}, wanted {_WANTED}")
+            raise WrongDtype(f"the array holds {short(descr)}, wanted {_WANTED}")
         return np.dtype(descr)
     if not isinstance(descr, list):
-        raise MalformedScan(f"{_short(descr)} describes no array")
+        raise MalformedScan(f"{short(descr)} describes no array")
     for field in descr:
         match field:
             case (str(), str(code)):
@@ -114,33 +109,22 @@ def _dtype(descr: object) -> np.dtype[Any]:
             case (str(), str(code), tuple(sides)) if all(type(side) is int for side in sides):
                 pass
             case _:
-                raise MalformedScan(f"{_short(field)} describes no field")
+                raise MalformedScan(f"{short(field)} describes no field")
         if not _PLAIN.fullmatch(code):
-            raise WrongDtype(f"field {_short(field)} is no plain number")
+            raise WrongDtype(f"field {short(field)} is no plain number")
     try:
         dtype = npy_format.descr_to_dtype(descr)
     except (TypeError, ValueError, OverflowError, MemoryError) as error:
-        raise MalformedScan(f"{_short(descr)} describes no array: {error}") from error
+        raise MalformedScan(f"{short(descr)} describes no array: {error}") from error
     names = dtype.names or ()
-    for axis in _AXES:
+    for axis in AXES:
         held = dtype[axis].str if axis in names else "nothing"
         if not _FLOAT.fullmatch(held):
-            raise WrongDtype(
-                f"field {axis} holds {held}, wanted {_WANTED}; fields: {_short(names)}"
-            )
+            raise WrongDtype(f"field {axis} holds {held}, wanted {_WANTED}; fields: {short(names)}")
     return dtype
 
 
 def _shape(shape: object) -> tuple[int, ...]:
     if not isinstance(shape, tuple) or not all(type(side) is int for side in shape):
-        raise MalformedScan(f"{_short(shape)} is no shape")
+        raise MalformedScan(f"{short(shape)} is no shape")
     return shape
-
-
-def _short(value: object) -> str:
-    """Return `value` for a message, cut: a client chose it."""
-    try:
-        text = repr(value)
-    except ValueError:  # an integer of more digits than Python prints
-        return "a number beyond printing"
-    return text if len(text) <= 120 else f"{text[:117]}..."

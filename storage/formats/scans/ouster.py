@@ -16,6 +16,7 @@ import numpy as np
 from core.arrays import Float32Array, FloatArray, IntArray, frozen
 from storage.formats.budget import BUDGET
 from storage.formats.errors import MalformedScan, TruncatedScan
+from storage.formats.scans.coordinates import record_of
 from storage.formats.scans.pcap import datagrams
 
 __all__ = ["OusterFormat", "ouster_frames"]
@@ -157,9 +158,9 @@ class _Sensor:
             fields["status"] = ("<u2", 10)
         else:
             fields |= {"frame": ("<u2", 10), "status": ("<u4", self.column_bytes - 4)}
-        columns = ((_layout(fields, self.column_bytes), self.per_packet), profile.head)
+        columns = ((record_of(fields, self.column_bytes), self.per_packet), profile.head)
         frame = {"frame": ("<u2", 2)} if profile.head else {}
-        return _layout({"columns": columns, **frame}, self.packet_bytes)
+        return record_of({"columns": columns, **frame}, self.packet_bytes)
 
     def points_m(self, ranges_m: FloatArray) -> Float32Array:
         """Turn `(columns, rows)` ranges into `(n, 3)` points."""
@@ -176,18 +177,6 @@ class _Sensor:
         )
         points_m[ranges_m <= 0] = 0.0
         return (points_m.reshape(-1, 3) @ self.turn.T).astype(np.float32)
-
-
-def _layout(fields: dict[str, tuple[Any, int]], size_bytes: int) -> np.dtype[np.void]:
-    """Return a record of fields at their offsets."""
-    return np.dtype(
-        {
-            "names": list(fields),
-            "formats": [dtype for dtype, _ in fields.values()],
-            "offsets": [offset for _, offset in fields.values()],
-            "itemsize": size_bytes,
-        }
-    )
 
 
 def _runs(

@@ -1,26 +1,30 @@
 """Point Cloud Library files, `.pcd`: ascii, binary and binary_compressed.
 
-pypcd4 unpacks compressed points. The header is read here first, because the library trusts it: it
-makes arrays of whatever size is claimed, wants lines that the format allows to be missing, and lets
-a field's name decide how a line is split. It gets a plain header that agrees with the body. Text
-and binary points are read in place: the library would hold three copies of them.
+The library for them, pypcd4, makes arrays of whatever size a header claims, wants lines that the
+format allows to be missing, lets a field's name decide how a line is split, and holds three copies
+of the points. What of it is needed here is the unpacking of LZF, by the library that it uses.
 """
 
-import io
 import math
 from dataclasses import dataclass
 
+import lzf
 import numpy as np
-from pypcd4.pypcd4 import PointCloud
 
 from core.arrays import Float32Array
 from storage.formats.budget import BUDGET
-from storage.formats.errors import MalformedScan, ScanTooLarge, TruncatedScan, WrongDtype
+from storage.formats.errors import MalformedScan, ScanTooLarge, TruncatedScan, WrongDtype, short
+from storage.formats.scans.coordinates import (
+    AXES,
+    as_float32,
+    coordinates,
+    record_of,
+    require_amount,
+)
 from storage.formats.scans.text_numbers import text_columns
 
 __all__ = ["PcdFormat"]
 
-_AXES = ("x", "y", "z")
 _SIZES = {"F": {4, 8}, "I": {1, 2, 4, 8}, "U": {1, 2, 4, 8}}
 _ENCODINGS = ("ascii", "binary", "binary_compressed")
 _MAX_HEADER_BYTES = 16_384
@@ -90,27 +94,25 @@ class _Header:
     @property
     def first_columns(self) -> tuple[int, ...]:
         """In which columns of a line x, y and z are."""
-        return tuple(sum(self.counts[: self.fields.index(axis)]) for axis in _AXES)
+        return tuple(sum(self.counts[: self.fields.index(axis)]) for axis in AXES)
 
     @property
     def record(self) -> np.dtype[np.void]:
         """x, y and z within a binary point."""
-        at = [self.fields.index(axis) for axis in _AXES]
-        ends = np.cumsum(
-            [size * count for size, count in zip(self.sizes, self.counts, strict=True)]
-        )
-        return np.dtype(
-            {
-                "names": list(_AXES),
-                "formats": [f"<f{self.sizes[i]}" for i in at],
-                "offsets": [int(ends[i]) - self.sizes[i] for i in at],
-                "itemsize": self.point_bytes,
-            }
-        )
+        return record_of({axis: self.place(axis) for axis in AXES}, self.point_bytes)
+
+    def place(self, axis: str) -> tuple[str, int]:
+        """Return the kind of an axis' numbers, and how many bytes of a point are before it."""
+        at = self.fields.index(axis)
+        return f"<f{self.sizes[at]}", sum(self._field_bytes[:at])
+
+    @property
+    def _field_bytes(self) -> list[int]:
+        return [size * count for size, count in zip(self.sizes, self.counts, strict=True)]
 
     @property
     def point_bytes(self) -> int:
-        return sum(size * count for size, count in zip(self.sizes, self.counts, strict=True))
+        return sum(self._field_bytes)
 
     @property
     def claim(self) -> str:
@@ -122,24 +124,6 @@ class _Header:
             return self.points * self.columns * 2 > came_bytes + 1
         ratio = _LZF_RATIO if self.encoding == "binary_compressed" else 1
         return self.points * self.point_bytes > came_bytes * ratio
-
-    def plain(self) -> bytes:
-        """Return the same header as pypcd4 understands it."""
-        names = (name if name in _AXES else f"other_{i}" for i, name in enumerate(self.fields))
-        # Text is read as doubles whatever is declared: an integer column may hold "7.0".
-        is_text = self.encoding == "ascii"
-        lines = {
-            "VERSION": "0.7",
-            "FIELDS": " ".join(names),
-            "SIZE": " ".join("8" if is_text else str(size) for size in self.sizes),
-            "TYPE": " ".join("F" if is_text else kind for kind in self.types),
-            "COUNT": " ".join(str(count) for count in self.counts),
-            "WIDTH": self.points,
-            "HEIGHT": 1,
-            "POINTS": self.points,
-            "DATA": self.encoding,
-        }
-        return "".join(f"{key} {value}\n" for key, value in lines.items()).encode()
 
 
 def _read_header(body: bytes) -> tuple[_Header, int]:
@@ -154,20 +138,18 @@ def _read_header(body: bytes) -> tuple[_Header, int]:
             f" {len(counts)} COUNT, wanted as many of each"
         )
     if not all(size in _SIZES.get(kind, ()) for kind, size in zip(types, sizes, strict=True)):
-        raise MalformedScan(f"TYPE {_short(types)} has no SIZE {_short(sizes)}")
+        raise MalformedScan(f"TYPE {short(types)} has no SIZE {short(sizes)}")
     if min(counts) < 1 or sum(counts) > _MAX_COLUMNS:
-        raise MalformedScan(
-            f"a point has COUNT {_short(counts)}, wanted 1 to {_MAX_COLUMNS} in all"
-        )
-    for axis in _AXES:
+        raise MalformedScan(f"a point has COUNT {short(counts)}, wanted 1 to {_MAX_COLUMNS} in all")
+    for axis in AXES:
         at = fields.index(axis) if fields.count(axis) == 1 else None
         if at is None or counts[at] != 1:
-            raise MalformedScan(f"wanted one field {axis} of COUNT 1, FIELDS are {_short(fields)}")
+            raise MalformedScan(f"wanted one field {axis} of COUNT 1, FIELDS are {short(fields)}")
         if types[at] != "F":
             raise WrongDtype(f"field {axis} has TYPE {types[at]}, wanted F, metres in 4 or 8 bytes")
     encoding = " ".join(entries["DATA"])
     if encoding not in _ENCODINGS:
-        raise MalformedScan(f"DATA is {_short(encoding)}, wanted one of {', '.join(_ENCODINGS)}")
+        raise MalformedScan(f"DATA is {short(encoding)}, wanted one of {', '.join(_ENCODINGS)}")
     return _Header(fields, sizes, types, counts, _points(entries), encoding), start
 
 
@@ -180,7 +162,7 @@ def _entries(body: bytes) -> tuple[dict[str, list[str]], int]:
         key, *words = body[start:end].decode("latin-1").split() or ["#"]
         start = end + 1
         if key in entries:
-            raise MalformedScan(f"the header has two lines {_short(key)}")
+            raise MalformedScan(f"the header has two lines {short(key)}")
         if not key.startswith("#"):
             entries[key] = words
         if key == "DATA":
@@ -203,7 +185,7 @@ def _points(entries: dict[str, list[str]]) -> int:
 def _integer(entries: dict[str, list[str]], key: str) -> int:
     numbers = _integers(entries, key)
     if len(numbers) != 1:
-        raise MalformedScan(f"{key} is {_short(entries[key])}, wanted one number")
+        raise MalformedScan(f"{key} is {short(entries[key])}, wanted one number")
     return numbers[0]
 
 
@@ -211,25 +193,20 @@ def _integers(entries: dict[str, list[str]], key: str) -> tuple[int, ...]:
     words = entries.get(key, [])
     # 15 digits are a petabyte, and print as a number in every message.
     if not all(word.isascii() and word.isdecimal() and len(word) <= 15 for word in words):
-        raise MalformedScan(f"{key} is {_short(words)}, wanted whole numbers")
+        raise MalformedScan(f"{key} is {short(words)}, wanted whole numbers")
     return tuple(int(word) for word in words)
 
 
 def _agree(claim: str, wanted_bytes: int, came_bytes: int) -> None:
     """Refuse too few bytes, and too many: then SIZE or COUNT hides part of each point."""
-    message = f"the header claims {claim}, {wanted_bytes} bytes; {came_bytes} bytes of points came"
-    if came_bytes < wanted_bytes:
-        raise TruncatedScan(message)
-    if came_bytes > wanted_bytes:
-        raise MalformedScan(message)
+    told = f"the header claims {claim}, {wanted_bytes} bytes; {came_bytes} bytes of points came"
+    require_amount(came_bytes, wanted_bytes, told)
 
 
 def _text_points(points: memoryview, header: _Header) -> Float32Array:
     returns_m = text_columns(points, header.first_columns, header.columns, None)
-    if len(returns_m) < header.points:
-        raise TruncatedScan(f"the header claims {header.claim}, {len(returns_m)} lines came")
-    if len(returns_m) > header.points:
-        raise MalformedScan(f"the header claims {header.claim}, {len(returns_m)} lines came")
+    told = f"the header claims {header.claim}, {len(returns_m)} lines came"
+    require_amount(len(returns_m), header.points, told)
     return returns_m
 
 
@@ -239,7 +216,7 @@ def _binary_points(points: memoryview, header: _Header) -> Float32Array:
     padding = np.frombuffer(points[wanted:], np.uint8)
     _agree(header.claim, wanted, len(points) if padding.any() else min(len(points), wanted))
     BUDGET.require_returns(header.points)
-    return _stacked(np.frombuffer(points, header.record, count=header.points))
+    return coordinates(np.frombuffer(points, header.record, count=header.points))
 
 
 def _compressed_points(points: memoryview, header: _Header) -> Float32Array:
@@ -247,16 +224,20 @@ def _compressed_points(points: memoryview, header: _Header) -> Float32Array:
         return np.empty((0, 3), np.float32)
     _check_compressed(points, header)
     BUDGET.require_returns(header.points)
-    file: io.BufferedReader = io.BufferedReader(io.BytesIO(header.plain() + points))
+    wanted = header.points * header.point_bytes
     try:
-        return _stacked(PointCloud.from_fileobj(file).pc_data)
-    except (KeyError, RuntimeError, TypeError, ValueError) as error:
-        raise MalformedScan(f"the {header.encoding} points cannot be parsed: {error}") from error
-
-
-def _stacked(points: np.ndarray) -> Float32Array:
-    with np.errstate(over="ignore", invalid="ignore"):  # beyond float32 is infinite: no return
-        return np.stack([points[axis].astype(np.float32) for axis in _AXES], axis=1)
+        unpacked = lzf.decompress(bytes(points[8:]), wanted) or b""
+    except ValueError as error:
+        raise MalformedScan(f"the points do not unpack: {error}") from error
+    if len(unpacked) != wanted:
+        raise MalformedScan(f"the points unpack to {len(unpacked)} bytes, wanted {wanted}")
+    # Compressed points are stored field by field: all of the first, all of the second.
+    returns_m = np.empty((header.points, 3), np.float32)
+    for column, axis in enumerate(AXES):
+        dtype, before = header.place(axis)
+        values = np.frombuffer(unpacked, dtype, header.points, before * header.points)
+        returns_m[:, column] = as_float32(values)
+    return returns_m
 
 
 def _check_compressed(points: memoryview, header: _Header) -> None:
@@ -271,9 +252,3 @@ def _check_compressed(points: memoryview, header: _Header) -> None:
         )
     if unpacked > packed * _LZF_RATIO:
         raise TruncatedScan(f"{packed} compressed bytes cannot unpack to {unpacked}")
-
-
-def _short(value: object) -> str:
-    """Return `value` for a message, cut: a client chose it."""
-    text = repr(value)
-    return text if len(text) <= 120 else f"{text[:117]}..."

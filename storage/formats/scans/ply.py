@@ -11,12 +11,12 @@ import numpy as np
 
 from core.arrays import Float32Array
 from storage.formats.budget import BUDGET
-from storage.formats.errors import MalformedScan, TruncatedScan, WrongDtype
+from storage.formats.errors import MalformedScan, WrongDtype, short
+from storage.formats.scans.coordinates import AXES, coordinates, require_amount
 from storage.formats.scans.text_numbers import text_columns
 
 __all__ = ["PlyFormat"]
 
-_AXES = ("x", "y", "z")
 _TYPES = {
     **dict.fromkeys(("char", "int8"), "i1"),
     **dict.fromkeys(("uchar", "uint8"), "u1"),
@@ -58,18 +58,12 @@ class PlyFormat:
         """
         header, start = _read_header(body)
         if header.encoding == "ascii":
-            columns = [header.names.index(axis) for axis in _AXES]
+            columns = [header.names.index(axis) for axis in AXES]
             end = len(body) if header.is_last else _end_of_lines(body, start, header.vertices)
             text = memoryview(body)[start:end]
             returns_m = text_columns(text, columns, len(header.names), None)
-            if len(returns_m) < header.vertices:
-                raise TruncatedScan(
-                    f"the header claims {header.vertices:.6g} vertices, {len(returns_m)} came"
-                )
-            if len(returns_m) > header.vertices:
-                raise MalformedScan(
-                    f"the header claims {header.vertices:.6g} vertices, {len(returns_m)} came"
-                )
+            told = f"the header claims {header.vertices:.6g} vertices, {len(returns_m)} came"
+            require_amount(len(returns_m), header.vertices, told)
             return returns_m
         dtype = np.dtype(
             [
@@ -78,17 +72,12 @@ class PlyFormat:
             ]
         )
         wanted, came = header.vertices * dtype.itemsize, len(body) - start
-        if came < wanted:
-            raise TruncatedScan(
-                f"{header.vertices:.6g} vertices of {dtype.itemsize} bytes take {wanted:.6g},"
-                f" {came} came"
-            )
-        if came > wanted and header.is_last:
-            raise MalformedScan(f"the vertices take {wanted} bytes, {came} came")
+        told = f"{header.vertices:.6g} vertices of {dtype.itemsize} bytes take {wanted:.6g}"
+        came_of_them = came if header.is_last else min(came, wanted)
+        require_amount(came_of_them, wanted, f"{told}, {came} came")
         BUDGET.require_returns(header.vertices)
         vertices = np.frombuffer(body, dtype=dtype, count=header.vertices, offset=start)
-        with np.errstate(over="ignore", invalid="ignore"):  # beyond float32 is infinite: no return
-            return np.stack([vertices[axis].astype(np.float32) for axis in _AXES], axis=1)
+        return coordinates(vertices)
 
 
 @dataclass(frozen=True)
@@ -109,13 +98,13 @@ def _read_header(body: bytes) -> tuple[_Header, int]:
         case ["format", encoding, "1.0"] if encoding in _ENDIANS:
             pass
         case _:
-            raise MalformedScan(f"line 2 is {_short(lines[1])}, wanted format ENCODING 1.0")
+            raise MalformedScan(f"line 2 is {short(lines[1])}, wanted format ENCODING 1.0")
     elements = [number for number, line in enumerate(lines) if line[0] == "element"]
     match lines[elements[0]] if elements else []:
         case ["element", "vertex", digits] if digits.isdecimal() and len(digits) <= 15:
             pass
         case other:
-            raise MalformedScan(f"the first element is {_short(other)}, wanted element vertex N")
+            raise MalformedScan(f"the first element is {short(other)}, wanted element vertex N")
     end = elements[1] if len(elements) > 1 else len(lines)
     names, codes = [], []
     for line in lines[elements[0] + 1 : end]:
@@ -124,10 +113,10 @@ def _read_header(body: bytes) -> tuple[_Header, int]:
                 names.append(name)
                 codes.append(_TYPES[kind])
             case _:
-                raise MalformedScan(f"{_short(line)} is no property of fixed size")
+                raise MalformedScan(f"{short(line)} is no property of fixed size")
     if len(set(names)) != len(names) or len(names) > _MAX_PROPERTIES:
         raise MalformedScan(f"wanted at most {_MAX_PROPERTIES} properties, no name twice")
-    for axis in _AXES:
+    for axis in AXES:
         code = codes[names.index(axis)] if axis in names else "nothing"
         if code not in {"f4", "f8"}:
             raise WrongDtype(f"property {axis} holds {code}, wanted float or double")
@@ -164,9 +153,3 @@ def _end_of_lines(body: bytes, start: int, count: int) -> int:
         count -= len(ends)
         start += len(block)
     return len(body)
-
-
-def _short(value: object) -> str:
-    """Return `value` for a message, cut: a client chose it."""
-    text = repr(value)
-    return text if len(text) <= 120 else f"{text[:117]}..."

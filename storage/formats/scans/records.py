@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from core.arrays import Float32Array
-from storage.formats.budget import BUDGET
-from storage.formats.errors import TruncatedScan, WrongDtype
+from storage.formats.errors import WrongDtype
+from storage.formats.scans.coordinates import require_records
 from storage.formats.scans.kitti import refuse_implausible
 
 __all__ = ["NcltFormat", "NuscenesFormat"]
@@ -46,7 +46,7 @@ class NuscenesFormat:
             >>> NuscenesFormat().read(np.array([[10, 0, -1, 7, 3]], "<f4").tobytes())
             array([[10.,  0., -1.]], dtype=float32)
         """
-        _whole(body, _NUSCENES_BYTES, _NUSCENES)
+        require_records(body, _NUSCENES_BYTES, _NUSCENES)
         records = np.frombuffer(body, dtype="<f4").reshape(-1, 5)
         rings = records[:, 4]
         with np.errstate(invalid="ignore"):
@@ -86,7 +86,7 @@ class NcltFormat:
             >>> NcltFormat().read(record.tobytes()).tolist()[0]  # forward, left, up
             [9.99..., -0.00..., -0.95...]
         """
-        _whole(body, _NCLT_RECORD.itemsize, _NCLT)
+        require_records(body, _NCLT_RECORD.itemsize, _NCLT)
         records = np.frombuffer(body, dtype=_NCLT_RECORD)
         unknown = int((records["laser"] >= _NCLT_LASERS).sum())
         if unknown:
@@ -100,12 +100,3 @@ class NcltFormat:
             on_vehicle_m = records["xyz"][part] * _NCLT_STEP_M + _NCLT_FIRST_M
             returns_m[part] = (on_vehicle_m - _NCLT_LIDAR_M) * [1.0, -1.0, -1.0]
         return returns_m
-
-
-def _whole(body: bytes, record_bytes: int, wanted: str) -> None:
-    if len(body) % record_bytes:
-        raise TruncatedScan(
-            f"the body has {len(body)} bytes, which is {len(body) // record_bytes} records of"
-            f" {record_bytes} and {len(body) % record_bytes} left over; wanted {wanted}"
-        )
-    BUDGET.require_returns(len(body) // record_bytes)

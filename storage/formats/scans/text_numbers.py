@@ -8,6 +8,7 @@ import numpy as np
 from core.arrays import Float32Array, FloatArray
 from storage.formats.budget import BUDGET
 from storage.formats.errors import MalformedScan, ScanTooLarge
+from storage.formats.scans.coordinates import as_float32
 
 __all__ = ["blocks_of_lines", "number_rows", "text_columns"]
 
@@ -48,8 +49,7 @@ def text_columns(
             values = number_rows(block, columns, width, delimiter)
         except ValueError as error:
             raise MalformedScan(str(error)) from error
-        with np.errstate(over="ignore", invalid="ignore"):  # beyond float32 is infinite: no return
-            parts.append(values.astype(np.float32))
+        parts.append(as_float32(values))
     return np.concatenate(parts)
 
 

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from core.arrays import Float32Array, FloatArray, frozen
+from core.scans.angles import wrapped_deg
 from storage.formats.budget import BUDGET
 from storage.formats.errors import MalformedScan, ScanTooLarge, TruncatedScan
 from storage.formats.scans.pcap import PCAP_MAGICS, Buffer, datagrams
@@ -112,7 +113,7 @@ class Turns:
     ) -> None:
         self._model, times_s, self._blocks = _blocks(body, most_packets, kept_packets)
         self._azimuth_deg = self._blocks["azimuth"] / 100.0
-        step_deg = (np.diff(self._azimuth_deg) + 180.0) % 360.0 - 180.0
+        step_deg = wrapped_deg(np.diff(self._azimuth_deg))
         turned_deg = np.maximum.accumulate(np.concatenate([[0.0], np.cumsum(step_deg)]))
         count = int(turned_deg[-1] // 360.0)
         if not count:

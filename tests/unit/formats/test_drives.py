@@ -6,10 +6,15 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
-from core.errors import EmptyDrive
-from storage.formats.drives.ford_drive import FORD_LASER_ON_VEHICLE, open_ford_drive
+from core.errors import EmptyDrive, InvalidScan
+from storage.formats.drives.ford_drive import open_ford_drive
 from storage.formats.drives.layouts import open_drive
-from storage.formats.errors import MalformedDrive, MalformedScan, UnknownDriveLayout
+from storage.formats.errors import (
+    MalformedDrive,
+    MalformedScan,
+    TruncatedScan,
+    UnknownDriveLayout,
+)
 
 IDENTITY = "1 0 0 0 0 1 0 0 0 0 1 0"
 # Lidar x forward, y left, z up to camera x right, y down, z forward; the camera sits 0.3 m ahead
@@ -140,13 +145,6 @@ class TestFord:
         ahead = [2 * (x * y - z * w), 1 - 2 * (x * x + z * z), 2 * (y * z + x * w)]
         np.testing.assert_allclose(ahead, [np.cos(np.pi / 6), 0, 0.5], atol=1e-9)
 
-    def test_another_mount_may_be_given(self, tmp_path: Path) -> None:
-        drive = open_ford_drive(
-            ford(tmp_path / "a"), laser_on_vehicle=(0.0, 0.0, 0.0, np.pi, 0.0, 0.0)
-        )
-        np.testing.assert_allclose(drive.poses[0, :3], [1, -2, -3], atol=1e-9)
-        assert len(FORD_LASER_ON_VEHICLE) == 6
-
     def test_a_pose_that_is_not_finite_is_unknown(self, tmp_path: Path) -> None:
         drive = open_drive(ford(tmp_path / "a", X_wv=np.full((6, 1), np.nan)))
         assert np.isnan(drive.poses).all()
@@ -170,16 +168,16 @@ class TestFord:
         assert np.isfinite(drive.poses[0]).all()
         damaged = [i for i in range(len(drive)) if np.isnan(drive.poses[i]).all()]
         assert len(damaged) == 1
-        with pytest.raises(MalformedScan, match=files[1].name):
+        with pytest.raises(TruncatedScan, match=files[1].name):
             drive.scan(damaged[0])
 
-    def test_a_file_cut_anywhere_is_malformed(self, tmp_path: Path) -> None:
+    def test_a_file_cut_anywhere_is_no_scan(self, tmp_path: Path) -> None:
         drive = open_drive(ford(tmp_path / "a"))
         file = tmp_path / "a" / "SCANS" / "Scan9.mat"
         whole = file.read_bytes()
         for length in range(0, len(whole), 16):
             file.write_bytes(whole[:length])
-            with pytest.raises(MalformedScan, match=r"Scan9\.mat"):
+            with pytest.raises(InvalidScan, match=r"Scan9\.mat"):
                 drive.scan(0)
 
 

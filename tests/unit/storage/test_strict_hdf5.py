@@ -98,9 +98,17 @@ def test_a_shape_beyond_the_file_takes_no_memory(shape):
 def test_chunks_of_an_array_without_numbers_are_not_counted():
     buffer = io.BytesIO()
     with h5py.File(buffer, "w", libver="v110") as file:
-        shape, most = (5, 0, 2**40), (5, 1, 2**40)
-        file.create_dataset("a", shape, "f4", maxshape=most, chunks=(1, 1, 1), fletcher32=True)
+        shape, most = (0, 5, 8), (2**40, 5, 8)
+        file.create_dataset("a", shape, "f4", maxshape=most, chunks=(1, 5, 8), fletcher32=True)
     assert Hdf5File(BytesSource(buffer.getvalue())).dataset("a").read().shape == shape
+
+
+def test_chunks_of_less_than_whole_rows_are_refused():
+    buffer = io.BytesIO()
+    with h5py.File(buffer, "w", libver="v110") as file:
+        file.create_dataset("a", data=np.eye(4), chunks=(1, 2), fletcher32=True)
+    with pytest.raises(CorruptFile, match=r"chunks of shape \[1, 2\]"):
+        Hdf5File(BytesSource(buffer.getvalue())).dataset("a")
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,77 @@
+"""The x, y and z of points: from records of any layout to float32 metres."""
+
+from typing import Any
+
+import numpy as np
+
+from core.arrays import Float32Array
+from storage.formats.budget import BUDGET
+from storage.formats.errors import MalformedScan, TruncatedScan
+
+__all__ = [
+    "AXES",
+    "as_float32",
+    "coordinates",
+    "record_of",
+    "require_amount",
+    "require_records",
+]
+
+AXES = ("x", "y", "z")
+
+
+def as_float32(values: np.ndarray) -> Float32Array:
+    """Return numbers as float32; what is beyond it becomes infinite, which is no return."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        return values.astype(np.float32)
+
+
+def coordinates(records: np.ndarray) -> Float32Array:
+    """Return the fields x, y and z of `(n,)` records, `(n, 3)`."""
+    return np.stack([as_float32(records[axis]) for axis in AXES], axis=1)
+
+
+def record_of(fields: dict[str, tuple[Any, int]], size_bytes: int) -> np.dtype[np.void]:
+    """Return a record of `size_bytes`, of fields with a kind and an offset; the rest is skipped."""
+    return np.dtype(
+        {
+            "names": list(fields),
+            "formats": [dtype for dtype, _ in fields.values()],
+            "offsets": [offset for _, offset in fields.values()],
+            "itemsize": size_bytes,
+        }
+    )
+
+
+def require_amount(came: int, wanted: int, message: str) -> None:
+    """Refuse a body of another length than its header claims.
+
+    Raises:
+        TruncatedScan: If less came than is wanted.
+        MalformedScan: If more came.
+    """
+    if came < wanted:
+        raise TruncatedScan(message)
+    if came > wanted:
+        raise MalformedScan(message)
+
+
+def require_records(body: bytes, record_bytes: int, wanted: str) -> None:
+    """Refuse a body without a header that is no whole number of records, or too many.
+
+    Args:
+        body: The records.
+        record_bytes: Of each.
+        wanted: Their layout in words, for the message.
+
+    Raises:
+        TruncatedScan: If a part of a record is left over.
+        ScanTooLarge: If there are more records than a scan may have returns.
+    """
+    records, left = divmod(len(body), record_bytes)
+    if left:
+        raise TruncatedScan(
+            f"the body has {len(body)} bytes, which is {records} records of {record_bytes} and"
+            f" {left} left over; wanted {wanted}"
+        )
+    BUDGET.require_returns(records)
