@@ -93,7 +93,9 @@ SegmentsOption = Annotated[
 ]
 ReducerOption = Annotated[
     Reducer | None,
-    typer.Option(help="What a shared cell keeps. [last; harmonic: mean]", rich_help_panel=_BUILD),
+    typer.Option(
+        help="What a shared cell keeps. [last; harmonic: highest]", rich_help_panel=_BUILD
+    ),
 ]
 ImageOption = Annotated[
     ImageKind | None,
