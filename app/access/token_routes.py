@@ -1,4 +1,4 @@
-"""Tokens: exchanged for a key, to be given to what should not hold the key itself."""
+"""Tokens: a key is exchanged for one, to be given to what should not hold the key itself."""
 
 from collections.abc import Set as AbstractSet
 from datetime import UTC, datetime, timedelta
@@ -39,14 +39,14 @@ router = pooled_router(tags=["access"])
 def exchange_token(
     wanted: Json[TokenIn], running: Running, asking: Asking, response: Response
 ) -> TokenMade:
-    """Exchange a token for the key of this request, with no more rights and for an hour at most.
+    """Exchange the key of this request for a token, with no more rights and for an hour at most.
 
     It ends with the key. It never administers, and is itself exchanged for nothing.
     """
     if asking.key_hash is None:
-        raise KeyNeeded("a token is exchanged for a key, and none came: this service has no keys")
+        raise KeyNeeded("a key is exchanged for a token, and none came: this service has no keys")
     if asking.by_token:
-        raise ScopeMissing("a token is exchanged for a key, not for another token")
+        raise ScopeMissing("a key is exchanged for a token, a token is not")
     scopes, maps = _scopes(wanted, asking), _maps(wanted, asking)
     made = new_secret(TOKEN_PREFIX)
     note(f"token {made.id}: {', '.join(sorted(scopes))} for {wanted.expires_in_s} s")
