@@ -2,7 +2,6 @@
 
 import sys
 from importlib import import_module
-from importlib.metadata import version
 from typing import Annotated, Any
 
 import typer
@@ -11,46 +10,82 @@ from app.demo.errors import DemoFailed
 from app.process import keep_freed_memory, one_blas_thread
 from core.errors import TensorMapError
 
-__all__ = ["cli", "main"]
+__all__ = ["cli", "imported", "main"]
 
-_MODULES = {
-    "serve": "serve",
-    "backup": "backup",
-    "restore": "backup",
-    "verify": "verify",
-    "demo": "demo",
-    "build": "maps",
-    "merge": "merge",
-    "localize": "maps",
-    "loop-closure": "loop_closure",
-    "signature": "maps",
-    "inspect": "maps",
-    "evaluate": "evaluate",
-    "compare": "compare",
-    "report": "report",
-    "simulate": "simulate",
-    "audit": "audit",
+_COMMANDS = {
+    "serve": ("serve", "Start the service; `TENSORMAP_*` variables hold what no option sets."),
+    "backup": (
+        "backup",
+        "Back up a data directory into one file, while the service runs; every digest is checked.",
+    ),
+    "restore": (
+        "backup",
+        "Make a new data directory of a backup; the service is then started on it.",
+    ),
+    "verify": (
+        "verify",
+        "Check every stored file against its digest, and list what is damaged, missing or left"
+        " over.",
+    ),
+    "demo": (
+        "demo",
+        "Record a drive, post it, build the map, localize what was held out, and print a table.",
+    ),
+    "build": ("maps", "Build a map of one or more recorded drives."),
+    "merge": (
+        "merge",
+        "Merge maps of one encoding and basis, drive after drive; no number of them changes.",
+    ),
+    "localize": (
+        "maps",
+        "Localize scans in a map; one that cannot be used is told, the others are answered.",
+    ),
+    "loop-closure": (
+        "loop_closure",
+        "Judge proposed loop closures by the returns of both scans.",
+    ),
+    "signature": ("maps", "Print a scan's signatures as JSON, ready to post."),
+    "inspect": ("maps", "Show what a map holds; its digest is checked."),
+    "evaluate": (
+        "evaluate",
+        "Build a map of one part of a drive and ask it where the other part was.",
+    ),
+    "compare": (
+        "compare",
+        "Run other methods of place recognition on the same scans, beside ours.",
+    ),
+    "report": ("report", "Redraw the paper's figures for a drive, and recommend {r1, r2, k}."),
+    "simulate": (
+        "simulate",
+        "Drive through a simulated city and write the scans in KITTI odometry layout.",
+    ),
+    "audit": ("audit", "Check the log of changes."),
 }
-"""Which module of this package has a command."""
+"""The module of this package that defines each command, and the first sentence of its help."""
 
 
 class _Commands(typer.core.TyperGroup):
-    """The commands, each imported when it is asked for: none waits for what others need."""
+    """The commands, each imported when it runs: a list of them takes no numerical library."""
 
-    def list_commands(self, ctx: Any) -> list[str]:  # noqa: ANN401, ARG002 - Click's own
-        return list(_MODULES)
+    def __init__(self, **options: Any) -> None:  # noqa: ANN401 - those of the base
+        super().__init__(**options)
+        for name, (_, text) in _COMMANDS.items():
+            self.add_command(typer.core.TyperCommand(name, help=text))
 
-    def get_command(self, ctx: Any, cmd_name: str) -> Any:  # noqa: ANN401, ARG002 - the same
-        if cmd_name not in _MODULES:
-            return None
-        if cmd_name not in self.commands:
-            module = import_module(f"app.cli.{_MODULES[cmd_name]}")
-            found = getattr(module, cmd_name.replace("-", "_"))
-            if not isinstance(found, typer.Typer):
-                function, found = found, typer.Typer(add_completion=False)
-                found.command(cmd_name)(function)
-            self.commands[cmd_name] = typer.main.get_command(found)
-        return self.commands[cmd_name]
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:  # noqa: ANN401 - Click's own
+        name, command, rest = super().resolve_command(ctx, args)
+        return name, imported(name) if name in _COMMANDS else command, rest
+
+
+def imported(name: str) -> Any:  # noqa: ANN401 - Click's command, which Typer keeps private
+    """Import a command, and keep the libraries that came with it to one thread."""
+    found = getattr(import_module(f"app.cli.{_COMMANDS[name][0]}"), name.replace("-", "_"))
+    one_blas_thread()
+    if isinstance(found, typer.Typer):
+        return typer.main.get_command(found)
+    alone = typer.Typer(add_completion=False)
+    alone.command(name)(found)
+    return typer.main.get_command(alone)
 
 
 cli = typer.Typer(
@@ -65,6 +100,8 @@ cli = typer.Typer(
 
 def _show_version(wanted: bool) -> None:
     if wanted:
+        from importlib.metadata import version  # here: it takes longer than the list of commands
+
         typer.echo(f"tensormap {version('tensormap-server')}")
         raise typer.Exit
 
@@ -81,7 +118,6 @@ def about(
 
 def main() -> None:
     """Run a command; an error that was foreseen is one line, not a traceback."""
-    one_blas_thread()
     if sys.argv[1:2] != ["serve"]:
         keep_freed_memory()
     try:

@@ -1,0 +1,33 @@
+import subprocess
+import sys
+
+import pytest
+
+from app.cli.main import _COMMANDS, imported
+
+
+@pytest.mark.parametrize("name", _COMMANDS)
+def test_the_list_of_commands_describes_each_as_its_own_help_does(name) -> None:
+    first = imported(name).help.split("\n\n")[0]
+    assert " ".join(first.split()) == _COMMANDS[name][1]
+
+
+def _printed(program: str) -> str:
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True
+    )
+    return done.stdout.splitlines()[-1]
+
+
+_RUN = "import sys; from app.cli.main import cli, imported; sys.argv[1:] = {words}; "
+
+
+def test_the_list_of_commands_imports_no_library_that_computes() -> None:
+    words = "; cli(standalone_mode=False); print(sorted({'numpy', 'fastapi'} & set(sys.modules)))"
+    assert _printed(_RUN.format(words=["--help"]).rstrip("; ") + words) == "[]"
+
+
+def test_a_command_computes_in_one_thread() -> None:
+    pools = "print({pool['num_threads'] for pool in threadpool_info()})"
+    program = f"from threadpoolctl import threadpool_info; imported('inspect'); {pools}"
+    assert _printed(_RUN.format(words=[]) + program) == "{1}"
