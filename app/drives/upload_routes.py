@@ -8,13 +8,13 @@ from typing import Annotated
 from fastapi import Query, Request
 from starlette.requests import ClientDisconnect
 
-from app.access.access import sender_of
 from app.access.scopes import Scope, needs
 from app.drives.many_scans import ScanUpload
 from app.drives.upload_schemas import PresentOut, UploadOut
 from app.http.bodies.bodies import AsItComes, ContentType, binary_body, media_type
 from app.http.bodies.incoming import Incoming
 from app.http.bodies.spool import Spool
+from app.http.context import context_of
 from app.http.errors import (
     ANY_BODY,
     READING,
@@ -97,7 +97,7 @@ async def post_scans(
     wanted = None if format_name is None else media_type_of(format_name)
     # A missing map is reported before a body is read.
     await running.pools.short.run(
-        sender_of(request.scope), partial(running.store.drives.slugs, map_slug)
+        context_of(request.scope).sender, partial(running.store.drives.slugs, map_slug)
     )
     upload = ScanUpload(
         running.store,

@@ -3,9 +3,9 @@
 from starlette.datastructures import MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-__all__ = ["RATE_STATE", "AnswerHeaders"]
+from app.http.context import context_of
 
-RATE_STATE = "tensormap.allowance"
+__all__ = ["AnswerHeaders"]
 
 _FOR_BROWSERS = {
     # What was uploaded is never taken for a page or a script.
@@ -29,14 +29,14 @@ class AnswerHeaders:
         if scope["type"] != "http":
             await self._app(scope, receive, send)
             return
-        state = scope.setdefault("state", {})
+        context = context_of(scope)
 
         async def completed(message: Message) -> None:
             if message["type"] == "http.response.start":
                 headers = MutableHeaders(scope=message)
                 for name, value in _FOR_BROWSERS.items():
                     headers.setdefault(name, value)
-                left = [one.headers() for one in state.get(RATE_STATE, {}).values()]
+                left = [one.headers() for one in context.allowances.values()]
                 if left and "RateLimit" not in headers:  # a refusal tells of the limit it met
                     for name in left[0]:
                         headers[name] = ", ".join(said[name] for said in left)

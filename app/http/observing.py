@@ -3,14 +3,13 @@
 import logging
 import time
 
-from starlette.datastructures import Headers, MutableHeaders
+from starlette.datastructures import MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from app.access.admission import CALLER_STATE
+from app.http.context import HEADER, RequestContext, enter_request
 from app.http.logs import fields
 from app.http.metrics import Metrics
 from app.http.problems import internal_error
-from app.http.request_id import HEADER, accepted_id, enter_request
 
 __all__ = ["RequestObserver"]
 
@@ -38,8 +37,7 @@ class RequestObserver:
             await self._app(scope, receive, send)
             return
         began = time.perf_counter()
-        request_id = accepted_id(Headers(scope=scope).get(HEADER))
-        enter_request(request_id)
+        context = enter_request(scope)
         status: int | None = None
 
         async def watched(message: Message) -> None:
@@ -47,10 +45,10 @@ class RequestObserver:
             kind = message["type"]
             if kind in {"http.response.start", "websocket.http.response.start"}:
                 status = message["status"]
-                MutableHeaders(scope=message)[HEADER] = request_id
+                MutableHeaders(scope=message)[HEADER] = context.request_id
             elif kind == "websocket.accept":
                 status = 101
-                MutableHeaders(scope=message)[HEADER] = request_id
+                MutableHeaders(scope=message)[HEADER] = context.request_id
             await send(message)
 
         try:
@@ -61,9 +59,9 @@ class RequestObserver:
             # Starlette's own last resort is outside of us: its answer would have no id.
             await internal_error(error)(scope, receive, watched)
         finally:
-            self._tell(scope, status or _NO_ANSWER, time.perf_counter() - began)
+            self._tell(scope, context, status or _NO_ANSWER, time.perf_counter() - began)
 
-    def _tell(self, scope: Scope, status: int, seconds: float) -> None:
+    def _tell(self, scope: Scope, context: RequestContext, status: int, seconds: float) -> None:
         route = _template(scope)
         method = scope.get("method", "GET")
         if scope["type"] == "http":
@@ -78,7 +76,7 @@ class RequestObserver:
                 status=status,
                 seconds=round(seconds, 6),
                 client=client[0] if client else None,
-                key=getattr(scope.get("state", {}).get(CALLER_STATE), "key_id", None),
+                key=None if context.caller is None else context.caller.key_id,
             ),
         )
 

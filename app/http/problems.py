@@ -15,6 +15,7 @@ from starlette.requests import ClientDisconnect
 from starlette.responses import Response
 from starlette.routing import Match
 
+from app.http.context import current_id
 from app.http.errors import (
     STATUS,
     AppError,
@@ -25,7 +26,6 @@ from app.http.errors import (
     NoSuchRoute,
     UnsupportedBody,
 )
-from app.http.request_id import current_id
 from core import errors as core
 
 __all__ = [

@@ -11,13 +11,14 @@ from pydantic import BaseModel
 from starlette.datastructures import Headers
 from starlette.types import ASGIApp, Receive, Scope, Send
 
-from app.access.access import Access, sender_of
+from app.access.access import Access
 from app.http.bodies.content_digest import ContentDigest
 from app.http.bodies.content_encoding import decoder_of
 from app.http.bodies.incoming import Incoming, Limits
 from app.http.bodies.json_body import read_json
 from app.http.bodies.pace import Pace
 from app.http.bodies.spool import Spool
+from app.http.context import RequestContext, context_of
 from app.http.errors import BodyTooLarge, UnsupportedBody
 from app.http.problems import problem_response
 from app.settings import Settings
@@ -43,7 +44,6 @@ M = TypeVar("M", bound=BaseModel)
 T = TypeVar("T")
 
 _MANY_SCANS = re.compile(r"/v1/maps/[^/]+/drives/[^/]+/scans")
-_INCOMING = "tensormap.incoming"
 _JSON = re.compile(r"application/(json|[^;\s]+\+json)")
 
 ContentType = Annotated[str | None, Header(include_in_schema=False)]
@@ -64,15 +64,17 @@ class BodyGuard:
         if scope["type"] != "http":
             await self._app(scope, receive, send)
             return
+        context = context_of(scope)
         try:
-            incoming = self._incoming(scope, Headers(scope=scope), receive)
+            context.body = self._incoming(scope, context, Headers(scope=scope), receive)
         except TensorMapError as error:
             await problem_response(error)(scope, receive, send)
             return
-        scope.setdefault("state", {})[_INCOMING] = incoming
         await self._app(scope, receive, send)
 
-    def _incoming(self, scope: Scope, headers: Headers, receive: Receive) -> Incoming:
+    def _incoming(
+        self, scope: Scope, context: RequestContext, headers: Headers, receive: Receive
+    ) -> Incoming:
         """Return the body that is to come.
 
         Raises:
@@ -90,16 +92,16 @@ class BodyGuard:
         service = scope["app"].state.service
         access: Access = service.access
         if declared.isdecimal():
-            access.spend_bytes(scope, int(declared), announced=True)
+            access.spend_bytes(context, int(declared), announced=True)
         return Incoming(
             receive,
             limits=limits,
             decoder=decoder,
             digest=digest,
             pace=Pace(self._settings),
-            spend=partial(access.spend_bytes, scope),
+            spend=partial(access.spend_bytes, context),
             room=service.spool_room,
-            key=sender_of(scope),
+            key=context.sender,
         )
 
     def _limits(self, scope: Scope, headers: Headers, *, packed: bool) -> Limits:
@@ -159,8 +161,10 @@ class ReceivedJson(Received[M]):
 
 def incoming_of(request: Request) -> Incoming:
     """Return the body of a request, of which nothing is read before it is wanted."""
-    incoming: Incoming = request.scope["state"][_INCOMING]
-    return incoming
+    body = context_of(request.scope).body
+    if body is None:  # `BodyGuard` is not there
+        raise LookupError("the body of this request was not prepared")
+    return body
 
 
 async def _received(request: Request) -> AsyncIterator[Received[bytes]]:
