@@ -5,6 +5,7 @@ from datetime import UTC, datetime
 from pydantic import BaseModel, Field
 
 from app.builds.parameters import BuildParameters
+from app.builds.plans import Plan
 from app.http.problems import problem_type
 from app.revisions.comparison import NoRecall
 from storage.catalog import JobRecord, JobState
@@ -53,6 +54,10 @@ class JobOut(BaseModel):
         description="Seconds until this stage is done at its pace so far; null if nothing tells."
     )
     parameters: BuildParameters
+    plan: Plan | None = Field(
+        description="What it is built of, chosen when it was queued; null of a build that an"
+        " earlier version queued."
+    )
     revision: str | None = Field(description="What it built, once it is done.")
     notes: list[str] = Field(
         description="What whoever asked for it should know, such as a basis that fits badly."
@@ -82,6 +87,7 @@ class JobOut(BaseModel):
             total=record.total_units,
             remaining_s=record.remaining_s(datetime.now(UTC)),
             parameters=BuildParameters.model_validate(record.parameters),
+            plan=None if record.plan is None else Plan.model_validate(record.plan),
             revision=record.revision,
             notes=list(record.notes),
             gate=LiveGateOut.model_validate(record.result["gate"])

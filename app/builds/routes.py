@@ -98,7 +98,8 @@ def build(
         require_images(running.store, record.id, plan.drives, plan.parameters.map_parameters())
         job = jobs.create(
             map_slug,
-            plan.parameters.as_json(),
+            (parameters if parameters.base is None else plan.parameters).as_json(),
+            plan=plan.model_dump(mode="json"),
             request=request,
             key_id=asking.key_id,
             most_queued=running.settings.max_queued_builds_per_key,

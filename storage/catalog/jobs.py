@@ -37,6 +37,7 @@ class Jobs:
         map_slug: str,
         parameters: Mapping[str, Any],
         *,
+        plan: Mapping[str, Any] | None = None,
         kind: str = "build",
         request: RequestKey | None = None,
         key_id: str | None = None,
@@ -46,7 +47,8 @@ class Jobs:
 
         Args:
             map_slug: Of the map that it is for.
-            parameters: What it is to do.
+            parameters: What it is to do, as it was asked for.
+            plan: The same with all that was left open chosen.
             kind: What it is.
             request: Which makes at most one job.
             key_id: Of the key that asks for it.
@@ -66,6 +68,7 @@ class Jobs:
             done_units=0,
             total_units=0,
             parameters=dict(parameters),
+            plan=None if plan is None else dict(plan),
             cancel_requested=False,
             request_key=None if request is None else request.key,
             request_digest=None if request is None else request.digest,
@@ -339,4 +342,5 @@ def _record(row: Job) -> JobRecord:
         result=row.result or {},
         stage_started_at=row.stage_started_at,
         key_id=row.key_id,
+        plan=row.plan,
     )
