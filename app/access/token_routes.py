@@ -59,14 +59,7 @@ def exchange_token(
         datetime.now(UTC) + timedelta(seconds=wanted.expires_in_s),
     )
     response.headers["Cache-Control"] = "no-store"
-    return TokenMade(
-        token=record.id,
-        key=asking.key_id,
-        scopes=[Scope(scope) for scope in record.scopes],
-        maps=None if record.maps is None else list(record.maps),
-        expires_at=record.expires_at,
-        secret=made.text,
-    )
+    return TokenMade.of(record, token=record.id, key=asking.key_id, secret=made.text)
 
 
 def _scopes(wanted: TokenIn, asking: Caller) -> AbstractSet[Scope]:

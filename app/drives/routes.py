@@ -10,7 +10,7 @@ from fastapi import Path, Query, Response, status
 from app.access.scopes import Scope, needs
 from app.drives.pose_schemas import PoseQuery, pose_from_query
 from app.drives.schemas import DriveOut, DrivePatch, ScanOut
-from app.http.bodies.bodies import SCAN_BODY, Body, ContentType, Json
+from app.http.bodies.bodies import SCAN_TYPES, Body, ContentType, Json, described_body
 from app.http.errors import (
     ANY_BODY,
     JSON_BODY,
@@ -130,7 +130,7 @@ def delete_drive(map_slug: MapSlug, drive_slug: DriveSlug, running: Running) -> 
 @router.put(
     "/maps/{map}/drives/{drive}/scans/{index}",
     dependencies=[needs(Scope.MAPS_WRITE)],
-    openapi_extra=SCAN_BODY,
+    openapi_extra=described_body(SCAN_TYPES),
     status_code=status.HTTP_201_CREATED,
     responses={
         200: {"model": ScanOut, "description": "The same returns were stored already."},

@@ -11,7 +11,7 @@ from starlette.requests import ClientDisconnect
 from app.access.scopes import Scope, needs
 from app.drives.many_scans import ScanUpload
 from app.drives.upload_schemas import PresentOut, UploadOut
-from app.http.bodies.bodies import AsItComes, ContentType, binary_body, media_type
+from app.http.bodies.bodies import AsItComes, ContentType, described_body, media_type
 from app.http.bodies.incoming import Incoming
 from app.http.bodies.spool import Spool
 from app.http.context import context_of
@@ -63,8 +63,8 @@ def list_scans(map_slug: MapSlug, drive_slug: DriveSlug, running: Running) -> Pr
 @router.post(
     "/maps/{map}/drives/{drive}/scans",
     dependencies=[needs(Scope.MAPS_WRITE)],
-    openapi_extra=binary_body(
-        **{_TAR: "A tar stream of scan files, each named by its index, as `000012.pcd`."}
+    openapi_extra=described_body(
+        {_TAR: "A tar stream of scan files, each named by its index, as `000012.pcd`."}
     ),
     responses=problems(
         MapNotFound,

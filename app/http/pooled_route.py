@@ -15,7 +15,7 @@ from fastapi import APIRouter, Depends, Request
 from fastapi.routing import APIRoute
 from pydantic import BaseModel
 
-from app.http.bodies.bodies import JsonFrom, Received, described_json, incoming_of
+from app.http.bodies.bodies import JsonFrom, Received, described_body, incoming_of
 from app.http.client import Client
 from app.http.context import context_of
 from app.http.pools import Pools
@@ -46,7 +46,7 @@ class PooledRoute(APIRoute):
     def __init__(self, path: str, endpoint: Callable[..., Any], **options: Any) -> None:  # noqa: ANN401
         if not inspect.iscoroutinefunction(endpoint):
             if (model := _json_of(endpoint)) is not None:
-                options["openapi_extra"] = described_json(model)
+                options["openapi_extra"] = described_body({}, model)
             endpoint = _pooled(endpoint)
         super().__init__(path, endpoint, **options)
 

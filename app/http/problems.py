@@ -26,6 +26,7 @@ from app.http.errors import (
     NoSuchRoute,
     UnsupportedBody,
 )
+from app.http.openapi import reference
 from core import errors as core
 
 __all__ = [
@@ -113,7 +114,7 @@ def problems(*kinds: type[core.TensorMapError]) -> dict[int | str, dict[str, Any
             "description": "; ".join(f"`{problem_name(kind)}`: {_title(kind)}" for kind in of_it),
             "content": {
                 MEDIA_TYPE: {
-                    "schema": {"$ref": "#/components/schemas/Problem"},
+                    "schema": reference(Problem),
                     "examples": {
                         problem_name(kind): {
                             "value": {

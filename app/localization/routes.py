@@ -8,7 +8,7 @@ from fastapi.exceptions import RequestValidationError
 
 from app.access.scopes import Scope, needs
 from app.drives.routes import BAD_SCAN
-from app.http.bodies.bodies import SCAN_BODY, Body, ContentType, binary_body, media_type
+from app.http.bodies.bodies import SCAN_TYPES, Body, ContentType, described_body, media_type
 from app.http.bodies.json_body import read_json
 from app.http.errors import (
     ANY_BODY,
@@ -47,6 +47,7 @@ from storage.formats.scans.registry import read_scan
 __all__ = [
     "IMAGE_TYPE",
     "SIGNATURE_TYPE",
+    "SIGNATURE_TYPES",
     "SensorHeight",
     "read_image",
     "read_signatures",
@@ -67,6 +68,7 @@ _ANSWERING = (
 
 IMAGE_TYPE = "application/vnd.tensormap.image"
 SIGNATURE_TYPE = "application/vnd.tensormap.signature"
+SIGNATURE_TYPES = {SIGNATURE_TYPE: "Packed: docs/reference/signature.md."}
 
 SensorHeight = Annotated[
     float | None,
@@ -90,7 +92,7 @@ SensorName = Annotated[
 @router.post(
     "/scan",
     dependencies=[needs(Scope.LOCALIZE)],
-    openapi_extra=SCAN_BODY,
+    openapi_extra=described_body(SCAN_TYPES),
     responses=problems(*_ANSWERING, SensorMismatch, *BAD_SCAN),
 )
 @heavy
@@ -117,8 +119,8 @@ def localize_scan(
 @router.post(
     "/image",
     dependencies=[needs(Scope.LOCALIZE)],
-    openapi_extra=binary_body(
-        **{
+    openapi_extra=described_body(
+        {
             IMAGE_TYPE: "Ranges, or heights above ground, in metres on the map's grid, little-"
             "endian float32, row after row."
         }
@@ -151,21 +153,7 @@ def localize_image(
 @router.post(
     "/signature",
     dependencies=[needs(Scope.LOCALIZE)],
-    openapi_extra={
-        "requestBody": {
-            "required": True,
-            "content": {
-                "application/json": {"schema": {"$ref": "#/components/schemas/SignaturesIn"}},
-                SIGNATURE_TYPE: {
-                    "schema": {
-                        "type": "string",
-                        "format": "binary",
-                        "description": "Packed: docs/reference/signature.md.",
-                    }
-                },
-            },
-        }
-    },
+    openapi_extra=described_body(SIGNATURE_TYPES, SignaturesIn),
     responses=problems(
         *_ANSWERING,
         StaleSignature,

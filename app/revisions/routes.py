@@ -11,7 +11,7 @@ from pydantic import Field
 
 from app.access.scopes import Scope, needs
 from app.access.trail import note
-from app.http.bodies.bodies import Body, ContentType, Json, binary_body, media_type
+from app.http.bodies.bodies import Body, ContentType, Json, described_body, media_type
 from app.http.errors import (
     JSON_BODY,
     READING,
@@ -106,7 +106,7 @@ def list_revisions(
             *WRITING,
         ),
     },
-    openapi_extra=binary_body(**{_HDF5: "A revision's file, as its download gives it."}),
+    openapi_extra=described_body({_HDF5: "A revision's file, as its download gives it."}),
 )
 @heavy
 def import_a_revision(

@@ -8,7 +8,7 @@ from fastapi import Path, Query, Response
 from app.access.dependency import Asking
 from app.access.scopes import Scope, needs
 from app.drives.routes import BAD_SCAN
-from app.http.bodies.bodies import SCAN_BODY, Body, ContentType, media_type
+from app.http.bodies.bodies import SCAN_TYPES, Body, ContentType, described_body, media_type
 from app.http.errors import (
     ANY_BODY,
     READING,
@@ -22,10 +22,12 @@ from app.http.problems import problems
 from app.localization.routes import (
     IMAGE_TYPE,
     SIGNATURE_TYPE,
+    SIGNATURE_TYPES,
     SensorHeight,
     read_image,
     read_signatures,
 )
+from app.localization.schemas import SignaturesIn
 from app.service import MapSlug, Running, Service
 from app.tracking.schemas import TrackOut, TrackStepOut
 from app.tracking.tracks import LiveTrack
@@ -57,28 +59,10 @@ router = pooled_router(tags=["tracks"], prefix="/maps/{map}/tracks")
 
 TrackId = Annotated[str, Path(alias="track", description="The track's name.")]
 
-_OBSERVATION_BODY = {
-    "requestBody": {
-        "required": True,
-        "content": {
-            **SCAN_BODY["requestBody"]["content"],
-            "application/json": {"schema": {"$ref": "#/components/schemas/SignaturesIn"}},
-            SIGNATURE_TYPE: {
-                "schema": {
-                    "type": "string",
-                    "format": "binary",
-                    "description": "Packed: docs/reference/signature.md.",
-                }
-            },
-            IMAGE_TYPE: {
-                "schema": {
-                    "type": "string",
-                    "format": "binary",
-                    "description": "An image on the map's grid, as localizations take it.",
-                }
-            },
-        },
-    }
+_OBSERVATION_TYPES = {
+    **SCAN_TYPES,
+    **SIGNATURE_TYPES,
+    IMAGE_TYPE: "An image on the map's grid, as localizations take it.",
 }
 
 
@@ -152,7 +136,7 @@ def delete_track(map_slug: MapSlug, track_id: TrackId, running: Running) -> None
 @router.post(
     "/{track}/observations",
     dependencies=[needs(Scope.LOCALIZE)],
-    openapi_extra=_OBSERVATION_BODY,
+    openapi_extra=described_body(_OBSERVATION_TYPES, SignaturesIn),
     responses=problems(
         MapNotFound,
         TrackNotFound,

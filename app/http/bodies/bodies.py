@@ -1,7 +1,7 @@
 """Request bodies: which are read, how they are checked, and how a route takes one."""
 
 import re
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Mapping
 from functools import partial
 from typing import TYPE_CHECKING, Annotated, Any, Generic, TypeVar
 
@@ -20,13 +20,14 @@ from app.http.bodies.pace import Pace
 from app.http.bodies.spool import Spool
 from app.http.context import RequestContext, context_of
 from app.http.errors import BodyTooLarge, UnsupportedBody
+from app.http.openapi import reference
 from app.http.problems import problem_response
 from app.settings import Settings
 from core.errors import TensorMapError
 from storage.formats.scans.registry import SCAN_FORMATS
 
 __all__ = [
-    "SCAN_BODY",
+    "SCAN_TYPES",
     "AsItComes",
     "Body",
     "BodyGuard",
@@ -34,8 +35,7 @@ __all__ = [
     "Json",
     "JsonFrom",
     "Received",
-    "binary_body",
-    "described_json",
+    "described_body",
     "incoming_of",
     "media_type",
 ]
@@ -218,32 +218,23 @@ def media_type(content_type: str | None) -> str:
     return (content_type or "").partition(";")[0].strip().lower()
 
 
-def described_json(model: type[BaseModel]) -> dict[str, Any]:
-    """Return the `openapi_extra` of a route that takes JSON."""
-    schema = {"$ref": f"#/components/schemas/{model.__name__}"}
-    return {"requestBody": {"required": True, "content": {"application/json": {"schema": schema}}}}
+def described_body(
+    binary: Mapping[str, str], json: type[BaseModel] | None = None
+) -> dict[str, Any]:
+    """Return the `openapi_extra` of a route that takes bodies of these media types, or JSON."""
+    content: dict[str, Any] = (
+        {} if json is None else {"application/json": {"schema": reference(json)}}
+    )
+    for name, text in binary.items():
+        content[name] = {"schema": {"type": "string", "format": "binary", "description": text}}
+    return {"requestBody": {"required": True, "content": content}}
 
 
-def binary_body(**described: str) -> dict[str, Any]:
-    """Return the `openapi_extra` of a route that takes bodies of these media types."""
-    return {
-        "requestBody": {
-            "required": True,
-            "content": {
-                name: {"schema": {"type": "string", "format": "binary", "description": text}}
-                for name, text in described.items()
-            },
-        }
-    }
-
-
-SCAN_BODY = binary_body(
+SCAN_TYPES = {
     **{
         f.media_type: f"A scan as {f.name} ({' '.join(f.suffixes) or 'no suffix'})"
         for f in SCAN_FORMATS
     },
-    **{
-        "application/octet-stream": "A scan whose first bytes tell its format: "
-        + ", ".join(f.name for f in SCAN_FORMATS if f.magics)
-    },
-)
+    "application/octet-stream": "A scan whose first bytes tell its format: "
+    + ", ".join(f.name for f in SCAN_FORMATS if f.magics),
+}
