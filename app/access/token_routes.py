@@ -11,13 +11,8 @@ from app.access.scopes import ANY_SCOPE, Scope, needs
 from app.access.secrets import TOKEN_PREFIX, new_secret, secret_hash
 from app.access.token_schemas import TokenIn, TokenMade
 from app.access.trail import note
+from app.http import errors
 from app.http.bodies.bodies import Json
-from app.http.errors import (
-    JSON_BODY,
-    WRITING,
-    KeyNeeded,
-    ScopeMissing,
-)
 from app.http.pooled_route import pooled_router
 from app.http.problems import problems
 from app.service import Running
@@ -34,7 +29,7 @@ router = pooled_router(tags=["access"])
     "/tokens",
     dependencies=[needs(*ANY_SCOPE)],
     status_code=status.HTTP_201_CREATED,
-    responses=problems(InvalidParameters, InvalidSlug, *JSON_BODY, *WRITING),
+    responses=problems(InvalidParameters, InvalidSlug, *errors.JSON_BODY, *errors.WRITING),
 )
 def exchange_token(
     wanted: Json[TokenIn], running: Running, asking: Asking, response: Response
@@ -44,9 +39,11 @@ def exchange_token(
     It ends with the key. It never administers, and is itself exchanged for nothing.
     """
     if asking.key_hash is None:
-        raise KeyNeeded("a key is exchanged for a token, and none came: this service has no keys")
+        raise errors.KeyNeeded(
+            "a key is exchanged for a token, and none came: this service has no keys"
+        )
     if asking.by_token:
-        raise ScopeMissing("a key is exchanged for a token, a token is not")
+        raise errors.ScopeMissing("a key is exchanged for a token, a token is not")
     scopes, maps = _scopes(wanted, asking), _maps(wanted, asking)
     made = new_secret(TOKEN_PREFIX)
     note(f"token {made.id}: {', '.join(sorted(scopes))} for {wanted.expires_in_s} s")
@@ -77,5 +74,5 @@ def _maps(wanted: TokenIn, asking: Caller) -> AbstractSet[str] | None:
         return asking.maps
     for slug in sorted(wanted.maps):
         if not asking.sees(checked_slug(slug)):
-            raise ScopeMissing(f"key {asking.key_id} is not for map {slug!r}")
+            raise errors.ScopeMissing(f"key {asking.key_id} is not for map {slug!r}")
     return wanted.maps

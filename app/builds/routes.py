@@ -17,18 +17,8 @@ from app.http.pooled_route import pooled_router
 from app.http.problems import problems
 from app.service import MapSlug, Running
 from core.errors import EmptyDrive, InvalidParameters, UnknownDrive
+from storage import errors as stored
 from storage.catalog import RequestKey
-from storage.errors import (
-    AmbiguousRevision,
-    CorruptFile,
-    DriveNotFound,
-    MapNotFound,
-    NoLiveRevision,
-    RequestKeyReused,
-    ReturnsGone,
-    RevisionNotFound,
-    TooManyBuilds,
-)
 
 __all__ = ["router"]
 
@@ -50,18 +40,18 @@ IdempotencyKey = Annotated[
     dependencies=[needs(Scope.MAPS_WRITE)],
     status_code=status.HTTP_202_ACCEPTED,
     responses=problems(
-        MapNotFound,
-        DriveNotFound,
+        stored.MapNotFound,
+        stored.DriveNotFound,
         UnknownDrive,
-        NoLiveRevision,
-        RevisionNotFound,
-        AmbiguousRevision,
+        stored.NoLiveRevision,
+        stored.RevisionNotFound,
+        stored.AmbiguousRevision,
         EmptyDrive,
         InvalidParameters,
-        CorruptFile,
-        RequestKeyReused,
-        ReturnsGone,
-        TooManyBuilds,
+        stored.CorruptFile,
+        stored.RequestKeyReused,
+        stored.ReturnsGone,
+        stored.TooManyBuilds,
         *JSON_BODY,
         *WRITING,
     ),

@@ -15,13 +15,7 @@ from app.http.pooled_route import pooled_router
 from app.http.problems import problems
 from app.service import DriveSlug, MapSlug, Running
 from core.errors import InvalidPose
-from storage.errors import (
-    DriveNotFound,
-    InvalidSlug,
-    MapNotFound,
-    PosesDoNotFit,
-    ScanNotFound,
-)
+from storage import errors as stored
 
 __all__ = ["router"]
 
@@ -47,11 +41,11 @@ Partial = Annotated[
     dependencies=[needs(Scope.MAPS_WRITE)],
     openapi_extra=described_body(POSE_TYPES, PosesIn),
     responses=problems(
-        MapNotFound,
-        DriveNotFound,
-        InvalidSlug,
-        ScanNotFound,
-        PosesDoNotFit,
+        stored.MapNotFound,
+        stored.DriveNotFound,
+        stored.InvalidSlug,
+        stored.ScanNotFound,
+        stored.PosesDoNotFit,
         InvalidPose,
         *JSON_BODY,
         *WRITING,

@@ -8,13 +8,8 @@ from fastapi import Header, Response, status
 from app.access.dependency import Asking
 from app.access.scopes import Scope, needs
 from app.access.trail import note
+from app.http import errors
 from app.http.bodies.bodies import Json
-from app.http.errors import (
-    JSON_BODY,
-    READING,
-    WRITING,
-    InvalidRequest,
-)
 from app.http.pages import After, Limit, PageOut
 from app.http.pooled_route import pooled_router
 from app.http.problems import problems
@@ -40,7 +35,7 @@ IfMatch = Annotated[
     "/maps",
     dependencies=[needs(Scope.MAPS_WRITE)],
     status_code=status.HTTP_201_CREATED,
-    responses=problems(InvalidSlug, MapExists, *JSON_BODY, *WRITING),
+    responses=problems(InvalidSlug, MapExists, *errors.JSON_BODY, *errors.WRITING),
 )
 def create_map(wanted: Json[MapIn], running: Running, response: Response, asking: Asking) -> MapOut:
     """Make an empty map."""
@@ -53,7 +48,9 @@ def create_map(wanted: Json[MapIn], running: Running, response: Response, asking
 
 
 @router.get(
-    "/maps", dependencies=[needs(Scope.MAPS_READ)], responses=problems(InvalidRequest, *READING)
+    "/maps",
+    dependencies=[needs(Scope.MAPS_READ)],
+    responses=problems(errors.InvalidRequest, *errors.READING),
 )
 def list_maps(
     running: Running, asking: Asking, after: After = "", limit: Limit = 100
@@ -66,7 +63,9 @@ def list_maps(
 
 
 @router.get(
-    "/maps/{map}", dependencies=[needs(Scope.MAPS_READ)], responses=problems(MapNotFound, *READING)
+    "/maps/{map}",
+    dependencies=[needs(Scope.MAPS_READ)],
+    responses=problems(MapNotFound, *errors.READING),
 )
 def get_map(map_slug: MapSlug, running: Running, response: Response) -> MapOut:
     """Show a map."""
@@ -78,7 +77,7 @@ def get_map(map_slug: MapSlug, running: Running, response: Response) -> MapOut:
 @router.patch(
     "/maps/{map}",
     dependencies=[needs(Scope.MAPS_WRITE)],
-    responses=problems(MapNotFound, MapChanged, *JSON_BODY, *WRITING),
+    responses=problems(MapNotFound, MapChanged, *errors.JSON_BODY, *errors.WRITING),
 )
 def update_map(
     map_slug: MapSlug,
@@ -107,7 +106,7 @@ def update_map(
     "/maps/{map}",
     dependencies=[needs(Scope.MAPS_WRITE)],
     status_code=status.HTTP_204_NO_CONTENT,
-    responses=problems(MapNotFound, MapChanged, InvalidRequest, *WRITING),
+    responses=problems(MapNotFound, MapChanged, errors.InvalidRequest, *errors.WRITING),
 )
 def delete_map(map_slug: MapSlug, running: Running, if_match: IfMatch = None) -> None:
     """Remove a map with its drives, revisions and jobs."""
@@ -129,5 +128,5 @@ def version_seen(if_match: str | None) -> int | None:
         return None
     found = _ETAG.fullmatch(if_match)
     if found is None:
-        raise InvalidRequest(f"If-Match is {if_match[:80]!r}, wanted a map's ETag")
+        raise errors.InvalidRequest(f"If-Match is {if_match[:80]!r}, wanted a map's ETag")
     return None if found[1] is None else int(found[1])

@@ -14,14 +14,8 @@ from app.revisions.loaded import Answering
 from app.revisions.routes import RevisionId
 from app.service import MapSlug, Running, Service
 from core.mapping.tensormap import TensorMap
+from storage import errors as stored
 from storage.catalog import RevisionRecord
-from storage.errors import (
-    AmbiguousRevision,
-    CorruptFile,
-    MapNotFound,
-    NoLiveRevision,
-    RevisionNotFound,
-)
 
 __all__ = ["router"]
 
@@ -41,7 +35,12 @@ Other = Annotated[
     "/maps/{map}/revisions/{revision}/comparison",
     dependencies=[needs(Scope.MAPS_READ)],
     responses=problems(
-        MapNotFound, NoLiveRevision, RevisionNotFound, AmbiguousRevision, CorruptFile, *READING
+        stored.MapNotFound,
+        stored.NoLiveRevision,
+        stored.RevisionNotFound,
+        stored.AmbiguousRevision,
+        stored.CorruptFile,
+        *READING,
     ),
 )
 @heavy

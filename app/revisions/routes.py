@@ -11,15 +11,8 @@ from pydantic import Field
 
 from app.access.scopes import Scope, needs
 from app.access.trail import note
+from app.http import errors
 from app.http.bodies.bodies import Body, ContentType, Json, described_body, media_type
-from app.http.errors import (
-    JSON_BODY,
-    READING,
-    WRITING,
-    BodyTooLarge,
-    InvalidRequest,
-    UnsupportedBody,
-)
 from app.http.open_file import OpenFileResponse
 from app.http.pages import After, Limit, PageOut
 from app.http.pooled_route import heavy, pooled_router
@@ -32,15 +25,7 @@ from app.revisions.schemas import BasisOut, LiveIn, RevisionOut
 from app.revisions.topology_schemas import TopologyOut
 from app.service import MapSlug, Running
 from core.errors import InvalidMap, InvalidParameters, UnknownSegment
-from storage.errors import (
-    AmbiguousRevision,
-    CorruptFile,
-    MapChanged,
-    MapNotFound,
-    NoLiveRevision,
-    RevisionIsLive,
-    RevisionNotFound,
-)
+from storage import errors as stored
 from storage.formats.errors import EmptyBody
 
 __all__ = ["router"]
@@ -63,12 +48,12 @@ MakeLive = Annotated[
 ]
 
 _OF_ONE = (
-    MapNotFound,
-    NoLiveRevision,
-    RevisionNotFound,
-    AmbiguousRevision,
-    CorruptFile,
-    *READING,
+    stored.MapNotFound,
+    stored.NoLiveRevision,
+    stored.RevisionNotFound,
+    stored.AmbiguousRevision,
+    stored.CorruptFile,
+    *errors.READING,
 )
 
 _NPZ = "application/vnd.tensormap.basis+npz"
@@ -78,7 +63,9 @@ _HDF5 = "application/vnd.tensormap.map+hdf5"
 @router.get(
     "/maps/{map}/revisions",
     dependencies=[needs(Scope.MAPS_READ)],
-    responses=problems(MapNotFound, InvalidParameters, InvalidRequest, *READING),
+    responses=problems(
+        stored.MapNotFound, InvalidParameters, errors.InvalidRequest, *errors.READING
+    ),
 )
 def list_revisions(
     map_slug: MapSlug, running: Running, after: After = "", limit: Limit = 100
@@ -97,13 +84,13 @@ def list_revisions(
     responses={
         200: {"model": RevisionOut, "description": "The map has it already."},
         **problems(
-            MapNotFound,
+            stored.MapNotFound,
             InvalidMap,
             EmptyBody,
-            UnsupportedBody,
-            BodyTooLarge,
-            InvalidRequest,
-            *WRITING,
+            errors.UnsupportedBody,
+            errors.BodyTooLarge,
+            errors.InvalidRequest,
+            *errors.WRITING,
         ),
     },
     openapi_extra=described_body({_HDF5: "A revision's file, as its download gives it."}),
@@ -123,7 +110,9 @@ def import_a_revision(
     that it was made of are not here.
     """
     if media_type(content_type) != _HDF5:
-        raise UnsupportedBody(f"Content-Type is {(content_type or '')[:80]!r}, wanted {_HDF5}")
+        raise errors.UnsupportedBody(
+            f"Content-Type is {(content_type or '')[:80]!r}, wanted {_HDF5}"
+        )
     if not body:
         raise EmptyBody("the body is empty, wanted a map's file")
     record, added = import_revision(running.store, map_slug, body, make_live=bool(make_live))
@@ -137,7 +126,9 @@ def import_a_revision(
 @router.get(
     "/maps/{map}/revisions/{revision}",
     dependencies=[needs(Scope.MAPS_READ)],
-    responses=problems(MapNotFound, RevisionNotFound, AmbiguousRevision, *READING),
+    responses=problems(
+        stored.MapNotFound, stored.RevisionNotFound, stored.AmbiguousRevision, *errors.READING
+    ),
 )
 def get_revision(map_slug: MapSlug, revision: RevisionId, running: Running) -> RevisionOut:
     """Show a revision."""
@@ -151,7 +142,13 @@ def get_revision(map_slug: MapSlug, revision: RevisionId, running: Running) -> R
     response_class=FileResponse,
     responses={
         200: {"content": {_HDF5: {"schema": {"type": "string", "format": "binary"}}}},
-        **problems(MapNotFound, RevisionNotFound, AmbiguousRevision, CorruptFile, *READING),
+        **problems(
+            stored.MapNotFound,
+            stored.RevisionNotFound,
+            stored.AmbiguousRevision,
+            stored.CorruptFile,
+            *errors.READING,
+        ),
     },
 )
 def download_revision(map_slug: MapSlug, revision: RevisionId, running: Running) -> FileResponse:
@@ -169,7 +166,13 @@ def download_revision(map_slug: MapSlug, revision: RevisionId, running: Running)
     "/maps/{map}/revisions/{revision}",
     dependencies=[needs(Scope.MAPS_WRITE)],
     status_code=status.HTTP_204_NO_CONTENT,
-    responses=problems(MapNotFound, RevisionNotFound, AmbiguousRevision, RevisionIsLive, *WRITING),
+    responses=problems(
+        stored.MapNotFound,
+        stored.RevisionNotFound,
+        stored.AmbiguousRevision,
+        stored.RevisionIsLive,
+        *errors.WRITING,
+    ),
 )
 def delete_revision(map_slug: MapSlug, revision: RevisionId, running: Running) -> None:
     """Remove a revision that is not live; signatures made with it are stale from then on."""
@@ -180,7 +183,12 @@ def delete_revision(map_slug: MapSlug, revision: RevisionId, running: Running) -
     "/maps/{map}/live",
     dependencies=[needs(Scope.MAPS_WRITE)],
     responses=problems(
-        MapNotFound, RevisionNotFound, AmbiguousRevision, MapChanged, *JSON_BODY, *WRITING
+        stored.MapNotFound,
+        stored.RevisionNotFound,
+        stored.AmbiguousRevision,
+        stored.MapChanged,
+        *errors.JSON_BODY,
+        *errors.WRITING,
     ),
 )
 def make_live(
@@ -206,7 +214,7 @@ def make_live(
     responses={
         200: {"content": {_NPZ: {"schema": {"type": "string", "format": "binary"}}}},
         304: {"description": "The vehicle's copy is the basis of this revision."},
-        **problems(*_OF_ONE, UnknownSegment, InvalidRequest),
+        **problems(*_OF_ONE, UnknownSegment, errors.InvalidRequest),
     },
 )
 @heavy

@@ -8,15 +8,8 @@ from fastapi import Path, Query, Response
 from app.access.dependency import Asking
 from app.access.scopes import Scope, needs
 from app.drives.routes import BAD_SCAN
+from app.http import errors
 from app.http.bodies.bodies import SCAN_TYPES, Body, ContentType, described_body, media_type
-from app.http.errors import (
-    ANY_BODY,
-    READING,
-    InvalidRequest,
-    TooManyTracks,
-    TooManyTracksOfKey,
-    TrackNotFound,
-)
 from app.http.pooled_route import pooled_router
 from app.http.problems import problems
 from app.localization.routes import (
@@ -31,25 +24,11 @@ from app.localization.schemas import SignaturesIn
 from app.service import MapSlug, Running, Service
 from app.tracking.schemas import TrackOut, TrackStepOut
 from app.tracking.tracks import LiveTrack
+from core import errors as core
 from core.encodings.signature import Signature
-from core.errors import (
-    InvalidImage,
-    InvalidParameters,
-    InvalidSignature,
-    SensorMismatch,
-    StaleObservation,
-    StaleSignature,
-    UnknownSegment,
-)
 from core.localization.localizer import Localizer
 from core.tracking.track import Observation
-from storage.errors import (
-    AmbiguousRevision,
-    CorruptFile,
-    MapNotFound,
-    NoLiveRevision,
-    RevisionNotFound,
-)
+from storage import errors as stored
 from storage.formats.errors import EmptyBody
 from storage.formats.scans.registry import read_scan
 
@@ -71,15 +50,15 @@ _OBSERVATION_TYPES = {
     dependencies=[needs(Scope.LOCALIZE)],
     status_code=HTTPStatus.CREATED,
     responses=problems(
-        MapNotFound,
-        NoLiveRevision,
-        RevisionNotFound,
-        AmbiguousRevision,
-        CorruptFile,
-        TooManyTracks,
-        TooManyTracksOfKey,
-        InvalidRequest,
-        *READING,
+        stored.MapNotFound,
+        stored.NoLiveRevision,
+        stored.RevisionNotFound,
+        stored.AmbiguousRevision,
+        stored.CorruptFile,
+        errors.TooManyTracks,
+        errors.TooManyTracksOfKey,
+        errors.InvalidRequest,
+        *errors.READING,
     ),
 )
 def create_track(
@@ -113,7 +92,7 @@ def create_track(
 @router.get(
     "/{track}",
     dependencies=[needs(Scope.LOCALIZE)],
-    responses=problems(MapNotFound, TrackNotFound, *READING),
+    responses=problems(stored.MapNotFound, errors.TrackNotFound, *errors.READING),
 )
 def get_track(map_slug: MapSlug, track_id: TrackId, running: Running) -> TrackOut:
     """Show a track and its last answer."""
@@ -125,7 +104,7 @@ def get_track(map_slug: MapSlug, track_id: TrackId, running: Running) -> TrackOu
     "/{track}",
     dependencies=[needs(Scope.LOCALIZE)],
     status_code=HTTPStatus.NO_CONTENT,
-    responses=problems(MapNotFound, TrackNotFound, *READING),
+    responses=problems(stored.MapNotFound, errors.TrackNotFound, *errors.READING),
 )
 def delete_track(map_slug: MapSlug, track_id: TrackId, running: Running) -> None:
     """End a track."""
@@ -138,20 +117,20 @@ def delete_track(map_slug: MapSlug, track_id: TrackId, running: Running) -> None
     dependencies=[needs(Scope.LOCALIZE)],
     openapi_extra=described_body(_OBSERVATION_TYPES, SignaturesIn),
     responses=problems(
-        MapNotFound,
-        TrackNotFound,
-        StaleObservation,
-        StaleSignature,
-        UnknownSegment,
-        InvalidSignature,
-        InvalidImage,
-        InvalidParameters,
-        InvalidRequest,
-        SensorMismatch,
+        stored.MapNotFound,
+        errors.TrackNotFound,
+        core.StaleObservation,
+        core.StaleSignature,
+        core.UnknownSegment,
+        core.InvalidSignature,
+        core.InvalidImage,
+        core.InvalidParameters,
+        errors.InvalidRequest,
+        core.SensorMismatch,
         EmptyBody,
-        *ANY_BODY,
+        *errors.ANY_BODY,
         *BAD_SCAN,
-        *READING,
+        *errors.READING,
     ),
 )
 def observe(
