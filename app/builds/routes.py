@@ -12,7 +12,7 @@ from app.builds.parameters import BuildParameters
 from app.builds.plans import plan_build
 from app.drives.stored_images import require_images
 from app.http.bodies.bodies import Json
-from app.http.errors import JSON_BODY, WRITING
+from app.http.errors import JSON_BODY, REVISION, WRITING
 from app.http.pooled_route import pooled_router
 from app.http.problems import problems
 from app.service import MapSlug, Running
@@ -43,12 +43,9 @@ IdempotencyKey = Annotated[
         stored.MapNotFound,
         stored.DriveNotFound,
         UnknownDrive,
-        stored.NoLiveRevision,
-        stored.RevisionNotFound,
-        stored.AmbiguousRevision,
+        *REVISION,
         EmptyDrive,
         InvalidParameters,
-        stored.CorruptFile,
         stored.RequestKeyReused,
         stored.ReturnsGone,
         stored.TooManyBuilds,

@@ -5,7 +5,7 @@ from typing import Annotated
 from fastapi import Query
 
 from app.access.scopes import Scope, needs
-from app.http.errors import READING
+from app.http.errors import READING, REVISION
 from app.http.pooled_route import heavy, pooled_router
 from app.http.problems import problems
 from app.revisions.comparison import compare_revisions
@@ -14,7 +14,6 @@ from app.revisions.loaded import Answering
 from app.revisions.routes import RevisionId
 from app.service import MapSlug, Running, Service
 from core.mapping.tensormap import TensorMap
-from storage import errors as stored
 from storage.catalog import RevisionRecord
 
 __all__ = ["router"]
@@ -34,14 +33,7 @@ Other = Annotated[
 @router.get(
     "/maps/{map}/revisions/{revision}/comparison",
     dependencies=[needs(Scope.MAPS_READ)],
-    responses=problems(
-        stored.MapNotFound,
-        stored.NoLiveRevision,
-        stored.RevisionNotFound,
-        stored.AmbiguousRevision,
-        stored.CorruptFile,
-        *READING,
-    ),
+    responses=problems(*REVISION, *READING),
 )
 @heavy
 def compare(

@@ -47,15 +47,6 @@ MakeLive = Annotated[
     bool | None, Query(description="Make it live; the first one of a map always is.")
 ]
 
-_OF_ONE = (
-    stored.MapNotFound,
-    stored.NoLiveRevision,
-    stored.RevisionNotFound,
-    stored.AmbiguousRevision,
-    stored.CorruptFile,
-    *errors.READING,
-)
-
 _NPZ = "application/vnd.tensormap.basis+npz"
 _HDF5 = "application/vnd.tensormap.map+hdf5"
 
@@ -126,9 +117,7 @@ def import_a_revision(
 @router.get(
     "/maps/{map}/revisions/{revision}",
     dependencies=[needs(Scope.MAPS_READ)],
-    responses=problems(
-        stored.MapNotFound, stored.RevisionNotFound, stored.AmbiguousRevision, *errors.READING
-    ),
+    responses=problems(*errors.NAMED_REVISION, *errors.READING),
 )
 def get_revision(map_slug: MapSlug, revision: RevisionId, running: Running) -> RevisionOut:
     """Show a revision."""
@@ -142,13 +131,7 @@ def get_revision(map_slug: MapSlug, revision: RevisionId, running: Running) -> R
     response_class=FileResponse,
     responses={
         200: {"content": {_HDF5: {"schema": {"type": "string", "format": "binary"}}}},
-        **problems(
-            stored.MapNotFound,
-            stored.RevisionNotFound,
-            stored.AmbiguousRevision,
-            stored.CorruptFile,
-            *errors.READING,
-        ),
+        **problems(*errors.NAMED_REVISION, stored.CorruptFile, *errors.READING),
     },
 )
 def download_revision(map_slug: MapSlug, revision: RevisionId, running: Running) -> FileResponse:
@@ -166,13 +149,7 @@ def download_revision(map_slug: MapSlug, revision: RevisionId, running: Running)
     "/maps/{map}/revisions/{revision}",
     dependencies=[needs(Scope.MAPS_WRITE)],
     status_code=status.HTTP_204_NO_CONTENT,
-    responses=problems(
-        stored.MapNotFound,
-        stored.RevisionNotFound,
-        stored.AmbiguousRevision,
-        stored.RevisionIsLive,
-        *errors.WRITING,
-    ),
+    responses=problems(*errors.NAMED_REVISION, stored.RevisionIsLive, *errors.WRITING),
 )
 def delete_revision(map_slug: MapSlug, revision: RevisionId, running: Running) -> None:
     """Remove a revision that is not live; signatures made with it are stale from then on."""
@@ -183,12 +160,7 @@ def delete_revision(map_slug: MapSlug, revision: RevisionId, running: Running) -
     "/maps/{map}/live",
     dependencies=[needs(Scope.MAPS_WRITE)],
     responses=problems(
-        stored.MapNotFound,
-        stored.RevisionNotFound,
-        stored.AmbiguousRevision,
-        stored.MapChanged,
-        *errors.JSON_BODY,
-        *errors.WRITING,
+        *errors.NAMED_REVISION, stored.MapChanged, *errors.JSON_BODY, *errors.WRITING
     ),
 )
 def make_live(
@@ -214,7 +186,7 @@ def make_live(
     responses={
         200: {"content": {_NPZ: {"schema": {"type": "string", "format": "binary"}}}},
         304: {"description": "The vehicle's copy is the basis of this revision."},
-        **problems(*_OF_ONE, UnknownSegment, errors.InvalidRequest),
+        **problems(*errors.REVISION, *errors.READING, UnknownSegment, errors.InvalidRequest),
     },
 )
 @heavy
@@ -264,7 +236,7 @@ def get_basis(
 @router.get(
     "/maps/{map}/topology",
     dependencies=[needs(Scope.MAPS_READ)],
-    responses=problems(*_OF_ONE),
+    responses=problems(*errors.REVISION, *errors.READING),
 )
 @heavy
 def get_topology(map_slug: MapSlug, running: Running, revision: OneRevision = None) -> TopologyOut:

@@ -50,11 +50,7 @@ _OBSERVATION_TYPES = {
     dependencies=[needs(Scope.LOCALIZE)],
     status_code=HTTPStatus.CREATED,
     responses=problems(
-        stored.MapNotFound,
-        stored.NoLiveRevision,
-        stored.RevisionNotFound,
-        stored.AmbiguousRevision,
-        stored.CorruptFile,
+        *errors.REVISION,
         errors.TooManyTracks,
         errors.TooManyTracksOfKey,
         errors.InvalidRequest,
