@@ -5,6 +5,7 @@ from importlib import import_module
 from typing import Annotated, Any
 
 import typer
+from rich.markup import escape
 
 from app.demo.errors import DemoFailed
 from app.process import keep_freed_memory, one_blas_thread
@@ -81,11 +82,14 @@ def imported(name: str) -> Any:  # noqa: ANN401 - Click's command, which Typer k
     """Import a command, and keep the libraries that came with it to one thread."""
     found = getattr(import_module(f"app.cli.{_COMMANDS[name][0]}"), name.replace("-", "_"))
     one_blas_thread()
-    if isinstance(found, typer.Typer):
-        return typer.main.get_command(found)
-    alone = typer.Typer(add_completion=False)
-    alone.command(name)(found)
-    return typer.main.get_command(alone)
+    if not isinstance(found, typer.Typer):
+        function, found = found, typer.Typer(add_completion=False)
+        found.command(name)(function)
+    command = typer.main.get_command(found)
+    for one in (command, *getattr(command, "commands", {}).values()):
+        for parameter in one.params:  # defaults in brackets are no markup of Rich's
+            parameter.help = escape(getattr(parameter, "help", None) or "")
+    return command
 
 
 cli = typer.Typer(

@@ -3,15 +3,16 @@
 import json
 import math
 import sys
+from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 from pydantic import ValidationError
 from rich.table import Table
 
 from app.builds.parameters import BuildParameters, PoseCheck
-from app.cli.console import output, progress_bar
+from app.cli.console import figure, output, progress_bar, say
 from app.cli.options import (
     MIN_RETURNS,
     DistanceOption,
@@ -55,7 +56,8 @@ from storage.formats.scans.registry import media_type_of, read_scan_file
 
 __all__ = ["build", "inspect", "localize", "signature"]
 
-_HINTS = "Hints"
+_hint: Any = partial(typer.Option, rich_help_panel="Hints")
+_FACTS = ("revision", "basis", "encoding", "sensor", "reducer", "ranks", "drives")
 
 
 def build(
@@ -123,26 +125,22 @@ def build(
     for name, of_it in built.skipped.items():
         of_drive = f" of {name}" if len(recorded) > 1 else ""
         for skipped in of_it:
-            output().print(
-                f"left out scan {skipped.scan}{of_drive}: {skipped.reason}", markup=False
-            )
+            say(f"left out scan {skipped.scan}{of_drive}: {skipped.reason}")
     for note in built.notes:
-        output().print(note, markup=False, soft_wrap=True)
+        say(note)
     compression = Compression.of(
         tensor_map.elements,
         scans=len(tensor_map),
         grid_shape=tensor_map.parameters.grid.shape,
         returns=built.returns,
     )
-    output().print(
+    say(
         f"{output_file}: {len(tensor_map)} scans, {tensor_map.model.segments} segments,"
         f" 1 : {compression.tensor_ratio:.1f} : {compression.returns_ratio:.0f}"
-        f" in {output_file.stat().st_size} bytes, revision {tensor_map.revision}",
-        markup=False,
-        soft_wrap=True,
+        f" in {output_file.stat().st_size} bytes, revision {tensor_map.revision}"
     )
     if tensor_map.calibration is None:
-        output().print("not calibrated: too few scans, or too close together, to learn trust from")
+        say("not calibrated: too few scans, or too close together, to learn trust from")
 
 
 def _basis_of(map_file: Path, parameters: BuildParameters) -> Float32Array:
@@ -172,39 +170,21 @@ def localize(
         float | None,
         typer.Option(min=0, max=1, help="Refuse what is less probable. [the map's threshold]"),
     ] = None,
-    x_m: Annotated[
-        float | None, typer.Option(help="Where the vehicle is about.", rich_help_panel=_HINTS)
-    ] = None,
-    y_m: Annotated[float | None, typer.Option(rich_help_panel=_HINTS)] = None,
-    position_sigma_m: Annotated[
-        float | None, typer.Option(help="Standard deviation of both.", rich_help_panel=_HINTS)
-    ] = None,
+    x_m: Annotated[float | None, _hint(help="Where the vehicle is about.")] = None,
+    y_m: Annotated[float | None, _hint(help=None)] = None,
+    position_sigma_m: Annotated[float | None, _hint(help="Standard deviation of both.")] = None,
     heading_deg: Annotated[
-        float | None,
-        typer.Option(help="Which way it looks, from the map's x.", rich_help_panel=_HINTS),
+        float | None, _hint(help="Which way it looks, from the map's x.")
     ] = None,
-    heading_sigma_deg: Annotated[
-        float | None, typer.Option(help="Its standard deviation.", rich_help_panel=_HINTS)
-    ] = None,
-    travelled_m: Annotated[
-        float | None, typer.Option(help="Driven since the last fix.", rich_help_panel=_HINTS)
-    ] = None,
-    travelled_sigma_m: Annotated[
-        float | None, typer.Option(help="Its standard deviation.", rich_help_panel=_HINTS)
-    ] = None,
-    since_drive: Annotated[
-        str | None, typer.Option(help="The last fix: a scan's drive,", rich_help_panel=_HINTS)
-    ] = None,
-    since_scan: Annotated[
-        int | None, typer.Option(min=0, help="and its index;", rich_help_panel=_HINTS)
-    ] = None,
-    since_x_m: Annotated[
-        float | None, typer.Option(help="or where it was,", rich_help_panel=_HINTS)
-    ] = None,
-    since_y_m: Annotated[float | None, typer.Option(help="and y.", rich_help_panel=_HINTS)] = None,
+    heading_sigma_deg: Annotated[float | None, _hint(help="Its standard deviation.")] = None,
+    travelled_m: Annotated[float | None, _hint(help="Driven since the last fix.")] = None,
+    travelled_sigma_m: Annotated[float | None, _hint(help="Its standard deviation.")] = None,
+    since_drive: Annotated[str | None, _hint(help="The last fix: a scan's drive,")] = None,
+    since_scan: Annotated[int | None, _hint(help="and its index;", min=0)] = None,
+    since_x_m: Annotated[float | None, _hint(help="or where it was,")] = None,
+    since_y_m: Annotated[float | None, _hint(help="and y.")] = None,
     segment: Annotated[
-        list[int] | None,
-        typer.Option(min=0, help="It is on this segment; repeatable.", rich_help_panel=_HINTS),
+        list[int] | None, _hint(help="It is on this segment; repeatable.", min=0)
     ] = None,
     format_name: FormatOption = None,
     as_json: Annotated[bool, typer.Option("--json", help="One JSON answer a line.")] = False,
@@ -268,25 +248,20 @@ def _show_answers(answers: list[tuple[Path, Localization]], *, as_json: bool, tu
                 f"{match.drive} {match.scan_index}",
                 "-" if place is None else f"{place.x_m:.2f}",
                 "-" if place is None else f"{place.y_m:.2f}",
-                *((_figure(match.turn_deg), _figure(match.lateral_m)) if turns else ()),
+                *((figure(match.turn_deg, ".1f"), figure(match.lateral_m, ".1f")) if turns else ()),
                 f"{match.distance:.4f}" if turns else f"{match.distance:.1f}",
-                "-" if found.ratio is None else f"{found.ratio:.2f}",
+                figure(found.ratio, ".2f"),
                 _trust(found),
             )
     if answers and not as_json:
         output().print(table)
         for path, found in answers:
             if not found.localized:
-                output().print(
-                    f"{path.name} is not localized: {found.verdict.reason}",
-                    markup=False,
-                    soft_wrap=True,
-                )
+                say(f"{path.name} is not localized: {found.verdict.reason}")
 
 
 def _trust(found: Localization) -> str:
-    probability = found.verdict.probability
-    shown = "-" if probability is None else f"{probability:.2f}"
+    shown = figure(found.verdict.probability, ".2f")
     return shown if found.localized else f"{shown} no"
 
 
@@ -344,20 +319,10 @@ def inspect(
     if as_json:
         sys.stdout.write(f"{json.dumps(facts, indent=2)}\n")
         return
-    for name in (
-        "revision",
-        "basis",
-        "encoding",
-        "sensor",
-        "reducer",
-        "ranks",
-        "drives",
-        "scans",
-        "segmentation",
-    ):
-        output().print(f"{name:>12}  {facts[name]}", markup=False, highlight=False)
+    for name in (*_FACTS, "scans", "segmentation"):
+        say(f"{name:>12}  {facts[name]}")
     edges = facts["edges"]
-    output().print(f"{'graph':>12}  {facts['nodes']} nodes, {len(edges)} edges", highlight=False)
+    say(f"{'graph':>12}  {facts['nodes']} nodes, {len(edges)} edges")
     table = Table("edge", "nodes", "segment", "scans", "length m", "relative error")
     for edge in edges:
         first, last = edge["nodes"]
@@ -378,7 +343,3 @@ def inspect(
 def _rows(tensor_map: TensorMap, segment: int) -> tuple[int, int]:
     first, last = tensor_map.segment_ends[segment].tolist()
     return first, last + 1
-
-
-def _figure(value: float | None) -> str:
-    return "-" if value is None else f"{value:.1f}"

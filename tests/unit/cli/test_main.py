@@ -2,14 +2,28 @@ import subprocess
 import sys
 
 import pytest
+from typer.testing import CliRunner
 
-from app.cli.main import _COMMANDS, imported
+from app.cli.main import _COMMANDS, cli, imported
 
 
 @pytest.mark.parametrize("name", _COMMANDS)
 def test_the_list_of_commands_describes_each_as_its_own_help_does(name) -> None:
     first = imported(name).help.split("\n\n")[0]
     assert " ".join(first.split()) == _COMMANDS[name][1]
+
+
+@pytest.mark.parametrize(
+    ("words", "default"),
+    [
+        (["build"], "[last; harmonic: highest]"),
+        (["localize"], "[the map's threshold]"),
+        (["audit", "verify"], "[data]"),
+    ],
+)
+def test_the_help_of_an_option_shows_its_default_in_brackets(words, default) -> None:
+    shown = CliRunner().invoke(cli, [*words, "--help"], env={"COLUMNS": "200"}).output
+    assert default in " ".join(shown.split())
 
 
 def _printed(program: str) -> str:
