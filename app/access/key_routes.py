@@ -11,7 +11,7 @@ from app.access.secrets import new_secret, secret_hash
 from app.access.trail import note
 from app.http import errors
 from app.http.bodies.bodies import Json
-from app.http.pages import After, Limit, PageOut
+from app.http.pages import After, Limit, PageOut, page_out
 from app.http.pooled_route import pooled_router
 from app.http.problems import problems
 from app.service import Running
@@ -61,7 +61,7 @@ def make_key(wanted: Json[KeyIn], running: Running, response: Response) -> KeyMa
 def list_keys(running: Running, after: After = "", limit: Limit = 100) -> PageOut[KeyOut]:
     """List the keys in the order of their making, the revoked ones too."""
     page = running.store.keys.list(after, limit)
-    return PageOut(items=[KeyOut.from_record(r) for r in page.items], next_after=page.next_after)
+    return page_out(page, KeyOut.from_record)
 
 
 @router.get(

@@ -12,7 +12,7 @@ from app.drives.pose_schemas import PoseQuery, pose_from_query
 from app.drives.schemas import DriveOut, DrivePatch, ScanOut
 from app.http import errors
 from app.http.bodies.bodies import SCAN_TYPES, Body, ContentType, Json, described_body
-from app.http.pages import After, Limit, PageOut
+from app.http.pages import After, Limit, PageOut, page_out
 from app.http.pooled_route import heavy, pooled_router
 from app.http.problems import problems
 from app.service import DriveSlug, MapSlug, Running
@@ -64,7 +64,7 @@ def list_drives(
 ) -> PageOut[DriveOut]:
     """List a map's drives by name."""
     page = running.store.drives.list(map_slug, after, limit)
-    return PageOut(items=[DriveOut.from_record(r) for r in page.items], next_after=page.next_after)
+    return page_out(page, DriveOut.from_record)
 
 
 @router.get(

@@ -4,6 +4,7 @@ import shutil
 import threading
 import time
 from collections.abc import Callable, Iterable
+from functools import partial
 
 from prometheus_client import (
     CollectorRegistry,
@@ -40,68 +41,53 @@ class Metrics:
         self._clock = clock
         self._registry = registry = CollectorRegistry()
         ProcessCollector(registry=registry)
-        self._requests = Counter(
-            "tensormap_http_requests",
-            "Requests that were answered.",
-            ["route", "method", "status"],
-            registry=registry,
+        counter: Callable[..., Counter] = partial(Counter, registry=registry)
+        gauge: Callable[..., Gauge] = partial(Gauge, registry=registry)
+        histogram: Callable[..., Histogram] = partial(Histogram, registry=registry)
+        self._requests = counter(
+            "tensormap_http_requests", "Requests that were answered.", ["route", "method", "status"]
         )
-        self._request_s = Histogram(
+        self._request_s = histogram(
             "tensormap_http_request_seconds",
             "From a request's first byte to its answer's last one.",
             ["route", "method"],
             buckets=_REQUEST_S,
-            registry=registry,
         )
-        self._localizations = Counter(
+        self._localizations = counter(
             "tensormap_localizations",
             "Answers to `where am I?`, by what asked and what came of it.",
             ["query", "outcome"],
-            registry=registry,
         )
-        self._builds = Counter(
-            "tensormap_builds", "Builds that ran, by how they ended.", ["state"], registry=registry
-        )
-        self._build_s = Histogram(
+        self._builds = counter("tensormap_builds", "Builds that ran, by how they ended.", ["state"])
+        self._build_s = histogram(
             "tensormap_build_seconds",
             "From a build's start to its end.",
             ["state"],
             buckets=_BUILD_S,
-            registry=registry,
         )
-        self._jobs = Gauge(
-            "tensormap_jobs", "Jobs that wait or run now.", ["state"], registry=registry
-        )
-        self._tracks = Gauge("tensormap_tracks", "Tracks that are kept now.", registry=registry)
-        self._store_bytes = Gauge(
+        self._jobs = gauge("tensormap_jobs", "Jobs that wait or run now.", ["state"])
+        self._tracks = gauge("tensormap_tracks", "Tracks that are kept now.")
+        self._store_bytes = gauge(
             "tensormap_store_bytes",
             "What is stored: raw returns, and files of revisions.",
             ["kind"],
-            registry=registry,
         )
-        self._free_bytes = Gauge(
-            "tensormap_disk_free_bytes",
-            "What the data directory's file system has left.",
-            registry=registry,
+        self._free_bytes = gauge(
+            "tensormap_disk_free_bytes", "What the data directory's file system has left."
         )
-        self._catalog_up = Gauge(
-            "tensormap_catalog_up", "1 if the catalog could be read just now.", registry=registry
-        )
-        self._scrubbed = Counter(
+        self._catalog_up = gauge("tensormap_catalog_up", "1 if the catalog could be read just now.")
+        self._scrubbed = counter(
             "tensormap_scrub_files",
             "Stored files that were read and checked in the background, by what was found.",
             ["result"],
-            registry=registry,
         )
-        self._scrub_damaged = Gauge(
+        self._scrub_damaged = gauge(
             "tensormap_scrub_damaged_files",
             "Files that were damaged or missing when they were last checked.",
-            registry=registry,
         )
-        self._scrub_passed_s = Gauge(
+        self._scrub_passed_s = gauge(
             "tensormap_scrub_last_pass_timestamp_seconds",
             "When all stored files had been checked last; 0 before the first time.",
-            registry=registry,
         )
         self._lock = threading.Lock()
         self._added_up_at: float | None = None

@@ -10,7 +10,7 @@ from app.access.scopes import Scope, needs
 from app.access.trail import note
 from app.http import errors
 from app.http.bodies.bodies import Json
-from app.http.pages import After, Limit, PageOut
+from app.http.pages import After, Limit, PageOut, page_out
 from app.http.pooled_route import pooled_router
 from app.http.problems import problems
 from app.maps.schemas import MapIn, MapOut, MapPatch
@@ -58,8 +58,7 @@ def list_maps(
     """List the maps by name, those within the limits of the key."""
     page = running.store.maps.list(after, limit, slugs=asking.maps)
     default = running.settings.retention
-    items = [MapOut.from_record(record, default) for record in page.items]
-    return PageOut(items=items, next_after=page.next_after)
+    return page_out(page, lambda record: MapOut.from_record(record, default))
 
 
 @router.get(

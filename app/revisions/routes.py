@@ -14,7 +14,7 @@ from app.access.trail import note
 from app.http import errors
 from app.http.bodies.bodies import Body, ContentType, Json, described_body, media_type
 from app.http.open_file import OpenFileResponse
-from app.http.pages import After, Limit, PageOut
+from app.http.pages import After, Limit, PageOut, page_out
 from app.http.pooled_route import heavy, pooled_router
 from app.http.problems import problems
 from app.maps.routes import IfMatch, etag_of, version_seen
@@ -64,8 +64,7 @@ def list_revisions(
     """List a map's revisions, newest first."""
     live = running.store.maps.get(map_slug).live_revision
     page = running.store.revisions.list(map_slug, after, limit)
-    items = [RevisionOut.from_record(record, live) for record in page.items]
-    return PageOut(items=items, next_after=page.next_after)
+    return page_out(page, lambda record: RevisionOut.from_record(record, live))
 
 
 @router.post(
