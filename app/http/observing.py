@@ -3,10 +3,10 @@
 import logging
 import time
 
-from starlette.datastructures import MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from app.http.context import HEADER, RequestContext, enter_request
+from app.http.answer_headers import complete_head
+from app.http.context import RequestContext, enter_request
 from app.http.logs import fields
 from app.http.metrics import Metrics
 from app.http.problems import internal_error
@@ -45,10 +45,10 @@ class RequestObserver:
             kind = message["type"]
             if kind in {"http.response.start", "websocket.http.response.start"}:
                 status = message["status"]
-                MutableHeaders(scope=message)[HEADER] = context.request_id
+                complete_head(message, context)
             elif kind == "websocket.accept":
                 status = 101
-                MutableHeaders(scope=message)[HEADER] = context.request_id
+                complete_head(message, context)
             await send(message)
 
         try:
