@@ -10,7 +10,7 @@ from typing import Any
 
 from app.builds.live_gate import Gate, pass_gate
 from app.builds.parameters import BuildParameters, PoseCheck
-from app.builds.plans import Plan
+from app.builds.plans import Plan, unreadable_basis
 from app.drives.stored_images import images_path, open_images
 from core.arrays import Float32Array, FloatArray
 from core.encodings.harmonic import HarmonicModel
@@ -137,7 +137,7 @@ def _kept_basis(store: Store, map_id: str, plan: Plan) -> Float32Array | None:
     except FileNotFoundError as error:
         raise CorruptFile(f"the file of revision {record.digest} is gone") from error
     except CorruptFile as error:
-        raise CorruptFile(f"{error}: its basis cannot be kept, refit fits another") from error
+        raise unreadable_basis(error) from error
     return kept.model.radial_basis if isinstance(kept.model, HarmonicModel) else None
 
 
@@ -151,7 +151,7 @@ def _facts(
     job_id: str | None,
 ) -> RevisionFacts:
     tensor_map = built.tensor_map
-    notes = (*left_over, *built.notes)
+    notes = (*plan.notes, *left_over, *built.notes)
     if gate is not None and gate.reason is not None:
         notes = (*notes, gate.reason)
     return RevisionFacts(

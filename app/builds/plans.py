@@ -14,7 +14,7 @@ from storage.errors import CorruptFile, DriveNotFound, NoLiveRevision
 from storage.files.map_file import read_parameters
 from storage.store import Store
 
-__all__ = ["Plan", "plan_build"]
+__all__ = ["Plan", "plan_build", "unreadable_basis"]
 
 
 class Plan(BaseModel):
@@ -30,6 +30,7 @@ class Plan(BaseModel):
         description="What was asked for, with the options that were left open; with `base`, as"
         " that revision was built."
     )
+    notes: list[str] = Field(description="What whoever asked for it should know of the choice.")
 
 
 _Based = tuple[RevisionRecord, MapParameters, tuple[str, ...]]
@@ -39,6 +40,7 @@ _Based = tuple[RevisionRecord, MapParameters, tuple[str, ...]]
 def plan_build(store: Store, map_id: str, parameters: BuildParameters) -> Plan:
     """Choose the drives and the basis of a build, from the catalog and the heads of files.
 
+    A build of all drives leaves out those without a scan, as a mistyped name makes with its poses.
     A harmonic map keeps the basis of the revision that it is based on, or else of the live one if
     that makes the same signatures of a scan, unless `refit` asks for another.
 
@@ -49,7 +51,7 @@ def plan_build(store: Store, map_id: str, parameters: BuildParameters) -> Plan:
         AmbiguousRevision: If the map has several revisions of that prefix.
         UnknownDrive: If a drive is to be left out that the base does not have.
         DriveNotFound: If the map lacks one of the drives.
-        EmptyDrive: If no drive is left, or one has no scan.
+        EmptyDrive: If no drive is left, or one that is named has no scan.
         InvalidParameters: If parameters do not fit, or differ from the base's.
         CorruptFile: If the file of the revision whose basis would be kept is damaged.
     """
@@ -57,8 +59,11 @@ def plan_build(store: Store, map_id: str, parameters: BuildParameters) -> Plan:
         parameters.map_parameters()  # refuses what does not fit, before anything is read
     base = _base(store, map_id, parameters)
     names: Sequence[str]
+    notes: list[str] = []
     if base is None:
-        names = parameters.drives or [d.slug for d in store.drives.of_map(map_id)]
+        names = parameters.drives or ()
+        if not names:
+            names, notes = _all_with_scans(store, map_id)
         names = _young(store, map_id, names, parameters.max_age_days)
     else:
         record, built_with, _ = base
@@ -75,13 +80,23 @@ def plan_build(store: Store, map_id: str, parameters: BuildParameters) -> Plan:
         try:
             kept = base or _live(store, map_id)
         except CorruptFile as error:
-            raise CorruptFile(f"{error}: its basis cannot be kept, refit fits another") from error
+            raise unreadable_basis(error) from error
         if kept is not None and make_same_signatures(parameters.map_parameters(), kept[1]):
             basis_kept_from = kept[0].digest
     return Plan(
         drives=[drive.slug for drive in drives],
         basis_kept_from=basis_kept_from,
         parameters=parameters.resolved(),
+        notes=notes,
+    )
+
+
+def unreadable_basis(error: CorruptFile) -> CorruptFile:
+    """Return the error of a build that would keep the basis of a damaged revision."""
+    return CorruptFile(
+        f"{error}: a build keeps the basis of the live revision, which cannot be read. Send"
+        " refit: true to fit a new basis, which vehicles then download; or, to keep one,"
+        " first make a revision live whose file is good, imported or built before"
     )
 
 
@@ -107,6 +122,21 @@ def _read(store: Store, record: RevisionRecord) -> _Based:
         return record, *read_parameters(store.revisions.path_of(record), record.digest)
     except FileNotFoundError as error:
         raise CorruptFile(f"the file of revision {record.digest} is gone") from error
+
+
+def _all_with_scans(store: Store, map_id: str) -> tuple[list[str], list[str]]:
+    """Return the drives of a map that have scans, and a note on each other one."""
+    drives = store.drives.of_map(map_id)
+    notes = []
+    for drive in drives:
+        if not drive.scans:
+            waiting = (
+                f", {drive.expected_poses} poses wait for them" if drive.expected_poses else ""
+            )
+            notes.append(
+                f"drive {drive.slug} is left out, it has no scans{waiting}: is its name mistyped?"
+            )
+    return [drive.slug for drive in drives if drive.scans], notes
 
 
 def _changed(store: Store, map_id: str, base: _Based, parameters: BuildParameters) -> Sequence[str]:
@@ -145,7 +175,8 @@ def _young(
 def _stored(store: Store, map_id: str, names: Sequence[str]) -> Sequence[DriveRecord]:
     if not names:
         slug = store.maps.get_by_id(map_id).slug
-        reason = "no drive would be left" if store.drives.of_map(map_id) else "upload scans first"
+        scans = any(drive.scans for drive in store.drives.of_map(map_id))
+        reason = "no drive would be left" if scans else "upload scans first"
         raise EmptyDrive(f"map {slug!r} has no drive to build of: {reason}")
     drives = store.drives.of_map(map_id, names)
     empty = [drive.slug for drive in drives if not drive.scans]
