@@ -12,28 +12,8 @@ from pydantic import ValidationError
 from rich.table import Table
 
 from app.builds.parameters import BuildParameters, PoseCheck
+from app.cli import options
 from app.cli.console import figure, output, progress_bar, say
-from app.cli.options import (
-    MIN_RETURNS,
-    DistanceOption,
-    DrivesArgument,
-    EncodingOption,
-    FormatOption,
-    ImageOption,
-    LateralRenderingsOption,
-    MapArgument,
-    PosesOption,
-    RanksOption,
-    ReducerOption,
-    SegmentationOption,
-    SegmentLengthOption,
-    SegmentsOption,
-    SensorHeightOption,
-    SensorOption,
-    numbers,
-    ranks,
-    require_folder,
-)
 from app.localization.prior_schemas import hints_of
 from app.localization.schemas import LocalizationOut, SignaturesIn
 from app.revisions.topology_schemas import TopologyOut
@@ -61,21 +41,21 @@ _FACTS = ("revision", "basis", "encoding", "sensor", "reducer", "ranks", "drives
 
 
 def build(
-    drives: DrivesArgument,
+    drives: options.DrivesArgument,
     output_file: Annotated[
         Path, typer.Option("-o", "--output", metavar="MAP.h5", help="The map file to write.")
     ],
-    encoding: EncodingOption = None,
-    ranks_text: RanksOption = "5,5",
-    segmentation: SegmentationOption = Segmentation.FIXED,
-    segment_length: SegmentLengthOption = None,
-    segments: SegmentsOption = None,
-    reducer: ReducerOption = None,
-    image: ImageOption = None,
-    distance: DistanceOption = None,
-    lateral_renderings: LateralRenderingsOption = None,
-    sensor: SensorOption = HDL_64E.name,
-    sensor_height_m: SensorHeightOption = 1.73,
+    encoding: options.EncodingOption = None,
+    ranks_text: options.RanksOption = "5,5",
+    segmentation: options.SegmentationOption = Segmentation.FIXED,
+    segment_length: options.SegmentLengthOption = None,
+    segments: options.SegmentsOption = None,
+    reducer: options.ReducerOption = None,
+    image: options.ImageOption = None,
+    distance: options.DistanceOption = None,
+    lateral_renderings: options.LateralRenderingsOption = None,
+    sensor: options.SensorOption = HDL_64E.name,
+    sensor_height_m: options.SensorHeightOption = 1.73,
     keep_basis: Annotated[
         Path | None,
         typer.Option(
@@ -85,18 +65,18 @@ def build(
             rich_help_panel="Map",
         ),
     ] = None,
-    poses: PosesOption = PoseCheck.CHECKED,
+    poses: options.PosesOption = PoseCheck.CHECKED,
 ) -> None:
     """Build a map of one or more recorded drives."""
     from app.builds.pipelines import (
         build_drives,  # here: it brings the store, which no other one needs
     )
 
-    require_folder(output_file)
+    options.require_folder(output_file)
     try:
         parameters = BuildParameters(
             encoding=encoding or encoding_with(reducer),
-            ranks=ranks(ranks_text),
+            ranks=options.ranks(ranks_text),
             segmentation=segmentation,
             segment_length=segment_length,
             segments=segments,
@@ -107,13 +87,13 @@ def build(
             image=image,
             distance=distance,
             lateral_renderings_m=(
-                None if lateral_renderings is None else list(numbers(lateral_renderings))
+                None if lateral_renderings is None else list(options.numbers(lateral_renderings))
             ),
         )
     except ValidationError as error:
         raise InvalidParameters(error.errors()[0]["msg"]) from None
     radial_basis = None if keep_basis is None else _basis_of(keep_basis, parameters)
-    recorded = [open_drive(drive, min_returns=MIN_RETURNS) for drive in drives]
+    recorded = [open_drive(drive, min_returns=options.MIN_RETURNS) for drive in drives]
     twice = {drive.name for drive in recorded if [d.name for d in recorded].count(drive.name) > 1}
     if twice:
         raise InvalidParameters(f"two of the drives are called {min(twice)!r}: rename a folder")
@@ -157,7 +137,7 @@ def _basis_of(map_file: Path, parameters: BuildParameters) -> Float32Array:
 
 
 def localize(
-    map_file: MapArgument,
+    map_file: options.MapArgument,
     scans: Annotated[list[Path], typer.Argument(help="Scan files.", metavar="SCAN...")],
     k: Annotated[int, typer.Option("-k", min=1, help="How many nearest scans to answer.")] = 1,
     sensor_height_m: Annotated[
@@ -186,7 +166,7 @@ def localize(
     segment: Annotated[
         list[int] | None, _hint(help="It is on this segment; repeatable.", min=0)
     ] = None,
-    format_name: FormatOption = None,
+    format_name: options.FormatOption = None,
     as_json: Annotated[bool, typer.Option("--json", help="One JSON answer a line.")] = False,
 ) -> None:
     """Localize scans in a map; one that cannot be used is told, the others are answered.
@@ -216,7 +196,7 @@ def localize(
         progress.start("localizing", len(scans))
         for path in scans:
             try:
-                scan = read_scan_file(path, min_returns=MIN_RETURNS, media_type=media_type)
+                scan = read_scan_file(path, min_returns=options.MIN_RETURNS, media_type=media_type)
                 found = localizer.localize_scan(scan, k, sensor_height_m, hints, min_probability)
                 answers.append((path, found))
             except (InvalidScan, UnknownFormat) as error:
@@ -266,7 +246,7 @@ def _trust(found: Localization) -> str:
 
 
 def signature(
-    map_file: MapArgument,
+    map_file: options.MapArgument,
     scan: Annotated[Path, typer.Argument(help="A scan file.", metavar="SCAN")],
     segments: Annotated[
         list[int] | None,
@@ -278,7 +258,7 @@ def signature(
     packing: Annotated[
         Packing | None, typer.Option(help="How numbers are packed. [float16; harmonic: int8]")
     ] = None,
-    format_name: FormatOption = None,
+    format_name: options.FormatOption = None,
 ) -> None:
     """Print a scan's signatures as JSON, ready to post."""
     tensor_map = read_map(map_file)
@@ -286,7 +266,7 @@ def signature(
         raise InvalidParameters("a harmonic signature is one for all segments: leave --segment out")
     basis = tensor_map.basis(segments)
     media_type = None if format_name is None else media_type_of(format_name)
-    read = read_scan_file(scan, min_returns=MIN_RETURNS, media_type=media_type)
+    read = read_scan_file(scan, min_returns=options.MIN_RETURNS, media_type=media_type)
     signatures = basis.encode(basis.image(read))
     if packed is not None:
         packed.write_bytes(pack_signatures(signatures, packing))
@@ -295,7 +275,7 @@ def signature(
 
 
 def inspect(
-    map_file: MapArgument,
+    map_file: options.MapArgument,
     as_json: Annotated[bool, typer.Option("--json", help="As JSON.")] = False,
 ) -> None:
     """Show what a map holds; its digest is checked."""

@@ -6,15 +6,7 @@ import time
 from collections.abc import Callable, Iterable
 from functools import partial
 
-from prometheus_client import (
-    CollectorRegistry,
-    Counter,
-    Gauge,
-    Histogram,
-    Metric,
-    ProcessCollector,
-    generate_latest,
-)
+import prometheus_client as prometheus
 from prometheus_client.core import CounterMetricFamily
 from prometheus_client.registry import Collector
 
@@ -39,11 +31,13 @@ class Metrics:
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock = clock
-        self._registry = registry = CollectorRegistry()
-        ProcessCollector(registry=registry)
-        counter: Callable[..., Counter] = partial(Counter, registry=registry)
-        gauge: Callable[..., Gauge] = partial(Gauge, registry=registry)
-        histogram: Callable[..., Histogram] = partial(Histogram, registry=registry)
+        self._registry = registry = prometheus.CollectorRegistry()
+        prometheus.ProcessCollector(registry=registry)
+        counter: Callable[..., prometheus.Counter] = partial(prometheus.Counter, registry=registry)
+        gauge: Callable[..., prometheus.Gauge] = partial(prometheus.Gauge, registry=registry)
+        histogram: Callable[..., prometheus.Histogram] = partial(
+            prometheus.Histogram, registry=registry
+        )
         self._requests = counter(
             "tensormap_http_requests", "Requests that were answered.", ["route", "method", "status"]
         )
@@ -136,7 +130,7 @@ class Metrics:
         """
         with self._lock:
             self._look_up(store, tracks)
-            return generate_latest(self._registry)
+            return prometheus.generate_latest(self._registry)
 
     def _look_up(self, store: Store, tracks: int) -> None:
         if self._stored is None:
@@ -165,7 +159,7 @@ class _StoredScans(Collector):
     def __init__(self, store: Store) -> None:
         self._store = store
 
-    def collect(self) -> Iterable[Metric]:
+    def collect(self) -> Iterable[prometheus.Metric]:
         """Tell how many."""
         yield CounterMetricFamily(
             "tensormap_scans_stored",
