@@ -6,7 +6,7 @@ from urllib.parse import quote
 
 from anyio import to_thread
 from fastapi import Request
-from starlette.types import ASGIApp, Message, Receive, Scope, Send
+from starlette.types import ASGIApp, Receive, Scope, Send
 
 from app.access.caller import Caller
 from app.access.scopes import Scope as KeyScope
@@ -44,19 +44,13 @@ class AuditTrail:
             await self._app(scope, receive, send)
             return
         act = Act(key_id="", action="", subject=hidden(quote(scope["path"])))
-        status = 500
-
-        async def watched(message: Message) -> None:
-            nonlocal status
-            if message["type"] == "http.response.start":
-                status = message["status"]
-            await send(message)
-
+        context = context_of(scope)
         try:
             with on_behalf(act):
-                await self._app(scope, receive, watched)
+                await self._app(scope, receive, send)
         finally:
-            if context_of(scope).audited and status >= _ERROR:
+            status = context.status or 500
+            if context.audited and status >= _ERROR:
                 service = scope["app"].state.service
                 failure = partial(_add_failure, service.store, act, status)
                 await to_thread.run_sync(failure, limiter=service.pools.audit)

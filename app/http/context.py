@@ -34,6 +34,7 @@ class RequestContext:
         allowances: What is left to the sender, by unit.
         body: Its body, of which nothing is read before the route wants it.
         audited: Whether a failure of it belongs into the audit log.
+        status: Of its answer, once that has begun.
     """
 
     request_id: str
@@ -42,6 +43,7 @@ class RequestContext:
     allowances: "dict[str, Allowance]" = field(default_factory=dict)
     body: "Incoming | None" = None
     audited: bool = False
+    status: int | None = None
 
     def allow(self, allowance: "Allowance | None") -> None:
         """Note what is left to the sender, for the head of the answer."""

@@ -42,16 +42,14 @@ class RequestObserver:
             return
         began = time.perf_counter()
         context = enter_request(scope)
-        status: int | None = None
 
         async def watched(message: Message) -> None:
-            nonlocal status
             kind = message["type"]
             if kind in {"http.response.start", "websocket.http.response.start"}:
-                status = message["status"]
+                context.status = message["status"]
                 complete_head(message, context)
             elif kind == "websocket.accept":
-                status = 101
+                context.status = 101
                 complete_head(message, context)
             await send(message)
 
@@ -61,19 +59,20 @@ class RequestObserver:
             # Only Uvicorn cancels a request: it is to stop, and has waited as long as it does.
             if scope["type"] != "http":
                 raise
-            if status is None:
+            if context.status is None:
                 await problem_response(ServiceBusy(_STOPPED, _STARTED_AGAIN_S))(
                     scope, receive, watched
                 )
         except Exception as error:
-            if scope["type"] != "http" or status is not None:
+            if scope["type"] != "http" or context.status is not None:
                 raise
             # Starlette's own last resort is outside of us: its answer would have no id.
             await internal_error(error)(scope, receive, watched)
         finally:
-            self._tell(scope, context, status or _NO_ANSWER, time.perf_counter() - began)
+            self._tell(scope, context, time.perf_counter() - began)
 
-    def _tell(self, scope: Scope, context: RequestContext, status: int, seconds: float) -> None:
+    def _tell(self, scope: Scope, context: RequestContext, seconds: float) -> None:
+        status = context.status or _NO_ANSWER
         route = _template(scope)
         method = scope.get("method", "GET")
         if scope["type"] == "http":
