@@ -1,7 +1,9 @@
 """The commands, and how each one ends."""
 
+import ast
 import sys
 from importlib import import_module
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
@@ -13,56 +15,25 @@ from core.errors import TensorMapError
 
 __all__ = ["cli", "imported", "main"]
 
-_COMMANDS = {
-    "serve": ("serve", "Start the service; `TENSORMAP_*` variables hold what no option sets."),
-    "backup": (
-        "backup",
-        "Back up a data directory into one file, while the service runs; every digest is checked.",
-    ),
-    "restore": (
-        "backup",
-        "Make a new data directory of a backup; the service is then started on it.",
-    ),
-    "verify": (
-        "verify",
-        "Check every stored file against its digest, and list what is damaged, missing or left"
-        " over.",
-    ),
-    "demo": (
-        "demo",
-        "Record a drive, post it, build the map, localize what was held out, and print a table.",
-    ),
-    "build": ("maps", "Build a map of one or more recorded drives."),
-    "merge": (
-        "merge",
-        "Merge maps of one encoding and basis, drive after drive; no number of them changes.",
-    ),
-    "localize": (
-        "maps",
-        "Localize scans in a map; one that cannot be used is told, the others are answered.",
-    ),
-    "loop-closure": (
-        "loop_closure",
-        "Judge proposed loop closures by the returns of both scans.",
-    ),
-    "signature": ("maps", "Print a scan's signatures as JSON, ready to post."),
-    "inspect": ("maps", "Show what a map holds; its digest is checked."),
-    "evaluate": (
-        "evaluate",
-        "Build a map of one part of a drive and ask it where the other part was.",
-    ),
-    "compare": (
-        "compare",
-        "Run other methods of place recognition on the same scans, beside ours.",
-    ),
-    "report": ("report", "Redraw the paper's figures for a drive, and recommend {r1, r2, k}."),
-    "simulate": (
-        "simulate",
-        "Drive through a simulated city and write the scans in KITTI odometry layout.",
-    ),
-    "audit": ("audit", "Check the log of changes."),
+_MODULES = {
+    "serve": "serve",
+    "backup": "backup",
+    "restore": "backup",
+    "verify": "verify",
+    "demo": "demo",
+    "build": "maps",
+    "merge": "merge",
+    "localize": "maps",
+    "loop-closure": "loop_closure",
+    "signature": "maps",
+    "inspect": "maps",
+    "evaluate": "evaluate",
+    "compare": "compare",
+    "report": "report",
+    "simulate": "simulate",
+    "audit": "audit",
 }
-"""The module of this package that defines each command, and the first sentence of its help."""
+"""Which module of this package has a command."""
 
 
 class _Commands(typer.core.TyperGroup):
@@ -70,17 +41,30 @@ class _Commands(typer.core.TyperGroup):
 
     def __init__(self, **options: Any) -> None:  # noqa: ANN401 - those of the base
         super().__init__(**options)
-        for name, (_, text) in _COMMANDS.items():
-            self.add_command(typer.core.TyperCommand(name, help=text))
+        for name in _MODULES:
+            self.add_command(typer.core.TyperCommand(name, help=_described(name)))
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:  # noqa: ANN401 - Click's own
         name, command, rest = super().resolve_command(ctx, args)
-        return name, imported(name) if name in _COMMANDS else command, rest
+        return name, imported(name) if name in _MODULES else command, rest
+
+
+def _described(name: str) -> str:
+    """Return what a command's docstring says, from its source: to import it takes a second."""
+    source = Path(__file__).with_name(f"{_MODULES[name]}.py").read_text()
+    for function in ast.parse(source).body:
+        if isinstance(function, ast.FunctionDef) and function.name in {_function(name), "about"}:
+            return ast.get_docstring(function) or ""
+    return ""
+
+
+def _function(name: str) -> str:
+    return name.replace("-", "_")
 
 
 def imported(name: str) -> Any:  # noqa: ANN401 - Click's command, which Typer keeps private
     """Import a command, and keep the libraries that came with it to one thread."""
-    found = getattr(import_module(f"app.cli.{_COMMANDS[name][0]}"), name.replace("-", "_"))
+    found = getattr(import_module(f"app.cli.{_MODULES[name]}"), _function(name))
     one_blas_thread()
     if not isinstance(found, typer.Typer):
         function, found = found, typer.Typer(add_completion=False)

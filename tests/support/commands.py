@@ -171,9 +171,9 @@ def _run() -> None:
 
 def _import_all() -> None:
     """Import what our programs need, each of which imports only its own part by itself."""
-    commands_of = importlib.import_module("app.cli.main")._COMMANDS
+    commands_of = importlib.import_module("app.cli.main")._MODULES
     late = importlib.import_module("app.builds.worker").IMPORTED_LATE
-    for module in (*_LATE, *late, *(f"app.cli.{name}" for name, _ in commands_of.values())):
+    for module in (*_LATE, *late, *(f"app.cli.{name}" for name in commands_of.values())):
         importlib.import_module(module)
     settings = importlib.import_module("app.settings").Settings()
     importlib.import_module("app.main").create_app(settings)  # its routes are worked out once
