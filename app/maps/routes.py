@@ -14,10 +14,11 @@ from app.http.pages import After, Limit, PageOut, page_out
 from app.http.pooled_route import pooled_router
 from app.http.problems import problems
 from app.maps.schemas import MapIn, MapOut, MapPatch
-from app.service import MapSlug, Running
+from app.service import MapSlug, Running, Service
+from storage.catalog import MapRecord
 from storage.errors import InvalidSlug, MapChanged, MapExists, MapNotFound
 
-__all__ = ["IfMatch", "etag_of", "router", "version_seen"]
+__all__ = ["IfMatch", "router", "shown_map", "version_seen"]
 
 router = pooled_router(tags=["maps"])
 
@@ -43,8 +44,7 @@ def create_map(wanted: Json[MapIn], running: Running, response: Response, asking
     asking.require_new_map(wanted.map)
     record = running.store.maps.create(wanted.map, wanted.description)
     response.headers["Location"] = f"/v1/maps/{record.slug}"
-    response.headers["ETag"] = etag_of(record.version)
-    return MapOut.from_record(record, running.settings.retention)
+    return shown_map(record, running, response)
 
 
 @router.get(
@@ -69,8 +69,7 @@ def list_maps(
 def get_map(map_slug: MapSlug, running: Running, response: Response) -> MapOut:
     """Show a map."""
     record = running.store.maps.get(map_slug)
-    response.headers["ETag"] = etag_of(record.version)
-    return MapOut.from_record(record, running.settings.retention)
+    return shown_map(record, running, response)
 
 
 @router.patch(
@@ -97,8 +96,7 @@ def update_map(
     )
     if kept:
         running.collector.wake()
-    response.headers["ETag"] = etag_of(record.version)
-    return MapOut.from_record(record, running.settings.retention)
+    return shown_map(record, running, response)
 
 
 @router.delete(
@@ -112,9 +110,10 @@ def delete_map(map_slug: MapSlug, running: Running, if_match: IfMatch = None) ->
     running.store.maps.delete(map_slug, if_version=version_seen(if_match))
 
 
-def etag_of(version: int) -> str:
-    """Return the ETag of a map's version."""
-    return f'"{version}"'
+def shown_map(record: MapRecord, running: Service, response: Response) -> MapOut:
+    """Return a map's answer, with the ETag of its version in the head."""
+    response.headers["ETag"] = f'"{record.version}"'
+    return MapOut.from_record(record, running.settings.retention)
 
 
 def version_seen(if_match: str | None) -> int | None:

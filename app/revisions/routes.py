@@ -17,7 +17,7 @@ from app.http.open_file import OpenFileResponse
 from app.http.pages import After, Limit, PageOut, page_out
 from app.http.pooled_route import heavy, pooled_router
 from app.http.problems import problems
-from app.maps.routes import IfMatch, etag_of, version_seen
+from app.maps.routes import IfMatch, shown_map, version_seen
 from app.maps.schemas import MapOut
 from app.revisions.imports import import_revision
 from app.revisions.loaded import Answering
@@ -173,9 +173,7 @@ def make_live(
     note(f"revision {wanted.revision}")
     running.store.revisions.set_live(map_slug, wanted.revision, if_version=version_seen(if_match))
     running.collector.wake()
-    record = running.store.maps.get(map_slug)
-    response.headers["ETag"] = etag_of(record.version)
-    return MapOut.from_record(record, running.settings.retention)
+    return shown_map(running.store.maps.get(map_slug), running, response)
 
 
 @router.get(
