@@ -57,7 +57,8 @@ def leftovers(catalog: Catalog, layout: Layout, *, alone: bool) -> list[Leftover
         *(Leftover(path, "no row names it", useless=False) for path in _unnamed(catalog, layout)),
     ]
     kept = [item for item in found if alone or _age_s(item.path) > _IN_USE_S]
-    return sorted(kept, key=lambda item: item.path)
+    # What is half-written first: else it is moved with the folder that it is in, and kept.
+    return sorted(kept, key=lambda item: (not item.useless, item.path))
 
 
 def sweep(catalog: Catalog, layout: Layout) -> list[Leftover]:

@@ -227,6 +227,16 @@ def test_a_start_removes_what_killed_backups_left_in_the_data_directory(filled):
     assert {path.name for path in data.iterdir() if "backup" in path.name} == {"backup.tar"}
 
 
+def test_what_is_half_written_in_a_folder_that_no_row_names_is_removed_and_the_rest_kept(filled):
+    chunks = filled.layout.chunks(filled.maps.get("campus").id, "d" * 32)
+    chunks.mkdir(parents=True)
+    (chunks / ".x.h5.0123.part").touch()
+    (chunks / "x.h5").write_bytes(b"who knows")
+    filled.recover()
+    [kept] = (path for path in filled.layout.orphans.rglob("*") if path.is_file())
+    assert kept.read_bytes() == b"who knows"
+
+
 def test_a_store_on_any_database_is_verified_and_repaired(database_url, tmp_path):
     with Store(tmp_path / "data", database_url) as store:
         store.maps.create("campus")
