@@ -16,7 +16,6 @@ from app.access.admission import Admission
 from app.access.trail import AuditTrail
 from app.builds.job_events import JobEvents
 from app.builds.runner import JobRunner
-from app.http.answer_headers import AnswerHeaders
 from app.http.bodies.bodies import BodyGuard
 from app.http.bodies.spool import SpoolRoom
 from app.http.bodies.unread import UnreadBody
@@ -84,7 +83,6 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     app.add_middleware(Admission)
     app.add_middleware(AuditTrail)
     app.add_middleware(UnreadBody)
-    app.add_middleware(AnswerHeaders)
     allow_origins(app, chosen.allowed_origins)
     app.add_middleware(RequestObserver, metrics=metrics)  # the last one added is the outermost
     app.router.routes.extend(_routes())

@@ -9,14 +9,7 @@ from app.builds import routes as builds
 from app.drives import pose_routes, upload_routes
 from app.drives import routes as drives
 from app.http import health_routes, metrics_routes
-from app.http.errors import (
-    HostNotAllowed,
-    KeyNeeded,
-    KeyRefused,
-    ScopeMissing,
-    ServiceBusy,
-    TooManyRequests,
-)
+from app.http.errors import KEY
 from app.http.problems import problems
 from app.localization import routes as localizations
 from app.loop_closures import routes as loop_closures
@@ -34,9 +27,7 @@ def api() -> APIRouter:
     router = APIRouter(
         prefix="/v1",
         dependencies=[Depends(require_access)],
-        responses=problems(
-            KeyNeeded, KeyRefused, HostNotAllowed, ScopeMissing, ServiceBusy, TooManyRequests
-        ),
+        responses=problems(*KEY),
     )
     for module in (
         maps,

@@ -16,6 +16,12 @@ __all__ = ["Settings", "is_loopback", "unknown_variables"]
 
 _ORIGIN = re.compile(r"https?://([a-z0-9.-]+|\[[0-9a-f:.]+\])(:[0-9]{1,5})?")
 
+Count = Annotated[int, Field(ge=1)]
+Kilobytes = Annotated[int, Field(ge=2**10)]
+AtLeast0 = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
+Above0 = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
+Words = Annotated[tuple[str, ...], NoDecode]
+
 
 class Settings(BaseSettings):
     """What an operator may choose; `TENSORMAP_` and the upper-case name is the variable."""
@@ -24,202 +30,110 @@ class Settings(BaseSettings):
         env_prefix="TENSORMAP_",
         frozen=True,
         hide_input_in_errors=True,  # it may be a key
+        use_attribute_docstrings=True,
     )
 
-    host: str = Field("127.0.0.1", description="Address to listen on.")
-    port: int = Field(8000, ge=0, le=65535, description="Port to listen on; 0 takes a free one.")
-    data_dir: Path = Field(Path("data"), description="Where maps and the catalog are kept.")
-    catalog_url: str | None = Field(
-        None, description="SQLAlchemy URL of the catalog; SQLite in the data directory by default."
-    )
-    admin_key: SecretStr | None = Field(
-        None, min_length=16, description="The administrator's key; asked of every caller if set."
-    )
-    max_body_bytes: int = Field(
-        64 * 2**20, ge=2**10, description="The largest request body that is read."
-    )
-    max_decoded_bytes: int = Field(
-        256 * 2**20,
-        ge=2**10,
-        description="What a compressed request body may unpack to.",
-    )
-    max_upload_bytes: int = Field(
-        64 * 2**30,
-        ge=2**10,
-        description="The largest body of many scans, unpacked; each scan in it may have"
-        " TENSORMAP_MAX_BODY_BYTES.",
-    )
-    max_json_bytes: int = Field(
-        4 * 2**20,
-        ge=2**10,
-        description="The largest JSON body that is read: it is parsed whole, scans are not.",
-    )
-    body_idle_s: float = Field(
-        20.0,
-        gt=0.0,
-        description="How many seconds a request body may bring nothing; then it is refused.",
-    )
-    body_bytes_per_s: float = Field(
-        256.0,
-        ge=0.0,
-        allow_inf_nan=False,
-        description="The least rate of a request body; 0 asks for none. There is no total time.",
-    )
-    body_grace_s: float = Field(
-        30.0,
-        gt=0.0,
-        allow_inf_nan=False,
-        description="How many seconds a request body may lag behind TENSORMAP_BODY_BYTES_PER_S.",
-    )
-    bodies_per_key: int = Field(
-        512, ge=1, description="How many request bodies of one key are read at once."
-    )
-    max_spool_bytes: int = Field(
-        96 * 2**30,
-        ge=2**20,
-        description="How many bytes of request bodies wait, in memory or in files of the data"
-        " directory, until they are whole; three quarters of that for one key.",
-    )
-    heavy_threads: int = Field(
-        6,
-        ge=1,
-        le=256,
-        description="How many requests that take long run at once: scans, archives, closures,"
-        " imports, comparisons, large JSON.",
-    )
-    heavy_threads_per_key: int = Field(
-        2, ge=1, description="How many of these of one key run at once; others of it wait."
-    )
-    short_threads: int = Field(
-        32, ge=2, le=256, description="How many other requests run at once; 3/4 of one key."
-    )
-    queued_requests: int = Field(
-        1024,
-        ge=1,
-        description="How many requests wait for a thread of each kind, half of them of one key;"
-        " more are refused. Keys that wait take turns.",
-    )
-    log_format: LogFormat = Field(
-        LogFormat.TEXT, description="How a line of the log is written: `text` or `json`."
-    )
-    log_level: Literal["DEBUG", "INFO", "WARNING", "ERROR"] = Field(
-        "INFO", description="What is logged; a line for each request at `INFO`."
-    )
-    min_returns: int = Field(
-        100, ge=1, description="A scan with fewer finite, non-zero returns is refused."
-    )
-    build_workers: int = Field(1, ge=1, le=64, description="How many builds run at once.")
-    max_queued_builds_per_key: int = Field(
-        50, ge=1, description="How many builds a key may have in the queue; another is refused."
-    )
-    build_stall_s: float = Field(
-        3600.0,
-        gt=0.0,
-        allow_inf_nan=False,
-        description="How many seconds a build may make no progress; then its process is ended, and"
-        " it fails.",
-    )
-    build_memory_bytes: int | None = Field(
-        None,
-        ge=0,
-        description="How many bytes a build may allocate; one that needs more fails. Three quarters"
-        " of the machine's, or the control group's, memory by default; 0 limits nothing.",
-    )
-    loaded_revisions: int = Field(
-        8, ge=1, description="How many revisions are kept in memory to answer queries."
-    )
-    retained_revisions: Annotated[int, Field(ge=0, le=MOST_REVISIONS)] | Literal["all"] = Field(
-        "all",
-        description="How many revisions of a map are kept besides the live and the newest one, or"
-        " `all`; a map may choose otherwise.",
-    )
-    retained_for_days: float = Field(
-        30.0,
-        ge=0.0,
-        le=LONGEST_DAYS,
-        allow_inf_nan=False,
-        description="How long any revision is kept after it was built or, if it was live, replaced;"
-        " a map may choose otherwise.",
-    )
-    raw_scans: RawScans = Field(
-        RawScans.KEEP,
-        description="`drop` removes the returns of closed drives that the live revision was built"
-        " of; a map may choose otherwise.",
-    )
-    max_tracks: int = Field(
-        1000, ge=1, description="How many vehicles are tracked at once; another is refused."
-    )
-    max_tracks_per_key: int = Field(
-        500, ge=1, description="How many tracks of one key are kept at once; another is refused."
-    )
-    track_idle_s: float = Field(
-        600.0, gt=0.0, description="How many seconds after its last use a track is forgotten."
-    )
-    max_connections: int = Field(
-        0,
-        ge=0,
-        description="How many connections are open at once; the one that was idle for longest is"
-        " closed for another. 0 takes as many as the descriptors allow, at most 4096.",
-    )
-    request_head_s: float = Field(
-        10.0,
-        gt=0.0,
-        allow_inf_nan=False,
-        description="How many seconds a request's head may take, from the start of its connection"
-        " or from its first byte; then that is closed.",
-    )
-    max_streams: int = Field(
-        2000,
-        ge=1,
-        description="How many streams, of tracks and of jobs' events, are open at once; another is"
-        " refused. `serve` takes half of TENSORMAP_MAX_CONNECTIONS if that is less.",
-    )
-    max_streams_per_key: int = Field(
-        1000,
-        ge=1,
-        description="How many streams of one key are open at once; another is refused. `serve`"
-        " takes half of all streams if that is less.",
-    )
-    stream_idle_s: float = Field(
-        600.0,
-        gt=0.0,
-        allow_inf_nan=False,
-        description="How many seconds after its last message the stream of a track is closed.",
-    )
-    requests_per_s: float = Field(
-        0.0,
-        ge=0.0,
-        allow_inf_nan=False,
-        description="How many requests a second a key may make on average; 0 limits nothing.",
-    )
-    request_burst: int = Field(
-        50, ge=1, description="How many requests a key that was idle may make at once."
-    )
-    upload_bytes_per_day: int = Field(
-        0,
-        ge=0,
-        description="How many bytes a key may send in a day, as they come over the wire; 0 limits"
-        " nothing. A key that was idle for a day has all of them again.",
-    )
-    allowed_origins: Annotated[tuple[str, ...], NoDecode] = Field(
-        (),
-        description="Origins of other sites whose pages may ask, as `https://maps.example`, comma"
-        " between; none by default.",
-    )
-
-    trusted_proxies: Annotated[tuple[str, ...], NoDecode] = Field(
-        (),
-        description="Addresses or networks of reverse proxies whose `X-Forwarded-For` and"
-        " `X-Forwarded-Proto` are believed, as `127.0.0.1`, comma between; none by default.",
-    )
-    scrub_days: float = Field(
-        30.0,
-        ge=0.0,
-        le=LONGEST_DAYS,
-        allow_inf_nan=False,
-        description="Within how many days every stored file is read and checked once; 0 checks"
-        " none.",
-    )
+    host: str = "127.0.0.1"
+    """Address to listen on."""
+    port: int = Field(8000, ge=0, le=65535)
+    """Port to listen on; 0 takes a free one."""
+    data_dir: Path = Path("data")
+    """Where maps and the catalog are kept."""
+    catalog_url: str | None = None
+    """SQLAlchemy URL of the catalog; SQLite in the data directory by default."""
+    admin_key: SecretStr | None = Field(None, min_length=16)
+    """The administrator's key; asked of every caller if set."""
+    max_body_bytes: Kilobytes = 64 * 2**20
+    """The largest request body that is read."""
+    max_decoded_bytes: Kilobytes = 256 * 2**20
+    """What a compressed request body may unpack to."""
+    max_upload_bytes: Kilobytes = 64 * 2**30
+    """The largest body of many scans, unpacked; each scan in it may have
+    TENSORMAP_MAX_BODY_BYTES."""
+    max_json_bytes: Kilobytes = 4 * 2**20
+    """The largest JSON body that is read: it is parsed whole, scans are not."""
+    body_idle_s: float = Field(20.0, gt=0.0)
+    """How many seconds a request body may bring nothing; then it is refused."""
+    body_bytes_per_s: AtLeast0 = 256.0
+    """The least rate of a request body; 0 asks for none. There is no total time."""
+    body_grace_s: Above0 = 30.0
+    """How many seconds a request body may lag behind TENSORMAP_BODY_BYTES_PER_S."""
+    bodies_per_key: Count = 512
+    """How many request bodies of one key are read at once."""
+    max_spool_bytes: int = Field(96 * 2**30, ge=2**20)
+    """How many bytes of request bodies wait, in memory or in files of the data directory, until
+    they are whole; three quarters of that for one key."""
+    heavy_threads: Count = Field(6, le=256)
+    """How many requests that take long run at once: scans, archives, closures, imports,
+    comparisons, large JSON."""
+    heavy_threads_per_key: Count = 2
+    """How many of these of one key run at once; others of it wait."""
+    short_threads: int = Field(32, ge=2, le=256)
+    """How many other requests run at once; 3/4 of one key."""
+    queued_requests: Count = 1024
+    """How many requests wait for a thread of each kind, half of them of one key; more are refused.
+    Keys that wait take turns."""
+    log_format: LogFormat = LogFormat.TEXT
+    """How a line of the log is written: `text` or `json`."""
+    log_level: Literal["DEBUG", "INFO", "WARNING", "ERROR"] = "INFO"
+    """What is logged; a line for each request at `INFO`."""
+    min_returns: Count = 100
+    """A scan with fewer finite, non-zero returns is refused."""
+    build_workers: Count = Field(1, le=64)
+    """How many builds run at once."""
+    max_queued_builds_per_key: Count = 50
+    """How many builds a key may have in the queue; another is refused."""
+    build_stall_s: Above0 = 3600.0
+    """How many seconds a build may make no progress; then its process is ended, and it fails."""
+    build_memory_bytes: int | None = Field(None, ge=0)
+    """How many bytes a build may allocate; one that needs more fails. Three quarters of the
+    machine's, or the control group's, memory by default; 0 limits nothing."""
+    loaded_revisions: Count = 8
+    """How many revisions are kept in memory to answer queries."""
+    retained_revisions: Annotated[int, Field(ge=0, le=MOST_REVISIONS)] | Literal["all"] = "all"
+    """How many revisions of a map are kept besides the live and the newest one, or `all`; a map may
+    choose otherwise."""
+    retained_for_days: AtLeast0 = Field(30.0, le=LONGEST_DAYS)
+    """How long any revision is kept after it was built or, if it was live, replaced; a map may
+    choose otherwise."""
+    raw_scans: RawScans = RawScans.KEEP
+    """`drop` removes the returns of closed drives that the live revision was built of; a map may
+    choose otherwise."""
+    max_tracks: Count = 1000
+    """How many vehicles are tracked at once; another is refused."""
+    max_tracks_per_key: Count = 500
+    """How many tracks of one key are kept at once; another is refused."""
+    track_idle_s: float = Field(600.0, gt=0.0)
+    """How many seconds after its last use a track is forgotten."""
+    max_connections: int = Field(0, ge=0)
+    """How many connections are open at once; the one that was idle for longest is closed for
+    another. 0 takes as many as the descriptors allow, at most 4096."""
+    request_head_s: Above0 = 10.0
+    """How many seconds a request's head may take, from the start of its connection or from its
+    first byte; then that is closed."""
+    max_streams: Count = 2000
+    """How many streams, of tracks and of jobs' events, are open at once; another is refused.
+    `serve` takes half of TENSORMAP_MAX_CONNECTIONS if that is less."""
+    max_streams_per_key: Count = 1000
+    """How many streams of one key are open at once; another is refused. `serve` takes half of all
+    streams if that is less."""
+    stream_idle_s: Above0 = 600.0
+    """How many seconds after its last message the stream of a track is closed."""
+    requests_per_s: AtLeast0 = 0.0
+    """How many requests a second a key may make on average; 0 limits nothing."""
+    request_burst: Count = 50
+    """How many requests a key that was idle may make at once."""
+    upload_bytes_per_day: int = Field(0, ge=0)
+    """How many bytes a key may send in a day, as they come over the wire; 0 limits nothing. A key
+    that was idle for a day has all of them again."""
+    allowed_origins: Words = ()
+    """Origins of other sites whose pages may ask, as `https://maps.example`, comma between; none by
+    default."""
+    trusted_proxies: Words = ()
+    """Addresses or networks of reverse proxies whose `X-Forwarded-For` and `X-Forwarded-Proto` are
+    believed, as `127.0.0.1`, comma between; none by default."""
+    scrub_days: AtLeast0 = Field(30.0, le=LONGEST_DAYS)
+    """Within how many days every stored file is read and checked once; 0 checks none."""
 
     @property
     def retention(self) -> Retention:

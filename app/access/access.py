@@ -1,28 +1,25 @@
 """Who may ask: everyone on this machine, or whoever holds a key."""
 
 import hmac
-from collections.abc import Collection, MutableMapping
+from collections.abc import Collection
 from dataclasses import replace
 from datetime import UTC, datetime
-from typing import Any
 from urllib.parse import urlsplit
 
 from starlette.requests import HTTPConnection
-from starlette.types import Scope
 
 from app.access.caller import EVERYONE_ID, OPERATOR_ID, Caller, everyone_here, the_operator
-from app.access.rate_limits import BYTES, NO_LIMITS, Allowance, RateLimits
+from app.access.rate_limits import BYTES, NO_LIMITS, RateLimits
 from app.access.scopes import Scope as KeyScope
 from app.access.secrets import is_token, is_well_formed, new_secret, secret_hash
-from app.http.answer_headers import RATE_STATE
+from app.http.context import RequestContext, context_of
 from app.http.errors import BodyTooLarge, HostNotAllowed, KeyNeeded, KeyRefused
 from app.settings import Settings, is_loopback
 from storage.catalog import KeyRecord, TokenRecord
 from storage.store import Store
 
-__all__ = ["Access", "make_first_key", "open_access", "sender_of", "sent_hash"]
+__all__ = ["Access", "make_first_key", "open_access", "sent_hash"]
 
-_SENDER = "tensormap.sender"
 _DAY_S = 86_400
 _MOMENT = "%Y-%m-%dT%H:%M:%SZ"
 
@@ -87,20 +84,23 @@ class Access:
             TooManyRequests: If it is.
             TensorMapError: What `caller_of` raises.
         """
-        address = _address_of(connection.client.host if connection.client else "")
+        context = context_of(connection.scope)
         try:
             caller = self.caller_of(connection)
         except (KeyNeeded, KeyRefused):
-            self._take(connection, address)
+            context.allow(self._limits.take(context.sender))
             raise
-        self._take(connection, address if caller.key_id == EVERYONE_ID else caller.key_id)
+        if caller.key_id != EVERYONE_ID:
+            context.sender = caller.key_id
+        context.allow(self._limits.take(context.sender))
+        context.caller = caller
         return caller
 
-    def spend_bytes(self, scope: Scope, amount: int, *, announced: bool = False) -> None:
+    def spend_bytes(self, context: RequestContext, amount: int, *, announced: bool = False) -> None:
         """Count bytes of a body against what its sender may send in a day.
 
         Args:
-            scope: Of a request that was admitted.
+            context: Of the request; one that needs no key may send as much as it likes.
             amount: How many.
             announced: They are yet to come: look only whether they are allowed.
 
@@ -108,20 +108,14 @@ class Access:
             TooManyRequests: If they are not.
             BodyTooLarge: If so many never will be.
         """
-        state = scope.get("state", {})
-        if (who := state.get(_SENDER)) is None:  # of a route that needs no key
+        if context.caller is None:
             return
         if announced and self._quota.never_allows(amount):
             raise BodyTooLarge(
                 f"the body has {amount} bytes, more than a key may send in a day: send it in parts"
             )
         count = self._quota.require if announced else self._quota.take
-        _tell(state, count(who, amount))
-
-    def _take(self, connection: HTTPConnection, who: str) -> None:
-        state = connection.scope.setdefault("state", {})
-        state[_SENDER] = who
-        _tell(state, self._limits.take(who))
+        context.allow(count(context.sender, amount))
 
     def _holder(self, sent: str) -> Caller:
         given = secret_hash(sent)
@@ -162,28 +156,9 @@ class Access:
             raise KeyRefused(f"key {key.id} is out of use while TENSORMAP_ADMIN_KEY is set")
 
 
-def sender_of(scope: Scope) -> str:
-    """Return whose request it is: the id of a key, or the address of who has none."""
-    who: str | None = scope.get("state", {}).get(_SENDER)
-    if who is None:  # of a route that needs no key
-        client = scope.get("client")
-        return _address_of(client[0] if client else "")
-    return who
-
-
 def sent_hash(connection: HTTPConnection) -> str:
     """Return the hash of the key or token that came, good or not; all that sent none are one."""
     return secret_hash(_bearer_of(connection))
-
-
-def _address_of(host: str) -> str:
-    return f"address {host}"
-
-
-def _tell(state: MutableMapping[str, Any], allowance: Allowance | None) -> None:
-    """Note what is left, for the head of the answer."""
-    if allowance is not None:
-        state.setdefault(RATE_STATE, {})[allowance.unit.name] = allowance
 
 
 def _caller(key_id: str, held: KeyRecord | TokenRecord, key_hash: str) -> Caller:

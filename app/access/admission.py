@@ -1,7 +1,6 @@
 """The key comes first: nothing of a request is read, parsed or looked at before it."""
 
 import logging
-from functools import partial
 from http import HTTPStatus
 
 from anyio import to_thread
@@ -12,9 +11,8 @@ from app.access.access import Access
 from app.http.problems import problem_response
 from core.errors import TensorMapError
 
-__all__ = ["CALLER_STATE", "Admission"]
+__all__ = ["Admission"]
 
-CALLER_STATE = "tensormap.caller"
 _BEHIND_THE_KEY = ("/v1", "/metrics")
 
 _log = logging.getLogger("tensormap.access")
@@ -36,11 +34,10 @@ class Admission:
             return
         service = scope["app"].state.service
         access: Access = service.access
-        state = scope.setdefault("state", {})
         try:
             # Threads of its own: whatever others do, a key is looked up at once.
-            state[CALLER_STATE] = await to_thread.run_sync(
-                partial(access.admit, HTTPConnection(scope)), limiter=service.pools.admission
+            await to_thread.run_sync(
+                access.admit, HTTPConnection(scope), limiter=service.pools.admission
             )
         except TensorMapError as error:
             response = problem_response(error)

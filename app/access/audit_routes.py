@@ -8,7 +8,7 @@ from app.access.audit_schemas import AuditEntryOut
 from app.access.scopes import Scope, needs
 from app.http.errors import READING, InvalidRequest
 from app.http.exact_types import Moment
-from app.http.pages import Limit, PageOut
+from app.http.pages import Limit, PageOut, page_out
 from app.http.pooled_route import pooled_router
 from app.http.problems import problems
 from app.service import Running
@@ -54,6 +54,4 @@ def list_audit(
     page = running.store.audit.list(
         after, limit, map_slug=map_slug, key_id=key_id, since=since, until=until
     )
-    return PageOut(
-        items=[AuditEntryOut.from_record(r) for r in page.items], next_after=page.next_after
-    )
+    return page_out(page, AuditEntryOut.from_record)

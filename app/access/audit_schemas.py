@@ -2,14 +2,15 @@
 
 from datetime import datetime
 
-from pydantic import BaseModel, Field
+from pydantic import Field
 
+from app.http.shown import Shown
 from storage.catalog import AuditRecord
 
 __all__ = ["AuditEntryOut"]
 
 
-class AuditEntryOut(BaseModel):
+class AuditEntryOut(Shown):
     """A change that was asked for, and what came of it."""
 
     entry: int = Field(description="Its place in the log, counted from 1 without a gap.")
@@ -28,14 +29,4 @@ class AuditEntryOut(BaseModel):
     @classmethod
     def from_record(cls, record: AuditRecord) -> "AuditEntryOut":
         """Show an entry's record."""
-        return cls(
-            entry=record.seq,
-            at=record.at,
-            key=record.key_id,
-            action=record.action,
-            subject=record.subject,
-            map=record.map_slug,
-            detail=record.detail,
-            outcome=record.outcome,
-            hash=record.hash,
-        )
+        return cls.of(record, entry=record.seq, key=record.key_id, map=record.map_slug)

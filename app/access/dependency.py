@@ -6,10 +6,10 @@ from fastapi import Depends, Request, WebSocket
 from fastapi.security import HTTPAuthorizationCredentials
 
 from app.access.access import Access
-from app.access.admission import CALLER_STATE
 from app.access.caller import Caller
 from app.access.scopes import Scope, bearer_scheme, needed_by
 from app.access.trail import sign
+from app.http.context import context_of
 from app.http.errors import KeyNeeded
 
 __all__ = ["Asking", "require_access", "stream_caller"]
@@ -46,7 +46,7 @@ def stream_caller(websocket: WebSocket, *scopes: Scope, map_slug: str) -> Caller
 
 
 async def _caller_of(request: Request) -> Caller:
-    caller: Caller | None = getattr(request.state, CALLER_STATE, None)
+    caller = context_of(request.scope).caller
     if caller is None:  # `Admission` is not there, or does not know this path
         raise KeyNeeded("nobody has looked at the key of this request")
     return caller

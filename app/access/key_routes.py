@@ -9,14 +9,9 @@ from app.access.key_schemas import KeyIn, KeyMade, KeyOut
 from app.access.scopes import Scope, needs
 from app.access.secrets import new_secret, secret_hash
 from app.access.trail import note
+from app.http import errors
 from app.http.bodies.bodies import Json
-from app.http.errors import (
-    JSON_BODY,
-    READING,
-    WRITING,
-    InvalidRequest,
-)
-from app.http.pages import After, Limit, PageOut
+from app.http.pages import After, Limit, PageOut, page_out
 from app.http.pooled_route import pooled_router
 from app.http.problems import problems
 from app.service import Running
@@ -35,7 +30,7 @@ KeyId = Annotated[str, Path(alias="key", description="The key's id.")]
     "",
     dependencies=[needs(Scope.ADMIN)],
     status_code=status.HTTP_201_CREATED,
-    responses=problems(InvalidParameters, InvalidSlug, *JSON_BODY, *WRITING),
+    responses=problems(InvalidParameters, InvalidSlug, *errors.JSON_BODY, *errors.WRITING),
 )
 def make_key(wanted: Json[KeyIn], running: Running, response: Response) -> KeyMade:
     """Make a key; its secret is in this answer and nowhere else.
@@ -61,22 +56,24 @@ def make_key(wanted: Json[KeyIn], running: Running, response: Response) -> KeyMa
 @router.get(
     "",
     dependencies=[needs(Scope.ADMIN)],
-    responses=problems(InvalidParameters, InvalidRequest, *READING),
+    responses=problems(InvalidParameters, errors.InvalidRequest, *errors.READING),
 )
 def list_keys(running: Running, after: After = "", limit: Limit = 100) -> PageOut[KeyOut]:
     """List the keys in the order of their making, the revoked ones too."""
     page = running.store.keys.list(after, limit)
-    return PageOut(items=[KeyOut.from_record(r) for r in page.items], next_after=page.next_after)
+    return page_out(page, KeyOut.from_record)
 
 
-@router.get("/{key}", dependencies=[needs(Scope.ADMIN)], responses=problems(KeyNotFound, *READING))
+@router.get(
+    "/{key}", dependencies=[needs(Scope.ADMIN)], responses=problems(KeyNotFound, *errors.READING)
+)
 def get_key(key_id: KeyId, running: Running) -> KeyOut:
     """Show a key."""
     return KeyOut.from_record(running.store.keys.get(key_id))
 
 
 @router.delete(
-    "/{key}", dependencies=[needs(Scope.ADMIN)], responses=problems(KeyNotFound, *WRITING)
+    "/{key}", dependencies=[needs(Scope.ADMIN)], responses=problems(KeyNotFound, *errors.WRITING)
 )
 def revoke_key(key_id: KeyId, running: Running) -> KeyOut:
     """Revoke a key at once and for good: the next request with it is refused.

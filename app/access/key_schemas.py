@@ -6,6 +6,7 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from app.access.scopes import Scope
 from app.http.exact_types import Moment, Name, SlugText, each_once
+from app.http.shown import Shown
 from storage.catalog import KeyRecord
 
 __all__ = ["KeyIn", "KeyMade", "KeyOut"]
@@ -45,7 +46,7 @@ class KeyIn(BaseModel):
     _sets = field_validator("scopes", "maps", mode="before")(each_once)
 
 
-class KeyOut(BaseModel):
+class KeyOut(Shown):
     """A key, without its secret."""
 
     key: str = Field(description="Its id, the part after `tm_`.")
@@ -60,16 +61,7 @@ class KeyOut(BaseModel):
     @classmethod
     def from_record(cls, record: KeyRecord) -> "KeyOut":
         """Show a key's record."""
-        return cls(
-            key=record.id,
-            name=record.name,
-            scopes=[Scope(scope) for scope in record.scopes],
-            maps=None if record.maps is None else list(record.maps),
-            created_at=record.created_at,
-            expires_at=record.expires_at,
-            revoked_at=record.revoked_at,
-            in_use=record.opens_at(datetime.now(UTC)),
-        )
+        return cls.of(record, key=record.id, in_use=record.opens_at(datetime.now(UTC)))
 
 
 class KeyMade(KeyOut):

@@ -1,4 +1,4 @@
-"""Tokens: exchanged for a key, to be given to what should not hold the key itself."""
+"""Tokens: a key is exchanged for one, to be given to what should not hold the key itself."""
 
 from collections.abc import Set as AbstractSet
 from datetime import UTC, datetime, timedelta
@@ -11,13 +11,8 @@ from app.access.scopes import ANY_SCOPE, Scope, needs
 from app.access.secrets import TOKEN_PREFIX, new_secret, secret_hash
 from app.access.token_schemas import TokenIn, TokenMade
 from app.access.trail import note
+from app.http import errors
 from app.http.bodies.bodies import Json
-from app.http.errors import (
-    JSON_BODY,
-    WRITING,
-    KeyNeeded,
-    ScopeMissing,
-)
 from app.http.pooled_route import pooled_router
 from app.http.problems import problems
 from app.service import Running
@@ -34,19 +29,21 @@ router = pooled_router(tags=["access"])
     "/tokens",
     dependencies=[needs(*ANY_SCOPE)],
     status_code=status.HTTP_201_CREATED,
-    responses=problems(InvalidParameters, InvalidSlug, *JSON_BODY, *WRITING),
+    responses=problems(InvalidParameters, InvalidSlug, *errors.JSON_BODY, *errors.WRITING),
 )
 def exchange_token(
     wanted: Json[TokenIn], running: Running, asking: Asking, response: Response
 ) -> TokenMade:
-    """Exchange a token for the key of this request, with no more rights and for an hour at most.
+    """Exchange the key of this request for a token, with no more rights and for an hour at most.
 
     It ends with the key. It never administers, and is itself exchanged for nothing.
     """
     if asking.key_hash is None:
-        raise KeyNeeded("a token is exchanged for a key, and none came: this service has no keys")
+        raise errors.KeyNeeded(
+            "a key is exchanged for a token, and none came: this service has no keys"
+        )
     if asking.by_token:
-        raise ScopeMissing("a token is exchanged for a key, not for another token")
+        raise errors.ScopeMissing("a key is exchanged for a token, a token is not")
     scopes, maps = _scopes(wanted, asking), _maps(wanted, asking)
     made = new_secret(TOKEN_PREFIX)
     note(f"token {made.id}: {', '.join(sorted(scopes))} for {wanted.expires_in_s} s")
@@ -59,14 +56,7 @@ def exchange_token(
         datetime.now(UTC) + timedelta(seconds=wanted.expires_in_s),
     )
     response.headers["Cache-Control"] = "no-store"
-    return TokenMade(
-        token=record.id,
-        key=asking.key_id,
-        scopes=[Scope(scope) for scope in record.scopes],
-        maps=None if record.maps is None else list(record.maps),
-        expires_at=record.expires_at,
-        secret=made.text,
-    )
+    return TokenMade.of(record, token=record.id, key=asking.key_id, secret=made.text)
 
 
 def _scopes(wanted: TokenIn, asking: Caller) -> AbstractSet[Scope]:
@@ -84,5 +74,5 @@ def _maps(wanted: TokenIn, asking: Caller) -> AbstractSet[str] | None:
         return asking.maps
     for slug in sorted(wanted.maps):
         if not asking.sees(checked_slug(slug)):
-            raise ScopeMissing(f"key {asking.key_id} is not for map {slug!r}")
+            raise errors.ScopeMissing(f"key {asking.key_id} is not for map {slug!r}")
     return wanted.maps

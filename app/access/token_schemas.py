@@ -6,6 +6,7 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from app.access.scopes import Scope
 from app.http.exact_types import SlugText, each_once, integers
+from app.http.shown import Shown
 
 __all__ = ["TokenIn", "TokenMade"]
 
@@ -41,7 +42,7 @@ class TokenIn(BaseModel):
     _integers = field_validator("expires_in_s", mode="before")(integers)
 
 
-class TokenMade(BaseModel):
+class TokenMade(Shown):
     """A token that was exchanged just now."""
 
     token: str = Field(description="Its id.")

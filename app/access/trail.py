@@ -6,12 +6,13 @@ from urllib.parse import quote
 
 from anyio import to_thread
 from fastapi import Request
-from starlette.types import ASGIApp, Message, Receive, Scope, Send
+from starlette.types import ASGIApp, Receive, Scope, Send
 
 from app.access.caller import Caller
 from app.access.scopes import Scope as KeyScope
 from app.access.scopes import needed_by
 from app.access.secrets import hidden
+from app.http.context import context_of
 from core.errors import TensorMapError
 from storage.catalog import Act, on_behalf
 from storage.catalog.acts import current_act
@@ -23,7 +24,6 @@ __all__ = ["AuditTrail", "note", "sign"]
 
 _log = logging.getLogger("tensormap.audit")
 _SAFE = frozenset({"GET", "HEAD", "OPTIONS"})
-_STATE = "tensormap.audited"
 _ERROR = 400
 
 
@@ -44,20 +44,13 @@ class AuditTrail:
             await self._app(scope, receive, send)
             return
         act = Act(key_id="", action="", subject=hidden(quote(scope["path"])))
-        state = scope.setdefault("state", {})
-        status = 500
-
-        async def watched(message: Message) -> None:
-            nonlocal status
-            if message["type"] == "http.response.start":
-                status = message["status"]
-            await send(message)
-
+        context = context_of(scope)
         try:
             with on_behalf(act):
-                await self._app(scope, receive, watched)
+                await self._app(scope, receive, send)
         finally:
-            if state.get(_STATE) and status >= _ERROR:
+            status = context.status or 500
+            if context.audited and status >= _ERROR:
                 service = scope["app"].state.service
                 failure = partial(_add_failure, service.store, act, status)
                 await to_thread.run_sync(failure, limiter=service.pools.audit)
@@ -72,7 +65,7 @@ def sign(request: Request, caller: Caller) -> None:
     act.key_id, act.action = caller.key_id, route.name
     act.map_slug = _slug_or_none(request.path_params.get("map"))
     # Localizing changes nothing that is stored.
-    setattr(request.state, _STATE, needed_by(route) != (KeyScope.LOCALIZE,))
+    context_of(request.scope).audited = needed_by(route) != (KeyScope.LOCALIZE,)
 
 
 def note(detail: str, *, map_slug: str | None = None) -> None:

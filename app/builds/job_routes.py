@@ -15,7 +15,7 @@ from app.access.scopes import Scope, needs
 from app.builds.job_events import event_id
 from app.builds.job_schemas import JobOut
 from app.http.errors import READING, WRITING, InvalidRequest, TooManyStreams, TooManyStreamsOfKey
-from app.http.pages import After, Limit, PageOut
+from app.http.pages import After, Limit, PageOut, page_out
 from app.http.pooled_route import pooled_router
 from app.http.problems import problems
 from app.service import Running, Service
@@ -60,7 +60,7 @@ def list_jobs(
     if map_slug is not None:
         asking.require_map(map_slug)
     page = running.store.jobs.list(map_slug, after, limit, slugs=asking.maps)
-    return PageOut(items=[JobOut.from_record(r) for r in page.items], next_after=page.next_after)
+    return page_out(page, JobOut.from_record)
 
 
 @router.get(

@@ -5,7 +5,9 @@ from datetime import UTC, datetime
 from pydantic import BaseModel, Field
 
 from app.builds.parameters import BuildParameters
+from app.builds.plans import Plan
 from app.http.problems import problem_type
+from app.http.shown import Shown
 from app.revisions.comparison import NoRecall
 from storage.catalog import JobRecord, JobState
 
@@ -40,7 +42,7 @@ class LiveGateOut(BaseModel):
     )
 
 
-class JobOut(BaseModel):
+class JobOut(Shown):
     """A build and how far it is."""
 
     job: str
@@ -53,6 +55,10 @@ class JobOut(BaseModel):
         description="Seconds until this stage is done at its pace so far; null if nothing tells."
     )
     parameters: BuildParameters
+    plan: Plan | None = Field(
+        description="What it is built of, chosen when it was queued; null of a build that an"
+        " earlier version queued."
+    )
     revision: str | None = Field(description="What it built, once it is done.")
     notes: list[str] = Field(
         description="What whoever asked for it should know, such as a basis that fits badly."
@@ -73,22 +79,12 @@ class JobOut(BaseModel):
             error = JobErrorOut(
                 type=problem_type(record.error_type), detail=record.error_detail or ""
             )
-        return cls(
+        return cls.of(
+            record,
             job=record.id,
-            kind=record.kind,
-            state=record.state,
-            stage=record.stage,
             done=record.done_units,
             total=record.total_units,
             remaining_s=record.remaining_s(datetime.now(UTC)),
-            parameters=BuildParameters.model_validate(record.parameters),
-            revision=record.revision,
-            notes=list(record.notes),
-            gate=LiveGateOut.model_validate(record.result["gate"])
-            if "gate" in record.result
-            else None,
+            gate=record.result.get("gate"),
             error=error,
-            created_at=record.created_at,
-            started_at=record.started_at,
-            finished_at=record.finished_at,
         )

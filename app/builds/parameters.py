@@ -5,6 +5,7 @@ from enum import StrEnum
 from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic_core import to_jsonable_python
 
 from app.http.exact_types import Flag, Number, integers
 from core.errors import InvalidParameters
@@ -21,9 +22,21 @@ from core.projection.reducer import Reducer
 from core.scans.sensor import HDL_64E, SENSORS
 from core.segmentation import PAPER_SEGMENT_LENGTH
 
-__all__ = ["BuildParameters", "PoseCheck"]
+__all__ = ["BuildParameters", "PoseCheck", "as_built"]
 
 _MOST = 2**31 - 1  # scans
+_OF_MAP = (
+    "encoding",
+    "ranks",
+    "segmentation",
+    "reducer",
+    "image",
+    "distance",
+    "lateral_renderings_m",
+    "sensor",
+    "sensor_height_m",
+)
+"""What the map keeps of them."""
 _OF_REQUEST = frozenset(
     {
         "base",
@@ -221,18 +234,23 @@ class BuildParameters(BaseModel):
             InvalidParameters: If the sensor is unknown, a rank does not fit its grid or something
                 is not of this encoding.
         """
-        return MapParameters.for_sensor(
-            self.sensor,
-            encoding=self.encoding,
-            ranks=self.ranks,
-            reducer=self.reducer,
-            sensor_height_m=self.sensor_height_m,
-            image=self.image,
-            distance=self.distance,
-            lateral_renderings_m=self.lateral_renderings_m,
-            segmentation=self.segmentation,
-        )
+        return MapParameters.for_sensor(**{name: getattr(self, name) for name in _OF_MAP})
+
+    def resolved(self) -> "BuildParameters":
+        """Return them with the options that were left open as the map will have them.
+
+        Raises:
+            InvalidParameters: As `map_parameters`.
+        """
+        asked = self.model_dump(mode="json", exclude_none=True)
+        return type(self).model_validate({**as_built(self.map_parameters()), **asked})
 
     def as_json(self) -> dict[str, Any]:
         """Return plain values."""
         return self.model_dump(mode="json")
+
+
+def as_built(parameters: MapParameters) -> dict[str, Any]:
+    """Return a map's parameters as a build would name them, in plain values."""
+    named: dict[str, Any] = to_jsonable_python({n: getattr(parameters, n) for n in _OF_MAP})
+    return named

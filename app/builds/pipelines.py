@@ -10,9 +10,10 @@ from typing import Any
 
 from app.builds.live_gate import Gate, pass_gate
 from app.builds.parameters import BuildParameters, PoseCheck
-from app.builds.plans import KeptBasis, Plan, plan_build
+from app.builds.plans import Plan, unreadable_basis
 from app.drives.stored_images import images_path, open_images
 from core.arrays import Float32Array, FloatArray
+from core.encodings.harmonic import HarmonicModel
 from core.frames.agreement import FrameCheck, check_frames, require_one_frame
 from core.mapping.build import build_map
 from core.mapping.merge import BasisFit, basis_fits
@@ -26,9 +27,9 @@ from core.segmentation import cut_drives, cut_unequal, segment_length_for
 from core.topology import cut_at_meetings
 from storage.catalog import Act, RevisionFacts, RevisionRecord, on_behalf
 from storage.catalog.scans import LostRace
-from storage.errors import CorruptImages, DriveNotFound, StorageBusy
+from storage.errors import CorruptFile, CorruptImages, DriveNotFound, StorageBusy
 from storage.files.image_file import ImageFile, write_image_file
-from storage.files.map_file import write_map
+from storage.files.map_file import read_revision, write_map
 from storage.store import Store, StoredDrive
 
 _log = logging.getLogger("tensormap.builds")
@@ -70,12 +71,12 @@ class Built:
 def build_revision(
     store: Store,
     map_id: str,
-    parameters: BuildParameters,
+    plan: Plan,
     progress: Progress = NO_PROGRESS,
     *,
     job_id: str | None = None,
 ) -> RevisionRecord:
-    """Build a revision of a stored map and publish it.
+    """Build a revision of a stored map as planned, and publish it.
 
     Images are kept beside the drive: another build with the same projection reads no raw return.
     Should they turn out to be damaged, they are made anew, once, if the returns are there. The map
@@ -84,23 +85,25 @@ def build_revision(
     Raises:
         MapNotFound: If the map is gone, also if that happens during the build.
         DriveNotFound: If the map lacks one of the drives, or no longer has it.
-        EmptyDrive: If it has no drive, or one has no usable scan.
+        EmptyDrive: If one has no usable scan.
+        RevisionNotFound: If the revision whose basis is kept was deleted.
+        CorruptFile: If its file is damaged.
         ReturnsGone: If images are not kept, and the returns that they are made of were dropped.
         FramesDisagree: If the poses of two drives are in different world frames.
         Cancelled: If `progress` says so; nothing is published.
-        TensorMapError: What `app.builds.plans.plan_build` raises.
     """
-    plan = plan_build(store, map_id, parameters)
     drives = store.drives.open_of_map(map_id, plan.drives)
-    map_parameters = plan.parameters.map_parameters()
+    parameters = plan.parameters
+    map_parameters = parameters.map_parameters()
+    radial_basis = _kept_basis(store, map_id, plan)
     try:
-        built = _build_stored(store, drives, plan, map_parameters, progress)
+        built = _build_stored(store, drives, plan, map_parameters, progress, radial_basis)
     except CorruptImages as error:
         _log.warning("%s; the images are made anew from the raw returns", error)
         for drive in drives:
             if drive.has_returns.all():
                 images_path(store, drive, map_parameters).unlink(missing_ok=True)
-        built = _build_stored(store, drives, plan, map_parameters, progress)
+        built = _build_stored(store, drives, plan, map_parameters, progress, radial_basis)
     left_over: list[str] = []
     with suppress(DriveNotFound):  # deleted meanwhile: what was built of it stays
         left_over = [
@@ -124,6 +127,20 @@ def build_revision(
     raise StorageBusy(f"another revision became live {_ATTEMPTS} times while one was compared")
 
 
+def _kept_basis(store: Store, map_id: str, plan: Plan) -> Float32Array | None:
+    """Return the radial basis that the plan keeps, `None` if it fits one."""
+    if plan.basis_kept_from is None:
+        return None
+    record = store.revisions.of_map(map_id, plan.basis_kept_from)
+    try:
+        kept = read_revision(store.revisions.path_of(record), record.digest)
+    except FileNotFoundError as error:
+        raise CorruptFile(f"the file of revision {record.digest} is gone") from error
+    except CorruptFile as error:
+        raise unreadable_basis(error) from error
+    return kept.model.radial_basis if isinstance(kept.model, HarmonicModel) else None
+
+
 def _facts(
     drives: Sequence[StoredDrive],
     plan: Plan,
@@ -143,10 +160,9 @@ def _facts(
         segments=tensor_map.model.segments,
         parameters={
             **plan.parameters.as_json(),
-            **_resolved(map_parameters),
-            "drives": list(plan.drives),
+            "drives": plan.drives,
             "segment_length": built.segment_length,
-            "basis": _provenance(tensor_map, plan.kept, built.fits),
+            "basis": _provenance(tensor_map, plan.basis_kept_from, built.fits),
             "returns": built.returns,
             "calibrated": tensor_map.calibration is not None,
             "skipped": {name: len(skipped) for name, skipped in built.skipped.items() if skipped},
@@ -224,14 +240,14 @@ def _build_stored(
     plan: Plan,
     map_parameters: MapParameters,
     progress: Progress,
+    radial_basis: Float32Array | None,
 ) -> Built:
     with ExitStack() as stack:
         images = [
             stack.enter_context(open_images(store, drive, map_parameters, progress))
             for drive in drives
         ]
-        kept = None if plan.kept is None else plan.kept.radial_basis
-        return _build(drives, images, plan.parameters, map_parameters, progress, kept)
+        return _build(drives, images, plan.parameters, map_parameters, progress, radial_basis)
 
 
 def _build(
@@ -300,12 +316,12 @@ def _trajectory(drive: Drive, images: ImageFile) -> Trajectory:
 
 
 def _provenance(
-    tensor_map: TensorMap, kept: KeptBasis | None, fits: Sequence[BasisFit]
+    tensor_map: TensorMap, kept_from: str | None, fits: Sequence[BasisFit]
 ) -> dict[str, Any]:
     """Tell where the basis comes from, and how well it fits what it was not fitted to."""
     return {
         "digest": tensor_map.basis_digest,
-        "kept_from": None if kept is None else kept.revision,
+        "kept_from": kept_from,
         "fits": [
             {
                 "drive": fit.drive,
@@ -314,15 +330,4 @@ def _provenance(
             }
             for fit in fits
         ],
-    }
-
-
-def _resolved(parameters: MapParameters) -> dict[str, Any]:
-    """Return what was chosen for options that were left open."""
-    offsets = parameters.lateral_renderings_m
-    return {
-        "reducer": parameters.reducer.value,
-        "image": parameters.image.value,
-        "distance": None if parameters.distance is None else parameters.distance.value,
-        "lateral_renderings_m": None if offsets is None else list(offsets),
     }

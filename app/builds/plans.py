@@ -1,56 +1,44 @@
 """What a build is to be made of: which drives in which order, and whose basis."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 
+from pydantic import BaseModel, ConfigDict, Field
+
 from app.builds.parameters import BuildParameters
-from core.arrays import Float32Array
-from core.encodings.basis import harmonic_basis_digest
-from core.encodings.harmonic import HarmonicModel
+from core.encodings.basis import make_same_signatures
 from core.errors import EmptyDrive, InvalidParameters, UnknownDrive
-from core.mapping.tensormap import TensorMap
-from core.parameters import Encoding
+from core.parameters import Encoding, MapParameters
 from storage.catalog import DriveRecord, RevisionRecord
 from storage.errors import CorruptFile, DriveNotFound, NoLiveRevision
-from storage.files.map_file import read_revision
+from storage.files.map_file import read_parameters
 from storage.store import Store
 
-__all__ = ["KeptBasis", "Plan", "plan_build"]
+__all__ = ["Plan", "plan_build", "unreadable_basis"]
 
 
-@dataclass(frozen=True, eq=False)
-class KeptBasis:
-    """The radial basis of an earlier revision.
+class Plan(BaseModel):
+    """A build with all that was left open chosen when it was queued."""
 
-    Attributes:
-        revision: Digest of that revision.
-        radial_basis: `(I, r1)` float32.
-    """
+    model_config = ConfigDict(frozen=True)
 
-    revision: str
-    radial_basis: Float32Array
+    drives: list[str] = Field(description="The drives that it is built of, in their order.")
+    basis_kept_from: str | None = Field(
+        description="The revision whose basis it keeps; null if it fits one."
+    )
+    parameters: BuildParameters = Field(
+        description="What was asked for, with the options that were left open; with `base`, as"
+        " that revision was built."
+    )
+    notes: list[str] = Field(description="What whoever asked for it should know of the choice.")
 
 
-@dataclass(frozen=True, eq=False)
-class Plan:
-    """A build, with all that was left open chosen.
-
-    Attributes:
-        parameters: As asked for; with `base`, everything else that was built with there.
-        drives: Which, in their order in the map; at least one, each has a scan.
-        kept: The basis to keep, `None` to fit one.
-        notes: What whoever asked for the build should know of the choice.
-    """
-
-    parameters: BuildParameters
-    drives: tuple[str, ...]
-    kept: KeptBasis | None
-    notes: tuple[str, ...] = ()
+_Based = tuple[RevisionRecord, MapParameters, tuple[str, ...]]
+"""A revision, and what its file tells of it: its parameters and drives."""
 
 
 def plan_build(store: Store, map_id: str, parameters: BuildParameters) -> Plan:
-    """Choose the drives and the basis of a build.
+    """Choose the drives and the basis of a build, from the catalog and the heads of files.
 
     A build of all drives leaves out those without a scan, as a mistyped name makes with its poses.
     A harmonic map keeps the basis of the revision that it is based on, or else of the live one if
@@ -71,38 +59,48 @@ def plan_build(store: Store, map_id: str, parameters: BuildParameters) -> Plan:
         parameters.map_parameters()  # refuses what does not fit, before anything is read
     base = _base(store, map_id, parameters)
     names: Sequence[str]
-    notes: tuple[str, ...] = ()
+    notes: list[str] = []
     if base is None:
         names = parameters.drives or ()
         if not names:
             names, notes = _all_with_scans(store, map_id)
         names = _young(store, map_id, names, parameters.max_age_days)
     else:
-        record, base_map = base
+        record, built_with, _ = base
         parameters = parameters.on_base(record.digest, record.parameters)
-        if parameters.map_parameters() != base_map.parameters:
+        if parameters.map_parameters() != built_with:
             raise InvalidParameters(
                 f"base {record.digest[:12]} was built with parameters that its record does not"
                 " tell: build without base"
             )
-        names = _changed(store, map_id, base_map, parameters)
+        names = _changed(store, map_id, base, parameters)
     drives = _stored(store, map_id, names)
-    kept = None
+    basis_kept_from = None
     if parameters.encoding == Encoding.HARMONIC and not parameters.refit:
         try:
-            kept = _kept(base or _live(store, map_id), parameters)
+            kept = base or _live(store, map_id)
         except CorruptFile as error:
-            raise CorruptFile(
-                f"{error}: a build keeps the basis of the live revision, which cannot be read. Send"
-                " refit: true to fit a new basis, which vehicles then download; or, to keep one,"
-                " first make a revision live whose file is good, imported or built before"
-            ) from error
-    return Plan(parameters, tuple(drive.slug for drive in drives), kept, notes)
+            raise unreadable_basis(error) from error
+        if kept is not None and make_same_signatures(parameters.map_parameters(), kept[1]):
+            basis_kept_from = kept[0].digest
+    return Plan(
+        drives=[drive.slug for drive in drives],
+        basis_kept_from=basis_kept_from,
+        parameters=parameters.resolved(),
+        notes=notes,
+    )
 
 
-def _base(
-    store: Store, map_id: str, parameters: BuildParameters
-) -> tuple[RevisionRecord, TensorMap] | None:
+def unreadable_basis(error: CorruptFile) -> CorruptFile:
+    """Return the error of a build that would keep the basis of a damaged revision."""
+    return CorruptFile(
+        f"{error}: a build keeps the basis of the live revision, which cannot be read. Send"
+        " refit: true to fit a new basis, which vehicles then download; or, to keep one,"
+        " first make a revision live whose file is good, imported or built before"
+    )
+
+
+def _base(store: Store, map_id: str, parameters: BuildParameters) -> _Based | None:
     if parameters.base is None:
         return None
     if parameters.base != "live":
@@ -114,19 +112,19 @@ def _base(
     return live
 
 
-def _live(store: Store, map_id: str) -> tuple[RevisionRecord, TensorMap] | None:
+def _live(store: Store, map_id: str) -> _Based | None:
     digest = store.maps.get_by_id(map_id).live_revision
     return None if digest is None else _read(store, store.revisions.of_map(map_id, digest))
 
 
-def _read(store: Store, record: RevisionRecord) -> tuple[RevisionRecord, TensorMap]:
+def _read(store: Store, record: RevisionRecord) -> _Based:
     try:
-        return record, read_revision(store.revisions.path_of(record), record.digest)
+        return record, *read_parameters(store.revisions.path_of(record), record.digest)
     except FileNotFoundError as error:
         raise CorruptFile(f"the file of revision {record.digest} is gone") from error
 
 
-def _all_with_scans(store: Store, map_id: str) -> tuple[Sequence[str], tuple[str, ...]]:
+def _all_with_scans(store: Store, map_id: str) -> tuple[list[str], list[str]]:
     """Return the drives of a map that have scans, and a note on each other one."""
     drives = store.drives.of_map(map_id)
     notes = []
@@ -138,26 +136,24 @@ def _all_with_scans(store: Store, map_id: str) -> tuple[Sequence[str], tuple[str
             notes.append(
                 f"drive {drive.slug} is left out, it has no scans{waiting}: is its name mistyped?"
             )
-    return [drive.slug for drive in drives if drive.scans], tuple(notes)
+    return [drive.slug for drive in drives if drive.scans], notes
 
 
-def _changed(
-    store: Store, map_id: str, base: TensorMap, parameters: BuildParameters
-) -> Sequence[str]:
+def _changed(store: Store, map_id: str, base: _Based, parameters: BuildParameters) -> Sequence[str]:
     """Return the base's drives without those to remove, then those to add."""
-    of_base = base.trajectory.drives
+    record, _, of_base = base
     added, removed = parameters.add or [], parameters.remove or []
     unknown = [name for name in removed if name not in of_base]
     if unknown:
         raise UnknownDrive(
-            f"base {base.revision[:12]} has no drive {unknown[0]!r}, it has {', '.join(of_base)}"
+            f"base {record.digest[:12]} has no drive {unknown[0]!r}, it has {', '.join(of_base)}"
         )
     stays = [name for name in of_base if name not in {*added, *removed}]
     stored = {drive.slug for drive in store.drives.of_map(map_id)}
     gone = [name for name in stays if name not in stored]
     if gone:
         raise DriveNotFound(
-            f"drive {gone[0]!r} of base {base.revision[:12]} is no longer stored: upload it again,"
+            f"drive {gone[0]!r} of base {record.digest[:12]} is no longer stored: upload it again,"
             " or name it in remove"
         )
     return _young(store, map_id, [*stays, *added], parameters.max_age_days)
@@ -187,17 +183,3 @@ def _stored(store: Store, map_id: str, names: Sequence[str]) -> Sequence[DriveRe
     if empty:
         raise EmptyDrive(f"drive {empty[0]!r} has no scan")
     return drives
-
-
-def _kept(
-    earlier: tuple[RevisionRecord, TensorMap] | None, parameters: BuildParameters
-) -> KeptBasis | None:
-    if earlier is None:
-        return None
-    record, tensor_map = earlier
-    if not isinstance(tensor_map.model, HarmonicModel):
-        return None
-    u = tensor_map.model.radial_basis
-    if harmonic_basis_digest(parameters.map_parameters(), u) != tensor_map.basis_digest:
-        return None  # another grid, reducer or rank: signatures would differ anyway
-    return KeptBasis(record.digest, u)

@@ -13,23 +13,13 @@ from app.builds.parameters import BuildParameters
 from app.builds.plans import plan_build
 from app.drives.stored_images import require_images
 from app.http.bodies.bodies import Json
-from app.http.errors import JSON_BODY, WRITING
+from app.http.errors import JSON_BODY, REVISION, WRITING
 from app.http.pooled_route import pooled_router
 from app.http.problems import problems
 from app.service import MapSlug, Running
 from core.errors import EmptyDrive, InvalidParameters, UnknownDrive
+from storage import errors as stored
 from storage.catalog import RequestKey
-from storage.errors import (
-    AmbiguousRevision,
-    CorruptFile,
-    DriveNotFound,
-    MapNotFound,
-    NoLiveRevision,
-    RequestKeyReused,
-    ReturnsGone,
-    RevisionNotFound,
-    TooManyBuilds,
-)
 
 __all__ = ["router"]
 
@@ -51,18 +41,15 @@ IdempotencyKey = Annotated[
     dependencies=[needs(Scope.MAPS_WRITE)],
     status_code=status.HTTP_202_ACCEPTED,
     responses=problems(
-        MapNotFound,
-        DriveNotFound,
+        stored.MapNotFound,
+        stored.DriveNotFound,
         UnknownDrive,
-        NoLiveRevision,
-        RevisionNotFound,
-        AmbiguousRevision,
+        *REVISION,
         EmptyDrive,
         InvalidParameters,
-        CorruptFile,
-        RequestKeyReused,
-        ReturnsGone,
-        TooManyBuilds,
+        stored.RequestKeyReused,
+        stored.ReturnsGone,
+        stored.TooManyBuilds,
         *JSON_BODY,
         *WRITING,
     ),
@@ -101,7 +88,8 @@ def build(
         require_images(running.store, record.id, plan.drives, plan.parameters.map_parameters())
         job = jobs.create(
             map_slug,
-            plan.parameters.as_json(),
+            (parameters if parameters.base is None else plan.parameters).as_json(),
+            plan=plan.model_dump(mode="json"),
             request=request,
             key_id=asking.key_id,
             most_queued=running.settings.max_queued_builds_per_key,

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from app.builds.parameters import BuildParameters
 from app.builds.pipelines import build_revision
+from app.builds.plans import Plan, plan_build
 from app.http.errors import BuildOutOfMemory
 from app.http.logs import LogFormat, configure_logging
 from app.process import keep_freed_memory, limited_memory, one_blas_thread, private_files
@@ -70,9 +71,9 @@ def _run(data_dir: Path, catalog_url: str | None, job: JobRecord, memory_bytes: 
     ):  # gone with its map
         progress = _JobProgress(store, job.id)
         try:
-            parameters = BuildParameters.model_validate(job.parameters)
             with limited_memory(memory_bytes):
-                record = build_revision(store, job.map_id, parameters, progress, job_id=job.id)
+                plan = _plan(store, job)
+                record = build_revision(store, job.map_id, plan, progress, job_id=job.id)
         except MemoryError as error:
             detail = f"the build needs more than the {memory_bytes} bytes that it may take: {error}"
             store.jobs.fail(job.id, BuildOutOfMemory.__name__, detail)
@@ -82,6 +83,13 @@ def _run(data_dir: Path, catalog_url: str | None, job: JobRecord, memory_bytes: 
             store.jobs.fail(job.id, type(error).__name__, str(error))
         else:
             store.jobs.finish(job.id, record.digest)
+
+
+def _plan(store: Store, job: JobRecord) -> Plan:
+    """Return what was planned when the job was queued; an earlier version left it to the worker."""
+    if job.plan is not None:
+        return Plan.model_validate(job.plan)
+    return plan_build(store, job.map_id, BuildParameters.model_validate(job.parameters))
 
 
 class _JobProgress:

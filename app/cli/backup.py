@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from app.cli.console import output
+from app.cli.console import say
 from app.cli.options import require_folder
 from app.process import private_files
 from core.errors import InvalidParameters
@@ -40,11 +40,7 @@ def backup(
     require_folder(output_file)
     private_files()
     written = write_backup(data, output_file)
-    output().print(
-        f"{written.path}: {written.files} files, {written.size_bytes} bytes",
-        markup=False,
-        soft_wrap=True,
-    )
+    say(f"{written.path}: {written.files} files, {written.size_bytes} bytes")
     if written.path != output_file:
         typer.echo(
             f"tensormap: this backup is incomplete: it is in {written.path}, and {output_file} is"
@@ -66,7 +62,7 @@ def restore(
     """
     private_files()
     restored = restore_backup(backup_file, data)
-    output().print(f"{data}: {restored.files} files", markup=False, soft_wrap=True)
+    say(f"{data}: {restored.files} files")
     _require_whole(restored)
 
 

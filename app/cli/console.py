@@ -15,7 +15,7 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
-__all__ = ["BarProgress", "output", "progress_bar"]
+__all__ = ["BarProgress", "figure", "output", "progress_bar", "say"]
 
 _FILE_COLUMNS = 160  # a file or pipe has no width; Rich's 80 would cut figures off
 
@@ -24,6 +24,16 @@ def output() -> Console:
     """Return what writes on standard output."""
     told = sys.stdout.isatty() or "COLUMNS" in os.environ  # Rich finds a width by itself
     return Console(width=None if told else _FILE_COLUMNS)
+
+
+def say(line: str) -> None:
+    """Print a line as it is, however long."""
+    output().print(line, markup=False, highlight=False, soft_wrap=True)
+
+
+def figure(value: float | None, form: str) -> str:
+    """Return a number for a table, `-` if it is unknown."""
+    return "-" if value is None else format(value, form)
 
 
 class BarProgress:

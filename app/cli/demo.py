@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 from rich.table import Table
 
-from app.cli.console import output, progress_bar
+from app.cli.console import figure, output, progress_bar, say
 from app.cli.options import MIN_RETURNS
 from app.demo.outcome import MAX_SCANS, RECALL_M, Outcome
 from core.parameters import DEFAULT_ENCODING, Encoding
@@ -55,13 +55,13 @@ def demo(
             outcome = run_demo(client, recorded, held_out, progress, encoding)
         _show(recorded.name, outcome)
         if not once:
-            output().print(f"\nThe service runs at {url} (documentation: {url}/docs).")
-            output().print("Ctrl-C stops it and removes the demonstration's data.")
+            say(f"\nThe service runs at {url} (documentation: {url}/docs).")
+            say("Ctrl-C stops it and removes the demonstration's data.")
             _wait()
             return
     recalls = [fixes.recall_at_1 for fixes in outcome.fixes if fixes.recall_at_1 is not None]
     if recalls and min(recalls) < _BAR:
-        output().print(f"recall@1 within {RECALL_M:g} m is {min(recalls):.3f}, wanted {_BAR:g}")
+        say(f"recall@1 within {RECALL_M:g} m is {min(recalls):.3f}, wanted {_BAR:g}")
         raise typer.Exit(1)
 
 
@@ -70,17 +70,16 @@ def _wait() -> None:
     try:
         signal.pause()
     except KeyboardInterrupt:
-        output().print("stopped")
+        say("stopped")
 
 
 def _show(name: str, outcome: Outcome) -> None:
     compression = outcome.compression
-    output().print(
+    say(
         f"\n{name}: {outcome.mapped_scans} scans mapped in {outcome.segments} segments,"
         f" {outcome.posted_bytes / 1e6:.0f} MB posted; TensorMap : tensor : returns ="
         f" 1 : {compression.tensor_ratio:.1f} : {compression.returns_ratio:.0f}"
-        f" ({compression.elements} elements)",
-        soft_wrap=True,
+        f" ({compression.elements} elements)"
     )
     table = Table(title="Held-out scans, localized over HTTP")
     table.add_column("asked by", no_wrap=True)
@@ -98,8 +97,8 @@ def _show(name: str, outcome: Outcome) -> None:
             fixes.asked_by,
             str(fixes.queries),
             f"{fixes.segment_accuracy:.3f}",
-            "-" if fixes.recall_at_1 is None else f"{fixes.recall_at_1:.3f}",
-            "-" if fixes.position_error_m is None else f"{fixes.position_error_m:.2f}",
+            figure(fixes.recall_at_1, ".3f"),
+            figure(fixes.position_error_m, ".2f"),
             f"{fixes.bytes_per_fix:,.0f}",
             f"{fixes.ms_per_fix:.1f}",
         )

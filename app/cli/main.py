@@ -1,17 +1,19 @@
 """The commands, and how each one ends."""
 
+import ast
 import sys
 from importlib import import_module
-from importlib.metadata import version
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+from rich.markup import escape
 
 from app.demo.errors import DemoFailed
 from app.process import keep_freed_memory, one_blas_thread
 from core.errors import TensorMapError
 
-__all__ = ["cli", "main"]
+__all__ = ["cli", "imported", "main"]
 
 _MODULES = {
     "serve": "serve",
@@ -35,22 +37,43 @@ _MODULES = {
 
 
 class _Commands(typer.core.TyperGroup):
-    """The commands, each imported when it is asked for: none waits for what others need."""
+    """The commands, each imported when it runs: a list of them takes no numerical library."""
 
-    def list_commands(self, ctx: Any) -> list[str]:  # noqa: ANN401, ARG002 - Click's own
-        return list(_MODULES)
+    def __init__(self, **options: Any) -> None:  # noqa: ANN401 - those of the base
+        super().__init__(**options)
+        for name in _MODULES:
+            self.add_command(typer.core.TyperCommand(name, help=_described(name)))
 
-    def get_command(self, ctx: Any, cmd_name: str) -> Any:  # noqa: ANN401, ARG002 - the same
-        if cmd_name not in _MODULES:
-            return None
-        if cmd_name not in self.commands:
-            module = import_module(f"app.cli.{_MODULES[cmd_name]}")
-            found = getattr(module, cmd_name.replace("-", "_"))
-            if not isinstance(found, typer.Typer):
-                function, found = found, typer.Typer(add_completion=False)
-                found.command(cmd_name)(function)
-            self.commands[cmd_name] = typer.main.get_command(found)
-        return self.commands[cmd_name]
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:  # noqa: ANN401 - Click's own
+        name, command, rest = super().resolve_command(ctx, args)
+        return name, imported(name) if name in _MODULES else command, rest
+
+
+def _described(name: str) -> str:
+    """Return what a command's docstring says, from its source: to import it takes a second."""
+    source = Path(__file__).with_name(f"{_MODULES[name]}.py").read_text()
+    for function in ast.parse(source).body:
+        if isinstance(function, ast.FunctionDef) and function.name in {_function(name), "about"}:
+            return ast.get_docstring(function) or ""
+    return ""
+
+
+def _function(name: str) -> str:
+    return name.replace("-", "_")
+
+
+def imported(name: str) -> Any:  # noqa: ANN401 - Click's command, which Typer keeps private
+    """Import a command, and keep the libraries that came with it to one thread."""
+    found = getattr(import_module(f"app.cli.{_MODULES[name]}"), _function(name))
+    one_blas_thread()
+    if not isinstance(found, typer.Typer):
+        function, found = found, typer.Typer(add_completion=False)
+        found.command(name)(function)
+    command = typer.main.get_command(found)
+    for one in (command, *getattr(command, "commands", {}).values()):
+        for parameter in one.params:  # defaults in brackets are no markup of Rich's
+            parameter.help = escape(getattr(parameter, "help", None) or "")
+    return command
 
 
 cli = typer.Typer(
@@ -65,6 +88,8 @@ cli = typer.Typer(
 
 def _show_version(wanted: bool) -> None:
     if wanted:
+        from importlib.metadata import version  # here: it takes longer than the list of commands
+
         typer.echo(f"tensormap {version('tensormap-server')}")
         raise typer.Exit
 
@@ -81,7 +106,6 @@ def about(
 
 def main() -> None:
     """Run a command; an error that was foreseen is one line, not a traceback."""
-    one_blas_thread()
     if sys.argv[1:2] != ["serve"]:
         keep_freed_memory()
     try:

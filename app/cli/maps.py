@@ -3,36 +3,17 @@
 import json
 import math
 import sys
+from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 from pydantic import ValidationError
 from rich.table import Table
 
 from app.builds.parameters import BuildParameters, PoseCheck
-from app.cli.console import output, progress_bar
-from app.cli.options import (
-    MIN_RETURNS,
-    DistanceOption,
-    DrivesArgument,
-    EncodingOption,
-    FormatOption,
-    ImageOption,
-    LateralRenderingsOption,
-    MapArgument,
-    PosesOption,
-    RanksOption,
-    ReducerOption,
-    SegmentationOption,
-    SegmentLengthOption,
-    SegmentsOption,
-    SensorHeightOption,
-    SensorOption,
-    numbers,
-    ranks,
-    require_folder,
-)
+from app.cli import options
+from app.cli.console import figure, output, progress_bar, say
 from app.localization.prior_schemas import hints_of
 from app.localization.schemas import LocalizationOut, SignaturesIn
 from app.revisions.topology_schemas import TopologyOut
@@ -55,25 +36,26 @@ from storage.formats.scans.registry import media_type_of, read_scan_file
 
 __all__ = ["build", "inspect", "localize", "signature"]
 
-_HINTS = "Hints"
+_hint: Any = partial(typer.Option, rich_help_panel="Hints")
+_FACTS = ("revision", "basis", "encoding", "sensor", "reducer", "ranks", "drives")
 
 
 def build(
-    drives: DrivesArgument,
+    drives: options.DrivesArgument,
     output_file: Annotated[
         Path, typer.Option("-o", "--output", metavar="MAP.h5", help="The map file to write.")
     ],
-    encoding: EncodingOption = None,
-    ranks_text: RanksOption = "5,5",
-    segmentation: SegmentationOption = Segmentation.FIXED,
-    segment_length: SegmentLengthOption = None,
-    segments: SegmentsOption = None,
-    reducer: ReducerOption = None,
-    image: ImageOption = None,
-    distance: DistanceOption = None,
-    lateral_renderings: LateralRenderingsOption = None,
-    sensor: SensorOption = HDL_64E.name,
-    sensor_height_m: SensorHeightOption = 1.73,
+    encoding: options.EncodingOption = None,
+    ranks_text: options.RanksOption = "5,5",
+    segmentation: options.SegmentationOption = Segmentation.FIXED,
+    segment_length: options.SegmentLengthOption = None,
+    segments: options.SegmentsOption = None,
+    reducer: options.ReducerOption = None,
+    image: options.ImageOption = None,
+    distance: options.DistanceOption = None,
+    lateral_renderings: options.LateralRenderingsOption = None,
+    sensor: options.SensorOption = HDL_64E.name,
+    sensor_height_m: options.SensorHeightOption = 1.73,
     keep_basis: Annotated[
         Path | None,
         typer.Option(
@@ -83,18 +65,18 @@ def build(
             rich_help_panel="Map",
         ),
     ] = None,
-    poses: PosesOption = PoseCheck.CHECKED,
+    poses: options.PosesOption = PoseCheck.CHECKED,
 ) -> None:
     """Build a map of one or more recorded drives."""
     from app.builds.pipelines import (
         build_drives,  # here: it brings the store, which no other one needs
     )
 
-    require_folder(output_file)
+    options.require_folder(output_file)
     try:
         parameters = BuildParameters(
             encoding=encoding or encoding_with(reducer),
-            ranks=ranks(ranks_text),
+            ranks=options.ranks(ranks_text),
             segmentation=segmentation,
             segment_length=segment_length,
             segments=segments,
@@ -105,13 +87,13 @@ def build(
             image=image,
             distance=distance,
             lateral_renderings_m=(
-                None if lateral_renderings is None else list(numbers(lateral_renderings))
+                None if lateral_renderings is None else list(options.numbers(lateral_renderings))
             ),
         )
     except ValidationError as error:
         raise InvalidParameters(error.errors()[0]["msg"]) from None
     radial_basis = None if keep_basis is None else _basis_of(keep_basis, parameters)
-    recorded = [open_drive(drive, min_returns=MIN_RETURNS) for drive in drives]
+    recorded = [open_drive(drive, min_returns=options.MIN_RETURNS) for drive in drives]
     twice = {drive.name for drive in recorded if [d.name for d in recorded].count(drive.name) > 1}
     if twice:
         raise InvalidParameters(f"two of the drives are called {min(twice)!r}: rename a folder")
@@ -123,26 +105,22 @@ def build(
     for name, of_it in built.skipped.items():
         of_drive = f" of {name}" if len(recorded) > 1 else ""
         for skipped in of_it:
-            output().print(
-                f"left out scan {skipped.scan}{of_drive}: {skipped.reason}", markup=False
-            )
+            say(f"left out scan {skipped.scan}{of_drive}: {skipped.reason}")
     for note in built.notes:
-        output().print(note, markup=False, soft_wrap=True)
+        say(note)
     compression = Compression.of(
         tensor_map.elements,
         scans=len(tensor_map),
         grid_shape=tensor_map.parameters.grid.shape,
         returns=built.returns,
     )
-    output().print(
+    say(
         f"{output_file}: {len(tensor_map)} scans, {tensor_map.model.segments} segments,"
         f" 1 : {compression.tensor_ratio:.1f} : {compression.returns_ratio:.0f}"
-        f" in {output_file.stat().st_size} bytes, revision {tensor_map.revision}",
-        markup=False,
-        soft_wrap=True,
+        f" in {output_file.stat().st_size} bytes, revision {tensor_map.revision}"
     )
     if tensor_map.calibration is None:
-        output().print("not calibrated: too few scans, or too close together, to learn trust from")
+        say("not calibrated: too few scans, or too close together, to learn trust from")
 
 
 def _basis_of(map_file: Path, parameters: BuildParameters) -> Float32Array:
@@ -159,7 +137,7 @@ def _basis_of(map_file: Path, parameters: BuildParameters) -> Float32Array:
 
 
 def localize(
-    map_file: MapArgument,
+    map_file: options.MapArgument,
     scans: Annotated[list[Path], typer.Argument(help="Scan files.", metavar="SCAN...")],
     k: Annotated[int, typer.Option("-k", min=1, help="How many nearest scans to answer.")] = 1,
     sensor_height_m: Annotated[
@@ -172,41 +150,23 @@ def localize(
         float | None,
         typer.Option(min=0, max=1, help="Refuse what is less probable. [the map's threshold]"),
     ] = None,
-    x_m: Annotated[
-        float | None, typer.Option(help="Where the vehicle is about.", rich_help_panel=_HINTS)
-    ] = None,
-    y_m: Annotated[float | None, typer.Option(rich_help_panel=_HINTS)] = None,
-    position_sigma_m: Annotated[
-        float | None, typer.Option(help="Standard deviation of both.", rich_help_panel=_HINTS)
-    ] = None,
+    x_m: Annotated[float | None, _hint(help="Where the vehicle is about.")] = None,
+    y_m: Annotated[float | None, _hint(help=None)] = None,
+    position_sigma_m: Annotated[float | None, _hint(help="Standard deviation of both.")] = None,
     heading_deg: Annotated[
-        float | None,
-        typer.Option(help="Which way it looks, from the map's x.", rich_help_panel=_HINTS),
+        float | None, _hint(help="Which way it looks, from the map's x.")
     ] = None,
-    heading_sigma_deg: Annotated[
-        float | None, typer.Option(help="Its standard deviation.", rich_help_panel=_HINTS)
-    ] = None,
-    travelled_m: Annotated[
-        float | None, typer.Option(help="Driven since the last fix.", rich_help_panel=_HINTS)
-    ] = None,
-    travelled_sigma_m: Annotated[
-        float | None, typer.Option(help="Its standard deviation.", rich_help_panel=_HINTS)
-    ] = None,
-    since_drive: Annotated[
-        str | None, typer.Option(help="The last fix: a scan's drive,", rich_help_panel=_HINTS)
-    ] = None,
-    since_scan: Annotated[
-        int | None, typer.Option(min=0, help="and its index;", rich_help_panel=_HINTS)
-    ] = None,
-    since_x_m: Annotated[
-        float | None, typer.Option(help="or where it was,", rich_help_panel=_HINTS)
-    ] = None,
-    since_y_m: Annotated[float | None, typer.Option(help="and y.", rich_help_panel=_HINTS)] = None,
+    heading_sigma_deg: Annotated[float | None, _hint(help="Its standard deviation.")] = None,
+    travelled_m: Annotated[float | None, _hint(help="Driven since the last fix.")] = None,
+    travelled_sigma_m: Annotated[float | None, _hint(help="Its standard deviation.")] = None,
+    since_drive: Annotated[str | None, _hint(help="The last fix: a scan's drive,")] = None,
+    since_scan: Annotated[int | None, _hint(help="and its index;", min=0)] = None,
+    since_x_m: Annotated[float | None, _hint(help="or where it was,")] = None,
+    since_y_m: Annotated[float | None, _hint(help="and y.")] = None,
     segment: Annotated[
-        list[int] | None,
-        typer.Option(min=0, help="It is on this segment; repeatable.", rich_help_panel=_HINTS),
+        list[int] | None, _hint(help="It is on this segment; repeatable.", min=0)
     ] = None,
-    format_name: FormatOption = None,
+    format_name: options.FormatOption = None,
     as_json: Annotated[bool, typer.Option("--json", help="One JSON answer a line.")] = False,
 ) -> None:
     """Localize scans in a map; one that cannot be used is told, the others are answered.
@@ -236,7 +196,7 @@ def localize(
         progress.start("localizing", len(scans))
         for path in scans:
             try:
-                scan = read_scan_file(path, min_returns=MIN_RETURNS, media_type=media_type)
+                scan = read_scan_file(path, min_returns=options.MIN_RETURNS, media_type=media_type)
                 found = localizer.localize_scan(scan, k, sensor_height_m, hints, min_probability)
                 answers.append((path, found))
             except (InvalidScan, UnknownFormat) as error:
@@ -268,30 +228,25 @@ def _show_answers(answers: list[tuple[Path, Localization]], *, as_json: bool, tu
                 f"{match.drive} {match.scan_index}",
                 "-" if place is None else f"{place.x_m:.2f}",
                 "-" if place is None else f"{place.y_m:.2f}",
-                *((_figure(match.turn_deg), _figure(match.lateral_m)) if turns else ()),
+                *((figure(match.turn_deg, ".1f"), figure(match.lateral_m, ".1f")) if turns else ()),
                 f"{match.distance:.4f}" if turns else f"{match.distance:.1f}",
-                "-" if found.ratio is None else f"{found.ratio:.2f}",
+                figure(found.ratio, ".2f"),
                 _trust(found),
             )
     if answers and not as_json:
         output().print(table)
         for path, found in answers:
             if not found.localized:
-                output().print(
-                    f"{path.name} is not localized: {found.verdict.reason}",
-                    markup=False,
-                    soft_wrap=True,
-                )
+                say(f"{path.name} is not localized: {found.verdict.reason}")
 
 
 def _trust(found: Localization) -> str:
-    probability = found.verdict.probability
-    shown = "-" if probability is None else f"{probability:.2f}"
+    shown = figure(found.verdict.probability, ".2f")
     return shown if found.localized else f"{shown} no"
 
 
 def signature(
-    map_file: MapArgument,
+    map_file: options.MapArgument,
     scan: Annotated[Path, typer.Argument(help="A scan file.", metavar="SCAN")],
     segments: Annotated[
         list[int] | None,
@@ -303,7 +258,7 @@ def signature(
     packing: Annotated[
         Packing | None, typer.Option(help="How numbers are packed. [float16; harmonic: int8]")
     ] = None,
-    format_name: FormatOption = None,
+    format_name: options.FormatOption = None,
 ) -> None:
     """Print a scan's signatures as JSON, ready to post."""
     tensor_map = read_map(map_file)
@@ -311,7 +266,7 @@ def signature(
         raise InvalidParameters("a harmonic signature is one for all segments: leave --segment out")
     basis = tensor_map.basis(segments)
     media_type = None if format_name is None else media_type_of(format_name)
-    read = read_scan_file(scan, min_returns=MIN_RETURNS, media_type=media_type)
+    read = read_scan_file(scan, min_returns=options.MIN_RETURNS, media_type=media_type)
     signatures = basis.encode(basis.image(read))
     if packed is not None:
         packed.write_bytes(pack_signatures(signatures, packing))
@@ -320,7 +275,7 @@ def signature(
 
 
 def inspect(
-    map_file: MapArgument,
+    map_file: options.MapArgument,
     as_json: Annotated[bool, typer.Option("--json", help="As JSON.")] = False,
 ) -> None:
     """Show what a map holds; its digest is checked."""
@@ -344,20 +299,10 @@ def inspect(
     if as_json:
         sys.stdout.write(f"{json.dumps(facts, indent=2)}\n")
         return
-    for name in (
-        "revision",
-        "basis",
-        "encoding",
-        "sensor",
-        "reducer",
-        "ranks",
-        "drives",
-        "scans",
-        "segmentation",
-    ):
-        output().print(f"{name:>12}  {facts[name]}", markup=False, highlight=False)
+    for name in (*_FACTS, "scans", "segmentation"):
+        say(f"{name:>12}  {facts[name]}")
     edges = facts["edges"]
-    output().print(f"{'graph':>12}  {facts['nodes']} nodes, {len(edges)} edges", highlight=False)
+    say(f"{'graph':>12}  {facts['nodes']} nodes, {len(edges)} edges")
     table = Table("edge", "nodes", "segment", "scans", "length m", "relative error")
     for edge in edges:
         first, last = edge["nodes"]
@@ -378,7 +323,3 @@ def inspect(
 def _rows(tensor_map: TensorMap, segment: int) -> tuple[int, int]:
     first, last = tensor_map.segment_ends[segment].tolist()
     return first, last + 1
-
-
-def _figure(value: float | None) -> str:
-    return "-" if value is None else f"{value:.1f}"

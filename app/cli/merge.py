@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from app.builds.parameters import PoseCheck
-from app.cli.console import output, progress_bar
+from app.cli.console import progress_bar, say
 from app.cli.options import PosesOption, require_folder
 from core.errors import UnknownDrive
 from core.frames.agreement import check_frames, require_one_frame
@@ -46,13 +46,11 @@ def merge(
         require_one_frame(checks)
         for check in checks:
             if check.note is not None:
-                output().print(check.note, markup=False, soft_wrap=True)
+                say(check.note)
     with publish(output_file) as part:
         write_map(part, merged)
-    output().print(
+    say(
         f"{output_file}: {', '.join(merged.trajectory.drives)}: {len(merged)} scans,"
         f" {merged.model.segments} segments, basis {merged.basis_digest[:16]},"
-        f" revision {merged.revision}",
-        markup=False,
-        soft_wrap=True,
+        f" revision {merged.revision}"
     )

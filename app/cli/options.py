@@ -1,8 +1,9 @@
 """Options that several commands share, and how comma-separated lists are read."""
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -40,7 +41,7 @@ __all__ = [
 MIN_RETURNS = 100
 """A scan file with fewer finite, non-zero returns is refused; the service's default too."""
 
-_BUILD = "Map"
+_build: Any = partial(typer.Option, rich_help_panel="Map")
 
 DriveArgument = Annotated[
     Path,
@@ -68,64 +69,48 @@ FormatOption = Annotated[
 ]
 EncodingOption = Annotated[
     Encoding | None,
-    typer.Option(
-        help="By default harmonic, or paper with a reducer that only the paper's has.",
-        rich_help_panel=_BUILD,
-    ),
+    _build(help="By default harmonic, or paper with a reducer that only the paper's has."),
 ]
 SegmentationOption = Annotated[
     Segmentation,
-    typer.Option(
-        help="k scans each, or k/2 to 2k: cut where the drive turns or its surroundings change.",
-        rich_help_panel=_BUILD,
+    _build(
+        help="k scans each, or k/2 to 2k: cut where the drive turns or its surroundings change."
     ),
 ]
-SegmentLengthOption = Annotated[
-    int | None, typer.Option(min=1, help="k, scans in a segment.", rich_help_panel=_BUILD)
-]
+SegmentLengthOption = Annotated[int | None, _build(min=1, help="k, scans in a segment.")]
 SegmentsOption = Annotated[
     int | None,
-    typer.Option(
-        min=1,
-        help="L instead: k = ceil(K / L). Default: k = 760, the paper's.",
-        rich_help_panel=_BUILD,
-    ),
+    _build(min=1, help="L instead: k = ceil(K / L). Default: k = 760, the paper's."),
 ]
 ReducerOption = Annotated[
     Reducer | None,
-    typer.Option(help="What a shared cell keeps. [last; harmonic: mean]", rich_help_panel=_BUILD),
+    _build(help="What a shared cell keeps. [last; harmonic: highest]"),
 ]
 ImageOption = Annotated[
     ImageKind | None,
-    typer.Option(help="What is encoded. [range; harmonic: height]", rich_help_panel=_BUILD),
+    _build(help="What is encoded. [range; harmonic: height]"),
 ]
 DistanceOption = Annotated[
     Distance | None,
-    typer.Option(help="How harmonic signatures are compared. [normalised]", rich_help_panel=_BUILD),
+    _build(help="How harmonic signatures are compared. [normalised]"),
 ]
 LateralRenderingsOption = Annotated[
     str | None,
-    typer.Option(
+    _build(
         "--lateral-renderings",
         help="From where a harmonic map's scans are rendered, metres to the left,"
         " comma-separated. [-3,-1.5,0,1.5,3]",
-        rich_help_panel=_BUILD,
     ),
 ]
 PosesOption = Annotated[
     PoseCheck,
-    typer.Option(
+    _build(
         help="`checked` refuses drives whose poses are in different world frames, `unchecked`"
-        " insists on them.",
-        rich_help_panel=_BUILD,
+        " insists on them."
     ),
 ]
-SensorOption = Annotated[
-    str, typer.Option(help=f"One of {', '.join(sorted(SENSORS))}.", rich_help_panel=_BUILD)
-]
-SensorHeightOption = Annotated[
-    float, typer.Option(help="Sensor above ground, in metres.", rich_help_panel=_BUILD)
-]
+SensorOption = Annotated[str, _build(help=f"One of {', '.join(sorted(SENSORS))}.")]
+SensorHeightOption = Annotated[float, _build(help="Sensor above ground, in metres.")]
 
 
 def require_folder(path: Path) -> None:
@@ -184,10 +169,5 @@ def ranks(text: str) -> tuple[int, int]:
 
 RanksOption = Annotated[
     str,
-    typer.Option(
-        "--ranks",
-        help="r1,r2: the shape of a signature.",
-        rich_help_panel=_BUILD,
-        callback=checked(ranks),
-    ),
+    _build("--ranks", help="r1,r2: the shape of a signature.", callback=checked(ranks)),
 ]

@@ -151,8 +151,7 @@ def _require_drawing() -> None:
     missing = [name for name in _NEEDED if find_spec(name) is None]
     if missing:
         raise typer.BadParameter(
-            f"a report needs {' and '.join(missing)}:"
-            " pip install 'tensormap-server[report]', or pip install -e '.[report]' in a clone"
+            f"a report needs {' and '.join(missing)}: pip install '.[report]' in a clone"
         )
 
 

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from app.cli.console import output, progress_bar
+from app.cli.console import progress_bar, say
 from core.simulation import SimulatedDrive
 from storage.formats.drives.kitti_drive import write_kitti_drive
 
@@ -42,4 +42,4 @@ def simulate(
     )
     with progress_bar() as progress:
         write_kitti_drive(drive, folder, progress)
-    output().print(f"{folder}: {scans} scans of {drive.name}", markup=False, soft_wrap=True)
+    say(f"{folder}: {scans} scans of {drive.name}")

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from app.cli.console import output, progress_bar
+from app.cli.console import progress_bar, say
 from app.process import private_files
 from app.settings import Settings
 from core.errors import InvalidParameters
@@ -52,14 +52,9 @@ def verify(
     with Store(settings.data_dir, settings.catalog_url) as store, progress_bar() as bar:
         found = verify_store(store, repair=repair, progress=bar)
     for finding in found.findings:
-        output().print(_line(finding), markup=False, soft_wrap=True, highlight=False)
+        say(_line(finding))
     losses = sum(finding.is_loss for finding in found.findings)
-    output().print(
-        f"{settings.data_dir}: {found.files} files checked, {losses} damaged or missing",
-        markup=False,
-        soft_wrap=True,
-        highlight=False,
-    )
+    say(f"{settings.data_dir}: {found.files} files checked, {losses} damaged or missing")
     if not found.is_whole:
         raise typer.Exit(1)
 

@@ -8,20 +8,14 @@ from app.access.scopes import Scope, needs
 from app.drives.pose_files import CSV, POSE_TYPES, read_poses
 from app.drives.pose_schemas import PosesIn
 from app.drives.schemas import DriveWithPosesOut
-from app.http.bodies.bodies import Body, ContentType, binary_body, media_type
+from app.http.bodies.bodies import Body, ContentType, described_body, media_type
 from app.http.bodies.json_body import read_json
 from app.http.errors import JSON_BODY, WRITING, UnsupportedBody
 from app.http.pooled_route import pooled_router
 from app.http.problems import problems
 from app.service import DriveSlug, MapSlug, Running
 from core.errors import InvalidPose
-from storage.errors import (
-    DriveNotFound,
-    InvalidSlug,
-    MapNotFound,
-    PosesDoNotFit,
-    ScanNotFound,
-)
+from storage import errors as stored
 
 __all__ = ["router"]
 
@@ -45,21 +39,13 @@ Partial = Annotated[
 @router.put(
     "/maps/{map}/drives/{drive}/poses",
     dependencies=[needs(Scope.MAPS_WRITE)],
-    openapi_extra={
-        "requestBody": {
-            "required": True,
-            "content": {
-                _JSON: {"schema": {"$ref": "#/components/schemas/PosesIn"}},
-                **binary_body(**POSE_TYPES)["requestBody"]["content"],
-            },
-        }
-    },
+    openapi_extra=described_body(POSE_TYPES, PosesIn),
     responses=problems(
-        MapNotFound,
-        DriveNotFound,
-        InvalidSlug,
-        ScanNotFound,
-        PosesDoNotFit,
+        stored.MapNotFound,
+        stored.DriveNotFound,
+        stored.InvalidSlug,
+        stored.ScanNotFound,
+        stored.PosesDoNotFit,
         InvalidPose,
         *JSON_BODY,
         *WRITING,
@@ -96,4 +82,4 @@ def put_poses(
     else:
         wanted = ", ".join((_JSON, *POSE_TYPES))
         raise UnsupportedBody(f"Content-Type is {kind[:80]!r}, wanted one of {wanted}")
-    return DriveWithPosesOut.of(drives.get(map_slug, drive_slug), put)
+    return DriveWithPosesOut.from_both(drives.get(map_slug, drive_slug), put)

@@ -8,6 +8,7 @@ from fastapi import Query
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from app.http.exact_types import Number, integers
+from app.http.shown import Shown
 from core.errors import InvalidPose
 from core.scans.pose import Pose
 
@@ -21,7 +22,7 @@ PoseQuery = Annotated[
 ]
 
 
-class PoseOut(BaseModel):
+class PoseOut(Shown):
     """Where a scan of the map was taken: sensor to world."""
 
     x_m: float
@@ -36,8 +37,7 @@ class PoseOut(BaseModel):
     @classmethod
     def from_core(cls, pose: Pose) -> "PoseOut":
         """Show a pose."""
-        x, y, z, qx, qy, qz, qw = pose.as_tuple()
-        return cls(x_m=x, y_m=y, z_m=z, qx=qx, qy=qy, qz=qz, qw=qw, yaw_deg=pose.yaw_deg)
+        return cls.of(pose)
 
 
 class ScanPoseIn(BaseModel):

@@ -10,37 +10,15 @@ from fastapi import Path, Query, Response, status
 from app.access.scopes import Scope, needs
 from app.drives.pose_schemas import PoseQuery, pose_from_query
 from app.drives.schemas import DriveOut, DrivePatch, ScanOut
-from app.http.bodies.bodies import SCAN_BODY, Body, ContentType, Json
-from app.http.errors import (
-    ANY_BODY,
-    JSON_BODY,
-    READING,
-    WRITING,
-    InvalidRequest,
-)
-from app.http.pages import After, Limit, PageOut
+from app.http import errors
+from app.http.bodies.bodies import SCAN_TYPES, Body, ContentType, Json, described_body
+from app.http.pages import After, Limit, PageOut, page_out
 from app.http.pooled_route import heavy, pooled_router
 from app.http.problems import problems
 from app.service import DriveSlug, MapSlug, Running
 from core.errors import InvalidPose, InvalidScan, TooFewReturns
-from storage.errors import (
-    CorruptFile,
-    DriveClosed,
-    DriveNotFound,
-    InvalidSlug,
-    MapNotFound,
-    ReturnsGone,
-    ScanConflict,
-    ScanNotFound,
-)
-from storage.formats.errors import (
-    EmptyBody,
-    MalformedScan,
-    ScanTooLarge,
-    TruncatedScan,
-    UnknownFormat,
-    WrongDtype,
-)
+from storage import errors as stored
+from storage.formats import errors as formats
 from storage.formats.scans.registry import read_scan
 
 __all__ = ["BAD_SCAN", "TimestampQuery", "router"]
@@ -48,15 +26,15 @@ __all__ = ["BAD_SCAN", "TimestampQuery", "router"]
 router = pooled_router(tags=["drives"])
 
 BAD_SCAN = (
-    EmptyBody,
-    TruncatedScan,
-    WrongDtype,
-    MalformedScan,
+    formats.EmptyBody,
+    formats.TruncatedScan,
+    formats.WrongDtype,
+    formats.MalformedScan,
     TooFewReturns,
     InvalidScan,
-    UnknownFormat,
-    *ANY_BODY,
-    ScanTooLarge,
+    formats.UnknownFormat,
+    *errors.ANY_BODY,
+    formats.ScanTooLarge,
 )
 
 ScanIndex = Annotated[
@@ -79,20 +57,20 @@ _NPY: dict[int | str, dict[str, Any]] = {
 @router.get(
     "/maps/{map}/drives",
     dependencies=[needs(Scope.MAPS_READ, Scope.MAPS_WRITE)],
-    responses=problems(MapNotFound, InvalidRequest, *READING),
+    responses=problems(stored.MapNotFound, errors.InvalidRequest, *errors.READING),
 )
 def list_drives(
     map_slug: MapSlug, running: Running, after: After = "", limit: Limit = 100
 ) -> PageOut[DriveOut]:
     """List a map's drives by name."""
     page = running.store.drives.list(map_slug, after, limit)
-    return PageOut(items=[DriveOut.from_record(r) for r in page.items], next_after=page.next_after)
+    return page_out(page, DriveOut.from_record)
 
 
 @router.get(
     "/maps/{map}/drives/{drive}",
     dependencies=[needs(Scope.MAPS_READ, Scope.MAPS_WRITE)],
-    responses=problems(MapNotFound, DriveNotFound, *READING),
+    responses=problems(stored.MapNotFound, stored.DriveNotFound, *errors.READING),
 )
 def get_drive(map_slug: MapSlug, drive_slug: DriveSlug, running: Running) -> DriveOut:
     """Show a drive: which scans are in, and which are missing."""
@@ -102,7 +80,13 @@ def get_drive(map_slug: MapSlug, drive_slug: DriveSlug, running: Running) -> Dri
 @router.patch(
     "/maps/{map}/drives/{drive}",
     dependencies=[needs(Scope.MAPS_WRITE)],
-    responses=problems(MapNotFound, DriveNotFound, CorruptFile, *JSON_BODY, *WRITING),
+    responses=problems(
+        stored.MapNotFound,
+        stored.DriveNotFound,
+        stored.CorruptFile,
+        *errors.JSON_BODY,
+        *errors.WRITING,
+    ),
 )
 def close_drive(
     map_slug: MapSlug,
@@ -120,7 +104,7 @@ def close_drive(
     "/maps/{map}/drives/{drive}",
     dependencies=[needs(Scope.MAPS_WRITE)],
     status_code=status.HTTP_204_NO_CONTENT,
-    responses=problems(MapNotFound, DriveNotFound, *WRITING),
+    responses=problems(stored.MapNotFound, stored.DriveNotFound, *errors.WRITING),
 )
 def delete_drive(map_slug: MapSlug, drive_slug: DriveSlug, running: Running) -> None:
     """Remove a drive and its scans; revisions that were built of it stay."""
@@ -130,19 +114,19 @@ def delete_drive(map_slug: MapSlug, drive_slug: DriveSlug, running: Running) -> 
 @router.put(
     "/maps/{map}/drives/{drive}/scans/{index}",
     dependencies=[needs(Scope.MAPS_WRITE)],
-    openapi_extra=SCAN_BODY,
+    openapi_extra=described_body(SCAN_TYPES),
     status_code=status.HTTP_201_CREATED,
     responses={
         200: {"model": ScanOut, "description": "The same returns were stored already."},
         **problems(
-            MapNotFound,
-            InvalidSlug,
-            ScanConflict,
-            DriveClosed,
+            stored.MapNotFound,
+            stored.InvalidSlug,
+            stored.ScanConflict,
+            stored.DriveClosed,
             InvalidPose,
-            InvalidRequest,
+            errors.InvalidRequest,
             *BAD_SCAN,
-            *WRITING,
+            *errors.WRITING,
         ),
     },
 )
@@ -185,13 +169,13 @@ def put_scan(
     responses={
         **_NPY,
         **problems(
-            MapNotFound,
-            DriveNotFound,
-            ScanNotFound,
-            ReturnsGone,
-            CorruptFile,
-            InvalidRequest,
-            *READING,
+            stored.MapNotFound,
+            stored.DriveNotFound,
+            stored.ScanNotFound,
+            stored.ReturnsGone,
+            stored.CorruptFile,
+            errors.InvalidRequest,
+            *errors.READING,
         ),
     },
 )

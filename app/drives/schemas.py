@@ -6,24 +6,20 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from storage.catalog import DriveRecord, IndexRange, PosesPut, ScanRecord
+from app.http.shown import Shown
+from storage.catalog import DriveRecord, PosesPut, ScanRecord
 
 __all__ = ["DriveOut", "DrivePatch", "DriveWithPosesOut", "ScanOut"]
 
 
-class IndexRangeOut(BaseModel):
+class IndexRangeOut(Shown):
     """Scan indices `first` to `last`, both included."""
 
     first: int
     last: int
 
-    @classmethod
-    def from_record(cls, record: IndexRange) -> "IndexRangeOut":
-        """Show a range."""
-        return cls(first=record.first, last=record.last)
 
-
-class DriveOut(BaseModel):
+class DriveOut(Shown):
     """A recording of scans."""
 
     drive: str
@@ -47,26 +43,18 @@ class DriveOut(BaseModel):
     @classmethod
     def from_record(cls, record: DriveRecord) -> "DriveOut":
         """Show a drive's record."""
-        return cls(
+        return cls.of(
+            record,
             drive=record.slug,
-            created_at=record.created_at,
-            closed=record.closed,
-            scans=record.scans,
-            returns=record.returns,
-            size_bytes=record.size_bytes,
             scans_without_returns=record.dropped_scans,
             scans_with_pose=record.posed_scans,
             poses_waiting=0 if record.closed else record.expected_poses,
             poses_left_over=record.expected_poses if record.closed else 0,
-            present=[IndexRangeOut.from_record(item) for item in record.present],
-            gaps=[IndexRangeOut.from_record(item) for item in record.gaps],
         )
 
 
-class PosesPutOut(BaseModel):
+class PosesPutOut(Shown):
     """What became of poses that were put."""
-
-    model_config = ConfigDict(from_attributes=True)
 
     set: int = Field(description="How many scans have a pose of them.")
     replaced: int = Field(description="How many of these had another before.")
@@ -83,10 +71,9 @@ class DriveWithPosesOut(DriveOut):
     poses: PosesPutOut
 
     @classmethod
-    def of(cls, record: DriveRecord, put: PosesPut) -> "DriveWithPosesOut":
+    def from_both(cls, record: DriveRecord, put: PosesPut) -> "DriveWithPosesOut":
         """Show both."""
-        drive = DriveOut.from_record(record)
-        return cls(**dict(drive), poses=PosesPutOut.model_validate(put))
+        return cls(**dict(DriveOut.from_record(record)), poses=PosesPutOut.of(put))
 
 
 class DrivePatch(BaseModel):
@@ -97,7 +84,7 @@ class DrivePatch(BaseModel):
     closed: Literal[True] = Field(description="A closed drive stays closed.")
 
 
-class ScanOut(BaseModel):
+class ScanOut(Shown):
     """A stored scan, without its returns."""
 
     scan: int = Field(description="Its index in the drive.")
@@ -113,11 +100,9 @@ class ScanOut(BaseModel):
     @classmethod
     def from_record(cls, record: ScanRecord) -> "ScanOut":
         """Show what is stored."""
-        return cls(
+        return cls.of(
+            record,
             scan=record.index,
-            returns=record.returns,
-            dropped_returns=record.dropped_returns,
-            digest=record.digest,
             timestamp_s=None if math.isnan(record.timestamp_s) else record.timestamp_s,
             has_pose=record.pose is not None,
             returns_kept=record.has_returns,

@@ -8,21 +8,14 @@ from typing import Annotated
 from fastapi import Query, Request
 from starlette.requests import ClientDisconnect
 
-from app.access.access import sender_of
 from app.access.scopes import Scope, needs
 from app.drives.many_scans import ScanUpload
 from app.drives.upload_schemas import PresentOut, UploadOut
-from app.http.bodies.bodies import AsItComes, ContentType, binary_body, media_type
+from app.http import errors
+from app.http.bodies.bodies import AsItComes, ContentType, described_body, media_type
 from app.http.bodies.incoming import Incoming
 from app.http.bodies.spool import Spool
-from app.http.errors import (
-    ANY_BODY,
-    READING,
-    WRITING,
-    InvalidRequest,
-    MalformedUpload,
-    UnsupportedBody,
-)
+from app.http.context import context_of
 from app.http.pooled_route import pooled_router, run_heavy
 from app.http.problems import problems
 from app.service import DriveSlug, MapSlug, Running
@@ -53,7 +46,7 @@ FormatName = Annotated[
 @router.get(
     "/maps/{map}/drives/{drive}/scans",
     dependencies=[needs(Scope.MAPS_READ, Scope.MAPS_WRITE)],
-    responses=problems(MapNotFound, DriveNotFound, *READING),
+    responses=problems(MapNotFound, DriveNotFound, *errors.READING),
 )
 def list_scans(map_slug: MapSlug, drive_slug: DriveSlug, running: Running) -> PresentOut:
     """Tell which scans are in, as ranges: an upload goes on with the others."""
@@ -63,17 +56,17 @@ def list_scans(map_slug: MapSlug, drive_slug: DriveSlug, running: Running) -> Pr
 @router.post(
     "/maps/{map}/drives/{drive}/scans",
     dependencies=[needs(Scope.MAPS_WRITE)],
-    openapi_extra=binary_body(
-        **{_TAR: "A tar stream of scan files, each named by its index, as `000012.pcd`."}
+    openapi_extra=described_body(
+        {_TAR: "A tar stream of scan files, each named by its index, as `000012.pcd`."}
     ),
     responses=problems(
         MapNotFound,
         InvalidSlug,
-        InvalidRequest,
-        MalformedUpload,
+        errors.InvalidRequest,
+        errors.MalformedUpload,
         UnknownFormat,
-        *ANY_BODY,
-        *WRITING,
+        *errors.ANY_BODY,
+        *errors.WRITING,
     ),
 )
 async def post_scans(
@@ -93,11 +86,13 @@ async def post_scans(
     packed body is unpacked when it has come whole, or as far as it came.
     """
     if media_type(content_type) not in _TYPES:
-        raise UnsupportedBody(f"Content-Type is {(content_type or '')[:80]!r}, wanted {_TAR}")
+        raise errors.UnsupportedBody(
+            f"Content-Type is {(content_type or '')[:80]!r}, wanted {_TAR}"
+        )
     wanted = None if format_name is None else media_type_of(format_name)
     # A missing map is reported before a body is read.
     await running.pools.short.run(
-        sender_of(request.scope), partial(running.store.drives.slugs, map_slug)
+        context_of(request.scope).sender, partial(running.store.drives.slugs, map_slug)
     )
     upload = ScanUpload(
         running.store,

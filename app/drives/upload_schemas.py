@@ -6,12 +6,13 @@ from pydantic import BaseModel, Field
 
 from app.drives.many_scans import Upload
 from app.drives.schemas import IndexRangeOut
+from app.http.shown import Shown
 from storage.catalog import DriveRecord
 
 __all__ = ["PresentOut", "UploadOut"]
 
 
-class PresentOut(BaseModel):
+class PresentOut(Shown):
     """Which scans of a drive are in, so that an upload can go on where it was cut."""
 
     drive: str
@@ -26,14 +27,7 @@ class PresentOut(BaseModel):
     @classmethod
     def from_record(cls, record: DriveRecord) -> "PresentOut":
         """Show a drive's record."""
-        return cls(
-            drive=record.slug,
-            closed=record.closed,
-            scans=record.scans,
-            scans_without_returns=record.dropped_scans,
-            present=[IndexRangeOut.from_record(item) for item in record.present],
-            gaps=[IndexRangeOut.from_record(item) for item in record.gaps],
-        )
+        return cls.of(record, drive=record.slug, scans_without_returns=record.dropped_scans)
 
 
 class SetAsideOut(BaseModel):

@@ -1,11 +1,11 @@
-"""What the head of every answer says besides: what is left to a key, and what a browser may do."""
+"""Fields of every answer: its id, what is left to a key, and what a browser may do with it."""
 
 from starlette.datastructures import MutableHeaders
-from starlette.types import ASGIApp, Message, Receive, Scope, Send
+from starlette.types import Message
 
-__all__ = ["RATE_STATE", "AnswerHeaders"]
+from app.http.context import HEADER, RequestContext
 
-RATE_STATE = "tensormap.allowance"
+__all__ = ["complete_head"]
 
 _FOR_BROWSERS = {
     # What was uploaded is never taken for a page or a script.
@@ -18,28 +18,15 @@ _FOR_BROWSERS = {
 }
 
 
-class AnswerHeaders:
-    """Adds fields to each answer that does not have them."""
-
-    def __init__(self, app: ASGIApp) -> None:
-        self._app = app
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass a request on."""
-        if scope["type"] != "http":
-            await self._app(scope, receive, send)
-            return
-        state = scope.setdefault("state", {})
-
-        async def completed(message: Message) -> None:
-            if message["type"] == "http.response.start":
-                headers = MutableHeaders(scope=message)
-                for name, value in _FOR_BROWSERS.items():
-                    headers.setdefault(name, value)
-                left = [one.headers() for one in state.get(RATE_STATE, {}).values()]
-                if left and "RateLimit" not in headers:  # a refusal tells of the limit it met
-                    for name in left[0]:
-                        headers[name] = ", ".join(said[name] for said in left)
-            await send(message)
-
-        await self._app(scope, receive, completed)
+def complete_head(message: Message, context: RequestContext) -> None:
+    """Add the fields of every answer that its head does not have."""
+    headers = MutableHeaders(scope=message)
+    headers[HEADER] = context.request_id
+    if message["type"] != "http.response.start":  # of a stream
+        return
+    for name, value in _FOR_BROWSERS.items():
+        headers.setdefault(name, value)
+    left = [one.headers() for one in context.allowances.values()]
+    if left and "RateLimit" not in headers:  # a refusal has that of the limit that it met
+        for name in left[0]:
+            headers[name] = ", ".join(said[name] for said in left)

@@ -11,7 +11,10 @@ from storage.formats import errors as formats
 __all__ = [
     "ANY_BODY",
     "JSON_BODY",
+    "KEY",
+    "NAMED_REVISION",
     "READING",
+    "REVISION",
     "STATUS",
     "WRITING",
     "AppError",
@@ -269,3 +272,9 @@ ANY_BODY = (
 """How every route that reads a body may end."""
 JSON_BODY = (InvalidRequest, *ANY_BODY)
 """How every route that takes JSON may end."""
+KEY = (KeyNeeded, KeyRefused, HostNotAllowed, ScopeMissing, ServiceBusy, TooManyRequests)
+"""How every route that needs a key may end."""
+NAMED_REVISION = (stored.MapNotFound, stored.RevisionNotFound, stored.AmbiguousRevision)
+"""How every route that looks for a revision by its digest may end."""
+REVISION = (stored.NoLiveRevision, *NAMED_REVISION, stored.CorruptFile)
+"""How every route that reads that or the live revision may end."""

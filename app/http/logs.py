@@ -14,7 +14,7 @@ from enum import StrEnum
 from typing import Any, TextIO
 
 from app.access.secrets import hidden
-from app.http.request_id import current_id
+from app.http.context import current_id
 
 __all__ = ["LogFormat", "configure_logging", "fields"]
 

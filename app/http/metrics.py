@@ -4,16 +4,9 @@ import shutil
 import threading
 import time
 from collections.abc import Callable, Iterable
+from functools import partial
 
-from prometheus_client import (
-    CollectorRegistry,
-    Counter,
-    Gauge,
-    Histogram,
-    Metric,
-    ProcessCollector,
-    generate_latest,
-)
+import prometheus_client as prometheus
 from prometheus_client.core import CounterMetricFamily
 from prometheus_client.registry import Collector
 
@@ -38,71 +31,58 @@ class Metrics:
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock = clock
-        self._registry = registry = CollectorRegistry()
-        ProcessCollector(registry=registry)
-        self._requests = Counter(
-            "tensormap_http_requests",
-            "Requests that were answered.",
-            ["route", "method", "status"],
-            registry=registry,
+        self._registry = registry = prometheus.CollectorRegistry()
+        prometheus.ProcessCollector(registry=registry)
+        counter: Callable[..., prometheus.Counter] = partial(prometheus.Counter, registry=registry)
+        gauge: Callable[..., prometheus.Gauge] = partial(prometheus.Gauge, registry=registry)
+        histogram: Callable[..., prometheus.Histogram] = partial(
+            prometheus.Histogram, registry=registry
         )
-        self._request_s = Histogram(
+        self._requests = counter(
+            "tensormap_http_requests", "Requests that were answered.", ["route", "method", "status"]
+        )
+        self._request_s = histogram(
             "tensormap_http_request_seconds",
             "From a request's first byte to its answer's last one.",
             ["route", "method"],
             buckets=_REQUEST_S,
-            registry=registry,
         )
-        self._localizations = Counter(
+        self._localizations = counter(
             "tensormap_localizations",
             "Answers to `where am I?`, by what asked and what came of it.",
             ["query", "outcome"],
-            registry=registry,
         )
-        self._builds = Counter(
-            "tensormap_builds", "Builds that ran, by how they ended.", ["state"], registry=registry
-        )
-        self._build_s = Histogram(
+        self._builds = counter("tensormap_builds", "Builds that ran, by how they ended.", ["state"])
+        self._build_s = histogram(
             "tensormap_build_seconds",
             "From a build's start to its end.",
             ["state"],
             buckets=_BUILD_S,
-            registry=registry,
         )
-        self._jobs = Gauge(
-            "tensormap_jobs", "Jobs that wait or run now.", ["state"], registry=registry
-        )
-        self._tracks = Gauge("tensormap_tracks", "Tracks that are kept now.", registry=registry)
-        self._store_bytes = Gauge(
+        self._jobs = gauge("tensormap_jobs", "Jobs that wait or run now.", ["state"])
+        self._tracks = gauge("tensormap_tracks", "Tracks that are kept now.")
+        self._store_bytes = gauge(
             "tensormap_store_bytes",
             "What is stored: raw returns, and files of revisions.",
             ["kind"],
-            registry=registry,
         )
-        self._free_bytes = Gauge(
-            "tensormap_disk_free_bytes",
-            "What the data directory's file system has left.",
-            registry=registry,
+        self._free_bytes = gauge(
+            "tensormap_disk_free_bytes", "What the data directory's file system has left."
         )
-        self._catalog_up = Gauge(
-            "tensormap_catalog_up", "1 if the catalog could be read just now.", registry=registry
-        )
-        self._scrubbed = Counter(
+        self._catalog_up = gauge("tensormap_catalog_up", "1 if the catalog could be read just now.")
+        self._scrubbed = counter(
             "tensormap_scrub_files",
             "Stored files that were read and checked in the background, by what was found.",
             ["result"],
-            registry=registry,
         )
-        self._scrub_damaged = Gauge(
+        self._scrub_damaged = gauge(
             "tensormap_scrub_damaged_files",
             "Stored files that the background check found damaged, missing or unreadable when it"
             " last read them; those that a request meets count once it comes by.",
-            registry=registry,
         )
-        self._scrub_passed_s = Gauge(
+        self._scrub_passed_s = gauge(
             "tensormap_scrub_last_pass_timestamp_seconds",
             "When all stored files had been checked last; 0 before the first time.",
-            registry=registry,
         )
         self._lock = threading.Lock()
         self._added_up_at: float | None = None
@@ -150,7 +130,7 @@ class Metrics:
         """
         with self._lock:
             self._look_up(store, tracks)
-            return generate_latest(self._registry)
+            return prometheus.generate_latest(self._registry)
 
     def _look_up(self, store: Store, tracks: int) -> None:
         if self._stored is None:
@@ -179,7 +159,7 @@ class _StoredScans(Collector):
     def __init__(self, store: Store) -> None:
         self._store = store
 
-    def collect(self) -> Iterable[Metric]:
+    def collect(self) -> Iterable[prometheus.Metric]:
         """Tell how many."""
         yield CounterMetricFamily(
             "tensormap_scans_stored",

@@ -5,15 +5,7 @@ from prometheus_client import CONTENT_TYPE_LATEST
 
 from app.access.dependency import require_access
 from app.access.scopes import Scope, needs
-from app.http.errors import (
-    HostNotAllowed,
-    InternalError,
-    KeyNeeded,
-    KeyRefused,
-    ScopeMissing,
-    ServiceBusy,
-    TooManyRequests,
-)
+from app.http.errors import KEY, InternalError
 from app.http.pooled_route import pooled_router
 from app.http.problems import problems
 from app.service import Running
@@ -32,15 +24,7 @@ router = pooled_router(tags=["health"])
             "description": "Prometheus' text format.",
             "content": {CONTENT_TYPE_LATEST.partition(";")[0]: {"schema": {"type": "string"}}},
         },
-        **problems(
-            KeyNeeded,
-            KeyRefused,
-            HostNotAllowed,
-            ScopeMissing,
-            ServiceBusy,
-            TooManyRequests,
-            InternalError,
-        ),
+        **problems(*KEY, InternalError),
     },
 )
 def metrics(running: Running) -> Response:

@@ -4,15 +4,14 @@ import asyncio
 import logging
 import time
 
-from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from app.access.admission import CALLER_STATE
+from app.http.answer_headers import complete_head
+from app.http.context import RequestContext, enter_request
 from app.http.errors import ServiceBusy
 from app.http.logs import fields
 from app.http.metrics import Metrics
 from app.http.problems import internal_error, problem_response
-from app.http.request_id import HEADER, accepted_id, enter_request
 
 __all__ = ["RequestObserver"]
 
@@ -42,19 +41,16 @@ class RequestObserver:
             await self._app(scope, receive, send)
             return
         began = time.perf_counter()
-        request_id = accepted_id(Headers(scope=scope).get(HEADER))
-        enter_request(request_id)
-        status: int | None = None
+        context = enter_request(scope)
 
         async def watched(message: Message) -> None:
-            nonlocal status
             kind = message["type"]
             if kind in {"http.response.start", "websocket.http.response.start"}:
-                status = message["status"]
-                MutableHeaders(scope=message)[HEADER] = request_id
+                context.status = message["status"]
+                complete_head(message, context)
             elif kind == "websocket.accept":
-                status = 101
-                MutableHeaders(scope=message)[HEADER] = request_id
+                context.status = 101
+                complete_head(message, context)
             await send(message)
 
         try:
@@ -63,19 +59,20 @@ class RequestObserver:
             # Only Uvicorn cancels a request: it is to stop, and has waited as long as it does.
             if scope["type"] != "http":
                 raise
-            if status is None:
+            if context.status is None:
                 await problem_response(ServiceBusy(_STOPPED, _STARTED_AGAIN_S))(
                     scope, receive, watched
                 )
         except Exception as error:
-            if scope["type"] != "http" or status is not None:
+            if scope["type"] != "http" or context.status is not None:
                 raise
             # Starlette's own last resort is outside of us: its answer would have no id.
             await internal_error(error)(scope, receive, watched)
         finally:
-            self._tell(scope, status or _NO_ANSWER, time.perf_counter() - began)
+            self._tell(scope, context, time.perf_counter() - began)
 
-    def _tell(self, scope: Scope, status: int, seconds: float) -> None:
+    def _tell(self, scope: Scope, context: RequestContext, seconds: float) -> None:
+        status = context.status or _NO_ANSWER
         route = _template(scope)
         method = scope.get("method", "GET")
         if scope["type"] == "http":
@@ -90,7 +87,7 @@ class RequestObserver:
                 status=status,
                 seconds=round(seconds, 6),
                 client=client[0] if client else None,
-                key=getattr(scope.get("state", {}).get(CALLER_STATE), "key_id", None),
+                key=None if context.caller is None else context.caller.key_id,
             ),
         )
 

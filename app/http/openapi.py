@@ -3,36 +3,19 @@
 from typing import Any
 
 from fastapi import FastAPI
+from pydantic import BaseModel
 from pydantic.json_schema import models_json_schema
 
-from app.access.key_schemas import KeyIn
-from app.access.token_schemas import TokenIn
-from app.builds.parameters import BuildParameters
-from app.drives.pose_schemas import PosesIn
-from app.drives.schemas import DrivePatch
-from app.http.problems import Problem
-from app.localization.schemas import SignaturesIn
-from app.loop_closures.schemas import LoopClosuresIn
-from app.maps.schemas import MapIn, MapPatch
-from app.revisions.schemas import LiveIn
+__all__ = ["complete_openapi", "reference"]
 
-__all__ = ["complete_openapi"]
-
-# Named by routes that read the body, or answer, by themselves.
-_MODELS = (
-    Problem,
-    BuildParameters,
-    DrivePatch,
-    KeyIn,
-    LiveIn,
-    LoopClosuresIn,
-    MapIn,
-    MapPatch,
-    PosesIn,
-    SignaturesIn,
-    TokenIn,
-)
+_named: set[type[BaseModel]] = set()
 _NOT_OURS = ("HTTPValidationError", "ValidationError")
+
+
+def reference(model: type[BaseModel]) -> dict[str, str]:
+    """Return a reference to a model's schema, which is then in the document."""
+    _named.add(model)
+    return {"$ref": f"#/components/schemas/{model.__name__}"}
 
 
 def complete_openapi(app: FastAPI) -> None:
@@ -44,7 +27,7 @@ def complete_openapi(app: FastAPI) -> None:
             document = described()
             schemas = document["components"]["schemas"]
             _, ours = models_json_schema(
-                [(model, "validation") for model in _MODELS],
+                [(model, "validation") for model in _named],
                 ref_template="#/components/schemas/{model}",
             )
             schemas.update(ours["$defs"])

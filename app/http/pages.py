@@ -1,12 +1,16 @@
 """Lists, a page at a time."""
 
+from collections.abc import Callable
 from typing import Annotated, Generic, TypeVar
 
 from fastapi import Query
 from pydantic import BaseModel, Field
 
-__all__ = ["After", "Limit", "PageOut"]
+from storage.catalog import Page
 
+__all__ = ["After", "Limit", "PageOut", "page_out"]
+
+R = TypeVar("R")
 T = TypeVar("T")
 
 After = Annotated[str, Query(description="`next_after` of the page before.", max_length=200)]
@@ -18,3 +22,8 @@ class PageOut(BaseModel, Generic[T]):
 
     items: list[T]
     next_after: str | None = Field(description="Ask for the rest with `after`; null at the end.")
+
+
+def page_out(page: Page[R], show: Callable[[R], T]) -> PageOut[T]:
+    """Show a page of the catalog's records."""
+    return PageOut(items=[show(record) for record in page.items], next_after=page.next_after)

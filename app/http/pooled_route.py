@@ -15,9 +15,9 @@ from fastapi import APIRouter, Depends, Request
 from fastapi.routing import APIRoute
 from pydantic import BaseModel
 
-from app.access.access import sender_of
-from app.http.bodies.bodies import JsonFrom, Received, described_json, incoming_of
+from app.http.bodies.bodies import JsonFrom, Received, described_body, incoming_of
 from app.http.client import Client
+from app.http.context import context_of
 from app.http.pools import Pools
 
 __all__ = ["PooledRoute", "heavy", "pooled_router", "run_heavy"]
@@ -46,7 +46,7 @@ class PooledRoute(APIRoute):
     def __init__(self, path: str, endpoint: Callable[..., Any], **options: Any) -> None:  # noqa: ANN401
         if not inspect.iscoroutinefunction(endpoint):
             if (model := _json_of(endpoint)) is not None:
-                options["openapi_extra"] = described_json(model)
+                options["openapi_extra"] = described_body({}, model)
             endpoint = _pooled(endpoint)
         super().__init__(path, endpoint, **options)
 
@@ -71,7 +71,9 @@ def _pooled(function: Callable[..., Any]) -> Callable[..., Any]:
         of_bodies = (pools.of_body(len(body)) for body in bodies)
         if is_heavy or any(body.packed for body in bodies) or pools.heavy in of_bodies:
             return await run_heavy(request, partial(_call, function, given))
-        return await pools.short.run(sender_of(request.scope), partial(_call, function, given))
+        return await pools.short.run(
+            context_of(request.scope).sender, partial(_call, function, given)
+        )
 
     signature = inspect.signature(function)
     # By a dependency: FastAPI hands the request itself to one parameter only.
@@ -109,7 +111,9 @@ async def run_heavy(request: Request, work: Callable[[], T], *, begun: bool = Fa
     task = None if watching is None else asyncio.ensure_future(watching)
     try:
         with client.waiting():
-            return await pools.heavy.run(sender_of(request.scope), work, client=client, begun=begun)
+            return await pools.heavy.run(
+                context_of(request.scope).sender, work, client=client, begun=begun
+            )
     finally:
         if task is not None:
             task.cancel()

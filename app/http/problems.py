@@ -15,15 +15,9 @@ from starlette.requests import ClientDisconnect
 from starlette.responses import Response
 from starlette.routing import Match
 
-from app.http.errors import (
-    STATUS,
-    AppError,
-    InternalError,
-    InvalidRequest,
-    MethodNotAllowed,
-    NoSuchRoute,
-)
-from app.http.request_id import current_id
+from app.http import errors as own
+from app.http.context import current_id
+from app.http.openapi import reference
 from core import errors as core
 
 __all__ = [
@@ -105,13 +99,13 @@ def problems(*kinds: type[core.TensorMapError]) -> dict[int | str, dict[str, Any
     """Return the OpenAPI `responses` of a route that may end in these errors."""
     by_status: dict[HTTPStatus, list[type[core.TensorMapError]]] = {}
     for kind in dict.fromkeys(kinds):
-        by_status.setdefault(STATUS[kind], []).append(kind)
+        by_status.setdefault(own.STATUS[kind], []).append(kind)
     return {
         status.value: {
             "description": "; ".join(f"`{problem_name(kind)}`: {_title(kind)}" for kind in of_it),
             "content": {
                 MEDIA_TYPE: {
-                    "schema": {"$ref": "#/components/schemas/Problem"},
+                    "schema": reference(Problem),
                     "examples": {
                         problem_name(kind): {
                             "value": {
@@ -134,8 +128,8 @@ def problem_response(
     error: core.TensorMapError, errors: list[dict[str, str]] | None = None
 ) -> JSONResponse:
     """Answer with an error."""
-    kind = next(kind for kind in type(error).__mro__ if kind in STATUS)
-    status = STATUS[kind]
+    kind = next(kind for kind in type(error).__mro__ if kind in own.STATUS)
+    status = own.STATUS[kind]
     content: dict[str, Any] = {
         "type": problem_type(kind.__name__),
         "title": _title(kind),
@@ -146,7 +140,7 @@ def problem_response(
         content["errors"] = errors
     if (request_id := current_id()) is not None:
         content["request_id"] = request_id
-    headers = error.headers if isinstance(error, AppError) else None
+    headers = error.headers if isinstance(error, own.AppError) else None
     return JSONResponse(content, status, headers, media_type=MEDIA_TYPE)
 
 
@@ -170,22 +164,22 @@ def add_handlers(app: FastAPI) -> None:
         more = len(error.errors()) - len(fields)
         detail = "; ".join(f"{field['where']}: {field['what']}" for field in fields)
         return problem_response(
-            InvalidRequest(f"{detail}; and {more} more" if more else detail), fields
+            own.InvalidRequest(f"{detail}; and {more} more" if more else detail), fields
         )
 
     @app.exception_handler(HTTPException)
     async def http(request: Request, error: HTTPException) -> JSONResponse:
         path = request.url.path[:_MOST_CHARACTERS]
         if error.status_code == HTTPStatus.NOT_FOUND:
-            return problem_response(NoSuchRoute(f"there is no {path}; see /docs"))
+            return problem_response(own.NoSuchRoute(f"there is no {path}; see /docs"))
         if error.status_code == HTTPStatus.METHOD_NOT_ALLOWED:
             allowed = ", ".join(_allowed_methods(request))
             response = problem_response(
-                MethodNotAllowed(f"{path} has no {request.method[:40]}, it has {allowed}")
+                own.MethodNotAllowed(f"{path} has no {request.method[:40]}, it has {allowed}")
             )
             response.headers["Allow"] = allowed
             return response
-        return problem_response(InvalidRequest(str(error.detail)))
+        return problem_response(own.InvalidRequest(str(error.detail)))
 
     @app.exception_handler(ClientDisconnect)
     async def gone(request: Request, _error: ClientDisconnect) -> Response:
@@ -197,7 +191,7 @@ def add_handlers(app: FastAPI) -> None:
 def internal_error(error: Exception) -> JSONResponse:
     """Answer with a fault of ours: its traceback is in the log, under the request's id."""
     _log.error("a fault of the service", exc_info=error)
-    return problem_response(InternalError("the service failed; its log says where"))
+    return problem_response(own.InternalError("the service failed; its log says where"))
 
 
 def _allowed_methods(request: Request) -> list[str]:

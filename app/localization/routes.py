@@ -8,14 +8,9 @@ from fastapi.exceptions import RequestValidationError
 
 from app.access.scopes import Scope, needs
 from app.drives.routes import BAD_SCAN
-from app.http.bodies.bodies import SCAN_BODY, Body, ContentType, binary_body, media_type
+from app.http import errors
+from app.http.bodies.bodies import SCAN_TYPES, Body, ContentType, described_body, media_type
 from app.http.bodies.json_body import read_json
-from app.http.errors import (
-    ANY_BODY,
-    READING,
-    InvalidRequest,
-    UnsupportedBody,
-)
 from app.http.pooled_route import heavy, pooled_router
 from app.http.problems import problems
 from app.localization.prior_schemas import HintsIn, MinProbability
@@ -27,15 +22,8 @@ from app.localization.schemas import (
 )
 from app.revisions.loaded import Answering
 from app.service import MapSlug, Running
+from core import errors as core
 from core.encodings.signature import Signature, unpack_signatures
-from core.errors import (
-    InvalidImage,
-    InvalidParameters,
-    InvalidSignature,
-    SensorMismatch,
-    StaleSignature,
-    UnknownSegment,
-)
 from core.projection.height_image import HeightImage
 from core.projection.imager import Grid, Image, ImageKind
 from core.projection.range_image import RangeImage
@@ -47,6 +35,7 @@ from storage.formats.scans.registry import read_scan
 __all__ = [
     "IMAGE_TYPE",
     "SIGNATURE_TYPE",
+    "SIGNATURE_TYPES",
     "SensorHeight",
     "read_image",
     "read_signatures",
@@ -59,14 +48,15 @@ _ANSWERING = (
     MapNotFound,
     NoLiveRevision,
     CorruptFile,
-    InvalidRequest,
-    InvalidParameters,
-    UnknownSegment,
-    *READING,
+    errors.InvalidRequest,
+    core.InvalidParameters,
+    core.UnknownSegment,
+    *errors.READING,
 )
 
 IMAGE_TYPE = "application/vnd.tensormap.image"
 SIGNATURE_TYPE = "application/vnd.tensormap.signature"
+SIGNATURE_TYPES = {SIGNATURE_TYPE: "Packed: docs/reference/signature.md."}
 
 SensorHeight = Annotated[
     float | None,
@@ -90,8 +80,8 @@ SensorName = Annotated[
 @router.post(
     "/scan",
     dependencies=[needs(Scope.LOCALIZE)],
-    openapi_extra=SCAN_BODY,
-    responses=problems(*_ANSWERING, SensorMismatch, *BAD_SCAN),
+    openapi_extra=described_body(SCAN_TYPES),
+    responses=problems(*_ANSWERING, core.SensorMismatch, *BAD_SCAN),
 )
 @heavy
 def localize_scan(
@@ -117,13 +107,15 @@ def localize_scan(
 @router.post(
     "/image",
     dependencies=[needs(Scope.LOCALIZE)],
-    openapi_extra=binary_body(
-        **{
+    openapi_extra=described_body(
+        {
             IMAGE_TYPE: "Ranges, or heights above ground, in metres on the map's grid, little-"
             "endian float32, row after row."
         }
     ),
-    responses=problems(*_ANSWERING, SensorMismatch, EmptyBody, InvalidImage, *ANY_BODY),
+    responses=problems(
+        *_ANSWERING, core.SensorMismatch, EmptyBody, core.InvalidImage, *errors.ANY_BODY
+    ),
 )
 def localize_image(
     map_slug: MapSlug,
@@ -141,7 +133,9 @@ def localize_image(
     _require_sensor(answering, sensor)
     _require_kind(answering, kind)
     if media_type(content_type) != IMAGE_TYPE:
-        raise UnsupportedBody(f"Content-Type is {(content_type or '')[:80]!r}, wanted {IMAGE_TYPE}")
+        raise errors.UnsupportedBody(
+            f"Content-Type is {(content_type or '')[:80]!r}, wanted {IMAGE_TYPE}"
+        )
     image = read_image(body, answering.localizer.map.parameters.grid)
     found = answering.localizer.localize_image(image, k, hints, min_probability)
     running.metrics.localized("image", found.verdict.reason)
@@ -151,27 +145,9 @@ def localize_image(
 @router.post(
     "/signature",
     dependencies=[needs(Scope.LOCALIZE)],
-    openapi_extra={
-        "requestBody": {
-            "required": True,
-            "content": {
-                "application/json": {"schema": {"$ref": "#/components/schemas/SignaturesIn"}},
-                SIGNATURE_TYPE: {
-                    "schema": {
-                        "type": "string",
-                        "format": "binary",
-                        "description": "Packed: docs/reference/signature.md.",
-                    }
-                },
-            },
-        }
-    },
+    openapi_extra=described_body(SIGNATURE_TYPES, SignaturesIn),
     responses=problems(
-        *_ANSWERING,
-        StaleSignature,
-        InvalidSignature,
-        EmptyBody,
-        *ANY_BODY,
+        *_ANSWERING, core.StaleSignature, core.InvalidSignature, EmptyBody, *errors.ANY_BODY
     ),
 )
 def localize_signature(
@@ -199,13 +175,13 @@ def localize_signature(
 def _require_sensor(answering: Answering, sensor: str | None) -> None:
     mapped = answering.localizer.map.parameters.sensor
     if sensor is not None and sensor.lower() != mapped:
-        raise SensorMismatch(f"the query is of sensor {sensor[:40]!r}, the map of {mapped!r}")
+        raise core.SensorMismatch(f"the query is of sensor {sensor[:40]!r}, the map of {mapped!r}")
 
 
 def _require_kind(answering: Answering, kind: ImageKind | None) -> None:
     mapped = answering.localizer.map.parameters.image
     if kind is not None and kind != mapped:
-        raise SensorMismatch(f"the image is a {kind} image, the map is of {mapped} images")
+        raise core.SensorMismatch(f"the image is a {kind} image, the map is of {mapped} images")
 
 
 def read_image(body: bytes, grid: Grid) -> Image:
@@ -219,7 +195,7 @@ def read_image(body: bytes, grid: Grid) -> Image:
     if not body:
         raise EmptyBody(f"no bytes came, wanted {wanted}")
     if len(body) != wanted:
-        raise InvalidImage(
+        raise core.InvalidImage(
             f"{len(body)} bytes came, wanted {wanted}: {grid.rows} x {grid.columns} float32"
         )
     cells = np.frombuffer(body, "<f4").reshape(grid.shape)
@@ -241,7 +217,7 @@ def read_signatures(body: bytes, content_type: str | None) -> tuple[Signature, .
     if kind == SIGNATURE_TYPE:
         return unpack_signatures(body)
     if kind != "application/json":
-        raise UnsupportedBody(
+        raise errors.UnsupportedBody(
             f"Content-Type is {kind[:80]!r}, wanted application/json or {SIGNATURE_TYPE}"
         )
     try:

@@ -9,14 +9,7 @@ from app.loop_closures.closures import judge_closures
 from app.loop_closures.schemas import LoopClosureOut, LoopClosuresIn, LoopClosuresOut
 from app.service import MapSlug, Running
 from core.errors import InvalidScan, InvalidSignature, StaleSignature, UnknownSegment
-from storage.errors import (
-    CorruptFile,
-    DriveNotFound,
-    MapNotFound,
-    NoLiveRevision,
-    ReturnsGone,
-    ScanNotFound,
-)
+from storage import errors as stored
 
 __all__ = ["router"]
 
@@ -27,16 +20,16 @@ router = pooled_router(tags=["loop closures"])
     "/maps/{map}/loop-closures",
     dependencies=[needs(Scope.LOCALIZE)],
     responses=problems(
-        MapNotFound,
-        DriveNotFound,
-        ScanNotFound,
-        ReturnsGone,
-        NoLiveRevision,
+        stored.MapNotFound,
+        stored.DriveNotFound,
+        stored.ScanNotFound,
+        stored.ReturnsGone,
+        stored.NoLiveRevision,
         StaleSignature,
         UnknownSegment,
         InvalidSignature,
         InvalidScan,
-        CorruptFile,
+        stored.CorruptFile,
         *JSON_BODY,
         *READING,
     ),

@@ -5,6 +5,7 @@ from typing import Annotated, Any
 from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, field_validator
 
 from app.http.exact_types import Name, Number, integers
+from app.http.shown import Shown
 from app.localization.schemas import SignaturesIn
 from core.loop_closure.closure import ACCEPT_FROM, LoopClosure, Verdict
 
@@ -80,7 +81,7 @@ class LoopClosuresIn(BaseModel):
     )
 
 
-class LoopClosureOut(BaseModel):
+class LoopClosureOut(Shown):
     """What is thought of one proposal."""
 
     verdict: Verdict
@@ -106,16 +107,7 @@ class LoopClosureOut(BaseModel):
     @classmethod
     def from_core(cls, found: LoopClosure, accept_from: float) -> "LoopClosureOut":
         """Show a judged closure."""
-        return cls(
-            verdict=found.verdict(accept_from),
-            probability=found.probability,
-            turn_deg=found.turn_deg,
-            forward_m=found.forward_m,
-            lateral_m=found.lateral_m,
-            image_similarity=found.image_similarity,
-            overlap=found.overlap,
-            signature_distance=found.signature_distance,
-        )
+        return cls.of(found, verdict=found.verdict(accept_from))
 
 
 class LoopClosuresOut(BaseModel):

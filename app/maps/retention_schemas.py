@@ -4,7 +4,8 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from storage.retention import LONGEST_DAYS, MOST_REVISIONS, OwnRetention, RawScans, Retention
+from app.http.shown import Shown
+from storage.retention import LONGEST_DAYS, MOST_REVISIONS, RawScans
 
 __all__ = [
     "OwnRetentionOut",
@@ -35,35 +36,17 @@ class RetentionPatch(BaseModel):
     raw_scans: RawScans | None = Field(None, description=_RAW)
 
 
-class OwnRetentionOut(BaseModel):
+class OwnRetentionOut(Shown):
     """What a map chose to keep; null where the service's default is in force."""
 
     retained_revisions: RetainedRevisions | None = Field(description=_COUNT)
     retained_for_days: RetainedForDays | None = Field(description=_AGE)
     raw_scans: RawScans | None = Field(description=_RAW)
 
-    @classmethod
-    def from_record(cls, own: OwnRetention) -> "OwnRetentionOut":
-        """Show what a map chose."""
-        return cls(
-            retained_revisions=own.retained_revisions,
-            retained_for_days=own.retained_for_days,
-            raw_scans=own.raw_scans,
-        )
 
-
-class RetentionOut(BaseModel):
+class RetentionOut(Shown):
     """What is in force."""
 
     retained_revisions: RetainedRevisions = Field(description=_COUNT)
     retained_for_days: RetainedForDays = Field(description=_AGE)
     raw_scans: RawScans = Field(description=_RAW)
-
-    @classmethod
-    def from_core(cls, retention: Retention) -> "RetentionOut":
-        """Show a policy."""
-        return cls(
-            retained_revisions=retention.retained_revisions,
-            retained_for_days=retention.retained_for_days,
-            raw_scans=retention.raw_scans,
-        )

@@ -8,21 +8,17 @@ from fastapi import Header, Response, status
 from app.access.dependency import Asking
 from app.access.scopes import Scope, needs
 from app.access.trail import note
+from app.http import errors
 from app.http.bodies.bodies import Json
-from app.http.errors import (
-    JSON_BODY,
-    READING,
-    WRITING,
-    InvalidRequest,
-)
-from app.http.pages import After, Limit, PageOut
+from app.http.pages import After, Limit, PageOut, page_out
 from app.http.pooled_route import pooled_router
 from app.http.problems import problems
 from app.maps.schemas import MapIn, MapOut, MapPatch
-from app.service import MapSlug, Running
+from app.service import MapSlug, Running, Service
+from storage.catalog import MapRecord
 from storage.errors import InvalidSlug, MapChanged, MapExists, MapNotFound
 
-__all__ = ["IfMatch", "etag_of", "router", "version_seen"]
+__all__ = ["IfMatch", "router", "shown_map", "version_seen"]
 
 router = pooled_router(tags=["maps"])
 
@@ -40,7 +36,7 @@ IfMatch = Annotated[
     "/maps",
     dependencies=[needs(Scope.MAPS_WRITE)],
     status_code=status.HTTP_201_CREATED,
-    responses=problems(InvalidSlug, MapExists, *JSON_BODY, *WRITING),
+    responses=problems(InvalidSlug, MapExists, *errors.JSON_BODY, *errors.WRITING),
 )
 def create_map(wanted: Json[MapIn], running: Running, response: Response, asking: Asking) -> MapOut:
     """Make an empty map."""
@@ -48,12 +44,13 @@ def create_map(wanted: Json[MapIn], running: Running, response: Response, asking
     asking.require_new_map(wanted.map)
     record = running.store.maps.create(wanted.map, wanted.description)
     response.headers["Location"] = f"/v1/maps/{record.slug}"
-    response.headers["ETag"] = etag_of(record.version)
-    return MapOut.from_record(record, running.settings.retention)
+    return shown_map(record, running, response)
 
 
 @router.get(
-    "/maps", dependencies=[needs(Scope.MAPS_READ)], responses=problems(InvalidRequest, *READING)
+    "/maps",
+    dependencies=[needs(Scope.MAPS_READ)],
+    responses=problems(errors.InvalidRequest, *errors.READING),
 )
 def list_maps(
     running: Running, asking: Asking, after: After = "", limit: Limit = 100
@@ -61,24 +58,24 @@ def list_maps(
     """List the maps by name, those within the limits of the key."""
     page = running.store.maps.list(after, limit, slugs=asking.maps)
     default = running.settings.retention
-    items = [MapOut.from_record(record, default) for record in page.items]
-    return PageOut(items=items, next_after=page.next_after)
+    return page_out(page, lambda record: MapOut.from_record(record, default))
 
 
 @router.get(
-    "/maps/{map}", dependencies=[needs(Scope.MAPS_READ)], responses=problems(MapNotFound, *READING)
+    "/maps/{map}",
+    dependencies=[needs(Scope.MAPS_READ)],
+    responses=problems(MapNotFound, *errors.READING),
 )
 def get_map(map_slug: MapSlug, running: Running, response: Response) -> MapOut:
     """Show a map."""
     record = running.store.maps.get(map_slug)
-    response.headers["ETag"] = etag_of(record.version)
-    return MapOut.from_record(record, running.settings.retention)
+    return shown_map(record, running, response)
 
 
 @router.patch(
     "/maps/{map}",
     dependencies=[needs(Scope.MAPS_WRITE)],
-    responses=problems(MapNotFound, MapChanged, *JSON_BODY, *WRITING),
+    responses=problems(MapNotFound, MapChanged, *errors.JSON_BODY, *errors.WRITING),
 )
 def update_map(
     map_slug: MapSlug,
@@ -99,24 +96,24 @@ def update_map(
     )
     if kept:
         running.collector.wake()
-    response.headers["ETag"] = etag_of(record.version)
-    return MapOut.from_record(record, running.settings.retention)
+    return shown_map(record, running, response)
 
 
 @router.delete(
     "/maps/{map}",
     dependencies=[needs(Scope.MAPS_WRITE)],
     status_code=status.HTTP_204_NO_CONTENT,
-    responses=problems(MapNotFound, MapChanged, InvalidRequest, *WRITING),
+    responses=problems(MapNotFound, MapChanged, errors.InvalidRequest, *errors.WRITING),
 )
 def delete_map(map_slug: MapSlug, running: Running, if_match: IfMatch = None) -> None:
     """Remove a map with its drives, revisions and jobs."""
     running.store.maps.delete(map_slug, if_version=version_seen(if_match))
 
 
-def etag_of(version: int) -> str:
-    """Return the ETag of a map's version."""
-    return f'"{version}"'
+def shown_map(record: MapRecord, running: Service, response: Response) -> MapOut:
+    """Return a map's answer, with the ETag of its version in the head."""
+    response.headers["ETag"] = f'"{record.version}"'
+    return MapOut.from_record(record, running.settings.retention)
 
 
 def version_seen(if_match: str | None) -> int | None:
@@ -129,5 +126,5 @@ def version_seen(if_match: str | None) -> int | None:
         return None
     found = _ETAG.fullmatch(if_match)
     if found is None:
-        raise InvalidRequest(f"If-Match is {if_match[:80]!r}, wanted a map's ETag")
+        raise errors.InvalidRequest(f"If-Match is {if_match[:80]!r}, wanted a map's ETag")
     return None if found[1] is None else int(found[1])

@@ -5,6 +5,7 @@ from datetime import datetime
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from app.http.exact_types import Lines, SlugText
+from app.http.shown import Shown
 from app.maps.retention_schemas import OwnRetentionOut, RetentionOut, RetentionPatch
 from storage.catalog import MapRecord
 from storage.retention import Retention
@@ -49,7 +50,7 @@ class MapPatch(BaseModel):
         return self
 
 
-class MapOut(BaseModel):
+class MapOut(Shown):
     """A map."""
 
     map: str
@@ -67,12 +68,5 @@ class MapOut(BaseModel):
     @classmethod
     def from_record(cls, record: MapRecord, default: Retention) -> "MapOut":
         """Show a map's record, with what is kept by default."""
-        return cls(
-            map=record.slug,
-            description=record.description,
-            created_at=record.created_at,
-            version=record.version,
-            live_revision=record.live_revision,
-            retention=OwnRetentionOut.from_record(record.retention),
-            retention_in_force=RetentionOut.from_core(record.retention.over(default)),
-        )
+        in_force = RetentionOut.of(record.retention.over(default))
+        return cls.of(record, map=record.slug, retention_in_force=in_force)

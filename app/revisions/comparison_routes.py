@@ -5,7 +5,7 @@ from typing import Annotated
 from fastapi import Query
 
 from app.access.scopes import Scope, needs
-from app.http.errors import READING
+from app.http.errors import READING, REVISION
 from app.http.pooled_route import heavy, pooled_router
 from app.http.problems import problems
 from app.revisions.comparison import compare_revisions
@@ -15,13 +15,6 @@ from app.revisions.routes import RevisionId
 from app.service import MapSlug, Running, Service
 from core.mapping.tensormap import TensorMap
 from storage.catalog import RevisionRecord
-from storage.errors import (
-    AmbiguousRevision,
-    CorruptFile,
-    MapNotFound,
-    NoLiveRevision,
-    RevisionNotFound,
-)
 
 __all__ = ["router"]
 
@@ -40,9 +33,7 @@ Other = Annotated[
 @router.get(
     "/maps/{map}/revisions/{revision}/comparison",
     dependencies=[needs(Scope.MAPS_READ)],
-    responses=problems(
-        MapNotFound, NoLiveRevision, RevisionNotFound, AmbiguousRevision, CorruptFile, *READING
-    ),
+    responses=problems(*REVISION, *READING),
 )
 @heavy
 def compare(

@@ -5,13 +5,14 @@ from typing import Any
 
 from pydantic import BaseModel, Field
 
+from app.http.shown import Shown
 from app.revisions.comparison import Comparison, NoRecall, Recall, Side
 from core.evaluation.own_scans import CRITERION
 
 __all__ = ["ComparisonOut"]
 
 
-class ComparedOut(BaseModel):
+class ComparedOut(Shown):
     """A revision in numbers."""
 
     revision: str
@@ -38,23 +39,8 @@ class ComparedOut(BaseModel):
     @classmethod
     def from_core(cls, side: Side) -> "ComparedOut":
         """Show one of the two."""
-        facts = side.facts
-        return cls(
-            revision=facts.revision,
-            created_at=side.record.created_at,
-            size_bytes=side.record.size_bytes,
-            drives=list(facts.drives),
-            scans=facts.scans,
-            segments=facts.segments,
-            basis=facts.basis,
-            relative_error_median=facts.relative_error_median,
-            relative_error_largest=facts.relative_error_largest,
-            calibrated=facts.calibrated,
-            threshold=facts.threshold,
-            nodes=facts.nodes,
-            edges=facts.edges,
-            length_m=facts.length_m,
-        )
+        record = side.record
+        return cls.of(side.facts, created_at=record.created_at, size_bytes=record.size_bytes)
 
 
 class ChangedParameterOut(BaseModel):
@@ -65,7 +51,7 @@ class ChangedParameterOut(BaseModel):
     other: Any
 
 
-class DriveOverlapOut(BaseModel):
+class DriveOverlapOut(Shown):
     """How many scans of a drive the two have."""
 
     drive: str
@@ -74,7 +60,7 @@ class DriveOverlapOut(BaseModel):
     only_other: int
 
 
-class RecallOut(BaseModel):
+class RecallOut(Shown):
     """How many of their common scans the two find, asked as a vehicle that stands elsewhere."""
 
     asked: int = Field(description="How many scans were asked, evenly spread, at most 200.")
@@ -85,17 +71,6 @@ class RecallOut(BaseModel):
         " other renderings, or of the other encoding, promise answers from other places."
     )
     criterion: str = Field(description="What counts as found.")
-
-    @classmethod
-    def from_core(cls, recall: Recall) -> "RecallOut":
-        """Show shares."""
-        return cls(
-            asked=recall.asked,
-            this=recall.this,
-            other=recall.other,
-            same_questions=recall.same_questions,
-            criterion=CRITERION,
-        )
 
 
 class ComparisonOut(BaseModel):
@@ -131,18 +106,12 @@ class ComparisonOut(BaseModel):
                 ChangedParameterOut(name=name, this=mine, other=theirs)
                 for name, (mine, theirs) in comparison.parameters.items()
             ],
-            drives=[
-                DriveOverlapOut(
-                    drive=drive.drive,
-                    in_both=drive.in_both,
-                    only_this=drive.only_this,
-                    only_other=drive.only_other,
-                )
-                for drive in drives
-            ],
+            drives=[DriveOverlapOut.of(drive) for drive in drives],
             scans_in_both=sum(drive.in_both for drive in drives),
             scans_only_this=sum(drive.only_this for drive in drives),
             scans_only_other=sum(drive.only_other for drive in drives),
-            recall=RecallOut.from_core(recall) if isinstance(recall, Recall) else None,
+            recall=RecallOut.of(recall, criterion=CRITERION)
+            if isinstance(recall, Recall)
+            else None,
             recall_unknown=recall if isinstance(recall, NoRecall) else None,
         )

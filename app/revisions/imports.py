@@ -1,8 +1,8 @@
 """A map from elsewhere becomes a revision: checked whole, and written anew."""
 
+from app.builds.parameters import as_built
 from core.errors import InvalidMap
 from core.mapping.tensormap import TensorMap
-from core.parameters import MapParameters
 from storage.catalog import RevisionFacts, RevisionRecord
 from storage.errors import CorruptFile, RevisionNotFound
 from storage.files.map_file import map_of_bytes, write_map
@@ -42,7 +42,7 @@ def import_revision(
         segments=tensor_map.model.segments,
         parameters={
             "imported": True,
-            **_told(parameters),
+            **as_built(parameters),
             "drives": list(tensor_map.trajectory.drives),
             "calibrated": tensor_map.calibration is not None,
         },
@@ -68,19 +68,3 @@ def _read(body: bytes) -> TensorMap:
         return map_of_bytes(body, "the body")
     except CorruptFile as error:
         raise InvalidMap(str(error)) from error
-
-
-def _told(parameters: MapParameters) -> dict[str, object]:
-    """Return what a build would have been asked for."""
-    offsets = parameters.lateral_renderings_m
-    return {
-        "encoding": parameters.encoding.value,
-        "ranks": list(parameters.ranks),
-        "segmentation": parameters.segmentation.value,
-        "reducer": parameters.reducer.value,
-        "image": parameters.image.value,
-        "distance": None if parameters.distance is None else parameters.distance.value,
-        "lateral_renderings_m": None if offsets is None else list(offsets),
-        "sensor": parameters.sensor,
-        "sensor_height_m": parameters.sensor_height_m,
-    }

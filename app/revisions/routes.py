@@ -11,20 +11,13 @@ from pydantic import Field
 
 from app.access.scopes import Scope, needs
 from app.access.trail import note
-from app.http.bodies.bodies import Body, ContentType, Json, binary_body, media_type
-from app.http.errors import (
-    JSON_BODY,
-    READING,
-    WRITING,
-    BodyTooLarge,
-    InvalidRequest,
-    UnsupportedBody,
-)
+from app.http import errors
+from app.http.bodies.bodies import Body, ContentType, Json, described_body, media_type
 from app.http.open_file import OpenFileResponse
-from app.http.pages import After, Limit, PageOut
+from app.http.pages import After, Limit, PageOut, page_out
 from app.http.pooled_route import heavy, pooled_router
 from app.http.problems import problems
-from app.maps.routes import IfMatch, etag_of, version_seen
+from app.maps.routes import IfMatch, shown_map, version_seen
 from app.maps.schemas import MapOut
 from app.revisions.imports import import_revision
 from app.revisions.loaded import Answering
@@ -32,15 +25,7 @@ from app.revisions.schemas import BasisOut, LiveIn, RevisionOut
 from app.revisions.topology_schemas import TopologyOut
 from app.service import MapSlug, Running
 from core.errors import InvalidMap, InvalidParameters, UnknownSegment
-from storage.errors import (
-    AmbiguousRevision,
-    CorruptFile,
-    MapChanged,
-    MapNotFound,
-    NoLiveRevision,
-    RevisionIsLive,
-    RevisionNotFound,
-)
+from storage import errors as stored
 from storage.formats.errors import EmptyBody
 
 __all__ = ["router"]
@@ -62,15 +47,6 @@ MakeLive = Annotated[
     bool | None, Query(description="Make it live; the first one of a map always is.")
 ]
 
-_OF_ONE = (
-    MapNotFound,
-    NoLiveRevision,
-    RevisionNotFound,
-    AmbiguousRevision,
-    CorruptFile,
-    *READING,
-)
-
 _NPZ = "application/vnd.tensormap.basis+npz"
 _HDF5 = "application/vnd.tensormap.map+hdf5"
 
@@ -78,7 +54,9 @@ _HDF5 = "application/vnd.tensormap.map+hdf5"
 @router.get(
     "/maps/{map}/revisions",
     dependencies=[needs(Scope.MAPS_READ)],
-    responses=problems(MapNotFound, InvalidParameters, InvalidRequest, *READING),
+    responses=problems(
+        stored.MapNotFound, InvalidParameters, errors.InvalidRequest, *errors.READING
+    ),
 )
 def list_revisions(
     map_slug: MapSlug, running: Running, after: After = "", limit: Limit = 100
@@ -86,8 +64,7 @@ def list_revisions(
     """List a map's revisions, newest first."""
     live = running.store.maps.get(map_slug).live_revision
     page = running.store.revisions.list(map_slug, after, limit)
-    items = [RevisionOut.from_record(record, live) for record in page.items]
-    return PageOut(items=items, next_after=page.next_after)
+    return page_out(page, lambda record: RevisionOut.from_record(record, live))
 
 
 @router.post(
@@ -97,16 +74,16 @@ def list_revisions(
     responses={
         200: {"model": RevisionOut, "description": "The map has it already."},
         **problems(
-            MapNotFound,
+            stored.MapNotFound,
             InvalidMap,
             EmptyBody,
-            UnsupportedBody,
-            BodyTooLarge,
-            InvalidRequest,
-            *WRITING,
+            errors.UnsupportedBody,
+            errors.BodyTooLarge,
+            errors.InvalidRequest,
+            *errors.WRITING,
         ),
     },
-    openapi_extra=binary_body(**{_HDF5: "A revision's file, as its download gives it."}),
+    openapi_extra=described_body({_HDF5: "A revision's file, as its download gives it."}),
 )
 @heavy
 def import_a_revision(
@@ -123,7 +100,9 @@ def import_a_revision(
     that it was made of are not here.
     """
     if media_type(content_type) != _HDF5:
-        raise UnsupportedBody(f"Content-Type is {(content_type or '')[:80]!r}, wanted {_HDF5}")
+        raise errors.UnsupportedBody(
+            f"Content-Type is {(content_type or '')[:80]!r}, wanted {_HDF5}"
+        )
     if not body:
         raise EmptyBody("the body is empty, wanted a map's file")
     record, added = import_revision(running.store, map_slug, body, make_live=bool(make_live))
@@ -137,7 +116,7 @@ def import_a_revision(
 @router.get(
     "/maps/{map}/revisions/{revision}",
     dependencies=[needs(Scope.MAPS_READ)],
-    responses=problems(MapNotFound, RevisionNotFound, AmbiguousRevision, *READING),
+    responses=problems(*errors.NAMED_REVISION, *errors.READING),
 )
 def get_revision(map_slug: MapSlug, revision: RevisionId, running: Running) -> RevisionOut:
     """Show a revision."""
@@ -151,7 +130,7 @@ def get_revision(map_slug: MapSlug, revision: RevisionId, running: Running) -> R
     response_class=FileResponse,
     responses={
         200: {"content": {_HDF5: {"schema": {"type": "string", "format": "binary"}}}},
-        **problems(MapNotFound, RevisionNotFound, AmbiguousRevision, CorruptFile, *READING),
+        **problems(*errors.NAMED_REVISION, stored.CorruptFile, *errors.READING),
     },
 )
 def download_revision(map_slug: MapSlug, revision: RevisionId, running: Running) -> FileResponse:
@@ -169,7 +148,7 @@ def download_revision(map_slug: MapSlug, revision: RevisionId, running: Running)
     "/maps/{map}/revisions/{revision}",
     dependencies=[needs(Scope.MAPS_WRITE)],
     status_code=status.HTTP_204_NO_CONTENT,
-    responses=problems(MapNotFound, RevisionNotFound, AmbiguousRevision, RevisionIsLive, *WRITING),
+    responses=problems(*errors.NAMED_REVISION, stored.RevisionIsLive, *errors.WRITING),
 )
 def delete_revision(map_slug: MapSlug, revision: RevisionId, running: Running) -> None:
     """Remove a revision that is not live; signatures made with it are stale from then on."""
@@ -180,7 +159,7 @@ def delete_revision(map_slug: MapSlug, revision: RevisionId, running: Running) -
     "/maps/{map}/live",
     dependencies=[needs(Scope.MAPS_WRITE)],
     responses=problems(
-        MapNotFound, RevisionNotFound, AmbiguousRevision, MapChanged, *JSON_BODY, *WRITING
+        *errors.NAMED_REVISION, stored.MapChanged, *errors.JSON_BODY, *errors.WRITING
     ),
 )
 def make_live(
@@ -194,9 +173,7 @@ def make_live(
     note(f"revision {wanted.revision}")
     running.store.revisions.set_live(map_slug, wanted.revision, if_version=version_seen(if_match))
     running.collector.wake()
-    record = running.store.maps.get(map_slug)
-    response.headers["ETag"] = etag_of(record.version)
-    return MapOut.from_record(record, running.settings.retention)
+    return shown_map(running.store.maps.get(map_slug), running, response)
 
 
 @router.get(
@@ -206,7 +183,7 @@ def make_live(
     responses={
         200: {"content": {_NPZ: {"schema": {"type": "string", "format": "binary"}}}},
         304: {"description": "The vehicle's copy is the basis of this revision."},
-        **problems(*_OF_ONE, UnknownSegment, InvalidRequest),
+        **problems(*errors.REVISION, *errors.READING, UnknownSegment, errors.InvalidRequest),
     },
 )
 @heavy
@@ -256,7 +233,7 @@ def get_basis(
 @router.get(
     "/maps/{map}/topology",
     dependencies=[needs(Scope.MAPS_READ)],
-    responses=problems(*_OF_ONE),
+    responses=problems(*errors.REVISION, *errors.READING),
 )
 @heavy
 def get_topology(map_slug: MapSlug, running: Running, revision: OneRevision = None) -> TopologyOut:

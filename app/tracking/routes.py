@@ -8,46 +8,27 @@ from fastapi import Path, Query, Response
 from app.access.dependency import Asking
 from app.access.scopes import Scope, needs
 from app.drives.routes import BAD_SCAN
-from app.http.bodies.bodies import SCAN_BODY, Body, ContentType, media_type
-from app.http.errors import (
-    ANY_BODY,
-    READING,
-    InvalidRequest,
-    TooManyTracks,
-    TooManyTracksOfKey,
-    TrackNotFound,
-)
+from app.http import errors
+from app.http.bodies.bodies import SCAN_TYPES, Body, ContentType, described_body, media_type
 from app.http.pooled_route import pooled_router
 from app.http.problems import problems
 from app.localization.routes import (
     IMAGE_TYPE,
     SIGNATURE_TYPE,
+    SIGNATURE_TYPES,
     SensorHeight,
     read_image,
     read_signatures,
 )
+from app.localization.schemas import SignaturesIn
 from app.service import MapSlug, Running, Service
 from app.tracking.schemas import TrackOut, TrackStepOut
 from app.tracking.tracks import LiveTrack
+from core import errors as core
 from core.encodings.signature import Signature
-from core.errors import (
-    InvalidImage,
-    InvalidParameters,
-    InvalidSignature,
-    SensorMismatch,
-    StaleObservation,
-    StaleSignature,
-    UnknownSegment,
-)
 from core.localization.localizer import Localizer
 from core.tracking.track import Observation
-from storage.errors import (
-    AmbiguousRevision,
-    CorruptFile,
-    MapNotFound,
-    NoLiveRevision,
-    RevisionNotFound,
-)
+from storage import errors as stored
 from storage.formats.errors import EmptyBody
 from storage.formats.scans.registry import read_scan
 
@@ -57,28 +38,10 @@ router = pooled_router(tags=["tracks"], prefix="/maps/{map}/tracks")
 
 TrackId = Annotated[str, Path(alias="track", description="The track's name.")]
 
-_OBSERVATION_BODY = {
-    "requestBody": {
-        "required": True,
-        "content": {
-            **SCAN_BODY["requestBody"]["content"],
-            "application/json": {"schema": {"$ref": "#/components/schemas/SignaturesIn"}},
-            SIGNATURE_TYPE: {
-                "schema": {
-                    "type": "string",
-                    "format": "binary",
-                    "description": "Packed: docs/reference/signature.md.",
-                }
-            },
-            IMAGE_TYPE: {
-                "schema": {
-                    "type": "string",
-                    "format": "binary",
-                    "description": "An image on the map's grid, as localizations take it.",
-                }
-            },
-        },
-    }
+_OBSERVATION_TYPES = {
+    **SCAN_TYPES,
+    **SIGNATURE_TYPES,
+    IMAGE_TYPE: "An image on the map's grid, as localizations take it.",
 }
 
 
@@ -87,15 +50,11 @@ _OBSERVATION_BODY = {
     dependencies=[needs(Scope.LOCALIZE)],
     status_code=HTTPStatus.CREATED,
     responses=problems(
-        MapNotFound,
-        NoLiveRevision,
-        RevisionNotFound,
-        AmbiguousRevision,
-        CorruptFile,
-        TooManyTracks,
-        TooManyTracksOfKey,
-        InvalidRequest,
-        *READING,
+        *errors.REVISION,
+        errors.TooManyTracks,
+        errors.TooManyTracksOfKey,
+        errors.InvalidRequest,
+        *errors.READING,
     ),
 )
 def create_track(
@@ -129,7 +88,7 @@ def create_track(
 @router.get(
     "/{track}",
     dependencies=[needs(Scope.LOCALIZE)],
-    responses=problems(MapNotFound, TrackNotFound, *READING),
+    responses=problems(stored.MapNotFound, errors.TrackNotFound, *errors.READING),
 )
 def get_track(map_slug: MapSlug, track_id: TrackId, running: Running) -> TrackOut:
     """Show a track and its last answer."""
@@ -141,7 +100,7 @@ def get_track(map_slug: MapSlug, track_id: TrackId, running: Running) -> TrackOu
     "/{track}",
     dependencies=[needs(Scope.LOCALIZE)],
     status_code=HTTPStatus.NO_CONTENT,
-    responses=problems(MapNotFound, TrackNotFound, *READING),
+    responses=problems(stored.MapNotFound, errors.TrackNotFound, *errors.READING),
 )
 def delete_track(map_slug: MapSlug, track_id: TrackId, running: Running) -> None:
     """End a track."""
@@ -152,22 +111,22 @@ def delete_track(map_slug: MapSlug, track_id: TrackId, running: Running) -> None
 @router.post(
     "/{track}/observations",
     dependencies=[needs(Scope.LOCALIZE)],
-    openapi_extra=_OBSERVATION_BODY,
+    openapi_extra=described_body(_OBSERVATION_TYPES, SignaturesIn),
     responses=problems(
-        MapNotFound,
-        TrackNotFound,
-        StaleObservation,
-        StaleSignature,
-        UnknownSegment,
-        InvalidSignature,
-        InvalidImage,
-        InvalidParameters,
-        InvalidRequest,
-        SensorMismatch,
+        stored.MapNotFound,
+        errors.TrackNotFound,
+        core.StaleObservation,
+        core.StaleSignature,
+        core.UnknownSegment,
+        core.InvalidSignature,
+        core.InvalidImage,
+        core.InvalidParameters,
+        errors.InvalidRequest,
+        core.SensorMismatch,
         EmptyBody,
-        *ANY_BODY,
+        *errors.ANY_BODY,
         *BAD_SCAN,
-        *READING,
+        *errors.READING,
     ),
 )
 def observe(

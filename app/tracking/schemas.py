@@ -1,9 +1,10 @@
 """Tracks over the wire."""
 
-from pydantic import BaseModel, Field, field_validator
+from pydantic import Field, field_validator
 
 from app.drives.pose_schemas import PoseOut
 from app.http.exact_types import Number, integers
+from app.http.shown import Shown
 from app.localization.schemas import SignaturesIn
 from app.tracking.tracks import LiveTrack
 from core.tracking.step import Direction, Doubt, TrackStep
@@ -34,7 +35,7 @@ class ObservationIn(SignaturesIn):
         return Observation(self.to_core(), self.timestamp_s, self.sequence, self.travelled_m)
 
 
-class TrackStepOut(BaseModel):
+class TrackStepOut(Shown):
     """Where the vehicle is taken to be.
 
     The likeliest place is told in any case; `localized` says whether to believe it.
@@ -85,33 +86,15 @@ class TrackStepOut(BaseModel):
     def from_core(cls, track: str, step: TrackStep, live_revision: str | None) -> "TrackStepOut":
         """Show an answer."""
         sigma_m = step.along_sigma_m
-        return cls(
+        return cls.of(
+            step,
             track=track,
-            revision=step.revision,
             live_revision=live_revision,
-            observations=step.observations,
-            localized=step.localized,
-            reason=step.reason,
-            segment=step.segment,
-            segment_probability=step.segment_probability,
-            segment_sure=step.segment_sure,
-            fraction=step.fraction,
-            drive=step.drive,
-            scan_index=step.scan_index,
-            distance=step.distance,
-            probability=step.probability,
-            direction=step.direction,
-            standing=step.standing,
-            along_sigma_m=sigma_m,
             along_variance_m2=None if sigma_m is None else sigma_m * sigma_m,
-            along_sigma_scans=step.along_sigma_scans,
-            turn_deg=step.turn_deg,
-            lateral_m=step.lateral_m,
-            pose=None if step.pose is None else PoseOut.from_core(step.pose),
         )
 
 
-class TrackOut(BaseModel):
+class TrackOut(Shown):
     """A track and its last answer."""
 
     track: str = Field(description="Its name.")
@@ -127,10 +110,10 @@ class TrackOut(BaseModel):
     ) -> "TrackOut":
         """Show a track."""
         last = found.last
-        return cls(
+        return cls.of(
+            found,
             track=found.id,
             map=map_slug,
-            revision=found.revision,
             live_revision=live_revision,
             idle_s=idle_s,
             last=None if last is None else TrackStepOut.from_core(found.id, last, live_revision),

@@ -13,16 +13,8 @@ from starlette.types import Message
 from app.access.access import sent_hash
 from app.access.dependency import stream_caller
 from app.access.scopes import Scope
+from app.http import errors
 from app.http.bodies.json_body import read_json
-from app.http.errors import (
-    BodyTooLarge,
-    HostNotAllowed,
-    InvalidRequest,
-    KeyNeeded,
-    KeyRefused,
-    ScopeMissing,
-    TrackNotFound,
-)
 from app.http.problems import problem_response
 from app.service import Service
 from app.tracking.routes import track_of
@@ -36,7 +28,14 @@ __all__ = ["router"]
 
 router = APIRouter(tags=["tracks"])
 
-_ENDING = (TrackNotFound, MapNotFound, HostNotAllowed, KeyNeeded, KeyRefused, ScopeMissing)
+_ENDING = (
+    errors.TrackNotFound,
+    MapNotFound,
+    errors.HostNotAllowed,
+    errors.KeyNeeded,
+    errors.KeyRefused,
+    errors.ScopeMissing,
+)
 
 
 @router.websocket("/maps/{map}/tracks/{track}/stream")
@@ -79,7 +78,7 @@ async def _answer(
         answer = await service.pools.of_body(len(body)).run(key_id, work)
     except TensorMapError as error:
         await websocket.send_text(bytes(problem_response(error).body).decode())
-        if isinstance(error, BodyTooLarge):
+        if isinstance(error, errors.BodyTooLarge):
             await _close(websocket, status.WS_1009_MESSAGE_TOO_BIG)
         if isinstance(error, _ENDING):
             await _close(websocket, status.WS_1008_POLICY_VIOLATION)
@@ -117,7 +116,7 @@ def _observe(
     stream_caller(websocket, Scope.LOCALIZE, map_slug=map_slug)
     limit = service.settings.max_json_bytes
     if len(body) > limit:
-        raise BodyTooLarge(f"the message has {len(body)} bytes, at most {limit} are read")
+        raise errors.BodyTooLarge(f"the message has {len(body)} bytes, at most {limit} are read")
     found, live = track_of(service, map_slug, track_id)
     step = found.observe(_observation(body))
     service.metrics.localized("track", step.reason)
@@ -132,4 +131,4 @@ def _observation(body: bytes | str) -> Observation:
     except RequestValidationError as error:
         found = error.errors()[0]
         where = "/".join(map(str, found["loc"][1:]))
-        raise InvalidRequest(f"{where}: {found['msg']}"[:200]) from None
+        raise errors.InvalidRequest(f"{where}: {found['msg']}"[:200]) from None

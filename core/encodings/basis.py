@@ -22,6 +22,7 @@ __all__ = [
     "HarmonicBasis",
     "PaperBasis",
     "harmonic_basis_digest",
+    "make_same_signatures",
     "paper_basis_digests",
 ]
 
@@ -40,6 +41,11 @@ _OF_SIGNATURES = (
 def harmonic_basis_digest(parameters: MapParameters, radial_basis: Float32Array) -> str:
     """Return what names a harmonic basis: equal ones make equal signatures of every scan."""
     return content_digest({"radial_basis": radial_basis}, _of_signatures(parameters))
+
+
+def make_same_signatures(one: MapParameters, other: MapParameters) -> bool:
+    """Return whether maps of these parameters that share a basis encode every scan alike."""
+    return _of_signatures(one) == _of_signatures(other)
 
 
 def paper_basis_digests(

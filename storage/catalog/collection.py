@@ -144,9 +144,11 @@ def _collectable(
 
 
 def _bases(session: Session, map_id: str) -> set[str]:
-    """Return the digests, or prefixes of them, that jobs which wait or run are based on."""
-    query = select(Job.parameters).where(Job.map_id == map_id, Job.state.in_(_OPEN))
-    bases = {parameters.get("base") for parameters in session.scalars(query)}
+    """Return the digests, or prefixes of them, of what jobs that wait or run read."""
+    query = select(Job.parameters, Job.plan).where(Job.map_id == map_id, Job.state.in_(_OPEN))
+    bases: set[str | None] = set()
+    for parameters, plan in session.execute(query):
+        bases |= {parameters.get("base"), (plan or {}).get("basis_kept_from")}
     return {base for base in bases if base and base != "live"}
 
 

@@ -160,7 +160,7 @@ def _engine(url: str) -> Engine:
         return create_engine(url, pool_size=16, max_overflow=32, pool_pre_ping=kind != "sqlite")
     except ModuleNotFoundError as error:
         raise StorageUnavailable(
-            f"a {kind} catalog needs Python's {error.name}: install tensormap-server[postgresql]"
+            f"a {kind} catalog needs Python's {error.name}: pip install '.[postgresql]' in a clone"
         ) from error
     except NoSuchModuleError as error:
         raise StorageUnavailable(f"there is no such driver of a catalog: {error}") from None

@@ -33,6 +33,7 @@ class Jobs(Repository):
         map_slug: str,
         parameters: Mapping[str, Any],
         *,
+        plan: Mapping[str, Any] | None = None,
         kind: str = "build",
         request: RequestKey | None = None,
         key_id: str | None = None,
@@ -42,7 +43,8 @@ class Jobs(Repository):
 
         Args:
             map_slug: Of the map that it is for.
-            parameters: What it is to do.
+            parameters: What it is to do, as it was asked for.
+            plan: The same with all that was left open chosen.
             kind: What it is.
             request: Which makes at most one job.
             key_id: Of the key that asks for it.
@@ -62,6 +64,7 @@ class Jobs(Repository):
             done_units=0,
             total_units=0,
             parameters=dict(parameters),
+            plan=None if plan is None else dict(plan),
             cancel_requested=False,
             request_key=None if request is None else request.key,
             request_digest=None if request is None else request.digest,

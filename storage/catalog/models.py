@@ -255,6 +255,7 @@ class Job(Base):
     done_units: Mapped[int] = mapped_column(BigInteger)
     total_units: Mapped[int] = mapped_column(BigInteger)
     parameters: Mapped[dict[str, Any]] = mapped_column(JSON)
+    plan: Mapped[dict[str, Any] | None] = mapped_column(JSON(none_as_null=True))
     error_type: Mapped[str | None] = mapped_column(PlainString(128))
     error_detail: Mapped[str | None] = mapped_column(PlainText())
     # Not a foreign key: a job remembers what it built after that was deleted.

@@ -227,6 +227,8 @@ class JobRecord:
         notes: What it tells about what it built.
         result: What it decided about it, in plain values.
         key_id: Id of the key that asked for it, `None` where that was not written down.
+        plan: What it does, with all that `parameters` leave open chosen when it was queued; `None`
+            of a job that an earlier version queued.
     """
 
     id: str
@@ -248,6 +250,7 @@ class JobRecord:
     result: Mapping[str, Any] = field(default_factory=dict)
     stage_started_at: datetime | None = None
     key_id: str | None = None
+    plan: Mapping[str, Any] | None = None
 
     @property
     def ended(self) -> bool:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from core.errors import TensorMapError
 from core.mapping.tensormap import TensorMap
-from core.parameters import Encoding
+from core.parameters import Encoding, MapParameters
 from storage.errors import CorruptFile
 from storage.files.durable_file import reading_back, write_whole
 from storage.files.json_text import MOST_JSON_BYTES, parse_json
@@ -33,6 +33,7 @@ __all__ = [
     "FORMAT_VERSION",
     "map_of_bytes",
     "read_map",
+    "read_parameters",
     "read_revision",
     "write_map",
 ]
@@ -155,6 +156,24 @@ def read_revision(path: Path, digest: str) -> TensorMap:
     return tensor_map
 
 
+def read_parameters(path: Path, digest: str) -> tuple[MapParameters, tuple[str, ...]]:
+    """Return what a stored revision was built with, and of which drives; no array is read.
+
+    Raises:
+        CorruptFile: If the file is no map, or says that it holds another revision.
+        FileNotFoundError: If there is no such file.
+    """
+    with _named(path.name), FileSource(path) as source:
+        attributes, said = _head(Hdf5File(source))
+        if said != digest:
+            raise CorruptFile(f"it says it holds {said}, not revision {digest}")
+        parameters = MapParameters.from_attributes(attributes)
+        drives = attributes.get("drives")
+        if not isinstance(drives, list) or not all(isinstance(name, str) for name in drives):
+            raise CorruptFile(f"its drives are {drives!r:.80}, wanted a list of names")
+        return parameters, tuple(drives)
+
+
 class _CheckedFiles:
     """The files of which this process has checked the digest, those read last."""
 
@@ -195,13 +214,7 @@ def _whole(source: Source) -> TensorMap:
 
 def _parts(source: Source) -> tuple[dict[str, NDArray[Any]], dict[str, Any], str]:
     file = Hdf5File(source)
-    told = file.attributes
-    if "format" not in told or told.text("format", _MOST_WORD_BYTES) != FORMAT:
-        raise CorruptFile("it has no attribute format = tensormap")
-    version = told.whole("format_version")
-    if version != FORMAT_VERSION:
-        raise CorruptFile(f"its format version is {version}, {FORMAT_VERSION} is read here")
-    attributes = parse_json(told.text("attributes", MOST_JSON_BYTES), "its attribute attributes")
+    attributes, digest = _head(file)
     dtypes = _dtypes(attributes)
     if not file.names.isdisjoint(_OF_JOINED):
         dtypes = {**dtypes, **_OF_JOINED}
@@ -215,7 +228,19 @@ def _parts(source: Source) -> tuple[dict[str, NDArray[Any]], dict[str, Any], str
     if size_bytes > source.size_bytes:
         raise CorruptFile(f"its arrays take {size_bytes} bytes, the file {source.size_bytes}")
     arrays = {name: dataset.read() for name, dataset in datasets.items()}
-    return arrays, attributes, told.text("digest", _MOST_WORD_BYTES)
+    return arrays, attributes, digest
+
+
+def _head(file: Hdf5File) -> tuple[dict[str, Any], str]:
+    """Return the map's attributes, and the digest that the file says it has."""
+    told = file.attributes
+    if "format" not in told or told.text("format", _MOST_WORD_BYTES) != FORMAT:
+        raise CorruptFile("it has no attribute format = tensormap")
+    version = told.whole("format_version")
+    if version != FORMAT_VERSION:
+        raise CorruptFile(f"its format version is {version}, {FORMAT_VERSION} is read here")
+    attributes = parse_json(told.text("attributes", MOST_JSON_BYTES), "its attribute attributes")
+    return attributes, told.text("digest", _MOST_WORD_BYTES)
 
 
 def _dtypes(attributes: object) -> dict[str, str]:

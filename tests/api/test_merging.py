@@ -88,6 +88,10 @@ def test_a_vehicle_keeps_its_basis_when_a_drive_is_added(campus, encoding):
     etag = campus.get("/v1/maps/campus/basis").headers["ETag"]
     added = built(campus, base="live", add=["alpha"], make_live=True)
     assert added["revision"] != held.revision
+    assert added["plan"]["drives"] == ["monday", "alpha"]
+    kept_from = held.revision if encoding == "harmonic" else None
+    assert added["plan"]["basis_kept_from"] == kept_from
+    assert added["plan"]["parameters"]["base"] == held.revision
     record = revision_of(campus, added)
     assert record["live"]
     assert record["parameters"]["drives"] == ["monday", "alpha"]

@@ -75,6 +75,7 @@ def test_a_fault_is_logged_with_its_traceback_under_the_requests_id(own, logged,
     assert fault["request_id"] == request["request_id"] == failed.json()["request_id"]
     assert "not foreseen" in fault["traceback"]
     assert request["status"] == 500
+    assert failed.headers["X-Content-Type-Options"] == "nosniff"  # as every answer has it
 
 
 def test_neither_keys_nor_bodies_nor_queries_are_logged(tmp_path, logged):
@@ -102,7 +103,7 @@ def test_a_stream_is_logged_once_with_its_route(own, logged):
         pass
     [stream] = [line for line in logged() if line["event"] == "stream"]
     assert stream["route"] == "/v1/maps/{map}/tracks/{track}/stream"
-    assert stream["status"] == 101
+    assert (stream["status"], stream["key"]) == (101, "everyone")
     assert stream["request_id"]
 
 

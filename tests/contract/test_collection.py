@@ -107,6 +107,15 @@ def test_the_base_of_a_job_stays_until_the_job_has_ended(catalog):
     assert catalog.collector.collectable(map_id(catalog), NONE) == (B, C)
 
 
+def test_the_revision_whose_basis_a_job_keeps_stays_until_the_job_has_ended(catalog):
+    add(catalog, A, B, C)
+    assert B in catalog.collector.collectable(map_id(catalog), NONE)
+    queued = catalog.jobs.create("campus", {}, plan={"basis_kept_from": B})
+    assert B not in catalog.collector.collectable(map_id(catalog), NONE)
+    catalog.jobs.request_cancel(queued.id)
+    assert B in catalog.collector.collectable(map_id(catalog), NONE)
+
+
 def put(catalog, indices, chunk):
     target = catalog.scans.target("campus", "monday", indices)
     records = [

@@ -28,7 +28,8 @@ def settings_table() -> Iterator[str]:
     yield "|---|---|---|"
     for name, field in Settings.model_fields.items():
         default = "" if field.default in (None, PydanticUndefined, ()) else f"`{field.default}`"
-        yield f"| `TENSORMAP_{name.upper()}` | {default} | {field.description} |"
+        meaning = " ".join((field.description or "").split())
+        yield f"| `TENSORMAP_{name.upper()}` | {default} | {meaning} |"
 
 
 def routes_table() -> Iterator[str]:

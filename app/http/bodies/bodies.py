@@ -1,7 +1,7 @@
 """Request bodies: which are read, how they are checked, and how a route takes one."""
 
 import re
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Mapping
 from functools import partial
 from typing import TYPE_CHECKING, Annotated, Any, Generic, TypeVar
 
@@ -11,21 +11,23 @@ from pydantic import BaseModel
 from starlette.datastructures import Headers
 from starlette.types import ASGIApp, Receive, Scope, Send
 
-from app.access.access import Access, sender_of
+from app.access.access import Access
 from app.http.bodies.content_digest import ContentDigest
 from app.http.bodies.content_encoding import decoder_of
 from app.http.bodies.incoming import Incoming, Limits
 from app.http.bodies.json_body import read_json
 from app.http.bodies.pace import Pace
 from app.http.bodies.spool import Spool
+from app.http.context import RequestContext, context_of
 from app.http.errors import BodyTooLarge, UnsupportedBody
+from app.http.openapi import reference
 from app.http.problems import problem_response
 from app.settings import Settings
 from core.errors import TensorMapError
 from storage.formats.scans.registry import SCAN_FORMATS
 
 __all__ = [
-    "SCAN_BODY",
+    "SCAN_TYPES",
     "AsItComes",
     "Body",
     "BodyGuard",
@@ -33,8 +35,7 @@ __all__ = [
     "Json",
     "JsonFrom",
     "Received",
-    "binary_body",
-    "described_json",
+    "described_body",
     "incoming_of",
     "media_type",
 ]
@@ -43,7 +44,6 @@ M = TypeVar("M", bound=BaseModel)
 T = TypeVar("T")
 
 _MANY_SCANS = re.compile(r"/v1/maps/[^/]+/drives/[^/]+/scans")
-_INCOMING = "tensormap.incoming"
 _JSON = re.compile(r"application/(json|[^;\s]+\+json)")
 
 ContentType = Annotated[str | None, Header(include_in_schema=False)]
@@ -64,15 +64,17 @@ class BodyGuard:
         if scope["type"] != "http":
             await self._app(scope, receive, send)
             return
+        context = context_of(scope)
         try:
-            incoming = self._incoming(scope, Headers(scope=scope), receive)
+            context.body = self._incoming(scope, context, Headers(scope=scope), receive)
         except TensorMapError as error:
             await problem_response(error)(scope, receive, send)
             return
-        scope.setdefault("state", {})[_INCOMING] = incoming
         await self._app(scope, receive, send)
 
-    def _incoming(self, scope: Scope, headers: Headers, receive: Receive) -> Incoming:
+    def _incoming(
+        self, scope: Scope, context: RequestContext, headers: Headers, receive: Receive
+    ) -> Incoming:
         """Return the body that is to come.
 
         Raises:
@@ -90,16 +92,16 @@ class BodyGuard:
         service = scope["app"].state.service
         access: Access = service.access
         if declared.isdecimal():
-            access.spend_bytes(scope, int(declared), announced=True)
+            access.spend_bytes(context, int(declared), announced=True)
         return Incoming(
             receive,
             limits=limits,
             decoder=decoder,
             digest=digest,
             pace=Pace(self._settings),
-            spend=partial(access.spend_bytes, scope),
+            spend=partial(access.spend_bytes, context),
             room=service.spool_room,
-            key=sender_of(scope),
+            key=context.sender,
         )
 
     def _limits(self, scope: Scope, headers: Headers, *, packed: bool) -> Limits:
@@ -159,8 +161,10 @@ class ReceivedJson(Received[M]):
 
 def incoming_of(request: Request) -> Incoming:
     """Return the body of a request, of which nothing is read before it is wanted."""
-    incoming: Incoming = request.scope["state"][_INCOMING]
-    return incoming
+    body = context_of(request.scope).body
+    if body is None:  # `BodyGuard` is not there
+        raise LookupError("the body of this request was not prepared")
+    return body
 
 
 async def _received(request: Request) -> AsyncIterator[Received[bytes]]:
@@ -214,32 +218,23 @@ def media_type(content_type: str | None) -> str:
     return (content_type or "").partition(";")[0].strip().lower()
 
 
-def described_json(model: type[BaseModel]) -> dict[str, Any]:
-    """Return the `openapi_extra` of a route that takes JSON."""
-    schema = {"$ref": f"#/components/schemas/{model.__name__}"}
-    return {"requestBody": {"required": True, "content": {"application/json": {"schema": schema}}}}
+def described_body(
+    binary: Mapping[str, str], json: type[BaseModel] | None = None
+) -> dict[str, Any]:
+    """Return the `openapi_extra` of a route that takes bodies of these media types, or JSON."""
+    content: dict[str, Any] = (
+        {} if json is None else {"application/json": {"schema": reference(json)}}
+    )
+    for name, text in binary.items():
+        content[name] = {"schema": {"type": "string", "format": "binary", "description": text}}
+    return {"requestBody": {"required": True, "content": content}}
 
 
-def binary_body(**described: str) -> dict[str, Any]:
-    """Return the `openapi_extra` of a route that takes bodies of these media types."""
-    return {
-        "requestBody": {
-            "required": True,
-            "content": {
-                name: {"schema": {"type": "string", "format": "binary", "description": text}}
-                for name, text in described.items()
-            },
-        }
-    }
-
-
-SCAN_BODY = binary_body(
+SCAN_TYPES = {
     **{
         f.media_type: f"A scan as {f.name} ({' '.join(f.suffixes) or 'no suffix'})"
         for f in SCAN_FORMATS
     },
-    **{
-        "application/octet-stream": "A scan whose first bytes tell its format: "
-        + ", ".join(f.name for f in SCAN_FORMATS if f.magics)
-    },
-)
+    "application/octet-stream": "A scan whose first bytes tell its format: "
+    + ", ".join(f.name for f in SCAN_FORMATS if f.magics),
+}

@@ -1,8 +1,8 @@
 """Compressed bodies: unpacked a piece at a time, so that no bomb takes the memory it asks for."""
 
 import zlib
-from collections.abc import Iterator
-from typing import Protocol
+from collections.abc import Callable, Iterator
+from typing import Any
 
 import zstandard
 
@@ -24,8 +24,27 @@ _ZSTD_SLICE_BYTES = 2**10
 _ZSTD_WINDOW_BYTES = 8 * 2**20  # RFC 9659: no more may be asked of whoever reads a body
 
 
-class Decoder(Protocol):
-    """Unpacks a body that comes in chunks."""
+class Decoder:
+    """Unpacks a body that comes in chunks, of one member or frame after another.
+
+    Args:
+        encoding: Its name, for errors.
+        begin: Gives what unpacks the next member.
+        unpack: Gives a piece of what a part unpacks to, with what unpacks.
+        slice_bytes: How much is unpacked at once.
+    """
+
+    def __init__(
+        self,
+        encoding: str,
+        begin: Callable[[], Any],
+        unpack: Callable[[Any, bytes], bytes],
+        slice_bytes: int,
+    ) -> None:
+        self._encoding, self._begin, self._unpack = encoding, begin, unpack
+        self._slice_bytes = slice_bytes
+        self._unpacker = begin()
+        self._sent = self._unpacked = self._members = 0
 
     def feed(self, chunk: bytes) -> Iterator[bytes]:
         """Give what a chunk unpacks to, in pieces.
@@ -34,6 +53,23 @@ class Decoder(Protocol):
             MalformedBody: If it does not unpack, or has too many members for what they hold.
             BodyTooLarge: If it unpacks to many times its size.
         """
+        # What is left of a slice is copied for each member and piece: short slices keep it linear.
+        for start in range(0, len(chunk), self._slice_bytes):
+            part = chunk[start : start + self._slice_bytes]
+            self._sent += len(part)
+            while part:
+                if self._unpacker.eof:
+                    self._require_filled_members()
+                    self._unpacker = self._begin()
+                try:
+                    piece = self._unpack(self._unpacker, part)
+                except (zlib.error, zstandard.ZstdError) as error:
+                    raise MalformedBody(
+                        f"the {self._encoding} body does not unpack: {error}"
+                    ) from error
+                yield piece
+                self._require_proportion(len(piece))  # the reader's own limit comes first
+                part = self._unpacker.unconsumed_tail or self._unpacker.unused_data
 
     def finish(self) -> None:
         """Check that the end was reached.
@@ -41,6 +77,27 @@ class Decoder(Protocol):
         Raises:
             MalformedBody: If more should have come.
         """
+        if not self._unpacker.eof:
+            raise MalformedBody(f"the {self._encoding} body ends before its end")
+
+    def _require_filled_members(self) -> None:
+        """Count a member that begins; refuse too many for what they hold."""
+        self._members += 1
+        most = _STRAY_MEMBERS + self._unpacked // _MEMBER_BYTES
+        if self._members > most:
+            raise MalformedBody(
+                f"the {self._encoding} body has more than {most} members for {self._unpacked}"
+                f" bytes: beyond the first {_STRAY_MEMBERS} they must hold {_MEMBER_BYTES} each"
+            )
+
+    def _require_proportion(self, count: int) -> None:
+        """Count bytes that were given; refuse too many for those that were sent."""
+        self._unpacked += count
+        if self._unpacked > max(_ANY_RATIO_BYTES, self._sent * _RATIO):
+            raise BodyTooLarge(
+                f"the {self._encoding} body unpacks to more than {_RATIO} times its size:"
+                f" {self._unpacked} bytes of the first {self._sent}"
+            )
 
 
 def decoder_of(content_encoding: str) -> Decoder | None:
@@ -53,104 +110,20 @@ def decoder_of(content_encoding: str) -> Decoder | None:
         case "" | "identity":
             return None
         case "gzip" | "x-gzip":
-            return _Gzip()
+            return Decoder(
+                "gzip",
+                lambda: zlib.decompressobj(wbits=31),
+                lambda unpacker, part: unpacker.decompress(part, _PIECE_BYTES),
+                _GZIP_SLICE_BYTES,
+            )
         case "zstd":
-            return _Zstd()
+            frames = zstandard.ZstdDecompressor(max_window_size=_ZSTD_WINDOW_BYTES)
+            return Decoder(
+                "zstd",
+                frames.decompressobj,
+                lambda unpacker, part: unpacker.decompress(part),
+                _ZSTD_SLICE_BYTES,
+            )
         case other:
             wanted = ", ".join(ENCODINGS)
             raise UnsupportedBody(f"Content-Encoding is {other[:40]!r}, wanted {wanted} or none")
-
-
-class _Budget:
-    """What may come out of a body, and of how many members or frames, for what went in."""
-
-    def __init__(self, encoding: str) -> None:
-        self._encoding = encoding
-        self._sent = self._unpacked = self._members = 0
-
-    def sent(self, count: int) -> None:
-        """Count bytes as they came."""
-        self._sent += count
-
-    def member(self) -> None:
-        """Count a member that begins.
-
-        Raises:
-            MalformedBody: If there are too many for what they hold.
-        """
-        self._members += 1
-        most = _STRAY_MEMBERS + self._unpacked // _MEMBER_BYTES
-        if self._members > most:
-            raise MalformedBody(
-                f"the {self._encoding} body has more than {most} members for {self._unpacked}"
-                f" bytes: beyond the first {_STRAY_MEMBERS} they must hold {_MEMBER_BYTES} each"
-            )
-
-    def unpacked(self, count: int) -> None:
-        """Count bytes that were given.
-
-        Raises:
-            BodyTooLarge: If they are too many for those that were sent.
-        """
-        self._unpacked += count
-        if self._unpacked > max(_ANY_RATIO_BYTES, self._sent * _RATIO):
-            raise BodyTooLarge(
-                f"the {self._encoding} body unpacks to more than {_RATIO} times its size:"
-                f" {self._unpacked} bytes of the first {self._sent}"
-            )
-
-
-class _Gzip:
-    def __init__(self) -> None:
-        self._unpacker = zlib.decompressobj(wbits=31)
-        self._budget = _Budget("gzip")
-
-    def feed(self, chunk: bytes) -> Iterator[bytes]:
-        # What is left of a slice is copied for each member and piece: short slices keep it linear.
-        for start in range(0, len(chunk), _GZIP_SLICE_BYTES):
-            part = chunk[start : start + _GZIP_SLICE_BYTES]
-            self._budget.sent(len(part))
-            while part:
-                if self._unpacker.eof:  # one member after the other
-                    self._budget.member()
-                    self._unpacker = zlib.decompressobj(wbits=31)
-                try:
-                    piece = self._unpacker.decompress(part, _PIECE_BYTES)
-                except zlib.error as error:
-                    raise MalformedBody(f"the gzip body does not unpack: {error}") from error
-                yield piece
-                self._budget.unpacked(len(piece))  # the reader's own limit comes first
-                part = self._unpacker.unconsumed_tail or self._unpacker.unused_data
-
-    def finish(self) -> None:
-        if not self._unpacker.eof:
-            raise MalformedBody("the gzip body ends before its end")
-
-
-class _Zstd:
-    def __init__(self) -> None:
-        self._frames = zstandard.ZstdDecompressor(max_window_size=_ZSTD_WINDOW_BYTES)
-        self._unpacker = self._frames.decompressobj()
-        self._begun = False
-        self._budget = _Budget("zstd")
-
-    def feed(self, chunk: bytes) -> Iterator[bytes]:
-        for start in range(0, len(chunk), _ZSTD_SLICE_BYTES):
-            part = chunk[start : start + _ZSTD_SLICE_BYTES]
-            self._budget.sent(len(part))
-            while part:
-                if self._unpacker.eof:  # one frame after the other
-                    self._budget.member()
-                    self._unpacker = self._frames.decompressobj()
-                self._begun = True
-                try:
-                    piece = self._unpacker.decompress(part)
-                except zstandard.ZstdError as error:
-                    raise MalformedBody(f"the zstd body does not unpack: {error}") from error
-                yield piece
-                self._budget.unpacked(len(piece))  # the reader's own limit comes first
-                part = self._unpacker.unused_data if self._unpacker.eof else b""
-
-    def finish(self) -> None:
-        if not (self._begun and self._unpacker.eof):
-            raise MalformedBody("the zstd body ends before its end")

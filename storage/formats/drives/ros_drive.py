@@ -165,7 +165,7 @@ def open_ros_drive(path: Path, topic: str | None = None, *, min_returns: int = 1
         from rosbags.typesys import Stores, get_typestore
     except ModuleNotFoundError as error:
         raise MalformedDrive(
-            f"to read {path.name}, Python's {error.name} is needed: install tensormap-server[ros]"
+            f"to read {path.name}, Python's {error.name} is needed: pip install '.[ros]' in a clone"
         ) from error
     drive = None
     topics: Counter[str] = Counter()

@@ -6,7 +6,9 @@ import pytest
 from app.builds import pipelines
 from app.builds.live_gate import pass_gate
 from app.builds.parameters import BuildParameters
-from app.builds.pipelines import Built, build_revision
+from app.builds.pipelines import Built
+from app.builds.pipelines import build_revision as build_planned
+from app.builds.plans import plan_build
 from core.mapping.merge import BasisFit
 from core.progress import Progress
 from storage.catalog import JobState
@@ -30,6 +32,10 @@ def store(tmp_path):
 
 def put(store):
     store.drives.put_scans("campus", "monday", list(enumerate(recording().scans[:SCANS])))
+
+
+def build_revision(store, map_id, parameters, *progress, **job):
+    return build_planned(store, map_id, plan_build(store, map_id, parameters), *progress, **job)
 
 
 class AtTheEnd:

@@ -181,5 +181,5 @@ def test_coordinates_that_are_integers_are_refused(tmp_path):
 
 def test_without_the_library_it_is_told_what_to_install(bags, monkeypatch):
     monkeypatch.setitem(sys.modules, "rosbags.highlevel", None)
-    with pytest.raises(MalformedDrive, match=r"tensormap-server\[ros\]"):
+    with pytest.raises(MalformedDrive, match=r"pip install .\.\[ros\]"):
         open_drive(bags["mcap"])

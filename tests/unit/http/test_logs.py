@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from app.http.context import accepted_id, current_id, enter_request
 from app.http.logs import LogFormat, _Seldom, _TextLine, configure_logging, fields
-from app.http.request_id import accepted_id, current_id, enter_request
 
 
 @pytest.fixture
@@ -75,7 +75,7 @@ def test_no_key_and_no_token_stands_in_a_line(lines, prefix):
 
 def test_a_line_is_of_the_request_that_it_was_written_in(lines):
     def answer():
-        enter_request("truck-7")
+        enter_request({"headers": [(b"x-request-id", b"truck-7")]})
         assert current_id() == "truck-7"
         logging.getLogger("tensormap").info("during")
 

@@ -1,0 +1,89 @@
+"""The context of a request: who sent it and what is known of it, for logs, limits and answers."""
+
+import re
+import secrets
+from contextvars import ContextVar
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from starlette.datastructures import Headers
+from starlette.types import Scope
+
+if TYPE_CHECKING:  # they import modules that log, and every log line reads the context
+    from app.access.caller import Caller
+    from app.access.rate_limits import Allowance
+    from app.http.bodies.incoming import Incoming
+
+__all__ = ["HEADER", "RequestContext", "accepted_id", "context_of", "current_id", "enter_request"]
+
+HEADER = "X-Request-Id"
+
+_KEY = "tensormap"
+_SANE = re.compile(r"[A-Za-z0-9][A-Za-z0-9._:-]{0,63}")
+_ID_BYTES = 12
+
+
+@dataclass(slots=True)
+class RequestContext:
+    """What is known of one request; its middlewares fill it in, from the outermost inwards.
+
+    Attributes:
+        request_id: As in `X-Request-Id`, in problems and in the log.
+        sender: Whose request it is, for limits and shares: id of a key, or the client's address.
+        caller: Who sent it, once its key was checked; `None` on routes that need none.
+        allowances: What is left to the sender, by unit.
+        body: Its body, of which nothing is read before the route wants it.
+        audited: Whether a failure of it belongs into the audit log.
+        status: Of its answer, once that has begun.
+    """
+
+    request_id: str
+    sender: str
+    caller: "Caller | None" = None
+    allowances: "dict[str, Allowance]" = field(default_factory=dict)
+    body: "Incoming | None" = None
+    audited: bool = False
+    status: int | None = None
+
+    def allow(self, allowance: "Allowance | None") -> None:
+        """Note what is left to the sender, for the head of the answer."""
+        if allowance is not None:
+            self.allowances[allowance.unit.name] = allowance
+
+
+_current: ContextVar[RequestContext | None] = ContextVar("tensormap_request", default=None)
+
+
+def enter_request(scope: Scope) -> RequestContext:
+    """Return a new context; all that this task does from now on, in threads too, is within it."""
+    client = scope.get("client")
+    context = RequestContext(
+        accepted_id(Headers(scope=scope).get(HEADER)), f"address {client[0] if client else ''}"
+    )
+    scope.setdefault("state", {})[_KEY] = context
+    _current.set(context)
+    return context
+
+
+def context_of(scope: Scope) -> RequestContext:
+    """Return the context of a request or stream."""
+    context: RequestContext = scope["state"][_KEY]
+    return context
+
+
+def current_id() -> str | None:
+    """Return the id of the request that is being answered, `None` outside of one."""
+    context = _current.get()
+    return None if context is None else context.request_id
+
+
+def accepted_id(sent: str | None) -> str:
+    """Return the id that a client or proxy sent if a log can hold it, or else a new one.
+
+    Examples:
+        >>> accepted_id("truck-7:42")
+        'truck-7:42'
+        >>> len(accepted_id("two words"))
+        24
+    """
+    return sent if sent and _SANE.fullmatch(sent) else secrets.token_hex(_ID_BYTES)

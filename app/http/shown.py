@@ -1,0 +1,19 @@
+"""Models of answers that show an object of the method or of the catalog."""
+
+from typing import Any, Self
+
+from pydantic import BaseModel, ConfigDict
+
+__all__ = ["Shown"]
+
+
+class Shown(BaseModel):
+    """A model whose fields are attributes of what it shows."""
+
+    model_config = ConfigDict(from_attributes=True)
+
+    @classmethod
+    def of(cls, source: object, **other: Any) -> Self:  # noqa: ANN401 - what the fields take
+        """Return the fields as `source` has them, but for those that are given."""
+        names = cls.model_fields.keys() - other.keys()
+        return cls(**{name: getattr(source, name) for name in names}, **other)

@@ -1,0 +1,82 @@
+"""A build is planned once: from heads of files, and as things were when it was queued."""
+
+import pytest
+
+from app.builds.parameters import BuildParameters
+from app.builds.pipelines import build_revision
+from app.builds.plans import Plan, plan_build
+from storage.errors import DriveNotFound, RevisionNotFound
+from storage.hdf5.dataset import ContiguousDataset
+from storage.store import Store
+from tests.support.recording import recording
+
+
+@pytest.fixture
+def store(tmp_path):
+    with Store.serving(tmp_path) as opened:
+        opened.maps.create("campus")
+        put(opened, "monday")
+        yield opened
+
+
+@pytest.fixture
+def map_id(store):
+    return store.maps.get("campus").id
+
+
+def put(store, drive):
+    store.drives.put_scans("campus", drive, list(enumerate(recording().scans[:8])))
+
+
+def test_a_plan_names_the_drives_the_basis_and_every_parameter(store, map_id):
+    first = plan_build(store, map_id, BuildParameters(segments=2))
+    assert (first.drives, first.basis_kept_from) == (["monday"], None)
+    assert (first.parameters.segments, first.parameters.reducer) == (2, "highest")
+    live = build_revision(store, map_id, first).digest
+    put(store, "alpha")
+    again = plan_build(store, map_id, BuildParameters(base="live", add=["alpha"]))
+    assert (again.drives, again.basis_kept_from) == (["monday", "alpha"], live)
+    assert again.parameters.base == live
+    refitted = plan_build(store, map_id, BuildParameters(segments=2, refit=True))
+    other_grid = plan_build(store, map_id, BuildParameters(image="range"))
+    assert refitted.basis_kept_from is other_grid.basis_kept_from is None
+
+
+def test_to_plan_reads_no_array_of_the_live_map(store, map_id, monkeypatch):
+    build_revision(store, map_id, plan_build(store, map_id, BuildParameters(segments=2)))
+
+    def refused(*_):
+        raise AssertionError("an array is read")
+
+    monkeypatch.setattr(ContiguousDataset, "rows", refused)
+    assert (
+        plan_build(store, map_id, BuildParameters(base="live", refit=True)).basis_kept_from is None
+    )
+    assert plan_build(store, map_id, BuildParameters()).basis_kept_from is not None
+
+
+def test_a_plan_is_the_same_after_it_was_stored(store, map_id):
+    plan = plan_build(store, map_id, BuildParameters(lateral_renderings_m=[-2, 0, 2]))
+    job = store.jobs.create("campus", {}, plan=plan.model_dump(mode="json"))
+    assert Plan.model_validate(store.jobs.get(job.id).plan) == plan
+
+
+def test_what_comes_after_it_was_planned_is_not_built(store, map_id):
+    plan = plan_build(store, map_id, BuildParameters(segments=2))
+    put(store, "tuesday")
+    assert build_revision(store, map_id, plan).parameters["drives"] == ["monday"]
+
+
+def test_what_is_gone_since_it_was_planned_fails_the_build_by_name(store, map_id):
+    first = build_revision(store, map_id, plan_build(store, map_id, BuildParameters(segments=2)))
+    plan = plan_build(store, map_id, BuildParameters(segments=3))
+    wanted = BuildParameters(segments=3, refit=True, make_live=True, force=True)
+    build_revision(store, map_id, plan_build(store, map_id, wanted))
+    store.revisions.delete("campus", first.digest)
+    with pytest.raises(RevisionNotFound):
+        build_revision(store, map_id, plan)
+    put(store, "tuesday")
+    plan = plan_build(store, map_id, BuildParameters(segments=3))
+    store.drives.delete("campus", "tuesday")
+    with pytest.raises(DriveNotFound):
+        build_revision(store, map_id, plan)

@@ -1,0 +1,51 @@
+import subprocess
+import sys
+from typing import cast
+
+import pytest
+import typer
+from typer.testing import CliRunner
+
+from app.cli.main import _MODULES, cli, imported
+
+
+@pytest.mark.parametrize("name", _MODULES)
+def test_the_list_of_commands_describes_each_as_its_own_help_does(name) -> None:
+    group = cast("typer.core.TyperGroup", typer.main.get_command(cli))
+    listed = group.commands[name].help
+    assert listed
+    assert listed.split() == imported(name).help.split()
+
+
+@pytest.mark.parametrize(
+    ("words", "default"),
+    [
+        (["build"], "[last; harmonic: highest]"),
+        (["localize"], "[the map's threshold]"),
+        (["audit", "verify"], "[data]"),
+    ],
+)
+def test_the_help_of_an_option_shows_its_default_in_brackets(words, default) -> None:
+    shown = CliRunner().invoke(cli, [*words, "--help"], env={"COLUMNS": "200"}).output
+    assert default in " ".join(shown.split())
+
+
+def _printed(program: str) -> str:
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True
+    )
+    return done.stdout.splitlines()[-1]
+
+
+_RUN = "import sys; from app.cli.main import cli, imported; sys.argv[1:] = {words}; "
+
+
+def test_the_list_of_commands_imports_no_library_that_computes() -> None:
+    words = "; cli(standalone_mode=False); print(sorted({'numpy', 'fastapi'} & set(sys.modules)))"
+    assert _printed(_RUN.format(words=["--help"]).rstrip("; ") + words) == "[]"
+
+
+def test_a_command_computes_in_one_thread() -> None:
+    pools = "print({pool['num_threads'] for pool in threadpool_info()})"
+    program = f"from threadpoolctl import threadpool_info; imported('inspect'); {pools}"
+    assert _printed(_RUN.format(words=[]) + program) == "{1}"
