@@ -23,7 +23,7 @@ from core.evaluation.evaluate import Protocol, evaluate
 from core.evaluation.result import Evaluation
 from core.evaluation.split import Every
 from core.localization.localizer import Localizer, Match
-from core.mapping.build import build_map
+from core.mapping.build import fit_map
 from core.parameters import Distance, Encoding, MapParameters
 from core.projection.imager import ImageKind
 from core.projection.images import project_drive
@@ -219,7 +219,7 @@ def _localizer(
     if all_detail:
         cells = images.read(0, len(rows)).reshape(-1, *parameters.grid.shape)
         u = leading_basis(row_gram(cells), parameters.ranks[0]).astype(np.float32)
-    return Localizer(build_map(images, trajectory, cuts, parameters, radial_basis=u))
+    return Localizer(fit_map(images, trajectory, cuts, parameters, radial_basis=u))
 
 
 def _recall(matches: Sequence[Match], poses: FloatArray, *, within_m: float) -> float:

@@ -17,7 +17,7 @@ from benchmarks.timing import machine
 from core.arrays import Float32Array
 from core.encodings.grams import drive_gram, fit_radial_basis
 from core.localization.localizer import Localizer
-from core.mapping.build import build_map
+from core.mapping.build import fit_map
 from core.mapping.merge import basis_fits
 from core.parameters import Encoding, MapParameters
 from core.projection.images import project_drive
@@ -85,7 +85,7 @@ def _recall(drive: Drive, parameters: MapParameters, u: Float32Array) -> list[fl
     images = project_drive(drive, rows, parameters.imager).images
     trajectory = Trajectory.of_drive("d", drive.timestamp_s[rows], drive.poses[rows], rows)
     cuts = cut_fixed(len(rows), 760)
-    localizer = Localizer(build_map(images, trajectory, cuts, parameters, radial_basis=u))
+    localizer = Localizer(fit_map(images, trajectory, cuts, parameters, radial_basis=u))
     asked = range(1, len(drive), 2)
     hits = np.zeros(len(ASIDE_M))
     for index in asked:

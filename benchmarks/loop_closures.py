@@ -23,7 +23,7 @@ from benchmarks.timing import machine
 from core.arrays import FloatArray, IntArray
 from core.localization.localizer import Localizer
 from core.loop_closure.closure import ACCEPT_FROM, LoopClosure, Verdict, check_scans
-from core.mapping.build import build_map
+from core.mapping.build import fit_map
 from core.parameters import Encoding, MapParameters
 from core.projection.images import project_drive
 from core.scans.drive import Drive, MemoryDrive
@@ -183,7 +183,7 @@ def _localizer(drive: MemoryDrive) -> Localizer:
     rows: IntArray = np.arange(len(drive))
     images = project_drive(drive, rows, parameters.imager).images
     trajectory = Trajectory.of_drive("d", drive.timestamp_s, drive.poses, rows)
-    return Localizer(build_map(images, trajectory, cut_fixed(len(rows), 760), parameters))
+    return Localizer(fit_map(images, trajectory, cut_fixed(len(rows), 760), parameters))
 
 
 def _evidence(judged: list[Judged]) -> FloatArray:

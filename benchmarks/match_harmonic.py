@@ -20,7 +20,7 @@ from core.encodings.harmonic import HarmonicModel
 from core.encodings.signature import Signature
 from core.evaluation.baselines.scan_context import ScanContext
 from core.localization.localizer import Localizer
-from core.mapping.build import build_map
+from core.mapping.build import fit_map
 from core.parameters import Encoding, MapParameters
 from core.projection.images import project_drive
 from core.scans.trajectory import Trajectory
@@ -42,7 +42,7 @@ def main() -> int:
     mapped = np.arange(0, 2 * SCANS, 2)
     images = project_drive(drive, mapped, parameters.imager).images
     trajectory = Trajectory.of_drive("d", drive.timestamp_s[mapped], drive.poses[mapped], mapped)
-    tensor_map = build_map(images, trajectory, cut_fixed(SCANS, PAPER_SEGMENT_LENGTH), parameters)
+    tensor_map = fit_map(images, trajectory, cut_fixed(SCANS, PAPER_SEGMENT_LENGTH), parameters)
     localizer = Localizer(tensor_map)
     model = tensor_map.model
     assert isinstance(model, HarmonicModel)  # noqa: S101 - for the reader and mypy

@@ -20,7 +20,7 @@ from core.arrays import FloatArray, IntArray
 from core.confidence.places import AWAY_M
 from core.evaluation.reliability import Judged, Reliability, reliability
 from core.localization.localizer import Localization, Localizer
-from core.mapping.build import build_map
+from core.mapping.build import fit_map
 from core.parameters import Encoding, MapParameters
 from core.projection.images import project_drive
 from core.scans.drive import Drive, MemoryDrive
@@ -139,7 +139,7 @@ def _localizer(drive: Drive, rows: IntArray, parameters: MapParameters) -> Local
     trajectory = Trajectory.of_drive(drive.name, drive.timestamp_s[rows], drive.poses[rows], rows)
     cuts = cut_fixed(len(rows), segment_length_for(len(rows), segments=5))
     probes = projected.probes_of_map()
-    return Localizer(build_map(projected.images, trajectory, cuts, parameters, probes=probes))
+    return Localizer(fit_map(projected.images, trajectory, cuts, parameters, probes=probes))
 
 
 def _ask(localizer: Localizer, drive: Drive, index: int) -> tuple[Localization, FloatArray]:

@@ -11,14 +11,13 @@ from core.arrays import IntArray
 from core.encodings.signature import Signature, pack_signatures
 from core.errors import EmptyDrive, InvalidScan
 from core.evaluation.baselines.descriptor import Nearest, PlaceDescriptor, sent_bytes
-from core.mapping.build import build_map
+from core.mapping.pipeline import build, project_scans
 from core.mapping.tensormap import TensorMap
 from core.parameters import MapParameters
 from core.progress import NO_PROGRESS, Progress
-from core.projection.images import Skipped, project_drive
+from core.projection.images import Skipped
 from core.scans.drive import Drive
 from core.scans.scan import Scan
-from core.scans.trajectory import Trajectory
 from core.segmentation import cut_fixed
 
 __all__ = ["Ask", "Contestant", "DescribedPlaces", "Enrolled", "MappedPlaces"]
@@ -141,14 +140,15 @@ class MappedPlaces:
 
     def enrol(self, drive: Drive, scans: IntArray, progress: Progress = NO_PROGRESS) -> Enrolled:
         """Build a map of the scans."""
-        projected = project_drive(drive, scans, self.parameters.imager, progress)
-        kept = projected.scans
-        trajectory = Trajectory.of_drive(
-            drive.name, drive.timestamp_s[kept], drive.poses[kept], kept
-        )
-        segment_start = cut_fixed(len(drive), self.segment_length)
-        cuts = np.unique(np.searchsorted(kept, segment_start))
-        tensor_map = build_map(projected.images, trajectory, cuts, self.parameters, progress)
+        tensor_map = build(
+            [drive],
+            self.parameters,
+            lambda _: project_scans(drive, scans, self.parameters, progress),
+            segment_start=cut_fixed(len(drive), self.segment_length),
+            calibrated=False,
+            progress=progress,
+        ).tensor_map
+        kept = tensor_map.trajectory.scan_index
         basis = tensor_map.basis()
         first = basis.encode(basis.image(drive.scan(int(kept[0]))))
         stored = sum(array.nbytes for array in tensor_map.model.arrays().values())

@@ -6,7 +6,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from core.arrays import IntArray
 from core.encodings.compression import Compression
 from core.errors import EmptyDrive, InvalidParameters
 from core.evaluation.condition import Condition
@@ -16,14 +15,11 @@ from core.evaluation.split import Interleaved, Split
 from core.evaluation.summary import summarize
 from core.evaluation.tracks import Asked, cut_position, evaluate_tracks
 from core.localization.localizer import Localizer
-from core.mapping.build import build_map
-from core.mapping.tensormap import TensorMap
-from core.parameters import MapParameters, Segmentation
+from core.mapping.pipeline import build, cut_scans, project_scans
+from core.parameters import MapParameters
 from core.progress import NO_PROGRESS, Progress
-from core.projection.images import ProjectedDrive, project_drive
 from core.scans.drive import Drive
-from core.scans.trajectory import Trajectory
-from core.segmentation import cut_fixed, cut_unequal, segment_length_for
+from core.segmentation import segment_length_for
 from core.tracking.track import Tracker
 
 __all__ = ["Protocol", "evaluate"]
@@ -87,7 +83,8 @@ def evaluate(
     length = segment_length_for(
         len(drive), segment_length=protocol.segment_length, segments=protocol.segments
     )
-    segment_start = _cut(drive, length, protocol.parameters, progress)
+    parameters = protocol.parameters
+    segment_start = cut_scans(drive, length, parameters, progress)
     held_out = (
         protocol.split.held_out(segment_start)
         if query_drive is None
@@ -95,20 +92,17 @@ def evaluate(
     )
     if query_drive is None and not held_out.any():
         raise InvalidParameters("the split holds no scan out: there is nothing to ask")
-    projected = project_drive(
-        drive,
-        np.flatnonzero(~held_out),
-        protocol.parameters.imager,
-        progress,
-    )
-    tensor_map = _build(drive, projected, segment_start, protocol.parameters, progress)
+    images = project_scans(drive, np.flatnonzero(~held_out), parameters, progress)
+    tensor_map = build(
+        [drive], parameters, lambda _: images, segment_start=segment_start, progress=progress
+    ).tensor_map
     queries = (
         held_out_queries(drive, held_out, segment_start)
         if query_drive is None
         else drive_queries(query_drive, tensor_map)
     )
     localizer = Localizer(tensor_map)
-    cuts = None if query_drive is not None else cut_position(projected.scans, segment_start)
+    cuts = None if query_drive is not None else cut_position(images.scans, segment_start)
     return Evaluation(
         drive=drive.name,
         query_drive=None if query_drive is None else query_drive.name,
@@ -132,12 +126,12 @@ def evaluate(
         standing_scans=None if queries.standing is None else int(queries.standing.sum()),
         motion_surrogate_median_standing=_median_where(queries, standing=True),
         motion_surrogate_median_moving=_median_where(queries, standing=False),
-        skipped=projected.skipped,
+        skipped=images.skipped,
         compression=Compression.of(
             tensor_map.elements,
             scans=len(tensor_map),
             grid_shape=protocol.parameters.grid.shape,
-            returns=projected.returns,
+            returns=images.returns,
         ),
         relative_error=tuple(tensor_map.relative_error.tolist()),
         conditions=tuple(
@@ -159,41 +153,6 @@ def evaluate(
         if protocol.track
         else (),
     )
-
-
-def _cut(drive: Drive, length: int, parameters: MapParameters, progress: Progress) -> IntArray:
-    """Return `(L + 1,)` scans of the drive at which segments begin, and their number."""
-    if parameters.segmentation == Segmentation.FIXED:
-        return cut_fixed(len(drive), length)
-    everything = np.arange(len(drive))
-    projected = project_drive(drive, everything, parameters.imager, progress)
-    scans = projected.scans
-    trajectory = Trajectory.of_drive(
-        drive.name, drive.timestamp_s[scans], drive.poses[scans], scans
-    )
-    cuts = cut_unequal(projected.images, trajectory, length, parameters, progress)
-    return np.concatenate([[0], scans[cuts[1:-1]], [len(drive)]])
-
-
-def _build(
-    drive: Drive,
-    projected: ProjectedDrive,
-    segment_start: IntArray,
-    parameters: MapParameters,
-    progress: Progress,
-) -> TensorMap:
-    scans = projected.scans
-    map_start = np.searchsorted(scans, segment_start)
-    empty = np.flatnonzero(np.diff(map_start) == 0)
-    if len(empty):
-        raise InvalidParameters(
-            f"segment {empty[0]} is left without a map scan: take longer segments or another split"
-        )
-    trajectory = Trajectory.of_drive(
-        drive.name, drive.timestamp_s[scans], drive.poses[scans], scans
-    )
-    probes = projected.probes_of_map()
-    return build_map(projected.images, trajectory, map_start, parameters, progress, probes)
 
 
 def _median_where(queries: Queries, *, standing: bool) -> float | None:

@@ -9,11 +9,10 @@ from core.arrays import BoolArray, Float32Array, IntArray, frozen
 from core.errors import InvalidParameters, InvalidScan
 from core.evaluation.condition import Condition
 from core.evaluation.split import Split
+from core.mapping.pipeline import DriveImages, project_scans
 from core.parameters import MapParameters
 from core.progress import NO_PROGRESS, Progress
-from core.projection.images import ProjectedDrive, project_drive
 from core.scans.drive import Drive
-from core.scans.trajectory import Trajectory
 
 __all__ = ["Exam", "held_out_scans"]
 
@@ -46,7 +45,6 @@ class Exam:
         parameters: How images are made; the ranks are not used here.
         scans: K, how many scans the drive has.
         mapped: The mapped scans' images.
-        trajectory: Where these were recorded.
         asked: `(n,)` the scans that are asked, usable under every condition.
         conditions: The C disturbances they are asked under.
         questions: `(C, n, I, J)` float32, their images.
@@ -55,8 +53,7 @@ class Exam:
 
     parameters: MapParameters
     scans: int
-    mapped: ProjectedDrive
-    trajectory: Trajectory
+    mapped: DriveImages
     asked: IntArray
     conditions: tuple[Condition, ...]
     questions: Float32Array
@@ -80,7 +77,7 @@ class Exam:
             EmptyDrive: If no mapped scan is usable.
             InvalidParameters: If no scan that is asked is.
         """
-        mapped = project_drive(drive, np.flatnonzero(~held_out), parameters.imager, progress)
+        mapped = project_scans(drive, np.flatnonzero(~held_out), parameters, progress)
         progress.start("asking", len(asked))
         usable: list[int] = []
         images: list[Float32Array] = []
@@ -107,12 +104,6 @@ class Exam:
             parameters=parameters,
             scans=len(drive),
             mapped=mapped,
-            trajectory=Trajectory.of_drive(
-                drive.name,
-                drive.timestamp_s[mapped.scans],
-                drive.poses[mapped.scans],
-                mapped.scans,
-            ),
             asked=np.array(usable, dtype=np.int64),
             conditions=tuple(conditions),
             questions=frozen(np.stack(images, axis=1), np.float32),

@@ -15,9 +15,9 @@ from core.evaluation.judge import Judge
 from core.evaluation.motion import motion_surrogate
 from core.evaluation.split import Interleaved, Split
 from core.evaluation.study import Answers, CurvePoint, EncodingStudy, Study
-from core.evaluation.sweep import SweepGrid, map_cuts, sweep
+from core.evaluation.sweep import SweepGrid, sweep
 from core.localization.localizer import Localizer
-from core.mapping.build import build_map
+from core.mapping.pipeline import build
 from core.mapping.tensormap import TensorMap
 from core.parameters import MapParameters
 from core.progress import NO_PROGRESS, Progress
@@ -153,9 +153,14 @@ def _study_encoding(
         length = advice.recommended.segment_length if advice.recommended else lengths[-1]
     parameters = replace(exam.parameters, ranks=ranks)
     segment_start = cut_fixed(len(drive), length)
-    tensor_map = build_map(
-        exam.mapped.images, exam.trajectory, map_cuts(exam, length), parameters, progress
-    )
+    tensor_map = build(
+        [drive],
+        parameters,
+        lambda _: exam.mapped,
+        segment_start=segment_start,
+        calibrated=False,
+        progress=progress,
+    ).tensor_map
     answers, curves = _ask(drive, exam, judge, tensor_map, segment_start, protocol, progress)
     return EncodingStudy(
         parameters=parameters,

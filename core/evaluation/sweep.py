@@ -25,6 +25,7 @@ from core.encodings.tucker import BLOCK_SCANS, Grams, leading_basis, project, st
 from core.errors import InvalidParameters
 from core.evaluation.exam import Exam
 from core.evaluation.judge import Judge
+from core.mapping.pipeline import rows_of_cuts
 from core.parameters import Encoding
 from core.progress import NO_PROGRESS, Progress
 from core.segmentation import cut_fixed
@@ -140,7 +141,10 @@ def sweep(exam: Exam, judge: Judge, grid: SweepGrid, progress: Progress = NO_PRO
     rows, columns = exam.parameters.grid.shape
     harmonic = exam.parameters.encoding == Encoding.HARMONIC
     grid = grid.within((rows, columns // 2 + 1 if harmonic else columns))
-    cuts = [map_cuts(exam, length) for length in grid.segment_lengths]
+    cuts = [
+        rows_of_cuts(exam.mapped.scans, cut_fixed(exam.scans, length))
+        for length in grid.segment_lengths
+    ]
     answer = _harmonic_answers if harmonic else _paper_answers
     answered, errors = answer(exam, grid, cuts, progress)
     standing = judge.standing[exam.asked]
@@ -180,22 +184,6 @@ def sweep(exam: Exam, judge: Judge, grid: SweepGrid, progress: Progress = NO_PRO
     )
 
 
-def map_cuts(exam: Exam, segment_length: int) -> IntArray:
-    """Return the rows where a map's segments begin, and how many rows there are, `(L + 1,)`.
-
-    Raises:
-        InvalidParameters: If a segment is left without a map scan.
-    """
-    cuts = np.searchsorted(exam.mapped.scans, cut_fixed(exam.scans, segment_length))
-    empty = np.flatnonzero(np.diff(cuts) == 0)
-    if len(empty):
-        raise InvalidParameters(
-            f"with k = {segment_length} segment {empty[0]} is left without a map scan:"
-            " take longer segments"
-        )
-    return cuts
-
-
 def leading_sums(blocks: FloatArray, r1: Sequence[int], r2: Sequence[int]) -> FloatArray:
     """Return sums over the leading r1 x r2 block of `(..., R1, R2)`, for all `r1` and `r2`.
 
@@ -232,7 +220,7 @@ def _paper_answers(
     for start, end in itertools.pairwise(atoms.tolist()):
         total = Grams.zero(exam.parameters.grid.shape)
         for block in range(start, end, BLOCK_SCANS):
-            images = exam.mapped.images.read(block, min(block + BLOCK_SCANS, end))
+            images = exam.mapped.read(block, min(block + BLOCK_SCANS, end))
             total += Grams.of(images)
             progress.advance(len(images))
         grams.append(total)
@@ -247,7 +235,7 @@ def _paper_answers(
             # In single precision, as a map keeps them.
             u = leading_basis(total.elevation, grid.r1[-1]).astype(np.float32).astype(np.float64)
             v = leading_basis(total.azimuth, grid.r2[-1]).astype(np.float32).astype(np.float64)
-            stored = project(exam.mapped.images.read(start, end), u, v).astype(np.float32)
+            stored = project(exam.mapped.read(start, end), u, v).astype(np.float32)
             kept += leading_sums(np.square(stored, dtype=np.float64).sum(axis=0), grid.r1, grid.r2)
             for q, signature in enumerate(project(asked, u, v).astype(np.float32)):
                 squared = leading_sums(np.square(stored - signature), grid.r1, grid.r2)
@@ -273,14 +261,14 @@ def _harmonic_answers(
     gram, squared_norm = np.zeros((image_rows, image_rows)), 0.0
     progress.start("summing", 2 * scans)
     for start in range(0, scans, BLOCK_SCANS):
-        images = exam.mapped.images.read(start, min(start + BLOCK_SCANS, scans))
+        images = exam.mapped.read(start, min(start + BLOCK_SCANS, scans))
         gram += detail_gram(images.reshape(-1, image_rows, columns))
         squared_norm += float(np.square(images, dtype=np.float64).sum())
         progress.advance(len(images))
     u = leading_basis(gram, grid.r1[-1]).astype(np.float32)
     parts = []
     for start in range(0, scans, BLOCK_SCANS):
-        images = exam.mapped.images.read(start, min(start + BLOCK_SCANS, scans))
+        images = exam.mapped.read(start, min(start + BLOCK_SCANS, scans))
         parts.append(encode(images, u, grid.r2[-1]).astype(np.complex64))
         progress.advance(len(images))
     stored = np.concatenate(parts)

@@ -14,7 +14,7 @@ from core.evaluation.evaluate import Protocol, evaluate
 from core.evaluation.result import ConditionResult
 from core.evaluation.split import Every
 from core.localization.localizer import Localizer
-from core.mapping.build import build_map
+from core.mapping.build import fit_map
 from core.parameters import Encoding, MapParameters
 from core.projection.images import project_drive
 from core.scans.trajectory import Trajectory
@@ -66,7 +66,7 @@ def test_a_signature_of_60_bytes_loses_next_to_nothing(drives: Drives) -> None:
     mapped = np.arange(0, len(drive), 2)
     images = project_drive(drive, mapped, DEFAULT.imager).images
     trajectory = Trajectory.of_drive("d", drive.timestamp_s[mapped], drive.poses[mapped], mapped)
-    localizer = Localizer(build_map(images, trajectory, np.array([0, len(mapped)]), DEFAULT))
+    localizer = Localizer(fit_map(images, trajectory, np.array([0, len(mapped)]), DEFAULT))
     hits = {"whole": 0, "packed": 0}
     for index in range(1, len(drive), 2):
         for lateral_m in (0.0, 2.25):

@@ -15,11 +15,12 @@ from core.evaluation.evaluate import Protocol, evaluate
 from core.evaluation.exam import Exam, held_out_scans
 from core.evaluation.judge import Judge
 from core.evaluation.split import Every, Interleaved
-from core.evaluation.sweep import SweepGrid, leading_sums, map_cuts, sweep
-from core.mapping.build import build_map
+from core.evaluation.sweep import SweepGrid, leading_sums, sweep
+from core.mapping.pipeline import build
 from core.parameters import Encoding, MapParameters
 from core.scans.drive import MemoryDrive
 from core.scans.scan import Scan
+from core.segmentation import cut_fixed
 from tests.support.recording import recording
 
 GRID = SweepGrid(r1=(2, 3, 5), r2=(2, 4, 5), segment_lengths=(10, 25))
@@ -60,9 +61,13 @@ def judge(recorded=None, **options):
 def test_signatures_of_small_ranks_are_the_leading_block_of_those_of_large_ones(encoding) -> None:
     of = exam(encoding)
     small, large = (
-        build_map(
-            of.mapped.images, of.trajectory, map_cuts(of, 10), parameters(encoding, ranks)
-        ).model
+        build(
+            [drive()],
+            parameters(encoding, ranks),
+            lambda _: of.mapped,
+            segment_start=cut_fixed(of.scans, 10),
+            calibrated=False,
+        ).tensor_map.model
         for ranks in ((3, 4), (5, 8))
     )
     block = large.signatures[..., :3, :4]
@@ -154,7 +159,7 @@ def test_scans_that_cannot_be_asked_are_told_and_not_counted() -> None:
 
 
 def test_a_segment_without_a_map_scan_is_refused() -> None:
-    with pytest.raises(InvalidParameters, match="k = 1 segment 1 is left"):
+    with pytest.raises(InvalidParameters, match="segment 1 is left"):
         sweep(exam(Encoding.PAPER, split=Every(2)), judge(), SweepGrid((2,), (2,), (1,)))
 
 
