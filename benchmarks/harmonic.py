@@ -19,7 +19,7 @@ from core.arrays import FloatArray, IntArray
 from core.encodings.signature import Packing, pack_signatures, unpack_signatures
 from core.encodings.tucker import leading_basis, row_gram
 from core.evaluation.condition import Condition, conditions
-from core.evaluation.evaluate import Protocol, evaluate
+from core.evaluation.evaluate import EvaluationProtocol, evaluate
 from core.evaluation.result import Evaluation
 from core.evaluation.split import Every
 from core.localization.localizer import Localizer, Match
@@ -96,7 +96,7 @@ def main(folder: Path, part: str = "") -> None:
 
 
 def _evaluate(drive: Drive, parameters: MapParameters) -> Evaluation:
-    protocol = Protocol(parameters, segments=5, split=Every(2), conditions=CONDITIONS)
+    protocol = EvaluationProtocol(parameters, segments=5, split=Every(2), conditions=CONDITIONS)
     return evaluate(drive, protocol)
 
 

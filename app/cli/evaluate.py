@@ -31,7 +31,7 @@ from app.cli.options import (
 )
 from core.errors import InvalidParameters
 from core.evaluation.condition import conditions
-from core.evaluation.evaluate import Protocol
+from core.evaluation.evaluate import EvaluationProtocol
 from core.evaluation.evaluate import evaluate as evaluate_drive
 from core.evaluation.result import Evaluation
 from core.evaluation.split import Interleaved, parse_split
@@ -42,7 +42,7 @@ from storage.formats.drives.layouts import open_drive
 
 __all__ = ["evaluate"]
 
-_PROTOCOL = "Protocol"
+_PROTOCOL = "EvaluationProtocol"
 
 
 def _list_option(text: str) -> object:
@@ -108,7 +108,7 @@ def evaluate(
         require_folder(json_out)
     if query_drive is not None and split is not None:
         raise InvalidParameters("with --query-drive all of DRIVE is the map: leave --split out")
-    protocol = Protocol(
+    protocol = EvaluationProtocol(
         parameters=MapParameters.for_sensor(
             sensor,
             encoding=encoding or encoding_with(reducer),

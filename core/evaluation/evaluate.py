@@ -22,11 +22,11 @@ from core.scans.drive import Drive
 from core.segmentation import segment_length_for
 from core.tracking.track import Tracker
 
-__all__ = ["Protocol", "evaluate"]
+__all__ = ["EvaluationProtocol", "evaluate"]
 
 
 @dataclass(frozen=True)
-class Protocol:
+class EvaluationProtocol:
     """How a drive is evaluated.
 
     Attributes:
@@ -60,7 +60,7 @@ class Protocol:
 
 def evaluate(
     drive: Drive,
-    protocol: Protocol,
+    protocol: EvaluationProtocol,
     query_drive: Drive | None = None,
     progress: Progress = NO_PROGRESS,
     unknown: Sequence[Drive] = (),

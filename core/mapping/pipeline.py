@@ -106,7 +106,7 @@ class Build:
 
 def build_map(
     drives: Drive | Sequence[Drive],
-    parameters: MapParameters | None = None,
+    parameters: MapParameters,
     *,
     segment_length: int | None = None,
     segments: int | None = None,
@@ -119,7 +119,8 @@ def build_map(
 
     Args:
         drives: One, or several of different names in one world frame.
-        parameters: The map's; those of `MapParameters.for_sensor()` by default.
+        parameters: The map's: `MapParameters()` are the paper's, `MapParameters.for_sensor()`
+            those of `tensormap build`.
         segment_length: k; 760 scans by default.
         segments: L instead: k = ceil(K / L) of the longest drive's K usable scans.
         radial_basis: `(I, r1)` U to keep, of a harmonic map.
@@ -132,7 +133,7 @@ def build_map(
     """
     return build(
         [drives] if not isinstance(drives, Sequence) else drives,
-        MapParameters.for_sensor() if parameters is None else parameters,
+        parameters,
         segment_length=segment_length,
         segments=segments,
         radial_basis=radial_basis,

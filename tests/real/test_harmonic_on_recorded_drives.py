@@ -10,7 +10,7 @@ import pytest
 
 from core.encodings.signature import pack_signatures, unpack_signatures
 from core.evaluation.condition import Condition, conditions
-from core.evaluation.evaluate import Protocol, evaluate
+from core.evaluation.evaluate import EvaluationProtocol, evaluate
 from core.evaluation.result import ConditionResult
 from core.evaluation.split import Every
 from core.localization.localizer import Localizer
@@ -34,7 +34,7 @@ DEFAULT = MapParameters.for_sensor(encoding=Encoding.HARMONIC)
 @pytest.fixture(scope="module")
 def found(drives: Drives) -> dict[Condition, ConditionResult]:
     """One setting, the default, for every row."""
-    protocol = Protocol(DEFAULT, split=Every(2), conditions=(*TURNED, *BESIDE, *NOISY))
+    protocol = EvaluationProtocol(DEFAULT, split=Every(2), conditions=(*TURNED, *BESIDE, *NOISY))
     result = evaluate(drives.open("kitti00"), protocol)
     return {row.condition: row for row in result.conditions}
 

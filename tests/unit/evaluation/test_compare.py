@@ -251,11 +251,13 @@ def test_the_whole_is_plain_values_and_tells_its_progress():
 
 def test_ours_are_found_as_evaluate_finds_them():
     """The same held-out scans of the same map, the same recall."""
-    from core.evaluation.evaluate import Protocol, evaluate
+    from core.evaluation.evaluate import EvaluationProtocol, evaluate
 
     drive = sample_drive(16)
     asked = conditions((0,), (0, 1), (0,))
-    evaluated = evaluate(drive, Protocol(segment_length=4, split=Every(2), conditions=asked))
+    evaluated = evaluate(
+        drive, EvaluationProtocol(segment_length=4, split=Every(2), conditions=asked)
+    )
     protocol = ComparisonProtocol(HeldOut(Every(2), 4), asked)
     [compared] = compare(drive, [MappedPlaces(MapParameters(), 4)], protocol).methods
     for one, other in zip(evaluated.conditions, compared.conditions, strict=True):

@@ -11,7 +11,7 @@ from core.encodings.harmonic import HarmonicModel
 from core.encodings.paper import PaperModel
 from core.errors import InvalidParameters
 from core.evaluation.condition import Condition
-from core.evaluation.evaluate import Protocol, evaluate
+from core.evaluation.evaluate import EvaluationProtocol, evaluate
 from core.evaluation.exam import Exam, held_out_scans
 from core.evaluation.judge import Judge
 from core.evaluation.split import Every, Interleaved
@@ -85,7 +85,7 @@ def test_a_candidate_has_the_figures_that_evaluate_finds(encoding, ranks, k) -> 
     assert found is not None
     wanted = evaluate(
         drive(),
-        Protocol(parameters(encoding, ranks), segment_length=k, conditions=CONDITIONS),
+        EvaluationProtocol(parameters(encoding, ranks), segment_length=k, conditions=CONDITIONS),
     )
     assert found.segments == wanted.segments
     assert found.elements == wanted.compression.elements
