@@ -18,7 +18,7 @@ from benchmarks.accuracy import commit, print_table
 from benchmarks.timing import machine
 from core.arrays import FloatArray, IntArray
 from core.confidence.places import AWAY_M
-from core.evaluation.reliability import Judged, Reliability, reliability
+from core.evaluation.reliability import Outcome, Reliability, reliability
 from core.localization.localizer import Localization, Localizer
 from core.mapping.build import fit_map
 from core.parameters import Encoding, MapParameters
@@ -194,9 +194,9 @@ def _is_right(found: Localization, pose: FloatArray) -> bool:
     return bool(np.linalg.norm(place[:3] - pose[:3]) < AWAY_M)
 
 
-def _judged(found: Localization, *, right: bool) -> Judged:
+def _judged(found: Localization, *, right: bool) -> Outcome:
     assert found.verdict.probability is not None  # noqa: S101 - these maps are calibrated
-    return Judged(found.verdict.probability, found.localized, right)
+    return Outcome(found.verdict.probability, found.localized, right)
 
 
 def _coverage(asked: Sequence[tuple[Localization, FloatArray]]) -> list[str]:

@@ -8,7 +8,7 @@ import typer
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from app.baselines.roster import METHODS, contestants, default_methods
+from app.baselines.roster import METHODS, default_methods, methods_named
 from app.cli.console import output, progress_bar
 from app.cli.options import (
     MIN_RETURNS,
@@ -128,7 +128,7 @@ def compare(
         max(1, len(mapped)), segment_length=segment_length, segments=segments
     )
     names = default_methods() if methods is None else tuple(methods.split(","))
-    chosen = contestants(
+    chosen = methods_named(
         names, sensor=sensor, sensor_height_m=sensor_height_m, segment_length=length
     )
     protocol = ComparisonProtocol(

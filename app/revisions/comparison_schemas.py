@@ -6,7 +6,7 @@ from typing import Any
 from pydantic import BaseModel, Field
 
 from app.revisions.comparison import Comparison, NoRecall, Recall, Side
-from core.evaluation.own_scans import CRITERION
+from core.evaluation.self_recall import CRITERION
 
 __all__ = ["ComparisonOut"]
 

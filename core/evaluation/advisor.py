@@ -9,20 +9,20 @@ if its neighbours of the next larger r1 and r2 are within that error too.
 
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from enum import StrEnum
-from typing import Any
 
 from core.errors import InvalidParameters
+from core.evaluation.plain import Plain
 from core.evaluation.sweep import SweepPoint
 
-__all__ = ["FEWEST_JUDGED", "Advice", "Axis", "Verdict", "advise", "standard_error"]
+__all__ = ["FEWEST_JUDGED", "Advice", "Axis", "Decision", "advise", "standard_error"]
 
 FEWEST_JUDGED = 30
 """With fewer held-out scans one standard error at 90 % is more than 5 points."""
 
 
-class Verdict(StrEnum):
+class Decision(StrEnum):
     """How far the evidence carries."""
 
     DECIDED = "decided"
@@ -54,7 +54,7 @@ class Axis:
 
 
 @dataclass(frozen=True)
-class Advice:
+class Advice(Plain):
     """A recommendation and its reasons.
 
     Attributes:
@@ -72,7 +72,7 @@ class Advice:
         reasons: The same in sentences.
     """
 
-    verdict: Verdict
+    verdict: Decision
     recommended: SweepPoint | None
     best: SweepPoint | None
     standard_error: float | None
@@ -83,10 +83,6 @@ class Advice:
     smallest_bytes_per_scan: float
     axes: tuple[Axis, ...]
     reasons: tuple[str, ...]
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return plain values, ready for JSON."""
-        return asdict(self) | {"verdict": self.verdict.value}
 
 
 def standard_error(share: float, judged: int) -> float:
@@ -132,7 +128,7 @@ def advise(
     if not fitting:
         reason = f"No candidate fits {budget:g} bytes per scan: the smallest takes {smallest:.0f}."
         return Advice(
-            Verdict.NOTHING_FITS, None, None, None, judged, 0, 0,
+            Decision.NOTHING_FITS, None, None, None, judged, 0, 0,
             max_bytes_per_scan, smallest, (), (reason,),
         )  # fmt: skip
     ordered = sorted(fitting, key=_smallest_first)
@@ -147,9 +143,9 @@ def advise(
         for p in ordered
         if p.mean_accuracy < bar and p.bytes_per_scan <= recommended.bytes_per_scan
     ]
-    verdict = Verdict.DECIDED if ruled_out else Verdict.SIZE_ONLY
+    verdict = Decision.DECIDED if ruled_out else Decision.SIZE_ONLY
     if judged < FEWEST_JUDGED:
-        verdict = Verdict.TOO_FEW
+        verdict = Decision.TOO_FEW
     axes = _axes(ordered, recommended, bar)
     return Advice(
         verdict=verdict,
@@ -213,7 +209,7 @@ def _axes(ordered: Sequence[SweepPoint], chosen: SweepPoint, bar: float) -> tupl
 
 
 def _reasons(
-    verdict: Verdict,
+    verdict: Decision,
     chosen: SweepPoint,
     best: SweepPoint,
     error: float,
@@ -237,12 +233,12 @@ def _reasons(
             f"{len(ruled_out)} candidates as small or smaller are less accurate than that; the best"
             f" of them, {_named(nearest)}, reaches {100 * nearest.mean_accuracy:.1f} %."
         )
-    if verdict == Verdict.TOO_FEW:
+    if verdict == Decision.TOO_FEW:
         reasons.append(
             f"The evidence does not decide: only {judged} scans were judged, and at least"
             f" {FEWEST_JUDGED} are wanted. Take a longer drive."
         )
-    elif verdict == Verdict.SIZE_ONLY:
+    elif verdict == Decision.SIZE_ONLY:
         reasons.append(
             "The evidence does not decide: no candidate that is smaller was less accurate. This one"
             " is chosen for its size alone; ask harder questions, such as a"

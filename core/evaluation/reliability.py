@@ -1,17 +1,17 @@
 """Whether a probability tells known places from unknown ones, and whether it is one."""
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 
 from core.arrays import BoolArray, FloatArray
 from core.errors import InvalidParameters
+from core.evaluation.plain import Plain
 from core.evaluation.retrieval import auroc, precision_recall
 
 __all__ = [
-    "Judged",
+    "Outcome",
     "Reliability",
     "expected_calibration_error",
     "reliability",
@@ -56,8 +56,8 @@ def expected_calibration_error(
 
 
 @dataclass(frozen=True)
-class Judged:
-    """What one query was answered.
+class Outcome:
+    """What became of one query.
 
     Attributes:
         probability: That its best match is right.
@@ -71,7 +71,7 @@ class Judged:
 
 
 @dataclass(frozen=True)
-class Reliability:
+class Reliability(Plain):
     """How far probabilities can be relied on; what does not apply is `None`.
 
     Attributes:
@@ -98,18 +98,14 @@ class Reliability:
     refused_wrong: float | None
     refused_unknown: float | None
 
-    def as_dict(self) -> dict[str, Any]:
-        """Return plain values."""
-        return asdict(self)
 
-
-def reliability(known: Sequence[Judged], unknown: Sequence[Judged]) -> Reliability:
+def reliability(known: Sequence[Outcome], unknown: Sequence[Outcome]) -> Reliability:
     """Sum up what queries of the map and of elsewhere were answered."""
     of_known, of_unknown = (
-        np.array([judged.probability for judged in group], dtype=np.float64)
+        np.array([outcome.probability for outcome in group], dtype=np.float64)
         for group in (known, unknown)
     )
-    right = np.array([judged.right for judged in known], dtype=bool)
+    right = np.array([outcome.right for outcome in known], dtype=bool)
     both = np.concatenate([of_known, of_unknown])
     all_right = np.concatenate([right, np.zeros(len(unknown), dtype=bool)])
     told = bool(known) and bool(unknown)
@@ -140,11 +136,11 @@ def reliability(known: Sequence[Judged], unknown: Sequence[Judged]) -> Reliabili
         ece_adaptive=ece[1],
         ece_mixed=mixed[0],
         ece_mixed_adaptive=mixed[1],
-        refused_right=_refused([judged for judged in known if judged.right]),
-        refused_wrong=_refused([judged for judged in known if not judged.right]),
+        refused_right=_refused([outcome for outcome in known if outcome.right]),
+        refused_wrong=_refused([outcome for outcome in known if not outcome.right]),
         refused_unknown=_refused(unknown),
     )
 
 
-def _refused(group: Sequence[Judged]) -> float | None:
-    return float(np.mean([not judged.localized for judged in group])) if group else None
+def _refused(group: Sequence[Outcome]) -> float | None:
+    return float(np.mean([not outcome.localized for outcome in group])) if group else None

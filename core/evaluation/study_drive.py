@@ -7,21 +7,23 @@ import numpy as np
 
 from core.arrays import IntArray
 from core.encodings.compression import Compression
-from core.errors import EmptyDrive, InvalidParameters, InvalidScan
+from core.errors import InvalidParameters
 from core.evaluation.advisor import advise
 from core.evaluation.condition import Condition
-from core.evaluation.exam import Exam, held_out_scans
-from core.evaluation.judge import Judge
+from core.evaluation.criterion import Criterion, counted
 from core.evaluation.motion import motion_surrogate
+from core.evaluation.query_images import QueryImages, held_out_scans
+from core.evaluation.query_set import QuerySet, require_scans
 from core.evaluation.split import Interleaved, Split
 from core.evaluation.study import Answers, CurvePoint, EncodingStudy, Study
 from core.evaluation.sweep import SweepGrid, sweep
 from core.localization.localizer import Localizer
 from core.mapping.pipeline import build
-from core.mapping.tensormap import TensorMap
 from core.parameters import MapParameters
 from core.progress import NO_PROGRESS, Progress
+from core.projection.images import Skipped
 from core.scans.drive import Drive
+from core.scans.scan import Scan
 from core.segmentation import cut_fixed
 
 __all__ = ["StudyProtocol", "segment_lengths_for", "study_drive"]
@@ -98,30 +100,27 @@ def study_drive(drive: Drive, protocol: StudyProtocol, progress: Progress = NO_P
         EmptyDrive: If the drive has no scan, or no usable one.
         InvalidParameters: If the split leaves nothing to ask, or a segment without a map scan.
     """
-    if len(drive) == 0:
-        raise EmptyDrive(f"drive {drive.name} has no scan")
-    held_out, asked = held_out_scans(drive, protocol.split, protocol.max_questions)
-    judge = Judge(drive.poses, drive.timestamp_s, protocol.tolerance_m)
-    exams: list[Exam] = []
+    require_scans(drive)
+    held_out, scans = held_out_scans(drive, protocol.split, protocol.max_questions)
+    queries = QuerySet(drive, scans, SWEPT_CONDITIONS, protocol.seed)
+    criterion = Criterion(drive.poses, drive.timestamp_s, protocol.tolerance_m)
+    skipped: set[Skipped] = set()
     found: list[EncodingStudy] = []
     for parameters in protocol.parameters:
         named = _Named(progress, str(parameters.encoding))
-        exam = Exam.of_drive(
-            drive, held_out, asked, parameters, SWEPT_CONDITIONS, seed=protocol.seed, progress=named
-        )
-        exams.append(exam)
-        found.append(_study_encoding(drive, exam, judge, protocol, named))
-    skipped = {(s.scan, s.reason) for exam in exams for s in exam.mapped.skipped}
+        images = QueryImages.of_drive(held_out, queries, parameters, named)
+        skipped |= set(images.mapped.skipped)
+        found.append(_study_encoding(images, criterion, protocol, named))
     return Study(
         drive=drive.name,
         timestamp_s=drive.timestamp_s,
         poses=drive.poses,
         surrogate=motion_surrogate(drive.poses),
-        standing=judge.standing,
+        standing=criterion.standing,
         split=str(protocol.split),
-        criterion=judge.criterion,
+        criterion=str(criterion),
         seed=protocol.seed,
-        skipped=tuple(sorted(skipped)),
+        skipped=tuple(sorted(skipped, key=lambda s: (s.scan, s.reason))),
         encodings=tuple(found),
     )
 
@@ -141,27 +140,35 @@ class _Named:
 
 
 def _study_encoding(
-    drive: Drive, exam: Exam, judge: Judge, protocol: StudyProtocol, progress: Progress
+    images: QueryImages, criterion: Criterion, protocol: StudyProtocol, progress: Progress
 ) -> EncodingStudy:
+    drive = images.queries.drive
     lengths = protocol.segment_lengths or segment_lengths_for(len(drive))
-    swept = sweep(exam, judge, SweepGrid(protocol.r1, protocol.r2, lengths), progress)
+    swept = sweep(images, criterion, SweepGrid(protocol.r1, protocol.r2, lengths), progress)
     advice = advise(swept.points, swept.judged, protocol.max_bytes_per_scan)
     ranks, length = protocol.ranks, protocol.segment_length
     if ranks is None:
-        ranks = advice.recommended.ranks if advice.recommended else exam.parameters.ranks
+        ranks = advice.recommended.ranks if advice.recommended else images.parameters.ranks
     if length is None:
         length = advice.recommended.segment_length if advice.recommended else lengths[-1]
-    parameters = replace(exam.parameters, ranks=ranks)
+    parameters = replace(images.parameters, ranks=ranks)
     segment_start = cut_fixed(len(drive), length)
     tensor_map = build(
         [drive],
         parameters,
-        lambda _: exam.mapped,
+        lambda _: images.mapped,
         segment_start=segment_start,
         calibrated=False,
         progress=progress,
     ).tensor_map
-    answers, curves = _ask(drive, exam, judge, tensor_map, segment_start, protocol, progress)
+    localizer = Localizer(tensor_map)
+
+    def localize(_: int, scan: Scan) -> int:
+        return localizer.localize_scan(scan).best.scan_index
+
+    disturbed = replace(images.queries, conditions=_disturbances(protocol))
+    (matched,) = disturbed.answers([localize], "localizing", progress)
+    answers = [_answers(disturbed, criterion, row, segment_start) for row in matched]
     return EncodingStudy(
         parameters=parameters,
         sweep=swept,
@@ -175,11 +182,11 @@ def _study_encoding(
             tensor_map.elements,
             scans=len(tensor_map),
             grid_shape=parameters.grid.shape,
-            returns=exam.mapped.returns,
+            returns=images.mapped.returns,
         ),
-        answers=answers,
-        curves=curves,
-        refused=exam.refused,
+        answers=answers[0],
+        curves=tuple(map(_curve_point, disturbed.conditions, answers)),
+        refused=images.refused,
     )
 
 
@@ -197,58 +204,31 @@ def _disturbances(protocol: StudyProtocol) -> tuple[Condition, ...]:
     )
 
 
-def _ask(
-    drive: Drive,
-    exam: Exam,
-    judge: Judge,
-    tensor_map: TensorMap,
+def _answers(
+    queries: QuerySet,
+    criterion: Criterion,
+    matched: Sequence[int | None],
     segment_start: IntArray,
-    protocol: StudyProtocol,
-    progress: Progress,
-) -> tuple[Answers, tuple[CurvePoint, ...]]:
-    """Ask the map all of the exam's scans, each under every disturbance."""
-    asked = _disturbances(protocol)
-    localizer = Localizer(tensor_map)
-    matched = np.full((len(asked), len(exam.asked)), -1)
-    progress.start("localizing", matched.size)
-    for q, index in enumerate(exam.asked.tolist()):
-        scan = drive.scan(index)
-        for c, condition in enumerate(asked):
-            rng = np.random.default_rng([protocol.seed, index])
-            try:
-                best = localizer.localize_scan(condition.apply(scan, rng)).best
-                matched[c, q] = best.scan_index
-            except InvalidScan:
-                pass  # a disturbed scan without an answer is in no curve
-            progress.advance()
-    answers = [_answers(exam, judge, rows, segment_start) for rows in matched]
-    return answers[0], tuple(_curve_points(asked, answers))
-
-
-def _answers(exam: Exam, judge: Judge, matched: IntArray, segment_start: IntArray) -> Answers:
-    given = matched >= 0
-    scan, found = exam.asked[given], matched[given]
+) -> Answers:
+    """Return the answers; a disturbed scan without one is in no curve."""
+    given = np.array([scan is not None for scan in matched], dtype=bool)
+    scan, found = queries.scans[given], np.array([m for m in matched if m is not None], np.int64)
     return Answers(
         scan=scan,
         segment=np.searchsorted(segment_start, scan, side="right") - 1,
         matched_scan=found,
         matched_segment=np.searchsorted(segment_start, found, side="right") - 1,
-        distance_m=judge.distance_m(scan, found),
-        right=judge.right(scan, found),
-        standing=judge.standing[scan],
+        distance_m=criterion.distance_m(scan, found),
+        right=criterion.right(scan, found),
+        standing=criterion.standing[scan],
     )
 
 
-def _curve_points(asked: Sequence[Condition], answers: Sequence[Answers]) -> list[CurvePoint]:
-    points = []
-    for condition, given in zip(asked, answers, strict=True):
-        judged = ~given.standing if not given.standing.all() else np.ones_like(given.standing)
-        points.append(
-            CurvePoint(
-                condition=condition,
-                judged=int(judged.sum()),
-                right=int(given.right[judged].sum()),
-                on_segment=int((~given.wrong_segment)[judged].sum()),
-            )
-        )
-    return points
+def _curve_point(condition: Condition, answers: Answers) -> CurvePoint:
+    judged = counted(answers.standing)
+    return CurvePoint(
+        condition=condition,
+        judged=int(judged.sum()),
+        right=int(answers.right[judged].sum()),
+        on_segment=int((~answers.wrong_segment)[judged].sum()),
+    )

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
+from core.evaluation.baselines.descriptor import DescribedPlaces
 from core.evaluation.baselines.m2dp import M2dp
 from core.evaluation.baselines.scan_context import ScanContext
 from core.evaluation.baselines.solid import Solid
 from core.evaluation.compare import ComparisonProtocol, compare
 from core.evaluation.comparison import MethodUnderCondition
 from core.evaluation.condition import Condition, conditions
-from core.evaluation.contestants import DescribedPlaces
 from core.evaluation.pairing import HeldOut
 from core.evaluation.split import Every
 from tests.real.conftest import Drives
@@ -26,7 +26,7 @@ DRIVEN, TURNED, LEFT, RIGHT, NOISY = CONDITIONS = (
 
 @pytest.fixture(scope="module")
 def scan_context(drives: Drives) -> dict[Condition, MethodUnderCondition]:
-    protocol = ComparisonProtocol(HeldOut(Every(2)), CONDITIONS)
+    protocol = ComparisonProtocol(HeldOut(Every(2)), conditions=CONDITIONS)
     [method] = compare(drives.open("kitti00"), [DescribedPlaces(ScanContext())], protocol).methods
     assert method.sent_bytes == 4800
     return {row.condition: row for row in method.conditions}

@@ -1,31 +1,30 @@
-"""What a peer gives: a scan's descriptor, and the places among which it is looked for."""
+"""What a baseline gives: a scan's descriptor, and the places among which it is searched for."""
 
+import math
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Protocol
 
-from core.arrays import Float32Array
-from core.errors import InvalidParameters
+import numpy as np
+
+from core.arrays import Float32Array, IntArray
+from core.errors import EmptyDrive, InvalidParameters, InvalidScan
+from core.evaluation.methods import Ask, Enrolled, EnrolledPlaces, Nearest
+from core.progress import NO_PROGRESS, Progress
+from core.projection.images import Skipped
+from core.scans.drive import Drive
 from core.scans.scan import Scan
 
-__all__ = ["Nearest", "PlaceDescriptor", "Places", "require_descriptors", "sent_bytes", "turn_deg"]
+__all__ = [
+    "DescribedPlaces",
+    "PlaceDescriptor",
+    "Places",
+    "require_descriptors",
+    "sent_bytes",
+    "turn_deg",
+]
 
 _FLOAT32_BYTES = 4
-
-
-@dataclass(frozen=True)
-class Nearest:
-    """The place that is most like a query.
-
-    Attributes:
-        row: Its row among the places.
-        distance: How unlike it is, smaller is nearer; comparable between queries of one method.
-        turn_deg: How far the query is turned from it, counter-clockwise, -180..180; `None` where
-            the method does not tell.
-    """
-
-    row: int
-    distance: float
-    turn_deg: float | None = None
 
 
 class Places(Protocol):
@@ -80,12 +79,50 @@ class PlaceDescriptor(Protocol):
         """
 
 
+@dataclass(frozen=True, eq=False)
+class DescribedPlaces:
+    """A baseline whose descriptors have a fixed shape, as a `Method`."""
+
+    descriptor: PlaceDescriptor
+
+    @property
+    def name(self) -> str:
+        """The baseline's name."""
+        return self.descriptor.name
+
+    def configuration(self) -> dict[str, Any]:
+        """Return the baseline's parameters."""
+        return self.descriptor.configuration()
+
+    def enrol(self, drive: Drive, scans: IntArray, progress: Progress = NO_PROGRESS) -> Enrolled:
+        """Describe the scans one by one; one that cannot be used is left out."""
+        progress.start(self.name, len(scans))
+        kept, described, skipped = [], [], []
+        for index in scans.tolist():
+            try:
+                described.append(self.descriptor.describe(drive.scan(index)))
+                kept.append(index)
+            except InvalidScan as error:
+                skipped.append(Skipped(index, str(error)))
+            progress.advance()
+        if not kept:
+            raise EmptyDrive(Skipped.explain(drive.name, skipped))
+        places = self.descriptor.places(np.stack(described))
+
+        def describe(scan: Scan) -> Ask:
+            return partial(places.nearest, self.descriptor.describe(scan))
+
+        return EnrolledPlaces(
+            np.array(kept, dtype=np.int64),
+            sent_bytes(self.descriptor),
+            places.stored_bytes / len(kept),
+            describe,
+        )
+
+
 def sent_bytes(descriptor: PlaceDescriptor) -> int:
     """Return what a vehicle sends: every number of a descriptor as float32."""
-    numbers = 1
-    for length in descriptor.shape:
-        numbers *= length
-    return _FLOAT32_BYTES * numbers
+    return _FLOAT32_BYTES * math.prod(descriptor.shape)
 
 
 def require_descriptors(descriptors: Float32Array, shape: tuple[int, ...]) -> None:

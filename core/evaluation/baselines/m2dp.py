@@ -20,8 +20,9 @@ import numpy as np
 
 from core.arrays import Float32Array, FloatArray
 from core.errors import InvalidParameters, InvalidScan
-from core.evaluation.baselines.descriptor import Nearest, require_descriptors
+from core.evaluation.baselines.descriptor import require_descriptors
 from core.evaluation.baselines.voxels import voxel_means
+from core.evaluation.methods import Nearest
 from core.scans.scan import Scan
 
 __all__ = ["M2dp", "M2dpPlaces"]

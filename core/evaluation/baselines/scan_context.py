@@ -14,7 +14,8 @@ from scipy.spatial import cKDTree
 
 from core.arrays import Complex64Array, Float32Array, FloatArray, IntArray
 from core.errors import InvalidParameters, InvalidScan
-from core.evaluation.baselines.descriptor import Nearest, require_descriptors, turn_deg
+from core.evaluation.baselines.descriptor import require_descriptors, turn_deg
+from core.evaluation.methods import Nearest
 from core.scans.scan import Scan
 
 __all__ = ["ScanContext", "ScanContextPlaces", "ring_keys"]

@@ -15,8 +15,9 @@ import numpy as np
 
 from core.arrays import Float32Array, FloatArray, IntArray
 from core.errors import InvalidParameters, InvalidScan
-from core.evaluation.baselines.descriptor import Nearest, require_descriptors, turn_deg
+from core.evaluation.baselines.descriptor import require_descriptors, turn_deg
 from core.evaluation.baselines.voxels import voxel_means
+from core.evaluation.methods import Nearest
 from core.scans.scan import Scan
 
 __all__ = ["Solid", "SolidPlaces"]

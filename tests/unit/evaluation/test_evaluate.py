@@ -177,7 +177,7 @@ def test_a_split_that_empties_a_segment_is_refused():
 
 def test_a_split_that_holds_nothing_out_is_refused_before_the_work():
     progress = RecordedProgress()
-    with pytest.raises(InvalidParameters, match="nothing to ask"):
+    with pytest.raises(InvalidParameters, match="some must be queried"):
         evaluate(
             sample_drive(6), EvaluationProtocol(SMALL, split=Interleaved(0.01)), progress=progress
         )
