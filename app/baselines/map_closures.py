@@ -6,6 +6,7 @@ The package asks for older versions of what we need newer ones of, so that it is
 
 import importlib
 import importlib.util
+import itertools
 import tempfile
 from importlib.metadata import version
 from pathlib import Path
@@ -14,10 +15,10 @@ from typing import Any, Protocol
 import numpy as np
 
 from core.arrays import FloatArray, IntArray
-from core.errors import EmptyDrive, InvalidParameters, InvalidScan
+from core.errors import InvalidParameters
+from core.evaluation.baselines.descriptor import enrol_each
 from core.evaluation.methods import Ask, Nearest
 from core.progress import NO_PROGRESS, Progress
-from core.projection.images import Skipped
 from core.scans.drive import Drive
 from core.scans.scan import Scan
 
@@ -68,21 +69,12 @@ class MapClosures:
         """
         _require_installed()
         detector = importlib.import_module("map_closures.map_closures").MapClosures()
-        progress.start(self.name, len(scans))
-        kept: list[int] = []
-        skipped: list[Skipped] = []
-        for index in scans.tolist():
-            try:
-                points = drive.scan(index).points_m.astype(np.float64)
-            except InvalidScan as error:
-                skipped.append(Skipped(index, str(error)))
-            else:
-                detector.get_best_closure(len(kept), points)
-                kept.append(index)
-            progress.advance()
-        if not kept:
-            raise EmptyDrive(Skipped.explain(drive.name, skipped))
-        return MapClosuresPlaces(detector, np.array(kept, dtype=np.int64))
+        enrolled = itertools.count()
+
+        def enrol(scan: Scan) -> None:
+            detector.get_best_closure(next(enrolled), scan.points_m.astype(np.float64))
+
+        return MapClosuresPlaces(detector, enrol_each(self.name, drive, scans, enrol, progress))
 
 
 class MapClosuresPlaces:

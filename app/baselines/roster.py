@@ -4,7 +4,6 @@ from collections.abc import Callable, Sequence
 
 from app.baselines.map_closures import MapClosures, is_installed
 from core.errors import InvalidParameters
-from core.evaluation.baselines.descriptor import DescribedPlaces
 from core.evaluation.baselines.m2dp import M2dp
 from core.evaluation.baselines.scan_context import ScanContext
 from core.evaluation.baselines.solid import Solid
@@ -49,15 +48,13 @@ def methods_named(
         return MappedPlaces(parameters, segment_length)
 
     def scan_context(candidates: int | None) -> Method:
-        return DescribedPlaces(ScanContext(sensor_height_m=sensor_height_m, candidates=candidates))
+        return ScanContext(sensor_height_m=sensor_height_m, candidates=candidates)
 
     def solid() -> Method:
         lowest_deg, highest_deg = (float(grid.elevations_deg[row]) for row in (0, -1))
-        return DescribedPlaces(
-            Solid(
-                elevation_min_deg=max(-90.0, lowest_deg - half_step_deg),
-                elevation_max_deg=min(90.0, highest_deg + half_step_deg),
-            )
+        return Solid(
+            elevation_min_deg=max(-90.0, lowest_deg - half_step_deg),
+            elevation_max_deg=min(90.0, highest_deg + half_step_deg),
         )
 
     made: dict[str, Callable[[], Method]] = {
@@ -66,7 +63,7 @@ def methods_named(
         "scan-context": lambda: scan_context(None),
         "scan-context-ring-key": lambda: scan_context(_SCAN_CONTEXT_CANDIDATES),
         "solid": solid,
-        "m2dp": lambda: DescribedPlaces(M2dp()),
+        "m2dp": lambda: M2dp(),
         "map-closures": MapClosures,
     }
     unknown = [name for name in names if name not in made]

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from core.errors import EmptyDrive, InvalidParameters, InvalidScan
-from core.evaluation.baselines.descriptor import DescribedPlaces
 from core.evaluation.baselines.m2dp import M2dp
 from core.evaluation.baselines.scan_context import ScanContext
 from core.evaluation.baselines.solid import Solid
@@ -188,10 +187,10 @@ def compared_methods():
     return [
         MappedPlaces(MapParameters(), 6),
         MappedPlaces(MapParameters.for_sensor(encoding=Encoding.HARMONIC), 6),
-        DescribedPlaces(ScanContext()),
-        DescribedPlaces(ScanContext(candidates=3)),
-        DescribedPlaces(Solid()),
-        DescribedPlaces(M2dp()),
+        ScanContext(),
+        ScanContext(candidates=3),
+        Solid(),
+        M2dp(),
     ]
 
 
