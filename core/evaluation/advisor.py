@@ -9,7 +9,7 @@ if its neighbours of the next larger r1 and r2 are within that error too.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
 from core.errors import InvalidParameters
@@ -125,43 +125,43 @@ def advise(
     smallest = min(p.bytes_per_scan for p in candidates)
     budget = math.inf if max_bytes_per_scan is None else max_bytes_per_scan
     fitting = [p for p in candidates if p.bytes_per_scan <= budget]
+    advice = Advice(
+        verdict=Decision.NOTHING_FITS,
+        recommended=None,
+        best=None,
+        standard_error=None,
+        judged=judged,
+        fitting=len(fitting),
+        tied=0,
+        max_bytes_per_scan=max_bytes_per_scan,
+        smallest_bytes_per_scan=smallest,
+        axes=(),
+        reasons=(),
+    )
     if not fitting:
-        reason = f"No candidate fits {budget:g} bytes per scan: the smallest takes {smallest:.0f}."
-        return Advice(
-            Decision.NOTHING_FITS, None, None, None, judged, 0, 0,
-            max_bytes_per_scan, smallest, (), (reason,),
-        )  # fmt: skip
+        return replace(advice, reasons=_reasons(advice, ()))
     ordered = sorted(fitting, key=_smallest_first)
     best = max(ordered, key=lambda p: p.mean_accuracy)  # the first, so the smallest, of equals
     error = standard_error(best.mean_accuracy, judged)
     bar = best.mean_accuracy - error - 1e-12
     tied = [p for p in ordered if p.mean_accuracy >= bar]
-    supported = _supported(candidates, tied, bar)
-    recommended = supported[0]
+    recommended = _supported(candidates, tied, bar)[0]
     ruled_out = [
         p
         for p in ordered
         if p.mean_accuracy < bar and p.bytes_per_scan <= recommended.bytes_per_scan
     ]
     verdict = Decision.DECIDED if ruled_out else Decision.SIZE_ONLY
-    if judged < FEWEST_JUDGED:
-        verdict = Decision.TOO_FEW
-    axes = _axes(ordered, recommended, bar)
-    return Advice(
-        verdict=verdict,
+    advice = replace(
+        advice,
+        verdict=Decision.TOO_FEW if judged < FEWEST_JUDGED else verdict,
         recommended=recommended,
         best=best,
         standard_error=error,
-        judged=judged,
-        fitting=len(fitting),
         tied=len(tied),
-        max_bytes_per_scan=max_bytes_per_scan,
-        smallest_bytes_per_scan=smallest,
-        axes=axes,
-        reasons=tuple(
-            _reasons(verdict, recommended, best, error, judged, len(tied), fitting, ruled_out, axes)
-        ),
+        axes=_axes(ordered, recommended, bar),
     )
+    return replace(advice, reasons=_reasons(advice, ruled_out))
 
 
 def _smallest_first(point: SweepPoint) -> tuple[float, float, int, tuple[int, int]]:
@@ -208,24 +208,20 @@ def _axes(ordered: Sequence[SweepPoint], chosen: SweepPoint, bar: float) -> tupl
     return tuple(axes)
 
 
-def _reasons(
-    verdict: Decision,
-    chosen: SweepPoint,
-    best: SweepPoint,
-    error: float,
-    judged: int,
-    tied: int,
-    fitting: Sequence[SweepPoint],
-    ruled_out: Sequence[SweepPoint],
-    axes: Sequence[Axis],
-) -> list[str]:
+def _reasons(advice: Advice, ruled_out: Sequence[SweepPoint]) -> tuple[str, ...]:
+    best, chosen = advice.best, advice.recommended
+    if best is None or chosen is None or advice.standard_error is None:
+        return (
+            f"No candidate fits {advice.max_bytes_per_scan:g} bytes per scan: the smallest takes"
+            f" {advice.smallest_bytes_per_scan:.0f}.",
+        )
     reasons = [
-        f"The best of {len(fitting)} candidates, {_named(best)}, answers"
-        f" {100 * best.mean_accuracy:.1f} % of {judged} held-out scans right, with a standard error"
-        f" of {100 * error:.1f} points.",
-        f"{tied} of them are within one standard error of it; {_named(chosen)} is the smallest of"
-        f" those that larger ranks confirm, with {chosen.bytes_per_scan:.0f} bytes per scan and"
-        f" {100 * chosen.mean_accuracy:.1f} %.",
+        f"The best of {advice.fitting} candidates, {_named(best)}, answers"
+        f" {100 * best.mean_accuracy:.1f} % of {advice.judged} held-out scans right, with a"
+        f" standard error of {100 * advice.standard_error:.1f} points.",
+        f"{advice.tied} of them are within one standard error of it; {_named(chosen)} is the"
+        f" smallest of those that larger ranks confirm, with {chosen.bytes_per_scan:.0f} bytes per"
+        f" scan and {100 * chosen.mean_accuracy:.1f} %.",
     ]
     if ruled_out:
         nearest = max(ruled_out, key=lambda p: p.mean_accuracy)
@@ -233,19 +229,18 @@ def _reasons(
             f"{len(ruled_out)} candidates as small or smaller are less accurate than that; the best"
             f" of them, {_named(nearest)}, reaches {100 * nearest.mean_accuracy:.1f} %."
         )
-    if verdict == Decision.TOO_FEW:
+    if advice.verdict == Decision.TOO_FEW:
         reasons.append(
-            f"The evidence does not decide: only {judged} scans were judged, and at least"
+            f"The evidence does not decide: only {advice.judged} scans were judged, and at least"
             f" {FEWEST_JUDGED} are wanted. Take a longer drive."
         )
-    elif verdict == Decision.SIZE_ONLY:
+    elif advice.verdict == Decision.SIZE_ONLY:
         reasons.append(
             "The evidence does not decide: no candidate that is smaller was less accurate. This one"
             " is chosen for its size alone; ask harder questions, such as a"
             " second drive over the same streets, before you rely on it."
         )
-    reasons += [_of_axis(axis) for axis in axes]
-    return reasons
+    return (*reasons, *map(_of_axis, advice.axes))
 
 
 def _of_axis(axis: Axis) -> str:

@@ -88,11 +88,11 @@ class EncodingStudy(Plain):
     """
 
     parameters: MapParameters
-    sweep: Sweep
-    advice: Advice
     segment_length: int
     segment_start: IntArray
     recommended: bool
+    advice: Advice
+    sweep: Sweep
     relative_error: FloatArray
     compression: Compression
     answers: Answers
@@ -112,11 +112,11 @@ class EncodingStudy(Plain):
 
     def as_dict(self) -> dict[str, Any]:
         """Return plain values, ready for JSON."""
-        return {
-            **super().as_dict(),
-            "parameters": self.parameters.as_attributes(),
-            "confusion": plain(self.answers.confusion(self.segments)),
-        }
+        found = super().as_dict()
+        last = {name: found.pop(name) for name in ("curves", "refused")}
+        found["parameters"] = self.parameters.as_attributes()
+        found["confusion"] = plain(self.answers.confusion(self.segments))
+        return found | last
 
 
 @dataclass(frozen=True, eq=False)

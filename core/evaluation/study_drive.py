@@ -45,7 +45,7 @@ class StudyProtocol:
         ranks: Show this setting's answers instead of the recommended one's.
         segment_length: The same for k.
         split: Which scans are held out.
-        max_questions: At most so many of them are asked.
+        max_queries: At most so many of them are asked.
         noise_m: Sigmas of noise on every coordinate.
         lateral_m: Translations to the left.
         yaw_deg: Turns, counter-clockwise.
@@ -61,7 +61,7 @@ class StudyProtocol:
     ranks: tuple[int, int] | None = None
     segment_length: int | None = None
     split: Split = field(default_factory=Interleaved)
-    max_questions: int = 200
+    max_queries: int = 200
     noise_m: tuple[float, ...] = (0.0, 0.05, 0.1, 0.2, 0.5, 1.0)
     lateral_m: tuple[float, ...] = (-3.0, -2.0, -1.0, -0.5, 0.0, 0.5, 1.0, 2.0, 3.0)
     yaw_deg: tuple[float, ...] = (0.0, 5.0, 10.0, 45.0, 90.0, 180.0)
@@ -72,8 +72,8 @@ class StudyProtocol:
     def __post_init__(self) -> None:
         if not self.parameters:
             raise InvalidParameters("parameters is empty, wanted those of at least one encoding")
-        if self.max_questions < 1:
-            raise InvalidParameters(f"max_questions is {self.max_questions}, wanted 1 or more")
+        if self.max_queries < 1:
+            raise InvalidParameters(f"max_queries is {self.max_queries}, wanted 1 or more")
         if self.max_bytes_per_scan is not None and not self.max_bytes_per_scan > 0:
             raise InvalidParameters(
                 f"max_bytes_per_scan is {self.max_bytes_per_scan}, wanted above 0"
@@ -101,7 +101,7 @@ def study_drive(drive: Drive, protocol: StudyProtocol, progress: Progress = NO_P
         InvalidParameters: If the split leaves nothing to ask, or a segment without a map scan.
     """
     require_scans(drive)
-    held_out, scans = held_out_scans(drive, protocol.split, protocol.max_questions)
+    held_out, scans = held_out_scans(drive, protocol.split, protocol.max_queries)
     queries = QuerySet(drive, scans, SWEPT_CONDITIONS, protocol.seed)
     criterion = Criterion(drive.poses, drive.timestamp_s, protocol.tolerance_m)
     skipped: set[Skipped] = set()

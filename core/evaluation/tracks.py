@@ -96,6 +96,15 @@ class TrackResult(Plain):
     recovery: tuple[int | None, ...]
     ms_per_observation: float | None
 
+    @property
+    def recovery_text(self) -> str:
+        """The longest recovery, and how many kidnappings were not recovered from."""
+        if not self.recovery:
+            return "-"
+        known = [scans for scans in self.recovery if scans is not None]
+        lost = len(self.recovery) - len(known)
+        return f"{max(known, default='-')}" + (f", {lost} lost" if lost else "")
+
     def as_dict(self) -> dict[str, Any]:
         """Return plain values, `errors` as their number."""
         found = super().as_dict()
