@@ -51,30 +51,24 @@ __all__ = [
 ]
 
 _MODULE_OF = {
-    "Condition": "core.evaluation.condition",
-    "Drive": "core.scans.drive",
-    "Encoding": "core.parameters",
-    "Evaluation": "core.evaluation.result",
-    "EvaluationProtocol": "core.evaluation.evaluate",
-    "Localization": "core.localization.localizer",
-    "Localizer": "core.localization.localizer",
-    "MapParameters": "core.parameters",
-    "Match": "core.localization.localizer",
-    "MemoryDrive": "core.scans.drive",
-    "Observation": "core.tracking.track",
-    "Pose": "core.scans.pose",
-    "Scan": "core.scans.scan",
-    "Signature": "core.encodings.signature",
-    "TensorMap": "core.mapping.tensormap",
-    "TensorMapError": "core.errors",
-    "Track": "core.tracking.track",
-    "Tracker": "core.tracking.track",
-    "build_map": "core.mapping.pipeline",
-    "evaluate": "core.evaluation.evaluate",
-    "merge_maps": "core.mapping.merge",
-    "pack_signatures": "core.encodings.signature",
-    "unpack_signatures": "core.encodings.signature",
-    "without_drives": "core.mapping.merge",
+    name: module
+    for module, names in (
+        ("core.encodings.signature", "Signature pack_signatures unpack_signatures"),
+        ("core.errors", "TensorMapError"),
+        ("core.evaluation.condition", "Condition"),
+        ("core.evaluation.evaluate", "EvaluationProtocol evaluate"),
+        ("core.evaluation.result", "Evaluation"),
+        ("core.localization.localizer", "Localization Localizer Match"),
+        ("core.mapping.merge", "merge_maps without_drives"),
+        ("core.mapping.pipeline", "build_map"),
+        ("core.mapping.tensormap", "TensorMap"),
+        ("core.parameters", "Encoding MapParameters"),
+        ("core.scans.drive", "Drive MemoryDrive"),
+        ("core.scans.pose", "Pose"),
+        ("core.scans.scan", "Scan"),
+        ("core.tracking.track", "Observation Track Tracker"),
+    )
+    for name in names.split()
 }
 
 

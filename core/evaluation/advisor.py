@@ -88,7 +88,7 @@ class Advice(Plain):
 def standard_error(share: float, judged: int) -> float:
     """Return the standard deviation of a share's Jeffreys posterior: above 0 even at 1.0.
 
-    A scan that is asked under several conditions counts once; its mean answer varies no more than
+    A scan that is queried under several conditions counts once; its mean answer varies no more than
     one answer does, so this is the standard error at most.
 
     Examples:
@@ -109,7 +109,7 @@ def advise(
     the one of longer segments, which the paper prefers, then of smaller ranks.
 
     Args:
-        points: The candidates; those of one segment only come into question if there are no others,
+        points: The candidates; those of one segment only count if there are no others,
             since a map of one segment says nothing of where along the way the vehicle is.
         judged: Held-out scans behind each accuracy.
         max_bytes_per_scan: Leave out candidates that are larger.

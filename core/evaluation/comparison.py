@@ -19,7 +19,7 @@ class MethodUnderCondition(Plain):
 
     Attributes:
         condition: The disturbance.
-        queries: How many scans were asked.
+        queries: How many scans were queried.
         refusals: How many could not be described; like queries without an answer they are wrong.
         unanswered: How many were described and got no answer.
         findable: How many had something to find.
@@ -79,7 +79,7 @@ class Comparison(Plain):
 
     Attributes:
         drive: Name of the drive that the places are of.
-        query_drive: Name of the drive that was asked with, `None` if it was the same.
+        query_drive: Name of the drive that the queries are of, `None` if it was the same.
         unknown_drive: Name of the drive of other places, `None` without one.
         protocol: How places and queries were chosen, in words.
         scans: How many scans the drive has.

@@ -56,7 +56,7 @@ class Criterion:
 
     @property
     def standing(self) -> BoolArray:
-        """Which scans were taken standing, `(K,)`; none where no pose tells."""
+        """Which scans were taken standing, `(K,)`; none where poses are unknown."""
         return is_standing(self.poses, self.timestamp_s)
 
     def distance_m(self, queried: IntArray, answered: IntArray) -> FloatArray:

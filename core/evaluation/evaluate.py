@@ -7,10 +7,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.spatial import KDTree
 
-from core.arrays import BoolArray, FloatArray, IntArray
-from core.encodings.compression import Compression
+from core.arrays import IntArray
 from core.evaluation.metrics import median
-from core.evaluation.motion import is_standing, motion_surrogate
 from core.evaluation.query_set import (
     LocatedQueries,
     QueryProtocol,
@@ -84,14 +82,18 @@ def evaluate(
     if query_drive is None:
         held_out = hold_out(protocol.split, segment_start)
     images = project_scans(drive, np.flatnonzero(~held_out), parameters, progress)
-    tensor_map = build(
+    made = build(
         [drive], parameters, lambda _: images, segment_start=segment_start, progress=progress
-    ).tensor_map
-    queries = (
-        _held_out_queries(drive, held_out, segment_start, protocol)
-        if query_drive is None
-        else _drive_queries(query_drive, tensor_map, protocol)
     )
+    tensor_map = made.tensor_map
+    queried = drive if query_drive is None else query_drive
+    scans = np.arange(len(queried)) if query_drive is not None else np.flatnonzero(held_out)
+    segment = (
+        np.searchsorted(segment_start, scans, side="right") - 1
+        if query_drive is None
+        else _segment_of_nearest(query_drive, tensor_map)
+    )
+    queries = LocatedQueries(queried, scans, conditions, protocol.seed, segment)
     localizer = Localizer(tensor_map)
 
     def localized(query_set: QuerySet, stage: str) -> list[list[Answer | None]]:
@@ -105,8 +107,8 @@ def evaluate(
     answers = localized(queries, "localizing")
     elsewhere: list[list[Answer | None]] = [[] for _ in conditions]
     for of_unknown in unknown:
-        scans = QuerySet(of_unknown, np.arange(len(of_unknown)), conditions, protocol.seed)
-        for column, found in enumerate(localized(scans, f"localizing {of_unknown.name}")):
+        others = QuerySet(of_unknown, np.arange(len(of_unknown)), conditions, protocol.seed)
+        for column, found in enumerate(localized(others, f"localizing {of_unknown.name}")):
             elsewhere[column] += found
     cuts = None if query_drive is not None else cut_position(images.scans, segment_start)
     return Evaluation(
@@ -131,12 +133,7 @@ def evaluate(
         motion_surrogate_median_standing=_median_where(queries, standing=True),
         motion_surrogate_median_moving=_median_where(queries, standing=False),
         skipped=images.skipped,
-        compression=Compression.of(
-            tensor_map.elements,
-            scans=len(tensor_map),
-            grid_shape=parameters.grid.shape,
-            returns=images.returns,
-        ),
+        compression=made.compression,
         relative_error=tuple(tensor_map.relative_error.tolist()),
         conditions=tuple(
             summarize(condition, tensor_map, queries, found, of_unknown, protocol.tolerances_m)
@@ -150,43 +147,18 @@ def evaluate(
     )
 
 
-def _held_out_queries(
-    drive: Drive, held_out: BoolArray, segment_start: IntArray, protocol: QueryProtocol
-) -> LocatedQueries:
-    """Return the scans of the map's own drive that are held out, in the segments cut before."""
-    scans = np.flatnonzero(held_out)
-    segment = np.searchsorted(segment_start, scans, side="right") - 1
-    return _located(drive, scans, segment, protocol)
-
-
-def _drive_queries(drive: Drive, tensor_map: TensorMap, protocol: QueryProtocol) -> LocatedQueries:
-    """Return all scans of another drive, each in the segment of the nearest scan of the map."""
+def _segment_of_nearest(drive: Drive, tensor_map: TensorMap) -> IntArray:
+    """Return the segment of the map's scan nearest to each of a drive, -1 where a pose lacks."""
     mapped, known = tensor_map.trajectory.known, is_known(drive.poses)
     segment = np.full(len(drive), -1)
     if mapped.any() and known.any():
         tree = KDTree(tensor_map.trajectory.poses[mapped, :3])
         nearest = np.flatnonzero(mapped)[tree.query(drive.poses[known, :3])[1]]
         segment[known] = tensor_map.model.segment_of_scan[nearest]
-    return _located(drive, np.arange(len(drive)), segment, protocol)
-
-
-def _located(
-    drive: Drive, scans: IntArray, segment: IntArray, protocol: QueryProtocol
-) -> LocatedQueries:
-    known = bool(is_known(drive.poses).all())
-    return LocatedQueries(
-        drive,
-        scans,
-        protocol.conditions,
-        protocol.seed,
-        segment,
-        is_standing(drive.poses, drive.timestamp_s)[scans] if known else None,
-        motion_surrogate(drive.poses)[scans],
-    )
+    return segment
 
 
 def _median_where(queries: LocatedQueries, *, standing: bool) -> float | None:
     if queries.standing is None:
         return None
-    surrogate: FloatArray = queries.surrogate[queries.standing == standing]
-    return median(surrogate)
+    return median(queries.surrogate[queries.standing == standing])

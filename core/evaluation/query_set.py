@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TypeVar
 
 import numpy as np
@@ -10,9 +11,11 @@ import numpy as np
 from core.arrays import BoolArray, FloatArray, IntArray
 from core.errors import EmptyDrive, InvalidParameters, InvalidScan
 from core.evaluation.condition import Condition
+from core.evaluation.motion import is_standing, motion_surrogate
 from core.evaluation.split import Split
 from core.progress import NO_PROGRESS, Progress
 from core.scans.drive import Drive
+from core.scans.pose import is_known
 from core.scans.scan import Scan
 
 __all__ = ["LocatedQueries", "QueryProtocol", "QuerySet", "hold_out", "require_scans"]
@@ -106,14 +109,22 @@ class LocatedQueries(QuerySet):
     """Queries, and what is true of them.
 
     Attributes:
-        segment: `(n,)` where they belong, -1 where no pose tells it.
-        standing: `(n,)` whether the vehicle stands, `None` where poses are missing.
-        surrogate: `(n,)` the paper's norm of the 6-DOF change.
+        segment: `(n,)` where they belong, -1 where a pose is unknown.
     """
 
     segment: IntArray
-    standing: BoolArray | None
-    surrogate: FloatArray
+
+    @cached_property
+    def standing(self) -> BoolArray | None:
+        """`(n,)` whether the vehicle stands, `None` where poses are missing."""
+        poses = self.drive.poses
+        known = bool(is_known(poses).all())
+        return is_standing(poses, self.drive.timestamp_s)[self.scans] if known else None
+
+    @cached_property
+    def surrogate(self) -> FloatArray:
+        """`(n,)` the paper's norm of the 6-DOF change."""
+        return motion_surrogate(self.drive.poses)[self.scans]
 
     @property
     def poses(self) -> FloatArray:

@@ -1,4 +1,4 @@
-"""Whether a probability tells known places from unknown ones, and whether it is one."""
+"""How well probabilities separate known places from unknown ones, and how well calibrated."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -75,7 +75,7 @@ class Reliability(Plain):
     """How far probabilities can be relied on; what does not apply is `None`.
 
     Attributes:
-        unknown_queries: How many scans of places that are not in the map were asked.
+        unknown_queries: How many scans of places that are not in the map were queried.
         auroc: How likely a query of the map scores above one of elsewhere.
         average_precision: Of queries of the map among both.
         ece: Expected calibration error of queries of the map alone, ten bins as wide each.
@@ -100,7 +100,7 @@ class Reliability(Plain):
 
 
 def reliability(known: Sequence[Outcome], unknown: Sequence[Outcome]) -> Reliability:
-    """Sum up what queries of the map and of elsewhere were answered."""
+    """Return the metrics of the answers to queries of the map and of elsewhere."""
     of_known, of_unknown = (
         np.array([outcome.probability for outcome in group], dtype=np.float64)
         for group in (known, unknown)
@@ -108,28 +108,17 @@ def reliability(known: Sequence[Outcome], unknown: Sequence[Outcome]) -> Reliabi
     right = np.array([outcome.right for outcome in known], dtype=bool)
     both = np.concatenate([of_known, of_unknown])
     all_right = np.concatenate([right, np.zeros(len(unknown), dtype=bool)])
-    told = bool(known) and bool(unknown)
-    weight = np.repeat(
-        [1.0 / max(1, len(known)), 1.0 / max(1, len(unknown))], [len(known), len(unknown)]
-    )
-    ece, mixed = (
-        [
-            expected_calibration_error(*samples, adaptive=adaptive, weight=counts)
-            if samples_there
-            else None
-            for adaptive in (False, True)
-        ]
-        for samples, counts, samples_there in (
-            ((of_known, right), None, bool(known)),
-            ((both, all_right), weight, told),
-        )
-    )
+    mixes = bool(known) and bool(unknown)
+    counts = np.array([len(known), len(unknown)])
+    weight = np.repeat(1.0 / np.maximum(1, counts), counts)
+    ece = _calibration_errors(of_known, right)
+    mixed = _calibration_errors(both, all_right, weight) if mixes else (None, None)
     return Reliability(
         unknown_queries=len(unknown),
-        auroc=auroc(of_known, of_unknown) if told else None,
+        auroc=auroc(of_known, of_unknown) if mixes else None,
         average_precision=(
             precision_recall(both, np.arange(len(both)) < len(known), len(known)).average_precision
-            if told
+            if mixes
             else None
         ),
         ece=ece[0],
@@ -140,6 +129,19 @@ def reliability(known: Sequence[Outcome], unknown: Sequence[Outcome]) -> Reliabi
         refused_wrong=_refused([outcome for outcome in known if not outcome.right]),
         refused_unknown=_refused(unknown),
     )
+
+
+def _calibration_errors(
+    probability: FloatArray, right: BoolArray, weight: FloatArray | None = None
+) -> tuple[float | None, float | None]:
+    """Return the error over bins as wide each, and over bins of as many samples each."""
+    if not len(probability):
+        return None, None
+    wide, adaptive = (
+        expected_calibration_error(probability, right, adaptive=adaptive, weight=weight)
+        for adaptive in (False, True)
+    )
+    return wide, adaptive
 
 
 def _refused(group: Sequence[Outcome]) -> float | None:

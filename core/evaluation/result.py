@@ -40,7 +40,7 @@ class ConditionResult(Plain):
 
     Attributes:
         condition: The disturbance.
-        queries: How many scans were asked.
+        queries: How many scans were queried.
         refusals: How many got no answer; they count in none of the figures below.
         segment_accuracy: Share of answers on the right segment.
         errors: Answers on a wrong segment, one by one.
@@ -84,12 +84,12 @@ class ConditionResult(Plain):
 
 @dataclass(frozen=True)
 class Evaluation(Plain):
-    """A map made of one part of a drive and asked with another, or with another drive.
+    """A map of one part of a drive, queried with the other part or with another drive.
 
     Attributes:
-        drive: Name of the mapped drive; `query_drive` is `None` if it was asked itself.
+        drive: Name of the mapped drive; `query_drive` is `None` if its own scans are the queries.
         unknown_drives: Names of the drives whose places the map does not have.
-        calibrated: Whether the map tells probabilities.
+        calibrated: Whether the map gives probabilities.
         segments: L.
         segmentation: How they were cut.
         split: How the queries were held out, `None` with a query drive.
@@ -103,7 +103,7 @@ class Evaluation(Plain):
         compression: Against the map's own images and returns.
         relative_error: |X - X^| / |X| of each segment.
         conditions: The figures, one entry a disturbance.
-        tracks: The same of the queries tracked as one drive; empty if that was not asked.
+        tracks: The same of the queries tracked as one drive; empty without tracking.
     """
 
     drive: str

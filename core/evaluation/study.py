@@ -20,10 +20,10 @@ __all__ = ["Answers", "CurvePoint", "EncodingStudy", "Study"]
 
 @dataclass(frozen=True, eq=False)
 class Answers(Plain):
-    """What a map answered to the scans that were asked as driven; row by row.
+    """What a map answered to the undisturbed queries; row by row.
 
     Attributes:
-        scan: The scans that were asked.
+        scan: The scans that were queried.
         segment: Where they belong.
         matched_scan: The map scan that each was taken for.
         matched_segment: Where that lies.
@@ -84,7 +84,7 @@ class EncodingStudy(Plain):
         compression: Of that map.
         answers: To the scans held out, as driven.
         curves: Accuracy under each disturbance.
-        refused: Scans held out that could not be asked.
+        refused: Scans held out that could not be queried.
     """
 
     parameters: MapParameters

@@ -1,4 +1,4 @@
-"""Study a drive: sweep the parameters, recommend some, and ask that map harder (paper, sec. 3)."""
+"""Study a drive: sweep the parameters, recommend some, query that map harder (paper, sec. 3)."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -6,7 +6,6 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from core.arrays import IntArray
-from core.encodings.compression import Compression
 from core.errors import InvalidParameters
 from core.evaluation.advisor import advise
 from core.evaluation.condition import Condition
@@ -45,7 +44,7 @@ class StudyProtocol:
         ranks: Show this setting's answers instead of the recommended one's.
         segment_length: The same for k.
         split: Which scans are held out.
-        max_queries: At most so many of them are asked.
+        max_queries: At most so many of them are queries.
         noise_m: Sigmas of noise on every coordinate.
         lateral_m: Translations to the left.
         yaw_deg: Turns, counter-clockwise.
@@ -94,11 +93,11 @@ def segment_lengths_for(scans: int) -> tuple[int, ...]:
 
 
 def study_drive(drive: Drive, protocol: StudyProtocol, progress: Progress = NO_PROGRESS) -> Study:
-    """Sweep the parameters on a drive, recommend some, and ask the recommended map harder.
+    """Sweep the parameters on a drive, recommend some, and query the recommended map harder.
 
     Raises:
         EmptyDrive: If the drive has no scan, or no usable one.
-        InvalidParameters: If the split leaves nothing to ask, or a segment without a map scan.
+        InvalidParameters: If the split leaves no query, or a segment without a map scan.
     """
     require_scans(drive)
     held_out, scans = held_out_scans(drive, protocol.split, protocol.max_queries)
@@ -153,15 +152,15 @@ def _study_encoding(
         length = advice.recommended.segment_length if advice.recommended else lengths[-1]
     parameters = replace(images.parameters, ranks=ranks)
     segment_start = cut_fixed(len(drive), length)
-    tensor_map = build(
+    made = build(
         [drive],
         parameters,
         lambda _: images.mapped,
         segment_start=segment_start,
         calibrated=False,
         progress=progress,
-    ).tensor_map
-    localizer = Localizer(tensor_map)
+    )
+    localizer = Localizer(made.tensor_map)
 
     def localize(_: int, scan: Scan) -> int:
         return localizer.localize_scan(scan).best.scan_index
@@ -177,13 +176,8 @@ def _study_encoding(
         segment_start=segment_start,
         recommended=advice.recommended is not None
         and (ranks, length) == (advice.recommended.ranks, advice.recommended.segment_length),
-        relative_error=tensor_map.relative_error,
-        compression=Compression.of(
-            tensor_map.elements,
-            scans=len(tensor_map),
-            grid_shape=parameters.grid.shape,
-            returns=images.mapped.returns,
-        ),
+        relative_error=made.tensor_map.relative_error,
+        compression=made.compression,
         answers=answers[0],
         curves=tuple(map(_curve_point, disturbed.conditions, answers)),
         refused=images.refused,

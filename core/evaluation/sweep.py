@@ -102,11 +102,11 @@ class SweepPoint(Plain):
 
 @dataclass(frozen=True)
 class Sweep(Plain):
-    """All candidates of one encoding, asked the same questions.
+    """All candidates of one encoding on one query set.
 
     Attributes:
         encoding: Of the maps.
-        conditions: What each entry of `accuracy` was asked under.
+        conditions: What each entry of `accuracy` was measured under.
         criterion: What counts as right.
         map_scans: Scans in each map.
         asked: Scans that were asked, under each condition.

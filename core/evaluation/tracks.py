@@ -36,7 +36,7 @@ class TrackError:
         segment: Where it belongs.
         told_segment: Where it was put.
         told_scan: Index of the map scan nearest to that place.
-        probability: Of the segment, as it was told.
+        probability: Of the segment, as the track gave it.
         standing: Whether the vehicle stood, `None` without poses.
     """
 
@@ -57,20 +57,20 @@ class TrackResult(Plain):
         condition: The disturbance.
         observations: How many were taken.
         refusals: How many scans gave none.
-        localized: For how many a place was told; recall and error are of these.
-        not_localized: Why none was told, how often.
-        first_fix: How many observations it took until a place was told.
-        errors: Wrong segments that were told.
+        localized: How many gave a place; recall and error are of these.
+        not_localized: Why there was none, how often.
+        first_fix: How many observations it took until the first place.
+        errors: Wrong segments that were given as sure.
         errors_moving: How many of them while the vehicle moved.
         errors_stationary: How many while it stood.
-        segments_told: How many segments were told: a place was, and its segment is sure, 0.9.
-        unsure_wrong: How many were not told because two were likely, and the likelier was wrong.
+        segments_told: How many gave a place whose segment is sure, 0.9.
+        unsure_wrong: How many gave none because two were likely, and the likelier was wrong.
         recall_at_1: Share whose map scan was recorded within so many metres.
         position_error_m_median: Median distance of the estimated position.
-        standing_found: Share of the standing vehicle's observations that were told as such.
-        standing_false: Share of the moving vehicle's that were told as standing.
-        flicker: Changes of the told segment while the vehicle stood, beyond those that are true.
-        scan_changes: Changes of the told scan from one observation told as standing to the next.
+        standing_found: Share of the standing vehicle's observations that were found standing.
+        standing_false: Share of the moving vehicle's that were.
+        flicker: Changes of the segment while the vehicle stood, beyond those that are true.
+        scan_changes: Changes of the scan from one observation found standing to the next.
         recovery: How many observations each kidnapping took until the place was right again,
             `None` for one that was not found within 30.
         ms_per_observation: Mean wall time from signatures to answer.
@@ -159,13 +159,7 @@ def _tracked(
 ) -> TrackResult:
     kept = np.array([row for row, one in enumerate(observed) if one is not None], np.int64)
     observations = [one for one in observed if one is not None]
-    asked = replace(
-        queries,
-        scans=queries.scans[kept],
-        segment=queries.segment[kept],
-        standing=None if queries.standing is None else queries.standing[kept],
-        surrogate=queries.surrogate[kept],
-    )
+    asked = replace(queries, scans=queries.scans[kept], segment=queries.segment[kept])
     track = Track(tracker)
     begun = time.perf_counter()
     steps = [track.observe(observation) for observation in observations]

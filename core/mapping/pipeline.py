@@ -11,6 +11,7 @@ from typing import Protocol
 import numpy as np
 
 from core.arrays import Float32Array, FloatArray, IntArray
+from core.encodings.compression import Compression
 from core.encodings.grams import drive_gram
 from core.errors import InvalidParameters
 from core.mapping.build import fit_map
@@ -102,6 +103,16 @@ class Build:
     skipped: Mapping[str, tuple[Skipped, ...]]
     fits: tuple[BasisFit, ...] = ()
     segment_length: int | None = None
+
+    @property
+    def compression(self) -> Compression:
+        """The map's numbers against those of its images and returns."""
+        return Compression.of(
+            self.tensor_map.elements,
+            scans=len(self.tensor_map),
+            grid_shape=self.tensor_map.parameters.grid.shape,
+            returns=self.returns,
+        )
 
 
 def build_map(
