@@ -51,8 +51,10 @@ def by_evaluation(drive, parameters, monkeypatch):
     return maps[0].revision
 
 
-@pytest.mark.parametrize("encoding", Encoding)
-@pytest.mark.parametrize("segmentation", Segmentation)
+@pytest.mark.parametrize(
+    ("encoding", "segmentation"),
+    [(Encoding.HARMONIC, Segmentation.FIXED), (Encoding.PAPER, Segmentation.UNEQUAL)],
+)
 def test_service_command_core_and_evaluation_build_one_map(
     empty, tensormap, folder, tmp_path, monkeypatch, encoding, segmentation
 ):
