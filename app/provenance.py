@@ -31,7 +31,7 @@ def commit() -> str | None:
     """Name the commit that runs, `-dirty` if files were changed; `None` outside a checkout."""
     if not (_SOURCE / ".git").exists():
         return None
-    command = ["git", "-C", str(_SOURCE), "describe", "--always", "--dirty"]
+    command = ["git", "-C", str(_SOURCE), "describe", "--always", "--dirty", "--abbrev=12"]
     try:
         done = subprocess.run(command, capture_output=True, text=True, check=True)  # noqa: S603 - no foreign input
     except (OSError, subprocess.CalledProcessError):
@@ -39,11 +39,11 @@ def commit() -> str | None:
     return done.stdout.strip()
 
 
-def machine() -> str:
+def machine(cpuinfo: Path = Path("/proc/cpuinfo")) -> str:
     """Name the processor as the system does."""
     try:
-        lines = Path("/proc/cpuinfo").read_text().splitlines()
+        lines = cpuinfo.read_text(errors="replace").splitlines()
     except OSError:
         lines = []
     names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
-    return names[0] if names else platform.processor() or platform.machine()
+    return next(filter(None, names), platform.processor() or platform.machine() or "unknown")

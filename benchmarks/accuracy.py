@@ -15,7 +15,7 @@ from threadpoolctl import threadpool_limits
 
 from benchmarks.timing import machine
 from core.evaluation.condition import Condition, conditions
-from core.evaluation.evaluate import Protocol, evaluate
+from core.evaluation.evaluate import EvaluationProtocol, evaluate
 from core.evaluation.split import Every, Interleaved
 from core.parameters import MapParameters
 from core.projection.reducer import RANGE_REDUCERS
@@ -62,7 +62,9 @@ def _segments(drive: Drive) -> None:
         cells = []
         for phase in phases:
             split = Interleaved(0.2, phase)
-            found = evaluate(drive, Protocol(segment_length=length, split=split)).conditions[0]
+            found = evaluate(
+                drive, EvaluationProtocol(segment_length=length, split=split)
+            ).conditions[0]
             cells.append(f"{len(found.errors)}, {found.errors_moving} of {found.queries}")
         rows.append([str(length), *cells])
     print_table(["k", *(f"phase {phase}" for phase in phases)], rows)
@@ -73,7 +75,7 @@ def _reducers(drives: Sequence[Drive]) -> None:
     print("Recall@1 within 3 m, even scans mapped, odd scans as queries, five segments.\n")
     rows = []
     for reducer in RANGE_REDUCERS:
-        protocol = Protocol(MapParameters(reducer=reducer), segments=5, split=Every(2))
+        protocol = EvaluationProtocol(MapParameters(reducer=reducer), segments=5, split=Every(2))
         recalls = [evaluate(drive, protocol).conditions[0].recall_at_1[3.0] for drive in drives]
         rows.append([f"`{reducer}`", *(f"{recall:.3f}" for recall in recalls)])
     print_table(["reducer", *(drive.name for drive in drives)], rows)
@@ -83,7 +85,7 @@ def _disturbances(drives: Sequence[Drive]) -> None:
     print("## Relative yaw, lateral offset, noise\n")
     print("The same with `last`: the query vehicle has another yaw, is to the left of the mapped")
     print("line (the returns are moved, nothing new is seen), or has noise on every coordinate.\n")
-    protocol = Protocol(segments=5, split=Every(2), conditions=DISTURBANCES)
+    protocol = EvaluationProtocol(segments=5, split=Every(2), conditions=DISTURBANCES)
     found = [evaluate(drive, protocol).conditions for drive in drives]
     rows = []
     for index, condition in enumerate(DISTURBANCES):

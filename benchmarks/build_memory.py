@@ -12,7 +12,7 @@ import numpy as np
 from app.process import keep_freed_memory, one_blas_thread
 from benchmarks.images import GeneratedImages
 from benchmarks.timing import machine
-from core.mapping.build import build_map
+from core.mapping.build import fit_map
 from core.parameters import MapParameters
 from core.scans.trajectory import Trajectory
 from core.segmentation import PAPER_SEGMENT_LENGTH, cut_fixed
@@ -33,7 +33,7 @@ def main() -> int:
         np.arange(SCANS, dtype=np.int64),
     )
     begun = time.perf_counter()
-    tensor_map = build_map(
+    tensor_map = fit_map(
         images, trajectory, cut_fixed(SCANS, PAPER_SEGMENT_LENGTH), MapParameters()
     )
     seconds = time.perf_counter() - begun

@@ -15,14 +15,14 @@ from typing import Any
 
 from threadpoolctl import threadpool_limits
 
-from app.baselines.roster import METHODS, contestants, default_methods
+from app.baselines.roster import METHODS, default_methods, methods_named
 from app.provenance import commit, machine, provenance
 from benchmarks.accuracy import print_table
 from core.arrays import IntArray
 from core.evaluation.compare import ComparisonProtocol, compare
 from core.evaluation.comparison import Comparison, MethodResult, MethodUnderCondition
 from core.evaluation.condition import Condition, conditions
-from core.evaluation.contestants import Contestant, Enrolled
+from core.evaluation.methods import Enrolled, Method
 from core.evaluation.pairing import HeldOut, LoopClosing, SecondPass
 from core.evaluation.split import Every
 from core.progress import NO_PROGRESS, Progress
@@ -85,20 +85,20 @@ def _head() -> None:
     print("Configuration: every method's defaults, five segments.\n")
     rows = [
         [f"`{one.name}`", _described_parameters(one)]
-        for one in contestants(
+        for one in methods_named(
             default_methods(), sensor=HDL_64E.name, sensor_height_m=1.73, segment_length=SCANS
         )
     ]
     print_table(["method", "configuration"], rows)
 
 
-def _described_parameters(one: Contestant) -> str:
+def _described_parameters(one: Method) -> str:
     chosen = {k: v for k, v in one.configuration().items() if k != "segment_length"}
     return ", ".join(f"{name} {value}" for name, value in chosen.items())
 
 
-def _contestants(drive: Drive, names: Sequence[str]) -> tuple[Contestant, ...]:
-    return contestants(
+def _methods(drive: Drive, names: Sequence[str]) -> tuple[Method, ...]:
+    return methods_named(
         names,
         sensor=HDL_64E.name,
         sensor_height_m=1.73,
@@ -113,7 +113,7 @@ def _kitti00(folder: Path) -> None:
     drive = open_drive(folder / "kitti00", min_returns=100)
     unknown = open_drive(folder / "kit_muehlburger", min_returns=100)
     protocol = ComparisonProtocol(HALF, unknown_every=ASKED_EVERY)
-    every = _contestants(drive, default_methods())
+    every = _methods(drive, default_methods())
     _print_means([compare(drive, every, protocol, unknown_drive=unknown)], 3.0)
 
 
@@ -123,7 +123,9 @@ def _conditions(folder: Path) -> None:
     print("are moved, nothing new is seen), or every coordinate has noise. M2DP centres returns:")
     print("moved ones are the same to it; only a real second pass (below) tests it.\n")
     drive = open_drive(folder / "kitti00", min_returns=100)
-    found = compare(drive, _contestants(drive, METHODS[:-1]), ComparisonProtocol(HALF, CONDITIONS))
+    found = compare(
+        drive, _methods(drive, METHODS[:-1]), ComparisonProtocol(HALF, conditions=CONDITIONS)
+    )
     _print_conditions(found)
 
 
@@ -131,7 +133,7 @@ def _muehlburger(folder: Path) -> None:
     print("## `kit_muehlburger`\n")
     print("Recorded, 501 scans at 10 Hz, the first 188 while standing; even scans are places.\n")
     drive = open_drive(folder / "kit_muehlburger", min_returns=100)
-    found = compare(drive, _contestants(drive, METHODS[:-1]), ComparisonProtocol(HALF))
+    found = compare(drive, _methods(drive, METHODS[:-1]), ComparisonProtocol(HALF))
     _print_means([found], 3.0)
 
 
@@ -148,7 +150,7 @@ def _cities() -> None:
     for seed in SEEDS:
         city = _in_memory(SimulatedDrive(seed=seed, scans=SCANS))
         other = _in_memory(SimulatedDrive(seed=seed + 100, scans=SCANS), ASKED_EVERY)
-        methods = [_Once(one) for one in _contestants(city, METHODS[:-1])]
+        methods = [_Once(one) for one in _methods(city, METHODS[:-1])]
         for number, (offset_m, reverse) in enumerate(PASSES):
             second = SimulatedDrive(
                 seed=seed,
@@ -185,7 +187,7 @@ def _loops() -> None:
     found = []
     for seed in SEEDS:
         drive = _in_memory(SimulatedDrive(seed=seed, scans=SCANS))
-        methods = _contestants(drive, METHODS[:-1])
+        methods = _methods(drive, METHODS[:-1])
         found.append(compare(drive, methods, ComparisonProtocol(LoopClosing(recent_scans=50))))
     asked = [result.methods[0].conditions[0] for result in found]
     of = ", ".join(f"{row.findable[3.0]} of {row.queries}" for row in asked)
@@ -196,17 +198,17 @@ def _loops() -> None:
 class _Once:
     """A method that enrols one drive once, however often it is asked to."""
 
-    def __init__(self, contestant: Contestant) -> None:
-        self._contestant = contestant
+    def __init__(self, method: Method) -> None:
+        self._method = method
         self._enrolled: Enrolled | None = None
-        self.name = contestant.name
+        self.name = method.name
 
     def configuration(self) -> dict[str, Any]:
-        return self._contestant.configuration()
+        return self._method.configuration()
 
     def enrol(self, drive: Drive, scans: IntArray, progress: Progress = NO_PROGRESS) -> Enrolled:
         if self._enrolled is None:
-            self._enrolled = self._contestant.enrol(drive, scans, progress)
+            self._enrolled = self._method.enrol(drive, scans, progress)
         return self._enrolled
 
 

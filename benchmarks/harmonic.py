@@ -14,16 +14,16 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from benchmarks.accuracy import commit, print_table
+from benchmarks.maps import localizer_of
 from benchmarks.timing import machine
 from core.arrays import FloatArray, IntArray
 from core.encodings.signature import Packing, pack_signatures, unpack_signatures
 from core.encodings.tucker import leading_basis, row_gram
 from core.evaluation.condition import Condition, conditions
-from core.evaluation.evaluate import Protocol, evaluate
+from core.evaluation.evaluate import EvaluationProtocol, evaluate
 from core.evaluation.result import Evaluation
 from core.evaluation.split import Every
 from core.localization.localizer import Localizer, Match
-from core.mapping.build import build_map
 from core.parameters import Distance, Encoding, MapParameters
 from core.projection.imager import ImageKind
 from core.projection.images import project_drive
@@ -31,8 +31,6 @@ from core.projection.reducer import Reducer
 from core.scans.displacement import left_of_m
 from core.scans.drive import Drive, MemoryDrive
 from core.scans.pose import heading_deg
-from core.scans.trajectory import Trajectory
-from core.segmentation import cut_fixed, segment_length_for
 from core.simulation import SimulatedDrive
 from storage.formats.drives.layouts import open_drive
 
@@ -96,7 +94,7 @@ def main(folder: Path, part: str = "") -> None:
 
 
 def _evaluate(drive: Drive, parameters: MapParameters) -> Evaluation:
-    protocol = Protocol(parameters, segments=5, split=Every(2), conditions=CONDITIONS)
+    protocol = EvaluationProtocol(parameters, segments=5, split=Every(2), conditions=CONDITIONS)
     return evaluate(drive, protocol)
 
 
@@ -211,15 +209,12 @@ def _cities() -> None:
 def _localizer(
     drive: MemoryDrive, parameters: MapParameters, rows: IntArray, *, all_detail: bool = False
 ) -> Localizer:
-    images = project_drive(drive, rows, parameters.imager).images
-    trajectory = Trajectory.of_drive("d", drive.timestamp_s[rows], drive.poses[rows], rows)
-    length = segment_length_for(len(rows), segments=5)
-    cuts = cut_fixed(len(rows), length)
     u = None
     if all_detail:
+        images = project_drive(drive, rows, parameters.imager).images
         cells = images.read(0, len(rows)).reshape(-1, *parameters.grid.shape)
         u = leading_basis(row_gram(cells), parameters.ranks[0]).astype(np.float32)
-    return Localizer(build_map(images, trajectory, cuts, parameters, radial_basis=u))
+    return localizer_of(drive, rows, parameters, segments=5, radial_basis=u)
 
 
 def _recall(matches: Sequence[Match], poses: FloatArray, *, within_m: float) -> float:

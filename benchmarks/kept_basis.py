@@ -13,19 +13,16 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from benchmarks.accuracy import commit, print_table
+from benchmarks.maps import localizer_of
 from benchmarks.timing import machine
 from core.arrays import Float32Array
 from core.encodings.grams import drive_gram, fit_radial_basis
-from core.localization.localizer import Localizer
-from core.mapping.build import build_map
 from core.mapping.merge import basis_fits
 from core.parameters import Encoding, MapParameters
 from core.projection.images import project_drive
 from core.scans.displacement import seen_from_beside
 from core.scans.drive import Drive
 from core.scans.scan import Scan
-from core.scans.trajectory import Trajectory
-from core.segmentation import cut_fixed
 from core.simulation import SimulatedDrive
 from storage.formats.drives.layouts import open_drive
 
@@ -82,10 +79,7 @@ def main(folder: Path) -> None:
 
 def _recall(drive: Drive, parameters: MapParameters, u: Float32Array) -> list[float]:
     rows = np.arange(0, len(drive), 2)
-    images = project_drive(drive, rows, parameters.imager).images
-    trajectory = Trajectory.of_drive("d", drive.timestamp_s[rows], drive.poses[rows], rows)
-    cuts = cut_fixed(len(rows), 760)
-    localizer = Localizer(build_map(images, trajectory, cuts, parameters, radial_basis=u))
+    localizer = localizer_of(drive, rows, parameters, radial_basis=u)
     asked = range(1, len(drive), 2)
     hits = np.zeros(len(ASIDE_M))
     for index in asked:
@@ -93,7 +87,7 @@ def _recall(drive: Drive, parameters: MapParameters, u: Float32Array) -> list[fl
         for column, aside_m in enumerate(ASIDE_M):
             scan = Scan(seen_from_beside(points_m, aside_m).astype(np.float32))
             best = localizer.localize_scan(scan).best
-            place_m = trajectory.poses[best.row, :3]
+            place_m = localizer.map.trajectory.poses[best.row, :3]
             hits[column] += np.linalg.norm(place_m - drive.poses[index, :3]) <= WITHIN_M
     return [float(share) for share in hits / len(asked)]
 

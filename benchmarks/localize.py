@@ -11,7 +11,7 @@ from threadpoolctl import threadpool_limits
 from benchmarks.images import GeneratedImages
 from benchmarks.timing import machine, medians_s
 from core.localization.localizer import Localizer
-from core.mapping.build import build_map
+from core.mapping.build import fit_map
 from core.parameters import MapParameters
 from core.projection.range_image import RangeImage
 from core.scans.trajectory import Trajectory
@@ -33,7 +33,7 @@ def main() -> int:
         np.arange(SCANS),
     )
     cuts = cut_fixed(SCANS, PAPER_SEGMENT_LENGTH)
-    localizer = Localizer(build_map(source, trajectory, cuts, MapParameters()))
+    localizer = Localizer(fit_map(source, trajectory, cuts, MapParameters()))
     query = RangeImage(every_image[1234], source.grid)
 
     def by_images() -> int:

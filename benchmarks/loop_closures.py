@@ -19,18 +19,15 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from benchmarks.accuracy import commit, print_table
+from benchmarks.maps import localizer_of
 from benchmarks.timing import machine
-from core.arrays import FloatArray, IntArray
+from core.arrays import FloatArray
 from core.localization.localizer import Localizer
 from core.loop_closure.closure import ACCEPT_FROM, LoopClosure, Verdict, check_scans
-from core.mapping.build import build_map
 from core.parameters import Encoding, MapParameters
-from core.projection.images import project_drive
 from core.scans.drive import Drive, MemoryDrive
 from core.scans.pose import heading_deg
 from core.scans.scan import Scan
-from core.scans.trajectory import Trajectory
-from core.segmentation import cut_fixed
 from core.simulation import SimulatedDrive
 from storage.formats.drives.layouts import open_drive
 
@@ -180,10 +177,7 @@ def _in_memory(drive: Drive, every: int) -> MemoryDrive:
 
 def _localizer(drive: MemoryDrive) -> Localizer:
     parameters = MapParameters.for_sensor(encoding=Encoding.HARMONIC)
-    rows: IntArray = np.arange(len(drive))
-    images = project_drive(drive, rows, parameters.imager).images
-    trajectory = Trajectory.of_drive("d", drive.timestamp_s, drive.poses, rows)
-    return Localizer(build_map(images, trajectory, cut_fixed(len(rows), 760), parameters))
+    return localizer_of(drive, np.arange(len(drive)), parameters)
 
 
 def _evidence(judged: list[Judged]) -> FloatArray:

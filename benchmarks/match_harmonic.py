@@ -13,18 +13,14 @@ from functools import partial
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from benchmarks.maps import localizer_of
 from benchmarks.timing import machine, medians_s
 from core.arrays import IntArray
 from core.encodings.base import Found
 from core.encodings.harmonic import HarmonicModel
 from core.encodings.signature import Signature
 from core.evaluation.baselines.scan_context import ScanContext
-from core.localization.localizer import Localizer
-from core.mapping.build import build_map
 from core.parameters import Encoding, MapParameters
-from core.projection.images import project_drive
-from core.scans.trajectory import Trajectory
-from core.segmentation import PAPER_SEGMENT_LENGTH, cut_fixed
 from core.simulation import SimulatedDrive, SimulatedSensor
 
 BAR_MS = 1.0
@@ -40,10 +36,8 @@ def main() -> int:
     )
     parameters = MapParameters.for_sensor(encoding=Encoding.HARMONIC)
     mapped = np.arange(0, 2 * SCANS, 2)
-    images = project_drive(drive, mapped, parameters.imager).images
-    trajectory = Trajectory.of_drive("d", drive.timestamp_s[mapped], drive.poses[mapped], mapped)
-    tensor_map = build_map(images, trajectory, cut_fixed(SCANS, PAPER_SEGMENT_LENGTH), parameters)
-    localizer = Localizer(tensor_map)
+    localizer = localizer_of(drive, mapped, parameters)
+    tensor_map = localizer.map
     model = tensor_map.model
     assert isinstance(model, HarmonicModel)  # noqa: S101 - for the reader and mypy
     asked = [

@@ -17,7 +17,7 @@ from threadpoolctl import threadpool_limits
 
 from benchmarks.accuracy import commit, print_table
 from benchmarks.timing import machine
-from core.evaluation.evaluate import Protocol, evaluate
+from core.evaluation.evaluate import EvaluationProtocol, evaluate
 from core.evaluation.result import Evaluation
 from core.evaluation.split import Every
 from core.parameters import Encoding, MapParameters, Segmentation
@@ -59,9 +59,9 @@ def _drive(folder: Path, name: str) -> Drive:
 def _compared(drive: Drive, encoding: Encoding, segments: int) -> list[str]:
     split = Every(2)  # the same scans whatever the cuts
     parameters = MapParameters.for_sensor(encoding=encoding, segmentation=Segmentation.UNEQUAL)
-    unequal = evaluate(drive, Protocol(parameters, segments=segments, split=split))
+    unequal = evaluate(drive, EvaluationProtocol(parameters, segments=segments, split=split))
     fixed = replace(parameters, segmentation=Segmentation.FIXED)
-    equal = evaluate(drive, Protocol(fixed, segments=unequal.segments, split=split))
+    equal = evaluate(drive, EvaluationProtocol(fixed, segments=unequal.segments, split=split))
     if equal.compression.elements != unequal.compression.elements:
         raise RuntimeError(f"{drive.name}: {equal.segments} and {unequal.segments} segments")
     both = (equal, unequal)

@@ -14,7 +14,7 @@ from threadpoolctl import threadpool_limits
 
 from benchmarks.accuracy import commit, print_table
 from benchmarks.timing import machine
-from core.evaluation.evaluate import Protocol, evaluate
+from core.evaluation.evaluate import EvaluationProtocol, evaluate
 from core.evaluation.result import Evaluation
 from core.evaluation.split import Interleaved
 from core.evaluation.tracks import TrackResult
@@ -58,7 +58,7 @@ def _recorded(drive: Drive) -> list[str]:
             for phase in range(5):
                 found = evaluate(
                     drive,
-                    Protocol(
+                    EvaluationProtocol(
                         MapParameters.for_sensor(encoding=encoding),
                         segment_length=length,
                         split=Interleaved(0.2, phase),
@@ -162,7 +162,7 @@ class _Pass:
 
 
 def _tracked(mapped: Drive, query: Drive) -> Evaluation:
-    protocol = Protocol(
+    protocol = EvaluationProtocol(
         MapParameters.for_sensor(encoding=Encoding.HARMONIC), segments=5, track=True
     )
     return evaluate(mapped, protocol, query)

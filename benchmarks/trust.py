@@ -15,18 +15,15 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from benchmarks.accuracy import commit, print_table
+from benchmarks.maps import localizer_of
 from benchmarks.timing import machine
 from core.arrays import FloatArray, IntArray
 from core.confidence.places import AWAY_M
-from core.evaluation.reliability import Judged, Reliability, reliability
+from core.evaluation.reliability import Outcome, Reliability, reliability
 from core.localization.localizer import Localization, Localizer
-from core.mapping.build import build_map
 from core.parameters import Encoding, MapParameters
-from core.projection.images import project_drive
 from core.scans.drive import Drive, MemoryDrive
 from core.scans.pose import Pose
-from core.scans.trajectory import Trajectory
-from core.segmentation import cut_fixed, segment_length_for
 from core.simulation import SimulatedDrive
 from storage.formats.drives.layouts import open_drive
 
@@ -135,11 +132,7 @@ def _second_pass(seed: int, offset_m: float, reverse: bool) -> MemoryDrive:  # n
 
 
 def _localizer(drive: Drive, rows: IntArray, parameters: MapParameters) -> Localizer:
-    projected = project_drive(drive, rows, parameters.imager)
-    trajectory = Trajectory.of_drive(drive.name, drive.timestamp_s[rows], drive.poses[rows], rows)
-    cuts = cut_fixed(len(rows), segment_length_for(len(rows), segments=5))
-    probes = projected.probes_of_map()
-    return Localizer(build_map(projected.images, trajectory, cuts, parameters, probes=probes))
+    return localizer_of(drive, rows, parameters, segments=5, calibrated=True)
 
 
 def _ask(localizer: Localizer, drive: Drive, index: int) -> tuple[Localization, FloatArray]:
@@ -194,9 +187,9 @@ def _is_right(found: Localization, pose: FloatArray) -> bool:
     return bool(np.linalg.norm(place[:3] - pose[:3]) < AWAY_M)
 
 
-def _judged(found: Localization, *, right: bool) -> Judged:
+def _judged(found: Localization, *, right: bool) -> Outcome:
     assert found.verdict.probability is not None  # noqa: S101 - these maps are calibrated
-    return Judged(found.verdict.probability, found.localized, right)
+    return Outcome(found.verdict.probability, found.localized, right)
 
 
 def _coverage(asked: Sequence[tuple[Localization, FloatArray]]) -> list[str]:

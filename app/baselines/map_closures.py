@@ -1,4 +1,4 @@
-"""MapClosures (Gupta et al., ICRA 2024) of the package index, as a contestant.
+"""MapClosures (Gupta et al., ICRA 2024) of the package index, as a baseline.
 
 The package asks for older versions of what we need newer ones of, so that it is no extra of ours:
 `pip install --no-deps map_closures` beside us is enough for what is called here.
@@ -6,6 +6,7 @@ The package asks for older versions of what we need newer ones of, so that it is
 
 import importlib
 import importlib.util
+import itertools
 import tempfile
 from importlib.metadata import version
 from pathlib import Path
@@ -14,15 +15,14 @@ from typing import Any, Protocol
 import numpy as np
 
 from core.arrays import FloatArray, IntArray
-from core.errors import EmptyDrive, InvalidParameters, InvalidScan
-from core.evaluation.baselines.descriptor import Nearest
-from core.evaluation.contestants import Ask
+from core.errors import InvalidParameters
+from core.evaluation.baselines.descriptor import enrol_each
+from core.evaluation.methods import Ask, Nearest
 from core.progress import NO_PROGRESS, Progress
-from core.projection.images import Skipped
 from core.scans.drive import Drive
 from core.scans.scan import Scan
 
-__all__ = ["MapClosuresContestant", "is_installed"]
+__all__ = ["MapClosures", "is_installed"]
 
 _QUERY_ID = 1_000_000  # queries enter the detector's database too: their ids begin here
 
@@ -39,10 +39,10 @@ def is_installed() -> bool:
     return importlib.util.find_spec("map_closures") is not None
 
 
-class MapClosuresContestant:
+class MapClosures:
     """Single scans as local maps: the package is made for maps of many scans, joined by odometry.
 
-    The detector keeps whatever it is asked with. Closures with other queries are left out, but they
+    The detector keeps every query. Closures with other queries are left out, but they
     stay in its database, so that matching becomes slower with every query.
     """
 
@@ -69,21 +69,12 @@ class MapClosuresContestant:
         """
         _require_installed()
         detector = importlib.import_module("map_closures.map_closures").MapClosures()
-        progress.start(self.name, len(scans))
-        kept: list[int] = []
-        skipped: list[Skipped] = []
-        for index in scans.tolist():
-            try:
-                points = drive.scan(index).points_m.astype(np.float64)
-            except InvalidScan as error:
-                skipped.append(Skipped(index, str(error)))
-            else:
-                detector.get_best_closure(len(kept), points)
-                kept.append(index)
-            progress.advance()
-        if not kept:
-            raise EmptyDrive(Skipped.explain(drive.name, skipped))
-        return MapClosuresPlaces(detector, np.array(kept, dtype=np.int64))
+        enrolled = itertools.count()
+
+        def enrol(scan: Scan) -> None:
+            detector.get_best_closure(next(enrolled), scan.points_m.astype(np.float64))
+
+        return MapClosuresPlaces(detector, enrol_each(self.name, drive, scans, enrol, progress))
 
 
 class MapClosuresPlaces:

@@ -2,16 +2,16 @@
 
 from collections.abc import Callable, Sequence
 
-from app.baselines.map_closures import MapClosuresContestant, is_installed
+from app.baselines.map_closures import MapClosures, is_installed
 from core.errors import InvalidParameters
 from core.evaluation.baselines.m2dp import M2dp
 from core.evaluation.baselines.scan_context import ScanContext
 from core.evaluation.baselines.solid import Solid
-from core.evaluation.contestants import Contestant, DescribedPlaces, MappedPlaces
+from core.evaluation.methods import MappedPlaces, Method
 from core.parameters import Encoding, MapParameters
 from core.scans.sensor import sensor_named
 
-__all__ = ["METHODS", "contestants", "default_methods"]
+__all__ = ["METHODS", "default_methods", "methods_named"]
 
 METHODS = (
     "paper",
@@ -30,9 +30,9 @@ def default_methods() -> tuple[str, ...]:
     return METHODS if is_installed() else METHODS[:-1]
 
 
-def contestants(
+def methods_named(
     names: Sequence[str], *, sensor: str, sensor_height_m: float, segment_length: int
-) -> tuple[Contestant, ...]:
+) -> tuple[Method, ...]:
     """Return the methods of these names, each with its defaults for this sensor.
 
     Raises:
@@ -41,32 +41,30 @@ def contestants(
     grid = sensor_named(sensor).grid
     half_step_deg = grid.elevation_step_deg / 2.0
 
-    def mapped(encoding: Encoding) -> Contestant:
+    def mapped(encoding: Encoding) -> Method:
         parameters = MapParameters.for_sensor(
             sensor, encoding=encoding, sensor_height_m=sensor_height_m
         )
         return MappedPlaces(parameters, segment_length)
 
-    def scan_context(candidates: int | None) -> Contestant:
-        return DescribedPlaces(ScanContext(sensor_height_m=sensor_height_m, candidates=candidates))
+    def scan_context(candidates: int | None) -> Method:
+        return ScanContext(sensor_height_m=sensor_height_m, candidates=candidates)
 
-    def solid() -> Contestant:
+    def solid() -> Method:
         lowest_deg, highest_deg = (float(grid.elevations_deg[row]) for row in (0, -1))
-        return DescribedPlaces(
-            Solid(
-                elevation_min_deg=max(-90.0, lowest_deg - half_step_deg),
-                elevation_max_deg=min(90.0, highest_deg + half_step_deg),
-            )
+        return Solid(
+            elevation_min_deg=max(-90.0, lowest_deg - half_step_deg),
+            elevation_max_deg=min(90.0, highest_deg + half_step_deg),
         )
 
-    made: dict[str, Callable[[], Contestant]] = {
+    made: dict[str, Callable[[], Method]] = {
         "paper": lambda: mapped(Encoding.PAPER),
         "harmonic": lambda: mapped(Encoding.HARMONIC),
         "scan-context": lambda: scan_context(None),
         "scan-context-ring-key": lambda: scan_context(_SCAN_CONTEXT_CANDIDATES),
         "solid": solid,
-        "m2dp": lambda: DescribedPlaces(M2dp()),
-        "map-closures": MapClosuresContestant,
+        "m2dp": lambda: M2dp(),
+        "map-closures": MapClosures,
     }
     unknown = [name for name in names if name not in made]
     if unknown:
@@ -74,6 +72,6 @@ def contestants(
             f"there is no method {unknown[0]!r}; known are {', '.join(METHODS)}"
         )
     chosen = tuple(made[name]() for name in names)
-    for contestant in chosen:
-        contestant.configuration()  # tells what is not installed before any work is done
+    for method in chosen:
+        method.configuration()  # tells what is not installed before any work is done
     return chosen

@@ -4,6 +4,7 @@ import logging
 from collections.abc import Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -12,19 +13,15 @@ from app.builds.live_gate import Gate, pass_gate
 from app.builds.parameters import BuildParameters, PoseCheck
 from app.builds.plans import Plan, unreadable_basis
 from app.drives.stored_images import images_path, open_images
-from core.arrays import Float32Array, FloatArray
+from core.arrays import Float32Array
 from core.encodings.harmonic import HarmonicModel
 from core.frames.agreement import FrameCheck, check_frames, require_one_frame
-from core.mapping.build import build_map
-from core.mapping.merge import BasisFit, basis_fits
+from core.mapping.merge import BasisFit
+from core.mapping.pipeline import Build, ImagesOf, build
 from core.mapping.tensormap import TensorMap
-from core.parameters import MapParameters, Segmentation
+from core.parameters import MapParameters
 from core.progress import NO_PROGRESS, Progress
-from core.projection.images import ConcatenatedImages, Probes, Skipped
 from core.scans.drive import Drive
-from core.scans.trajectory import Trajectory
-from core.segmentation import cut_drives, cut_unequal, segment_length_for
-from core.topology import cut_at_meetings
 from storage.catalog import Act, RevisionFacts, RevisionRecord, on_behalf
 from storage.catalog.scans import LostRace
 from storage.errors import CorruptFile, CorruptImages, DriveNotFound, StorageBusy
@@ -36,27 +33,17 @@ _log = logging.getLogger("tensormap.builds")
 
 _ATTEMPTS = 20  # each lost race is another revision that became live
 
-__all__ = ["Built", "build_drive", "build_drives", "build_revision"]
+__all__ = ["Built", "build_drives", "build_revision"]
 
 
 @dataclass(frozen=True, eq=False)
-class Built:
+class Built(Build):
     """A map and what its drives were.
 
     Attributes:
-        tensor_map: The map.
-        returns: How many returns its scans held together.
-        skipped: Scans that could not be used, by drive.
-        fits: How well a basis that was kept fits each drive; none if it was fitted.
-        segment_length: k that drives were cut with.
         frames: What is known of the world frames of the drives after the first.
     """
 
-    tensor_map: TensorMap
-    returns: int
-    skipped: dict[str, tuple[Skipped, ...]]
-    fits: tuple[BasisFit, ...]
-    segment_length: int
     frames: tuple[FrameCheck, ...] = ()
 
     @property
@@ -196,13 +183,6 @@ def _publish(
         )
 
 
-def build_drive(
-    drive: Drive, parameters: BuildParameters, progress: Progress = NO_PROGRESS
-) -> Built:
-    """Build a map of one drive; see `build_drives`."""
-    return build_drives([drive], parameters, progress)
-
-
 def build_drives(
     drives: Sequence[Drive],
     parameters: BuildParameters,
@@ -224,14 +204,16 @@ def build_drives(
         InvalidMap: If two drives have one name.
         FramesDisagree: If the poses of two drives are in different world frames.
     """
-    map_parameters = parameters.map_parameters()
-    with TemporaryDirectory(prefix="tensormap-") as folder, ExitStack() as stack:
-        images = []
-        for position, drive in enumerate(drives):
-            path = Path(folder) / f"{position}.h5"
-            write_image_file(path, drive, map_parameters.imager, progress)
-            images.append(stack.enter_context(ImageFile(path, map_parameters.imager)))
-        return _build(drives, images, parameters, map_parameters, progress, radial_basis)
+    imager = parameters.map_parameters().imager
+    with ExitStack() as stack:
+
+        def images_of(drive: Drive) -> ImageFile:
+            folder = stack.enter_context(TemporaryDirectory(prefix="tensormap-"))
+            path = Path(folder) / "images.h5"
+            write_image_file(path, drive, imager, progress)
+            return stack.enter_context(ImageFile(path, imager))
+
+        return _build(drives, images_of, parameters, progress, radial_basis)
 
 
 def _build_stored(
@@ -242,77 +224,36 @@ def _build_stored(
     progress: Progress,
     radial_basis: Float32Array | None,
 ) -> Built:
+    images = {drive.name: partial(open_images, store, drive) for drive in drives}
     with ExitStack() as stack:
-        images = [
-            stack.enter_context(open_images(store, drive, map_parameters, progress))
-            for drive in drives
-        ]
-        return _build(drives, images, plan.parameters, map_parameters, progress, radial_basis)
+
+        def images_of(drive: Drive) -> ImageFile:
+            return stack.enter_context(images[drive.name](map_parameters, progress))
+
+        return _build(drives, images_of, plan.parameters, progress, radial_basis)
 
 
 def _build(
     drives: Sequence[Drive],
-    images: Sequence[ImageFile],
+    images_of: ImagesOf,
     parameters: BuildParameters,
-    map_parameters: MapParameters,
     progress: Progress,
-    radial_basis: Float32Array | None = None,
+    radial_basis: Float32Array | None,
 ) -> Built:
-    trajectory = Trajectory.concatenate(
-        [_trajectory(drive, of_it) for drive, of_it in zip(drives, images, strict=True)]
-    )
-    longest = max(len(of_it) for of_it in images)
-    length = segment_length_for(
-        longest, segment_length=parameters.segment_length, segments=parameters.segments
-    )
-    joined = ConcatenatedImages(images)
-    cuts = (
-        cut_unequal(joined, trajectory, length, map_parameters, progress)
-        if map_parameters.segmentation == Segmentation.UNEQUAL
-        else cut_drives(trajectory.drive_start, length)
-    )
-    grams: dict[str, FloatArray] | None = None
-    if map_parameters.distance is not None:
-        grams = {d.name: i.detail_gram() for d, i in zip(drives, images, strict=True)}
-    tensor_map = build_map(
-        joined,
-        trajectory,
-        cut_at_meetings(trajectory, cuts),
-        map_parameters,
-        progress,
-        _probes(images),
+    made = build(
+        drives,
+        parameters.map_parameters(),
+        images_of,
+        segment_length=parameters.segment_length,
+        segments=parameters.segments,
         radial_basis=radial_basis,
-        grams=grams,
+        progress=progress,
     )
-    frames: tuple[FrameCheck, ...] = ()
-    if parameters.poses == PoseCheck.CHECKED:
-        frames = check_frames(tensor_map, progress)
-        require_one_frame(frames)
-    fits = () if radial_basis is None or grams is None else basis_fits(radial_basis, grams)
-    return Built(
-        tensor_map,
-        sum(of_it.returns for of_it in images),
-        {drive.name: of_it.skipped for drive, of_it in zip(drives, images, strict=True)},
-        fits,
-        length,
-        frames,
-    )
-
-
-def _probes(images: Sequence[ImageFile]) -> Probes | None:
-    """Return the probes of all drives; `None` if one has none, its returns being gone."""
-    told = [
-        (of_it.scans, of_it.probed, of_it.standing, of_it.probes)
-        for of_it in images
-        if of_it.probes is not None
-    ]
-    return Probes.of_drives(told) if len(told) == len(images) else None
-
-
-def _trajectory(drive: Drive, images: ImageFile) -> Trajectory:
-    scans = images.scans
-    index = drive.scan_index[scans] if isinstance(drive, StoredDrive) else scans
-    return Trajectory.of_drive(drive.name, drive.timestamp_s[scans], drive.poses[scans], index)
+    if parameters.poses == PoseCheck.UNCHECKED:
+        return Built(**vars(made))
+    frames = check_frames(made.tensor_map, progress)
+    require_one_frame(frames)
+    return Built(**vars(made), frames=frames)
 
 
 def _provenance(

@@ -19,7 +19,6 @@ from app.localization.schemas import LocalizationOut, SignaturesIn
 from app.revisions.topology_schemas import TopologyOut
 from core.arrays import Float32Array
 from core.encodings.basis import harmonic_basis_digest
-from core.encodings.compression import Compression
 from core.encodings.harmonic import HarmonicModel
 from core.encodings.signature import Packing, pack_signatures
 from core.errors import InvalidParameters, InvalidScan
@@ -108,12 +107,7 @@ def build(
             say(f"left out scan {skipped.scan}{of_drive}: {skipped.reason}")
     for note in built.notes:
         say(note)
-    compression = Compression.of(
-        tensor_map.elements,
-        scans=len(tensor_map),
-        grid_shape=tensor_map.parameters.grid.shape,
-        returns=built.returns,
-    )
+    compression = built.compression
     say(
         f"{output_file}: {len(tensor_map)} scans, {tensor_map.model.segments} segments,"
         f" 1 : {compression.tensor_ratio:.1f} : {compression.returns_ratio:.0f}"

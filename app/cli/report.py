@@ -1,6 +1,5 @@
 """`tensormap report`: the paper's figures for one's own drive, and advice on {r1, r2, k}."""
 
-import json
 from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
@@ -9,8 +8,8 @@ from typing import Annotated
 import typer
 
 from app.cli.console import output, progress_bar
+from app.cli.evaluation import JsonOption, SplitOption, opened, split_of, write_figures
 from app.cli.options import (
-    MIN_RETURNS,
     DriveArgument,
     SensorHeightOption,
     SensorOption,
@@ -19,13 +18,11 @@ from app.cli.options import (
     require_folder,
 )
 from app.report.provenance import provenance
-from core.evaluation.split import Interleaved, parse_split
 from core.evaluation.study import Study
 from core.evaluation.study_drive import StudyProtocol, study_drive
 from core.parameters import Encoding, MapParameters
 from core.scans.sensor import HDL_64E
 from storage.files.files import publish
-from storage.formats.drives.layouts import open_drive
 
 __all__ = ["report"]
 
@@ -82,19 +79,14 @@ def report(
         int | None,
         typer.Option(min=1, help="k whose answers are shown, likewise.", rich_help_panel=_PANEL),
     ] = None,
-    split: Annotated[
-        str | None,
-        typer.Option(help="interleaved:F[:PHASE] or every:N. [interleaved:0.2]"),
-    ] = None,
+    split: SplitOption = None,
     max_questions: Annotated[
         int | None, typer.Option(min=1, help="Ask at most so many scans. [200; quick: 60]")
     ] = None,
     sensor: SensorOption = HDL_64E.name,
     sensor_height_m: SensorHeightOption = 1.73,
     seed: Annotated[int, typer.Option(min=0, help="Of the noise.")] = 0,
-    json_out: Annotated[
-        Path | None, typer.Option("--json", metavar="OUT", help="Write all numbers here.")
-    ] = None,
+    json_out: JsonOption = None,
 ) -> None:
     """Redraw the paper's figures for a drive, and recommend {r1, r2, k}."""
     _require_drawing()
@@ -105,10 +97,10 @@ def report(
             MapParameters.for_sensor(sensor, encoding=each, sensor_height_m=sensor_height_m)
             for each in dict.fromkeys(encoding or Encoding)
         ),
-        max_questions=max_questions or (60 if quick else 200),
+        max_queries=max_questions or (60 if quick else 200),
         ranks=None if ranks_text is None else ranks(ranks_text),
         segment_length=segment_length,
-        split=Interleaved() if split is None else parse_split(split),
+        split=split_of(split),
         max_bytes_per_scan=max_bytes_per_scan,
         seed=seed,
     )
@@ -127,7 +119,7 @@ def report(
         r2=protocol.r2 if r2 is None else _ranks_tried(r2),
         segment_lengths=None if k is None else _ranks_tried(k),
     )
-    recorded = open_drive(drive, min_returns=MIN_RETURNS)
+    recorded = opened(drive)
     from app.report.page import render_report  # here: it needs the extra, and a second to load
 
     with progress_bar() as progress:
@@ -136,9 +128,7 @@ def report(
         page = render_report(study, made, progress)
     with publish(out) as part:
         part.write_text(page, encoding="utf-8")
-    if json_out is not None:
-        with publish(json_out) as part:
-            part.write_text(json.dumps(study.as_dict() | {"made": made}, allow_nan=False))
+    write_figures(json_out, study.as_dict() | {"made": made}, indent=None)
     _show(study, out)
 
 

@@ -4,14 +4,15 @@ import itertools
 from collections.abc import Sequence
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.colors import to_rgba
 from matplotlib.patches import Rectangle
 from matplotlib.ticker import MaxNLocator, MultipleLocator
 
 from app.report.drawing import ACCENT, ERROR, GOOD, INK, MARKERS, MUTED, SERIES, Drawing
 from app.report.figure import Figure, Panel, Table, percent, shown
-from core.arrays import BoolArray
-from core.evaluation.study import CurvePoint, EncodingStudy, Study
+from core.arrays import BoolArray, FloatArray, IntArray
+from core.evaluation.study import Answers, CurvePoint, EncodingStudy, Study
 
 __all__ = ["answers_figure", "confusion_figure", "curves_figure", "relative_error_figure"]
 
@@ -66,14 +67,8 @@ def _segments_panel(of: EncodingStudy, key: str) -> Panel:
     with Drawing.on(key) as drawing:
         axes = drawing.axes
         axes.step(answers.scan, answers.segment, where="mid", color=MUTED, label="where it belongs")
-        axes.plot(
-            answers.scan[~wrong], answers.matched_segment[~wrong], linestyle="none", marker=".",
-            color=ACCENT, label="found there",
-        )  # fmt: skip
-        axes.plot(
-            answers.scan[wrong], answers.matched_segment[wrong], linestyle="none", marker="x",
-            color=ERROR, label="found elsewhere",
-        )  # fmt: skip
+        _mark(axes, answers.scan, answers.matched_segment, ~wrong, ".", ACCENT, "found there")
+        _mark(axes, answers.scan, answers.matched_segment, wrong, "x", ERROR, "found elsewhere")
         axes.yaxis.set_major_locator(MaxNLocator(integer=True))
         axes.set_xlabel("scan")
         axes.set_ylabel("segment")
@@ -86,14 +81,7 @@ def _scans_panel(of: EncodingStudy, key: str) -> Panel:
     answers, right = of.answers, of.answers.right
     with Drawing.on(key) as drawing:
         axes = drawing.axes
-        for rows, marker, colour, label in (
-            (right, ".", ACCENT, "right"),
-            (~right, "x", ERROR, "not right"),
-        ):
-            axes.plot(
-                answers.scan[rows], answers.matched_scan[rows], linestyle="none", marker=marker,
-                color=colour, label=label,
-            )  # fmt: skip
+        _mark_right(axes, answers, answers.matched_scan)
         axes.set_xlabel("scan that was asked")
         axes.set_ylabel("closest scan of the map")
         drawing.legend()
@@ -108,11 +96,8 @@ def _motion_panel(study: Study, of: EncodingStudy, key: str) -> Panel:
         axes = drawing.axes
         axes.plot(study.surrogate, color=ACCENT, linewidth=1.0, label="motion surrogate")
         _shade(drawing, standing)
-        scans = answers.scan[wrong]
-        axes.plot(
-            scans, study.surrogate[scans], linestyle="none", marker="x", color=ERROR,
-            label="wrong segment",
-        )  # fmt: skip
+        surrogate = study.surrogate[answers.scan]
+        _mark(axes, answers.scan, surrogate, wrong, "x", ERROR, "wrong segment")
         axes.set_ylim(bottom=0.0)
         axes.set_xlabel("scan")
         axes.set_ylabel("change in pose a scan (m, rad)")
@@ -127,20 +112,11 @@ def _motion_panel(study: Study, of: EncodingStudy, key: str) -> Panel:
 
 def _distance_panel(study: Study, of: EncodingStudy, key: str) -> Panel:
     answers = of.answers
-    right = answers.right
     known = answers.distance_m[np.isfinite(answers.distance_m)]
     with Drawing.on(key) as drawing:
         axes = drawing.axes
         # Drawn from 1 cm: a standing vehicle's closest scan was recorded where it stands.
-        drawn = np.maximum(answers.distance_m, 0.01)
-        for rows, marker, colour, label in (
-            (right, ".", ACCENT, "right"),
-            (~right, "x", ERROR, "not right"),
-        ):
-            axes.plot(
-                answers.scan[rows], drawn[rows], linestyle="none", marker=marker, color=colour,
-                label=label,
-            )  # fmt: skip
+        _mark_right(axes, answers, np.maximum(answers.distance_m, 0.01))
         axes.set_yscale("log")
         axes.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
         _shade(drawing, study.standing)
@@ -149,6 +125,23 @@ def _distance_panel(study: Study, of: EncodingStudy, key: str) -> Panel:
         drawing.legend()
     alt = f"Median {np.median(known):.2f} m, at most {known.max():.1f} m."
     return Panel("(e) How far off", alt, drawing.svg)
+
+
+def _mark(
+    axes: Axes,
+    x: IntArray,
+    y: IntArray | FloatArray,
+    rows: BoolArray,
+    marker: str,
+    colour: str,
+    label: str,
+) -> None:
+    axes.plot(x[rows], y[rows], linestyle="none", marker=marker, color=colour, label=label)
+
+
+def _mark_right(axes: Axes, answers: Answers, y: IntArray | FloatArray) -> None:
+    _mark(axes, answers.scan, y, answers.right, ".", ACCENT, "right")
+    _mark(axes, answers.scan, y, ~answers.right, "x", ERROR, "not right")
 
 
 def _shade(drawing: Drawing, standing: BoolArray) -> None:

@@ -14,17 +14,17 @@ from app.report.answer_figures import (
 from app.report.figure import Figure
 from app.report.map_figures import nodes_figure
 from app.report.sweep_figures import accuracy_figure, size_figure, trade_off_figure
-from core.evaluation.advisor import Verdict
+from core.evaluation.advisor import Decision
 from core.evaluation.study import EncodingStudy, Study
 from core.progress import NO_PROGRESS, Progress
 
-__all__ = ["VERDICTS", "render_report"]
+__all__ = ["DECISIONS", "render_report"]
 
-VERDICTS = {
-    Verdict.DECIDED: "Recommended",
-    Verdict.SIZE_ONLY: "Smallest of equals: the evidence does not decide",
-    Verdict.TOO_FEW: "Too few scans: the evidence does not decide",
-    Verdict.NOTHING_FITS: "Nothing fits the budget",
+DECISIONS = {
+    Decision.DECIDED: "Recommended",
+    Decision.SIZE_ONLY: "Smallest of equals: the evidence does not decide",
+    Decision.TOO_FEW: "Too few scans: the evidence does not decide",
+    Decision.NOTHING_FITS: "Nothing fits the budget",
 }
 
 
@@ -62,7 +62,7 @@ def render_report(
             figures.append(draw(of))
             progress.advance()
         sections.append(
-            _Section(str(of.parameters.encoding), of, VERDICTS[of.advice.verdict], tuple(figures))
+            _Section(str(of.parameters.encoding), of, DECISIONS[of.advice.verdict], tuple(figures))
         )
     environment = Environment(
         loader=PackageLoader("app.report", ""),

@@ -11,7 +11,7 @@ import numpy as np
 from app.drives.stored_images import images_path
 from app.http.client import require_client
 from core.arrays import FloatArray
-from core.evaluation.own_scans import finds_own, is_findable
+from core.evaluation.self_recall import finds_own, is_findable
 from core.mapping.diff import DriveOverlap, MapFacts, changed_parameters, drive_overlaps
 from core.mapping.tensormap import TensorMap
 from core.projection.images import ImageSource

@@ -7,7 +7,7 @@ from pydantic import BaseModel, Field
 
 from app.http.shown import Shown
 from app.revisions.comparison import Comparison, NoRecall, Recall, Side
-from core.evaluation.own_scans import CRITERION
+from core.evaluation.self_recall import CRITERION
 
 __all__ = ["ComparisonOut"]
 

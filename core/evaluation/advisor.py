@@ -9,20 +9,20 @@ if its neighbours of the next larger r1 and r2 are within that error too.
 
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
-from typing import Any
 
 from core.errors import InvalidParameters
+from core.evaluation.plain import Plain
 from core.evaluation.sweep import SweepPoint
 
-__all__ = ["FEWEST_JUDGED", "Advice", "Axis", "Verdict", "advise", "standard_error"]
+__all__ = ["FEWEST_JUDGED", "Advice", "Axis", "Decision", "advise", "standard_error"]
 
 FEWEST_JUDGED = 30
 """With fewer held-out scans one standard error at 90 % is more than 5 points."""
 
 
-class Verdict(StrEnum):
+class Decision(StrEnum):
     """How far the evidence carries."""
 
     DECIDED = "decided"
@@ -54,7 +54,7 @@ class Axis:
 
 
 @dataclass(frozen=True)
-class Advice:
+class Advice(Plain):
     """A recommendation and its reasons.
 
     Attributes:
@@ -72,7 +72,7 @@ class Advice:
         reasons: The same in sentences.
     """
 
-    verdict: Verdict
+    verdict: Decision
     recommended: SweepPoint | None
     best: SweepPoint | None
     standard_error: float | None
@@ -84,15 +84,11 @@ class Advice:
     axes: tuple[Axis, ...]
     reasons: tuple[str, ...]
 
-    def as_dict(self) -> dict[str, Any]:
-        """Return plain values, ready for JSON."""
-        return asdict(self) | {"verdict": self.verdict.value}
-
 
 def standard_error(share: float, judged: int) -> float:
     """Return the standard deviation of a share's Jeffreys posterior: above 0 even at 1.0.
 
-    A scan that is asked under several conditions counts once; its mean answer varies no more than
+    A scan that is queried under several conditions counts once; its mean answer varies no more than
     one answer does, so this is the standard error at most.
 
     Examples:
@@ -113,7 +109,7 @@ def advise(
     the one of longer segments, which the paper prefers, then of smaller ranks.
 
     Args:
-        points: The candidates; those of one segment only come into question if there are no others,
+        points: The candidates; those of one segment only count if there are no others,
             since a map of one segment says nothing of where along the way the vehicle is.
         judged: Held-out scans behind each accuracy.
         max_bytes_per_scan: Leave out candidates that are larger.
@@ -129,43 +125,43 @@ def advise(
     smallest = min(p.bytes_per_scan for p in candidates)
     budget = math.inf if max_bytes_per_scan is None else max_bytes_per_scan
     fitting = [p for p in candidates if p.bytes_per_scan <= budget]
+    advice = Advice(
+        verdict=Decision.NOTHING_FITS,
+        recommended=None,
+        best=None,
+        standard_error=None,
+        judged=judged,
+        fitting=len(fitting),
+        tied=0,
+        max_bytes_per_scan=max_bytes_per_scan,
+        smallest_bytes_per_scan=smallest,
+        axes=(),
+        reasons=(),
+    )
     if not fitting:
-        reason = f"No candidate fits {budget:g} bytes per scan: the smallest takes {smallest:.0f}."
-        return Advice(
-            Verdict.NOTHING_FITS, None, None, None, judged, 0, 0,
-            max_bytes_per_scan, smallest, (), (reason,),
-        )  # fmt: skip
+        return replace(advice, reasons=_reasons(advice, ()))
     ordered = sorted(fitting, key=_smallest_first)
     best = max(ordered, key=lambda p: p.mean_accuracy)  # the first, so the smallest, of equals
     error = standard_error(best.mean_accuracy, judged)
     bar = best.mean_accuracy - error - 1e-12
     tied = [p for p in ordered if p.mean_accuracy >= bar]
-    supported = _supported(candidates, tied, bar)
-    recommended = supported[0]
+    recommended = _supported(candidates, tied, bar)[0]
     ruled_out = [
         p
         for p in ordered
         if p.mean_accuracy < bar and p.bytes_per_scan <= recommended.bytes_per_scan
     ]
-    verdict = Verdict.DECIDED if ruled_out else Verdict.SIZE_ONLY
-    if judged < FEWEST_JUDGED:
-        verdict = Verdict.TOO_FEW
-    axes = _axes(ordered, recommended, bar)
-    return Advice(
-        verdict=verdict,
+    verdict = Decision.DECIDED if ruled_out else Decision.SIZE_ONLY
+    advice = replace(
+        advice,
+        verdict=Decision.TOO_FEW if judged < FEWEST_JUDGED else verdict,
         recommended=recommended,
         best=best,
         standard_error=error,
-        judged=judged,
-        fitting=len(fitting),
         tied=len(tied),
-        max_bytes_per_scan=max_bytes_per_scan,
-        smallest_bytes_per_scan=smallest,
-        axes=axes,
-        reasons=tuple(
-            _reasons(verdict, recommended, best, error, judged, len(tied), fitting, ruled_out, axes)
-        ),
+        axes=_axes(ordered, recommended, bar),
     )
+    return replace(advice, reasons=_reasons(advice, ruled_out))
 
 
 def _smallest_first(point: SweepPoint) -> tuple[float, float, int, tuple[int, int]]:
@@ -212,24 +208,20 @@ def _axes(ordered: Sequence[SweepPoint], chosen: SweepPoint, bar: float) -> tupl
     return tuple(axes)
 
 
-def _reasons(
-    verdict: Verdict,
-    chosen: SweepPoint,
-    best: SweepPoint,
-    error: float,
-    judged: int,
-    tied: int,
-    fitting: Sequence[SweepPoint],
-    ruled_out: Sequence[SweepPoint],
-    axes: Sequence[Axis],
-) -> list[str]:
+def _reasons(advice: Advice, ruled_out: Sequence[SweepPoint]) -> tuple[str, ...]:
+    best, chosen = advice.best, advice.recommended
+    if best is None or chosen is None or advice.standard_error is None:
+        return (
+            f"No candidate fits {advice.max_bytes_per_scan:g} bytes per scan: the smallest takes"
+            f" {advice.smallest_bytes_per_scan:.0f}.",
+        )
     reasons = [
-        f"The best of {len(fitting)} candidates, {_named(best)}, answers"
-        f" {100 * best.mean_accuracy:.1f} % of {judged} held-out scans right, with a standard error"
-        f" of {100 * error:.1f} points.",
-        f"{tied} of them are within one standard error of it; {_named(chosen)} is the smallest of"
-        f" those that larger ranks confirm, with {chosen.bytes_per_scan:.0f} bytes per scan and"
-        f" {100 * chosen.mean_accuracy:.1f} %.",
+        f"The best of {advice.fitting} candidates, {_named(best)}, answers"
+        f" {100 * best.mean_accuracy:.1f} % of {advice.judged} held-out scans right, with a"
+        f" standard error of {100 * advice.standard_error:.1f} points.",
+        f"{advice.tied} of them are within one standard error of it; {_named(chosen)} is the"
+        f" smallest of those that larger ranks confirm, with {chosen.bytes_per_scan:.0f} bytes per"
+        f" scan and {100 * chosen.mean_accuracy:.1f} %.",
     ]
     if ruled_out:
         nearest = max(ruled_out, key=lambda p: p.mean_accuracy)
@@ -237,19 +229,18 @@ def _reasons(
             f"{len(ruled_out)} candidates as small or smaller are less accurate than that; the best"
             f" of them, {_named(nearest)}, reaches {100 * nearest.mean_accuracy:.1f} %."
         )
-    if verdict == Verdict.TOO_FEW:
+    if advice.verdict == Decision.TOO_FEW:
         reasons.append(
-            f"The evidence does not decide: only {judged} scans were judged, and at least"
+            f"The evidence does not decide: only {advice.judged} scans were judged, and at least"
             f" {FEWEST_JUDGED} are wanted. Take a longer drive."
         )
-    elif verdict == Verdict.SIZE_ONLY:
+    elif advice.verdict == Decision.SIZE_ONLY:
         reasons.append(
             "The evidence does not decide: no candidate that is smaller was less accurate. This one"
             " is chosen for its size alone; ask harder questions, such as a"
             " second drive over the same streets, before you rely on it."
         )
-    reasons += [_of_axis(axis) for axis in axes]
-    return reasons
+    return (*reasons, *map(_of_axis, advice.axes))
 
 
 def _of_axis(axis: Axis) -> str:

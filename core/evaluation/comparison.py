@@ -1,15 +1,16 @@
 """What a comparison found."""
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 from core.evaluation.condition import Condition
+from core.evaluation.plain import Plain
 
 __all__ = ["Comparison", "MethodResult", "MethodUnderCondition"]
 
 
 @dataclass(frozen=True)
-class MethodUnderCondition:
+class MethodUnderCondition(Plain):
     """One method, all queries under one condition; what does not apply is `None`.
 
     Distances in metres are the keys of mappings: a query is *findable* within so many metres if a
@@ -18,7 +19,7 @@ class MethodUnderCondition:
 
     Attributes:
         condition: The disturbance.
-        queries: How many scans were asked.
+        queries: How many scans were queried.
         refusals: How many could not be described; like queries without an answer they are wrong.
         unanswered: How many were described and got no answer.
         findable: How many had something to find.
@@ -47,16 +48,12 @@ class MethodUnderCondition:
 
     def as_dict(self) -> dict[str, Any]:
         """Return plain values."""
-        found = asdict(self)
-        found.pop("condition")
-        for name, value in found.items():
-            if isinstance(value, dict):
-                found[name] = {f"{metres:g}": share for metres, share in value.items()}
-        return {**asdict(self.condition), **found}
+        found = super().as_dict()
+        return {**found.pop("condition"), **found}
 
 
 @dataclass(frozen=True)
-class MethodResult:
+class MethodResult(Plain):
     """One method.
 
     Attributes:
@@ -75,25 +72,14 @@ class MethodResult:
     stored_bytes: float | None
     conditions: tuple[MethodUnderCondition, ...]
 
-    def as_dict(self) -> dict[str, Any]:
-        """Return plain values."""
-        return {
-            "name": self.name,
-            "configuration": self.configuration,
-            "places": self.places,
-            "sent_bytes": self.sent_bytes,
-            "stored_bytes": self.stored_bytes,
-            "conditions": [row.as_dict() for row in self.conditions],
-        }
-
 
 @dataclass(frozen=True)
-class Comparison:
+class Comparison(Plain):
     """Several methods on the same scans.
 
     Attributes:
         drive: Name of the drive that the places are of.
-        query_drive: Name of the drive that was asked with, `None` if it was the same.
+        query_drive: Name of the drive that the queries are of, `None` if it was the same.
         unknown_drive: Name of the drive of other places, `None` without one.
         protocol: How places and queries were chosen, in words.
         scans: How many scans the drive has.
@@ -108,15 +94,3 @@ class Comparison:
     scans: int
     seed: int
     methods: tuple[MethodResult, ...]
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return plain values, ready for JSON."""
-        return {
-            "drive": self.drive,
-            "query_drive": self.query_drive,
-            "unknown_drive": self.unknown_drive,
-            "protocol": self.protocol,
-            "scans": self.scans,
-            "seed": self.seed,
-            "methods": [method.as_dict() for method in self.methods],
-        }

@@ -51,7 +51,7 @@ class Condition:
         return Scan.from_returns(points, timestamp_s=scan.timestamp_s, pose=scan.pose)
 
     def pose(self, recorded: FloatArray) -> FloatArray:
-        """Return where the vehicle stands under this condition, of `(7,)` pose rows both."""
+        """Return where the vehicle is under this condition, of `(7,)` pose rows both."""
         return pose_beside(recorded, self.lateral_m, self.yaw_deg)
 
 

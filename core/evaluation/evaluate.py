@@ -1,36 +1,41 @@
-"""Build a map of one part of a drive and ask it where the other part was (paper, sec. 3)."""
+"""Build a map of one part of a drive and query it with the other part (paper, sec. 3)."""
 
-import math
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from scipy.spatial import KDTree
 
 from core.arrays import IntArray
-from core.encodings.compression import Compression
-from core.errors import EmptyDrive, InvalidParameters
-from core.evaluation.condition import Condition
-from core.evaluation.queries import Queries, ask, drive_queries, held_out_queries
+from core.evaluation.metrics import median
+from core.evaluation.query_set import (
+    LocatedQueries,
+    QueryProtocol,
+    QuerySet,
+    hold_out,
+    require_scans,
+)
 from core.evaluation.result import Evaluation
 from core.evaluation.split import Interleaved, Split
-from core.evaluation.summary import summarize
-from core.evaluation.tracks import Asked, cut_position, evaluate_tracks
+from core.evaluation.summary import Answer, summarize
+from core.evaluation.tracks import cut_position, evaluate_tracks
 from core.localization.localizer import Localizer
-from core.mapping.build import build_map
+from core.mapping.pipeline import build, cut_scans, project_scans
 from core.mapping.tensormap import TensorMap
-from core.parameters import MapParameters, Segmentation
+from core.parameters import MapParameters
 from core.progress import NO_PROGRESS, Progress
-from core.projection.images import ProjectedDrive, project_drive
 from core.scans.drive import Drive
-from core.scans.trajectory import Trajectory
-from core.segmentation import cut_fixed, cut_unequal, segment_length_for
+from core.scans.pose import is_known
+from core.scans.scan import Scan
+from core.segmentation import segment_length_for
 from core.tracking.track import Tracker
 
-__all__ = ["Protocol", "evaluate"]
+__all__ = ["EvaluationProtocol", "evaluate"]
 
 
 @dataclass(frozen=True)
-class Protocol:
+class EvaluationProtocol(QueryProtocol):
     """How a drive is evaluated.
 
     Attributes:
@@ -38,33 +43,19 @@ class Protocol:
         segment_length: k in scans of the drive, before the split.
         segments: L instead, k = ceil(K / L).
         split: Which scans are held out; not used when another drive is the query.
-        conditions: The disturbances of the queries.
-        tolerances_m: Within which a match counts as recalled.
         track: Whether the queries are also tracked, as one vehicle's drive.
-        seed: Of the noise; a scan's noise is the same whatever else is asked.
     """
 
     parameters: MapParameters = field(default_factory=MapParameters)
     segment_length: int | None = None
     segments: int | None = None
     split: Split = field(default_factory=Interleaved)
-    conditions: tuple[Condition, ...] = (Condition(),)
-    tolerances_m: tuple[float, ...] = (3.0, 5.0, 10.0)
-    seed: int = 0
     track: bool = False
-
-    def __post_init__(self) -> None:
-        if not self.tolerances_m or not all(0 < m < math.inf for m in self.tolerances_m):
-            raise InvalidParameters(f"tolerances_m is {self.tolerances_m}, wanted metres above 0")
-        if self.seed < 0:
-            raise InvalidParameters(f"seed is {self.seed}, wanted 0 or more")
-        if not self.conditions:
-            raise InvalidParameters("conditions is empty, wanted at least one")
 
 
 def evaluate(
     drive: Drive,
-    protocol: Protocol,
+    protocol: EvaluationProtocol,
     query_drive: Drive | None = None,
     progress: Progress = NO_PROGRESS,
     unknown: Sequence[Drive] = (),
@@ -72,132 +63,102 @@ def evaluate(
     """Evaluate localization on a drive against itself, or against a second pass.
 
     Segments are cut over all scans of the drive, then split; unlike a build's, not where the drive
-    meets itself, which models do not depend on. With a query drive the whole of
-    `drive` is the map, both share one world frame, and a query's true segment is that of the
-    nearest map scan. Scans of `unknown` drives, which share no place with the map, are asked under
-    the same conditions: whatever the map answers them is wrong.
+    meets itself. With a query drive the whole of `drive` is the map, both share one world frame,
+    and a query's true segment is that of the nearest map scan. Scans of `unknown` drives, which
+    share no place with the map, are queried under the same conditions: whatever the map answers
+    them is wrong.
 
     Raises:
         EmptyDrive: If a drive has no scan, or the map's no usable one.
-        InvalidParameters: If the split leaves a segment without a map scan or nothing to ask.
+        InvalidParameters: If the split leaves a segment without a map scan or nothing to query.
     """
-    for asked in (drive, drive if query_drive is None else query_drive, *unknown):
-        if len(asked) == 0:
-            raise EmptyDrive(f"drive {asked.name} has no scan")
+    require_scans(drive, *([] if query_drive is None else [query_drive]), *unknown)
+    parameters, conditions = protocol.parameters, protocol.conditions
     length = segment_length_for(
         len(drive), segment_length=protocol.segment_length, segments=protocol.segments
     )
-    segment_start = _cut(drive, length, protocol.parameters, progress)
-    held_out = (
-        protocol.split.held_out(segment_start)
+    segment_start = cut_scans(drive, length, parameters, progress)
+    held_out = np.zeros(len(drive), dtype=bool)
+    if query_drive is None:
+        held_out = hold_out(protocol.split, segment_start)
+    images = project_scans(drive, np.flatnonzero(~held_out), parameters, progress)
+    made = build(
+        [drive], parameters, lambda _: images, segment_start=segment_start, progress=progress
+    )
+    tensor_map = made.tensor_map
+    queried = drive if query_drive is None else query_drive
+    scans = np.arange(len(queried)) if query_drive is not None else np.flatnonzero(held_out)
+    segment = (
+        np.searchsorted(segment_start, scans, side="right") - 1
         if query_drive is None
-        else np.zeros(len(drive), dtype=bool)
+        else _segment_of_nearest(query_drive, tensor_map)
     )
-    if query_drive is None and not held_out.any():
-        raise InvalidParameters("the split holds no scan out: there is nothing to ask")
-    projected = project_drive(
-        drive,
-        np.flatnonzero(~held_out),
-        protocol.parameters.imager,
-        progress,
-    )
-    tensor_map = _build(drive, projected, segment_start, protocol.parameters, progress)
-    queries = (
-        held_out_queries(drive, held_out, segment_start)
-        if query_drive is None
-        else drive_queries(query_drive, tensor_map)
-    )
+    queries = LocatedQueries(queried, scans, conditions, protocol.seed, segment)
     localizer = Localizer(tensor_map)
-    cuts = None if query_drive is not None else cut_position(projected.scans, segment_start)
+
+    def localized(query_set: QuerySet, stage: str) -> list[list[Answer | None]]:
+        def localize(_: int, scan: Scan) -> Answer:
+            begun = time.perf_counter()
+            found = localizer.localize_scan(scan)
+            return Answer(found, time.perf_counter() - begun)
+
+        return query_set.answers([localize], stage, progress)[0]
+
+    answers = localized(queries, "localizing")
+    elsewhere: list[list[Answer | None]] = [[] for _ in conditions]
+    for of_unknown in unknown:
+        others = QuerySet(of_unknown, np.arange(len(of_unknown)), conditions, protocol.seed)
+        for column, found in enumerate(localized(others, f"localizing {of_unknown.name}")):
+            elsewhere[column] += found
+    cuts = None if query_drive is not None else cut_position(images.scans, segment_start)
     return Evaluation(
         drive=drive.name,
         query_drive=None if query_drive is None else query_drive.name,
         unknown_drives=tuple(of_unknown.name for of_unknown in unknown),
         calibrated=tensor_map.calibration is not None,
-        encoding=str(protocol.parameters.encoding),
-        ranks=protocol.parameters.ranks,
+        encoding=parameters.encoding,
+        ranks=parameters.ranks,
         segments=tensor_map.model.segments,
-        segmentation=str(protocol.parameters.segmentation),
+        segmentation=parameters.segmentation,
         split=str(protocol.split) if query_drive is None else None,
-        reducer=str(protocol.parameters.reducer),
-        image=str(protocol.parameters.image),
-        distance=None
-        if protocol.parameters.distance is None
-        else str(protocol.parameters.distance),
-        lateral_renderings_m=protocol.parameters.lateral_renderings_m,
-        sensor=protocol.parameters.sensor,
-        sensor_height_m=protocol.parameters.sensor_height_m,
+        reducer=parameters.reducer,
+        image=parameters.image,
+        distance=parameters.distance,
+        lateral_renderings_m=parameters.lateral_renderings_m,
+        sensor=parameters.sensor,
+        sensor_height_m=parameters.sensor_height_m,
         seed=protocol.seed,
         map_scans=len(tensor_map),
         standing_scans=None if queries.standing is None else int(queries.standing.sum()),
         motion_surrogate_median_standing=_median_where(queries, standing=True),
         motion_surrogate_median_moving=_median_where(queries, standing=False),
-        skipped=projected.skipped,
-        compression=Compression.of(
-            tensor_map.elements,
-            scans=len(tensor_map),
-            grid_shape=protocol.parameters.grid.shape,
-            returns=projected.returns,
-        ),
+        skipped=images.skipped,
+        compression=made.compression,
         relative_error=tuple(tensor_map.relative_error.tolist()),
         conditions=tuple(
-            summarize(condition, answers, elsewhere, queries, protocol.tolerances_m)
-            for condition, (answers, elsewhere) in zip(
-                protocol.conditions,
-                ask(localizer, queries, unknown, protocol.conditions, protocol.seed, progress),
-                strict=True,
-            )
+            summarize(condition, tensor_map, queries, found, of_unknown, protocol.tolerances_m)
+            for condition, found, of_unknown in zip(conditions, answers, elsewhere, strict=True)
         ),
         tracks=evaluate_tracks(
-            Tracker(localizer, cut_position=cuts),
-            Asked(queries.drive, queries.scans, queries.segment, queries.standing),
-            protocol.conditions,
-            protocol.tolerances_m,
-            protocol.seed,
-            progress,
+            Tracker(localizer, cut_position=cuts), queries, protocol.tolerances_m, progress
         )
         if protocol.track
         else (),
     )
 
 
-def _cut(drive: Drive, length: int, parameters: MapParameters, progress: Progress) -> IntArray:
-    """Return `(L + 1,)` scans of the drive at which segments begin, and their number."""
-    if parameters.segmentation == Segmentation.FIXED:
-        return cut_fixed(len(drive), length)
-    everything = np.arange(len(drive))
-    projected = project_drive(drive, everything, parameters.imager, progress)
-    scans = projected.scans
-    trajectory = Trajectory.of_drive(
-        drive.name, drive.timestamp_s[scans], drive.poses[scans], scans
-    )
-    cuts = cut_unequal(projected.images, trajectory, length, parameters, progress)
-    return np.concatenate([[0], scans[cuts[1:-1]], [len(drive)]])
+def _segment_of_nearest(drive: Drive, tensor_map: TensorMap) -> IntArray:
+    """Return the segment of the map's scan nearest to each of a drive, -1 where a pose lacks."""
+    mapped, known = tensor_map.trajectory.known, is_known(drive.poses)
+    segment = np.full(len(drive), -1)
+    if mapped.any() and known.any():
+        tree = KDTree(tensor_map.trajectory.poses[mapped, :3])
+        nearest = np.flatnonzero(mapped)[tree.query(drive.poses[known, :3])[1]]
+        segment[known] = tensor_map.model.segment_of_scan[nearest]
+    return segment
 
 
-def _build(
-    drive: Drive,
-    projected: ProjectedDrive,
-    segment_start: IntArray,
-    parameters: MapParameters,
-    progress: Progress,
-) -> TensorMap:
-    scans = projected.scans
-    map_start = np.searchsorted(scans, segment_start)
-    empty = np.flatnonzero(np.diff(map_start) == 0)
-    if len(empty):
-        raise InvalidParameters(
-            f"segment {empty[0]} is left without a map scan: take longer segments or another split"
-        )
-    trajectory = Trajectory.of_drive(
-        drive.name, drive.timestamp_s[scans], drive.poses[scans], scans
-    )
-    probes = projected.probes_of_map()
-    return build_map(projected.images, trajectory, map_start, parameters, progress, probes)
-
-
-def _median_where(queries: Queries, *, standing: bool) -> float | None:
+def _median_where(queries: LocatedQueries, *, standing: bool) -> float | None:
     if queries.standing is None:
         return None
-    surrogate = queries.surrogate[queries.standing == standing]
-    return float(np.median(surrogate)) if len(surrogate) else None
+    return median(queries.surrogate[queries.standing == standing])

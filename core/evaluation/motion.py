@@ -1,4 +1,4 @@
-"""Whether the vehicle moves: errors while it stands are told apart (paper, sec. 3.3)."""
+"""Whether the vehicle moves: errors while it stands are counted apart (paper, sec. 3.3)."""
 
 from typing import TypeVar
 

@@ -7,7 +7,8 @@ from typing import Protocol
 import numpy as np
 
 from core.arrays import IntArray
-from core.errors import EmptyDrive, InvalidParameters
+from core.errors import InvalidParameters
+from core.evaluation.query_set import hold_out, require_scans
 from core.evaluation.split import Interleaved, Split
 from core.scans.drive import Drive
 from core.segmentation import PAPER_SEGMENT_LENGTH, cut_fixed
@@ -23,7 +24,7 @@ class Paired:
 
     Attributes:
         places: `(K,)` scans of the drive, rising.
-        queries: `(Q,)` scans of the drive that is asked with, rising.
+        queries: `(Q,)` scans of the drive that queries it, rising.
         first_excluded: `(Q,)` a query may be compared with places that are scans below this one.
     """
 
@@ -39,13 +40,13 @@ class Pairing(Protocol):
         """Choose places and queries.
 
         Raises:
-            InvalidParameters: If there is nothing to ask, or the protocol does not fit the drives.
+            InvalidParameters: If there is no query, or the protocol does not fit the drives.
         """
 
 
 @dataclass(frozen=True)
 class HeldOut:
-    """Scans of one drive are held out and asked.
+    """Scans of one drive are held out and queried with.
 
     Attributes:
         split: Which.
@@ -59,9 +60,8 @@ class HeldOut:
         """Choose places and queries of the one drive."""
         if query_drive is not None:
             raise InvalidParameters("with a query drive all of the drive is the map: split none")
-        held_out = self.split.held_out(cut_fixed(_length(drive), self.segment_length))
-        if held_out.all() or not held_out.any():
-            raise InvalidParameters("the split leaves no place, or nothing to ask")
+        require_scans(drive)
+        held_out = hold_out(self.split, cut_fixed(len(drive), self.segment_length))
         queries = np.flatnonzero(held_out)
         return Paired(np.flatnonzero(~held_out), queries, np.full(len(queries), len(drive)))
 
@@ -71,10 +71,10 @@ class HeldOut:
 
 @dataclass(frozen=True)
 class SecondPass:
-    """A drive is mapped whole and another one, in the same world frame, is asked.
+    """A drive is mapped whole and queried with another one, in the same world frame.
 
     Attributes:
-        every: Ask each `every`-th scan: its neighbours, 0.1 s apart, say little more.
+        every: Query with every N-th scan: its neighbours, 0.1 s apart, say little more.
     """
 
     every: int = 1
@@ -87,8 +87,9 @@ class SecondPass:
         """Choose all places, and queries of the other drive."""
         if query_drive is None:
             raise InvalidParameters("a second pass wants a query drive")
-        queries = np.arange(0, _length(query_drive), self.every)
-        return Paired(np.arange(_length(drive)), queries, np.full(len(queries), len(drive)))
+        require_scans(drive, query_drive)
+        queries = np.arange(0, len(query_drive), self.every)
+        return Paired(np.arange(len(drive)), queries, np.full(len(queries), len(drive)))
 
     def __str__(self) -> str:
         return "second pass" + (f", every {self.every}" if self.every > 1 else "")
@@ -96,7 +97,7 @@ class SecondPass:
 
 @dataclass(frozen=True)
 class LoopClosing:
-    """Every scan of a drive is asked as it comes, among the earlier ones that are not recent.
+    """Every scan of a drive is a query as it comes, among the earlier ones that are not recent.
 
     Attributes:
         recent_scans: How many scans before its query a place is at least.
@@ -118,7 +119,8 @@ class LoopClosing:
         """Choose every scan as a place, and as a query if there is a place before it."""
         if query_drive is not None:
             raise InvalidParameters("loops are closed within one drive: leave the query drive out")
-        scans = np.arange(_length(drive))
+        require_scans(drive)
+        scans = np.arange(len(drive))
         if self.recent_scans is not None:
             first_excluded = np.maximum(scans - self.recent_scans + 1, 0)
         else:
@@ -138,9 +140,3 @@ class LoopClosing:
             f"{self.recent_s:g} s" if self.recent_scans is None else f"{self.recent_scans} scans"
         )
         return f"loop closing, with places at least {recent} before"
-
-
-def _length(drive: Drive) -> int:
-    if len(drive) == 0:
-        raise EmptyDrive(f"drive {drive.name} has no scan")
-    return len(drive)

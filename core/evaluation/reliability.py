@@ -1,17 +1,17 @@
-"""Whether a probability tells known places from unknown ones, and whether it is one."""
+"""How well probabilities separate known places from unknown ones, and how well calibrated."""
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 
 from core.arrays import BoolArray, FloatArray
 from core.errors import InvalidParameters
+from core.evaluation.plain import Plain
 from core.evaluation.retrieval import auroc, precision_recall
 
 __all__ = [
-    "Judged",
+    "Outcome",
     "Reliability",
     "expected_calibration_error",
     "reliability",
@@ -56,8 +56,8 @@ def expected_calibration_error(
 
 
 @dataclass(frozen=True)
-class Judged:
-    """What one query was answered.
+class Outcome:
+    """What became of one query.
 
     Attributes:
         probability: That its best match is right.
@@ -71,11 +71,11 @@ class Judged:
 
 
 @dataclass(frozen=True)
-class Reliability:
+class Reliability(Plain):
     """How far probabilities can be relied on; what does not apply is `None`.
 
     Attributes:
-        unknown_queries: How many scans of places that are not in the map were asked.
+        unknown_queries: How many scans of places that are not in the map were queried.
         auroc: How likely a query of the map scores above one of elsewhere.
         average_precision: Of queries of the map among both.
         ece: Expected calibration error of queries of the map alone, ten bins as wide each.
@@ -98,53 +98,51 @@ class Reliability:
     refused_wrong: float | None
     refused_unknown: float | None
 
-    def as_dict(self) -> dict[str, Any]:
-        """Return plain values."""
-        return asdict(self)
 
-
-def reliability(known: Sequence[Judged], unknown: Sequence[Judged]) -> Reliability:
-    """Sum up what queries of the map and of elsewhere were answered."""
+def reliability(known: Sequence[Outcome], unknown: Sequence[Outcome]) -> Reliability:
+    """Return the metrics of the answers to queries of the map and of elsewhere."""
     of_known, of_unknown = (
-        np.array([judged.probability for judged in group], dtype=np.float64)
+        np.array([outcome.probability for outcome in group], dtype=np.float64)
         for group in (known, unknown)
     )
-    right = np.array([judged.right for judged in known], dtype=bool)
+    right = np.array([outcome.right for outcome in known], dtype=bool)
     both = np.concatenate([of_known, of_unknown])
     all_right = np.concatenate([right, np.zeros(len(unknown), dtype=bool)])
-    told = bool(known) and bool(unknown)
-    weight = np.repeat(
-        [1.0 / max(1, len(known)), 1.0 / max(1, len(unknown))], [len(known), len(unknown)]
-    )
-    ece, mixed = (
-        [
-            expected_calibration_error(*samples, adaptive=adaptive, weight=counts)
-            if samples_there
-            else None
-            for adaptive in (False, True)
-        ]
-        for samples, counts, samples_there in (
-            ((of_known, right), None, bool(known)),
-            ((both, all_right), weight, told),
-        )
-    )
+    mixes = bool(known) and bool(unknown)
+    counts = np.array([len(known), len(unknown)])
+    weight = np.repeat(1.0 / np.maximum(1, counts), counts)
+    ece = _calibration_errors(of_known, right)
+    mixed = _calibration_errors(both, all_right, weight) if mixes else (None, None)
     return Reliability(
         unknown_queries=len(unknown),
-        auroc=auroc(of_known, of_unknown) if told else None,
+        auroc=auroc(of_known, of_unknown) if mixes else None,
         average_precision=(
             precision_recall(both, np.arange(len(both)) < len(known), len(known)).average_precision
-            if told
+            if mixes
             else None
         ),
         ece=ece[0],
         ece_adaptive=ece[1],
         ece_mixed=mixed[0],
         ece_mixed_adaptive=mixed[1],
-        refused_right=_refused([judged for judged in known if judged.right]),
-        refused_wrong=_refused([judged for judged in known if not judged.right]),
+        refused_right=_refused([outcome for outcome in known if outcome.right]),
+        refused_wrong=_refused([outcome for outcome in known if not outcome.right]),
         refused_unknown=_refused(unknown),
     )
 
 
-def _refused(group: Sequence[Judged]) -> float | None:
-    return float(np.mean([not judged.localized for judged in group])) if group else None
+def _calibration_errors(
+    probability: FloatArray, right: BoolArray, weight: FloatArray | None = None
+) -> tuple[float | None, float | None]:
+    """Return the error over bins as wide each, and over bins of as many samples each."""
+    if not len(probability):
+        return None, None
+    wide, adaptive = (
+        expected_calibration_error(probability, right, adaptive=adaptive, weight=weight)
+        for adaptive in (False, True)
+    )
+    return wide, adaptive
+
+
+def _refused(group: Sequence[Outcome]) -> float | None:
+    return float(np.mean([not outcome.localized for outcome in group])) if group else None

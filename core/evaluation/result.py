@@ -1,10 +1,11 @@
 """What an evaluation found."""
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 from core.encodings.compression import Compression
 from core.evaluation.condition import Condition
+from core.evaluation.plain import Plain
 from core.evaluation.reliability import Reliability
 from core.evaluation.tracks import TrackResult
 from core.projection.images import Skipped
@@ -34,12 +35,12 @@ class SegmentError:
 
 
 @dataclass(frozen=True)
-class ConditionResult:
+class ConditionResult(Plain):
     """All queries under one condition; what does not apply is `None`.
 
     Attributes:
         condition: The disturbance.
-        queries: How many scans were asked.
+        queries: How many scans were queried.
         refusals: How many got no answer; they count in none of the figures below.
         segment_accuracy: Share of answers on the right segment.
         errors: Answers on a wrong segment, one by one.
@@ -72,32 +73,23 @@ class ConditionResult:
 
     def as_dict(self) -> dict[str, Any]:
         """Return plain values, `errors` as their number."""
+        found = super().as_dict()
         return {
-            **asdict(self.condition),
-            "queries": self.queries,
-            "refusals": self.refusals,
-            "segment_accuracy": self.segment_accuracy,
+            **found.pop("condition"),
+            **found,
             "errors": None if self.segment_accuracy is None else len(self.errors),
-            "errors_moving": self.errors_moving,
-            "errors_stationary": self.errors_stationary,
-            "recall_at_1": {f"{metres:g}": share for metres, share in self.recall_at_1.items()},
-            "position_error_m_median": self.position_error_m_median,
-            "heading_error_deg_median": self.heading_error_deg_median,
-            "lateral_error_m_median": self.lateral_error_m_median,
-            "ms_per_query": self.ms_per_query,
-            "reliability": None if self.reliability is None else self.reliability.as_dict(),
-            "error_scans": [asdict(error) for error in self.errors],
+            "error_scans": found["errors"],
         }
 
 
 @dataclass(frozen=True)
-class Evaluation:
-    """A map made of one part of a drive and asked with another, or with another drive.
+class Evaluation(Plain):
+    """A map of one part of a drive, queried with the other part or with another drive.
 
     Attributes:
-        drive: Name of the mapped drive; `query_drive` is `None` if it was asked itself.
+        drive: Name of the mapped drive; `query_drive` is `None` if its own scans are the queries.
         unknown_drives: Names of the drives whose places the map does not have.
-        calibrated: Whether the map tells probabilities.
+        calibrated: Whether the map gives probabilities.
         segments: L.
         segmentation: How they were cut.
         split: How the queries were held out, `None` with a query drive.
@@ -111,7 +103,7 @@ class Evaluation:
         compression: Against the map's own images and returns.
         relative_error: |X - X^| / |X| of each segment.
         conditions: The figures, one entry a disturbance.
-        tracks: The same of the queries tracked as one drive; empty if that was not asked.
+        tracks: The same of the queries tracked as one drive; empty without tracking.
     """
 
     drive: str
@@ -139,11 +131,3 @@ class Evaluation:
     relative_error: tuple[float, ...]
     conditions: tuple[ConditionResult, ...]
     tracks: tuple[TrackResult, ...] = ()
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return plain values, ready for JSON."""
-        return {
-            **asdict(self),
-            "conditions": [result.as_dict() for result in self.conditions],
-            "tracks": [result.as_dict() for result in self.tracks],
-        }

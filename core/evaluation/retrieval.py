@@ -1,4 +1,4 @@
-"""How well a score tells right answers from wrong ones: precision, recall, F1, AUROC.
+"""How well a score separates right answers from wrong ones: precision, recall, F1, AUROC.
 
 An answer is accepted when its score reaches a threshold. Precision is the share of accepted answers
 that are right; recall the share of all queries *with something to find* that got an accepted, right
@@ -88,7 +88,7 @@ def precision_recall(scores: FloatArray, right: BoolArray, findable: int) -> Pre
 def auroc(positives: FloatArray, negatives: FloatArray) -> float | None:
     """Return the probability that a positive's score is above a negative's, equal ones half.
 
-    It is the area under the receiver operating characteristic: 1 tells them apart, 0.5 is chance.
+    It is the area under the receiver operating characteristic: 1 separates them, 0.5 is chance.
     `None` if there is none of either. Infinite scores are allowed.
 
     Raises:

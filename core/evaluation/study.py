@@ -1,6 +1,6 @@
 """What a study of a drive found: the numbers that a report shows (paper, sec. 3)."""
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -9,19 +9,21 @@ from core.arrays import BoolArray, FloatArray, IntArray
 from core.encodings.compression import Compression
 from core.evaluation.advisor import Advice
 from core.evaluation.condition import Condition
+from core.evaluation.plain import Plain, plain
 from core.evaluation.sweep import Sweep
 from core.parameters import MapParameters
+from core.projection.images import Skipped
 from core.scans.pose import path_length_m
 
 __all__ = ["Answers", "CurvePoint", "EncodingStudy", "Study"]
 
 
 @dataclass(frozen=True, eq=False)
-class Answers:
-    """What a map answered to the scans that were asked as driven; row by row.
+class Answers(Plain):
+    """What a map answered to the undisturbed queries; row by row.
 
     Attributes:
-        scan: The scans that were asked.
+        scan: The scans that were queried.
         segment: Where they belong.
         matched_scan: The map scan that each was taken for.
         matched_segment: Where that lies.
@@ -49,16 +51,6 @@ class Answers:
         np.add.at(counts, (self.segment, self.matched_segment), 1)
         return counts
 
-    def as_dict(self) -> dict[str, Any]:
-        """Return plain values, ready for JSON."""
-        return {
-            name: _plain(getattr(self, name))
-            for name in (
-                "scan", "segment", "matched_scan", "matched_segment", "distance_m", "right",
-                "standing",
-            )
-        }  # fmt: skip
-
 
 @dataclass(frozen=True)
 class CurvePoint:
@@ -78,7 +70,7 @@ class CurvePoint:
 
 
 @dataclass(frozen=True, eq=False)
-class EncodingStudy:
+class EncodingStudy(Plain):
     """A drive in one encoding.
 
     Attributes:
@@ -92,15 +84,15 @@ class EncodingStudy:
         compression: Of that map.
         answers: To the scans held out, as driven.
         curves: Accuracy under each disturbance.
-        refused: Scans held out that could not be asked.
+        refused: Scans held out that could not be queried.
     """
 
     parameters: MapParameters
-    sweep: Sweep
-    advice: Advice
     segment_length: int
     segment_start: IntArray
     recommended: bool
+    advice: Advice
+    sweep: Sweep
     relative_error: FloatArray
     compression: Compression
     answers: Answers
@@ -120,20 +112,11 @@ class EncodingStudy:
 
     def as_dict(self) -> dict[str, Any]:
         """Return plain values, ready for JSON."""
-        return {
-            "parameters": self.parameters.as_attributes(),
-            "segment_length": self.segment_length,
-            "segment_start": self.segment_start.tolist(),
-            "recommended": self.recommended,
-            "advice": self.advice.as_dict(),
-            "sweep": self.sweep.as_dict(),
-            "relative_error": self.relative_error.tolist(),
-            "compression": asdict(self.compression),
-            "answers": self.answers.as_dict(),
-            "confusion": self.answers.confusion(self.segments).tolist(),
-            "curves": [asdict(point) for point in self.curves],
-            "refused": list(self.refused),
-        }
+        found = super().as_dict()
+        last = {name: found.pop(name) for name in ("curves", "refused")}
+        found["parameters"] = self.parameters.as_attributes()
+        found["confusion"] = plain(self.answers.confusion(self.segments))
+        return found | last
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,7 +144,7 @@ class Study:
     split: str
     criterion: str
     seed: int
-    skipped: tuple[tuple[int, str], ...]
+    skipped: tuple[Skipped, ...]
     encodings: tuple[EncodingStudy, ...]
 
     @property
@@ -184,15 +167,10 @@ class Study:
             "split": self.split,
             "criterion": self.criterion,
             "seed": self.seed,
-            "skipped": [{"scan": scan, "reason": reason} for scan, reason in self.skipped],
-            "timestamp_s": _plain(self.timestamp_s),
-            "position_m": [_plain(row) for row in self.poses[:, :3]],
-            "motion_surrogate": _plain(self.surrogate),
-            "standing": self.standing.tolist(),
-            "encodings": [encoding.as_dict() for encoding in self.encodings],
+            "skipped": plain(self.skipped),
+            "timestamp_s": plain(self.timestamp_s),
+            "position_m": plain(self.poses[:, :3]),
+            "motion_surrogate": plain(self.surrogate),
+            "standing": plain(self.standing),
+            "encodings": plain(self.encodings),
         }
-
-
-def _plain(values: FloatArray | IntArray | BoolArray) -> list[Any]:
-    """Return a list in which an unknown number is `None`: JSON has no NaN."""
-    return [None if value != value else value for value in values.tolist()]

@@ -1,4 +1,4 @@
-"""Study a drive: sweep the parameters, recommend some, and ask that map harder (paper, sec. 3)."""
+"""Study a drive: sweep the parameters, recommend some, query that map harder (paper, sec. 3)."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -6,22 +6,23 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from core.arrays import IntArray
-from core.encodings.compression import Compression
-from core.errors import EmptyDrive, InvalidParameters, InvalidScan
+from core.errors import InvalidParameters
 from core.evaluation.advisor import advise
 from core.evaluation.condition import Condition
-from core.evaluation.exam import Exam, held_out_scans
-from core.evaluation.judge import Judge
+from core.evaluation.criterion import Criterion, counted
 from core.evaluation.motion import motion_surrogate
+from core.evaluation.query_images import QueryImages, held_out_scans
+from core.evaluation.query_set import QuerySet, require_scans
 from core.evaluation.split import Interleaved, Split
 from core.evaluation.study import Answers, CurvePoint, EncodingStudy, Study
-from core.evaluation.sweep import SweepGrid, map_cuts, sweep
+from core.evaluation.sweep import SweepGrid, sweep
 from core.localization.localizer import Localizer
-from core.mapping.build import build_map
-from core.mapping.tensormap import TensorMap
+from core.mapping.pipeline import build
 from core.parameters import MapParameters
 from core.progress import NO_PROGRESS, Progress
+from core.projection.images import Skipped
 from core.scans.drive import Drive
+from core.scans.scan import Scan
 from core.segmentation import cut_fixed
 
 __all__ = ["StudyProtocol", "segment_lengths_for", "study_drive"]
@@ -43,7 +44,7 @@ class StudyProtocol:
         ranks: Show this setting's answers instead of the recommended one's.
         segment_length: The same for k.
         split: Which scans are held out.
-        max_questions: At most so many of them are asked.
+        max_queries: At most so many of them are queries.
         noise_m: Sigmas of noise on every coordinate.
         lateral_m: Translations to the left.
         yaw_deg: Turns, counter-clockwise.
@@ -59,7 +60,7 @@ class StudyProtocol:
     ranks: tuple[int, int] | None = None
     segment_length: int | None = None
     split: Split = field(default_factory=Interleaved)
-    max_questions: int = 200
+    max_queries: int = 200
     noise_m: tuple[float, ...] = (0.0, 0.05, 0.1, 0.2, 0.5, 1.0)
     lateral_m: tuple[float, ...] = (-3.0, -2.0, -1.0, -0.5, 0.0, 0.5, 1.0, 2.0, 3.0)
     yaw_deg: tuple[float, ...] = (0.0, 5.0, 10.0, 45.0, 90.0, 180.0)
@@ -70,8 +71,8 @@ class StudyProtocol:
     def __post_init__(self) -> None:
         if not self.parameters:
             raise InvalidParameters("parameters is empty, wanted those of at least one encoding")
-        if self.max_questions < 1:
-            raise InvalidParameters(f"max_questions is {self.max_questions}, wanted 1 or more")
+        if self.max_queries < 1:
+            raise InvalidParameters(f"max_queries is {self.max_queries}, wanted 1 or more")
         if self.max_bytes_per_scan is not None and not self.max_bytes_per_scan > 0:
             raise InvalidParameters(
                 f"max_bytes_per_scan is {self.max_bytes_per_scan}, wanted above 0"
@@ -92,36 +93,33 @@ def segment_lengths_for(scans: int) -> tuple[int, ...]:
 
 
 def study_drive(drive: Drive, protocol: StudyProtocol, progress: Progress = NO_PROGRESS) -> Study:
-    """Sweep the parameters on a drive, recommend some, and ask the recommended map harder.
+    """Sweep the parameters on a drive, recommend some, and query the recommended map harder.
 
     Raises:
         EmptyDrive: If the drive has no scan, or no usable one.
-        InvalidParameters: If the split leaves nothing to ask, or a segment without a map scan.
+        InvalidParameters: If the split leaves no query, or a segment without a map scan.
     """
-    if len(drive) == 0:
-        raise EmptyDrive(f"drive {drive.name} has no scan")
-    held_out, asked = held_out_scans(drive, protocol.split, protocol.max_questions)
-    judge = Judge(drive.poses, drive.timestamp_s, protocol.tolerance_m)
-    exams: list[Exam] = []
+    require_scans(drive)
+    held_out, scans = held_out_scans(drive, protocol.split, protocol.max_queries)
+    queries = QuerySet(drive, scans, SWEPT_CONDITIONS, protocol.seed)
+    criterion = Criterion(drive.poses, drive.timestamp_s, protocol.tolerance_m)
+    skipped: set[Skipped] = set()
     found: list[EncodingStudy] = []
     for parameters in protocol.parameters:
         named = _Named(progress, str(parameters.encoding))
-        exam = Exam.of_drive(
-            drive, held_out, asked, parameters, SWEPT_CONDITIONS, seed=protocol.seed, progress=named
-        )
-        exams.append(exam)
-        found.append(_study_encoding(drive, exam, judge, protocol, named))
-    skipped = {(s.scan, s.reason) for exam in exams for s in exam.mapped.skipped}
+        images = QueryImages.of_drive(held_out, queries, parameters, named)
+        skipped |= set(images.mapped.skipped)
+        found.append(_study_encoding(images, criterion, protocol, named))
     return Study(
         drive=drive.name,
         timestamp_s=drive.timestamp_s,
         poses=drive.poses,
         surrogate=motion_surrogate(drive.poses),
-        standing=judge.standing,
+        standing=criterion.standing,
         split=str(protocol.split),
-        criterion=judge.criterion,
+        criterion=str(criterion),
         seed=protocol.seed,
-        skipped=tuple(sorted(skipped)),
+        skipped=tuple(sorted(skipped, key=lambda s: (s.scan, s.reason))),
         encodings=tuple(found),
     )
 
@@ -141,22 +139,35 @@ class _Named:
 
 
 def _study_encoding(
-    drive: Drive, exam: Exam, judge: Judge, protocol: StudyProtocol, progress: Progress
+    images: QueryImages, criterion: Criterion, protocol: StudyProtocol, progress: Progress
 ) -> EncodingStudy:
+    drive = images.queries.drive
     lengths = protocol.segment_lengths or segment_lengths_for(len(drive))
-    swept = sweep(exam, judge, SweepGrid(protocol.r1, protocol.r2, lengths), progress)
+    swept = sweep(images, criterion, SweepGrid(protocol.r1, protocol.r2, lengths), progress)
     advice = advise(swept.points, swept.judged, protocol.max_bytes_per_scan)
     ranks, length = protocol.ranks, protocol.segment_length
     if ranks is None:
-        ranks = advice.recommended.ranks if advice.recommended else exam.parameters.ranks
+        ranks = advice.recommended.ranks if advice.recommended else images.parameters.ranks
     if length is None:
         length = advice.recommended.segment_length if advice.recommended else lengths[-1]
-    parameters = replace(exam.parameters, ranks=ranks)
+    parameters = replace(images.parameters, ranks=ranks)
     segment_start = cut_fixed(len(drive), length)
-    tensor_map = build_map(
-        exam.mapped.images, exam.trajectory, map_cuts(exam, length), parameters, progress
+    made = build(
+        [drive],
+        parameters,
+        lambda _: images.mapped,
+        segment_start=segment_start,
+        calibrated=False,
+        progress=progress,
     )
-    answers, curves = _ask(drive, exam, judge, tensor_map, segment_start, protocol, progress)
+    localizer = Localizer(made.tensor_map)
+
+    def localize(_: int, scan: Scan) -> int:
+        return localizer.localize_scan(scan).best.scan_index
+
+    disturbed = replace(images.queries, conditions=_disturbances(protocol))
+    (matched,) = disturbed.answers([localize], "localizing", progress)
+    answers = [_answers(disturbed, criterion, row, segment_start) for row in matched]
     return EncodingStudy(
         parameters=parameters,
         sweep=swept,
@@ -165,16 +176,11 @@ def _study_encoding(
         segment_start=segment_start,
         recommended=advice.recommended is not None
         and (ranks, length) == (advice.recommended.ranks, advice.recommended.segment_length),
-        relative_error=tensor_map.relative_error,
-        compression=Compression.of(
-            tensor_map.elements,
-            scans=len(tensor_map),
-            grid_shape=parameters.grid.shape,
-            returns=exam.mapped.returns,
-        ),
-        answers=answers,
-        curves=curves,
-        refused=exam.refused,
+        relative_error=made.tensor_map.relative_error,
+        compression=made.compression,
+        answers=answers[0],
+        curves=tuple(map(_curve_point, disturbed.conditions, answers)),
+        refused=images.refused,
     )
 
 
@@ -192,58 +198,31 @@ def _disturbances(protocol: StudyProtocol) -> tuple[Condition, ...]:
     )
 
 
-def _ask(
-    drive: Drive,
-    exam: Exam,
-    judge: Judge,
-    tensor_map: TensorMap,
+def _answers(
+    queries: QuerySet,
+    criterion: Criterion,
+    matched: Sequence[int | None],
     segment_start: IntArray,
-    protocol: StudyProtocol,
-    progress: Progress,
-) -> tuple[Answers, tuple[CurvePoint, ...]]:
-    """Ask the map all of the exam's scans, each under every disturbance."""
-    asked = _disturbances(protocol)
-    localizer = Localizer(tensor_map)
-    matched = np.full((len(asked), len(exam.asked)), -1)
-    progress.start("localizing", matched.size)
-    for q, index in enumerate(exam.asked.tolist()):
-        scan = drive.scan(index)
-        for c, condition in enumerate(asked):
-            rng = np.random.default_rng([protocol.seed, index])
-            try:
-                best = localizer.localize_scan(condition.apply(scan, rng)).best
-                matched[c, q] = best.scan_index
-            except InvalidScan:
-                pass  # a disturbed scan without an answer is in no curve
-            progress.advance()
-    answers = [_answers(exam, judge, rows, segment_start) for rows in matched]
-    return answers[0], tuple(_curve_points(asked, answers))
-
-
-def _answers(exam: Exam, judge: Judge, matched: IntArray, segment_start: IntArray) -> Answers:
-    given = matched >= 0
-    scan, found = exam.asked[given], matched[given]
+) -> Answers:
+    """Return the answers; a disturbed scan without one is in no curve."""
+    given = np.array([scan is not None for scan in matched], dtype=bool)
+    scan, found = queries.scans[given], np.array([m for m in matched if m is not None], np.int64)
     return Answers(
         scan=scan,
         segment=np.searchsorted(segment_start, scan, side="right") - 1,
         matched_scan=found,
         matched_segment=np.searchsorted(segment_start, found, side="right") - 1,
-        distance_m=judge.distance_m(scan, found),
-        right=judge.right(scan, found),
-        standing=judge.standing[scan],
+        distance_m=criterion.distance_m(scan, found),
+        right=criterion.right(scan, found),
+        standing=criterion.standing[scan],
     )
 
 
-def _curve_points(asked: Sequence[Condition], answers: Sequence[Answers]) -> list[CurvePoint]:
-    points = []
-    for condition, given in zip(asked, answers, strict=True):
-        judged = ~given.standing if not given.standing.all() else np.ones_like(given.standing)
-        points.append(
-            CurvePoint(
-                condition=condition,
-                judged=int(judged.sum()),
-                right=int(given.right[judged].sum()),
-                on_segment=int((~given.wrong_segment)[judged].sum()),
-            )
-        )
-    return points
+def _curve_point(condition: Condition, answers: Answers) -> CurvePoint:
+    judged = counted(answers.standing)
+    return CurvePoint(
+        condition=condition,
+        judged=int(judged.sum()),
+        right=int(answers.right[judged].sum()),
+        on_segment=int((~answers.wrong_segment)[judged].sum()),
+    )

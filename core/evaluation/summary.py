@@ -1,129 +1,129 @@
-"""What the answers under one condition come to."""
+"""The metrics of the answers under one condition."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from core.arrays import FloatArray
 from core.confidence.places import AWAY_M
 from core.evaluation.condition import Condition
-from core.evaluation.queries import Answer, Queries
-from core.evaluation.reliability import Judged, Reliability, reliability
+from core.evaluation.metrics import apart_m, heading_error_deg, median, share_within
+from core.evaluation.query_set import LocatedQueries
+from core.evaluation.reliability import Outcome, Reliability, reliability
 from core.evaluation.result import ConditionResult, SegmentError
 from core.localization.localizer import Localization
-from core.scans.angles import wrapped_deg
+from core.mapping.tensormap import TensorMap
 from core.scans.displacement import left_of_m
 from core.scans.pose import heading_deg
 
-__all__ = ["summarize"]
+__all__ = ["Answer", "summarize"]
+
+
+@dataclass(frozen=True)
+class Answer:
+    """A localization, and how long it took from scan to answer."""
+
+    found: Localization
+    seconds: float
 
 
 def summarize(
     condition: Condition,
-    answers: Sequence[Answer],
-    elsewhere: Sequence[Localization],
-    queries: Queries,
+    tensor_map: TensorMap,
+    queries: LocatedQueries,
+    answers: Sequence[Answer | None],
+    elsewhere: Sequence[Answer | None],
     tolerances_m: Sequence[float],
 ) -> ConditionResult:
-    """Sum up what a map answered under one condition.
+    """Return the metrics of what a map answered under one condition.
 
     Args:
         condition: The disturbance.
-        answers: To the queries, those that were refused left out.
+        tensor_map: The map.
+        queries: All that were queried.
+        answers: To each of them, `None` where it was rejected.
         elsewhere: To scans of places that are not in the map.
-        queries: All that were asked.
         tolerances_m: Within which a match counts as recalled.
     """
-    row_of = {scan: row for row, scan in enumerate(queries.scans.tolist())}
-    judged = [a for a in answers if a.segment >= 0]
-    wrong = [a for a in judged if a.matched_segment != a.segment]
-    errors = tuple(_segment_error(a, queries, row_of[a.scan]) for a in wrong)
-    tells = queries.standing is not None and bool(judged)
-    standing = sum(bool(e.standing) for e in errors) if tells else None
-    poses = queries.drive.poses
-    true = [condition.pose(poses[a.scan]) for a in answers]
-    recorded_m = _distances_m([a.matched for a in answers], [poses[a.scan] for a in answers])
-    displaced_m = _distances_m([a.estimated for a in answers], true)
-    turned = [
-        _heading_error_deg(a.estimated, pose)
-        for a, pose in zip(answers, true, strict=True)
-        if a.heading_told
-    ]
+    rows = np.array([row for row, answer in enumerate(answers) if answer is not None], np.int64)
+    given = [answer for answer in answers if answer is not None]
+    best = [answer.found.best for answer in given]
+    recorded = queries.poses[rows]
+    true = np.array([condition.pose(pose) for pose in recorded]).reshape(-1, 7)
+    matched = tensor_map.trajectory.poses[np.array([match.row for match in best], np.int64)]
+    estimated = matched.copy()
+    for row, match in enumerate(best):
+        if match.estimated_pose is not None:
+            estimated[row] = match.estimated_pose.as_tuple()
+    segment = queries.segment[rows]
+    errors = tuple(
+        _segment_error(queries, row, match.scan_index, match.segment)
+        for row, match in zip(rows.tolist(), best, strict=True)
+        if 0 <= queries.segment[row] != match.segment
+    )
+    judged = int((segment >= 0).sum())
+    standing = None
+    if queries.standing is not None and judged:
+        standing = sum(bool(error.standing) for error in errors)
+    has_heading = np.array([match.heading_deg is not None for match in best], dtype=bool)
     beside = [
-        abs(a.lateral_m - left_of_m(a.matched, pose))
-        for a, pose in zip(answers, true, strict=True)
-        if a.lateral_m is not None
+        abs(match.lateral_m - left_of_m(matched[row], true[row]))
+        for row, match in enumerate(best)
+        if match.lateral_m is not None
     ]
+    recorded_m = apart_m(matched, recorded)
     return ConditionResult(
         condition=condition,
-        queries=len(queries.scans),
-        refusals=len(queries.scans) - len(answers),
-        segment_accuracy=1.0 - len(wrong) / len(judged) if judged else None,
+        queries=len(queries),
+        refusals=len(queries) - len(given),
+        segment_accuracy=1.0 - len(errors) / judged if judged else None,
         errors=errors,
         errors_moving=None if standing is None else len(errors) - standing,
         errors_stationary=standing,
-        recall_at_1={
-            metres: float(np.mean(recorded_m <= metres)) if len(recorded_m) else None
-            for metres in tolerances_m
-        },
-        position_error_m_median=_median(displaced_m),
-        heading_error_deg_median=_median(np.array(turned)),
-        lateral_error_m_median=_median(np.array(beside)),
-        reliability=_reliability(answers, elsewhere, true),
-        ms_per_query=1e3 * float(np.mean([a.seconds for a in answers])) if answers else None,
+        recall_at_1={metres: share_within(recorded_m, metres) for metres in tolerances_m},
+        position_error_m_median=median(apart_m(estimated, true)),
+        heading_error_deg_median=median(
+            heading_error_deg(heading_deg(estimated[has_heading]), heading_deg(true[has_heading]))
+        ),
+        lateral_error_m_median=median(np.array(beside)),
+        ms_per_query=1e3 * float(np.mean([a.seconds for a in given])) if given else None,
+        reliability=_reliability([answer.found for answer in given], elsewhere, matched, true),
     )
 
 
 def _reliability(
-    answers: Sequence[Answer], elsewhere: Sequence[Localization], true: Sequence[FloatArray]
+    found: Sequence[Localization],
+    elsewhere: Sequence[Answer | None],
+    matched: FloatArray,
+    true: FloatArray,
 ) -> Reliability | None:
-    """Judge probabilities; a match is right within `AWAY_M`, as it is when they are learned."""
-    known = [
-        Judged(
-            answer.probability,
-            answer.localized,
-            bool(np.linalg.norm(answer.matched[:3] - pose[:3]) < AWAY_M),
-        )
-        for answer, pose in zip(answers, true, strict=True)
-        if answer.probability is not None
-        and np.isfinite(answer.matched).all()
-        and np.isfinite(pose).all()
-    ]
-    if not known:
+    """Check probabilities; a match is right within `AWAY_M`, as it is when they are learned."""
+    known = np.isfinite(matched).all(axis=1) & np.isfinite(true).all(axis=1)
+    right = apart_m(matched, true) < AWAY_M
+    of_map = _outcomes([(found[row], bool(right[row])) for row in np.flatnonzero(known).tolist()])
+    if not of_map:
         return None
-    unknown = [
-        Judged(found.verdict.probability, found.localized, right=False)
-        for found in elsewhere
-        if found.verdict.probability is not None
+    return reliability(of_map, _outcomes([(a.found, False) for a in elsewhere if a is not None]))
+
+
+def _outcomes(found: Sequence[tuple[Localization, bool]]) -> list[Outcome]:
+    return [
+        Outcome(of_it.verdict.probability, of_it.localized, right)
+        for of_it, right in found
+        if of_it.verdict.probability is not None
     ]
-    return reliability(known, unknown)
 
 
-def _segment_error(answer: Answer, queries: Queries, row: int) -> SegmentError:
+def _segment_error(
+    queries: LocatedQueries, row: int, matched_scan: int, matched_segment: int
+) -> SegmentError:
     surrogate = float(queries.surrogate[row])
     return SegmentError(
-        scan=answer.scan,
-        matched_scan=answer.matched_scan,
-        segment=answer.segment,
-        matched_segment=answer.matched_segment,
+        scan=int(queries.scans[row]),
+        matched_scan=matched_scan,
+        segment=int(queries.segment[row]),
+        matched_segment=matched_segment,
         standing=None if queries.standing is None else bool(queries.standing[row]),
         motion_surrogate=None if np.isnan(surrogate) else surrogate,
     )
-
-
-def _distances_m(found: Sequence[FloatArray], true: Sequence[FloatArray]) -> FloatArray:
-    """Return how far the found poses are from the true ones, where both are known."""
-    if not found:
-        return np.empty(0)
-    distances = np.linalg.norm(np.stack(found)[:, :3] - np.stack(true)[:, :3], axis=1)
-    return np.asarray(distances[np.isfinite(distances)])
-
-
-def _heading_error_deg(estimated: FloatArray, true: FloatArray) -> float:
-    found, wanted = heading_deg(np.stack([estimated, true])).tolist()
-    return abs(wrapped_deg(float(found - wanted)))
-
-
-def _median(values: FloatArray) -> float | None:
-    known = values[np.isfinite(values)]
-    return float(np.median(known)) if len(known) else None

@@ -6,13 +6,12 @@ squared difference, and images are encoded once a segment length, not once a can
 """
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any
 
 import numpy as np
 
-from core.arrays import FloatArray, IntArray
+from core.arrays import Float32Array, FloatArray, IntArray
 from core.encodings.grams import detail_gram
 from core.encodings.harmonic import (
     HarmonicModel,
@@ -23,8 +22,10 @@ from core.encodings.harmonic import (
 from core.encodings.signature import Signature
 from core.encodings.tucker import BLOCK_SCANS, Grams, leading_basis, project, storage_elements
 from core.errors import InvalidParameters
-from core.evaluation.exam import Exam
-from core.evaluation.judge import Judge
+from core.evaluation.criterion import Criterion, counted
+from core.evaluation.plain import Plain
+from core.evaluation.query_images import QueryImages
+from core.mapping.pipeline import rows_of_cuts
 from core.parameters import Encoding
 from core.progress import NO_PROGRESS, Progress
 from core.segmentation import cut_fixed
@@ -70,7 +71,7 @@ class SweepGrid:
 
 
 @dataclass(frozen=True)
-class SweepPoint:
+class SweepPoint(Plain):
     """One candidate.
 
     Attributes:
@@ -100,12 +101,12 @@ class SweepPoint:
 
 
 @dataclass(frozen=True)
-class Sweep:
-    """All candidates of one encoding, asked the same questions.
+class Sweep(Plain):
+    """All candidates of one encoding on one query set.
 
     Attributes:
         encoding: Of the maps.
-        conditions: What each entry of `accuracy` was asked under.
+        conditions: What each entry of `accuracy` was measured under.
         criterion: What counts as right.
         map_scans: Scans in each map.
         asked: Scans that were asked, under each condition.
@@ -126,37 +127,38 @@ class Sweep:
         wanted = (ranks, segment_length)
         return next((p for p in self.points if (p.ranks, p.segment_length) == wanted), None)
 
-    def as_dict(self) -> dict[str, Any]:
-        """Return plain values, ready for JSON."""
-        return asdict(self) | {"encoding": self.encoding.value}
 
-
-def sweep(exam: Exam, judge: Judge, grid: SweepGrid, progress: Progress = NO_PROGRESS) -> Sweep:
-    """Ask every candidate's map all of the exam's questions.
+def sweep(
+    images: QueryImages, criterion: Criterion, grid: SweepGrid, progress: Progress = NO_PROGRESS
+) -> Sweep:
+    """Evaluate each (r1, r2, k) on one query set.
 
     Raises:
         InvalidParameters: If a segment is left without a map scan, or no rank fits the images.
     """
-    rows, columns = exam.parameters.grid.shape
-    harmonic = exam.parameters.encoding == Encoding.HARMONIC
+    rows, columns = images.parameters.grid.shape
+    harmonic = images.parameters.encoding == Encoding.HARMONIC
     grid = grid.within((rows, columns // 2 + 1 if harmonic else columns))
-    cuts = [map_cuts(exam, length) for length in grid.segment_lengths]
+    cuts = [
+        rows_of_cuts(images.mapped.scans, cut_fixed(len(images.queries.drive), length))
+        for length in grid.segment_lengths
+    ]
     answer = _harmonic_answers if harmonic else _paper_answers
-    answered, errors = answer(exam, grid, cuts, progress)
-    standing = judge.standing[exam.asked]
-    judged = ~standing if not standing.all() else np.ones_like(standing)
-    scans = exam.mapped.scans
-    right = judge.right(exam.asked[judged, None, None], scans[answered[:, :, judged]])
+    answered, errors = answer(images, grid, cuts, progress)
+    queried = images.queries.scans
+    judged = counted(criterion.standing[queried])
+    scans = images.mapped.scans
+    right = criterion.right(queried[judged, None, None], scans[answered[:, :, judged]])
     as_driven = answered[:, 0][:, judged]
     points = []
     for i, (length, cut) in enumerate(zip(grid.segment_lengths, cuts, strict=True)):
-        segment_start = cut_fixed(exam.scans, length)
-        true = np.searchsorted(segment_start, exam.asked[judged], side="right") - 1
+        segment_start = cut_fixed(len(images.queries.drive), length)
+        true = np.searchsorted(segment_start, queried[judged], side="right") - 1
         found = np.searchsorted(cut, as_driven[i], side="right") - 1
         in_segment = (found == true[:, None, None]).mean(axis=0)
         accuracy = right[i].mean(axis=1)
         for (a, r1), (b, r2) in itertools.product(enumerate(grid.r1), enumerate(grid.r2)):
-            elements = _elements(exam, len(cut) - 1, (r1, r2))
+            elements = _elements(images, len(cut) - 1, (r1, r2))
             points.append(
                 SweepPoint(
                     ranks=(r1, r2),
@@ -170,30 +172,14 @@ def sweep(exam: Exam, judge: Judge, grid: SweepGrid, progress: Progress = NO_PRO
                 )
             )
     return Sweep(
-        encoding=exam.parameters.encoding,
-        conditions=tuple(asdict(condition) for condition in exam.conditions),
-        criterion=judge.criterion,
+        encoding=images.parameters.encoding,
+        conditions=tuple(asdict(condition) for condition in images.queries.conditions),
+        criterion=str(criterion),
         map_scans=len(scans),
-        asked=len(exam.asked),
+        asked=len(queried),
         judged=int(judged.sum()),
         points=tuple(points),
     )
-
-
-def map_cuts(exam: Exam, segment_length: int) -> IntArray:
-    """Return the rows where a map's segments begin, and how many rows there are, `(L + 1,)`.
-
-    Raises:
-        InvalidParameters: If a segment is left without a map scan.
-    """
-    cuts = np.searchsorted(exam.mapped.scans, cut_fixed(exam.scans, segment_length))
-    empty = np.flatnonzero(np.diff(cuts) == 0)
-    if len(empty):
-        raise InvalidParameters(
-            f"with k = {segment_length} segment {empty[0]} is left without a map scan:"
-            " take longer segments"
-        )
-    return cuts
 
 
 def leading_sums(blocks: FloatArray, r1: Sequence[int], r2: Sequence[int]) -> FloatArray:
@@ -209,36 +195,43 @@ def leading_sums(blocks: FloatArray, r1: Sequence[int], r2: Sequence[int]) -> Fl
     return np.asarray(parts.cumsum(axis=-2).cumsum(axis=-1))
 
 
-def _elements(exam: Exam, segments: int, ranks: tuple[int, int]) -> int:
-    scans, shape = len(exam.mapped.scans), exam.parameters.grid.shape
-    renderings = exam.parameters.lateral_renderings_m
+def _elements(images: QueryImages, segments: int, ranks: tuple[int, int]) -> int:
+    scans, shape = len(images.mapped), images.parameters.grid.shape
+    renderings = images.parameters.lateral_renderings_m
     if renderings is None:
         return storage_elements(segments, scans, shape, ranks)
     return harmonic_elements(scans, len(renderings), shape[0], ranks)
 
 
+def _blocks(
+    images: QueryImages, start: int, end: int, progress: Progress
+) -> Iterator[Float32Array]:
+    for first in range(start, end, BLOCK_SCANS):
+        block = images.mapped.read(first, min(first + BLOCK_SCANS, end))
+        yield block
+        progress.advance(len(block))
+
+
 def _paper_answers(
-    exam: Exam, grid: SweepGrid, cuts: Sequence[IntArray], progress: Progress
+    images: QueryImages, grid: SweepGrid, cuts: Sequence[IntArray], progress: Progress
 ) -> tuple[IntArray, FloatArray]:
     """Return the nearest rows, `(lengths, C, n, r1, r2)`, and relative errors, `(lengths, ...)`."""
-    count, questions = exam.questions.shape[:2]
-    asked = exam.questions.reshape(-1, *exam.questions.shape[2:])
+    conditions, count = images.cells.shape[:2]
+    queried = images.cells.reshape(-1, *images.cells.shape[2:])
     ranks = (len(grid.r1), len(grid.r2))
-    rows = np.zeros((len(cuts), len(asked), *ranks), dtype=np.int64)
+    rows = np.zeros((len(cuts), len(queried), *ranks), dtype=np.int64)
     errors = np.zeros((len(cuts), *ranks))
     atoms = np.unique(np.concatenate(cuts))
     progress.start("summing", int(atoms[-1]))
     grams = []
     for start, end in itertools.pairwise(atoms.tolist()):
-        total = Grams.zero(exam.parameters.grid.shape)
-        for block in range(start, end, BLOCK_SCANS):
-            images = exam.mapped.images.read(block, min(block + BLOCK_SCANS, end))
-            total += Grams.of(images)
-            progress.advance(len(images))
+        total = Grams.zero(images.parameters.grid.shape)
+        for block in _blocks(images, start, end, progress):
+            total += Grams.of(block)
         grams.append(total)
     progress.start("sweeping", len(cuts) * int(atoms[-1]))
     for i, cut in enumerate(cuts):
-        best = np.full((len(asked), *ranks), np.inf)
+        best = np.full((len(queried), *ranks), np.inf)
         kept, squared_norm = np.zeros(ranks), 0.0
         for start, end in itertools.pairwise(cut.tolist()):
             first, last = np.searchsorted(atoms, [start, end])
@@ -247,9 +240,9 @@ def _paper_answers(
             # In single precision, as a map keeps them.
             u = leading_basis(total.elevation, grid.r1[-1]).astype(np.float32).astype(np.float64)
             v = leading_basis(total.azimuth, grid.r2[-1]).astype(np.float32).astype(np.float64)
-            stored = project(exam.mapped.images.read(start, end), u, v).astype(np.float32)
+            stored = project(images.mapped.read(start, end), u, v).astype(np.float32)
             kept += leading_sums(np.square(stored, dtype=np.float64).sum(axis=0), grid.r1, grid.r2)
-            for q, signature in enumerate(project(asked, u, v).astype(np.float32)):
+            for q, signature in enumerate(project(queried, u, v).astype(np.float32)):
                 squared = leading_sums(np.square(stored - signature), grid.r1, grid.r2)
                 nearest = squared.argmin(axis=0)
                 distance = np.take_along_axis(squared, nearest[None], axis=0)[0]
@@ -258,36 +251,32 @@ def _paper_answers(
                 rows[i, q][closer] = start + nearest[closer]
             progress.advance(end - start)
         errors[i] = np.sqrt(np.maximum(0.0, 1.0 - kept / squared_norm))
-    return rows.reshape(len(cuts), count, questions, *ranks), errors
+    return rows.reshape(len(cuts), conditions, count, *ranks), errors
 
 
 def _harmonic_answers(
-    exam: Exam, grid: SweepGrid, cuts: Sequence[IntArray], progress: Progress
+    images: QueryImages, grid: SweepGrid, cuts: Sequence[IntArray], progress: Progress
 ) -> tuple[IntArray, FloatArray]:
     """Return the same of a harmonic map: its basis is shared, so cuts change nothing."""
-    parameters = exam.parameters
+    parameters, scans = images.parameters, len(images.mapped)
     if parameters.distance is None or parameters.lateral_renderings_m is None:
         raise InvalidParameters("a harmonic map wants distance and lateral_renderings_m")
     image_rows, columns = parameters.grid.shape
-    scans = len(exam.mapped.scans)
     gram, squared_norm = np.zeros((image_rows, image_rows)), 0.0
     progress.start("summing", 2 * scans)
-    for start in range(0, scans, BLOCK_SCANS):
-        images = exam.mapped.images.read(start, min(start + BLOCK_SCANS, scans))
-        gram += detail_gram(images.reshape(-1, image_rows, columns))
-        squared_norm += float(np.square(images, dtype=np.float64).sum())
-        progress.advance(len(images))
+    for block in _blocks(images, 0, scans, progress):
+        gram += detail_gram(block.reshape(-1, image_rows, columns))
+        squared_norm += float(np.square(block, dtype=np.float64).sum())
     u = leading_basis(gram, grid.r1[-1]).astype(np.float32)
-    parts = []
-    for start in range(0, scans, BLOCK_SCANS):
-        images = exam.mapped.images.read(start, min(start + BLOCK_SCANS, scans))
-        parts.append(encode(images, u, grid.r2[-1]).astype(np.complex64))
-        progress.advance(len(images))
-    stored = np.concatenate(parts)
-    count, questions = exam.questions.shape[:2]
-    asked = encode(exam.questions, u, grid.r2[-1]).astype(np.complex64)
-    asked = asked.reshape(-1, *asked.shape[2:])
-    rows = np.zeros((len(asked), len(grid.r1), len(grid.r2)), dtype=np.int64)
+    stored = np.concatenate(
+        [
+            encode(block, u, grid.r2[-1]).astype(np.complex64)
+            for block in _blocks(images, 0, scans, progress)
+        ]
+    )
+    queried = encode(images.cells, u, grid.r2[-1]).astype(np.complex64)
+    queried = queried.reshape(-1, *queried.shape[2:])
+    rows = np.zeros((len(queried), len(grid.r1), len(grid.r2)), dtype=np.int64)
     errors = np.zeros((len(grid.r1), len(grid.r2)))
     progress.start("sweeping", rows.size)
     for (a, r1), (b, r2) in itertools.product(enumerate(grid.r1), enumerate(grid.r2)):
@@ -301,10 +290,10 @@ def _harmonic_answers(
         )
         kept = float(energy(stored[..., :r1, :r2], columns).sum())
         errors[a, b] = np.sqrt(max(0.0, 1.0 - kept / squared_norm))
-        for q, values in enumerate(asked[:, :r1, :r2]):
+        for q, values in enumerate(queried[:, :r1, :r2]):
             rows[q, a, b] = model.search([Signature(values, None, "")]).nearest(1)[0].row
             progress.advance()
-    shape = (len(cuts), count, questions, *rows.shape[1:])
+    shape = (len(cuts), *images.cells.shape[:2], *errors.shape)
     return np.broadcast_to(rows.reshape(shape[1:]), shape), np.broadcast_to(
         errors, (len(cuts), *errors.shape)
     )

@@ -4,43 +4,26 @@ import itertools
 import time
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from core.arrays import BoolArray, FloatArray, IntArray
-from core.encodings.signature import Signature
-from core.errors import InvalidScan
+from core.arrays import FloatArray, IntArray
 from core.evaluation.condition import Condition
-from core.localization.localizer import Localizer
+from core.evaluation.metrics import apart_m, median, rate, share_within
+from core.evaluation.plain import Plain
+from core.evaluation.query_set import LocatedQueries
 from core.progress import NO_PROGRESS, Progress
-from core.scans.drive import Drive
+from core.scans.scan import Scan
 from core.tracking.step import TrackStep
 from core.tracking.track import Observation, Track, Tracker
 
-__all__ = ["Asked", "TrackError", "TrackResult", "cut_position", "evaluate_tracks", "track_drive"]
+__all__ = ["TrackError", "TrackResult", "cut_position", "evaluate_tracks"]
 
 _KIDNAPPINGS = 8  # spread over the drive
 _BEFORE, _AFTER = 10, 30  # queries before a vehicle is carried off, and within which it is found
 _RIGHT_M = 10.0
-
-
-@dataclass(frozen=True, eq=False)
-class Asked:
-    """The scans that are asked, in order, and what is true of them.
-
-    Attributes:
-        drive: Where they are from.
-        scans: `(n,)` their positions in it.
-        segment: `(n,)` where they belong, -1 where no pose tells it.
-        standing: `(n,)` whether the vehicle stood, `None` without poses.
-    """
-
-    drive: Drive
-    scans: IntArray
-    segment: IntArray
-    standing: BoolArray | None
 
 
 @dataclass(frozen=True)
@@ -53,7 +36,7 @@ class TrackError:
         segment: Where it belongs.
         told_segment: Where it was put.
         told_scan: Index of the map scan nearest to that place.
-        probability: Of the segment, as it was told.
+        probability: Of the segment, as the track gave it.
         standing: Whether the vehicle stood, `None` without poses.
     """
 
@@ -67,27 +50,27 @@ class TrackError:
 
 
 @dataclass(frozen=True)
-class TrackResult:
+class TrackResult(Plain):
     """One drive under one condition, tracked; what does not apply is `None`.
 
     Attributes:
         condition: The disturbance.
         observations: How many were taken.
         refusals: How many scans gave none.
-        localized: For how many a place was told; recall and error are of these.
-        not_localized: Why none was told, how often.
-        first_fix: How many observations it took until a place was told.
-        errors: Wrong segments that were told.
+        localized: How many gave a place; recall and error are of these.
+        not_localized: Why there was none, how often.
+        first_fix: How many observations it took until the first place.
+        errors: Wrong segments that were given as sure.
         errors_moving: How many of them while the vehicle moved.
         errors_stationary: How many while it stood.
-        segments_told: How many segments were told: a place was, and its segment is sure, 0.9.
-        unsure_wrong: How many were not told because two were likely, and the likelier was wrong.
+        segments_told: How many gave a place whose segment is sure, 0.9.
+        unsure_wrong: How many gave none because two were likely, and the likelier was wrong.
         recall_at_1: Share whose map scan was recorded within so many metres.
         position_error_m_median: Median distance of the estimated position.
-        standing_found: Share of the standing vehicle's observations that were told as such.
-        standing_false: Share of the moving vehicle's that were told as standing.
-        flicker: Changes of the told segment while the vehicle stood, beyond those that are true.
-        scan_changes: Changes of the told scan from one observation told as standing to the next.
+        standing_found: Share of the standing vehicle's observations that were found standing.
+        standing_false: Share of the moving vehicle's that were.
+        flicker: Changes of the segment while the vehicle stood, beyond those that are true.
+        scan_changes: Changes of the scan from one observation found standing to the next.
         recovery: How many observations each kidnapping took until the place was right again,
             `None` for one that was not found within 30.
         ms_per_observation: Mean wall time from signatures to answer.
@@ -113,16 +96,19 @@ class TrackResult:
     recovery: tuple[int | None, ...]
     ms_per_observation: float | None
 
+    @property
+    def recovery_text(self) -> str:
+        """The longest recovery, and how many kidnappings were not recovered from."""
+        if not self.recovery:
+            return "-"
+        known = [scans for scans in self.recovery if scans is not None]
+        lost = len(self.recovery) - len(known)
+        return f"{max(known, default='-')}" + (f", {lost} lost" if lost else "")
+
     def as_dict(self) -> dict[str, Any]:
         """Return plain values, `errors` as their number."""
-        return {
-            **asdict(self),
-            "condition": asdict(self.condition),
-            "errors": len(self.errors),
-            "error_scans": [asdict(error) for error in self.errors],
-            "recall_at_1": {f"{metres:g}": share for metres, share in self.recall_at_1.items()},
-            "recovery": list(self.recovery),
-        }
+        found = super().as_dict()
+        return {**found, "errors": len(self.errors), "error_scans": found["errors"]}
 
 
 def cut_position(mapped: IntArray, segment_start: IntArray) -> FloatArray:
@@ -147,58 +133,33 @@ def cut_position(mapped: IntArray, segment_start: IntArray) -> FloatArray:
 
 def evaluate_tracks(
     tracker: Tracker,
-    asked: Asked,
-    conditions: Sequence[Condition],
+    queries: LocatedQueries,
     tolerances_m: Sequence[float],
-    seed: int,
     progress: Progress = NO_PROGRESS,
 ) -> tuple[TrackResult, ...]:
     """Track the queries under each condition."""
-    progress.start("tracking", len(asked.scans) * len(conditions))
-    results = []
-    for condition in conditions:
-        kept, observations = _observations(tracker.localizer, asked, condition, seed, progress)
-        part = Asked(
-            asked.drive,
-            asked.scans[kept],
-            asked.segment[kept],
-            None if asked.standing is None else asked.standing[kept],
-        )
-        results.append(
-            track_drive(
-                tracker, part, observations, condition, tolerances_m, len(asked.scans) - len(kept)
-            )
-        )
-    return tuple(results)
+    basis = tracker.localizer.basis
+
+    def observe(_: int, scan: Scan) -> Observation:
+        return Observation(basis.encode(basis.image(scan)))
+
+    (observed,) = queries.answers([observe], "tracking", progress)
+    return tuple(
+        _tracked(tracker, queries, condition, of_condition, tolerances_m)
+        for condition, of_condition in zip(queries.conditions, observed, strict=True)
+    )
 
 
-def _observations(
-    localizer: Localizer, asked: Asked, condition: Condition, seed: int, progress: Progress
-) -> tuple[list[int], list[Observation]]:
-    kept, observations = [], []
-    for index, scan_index in enumerate(asked.scans.tolist()):
-        progress.advance()
-        try:
-            scan = condition.apply(
-                asked.drive.scan(scan_index), np.random.default_rng([seed, scan_index])
-            )
-            signatures: tuple[Signature, ...] = localizer.basis.encode(localizer.basis.image(scan))
-        except InvalidScan:
-            continue
-        kept.append(index)
-        observations.append(Observation(signatures))
-    return kept, observations
-
-
-def track_drive(
+def _tracked(
     tracker: Tracker,
-    asked: Asked,
-    observations: Sequence[Observation],
+    queries: LocatedQueries,
     condition: Condition,
+    observed: Sequence[Observation | None],
     tolerances_m: Sequence[float],
-    refusals: int = 0,
 ) -> TrackResult:
-    """Track observations of `asked`, one a scan of it."""
+    kept = np.array([row for row, one in enumerate(observed) if one is not None], np.int64)
+    observations = [one for one in observed if one is not None]
+    asked = replace(queries, scans=queries.scans[kept], segment=queries.segment[kept])
     track = Track(tracker)
     begun = time.perf_counter()
     steps = [track.observe(observation) for observation in observations]
@@ -208,20 +169,18 @@ def track_drive(
     errors = tuple(error for error in wrong if steps[error.observation].segment_sure)
     standing = asked.standing
     told_standing = np.array([step.standing for step in steps], dtype=bool)
-    true = [condition.pose(asked.drive.poses[scan]) for scan in asked.scans.tolist()]
-    recorded_m = _apart_m(
-        [tracker.map.trajectory.poses[step.row] for step in steps],
-        [asked.drive.poses[scan] for scan in asked.scans.tolist()],
-    )[localized]
-    displaced_m = _apart_m(
-        [np.full(7, np.nan) if s.pose is None else np.array(s.pose.as_tuple()) for s in steps],
-        true,
-    )[localized]
+    true = np.array([condition.pose(pose) for pose in asked.poses]).reshape(-1, 7)
+    matched = tracker.map.trajectory.poses[np.array([step.row for step in steps], np.int64)]
+    estimated = np.full((len(steps), 7), np.nan)
+    for row, step in enumerate(steps):
+        if step.pose is not None:
+            estimated[row] = step.pose.as_tuple()
+    recorded_m = apart_m(matched, asked.poses)[localized]
     stationary = None if standing is None else sum(bool(error.standing) for error in errors)
     return TrackResult(
         condition=condition,
         observations=len(steps),
-        refusals=refusals,
+        refusals=len(queries) - len(asked),
         localized=int(localized.sum()),
         not_localized=dict(
             sorted(Counter(s.reason.value for s in steps if s.reason is not None).items())
@@ -232,10 +191,10 @@ def track_drive(
         errors_stationary=stationary,
         segments_told=sum(step.segment_sure for step in steps),
         unsure_wrong=len(wrong) - len(errors),
-        recall_at_1={metres: _share(recorded_m <= metres, recorded_m) for metres in tolerances_m},
-        position_error_m_median=_median(displaced_m),
-        standing_found=None if standing is None else _rate(told_standing[standing]),
-        standing_false=None if standing is None else _rate(told_standing[~standing]),
+        recall_at_1={metres: share_within(recorded_m, metres) for metres in tolerances_m},
+        position_error_m_median=median(apart_m(estimated, true)[localized]),
+        standing_found=None if standing is None else rate(told_standing[standing]),
+        standing_false=None if standing is None else rate(told_standing[~standing]),
         flicker=_flicker(steps, asked),
         scan_changes=sum(
             one.standing and two.standing and one.row != two.row
@@ -246,7 +205,9 @@ def track_drive(
     )
 
 
-def _wrong(tracker: Tracker, asked: Asked, steps: Sequence[TrackStep]) -> tuple[TrackError, ...]:
+def _wrong(
+    tracker: Tracker, asked: LocatedQueries, steps: Sequence[TrackStep]
+) -> tuple[TrackError, ...]:
     return tuple(
         TrackError(
             observation=index,
@@ -262,7 +223,7 @@ def _wrong(tracker: Tracker, asked: Asked, steps: Sequence[TrackStep]) -> tuple[
     )
 
 
-def _flicker(steps: Sequence[TrackStep], asked: Asked) -> int | None:
+def _flicker(steps: Sequence[TrackStep], asked: LocatedQueries) -> int | None:
     if asked.standing is None:
         return None
     told = true = 0
@@ -274,13 +235,13 @@ def _flicker(steps: Sequence[TrackStep], asked: Asked) -> int | None:
 
 
 def _recovery(
-    tracker: Tracker, asked: Asked, observations: Sequence[Observation]
+    tracker: Tracker, asked: LocatedQueries, observations: Sequence[Observation]
 ) -> tuple[int | None, ...]:
     """Carry the vehicle off to half a drive away, several times."""
     count = len(observations)
     if count < 2 * (_BEFORE + _AFTER):
         return ()
-    poses = asked.drive.poses[asked.scans]
+    poses = asked.poses
     found: list[int | None] = []
     for start in np.linspace(0, count // 2 - _AFTER, _KIDNAPPINGS).astype(int).tolist():
         track = Track(tracker)
@@ -297,26 +258,5 @@ def _recovery(
 
 
 def _is_right(tracker: Tracker, step: TrackStep, pose: FloatArray, segment: int) -> bool:
-    apart_m = float(_apart_m([tracker.map.trajectory.poses[step.row]], [pose])[0])
-    return step.segment == segment if np.isnan(apart_m) else apart_m <= _RIGHT_M
-
-
-def _apart_m(found: Sequence[FloatArray], true: Sequence[FloatArray]) -> FloatArray:
-    """Return how far apart poses are, `(n,)` metres, NaN where one is unknown."""
-    if not found:
-        return np.empty(0)
-    return np.asarray(np.linalg.norm(np.stack(found)[:, :3] - np.stack(true)[:, :3], axis=1))
-
-
-def _share(right: BoolArray, values: FloatArray) -> float | None:
-    known = np.isfinite(values)
-    return float(right[known].mean()) if known.any() else None
-
-
-def _rate(told: BoolArray) -> float | None:
-    return float(told.mean()) if len(told) else None
-
-
-def _median(values: FloatArray) -> float | None:
-    known = values[np.isfinite(values)]
-    return float(np.median(known)) if len(known) else None
+    distance_m = float(apart_m(tracker.map.trajectory.poses[step.row], pose))
+    return step.segment == segment if np.isnan(distance_m) else distance_m <= _RIGHT_M

@@ -21,10 +21,10 @@ from core.projection.images import ImageSource, Probes
 from core.scans.trajectory import Trajectory
 from core.topology import join_segments
 
-__all__ = ["build_map", "fit_bases"]
+__all__ = ["fit_bases", "fit_map"]
 
 
-def build_map(
+def fit_map(
     images: ImageSource,
     trajectory: Trajectory,
     segment_start: IntArray,

@@ -181,10 +181,22 @@ class Projected:
 
 @dataclass(frozen=True, eq=False)
 class ProjectedDrive(Projected):
-    """The images of a drive's usable scans, one for each, and those of its probes."""
+    """The images of a drive's usable scans, an `ImageSource`, and those of its probes."""
 
     images: ImageSource
     probes: ImageSource
+
+    @property
+    def grid(self) -> Grid:
+        """The lattice of every image."""
+        return self.images.grid
+
+    def __len__(self) -> int:
+        return len(self.images)
+
+    def read(self, start: int, stop: int) -> Float32Array:
+        """Return those of scans `start` up to `stop`."""
+        return self.images.read(start, stop)
 
     def probes_of_map(self) -> Probes:
         """Return the probes as those of a map of this drive's usable scans and no others."""

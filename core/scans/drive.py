@@ -1,15 +1,15 @@
 """A drive: an ordered recording of scans."""
 
 from collections.abc import Iterator, Sequence
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
-from core.arrays import FloatArray, frozen
+from core.arrays import FloatArray, IntArray, frozen
 from core.scans.pose import pose_rows
 from core.scans.scan import Scan
 
-__all__ = ["Drive", "MemoryDrive"]
+__all__ = ["Drive", "IndexedDrive", "MemoryDrive"]
 
 
 class Drive(Protocol):
@@ -40,6 +40,15 @@ class Drive(Protocol):
         Raises:
             InvalidScan: If what is recorded there cannot be used.
         """
+
+
+@runtime_checkable
+class IndexedDrive(Drive, Protocol):
+    """A drive whose scans keep numbers of their own, with gaps where others are missing."""
+
+    @property
+    def scan_index(self) -> IntArray:
+        """`(K,)` the number of each scan, rising."""
 
 
 class MemoryDrive:

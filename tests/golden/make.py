@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from core.mapping.build import build_map
+from core.mapping.build import fit_map
 from core.mapping.tensormap import TensorMap
 from core.parameters import Distance, Encoding, MapParameters
 from core.projection.images import MemoryImages
@@ -30,7 +30,7 @@ def golden_map() -> TensorMap:
     ranges_m = np.random.default_rng(1).uniform(1.0, 80.0, size=(6, *grid.shape))
     poses = np.zeros((3, 7))
     poses[:, 0], poses[:, 6] = np.arange(3), 1.0
-    return build_map(
+    return fit_map(
         MemoryImages(ranges_m.astype(np.float32), grid),
         Trajectory.concatenate(
             [
@@ -58,7 +58,7 @@ def golden_harmonic_map() -> TensorMap:
         lateral_renderings_m=(-1.5, 0.0),
     )
     heights_m = np.random.default_rng(2).uniform(0.0, 5.0, size=(6, *parameters.imager.shape))
-    return build_map(
+    return fit_map(
         MemoryImages(heights_m.astype(np.float32), parameters.grid),
         paper.trajectory,
         paper.model.segment_start,

@@ -9,7 +9,6 @@ from core.evaluation.baselines.solid import Solid
 from core.evaluation.compare import ComparisonProtocol, compare
 from core.evaluation.comparison import MethodUnderCondition
 from core.evaluation.condition import Condition, conditions
-from core.evaluation.contestants import DescribedPlaces
 from core.evaluation.pairing import HeldOut
 from core.evaluation.split import Every
 from tests.real.conftest import Drives
@@ -26,8 +25,8 @@ DRIVEN, TURNED, LEFT, RIGHT, NOISY = CONDITIONS = (
 
 @pytest.fixture(scope="module")
 def scan_context(drives: Drives) -> dict[Condition, MethodUnderCondition]:
-    protocol = ComparisonProtocol(HeldOut(Every(2)), CONDITIONS)
-    [method] = compare(drives.open("kitti00"), [DescribedPlaces(ScanContext())], protocol).methods
+    protocol = ComparisonProtocol(HeldOut(Every(2)), conditions=CONDITIONS)
+    [method] = compare(drives.open("kitti00"), [ScanContext()], protocol).methods
     assert method.sent_bytes == 4800
     return {row.condition: row for row in method.conditions}
 
@@ -56,7 +55,7 @@ def test_scan_context_tells_the_heading_to_half_a_sector(
 
 
 def test_the_other_peers_find_most_places_and_know_another_drive(drives: Drives) -> None:
-    others = [DescribedPlaces(Solid()), DescribedPlaces(M2dp())]
+    others = [Solid(), M2dp()]
     protocol = ComparisonProtocol(HeldOut(Every(2)), tolerances_m=(5.0,), unknown_every=25)
     result = compare(
         drives.open("kitti00"), others, protocol, unknown_drive=drives.open("kit_muehlburger")

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from core.arrays import FloatArray
 from core.frames.agreement import FrameCheck, check_frames
-from core.mapping.build import build_map
+from core.mapping.build import fit_map
 from core.parameters import Encoding, MapParameters
 from core.projection.images import ConcatenatedImages, project_drive
 from core.scans.drive import Drive
@@ -106,7 +106,7 @@ def checked(drives: Drives, encoding: Encoding, first: Part, second: Part) -> Fr
             )
         )
     trajectory = Trajectory.concatenate(trajectories)
-    tensor_map = build_map(
+    tensor_map = fit_map(
         ConcatenatedImages(parts),
         trajectory,
         cut_at_meetings(trajectory, cut_drives(trajectory.drive_start, 50)),

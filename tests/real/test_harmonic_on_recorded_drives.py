@@ -10,11 +10,11 @@ import pytest
 
 from core.encodings.signature import pack_signatures, unpack_signatures
 from core.evaluation.condition import Condition, conditions
-from core.evaluation.evaluate import Protocol, evaluate
+from core.evaluation.evaluate import EvaluationProtocol, evaluate
 from core.evaluation.result import ConditionResult
 from core.evaluation.split import Every
 from core.localization.localizer import Localizer
-from core.mapping.build import build_map
+from core.mapping.build import fit_map
 from core.parameters import Encoding, MapParameters
 from core.projection.images import project_drive
 from core.scans.trajectory import Trajectory
@@ -34,7 +34,7 @@ DEFAULT = MapParameters.for_sensor(encoding=Encoding.HARMONIC)
 @pytest.fixture(scope="module")
 def found(drives: Drives) -> dict[Condition, ConditionResult]:
     """One setting, the default, for every row."""
-    protocol = Protocol(DEFAULT, split=Every(2), conditions=(*TURNED, *BESIDE, *NOISY))
+    protocol = EvaluationProtocol(DEFAULT, split=Every(2), conditions=(*TURNED, *BESIDE, *NOISY))
     result = evaluate(drives.open("kitti00"), protocol)
     return {row.condition: row for row in result.conditions}
 
@@ -66,7 +66,7 @@ def test_a_signature_of_60_bytes_loses_next_to_nothing(drives: Drives) -> None:
     mapped = np.arange(0, len(drive), 2)
     images = project_drive(drive, mapped, DEFAULT.imager).images
     trajectory = Trajectory.of_drive("d", drive.timestamp_s[mapped], drive.poses[mapped], mapped)
-    localizer = Localizer(build_map(images, trajectory, np.array([0, len(mapped)]), DEFAULT))
+    localizer = Localizer(fit_map(images, trajectory, np.array([0, len(mapped)]), DEFAULT))
     hits = {"whole": 0, "packed": 0}
     for index in range(1, len(drive), 2):
         for lateral_m in (0.0, 2.25):

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from core.evaluation.condition import Condition
-from core.evaluation.evaluate import Protocol, evaluate
+from core.evaluation.evaluate import EvaluationProtocol, evaluate
 from core.evaluation.result import Evaluation
 from core.evaluation.split import Every, Interleaved
 from core.parameters import MapParameters
@@ -21,7 +21,7 @@ pytestmark = pytest.mark.real_data
 
 @pytest.mark.parametrize("segment_length", [50, 100, 167])
 def test_no_segment_is_missed_while_the_car_moves(drives: Drives, segment_length: int) -> None:
-    protocol = Protocol(segment_length=segment_length, split=Interleaved(0.2))
+    protocol = EvaluationProtocol(segment_length=segment_length, split=Interleaved(0.2))
     found = evaluate(drives.open("kit_muehlburger"), protocol).conditions[0]
     assert found.refusals == 0
     assert found.queries in {99, 100}
@@ -32,14 +32,14 @@ def test_no_segment_is_missed_while_the_car_moves(drives: Drives, segment_length
 
 
 def test_the_motion_surrogate_tells_standing_from_moving(drives: Drives) -> None:
-    found = evaluate(drives.open("kit_muehlburger"), Protocol(segment_length=100))
+    found = evaluate(drives.open("kit_muehlburger"), EvaluationProtocol(segment_length=100))
     assert found.motion_surrogate_median_standing is not None
     assert found.motion_surrogate_median_moving is not None
     assert found.motion_surrogate_median_moving > 20 * found.motion_surrogate_median_standing
 
 
 def kitti00(drives: Drives, reducer: Reducer, *conditions: Condition) -> Evaluation:
-    protocol = Protocol(
+    protocol = EvaluationProtocol(
         MapParameters(reducer=reducer),
         segments=5,
         split=Every(2),

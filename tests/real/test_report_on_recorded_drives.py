@@ -4,8 +4,8 @@ import pytest
 
 from app.report.page import render_report
 from app.report.provenance import provenance
-from core.evaluation.advisor import Verdict
-from core.evaluation.evaluate import Protocol, evaluate
+from core.evaluation.advisor import Decision
+from core.evaluation.evaluate import EvaluationProtocol, evaluate
 from core.evaluation.study import Study
 from core.evaluation.study_drive import StudyProtocol, study_drive
 from core.parameters import Encoding, MapParameters
@@ -30,7 +30,9 @@ def study(drives: Drives) -> Study:
 
 
 def test_the_sweep_agrees_with_evaluate(study: Study, drives: Drives) -> None:
-    protocol = Protocol(MapParameters.for_sensor(encoding=Encoding.PAPER), segment_length=50)
+    protocol = EvaluationProtocol(
+        MapParameters.for_sensor(encoding=Encoding.PAPER), segment_length=50
+    )
     wanted = evaluate(drives.open("kitti00"), protocol)
     found = study.encodings[0].sweep.at((5, 5), 50)
     assert found is not None
@@ -43,7 +45,7 @@ def test_the_sweep_agrees_with_evaluate(study: Study, drives: Drives) -> None:
 def test_the_advice_is_decided_and_says_what_a_turn_and_noise_do(study: Study) -> None:
     paper, harmonic = study.encodings
     for of in (paper, harmonic):
-        assert of.advice.verdict == Verdict.DECIDED
+        assert of.advice.verdict == Decision.DECIDED
         assert of.advice.recommended is not None
         assert of.advice.recommended.ranks != (2, 2)
     assert harmonic.curve("yaw_deg")[-1].right >= 0.95 * harmonic.sweep.judged

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from core.evaluation.evaluate import Protocol, evaluate
+from core.evaluation.evaluate import EvaluationProtocol, evaluate
 from core.evaluation.split import Every
 from core.parameters import Encoding, MapParameters, Segmentation
 from core.scans.trajectory import Trajectory
@@ -58,9 +58,11 @@ def test_unequal_segments_keep_to_equal_storage_and_recall_as_much(
 ) -> None:
     unequal = MapParameters.for_sensor(encoding=encoding, segmentation=Segmentation.UNEQUAL)
     split = Every(2)  # the same scans whatever the cuts
-    found = evaluate(drives.open(name), Protocol(unequal, segments=5, split=split))
+    found = evaluate(drives.open(name), EvaluationProtocol(unequal, segments=5, split=split))
     fixed = MapParameters.for_sensor(encoding=encoding)
-    equal = evaluate(drives.open(name), Protocol(fixed, segments=found.segments, split=split))
+    equal = evaluate(
+        drives.open(name), EvaluationProtocol(fixed, segments=found.segments, split=split)
+    )
     assert found.compression.elements == equal.compression.elements
     recall, of_equal = (one.conditions[0].recall_at_1[3.0] for one in (found, equal))
     assert recall is not None

@@ -2,7 +2,7 @@
 
 import pytest
 
-from core.evaluation.evaluate import Protocol, evaluate
+from core.evaluation.evaluate import EvaluationProtocol, evaluate
 from core.evaluation.split import Every
 from core.parameters import Encoding, MapParameters
 from tests.real.conftest import Drives
@@ -14,7 +14,7 @@ def test_scans_of_another_town_are_told_from_those_of_the_map(drives: Drives) ->
     parameters = MapParameters.for_sensor(encoding=Encoding.HARMONIC)
     found = evaluate(
         drives.open("kitti00"),
-        Protocol(parameters, segments=5, split=Every(2)),
+        EvaluationProtocol(parameters, segments=5, split=Every(2)),
         unknown=[drives.open("kit_muehlburger")],
     )
     of_it = found.conditions[0].reliability

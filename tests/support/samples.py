@@ -4,7 +4,7 @@ import numpy as np
 
 from core.arrays import Float32Array, FloatArray, IntArray
 from core.errors import InvalidScan
-from core.mapping.build import build_map
+from core.mapping.build import fit_map
 from core.mapping.tensormap import TensorMap
 from core.parameters import Distance, Encoding, MapParameters
 from core.projection.images import MemoryImages, Probes
@@ -133,7 +133,7 @@ def sample_map(
         ]
     )
     cuts: IntArray = cut_drives(trajectory.drive_start, segment_length)
-    return build_map(MemoryImages(images, grid), trajectory, cuts, parameters), images
+    return fit_map(MemoryImages(images, grid), trajectory, cuts, parameters), images
 
 
 def sample_harmonic_map(
@@ -147,7 +147,7 @@ def sample_harmonic_map(
     )  # fmt: skip
     images = random_images(3 * count * drives, grid.shape, seed).reshape(-1, 3, *grid.shape)
     paper, _ = sample_map(count, segment_length, drives=drives, poses=poses, seed=seed)
-    return build_map(
+    return fit_map(
         MemoryImages(images, grid), paper.trajectory, paper.model.segment_start, parameters
     ), images
 
@@ -193,7 +193,7 @@ def calibrated_map(count: int = 120, *, poses: bool = True, seed: int = 0) -> Te
         np.arange(count),
     )
     parameters = MapParameters(grid=SMALL_GRID, ranks=(3, 4), sensor="hdl-64e")
-    return build_map(
+    return fit_map(
         MemoryImages(images, SMALL_GRID),
         trajectory,
         np.array([0, count // 2, count]),

@@ -1,43 +1,42 @@
-"""What a peer gives: a scan's descriptor, and the places among which it is looked for."""
+"""What a baseline gives: a scan's descriptor, and the places among which it is searched for."""
 
-from dataclasses import dataclass
-from typing import Any, Protocol
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import asdict
+from functools import partial
+from typing import Any
 
-from core.arrays import Float32Array
-from core.errors import InvalidParameters
+import numpy as np
+
+from core.arrays import Float32Array, IntArray
+from core.errors import EmptyDrive, InvalidParameters, InvalidScan
+from core.evaluation.methods import Ask, Enrolled, EnrolledPlaces, Nearest
+from core.progress import NO_PROGRESS, Progress
+from core.projection.images import Skipped
 from core.scans.angles import wrapped_deg
+from core.scans.drive import Drive
 from core.scans.scan import Scan
 
-__all__ = ["Nearest", "PlaceDescriptor", "Places", "require_descriptors", "sent_bytes", "turn_deg"]
+__all__ = ["PlaceDescriptor", "Places", "enrol_each", "sent_bytes", "turn_deg"]
 
 _FLOAT32_BYTES = 4
 
 
-@dataclass(frozen=True)
-class Nearest:
-    """The place that is most like a query.
+class Places(ABC):
+    """Descriptors of known places, ready to be searched.
 
     Attributes:
-        row: Its row among the places.
-        distance: How unlike it is, smaller is nearer; comparable between queries of one method.
-        turn_deg: How far the query is turned from it, counter-clockwise, -180..180; `None` where
-            the method does not tell.
+        stored_bytes: What a file must hold of all places; what is derived when it is read does not
+            count.
     """
 
-    row: int
-    distance: float
-    turn_deg: float | None = None
-
-
-class Places(Protocol):
-    """Descriptors of known places, ready to be searched."""
+    def __init__(self, descriptors: Float32Array) -> None:
+        self.stored_bytes = descriptors.astype(np.float32).nbytes
+        self._count = len(descriptors)
 
     def __len__(self) -> int:
-        """Return how many places there are."""
-
-    @property
-    def stored_bytes(self) -> int:
-        """What a file must hold of all places; what is derived when it is read does not count."""
+        return self._count
 
     def nearest(self, descriptor: Float32Array, before: int | None = None) -> Nearest | None:
         """Return the most similar place, the first among equals; `None` if there is none.
@@ -46,26 +45,32 @@ class Places(Protocol):
             descriptor: Of the query.
             before: Search the rows below this one only; all of them without it.
         """
+        last = len(self) if before is None else min(before, len(self))
+        return self._nearest(descriptor, last) if last > 0 else None
+
+    @abstractmethod
+    def _nearest(self, descriptor: Float32Array, last: int) -> Nearest:
+        """Return the most similar place of the rows below `last`, at least one."""
 
 
-class PlaceDescriptor(Protocol):
-    """How a scan becomes a descriptor of fixed shape.
+class PlaceDescriptor(ABC):
+    """A method that makes a descriptor of fixed shape of a scan; its parameters are its fields.
 
-    It is the same for the same scan whenever it is asked for, and independent of the order of the
-    returns but for the rounding of sums.
+    The descriptor is the same for the same scan whenever it is made, and independent of the order
+    of the returns but for the rounding of sums.
     """
 
     @property
+    @abstractmethod
     def name(self) -> str:
         """A short name, for tables and options."""
 
     @property
+    @abstractmethod
     def shape(self) -> tuple[int, ...]:
         """The shape of a descriptor."""
 
-    def configuration(self) -> dict[str, Any]:
-        """Return all parameters as plain values."""
-
+    @abstractmethod
     def describe(self, scan: Scan) -> Float32Array:
         """Return the scan's descriptor, of `shape`.
 
@@ -73,32 +78,70 @@ class PlaceDescriptor(Protocol):
             InvalidScan: If the scan holds nothing that can be described.
         """
 
+    @abstractmethod
+    def _places(self, descriptors: Float32Array) -> Places:
+        """Return places to search, of `(K, *shape)` descriptors."""
+
+    def configuration(self) -> dict[str, Any]:
+        """Return all parameters."""
+        return asdict(self)  # type: ignore[call-overload, no-any-return]
+
     def places(self, descriptors: Float32Array) -> Places:
         """Return places to search, of `(K, *shape)` descriptors.
 
         Raises:
             InvalidParameters: If they have another shape.
         """
+        if descriptors.shape[1:] != self.shape or descriptors.ndim != len(self.shape) + 1:
+            raise InvalidParameters(
+                f"descriptors have shape {descriptors.shape}, wanted {('K', *self.shape)}"
+            )
+        return self._places(descriptors)
+
+    def enrol(self, drive: Drive, scans: IntArray, progress: Progress = NO_PROGRESS) -> Enrolled:
+        """Describe the scans one by one; one that cannot be used is left out."""
+        described: list[Float32Array] = []
+        kept = enrol_each(
+            self.name, drive, scans, lambda scan: described.append(self.describe(scan)), progress
+        )
+        places = self.places(np.stack(described))
+
+        def describe(scan: Scan) -> Ask:
+            return partial(places.nearest, self.describe(scan))
+
+        return EnrolledPlaces(kept, sent_bytes(self), places.stored_bytes / len(kept), describe)
+
+
+def enrol_each(
+    name: str,
+    drive: Drive,
+    scans: IntArray,
+    enrol: Callable[[Scan], None],
+    progress: Progress = NO_PROGRESS,
+) -> IntArray:
+    """Enrol scans one by one, and return those that could be used.
+
+    Raises:
+        EmptyDrive: If not one of them is usable.
+    """
+    progress.start(name, len(scans))
+    kept: list[int] = []
+    skipped: list[Skipped] = []
+    for index in scans.tolist():
+        try:
+            enrol(drive.scan(index))
+            kept.append(index)
+        except InvalidScan as error:
+            skipped.append(Skipped(index, str(error)))
+        progress.advance()
+    if not kept:
+        raise EmptyDrive(Skipped.explain(drive.name, skipped))
+    return np.array(kept, dtype=np.int64)
 
 
 def sent_bytes(descriptor: PlaceDescriptor) -> int:
     """Return what a vehicle sends: every number of a descriptor as float32."""
-    numbers = 1
-    for length in descriptor.shape:
-        numbers *= length
-    return _FLOAT32_BYTES * numbers
-
-
-def require_descriptors(descriptors: Float32Array, shape: tuple[int, ...]) -> None:
-    """Refuse arrays that are not `(K, *shape)`.
-
-    Raises:
-        InvalidParameters: If they are not.
-    """
-    if descriptors.shape[1:] != shape or descriptors.ndim != len(shape) + 1:
-        raise InvalidParameters(
-            f"descriptors have shape {descriptors.shape}, wanted (K, {', '.join(map(str, shape))})"
-        )
+    return _FLOAT32_BYTES * math.prod(descriptor.shape)
 
 
 def turn_deg(shift: int, sectors: int) -> float:

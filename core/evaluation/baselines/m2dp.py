@@ -12,16 +12,16 @@ vectors have no negative sum (those of a matrix of counts have one sign); and re
 one in each cube of 0.5 m, without which the dense ground beside the vehicle decides (decision 16).
 """
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
 from core.arrays import Float32Array, FloatArray
 from core.errors import InvalidParameters, InvalidScan
-from core.evaluation.baselines.descriptor import Nearest, require_descriptors
+from core.evaluation.baselines.descriptor import PlaceDescriptor, Places
 from core.evaluation.baselines.voxels import voxel_means
+from core.evaluation.methods import Nearest
 from core.scans.scan import Scan
 
 __all__ = ["M2dp", "M2dpPlaces"]
@@ -30,7 +30,7 @@ _BLOCK = 8192  # returns that are projected at once: the intermediate arrays sta
 
 
 @dataclass(frozen=True)
-class M2dp:
+class M2dp(PlaceDescriptor):
     """The descriptor, with the paper's parameters as defaults: 64 + 128 = 192 numbers.
 
     Attributes:
@@ -62,10 +62,6 @@ class M2dp:
     def shape(self) -> tuple[int, ...]:
         """`(p q + l t,)`."""
         return (self.azimuths * self.elevations + self.circles * self.sectors,)
-
-    def configuration(self) -> dict[str, Any]:
-        """Return all parameters."""
-        return asdict(self)
 
     @cached_property
     def _axes(self) -> Float32Array:
@@ -120,9 +116,7 @@ class M2dp:
             )
         return counts.reshape(planes, cells).astype(np.float64)
 
-    def places(self, descriptors: Float32Array) -> "M2dpPlaces":
-        """Return places to search."""
-        require_descriptors(descriptors, self.shape)
+    def _places(self, descriptors: Float32Array) -> Places:
         return M2dpPlaces(descriptors)
 
 
@@ -137,21 +131,15 @@ def _principal(points: FloatArray) -> FloatArray:
     return np.asarray(centred @ np.stack([first, second, np.cross(first, second)], axis=1))
 
 
-class M2dpPlaces:
+class M2dpPlaces(Places):
     """Places by the Euclidean distance of their descriptors, which tell no heading."""
 
     def __init__(self, descriptors: Float32Array) -> None:
-        self.stored_bytes = descriptors.astype(np.float32).nbytes
+        super().__init__(descriptors)
         self._descriptors = descriptors.astype(np.float32)
 
-    def __len__(self) -> int:
-        return len(self._descriptors)
-
-    def nearest(self, descriptor: Float32Array, before: int | None = None) -> Nearest | None:
+    def _nearest(self, descriptor: Float32Array, last: int) -> Nearest:
         """Return the nearest place."""
-        last = len(self) if before is None else min(before, len(self))
-        if last <= 0:
-            return None
         distances = np.linalg.norm(self._descriptors[:last] - descriptor, axis=1)
         row = int(distances.argmin())
         return Nearest(row, float(distances[row]))

@@ -6,22 +6,22 @@ cosine of an empty column is not defined, so that the mean is over the columns i
 descriptors hold something, and two that share none are at distance 1.
 """
 
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from core.arrays import Complex64Array, Float32Array, FloatArray, IntArray
 from core.errors import InvalidParameters, InvalidScan
-from core.evaluation.baselines.descriptor import Nearest, require_descriptors, turn_deg
+from core.evaluation.baselines.descriptor import PlaceDescriptor, Places, turn_deg
+from core.evaluation.methods import Nearest
 from core.scans.scan import Scan
 
 __all__ = ["ScanContext", "ScanContextPlaces", "ring_keys"]
 
 
 @dataclass(frozen=True)
-class ScanContext:
+class ScanContext(PlaceDescriptor):
     """The descriptor, with the paper's parameters as defaults.
 
     Attributes:
@@ -65,10 +65,6 @@ class ScanContext:
         """`(N_r, N_s)`."""
         return self.rings, self.sectors
 
-    def configuration(self) -> dict[str, Any]:
-        """Return all parameters."""
-        return asdict(self)
-
     def describe(self, scan: Scan) -> Float32Array:
         """Return the greatest height of each ring and sector in metres, 0 where nothing is.
 
@@ -90,9 +86,7 @@ class ScanContext:
             )
         return context.reshape(self.shape)
 
-    def places(self, descriptors: Float32Array) -> "ScanContextPlaces":
-        """Return places to search."""
-        require_descriptors(descriptors, self.shape)
+    def _places(self, descriptors: Float32Array) -> Places:
         return ScanContextPlaces(descriptors, self.candidates)
 
 
@@ -101,7 +95,7 @@ def ring_keys(contexts: Float32Array) -> FloatArray:
     return np.asarray(np.count_nonzero(contexts, axis=-1) / contexts.shape[-1])
 
 
-class ScanContextPlaces:
+class ScanContextPlaces(Places):
     """Scan Contexts compared column by column, in every shift.
 
     The sum over columns j of cos(q_j, c_{j+s}) is a circular correlation of unit columns, and so is
@@ -111,21 +105,15 @@ class ScanContextPlaces:
     def __init__(self, contexts: Float32Array, candidates: int | None) -> None:
         self._sectors = contexts.shape[-1]
         self._candidates = candidates
-        self.stored_bytes = contexts.astype(np.float32).nbytes
+        super().__init__(contexts)
         self._spectra, self._held = _spectra(contexts)
         keys = ring_keys(contexts)
         self._tree = cKDTree(keys) if candidates is not None and len(keys) else None
         if candidates is not None:
             self.stored_bytes += keys.astype(np.float32).nbytes
 
-    def __len__(self) -> int:
-        return len(self._spectra[0])
-
-    def nearest(self, descriptor: Float32Array, before: int | None = None) -> Nearest | None:
+    def _nearest(self, descriptor: Float32Array, last: int) -> Nearest:
         """Return the place at the least distance in its best shift, equations 5 and 6."""
-        last = len(self) if before is None else min(before, len(self))
-        if last <= 0:
-            return None
         rows = None if self._tree is None else self._candidate_rows(descriptor, last)
         distances = self.distances(descriptor, slice(last) if rows is None else rows)
         best, shift = np.unravel_index(int(distances.argmin()), distances.shape)

@@ -8,22 +8,22 @@ are those of the sensor's grid and what lies outside them or beyond reach is lef
 the edge of two bins is in the upper one; if all elevations hold as many returns all weigh 1.
 """
 
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 
 from core.arrays import Float32Array, FloatArray, IntArray
 from core.errors import InvalidParameters, InvalidScan
-from core.evaluation.baselines.descriptor import Nearest, require_descriptors, turn_deg
+from core.evaluation.baselines.descriptor import PlaceDescriptor, Places, turn_deg
 from core.evaluation.baselines.voxels import voxel_means
+from core.evaluation.methods import Nearest
 from core.scans.scan import Scan
 
 __all__ = ["Solid", "SolidPlaces"]
 
 
 @dataclass(frozen=True)
-class Solid:
+class Solid(PlaceDescriptor):
     """The descriptor: N_r numbers for the place, then N_a for the heading.
 
     Attributes:
@@ -70,10 +70,6 @@ class Solid:
         """`(N_r + N_a,)`."""
         return (self.ranges + self.azimuths,)
 
-    def configuration(self) -> dict[str, Any]:
-        """Return all parameters."""
-        return asdict(self)
-
     def describe(self, scan: Scan) -> Float32Array:
         """Return what is for places and what is for headings, one after the other.
 
@@ -107,9 +103,7 @@ class Solid:
             weight = np.ones(self.elevations)
         return np.concatenate([by_range @ weight, by_azimuth @ weight]).astype(np.float32)
 
-    def places(self, descriptors: Float32Array) -> "SolidPlaces":
-        """Return places to search."""
-        require_descriptors(descriptors, self.shape)
+    def _places(self, descriptors: Float32Array) -> Places:
         return SolidPlaces(descriptors, self.ranges)
 
 
@@ -124,23 +118,17 @@ def _counts(
     return counts.reshape(bins, of.elevations).astype(np.float64)
 
 
-class SolidPlaces:
+class SolidPlaces(Places):
     """Places by the cosine of their ranges, headings by the least sum of absolute differences."""
 
     def __init__(self, descriptors: Float32Array, ranges: int) -> None:
-        self.stored_bytes = descriptors.astype(np.float32).nbytes
+        super().__init__(descriptors)
         self._ranges = ranges
         self._units = _unit(descriptors[:, :ranges])
         self._azimuths = descriptors[:, ranges:].astype(np.float64)
 
-    def __len__(self) -> int:
-        return len(self._units)
-
-    def nearest(self, descriptor: Float32Array, before: int | None = None) -> Nearest | None:
+    def _nearest(self, descriptor: Float32Array, last: int) -> Nearest:
         """Return the place with the greatest cosine, and the turn to it."""
-        last = len(self) if before is None else min(before, len(self))
-        if last <= 0:
-            return None
         distances = 1.0 - self._units[:last] @ _unit(descriptor[: self._ranges])
         row = int(distances.argmin())
         asked = descriptor[self._ranges :].astype(np.float64)

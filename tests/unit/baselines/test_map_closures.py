@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from app.baselines import map_closures as adapter
-from app.baselines.roster import METHODS, contestants, default_methods
+from app.baselines.roster import METHODS, default_methods, methods_named
 from core.errors import EmptyDrive, InvalidParameters
 from tests.support.samples import FaultyDrive, RecordedProgress, sample_drive
 
@@ -58,7 +58,7 @@ def installed(monkeypatch):
 def test_the_most_inliers_among_the_places_win(installed):
     progress = RecordedProgress()
     drive = FaultyDrive(sample_drive(5), {1})
-    places = adapter.MapClosuresContestant().enrol(drive, np.arange(5), progress)
+    places = adapter.MapClosures().enrol(drive, np.arange(5), progress)
     assert places.scans.tolist() == [0, 2, 3, 4]
     assert (places._detector.kept, places.stored_bytes) == ([0, 1, 2, 3], 10.0)
     assert (progress.stages, progress.done) == ([("map-closures", 5)], [5])
@@ -78,13 +78,13 @@ def test_the_most_inliers_among_the_places_win(installed):
 
 
 def test_the_configuration_tells_the_version(installed):
-    configuration = adapter.MapClosuresContestant().configuration()
+    configuration = adapter.MapClosures().configuration()
     assert configuration == {"version": "9.9", "density_map_resolution": 0.5}
 
 
 def test_a_drive_without_a_usable_scan_is_refused(installed):
     with pytest.raises(EmptyDrive):
-        adapter.MapClosuresContestant().enrol(FaultyDrive(sample_drive(1), {0}), np.arange(1))
+        adapter.MapClosures().enrol(FaultyDrive(sample_drive(1), {0}), np.arange(1))
 
 
 def test_without_the_package_the_method_is_left_out_or_refused_by_name(monkeypatch):
@@ -92,13 +92,13 @@ def test_without_the_package_the_method_is_left_out_or_refused_by_name(monkeypat
     monkeypatch.setattr("app.baselines.roster.is_installed", lambda: False)
     assert default_methods() == METHODS[:-1]
     with pytest.raises(InvalidParameters, match="pip install --no-deps map_closures"):
-        contestants(["map-closures"], sensor="hdl-64e", sensor_height_m=1.73, segment_length=9)
+        methods_named(["map-closures"], sensor="hdl-64e", sensor_height_m=1.73, segment_length=9)
     monkeypatch.setattr("app.baselines.roster.is_installed", lambda: True)
     assert default_methods() == METHODS
 
 
 def test_solid_looks_where_the_sensor_does():
-    [solid] = contestants(["solid"], sensor="vlp-16", sensor_height_m=1.0, segment_length=9)
+    [solid] = methods_named(["solid"], sensor="vlp-16", sensor_height_m=1.0, segment_length=9)
     configuration = solid.configuration()
     assert configuration["elevation_min_deg"] == pytest.approx(-16.0)
     assert configuration["elevation_max_deg"] == pytest.approx(16.0)

@@ -6,13 +6,12 @@ import numpy as np
 import pytest
 
 from core.errors import EmptyDrive, InvalidParameters, InvalidScan
-from core.evaluation.baselines.descriptor import Nearest
 from core.evaluation.baselines.m2dp import M2dp
 from core.evaluation.baselines.scan_context import ScanContext
 from core.evaluation.baselines.solid import Solid
 from core.evaluation.compare import ComparisonProtocol, compare
 from core.evaluation.condition import Condition, conditions
-from core.evaluation.contestants import DescribedPlaces, MappedPlaces
+from core.evaluation.methods import MappedPlaces, Nearest
 from core.evaluation.pairing import HeldOut, LoopClosing, SecondPass
 from core.evaluation.split import Every
 from core.parameters import Encoding, MapParameters
@@ -44,7 +43,7 @@ class Places:
 
 
 class Told:
-    """A contestant that answers as it is told."""
+    """A method that answers as it is told."""
 
     def __init__(self, answers, name="told"):
         self.name, self._answers, self.asked = name, answers, []
@@ -101,7 +100,7 @@ def test_no_answer_and_no_description_are_wrong():
 def test_the_heading_is_that_of_the_turned_vehicle():
     drive = line([0.0, 1.0, 2.0, 3.0])
     told = Told({1: (0, 0.1, 88.0), 3: (1, 0.1, None)})
-    protocol = ComparisonProtocol(HeldOut(Every(2)), (Condition(yaw_deg=90.0),))
+    protocol = ComparisonProtocol(HeldOut(Every(2)), conditions=(Condition(yaw_deg=90.0),))
     [method] = compare(drive, [told], protocol).methods
     assert method.conditions[0].heading_error_deg_median == pytest.approx(2.0)
 
@@ -163,7 +162,7 @@ def test_nonsense_is_refused():
         compare(sample_drive(4, poses=False), [Told({})], ComparisonProtocol(HeldOut(Every(2))))
     with pytest.raises(EmptyDrive):
         compare(MemoryDrive("empty", []), [Told({})], ComparisonProtocol(HeldOut(Every(2))))
-    with pytest.raises(InvalidParameters, match="leaves no place"):
+    with pytest.raises(InvalidParameters, match="some must be queried"):
         compare(line([0.0]), [Told({})], ComparisonProtocol(HeldOut(Every(2))))
     without_time = MemoryDrive("d", [Scan(s.points_m, pose=s.pose) for s in drive])
     with pytest.raises(InvalidParameters, match="exclude by scans"):
@@ -184,31 +183,31 @@ def test_nonsense_is_refused():
         SecondPass(0)
 
 
-def contestants():
+def compared_methods():
     return [
         MappedPlaces(MapParameters(), 6),
         MappedPlaces(MapParameters.for_sensor(encoding=Encoding.HARMONIC), 6),
-        DescribedPlaces(ScanContext()),
-        DescribedPlaces(ScanContext(candidates=3)),
-        DescribedPlaces(Solid()),
-        DescribedPlaces(M2dp()),
+        ScanContext(),
+        ScanContext(candidates=3),
+        Solid(),
+        M2dp(),
     ]
 
 
-@pytest.mark.parametrize("contestant", contestants(), ids=lambda c: c.name)
-class TestContestants:
-    def test_a_scan_of_the_drive_is_found_again(self, contestant):
+@pytest.mark.parametrize("method", compared_methods(), ids=lambda c: c.name)
+class TestMethods:
+    def test_a_scan_of_the_drive_is_found_again(self, method):
         drive = sample_drive(8)
-        enrolled = contestant.enrol(drive, np.arange(8))
+        enrolled = method.enrol(drive, np.arange(8))
         for index in range(8):
             found = enrolled.describe(drive.scan(index))(None)
             assert found is not None
             assert found.row == index
 
-    def test_rows_are_the_usable_scans_and_before_counts_them(self, contestant):
+    def test_rows_are_the_usable_scans_and_before_counts_them(self, method):
         progress = RecordedProgress()
         drive = FaultyDrive(sample_drive(9), {2, 4})
-        enrolled = contestant.enrol(drive, np.arange(1, 9), progress)
+        enrolled = method.enrol(drive, np.arange(1, 9), progress)
         assert enrolled.scans.tolist() == [1, 3, 5, 6, 7, 8]
         assert progress.stages[0][1] == progress.done[0] == 8
         found = enrolled.describe(sample_drive(9).scan(7))(2)
@@ -216,25 +215,25 @@ class TestContestants:
         assert found.row < 2
         assert enrolled.describe(sample_drive(9).scan(7))(0) is None
 
-    def test_bytes_are_told(self, contestant):
-        enrolled = contestant.enrol(sample_drive(8), np.arange(8))
+    def test_bytes_are_told(self, method):
+        enrolled = method.enrol(sample_drive(8), np.arange(8))
         assert enrolled.sent_bytes is not None
         assert enrolled.stored_bytes is not None
         assert 0 < enrolled.sent_bytes <= 4800
         assert enrolled.stored_bytes > 0
 
-    def test_a_drive_without_a_usable_scan_is_refused(self, contestant):
+    def test_a_drive_without_a_usable_scan_is_refused(self, method):
         with pytest.raises(EmptyDrive, match="no usable scan"):
-            contestant.enrol(FaultyDrive(sample_drive(2), {0, 1}), np.arange(2))
+            method.enrol(FaultyDrive(sample_drive(2), {0, 1}), np.arange(2))
 
 
 def test_the_whole_is_plain_values_and_tells_its_progress():
     progress = RecordedProgress()
     protocol = ComparisonProtocol(
-        HeldOut(Every(2), 6), conditions((0, 90), (0,), (0.01,)), unknown_every=2
+        HeldOut(Every(2), 6), conditions=conditions((0, 90), (0,), (0.01,)), unknown_every=2
     )
     result = compare(
-        sample_drive(12), contestants(), protocol, unknown_drive=sample_drive(5, seed=3),
+        sample_drive(12), compared_methods(), protocol, unknown_drive=sample_drive(5, seed=3),
         progress=progress,
     )  # fmt: skip
     written = json.loads(json.dumps(result.as_dict(), allow_nan=False))
@@ -251,12 +250,14 @@ def test_the_whole_is_plain_values_and_tells_its_progress():
 
 def test_ours_are_found_as_evaluate_finds_them():
     """The same held-out scans of the same map, the same recall."""
-    from core.evaluation.evaluate import Protocol, evaluate
+    from core.evaluation.evaluate import EvaluationProtocol, evaluate
 
     drive = sample_drive(16)
     asked = conditions((0,), (0, 1), (0,))
-    evaluated = evaluate(drive, Protocol(segment_length=4, split=Every(2), conditions=asked))
-    protocol = ComparisonProtocol(HeldOut(Every(2), 4), asked)
+    evaluated = evaluate(
+        drive, EvaluationProtocol(segment_length=4, split=Every(2), conditions=asked)
+    )
+    protocol = ComparisonProtocol(HeldOut(Every(2), 4), conditions=asked)
     [compared] = compare(drive, [MappedPlaces(MapParameters(), 4)], protocol).methods
     for one, other in zip(evaluated.conditions, compared.conditions, strict=True):
         assert one.recall_at_1 == other.recall_at_1

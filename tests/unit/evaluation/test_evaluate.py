@@ -7,7 +7,7 @@ import pytest
 
 from core.errors import Cancelled, EmptyDrive, InvalidParameters
 from core.evaluation.condition import Condition
-from core.evaluation.evaluate import Protocol, evaluate
+from core.evaluation.evaluate import EvaluationProtocol, evaluate
 from core.evaluation.motion import is_standing
 from core.evaluation.split import Every, Interleaved
 from core.parameters import Encoding, MapParameters, Segmentation
@@ -39,13 +39,13 @@ def drive():
 @pytest.fixture(scope="module")
 def found(drive):
     disturbed = (Condition(), Condition(yaw_deg=180.0), Condition(noise_m=2.0))
-    return evaluate(drive, Protocol(segments=4, conditions=disturbed))
+    return evaluate(drive, EvaluationProtocol(segments=4, conditions=disturbed))
 
 
 def test_the_protocol_is_the_papers_by_default():
-    assert Protocol().split == Interleaved(0.2)
-    assert Protocol().parameters.ranks == (5, 5)
-    assert Protocol().conditions == (Condition(),)
+    assert EvaluationProtocol().split == Interleaved(0.2)
+    assert EvaluationProtocol().parameters.ranks == (5, 5)
+    assert EvaluationProtocol().conditions == (Condition(),)
 
 
 def test_the_figures_add_up(found, drive):
@@ -92,7 +92,7 @@ def without_times(result):
 
 
 def test_a_conditions_figures_do_not_depend_on_what_else_is_asked(drive, found):
-    alone = evaluate(drive, Protocol(segments=4, conditions=(Condition(noise_m=2.0),)))
+    alone = evaluate(drive, EvaluationProtocol(segments=4, conditions=(Condition(noise_m=2.0),)))
     assert without_times(alone.conditions[0]) == without_times(found.conditions[2])
 
 
@@ -100,7 +100,9 @@ def test_another_seed_is_other_noise():
     noisy = (Condition(noise_m=20.0),)
     drive = sample_drive(60)
     one, same, other = (
-        evaluate(drive, Protocol(SMALL, segments=3, conditions=noisy, seed=seed)).conditions[0]
+        evaluate(
+            drive, EvaluationProtocol(SMALL, segments=3, conditions=noisy, seed=seed)
+        ).conditions[0]
         for seed in (0, 0, 1)
     )
     assert without_times(one) == without_times(same)
@@ -108,7 +110,7 @@ def test_another_seed_is_other_noise():
 
 
 def test_a_drive_without_poses_has_no_figures_in_metres():
-    found = evaluate(sample_drive(40, poses=False), Protocol(SMALL, segments=4))
+    found = evaluate(sample_drive(40, poses=False), EvaluationProtocol(SMALL, segments=4))
     (result,) = found.conditions
     assert found.standing_scans is None
     assert result.segment_accuracy is not None
@@ -122,7 +124,7 @@ def test_a_drive_without_poses_has_no_figures_in_metres():
 
 def test_scans_that_cannot_be_used_are_skipped_in_the_map_and_refused_as_queries():
     drive = FaultyDrive(sample_drive(40), {2, 3, 7, 11})  # 2 and 7 are queries, j mod 5 == 2
-    found = evaluate(drive, Protocol(SMALL, segments=4))
+    found = evaluate(drive, EvaluationProtocol(SMALL, segments=4))
     assert [item.scan for item in found.skipped] == [3, 11]
     assert found.map_scans == 30
     assert (found.conditions[0].queries, found.conditions[0].refusals) == (8, 2)
@@ -130,7 +132,7 @@ def test_scans_that_cannot_be_used_are_skipped_in_the_map_and_refused_as_queries
 
 def test_queries_that_a_condition_leaves_without_returns_are_refused():
     far = (Condition(), Condition(lateral_m=1e39))
-    found = evaluate(sample_drive(40), Protocol(SMALL, segments=4, conditions=far))
+    found = evaluate(sample_drive(40), EvaluationProtocol(SMALL, segments=4, conditions=far))
     assert [result.refusals for result in found.conditions] == [0, 8]
     nothing = found.conditions[1]
     assert nothing.segment_accuracy is nothing.ms_per_query is None
@@ -141,7 +143,7 @@ def test_queries_that_a_condition_leaves_without_returns_are_refused():
 
 def test_a_second_drive_is_asked_against_the_whole_of_the_first():
     drive = sample_drive(40)
-    found = evaluate(drive, Protocol(SMALL, segments=4), sample_drive(30, name="second"))
+    found = evaluate(drive, EvaluationProtocol(SMALL, segments=4), sample_drive(30, name="second"))
     (result,) = found.conditions
     assert (found.drive, found.query_drive, found.split) == ("drive", "second", None)
     assert (found.map_scans, result.queries) == (40, 30)
@@ -153,14 +155,14 @@ def test_a_second_drive_is_asked_against_the_whole_of_the_first():
 
 def test_a_querys_true_segment_is_that_of_the_nearest_map_scan():
     drive, other = sample_drive(40), sample_drive(40, seed=1, name="second")
-    (result,) = evaluate(drive, Protocol(SMALL, segments=4), other).conditions
+    (result,) = evaluate(drive, EvaluationProtocol(SMALL, segments=4), other).conditions
     assert result.errors
     assert all(error.segment == error.scan // 10 for error in result.errors)
 
 
 def test_a_second_drive_without_poses_cannot_be_judged():
     drive, other = sample_drive(40), sample_drive(10, poses=False)
-    (result,) = evaluate(drive, Protocol(SMALL, segments=4), other).conditions
+    (result,) = evaluate(drive, EvaluationProtocol(SMALL, segments=4), other).conditions
     assert result.segment_accuracy is None
     assert result.errors == ()
     assert result.errors_moving is result.errors_stationary is None
@@ -170,29 +172,31 @@ def test_a_second_drive_without_poses_cannot_be_judged():
 
 def test_a_split_that_empties_a_segment_is_refused():
     with pytest.raises(InvalidParameters, match="segment 1 is left without a map scan"):
-        evaluate(sample_drive(6), Protocol(SMALL, segment_length=1, split=Every(2)))
+        evaluate(sample_drive(6), EvaluationProtocol(SMALL, segment_length=1, split=Every(2)))
 
 
 def test_a_split_that_holds_nothing_out_is_refused_before_the_work():
     progress = RecordedProgress()
-    with pytest.raises(InvalidParameters, match="nothing to ask"):
-        evaluate(sample_drive(6), Protocol(SMALL, split=Interleaved(0.01)), progress=progress)
+    with pytest.raises(InvalidParameters, match="some must be queried"):
+        evaluate(
+            sample_drive(6), EvaluationProtocol(SMALL, split=Interleaved(0.01)), progress=progress
+        )
     assert progress.stages == []
 
 
 def test_a_drive_of_nothing_is_refused():
     empty = MemoryDrive("empty", [])
     with pytest.raises(EmptyDrive, match="drive empty has no scan"):
-        evaluate(empty, Protocol(SMALL))
+        evaluate(empty, EvaluationProtocol(SMALL))
     with pytest.raises(EmptyDrive, match="drive empty has no scan"):
-        evaluate(sample_drive(6), Protocol(SMALL), empty)
+        evaluate(sample_drive(6), EvaluationProtocol(SMALL), empty)
 
 
 def test_progress_tells_every_stage_and_can_stop_it():
     progress = RecordedProgress()
     drive = FaultyDrive(sample_drive(40), {2, 3})
     two = (Condition(), Condition(yaw_deg=10.0))
-    evaluate(drive, Protocol(SMALL, segments=4, conditions=two), progress=progress)
+    evaluate(drive, EvaluationProtocol(SMALL, segments=4, conditions=two), progress=progress)
     assert progress.stages == [
         ("projecting", 32),
         ("fitting", 62),
@@ -210,7 +214,7 @@ def test_progress_tells_every_stage_and_can_stop_it():
             pass
 
     with pytest.raises(Cancelled):
-        evaluate(sample_drive(40), Protocol(SMALL), progress=Stop())
+        evaluate(sample_drive(40), EvaluationProtocol(SMALL), progress=Stop())
 
 
 @pytest.mark.parametrize(
@@ -226,7 +230,7 @@ def test_progress_tells_every_stage_and_can_stop_it():
 )
 def test_a_protocol_that_cannot_be_is_refused(wrong, said):
     with pytest.raises(InvalidParameters, match=said):
-        Protocol(**wrong)
+        EvaluationProtocol(**wrong)
 
 
 def test_the_harmonic_encoding_tells_heading_and_offset_and_says_what_it_was_built_with(drive):
@@ -234,7 +238,7 @@ def test_the_harmonic_encoding_tells_heading_and_offset_and_says_what_it_was_bui
         encoding=Encoding.HARMONIC, lateral_renderings_m=(-2.0, 0.0, 2.0)
     )
     disturbed = (Condition(), Condition(yaw_deg=-120.0, lateral_m=2.0))
-    found = evaluate(drive, Protocol(parameters, segments=2, conditions=disturbed))
+    found = evaluate(drive, EvaluationProtocol(parameters, segments=2, conditions=disturbed))
     written = json.loads(json.dumps(found.as_dict(), allow_nan=False))
     assert written["encoding"] == "harmonic"
     assert (written["image"], written["reducer"]) == ("height", "highest")
@@ -255,7 +259,7 @@ def test_the_papers_encoding_tells_neither(found):
 
 def test_unknown_places_are_asked_and_the_probabilities_judged(drive):
     elsewhere = in_memory(SimulatedDrive(seed=8, scans=20))
-    protocol = Protocol(MapParameters.for_sensor(encoding=Encoding.HARMONIC), segments=4)
+    protocol = EvaluationProtocol(MapParameters.for_sensor(encoding=Encoding.HARMONIC), segments=4)
     found = evaluate(drive, protocol, unknown=[elsewhere])
     assert found.calibrated
     assert found.unknown_drives == (elsewhere.name,)
@@ -272,13 +276,13 @@ def test_unknown_places_are_asked_and_the_probabilities_judged(drive):
 
 def test_without_poses_no_probability_is_judged(drive):
     blind = in_memory(drive, poses=False)
-    found = evaluate(blind, Protocol(segments=4))
+    found = evaluate(blind, EvaluationProtocol(segments=4))
     assert found.conditions[0].reliability is None
 
 
 def test_an_unknown_drive_without_a_scan_is_refused(drive):
     with pytest.raises(EmptyDrive):
-        evaluate(drive, Protocol(segments=4), unknown=[MemoryDrive("none", [])])
+        evaluate(drive, EvaluationProtocol(segments=4), unknown=[MemoryDrive("none", [])])
 
 
 @pytest.mark.parametrize("encoding", Encoding)
@@ -286,7 +290,7 @@ def test_unequal_segments_are_cut_over_all_scans_and_told(encoding):
     parameters = MapParameters.for_sensor(
         encoding=encoding, ranks=(2, 2), segmentation=Segmentation.UNEQUAL
     )
-    found = evaluate(sample_drive(40), Protocol(parameters, segments=4))
+    found = evaluate(sample_drive(40), EvaluationProtocol(parameters, segments=4))
     assert found.as_dict()["segmentation"] == "unequal"
     assert found.segments >= 2
     assert found.map_scans == 32
@@ -296,6 +300,6 @@ def test_unequal_segments_are_cut_over_all_scans_and_told(encoding):
 def test_a_scan_that_cannot_be_used_is_in_no_unequal_segments_model():
     parameters = MapParameters(ranks=(2, 2), segmentation=Segmentation.UNEQUAL)
     drive = FaultyDrive(sample_drive(40), {0, 17, 39})
-    found = evaluate(drive, Protocol(parameters, segments=4, split=Every(2)))
+    found = evaluate(drive, EvaluationProtocol(parameters, segments=4, split=Every(2)))
     assert found.map_scans + found.conditions[0].queries == 39
     assert [skipped.scan for skipped in found.skipped] == [0]

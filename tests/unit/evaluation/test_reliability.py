@@ -5,7 +5,7 @@ import pytest
 
 from core.errors import InvalidParameters
 from core.evaluation.reliability import (
-    Judged,
+    Outcome,
     expected_calibration_error,
     reliability,
 )
@@ -45,11 +45,14 @@ def test_what_is_no_probability_is_refused(probability):
 
 def test_refusals_are_counted_among_right_wrong_and_unknown():
     known = [
-        Judged(0.9, localized=True, right=True),
-        Judged(0.3, localized=False, right=True),
-        Judged(0.2, localized=False, right=False),
+        Outcome(0.9, localized=True, right=True),
+        Outcome(0.3, localized=False, right=True),
+        Outcome(0.2, localized=False, right=False),
     ]
-    unknown = [Judged(0.6, localized=True, right=False), Judged(0.1, localized=False, right=False)]
+    unknown = [
+        Outcome(0.6, localized=True, right=False),
+        Outcome(0.1, localized=False, right=False),
+    ]
     found = reliability(known, unknown)
     assert (found.refused_right, found.refused_wrong, found.refused_unknown) == (0.5, 1.0, 0.5)
     assert found.unknown_queries == 2
@@ -62,7 +65,7 @@ def test_refusals_are_counted_among_right_wrong_and_unknown():
 
 
 def test_without_unknown_places_only_the_known_are_judged():
-    found = reliability([Judged(0.9, localized=True, right=True)], [])
+    found = reliability([Outcome(0.9, localized=True, right=True)], [])
     assert found.auroc is None
     assert found.ece_mixed is None
     assert found.refused_wrong is None

@@ -11,15 +11,17 @@ from core.encodings.harmonic import HarmonicModel
 from core.encodings.paper import PaperModel
 from core.errors import InvalidParameters
 from core.evaluation.condition import Condition
-from core.evaluation.evaluate import Protocol, evaluate
-from core.evaluation.exam import Exam, held_out_scans
-from core.evaluation.judge import Judge
+from core.evaluation.criterion import Criterion
+from core.evaluation.evaluate import EvaluationProtocol, evaluate
+from core.evaluation.query_images import QueryImages, held_out_scans
+from core.evaluation.query_set import QuerySet
 from core.evaluation.split import Every, Interleaved
-from core.evaluation.sweep import SweepGrid, leading_sums, map_cuts, sweep
-from core.mapping.build import build_map
+from core.evaluation.sweep import SweepGrid, leading_sums, sweep
+from core.mapping.pipeline import build
 from core.parameters import Encoding, MapParameters
 from core.scans.drive import MemoryDrive
 from core.scans.scan import Scan
+from core.segmentation import cut_fixed
 from tests.support.recording import recording
 
 GRID = SweepGrid(r1=(2, 3, 5), r2=(2, 4, 5), segment_lengths=(10, 25))
@@ -40,29 +42,34 @@ def parameters(encoding, ranks=(5, 5)):
 
 
 @functools.cache
-def exam(encoding, recorded=None, split=None, most=None):
+def images_of(encoding, recorded=None, split=None, most=None):
     recorded = recorded or drive()
     held_out, asked = held_out_scans(recorded, split or Interleaved(), most)
-    return Exam.of_drive(recorded, held_out, asked, parameters(encoding), CONDITIONS)
+    queries = QuerySet(recorded, asked, CONDITIONS, 0)
+    return QueryImages.of_drive(held_out, queries, parameters(encoding))
 
 
 @functools.cache
 def swept(encoding):
-    return sweep(exam(encoding), judge(), GRID)
+    return sweep(images_of(encoding), criterion(), GRID)
 
 
-def judge(recorded=None, **options):
+def criterion(recorded=None, **options):
     recorded = recorded or drive()
-    return Judge(recorded.poses, recorded.timestamp_s, **options)
+    return Criterion(recorded.poses, recorded.timestamp_s, **options)
 
 
 @pytest.mark.parametrize("encoding", Encoding)
 def test_signatures_of_small_ranks_are_the_leading_block_of_those_of_large_ones(encoding) -> None:
-    of = exam(encoding)
+    of = images_of(encoding)
     small, large = (
-        build_map(
-            of.mapped.images, of.trajectory, map_cuts(of, 10), parameters(encoding, ranks)
-        ).model
+        build(
+            [drive()],
+            parameters(encoding, ranks),
+            lambda _: of.mapped,
+            segment_start=cut_fixed(len(drive()), 10),
+            calibrated=False,
+        ).tensor_map.model
         for ranks in ((3, 4), (5, 8))
     )
     block = large.signatures[..., :3, :4]
@@ -80,7 +87,7 @@ def test_a_candidate_has_the_figures_that_evaluate_finds(encoding, ranks, k) -> 
     assert found is not None
     wanted = evaluate(
         drive(),
-        Protocol(parameters(encoding, ranks), segment_length=k, conditions=CONDITIONS),
+        EvaluationProtocol(parameters(encoding, ranks), segment_length=k, conditions=CONDITIONS),
     )
     assert found.segments == wanted.segments
     assert found.elements == wanted.compression.elements
@@ -104,11 +111,11 @@ def test_larger_ranks_leave_a_smaller_error_and_take_more_bytes(encoding) -> Non
 
 
 def test_ranks_that_images_do_not_have_are_left_out() -> None:
-    of = exam(Encoding.HARMONIC)
-    found = sweep(of, judge(), SweepGrid((2, 20, 21), (2, 500), (10,)))
+    of = images_of(Encoding.HARMONIC)
+    found = sweep(of, criterion(), SweepGrid((2, 20, 21), (2, 500), (10,)))
     assert [p.ranks for p in found.points] == [(2, 2), (20, 2)]
     with pytest.raises(InvalidParameters, match="r1"):
-        sweep(of, judge(), SweepGrid((21,), (2,), (10,)))
+        sweep(of, criterion(), SweepGrid((21,), (2,), (10,)))
 
 
 @given(
@@ -130,17 +137,17 @@ def test_the_same_scans_are_held_out_whatever_the_segments_and_few_are_spread_ev
     held_out, asked = held_out_scans(drive(), Every(2), 4)
     assert held_out.sum() == 20
     assert asked.tolist() == [1, 13, 27, 39]
-    with pytest.raises(InvalidParameters, match="some must be asked"):
+    with pytest.raises(InvalidParameters, match="some must be queried"):
         held_out_scans(drive(1), Every(2), None)
 
 
 def test_without_poses_an_answer_is_right_near_the_scan_that_was_asked() -> None:
     unknown = MemoryDrive("d", [Scan(scan.points_m) for scan in recording(scans=40).scans])
-    by_index = judge(unknown, tolerance_scans=2)
+    by_index = criterion(unknown, tolerance_scans=2)
     assert not by_index.by_place
-    assert "2 scans" in by_index.criterion
+    assert "2 scans" in str(by_index)
     assert by_index.right(np.array([5, 5]), np.array([7, 8])).tolist() == [True, False]
-    found = sweep(exam(Encoding.PAPER, unknown), by_index, GRID)
+    found = sweep(images_of(Encoding.PAPER, unknown), by_index, GRID)
     assert found.judged == found.asked == 8
     assert all(0.0 <= p.mean_accuracy <= 1.0 for p in found.points)
 
@@ -148,14 +155,14 @@ def test_without_poses_an_answer_is_right_near_the_scan_that_was_asked() -> None
 def test_scans_that_cannot_be_asked_are_told_and_not_counted() -> None:
     scans = list(recording(scans=40).scans)
     scans[2] = Scan(np.array([[0.0, 0.0, 50.0]] * 5), pose=scans[2].pose)  # straight up
-    of = exam(Encoding.PAPER, MemoryDrive("d", scans))
+    of = images_of(Encoding.PAPER, MemoryDrive("d", scans))
     assert of.refused == (2,)
-    assert len(of.asked) == 7
+    assert len(of.queries) == 7
 
 
 def test_a_segment_without_a_map_scan_is_refused() -> None:
-    with pytest.raises(InvalidParameters, match="k = 1 segment 1 is left"):
-        sweep(exam(Encoding.PAPER, split=Every(2)), judge(), SweepGrid((2,), (2,), (1,)))
+    with pytest.raises(InvalidParameters, match="segment 1 is left"):
+        sweep(images_of(Encoding.PAPER, split=Every(2)), criterion(), SweepGrid((2,), (2,), (1,)))
 
 
 @pytest.mark.parametrize("wrong", [(), (0,), (-1, 3)])

@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 from core.errors import FramesDisagree
 from core.frames.agreement import check_frames, require_one_frame
 from core.frames.rigid import find_consensus
-from core.mapping.build import build_map
+from core.mapping.build import fit_map
 from core.parameters import Encoding, MapParameters
 from core.projection.images import ConcatenatedImages, project_drive
 from core.scans.trajectory import Trajectory
@@ -68,7 +68,7 @@ def checked(images, parameters, progress=None, **places):
             for name, change in places.items()
         ]
     )
-    tensor_map = build_map(
+    tensor_map = fit_map(
         ConcatenatedImages([images[name][1] for name in places]),
         trajectory,
         cut_at_meetings(trajectory, cut_drives(trajectory.drive_start, 30)),

@@ -15,7 +15,7 @@ from core.errors import (
     UnknownSegment,
 )
 from core.localization.localizer import AWAY_M, AWAY_SCANS, Localizer
-from core.mapping.build import build_map
+from core.mapping.build import fit_map
 from core.mapping.tensormap import TensorMap
 from core.parameters import MapParameters
 from core.projection.images import MemoryImages, project_drive
@@ -64,7 +64,7 @@ def test_a_scan_its_image_and_its_signatures_get_one_answer():
     parameters = MapParameters(grid=AngularGrid(-30.0, 10.0, 6, 20.0), ranks=(3, 3))
     projected = project_drive(drive, np.arange(20), parameters.imager)
     trajectory = Trajectory.of_drive("d", drive.timestamp_s, drive.poses, np.arange(20))
-    localizer = Localizer(build_map(projected.images, trajectory, cut_fixed(20, 5), parameters))
+    localizer = Localizer(fit_map(projected.images, trajectory, cut_fixed(20, 5), parameters))
     for row in range(20):
         image = localizer.basis.image(drive.scan(row))
         by_scan = localizer.localize_scan(drive.scan(row), k=3)
@@ -228,7 +228,7 @@ def test_two_places_that_look_the_same_are_told_to_be_ambiguous():
     tensor_map, images = sample_map(count=30, segment_length=30)
     twins = images.copy()
     twins[29] = twins[0]
-    twin_map = build_map(
+    twin_map = fit_map(
         MemoryImages(twins, tensor_map.parameters.grid),
         tensor_map.trajectory,
         tensor_map.model.segment_start,
@@ -250,7 +250,7 @@ def test_packed_signatures_find_what_the_whole_ones_do():
     parameters = MapParameters()
     projected = project_drive(drive, mapped, parameters.imager)
     trajectory = Trajectory.of_drive("d", drive.timestamp_s[mapped], drive.poses[mapped], mapped)
-    localizer = Localizer(build_map(projected.images, trajectory, cut_fixed(60, 20), parameters))
+    localizer = Localizer(fit_map(projected.images, trajectory, cut_fixed(60, 20), parameters))
     asked = np.arange(1, 120, 2)
     same = 0
     for index in asked.tolist():

@@ -16,7 +16,7 @@ from core.localization.priors import (
     Prior,
     ScanOfMap,
 )
-from core.mapping.build import build_map
+from core.mapping.build import fit_map
 from core.projection.height_image import HeightImage
 from core.projection.images import MemoryImages
 from core.projection.rings import RingGrid
@@ -129,7 +129,7 @@ def test_a_twin_nearer_to_the_hint_wins(made):
 def _map_of(images, like):
     trajectory = Trajectory.of_drive("twins", np.arange(60.0), straight_poses(60), np.arange(60))
     source = MemoryImages(images, SMALL_GRID)
-    built = build_map(source, trajectory, np.array([0, 60]), like.parameters)
+    built = fit_map(source, trajectory, np.array([0, 60]), like.parameters)
     return replace(built, calibration=like.calibration)
 
 

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from core.encodings.paper import PaperModel
 from core.errors import Cancelled, EmptyDrive, InvalidImage, InvalidParameters, SensorMismatch
-from core.mapping.build import build_map
+from core.mapping.build import fit_map
 from core.parameters import MapParameters
 from core.projection.imager import Imager
 from core.projection.images import ConcatenatedImages, MemoryImages, project_drive
@@ -37,7 +37,7 @@ def trajectory_of(count, name="drive-0"):
 def built(images, cuts, progress=None):
     source = images if hasattr(images, "read") else MemoryImages(images, SMALL_GRID)
     arguments = () if progress is None else (progress,)
-    return build_map(source, trajectory_of(len(source)), np.array(cuts), PARAMETERS, *arguments)
+    return fit_map(source, trajectory_of(len(source)), np.array(cuts), PARAMETERS, *arguments)
 
 
 def test_the_bases_are_orthonormal_and_errors_are_those_of_the_models():
@@ -102,23 +102,23 @@ def test_equal_input_is_an_equal_revision_however_it_is_read(tmp_path):
 def test_a_revision_is_64_hexadecimal_digits_and_tells_every_difference():
     images = random_images(20, SMALL_GRID.shape)
     source, cuts = MemoryImages(images, SMALL_GRID), np.array([0, 10, 20])
-    plain = build_map(source, trajectory_of(20), cuts, PARAMETERS)
+    plain = fit_map(source, trajectory_of(20), cuts, PARAMETERS)
     assert len(bytes.fromhex(plain.revision)) == 32
     others = [
-        build_map(source, trajectory_of(20), np.array([0, 11, 20]), PARAMETERS),
-        build_map(
+        fit_map(source, trajectory_of(20), np.array([0, 11, 20]), PARAMETERS),
+        fit_map(
             source,
             trajectory_of(20),
             cuts,
             MapParameters(grid=SMALL_GRID, ranks=(3, 4), sensor_height_m=1.8),
         ),
-        build_map(
+        fit_map(
             source,
             trajectory_of(20),
             cuts,
             MapParameters(grid=SMALL_GRID, ranks=(3, 4), reducer=Reducer.MEAN),
         ),
-        build_map(
+        fit_map(
             source,
             Trajectory.of_drive(
                 "other", trajectory_of(20).timestamp_s, straight_poses(20), np.arange(20)
@@ -132,7 +132,7 @@ def test_a_revision_is_64_hexadecimal_digits_and_tells_every_difference():
 
 def test_a_drive_built_alone_has_the_models_it_has_among_others():
     together, images = sample_map(count=24, segment_length=8, drives=2)
-    alone = build_map(
+    alone = fit_map(
         MemoryImages(images[24:], SMALL_GRID),
         together.trajectory.select(np.arange(24, 48)),
         np.array([0, 8, 16, 24]),
@@ -148,7 +148,7 @@ def test_a_drive_built_alone_has_the_models_it_has_among_others():
 
 def test_images_on_another_grid_are_refused():
     with pytest.raises(SensorMismatch, match="the images are on"):
-        build_map(
+        fit_map(
             MemoryImages(random_images(4, (30, 361)), AngularGrid()),
             trajectory_of(4),
             np.array([0, 4]),
@@ -166,7 +166,7 @@ def test_a_segment_over_two_drives_is_refused():
     joined = Trajectory.concatenate([trajectory_of(5), trajectory_of(5, "drive-1")])
     source = MemoryImages(random_images(10, SMALL_GRID.shape), SMALL_GRID)
     with pytest.raises(InvalidParameters, match="drive"):
-        build_map(source, joined, np.array([0, 7, 10]), PARAMETERS)
+        fit_map(source, joined, np.array([0, 7, 10]), PARAMETERS)
 
 
 def test_a_source_that_reads_short_is_refused():

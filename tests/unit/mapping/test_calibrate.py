@@ -10,7 +10,7 @@ from core.confidence.spread import Deviation, Spread, fit_variance
 from core.errors import InvalidMap, InvalidParameters
 from core.localization.candidates import find_candidates
 from core.localization.localizer import Localizer
-from core.mapping.build import build_map
+from core.mapping.build import fit_map
 from core.mapping.calibrate import _SHARPER, calibrate
 from core.parameters import Encoding
 from core.projection.images import MemoryImages
@@ -108,7 +108,7 @@ def test_a_map_whose_neighbours_are_unlike_is_not_calibrated():
 def test_a_map_built_without_probes_is_as_it_was():
     made = calibrated_map(40)
     images = MemoryImages(smooth_images(40, SMALL_GRID.shape), SMALL_GRID)
-    plain = build_map(images, made.trajectory, made.model.segment_start, made.parameters)
+    plain = fit_map(images, made.trajectory, made.model.segment_start, made.parameters)
     assert plain.calibration is None
     assert replace(made, calibration=None).revision == plain.revision
     found = Localizer(plain).localize_image(sample_image(plain, images.read(7, 8)[0]))

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from core.evaluation.own_scans import finds_own, is_findable
+from core.evaluation.self_recall import finds_own, is_findable
 from core.mapping.diff import DriveOverlap, MapFacts, changed_parameters, drive_overlaps
 from core.mapping.own_place import own_place
 from core.projection.images import MemoryImages

@@ -16,7 +16,7 @@ from core.errors import (
 )
 from core.evaluation.condition import Condition
 from core.localization.localizer import Localizer
-from core.mapping.build import build_map
+from core.mapping.build import fit_map
 from core.mapping.tensormap import TensorMap
 from core.parameters import Distance, Encoding, MapParameters
 from core.projection.height_image import HeightImage
@@ -44,7 +44,7 @@ def map_of(drive, **options):
     mapped = np.arange(0, len(drive), 2)
     images = project_drive(drive, mapped, parameters.imager).images
     trajectory = Trajectory.of_drive("d", drive.timestamp_s[mapped], drive.poses[mapped], mapped)
-    return build_map(images, trajectory, np.array([0, 14, len(mapped)]), parameters)
+    return fit_map(images, trajectory, np.array([0, 14, len(mapped)]), parameters)
 
 
 @pytest.fixture(scope="module")
@@ -154,7 +154,7 @@ def test_streamed_is_whole_and_parts_are_one():
     parts = [
         MemoryImages(part, tensor_map.parameters.grid) for part in np.split(images, [1, 33, 50])
     ]
-    again = build_map(
+    again = fit_map(
         ConcatenatedImages(parts),
         tensor_map.trajectory,
         tensor_map.model.segment_start,
@@ -318,7 +318,7 @@ def test_a_paper_map_refuses_a_harmonic_signature():
     parameters = MapParameters(ranks=(2, 2))
     images = np.random.default_rng(0).random((3, 30, 361), dtype=np.float32)
     trajectory = Trajectory.of_drive("d", np.arange(3.0), straight_poses(3), np.arange(3))
-    tensor_map = build_map(
+    tensor_map = fit_map(
         MemoryImages(images, parameters.grid), trajectory, np.array([0, 3]), parameters
     )
     harmonic = Signature(np.ones((2, 2), np.complex64), None, tensor_map.revision)

@@ -8,12 +8,12 @@ import pytest
 from typer.testing import CliRunner
 
 from app.builds.parameters import BuildParameters
-from app.builds.pipelines import build_drive
+from app.builds.pipelines import build_drives
 from app.cli.main import cli
 from app.revisions.topology_schemas import TopologyOut
 from core.errors import InvalidMap
 from core.localization.localizer import Localizer
-from core.mapping.build import build_map
+from core.mapping.build import fit_map
 from core.mapping.tensormap import TensorMap
 from core.parameters import MapParameters, Segmentation
 from core.projection.images import MemoryImages
@@ -37,7 +37,7 @@ def made(*drives) -> tuple[TensorMap, np.ndarray]:
     images = random_images(len(trajectory), SMALL_GRID.shape)
     cuts = cut_at_meetings(trajectory, cut_drives(trajectory.drive_start, 25))
     parameters = MapParameters(grid=SMALL_GRID, ranks=(3, 4), sensor="hdl-64e")
-    return build_map(MemoryImages(images, SMALL_GRID), trajectory, cuts, parameters), images
+    return fit_map(MemoryImages(images, SMALL_GRID), trajectory, cuts, parameters), images
 
 
 @pytest.fixture(scope="module")
@@ -153,7 +153,7 @@ def rounds():
 
 @pytest.mark.parametrize("segmentation", Segmentation)
 def test_a_drive_that_closes_a_loop_joins_its_own_graph(rounds, segmentation):
-    built = build_drive(rounds, BuildParameters(segment_length=30, segmentation=segmentation))
+    built = build_drives([rounds], BuildParameters(segment_length=30, segmentation=segmentation))
     graph = built.tensor_map.topology
     assert built.tensor_map.parameters.segmentation == segmentation
     assert graph.edges < len(graph.edge_of_segment)

@@ -24,7 +24,7 @@ from core.errors import (
     UnknownSegment,
 )
 from core.localization.localizer import Localizer
-from core.mapping.build import build_map
+from core.mapping.build import fit_map
 from core.mapping.merge import basis_fits, merge_maps, without_drives
 from core.projection.height_image import HeightImage
 from core.projection.images import ConcatenatedImages, MemoryImages
@@ -61,7 +61,7 @@ class Part:
 
 def built(parts, **options):
     trajectory = Trajectory.concatenate([part.trajectory for part in parts])
-    return build_map(
+    return fit_map(
         ConcatenatedImages([part.images for part in parts]),
         trajectory,
         cut_drives(trajectory.drive_start, 10),

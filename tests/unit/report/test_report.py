@@ -11,9 +11,9 @@ from typer.testing import CliRunner
 
 from app.cli import report as command
 from app.cli.main import cli
+from app.provenance import commit, machine
 from app.report.figure import Table
 from app.report.page import render_report
-from app.report.provenance import commit, processor
 from core.errors import InvalidParameters
 from core.evaluation.study_drive import StudyProtocol, segment_lengths_for, study_drive
 from core.parameters import Encoding, MapParameters
@@ -94,7 +94,7 @@ def page(study):
 @pytest.fixture(scope="module")
 def chosen():
     """Of one encoding, with settings that nothing recommends."""
-    options = {"ranks": (3, 3), "segment_length": 8, "max_bytes_per_scan": 1.0, "max_questions": 3}
+    options = {"ranks": (3, 3), "segment_length": 8, "max_bytes_per_scan": 1.0, "max_queries": 3}
     drive = MemoryDrive("d", recording(scans=40).scans)
     return study_drive(drive, protocol([Encoding.PAPER], **options))
 
@@ -253,8 +253,8 @@ def test_a_drive_that_stands_is_judged_by_all_of_its_scans() -> None:
 def test_the_machine_is_named_wherever_it_can_be(tmp_path) -> None:
     told = tmp_path / "cpuinfo"
     told.write_text("processor : 0\nmodel name : Engine 9\n")
-    assert processor(told) == "Engine 9"
-    assert processor(tmp_path / "absent")
+    assert machine(told) == "Engine 9"
+    assert machine(tmp_path / "absent")
     assert commit() is None or re.match(r"[0-9a-f]{12}|v", commit() or "")
 
 

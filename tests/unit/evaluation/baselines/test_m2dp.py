@@ -61,8 +61,8 @@ def test_both_parts_have_norm_one_and_no_negative_number():
 def test_a_shifted_and_turned_cloud_is_the_same_place():
     scan = Scan(cloud())
     moved = Condition(yaw_deg=137.0, lateral_m=4.0).apply(scan, np.random.default_rng(0))
-    peer = M2dp(voxel_m=0.0)
-    np.testing.assert_allclose(peer.describe(moved), peer.describe(scan), atol=0.02)
+    method = M2dp(voxel_m=0.0)
+    np.testing.assert_allclose(method.describe(moved), method.describe(scan), atol=0.02)
 
 
 def test_returns_at_one_place_are_none():

@@ -1,8 +1,8 @@
-"""Does a map find its own scans, asked as a vehicle that stands elsewhere would ask?
+"""Self-recall: whether a map finds its own scans, as a vehicle would see them from elsewhere.
 
-The questions are the probes that calibrate it: its scans turned, shifted, hidden behind cars and
-noised, each asked without itself. So the recall of two maps of the same scans can be compared
-without a second drive.
+The queries are the probes that calibrate it: its scans turned, shifted, hidden behind cars and
+noised, each searched for without itself. So the recall of two maps of the same scans can be
+compared without a second drive.
 """
 
 from collections.abc import Sequence
@@ -34,7 +34,7 @@ def is_findable(tensor_map: TensorMap, row: int) -> bool:
 def finds_own(
     tensor_map: TensorMap, rows: Sequence[int], probes: Sequence[tuple[ImageSource, int]]
 ) -> BoolArray:
-    """Ask a map for some of its own scans.
+    """Query a map with some of its own scans.
 
     Args:
         tensor_map: The map.
@@ -47,10 +47,10 @@ def finds_own(
     """
     basis = tensor_map.basis()
     right = np.zeros(len(rows), np.bool_)
-    for question, (row, (images, position)) in enumerate(zip(rows, probes, strict=True)):
-        asked, near = own_place(tensor_map.trajectory, row)
+    for query, (row, (images, position)) in enumerate(zip(rows, probes, strict=True)):
+        among, near = own_place(tensor_map.trajectory, row)
         if near.any():
-            query = basis.encode(image_of(tensor_map, images, position))
-            (found,) = tensor_map.model.search(query).nearest(1, asked)
-            right[question] = near[found.row]
+            signatures = basis.encode(image_of(tensor_map, images, position))
+            (found,) = tensor_map.model.search(signatures).nearest(1, among)
+            right[query] = near[found.row]
     return right

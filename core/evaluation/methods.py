@@ -1,4 +1,4 @@
-"""What takes part in a comparison: our encodings, peers, and whatever else keeps the contract."""
+"""Methods of place recognition: what a comparison needs of one, and TensorMap as one."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -9,19 +9,32 @@ import numpy as np
 
 from core.arrays import IntArray
 from core.encodings.signature import Signature, pack_signatures
-from core.errors import EmptyDrive, InvalidScan
-from core.evaluation.baselines.descriptor import Nearest, PlaceDescriptor, sent_bytes
-from core.mapping.build import build_map
+from core.mapping.pipeline import build, project_scans
 from core.mapping.tensormap import TensorMap
 from core.parameters import MapParameters
 from core.progress import NO_PROGRESS, Progress
-from core.projection.images import Skipped, project_drive
 from core.scans.drive import Drive
 from core.scans.scan import Scan
-from core.scans.trajectory import Trajectory
 from core.segmentation import cut_fixed
 
-__all__ = ["Ask", "Contestant", "DescribedPlaces", "Enrolled", "MappedPlaces"]
+__all__ = ["Ask", "Enrolled", "EnrolledPlaces", "MappedPlaces", "Method", "Nearest"]
+
+
+@dataclass(frozen=True)
+class Nearest:
+    """The place that is most like a query.
+
+    Attributes:
+        row: Its row among the places.
+        distance: How unlike it is, smaller is nearer; comparable between queries of one method.
+        turn_deg: How far the query is turned from it, counter-clockwise, -180..180; `None` where
+            the method does not tell.
+    """
+
+    row: int
+    distance: float
+    turn_deg: float | None = None
+
 
 Ask = Callable[[int | None], Nearest | None]
 """A described query: given how many of the first rows may be searched (`None`: all), the nearest
@@ -51,7 +64,7 @@ class Enrolled(Protocol):
         """
 
 
-class Contestant(Protocol):
+class Method(Protocol):
     """A method of place recognition."""
 
     @property
@@ -74,50 +87,9 @@ class Contestant(Protocol):
         """
 
 
-@dataclass(frozen=True, eq=False)
-class DescribedPlaces:
-    """A peer whose descriptors have a fixed shape, as a `Contestant`."""
-
-    descriptor: PlaceDescriptor
-
-    @property
-    def name(self) -> str:
-        """The peer's name."""
-        return self.descriptor.name
-
-    def configuration(self) -> dict[str, Any]:
-        """Return the peer's parameters."""
-        return self.descriptor.configuration()
-
-    def enrol(self, drive: Drive, scans: IntArray, progress: Progress = NO_PROGRESS) -> Enrolled:
-        """Describe the scans one by one; one that cannot be used is left out."""
-        progress.start(self.name, len(scans))
-        kept, described, skipped = [], [], []
-        for index in scans.tolist():
-            try:
-                described.append(self.descriptor.describe(drive.scan(index)))
-                kept.append(index)
-            except InvalidScan as error:
-                skipped.append(Skipped(index, str(error)))
-            progress.advance()
-        if not kept:
-            raise EmptyDrive(Skipped.explain(drive.name, skipped))
-        places = self.descriptor.places(np.stack(described))
-
-        def describe(scan: Scan) -> Ask:
-            return partial(places.nearest, self.descriptor.describe(scan))
-
-        return _Enrolled(
-            np.array(kept, dtype=np.int64),
-            sent_bytes(self.descriptor),
-            places.stored_bytes / len(kept),
-            describe,
-        )
-
-
 @dataclass(frozen=True)
 class MappedPlaces:
-    """A TensorMap as a `Contestant`.
+    """A TensorMap as a `Method`.
 
     The bases are fitted to all enrolled scans at once, also when queries may only be compared with
     earlier ones: a map is built after its drive.
@@ -141,14 +113,15 @@ class MappedPlaces:
 
     def enrol(self, drive: Drive, scans: IntArray, progress: Progress = NO_PROGRESS) -> Enrolled:
         """Build a map of the scans."""
-        projected = project_drive(drive, scans, self.parameters.imager, progress)
-        kept = projected.scans
-        trajectory = Trajectory.of_drive(
-            drive.name, drive.timestamp_s[kept], drive.poses[kept], kept
-        )
-        segment_start = cut_fixed(len(drive), self.segment_length)
-        cuts = np.unique(np.searchsorted(kept, segment_start))
-        tensor_map = build_map(projected.images, trajectory, cuts, self.parameters, progress)
+        tensor_map = build(
+            [drive],
+            self.parameters,
+            lambda _: project_scans(drive, scans, self.parameters, progress),
+            segment_start=cut_fixed(len(drive), self.segment_length),
+            calibrated=False,
+            progress=progress,
+        ).tensor_map
+        kept = tensor_map.trajectory.scan_index
         basis = tensor_map.basis()
         first = basis.encode(basis.image(drive.scan(int(kept[0]))))
         stored = sum(array.nbytes for array in tensor_map.model.arrays().values())
@@ -156,7 +129,7 @@ class MappedPlaces:
         def describe(scan: Scan) -> Ask:
             return partial(_nearest_in_map, tensor_map, basis.encode(basis.image(scan)))
 
-        return _Enrolled(kept, len(pack_signatures(first)), stored / len(kept), describe)
+        return EnrolledPlaces(kept, len(pack_signatures(first)), stored / len(kept), describe)
 
 
 def _nearest_in_map(
@@ -168,7 +141,9 @@ def _nearest_in_map(
 
 
 @dataclass(frozen=True, eq=False)
-class _Enrolled:
+class EnrolledPlaces:
+    """Places whose method describes queries with a function."""
+
     scans: IntArray
     sent_bytes: float | None
     stored_bytes: float | None

@@ -1,4 +1,4 @@
-"""What every re-derived peer promises, asked of each of them."""
+"""What every re-derived baseline promises, asked of each of them."""
 
 import numpy as np
 import pytest
@@ -12,8 +12,8 @@ from core.evaluation.condition import Condition
 from core.scans.scan import Scan
 from core.simulation import SimulatedDrive, SimulatedSensor
 
-# A peer joins by its descriptor, the numbers in it, and whether it tells the heading.
-PEERS = {
+# A baseline joins by its descriptor, the numbers in it, and whether it tells the heading.
+BASELINES = {
     "scan context": (ScanContext(), 1200, True),
     "scan context, ring key": (ScanContext(candidates=3), 1200, True),
     "solid": (Solid(), 100, True),
@@ -27,46 +27,46 @@ def scans():
     return [drive.scan(i) for i in range(0, 40, 4)]
 
 
-@pytest.fixture(params=sorted(PEERS))
+@pytest.fixture(params=sorted(BASELINES))
 def case(request):
-    return PEERS[request.param]
+    return BASELINES[request.param]
 
 
 @pytest.fixture
-def peer(case):
+def baseline(case):
     return case[0]
 
 
 @pytest.fixture
-def places(peer, scans):
-    return peer.places(np.stack([peer.describe(scan) for scan in scans]))
+def places(baseline, scans):
+    return baseline.places(np.stack([baseline.describe(scan) for scan in scans]))
 
 
 def turned(scan: Scan, yaw_deg: float) -> Scan:
     return Condition(yaw_deg=yaw_deg).apply(scan, np.random.default_rng(0))
 
 
-class TestPeers:
+class TestBaselines:
     def test_a_descriptor_has_the_shape_and_bytes_of_the_paper(self, case, scans):
-        peer, numbers, _ = case
-        described = peer.describe(scans[0])
-        assert (described.shape, described.dtype) == (peer.shape, np.float32)
+        baseline, numbers, _ = case
+        described = baseline.describe(scans[0])
+        assert (described.shape, described.dtype) == (baseline.shape, np.float32)
         assert described.size == numbers
-        assert sent_bytes(peer) == described.nbytes == 4 * numbers
+        assert sent_bytes(baseline) == described.nbytes == 4 * numbers
 
-    def test_the_same_scan_gives_the_same_descriptor(self, peer, scans):
-        np.testing.assert_array_equal(peer.describe(scans[0]), peer.describe(scans[0]))
+    def test_the_same_scan_gives_the_same_descriptor(self, baseline, scans):
+        np.testing.assert_array_equal(baseline.describe(scans[0]), baseline.describe(scans[0]))
 
-    def test_the_order_of_returns_does_not_matter(self, peer, scans):
+    def test_the_order_of_returns_does_not_matter(self, baseline, scans):
         shuffled = Scan(np.random.default_rng(0).permutation(scans[0].points_m))
-        described = peer.describe(scans[0])
+        described = baseline.describe(scans[0])
         np.testing.assert_allclose(
-            peer.describe(shuffled), described, rtol=1e-3, atol=1e-3 * np.abs(described).max()
+            baseline.describe(shuffled), described, rtol=1e-3, atol=1e-3 * np.abs(described).max()
         )
 
-    def test_a_place_is_nearest_to_itself(self, peer, places, scans):
+    def test_a_place_is_nearest_to_itself(self, baseline, places, scans):
         for row, scan in enumerate(scans):
-            found = places.nearest(peer.describe(scan))
+            found = places.nearest(baseline.describe(scan))
             assert found is not None
             assert found.row == row
             assert found.distance == pytest.approx(0.0, abs=1e-5)
@@ -76,9 +76,9 @@ class TestPeers:
     def test_a_turn_changes_no_answer_and_is_told_where_the_paper_tells_it(
         self, case, places, scans, yaw_deg
     ):
-        peer, _, tells_heading = case
+        baseline, _, tells_heading = case
         for row, scan in enumerate(scans):
-            found = places.nearest(peer.describe(turned(scan, yaw_deg)))
+            found = places.nearest(baseline.describe(turned(scan, yaw_deg)))
             assert found is not None
             assert found.row == row
             if not tells_heading:
@@ -87,8 +87,8 @@ class TestPeers:
             error_deg = (found.turn_deg - yaw_deg + 180.0) % 360.0 - 180.0
             assert abs(error_deg) <= 6.0
 
-    def test_only_rows_before_the_given_one_are_answered(self, peer, places, scans):
-        query = peer.describe(scans[7])
+    def test_only_rows_before_the_given_one_are_answered(self, baseline, places, scans):
+        query = baseline.describe(scans[7])
         for before in range(1, len(scans) + 1):
             found = places.nearest(query, before)
             assert found is not None
@@ -97,19 +97,19 @@ class TestPeers:
         assert places.nearest(query, 0) is None
         assert places.nearest(query, len(scans) + 5) == places.nearest(query)
 
-    def test_what_is_kept_is_at_least_the_descriptors(self, peer, places, scans):
+    def test_what_is_kept_is_at_least_the_descriptors(self, baseline, places, scans):
         assert len(places) == len(scans)
-        assert places.stored_bytes >= len(scans) * sent_bytes(peer)
+        assert places.stored_bytes >= len(scans) * sent_bytes(baseline)
 
-    def test_no_place_answers_nothing(self, peer, scans):
-        nowhere = peer.places(np.empty((0, *peer.shape), np.float32))
+    def test_no_place_answers_nothing(self, baseline, scans):
+        nowhere = baseline.places(np.empty((0, *baseline.shape), np.float32))
         assert len(nowhere) == 0
-        assert nowhere.nearest(peer.describe(scans[0])) is None
+        assert nowhere.nearest(baseline.describe(scans[0])) is None
 
-    def test_descriptors_of_another_shape_are_refused(self, peer):
+    def test_descriptors_of_another_shape_are_refused(self, baseline):
         with pytest.raises(InvalidParameters, match="descriptors have shape"):
-            peer.places(np.zeros((3, 7), np.float32))
+            baseline.places(np.zeros((3, 7), np.float32))
 
-    def test_the_configuration_is_plain_values(self, peer):
-        assert peer.name
-        assert all(isinstance(v, int | float | None) for v in peer.configuration().values())
+    def test_the_configuration_is_plain_values(self, baseline):
+        assert baseline.name
+        assert all(isinstance(v, int | float | None) for v in baseline.configuration().values())

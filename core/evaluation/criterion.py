@@ -6,15 +6,16 @@ import numpy as np
 
 from core.arrays import BoolArray, FloatArray, IntArray, frozen
 from core.errors import InvalidParameters
+from core.evaluation.metrics import apart_m
 from core.evaluation.motion import is_standing
 from core.scans.pose import is_known
 
-__all__ = ["Judge"]
+__all__ = ["Criterion", "counted"]
 
 
 @dataclass(frozen=True, eq=False)
-class Judge:
-    """Compares the scan that was asked with the scan of the same drive that was answered.
+class Criterion:
+    """Compares a query with the scan of the same drive that answered it.
 
     With poses an answer is right if both were recorded within `tolerance_m`; where one of the two
     is unknown, if their indices differ by at most `tolerance_scans`. Whether it is right does not
@@ -45,9 +46,7 @@ class Judge:
         """Whether every scan's place is known."""
         return bool(is_known(self.poses).all())
 
-    @property
-    def criterion(self) -> str:
-        """What counts as right, in words."""
+    def __str__(self) -> str:
         near = f"within {self.tolerance_scans} scans of the one asked"
         if self.by_place:
             return f"the matched scan was recorded within {self.tolerance_m:g} m"
@@ -57,24 +56,28 @@ class Judge:
 
     @property
     def standing(self) -> BoolArray:
-        """Which scans were taken standing, `(K,)`; none where no pose tells."""
+        """Which scans were taken standing, `(K,)`; none where poses are unknown."""
         return is_standing(self.poses, self.timestamp_s)
 
-    def distance_m(self, asked: IntArray, answered: IntArray) -> FloatArray:
+    def distance_m(self, queried: IntArray, answered: IntArray) -> FloatArray:
         """Return how far apart two scans were recorded, NaN where that is not known."""
-        apart = self.poses[asked, :3] - self.poses[answered, :3]
-        return np.asarray(np.linalg.norm(apart, axis=-1))
+        return apart_m(self.poses[queried], self.poses[answered])
 
-    def right(self, asked: IntArray, answered: IntArray) -> BoolArray:
+    def right(self, queried: IntArray, answered: IntArray) -> BoolArray:
         """Return which answers are right; indices broadcast against each other.
 
         Examples:
             >>> poses = np.zeros((3, 7))
             >>> poses[:, 0], poses[:, 6] = [0.0, 2.0, 9.0], 1.0
-            >>> judge = Judge(poses, np.arange(3.0))
-            >>> judge.right(np.array([0, 0]), np.array([1, 2])).tolist()
+            >>> criterion = Criterion(poses, np.arange(3.0))
+            >>> criterion.right(np.array([0, 0]), np.array([1, 2])).tolist()
             [True, False]
         """
-        apart_m = self.distance_m(asked, answered)
-        near = np.abs(asked - answered) <= self.tolerance_scans
-        return np.where(np.isnan(apart_m), near, apart_m <= self.tolerance_m)
+        distance_m = self.distance_m(queried, answered)
+        near = np.abs(queried - answered) <= self.tolerance_scans
+        return np.where(np.isnan(distance_m), near, distance_m <= self.tolerance_m)
+
+
+def counted(standing: BoolArray) -> BoolArray:
+    """Return which queries count: those taken standing do not, if any was taken moving."""
+    return np.asarray(~standing if not standing.all() else standing)

@@ -1,0 +1,142 @@
+"""What the commands that measure share: options, drives, tables and files of figures."""
+
+import json
+from collections.abc import Sequence
+from operator import attrgetter
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.box import SIMPLE_HEAD
+from rich.table import Table
+
+from app.cli.console import output
+from app.cli.options import MIN_RETURNS, checked, numbers
+from core.evaluation.split import Interleaved, Split, parse_split
+from core.scans.drive import Drive
+from storage.files.files import publish
+from storage.formats.drives.layouts import open_drive
+
+__all__ = [
+    "PROTOCOL",
+    "JsonOption",
+    "LateralOption",
+    "NoiseOption",
+    "SeedOption",
+    "SplitOption",
+    "ToleranceOption",
+    "YawOption",
+    "figure",
+    "opened",
+    "show",
+    "show_conditions",
+    "show_table",
+    "split_of",
+    "write_figures",
+]
+
+PROTOCOL = "Protocol"
+
+_CONDITION = (
+    ("yaw deg", "condition.yaw_deg", "g"),
+    ("left m", "condition.lateral_m", "g"),
+    ("noise m", "condition.noise_m", "g"),
+)
+
+
+def _list_option(text: str) -> Any:  # noqa: ANN401 - Typer's own type
+    return typer.Option(
+        help=f"{text}, comma-separated.", rich_help_panel=PROTOCOL, callback=checked(numbers)
+    )
+
+
+YawOption = Annotated[str, _list_option("Turn the query vehicle, counter-clockwise")]
+LateralOption = Annotated[str, _list_option("Stand it so far to the left")]
+NoiseOption = Annotated[str, _list_option("Sigma of noise on every coordinate")]
+ToleranceOption = Annotated[str, _list_option("A match is right within so many metres")]
+SeedOption = Annotated[int, typer.Option(min=0, help="Of the noise.", rich_help_panel=PROTOCOL)]
+SplitOption = Annotated[
+    str | None,
+    typer.Option(
+        help="interleaved:F[:PHASE] or every:N. [interleaved:0.2]", rich_help_panel=PROTOCOL
+    ),
+]
+JsonOption = Annotated[
+    Path | None, typer.Option("--json", metavar="OUT", help="Write the figures here.")
+]
+
+
+def split_of(text: str | None) -> Split:
+    """Return the split that is asked for, the paper's by default."""
+    return Interleaved() if text is None else parse_split(text)
+
+
+def opened(path: Path) -> Drive:
+    """Open a recorded drive as the service would read it."""
+    return open_drive(path, min_returns=MIN_RETURNS)
+
+
+def figure(value: float | str | None, form: str) -> str:
+    """Return a figure as text, a dash where there is none."""
+    return "-" if value is None else format(value, form)
+
+
+def show_table(
+    headings: Sequence[str],
+    rows: Sequence[Sequence[str]],
+    *,
+    title: str | None = None,
+    named: bool = False,
+) -> None:
+    """Print a table without borders, so that all of it fits 80 columns.
+
+    Args:
+        headings: Of the columns.
+        rows: Cells.
+        title: Above it.
+        named: Whether the first column holds names, and not numbers.
+    """
+    table = Table(box=SIMPLE_HEAD, padding=0, title=title, title_justify="left")
+    for column, heading in enumerate(headings):
+        name = named and column == 0
+        table.add_column(heading, justify="left" if name else "right", no_wrap=name)
+    for row in rows:
+        table.add_row(*row)
+    output().print(table)
+
+
+def show_conditions(
+    rows: Sequence[Any], columns: Sequence[tuple[str, str, str]], *, title: str | None = None
+) -> None:
+    """Print a row for each condition.
+
+    Args:
+        rows: Figures, each with its `condition`.
+        columns: Heading, dotted attribute and format. Of a tuple the length is shown, and of a
+            mapping each item, the key being put into the heading.
+        title: Above it.
+    """
+    headings: list[str] = []
+    cells: list[list[str]] = [[] for _ in rows]
+    for heading, attribute, form in (*_CONDITION, *columns):
+        values = [attrgetter(attribute)(row) for row in rows]
+        if isinstance(values[0], dict):
+            headings += [heading.format(key) for key in values[0]]
+        else:
+            headings.append(heading)
+        for row, value in zip(cells, values, strict=True):
+            shown = value.values() if isinstance(value, dict) else [value]
+            row += [str(len(v)) if isinstance(v, tuple) else figure(v, form) for v in shown]
+    show_table(headings, cells, title=title)
+
+
+def show(line: str) -> None:
+    """Print a line as it is, however long."""
+    output().print(line, markup=False, soft_wrap=True)
+
+
+def write_figures(path: Path | None, figures: dict[str, Any], indent: int | None = 2) -> None:
+    """Write figures as JSON, if a file is asked for."""
+    if path is not None:
+        with publish(path) as part:
+            part.write_text(json.dumps(figures, indent=indent, allow_nan=False))

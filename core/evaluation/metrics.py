@@ -1,0 +1,34 @@
+"""What answers are measured by: distances, headings, and their medians and shares."""
+
+import numpy as np
+
+from core.arrays import BoolArray, FloatArray
+from core.scans.angles import wrapped_deg
+
+__all__ = ["apart_m", "heading_error_deg", "median", "rate", "share_within"]
+
+
+def apart_m(found: FloatArray, true: FloatArray) -> FloatArray:
+    """Return how far apart pose rows are, `(n,)` metres, NaN where one is unknown."""
+    return np.asarray(np.linalg.norm(found[..., :3] - true[..., :3], axis=-1))
+
+
+def heading_error_deg(found_deg: FloatArray, true_deg: FloatArray) -> FloatArray:
+    """Return how far headings are apart, 0..180, NaN where one is unknown."""
+    return np.asarray(np.abs(wrapped_deg(found_deg - true_deg)))
+
+
+def median(values: FloatArray) -> float | None:
+    """Return the median of the finite values, `None` without one."""
+    known = values[np.isfinite(values)]
+    return float(np.median(known)) if len(known) else None
+
+
+def rate(holds: BoolArray) -> float | None:
+    """Return the share of which something holds, `None` of nothing."""
+    return float(holds.mean()) if len(holds) else None
+
+
+def share_within(distance_m: FloatArray, metres: float) -> float | None:
+    """Return the share of the known distances that are at most so long."""
+    return rate(distance_m[np.isfinite(distance_m)] <= metres)

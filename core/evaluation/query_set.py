@@ -1,0 +1,165 @@
+"""The engine of every evaluation: a query set, disturbed and answered, one scan after another."""
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TypeVar
+
+import numpy as np
+
+from core.arrays import BoolArray, FloatArray, IntArray
+from core.errors import EmptyDrive, InvalidParameters, InvalidScan
+from core.evaluation.condition import Condition
+from core.evaluation.motion import is_standing, motion_surrogate
+from core.evaluation.split import Split
+from core.progress import NO_PROGRESS, Progress
+from core.scans.drive import Drive
+from core.scans.pose import is_known
+from core.scans.scan import Scan
+
+__all__ = ["LocatedQueries", "QueryProtocol", "QuerySet", "hold_out", "require_scans"]
+
+_Answer = TypeVar("_Answer")
+
+
+@dataclass(frozen=True, kw_only=True)
+class QueryProtocol:
+    """What every evaluation has: how queries are disturbed, and what is near.
+
+    Attributes:
+        conditions: The disturbances of the queries.
+        tolerances_m: Within which an answer is right.
+        seed: Of the noise; a scan's noise is the same whatever else is queried.
+    """
+
+    conditions: tuple[Condition, ...] = (Condition(),)
+    tolerances_m: tuple[float, ...] = (3.0, 5.0, 10.0)
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if not self.tolerances_m or not all(0 < m < math.inf for m in self.tolerances_m):
+            raise InvalidParameters(f"tolerances_m is {self.tolerances_m}, wanted metres above 0")
+        if self.seed < 0:
+            raise InvalidParameters(f"seed is {self.seed}, wanted 0 or more")
+        if not self.conditions:
+            raise InvalidParameters("conditions is empty, wanted at least one")
+
+
+@dataclass(frozen=True, eq=False)
+class QuerySet:
+    """Scans of a drive that are queried under every condition.
+
+    Attributes:
+        drive: They are of this one.
+        scans: `(n,)` their positions in it.
+        conditions: The disturbances.
+        seed: Of the noise.
+    """
+
+    drive: Drive
+    scans: IntArray
+    conditions: tuple[Condition, ...]
+    seed: int
+
+    def __len__(self) -> int:
+        return len(self.scans)
+
+    def answers(
+        self,
+        methods: Sequence[Callable[[int, Scan], _Answer]],
+        stage: str,
+        progress: Progress = NO_PROGRESS,
+    ) -> list[list[list[_Answer | None]]]:
+        """Return what each method answers, by method, condition and query.
+
+        Each scan is read once, disturbed once for each condition, and given to the methods in
+        turn. A scan that cannot be used, or that a method rejects with `InvalidScan`, is answered
+        with `None`.
+
+        Args:
+            methods: Called with the query's number, 0-based, and its disturbed scan.
+            stage: What the work is called.
+            progress: Receives every answer.
+        """
+        found: list[list[list[_Answer | None]]] = [[[] for _ in self.conditions] for _ in methods]
+        progress.start(stage, len(self) * len(self.conditions) * len(methods))
+        for query, position in enumerate(self.scans.tolist()):
+            for column, scan in enumerate(self._disturbed(position)):
+                for method, answered in zip(methods, found, strict=True):
+                    answered[column].append(None if scan is None else _answer(method, query, scan))
+                    progress.advance()
+        return found
+
+    def _disturbed(self, position: int) -> Iterator[Scan | None]:
+        try:
+            scan = self.drive.scan(position)
+        except InvalidScan:
+            yield from [None] * len(self.conditions)
+            return
+        for condition in self.conditions:
+            try:
+                yield condition.apply(scan, np.random.default_rng([self.seed, position]))
+            except InvalidScan:
+                yield None
+
+
+@dataclass(frozen=True, eq=False)
+class LocatedQueries(QuerySet):
+    """Queries, and what is true of them.
+
+    Attributes:
+        segment: `(n,)` where they belong, -1 where a pose is unknown.
+    """
+
+    segment: IntArray
+
+    @cached_property
+    def standing(self) -> BoolArray | None:
+        """`(n,)` whether the vehicle stands, `None` where poses are missing."""
+        poses = self.drive.poses
+        known = bool(is_known(poses).all())
+        return is_standing(poses, self.drive.timestamp_s)[self.scans] if known else None
+
+    @cached_property
+    def surrogate(self) -> FloatArray:
+        """`(n,)` the paper's norm of the 6-DOF change."""
+        return motion_surrogate(self.drive.poses)[self.scans]
+
+    @property
+    def poses(self) -> FloatArray:
+        """`(n, 7)` where they were recorded, NaN where unknown."""
+        return np.asarray(self.drive.poses[self.scans])
+
+
+def _answer(method: Callable[[int, Scan], _Answer], query: int, scan: Scan) -> _Answer | None:
+    try:
+        return method(query, scan)
+    except InvalidScan:
+        return None
+
+
+def hold_out(split: Split, segment_start: IntArray) -> BoolArray:
+    """Return which scans of a drive are queries, `(K,)`; the others are mapped.
+
+    Raises:
+        InvalidParameters: If none is, or all are.
+    """
+    held_out = split.held_out(segment_start)
+    if held_out.all() or not held_out.any():
+        raise InvalidParameters(
+            f"{split} holds {held_out.sum()} of {len(held_out)} scans out: some must be queried,"
+            " some mapped"
+        )
+    return held_out
+
+
+def require_scans(*drives: Drive) -> None:
+    """Reject drives without a scan.
+
+    Raises:
+        EmptyDrive: If one has none.
+    """
+    for drive in drives:
+        if len(drive) == 0:
+            raise EmptyDrive(f"drive {drive.name} has no scan")

@@ -1,0 +1,310 @@
+"""From drives to a TensorMap: project, cut, join, fit, calibrate (paper, sec. 2).
+
+This is the only place where maps are put together. The service, the commands, the evaluation and
+the comparison call it; the service adds where images are kept between builds.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from core.arrays import Float32Array, FloatArray, IntArray
+from core.encodings.compression import Compression
+from core.encodings.grams import drive_gram
+from core.errors import InvalidParameters
+from core.mapping.build import fit_map
+from core.mapping.merge import BasisFit, basis_fits
+from core.mapping.tensormap import TensorMap
+from core.parameters import MapParameters, Segmentation
+from core.progress import NO_PROGRESS, Progress
+from core.projection.images import (
+    ConcatenatedImages,
+    ImageSource,
+    Probes,
+    ProjectedDrive,
+    Skipped,
+    project_drive,
+)
+from core.scans.drive import Drive, IndexedDrive
+from core.scans.trajectory import Trajectory
+from core.segmentation import cut_drives, cut_fixed, cut_unequal, segment_length_for
+from core.topology import cut_at_meetings
+
+__all__ = [
+    "Build",
+    "DriveImages",
+    "ImagesOf",
+    "build",
+    "build_map",
+    "cut_scans",
+    "project_scans",
+    "rows_of_cuts",
+    "trajectory_of",
+]
+
+
+class DriveImages(ImageSource, Protocol):
+    """The images of a drive's usable scans, in memory or in a file."""
+
+    @property
+    def scans(self) -> IntArray:
+        """`(n,)` positions of the usable scans in the drive, rising."""
+
+    @property
+    def returns(self) -> int:
+        """How many returns they hold together."""
+
+    @property
+    def skipped(self) -> tuple[Skipped, ...]:
+        """The scans that could not be used."""
+
+    @property
+    def probed(self) -> IntArray:
+        """`(p,)` positions of the scans of which a probe was made, rising."""
+
+    @property
+    def standing(self) -> FloatArray:
+        """`(p, 3)` where the probes stand, as in `Probes`."""
+
+    @property
+    def probes(self) -> ImageSource | None:
+        """The images of the probes; `None` if they can no longer be made."""
+
+    def detail_gram(self, progress: Progress = NO_PROGRESS) -> FloatArray:
+        """Return what `core.encodings.grams.drive_gram` gives for these images, `(I, I)`."""
+
+
+ImagesOf = Callable[[Drive], DriveImages]
+"""Where the images of a drive come from."""
+
+
+@dataclass(frozen=True, eq=False)
+class _InMemory(ProjectedDrive):
+    def detail_gram(self, progress: Progress = NO_PROGRESS) -> FloatArray:
+        return drive_gram(self.images, 0, len(self), progress)
+
+
+@dataclass(frozen=True, eq=False)
+class Build:
+    """A map and what is known of its drives.
+
+    Attributes:
+        tensor_map: The map.
+        returns: How many returns its scans held together.
+        skipped: Scans that could not be used, by drive.
+        fits: How well a basis that was kept fits each drive; none if it was fitted.
+        segment_length: k that drives were cut with, `None` if the cuts were given.
+    """
+
+    tensor_map: TensorMap
+    returns: int
+    skipped: Mapping[str, tuple[Skipped, ...]]
+    fits: tuple[BasisFit, ...] = ()
+    segment_length: int | None = None
+
+    @property
+    def compression(self) -> Compression:
+        """The map's numbers against those of its images and returns."""
+        return Compression.of(
+            self.tensor_map.elements,
+            scans=len(self.tensor_map),
+            grid_shape=self.tensor_map.parameters.grid.shape,
+            returns=self.returns,
+        )
+
+
+def build_map(
+    drives: Drive | Sequence[Drive],
+    parameters: MapParameters,
+    *,
+    segment_length: int | None = None,
+    segments: int | None = None,
+    radial_basis: Float32Array | None = None,
+    progress: Progress = NO_PROGRESS,
+) -> TensorMap:
+    """Build the map of one or more drives; the same drives and parameters give the same digest.
+
+    Images are held in memory, 43 kB a scan (and rendering) on the paper's grid.
+
+    Args:
+        drives: One, or several of different names in one world frame.
+        parameters: The map's: `MapParameters()` are the paper's, `MapParameters.for_sensor()`
+            those of `tensormap build`.
+        segment_length: k; 760 scans by default.
+        segments: L instead: k = ceil(K / L) of the longest drive's K usable scans.
+        radial_basis: `(I, r1)` U to keep, of a harmonic map.
+        progress: Receives every stage; may raise `Cancelled`.
+
+    Raises:
+        EmptyDrive: If there is no drive, or one has no usable scan.
+        InvalidParameters: If a parameter does not fit.
+        InvalidMap: If two drives have one name.
+    """
+    return build(
+        [drives] if not isinstance(drives, Sequence) else drives,
+        parameters,
+        segment_length=segment_length,
+        segments=segments,
+        radial_basis=radial_basis,
+        progress=progress,
+    ).tensor_map
+
+
+def build(
+    drives: Sequence[Drive],
+    parameters: MapParameters,
+    images_of: ImagesOf | None = None,
+    *,
+    segment_length: int | None = None,
+    segments: int | None = None,
+    segment_start: IntArray | None = None,
+    radial_basis: Float32Array | None = None,
+    calibrated: bool = True,
+    progress: Progress = NO_PROGRESS,
+) -> Build:
+    """Build the map of drives, and return what is known of them besides.
+
+    No segment may be empty. Segments that are cut here are cut over usable scans and never are; of
+    cuts that were made before some scans were held out, one that leaves a segment without a scan
+    is rejected: a map whose segments were merged would number them otherwise than its queries.
+
+    Args:
+        drives: No two of one name.
+        parameters: The map's.
+        images_of: Returns a drive's images; all its scans are projected into memory by default.
+        segment_length: k, in usable scans.
+        segments: L instead: k = ceil(K / L) of the longest drive's K usable scans.
+        segment_start: `(L + 1,)` positions in the only drive where segments begin, and its length:
+            instead of cuts over usable scans and where drives meet.
+        radial_basis: `(I, r1)` U to keep, of a harmonic map.
+        calibrated: Whether the map's probes are asked for its calibration.
+        progress: Receives every stage; may raise `Cancelled`.
+
+    Raises:
+        EmptyDrive: If there is no drive, or one has no usable scan.
+        InvalidParameters: If a parameter does not fit, or a segment is left without a scan.
+        InvalidMap: If two drives have one name.
+    """
+    if images_of is None:
+
+        def images_of(drive: Drive) -> DriveImages:
+            return project_scans(drive, np.arange(len(drive)), parameters, progress)
+
+    images = [images_of(drive) for drive in drives]
+    trajectory = Trajectory.concatenate(
+        [trajectory_of(drive, of_it.scans) for drive, of_it in zip(drives, images, strict=True)]
+    )
+    joined = ConcatenatedImages(images)
+    length: int | None = None
+    if segment_start is None:
+        longest = max(map(len, images))
+        length = segment_length_for(longest, segment_length=segment_length, segments=segments)
+        cuts = cut_at_meetings(trajectory, _cut(joined, trajectory, length, parameters, progress))
+    else:
+        cuts = rows_of_cuts(images[0].scans, segment_start)
+    grams: dict[str, FloatArray] | None = None
+    if parameters.distance is not None:
+        grams = {d.name: i.detail_gram() for d, i in zip(drives, images, strict=True)}
+    tensor_map = fit_map(
+        joined,
+        trajectory,
+        cuts,
+        parameters,
+        progress,
+        _probes(images) if calibrated else None,
+        radial_basis=radial_basis,
+        grams=grams,
+    )
+    return Build(
+        tensor_map,
+        sum(of_it.returns for of_it in images),
+        {drive.name: of_it.skipped for drive, of_it in zip(drives, images, strict=True)},
+        () if radial_basis is None or grams is None else basis_fits(radial_basis, grams),
+        length,
+    )
+
+
+def project_scans(
+    drive: Drive, scans: IntArray, parameters: MapParameters, progress: Progress = NO_PROGRESS
+) -> DriveImages:
+    """Project some scans of a drive into memory, and probes of them.
+
+    Raises:
+        EmptyDrive: If not one of them is usable; the message gives the first reason.
+    """
+    return _InMemory(**vars(project_drive(drive, scans, parameters.imager, progress)))
+
+
+def trajectory_of(drive: Drive, scans: IntArray) -> Trajectory:
+    """Return the trajectory of the scans at these positions of a drive."""
+    index = drive.scan_index[scans] if isinstance(drive, IndexedDrive) else scans
+    return Trajectory.of_drive(drive.name, drive.timestamp_s[scans], drive.poses[scans], index)
+
+
+def cut_scans(
+    drive: Drive,
+    segment_length: int,
+    parameters: MapParameters,
+    progress: Progress = NO_PROGRESS,
+) -> IntArray:
+    """Cut a whole drive before some of its scans are held out, `(L + 1,)` positions and its length.
+
+    Cuts of fixed length count every scan; unequal ones are found in the images of all usable ones.
+
+    Raises:
+        EmptyDrive: If the drive has no scan, or unequal cuts find no usable one.
+        InvalidParameters: If the length is below 1.
+    """
+    if parameters.segmentation == Segmentation.FIXED:
+        return cut_fixed(len(drive), segment_length)
+    images = project_scans(drive, np.arange(len(drive)), parameters, progress)
+    scans = images.scans
+    cuts = cut_unequal(images, trajectory_of(drive, scans), segment_length, parameters, progress)
+    return np.concatenate([[0], scans[cuts[1:-1]], [len(drive)]])
+
+
+def _cut(
+    images: ImageSource,
+    trajectory: Trajectory,
+    segment_length: int,
+    parameters: MapParameters,
+    progress: Progress,
+) -> IntArray:
+    if parameters.segmentation == Segmentation.FIXED:
+        return cut_drives(trajectory.drive_start, segment_length)
+    return cut_unequal(images, trajectory, segment_length, parameters, progress)
+
+
+def rows_of_cuts(scans: IntArray, segment_start: IntArray) -> IntArray:
+    """Return the rows at which segments begin in a map of some scans of a drive, `(L + 1,)`.
+
+    Args:
+        scans: Positions of the map's scans in the drive, rising.
+        segment_start: `(L + 1,)` positions in the drive where segments begin, and its length.
+
+    Raises:
+        InvalidParameters: If a segment is left without a map scan.
+
+    Examples:
+        >>> rows_of_cuts(np.array([0, 2, 3, 7]), np.array([0, 3, 8])).tolist()
+        [0, 2, 4]
+    """
+    cuts = np.searchsorted(scans, segment_start)
+    empty = np.flatnonzero(np.diff(cuts) == 0)
+    if len(empty):
+        raise InvalidParameters(
+            f"segment {empty[0]} is left without a map scan: take longer segments or another split"
+        )
+    return cuts
+
+
+def _probes(images: Sequence[DriveImages]) -> Probes | None:
+    """Return the probes of all drives; `None` if one has none, its returns being gone."""
+    probed = [
+        (of_it.scans, of_it.probed, of_it.standing, of_it.probes)
+        for of_it in images
+        if of_it.probes is not None
+    ]
+    return Probes.of_drives(probed) if len(probed) == len(images) else None

@@ -1,0 +1,67 @@
+"""A drive and its parameters give one revision digest, whichever way they come in."""
+
+import pytest
+
+from app.cli.options import MIN_RETURNS
+from core import MapParameters, build_map
+from core.evaluation import evaluate as evaluation
+from core.mapping.pipeline import build
+from core.parameters import Encoding, Segmentation
+from storage.files.map_file import read_map
+from storage.formats.drives.layouts import open_drive
+from tests.support.recording import Recording
+from tests.support.service import upload, wait_for
+
+SCANS, K = 24, 8
+
+
+@pytest.fixture(scope="module")
+def folder(tensormap, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("drives") / "monday"
+    tensormap("simulate", folder, "--scans", SCANS)
+    return folder
+
+
+def by_service(client, drive, chosen):
+    client.post("/v1/maps", json={"map": "campus"})
+    scans = tuple(drive.scan(index) for index in range(len(drive)))
+    upload(client, drive.name, Recording(scans))
+    job = client.post("/v1/maps/campus/builds", json={**chosen, "segment_length": K}).json()
+    return wait_for(client, job["job"])["revision"]
+
+
+def by_command(tensormap, folder, out, chosen):
+    options = [word for name, value in chosen.items() for word in (f"--{name}", value)]
+    tensormap("build", folder, "-o", out, "--segment-length", K, *options)
+    return read_map(out).revision
+
+
+def by_evaluation(drive, parameters, monkeypatch):
+    """Return the digest of the map of a whole drive that a second pass queries."""
+    maps = []
+
+    def kept(*arguments, **options):
+        made = build(*arguments, **options)
+        maps.append(made.tensor_map)
+        return made
+
+    monkeypatch.setattr(evaluation, "build", kept)
+    protocol = evaluation.EvaluationProtocol(parameters, segment_length=K)
+    evaluation.evaluate(drive, protocol, drive)
+    return maps[0].revision
+
+
+@pytest.mark.parametrize(
+    ("encoding", "segmentation"),
+    [(Encoding.HARMONIC, Segmentation.FIXED), (Encoding.PAPER, Segmentation.UNEQUAL)],
+)
+def test_service_command_core_and_evaluation_build_one_map(
+    empty, tensormap, folder, tmp_path, monkeypatch, encoding, segmentation
+):
+    chosen = {"encoding": encoding.value, "segmentation": segmentation.value}
+    drive = open_drive(folder, min_returns=MIN_RETURNS)
+    parameters = MapParameters.for_sensor(**chosen)
+    digest = build_map(drive, parameters, segment_length=K).revision
+    assert by_service(empty, drive, chosen) == digest
+    assert by_command(tensormap, folder, tmp_path / "map.h5", chosen) == digest
+    assert by_evaluation(drive, parameters, monkeypatch) == digest
