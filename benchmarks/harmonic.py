@@ -16,6 +16,7 @@ from threadpoolctl import threadpool_limits
 from benchmarks.accuracy import commit, print_table
 from benchmarks.timing import machine
 from core.arrays import FloatArray, IntArray
+from core.encodings.harmonic import HarmonicBasis
 from core.encodings.signature import Packing, pack_signatures, unpack_signatures
 from core.encodings.tucker import leading_basis, row_gram
 from core.evaluation.condition import Condition, conditions
@@ -24,7 +25,7 @@ from core.evaluation.result import Evaluation
 from core.evaluation.split import Every
 from core.localization.localizer import Localizer, Match
 from core.mapping.build import build_map
-from core.parameters import Distance, Encoding, MapParameters
+from core.parameters import Distance, MapParameters
 from core.projection.imager import ImageKind
 from core.projection.images import project_drive
 from core.projection.reducer import Reducer
@@ -58,7 +59,7 @@ def harmonic(
 ) -> MapParameters:
     """Return parameters that differ from the default in what is given."""
     return MapParameters.for_sensor(
-        encoding=Encoding.HARMONIC,
+        encoding="harmonic",
         reducer=reducer,
         distance=distance,
         lateral_renderings_m=lateral_renderings_m,
@@ -219,7 +220,15 @@ def _localizer(
     if all_detail:
         cells = images.read(0, len(rows)).reshape(-1, *parameters.grid.shape)
         u = leading_basis(row_gram(cells), parameters.ranks[0]).astype(np.float32)
-    return Localizer(build_map(images, trajectory, cuts, parameters, radial_basis=u))
+    return Localizer(
+        build_map(
+            images,
+            trajectory,
+            cuts,
+            parameters,
+            kept=None if u is None else HarmonicBasis.of(parameters, u),
+        )
+    )
 
 
 def _recall(matches: Sequence[Match], poses: FloatArray, *, within_m: float) -> float:

@@ -15,13 +15,13 @@ from threadpoolctl import threadpool_limits
 
 from benchmarks.timing import machine, medians_s
 from core.arrays import IntArray
-from core.encodings.base import Found
 from core.encodings.harmonic import HarmonicModel
+from core.encodings.model import Neighbours
 from core.encodings.signature import Signature
 from core.evaluation.baselines.scan_context import ScanContext
 from core.localization.localizer import Localizer
 from core.mapping.build import build_map
-from core.parameters import Encoding, MapParameters
+from core.parameters import MapParameters
 from core.projection.images import project_drive
 from core.scans.trajectory import Trajectory
 from core.segmentation import PAPER_SEGMENT_LENGTH, cut_fixed
@@ -38,7 +38,7 @@ def main() -> int:
     drive = SimulatedDrive(
         seed=1, scans=2 * SCANS, loop_m=4000.0, sensor=SimulatedSensor(firings=360)
     )
-    parameters = MapParameters.for_sensor(encoding=Encoding.HARMONIC)
+    parameters = MapParameters.for_sensor(encoding="harmonic")
     mapped = np.arange(0, 2 * SCANS, 2)
     images = project_drive(drive, mapped, parameters.imager).images
     trajectory = Trajectory.of_drive("d", drive.timestamp_s[mapped], drive.poses[mapped], mapped)
@@ -104,11 +104,11 @@ def _scan_context(drive: SimulatedDrive, mapped: IntArray) -> None:
     )
 
 
-def _pruned(model: HarmonicModel, signatures: Sequence[Signature]) -> tuple[Found, ...]:
+def _pruned(model: HarmonicModel, signatures: Sequence[Signature]) -> Neighbours:
     return model.search(signatures).nearest(1)
 
 
-def _brute(model: HarmonicModel, signatures: Sequence[Signature]) -> tuple[Found, ...]:
+def _brute(model: HarmonicModel, signatures: Sequence[Signature]) -> Neighbours:
     return model.search(signatures).nearest_by_brute_force(1)
 
 

@@ -10,12 +10,12 @@ from typing import Any
 
 from app.builds.live_gate import Gate, pass_gate
 from app.builds.parameters import BuildParameters, PoseCheck
-from app.builds.plans import KeptBasis, Plan, plan_build
+from app.builds.plans import Plan, plan_build
 from app.drives.stored_images import images_path, open_images
-from core.arrays import Float32Array, FloatArray
+from core.arrays import FloatArray
+from core.encodings.basis import Basis, BasisFit
 from core.frames.agreement import FrameCheck, check_frames, require_one_frame
 from core.mapping.build import build_map
-from core.mapping.merge import BasisFit, basis_fits
 from core.mapping.tensormap import TensorMap
 from core.parameters import MapParameters, Segmentation
 from core.progress import NO_PROGRESS, Progress
@@ -192,7 +192,7 @@ def build_drives(
     parameters: BuildParameters,
     progress: Progress = NO_PROGRESS,
     *,
-    radial_basis: Float32Array | None = None,
+    kept: Basis | None = None,
 ) -> Built:
     """Build a map of drives of any length: their images pass through temporary files.
 
@@ -200,7 +200,7 @@ def build_drives(
         drives: No two of one name.
         parameters: How; only what tells the map's own parameters and cuts.
         progress: Told of every scan.
-        radial_basis: U to keep, of a harmonic map.
+        kept: The basis of another map, to keep.
 
     Raises:
         EmptyDrive: If a drive has no usable scan.
@@ -215,7 +215,7 @@ def build_drives(
             path = Path(folder) / f"{position}.h5"
             write_image_file(path, drive, map_parameters.imager, progress)
             images.append(stack.enter_context(ImageFile(path, map_parameters.imager)))
-        return _build(drives, images, parameters, map_parameters, progress, radial_basis)
+        return _build(drives, images, parameters, map_parameters, progress, kept)
 
 
 def _build_stored(
@@ -230,8 +230,7 @@ def _build_stored(
             stack.enter_context(open_images(store, drive, map_parameters, progress))
             for drive in drives
         ]
-        kept = None if plan.kept is None else plan.kept.radial_basis
-        return _build(drives, images, plan.parameters, map_parameters, progress, kept)
+        return _build(drives, images, plan.parameters, map_parameters, progress, plan.kept)
 
 
 def _build(
@@ -240,7 +239,7 @@ def _build(
     parameters: BuildParameters,
     map_parameters: MapParameters,
     progress: Progress,
-    radial_basis: Float32Array | None = None,
+    kept: Basis | None = None,
 ) -> Built:
     trajectory = Trajectory.concatenate(
         [_trajectory(drive, of_it) for drive, of_it in zip(drives, images, strict=True)]
@@ -256,7 +255,7 @@ def _build(
         else cut_drives(trajectory.drive_start, length)
     )
     grams: dict[str, FloatArray] | None = None
-    if map_parameters.distance is not None:
+    if map_parameters.encoder.fits_to_grams:
         grams = {d.name: i.detail_gram() for d, i in zip(drives, images, strict=True)}
     tensor_map = build_map(
         joined,
@@ -265,14 +264,14 @@ def _build(
         map_parameters,
         progress,
         _probes(images),
-        radial_basis=radial_basis,
+        kept=kept,
         grams=grams,
     )
     frames: tuple[FrameCheck, ...] = ()
     if parameters.poses == PoseCheck.CHECKED:
         frames = check_frames(tensor_map, progress)
         require_one_frame(frames)
-    fits = () if radial_basis is None or grams is None else basis_fits(radial_basis, grams)
+    fits = () if kept is None or grams is None else kept.fits(grams)
     return Built(
         tensor_map,
         sum(of_it.returns for of_it in images),
@@ -300,7 +299,7 @@ def _trajectory(drive: Drive, images: ImageFile) -> Trajectory:
 
 
 def _provenance(
-    tensor_map: TensorMap, kept: KeptBasis | None, fits: Sequence[BasisFit]
+    tensor_map: TensorMap, kept: Basis | None, fits: Sequence[BasisFit]
 ) -> dict[str, Any]:
     """Tell where the basis comes from, and how well it fits what it was not fitted to."""
     return {

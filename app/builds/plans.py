@@ -5,31 +5,15 @@ from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 
 from app.builds.parameters import BuildParameters
-from core.arrays import Float32Array
-from core.encodings.basis import harmonic_basis_digest
-from core.encodings.harmonic import HarmonicModel
+from core.encodings.basis import Basis
 from core.errors import EmptyDrive, InvalidParameters, UnknownDrive
 from core.mapping.tensormap import TensorMap
-from core.parameters import Encoding
 from storage.catalog import DriveRecord, RevisionRecord
 from storage.errors import CorruptFile, DriveNotFound, NoLiveRevision
 from storage.files.map_file import read_revision
 from storage.store import Store
 
-__all__ = ["KeptBasis", "Plan", "plan_build"]
-
-
-@dataclass(frozen=True, eq=False)
-class KeptBasis:
-    """The radial basis of an earlier revision.
-
-    Attributes:
-        revision: Digest of that revision.
-        radial_basis: `(I, r1)` float32.
-    """
-
-    revision: str
-    radial_basis: Float32Array
+__all__ = ["Plan", "plan_build"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,12 +23,12 @@ class Plan:
     Attributes:
         parameters: As asked for; with `base`, everything else that was built with there.
         drives: Which, in their order in the map; at least one, each has a scan.
-        kept: The basis to keep, `None` to fit one.
+        kept: The basis of an earlier revision to keep, `None` to fit one.
     """
 
     parameters: BuildParameters
     drives: tuple[str, ...]
-    kept: KeptBasis | None
+    kept: Basis | None
 
 
 def plan_build(store: Store, map_id: str, parameters: BuildParameters) -> Plan:
@@ -82,7 +66,7 @@ def plan_build(store: Store, map_id: str, parameters: BuildParameters) -> Plan:
         names = _changed(store, map_id, base_map, parameters)
     drives = _stored(store, map_id, names)
     kept = None
-    if parameters.encoding == Encoding.HARMONIC and not parameters.refit:
+    if parameters.map_parameters().encoder.shares_basis and not parameters.refit:
         try:
             kept = _kept(base or _live(store, map_id), parameters)
         except CorruptFile as error:
@@ -165,13 +149,9 @@ def _stored(store: Store, map_id: str, names: Sequence[str]) -> Sequence[DriveRe
 
 def _kept(
     earlier: tuple[RevisionRecord, TensorMap] | None, parameters: BuildParameters
-) -> KeptBasis | None:
+) -> Basis | None:
     if earlier is None:
         return None
-    record, tensor_map = earlier
-    if not isinstance(tensor_map.model, HarmonicModel):
-        return None
-    u = tensor_map.model.radial_basis
-    if harmonic_basis_digest(parameters.map_parameters(), u) != tensor_map.basis_digest:
-        return None  # another grid, reducer or rank: signatures would differ anyway
-    return KeptBasis(record.digest, u)
+    basis = earlier[1].basis()
+    # With another grid, reducer or rank signatures would differ anyway.
+    return basis if basis.serves(parameters.map_parameters()) else None

@@ -29,13 +29,14 @@ from app.cli.options import (
     ranks,
     require_folder,
 )
+from core.encodings.registry import encoding_with
 from core.errors import InvalidParameters
 from core.evaluation.condition import conditions
 from core.evaluation.evaluate import Protocol
 from core.evaluation.evaluate import evaluate as evaluate_drive
 from core.evaluation.result import Evaluation
 from core.evaluation.split import Interleaved, parse_split
-from core.parameters import MapParameters, Segmentation, encoding_with
+from core.parameters import MapParameters, Segmentation
 from core.scans.sensor import HDL_64E
 from storage.files.files import publish
 from storage.formats.drives.layouts import open_drive

@@ -7,7 +7,8 @@ from typing import Annotated
 import typer
 
 from app.builds.parameters import PoseCheck
-from core.parameters import Distance, Encoding, Segmentation
+from core.encodings.registry import encoding_names
+from core.parameters import Distance, Segmentation
 from core.projection.imager import ImageKind
 from core.projection.reducer import Reducer
 from core.scans.sensor import SENSORS
@@ -67,8 +68,9 @@ FormatOption = Annotated[
     ),
 ]
 EncodingOption = Annotated[
-    Encoding | None,
+    str | None,
     typer.Option(
+        metavar="|".join(encoding_names()),
         help="By default harmonic, or paper with a reducer that only the paper's has.",
         rich_help_panel=_BUILD,
     ),

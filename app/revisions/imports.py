@@ -74,7 +74,7 @@ def _told(parameters: MapParameters) -> dict[str, object]:
     """Return what a build would have been asked for."""
     offsets = parameters.lateral_renderings_m
     return {
-        "encoding": parameters.encoding.value,
+        "encoding": parameters.encoding,
         "ranks": list(parameters.ranks),
         "segmentation": parameters.segmentation.value,
         "reducer": parameters.reducer.value,

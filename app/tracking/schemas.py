@@ -1,5 +1,7 @@
 """Tracks over the wire."""
 
+import math
+
 from pydantic import BaseModel, Field, field_validator
 
 from app.drives.pose_schemas import PoseOut
@@ -96,17 +98,17 @@ class TrackStepOut(BaseModel):
             segment_probability=step.segment_probability,
             segment_sure=step.segment_sure,
             fraction=step.fraction,
-            drive=step.drive,
-            scan_index=step.scan_index,
-            distance=step.distance,
+            drive=step.match.drive,
+            scan_index=step.match.scan_index,
+            distance=step.match.distance if math.isfinite(step.match.distance) else None,
             probability=step.probability,
             direction=step.direction,
             standing=step.standing,
             along_sigma_m=sigma_m,
             along_variance_m2=None if sigma_m is None else sigma_m * sigma_m,
             along_sigma_scans=step.along_sigma_scans,
-            turn_deg=step.turn_deg,
-            lateral_m=step.lateral_m,
+            turn_deg=step.match.relative_yaw_deg,
+            lateral_m=step.match.lateral_m,
             pose=None if step.pose is None else PoseOut.from_core(step.pose),
         )
 

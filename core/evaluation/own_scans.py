@@ -51,6 +51,6 @@ def finds_own(
         asked, near = own_place(tensor_map.trajectory, row)
         if near.any():
             query = basis.encode(image_of(tensor_map, images, position))
-            (found,) = tensor_map.model.search(query).nearest(1, asked)
-            right[question] = near[found.row]
+            found = tensor_map.model.search(query).nearest(1, asked)
+            right[question] = near[found.rows[0]]
     return right

@@ -7,7 +7,7 @@ from app.builds import pipelines
 from app.builds.live_gate import pass_gate
 from app.builds.parameters import BuildParameters
 from app.builds.pipelines import Built, build_revision
-from core.mapping.merge import BasisFit
+from core.encodings.basis import BasisFit
 from core.progress import Progress
 from storage.catalog import JobState
 from storage.errors import CorruptFile, JobNotRunning, MapNotFound
