@@ -148,7 +148,9 @@ def _basis_of(map_file: Path, parameters: BuildParameters) -> Basis:
     """Return the basis of a map whose signatures are made as these parameters say."""
     kept = read_map(map_file)
     if not kept.parameters.encoder.shares_basis:
-        raise InvalidParameters(f"{map_file} has a basis for each segment, none that can be kept")
+        raise InvalidParameters(
+            f"{map_file} has bases of its own for each segment, it has no basis to keep"
+        )
     basis = kept.basis()
     if not basis.serves(parameters.map_parameters()):
         raise InvalidParameters(

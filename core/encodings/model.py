@@ -16,7 +16,15 @@ from core.errors import InvalidMap, UnknownSegment
 if TYPE_CHECKING:
     from core.parameters import MapParameters
 
-__all__ = ["Model", "Neighbours", "Search", "Viewpoints", "nearest", "require_sane"]
+__all__ = [
+    "DistanceSearch",
+    "Model",
+    "Neighbours",
+    "Search",
+    "Viewpoints",
+    "nearest",
+    "require_sane",
+]
 
 _LARGEST_SIGNATURE = 1e12  # sums of squares stay finite in single precision too
 _LARGEST_OF_BASIS = 1.001  # its columns have length 1
@@ -106,6 +114,45 @@ class Search(ABC):
         """
         del rows
         return None
+
+
+class DistanceSearch(Search):
+    """A search of which all distances are known.
+
+    Args:
+        segments: Those that are searched, rising.
+        rows: `(n,)` rows of their scans.
+        distances_of_rows: `(n,)` in the Frobenius norm.
+        scans: K, how many the map has.
+    """
+
+    def __init__(
+        self, segments: tuple[int, ...], rows: IntArray, distances_of_rows: FloatArray, scans: int
+    ) -> None:
+        self._segments = segments
+        self._rows = rows
+        self._distances = distances_of_rows
+        self._scans = scans
+
+    @property
+    def segments(self) -> tuple[int, ...]:
+        """The segments that are searched, rising."""
+        return self._segments
+
+    def nearest(self, k: int, among: BoolArray | None = None) -> Neighbours:
+        """Return the `k` nearest scans, nearest first."""
+        rows, distances = self._rows, self._distances
+        if among is not None:
+            kept = among[rows]
+            rows, distances = rows[kept], distances[kept]
+        order = nearest(distances, k)
+        return Neighbours.of_distances(rows[order], distances[order])
+
+    def distances(self, among: BoolArray | None = None) -> FloatArray:
+        """Return the distance of each scan, `(K,)`, infinite outside `among` or these segments."""
+        distances = np.full(self._scans, np.inf)
+        distances[self._rows] = self._distances
+        return distances if among is None else np.where(among, distances, np.inf)
 
 
 class Model(ABC):

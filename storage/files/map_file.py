@@ -204,10 +204,10 @@ def _parts(source: Source) -> tuple[dict[str, NDArray[Any]], dict[str, Any], str
 
 
 def _dtypes(attributes: object) -> dict[str, str]:
-    encoding = attributes.get("encoding") if isinstance(attributes, dict) else None
-    if not isinstance(encoding, str) or encoding not in encoding_names():
-        raise CorruptFile(f"its encoding is {encoding!r:.80}, wanted {', '.join(encoding_names())}")
-    return {**encoding_named(encoding).dtypes, **_OF_ALL}
+    name = attributes.get("encoding") if isinstance(attributes, dict) else None
+    if not isinstance(name, str) or name not in encoding_names():
+        raise CorruptFile(f"its encoding is {name!r:.80}, wanted {', '.join(encoding_names())}")
+    return {**encoding_named(name).dtypes, **_OF_ALL}
 
 
 def _plain(dataset: Dataset, dtype: str) -> ContiguousDataset:

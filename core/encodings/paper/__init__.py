@@ -2,14 +2,13 @@
 
 from core.encodings.paper.basis import PaperBasis, paper_basis_digests
 from core.encodings.paper.encoding import PaperEncoding
-from core.encodings.paper.model import PaperModel, PaperSearch, SegmentModel
+from core.encodings.paper.model import PaperModel, SegmentModel
 
 __all__ = [
     "ENCODING",
     "PaperBasis",
     "PaperEncoding",
     "PaperModel",
-    "PaperSearch",
     "SegmentModel",
     "paper_basis_digests",
 ]

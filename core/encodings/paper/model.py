@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from core.arrays import BoolArray, Float32Array, FloatArray, IntArray, frozen
-from core.encodings.model import Model, Neighbours, Search, nearest, require_sane
+from core.arrays import Float32Array, FloatArray, IntArray, frozen
+from core.encodings.model import DistanceSearch, Model, require_sane
 from core.encodings.paper.basis import PaperBasis, paper_basis_digests
 from core.encodings.signature import Signature
 from core.encodings.tucker import storage_elements
@@ -17,7 +17,7 @@ from core.errors import InvalidMap, InvalidSignature
 if TYPE_CHECKING:
     from core.parameters import MapParameters
 
-__all__ = ["PaperModel", "PaperSearch", "SegmentModel"]
+__all__ = ["PaperModel", "SegmentModel"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,7 +102,7 @@ class PaperModel(Model):
             "segment_start": self.segment_start,
         }
 
-    def search(self, signatures: Sequence[Signature]) -> "PaperSearch":
+    def search(self, signatures: Sequence[Signature]) -> "DistanceSearch":
         """Compare one scan's signatures with those of their segments.
 
         Raises:
@@ -118,7 +118,7 @@ class PaperModel(Model):
             raise InvalidSignature(f"a segment comes twice in {segments}")
         values = np.stack([s.values for s in signatures]).astype(np.float64)
         rows, distances = self.distances(values, np.array(segments, dtype=np.int64))
-        return PaperSearch(tuple(sorted(segments)), rows, distances, len(self))
+        return DistanceSearch(tuple(sorted(segments)), rows, distances, len(self))
 
     def distances(self, signatures: FloatArray, segments: IntArray) -> tuple[IntArray, FloatArray]:
         """Return the rows of the segments' scans, `(n,)`, and their Frobenius distances, `(n,)`.
@@ -208,42 +208,3 @@ class PaperModel(Model):
             self.signatures[start:end].astype(np.float64),
             int(start),
         )
-
-
-class PaperSearch(Search):
-    """Distances of a query to the scans of the segments that it has signatures of.
-
-    Args:
-        segments: These segments, rising.
-        rows: `(n,)` rows of their scans.
-        distances_of_rows: `(n,)` in the Frobenius norm.
-        scans: K, how many the map has.
-    """
-
-    def __init__(
-        self, segments: tuple[int, ...], rows: IntArray, distances_of_rows: FloatArray, scans: int
-    ) -> None:
-        self._segments = segments
-        self._rows = rows
-        self._distances = distances_of_rows
-        self._scans = scans
-
-    @property
-    def segments(self) -> tuple[int, ...]:
-        """Those that the query has a signature of, rising."""
-        return self._segments
-
-    def nearest(self, k: int, among: BoolArray | None = None) -> Neighbours:
-        """Return the `k` nearest scans, nearest first."""
-        rows, distances = self._rows, self._distances
-        if among is not None:
-            kept = among[rows]
-            rows, distances = rows[kept], distances[kept]
-        order = nearest(distances, k)
-        return Neighbours.of_distances(rows[order], distances[order])
-
-    def distances(self, among: BoolArray | None = None) -> FloatArray:
-        """Return the distance of each scan, `(K,)`, infinite outside `among` or these segments."""
-        distances = np.full(self._scans, np.inf)
-        distances[self._rows] = self._distances
-        return distances if among is None else np.where(among, distances, np.inf)
