@@ -82,6 +82,14 @@ class Basis(ABC):
     parameters: "MapParameters"
 
     @abstractmethod
+    def project(self, image: Image) -> NDArray[Any]:
+        """Return the values of the image's signatures, as `Model.search_values` takes them.
+
+        Raises:
+            SensorMismatch: If the image is of another kind or on another grid.
+        """
+
+    @abstractmethod
     def encode(self, image: Image) -> tuple[Signature, ...]:
         """Return the image's signatures (paper, sec. 2.3).
 

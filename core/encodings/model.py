@@ -3,12 +3,13 @@
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from core.arrays import BoolArray, FloatArray, IntArray
+from core.arrays import BoolArray, FloatArray, IntArray, frozen
 from core.encodings.basis import Basis
 from core.encodings.signature import Signature
 from core.errors import InvalidMap, UnknownSegment
@@ -176,10 +177,11 @@ class Model(ABC):
         """L, how many segments there are."""
         return len(self.segment_start) - 1
 
-    @property
+    @cached_property
     def segment_of_scan(self) -> IntArray:
         """The segment of each scan, `(K,)`."""
-        return np.repeat(np.arange(self.segments), np.diff(self.segment_start))
+        segments = np.arange(self.segments)
+        return frozen(np.repeat(segments, np.diff(self.segment_start)), np.int64)
 
     @property
     @abstractmethod
@@ -223,6 +225,10 @@ class Model(ABC):
             InvalidSignature: If they are of another encoding or do not belong together.
             UnknownSegment: If one is of a segment that the map does not have.
         """
+
+    @abstractmethod
+    def search_values(self, values: NDArray[Any]) -> Search:
+        """Compare an image that the basis of all segments projected: nothing is checked."""
 
     @abstractmethod
     def own_queries(

@@ -1,6 +1,7 @@
 """The encodings by name: the paper's, the harmonic one, and whatever registers itself."""
 
 from collections.abc import Callable
+from functools import cache
 from importlib import import_module
 from typing import TYPE_CHECKING
 
@@ -27,6 +28,7 @@ DEFAULT_ENCODING = "harmonic"
 def _in(module: str) -> Callable[[], "Encoding"]:
     """Return what imports an encoding of ours when it is first used: commands begin sooner."""
 
+    @cache
     def load() -> "Encoding":
         found: Encoding = import_module(module).ENCODING
         return found

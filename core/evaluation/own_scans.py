@@ -50,7 +50,7 @@ def finds_own(
     for question, (row, (images, position)) in enumerate(zip(rows, probes, strict=True)):
         asked, near = own_place(tensor_map.trajectory, row)
         if near.any():
-            query = basis.encode(image_of(tensor_map, images, position))
-            found = tensor_map.model.search(query).nearest(1, asked)
+            query = basis.project(image_of(tensor_map, images, position))
+            found = tensor_map.model.search_values(query).nearest(1, asked)
             right[question] = near[found.rows[0]]
     return right

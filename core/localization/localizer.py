@@ -117,7 +117,7 @@ class Localizer:
             UnknownSegment: Likewise.
         """
         cells = int(np.count_nonzero(image.cells))
-        search = self.map.model.search(self.basis.encode(image))
+        search = self.map.model.search_values(self.basis.project(image))
         return self._localize(search, k, hints, min_probability, cells)
 
     def localize_signatures(
@@ -200,13 +200,31 @@ class Localizer:
     def _require_answerable(self, signatures: Sequence[Signature]) -> None:
         if not signatures:
             raise InvalidSignature("there is no signature to search with")
-        for signature in signatures:
-            self._require_own_basis(signature)
-            if signature.values.shape != self.map.parameters.ranks:
+        for shape in {signature.values.shape for signature in signatures}:
+            if shape != self.map.parameters.ranks:
                 raise InvalidSignature(
-                    f"the signature has shape {signature.values.shape},"
-                    f" this map's have {self.map.parameters.ranks}"
+                    f"the signature has shape {shape}, this map's have {self.map.parameters.ranks}"
                 )
+        for named in {signature.revision for signature in signatures}:
+            held, segments = self._held(named), self.map.model.segments
+            for signature in signatures:
+                # Beyond, the map has no such segment itself.
+                if signature.revision == named and held <= (signature.segment or 0) < segments:
+                    raise UnknownSegment(
+                        f"basis {named} is of segments 0..{held - 1}, the signature of"
+                        f" {signature.segment}"
+                    )
+
+    def _held(self, named: str) -> int:
+        """Return how many segments' bases that revision or basis has."""
+        if not self.answers(named):
+            raise StaleSignature(
+                f"the signature was made with revision or basis {named or '(none)'}, this one is"
+                f" {self.map.revision} with basis {self.map.basis_digest}"
+            )
+        if self.map.revision.startswith(named):
+            return self.map.model.segments
+        return [digest.startswith(named) for digest in self.map.basis_digests].index(True) + 1
 
     def answers(self, named: str) -> bool:
         """Return whether signatures that name this revision or basis can be answered here.
@@ -218,19 +236,3 @@ class Localizer:
             return False
         own = (self.map.revision, *self.map.basis_digests)
         return any(digest.startswith(named) for digest in own)
-
-    def _require_own_basis(self, signature: Signature) -> None:
-        named = signature.revision
-        if not self.answers(named):
-            raise StaleSignature(
-                f"the signature was made with revision or basis {named or '(none)'}, this one is"
-                f" {self.map.revision} with basis {self.map.basis_digest}"
-            )
-        digests = self.map.basis_digests
-        if signature.segment is None or self.map.revision.startswith(named):
-            return
-        held = [digest.startswith(named) for digest in digests].index(True)
-        if held < signature.segment < len(digests):  # beyond, the map has no such segment itself
-            raise UnknownSegment(
-                f"basis {named} is of segments 0..{held}, the signature of {signature.segment}"
-            )

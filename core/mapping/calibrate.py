@@ -83,7 +83,7 @@ def calibrate(
     for probe in asked:
         row = int(probes.rows[probe])
         image = image_of(tensor_map, probes.images, probe)
-        search = tensor_map.model.search(basis.encode(image))
+        search = tensor_map.model.search_values(basis.project(image))
         least_cells = min(least_cells, int(np.count_nonzero(image.cells)))
         beside, here = own_place(trajectory, row)
         elsewhere = away_from(trajectory, row, _ELSEWHERE_M, _ELSEWHERE_SCANS)

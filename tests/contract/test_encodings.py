@@ -157,6 +157,9 @@ class TestEncodings:
         assert set(search.nearest(5, among).rows.tolist()) <= set(np.flatnonzero(among).tolist())
         assert np.isinf(search.distances(among)[~among]).all()
         assert len(search.nearest(5, np.zeros(len(built), bool))) == 0
+        by_values = built.model.search_values(basis.project(basis.image(drive.scan(3))))
+        assert by_values.segments == search.segments
+        np.testing.assert_array_equal(by_values.distances(), distances)
 
     def test_its_own_queries_find_their_scans(self, built):
         localizer = Localizer(built)

@@ -46,9 +46,11 @@ class BlockMeansBasis(Basis):
     """Nothing but how images are made."""
 
     def encode(self, image):
+        return (Signature(self.project(image), None, self.digest, NAME),)
+
+    def project(self, image):
         self.require_grid(image)
-        values = block_means(image.cells, self.parameters.ranks)
-        return (Signature(values.astype(np.float32), None, self.digest, NAME),)
+        return block_means(image.cells, self.parameters.ranks).astype(np.float32)
 
     def arrays(self):
         return {}
@@ -88,7 +90,10 @@ class BlockMeansModel(Model):
     def search(self, signatures):
         if len(signatures) != 1 or signatures[0].encoding != NAME:
             raise InvalidSignature(f"wanted one signature of the {NAME} encoding")
-        apart = np.linalg.norm(self.signatures - signatures[0].values.astype(float), axis=(1, 2))
+        return self.search_values(signatures[0].values)
+
+    def search_values(self, values):
+        apart = np.linalg.norm(self.signatures - values.astype(float), axis=(1, 2))
         rows = np.arange(len(self))
         return DistanceSearch(tuple(range(self.segments)), rows, apart, len(self))
 

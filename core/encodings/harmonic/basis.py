@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from core.arrays import Float32Array, FloatArray, frozen
+from core.arrays import Complex64Array, Float32Array, FloatArray, frozen
 from core.encodings.basis import Basis, BasisFit, signature_parameters
 from core.encodings.grams import fit_radial_basis, radial_error
 from core.encodings.harmonics import encode
@@ -70,8 +70,12 @@ class HarmonicBasis(Basis):
             for name, gram in grams.items()
         )
 
-    def encode(self, image: Image) -> tuple[Signature, ...]:
-        """Return the image's one signature, good for all segments."""
+    def project(self, image: Image) -> Complex64Array:
+        """Return U^T S F, `(r1, r2)`."""
         self.require_grid(image)
         values = encode(image.cells, self.radial_basis, self.parameters.ranks[1])
-        return (Signature(values.astype(np.complex64), None, self.digest),)
+        return values.astype(np.complex64)
+
+    def encode(self, image: Image) -> tuple[Signature, ...]:
+        """Return the image's one signature, good for all segments."""
+        return (Signature(self.project(image), None, self.digest),)

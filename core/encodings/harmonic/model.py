@@ -110,7 +110,11 @@ class HarmonicModel(Model):
             raise InvalidSignature(
                 "a harmonic map expects exactly one harmonic signature, without a segment"
             )
-        return HarmonicSearch(self, signatures[0].values.astype(np.complex128))
+        return self.search_values(signatures[0].values)
+
+    def search_values(self, values: NDArray[Any]) -> HarmonicSearch:
+        """Compare an image's values, `(r1, r2)`."""
+        return HarmonicSearch(self, values.astype(np.complex128))
 
     @property
     def recorded(self) -> Complex64Array:

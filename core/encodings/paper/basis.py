@@ -86,15 +86,19 @@ class PaperBasis(Basis):
             ]
         }
 
-    def encode(self, image: Image) -> tuple[Signature, ...]:
-        """Return the image's signature in each segment's bases."""
+    def project(self, image: Image) -> Float32Array:
+        """Return U^T S V in each segment's bases, `(S, r1, r2)`."""
         self.require_grid(image)
         values = (
             self.elevation_basis.transpose(0, 2, 1)
             @ image.cells.astype(np.float64)
             @ self.azimuth_basis
         )
+        return np.asarray(values, np.float32)
+
+    def encode(self, image: Image) -> tuple[Signature, ...]:
+        """Return the image's signature in each segment's bases."""
         return tuple(
-            Signature(slice_.astype(np.float32), segment, self.digest)
-            for slice_, segment in zip(values, self.segments.tolist(), strict=True)
+            Signature(values, segment, self.digest)
+            for values, segment in zip(self.project(image), self.segments.tolist(), strict=True)
         )

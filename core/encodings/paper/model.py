@@ -120,6 +120,12 @@ class PaperModel(Model):
         rows, distances = self.distances(values, np.array(segments, dtype=np.int64))
         return DistanceSearch(tuple(sorted(segments)), rows, distances, len(self))
 
+    def search_values(self, values: NDArray[Any]) -> DistanceSearch:
+        """Compare an image's values in the bases of all segments, `(L, r1, r2)`."""
+        segments = np.arange(self.segments)
+        rows, distances = self.distances(values.astype(np.float64), segments)
+        return DistanceSearch(tuple(segments.tolist()), rows, distances, len(self))
+
     def distances(self, signatures: FloatArray, segments: IntArray) -> tuple[IntArray, FloatArray]:
         """Return the rows of the segments' scans, `(n,)`, and their Frobenius distances, `(n,)`.
 
