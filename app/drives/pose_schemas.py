@@ -24,6 +24,8 @@ PoseQuery = Annotated[
 class PoseOut(BaseModel):
     """Where a scan of the map was taken: sensor to world."""
 
+    model_config = ConfigDict(from_attributes=True)
+
     x_m: float
     y_m: float
     z_m: float
@@ -36,8 +38,7 @@ class PoseOut(BaseModel):
     @classmethod
     def from_core(cls, pose: Pose) -> "PoseOut":
         """Show a pose."""
-        x, y, z, qx, qy, qz, qw = pose.as_tuple()
-        return cls(x_m=x, y_m=y, z_m=z, qx=qx, qy=qy, qz=qz, qw=qw, yaw_deg=pose.yaw_deg)
+        return cls.model_validate(pose)
 
 
 class ScanPoseIn(BaseModel):

@@ -6,6 +6,7 @@ from typing import Annotated, Any
 from fastapi import Query
 from pydantic import (
     AfterValidator,
+    AliasChoices,
     BaseModel,
     ConfigDict,
     Discriminator,
@@ -172,6 +173,8 @@ class SignaturesIn(BaseModel):
 class MatchOut(BaseModel):
     """A scan of the map, and how far the query is from it."""
 
+    model_config = ConfigDict(from_attributes=True)
+
     segment: int
     fraction: float = Field(description="How far along the segment: 0 at one node, 1 at the other.")
     along_m: float | None = Field(description="The same in metres; null without poses.")
@@ -183,8 +186,9 @@ class MatchOut(BaseModel):
     timestamp_s: float | None
     pose: PoseOut | None
     turn_deg: float | None = Field(
+        validation_alias=AliasChoices("turn_deg", "relative_yaw_deg"),
         description="How far the query is turned from that scan, counter-clockwise, -180..180; null"
-        " in the paper's encoding."
+        " in the paper's encoding.",
     )
     lateral_m: float | None = Field(
         description="How far to the left of that scan the query stands; null likewise."
@@ -199,22 +203,7 @@ class MatchOut(BaseModel):
     @classmethod
     def from_core(cls, match: Match) -> "MatchOut":
         """Show a match."""
-        return cls(
-            segment=match.segment,
-            fraction=match.fraction,
-            along_m=match.along_m,
-            drive=match.drive,
-            scan_index=match.scan_index,
-            distance=match.distance,
-            timestamp_s=match.timestamp_s,
-            pose=None if match.pose is None else PoseOut.from_core(match.pose),
-            turn_deg=match.relative_yaw_deg,
-            lateral_m=match.lateral_m,
-            heading_deg=match.heading_deg,
-            estimated_pose=(
-                None if match.estimated_pose is None else PoseOut.from_core(match.estimated_pose)
-            ),
-        )
+        return cls.model_validate(match)
 
 
 class CovarianceOut(BaseModel):

@@ -48,6 +48,8 @@ class HarmonicEncoding(Encoding):
     fits_to_grams = True
     yaw_invariant = True
     sharper = 1.4
+    pack = staticmethod(packed.pack)
+    unpack = staticmethod(packed.unpack)
 
     def largest_ranks(self, grid_shape: tuple[int, int]) -> tuple[int, int]:
         """Return I and how many harmonics J columns have."""
@@ -215,16 +217,6 @@ class HarmonicEncoding(Encoding):
         harmonics = values.shape[-1]
         # On more columns than any harmonic has, all but the first have a conjugate.
         return values.astype(np.complex128) * np.sqrt(weights(2 * harmonics, harmonics))
-
-    def pack(self, signatures: Sequence[Signature], packing: Packing) -> tuple[int, bytes]:
-        """Return the layout and the numbers of the one signature."""
-        return packed.pack(signatures, packing)
-
-    def unpack(
-        self, layout: int, body: bytes, shape: tuple[int, int], revision: str
-    ) -> tuple[Signature, ...]:
-        """Read what `pack` gave."""
-        return (packed.unpack(layout, body, shape, revision),)
 
     def as_values(self, signature: Signature) -> dict[str, Any]:
         """Return `values_real` and `values_imag`, r1 rows of r2 numbers each."""

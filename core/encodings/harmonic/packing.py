@@ -45,7 +45,9 @@ def pack(signatures: Sequence[Signature], packing: Packing) -> tuple[int, bytes]
     return _INT8, _SCALE.pack(scale) + signed.tobytes()
 
 
-def unpack(layout: int, body: bytes, shape: tuple[int, int], revision: str) -> Signature:
+def unpack(
+    layout: int, body: bytes, shape: tuple[int, int], revision: str
+) -> tuple[Signature, ...]:
     """Read what `pack` gave.
 
     Raises:
@@ -71,4 +73,5 @@ def unpack(layout: int, body: bytes, shape: tuple[int, int], revision: str) -> S
     values[:, 0] = first
     # Part by part: infinity times 1j would make a NaN of the other part.
     values.real[:, 1:], values.imag[:, 1:] = real.reshape(r1, -1), imag.reshape(r1, -1)
-    return Signature(values, None, revision)  # type: ignore[arg-type]  # rounded to complex64 there
+    # Rounded to complex64 there.
+    return (Signature(values, None, revision),)  # type: ignore[arg-type]

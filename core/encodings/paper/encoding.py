@@ -1,7 +1,7 @@
 """The paper's encoding as one object: each segment has bases of its own."""
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
@@ -15,7 +15,7 @@ from core.encodings.paper import packing as packed
 from core.encodings.paper.basis import PaperBasis
 from core.encodings.paper.model import PaperModel
 from core.encodings.paper.sweep import sweep
-from core.encodings.signature import Packing, Signature
+from core.encodings.signature import Signature
 from core.encodings.tucker import Grams, leading_basis, project, relative_error, storage_elements
 from core.errors import InvalidSignature
 from core.progress import Progress
@@ -41,6 +41,9 @@ class PaperEncoding(Encoding):
     layouts = packed.LAYOUTS
     per_segment = True
     shares_basis = False
+    rank_sweep = staticmethod(sweep)
+    pack = staticmethod(packed.pack)
+    unpack = staticmethod(packed.unpack)
 
     def elements(self, parameters: "MapParameters", segments: int, scans: int) -> int:
         """Return L(I r1 + J r2) + K r1 r2."""
@@ -85,19 +88,6 @@ class PaperEncoding(Encoding):
         grams = Grams.of(images)
         return grams.elevation, grams.azimuth
 
-    def rank_sweep(
-        self,
-        images: ImageSource,
-        queries: Float32Array,
-        cuts: Sequence[IntArray],
-        ranks: tuple[Sequence[int], Sequence[int]],
-        parameters: "MapParameters",
-        progress: Progress,
-    ) -> tuple[IntArray, FloatArray]:
-        """Return the nearest scan of every query in maps of all ranks and cuts."""
-        del parameters
-        return sweep(images, queries, cuts, ranks, progress)
-
     def read_model(
         self, parameters: "MapParameters", arrays: Mapping[str, NDArray[Any]]
     ) -> "Model":
@@ -119,16 +109,6 @@ class PaperEncoding(Encoding):
             np.array([item["elevation_basis"] for item in listed], dtype=np.float32),
             np.array([item["azimuth_basis"] for item in listed], dtype=np.float32),
         )
-
-    def pack(self, signatures: Sequence[Signature], packing: Packing) -> tuple[int, bytes]:
-        """Return the layout, and each signature's segment and numbers."""
-        return packed.pack(signatures, packing)
-
-    def unpack(
-        self, layout: int, body: bytes, shape: tuple[int, int], revision: str
-    ) -> tuple[Signature, ...]:
-        """Read what `pack` gave."""
-        return packed.unpack(layout, body, shape, revision)
 
     def as_values(self, signature: Signature) -> dict[str, Any]:
         """Return the segment and `values`, r1 rows of r2 numbers."""

@@ -7,6 +7,7 @@ squared difference, and images are encoded once a segment length, not once a can
 
 import itertools
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,6 +16,9 @@ from core.encodings.blocks import read_blocks
 from core.encodings.tucker import Grams, leading_basis, project
 from core.progress import Progress
 from core.projection.images import ImageSource
+
+if TYPE_CHECKING:
+    from core.parameters import MapParameters
 
 __all__ = ["leading_sums", "sweep"]
 
@@ -37,9 +41,11 @@ def sweep(
     queries: Float32Array,
     cuts: Sequence[IntArray],
     ranks: tuple[Sequence[int], Sequence[int]],
+    parameters: "MapParameters",
     progress: Progress,
 ) -> tuple[IntArray, FloatArray]:
     """Return the nearest row of every query and the relative errors: `Encoding.rank_sweep`."""
+    del parameters
     r1, r2 = ranks
     counts = (len(r1), len(r2))
     rows = np.zeros((len(cuts), len(queries), *counts), dtype=np.int64)
