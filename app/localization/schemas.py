@@ -74,7 +74,7 @@ class HarmonicSignatureIn(BaseModel):
 
 def _of_registered(item: dict[str, Any]) -> dict[str, Any]:
     name = item["encoding"]
-    if name in SIGNATURE_TAGS or name not in encoding_names():
+    if not isinstance(name, str) or name in SIGNATURE_TAGS or name not in encoding_names():
         raise ValueError("no encoding of that name is registered besides ours")
     return item
 
@@ -84,7 +84,7 @@ _RegisteredSignatureIn = Annotated[dict[str, Any], AfterValidator(_of_registered
 
 
 def _form_of(item: Any) -> str:  # noqa: ANN401 - whatever a client sends
-    given = item if isinstance(item, dict) else item.model_fields_set
+    given = item if isinstance(item, dict) else getattr(item, "model_fields_set", ())
     if {"values_real", "values_imag"} & set(given):
         return "harmonic"
     return _OTHER if "encoding" in given else "paper"

@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from pydantic import ValidationError
 
 from app.builds import runner
+from app.localization.schemas import SignaturesIn
 from app.revisions.schemas import BasisOut
 from core.encodings import registry
 from core.encodings.registry import encoding_named, encoding_of_layout
@@ -289,6 +291,31 @@ class TestEncodings:
             values = [basis.parameters.encoder.as_values(s) for s in signatures]
             body = {"basis": basis.digest, "signatures": values}
             assert client.post(f"{places}/signature", json=body).json() == by_scan
+
+
+@pytest.mark.parametrize(
+    "item",
+    [
+        5,
+        [],
+        "paper",
+        {"encoding": "fourier", "means": [[1.0]]},
+        {"encoding": "paper", "segment": 0, "values": [[1.0]]},
+        {"encoding": ["block-means"]},
+        {"encoding": None, "segment": 0, "values": [[1.0]]},
+    ],
+)
+def test_what_is_no_signature_of_a_registered_encoding_is_refused(item):
+    with pytest.raises(ValidationError):
+        SignaturesIn.model_validate({"basis": "0f" * 32, "signatures": [item]})
+
+
+@pytest.mark.parametrize("means", [5, [[]], [[1.0], [1.0, 2.0]], [["x"]], [[float("nan")]]])
+def test_a_registered_encoding_refuses_values_that_are_no_signature(means):
+    item = {"encoding": BLOCK_MEANS.name, "means": means}
+    sent = SignaturesIn.model_validate({"basis": "0f" * 32, "signatures": [item]})
+    with pytest.raises(InvalidSignature):
+        sent.to_core()
 
 
 def test_an_unknown_encoding_is_refused_and_the_known_are_listed():
