@@ -22,5 +22,10 @@ if __name__ == "__main__":  # the processes of builds import this file too, and 
     settings = within_descriptors(Settings())
     # Uvicorn's own log of requests goes to standard output, of which one line is read: as soon as
     # that pipe is full the service would wait for ever.
-    config = uvicorn.Config(create_app(settings), access_log=False, **connection_options(settings))
+    config = uvicorn.Config(
+        create_app(settings),
+        access_log=False,
+        timeout_graceful_shutdown=int(os.environ.get("TENSORMAP_TEST_GRACE_S", "10")),
+        **connection_options(settings),
+    )
     BoundedServer(config).run(sockets=[listener])

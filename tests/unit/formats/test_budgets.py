@@ -1,7 +1,6 @@
 """What a stranger's bytes may cost: limits that are named, and work that grows with the length."""
 
 import gzip
-import io
 import math
 import struct
 from collections.abc import Callable
@@ -11,7 +10,6 @@ import pytest
 import zstandard
 
 from app.drives.pose_files import CSV, KITTI, TUM, read_poses
-from app.drives.tar_stream import TarStream
 from app.http.bodies.content_encoding import decoder_of
 from app.http.errors import BodyTooLarge, MalformedBody, MalformedUpload
 from core.errors import InvalidPose
@@ -24,7 +22,7 @@ from storage.formats.scans.ford import FordFormat
 from storage.formats.scans.kitti import KittiFormat
 from storage.formats.scans.registry import FORMAT_NAMES, read_scan
 from tests.support.captures import hdl32, pcap, udp
-from tests.support.recording import tar
+from tests.support.recording import tar, tar_members
 
 
 def test_a_scan_has_at_most_as_many_returns_as_the_budget_says() -> None:
@@ -144,7 +142,7 @@ def headers_only(count: int) -> bytes:
 
 def test_a_tar_stream_of_headers_is_refused_and_one_of_small_files_is_read() -> None:
     def files(body: bytes) -> int:
-        return sum(1 for _ in TarStream(io.BytesIO(body).read, 2**20))
+        return sum(1 for _ in tar_members(body, 2**20))
 
     assert files(headers_only(9_000)) == 9_000
     with pytest.raises(MalformedUpload, match="more than 10000 headers"):
@@ -159,7 +157,7 @@ def test_extended_headers_that_follow_one_another_are_bounded() -> None:
     pax = bytearray(header[:156] + b"x" + header[157:])
     pax[148:156] = b"%06o\0 " % sum(pax[:148] + b" " * 8 + pax[156:])
     with pytest.raises(MalformedUpload, match="more than 8 extended headers"):
-        list(TarStream(io.BytesIO(bytes(pax) * 9 + header).read, 2**20))
+        list(tar_members(bytes(pax) * 9 + header, 2**20))
 
 
 @pytest.mark.parametrize(
