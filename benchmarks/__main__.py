@@ -3,7 +3,14 @@
 import subprocess
 import sys
 
-_ALL = ("fit_segment", "localize", "match_harmonic", "build_memory", "open_revision")
+_ALL = (
+    "fit_segment",
+    "localize",
+    "match_harmonic",
+    "answer_overhead",
+    "build_memory",
+    "open_revision",
+)
 
 
 def main() -> int:

@@ -17,6 +17,7 @@ from benchmarks.accuracy import commit, print_table
 from benchmarks.maps import localizer_of
 from benchmarks.timing import machine
 from core.arrays import FloatArray, IntArray
+from core.encodings.harmonic.basis import HarmonicBasis
 from core.encodings.signature import Packing, pack_signatures, unpack_signatures
 from core.encodings.tucker import leading_basis, row_gram
 from core.evaluation.condition import Condition, conditions
@@ -24,7 +25,7 @@ from core.evaluation.evaluate import EvaluationProtocol, evaluate
 from core.evaluation.result import Evaluation
 from core.evaluation.split import Every
 from core.localization.localizer import Localizer, Match
-from core.parameters import Distance, Encoding, MapParameters
+from core.parameters import Distance, MapParameters
 from core.projection.imager import ImageKind
 from core.projection.images import project_drive
 from core.projection.reducer import Reducer
@@ -56,7 +57,7 @@ def harmonic(
 ) -> MapParameters:
     """Return parameters that differ from the default in what is given."""
     return MapParameters.for_sensor(
-        encoding=Encoding.HARMONIC,
+        encoding="harmonic",
         reducer=reducer,
         distance=distance,
         lateral_renderings_m=lateral_renderings_m,
@@ -214,7 +215,13 @@ def _localizer(
         images = project_drive(drive, rows, parameters.imager).images
         cells = images.read(0, len(rows)).reshape(-1, *parameters.grid.shape)
         u = leading_basis(row_gram(cells), parameters.ranks[0]).astype(np.float32)
-    return localizer_of(drive, rows, parameters, segments=5, radial_basis=u)
+    return localizer_of(
+        drive,
+        rows,
+        parameters,
+        segments=5,
+        kept=None if u is None else HarmonicBasis.of(parameters, u),
+    )
 
 
 def _recall(matches: Sequence[Match], poses: FloatArray, *, within_m: float) -> float:

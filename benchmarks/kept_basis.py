@@ -17,8 +17,8 @@ from benchmarks.maps import localizer_of
 from benchmarks.timing import machine
 from core.arrays import Float32Array
 from core.encodings.grams import drive_gram, fit_radial_basis
-from core.mapping.merge import basis_fits
-from core.parameters import Encoding, MapParameters
+from core.encodings.harmonic.basis import HarmonicBasis
+from core.parameters import MapParameters
 from core.projection.images import project_drive
 from core.scans.displacement import seen_from_beside
 from core.scans.drive import Drive
@@ -44,7 +44,7 @@ def main(folder: Path) -> None:
     }
     for name in ("kitti00", "kit_muehlburger"):
         drives[f"`{name}`"] = open_drive(folder / name, min_returns=100)
-    parameters = MapParameters.for_sensor(encoding=Encoding.HARMONIC)
+    parameters = MapParameters.for_sensor(encoding="harmonic")
     grams = {}
     for name, drive in drives.items():
         scans = np.arange(0, len(drive), max(1, len(drive) // FITTED_TO))
@@ -60,7 +60,9 @@ def main(folder: Path) -> None:
         for name in drives:
             [fit] = [
                 fit
-                for fit in basis_fits(u, {kept_from: grams[kept_from], name: grams[name]})
+                for fit in HarmonicBasis.of(parameters, u).fits(
+                    {kept_from: grams[kept_from], name: grams[name]}
+                )
                 if fit.drive == name
             ]
             ratios.append("" if name == kept_from else f"{fit.kept_error / fit.refitted_error:.3f}")
@@ -79,7 +81,7 @@ def main(folder: Path) -> None:
 
 def _recall(drive: Drive, parameters: MapParameters, u: Float32Array) -> list[float]:
     rows = np.arange(0, len(drive), 2)
-    localizer = localizer_of(drive, rows, parameters, radial_basis=u)
+    localizer = localizer_of(drive, rows, parameters, kept=HarmonicBasis.of(parameters, u))
     asked = range(1, len(drive), 2)
     hits = np.zeros(len(ASIDE_M))
     for index in asked:

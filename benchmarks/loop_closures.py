@@ -24,7 +24,7 @@ from benchmarks.timing import machine
 from core.arrays import FloatArray
 from core.localization.localizer import Localizer
 from core.loop_closure.closure import ACCEPT_FROM, LoopClosure, Verdict, check_scans
-from core.parameters import Encoding, MapParameters
+from core.parameters import MapParameters
 from core.scans.drive import Drive, MemoryDrive
 from core.scans.pose import heading_deg
 from core.scans.scan import Scan
@@ -135,7 +135,7 @@ def _proposed(
         scan = _disturbed(asked, disturbance, np.random.default_rng([len(mapped), row]))
         signatures = localizer.basis.encode(localizer.basis.image(scan))
         search = localizer.map.model.search(signatures)
-        likest = [found.row for found in search.nearest(FALSE_FOR_EACH_TRUE, elsewhere)]
+        likest = search.nearest(FALSE_FOR_EACH_TRUE, elsewhere).rows.tolist()
         for candidate in (nearest, *likest):
             closure = check_scans(mapped.scan(candidate), scan, SENSOR_HEIGHT_M)
             errors = np.nan, np.nan
@@ -145,7 +145,7 @@ def _proposed(
                 drive,
                 disturbance,
                 candidate == nearest,
-                1.0 - localizer.compare(signatures, candidate).distance,
+                1.0 - float(localizer.compare(signatures, candidate).distances[0]),
                 closure,
                 *errors,
             )
@@ -176,7 +176,7 @@ def _in_memory(drive: Drive, every: int) -> MemoryDrive:
 
 
 def _localizer(drive: MemoryDrive) -> Localizer:
-    parameters = MapParameters.for_sensor(encoding=Encoding.HARMONIC)
+    parameters = MapParameters.for_sensor(encoding="harmonic")
     return localizer_of(drive, np.arange(len(drive)), parameters)
 
 

@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from core.arrays import Float32Array, IntArray
+from core.arrays import IntArray
+from core.encodings.basis import Basis
 from core.localization.localizer import Localizer
 from core.mapping.pipeline import build, project_scans
 from core.parameters import MapParameters
@@ -18,7 +19,7 @@ def localizer_of(
     parameters: MapParameters,
     *,
     segments: int | None = None,
-    radial_basis: Float32Array | None = None,
+    kept: Basis | None = None,
     calibrated: bool = False,
 ) -> Localizer:
     """Return what localizes in a map of the scans `rows`, cut over these and nowhere else."""
@@ -28,7 +29,7 @@ def localizer_of(
         parameters,
         lambda _: project_scans(drive, rows, parameters),
         segment_start=np.append(rows[cuts[:-1]], len(drive)),
-        radial_basis=radial_basis,
+        kept=kept,
         calibrated=calibrated,
     )
     return Localizer(made.tensor_map)

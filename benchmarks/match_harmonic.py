@@ -16,11 +16,11 @@ from threadpoolctl import threadpool_limits
 from benchmarks.maps import localizer_of
 from benchmarks.timing import machine, medians_s
 from core.arrays import IntArray
-from core.encodings.base import Found
 from core.encodings.harmonic import HarmonicModel
+from core.encodings.model import Neighbours
 from core.encodings.signature import Signature
 from core.evaluation.baselines.scan_context import ScanContext
-from core.parameters import Encoding, MapParameters
+from core.parameters import MapParameters
 from core.simulation import SimulatedDrive, SimulatedSensor
 
 BAR_MS = 1.0
@@ -34,7 +34,7 @@ def main() -> int:
     drive = SimulatedDrive(
         seed=1, scans=2 * SCANS, loop_m=4000.0, sensor=SimulatedSensor(firings=360)
     )
-    parameters = MapParameters.for_sensor(encoding=Encoding.HARMONIC)
+    parameters = MapParameters.for_sensor(encoding="harmonic")
     mapped = np.arange(0, 2 * SCANS, 2)
     localizer = localizer_of(drive, mapped, parameters)
     tensor_map = localizer.map
@@ -98,11 +98,11 @@ def _scan_context(drive: SimulatedDrive, mapped: IntArray) -> None:
     )
 
 
-def _pruned(model: HarmonicModel, signatures: Sequence[Signature]) -> tuple[Found, ...]:
+def _pruned(model: HarmonicModel, signatures: Sequence[Signature]) -> Neighbours:
     return model.search(signatures).nearest(1)
 
 
-def _brute(model: HarmonicModel, signatures: Sequence[Signature]) -> tuple[Found, ...]:
+def _brute(model: HarmonicModel, signatures: Sequence[Signature]) -> Neighbours:
     return model.search(signatures).nearest_by_brute_force(1)
 
 

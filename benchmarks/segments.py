@@ -17,10 +17,11 @@ from threadpoolctl import threadpool_limits
 
 from benchmarks.accuracy import commit, print_table
 from benchmarks.timing import machine
+from core.encodings.registry import encoding_names
 from core.evaluation.evaluate import EvaluationProtocol, evaluate
 from core.evaluation.result import Evaluation
 from core.evaluation.split import Every
-from core.parameters import Encoding, MapParameters, Segmentation
+from core.parameters import MapParameters, Segmentation
 from core.scans.drive import Drive, MemoryDrive
 from core.simulation import SimulatedDrive
 from storage.formats.drives.layouts import open_drive
@@ -36,9 +37,9 @@ def main(folder: Path, *names: str) -> None:
     threadpool_limits(limits=1)
     print(f"Printed by `python -m benchmarks.segments DRIVES` at commit {commit()} on {machine()}.")
     drives = [_in_memory(_drive(folder, name)) for name in names or DRIVES]
-    for encoding in Encoding:
+    for encoding in encoding_names():
         print(f"\n## `{encoding}`\n")
-        counts = SEGMENTS if encoding == Encoding.PAPER else SEGMENTS[:1]
+        counts = SEGMENTS if encoding == "paper" else SEGMENTS[:1]
         rows = [_compared(drive, encoding, count) for drive in drives for count in counts]
         print_table(
             [
@@ -56,7 +57,7 @@ def _drive(folder: Path, name: str) -> Drive:
     return SimulatedDrive(seed=int(name.removeprefix("simulated-")), scans=CITY_SCANS)
 
 
-def _compared(drive: Drive, encoding: Encoding, segments: int) -> list[str]:
+def _compared(drive: Drive, encoding: str, segments: int) -> list[str]:
     split = Every(2)  # the same scans whatever the cuts
     parameters = MapParameters.for_sensor(encoding=encoding, segmentation=Segmentation.UNEQUAL)
     unequal = evaluate(drive, EvaluationProtocol(parameters, segments=segments, split=split))

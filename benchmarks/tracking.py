@@ -18,7 +18,7 @@ from core.evaluation.evaluate import EvaluationProtocol, evaluate
 from core.evaluation.result import Evaluation
 from core.evaluation.split import Interleaved
 from core.evaluation.tracks import TrackResult
-from core.parameters import Encoding, MapParameters
+from core.parameters import MapParameters
 from core.scans.drive import Drive
 from core.scans.scan import Scan
 from core.simulation import SimulatedDrive
@@ -52,7 +52,7 @@ def _recorded(drive: Drive) -> list[str]:
     print("brackets wrong segments of single localizations.\n")
     missed = []
     rows = []
-    for encoding in (Encoding.HARMONIC, Encoding.PAPER):
+    for encoding in ("harmonic", "paper"):
         for length in LENGTHS:
             cells = []
             for phase in range(5):
@@ -71,7 +71,7 @@ def _recorded(drive: Drive) -> list[str]:
                     f" of {track.observations}, {track.unsure_wrong}"
                     f" ({alone.errors_stationary} + {alone.errors_moving})"
                 )
-                if encoding == Encoding.HARMONIC and track.errors:
+                if encoding == "harmonic" and track.errors:
                     missed.append(f"{length}, phase {phase}: {track.errors}")
             rows.append([f"{encoding}, k = {length}", *cells])
     print_table(["", *(f"phase {phase}" for phase in range(5))], rows)
@@ -163,7 +163,7 @@ class _Pass:
 
 def _tracked(mapped: Drive, query: Drive) -> Evaluation:
     protocol = EvaluationProtocol(
-        MapParameters.for_sensor(encoding=Encoding.HARMONIC), segments=5, track=True
+        MapParameters.for_sensor(encoding="harmonic"), segments=5, track=True
     )
     return evaluate(mapped, protocol, query)
 

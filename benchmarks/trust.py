@@ -19,9 +19,10 @@ from benchmarks.maps import localizer_of
 from benchmarks.timing import machine
 from core.arrays import FloatArray, IntArray
 from core.confidence.places import AWAY_M
+from core.encodings.registry import encoding_names
 from core.evaluation.reliability import Outcome, Reliability, reliability
 from core.localization.localizer import Localization, Localizer
-from core.parameters import Encoding, MapParameters
+from core.parameters import MapParameters
 from core.scans.drive import Drive, MemoryDrive
 from core.scans.pose import Pose
 from core.simulation import SimulatedDrive
@@ -39,7 +40,7 @@ def main(folder: Path, *chosen: str) -> int:
     """Print the tables; return 1 if a bar is missed."""
     threadpool_limits(limits=1)
     print(f"Printed by `python -m benchmarks.trust DRIVES` at commit {commit()} on {machine()}.\n")
-    encodings = [Encoding(name) for name in chosen if name in list(Encoding)] or list(Encoding)
+    encodings = [name for name in chosen if name in encoding_names()] or encoding_names()
     missed: list[str] = []
     for encoding in encodings:
         parameters = MapParameters.for_sensor(encoding=encoding)
@@ -69,7 +70,7 @@ def main(folder: Path, *chosen: str) -> int:
             ],
             rows,
         )
-        if encoding == Encoding.HARMONIC:
+        if encoding == "harmonic":
             missed = bars
     for bar in missed:
         print(f"missed: {bar}")

@@ -8,6 +8,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from core.encodings.base import Encoding
     from core.encodings.signature import Signature, pack_signatures, unpack_signatures
     from core.errors import TensorMapError
     from core.evaluation.condition import Condition
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
     from core.mapping.merge import merge_maps, without_drives
     from core.mapping.pipeline import build_map
     from core.mapping.tensormap import TensorMap
-    from core.parameters import Encoding, MapParameters
+    from core.parameters import MapParameters
     from core.scans.drive import Drive, MemoryDrive
     from core.scans.pose import Pose
     from core.scans.scan import Scan
@@ -53,6 +54,7 @@ __all__ = [
 _MODULE_OF = {
     name: module
     for module, names in (
+        ("core.encodings.base", "Encoding"),
         ("core.encodings.signature", "Signature pack_signatures unpack_signatures"),
         ("core.errors", "TensorMapError"),
         ("core.evaluation.condition", "Condition"),
@@ -62,7 +64,7 @@ _MODULE_OF = {
         ("core.mapping.merge", "merge_maps without_drives"),
         ("core.mapping.pipeline", "build_map"),
         ("core.mapping.tensormap", "TensorMap"),
-        ("core.parameters", "Encoding MapParameters"),
+        ("core.parameters", "MapParameters"),
         ("core.scans.drive", "Drive MemoryDrive"),
         ("core.scans.pose", "Pose"),
         ("core.scans.scan", "Scan"),

@@ -1,21 +1,22 @@
 """The methods that can be compared, by name."""
 
 from collections.abc import Callable, Sequence
+from functools import partial
 
 from app.baselines.map_closures import MapClosures, is_installed
+from core.encodings.registry import encoding_names
 from core.errors import InvalidParameters
 from core.evaluation.baselines.m2dp import M2dp
 from core.evaluation.baselines.scan_context import ScanContext
 from core.evaluation.baselines.solid import Solid
 from core.evaluation.methods import MappedPlaces, Method
-from core.parameters import Encoding, MapParameters
+from core.parameters import MapParameters
 from core.scans.sensor import sensor_named
 
 __all__ = ["METHODS", "default_methods", "methods_named"]
 
 METHODS = (
-    "paper",
-    "harmonic",
+    *encoding_names(),
     "scan-context",
     "scan-context-ring-key",
     "solid",
@@ -41,7 +42,7 @@ def methods_named(
     grid = sensor_named(sensor).grid
     half_step_deg = grid.elevation_step_deg / 2.0
 
-    def mapped(encoding: Encoding) -> Method:
+    def mapped(encoding: str) -> Method:
         parameters = MapParameters.for_sensor(
             sensor, encoding=encoding, sensor_height_m=sensor_height_m
         )
@@ -58,8 +59,7 @@ def methods_named(
         )
 
     made: dict[str, Callable[[], Method]] = {
-        "paper": lambda: mapped(Encoding.PAPER),
-        "harmonic": lambda: mapped(Encoding.HARMONIC),
+        **{name: partial(mapped, name) for name in encoding_names()},
         "scan-context": lambda: scan_context(None),
         "scan-context-ring-key": lambda: scan_context(_SCAN_CONTEXT_CANDIDATES),
         "solid": solid,

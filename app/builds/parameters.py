@@ -7,17 +7,12 @@ from typing import Annotated, Any
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 from pydantic_core import to_jsonable_python
 
+from app.builds.encoding_names import EncodingName
 from app.http.exact_types import Flag, Number, integers
+from core.encodings.registry import DEFAULT_ENCODING
 from core.errors import InvalidParameters
-from core.parameters import (
-    DEFAULT_ENCODING,
-    LATERAL_RENDERINGS_M,
-    Distance,
-    Encoding,
-    MapParameters,
-    Segmentation,
-)
-from core.projection.imager import ImageKind
+from core.parameters import Distance, MapParameters, Segmentation
+from core.projection.imager import LATERAL_RENDERINGS_M, ImageKind
 from core.projection.reducer import Reducer
 from core.scans.sensor import HDL_64E, SENSORS
 from core.segmentation import PAPER_SEGMENT_LENGTH
@@ -106,7 +101,7 @@ class BuildParameters(BaseModel):
         description="Fit a harmonic map's basis anew: vehicles have to download it again. By"
         " default that of `base`, or of the live revision if its parameters are the same, is kept.",
     )
-    encoding: Encoding = Field(
+    encoding: EncodingName = Field(
         DEFAULT_ENCODING,
         description="`harmonic`: one basis for the map, answers in any direction and lane; `paper`:"
         " bases of each segment.",

@@ -13,10 +13,8 @@ from app.builds.live_gate import Gate, pass_gate
 from app.builds.parameters import BuildParameters, PoseCheck
 from app.builds.plans import Plan, unreadable_basis
 from app.drives.stored_images import images_path, open_images
-from core.arrays import Float32Array
-from core.encodings.harmonic import HarmonicModel
+from core.encodings.basis import Basis, BasisFit
 from core.frames.agreement import FrameCheck, check_frames, require_one_frame
-from core.mapping.merge import BasisFit
 from core.mapping.pipeline import Build, ImagesOf, build
 from core.mapping.tensormap import TensorMap
 from core.parameters import MapParameters
@@ -82,15 +80,15 @@ def build_revision(
     drives = store.drives.open_of_map(map_id, plan.drives)
     parameters = plan.parameters
     map_parameters = parameters.map_parameters()
-    radial_basis = _kept_basis(store, map_id, plan)
+    kept = _kept_basis(store, map_id, plan)
     try:
-        built = _build_stored(store, drives, plan, map_parameters, progress, radial_basis)
+        built = _build_stored(store, drives, plan, map_parameters, progress, kept)
     except CorruptImages as error:
         _log.warning("%s; the images are made anew from the raw returns", error)
         for drive in drives:
             if drive.has_returns.all():
                 images_path(store, drive, map_parameters).unlink(missing_ok=True)
-        built = _build_stored(store, drives, plan, map_parameters, progress, radial_basis)
+        built = _build_stored(store, drives, plan, map_parameters, progress, kept)
     left_over: list[str] = []
     with suppress(DriveNotFound):  # deleted meanwhile: what was built of it stays
         left_over = [
@@ -114,8 +112,8 @@ def build_revision(
     raise StorageBusy(f"another revision became live {_ATTEMPTS} times while one was compared")
 
 
-def _kept_basis(store: Store, map_id: str, plan: Plan) -> Float32Array | None:
-    """Return the radial basis that the plan keeps, `None` if it fits one."""
+def _kept_basis(store: Store, map_id: str, plan: Plan) -> Basis | None:
+    """Return the basis that the plan keeps, `None` if it fits one."""
     if plan.basis_kept_from is None:
         return None
     record = store.revisions.of_map(map_id, plan.basis_kept_from)
@@ -125,7 +123,7 @@ def _kept_basis(store: Store, map_id: str, plan: Plan) -> Float32Array | None:
         raise CorruptFile(f"the file of revision {record.digest} is gone") from error
     except CorruptFile as error:
         raise unreadable_basis(error) from error
-    return kept.model.radial_basis if isinstance(kept.model, HarmonicModel) else None
+    return kept.basis()
 
 
 def _facts(
@@ -188,7 +186,7 @@ def build_drives(
     parameters: BuildParameters,
     progress: Progress = NO_PROGRESS,
     *,
-    radial_basis: Float32Array | None = None,
+    kept: Basis | None = None,
 ) -> Built:
     """Build a map of drives of any length: their images pass through temporary files.
 
@@ -196,7 +194,7 @@ def build_drives(
         drives: No two of one name.
         parameters: How; only what tells the map's own parameters and cuts.
         progress: Told of every scan.
-        radial_basis: U to keep, of a harmonic map.
+        kept: The basis of another map, to keep.
 
     Raises:
         EmptyDrive: If a drive has no usable scan.
@@ -213,7 +211,7 @@ def build_drives(
             write_image_file(path, drive, imager, progress)
             return stack.enter_context(ImageFile(path, imager))
 
-        return _build(drives, images_of, parameters, progress, radial_basis)
+        return _build(drives, images_of, parameters, progress, kept)
 
 
 def _build_stored(
@@ -222,7 +220,7 @@ def _build_stored(
     plan: Plan,
     map_parameters: MapParameters,
     progress: Progress,
-    radial_basis: Float32Array | None,
+    kept: Basis | None,
 ) -> Built:
     images = {drive.name: partial(open_images, store, drive) for drive in drives}
     with ExitStack() as stack:
@@ -230,7 +228,7 @@ def _build_stored(
         def images_of(drive: Drive) -> ImageFile:
             return stack.enter_context(images[drive.name](map_parameters, progress))
 
-        return _build(drives, images_of, plan.parameters, progress, radial_basis)
+        return _build(drives, images_of, plan.parameters, progress, kept)
 
 
 def _build(
@@ -238,7 +236,7 @@ def _build(
     images_of: ImagesOf,
     parameters: BuildParameters,
     progress: Progress,
-    radial_basis: Float32Array | None,
+    kept: Basis | None,
 ) -> Built:
     made = build(
         drives,
@@ -246,7 +244,7 @@ def _build(
         images_of,
         segment_length=parameters.segment_length,
         segments=parameters.segments,
-        radial_basis=radial_basis,
+        kept=kept,
         progress=progress,
     )
     if parameters.poses == PoseCheck.UNCHECKED:

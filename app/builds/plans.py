@@ -8,7 +8,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from app.builds.parameters import BuildParameters
 from core.encodings.basis import make_same_signatures
 from core.errors import EmptyDrive, InvalidParameters, UnknownDrive
-from core.parameters import Encoding, MapParameters
+from core.parameters import MapParameters
 from storage.catalog import DriveRecord, RevisionRecord
 from storage.errors import CorruptFile, DriveNotFound, NoLiveRevision
 from storage.files.map_file import read_parameters
@@ -76,7 +76,7 @@ def plan_build(store: Store, map_id: str, parameters: BuildParameters) -> Plan:
         names = _changed(store, map_id, base, parameters)
     drives = _stored(store, map_id, names)
     basis_kept_from = None
-    if parameters.encoding == Encoding.HARMONIC and not parameters.refit:
+    if parameters.map_parameters().encoder.shares_basis and not parameters.refit:
         try:
             kept = base or _live(store, map_id)
         except CorruptFile as error:

@@ -11,7 +11,7 @@ from rich.table import Table
 from app.cli.console import figure, output, progress_bar, say
 from app.cli.options import MIN_RETURNS
 from app.demo.outcome import MAX_SCANS, RECALL_M, Outcome
-from core.parameters import DEFAULT_ENCODING, Encoding
+from core.encodings.registry import DEFAULT_ENCODING, encoding_names
 from core.scans.drive import Drive
 from core.simulation import SimulatedDrive
 from storage.formats.drives.layouts import open_drive
@@ -32,7 +32,9 @@ def demo(
     ] = False,
     port: Annotated[int, typer.Option(min=1, max=65535, help="First port to try.")] = 8000,
     seed: Annotated[int, typer.Option(min=0, help="Of the simulated city.")] = 0,
-    encoding: Annotated[Encoding, typer.Option(help="Of the map.")] = DEFAULT_ENCODING,
+    encoding: Annotated[
+        str, typer.Option(metavar="|".join(encoding_names()), help="Of the map.")
+    ] = DEFAULT_ENCODING,
 ) -> None:
     """Record a drive, post it, build the map, localize what was held out, and print a table."""
     from app.demo.client import Client  # here: no other command needs an HTTP client

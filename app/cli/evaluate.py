@@ -39,12 +39,13 @@ from app.cli.options import (
     ranks,
     require_folder,
 )
+from core.encodings.registry import encoding_with
 from core.errors import InvalidParameters
 from core.evaluation.condition import conditions
 from core.evaluation.evaluate import EvaluationProtocol
 from core.evaluation.evaluate import evaluate as evaluate_drive
 from core.evaluation.result import Evaluation
-from core.parameters import MapParameters, Segmentation, encoding_with
+from core.parameters import MapParameters, Segmentation
 from core.scans.sensor import HDL_64E
 
 __all__ = ["evaluate"]

@@ -17,14 +17,13 @@ from app.cli.console import figure, output, progress_bar, say
 from app.localization.prior_schemas import hints_of
 from app.localization.schemas import LocalizationOut, SignaturesIn
 from app.revisions.topology_schemas import TopologyOut
-from core.arrays import Float32Array
-from core.encodings.basis import harmonic_basis_digest
-from core.encodings.harmonic import HarmonicModel
+from core.encodings.basis import Basis
+from core.encodings.registry import encoding_with
 from core.encodings.signature import Packing, pack_signatures
 from core.errors import InvalidParameters, InvalidScan
 from core.localization.localizer import Localization, Localizer
 from core.mapping.tensormap import TensorMap
-from core.parameters import Segmentation, encoding_with
+from core.parameters import Segmentation
 from core.scans.pose import path_length_m
 from core.scans.sensor import HDL_64E
 from storage.files.files import publish
@@ -91,13 +90,13 @@ def build(
         )
     except ValidationError as error:
         raise InvalidParameters(error.errors()[0]["msg"]) from None
-    radial_basis = None if keep_basis is None else _basis_of(keep_basis, parameters)
+    kept = None if keep_basis is None else _basis_of(keep_basis, parameters)
     recorded = [open_drive(drive, min_returns=options.MIN_RETURNS) for drive in drives]
     twice = {drive.name for drive in recorded if [d.name for d in recorded].count(drive.name) > 1}
     if twice:
         raise InvalidParameters(f"two of the drives are called {min(twice)!r}: rename a folder")
     with progress_bar() as progress:
-        built = build_drives(recorded, parameters, progress, radial_basis=radial_basis)
+        built = build_drives(recorded, parameters, progress, kept=kept)
     tensor_map = built.tensor_map
     with publish(output_file) as part:
         write_map(part, tensor_map)
@@ -117,17 +116,19 @@ def build(
         say("not calibrated: too few scans, or too close together, to learn trust from")
 
 
-def _basis_of(map_file: Path, parameters: BuildParameters) -> Float32Array:
-    """Return the radial basis of a map whose signatures are made as these parameters say."""
+def _basis_of(map_file: Path, parameters: BuildParameters) -> Basis:
+    """Return the basis of a map whose signatures are made as these parameters say."""
     kept = read_map(map_file)
-    if not isinstance(kept.model, HarmonicModel):
-        raise InvalidParameters(f"{map_file} is of the paper's encoding, it has no basis to keep")
-    u = kept.model.radial_basis
-    if harmonic_basis_digest(parameters.map_parameters(), u) != kept.basis_digest:
+    if not kept.parameters.encoder.shares_basis:
+        raise InvalidParameters(
+            f"{map_file} has bases of its own for each segment, it has no basis to keep"
+        )
+    basis = kept.basis()
+    if not basis.serves(parameters.map_parameters()):
         raise InvalidParameters(
             f"{map_file} makes signatures otherwise: {kept.parameters.as_attributes()}"
         )
-    return u
+    return basis
 
 
 def localize(
@@ -196,15 +197,15 @@ def localize(
             except (InvalidScan, UnknownFormat) as error:
                 unusable.append(str(error))
             progress.advance()
-    turns = localizer.map.parameters.distance is not None
-    _show_answers(answers, as_json=as_json, turns=turns)
+    _show_answers(answers, as_json=as_json)
     for reason in unusable:
         sys.stderr.write(f"tensormap: {reason}\n")
     if unusable:
         raise typer.Exit(1)
 
 
-def _show_answers(answers: list[tuple[Path, Localization]], *, as_json: bool, turns: bool) -> None:
+def _show_answers(answers: list[tuple[Path, Localization]], *, as_json: bool) -> None:
+    turns = any(found.best.lateral_m is not None for _, found in answers)
     table = Table("scan", "segment", "along", "map scan", "x m", "y m")
     for heading in (*(("turn deg", "left m") if turns else ()), "distance", "ratio", "probable"):
         table.add_column(heading)
@@ -222,7 +223,11 @@ def _show_answers(answers: list[tuple[Path, Localization]], *, as_json: bool, tu
                 f"{match.drive} {match.scan_index}",
                 "-" if place is None else f"{place.x_m:.2f}",
                 "-" if place is None else f"{place.y_m:.2f}",
-                *((figure(match.turn_deg, ".1f"), figure(match.lateral_m, ".1f")) if turns else ()),
+                *(
+                    (figure(match.relative_yaw_deg, ".1f"), figure(match.lateral_m, ".1f"))
+                    if turns
+                    else ()
+                ),
                 f"{match.distance:.4f}" if turns else f"{match.distance:.1f}",
                 figure(found.ratio, ".2f"),
                 _trust(found),
@@ -256,8 +261,11 @@ def signature(
 ) -> None:
     """Print a scan's signatures as JSON, ready to post."""
     tensor_map = read_map(map_file)
-    if segments is not None and tensor_map.parameters.distance is not None:
-        raise InvalidParameters("a harmonic signature is one for all segments: leave --segment out")
+    if segments is not None and not tensor_map.parameters.encoder.per_segment:
+        raise InvalidParameters(
+            f"a {tensor_map.parameters.encoding} signature is one for all segments: leave --segment"
+            " out"
+        )
     basis = tensor_map.basis(segments)
     media_type = None if format_name is None else media_type_of(format_name)
     read = read_scan_file(scan, min_returns=options.MIN_RETURNS, media_type=media_type)

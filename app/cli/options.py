@@ -8,7 +8,8 @@ from typing import Annotated, Any
 import typer
 
 from app.builds.parameters import PoseCheck
-from core.parameters import Distance, Encoding, Segmentation
+from core.encodings.registry import encoding_names
+from core.parameters import Distance, Segmentation
 from core.projection.imager import ImageKind
 from core.projection.reducer import Reducer
 from core.scans.sensor import SENSORS
@@ -68,8 +69,11 @@ FormatOption = Annotated[
     ),
 ]
 EncodingOption = Annotated[
-    Encoding | None,
-    _build(help="By default harmonic, or paper with a reducer that only the paper's has."),
+    str | None,
+    _build(
+        metavar="|".join(encoding_names()),
+        help="By default harmonic, or paper with a reducer that only the paper's has.",
+    ),
 ]
 SegmentationOption = Annotated[
     Segmentation,

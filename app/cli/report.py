@@ -18,9 +18,10 @@ from app.cli.options import (
     require_folder,
 )
 from app.report.provenance import provenance
+from core.encodings.registry import encoding_names
 from core.evaluation.study import Study
 from core.evaluation.study_drive import StudyProtocol, study_drive
-from core.parameters import Encoding, MapParameters
+from core.parameters import MapParameters
 from core.scans.sensor import HDL_64E
 from storage.files.files import publish
 
@@ -52,8 +53,12 @@ def report(
         Path, typer.Option("--output", "-o", metavar="REPORT.html", help="The page to write.")
     ],
     encoding: Annotated[
-        list[Encoding] | None,
-        typer.Option(help="One of them; both without it.", rich_help_panel=_PANEL),
+        list[str] | None,
+        typer.Option(
+            metavar="|".join(encoding_names()),
+            help="One of them; both without it.",
+            rich_help_panel=_PANEL,
+        ),
     ] = None,
     quick: Annotated[
         bool, typer.Option("--quick", help="Fewer candidates, 60 scans asked.")
@@ -95,7 +100,7 @@ def report(
     protocol = StudyProtocol(
         parameters=tuple(
             MapParameters.for_sensor(sensor, encoding=each, sensor_height_m=sensor_height_m)
-            for each in dict.fromkeys(encoding or Encoding)
+            for each in dict.fromkeys(encoding or encoding_names())
         ),
         max_queries=max_questions or (60 if quick else 200),
         ranks=None if ranks_text is None else ranks(ranks_text),

@@ -4,6 +4,7 @@ import time
 from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import accumulate
 from typing import Protocol
 
@@ -16,14 +17,12 @@ from app.demo.outcome import MAX_SCANS, RECALL_M, Fixes, Outcome
 from app.localization.schemas import LocalizationOut
 from app.revisions.topology_schemas import EdgeOut
 from core.arrays import BoolArray
-from core.encodings.basis import Basis, HarmonicBasis
+from core.encodings.basis import Basis
 from core.encodings.compression import Compression
-from core.encodings.harmonic import harmonic_elements
+from core.encodings.registry import DEFAULT_ENCODING
 from core.encodings.signature import Packing, pack_signatures
-from core.encodings.tucker import storage_elements
 from core.errors import InvalidScan
 from core.evaluation.split import Interleaved
-from core.parameters import DEFAULT_ENCODING, Encoding, MapParameters
 from core.progress import Progress
 from core.projection.reducer import Reducer
 from core.scans.drive import Drive
@@ -73,7 +72,7 @@ def run_demo(
     drive: Drive,
     held_out: BoolArray,
     progress: BuildProgress,
-    encoding: Encoding = DEFAULT_ENCODING,
+    encoding: str = DEFAULT_ENCODING,
 ) -> Outcome:
     """Record a drive, map four fifths of it over HTTP and localize the rest.
 
@@ -127,7 +126,7 @@ def run_demo(
             _ask(name, asked, drive, edge_of, answer, progress) for name, answer in ways.items()
         ),
         compression=Compression.of(
-            _elements(basis.parameters, segments, mapped),
+            basis.parameters.encoder.elements(basis.parameters, segments, mapped),
             scans=mapped,
             grid_shape=basis.parameters.grid.shape,
             returns=returns,
@@ -143,30 +142,28 @@ def _ways(
 ) -> dict[str, Callable[[_Query], tuple[LocalizationOut, int]]]:
     """Return the ways to ask, by what is sent."""
     whole = {"full scan": lambda q: _by_scan(client, q)}
-    if isinstance(basis, HarmonicBasis):
+    encoder = basis.parameters.encoder
+    if encoder.per_segment:
         return {
             **whole,
-            "signature, float16": lambda q: _by_signature(client, basis, q, None, Packing.FLOAT16),
-            "signature, int8": lambda q: _by_signature(client, basis, q, None, Packing.INT8),
+            "signatures, all segments": lambda q: _by_signature(client, basis, q, None),
+            "signature, segment known": lambda q: _by_signature(client, basis, q, q.segment),
         }
     return {
         **whole,
-        "signatures, all segments": lambda q: _by_signature(client, basis, q, None),
-        "signature, segment known": lambda q: _by_signature(client, basis, q, q.segment),
+        **{
+            f"signature, {packing}": partial(_packed, client, basis, packing)
+            for packing in sorted(encoder.packings)
+        },
     }
 
 
-def _elements(parameters: MapParameters, segments: int, scans: int) -> int:
-    shape, ranks = parameters.grid.shape, parameters.ranks
-    if parameters.lateral_renderings_m is None:
-        return storage_elements(segments, scans, shape, ranks)
-    return harmonic_elements(scans, len(parameters.lateral_renderings_m), shape[0], ranks)
-
-
-def _build(client: Client, progress: BuildProgress, encoding: Encoding) -> int:
+def _build(client: Client, progress: BuildProgress, encoding: str) -> int:
     """Build the map as a job, and return how many scans it holds."""
-    reducer = Reducer.NEAREST if encoding == Encoding.PAPER else None
-    job = client.build(BuildParameters(encoding=encoding, segments=_SEGMENTS, reducer=reducer))
+    parameters = BuildParameters(encoding=encoding, segments=_SEGMENTS)
+    if parameters.map_parameters().reducer == Reducer.LAST:  # depends on the order of returns
+        parameters = parameters.model_copy(update={"reducer": Reducer.NEAREST})
+    job = client.build(parameters)
     stage = ""
     while job.state != JobState.DONE:
         job = client.follow(job)
@@ -226,6 +223,12 @@ def _by_signature(
         signatures = tuple(s for s in signatures if s.segment == segment)
     packed = pack_signatures(signatures, packing)
     return client.localize_signature(packed), len(packed)
+
+
+def _packed(
+    client: Client, basis: Basis, packing: Packing, query: _Query
+) -> tuple[LocalizationOut, int]:
+    return _by_signature(client, basis, query, None, packing)
 
 
 def _is_usable(basis: Basis, scan: Scan) -> bool:

@@ -25,6 +25,8 @@ PoseQuery = Annotated[
 class PoseOut(Shown):
     """Where a scan of the map was taken: sensor to world."""
 
+    model_config = ConfigDict(from_attributes=True)
+
     x_m: float
     y_m: float
     z_m: float

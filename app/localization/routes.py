@@ -15,7 +15,7 @@ from app.http.pooled_route import heavy, pooled_router
 from app.http.problems import problems
 from app.localization.prior_schemas import HintsIn, MinProbability
 from app.localization.schemas import (
-    ENCODING_TAGS,
+    SIGNATURE_TAGS,
     LocalizationOut,
     NearestCount,
     SignaturesIn,
@@ -226,7 +226,7 @@ def read_signatures(body: bytes, content_type: str | None) -> tuple[Signature, .
         raise RequestValidationError(
             # The encoding was told by the fields' names: it is no place in the body.
             [
-                {**item, "loc": tuple(p for p in item["loc"] if p not in ENCODING_TAGS)}
+                {**item, "loc": tuple(p for p in item["loc"] if p not in SIGNATURE_TAGS)}
                 for item in error.errors()
             ]
         ) from None

@@ -3,9 +3,10 @@
 from collections.abc import Sequence
 from typing import Annotated, Any
 
-import numpy as np
 from fastapi import Query
 from pydantic import (
+    AfterValidator,
+    AliasChoices,
     BaseModel,
     ConfigDict,
     Discriminator,
@@ -14,20 +15,21 @@ from pydantic import (
     field_validator,
     model_validator,
 )
+from pydantic.json_schema import SkipJsonSchema
 
 from app.drives.pose_schemas import PoseOut
 from app.http.exact_types import Number, integers
-from core.arrays import Complex64Array
 from core.confidence.verdict import Refusal
+from core.encodings.registry import encoding_named, encoding_names
 from core.encodings.signature import Signature
-from core.errors import InvalidSignature
-from core.localization.localizer import Localization, Match
-from core.parameters import Encoding
+from core.localization.localizer import Localization
+from core.localization.match import Match
 
-__all__ = ["ENCODING_TAGS", "LocalizationOut", "NearestCount", "SignaturesIn"]
+__all__ = ["SIGNATURE_TAGS", "LocalizationOut", "NearestCount", "SignaturesIn"]
 
-ENCODING_TAGS = {Encoding.PAPER.value, Encoding.HARMONIC.value}
-"""Told apart by these in errors of pydantic's, where they stand between an item and its fields."""
+_OTHER = "other"
+SIGNATURE_TAGS = {"paper", "harmonic", _OTHER}
+"""Forms of a signature; pydantic's errors name them between an item and its fields."""
 
 NearestCount = Annotated[
     int, Query(alias="k", ge=1, le=1000, description="How many nearest scans to answer.")
@@ -70,18 +72,29 @@ class HarmonicSignatureIn(BaseModel):
     )
 
 
-def _encoding_of(item: Any) -> str:  # noqa: ANN401 - whatever a client sends
-    if isinstance(item, dict):
-        harmonic = bool({"values_real", "values_imag"} & item.keys())
-    else:
-        harmonic = isinstance(item, HarmonicSignatureIn)
-    return (Encoding.HARMONIC if harmonic else Encoding.PAPER).value
+def _of_registered(item: dict[str, Any]) -> dict[str, Any]:
+    name = item["encoding"]
+    if not isinstance(name, str) or name in SIGNATURE_TAGS or name not in encoding_names():
+        raise ValueError("no encoding of that name is registered besides ours")
+    return item
+
+
+# Of an encoding that was registered besides ours: it reads the rest by itself.
+_RegisteredSignatureIn = Annotated[dict[str, Any], AfterValidator(_of_registered)]
+
+
+def _form_of(item: Any) -> str:  # noqa: ANN401 - whatever a client sends
+    given = item if isinstance(item, dict) else getattr(item, "model_fields_set", ())
+    if {"values_real", "values_imag"} & set(given):
+        return "harmonic"
+    return _OTHER if "encoding" in given else "paper"
 
 
 SignatureIn = Annotated[
-    Annotated[SegmentSignatureIn, Tag(Encoding.PAPER.value)]
-    | Annotated[HarmonicSignatureIn, Tag(Encoding.HARMONIC.value)],
-    Discriminator(_encoding_of),
+    Annotated[SegmentSignatureIn, Tag("paper")]
+    | Annotated[HarmonicSignatureIn, Tag("harmonic")]
+    | Annotated[SkipJsonSchema[_RegisteredSignatureIn], Tag(_OTHER)],
+    Discriminator(_form_of),
 ]
 
 
@@ -138,7 +151,9 @@ class SignaturesIn(BaseModel):
         """Show signatures of one basis as they are sent."""
         return cls(
             basis=signatures[0].revision,
-            signatures=[_shown(signature) for signature in signatures],
+            signatures=[
+                encoding_named(signature.encoding).as_values(signature) for signature in signatures
+            ],
         )
 
     def to_core(self) -> tuple[Signature, ...]:
@@ -149,38 +164,16 @@ class SignaturesIn(BaseModel):
         """
         signatures = []
         for item in self.signatures:
-            if isinstance(item, HarmonicSignatureIn):
-                signatures.append(Signature(_complex(item), None, self.named))
-                continue
-            if len({len(row) for row in item.values}) > 1:
-                raise InvalidSignature(f"the rows of segment {item.segment} differ in length")
-            with np.errstate(over="ignore"):  # infinite then, and refused as such
-                values = np.array(item.values, dtype=np.float64).astype(np.float32)
-            signatures.append(Signature(values, item.segment, self.named))
+            values = dict(item) if isinstance(item, dict) else item.model_dump()
+            encoding = encoding_named(values.pop("encoding", _form_of(item)))
+            signatures.append(encoding.from_values(values, self.named))
         return tuple(signatures)
-
-
-def _shown(signature: Signature) -> SegmentSignatureIn | HarmonicSignatureIn:
-    values = signature.values
-    if signature.segment is None:
-        return HarmonicSignatureIn(
-            values_real=values.real.tolist(), values_imag=values.imag.tolist()
-        )
-    return SegmentSignatureIn(segment=signature.segment, values=values.tolist())
-
-
-def _complex(item: HarmonicSignatureIn) -> Complex64Array:
-    lengths = {len(row) for row in (*item.values_real, *item.values_imag)}
-    if len(lengths) > 1 or len(item.values_real) != len(item.values_imag):
-        raise InvalidSignature("values_real and values_imag are not of one shape r1 x r2")
-    values = np.zeros((len(item.values_real), lengths.pop()), np.complex64)
-    with np.errstate(over="ignore"):  # infinite then, and refused as such
-        values.real, values.imag = item.values_real, item.values_imag
-    return values
 
 
 class MatchOut(BaseModel):
     """A scan of the map, and how far the query is from it."""
+
+    model_config = ConfigDict(from_attributes=True)
 
     segment: int
     fraction: float = Field(description="How far along the segment: 0 at one node, 1 at the other.")
@@ -193,8 +186,9 @@ class MatchOut(BaseModel):
     timestamp_s: float | None
     pose: PoseOut | None
     turn_deg: float | None = Field(
+        validation_alias=AliasChoices("turn_deg", "relative_yaw_deg"),
         description="How far the query is turned from that scan, counter-clockwise, -180..180; null"
-        " in the paper's encoding."
+        " in the paper's encoding.",
     )
     lateral_m: float | None = Field(
         description="How far to the left of that scan the query stands; null likewise."
@@ -209,22 +203,7 @@ class MatchOut(BaseModel):
     @classmethod
     def from_core(cls, match: Match) -> "MatchOut":
         """Show a match."""
-        return cls(
-            segment=match.segment,
-            fraction=match.fraction,
-            along_m=match.along_m,
-            drive=match.drive,
-            scan_index=match.scan_index,
-            distance=match.distance,
-            timestamp_s=match.timestamp_s,
-            pose=None if match.pose is None else PoseOut.from_core(match.pose),
-            turn_deg=match.turn_deg,
-            lateral_m=match.lateral_m,
-            heading_deg=match.heading_deg,
-            estimated_pose=(
-                None if match.estimated_pose is None else PoseOut.from_core(match.estimated_pose)
-            ),
-        )
+        return cls.model_validate(match)
 
 
 class CovarianceOut(BaseModel):

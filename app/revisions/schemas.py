@@ -3,10 +3,9 @@
 from datetime import datetime
 from typing import Any
 
-import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from core.encodings.basis import Basis, HarmonicBasis, PaperBasis
+from core.encodings.basis import Basis
 from core.parameters import MapParameters
 from core.text import shown
 from storage.catalog import RevisionRecord
@@ -90,20 +89,7 @@ class BasisOut(BaseModel):
             revision=basis.revision,
             basis=basis.digest,
             parameters=basis.parameters.as_attributes(),
-            radial_basis=basis.radial_basis.tolist() if isinstance(basis, HarmonicBasis) else None,
-            segments=[
-                SegmentBasisOut(
-                    segment=segment, elevation_basis=u.tolist(), azimuth_basis=v.tolist()
-                )
-                for segment, u, v in zip(
-                    basis.segments.tolist(),
-                    basis.elevation_basis,
-                    basis.azimuth_basis,
-                    strict=True,
-                )
-            ]
-            if isinstance(basis, PaperBasis)
-            else [],
+            **{"segments": [], **basis.as_values()},
         )
 
     def to_core(self) -> Basis:
@@ -113,18 +99,6 @@ class BasisOut(BaseModel):
             InvalidMap: If they do not fit the parameters.
         """
         parameters = MapParameters.from_attributes(self.parameters)
-        if self.radial_basis is not None:
-            return HarmonicBasis(
-                self.revision,
-                self.basis,
-                parameters,
-                np.array(self.radial_basis, dtype=np.float32),
-            )
-        return PaperBasis(
-            self.revision,
-            self.basis,
-            parameters,
-            np.array([item.segment for item in self.segments]),
-            np.array([item.elevation_basis for item in self.segments], dtype=np.float32),
-            np.array([item.azimuth_basis for item in self.segments], dtype=np.float32),
+        return parameters.encoder.read_basis(
+            self.revision, self.basis, parameters, self.model_dump()
         )

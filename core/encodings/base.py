@@ -1,166 +1,256 @@
-"""What every encoding gives: its arrays, and a search through its scans."""
+"""What an encoding is: from images to signatures, bases and a map's model, as one object."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from core.arrays import BoolArray, FloatArray, IntArray
-from core.encodings.signature import Signature
-from core.errors import InvalidMap, UnknownSegment
+from core.arrays import Float32Array, FloatArray, IntArray
+from core.encodings.basis import Basis
+from core.encodings.distance import Distance
+from core.encodings.model import Model
+from core.encodings.signature import Packing, Signature
+from core.encodings.tucker import row_gram
+from core.errors import InvalidMap, InvalidParameters
+from core.progress import Progress
+from core.projection.imager import ImageKind
+from core.projection.images import ImageSource
+from core.projection.reducer import Reducer
+from core.scans.trajectory import Trajectory
 
-__all__ = ["Found", "Model", "Search", "Segmented", "nearest", "require_sane"]
+if TYPE_CHECKING:
+    from core.parameters import MapParameters
 
-_LARGEST_SIGNATURE = 1e12  # sums of squares stay finite in single precision too
-_LARGEST_OF_BASIS = 1.001  # its columns have length 1
+__all__ = ["Encoding"]
 
 
-@dataclass(frozen=True)
-class Found:
-    """A scan of the map, and how a query lies to it.
+class Encoding(ABC):
+    """How images become signatures, and how signatures are searched. It has no state.
+
+    One instance is registered under its name (`core.encodings.registry`); nothing outside of
+    `core.encodings` asks which one it is, but only what this class promises.
 
     Attributes:
-        row: Its row in the map.
-        distance: Between the signatures.
-        turn_deg: How far the query is turned from it, counter-clockwise, -180..180; `None` where
-            the encoding does not tell.
-        lateral_m: How far to the left of it the query stands, `None` likewise.
+        name: Of the parameters, files and wire.
+        reducers: The default reducer of each kind of image that it encodes, its default kind first.
+        wraps: Whether an image's columns must go around.
+        distance: The default of that parameter, `None` if it has one measure only.
+        lateral_renderings_m: Likewise from where scans are rendered, `None` if they are not.
+        implied_by: Reducers that mean this encoding where none is named.
+        dtypes: Of its own arrays in a map file, by name, `segment_start` left out.
+        layouts: Its layouts of packed signatures, and what they are called.
+        packings: How its signatures can be packed, the default first.
+        signature_dtype: Of a signature's values.
+        per_segment: Whether a signature is made with the bases of one segment.
+        shares_basis: Whether all segments share one basis, which other drives' maps can keep.
+        fits_to_grams: Whether it is fitted to the detail in each drive's images (`drive_gram`).
+        yaw_invariant: Whether a scan matches whatever the relative yaw of the query.
+        sharper: How much sharper the scans of one drive divide than a calibration's probes do:
+            these are disturbed in several ways at once. Measured on simulated cities.
     """
 
-    row: int
-    distance: float
-    turn_deg: float | None = None
-    lateral_m: float | None = None
+    name: ClassVar[str]
+    reducers: ClassVar[Mapping[ImageKind, Reducer]]
+    wraps: ClassVar[bool] = False
+    distance: ClassVar[Distance | None] = None
+    lateral_renderings_m: ClassVar[tuple[float, ...] | None] = None
+    implied_by: ClassVar[frozenset[Reducer]] = frozenset()
+    dtypes: ClassVar[Mapping[str, str]]
+    layouts: ClassVar[Mapping[int, str]]
+    packings: ClassVar[tuple[Packing, ...]] = (Packing.FLOAT16,)
+    signature_dtype: ClassVar[np.dtype[Any]] = np.dtype(np.float32)
+    per_segment: ClassVar[bool] = False
+    shares_basis: ClassVar[bool] = True
+    fits_to_grams: ClassVar[bool] = False
+    yaw_invariant: ClassVar[bool] = False
+    sharper: ClassVar[float] = 1.0
 
+    # --- Parameters
 
-class Search(Protocol):
-    """One query, ready to be compared with the scans of a map."""
-
-    @property
-    def segments(self) -> tuple[int, ...]:
-        """The segments that are searched, rising."""
-
-    def nearest(self, k: int, among: BoolArray | None = None) -> tuple[Found, ...]:
-        """Return the `k` nearest scans, nearest first, at most as many as there are.
-
-        Args:
-            k: At least 1.
-            among: `(K,)` which rows of the map come into question; all of them without it.
-        """
-
-    def distances(self, among: BoolArray | None = None) -> FloatArray:
-        """Return the exact distance of each scan, `(K,)`, that of its nearest rendering.
-
-        Infinite where a scan was not asked for, or is not compared by this query.
-
-        Args:
-            among: `(K,)` which rows are asked for; all of them without it.
-        """
-
-
-class Model(Protocol):
-    """The bases and signatures of a map in one encoding."""
-
-    @property
-    def segment_start(self) -> IntArray:
-        """`(L + 1,)` row of each segment's first scan, and K."""
-
-    @property
-    def segments(self) -> int:
-        """L, how many segments there are."""
-
-    @property
-    def segment_of_scan(self) -> IntArray:
-        """The segment of each scan, `(K,)`."""
-
-    @property
-    def ranks(self) -> tuple[int, int]:
-        """`(r1, r2)`, the shape of a signature."""
-
-    @property
-    def grid_shape(self) -> tuple[int, int]:
-        """`(I, J)`, the shape of an image."""
-
-    @property
-    def elements(self) -> int:
-        """How many numbers the bases and signatures are."""
-
-    def __len__(self) -> int:
-        """Return K, how many scans there are."""
-
-    def require_segments(self, segments: IntArray) -> None:
-        """Raise `UnknownSegment` unless the map has every one of `segments`."""
-
-    def arrays(self) -> dict[str, NDArray[Any]]:
-        """Return every array by its name in the file."""
-
-    def search(self, signatures: Sequence[Signature]) -> Search:
-        """Compare one scan's signatures with the map's.
+    def default_reducer(self, image: ImageKind) -> Reducer:
+        """Return the reducer of a kind of image where none is named.
 
         Raises:
-            InvalidSignature: If they are of another encoding or do not belong together.
-            UnknownSegment: If one is of a segment that the map does not have.
+            InvalidParameters: If this encoding is not of such images.
+        """
+        if image not in self.reducers:
+            raise InvalidParameters(
+                f"the {self.name} encoding is of {', '.join(self.reducers)} images,"
+                f" not of {image} images"
+            )
+        return self.reducers[image]
+
+    def largest_ranks(self, grid_shape: tuple[int, int]) -> tuple[int, int]:
+        """Return the largest `(r1, r2)` on a grid of `(I, J)` cells."""
+        return grid_shape
+
+    def require_parameters(self, parameters: "MapParameters") -> None:
+        """Refuse parameters that are not of this encoding.
+
+        Raises:
+            InvalidParameters: If the image, the grid, the ranks or one of the parameters that not
+                every encoding has do not fit.
+        """
+        self.default_reducer(parameters.image)
+        if self.wraps and not parameters.grid.wraps:
+            raise InvalidParameters(
+                f"a {self.name} map's grid wraps: relative yaw must not have a seam"
+            )
+        for name in ("distance", "lateral_renderings_m"):
+            wanted, given = getattr(self, name), getattr(parameters, name)
+            if wanted is None and given is not None:
+                raise InvalidParameters(f"{name} is no parameter of the {self.name} encoding")
+            if wanted is not None and given is None:
+                raise InvalidParameters(f"a {self.name} map wants {name}")
+        most = self.largest_ranks(parameters.grid.shape)
+        for rank, size, name in zip(parameters.ranks, most, ("r1", "r2"), strict=True):
+            if not 1 <= rank <= size:
+                raise InvalidParameters(f"{name} is {rank}, wanted 1..{size} on this grid")
+
+    @abstractmethod
+    def elements(self, parameters: "MapParameters", segments: int, scans: int) -> int:
+        """Return how many numbers the bases and signatures of a map are (paper, sec. 2.4)."""
+
+    # --- Images to a model
+
+    @abstractmethod
+    def fit(
+        self,
+        images: ImageSource,
+        trajectory: Trajectory,
+        segment_start: IntArray,
+        parameters: "MapParameters",
+        progress: Progress,
+        kept: Basis | None = None,
+        grams: Mapping[str, FloatArray] | None = None,
+    ) -> tuple[Model, FloatArray]:
+        """Fit the bases and encode every scan.
+
+        The result depends on nothing but the images and the cuts: each segment is summed in blocks
+        that begin at its first scan, and segments in their order.
+
+        Args:
+            images: One image a scan of the trajectory, on the parameters' grid.
+            trajectory: Which drive each scan is of.
+            segment_start: `(L + 1,)` rows where segments begin, and K.
+            parameters: Ranks and all that queries must share with the map.
+            progress: Receives every image of each pass.
+            kept: A basis that `serves` these parameters, to keep instead of fitting one.
+            grams: What `drive_gram` gave for every drive, by name, if it is known already.
+
+        Returns:
+            The model, and `(L,)` |X - X^| / |X| of each segment's images.
+
+        Raises:
+            InvalidParameters: If the basis or the sums do not fit the parameters or drives.
+            InvalidImage: If the source reads other images than it was asked for.
         """
 
+    def explaining_grams(self, images: Float32Array) -> tuple[FloatArray, ...]:
+        """Return `(n, I, J)` images' Gram matrix for each mode that a segment's model has.
 
-class Segmented:
-    """Scans in order, cut into segments."""
+        Unequal segments grow while that model explains them. By default that is the row space,
+        which relative yaw does not change.
+        """
+        return (row_gram(images),)
 
-    segment_start: IntArray
+    def rank_sweep(
+        self,
+        images: ImageSource,
+        queries: Float32Array,
+        cuts: Sequence[IntArray],
+        ranks: tuple[Sequence[int], Sequence[int]],
+        parameters: "MapParameters",
+        progress: Progress,
+    ) -> tuple[IntArray, FloatArray]:
+        """Return the nearest scan of every query in maps of all ranks and cuts.
 
-    def _require_rising(self, scans: int) -> None:
-        starts = self.segment_start
-        if starts.ndim != 1 or len(starts) < 2 or starts[0] != 0 or (np.diff(starts) < 1).any():
-            raise InvalidMap("segment_start does not rise from 0 through every segment")
-        if starts[-1] != scans:
-            raise InvalidMap(f"segment_start ends at {starts[-1]}, there are {scans} signatures")
+        Args:
+            images: Of the mapped scans.
+            queries: `(n, I, J)`.
+            cuts: Segment starts of each map.
+            ranks: Rising r1 and rising r2.
+            parameters: Of the maps, but for their ranks.
+            progress: Receives every image, and every scan of each map.
 
-    def __len__(self) -> int:
-        return int(self.segment_start[-1])
+        Returns:
+            Rows `(len(cuts), n, len(r1), len(r2))`, and relative errors without the axis of `n`.
 
-    @property
-    def segments(self) -> int:
-        """L, how many segments there are."""
-        return len(self.segment_start) - 1
+        Raises:
+            InvalidParameters: If this encoding has no sweep.
+        """
+        del images, queries, cuts, ranks, parameters, progress
+        raise InvalidParameters(f"ranks of the {self.name} encoding cannot be swept")
 
-    @property
-    def segment_of_scan(self) -> IntArray:
-        """The segment of each scan, `(K,)`."""
-        return np.repeat(np.arange(self.segments), np.diff(self.segment_start))
+    # --- Files and wire
 
-    def require_segments(self, segments: IntArray) -> None:
-        """Raise `UnknownSegment` unless the map has every one of `segments`."""
-        unknown = segments[(segments < 0) | (segments >= self.segments)]
-        if len(unknown):
-            raise UnknownSegment(
-                f"there is no segment {unknown[0]}; the map has 0..{self.segments - 1}"
-            )
+    @abstractmethod
+    def read_model(self, parameters: "MapParameters", arrays: Mapping[str, NDArray[Any]]) -> Model:
+        """Return the model that `Model.arrays` gave.
 
+        Raises:
+            InvalidMap: If the arrays do not fit together.
+            KeyError: If one is missing.
+        """
 
-def require_sane(bases: Mapping[str, NDArray[Any]], signatures: NDArray[Any]) -> None:
-    """Refuse numbers that no build makes, and with which no distance is finite.
+    def require_model(self, model: Model, parameters: "MapParameters") -> None:
+        """Raise `InvalidMap` unless the model is of this encoding and these parameters."""
+        if model.encoding != self.name:
+            raise InvalidMap(f"the model is not of the encoding {self.name}")
+        if model.ranks != parameters.ranks:
+            raise InvalidMap(f"signatures are {model.ranks}, ranks {parameters.ranks}")
+        if model.grid_shape != parameters.grid.shape:
+            raise InvalidMap(f"bases are for {model.grid_shape}, not for the grid")
 
-    Raises:
-        InvalidMap: If one is not finite or too large.
-    """
-    for name, array, most in (
-        *((name, basis, _LARGEST_OF_BASIS) for name, basis in bases.items()),
-        ("signatures", signatures, _LARGEST_SIGNATURE),
-    ):
-        # Parts, not magnitudes: those of complex numbers take ten times as long.
-        parts = array.view(array.real.dtype)
-        if not np.isfinite(parts).all():
-            raise InvalidMap(f"{name} holds numbers that are not finite")
-        if parts.size and max(-parts.min(), parts.max()) > most:
-            raise InvalidMap(f"{name} holds numbers beyond {most:g}")
+    @abstractmethod
+    def read_basis(
+        self, revision: str, digest: str, parameters: "MapParameters", values: Mapping[str, Any]
+    ) -> Basis:
+        """Return the basis whose `as_values` these are.
 
+        Raises:
+            InvalidMap: If they do not fit the parameters or the digest.
+        """
 
-def nearest(distances: FloatArray, k: int) -> IntArray:
-    """Return the indices of the `k` smallest, nearest first, earlier ones first among equals."""
-    if k >= len(distances):
-        return np.argsort(distances, kind="stable")
-    bound = np.partition(distances, k - 1)[k - 1]
-    candidates = np.flatnonzero(distances <= bound)
-    return candidates[np.argsort(distances[candidates], kind="stable")][:k]
+    def require_values(self, values: NDArray[Any]) -> None:
+        """Raise `InvalidSignature` unless these `(r1, r2)` finite values can be a signature."""
+        del values
+
+    def weighted(self, values: NDArray[Any]) -> NDArray[Any]:
+        """Return `(..., r1, r2)` values whose plain inner product is that of signatures."""
+        return values.astype(np.float64)
+
+    @abstractmethod
+    def pack(self, signatures: Sequence[Signature], packing: Packing) -> tuple[int, bytes]:
+        """Return the layout, and the bytes that follow the header.
+
+        Raises:
+            InvalidSignature: If they cannot be packed that way.
+        """
+
+    @abstractmethod
+    def unpack(
+        self, layout: int, body: bytes, shape: tuple[int, int], revision: str
+    ) -> tuple[Signature, ...]:
+        """Read what `pack` gave.
+
+        Raises:
+            InvalidSignature: If the bytes are not of that layout.
+        """
+
+    @abstractmethod
+    def as_values(self, signature: Signature) -> dict[str, Any]:
+        """Return one signature as plain values, its revision left out.
+
+        An encoding that is registered besides ours puts its name under `encoding`.
+        """
+
+    @abstractmethod
+    def from_values(self, values: Mapping[str, Any], revision: str) -> Signature:
+        """Return the signature whose `as_values` these are.
+
+        Raises:
+            InvalidSignature: If they are no signature.
+        """

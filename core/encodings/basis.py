@@ -1,30 +1,23 @@
 """What a vehicle downloads once to make signatures on board."""
 
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
 from numpy.typing import NDArray
 
-from core.arrays import Float32Array, IntArray, frozen
-from core.encodings.harmonic import encode
+from core.arrays import FloatArray
 from core.encodings.signature import Signature
-from core.errors import InvalidMap, SensorMismatch
-from core.parameters import MapParameters
+from core.errors import SensorMismatch
 from core.projection.height_image import HeightImage
 from core.projection.imager import Image, ImageKind
-from core.revision import content_digest
 from core.scans.scan import Scan
 
-__all__ = [
-    "Basis",
-    "HarmonicBasis",
-    "PaperBasis",
-    "harmonic_basis_digest",
-    "make_same_signatures",
-    "paper_basis_digests",
-]
+if TYPE_CHECKING:
+    from core.parameters import MapParameters
+
+__all__ = ["Basis", "BasisFit", "make_same_signatures", "signature_parameters"]
 
 _OF_SIGNATURES = (
     "encoding",
@@ -37,41 +30,48 @@ _OF_SIGNATURES = (
 )
 """The parameters that a signature depends on; how signatures are compared is none of them."""
 
-
-def harmonic_basis_digest(parameters: MapParameters, radial_basis: Float32Array) -> str:
-    """Return what names a harmonic basis: equal ones make equal signatures of every scan."""
-    return content_digest({"radial_basis": radial_basis}, _of_signatures(parameters))
+_MUCH_WORSE = 1.02
+"""Of the error that a refitted basis leaves: docs/decisions/0014-merging-and-basis-identity.md."""
 
 
-def make_same_signatures(one: MapParameters, other: MapParameters) -> bool:
-    """Return whether maps of these parameters that share a basis encode every scan alike."""
-    return _of_signatures(one) == _of_signatures(other)
-
-
-def paper_basis_digests(
-    parameters: MapParameters, elevation_basis: Float32Array, azimuth_basis: Float32Array
-) -> tuple[str, ...]:
-    """Return what names the bases of the first 1, 2, ... L segments, `L` digests.
-
-    Each is made of the one before and one segment more. So who holds the bases of a map's first
-    segments holds a part of every map that continues with others: adding a drive at the end leaves
-    the digest of what was there as it was.
-
-    Args:
-        parameters: Of the map.
-        elevation_basis: `(L, I, r1)`.
-        azimuth_basis: `(L, J, r2)`.
-    """
-    digests: list[str] = []
-    for u, v in zip(elevation_basis, azimuth_basis, strict=True):
-        before = {"before": digests[-1]} if digests else _of_signatures(parameters)
-        digests.append(content_digest({"elevation_basis": u, "azimuth_basis": v}, before))
-    return tuple(digests)
-
-
-def _of_signatures(parameters: MapParameters) -> dict[str, Any]:
+def signature_parameters(parameters: "MapParameters") -> dict[str, Any]:
+    """Return the parameters that a signature depends on, as plain values."""
     attributes = {**parameters.as_attributes(), "image": parameters.image.value}
     return {name: attributes[name] for name in _OF_SIGNATURES}
+
+
+def make_same_signatures(one: "MapParameters", other: "MapParameters") -> bool:
+    """Return whether a basis of maps of `one` makes the signatures of maps of `other` too.
+
+    It must be one for all segments.
+    """
+    return one.encoder.shares_basis and signature_parameters(one) == signature_parameters(other)
+
+
+@dataclass(frozen=True)
+class BasisFit:
+    """How well a basis that was kept fits one drive.
+
+    Attributes:
+        drive: Its name.
+        kept_error: `radial_error` over the renderings of its scans, U kept.
+        refitted_error: The same with U fitted anew to all drives that are at hand.
+    """
+
+    drive: str
+    kept_error: float
+    refitted_error: float
+
+    @property
+    def much_worse(self) -> bool:
+        """Whether refitting would be worth asking vehicles to download their basis again."""
+        return self.kept_error > _MUCH_WORSE * self.refitted_error
+
+    def __str__(self) -> str:
+        return (
+            f"the basis that was kept leaves out {self.kept_error:.3f} of the detail of drive"
+            f" {self.drive}, one fitted anew would leave out {self.refitted_error:.3f}"
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +87,15 @@ class Basis(ABC):
 
     revision: str
     digest: str
-    parameters: MapParameters
+    parameters: "MapParameters"
+
+    @abstractmethod
+    def project(self, image: Image) -> NDArray[Any]:
+        """Return the values of the image's signatures, as `Model.search_values` takes them.
+
+        Raises:
+            SensorMismatch: If the image is of another kind or on another grid.
+        """
 
     @abstractmethod
     def encode(self, image: Image) -> tuple[Signature, ...]:
@@ -100,6 +108,29 @@ class Basis(ABC):
     @abstractmethod
     def arrays(self) -> dict[str, NDArray[Any]]:
         """Return every array by its name."""
+
+    @abstractmethod
+    def as_values(self) -> dict[str, Any]:
+        """Return the arrays as plain values, as `Encoding.read_basis` takes them."""
+
+    def fits(self, grams: Mapping[str, FloatArray]) -> tuple[BasisFit, ...]:
+        """Compare this basis with one fitted to all of these drives, drive by drive.
+
+        Args:
+            grams: What `core.encodings.grams.drive_gram` gave for each drive, by name.
+
+        Returns:
+            Nothing if the encoding fits its basis to no drive.
+        """
+        del grams
+        return ()
+
+    def serves(self, parameters: "MapParameters") -> bool:
+        """Return whether a map of these parameters can keep this basis.
+
+        Signatures made with it then stay good.
+        """
+        return make_same_signatures(self.parameters, parameters)
 
     def image(self, scan: Scan, sensor_height_m: float | None = None) -> Image:
         """Project a scan as the map's own scans were.
@@ -122,82 +153,3 @@ class Basis(ABC):
             )
         if image.grid != self.parameters.grid:
             raise SensorMismatch(f"the image is on {image.grid}, the map on {self.parameters.grid}")
-
-
-@dataclass(frozen=True, eq=False)
-class PaperBasis(Basis):
-    """The bases of some segments of one revision in the paper's encoding.
-
-    Its digest is that of the bases of all segments of the revision.
-
-    Attributes:
-        segments: `(S,)` which segments these are.
-        elevation_basis: `(S, I, r1)` float32.
-        azimuth_basis: `(S, J, r2)` float32.
-    """
-
-    segments: IntArray
-    elevation_basis: Float32Array
-    azimuth_basis: Float32Array
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "segments", frozen(self.segments, np.int64))
-        object.__setattr__(self, "elevation_basis", frozen(self.elevation_basis, np.float32))
-        object.__setattr__(self, "azimuth_basis", frozen(self.azimuth_basis, np.float32))
-        (rows, columns), (r1, r2) = self.parameters.grid.shape, self.parameters.ranks
-        count = len(self.segments)
-        if self.elevation_basis.shape != (count, rows, r1):
-            raise InvalidMap(f"elevation_basis has shape {self.elevation_basis.shape}")
-        if self.azimuth_basis.shape != (count, columns, r2):
-            raise InvalidMap(f"azimuth_basis has shape {self.azimuth_basis.shape}")
-
-    def arrays(self) -> dict[str, NDArray[Any]]:
-        """Return every array by its name."""
-        return {
-            "segments": self.segments,
-            "elevation_basis": self.elevation_basis,
-            "azimuth_basis": self.azimuth_basis,
-        }
-
-    def encode(self, image: Image) -> tuple[Signature, ...]:
-        """Return the image's signature in each segment's bases."""
-        self.require_grid(image)
-        values = (
-            self.elevation_basis.transpose(0, 2, 1)
-            @ image.cells.astype(np.float64)
-            @ self.azimuth_basis
-        )
-        return tuple(
-            Signature(slice_.astype(np.float32), segment, self.digest)
-            for slice_, segment in zip(values, self.segments.tolist(), strict=True)
-        )
-
-
-@dataclass(frozen=True, eq=False)
-class HarmonicBasis(Basis):
-    """The one basis of a revision in the harmonic encoding; the azimuth factor is a formula.
-
-    Attributes:
-        radial_basis: `(I, r1)` float32.
-    """
-
-    radial_basis: Float32Array
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "radial_basis", frozen(self.radial_basis, np.float32))
-        wanted = (self.parameters.grid.rows, self.parameters.ranks[0])
-        if self.radial_basis.shape != wanted:
-            raise InvalidMap(f"radial_basis has shape {self.radial_basis.shape}, wanted {wanted}")
-        own = harmonic_basis_digest(self.parameters, self.radial_basis)
-        if self.digest != own:
-            raise InvalidMap(f"the basis says it is {self.digest}, its content is {own}")
-
-    def arrays(self) -> dict[str, NDArray[Any]]:
-        """Return every array by its name."""
-        return {"radial_basis": self.radial_basis}
-
-    def encode(self, image: Image) -> tuple[Signature, ...]:
-        """Return the image's one signature, good for all segments."""
-        self.require_grid(image)
-        values = encode(image.cells, self.radial_basis, self.parameters.ranks[1])
-        return (Signature(values.astype(np.complex64), None, self.digest),)

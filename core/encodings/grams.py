@@ -5,8 +5,9 @@ from collections.abc import Mapping
 import numpy as np
 
 from core.arrays import Float32Array, FloatArray
-from core.encodings.harmonic import azimuth_factor, weights
-from core.encodings.tucker import BLOCK_SCANS, leading_basis, row_gram
+from core.encodings.blocks import BLOCK_SCANS
+from core.encodings.harmonics import azimuth_factor, weights
+from core.encodings.tucker import leading_basis, row_gram
 from core.errors import InvalidImage
 from core.progress import NO_PROGRESS, Progress
 from core.projection.images import ImageSource

@@ -12,10 +12,10 @@ import numpy as np
 from scipy.linalg import eigh
 
 from core.arrays import Float32Array, FloatArray
+from core.encodings.blocks import BLOCK_SCANS
 from core.errors import InvalidParameters
 
 __all__ = [
-    "BLOCK_SCANS",
     "Grams",
     "leading_basis",
     "project",
@@ -23,8 +23,6 @@ __all__ = [
     "row_gram",
     "storage_elements",
 ]
-
-BLOCK_SCANS = 32  # 2.8 MB of float64 on the paper's grid: inside a cache, yet long enough for BLAS
 
 
 @dataclass(frozen=True, eq=False)

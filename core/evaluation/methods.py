@@ -105,7 +105,7 @@ class MappedPlaces:
     @property
     def name(self) -> str:
         """The encoding."""
-        return self.parameters.encoding.value
+        return self.parameters.encoding
 
     def configuration(self) -> dict[str, Any]:
         """Return the map's parameters."""
@@ -137,7 +137,14 @@ def _nearest_in_map(
 ) -> Nearest | None:
     among = None if before is None else np.arange(len(tensor_map)) < before
     found = tensor_map.model.search(signatures).nearest(1, among)
-    return Nearest(found[0].row, found[0].distance, found[0].turn_deg) if found else None
+    if not len(found):
+        return None
+    yaw_deg = found.relative_yaw_deg[0]
+    return Nearest(
+        int(found.rows[0]),
+        float(found.distances[0]),
+        None if np.isnan(yaw_deg) else float(yaw_deg),
+    )
 
 
 @dataclass(frozen=True, eq=False)

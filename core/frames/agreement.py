@@ -12,12 +12,9 @@ import numpy as np
 
 from core.arrays import BoolArray, FloatArray, IntArray
 from core.confidence.places import away_from
-from core.encodings.base import Search
-from core.encodings.harmonic import HarmonicModel, HarmonicSearch
-from core.encodings.signature import Signature
 from core.errors import FramesDisagree
 from core.frames.rigid import RigidTransform, find_consensus
-from core.localization.estimate import estimate
+from core.localization.match import match_at
 from core.mapping.tensormap import TensorMap
 from core.progress import NO_PROGRESS, Progress
 from core.projection.probe import probed_among
@@ -200,25 +197,32 @@ def _clear_matches(
     tensor_map: TensorMap, rows: IntArray, among: BoolArray, progress: Progress
 ) -> _Matches:
     trajectory, poses = tensor_map.trajectory, tensor_map.trajectory.poses
-    queries = _OwnQueries(tensor_map, among)
+    model = tensor_map.model
+    # What a query would send; the paper's is brought into the bases of the drives before.
+    segments = np.unique(model.segment_of_scan[among])
+    queries = model.own_queries(rows.tolist(), tensor_map.basis_digest, segments)
     kept: list[tuple[int, int]] = []
     places: list[tuple[FloatArray, FloatArray]] = []
-    for row in rows.tolist():
-        search = queries.search(row)
-        (found,) = search.nearest(1, among)
-        away = search.nearest(1, among & away_from(trajectory, found.row))
-        if away and found.distance < _CLEAR * away[0].distance:
-            matched = poses[found.row]
-            if isinstance(search, HarmonicSearch):
-                pose = estimate(search, trajectory, found).pose
-                matched = matched if pose is None else np.array(pose.as_tuple())
-            kept.append((row, found.row))
-            places.append((pose_beside(poses[row], queries.left_m), matched))
+    for row, signatures in zip(rows.tolist(), queries, strict=True):
+        search = model.search(signatures)
+        found = search.nearest(1, among)
+        nearest = int(found.rows[0])
+        away = search.nearest(1, among & away_from(trajectory, nearest))
+        if len(away) and found.distances[0] < _CLEAR * away.distances[0]:
+            pose = match_at(tensor_map, search, found).estimated_pose
+            kept.append((row, nearest))
+            places.append(
+                (
+                    pose_beside(poses[row], model.recorded_lateral_m),
+                    poses[nearest] if pose is None else np.array(pose.as_tuple()),
+                )
+            )
         progress.advance()
     pairs = np.array(kept, dtype=np.int64).reshape(-1, 2)
     both = np.array(places, dtype=np.float64).reshape(-1, 2, 7)
     mine, theirs = both[:, 0], both[:, 1]
-    turns_known = queries.turns_known
+    # A scan of an encoding that is not yaw-invariant matches only who looks as it was recorded.
+    turns_known = model.gives_relative_yaw or not tensor_map.parameters.encoder.yaw_invariant
     ahead = np.radians(heading_deg(poses[pairs[:, 1]]))
     x_m, y_m, z_m = (theirs - mine)[:, :3].T
     along_m = np.hypot(x_m * np.cos(ahead) + y_m * np.sin(ahead), z_m)
@@ -286,56 +290,3 @@ def _places(points_m: FloatArray, matched_m: FloatArray) -> int:
         if all((np.linalg.norm(place - other, axis=1) >= _PLACE_M).all() for other in kept):
             kept.append(place)
     return len(kept)
-
-
-class _OwnQueries:
-    """The scans of a map as queries to some of its drives.
-
-    A harmonic signature is one in the whole map. The paper's is brought from the bases of its
-    segment into those of the others: what they leave out of the image is missing there.
-
-    Attributes:
-        left_m: How far to the left of its scan each query is seen from.
-        turns_known: Whether a match says how far the query is turned; the paper's encoding answers
-            only who drives as was mapped.
-    """
-
-    def __init__(self, tensor_map: TensorMap, among: BoolArray) -> None:
-        self._map = tensor_map
-        self._rendering = 0
-        self.left_m, self.turns_known = 0.0, True
-        self._segment: int | None = None
-        self._segments = np.unique(tensor_map.model.segment_of_scan[among])
-        model = tensor_map.model
-        if isinstance(model, HarmonicModel):
-            self._rendering = int(np.abs(model.lateral_offset_m).argmin())
-            self.left_m = float(model.lateral_offset_m[self._rendering])
-            self.turns_known = model.ranks[1] > 1
-
-    def search(self, row: int) -> Search:
-        """Return the search for one scan."""
-        model, digest = self._map.model, self._map.basis_digest
-        if isinstance(model, HarmonicModel):
-            return model.search([Signature(model.signatures[row, self._rendering], None, digest)])
-        segment = int(model.segment_of_scan[row])
-        if segment != self._segment:
-            self._segment = segment
-            self._u = np.einsum(
-                "lia,ib->lab",
-                model.elevation_basis[self._segments],
-                model.elevation_basis[segment],
-                dtype=np.float64,
-            )
-            self._v = np.einsum(
-                "lja,jb->lab",
-                model.azimuth_basis[self._segments],
-                model.azimuth_basis[segment],
-                dtype=np.float64,
-            )
-        values = self._u @ model.signatures[row].astype(np.float64) @ self._v.swapaxes(1, 2)
-        return model.search(
-            [
-                Signature(of_segment, index, digest)
-                for of_segment, index in zip(values, self._segments.tolist(), strict=True)
-            ]
-        )

@@ -10,7 +10,7 @@ from core.confidence.calibration import Calibration
 from core.confidence.places import away_from, close_along_m
 from core.confidence.spread import Deviation, along_spread_m
 from core.confidence.verdict import Refusal, Verdict, judge
-from core.encodings.base import Found, Search
+from core.encodings.model import Neighbours, Search
 from core.localization.priors import Prior, nearest_within
 from core.mapping.tensormap import TensorMap
 
@@ -26,14 +26,14 @@ class Candidates:
 
     Attributes:
         matches: The k best, best first; at least one.
-        runner_up: The best away from the winner.
+        away: The best away from the winner, none or one.
         share: Of the map's scans, how many came into question.
         outside: What is nearest in the whole map, where hints exclude it.
         hinted: Whether `matches` are within the hints; if nothing is, they are of the whole map.
     """
 
-    matches: tuple[Found, ...]
-    runner_up: Found | None
+    matches: Neighbours
+    away: Neighbours
     share: float
     outside: "Candidates | None" = None
     hinted: bool = True
@@ -41,11 +41,11 @@ class Candidates:
     @property
     def ratio(self) -> float | None:
         """Distance of the winner over that of the runner-up, at most 1."""
-        if self.runner_up is None:
+        if not len(self.away):
             return None
-        if self.runner_up.distance == 0.0:
-            return 1.0
-        return min(1.0, self.matches[0].distance / self.runner_up.distance)
+        if self.away.distances[0] == 0.0:
+            return 1.0  # both places are exactly the query
+        return min(1.0, float(self.matches.distances[0] / self.away.distances[0]))
 
     def judge(
         self,
@@ -60,7 +60,7 @@ class Candidates:
         """
         verdict = judge(
             calibration,
-            self.matches[0].distance,
+            float(self.matches.distances[0]),
             self.ratio,
             share=self.share,
             min_probability=min_probability,
@@ -72,7 +72,7 @@ class Candidates:
             return verdict
         elsewhere = self.outside.judge(calibration, min_probability, occupied_cells)
         inside, outside = calibration.log_likelihood_ratio(
-            np.array([self.matches[0].distance, self.outside.matches[0].distance])
+            np.array([self.matches.distances[0], self.outside.matches.distances[0]])
         )
         if elsewhere.localized and outside - inside > _FAR_BETTER:
             return replace(verdict, reason=Refusal.OUTSIDE_PRIOR)
@@ -86,19 +86,19 @@ def find_candidates(
     searched = np.isin(tensor_map.model.segment_of_scan, search.segments)
     if prior is None:
         matches = search.nearest(k)
-        away = search.nearest(1, away_from(tensor_map.trajectory, matches[0].row))
-        return Candidates(matches, away[0] if away else None, float(searched.mean()))
+        away = search.nearest(1, away_from(tensor_map.trajectory, int(matches.rows[0])))
+        return Candidates(matches, away, float(searched.mean()))
     whole = find_candidates(tensor_map, search, k)
     matches = _weighed(tensor_map, search, max(k, _WEIGHED), prior)[:k]
-    if not matches:
+    if not len(matches):
         return replace(whole, hinted=False)
-    away_mask = away_from(tensor_map.trajectory, matches[0].row)
+    away_mask = away_from(tensor_map.trajectory, int(matches.rows[0]))
     away = _weighed(tensor_map, search, _WEIGHED, prior, away_mask)
     return Candidates(
         matches,
-        away[0] if away else None,
+        away[:1],
         prior.share * float(searched[prior.rows].mean()),
-        None if prior.allows(whole.matches[0]) else whole,
+        None if prior.allows(whole.matches)[0] else whole,
     )
 
 
@@ -108,23 +108,22 @@ def _weighed(
     k: int,
     prior: Prior,
     among: BoolArray | None = None,
-) -> tuple[Found, ...]:
+) -> Neighbours:
     """Return the nearest within a prior, the likeliest first; without calibration the nearest."""
     found = nearest_within(search, k, prior, among)
     calibration = tensor_map.calibration
-    if calibration is None or not found:
+    if calibration is None:
         return found
-    fits = calibration.log_likelihood_ratio(np.array([each.distance for each in found]))
-    likely = fits + [prior.log_weight(each) for each in found]
-    return tuple(found[i] for i in np.argsort(-likely, kind="stable").tolist())
+    likely = calibration.log_likelihood_ratio(found.distances) + prior.log_weight(found)
+    return found[np.argsort(-likely, kind="stable")]
 
 
-def deviation_of(tensor_map: TensorMap, search: Search, best: Found) -> Deviation | None:
-    """Return how far off a match may be if it is right, `None` where the map cannot tell."""
+def deviation_of(tensor_map: TensorMap, search: Search, found: Neighbours) -> Deviation | None:
+    """Return how far off the first match may be if it is right, `None` where not known."""
     calibration = tensor_map.calibration
     if calibration is None or calibration.spread is None:
         return None
-    near = close_along_m(tensor_map.trajectory, best.row)
+    near = close_along_m(tensor_map.trajectory, int(found.rows[0]))
     if near is None:
         return None
     rows, along_m = near
@@ -133,4 +132,6 @@ def deviation_of(tensor_map: TensorMap, search: Search, best: Found) -> Deviatio
     distances = search.distances(asked)[rows]
     compared = np.isfinite(distances)
     fits = calibration.log_likelihood_ratio(distances[compared])
-    return calibration.spread.deviation(best.distance, along_spread_m(along_m[compared], fits))
+    return calibration.spread.deviation(
+        float(found.distances[0]), along_spread_m(along_m[compared], fits)
+    )

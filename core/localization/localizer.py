@@ -1,6 +1,5 @@
 """Where am I: the map's scan with the closest signature (paper, sec. 2.3)."""
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -9,8 +8,7 @@ import numpy as np
 from core.confidence.places import AWAY_M, AWAY_SCANS
 from core.confidence.spread import Deviation
 from core.confidence.verdict import Verdict
-from core.encodings.base import Found, Search
-from core.encodings.harmonic import HarmonicSearch
+from core.encodings.model import Neighbours, Search
 from core.encodings.signature import REVISION_PREFIX_BYTES, Signature
 from core.errors import (
     InvalidParameters,
@@ -19,55 +17,13 @@ from core.errors import (
     UnknownSegment,
 )
 from core.localization.candidates import deviation_of, find_candidates
-from core.localization.estimate import estimate
+from core.localization.match import Match, match_at
 from core.localization.priors import NO_HINTS, Hints, Prior
 from core.mapping.tensormap import TensorMap
 from core.projection.imager import Image
-from core.scans.pose import Pose, path_length_m
 from core.scans.scan import Scan
 
 __all__ = ["AWAY_M", "AWAY_SCANS", "Localization", "Localizer", "Match"]
-
-
-@dataclass(frozen=True)
-class Match:
-    """A scan of the map, and how far the query is from it.
-
-    Attributes:
-        segment: The segment it lies on.
-        fraction: How far along the segment, 0 where it begins and 1 where it ends.
-        along_m: The same in metres, `None` where a pose on the way is unknown.
-        drive: The drive it was recorded in.
-        scan_index: Its index in that drive.
-        row: Its row in the map.
-        distance: Between the signatures, in the measure of the map.
-        timestamp_s: When it was recorded, `None` where unknown.
-        pose: Where it was recorded, `None` where unknown.
-        turn_deg: How far the query is turned from it, counter-clockwise, -180..180; `None` where
-            the encoding does not tell, as the paper's.
-        lateral_m: How far to the left of it the query stands, `None` likewise.
-        estimated_pose: Where the query stands: `pose` displaced and turned; `None` likewise.
-    """
-
-    segment: int
-    fraction: float
-    along_m: float | None
-    drive: str
-    scan_index: int
-    row: int
-    distance: float
-    timestamp_s: float | None
-    pose: Pose | None
-    turn_deg: float | None = None
-    lateral_m: float | None = None
-    estimated_pose: Pose | None = None
-
-    @property
-    def heading_deg(self) -> float | None:
-        """Heading of the query in the world, counter-clockwise, `None` where not estimated."""
-        if self.estimated_pose is None or self.turn_deg is None:
-            return None
-        return self.estimated_pose.yaw_deg
 
 
 @dataclass(frozen=True)
@@ -81,6 +37,8 @@ class Localization:
         segments: The segments that were searched.
         verdict: Whether it is an answer at all, and how likely it is right.
         deviation: How far off it may be if it is right, `None` where the map cannot tell.
+        ratio: Distance of the winner over that of the runner-up: near 1 the answer is ambiguous.
+            `None` without a runner-up; at most 1, though hints may prefer a winner that is farther.
     """
 
     revision: str
@@ -89,6 +47,7 @@ class Localization:
     segments: tuple[int, ...]
     verdict: Verdict
     deviation: Deviation | None
+    ratio: float | None
 
     @property
     def localized(self) -> bool:
@@ -99,18 +58,6 @@ class Localization:
     def best(self) -> Match:
         """The nearest scan."""
         return self.matches[0]
-
-    @property
-    def ratio(self) -> float | None:
-        """Distance of the winner over that of the runner-up: near 1 the answer is ambiguous.
-
-        `None` without a runner-up; at most 1, though hints may prefer a winner that is farther.
-        """
-        if self.runner_up is None:
-            return None
-        if self.runner_up.distance == 0.0:
-            return 1.0  # both places are exactly the query
-        return min(1.0, self.best.distance / self.runner_up.distance)
 
     @property
     def position_covariance_m2(self) -> tuple[float, float, float] | None:
@@ -127,8 +74,6 @@ class Localizer:
     def __init__(self, tensor_map: TensorMap) -> None:
         self.map = tensor_map
         self.basis = tensor_map.basis()
-        self._drive_of_scan = tensor_map.trajectory.drive_of_scan
-        self._segment_of_scan = tensor_map.model.segment_of_scan
 
     def localize_scan(
         self,
@@ -172,7 +117,8 @@ class Localizer:
             UnknownSegment: Likewise.
         """
         cells = int(np.count_nonzero(image.cells))
-        return self._localize(self.basis.encode(image), k, hints, min_probability, cells)
+        search = self.map.model.search_values(self.basis.project(image))
+        return self._localize(search, k, hints, min_probability, cells)
 
     def localize_signatures(
         self,
@@ -193,11 +139,11 @@ class Localizer:
                 they are of another encoding.
             InvalidParameters: As `localize_scan`.
         """
-        return self._localize(signatures, k, hints, min_probability, None)
+        return self._localize(self.search(signatures), k, hints, min_probability, None)
 
     def _localize(
         self,
-        signatures: Sequence[Signature],
+        search: Search,
         k: int,
         hints: Hints,
         min_probability: float | None,
@@ -206,19 +152,22 @@ class Localizer:
         if k < 1:
             raise InvalidParameters(f"k is {k}, wanted at least 1")
         prior = None if hints == NO_HINTS else Prior(hints, self.map)
-        search = self.search(signatures)
         candidates = find_candidates(self.map, search, k, prior)
         verdict = candidates.judge(self.map.calibration, min_probability, occupied_cells)
         return Localization(
             self.map.revision,
-            tuple(self._match(search, found) for found in candidates.matches),
-            None if candidates.runner_up is None else self._match(search, candidates.runner_up),
+            tuple(
+                match_at(self.map, search, candidates.matches, position)
+                for position in range(len(candidates.matches))
+            ),
+            match_at(self.map, search, candidates.away) if len(candidates.away) else None,
             search.segments,
             verdict,
-            deviation_of(self.map, search, candidates.matches[0]),
+            deviation_of(self.map, search, candidates.matches),
+            candidates.ratio,
         )
 
-    def compare(self, signatures: Sequence[Signature], row: int) -> Found:
+    def compare(self, signatures: Sequence[Signature], row: int) -> Neighbours:
         """Compare a scan's signatures with one scan of the map.
 
         Raises:
@@ -232,11 +181,10 @@ class Localizer:
         among = np.zeros(len(self.map), dtype=np.bool_)
         among[row] = True
         found = self.search(signatures).nearest(1, among)
-        if not found:
-            raise InvalidSignature(
-                f"the scan is of segment {self._segment_of_scan[row]}, none of the signatures is"
-            )
-        return found[0]
+        if not len(found):
+            segment = self.map.model.segment_of_scan[row]
+            raise InvalidSignature(f"the scan is of segment {segment}, none of the signatures is")
+        return found
 
     def search(self, signatures: Sequence[Signature]) -> Search:
         """Compare one scan's signatures with the map's, and answer nothing yet.
@@ -252,13 +200,31 @@ class Localizer:
     def _require_answerable(self, signatures: Sequence[Signature]) -> None:
         if not signatures:
             raise InvalidSignature("there is no signature to search with")
-        for signature in signatures:
-            self._require_own_basis(signature)
-            if signature.values.shape != self.map.parameters.ranks:
+        for shape in {signature.values.shape for signature in signatures}:
+            if shape != self.map.parameters.ranks:
                 raise InvalidSignature(
-                    f"the signature has shape {signature.values.shape},"
-                    f" this map's have {self.map.parameters.ranks}"
+                    f"the signature has shape {shape}, this map's have {self.map.parameters.ranks}"
                 )
+        for named in {signature.revision for signature in signatures}:
+            held, segments = self._held(named), self.map.model.segments
+            for signature in signatures:
+                # Beyond, the map has no such segment itself.
+                if signature.revision == named and held <= (signature.segment or 0) < segments:
+                    raise UnknownSegment(
+                        f"basis {named} is of segments 0..{held - 1}, the signature of"
+                        f" {signature.segment}"
+                    )
+
+    def _held(self, named: str) -> int:
+        """Return how many segments' bases that revision or basis has."""
+        if not self.answers(named):
+            raise StaleSignature(
+                f"the signature was made with revision or basis {named or '(none)'}, this one is"
+                f" {self.map.revision} with basis {self.map.basis_digest}"
+            )
+        if self.map.revision.startswith(named):
+            return self.map.model.segments
+        return [digest.startswith(named) for digest in self.map.basis_digests].index(True) + 1
 
     def answers(self, named: str) -> bool:
         """Return whether signatures that name this revision or basis can be answered here.
@@ -270,44 +236,3 @@ class Localizer:
             return False
         own = (self.map.revision, *self.map.basis_digests)
         return any(digest.startswith(named) for digest in own)
-
-    def _require_own_basis(self, signature: Signature) -> None:
-        named = signature.revision
-        if not self.answers(named):
-            raise StaleSignature(
-                f"the signature was made with revision or basis {named or '(none)'}, this one is"
-                f" {self.map.revision} with basis {self.map.basis_digest}"
-            )
-        digests = self.map.basis_digests
-        if signature.segment is None or self.map.revision.startswith(named):
-            return
-        held = [digest.startswith(named) for digest in digests].index(True)
-        if held < signature.segment < len(digests):  # beyond, the map has no such segment itself
-            raise UnknownSegment(
-                f"basis {named} is of segments 0..{held}, the signature of {signature.segment}"
-            )
-
-    def _match(self, search: Search, found: Found) -> Match:
-        row = found.row
-        trajectory = self.map.trajectory
-        segment = int(self._segment_of_scan[row])
-        first, last = self.map.segment_ends[segment].tolist()
-        along_m = path_length_m(trajectory.poses[first : row + 1])
-        timestamp_s = float(trajectory.timestamp_s[row])
-        stands = None
-        if isinstance(search, HarmonicSearch):
-            stands = estimate(search, trajectory, found)
-        return Match(
-            segment=segment,
-            fraction=(row - first) / max(1, last - first),
-            along_m=None if math.isnan(along_m) else along_m,
-            drive=trajectory.drives[self._drive_of_scan[row]],
-            scan_index=int(trajectory.scan_index[row]),
-            row=row,
-            distance=found.distance,
-            timestamp_s=None if math.isnan(timestamp_s) else timestamp_s,
-            pose=Pose.from_row(trajectory.poses[row]),
-            turn_deg=None if stands is None else stands.turn_deg,
-            lateral_m=None if stands is None else stands.lateral_m,
-            estimated_pose=None if stands is None else stands.pose,
-        )

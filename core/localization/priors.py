@@ -10,10 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from core.arrays import BoolArray, FloatArray
-from core.encodings.base import Found, Search
+from core.encodings.model import Neighbours, Search
 from core.errors import InvalidParameters
 from core.mapping.tensormap import TensorMap
-from core.parameters import Encoding
 from core.scans.angles import wrapped_deg
 from core.scans.pose import heading_deg
 
@@ -180,7 +179,7 @@ class Prior:
         heading_share = 1.0
         if hints.heading is not None:
             self._path_heading_deg = heading_deg(trajectory.poses)
-            if tensor_map.parameters.encoding == Encoding.HARMONIC:
+            if tensor_map.parameters.encoder.yaw_invariant:
                 self._heading = hints.heading
                 self.rows &= trajectory.known
                 heading_share = min(1.0, 2.0 * _heading_gate_deg(hints.heading) / 360.0)
@@ -208,32 +207,30 @@ class Prior:
         """Whether a match's heading has to be looked at."""
         return self._heading is not None
 
-    def allows(self, found: Found) -> bool:
-        """Return whether a match lies within the gate."""
-        if not self.rows[found.row]:
-            return False
+    def allows(self, found: Neighbours) -> BoolArray:
+        """Return which matches lie within the gate, `(n,)`."""
+        allowed = self.rows[found.rows]
         if self._heading is None:
-            return True
-        return abs(self._off_deg(found, self._heading)) <= _heading_gate_deg(self._heading)
+            return allowed
+        return allowed & (self._off_deg(found, self._heading) <= _heading_gate_deg(self._heading))
 
-    def log_weight(self, found: Found) -> float:
-        """Return the logarithm of how likely its place is beforehand, 0 at the likeliest."""
-        weight = float(self._log_weight[found.row])
+    def log_weight(self, found: Neighbours) -> FloatArray:
+        """Return the logarithm of how likely each place is beforehand, `(n,)`, at most 0."""
+        weight = self._log_weight[found.rows]
         if self._heading is None:
             return weight
-        off = max(abs(self._off_deg(found, self._heading)) - _HEADING_SLACK_DEG, 0.0)
-        return weight - 0.5 * (off / self._heading.sigma_deg) ** 2
+        off_deg = np.maximum(self._off_deg(found, self._heading) - _HEADING_SLACK_DEG, 0.0)
+        return np.asarray(weight - 0.5 * (off_deg / self._heading.sigma_deg) ** 2)
 
-    def _off_deg(self, found: Found, hint: HeadingHint) -> float:
-        if found.turn_deg is None:  # one harmonic tells no heading
-            return 0.0
-        estimated = float(self._path_heading_deg[found.row]) + found.turn_deg
-        return wrapped_deg(estimated - hint.heading_deg)
+    def _off_deg(self, found: Neighbours, hint: HeadingHint) -> FloatArray:
+        estimated = self._path_heading_deg[found.rows] + found.relative_yaw_deg
+        # A single harmonic gives no relative yaw: nothing is off then.
+        return np.nan_to_num(np.abs(wrapped_deg(estimated - hint.heading_deg)))
 
 
 def nearest_within(
     search: Search, k: int, prior: Prior, among: BoolArray | None = None
-) -> tuple[Found, ...]:
+) -> Neighbours:
     """Return the `k` nearest scans that a prior allows, nearest first, as many as there are."""
     rows = prior.rows if among is None else prior.rows & among
     if not prior.looks:
@@ -241,7 +238,7 @@ def nearest_within(
     asked = max(k, _FIRST)
     while True:
         found = search.nearest(asked, rows)
-        allowed = tuple(each for each in found if prior.allows(each))
+        allowed = found[prior.allows(found)]
         if len(allowed) >= k or len(found) < asked:
             return allowed[:k]
         asked *= 4

@@ -13,8 +13,8 @@ from core.encodings.signature import Signature
 from core.errors import InvalidParameters
 from core.localization.localizer import Localizer
 from core.loop_closure.birds_eye_view import align_overhead
-from core.parameters import LATERAL_RENDERINGS_M
 from core.projection.height_image import project_heights
+from core.projection.imager import LATERAL_RENDERINGS_M
 from core.projection.reducer import Reducer
 from core.projection.rings import RingGrid
 from core.scans.angles import wrapped_deg
@@ -160,14 +160,18 @@ def check_signatures(
     found = localizer.compare(signatures, row)
     probability = None
     if likelihood is not None:
-        ratio = likelihood.log_likelihood_ratio(np.array([found.distance]))
+        ratio = likelihood.log_likelihood_ratio(found.distances)
         probability = _logistic(float(ratio[0]))
     return LoopClosure(
         probability,
-        turn_deg=found.turn_deg,
-        lateral_m=found.lateral_m,
-        signature_distance=found.distance,
+        turn_deg=_given(found.relative_yaw_deg),
+        lateral_m=_given(found.lateral_m),
+        signature_distance=float(found.distances[0]),
     )
+
+
+def _given(of_match: FloatArray) -> float | None:
+    return None if np.isnan(of_match[0]) else float(of_match[0])
 
 
 def closure_probability(image_similarity: float, overlap: float) -> float:

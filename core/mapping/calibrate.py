@@ -15,10 +15,9 @@ from core.confidence.calibration import Calibration
 from core.confidence.logistic import fit_logistic
 from core.confidence.places import away_from, close_along_m
 from core.confidence.spread import Spread, along_spread_m, fit_variance
-from core.encodings.base import Found, Search
+from core.encodings.model import Neighbours, Search
 from core.mapping.own_place import image_of, own_place
 from core.mapping.tensormap import TensorMap
-from core.parameters import Encoding
 from core.progress import NO_PROGRESS, Progress
 from core.projection.images import Probes
 from core.projection.probe import probed_among
@@ -37,9 +36,6 @@ _HERE_SCANS = 2  # of each probe, the nearest in place and as many elsewhere, co
 _FLOOR = 0.05  # of the median distance of right answers
 _SPARSE = 0.5  # of the fewest occupied cells that a probe has
 _SEED = 20_003
-# Probes are of several ways to stand elsewhere at once, and cars are put before them: they divide
-# less sharply than the scans of one drive do. How much less was measured on simulated cities.
-_SHARPER = {Encoding.HARMONIC: 1.4, Encoding.PAPER: 1.0}
 
 
 @dataclass(frozen=True)
@@ -88,7 +84,7 @@ def calibrate(
     for probe in asked:
         row = int(probes.rows[probe])
         image = image_of(tensor_map, probes.images, probe)
-        search = tensor_map.model.search(basis.encode(image))
+        search = tensor_map.model.search_values(basis.project(image))
         least_cells = min(least_cells, int(np.count_nonzero(image.cells)))
         beside, here = own_place(trajectory, row)
         elsewhere = away_from(trajectory, row, _ELSEWHERE_M, _ELSEWHERE_SCANS)
@@ -105,17 +101,20 @@ def calibrate(
     right = sum(answer.right for answer in answers)
     if min(right, len(answers) - right) < _LEAST or not at_scan:
         return None
-    sharper = _SHARPER[tensor_map.parameters.encoding]
+    # Probes stand elsewhere in several ways at once, with cars before them: they divide less
+    # sharply than the scans of one drive do.
+    sharper = tensor_map.parameters.encoder.sharper
     return _fitted(answers, at_scan, errors, int(_SPARSE * least_cells), sharper)
 
 
 def _ask(
     tensor_map: TensorMap, search: Search, among: BoolArray, right: BoolArray
-) -> tuple[Found, _Answer]:
-    (found,) = search.nearest(1, among)
-    away = search.nearest(1, among & away_from(tensor_map.trajectory, found.row))
-    runner_up = away[0].distance if away else None
-    return found, _Answer(found.distance, runner_up, bool(right[found.row]))
+) -> tuple[Neighbours, _Answer]:
+    found = search.nearest(1, among)
+    row = int(found.rows[0])
+    away = search.nearest(1, among & away_from(tensor_map.trajectory, row))
+    runner_up = float(away.distances[0]) if len(away) else None
+    return found, _Answer(float(found.distances[0]), runner_up, bool(right[row]))
 
 
 def _at_scan(
@@ -147,7 +146,7 @@ def _at_scan(
 def _error(
     tensor_map: TensorMap,
     search: Search,
-    found: Found,
+    found: Neighbours,
     among: BoolArray,
     row: int,
     standing: FloatArray,
@@ -156,11 +155,13 @@ def _error(
     poses = tensor_map.trajectory.poses
     ahead_m, left_m, turn_deg = standing.tolist()
     true = pose_beside(poses[row], left_m, turn_deg, ahead_m)
-    matched = poses[found.row]
-    near = close_along_m(tensor_map.trajectory, found.row)
+    matched = poses[found.rows[0]]
+    near = close_along_m(tensor_map.trajectory, int(found.rows[0]))
     if near is None or not np.isfinite(true).all():
         return []
-    estimated = pose_beside(matched, found.lateral_m or 0.0, found.turn_deg or 0.0)
+    estimated = pose_beside(
+        matched, *np.nan_to_num([found.lateral_m[0], found.relative_yaw_deg[0]]).tolist()
+    )
     rows, along_m = near
     kept = among[rows]
     asked = np.zeros(len(poses), dtype=bool)
@@ -172,7 +173,7 @@ def _error(
     forward_m = x_m * math.cos(path) + y_m * math.sin(path)
     return [
         _Error(
-            found.distance,
+            float(found.distances[0]),
             along_m[kept],
             search.distances(asked)[rows[kept]],
             (

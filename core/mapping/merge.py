@@ -1,63 +1,15 @@
-"""Several drives in one map: maps merged, drives left out, and how well a kept basis fits."""
+"""Several drives in one map: maps merged, and drives left out."""
 
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Sequence
 
 import numpy as np
 
-from core.arrays import Float32Array, FloatArray
-from core.encodings.grams import fit_radial_basis, radial_error
-from core.encodings.harmonic import HarmonicModel
-from core.encodings.paper import PaperModel
 from core.errors import BasisMismatch, EmptyDrive, InvalidParameters, UnknownDrive
 from core.mapping.tensormap import TensorMap
 from core.scans.trajectory import Trajectory
 from core.topology import join_segments
 
-__all__ = ["BasisFit", "basis_fits", "merge_maps", "without_drives"]
-
-_MUCH_WORSE = 1.02
-"""Of the error that a refitted basis leaves: docs/decisions/0014-merging-and-basis-identity.md."""
-
-
-@dataclass(frozen=True)
-class BasisFit:
-    """How well a radial basis that was kept fits one drive.
-
-    Attributes:
-        drive: Its name.
-        kept_error: `radial_error` over the renderings of its scans, U kept.
-        refitted_error: The same with U fitted anew to all drives that are at hand.
-    """
-
-    drive: str
-    kept_error: float
-    refitted_error: float
-
-    @property
-    def much_worse(self) -> bool:
-        """Whether refitting would be worth asking vehicles to download their basis again."""
-        return self.kept_error > _MUCH_WORSE * self.refitted_error
-
-    def __str__(self) -> str:
-        return (
-            f"the basis that was kept leaves out {self.kept_error:.3f} of the detail of drive"
-            f" {self.drive}, one fitted anew would leave out {self.refitted_error:.3f}"
-        )
-
-
-def basis_fits(radial_basis: Float32Array, grams: Mapping[str, FloatArray]) -> tuple[BasisFit, ...]:
-    """Compare a basis that was kept with the one that all these drives would give, by drive.
-
-    Args:
-        radial_basis: `(I, r1)`, the U that was kept.
-        grams: What `core.encodings.grams.drive_gram` gave for each drive, by name.
-    """
-    refitted = fit_radial_basis(grams, radial_basis.shape[1])
-    return tuple(
-        BasisFit(name, radial_error(gram, radial_basis), radial_error(gram, refitted))
-        for name, gram in grams.items()
-    )
+__all__ = ["merge_maps", "without_drives"]
 
 
 def merge_maps(maps: Sequence[TensorMap]) -> TensorMap:
@@ -88,7 +40,11 @@ def merge_maps(maps: Sequence[TensorMap]) -> TensorMap:
         )
     if len(maps) == 1:
         return first
-    model = _merged_model([part.model for part in maps])
+    offsets = np.cumsum([0, *(len(part) for part in maps)])
+    starts = [part.model.segment_start[:-1] + at for part, at in zip(maps, offsets, strict=False)]
+    model = first.model.joined(
+        [part.model for part in maps[1:]], np.concatenate([*starts, offsets[-1:]])
+    )
     trajectory = Trajectory.concatenate([part.trajectory for part in maps])
     return TensorMap(
         first.parameters,
@@ -120,22 +76,7 @@ def without_drives(tensor_map: TensorMap, names: Collection[str]) -> TensorMap:
     lengths = np.diff(tensor_map.model.segment_start)[segments]
     starts = np.concatenate([[0], np.cumsum(lengths)])
     model = tensor_map.model
-    if isinstance(model, HarmonicModel):
-        of_kept: PaperModel | HarmonicModel = HarmonicModel(
-            model.radial_basis,
-            model.signatures[rows],
-            model.lateral_offset_m,
-            starts,
-            model.columns,
-            model.measure,
-        )
-    else:
-        of_kept = PaperModel(
-            model.elevation_basis[segments],
-            model.azimuth_basis[segments],
-            model.signatures[rows],
-            starts,
-        )
+    of_kept = model.select(rows, segments, starts)
     trajectory = tensor_map.trajectory.select(rows)
     return TensorMap(
         tensor_map.parameters,
@@ -154,37 +95,10 @@ def _require_alike(first: TensorMap, other: TensorMap) -> None:
             f"{name} is {two.get(name)} in the map of {', '.join(other.trajectory.drives)},"
             f" {one.get(name)} in that of {', '.join(first.trajectory.drives)}"
         )
-    if isinstance(first.model, HarmonicModel) and first.basis_digest != other.basis_digest:
+    shared = first.parameters.encoder.shares_basis
+    if shared and first.basis_digest != other.basis_digest:
         raise BasisMismatch(
             f"the map of {', '.join(other.trajectory.drives)} has basis {other.basis_digest[:16]},"
             f" that of {', '.join(first.trajectory.drives)} has {first.basis_digest[:16]}: build it"
             " with the first one's basis, or one map of all drives"
         )
-
-
-def _merged_model(
-    models: Sequence[PaperModel | HarmonicModel],
-) -> PaperModel | HarmonicModel:
-    first = models[0]
-    offsets = np.cumsum([0, *(len(model) for model in models)])
-    starts = np.concatenate(
-        [m.segment_start[:-1] + offset for m, offset in zip(models, offsets, strict=False)]
-        + [offsets[-1:]]
-    )
-    signatures = np.concatenate([model.signatures for model in models])
-    if isinstance(first, HarmonicModel):
-        return HarmonicModel(
-            first.radial_basis,
-            signatures,
-            first.lateral_offset_m,
-            starts,
-            first.columns,
-            first.measure,
-        )
-    of_paper = [model for model in models if isinstance(model, PaperModel)]
-    return PaperModel(
-        np.concatenate([model.elevation_basis for model in of_paper]),
-        np.concatenate([model.azimuth_basis for model in of_paper]),
-        signatures,
-        starts,
-    )

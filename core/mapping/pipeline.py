@@ -10,12 +10,12 @@ from typing import Protocol
 
 import numpy as np
 
-from core.arrays import Float32Array, FloatArray, IntArray
+from core.arrays import FloatArray, IntArray
+from core.encodings.basis import Basis, BasisFit
 from core.encodings.compression import Compression
 from core.encodings.grams import drive_gram
 from core.errors import InvalidParameters
 from core.mapping.build import fit_map
-from core.mapping.merge import BasisFit, basis_fits
 from core.mapping.tensormap import TensorMap
 from core.parameters import MapParameters, Segmentation
 from core.progress import NO_PROGRESS, Progress
@@ -121,7 +121,7 @@ def build_map(
     *,
     segment_length: int | None = None,
     segments: int | None = None,
-    radial_basis: Float32Array | None = None,
+    kept: Basis | None = None,
     progress: Progress = NO_PROGRESS,
 ) -> TensorMap:
     """Build the map of one or more drives; the same drives and parameters give the same digest.
@@ -134,7 +134,7 @@ def build_map(
             those of `tensormap build`.
         segment_length: k; 760 scans by default.
         segments: L instead: k = ceil(K / L) of the longest drive's K usable scans.
-        radial_basis: `(I, r1)` U to keep, of a harmonic map.
+        kept: The basis of another map to keep; signatures that were made with it stay good.
         progress: Receives every stage; may raise `Cancelled`.
 
     Raises:
@@ -147,7 +147,7 @@ def build_map(
         parameters,
         segment_length=segment_length,
         segments=segments,
-        radial_basis=radial_basis,
+        kept=kept,
         progress=progress,
     ).tensor_map
 
@@ -160,7 +160,7 @@ def build(
     segment_length: int | None = None,
     segments: int | None = None,
     segment_start: IntArray | None = None,
-    radial_basis: Float32Array | None = None,
+    kept: Basis | None = None,
     calibrated: bool = True,
     progress: Progress = NO_PROGRESS,
 ) -> Build:
@@ -178,7 +178,7 @@ def build(
         segments: L instead: k = ceil(K / L) of the longest drive's K usable scans.
         segment_start: `(L + 1,)` positions in the only drive where segments begin, and its length:
             instead of cuts over usable scans and where drives meet.
-        radial_basis: `(I, r1)` U to keep, of a harmonic map.
+        kept: The basis of another map to keep; signatures that were made with it stay good.
         calibrated: Whether the map's probes are asked for its calibration.
         progress: Receives every stage; may raise `Cancelled`.
 
@@ -205,7 +205,7 @@ def build(
     else:
         cuts = rows_of_cuts(images[0].scans, segment_start)
     grams: dict[str, FloatArray] | None = None
-    if parameters.distance is not None:
+    if parameters.encoder.fits_to_grams:
         grams = {d.name: i.detail_gram() for d, i in zip(drives, images, strict=True)}
     tensor_map = fit_map(
         joined,
@@ -214,14 +214,14 @@ def build(
         parameters,
         progress,
         _probes(images) if calibrated else None,
-        radial_basis=radial_basis,
+        kept=kept,
         grams=grams,
     )
     return Build(
         tensor_map,
         sum(of_it.returns for of_it in images),
         {drive.name: of_it.skipped for drive, of_it in zip(drives, images, strict=True)},
-        () if radial_basis is None or grams is None else basis_fits(radial_basis, grams),
+        () if kept is None or grams is None else kept.fits(grams),
         length,
     )
 

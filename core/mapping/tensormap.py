@@ -1,6 +1,6 @@
 """A TensorMap: the immutable content of one map revision (paper, fig. 2d)."""
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -10,17 +10,10 @@ from numpy.typing import NDArray
 
 from core.arrays import FloatArray, IntArray, frozen
 from core.confidence.calibration import Calibration
-from core.encodings.basis import (
-    Basis,
-    HarmonicBasis,
-    PaperBasis,
-    harmonic_basis_digest,
-    paper_basis_digests,
-)
-from core.encodings.harmonic import HarmonicModel
-from core.encodings.paper import PaperModel
+from core.encodings.basis import Basis
+from core.encodings.model import Model
 from core.errors import EmptyDrive, InvalidMap, InvalidParameters
-from core.parameters import Encoding, MapParameters
+from core.parameters import MapParameters
 from core.revision import content_digest
 from core.scans.trajectory import Trajectory
 from core.topology import JOINED, Topology, segment_ends
@@ -37,7 +30,6 @@ _WHOLE = {
     "edge_of_segment",
     "segment_reversed",
 }
-_COMPLEX = {"signatures"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +46,7 @@ class TensorMap:
     """
 
     parameters: MapParameters
-    model: PaperModel | HarmonicModel
+    model: Model
     trajectory: Trajectory
     topology: Topology
     relative_error: FloatArray
@@ -81,11 +73,7 @@ class TensorMap:
         if not np.isin(self.trajectory.drive_start, starts).all():
             raise InvalidMap("a segment runs from one drive into the next")
         self._require_nodes()
-        if self.model.ranks != self.parameters.ranks:
-            raise InvalidMap(f"signatures are {self.model.ranks}, ranks {self.parameters.ranks}")
-        if self.model.grid_shape != self.parameters.grid.shape:
-            raise InvalidMap(f"bases are for {self.model.grid_shape}, not for the grid")
-        self._require_encoding()
+        self.parameters.encoder.require_model(self.model, self.parameters)
 
     def _require_nodes(self) -> None:
         nodes, starts = (
@@ -99,17 +87,6 @@ class TensorMap:
             self.topology.node_scan, self.segment_ends
         ).all():
             raise InvalidMap("a node does not stand at the first segment end that came there")
-
-    def _require_encoding(self) -> None:
-        harmonic = isinstance(self.model, HarmonicModel)
-        if harmonic != (self.parameters.encoding == Encoding.HARMONIC):
-            raise InvalidMap(f"the model is not of the encoding {self.parameters.encoding}")
-        if isinstance(self.model, HarmonicModel):
-            if self.model.measure != self.parameters.distance:
-                raise InvalidMap("the model's distance is not that of the parameters")
-            offsets = tuple(self.model.lateral_offset_m.tolist())
-            if offsets != self.parameters.lateral_renderings_m:
-                raise InvalidMap(f"lateral_offset_m is {offsets}, not that of the parameters")
 
     def __len__(self) -> int:
         return len(self.trajectory)
@@ -130,11 +107,7 @@ class TensorMap:
 
         One of a harmonic map; of the paper's those of its first 1, 2, ... L segments.
         """
-        if isinstance(self.model, HarmonicModel):
-            return (harmonic_basis_digest(self.parameters, self.model.radial_basis),)
-        return paper_basis_digests(
-            self.parameters, self.model.elevation_basis, self.model.azimuth_basis
-        )
+        return self.model.basis_digests(self.parameters)
 
     @property
     def basis_digest(self) -> str:
@@ -158,18 +131,7 @@ class TensorMap:
         if segments is not None:
             wanted = np.unique(np.asarray(segments, dtype=np.int64))
             self.model.require_segments(wanted)
-        if isinstance(self.model, HarmonicModel):
-            return HarmonicBasis(
-                self.revision, self.basis_digest, self.parameters, self.model.radial_basis
-            )
-        return PaperBasis(
-            revision=self.revision,
-            digest=self.basis_digest,
-            parameters=self.parameters,
-            segments=wanted,
-            elevation_basis=self.model.elevation_basis[wanted],
-            azimuth_basis=self.model.azimuth_basis[wanted],
-        )
+        return self.model.basis(self.revision, self.basis_digest, self.parameters, wanted)
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """Return every array of the map by its name in the file."""
@@ -209,11 +171,11 @@ class TensorMap:
         """
         try:
             parameters = MapParameters.from_attributes(dict(attributes))
-            of_complex = _COMPLEX if parameters.encoding == Encoding.HARMONIC else ()
-            a = {name: _numbers(name, arrays[name], of_complex) for name in arrays}
+            dtypes = parameters.encoder.dtypes
+            a = {name: _numbers(name, arrays[name], dtypes.get(name, "")) for name in arrays}
             tensor_map = cls(
                 parameters,
-                _model(parameters, a),
+                parameters.encoder.read_model(parameters, a),
                 Trajectory(
                     tuple(attributes["drives"]),
                     a["drive_start"],
@@ -245,9 +207,9 @@ class TensorMap:
         return tensor_map
 
 
-def _numbers(name: str, array: NDArray[Any], of_complex: Collection[str]) -> NDArray[Any]:
+def _numbers(name: str, array: NDArray[Any], dtype: str) -> NDArray[Any]:
     """Return an array that holds numbers of its kind: none is rounded, cut off or made of text."""
-    wanted = "iu" if name in _WHOLE else "cfiu" if name in of_complex else "fiu"
+    wanted = "iu" if name in _WHOLE else "cfiu" if "c" in dtype else "fiu"
     values = np.asarray(array)
     if values.dtype.kind not in wanted:
         raise InvalidMap(f"{name} holds {values.dtype}, wanted numbers of another kind")
@@ -265,18 +227,3 @@ def _topology(a: dict[str, NDArray[Any]]) -> Topology:
     if joined and not np.isin(joined["segment_reversed"], (0, 1)).all():
         raise InvalidMap("segment_reversed holds other numbers than 0 and 1")
     return Topology(a["node_scan"], a["edge_nodes"], a["edge_length_m"], **joined)
-
-
-def _model(parameters: MapParameters, a: dict[str, NDArray[Any]]) -> PaperModel | HarmonicModel:
-    if parameters.distance is None:
-        return PaperModel(
-            a["elevation_basis"], a["azimuth_basis"], a["signatures"], a["segment_start"]
-        )
-    return HarmonicModel(
-        a["radial_basis"],
-        a["signatures"],
-        a["lateral_offset_m"],
-        a["segment_start"],
-        parameters.grid.columns,
-        parameters.distance,
-    )

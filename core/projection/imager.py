@@ -17,10 +17,20 @@ from core.scans.displacement import seen_from_beside
 from core.scans.scan import Scan
 from core.scans.sensor import AngularGrid
 
-__all__ = ["Grid", "Image", "ImageKind", "Imager", "grid_from_attributes"]
+__all__ = [
+    "LATERAL_RENDERINGS_M",
+    "Grid",
+    "Image",
+    "ImageKind",
+    "Imager",
+    "grid_from_attributes",
+]
 
 Grid = AngularGrid | RingGrid
 Image = RangeImage | HeightImage
+
+LATERAL_RENDERINGS_M = (-3.0, -1.5, 0.0, 1.5, 3.0)
+"""Virtual viewpoints a lane to either side: docs/decisions/0010-harmonic-encoding.md."""
 
 _MAX_LATERAL_M = 50.0
 _MAX_RENDERINGS = 64

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -87,15 +88,16 @@ class Trajectory:
     def __len__(self) -> int:
         return len(self.scan_index)
 
-    @property
+    @cached_property
     def known(self) -> BoolArray:
         """Which scans have a pose, `(K,)`."""
-        return is_known(self.poses)
+        return frozen(is_known(self.poses), np.bool_)
 
-    @property
+    @cached_property
     def drive_of_scan(self) -> IntArray:
         """The drive of each scan, `(K,)` indices into `drives`."""
-        return np.repeat(np.arange(len(self.drives)), np.diff(self.drive_start))
+        drives = np.arange(len(self.drives))
+        return frozen(np.repeat(drives, np.diff(self.drive_start)), np.int64)
 
     def row_of(self, drive: str, scan_index: int) -> int | None:
         """Return the row of a drive's scan, `None` if it is not here."""

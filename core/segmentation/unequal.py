@@ -19,9 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.arrays import FloatArray, IntArray
-from core.encodings.tucker import BLOCK_SCANS, Grams, leading_basis, row_gram
+from core.encodings.blocks import BLOCK_SCANS
+from core.encodings.tucker import leading_basis
 from core.errors import InvalidParameters
-from core.parameters import Encoding, MapParameters
+from core.parameters import MapParameters
 from core.progress import NO_PROGRESS, Progress
 from core.projection.images import ImageSource
 from core.scans.trajectory import Trajectory
@@ -157,7 +158,7 @@ class _Reader:
         self._images = images
         self._progress = progress
         self._ranks = parameters.ranks
-        self._paper = parameters.encoding == Encoding.PAPER
+        self._encoder = parameters.encoder
         offsets = parameters.lateral_renderings_m
         self._rendering = None if offsets is None else int(np.abs(offsets).argmin())
         self._told = 0
@@ -179,7 +180,5 @@ class _Reader:
 
     def _of(self, block: NDArray[Any]) -> _Explained:
         images = block if self._rendering is None else block[:, self._rendering]
-        if not self._paper:
-            return _Explained((row_gram(images),), self._ranks[:1])
-        grams = Grams.of(images)
-        return _Explained((grams.elevation, grams.azimuth), self._ranks)
+        grams = self._encoder.explaining_grams(images)
+        return _Explained(grams, self._ranks[: len(grams)])

@@ -6,8 +6,6 @@ from typing import Protocol
 import numpy as np
 
 from core.arrays import BoolArray, FloatArray
-from core.encodings.harmonic import HarmonicModel
-from core.encodings.paper import PaperModel
 from core.encodings.signature import Signature
 from core.mapping.tensormap import TensorMap
 
@@ -58,13 +56,14 @@ class DistanceSpread:
         drive, segment = tensor_map.trajectory.drive_of_scan, tensor_map.model.segment_of_scan
         elsewhere: list[float] = []
         steps: list[float] = []
-        for row in rows.tolist():
-            search = tensor_map.model.search(own_signatures(tensor_map, row))
-            distances = search.distances()
+        model = tensor_map.model
+        queries = model.own_queries(rows.tolist(), tensor_map.revision)
+        for row, signatures in zip(rows.tolist(), queries, strict=True):
+            distances = model.search(signatures).distances()
             away = distances[_elsewhere(tensor_map, row)]
             elsewhere.append(float(away.min(initial=np.inf)))
             after = row + 1
-            # The paper's signatures of two segments do not compare.
+            # Signatures of two segments may not compare.
             if (
                 after < len(tensor_map)
                 and drive[after] == drive[row]
@@ -126,28 +125,8 @@ class Emission:
 
 
 def own_signatures(tensor_map: TensorMap, row: int) -> tuple[Signature, ...]:
-    """Return the signatures that a query at scan `row` would send, as far as the map tells.
-
-    In the paper's encoding the image is the segment's model of it: U_l^T U G V^T V_l in the bases
-    of another segment l.
-    """
-    model, revision = tensor_map.model, tensor_map.revision
-    if isinstance(model, HarmonicModel):
-        recorded = int(np.abs(model.lateral_offset_m).argmin())
-        return (Signature(model.signatures[row, recorded], None, revision),)
-    own = int(np.searchsorted(model.segment_start, row, "right")) - 1
-    return tuple(
-        Signature(values.astype(np.float32), segment, revision)
-        for segment, values in enumerate(_in_all_bases(model, own, row))
-    )
-
-
-def _in_all_bases(model: PaperModel, own: int, row: int) -> FloatArray:
-    u, v = model.elevation_basis.astype(np.float64), model.azimuth_basis.astype(np.float64)
-    values = model.signatures[row].astype(np.float64)
-    seen = (u.transpose(0, 2, 1) @ u[own]) @ values @ (v[own].T @ v)
-    seen[own] = values
-    return np.asarray(seen)
+    """Return the signatures that a query at scan `row` would send, as far as the map has them."""
+    return next(tensor_map.model.own_queries([row], tensor_map.revision))
 
 
 def _elsewhere(tensor_map: TensorMap, row: int) -> BoolArray:

@@ -2,13 +2,11 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from core.arrays import BoolArray, FloatArray
-from core.encodings.harmonic import HarmonicModel, weights
+from core.encodings.registry import encoding_named
 from core.encodings.signature import Signature
 from core.mapping.tensormap import TensorMap
 
@@ -31,7 +29,8 @@ def change(before: Sequence[Signature], after: Sequence[Signature]) -> float | N
     for signature in after:
         if (was := earlier.get(signature.segment)) is None:
             continue
-        weighted = _weighted(was), _weighted(signature.values)
+        encoding = encoding_named(signature.encoding)
+        weighted = encoding.weighted(was), encoding.weighted(signature.values)
         product += float(np.vdot(*weighted).real)
         one += float(np.vdot(weighted[0], weighted[0]).real)
         other += float(np.vdot(weighted[1], weighted[1]).real)
@@ -40,24 +39,14 @@ def change(before: Sequence[Signature], after: Sequence[Signature]) -> float | N
     return max(0.0, 1.0 - product / float(np.sqrt(one * other)))
 
 
-def _weighted(values: NDArray[Any]) -> NDArray[Any]:
-    if not np.iscomplexobj(values):
-        return values.astype(np.float64)
-    columns = 2 * values.shape[-1]  # more than any harmonic: all but the first stand for two
-    return values.astype(np.complex128) * np.sqrt(weights(columns, values.shape[-1]))
-
-
 def changes_of_map(tensor_map: TensorMap) -> FloatArray:
     """Return the change from each scan of the map to the next, `(K - 1,)`.
 
-    NaN from one drive to the next and, in the paper's encoding, from one segment to the next.
+    NaN from one drive to the next and, where signatures are per segment, to the next segment.
     """
-    model = tensor_map.model
-    if isinstance(model, HarmonicModel):
-        stored = _weighted(model.signatures[:, int(np.abs(model.lateral_offset_m).argmin())])
-        apart = tensor_map.trajectory.drive_of_scan
-    else:
-        stored, apart = _weighted(model.signatures), model.segment_of_scan
+    model, encoder = tensor_map.model, tensor_map.parameters.encoder
+    stored = encoder.weighted(model.recorded)
+    apart = model.segment_of_scan if encoder.per_segment else tensor_map.trajectory.drive_of_scan
     product = (stored[:-1].conj() * stored[1:]).sum(axis=(1, 2)).real
     norms = np.sqrt((np.abs(stored) ** 2).sum(axis=(1, 2)))
     norms = norms[:-1] * norms[1:]

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from enum import StrEnum
 
+from core.localization.match import Match
 from core.scans.pose import Pose
 
 __all__ = ["SURE", "Direction", "Doubt", "TrackStep"]
@@ -42,18 +43,12 @@ class TrackStep:
             the mapping vehicle itself stood at one, two segments are as likely.
         fraction: How far along it, 0 where it begins and 1 where it ends.
         position: In rows of the map, between scans too.
-        row: The nearest scan's row in the map.
-        drive: The drive it was recorded in.
-        scan_index: Its index in that drive.
-        distance: Between the signatures of it and the query, `None` if its segment's did not come.
-        probability: Of being within 5 m of it, or 5 scans where poses are unknown.
+        match: The nearest scan to that position, and where the query was made relative to it.
+        probability: Of being within 5 m of that scan, or 5 scans where poses are unknown.
         direction: Which way the vehicle passes the scans, `None` while that is not told.
         standing: Whether the vehicle stands, by its signatures alone.
         along_sigma_m: Standard deviation of the place along the path; `None` without poses.
         along_sigma_scans: The same in scans of the map.
-        turn_deg: How far the query is turned from that scan, counter-clockwise, -180..180; `None`
-            where the encoding does not tell.
-        lateral_m: How far to the left of it the query stands, `None` likewise.
         pose: Where the vehicle is: on the path between the scans, displaced and turned as far as
             the encoding tells; `None` without poses.
     """
@@ -66,18 +61,18 @@ class TrackStep:
     segment_probability: float
     fraction: float
     position: float
-    row: int
-    drive: str
-    scan_index: int
-    distance: float | None
+    match: Match
     probability: float
     direction: Direction | None
     standing: bool
     along_sigma_m: float | None
     along_sigma_scans: float
-    turn_deg: float | None
-    lateral_m: float | None
     pose: Pose | None
+
+    @property
+    def row(self) -> int:
+        """The nearest scan's row in the map."""
+        return self.match.row
 
     @property
     def segment_sure(self) -> bool:

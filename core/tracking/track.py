@@ -7,12 +7,11 @@ import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
 from core.arrays import FloatArray
-from core.encodings.base import Found, Search
-from core.encodings.harmonic import HarmonicSearch
+from core.encodings.model import Neighbours, Search
 from core.encodings.signature import Signature
 from core.errors import InvalidParameters, StaleObservation
-from core.localization.estimate import estimate
 from core.localization.localizer import Localizer
+from core.localization.match import Match, match_at
 from core.scans.displacement import pose_beside
 from core.scans.pose import Pose
 from core.tracking.belief import Belief
@@ -181,7 +180,7 @@ class Track:
         return self.last
 
     def _step(self, belief: Belief, search: Search, *, standing: bool) -> TrackStep:
-        tracker, trajectory = self._tracker, self._tracker.map.trajectory
+        tracker = self._tracker
         place = gathered(belief, tracker.map)
         position = self._held(place) if standing else place.position
         self._told = position
@@ -189,11 +188,10 @@ class Track:
         among = np.zeros(len(tracker.map), bool)
         among[row] = True
         # A query of the paper's encoding may not hold the signature of this scan's segment.
-        found = next(iter(search.nearest(1, among)), None) or Found(row, math.nan)
-        stands = estimate(search, trajectory, found) if isinstance(search, HarmonicSearch) else None
-        turn_deg, lateral_m = (
-            (None, None) if stands is None else (stands.turn_deg, stands.lateral_m)
-        )
+        found = search.nearest(1, among)
+        if not len(found):
+            found = Neighbours.of_distances(np.array([row]), np.array([np.inf]))
+        match = match_at(tracker.map, search, found)
         reason = self._doubt(belief, place)
         segment = tracker.graph.segment_at(position)
         return TrackStep(
@@ -205,18 +203,13 @@ class Track:
             fraction=_fraction(tracker, segment, position),
             segment_probability=_share_of(tracker, place, segment),
             position=position,
-            row=row,
-            drive=trajectory.drives[int(trajectory.drive_of_scan[row])],
-            scan_index=int(trajectory.scan_index[row]),
-            distance=found.distance if math.isfinite(found.distance) else None,
+            match=match,
             probability=place.probability,
             direction=_direction(place),
             standing=standing,
             along_sigma_m=_sigma_m(tracker.graph.along_m, place),
             along_sigma_scans=place.sigma,
-            turn_deg=turn_deg,
-            lateral_m=lateral_m,
-            pose=_pose(trajectory.poses, position, row, lateral_m or 0.0, turn_deg or 0.0),
+            pose=_pose(tracker.map.trajectory.poses, position, match),
         )
 
     def _held(self, place: Place) -> float:
@@ -262,19 +255,19 @@ def _sigma_m(along_m: FloatArray, place: Place) -> float | None:
     return float(np.sqrt(place.weight @ (metres - mean_m) ** 2))
 
 
-def _pose(
-    poses: FloatArray, position: float, row: int, lateral_m: float, turn_deg: float
-) -> Pose | None:
+def _pose(poses: FloatArray, position: float, match: Match) -> Pose | None:
     """Return the pose at a position between rows, displaced and turned as the match says."""
     low = min(max(math.floor(position), 0), len(poses) - 1)
-    low = min(low, row)
+    low = min(low, match.row)
     high = min(low + 1, len(poses) - 1)
     pair = poses[[low, high]]
     if not np.isfinite(pair).all():
-        return Pose.from_row(poses[row])
+        return match.pose
     share = min(max(position - low, 0.0), 1.0)
     turned = Slerp([0.0, 1.0], Rotation.from_quat(pair[:, 3:]))(share)
     between = np.concatenate(
         [(1.0 - share) * pair[0, :3] + share * pair[1, :3], turned.as_quat(canonical=True)]
     )
-    return Pose.from_row(pose_beside(between, lateral_m, turn_deg))
+    return Pose.from_row(
+        pose_beside(between, match.lateral_m or 0.0, match.relative_yaw_deg or 0.0)
+    )

@@ -12,9 +12,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from core.encodings.registry import encoding_named, encoding_names
 from core.errors import TensorMapError
 from core.mapping.tensormap import TensorMap
-from core.parameters import Encoding, MapParameters
+from core.parameters import MapParameters
 from storage.errors import CorruptFile
 from storage.files.durable_file import reading_back, write_whole
 from storage.files.json_text import MOST_JSON_BYTES, parse_json
@@ -55,21 +56,6 @@ _OF_ALL = {
     "edge_nodes": "<i8",
     "edge_length_m": "<f8",
 }
-_DTYPES = {
-    Encoding.PAPER: {
-        "elevation_basis": "<f4",
-        "azimuth_basis": "<f4",
-        "signatures": "<f4",
-        **_OF_ALL,
-    },
-    Encoding.HARMONIC: {
-        "radial_basis": "<f4",
-        "signatures": "<c8",
-        "lateral_offset_m": "<f8",
-        **_OF_ALL,
-    },
-}
-
 _OF_JOINED = {"edge_scans": "<i8", "edge_of_segment": "<i8", "segment_reversed": "|i1"}
 """All three or none: a map whose segments are its edges has none of them."""
 
@@ -88,7 +74,7 @@ def write_map(path: Path, tensor_map: TensorMap, created_at: datetime | None = N
         FileExistsError: If there is a file.
         OSError: If the disk refuses it, or gives back something else.
     """
-    dtypes = {**_DTYPES[tensor_map.parameters.encoding], **_OF_JOINED}
+    dtypes = {**tensor_map.parameters.encoder.dtypes, **_OF_ALL, **_OF_JOINED}
     content = hdf5_in_memory(
         {name: [np.asarray(array, dtypes[name])] for name, array in tensor_map.arrays().items()},
         {
@@ -244,10 +230,10 @@ def _head(file: Hdf5File) -> tuple[dict[str, Any], str]:
 
 
 def _dtypes(attributes: object) -> dict[str, str]:
-    encoding = attributes.get("encoding") if isinstance(attributes, dict) else None
-    if not isinstance(encoding, str) or encoding not in set(Encoding):
-        raise CorruptFile(f"its encoding is {encoding!r:.80}, wanted {', '.join(Encoding)}")
-    return _DTYPES[Encoding(encoding)]
+    name = attributes.get("encoding") if isinstance(attributes, dict) else None
+    if not isinstance(name, str) or name not in encoding_names():
+        raise CorruptFile(f"its encoding is {name!r:.80}, wanted {', '.join(encoding_names())}")
+    return {**encoding_named(name).dtypes, **_OF_ALL}
 
 
 def _plain(dataset: Dataset, dtype: str) -> ContiguousDataset:

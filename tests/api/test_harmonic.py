@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from app.revisions.schemas import BasisOut
-from core.encodings.basis import HarmonicBasis
+from core.encodings.harmonic import HarmonicBasis
 from core.encodings.signature import Packing, pack_signatures
 from core.localization.localizer import Localizer
 from storage.files.map_file import read_map
@@ -72,7 +72,7 @@ def test_scan_image_and_signature_agree_with_each_other_and_with_the_method(clie
             wanted.best.distance,
         )
         assert (best["turn_deg"], best["lateral_m"], best["heading_deg"]) == (
-            wanted.best.turn_deg,
+            wanted.best.relative_yaw_deg,
             wanted.best.lateral_m,
             wanted.best.heading_deg,
         )

@@ -6,7 +6,7 @@ from app.cli.options import MIN_RETURNS
 from core import MapParameters, build_map
 from core.evaluation import evaluate as evaluation
 from core.mapping.pipeline import build
-from core.parameters import Encoding, Segmentation
+from core.parameters import Segmentation
 from storage.files.map_file import read_map
 from storage.formats.drives.layouts import open_drive
 from tests.support.recording import Recording
@@ -53,7 +53,7 @@ def by_evaluation(drive, parameters, monkeypatch):
 
 @pytest.mark.parametrize(
     ("encoding", "segmentation"),
-    [(Encoding.HARMONIC, Segmentation.FIXED), (Encoding.PAPER, Segmentation.UNEQUAL)],
+    [("harmonic", Segmentation.FIXED), ("paper", Segmentation.UNEQUAL)],
 )
 def test_service_command_core_and_evaluation_build_one_map(
     empty, tensormap, folder, tmp_path, monkeypatch, encoding, segmentation

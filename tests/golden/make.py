@@ -11,7 +11,7 @@ import numpy as np
 
 from core.mapping.build import fit_map
 from core.mapping.tensormap import TensorMap
-from core.parameters import Distance, Encoding, MapParameters
+from core.parameters import Distance, MapParameters
 from core.projection.images import MemoryImages
 from core.projection.reducer import Reducer
 from core.projection.rings import RingGrid
@@ -49,7 +49,7 @@ def golden_harmonic_map() -> TensorMap:
     """Return the same drives in the harmonic encoding, two renderings each."""
     paper = golden_map()
     parameters = MapParameters(
-        encoding=Encoding.HARMONIC,
+        encoding="harmonic",
         ranks=(2, 3),
         reducer=Reducer.HIGHEST,
         sensor="vlp-16",

@@ -91,13 +91,12 @@ def test_the_correlation_finds_the_turn_of_a_scan_of_the_map(seed, s, measure):
     u = leading_basis(row_gram(images), 3).astype(np.float32)
     signatures = encode(images, u, 5)[:, None].astype(np.complex64)
     model = HarmonicModel(u, signatures, np.zeros(1), np.array([0, 8]), COLUMNS, measure)
-    [found] = query(model, np.roll(images[3], -s, axis=1)).nearest(1)
-    assert found.row == 3
-    assert found.turn_deg is not None
-    error = (found.turn_deg - s * 360 / COLUMNS + 180) % 360 - 180
+    found = query(model, np.roll(images[3], -s, axis=1)).nearest(1)
+    assert found.rows.tolist() == [3]
+    error = (found.relative_yaw_deg[0] - s * 360 / COLUMNS + 180) % 360 - 180
     assert abs(error) < 0.2
     scale = 1.0 if measure == Distance.NORMALISED else float(model.norms[3, 0]) ** 2
-    assert found.distance < 1e-3 * scale
+    assert found.distances[0] < 1e-3 * scale
 
 
 @given(seeds, st.integers(1, 40), st.integers(1, 3), st.integers(1, 45), measures, st.booleans())
@@ -105,10 +104,15 @@ def test_pruned_is_brute_force_to_the_bit(seed, scans, renderings, k, measure, t
     model = model_of(seed, scans, renderings, measure=measure, twins=twins)
     search = query(model, images_of(seed + 1, 1)[0])
     everything = search.nearest_by_brute_force(scans)
-    assert search.nearest(k) == everything[:k]
+    assert_alike(search.nearest(k), everything[:k])
     among = np.random.default_rng(seed).random(scans) < 0.4
-    wanted = tuple(found for found in everything if among[found.row])
-    assert search.nearest(k, among) == wanted[:k]
+    wanted = everything[among[everything.rows]]
+    assert_alike(search.nearest(k, among), wanted[:k])
+
+
+def assert_alike(found, wanted):
+    for name in ("rows", "distances", "relative_yaw_deg", "lateral_m"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(wanted, name))
 
 
 @given(seeds, measures)
@@ -139,21 +143,19 @@ def test_the_normalised_distance_does_not_depend_on_the_querys_scale(seed, scale
     model = model_of(seed, 10, 2)
     image = images_of(seed + 1, 1)[0]
     one, other = query(model, image).nearest(10), query(model, scale * image).nearest(10)
-    np.testing.assert_allclose(
-        [f.distance for f in one], [f.distance for f in other], atol=1e-5, rtol=1e-4
-    )
+    np.testing.assert_allclose(one.distances, other.distances, atol=1e-5, rtol=1e-4)
 
 
 def test_a_signature_of_nothing_is_near_to_nothing():
     model = model_of(0, 5, 2)
     found = model.search([Signature(np.zeros((3, 5), np.complex64), None, REVISION)]).nearest(5)
-    assert [f.distance for f in found] == [1.0] * 5
+    assert found.distances.tolist() == [1.0] * 5
 
 
 def test_one_harmonic_tells_no_turn():
     model = model_of(0, 5, 2, r2=1)
-    [found] = query(model, images_of(0, 1)[0]).nearest(1)
-    assert found.turn_deg is None
+    found = query(model, images_of(0, 1)[0]).nearest(1)
+    assert np.isnan(found.relative_yaw_deg).all()
 
 
 harmonic_signatures = st.builds(

@@ -86,7 +86,8 @@ def test_distances_are_those_of_the_nearest_and_infinite_where_not_asked(made, r
     among = np.array([asked >> i & 1 for i in range(24)], dtype=bool)
     found = search.distances(among)
     assert np.isinf(found[~among]).all()
-    by_row = {match.row: match.distance for match in search.nearest(24, among)}
+    nearest = search.nearest(24, among)
+    by_row = dict(zip(nearest.rows.tolist(), nearest.distances.tolist(), strict=True))
     assert {i: found[i] for i in np.flatnonzero(among).tolist()} == by_row
     assert (search.distances()[among] == found[among]).all()
 

@@ -8,9 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from core.arrays import Float32Array, FloatArray
-from core.encodings.tucker import BLOCK_SCANS
+from core.encodings.blocks import BLOCK_SCANS
 from core.errors import InvalidParameters
-from core.parameters import Distance, Encoding, MapParameters, Segmentation
+from core.parameters import Distance, MapParameters, Segmentation
 from core.projection.images import MemoryImages
 from core.projection.reducer import Reducer
 from core.projection.rings import RingGrid
@@ -24,7 +24,7 @@ GRID = AngularGrid(elevation_min_deg=-30.0, elevation_step_deg=10.0, rows=6, azi
 RINGS = RingGrid(ring_m=10.0, rings=6, azimuth_step_deg=20.0)
 PAPER = MapParameters(ranks=(2, 2), grid=GRID, segmentation=Segmentation.UNEQUAL)
 HARMONIC = MapParameters(
-    Encoding.HARMONIC, (2, 2), Reducer.MEAN, "hdl-64e", RINGS, 1.73, Distance.NORMALISED,
+    "harmonic", (2, 2), Reducer.MEAN, "hdl-64e", RINGS, 1.73, Distance.NORMALISED,
     (-2.0, 0.5), Segmentation.UNEQUAL,
 )  # fmt: skip
 

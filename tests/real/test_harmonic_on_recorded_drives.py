@@ -15,7 +15,7 @@ from core.evaluation.result import ConditionResult
 from core.evaluation.split import Every
 from core.localization.localizer import Localizer
 from core.mapping.build import fit_map
-from core.parameters import Encoding, MapParameters
+from core.parameters import MapParameters
 from core.projection.images import project_drive
 from core.scans.trajectory import Trajectory
 from tests.real.conftest import Drives
@@ -28,7 +28,7 @@ BESIDE = (
     *conditions((180,), (3, -3), (0,)),
 )
 NOISY = conditions((0,), (0,), (0.5, 1.0))
-DEFAULT = MapParameters.for_sensor(encoding=Encoding.HARMONIC)
+DEFAULT = MapParameters.for_sensor(encoding="harmonic")
 
 
 @pytest.fixture(scope="module")

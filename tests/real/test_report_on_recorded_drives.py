@@ -4,11 +4,12 @@ import pytest
 
 from app.report.page import render_report
 from app.report.provenance import provenance
+from core.encodings.registry import encoding_names
 from core.evaluation.advisor import Decision
 from core.evaluation.evaluate import EvaluationProtocol, evaluate
 from core.evaluation.study import Study
 from core.evaluation.study_drive import StudyProtocol, study_drive
-from core.parameters import Encoding, MapParameters
+from core.parameters import MapParameters
 from tests.real.conftest import Drives
 
 pytestmark = pytest.mark.real_data
@@ -25,14 +26,12 @@ FEW = {
 
 @pytest.fixture(scope="module")
 def study(drives: Drives) -> Study:
-    parameters = tuple(MapParameters.for_sensor(encoding=encoding) for encoding in Encoding)
+    parameters = tuple(MapParameters.for_sensor(encoding=encoding) for encoding in encoding_names())
     return study_drive(drives.open("kitti00"), StudyProtocol(parameters, **FEW))  # type: ignore[arg-type]
 
 
 def test_the_sweep_agrees_with_evaluate(study: Study, drives: Drives) -> None:
-    protocol = EvaluationProtocol(
-        MapParameters.for_sensor(encoding=Encoding.PAPER), segment_length=50
-    )
+    protocol = EvaluationProtocol(MapParameters.for_sensor(encoding="paper"), segment_length=50)
     wanted = evaluate(drives.open("kitti00"), protocol)
     found = study.encodings[0].sweep.at((5, 5), 50)
     assert found is not None

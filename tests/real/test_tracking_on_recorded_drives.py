@@ -4,7 +4,7 @@ import pytest
 
 from core.evaluation.evaluate import EvaluationProtocol, evaluate
 from core.evaluation.split import Interleaved
-from core.parameters import Encoding, MapParameters
+from core.parameters import MapParameters
 from tests.real.conftest import Drives
 
 pytestmark = pytest.mark.real_data
@@ -13,7 +13,7 @@ pytestmark = pytest.mark.real_data
 @pytest.mark.parametrize(("segment_length", "phase"), [(50, 1), (50, 2), (100, 3), (167, 1)])
 def test_no_wrong_segment_is_told(drives: Drives, segment_length: int, phase: int) -> None:
     protocol = EvaluationProtocol(
-        MapParameters.for_sensor(encoding=Encoding.HARMONIC),
+        MapParameters.for_sensor(encoding="harmonic"),
         segment_length=segment_length,
         split=Interleaved(0.2, phase),
         track=True,

@@ -4,14 +4,14 @@ import pytest
 
 from core.evaluation.evaluate import EvaluationProtocol, evaluate
 from core.evaluation.split import Every
-from core.parameters import Encoding, MapParameters
+from core.parameters import MapParameters
 from tests.real.conftest import Drives
 
 pytestmark = pytest.mark.real_data
 
 
 def test_scans_of_another_town_are_told_from_those_of_the_map(drives: Drives) -> None:
-    parameters = MapParameters.for_sensor(encoding=Encoding.HARMONIC)
+    parameters = MapParameters.for_sensor(encoding="harmonic")
     found = evaluate(
         drives.open("kitti00"),
         EvaluationProtocol(parameters, segments=5, split=Every(2)),

@@ -6,7 +6,7 @@ from core.arrays import Float32Array, FloatArray, IntArray
 from core.errors import InvalidScan
 from core.mapping.build import fit_map
 from core.mapping.tensormap import TensorMap
-from core.parameters import Distance, Encoding, MapParameters
+from core.parameters import Distance, MapParameters
 from core.projection.images import MemoryImages, Probes
 from core.projection.range_image import RangeImage
 from core.projection.reducer import Reducer
@@ -142,7 +142,7 @@ def sample_harmonic_map(
     """Return a harmonic map of random height images, and its renderings `(K, 3, 6, 18)`."""
     grid = RingGrid(ring_m=10.0, rings=6, azimuth_step_deg=20.0)
     parameters = MapParameters(
-        Encoding.HARMONIC, (3, 4), Reducer.MEAN, "hdl-64e", grid, 1.73, Distance.NORMALISED,
+        "harmonic", (3, 4), Reducer.MEAN, "hdl-64e", grid, 1.73, Distance.NORMALISED,
         (-2.0, 0.0, 2.0),
     )  # fmt: skip
     images = random_images(3 * count * drives, grid.shape, seed).reshape(-1, 3, *grid.shape)

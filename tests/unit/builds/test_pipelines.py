@@ -9,7 +9,7 @@ from app.builds.parameters import BuildParameters
 from app.builds.pipelines import Built
 from app.builds.pipelines import build_revision as build_planned
 from app.builds.plans import plan_build
-from core.mapping.merge import BasisFit
+from core.encodings.basis import BasisFit
 from core.progress import Progress
 from storage.catalog import JobState
 from storage.errors import CorruptFile, JobNotRunning, MapNotFound

@@ -14,7 +14,7 @@ from core.evaluation.condition import Condition, conditions
 from core.evaluation.methods import MappedPlaces, Nearest
 from core.evaluation.pairing import HeldOut, LoopClosing, SecondPass
 from core.evaluation.split import Every
-from core.parameters import Encoding, MapParameters
+from core.parameters import MapParameters
 from core.scans.drive import MemoryDrive
 from core.scans.pose import Pose
 from core.scans.scan import Scan
@@ -186,7 +186,7 @@ def test_nonsense_is_refused():
 def compared_methods():
     return [
         MappedPlaces(MapParameters(), 6),
-        MappedPlaces(MapParameters.for_sensor(encoding=Encoding.HARMONIC), 6),
+        MappedPlaces(MapParameters.for_sensor(encoding="harmonic"), 6),
         ScanContext(),
         ScanContext(candidates=3),
         Solid(),

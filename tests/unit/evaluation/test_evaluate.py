@@ -5,12 +5,13 @@ import json
 import numpy as np
 import pytest
 
+from core.encodings.registry import encoding_names
 from core.errors import Cancelled, EmptyDrive, InvalidParameters
 from core.evaluation.condition import Condition
 from core.evaluation.evaluate import EvaluationProtocol, evaluate
 from core.evaluation.motion import is_standing
 from core.evaluation.split import Every, Interleaved
-from core.parameters import Encoding, MapParameters, Segmentation
+from core.parameters import MapParameters, Segmentation
 from core.scans.drive import MemoryDrive
 from core.scans.scan import Scan
 from core.simulation import SimulatedDrive
@@ -235,7 +236,7 @@ def test_a_protocol_that_cannot_be_is_refused(wrong, said):
 
 def test_the_harmonic_encoding_tells_heading_and_offset_and_says_what_it_was_built_with(drive):
     parameters = MapParameters.for_sensor(
-        encoding=Encoding.HARMONIC, lateral_renderings_m=(-2.0, 0.0, 2.0)
+        encoding="harmonic", lateral_renderings_m=(-2.0, 0.0, 2.0)
     )
     disturbed = (Condition(), Condition(yaw_deg=-120.0, lateral_m=2.0))
     found = evaluate(drive, EvaluationProtocol(parameters, segments=2, conditions=disturbed))
@@ -259,7 +260,7 @@ def test_the_papers_encoding_tells_neither(found):
 
 def test_unknown_places_are_asked_and_the_probabilities_judged(drive):
     elsewhere = in_memory(SimulatedDrive(seed=8, scans=20))
-    protocol = EvaluationProtocol(MapParameters.for_sensor(encoding=Encoding.HARMONIC), segments=4)
+    protocol = EvaluationProtocol(MapParameters.for_sensor(encoding="harmonic"), segments=4)
     found = evaluate(drive, protocol, unknown=[elsewhere])
     assert found.calibrated
     assert found.unknown_drives == (elsewhere.name,)
@@ -285,7 +286,7 @@ def test_an_unknown_drive_without_a_scan_is_refused(drive):
         evaluate(drive, EvaluationProtocol(segments=4), unknown=[MemoryDrive("none", [])])
 
 
-@pytest.mark.parametrize("encoding", Encoding)
+@pytest.mark.parametrize("encoding", encoding_names())
 def test_unequal_segments_are_cut_over_all_scans_and_told(encoding):
     parameters = MapParameters.for_sensor(
         encoding=encoding, ranks=(2, 2), segmentation=Segmentation.UNEQUAL

@@ -7,12 +7,12 @@ import pytest
 
 from core.confidence.calibration import MIN_PROBABILITY
 from core.confidence.spread import Deviation, Spread, fit_variance
+from core.encodings.paper import PaperEncoding
 from core.errors import InvalidMap, InvalidParameters
 from core.localization.candidates import find_candidates
 from core.localization.localizer import Localizer
 from core.mapping.build import fit_map
-from core.mapping.calibrate import _SHARPER, calibrate
-from core.parameters import Encoding
+from core.mapping.calibrate import calibrate
 from core.projection.images import MemoryImages
 from tests.support.samples import (
     SMALL_GRID,
@@ -62,7 +62,7 @@ def test_a_place_of_the_map_is_probable_and_one_of_elsewhere_is_not(made):
 
 
 def test_sharper_odds_change_probabilities_and_no_decision(made, monkeypatch):
-    monkeypatch.setitem(_SHARPER, Encoding.PAPER, 2.0)
+    monkeypatch.setattr(PaperEncoding, "sharper", 2.0)
     sharp = calibrate(made, noisy_probes(smooth_images(120, SMALL_GRID.shape)))
     assert sharp is not None
     assert sharp.both == tuple(2.0 * weight for weight in made.calibration.both)

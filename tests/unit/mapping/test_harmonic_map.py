@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from scipy.linalg import eigh
 
-from core.encodings.basis import HarmonicBasis
-from core.encodings.harmonic import HarmonicModel, azimuth_factor
+from core.encodings.harmonic import HarmonicBasis, HarmonicModel, azimuth_factor
 from core.encodings.signature import Packing, Signature, pack_signatures, unpack_signatures
 from core.errors import (
     InvalidMap,
@@ -18,7 +17,7 @@ from core.evaluation.condition import Condition
 from core.localization.localizer import Localizer
 from core.mapping.build import fit_map
 from core.mapping.tensormap import TensorMap
-from core.parameters import Distance, Encoding, MapParameters
+from core.parameters import Distance, MapParameters
 from core.projection.height_image import HeightImage
 from core.projection.imager import ImageKind
 from core.projection.images import ConcatenatedImages, MemoryImages, project_drive
@@ -31,7 +30,7 @@ from core.scans.trajectory import Trajectory
 from core.simulation import SimulatedDrive, SimulatedSensor
 from tests.support.samples import sample_harmonic_map, straight_poses
 
-HARMONIC, PAPER = Encoding.HARMONIC, Encoding.PAPER
+HARMONIC, PAPER = "harmonic", "paper"
 
 
 @pytest.fixture(scope="module")
@@ -215,7 +214,7 @@ def test_every_rendering_finds_its_scan_and_tells_where_it_is_seen_from():
             found = localizer.localize_image(HeightImage(turned, grid))
             assert found.best.row == row
             assert found.best.lateral_m == pytest.approx(left_m, abs=1e-9)
-            assert found.best.turn_deg == pytest.approx(5 * 20, abs=2)
+            assert found.best.relative_yaw_deg == pytest.approx(5 * 20, abs=2)
             assert found.segments == (0, 1)
 
 
@@ -237,7 +236,7 @@ def test_a_vehicle_beside_the_line_and_turned_is_found_where_it_stands(
         error = (heading_deg(estimate[None]) - heading_deg(truth[None]) + 180) % 360 - 180
         assert abs(error) < 0.6
         assert best.heading_deg == pytest.approx(heading_deg(estimate[None])[0])
-        turn = (best.turn_deg - yaw_deg + 180) % 360 - 180
+        turn = (best.relative_yaw_deg - yaw_deg + 180) % 360 - 180
         assert abs(turn) < 0.6
 
 
@@ -272,7 +271,7 @@ def test_without_poses_a_turn_and_an_offset_are_still_told():
     best = Localizer(tensor_map).localize_image(HeightImage(images[4, 2], grid)).best
     assert best.row == 4
     assert best.lateral_m == pytest.approx(2.0, abs=1e-9)
-    assert best.turn_deg == pytest.approx(0.0, abs=2)
+    assert best.relative_yaw_deg == pytest.approx(0.0, abs=2)
     assert (best.estimated_pose, best.heading_deg) == (None, None)
 
 
@@ -305,10 +304,10 @@ def test_what_is_of_another_kind_is_refused(drive, localizer):
     with pytest.raises(SensorMismatch, match="the image is on"):
         localizer.localize_image(HeightImage(np.ones(rings.shape, np.float32), rings))
     [signature] = localizer.basis.encode(localizer.basis.image(drive.scan(0)))
-    with pytest.raises(InvalidSignature, match="one harmonic signature"):
+    with pytest.raises(InvalidSignature, match="exactly one harmonic signature"):
         localizer.localize_signatures([signature, signature])
     of_paper = Signature(signature.values.real, 0, signature.revision)
-    with pytest.raises(InvalidSignature, match="one harmonic signature"):
+    with pytest.raises(InvalidSignature, match="exactly one harmonic signature"):
         localizer.localize_signatures([of_paper])
     with pytest.raises(StaleSignature):
         localizer.localize_signatures([Signature(signature.values, None, "f" * 64)])
@@ -325,7 +324,9 @@ def test_a_paper_map_refuses_a_harmonic_signature():
     with pytest.raises(InvalidSignature, match="harmonic"):
         Localizer(tensor_map).localize_signatures([harmonic])
     found = Localizer(tensor_map).localize_image(RangeImage(images[1], AngularGrid())).best
-    assert (found.turn_deg, found.lateral_m, found.heading_deg, found.estimated_pose) == (None,) * 4
+    assert (found.relative_yaw_deg, found.lateral_m, found.heading_deg, found.estimated_pose) == (
+        None,
+    ) * 4
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,7 @@
 """Drives merged, left out and added: exact, with the basis that vehicles hold."""
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from core.encodings.grams import (
     radial_error,
     sum_of_grams,
 )
+from core.encodings.harmonic import HarmonicBasis
 from core.errors import (
     BasisMismatch,
     EmptyDrive,
@@ -25,7 +27,7 @@ from core.errors import (
 )
 from core.localization.localizer import Localizer
 from core.mapping.build import fit_map
-from core.mapping.merge import basis_fits, merge_maps, without_drives
+from core.mapping.merge import merge_maps, without_drives
 from core.projection.height_image import HeightImage
 from core.projection.images import ConcatenatedImages, MemoryImages
 from core.scans.trajectory import Trajectory
@@ -70,6 +72,11 @@ def built(parts, **options):
     )
 
 
+def of(u):
+    r1 = u.shape[1]
+    return HarmonicBasis.of(replace(HARMONIC, ranks=(r1, HARMONIC.ranks[1])), u)
+
+
 def parts_of(*counts, parameters=HARMONIC):
     names = ("a", "b", "c", "d")
     return [Part(names[i], n, i, parameters) for i, n in enumerate(counts)]
@@ -87,7 +94,7 @@ def test_a_build_of_all_drives_is_the_merge_of_its_parts_to_the_bit(counts, rand
     u = fit_radial_basis(grams, whole.parameters.ranks[0])
     assert u.tobytes() == whole.model.radial_basis.tobytes()
     assert built(parts, grams=grams).revision == whole.revision
-    merged = merge_maps([built([part], radial_basis=u) for part in parts])
+    merged = merge_maps([built([part], kept=of(u)) for part in parts])
     assert merged.revision == whole.revision
 
 
@@ -114,7 +121,7 @@ def test_the_sum_over_all_drives_is_that_of_their_images():
 def test_merging_is_associative_and_leaves_no_number_changed():
     first, *others = parts_of(12, 20, 5)
     one = built([first])
-    more = [built([part], radial_basis=one.model.radial_basis) for part in others]
+    more = [built([part], kept=one.basis()) for part in others]
     left = merge_maps([merge_maps([one, more[0]]), more[1]])
     right = merge_maps([one, merge_maps(more)])
     assert left.revision == right.revision
@@ -126,7 +133,7 @@ def test_merging_is_associative_and_leaves_no_number_changed():
 def test_leaving_a_drive_out_is_the_build_without_it(parameters):
     parts = parts_of(12, 25, 7, parameters=parameters)
     whole = built(parts)
-    kept = {} if parameters is PAPER else {"radial_basis": whole.model.radial_basis}
+    kept = {} if parameters is PAPER else {"kept": whole.basis()}
     for left_out in parts:
         rest = [part for part in parts if part is not left_out]
         assert without_drives(whole, [left_out.name]).revision == built(rest, **kept).revision
@@ -153,16 +160,16 @@ def test_a_kept_basis_takes_one_pass_and_a_wrong_one_is_refused():
     [part] = parts_of(40)
     u = built([part]).model.radial_basis
     progress = RecordedProgress()
-    built([part], progress=progress, radial_basis=u)
+    built([part], progress=progress, kept=of(u))
     assert (progress.stages, progress.done) == ([("fitting", 40)], [40])
-    with pytest.raises(InvalidParameters, match="radial_basis is"):
-        built([part], radial_basis=u[:, :2])
+    with pytest.raises(InvalidParameters, match="cannot be kept"):
+        built([part], kept=of(u[:, :2]))
     with pytest.raises(InvalidParameters, match=r"sums are of drives \['z'\]"):
         built([part], grams={"z": part.gram()})
     with pytest.raises(InvalidParameters, match="the sum of drive a is"):
         built([part], grams={"a": part.gram()[1:, 1:]})
-    with pytest.raises(InvalidParameters, match="no radial basis"):
-        built(parts_of(12, parameters=PAPER), radial_basis=u)
+    with pytest.raises(InvalidParameters, match="cannot be kept"):
+        built(parts_of(12, parameters=PAPER), kept=of(u))
     with pytest.raises(InvalidMap, match="comes twice"):
         built([part, part])
 
@@ -171,7 +178,7 @@ def test_a_signature_of_the_held_basis_is_answered_after_a_drive_was_added():
     first, second = parts_of(12, 20)
     before = built([first])
     held = before.basis()  # what the vehicle downloaded
-    after = built([first, second], radial_basis=before.model.radial_basis)
+    after = built([first, second], kept=before.basis())
     assert after.revision != before.revision
     for part, row in ((first, 3), (second, 12 + 5)):
         cells = part.images.read(0, 100)[row - (0 if part is first else 12), 1]
@@ -205,10 +212,10 @@ def test_a_basis_is_named_by_what_signatures_depend_on_and_by_nothing_else():
     [part] = parts_of(30)
     plain = built([part])
     u = plain.model.radial_basis
-    assert built([Part("other", 9, 4)], radial_basis=u).basis_digest == plain.basis_digest
+    assert built([Part("other", 9, 4)], kept=of(u)).basis_digest == plain.basis_digest
     flipped = u.copy()
     flipped[0, 0] = np.nextafter(u[0, 0], np.float32(9))
-    assert built([part], radial_basis=flipped).basis_digest != plain.basis_digest
+    assert built([part], kept=of(flipped)).basis_digest != plain.basis_digest
     held = plain.basis()
     with pytest.raises(InvalidMap, match="its content is"):
         type(held)(held.revision, held.digest, held.parameters, flipped)
@@ -223,7 +230,7 @@ def test_a_kept_basis_tells_how_well_it_fits_what_it_was_not_fitted_to():
         for name, cells in (("low", low), ("high", high))
     }
     u = fit_radial_basis({"low": grams["low"]}, 1)
-    of_low, of_high = basis_fits(u, grams)
+    of_low, of_high = of(u).fits(grams)
     assert of_low.drive == "low"
     assert of_low.kept_error == pytest.approx(0.0, abs=1e-3)
     assert of_high.kept_error == pytest.approx(1.0)

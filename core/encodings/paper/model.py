@@ -1,19 +1,23 @@
-"""The paper's encoding: each segment has bases of its own (paper, sec. 2.2 and 2.3)."""
+"""Models of a map whose segments have bases of their own (paper, sec. 2.2 and 2.3)."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from core.arrays import BoolArray, Float32Array, FloatArray, IntArray, frozen
-from core.encodings.base import Found, Segmented, nearest, require_sane
+from core.arrays import Float32Array, FloatArray, IntArray, frozen
+from core.encodings.model import DistanceSearch, Model, require_sane
+from core.encodings.paper.basis import PaperBasis, paper_basis_digests
 from core.encodings.signature import Signature
 from core.encodings.tucker import storage_elements
 from core.errors import InvalidMap, InvalidSignature
 
-__all__ = ["PaperModel", "PaperSearch", "SegmentModel"]
+if TYPE_CHECKING:
+    from core.parameters import MapParameters
+
+__all__ = ["PaperModel", "SegmentModel"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +38,7 @@ class SegmentModel:
 
 
 @dataclass(frozen=True, eq=False)
-class PaperModel(Segmented):
+class PaperModel(Model):
     """All segments' models, packed.
 
     Attributes:
@@ -43,6 +47,8 @@ class PaperModel(Segmented):
         signatures: `(K, r1, r2)` float32.
         segment_start: `(L + 1,)` row of each segment's first scan, and K.
     """
+
+    encoding: ClassVar[str] = "paper"
 
     elevation_basis: Float32Array
     azimuth_basis: Float32Array
@@ -96,7 +102,7 @@ class PaperModel(Segmented):
             "segment_start": self.segment_start,
         }
 
-    def search(self, signatures: Sequence[Signature]) -> "PaperSearch":
+    def search(self, signatures: Sequence[Signature]) -> "DistanceSearch":
         """Compare one scan's signatures with those of their segments.
 
         Raises:
@@ -105,12 +111,20 @@ class PaperModel(Segmented):
         """
         segments = [s.segment for s in signatures if s.segment is not None]
         if len(segments) < len(signatures):
-            raise InvalidSignature("the signature is harmonic, this map is of the paper's encoding")
+            raise InvalidSignature(
+                f"the signature is {signatures[0].encoding}, this map is of the paper's encoding"
+            )
         if len(set(segments)) < len(segments):
             raise InvalidSignature(f"a segment comes twice in {segments}")
         values = np.stack([s.values for s in signatures]).astype(np.float64)
         rows, distances = self.distances(values, np.array(segments, dtype=np.int64))
-        return PaperSearch(tuple(sorted(segments)), rows, distances, len(self))
+        return DistanceSearch(tuple(sorted(segments)), rows, distances, len(self))
+
+    def search_values(self, values: NDArray[Any]) -> DistanceSearch:
+        """Compare an image's values in the bases of all segments, `(L, r1, r2)`."""
+        segments = np.arange(self.segments)
+        rows, distances = self.distances(values.astype(np.float64), segments)
+        return DistanceSearch(tuple(segments.tolist()), rows, distances, len(self))
 
     def distances(self, signatures: FloatArray, segments: IntArray) -> tuple[IntArray, FloatArray]:
         """Return the rows of the segments' scans, `(n,)`, and their Frobenius distances, `(n,)`.
@@ -127,6 +141,65 @@ class PaperModel(Segmented):
         squared = np.einsum("nij,nij->n", difference, difference)
         return rows, np.sqrt(squared)
 
+    def own_queries(
+        self, rows: Iterable[int], named: str, segments: IntArray | None = None
+    ) -> Iterator[tuple[Signature, ...]]:
+        """Yield what each scan would send: the segment's model of it, U_l^T U G V^T V_l.
+
+        What the bases of its own segment leave out of the image is missing in those of segment l.
+        """
+        wanted = np.arange(self.segments) if segments is None else segments
+        u, v = (b[wanted].astype(np.float64) for b in (self.elevation_basis, self.azimuth_basis))
+        segment_of_scan, last = self.segment_of_scan, -1
+        for row in rows:
+            own = int(segment_of_scan[row])
+            if own != last:
+                from_u = u.transpose(0, 2, 1) @ self.elevation_basis[own].astype(np.float64)
+                from_v = self.azimuth_basis[own].astype(np.float64).T @ v
+                last = own
+            values = from_u @ self.signatures[row].astype(np.float64) @ from_v
+            values[wanted == own] = self.signatures[row]
+            yield tuple(
+                Signature(of_segment.astype(np.float32), segment, named)
+                for of_segment, segment in zip(values, wanted.tolist(), strict=True)
+            )
+
+    def basis_digests(self, parameters: "MapParameters") -> tuple[str, ...]:
+        """Return what names the bases of the first 1, 2, ... L segments, `L` digests."""
+        return paper_basis_digests(parameters, self.elevation_basis, self.azimuth_basis)
+
+    def basis(
+        self, revision: str, digest: str, parameters: "MapParameters", segments: IntArray
+    ) -> PaperBasis:
+        """Return the bases of some segments."""
+        return PaperBasis(
+            revision,
+            digest,
+            parameters,
+            segments,
+            self.elevation_basis[segments],
+            self.azimuth_basis[segments],
+        )
+
+    def select(self, rows: IntArray, segments: IntArray, segment_start: IntArray) -> "PaperModel":
+        """Return the model of some segments, which stay as they are."""
+        return PaperModel(
+            self.elevation_basis[segments],
+            self.azimuth_basis[segments],
+            self.signatures[rows],
+            segment_start,
+        )
+
+    def joined(self, others: Sequence["PaperModel"], segment_start: IntArray) -> "PaperModel":
+        """Return one model of this one's segments and those of others after it."""
+        models = (self, *others)
+        return PaperModel(
+            np.concatenate([model.elevation_basis for model in models]),
+            np.concatenate([model.azimuth_basis for model in models]),
+            np.concatenate([model.signatures for model in models]),
+            segment_start,
+        )
+
     def segment(self, index: int) -> SegmentModel:
         """Return one segment's model.
 
@@ -141,36 +214,3 @@ class PaperModel(Segmented):
             self.signatures[start:end].astype(np.float64),
             int(start),
         )
-
-
-@dataclass(frozen=True, eq=False)
-class PaperSearch:
-    """Distances of a query to the scans of the segments that it has signatures of.
-
-    Attributes:
-        segments: These segments, rising.
-        rows: `(n,)` rows of their scans.
-        distances_of_rows: `(n,)` in the Frobenius norm.
-        scans: K, how many the map has.
-    """
-
-    segments: tuple[int, ...]
-    rows: IntArray
-    distances_of_rows: FloatArray
-    scans: int
-
-    def nearest(self, k: int, among: BoolArray | None = None) -> tuple[Found, ...]:
-        """Return the `k` nearest scans, nearest first."""
-        rows, distances = self.rows, self.distances_of_rows
-        if among is not None:
-            kept = among[rows]
-            rows, distances = rows[kept], distances[kept]
-        return tuple(
-            Found(int(rows[i]), float(distances[i])) for i in nearest(distances, k).tolist()
-        )
-
-    def distances(self, among: BoolArray | None = None) -> FloatArray:
-        """Return the distance of each scan, `(K,)`, infinite if not asked or in no segment here."""
-        distances = np.full(self.scans, np.inf)
-        distances[self.rows] = self.distances_of_rows
-        return distances if among is None else np.where(among, distances, np.inf)

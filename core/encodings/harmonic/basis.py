@@ -1,0 +1,81 @@
+"""The one basis of a harmonic map; the azimuth factor is a formula."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from core.arrays import Complex64Array, Float32Array, FloatArray, frozen
+from core.encodings.basis import Basis, BasisFit, signature_parameters
+from core.encodings.grams import fit_radial_basis, radial_error
+from core.encodings.harmonics import encode
+from core.encodings.signature import Signature
+from core.errors import InvalidMap
+from core.projection.imager import Image
+from core.revision import content_digest
+
+if TYPE_CHECKING:
+    from core.parameters import MapParameters
+
+__all__ = ["HarmonicBasis", "harmonic_basis_digest"]
+
+
+def harmonic_basis_digest(parameters: "MapParameters", radial_basis: Float32Array) -> str:
+    """Return what names a harmonic basis: equal ones make equal signatures of every scan."""
+    return content_digest({"radial_basis": radial_basis}, signature_parameters(parameters))
+
+
+@dataclass(frozen=True, eq=False)
+class HarmonicBasis(Basis):
+    """The one basis of a revision in the harmonic encoding.
+
+    Attributes:
+        radial_basis: `(I, r1)` float32.
+    """
+
+    radial_basis: Float32Array
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "radial_basis", frozen(self.radial_basis, np.float32))
+        wanted = (self.parameters.grid.rows, self.parameters.ranks[0])
+        if self.radial_basis.shape != wanted:
+            raise InvalidMap(f"radial_basis has shape {self.radial_basis.shape}, wanted {wanted}")
+        own = harmonic_basis_digest(self.parameters, self.radial_basis)
+        if self.digest != own:
+            raise InvalidMap(f"the basis says it is {self.digest}, its content is {own}")
+
+    @classmethod
+    def of(
+        cls, parameters: "MapParameters", radial_basis: Float32Array, revision: str = ""
+    ) -> "HarmonicBasis":
+        """Return the basis of this U, `(I, r1)`."""
+        digest = harmonic_basis_digest(parameters, radial_basis)
+        return cls(revision, digest, parameters, radial_basis)
+
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """Return every array by its name."""
+        return {"radial_basis": self.radial_basis}
+
+    def as_values(self) -> dict[str, Any]:
+        """Return the basis as plain values; a float32 survives it."""
+        return {"radial_basis": self.radial_basis.tolist()}
+
+    def fits(self, grams: Mapping[str, FloatArray]) -> tuple[BasisFit, ...]:
+        """Compare this basis with one fitted to all of these drives, drive by drive."""
+        refitted = fit_radial_basis(grams, self.radial_basis.shape[1])
+        return tuple(
+            BasisFit(name, radial_error(gram, self.radial_basis), radial_error(gram, refitted))
+            for name, gram in grams.items()
+        )
+
+    def project(self, image: Image) -> Complex64Array:
+        """Return U^T S F, `(r1, r2)`."""
+        self.require_grid(image)
+        values = encode(image.cells, self.radial_basis, self.parameters.ranks[1])
+        return values.astype(np.complex64)
+
+    def encode(self, image: Image) -> tuple[Signature, ...]:
+        """Return the image's one signature, good for all segments."""
+        return (Signature(self.project(image), None, self.digest),)

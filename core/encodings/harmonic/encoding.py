@@ -1,0 +1,239 @@
+"""The harmonic encoding as one object: one radial basis for the map, harmonics in azimuth."""
+
+import itertools
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from core.arrays import Float32Array, FloatArray, IntArray
+from core.encodings.base import Encoding
+from core.encodings.basis import Basis
+from core.encodings.blocks import read_blocks
+from core.encodings.distance import Distance
+from core.encodings.grams import detail_gram, drive_gram, fit_radial_basis
+from core.encodings.harmonic import packing as packed
+from core.encodings.harmonic.basis import HarmonicBasis
+from core.encodings.harmonic.model import HarmonicModel
+from core.encodings.harmonics import encode, energy, harmonic_elements, weights
+from core.encodings.model import Model
+from core.encodings.signature import Packing, Signature
+from core.encodings.tucker import leading_basis
+from core.errors import InvalidMap, InvalidParameters, InvalidSignature
+from core.progress import Progress
+from core.projection.imager import LATERAL_RENDERINGS_M, ImageKind
+from core.projection.images import ImageSource
+from core.projection.reducer import Reducer
+from core.scans.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from core.parameters import MapParameters
+
+__all__ = ["HarmonicEncoding"]
+
+
+class HarmonicEncoding(Encoding):
+    """G = U^T S F: answers in any heading and lane (docs/decisions/0010-harmonic-encoding.md)."""
+
+    name = "harmonic"
+    reducers: ClassVar = {ImageKind.HEIGHT: Reducer.HIGHEST, ImageKind.RANGE: Reducer.MEAN}
+    wraps = True
+    distance = Distance.NORMALISED
+    lateral_renderings_m = LATERAL_RENDERINGS_M
+    dtypes: ClassVar = {"radial_basis": "<f4", "signatures": "<c8", "lateral_offset_m": "<f8"}
+    layouts = packed.LAYOUTS
+    packings = (Packing.INT8, Packing.FLOAT16)
+    signature_dtype = np.dtype(np.complex64)
+    fits_to_grams = True
+    yaw_invariant = True
+    sharper = 1.4
+    pack = staticmethod(packed.pack)
+    unpack = staticmethod(packed.unpack)
+
+    def largest_ranks(self, grid_shape: tuple[int, int]) -> tuple[int, int]:
+        """Return I and how many harmonics J columns have."""
+        rows, columns = grid_shape
+        return rows, columns // 2 + 1
+
+    def elements(self, parameters: "MapParameters", segments: int, scans: int) -> int:
+        """Return I r1 + D + K D r1 (2 r2 - 1)."""
+        del segments
+        renderings = len(parameters.lateral_renderings_m or ())
+        return harmonic_elements(scans, renderings, parameters.grid.rows, parameters.ranks)
+
+    def fit(
+        self,
+        images: ImageSource,
+        trajectory: Trajectory,
+        segment_start: IntArray,
+        parameters: "MapParameters",
+        progress: Progress,
+        kept: Basis | None = None,
+        grams: Mapping[str, FloatArray] | None = None,
+    ) -> tuple[Model, FloatArray]:
+        """Fit one radial basis to all renderings of all scans unless it is kept, and encode them.
+
+        A segment's relative error is sqrt(1 - sum |G|^2 / sum |S|^2) over its scans' renderings,
+        |G| in the weighted norm: U and the harmonics are orthonormal, so that is what they leave
+        out.
+        """
+        one_pass = kept is not None or grams is not None
+        progress.start("fitting", len(images) if one_pass else 2 * len(images))
+        if isinstance(kept, HarmonicBasis):
+            u = kept.radial_basis
+        else:
+            u = self._fit_basis(images, trajectory, parameters, progress, grams)
+        columns, (r1, r2) = parameters.grid.columns, parameters.ranks
+        shape = parameters.imager.shape
+        signatures = np.empty((len(images), shape[0], r1, r2), np.complex64)
+        errors = np.zeros(len(segment_start) - 1)
+        for segment, (start, end) in enumerate(itertools.pairwise(segment_start.tolist())):
+            covered = whole = 0.0
+            for first, block in read_blocks(images, start, end, shape, progress):
+                encoded = encode(block, u, r2)
+                signatures[first : first + len(block)] = encoded
+                covered += float(energy(encoded, columns).sum())
+                whole += float(np.square(block, dtype=np.float64).sum())
+            if whole > 0.0:
+                errors[segment] = np.sqrt(max(0.0, 1.0 - covered / whole))
+        offsets = np.array(parameters.lateral_renderings_m)
+        return self._model(u, signatures, offsets, segment_start, parameters), errors
+
+    @staticmethod
+    def _fit_basis(
+        images: ImageSource,
+        trajectory: Trajectory,
+        parameters: "MapParameters",
+        progress: Progress,
+        grams: Mapping[str, FloatArray] | None,
+    ) -> Float32Array:
+        rows = parameters.grid.rows
+        if grams is None:
+            spans = itertools.pairwise(trajectory.drive_start.tolist())
+            grams = {
+                name: drive_gram(images, start, end, progress)
+                for name, (start, end) in zip(trajectory.drives, spans, strict=True)
+            }
+        if set(grams) != set(trajectory.drives):
+            raise InvalidParameters(
+                f"the sums are of drives {sorted(grams)}, wanted {sorted(trajectory.drives)}"
+            )
+        for name, gram in grams.items():
+            if gram.shape != (rows, rows):
+                raise InvalidParameters(
+                    f"the sum of drive {name} is {gram.shape}, wanted {rows} rows"
+                )
+        return fit_radial_basis(grams, parameters.ranks[0])
+
+    @staticmethod
+    def _model(
+        u: Float32Array,
+        signatures: NDArray[Any],
+        offsets_m: FloatArray,
+        segment_start: IntArray,
+        parameters: "MapParameters",
+    ) -> HarmonicModel:
+        measure = parameters.distance or Distance.NORMALISED  # which parameters always name
+        return HarmonicModel(
+            u, signatures, offsets_m, segment_start, parameters.grid.columns, measure
+        )
+
+    def rank_sweep(
+        self,
+        images: ImageSource,
+        queries: Float32Array,
+        cuts: Sequence[IntArray],
+        ranks: tuple[Sequence[int], Sequence[int]],
+        parameters: "MapParameters",
+        progress: Progress,
+    ) -> tuple[IntArray, FloatArray]:
+        """Return the same for all cuts: the basis is shared, so they change nothing."""
+        shape, scans, (r1s, r2s) = parameters.imager.shape, len(images), ranks
+        image_rows, columns = parameters.grid.shape
+        gram, squared_norm = np.zeros((image_rows, image_rows)), 0.0
+        progress.start("summing", 2 * scans)
+        for _, block in read_blocks(images, 0, scans, shape, progress):
+            gram += detail_gram(block.reshape(-1, image_rows, columns))
+            squared_norm += float(np.square(block, dtype=np.float64).sum())
+        u = leading_basis(gram, r1s[-1]).astype(np.float32)
+        stored = np.concatenate(
+            [
+                encode(block, u, r2s[-1]).astype(np.complex64)
+                for _, block in read_blocks(images, 0, scans, shape, progress)
+            ]
+        )
+        encoded = encode(queries, u, r2s[-1]).astype(np.complex64)
+        rows = np.zeros((len(queries), len(r1s), len(r2s)), dtype=np.int64)
+        errors = np.zeros((len(r1s), len(r2s)))
+        offsets_m = np.array(parameters.lateral_renderings_m)
+        progress.start("sweeping", rows.size)
+        for (a, r1), (b, r2) in itertools.product(enumerate(r1s), enumerate(r2s)):
+            leading = stored[..., :r1, :r2]
+            model = self._model(u[:, :r1], leading, offsets_m, np.array([0, scans]), parameters)
+            covered = float(energy(leading, columns).sum())
+            errors[a, b] = np.sqrt(max(0.0, 1.0 - covered / squared_norm))
+            for q, values in enumerate(encoded[:, :r1, :r2]):
+                rows[q, a, b] = model.search([Signature(values, None, "")]).nearest(1).rows[0]
+                progress.advance()
+        count = len(cuts)
+        return np.broadcast_to(rows, (count, *rows.shape)), np.broadcast_to(
+            errors, (count, *errors.shape)
+        )
+
+    def read_model(self, parameters: "MapParameters", arrays: Mapping[str, NDArray[Any]]) -> Model:
+        """Return the model that `Model.arrays` gave."""
+        return self._model(
+            arrays["radial_basis"],
+            arrays["signatures"],
+            arrays["lateral_offset_m"],
+            arrays["segment_start"],
+            parameters,
+        )
+
+    def require_model(self, model: Model, parameters: "MapParameters") -> None:
+        """Refuse a model of another measure, or of other viewpoints, too."""
+        super().require_model(model, parameters)
+        if not isinstance(model, HarmonicModel) or model.measure != parameters.distance:
+            raise InvalidMap("the model's distance is not that of the parameters")
+        offsets = tuple(model.lateral_offset_m.tolist())
+        if offsets != parameters.lateral_renderings_m:
+            raise InvalidMap(f"lateral_offset_m is {offsets}, not that of the parameters")
+
+    def read_basis(
+        self, revision: str, digest: str, parameters: "MapParameters", values: Mapping[str, Any]
+    ) -> HarmonicBasis:
+        """Return the basis of these values."""
+        u = np.array(values["radial_basis"], dtype=np.float32)
+        return HarmonicBasis(revision, digest, parameters, u)
+
+    def require_values(self, values: NDArray[Any]) -> None:
+        """Refuse a first column that is not real: it is the mean over azimuth."""
+        if values[:, 0].imag.any():
+            raise InvalidSignature("the first column of a harmonic signature is real")
+
+    def weighted(self, values: NDArray[Any]) -> NDArray[Any]:
+        """Return values whose plain inner product counts each harmonic for its conjugate too."""
+        harmonics = values.shape[-1]
+        # On more columns than any harmonic has, all but the first have a conjugate.
+        return values.astype(np.complex128) * np.sqrt(weights(2 * harmonics, harmonics))
+
+    def as_values(self, signature: Signature) -> dict[str, Any]:
+        """Return `values_real` and `values_imag`, r1 rows of r2 numbers each."""
+        values = signature.values
+        return {"values_real": values.real.tolist(), "values_imag": values.imag.tolist()}
+
+    def from_values(self, values: Mapping[str, Any], revision: str) -> Signature:
+        """Return the signature of these parts.
+
+        Raises:
+            InvalidSignature: If they are of two shapes or a number is beyond float32.
+        """
+        real, imag = values["values_real"], values["values_imag"]
+        lengths = {len(row) for row in (*real, *imag)}
+        if len(lengths) > 1 or len(real) != len(imag):
+            raise InvalidSignature("values_real and values_imag are not of one shape r1 x r2")
+        found = np.zeros((len(real), lengths.pop()), np.complex64)
+        with np.errstate(over="ignore"):  # infinite then, and refused as such
+            found.real, found.imag = real, imag
+        return Signature(found, None, revision)

@@ -1,0 +1,189 @@
+"""The model of a map in the harmonic encoding.
+
+A turn of the sensor moves the columns of an image around, which leaves S S^T as it is, and with it
+U, and multiplies harmonic m by a phase. So a signature made in any heading is compared with the
+map's in every heading, and the best one gives the relative yaw.
+"""
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from core.arrays import Complex64Array, Float32Array, FloatArray, IntArray, frozen
+from core.encodings.distance import Distance
+from core.encodings.harmonic.basis import HarmonicBasis, harmonic_basis_digest
+from core.encodings.harmonic.search import HarmonicSearch
+from core.encodings.harmonics import energy, harmonic_elements, weights
+from core.encodings.model import Model, require_sane
+from core.encodings.signature import Signature
+from core.errors import InvalidMap, InvalidSignature
+
+if TYPE_CHECKING:
+    from core.parameters import MapParameters
+
+__all__ = ["HarmonicModel"]
+
+
+@dataclass(frozen=True, eq=False)
+class HarmonicModel(Model):
+    """All scans' signatures in one basis, each from several places beside the line.
+
+    Attributes:
+        radial_basis: `(I, r1)` float32, orthonormal columns; U of all segments.
+        signatures: `(K, D, r1, r2)` complex64, the first column real; D renderings of each scan.
+        lateral_offset_m: `(D,)` how far to the left of the line each rendering is seen from.
+        segment_start: `(L + 1,)` row of each segment's first scan, and K.
+        columns: J, how many azimuths an image has.
+        measure: How signatures are compared.
+    """
+
+    encoding: ClassVar[str] = "harmonic"
+
+    radial_basis: Float32Array
+    signatures: Complex64Array
+    lateral_offset_m: FloatArray
+    segment_start: IntArray
+    columns: int
+    measure: Distance
+
+    def __post_init__(self) -> None:
+        for name, dtype in (
+            ("radial_basis", np.float32),
+            ("signatures", np.complex64),
+            ("lateral_offset_m", np.float64),
+            ("segment_start", np.int64),
+        ):
+            object.__setattr__(self, name, frozen(getattr(self, name), dtype))
+        if self.radial_basis.ndim != 2 or self.signatures.ndim != 4:
+            raise InvalidMap("the radial basis has two axes, signatures have four")
+        scans, renderings, r1, r2 = self.signatures.shape
+        if self.radial_basis.shape[1] != r1 or self.lateral_offset_m.shape != (renderings,):
+            raise InvalidMap(
+                f"radial_basis {self.radial_basis.shape}, signatures {self.signatures.shape} and"
+                f" lateral_offset_m {self.lateral_offset_m.shape} do not fit together"
+            )
+        if not 1 <= r2 <= self.columns // 2 + 1 or r1 < 1:
+            raise InvalidMap(f"signatures have {r2} harmonics of {self.columns} columns")
+        self._require_rising(scans)
+        require_sane({"radial_basis": self.radial_basis}, self.signatures)
+        if not np.isfinite(self.lateral_offset_m).all():
+            raise InvalidMap("lateral_offset_m holds numbers that are not finite")
+        if self.signatures[..., 0].imag.any():
+            raise InvalidMap("the first column of a harmonic signature is real")
+
+    @property
+    def ranks(self) -> tuple[int, int]:
+        """`(r1, r2)`, the shape of a signature."""
+        return self.signatures.shape[2], self.signatures.shape[3]
+
+    @property
+    def grid_shape(self) -> tuple[int, int]:
+        """`(I, J)`, the shape of an image."""
+        return self.radial_basis.shape[0], self.columns
+
+    @property
+    def elements(self) -> int:
+        """How many numbers the basis and signatures are."""
+        scans, renderings = self.signatures.shape[:2]
+        return harmonic_elements(scans, renderings, self.grid_shape[0], self.ranks)
+
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """Return every array by its name in the file."""
+        return {
+            "radial_basis": self.radial_basis,
+            "signatures": self.signatures,
+            "lateral_offset_m": self.lateral_offset_m,
+            "segment_start": self.segment_start,
+        }
+
+    def search(self, signatures: Sequence[Signature]) -> HarmonicSearch:
+        """Compare one scan's signature with the map's in every heading.
+
+        Raises:
+            InvalidSignature: If it is of another encoding, or there are several.
+        """
+        if len(signatures) != 1 or signatures[0].encoding != self.encoding:
+            raise InvalidSignature(
+                "a harmonic map expects exactly one harmonic signature, without a segment"
+            )
+        return self.search_values(signatures[0].values)
+
+    def search_values(self, values: NDArray[Any]) -> HarmonicSearch:
+        """Compare an image's values, `(r1, r2)`."""
+        return HarmonicSearch(self, values.astype(np.complex128))
+
+    @property
+    def recorded(self) -> Complex64Array:
+        """Signatures from the viewpoint nearest to the recorded line, `(K, r1, r2)`."""
+        return self.signatures[:, self._on_line]
+
+    @property
+    def recorded_lateral_m(self) -> float:
+        """How far to the left of the recorded line that viewpoint is."""
+        return float(self.lateral_offset_m[self._on_line])
+
+    @property
+    def _on_line(self) -> int:
+        return int(np.abs(self.lateral_offset_m).argmin())
+
+    @property
+    def gives_relative_yaw(self) -> bool:
+        """Whether there is a harmonic that relative yaw changes."""
+        return self.ranks[1] > 1
+
+    def own_queries(
+        self, rows: Iterable[int], named: str, segments: IntArray | None = None
+    ) -> Iterator[tuple[Signature, ...]]:
+        """Yield each scan's recorded signature: one for all segments."""
+        del segments
+        recorded = self.recorded
+        for row in rows:
+            yield (Signature(recorded[row], None, named),)
+
+    def basis_digests(self, parameters: "MapParameters") -> tuple[str, ...]:
+        """Return what names the one basis."""
+        return (harmonic_basis_digest(parameters, self.radial_basis),)
+
+    def basis(
+        self, revision: str, digest: str, parameters: "MapParameters", segments: IntArray
+    ) -> HarmonicBasis:
+        """Return the one basis."""
+        del segments
+        return HarmonicBasis(revision, digest, parameters, self.radial_basis)
+
+    def select(
+        self, rows: IntArray, segments: IntArray, segment_start: IntArray
+    ) -> "HarmonicModel":
+        """Return the model of some scans, which stay as they are."""
+        del segments
+        return replace(self, signatures=self.signatures[rows], segment_start=segment_start)
+
+    def joined(self, others: Sequence["HarmonicModel"], segment_start: IntArray) -> "HarmonicModel":
+        """Return one model of this one's scans and those of others of the same basis."""
+        signatures = np.concatenate([model.signatures for model in (self, *others)])
+        return replace(self, signatures=signatures, segment_start=segment_start)
+
+    @cached_property
+    def norms(self) -> FloatArray:
+        """|G| of every rendering, `(K, D)`."""
+        return np.sqrt(energy(self.signatures, self.columns))
+
+    @cached_property
+    def units(self) -> Complex64Array:
+        """Conjugate signatures of norm 1, weighted by sqrt(w_m), `(r2, r1, D K)`.
+
+        Harmonic by harmonic, rendering by rendering, and each row contiguous: the bound is then r2
+        products with long vectors and the greatest of D of them.
+        """
+        scaled = np.conj(self.signatures.astype(np.complex128))
+        scaled *= np.sqrt(weights(self.columns, self.ranks[1]))
+        scaled /= np.where(self.norms > 0, self.norms, 1.0)[..., None, None]
+        r1, r2 = self.ranks
+        by_harmonic: Complex64Array = frozen(
+            scaled.transpose(3, 2, 1, 0).reshape(r2, r1, -1), np.complex64
+        )
+        return by_harmonic

@@ -1,0 +1,160 @@
+"""One harmonic signature, compared with every rendering of every scan."""
+
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from core.arrays import BoolArray, ComplexArray, FloatArray, IntArray
+from core.encodings.distance import Distance
+from core.encodings.harmonics import energy, weights
+from core.encodings.model import Neighbours, Search, Viewpoints, nearest
+from core.scans.angles import wrapped_deg
+
+if TYPE_CHECKING:
+    from core.encodings.harmonic.model import HarmonicModel
+
+__all__ = ["HarmonicSearch"]
+
+_SAMPLES_A_WAVE = 12  # of the shortest wave: the parabola then errs by less than 0.1 deg
+_FIRST = 4  # scans that are searched before the bound decides on the others
+_EXACT_SCANS = 1024  # searched over headings at once: 10 MB of them
+_SLACK = 1e-5  # of the bound, in single precision, as a share of |g| |G|: ten times its rounding
+_ROUNDING = 1e-12  # of sums in double precision
+
+
+class HarmonicSearch(Search):
+    """One harmonic signature, compared with every rendering of every scan.
+
+    The correlation over headings s is max_s Re sum_m w_m e^(2 pi i m s / J) c_m with
+    c_m = sum_r g_rm conj(G_rm), and never more than sum_m w_m |c_m|. That bound costs little and
+    leaves few renderings whose headings have to be searched; the answer is the same as if all had.
+    """
+
+    def __init__(self, model: "HarmonicModel", values: ComplexArray) -> None:
+        self._model = model
+        self._values = values
+        self._weights = weights(model.columns, model.ranks[1])
+        self._norm = float(np.sqrt(energy(values, model.columns)))
+
+    @property
+    def segments(self) -> tuple[int, ...]:
+        """All of them: the basis is shared."""
+        return tuple(range(self._model.segments))
+
+    def viewpoints(self, rows: IntArray) -> Viewpoints:
+        """Return the comparison with all renderings of some scans."""
+        return Viewpoints(*self.exact(rows), self._model.lateral_offset_m)
+
+    def nearest(self, k: int, among: BoolArray | None = None) -> Neighbours:
+        """Return the `k` nearest scans, each by its nearest rendering, nearest first."""
+        lower = self._lower_bounds if among is None else self._lower_bounds[among]
+        if not len(lower):
+            return Neighbours.of_distances(np.empty(0, np.int64), np.empty(0))
+        rows = np.arange(len(self._model)) if among is None else np.flatnonzero(among)
+        first = nearest(lower, max(k, _FIRST))
+        distances, yaw_deg = self.exact(rows[first])
+        reached = nearest(distances.min(axis=1), k)
+        left = lower <= distances.min(axis=1)[reached[-1]]
+        left[first] = False
+        searched = rows[first]
+        if left.any():
+            more = self.exact(rows[left])
+            searched = np.concatenate([searched, rows[left]])
+            distances = np.concatenate([distances, more[0]])
+            yaw_deg = np.concatenate([yaw_deg, more[1]])
+        in_order = np.argsort(searched)
+        return self._ranked(searched[in_order], distances[in_order], yaw_deg[in_order], k)
+
+    def distances(self, among: BoolArray | None = None) -> FloatArray:
+        """Return each scan's distance, that of its nearest rendering, infinite outside `among`."""
+        distances = np.full(len(self._model), np.inf)
+        rows = np.arange(len(distances)) if among is None else np.flatnonzero(among)
+        for start in range(0, len(rows), _EXACT_SCANS):
+            block = rows[start : start + _EXACT_SCANS]
+            distances[block] = self.exact(block)[0].min(axis=1)
+        return distances
+
+    def nearest_by_brute_force(self, k: int) -> Neighbours:
+        """Return what `nearest` does, having searched the headings of every rendering."""
+        rows = np.arange(len(self._model))
+        return self._ranked(rows, *self.exact(rows), k)
+
+    def _ranked(
+        self, rows: IntArray, distances: FloatArray, yaw_deg: FloatArray, k: int
+    ) -> Neighbours:
+        by_scan = distances.min(axis=1)
+        order = nearest(by_scan, k)
+        rendering = distances[order].argmin(axis=1)
+        yaw_deg = yaw_deg[order, rendering]
+        return Neighbours(
+            rows[order],
+            by_scan[order],
+            yaw_deg if self._model.gives_relative_yaw else np.full(len(order), np.nan),
+            self._model.lateral_offset_m[rendering],
+        )
+
+    @cached_property
+    def _lower_bounds(self) -> FloatArray:
+        """Below which the distance of none of a scan's renderings can be, `(K,)`."""
+        model = self._model
+        unit = (self._values / (self._norm or 1.0) * np.sqrt(self._weights)).astype(np.complex64)
+        correlation = np.zeros(model.norms.size, np.float32)
+        for of_query, of_map in zip(unit.T, model.units, strict=True):
+            product = of_query @ of_map
+            squared = product.real**2
+            squared += product.imag**2
+            correlation += np.sqrt(squared, out=squared)
+        norms = model.norms.T
+        share = correlation.reshape(norms.shape)
+        if model.measure == Distance.NORMALISED:
+            return np.asarray(1.0 - (share.max(axis=0).astype(np.float64) + _SLACK))
+        at_most = (share.astype(np.float64) + _SLACK) * (self._norm * norms)
+        plain: FloatArray = self._plain(at_most, norms).min(axis=0)
+        return plain * (1.0 - _ROUNDING)
+
+    def exact(self, rows: IntArray) -> tuple[FloatArray, FloatArray]:
+        """Search the headings of all renderings of some scans.
+
+        Every step is rounded by itself and the same for one scan as for all.
+
+        Returns:
+            Distances and relative yaws in degrees, counter-clockwise from the map's scan, `(n, D)`
+            each.
+        """
+        model = self._model
+        stored = model.signatures[rows]
+        real, imag = stored.real.astype(np.float64), stored.imag.astype(np.float64)
+        g = self._values
+        c_real = (g.real * real + g.imag * imag).sum(axis=2)
+        c_imag = (g.imag * real - g.real * imag).sum(axis=2)
+        at_most = (np.sqrt(c_real * c_real + c_imag * c_imag) * self._weights).sum(axis=-1)
+        # irfft sums conjugate pairs by itself: w = 2, and half of that where there is no pair.
+        r2 = model.ranks[1]
+        pairs = np.where(np.arange(r2) > 0, self._weights / 2.0, 1.0)
+        samples = max(8, 1 << (_SAMPLES_A_WAVE * r2 - 1).bit_length())
+        correlation = np.fft.irfft((c_real + 1j * c_imag) * pairs, samples, axis=-1) * samples
+        peak = correlation.argmax(axis=-1)
+        # Indices by hand: `take_along_axis` costs as much as all the rest for a few scans.
+        waves = correlation.reshape(-1)
+        begin = np.arange(0, len(waves), samples).reshape(peak.shape)
+        before, at, after = (waves[begin + (peak + step) % samples] for step in (-1, 0, 1))
+        curvature = 2.0 * at - before - after
+        curved = curvature > 0.0
+        slope = after - before
+        safe = np.where(curved, curvature, 1.0)
+        offset = np.where(curved, 0.5 * slope / safe, 0.0)
+        best = np.where(curved, at + slope * slope / (8.0 * safe), at)
+        yaw_deg = -(peak + offset) * (360.0 / samples)
+        return self._distance(np.minimum(best, at_most), rows), wrapped_deg(yaw_deg)
+
+    def _distance(self, correlation: FloatArray, rows: IntArray) -> FloatArray:
+        norms = self._model.norms[rows]
+        if self._model.measure == Distance.PLAIN:
+            return self._plain(correlation, norms)
+        both = self._norm * norms
+        share = np.divide(correlation, both, out=np.zeros_like(both), where=both > 0)
+        return np.maximum(1.0 - share, 0.0)
+
+    def _plain(self, correlation: FloatArray, norms: FloatArray) -> FloatArray:
+        return np.maximum(self._norm * self._norm + norms * norms - 2.0 * correlation, 0.0)

@@ -1,0 +1,303 @@
+"""The bases and signatures of a map, and the search through them."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, ClassVar, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from core.arrays import BoolArray, FloatArray, IntArray, frozen
+from core.encodings.basis import Basis
+from core.encodings.signature import Signature
+from core.errors import InvalidMap, UnknownSegment
+
+if TYPE_CHECKING:
+    from core.parameters import MapParameters
+
+__all__ = [
+    "DistanceSearch",
+    "Model",
+    "Neighbours",
+    "Search",
+    "Viewpoints",
+    "nearest",
+    "require_sane",
+]
+
+_LARGEST_SIGNATURE = 1e12  # sums of squares stay finite in single precision too
+_LARGEST_OF_BASIS = 1.001  # its columns have length 1
+
+
+@dataclass(frozen=True, eq=False)
+class Neighbours:
+    """The nearest scans of a search, nearest first.
+
+    Attributes:
+        rows: `(n,)` their rows in the map.
+        distances: `(n,)` between the signatures.
+        relative_yaw_deg: `(n,)` of the query to each scan, counter-clockwise, -180..180; NaN where
+            the encoding does not give it.
+        lateral_m: `(n,)` how far to the left of each scan the query was made, NaN likewise.
+    """
+
+    rows: IntArray
+    distances: FloatArray
+    relative_yaw_deg: FloatArray
+    lateral_m: FloatArray
+
+    @classmethod
+    def of_distances(cls, rows: IntArray, distances: FloatArray) -> "Neighbours":
+        """Return neighbours of which nothing but the distance is known."""
+        unknown = np.full(len(rows), np.nan)
+        return cls(rows, distances, unknown, unknown)
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def __getitem__(self, chosen: slice | IntArray | BoolArray) -> "Neighbours":
+        return Neighbours(
+            self.rows[chosen],
+            self.distances[chosen],
+            self.relative_yaw_deg[chosen],
+            self.lateral_m[chosen],
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Viewpoints:
+    """How a query compares with every virtual viewpoint of some scans.
+
+    Attributes:
+        distances: `(n, D)`.
+        relative_yaw_deg: `(n, D)` of the query, counter-clockwise, -180..180.
+        lateral_m: `(D,)` how far to the left of the scans each viewpoint is.
+    """
+
+    distances: FloatArray
+    relative_yaw_deg: FloatArray
+    lateral_m: FloatArray
+
+
+class Search(ABC):
+    """One query, ready to be compared with the scans of a map."""
+
+    @property
+    @abstractmethod
+    def segments(self) -> tuple[int, ...]:
+        """The segments that are searched, rising."""
+
+    @abstractmethod
+    def nearest(self, k: int, among: BoolArray | None = None) -> Neighbours:
+        """Return the `k` nearest scans, at most as many as there are.
+
+        Args:
+            k: At least 1.
+            among: `(K,)` which rows of the map are searched; all of them without it.
+        """
+
+    @abstractmethod
+    def distances(self, among: BoolArray | None = None) -> FloatArray:
+        """Return the exact distance of each scan, `(K,)`, that of its nearest rendering.
+
+        Infinite where a scan is not in `among`, or is not compared by this query.
+
+        Args:
+            among: `(K,)` which rows are compared; all of them without it.
+        """
+
+    def viewpoints(self, rows: IntArray) -> Viewpoints | None:
+        """Return the comparison with all viewpoints of some scans, `None` if they have only one.
+
+        A match is refined by it: where the query was made, between viewpoints and scans.
+        """
+        del rows
+        return None
+
+
+class DistanceSearch(Search):
+    """A search of which all distances are known.
+
+    Args:
+        segments: Those that are searched, rising.
+        rows: `(n,)` rows of their scans.
+        distances_of_rows: `(n,)` in the Frobenius norm.
+        scans: K, how many the map has.
+    """
+
+    def __init__(
+        self, segments: tuple[int, ...], rows: IntArray, distances_of_rows: FloatArray, scans: int
+    ) -> None:
+        self._segments = segments
+        self._rows = rows
+        self._distances = distances_of_rows
+        self._scans = scans
+
+    @property
+    def segments(self) -> tuple[int, ...]:
+        """The segments that are searched, rising."""
+        return self._segments
+
+    def nearest(self, k: int, among: BoolArray | None = None) -> Neighbours:
+        """Return the `k` nearest scans, nearest first."""
+        rows, distances = self._rows, self._distances
+        if among is not None:
+            kept = among[rows]
+            rows, distances = rows[kept], distances[kept]
+        order = nearest(distances, k)
+        return Neighbours.of_distances(rows[order], distances[order])
+
+    def distances(self, among: BoolArray | None = None) -> FloatArray:
+        """Return the distance of each scan, `(K,)`, infinite outside `among` or these segments."""
+        distances = np.full(self._scans, np.inf)
+        distances[self._rows] = self._distances
+        return distances if among is None else np.where(among, distances, np.inf)
+
+
+class Model(ABC):
+    """The bases and signatures of a map in one encoding: scans in order, cut into segments.
+
+    Attributes:
+        encoding: Its name.
+        signatures: `(K, ...)` of every scan.
+        segment_start: `(L + 1,)` row of each segment's first scan, and K.
+    """
+
+    encoding: ClassVar[str]
+    signatures: NDArray[Any]
+    segment_start: IntArray
+
+    def __len__(self) -> int:
+        return int(self.segment_start[-1])
+
+    @property
+    def segments(self) -> int:
+        """L, how many segments there are."""
+        return len(self.segment_start) - 1
+
+    @cached_property
+    def segment_of_scan(self) -> IntArray:
+        """The segment of each scan, `(K,)`."""
+        segments = np.arange(self.segments)
+        return frozen(np.repeat(segments, np.diff(self.segment_start)), np.int64)
+
+    @property
+    @abstractmethod
+    def ranks(self) -> tuple[int, int]:
+        """`(r1, r2)`, the shape of a signature."""
+
+    @property
+    @abstractmethod
+    def grid_shape(self) -> tuple[int, int]:
+        """`(I, J)`, the shape of an image."""
+
+    @property
+    @abstractmethod
+    def elements(self) -> int:
+        """How many numbers the bases and signatures are (paper, sec. 2.4)."""
+
+    @property
+    def recorded(self) -> NDArray[Any]:
+        """Signatures of the scans as they were recorded, `(K, r1, r2)`."""
+        return self.signatures
+
+    @property
+    def recorded_lateral_m(self) -> float:
+        """How far to the left of the recorded line the viewpoint of `recorded` is."""
+        return 0.0
+
+    @property
+    def gives_relative_yaw(self) -> bool:
+        """Whether a match says how far the query is turned relative to its scan."""
+        return False
+
+    @abstractmethod
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """Return every array by its name in the file."""
+
+    @abstractmethod
+    def search(self, signatures: Sequence[Signature]) -> Search:
+        """Compare one scan's signatures with the map's.
+
+        Raises:
+            InvalidSignature: If they are of another encoding or do not belong together.
+            UnknownSegment: If one is of a segment that the map does not have.
+        """
+
+    @abstractmethod
+    def search_values(self, values: NDArray[Any]) -> Search:
+        """Compare an image that the basis of all segments projected: nothing is checked."""
+
+    @abstractmethod
+    def own_queries(
+        self, rows: Iterable[int], named: str, segments: IntArray | None = None
+    ) -> Iterator[tuple[Signature, ...]]:
+        """Yield for each row the signatures of a query at that scan, as far as the map has them.
+
+        Args:
+            rows: Of the map.
+            named: Digest of the basis or revision that the signatures name.
+            segments: In whose bases; all without it.
+        """
+
+    @abstractmethod
+    def basis_digests(self, parameters: "MapParameters") -> tuple[str, ...]:
+        """Return what names the bases that this map has, 64 hexadecimal digits each."""
+
+    @abstractmethod
+    def basis(
+        self, revision: str, digest: str, parameters: "MapParameters", segments: IntArray
+    ) -> Basis:
+        """Return what makes signatures; in an encoding of one basis, that of all segments."""
+
+    @abstractmethod
+    def select(self, rows: IntArray, segments: IntArray, segment_start: IntArray) -> Self:
+        """Return the model of some scans: all those of some segments, which stay as they are."""
+
+    @abstractmethod
+    def joined(self, others: Sequence[Self], segment_start: IntArray) -> Self:
+        """Return one model of this one's scans and those of others after it."""
+
+    def require_segments(self, segments: IntArray) -> None:
+        """Raise `UnknownSegment` unless the map has every one of `segments`."""
+        unknown = segments[(segments < 0) | (segments >= self.segments)]
+        if len(unknown):
+            raise UnknownSegment(
+                f"there is no segment {unknown[0]}; the map has 0..{self.segments - 1}"
+            )
+
+    def _require_rising(self, scans: int) -> None:
+        starts = self.segment_start
+        if starts.ndim != 1 or len(starts) < 2 or starts[0] != 0 or (np.diff(starts) < 1).any():
+            raise InvalidMap("segment_start does not rise from 0 through every segment")
+        if starts[-1] != scans:
+            raise InvalidMap(f"segment_start ends at {starts[-1]}, there are {scans} signatures")
+
+
+def require_sane(bases: Mapping[str, NDArray[Any]], signatures: NDArray[Any]) -> None:
+    """Refuse numbers that no build makes, and with which no distance is finite.
+
+    Raises:
+        InvalidMap: If one is not finite or too large.
+    """
+    for name, array, most in (
+        *((name, basis, _LARGEST_OF_BASIS) for name, basis in bases.items()),
+        ("signatures", signatures, _LARGEST_SIGNATURE),
+    ):
+        # Parts, not magnitudes: those of complex numbers take ten times as long.
+        parts = array.view(array.real.dtype)
+        if not np.isfinite(parts).all():
+            raise InvalidMap(f"{name} holds numbers that are not finite")
+        if parts.size and max(-parts.min(), parts.max()) > most:
+            raise InvalidMap(f"{name} holds numbers beyond {most:g}")
+
+
+def nearest(distances: FloatArray, k: int) -> IntArray:
+    """Return the indices of the `k` smallest, nearest first, earlier ones first among equals."""
+    if k >= len(distances):
+        return np.argsort(distances, kind="stable")
+    bound = np.partition(distances, k - 1)[k - 1]
+    candidates = np.flatnonzero(distances <= bound)
+    return candidates[np.argsort(distances[candidates], kind="stable")][:k]

@@ -1,0 +1,104 @@
+"""The bases of a map's segments, as a vehicle uses them."""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from core.arrays import Float32Array, IntArray, frozen
+from core.encodings.basis import Basis, signature_parameters
+from core.encodings.signature import Signature
+from core.errors import InvalidMap
+from core.projection.imager import Image
+from core.revision import content_digest
+
+if TYPE_CHECKING:
+    from core.parameters import MapParameters
+
+__all__ = ["PaperBasis", "paper_basis_digests"]
+
+
+def paper_basis_digests(
+    parameters: "MapParameters", elevation_basis: Float32Array, azimuth_basis: Float32Array
+) -> tuple[str, ...]:
+    """Return what names the bases of the first 1, 2, ... L segments, `L` digests.
+
+    Each is made of the one before and one segment more. So who holds the bases of a map's first
+    segments holds a part of every map that continues with others: adding a drive at the end leaves
+    the digest of what was there as it was.
+
+    Args:
+        parameters: Of the map.
+        elevation_basis: `(L, I, r1)`.
+        azimuth_basis: `(L, J, r2)`.
+    """
+    digests: list[str] = []
+    for u, v in zip(elevation_basis, azimuth_basis, strict=True):
+        before = {"before": digests[-1]} if digests else signature_parameters(parameters)
+        digests.append(content_digest({"elevation_basis": u, "azimuth_basis": v}, before))
+    return tuple(digests)
+
+
+@dataclass(frozen=True, eq=False)
+class PaperBasis(Basis):
+    """The bases of some segments of one revision in the paper's encoding.
+
+    Its digest is that of the bases of all segments of the revision.
+
+    Attributes:
+        segments: `(S,)` which segments these are.
+        elevation_basis: `(S, I, r1)` float32.
+        azimuth_basis: `(S, J, r2)` float32.
+    """
+
+    segments: IntArray
+    elevation_basis: Float32Array
+    azimuth_basis: Float32Array
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "segments", frozen(self.segments, np.int64))
+        object.__setattr__(self, "elevation_basis", frozen(self.elevation_basis, np.float32))
+        object.__setattr__(self, "azimuth_basis", frozen(self.azimuth_basis, np.float32))
+        (rows, columns), (r1, r2) = self.parameters.grid.shape, self.parameters.ranks
+        count = len(self.segments)
+        if self.elevation_basis.shape != (count, rows, r1):
+            raise InvalidMap(f"elevation_basis has shape {self.elevation_basis.shape}")
+        if self.azimuth_basis.shape != (count, columns, r2):
+            raise InvalidMap(f"azimuth_basis has shape {self.azimuth_basis.shape}")
+
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """Return every array by its name."""
+        return {
+            "segments": self.segments,
+            "elevation_basis": self.elevation_basis,
+            "azimuth_basis": self.azimuth_basis,
+        }
+
+    def as_values(self) -> dict[str, Any]:
+        """Return the bases segment by segment, as plain values; a float32 survives it."""
+        return {
+            "segments": [
+                {"segment": segment, "elevation_basis": u.tolist(), "azimuth_basis": v.tolist()}
+                for segment, u, v in zip(
+                    self.segments.tolist(), self.elevation_basis, self.azimuth_basis, strict=True
+                )
+            ]
+        }
+
+    def project(self, image: Image) -> Float32Array:
+        """Return U^T S V in each segment's bases, `(S, r1, r2)`."""
+        self.require_grid(image)
+        values = (
+            self.elevation_basis.transpose(0, 2, 1)
+            @ image.cells.astype(np.float64)
+            @ self.azimuth_basis
+        )
+        return np.asarray(values, np.float32)
+
+    def encode(self, image: Image) -> tuple[Signature, ...]:
+        """Return the image's signature in each segment's bases."""
+        return tuple(
+            Signature(values, segment, self.digest)
+            for values, segment in zip(self.project(image), self.segments.tolist(), strict=True)
+        )

@@ -1,0 +1,128 @@
+"""The paper's encoding as one object: each segment has bases of its own."""
+
+import itertools
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from core.arrays import Float32Array, FloatArray, IntArray
+from core.encodings.base import Encoding
+from core.encodings.basis import Basis
+from core.encodings.blocks import read_blocks
+from core.encodings.paper import packing as packed
+from core.encodings.paper.basis import PaperBasis
+from core.encodings.paper.model import PaperModel
+from core.encodings.paper.sweep import sweep
+from core.encodings.signature import Signature
+from core.encodings.tucker import Grams, leading_basis, project, relative_error, storage_elements
+from core.errors import InvalidSignature
+from core.progress import Progress
+from core.projection.imager import ImageKind
+from core.projection.images import ImageSource
+from core.projection.reducer import Reducer
+from core.scans.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from core.encodings.model import Model
+    from core.parameters import MapParameters
+
+__all__ = ["PaperEncoding"]
+
+
+class PaperEncoding(Encoding):
+    """Tucker2 models of range images, one a segment (paper, sec. 2.2)."""
+
+    name = "paper"
+    reducers: ClassVar = {ImageKind.RANGE: Reducer.LAST}
+    implied_by = frozenset({Reducer.LAST, Reducer.NEAREST, Reducer.FARTHEST})
+    dtypes: ClassVar = {"elevation_basis": "<f4", "azimuth_basis": "<f4", "signatures": "<f4"}
+    layouts = packed.LAYOUTS
+    per_segment = True
+    shares_basis = False
+    rank_sweep = staticmethod(sweep)
+    pack = staticmethod(packed.pack)
+    unpack = staticmethod(packed.unpack)
+
+    def elements(self, parameters: "MapParameters", segments: int, scans: int) -> int:
+        """Return L(I r1 + J r2) + K r1 r2."""
+        return storage_elements(segments, scans, parameters.grid.shape, parameters.ranks)
+
+    def fit(
+        self,
+        images: ImageSource,
+        trajectory: Trajectory,
+        segment_start: IntArray,
+        parameters: "MapParameters",
+        progress: Progress,
+        kept: Basis | None = None,
+        grams: Mapping[str, FloatArray] | None = None,
+    ) -> tuple["Model", FloatArray]:
+        """Fit each segment's own bases, one segment after the other, in two passes each."""
+        del trajectory, kept, grams
+        segments, (rows, columns), (r1, r2) = (
+            len(segment_start) - 1,
+            parameters.grid.shape,
+            parameters.ranks,
+        )
+        elevation_basis = np.empty((segments, rows, r1), np.float32)
+        azimuth_basis = np.empty((segments, columns, r2), np.float32)
+        signatures = np.empty((len(images), r1, r2), np.float32)
+        errors = np.empty(segments)
+        shape = parameters.imager.shape
+        progress.start("fitting", 2 * len(images))
+        for segment, (start, end) in enumerate(itertools.pairwise(segment_start.tolist())):
+            total = Grams.zero((rows, columns))
+            for _, block in read_blocks(images, start, end, shape, progress):
+                total += Grams.of(block)
+            u, v = leading_basis(total.elevation, r1), leading_basis(total.azimuth, r2)
+            for first, block in read_blocks(images, start, end, shape, progress):
+                signatures[first : first + len(block)] = project(block, u, v)
+            elevation_basis[segment], azimuth_basis[segment] = u, v
+            errors[segment] = relative_error(total.squared_norm, signatures[start:end])
+        return PaperModel(elevation_basis, azimuth_basis, signatures, segment_start), errors
+
+    def explaining_grams(self, images: Float32Array) -> tuple[FloatArray, ...]:
+        """Return the Gram matrices of both modes: a segment has a basis of each."""
+        grams = Grams.of(images)
+        return grams.elevation, grams.azimuth
+
+    def read_model(
+        self, parameters: "MapParameters", arrays: Mapping[str, NDArray[Any]]
+    ) -> "Model":
+        """Return the model that `Model.arrays` gave."""
+        del parameters
+        names = ("elevation_basis", "azimuth_basis", "signatures", "segment_start")
+        return PaperModel(*(arrays[name] for name in names))
+
+    def read_basis(
+        self, revision: str, digest: str, parameters: "MapParameters", values: Mapping[str, Any]
+    ) -> PaperBasis:
+        """Return the bases of the segments listed."""
+        listed = values["segments"]
+        return PaperBasis(
+            revision,
+            digest,
+            parameters,
+            np.array([item["segment"] for item in listed]),
+            np.array([item["elevation_basis"] for item in listed], dtype=np.float32),
+            np.array([item["azimuth_basis"] for item in listed], dtype=np.float32),
+        )
+
+    def as_values(self, signature: Signature) -> dict[str, Any]:
+        """Return the segment and `values`, r1 rows of r2 numbers."""
+        return {"segment": signature.segment, "values": signature.values.tolist()}
+
+    def from_values(self, values: Mapping[str, Any], revision: str) -> Signature:
+        """Return the signature of a segment.
+
+        Raises:
+            InvalidSignature: If the rows differ in length or a number is beyond float32.
+        """
+        rows, segment = values["values"], values["segment"]
+        if len({len(row) for row in rows}) > 1:
+            raise InvalidSignature(f"the rows of segment {segment} differ in length")
+        with np.errstate(over="ignore"):  # infinite then, and refused as such
+            found = np.array(rows, dtype=np.float64).astype(np.float32)
+        return Signature(found, segment, revision)
