@@ -1,5 +1,7 @@
 """Tracks over the wire."""
 
+import math
+
 from pydantic import Field, field_validator
 
 from app.drives.pose_schemas import PoseOut
@@ -85,12 +87,17 @@ class TrackStepOut(Shown):
     @classmethod
     def from_core(cls, track: str, step: TrackStep, live_revision: str | None) -> "TrackStepOut":
         """Show an answer."""
-        sigma_m = step.along_sigma_m
+        sigma_m, match = step.along_sigma_m, step.match
         return cls.of(
             step,
             track=track,
             live_revision=live_revision,
+            drive=match.drive,
+            scan_index=match.scan_index,
+            distance=match.distance if math.isfinite(match.distance) else None,
             along_variance_m2=None if sigma_m is None else sigma_m * sigma_m,
+            turn_deg=match.relative_yaw_deg,
+            lateral_m=match.lateral_m,
         )
 
 

@@ -58,7 +58,7 @@ def by_evaluation(drive, parameters, monkeypatch):
 def test_service_command_core_and_evaluation_build_one_map(
     empty, tensormap, folder, tmp_path, monkeypatch, encoding, segmentation
 ):
-    chosen = {"encoding": encoding.value, "segmentation": segmentation.value}
+    chosen = {"encoding": encoding, "segmentation": segmentation.value}
     drive = open_drive(folder, min_returns=MIN_RETURNS)
     parameters = MapParameters.for_sensor(**chosen)
     digest = build_map(drive, parameters, segment_length=K).revision
