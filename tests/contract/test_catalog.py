@@ -31,7 +31,7 @@ from storage.errors import (
     RevisionNotFound,
     ScanNotFound,
 )
-from tests.contract.samples import FACTS, A, add_scans, scan_record
+from tests.support.catalog_rows import FACTS, A, add_scans, scan_record
 
 
 class TestMaps:

@@ -24,7 +24,7 @@ from storage.errors import (
     RevisionNotFound,
     TooManyBuilds,
 )
-from tests.contract.samples import FACTS, A, B, C
+from tests.support.catalog_rows import FACTS, A, B, C
 
 
 class TestRevisions:

@@ -10,8 +10,8 @@ from core.errors import InvalidMap
 from core.scans.sensor import AngularGrid
 from storage.errors import CorruptFile
 from storage.files.map_file import read_map
+from tests.support.map_files import replaced, whole_or_refused
 from tests.support.samples import sample_harmonic_map
-from tests.unit.storage.map_files import replaced, whole_or_refused
 
 
 @pytest.fixture(scope="module")

@@ -19,7 +19,7 @@ from storage.store import Store
 from storage.store.leftovers import ORPHANS_KEPT_DAYS
 from storage.store.verification import Condition, verify
 from tests.support.samples import sample_map
-from tests.unit.storage.samples import sample_scan
+from tests.support.small_scans import sample_scan
 
 FACTS = RevisionFacts(encoding="paper", scans=24, segments=3, parameters={})
 

@@ -10,8 +10,8 @@ from storage.backup.restore import restore_backup
 from storage.files.map_file import write_map
 from storage.store import Store
 from tests.support.samples import sample_map
-from tests.unit.storage.samples import sample_scan
-from tests.unit.storage.test_backup import FACTS
+from tests.support.small_scans import sample_scan
+from tests.unit.storage.backup.test_backup import FACTS
 
 
 @pytest.fixture(autouse=True)

@@ -28,7 +28,7 @@ from storage.errors import (
 )
 from storage.files.drive_chunks import scan_digest
 from storage.store import Store
-from tests.unit.storage.samples import sample_scan
+from tests.support.small_scans import sample_scan
 
 
 def files(store):

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 ARRAYS, MEGABYTES = 40, 4
 FEW_PAGES = ARRAYS * MEGABYTES * 2**20 // os.sysconf("SC_PAGE_SIZE") // 4
 # One after the other, with something small that outlives each of them, as in a build.

@@ -7,7 +7,7 @@ from multiprocessing import Pipe, get_context
 
 from storage.catalog import JobState, RevisionFacts
 from storage.store import Store
-from tests.unit.storage.samples import sample_scan
+from tests.support.small_scans import sample_scan
 
 PROCESSES = get_context("forkserver")
 

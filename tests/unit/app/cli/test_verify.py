@@ -7,7 +7,7 @@ from app.cli.main import cli
 from core.errors import InvalidParameters
 from storage.errors import DataDirInUse, StorageUnavailable
 from storage.store import Store
-from tests.unit.storage.samples import sample_scan
+from tests.support.small_scans import sample_scan
 
 
 @pytest.fixture

@@ -10,7 +10,7 @@ import pytest
 from storage.files.checker import Checker, Limits
 from storage.files.drive_chunks import scan_digest, write_chunk
 from storage.files.stored_file import StoredFile, fault_of
-from tests.unit.storage.samples import sample_scan
+from tests.support.small_scans import sample_scan
 
 SCANS = [(index, sample_scan(index)) for index in range(3)]
 CHUNK = "maps/m/drives/d/chunks/c.h5"

@@ -12,7 +12,7 @@ import pytest
 from storage.catalog import Catalog
 from storage.errors import DataDirInUse, WrongCatalog
 from storage.store import Store
-from tests.unit.storage.samples import sample_scan
+from tests.support.small_scans import sample_scan
 
 
 def everything(folder):
