@@ -4,7 +4,7 @@ import pytest
 
 from core.localization.localizer import Localizer
 from storage.files.map_file import read_map
-from tests.api.test_flow import localize
+from tests.support.campus import localize
 from tests.support.recording import KITTI, kitti, recording
 from tests.support.service import problem_of, running, upload, wait_for
 

@@ -18,7 +18,7 @@ from core.mapping.build import build_map
 from core.parameters import Encoding, MapParameters
 from core.projection.images import project_drive
 from core.scans.trajectory import Trajectory
-from tests.real.conftest import Drives
+from tests.support.recorded_drives import Drives
 
 pytestmark = pytest.mark.real_data
 

@@ -9,9 +9,9 @@ from storage.backup.backup import write_backup
 from storage.backup.restore import restore_backup
 from storage.files.map_file import write_map
 from storage.store import Store
+from tests.support.catalog_rows import FACTS
 from tests.support.samples import sample_map
 from tests.support.small_scans import sample_scan
-from tests.unit.storage.backup.test_backup import FACTS
 
 
 @pytest.fixture(autouse=True)

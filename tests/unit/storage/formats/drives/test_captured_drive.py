@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from core.errors import InvalidScan
+from storage.formats.budget import BUDGET
 from storage.formats.drives.layouts import open_drive
-from storage.formats.errors import MalformedScan, ScanTooLarge, TruncatedScan
+from storage.formats.errors import EmptyBody, MalformedScan, ScanTooLarge, TruncatedScan
 from storage.formats.scans.ouster import OusterFormat, ouster_frames
-from storage.formats.scans.registry import read_scan, read_scan_file
+from storage.formats.scans.registry import FORMAT_NAMES, read_scan, read_scan_file
 from storage.formats.scans.velodyne import Turns, VelodyneFormat
 from tests.support.captures import hdl32, ouster, ouster_body, ouster_metadata, pcap, udp
 
@@ -158,3 +159,16 @@ class TestOuster:
         body = ouster_body(new, frames)
         assert json.loads(body.split(b"\n", 1)[0]) == new
         np.testing.assert_array_equal(OusterFormat().read(body), OusterFormat().read(self.body()))
+
+
+def test_a_capture_without_a_byte_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "a.pcap").touch()
+    with pytest.raises(EmptyBody, match=r"a\.pcap is empty"):
+        open_drive(tmp_path / "a.pcap")
+
+
+def test_a_sensor_that_turns_too_slowly_gives_no_scan_of_any_size() -> None:
+    frames = [f for p in hdl32(turns=0.01) for f in udp(p, 2368)]
+    body = pcap(frames)[:24] + pcap(frames)[24:] * (BUDGET.scan_packets + 1)
+    with pytest.raises(ScanTooLarge, match="more than 200000 packets"):
+        read_scan(body, media_type=FORMAT_NAMES["velodyne"], min_returns=1)

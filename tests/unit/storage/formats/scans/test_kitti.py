@@ -5,8 +5,8 @@ import pytest
 
 from core.errors import TooFewReturns
 from core.scans.scan import Scan
-from storage.formats.errors import TruncatedScan, WrongDtype
-from storage.formats.scans.kitti import refuse_implausible
+from storage.formats.errors import ScanTooLarge, TruncatedScan, WrongDtype
+from storage.formats.scans.kitti import KittiFormat, refuse_implausible
 from storage.formats.scans.registry import read_scan
 
 KITTI = "application/vnd.tensormap.kitti"
@@ -88,3 +88,8 @@ def test_a_scan_is_refused_where_more_than_a_quarter_of_what_tells_is_implausibl
             refuse_implausible(returns_m, "metres")
     else:
         refuse_implausible(returns_m, "metres")
+
+
+def test_a_scan_has_at_most_as_many_returns_as_the_budget_says() -> None:
+    with pytest.raises(ScanTooLarge, match=r"4194305 returns, at most 4194304 may be"):
+        KittiFormat().read(bytes(16 * (2**22 + 1)))
