@@ -175,7 +175,6 @@ def test_a_map_that_fails_keeps_no_other_from_being_collected(three, monkeypatch
     assert "map alpha" in caplog.text
 
 
-@pytest.mark.usefixtures("all_cores")
 def test_no_query_fails_while_revisions_replace_each_other_and_are_not_retained(own, built):
     """The live one may go between being named and being read, and then the new one answers."""
     own.patch(MAP, json={"retention": NOTHING})

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from tests.docs.blocks import READ_ONLY, ROOT, Block, Runner, blocks_of
+from tests.docs.blocks import READ_ONLY, Block, Runner, blocks_of
 from tests.docs.tables import TABLES, with_table
-from tests.support.commands import Commands
+from tests.support.commands import ROOT
 
 DOCUMENTS = [
     *(ROOT / name for name in ("README.md", "CONTRIBUTING.md")),
@@ -47,10 +47,8 @@ def runnable(path: Path) -> list[Block]:
     [path for path in DOCUMENTS if any(b.language not in READ_ONLY for b in runnable(path))],
     ids=lambda path: str(path.relative_to(ROOT)),
 )
-def test_every_block_runs_and_writes_what_it_says(
-    path: Path, tmp_path: Path, tensormap: Commands
-) -> None:
-    runner = Runner(tmp_path, tensormap.program)
+def test_every_block_runs_and_writes_what_it_says(path: Path, tmp_path: Path) -> None:
+    runner = Runner(tmp_path)
     try:
         for block in runnable(path):
             runner.run(block)

@@ -7,6 +7,7 @@ from contextlib import suppress
 
 import pytest
 
+from tests.support.process import serving
 from tests.support.recording import TAR, npy, recording, tar, upload_scan
 from tests.support.service import problem_of, upload, wait_for
 
@@ -17,7 +18,7 @@ HELD = 60  # more than the framework has threads
 
 
 @pytest.fixture(scope="module")
-def server(tmp_path_factory, serving):
+def server(tmp_path_factory):
     """A service that waits for a body for two seconds."""
     folder = tmp_path_factory.mktemp("slow")
     settings = {"body_idle_s": "2", "heavy_threads": "2", "heavy_threads_per_key": "1"}
@@ -118,7 +119,7 @@ def test_work_whose_client_left_ends_and_the_next_one_is_served(server):
     assert "Traceback" not in lines, lines
 
 
-def test_more_than_may_wait_is_refused_by_name_and_the_rest_is_answered(tmp_path, serving):
+def test_more_than_may_wait_is_refused_by_name_and_the_rest_is_answered(tmp_path):
     settings = {"heavy_threads": "1", "queued_requests": "4"}
     with serving(tmp_path / "data", tmp_path / "log", **settings) as server:
         server.client.post("/v1/maps", json={"map": "campus"})

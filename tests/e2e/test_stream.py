@@ -9,6 +9,7 @@ from websockets.sync.client import connect
 
 from app.revisions.schemas import BasisOut
 from core.encodings.signature import pack_signatures
+from tests.support.process import serving
 from tests.support.recording import recording
 from tests.support.service import upload, wait_for
 
@@ -16,7 +17,7 @@ TRACKS = "/v1/maps/campus/tracks"
 
 
 @pytest.fixture(scope="module")
-def server(tmp_path_factory, serving):
+def server(tmp_path_factory):
     folder = tmp_path_factory.mktemp("stream")
     with serving(folder / "data", folder / "log") as server:
         server.client.post("/v1/maps", json={"map": "campus"})
@@ -48,8 +49,6 @@ def test_packed_signatures_are_answered_one_by_one(server, url):
 def test_a_message_beyond_the_limit_closes_the_stream(url):
     with connect(url, max_size=None) as stream:
         stream.send(os.urandom(5 * 2**20))
-        told = stream.recv()  # this server takes the message, and refuses it by name
-        assert json.loads(told)["type"] == "/problems/body-too-large"
         with pytest.raises(ConnectionClosedError):
             stream.recv()
         assert stream.close_code == 1009

@@ -90,7 +90,6 @@ def test_an_empty_store_is_backed_up_and_restored(tmp_path):
         assert restored.maps.list().items == ()
 
 
-@pytest.mark.usefixtures("all_cores")
 def test_a_backup_under_load_holds_every_scan_that_was_acknowledged_before_it(store, tmp_path):
     acknowledged, stop = [], threading.Event()
 

@@ -129,7 +129,6 @@ class TestPutting:
         assert store.drives.get("campus", "monday").scans == 1
 
 
-@pytest.mark.usefixtures("all_cores")
 class TestRaces:
     def test_threads_that_put_different_scans_all_succeed(self, store):
         with ThreadPoolExecutor(8) as pool:

@@ -85,7 +85,6 @@ def test_a_first_start_that_was_killed_between_the_two_is_repeated(tmp_path):
         assert store.catalog.store_id.get() == "0123456789abcdef" * 2
 
 
-@pytest.mark.usefixtures("all_cores")
 def test_many_that_open_a_new_folder_at_once_agree(tmp_path):
     Catalog(f"sqlite:///{tmp_path / 'catalog.sqlite3'}").close()
     with ThreadPoolExecutor(6) as pool:

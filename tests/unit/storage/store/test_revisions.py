@@ -35,7 +35,6 @@ def test_the_same_digest_again_keeps_the_first_file(store):
     assert files(store) == [first.file_name]
 
 
-@pytest.mark.usefixtures("all_cores")
 def test_threads_that_add_the_same_revision_leave_one_file(store):
     with ThreadPoolExecutor(4) as pool:
         records = list(
