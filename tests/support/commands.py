@@ -1,18 +1,19 @@
-"""`tensormap` as a person runs it: each command a process of its own."""
+"""`tensormap` as a person runs it, each command a process of its own, and in this process."""
 
 import os
 import subprocess
 import sys
-from collections.abc import Callable
 from pathlib import Path
 
-__all__ = ["PROGRAM", "ROOT", "Command", "tensormap"]
+from typer.testing import CliRunner
+
+from app.cli.main import cli
+
+__all__ = ["PROGRAM", "ROOT", "run", "tensormap"]
 
 ROOT = Path(__file__).parents[2]
 PROGRAM = (sys.executable, "-m", "app.cli")
 """Words that stand in for `tensormap`, which only an installed service has."""
-
-Command = Callable[..., str]
 
 _RUN_S = 120.0
 
@@ -30,3 +31,11 @@ def tensormap(*words: str | Path, status: int = 0, **variables: str) -> str:
     assert ended.returncode == status, ended.stdout + ended.stderr
     assert "Traceback" not in ended.stderr
     return ended.stdout + ended.stderr
+
+
+def run(*words: object) -> str:
+    """Run a command in this process, raise what it raises, and return what it wrote."""
+    result = CliRunner().invoke(cli, [str(word) for word in words])
+    if result.exception is not None:
+        raise result.exception
+    return result.stdout

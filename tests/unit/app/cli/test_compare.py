@@ -3,12 +3,11 @@
 import json
 
 import pytest
-from typer.testing import CliRunner
 
 from app.baselines.roster import METHODS
-from app.cli.main import cli
 from core.errors import InvalidParameters, TensorMapError
 from storage.formats.drives.kitti_drive import write_kitti_drive
+from tests.support.commands import run
 from tests.support.samples import sample_drive
 
 OURS = ",".join(METHODS[:-1])
@@ -23,16 +22,9 @@ def folders(tmp_path_factory):
     return folder
 
 
-def run(*arguments):
-    result = CliRunner().invoke(cli, ["compare", *map(str, arguments)])
-    if result.exception is not None:
-        raise result.exception
-    return result.stdout
-
-
 def test_every_method_is_asked_and_the_figures_are_written(folders, tmp_path):
     out = tmp_path / "figures.json"
-    printed = run(
+    printed = run("compare",
         folders / "monday", "--methods", OURS, "--split", "every:2", "--segments", "2",
         "--yaw-deg=0,-90", "--unknown", folders / "elsewhere", "--query-every", "3",
         "--json", out,
@@ -53,7 +45,7 @@ def test_every_method_is_asked_and_the_figures_are_written(folders, tmp_path):
 
 def test_a_second_pass_finds_itself(folders, tmp_path):
     out = tmp_path / "figures.json"
-    run(
+    run("compare",
         folders / "monday", "--query-drive", folders / "tuesday", "--methods", OURS,
         "--tolerance-m", "0.5", "--json", out,
     )  # fmt: skip
@@ -66,13 +58,13 @@ def test_a_second_pass_finds_itself(folders, tmp_path):
 def test_loops_are_asked_among_earlier_scans(folders, tmp_path):
     out = tmp_path / "figures.json"
     options = ["--methods", "solid,harmonic", "--json", out]
-    run(folders / "monday", "--loop", "--recent-scans", "5", *options)
+    run("compare", folders / "monday", "--loop", "--recent-scans", "5", *options)
     written = json.loads(out.read_text())
     assert written["protocol"] == "loop closing, with places at least 5 scans before"
     assert written["methods"][0]["conditions"][0]["queries"] == 7
     assert written["methods"][0]["conditions"][0]["findable"]["3"] == 0
     assert written["methods"][0]["conditions"][0]["recall_at_1"]["3"] is None
-    run(folders / "monday", "--loop", "--recent-s", "0.45", *options)
+    run("compare", folders / "monday", "--loop", "--recent-s", "0.45", *options)
     assert json.loads(out.read_text())["protocol"].endswith("at least 0.45 s before")
 
 
@@ -93,15 +85,15 @@ def test_loops_are_asked_among_earlier_scans(folders, tmp_path):
 )
 def test_wrong_input_is_named(folders, options, says):
     with pytest.raises(InvalidParameters, match=says):
-        run(folders / "monday", "--methods", "solid", *options)
+        run("compare", folders / "monday", "--methods", "solid", *options)
 
 
 def test_a_list_that_is_none_and_a_place_that_cannot_be_written_are_refused(folders, tmp_path):
     for options in (["--yaw-deg", "north"], ["--json", tmp_path / "no" / "such.json"]):
         with pytest.raises(SystemExit):
-            run(folders / "monday", *options)
+            run("compare", folders / "monday", *options)
 
 
 def test_an_empty_folder_is_no_drive(tmp_path):
     with pytest.raises(TensorMapError, match="has none of"):
-        run(tmp_path)
+        run("compare", tmp_path)

@@ -4,20 +4,12 @@ import json
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
-from app.cli.main import cli
 from core.scans.scan import Scan
 from storage.formats.errors import UnknownFormat
 from tests.support.captures import hdl32, pcap, udp
+from tests.support.commands import run
 from tests.support.recording import recording
-
-
-def run(*arguments):
-    result = CliRunner().invoke(cli, [str(argument) for argument in arguments])
-    if result.exception is not None:
-        raise result.exception
-    return result.stdout
 
 
 def csv(scan: Scan) -> str:

@@ -4,11 +4,10 @@ import json
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
-from app.cli.main import cli
 from core.encodings.signature import unpack_signatures
 from core.errors import InvalidParameters
+from tests.support.commands import run
 from tests.support.recording import kitti, recording
 
 
@@ -27,13 +26,6 @@ def map_file(folder, tmp_path_factory):
     options = ["--encoding", "harmonic", "--lateral-renderings=-1.5,0,1.5", "--segments", "2"]
     run("build", folder, "-o", path, *options)
     return path
-
-
-def run(*arguments):
-    result = CliRunner().invoke(cli, [str(argument) for argument in arguments])
-    if result.exception is not None:
-        raise result.exception
-    return result.stdout
 
 
 def test_inspect_shows_what_it_was_built_with(map_file):

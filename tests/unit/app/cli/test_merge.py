@@ -5,9 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
-from app.cli.main import cli
 from core.errors import (
     BasisMismatch,
     EmptyDrive,
@@ -18,16 +16,10 @@ from core.errors import (
 from core.simulation import SimulatedDrive, SimulatedSensor
 from storage.files.map_file import read_map
 from storage.formats.drives.kitti_drive import write_kitti_drive
+from tests.support.commands import run
 from tests.support.recording import kitti, recording
 
 HARMONIC = ("--encoding", "harmonic", "--lateral-renderings=-1.5,0,1.5")
-
-
-def run(*arguments):
-    result = CliRunner().invoke(cli, [str(argument) for argument in arguments])
-    if result.exception is not None:
-        raise result.exception
-    return result.stdout
 
 
 @pytest.fixture(scope="module")

@@ -5,11 +5,9 @@ import json
 import h5py
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 from app.builds.parameters import BuildParameters
 from app.builds.pipelines import build_drive
-from app.cli.main import cli
 from app.revisions.topology_schemas import TopologyOut
 from core.errors import InvalidMap
 from core.localization.localizer import Localizer
@@ -23,6 +21,7 @@ from core.simulation import SimulatedDrive, SimulatedSensor
 from core.topology import Topology, cut_at_meetings
 from storage.errors import CorruptFile
 from storage.files.map_file import read_map, write_map
+from tests.support.commands import run
 from tests.support.samples import SMALL_GRID, random_images, sample_image, straight_poses
 
 
@@ -133,13 +132,6 @@ def test_the_graph_is_shown_with_all_segments_along_an_edge(there_and_back, tmp_
     facts = run("inspect", tmp_path / "map.h5", "--json")
     assert json.loads(facts)["edges"] == [edge.model_dump(mode="json") for edge in shown.edges]
     assert "4 nodes, 3 edges" in run("inspect", tmp_path / "map.h5")
-
-
-def run(*arguments) -> str:
-    result = CliRunner().invoke(cli, [str(argument) for argument in arguments])
-    if result.exception is not None:
-        raise result.exception
-    return result.stdout
 
 
 @pytest.fixture(scope="module")
