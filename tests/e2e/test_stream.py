@@ -47,11 +47,16 @@ def test_packed_signatures_are_answered_one_by_one(server, url):
 
 
 def test_a_message_beyond_the_limit_closes_the_stream(url):
+    def send_and_wait(message):
+        stream.send(message)
+        stream.recv()
+
     with connect(url, max_size=None) as stream:
-        stream.send(os.urandom(5 * 2**20))
         with pytest.raises(ConnectionClosedError):
-            stream.recv()
-        assert stream.close_code == 1009
+            send_and_wait(os.urandom(5 * 2**20))
+        # It is closed as soon as the length is known: what is still on its way then may cost the
+        # client the frame that says why.
+        assert stream.close_code in {1009, 1006}
 
 
 @pytest.mark.parametrize("headers", [{"Origin": "https://maps.example"}, {"Host": "maps.example"}])
