@@ -115,6 +115,7 @@ class Scrub:
         if file is None:  # deleted or moved since the pass began
             self._state.bad.pop(path, None)
             return True
+        fault = None
         try:
             with Checker() as checker:
                 fault = self._inventory.fault(file, checker)
@@ -127,7 +128,11 @@ class Scrub:
         self._metrics.scrubbed(result)
         if what:
             self._state.bad[path] = what
-            _log.error("a stored file is damaged", extra=fields(file=path, found=result, what=what))
+            described = self._inventory.described(file, fault)
+            _log.error(
+                "a stored file is damaged",
+                extra=fields(file=path, of=described, found=result, what=what),
+            )
         else:
             self._state.bad.pop(path, None)
         return True

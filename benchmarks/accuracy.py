@@ -39,7 +39,7 @@ def main(folder: Path) -> None:
     """Print the page."""
     threadpool_limits(limits=1)
     print("# Accuracy\n")
-    print("What the paper's encoding, 5x5, reaches; printed by\n")
+    print("Results of the paper's encoding, 5x5; printed by\n")
     print("```text\npython -m benchmarks.accuracy DRIVES\n```\n")
     print(f"at commit {commit()} on {machine()}. `kitti00` and `kit_muehlburger` are recorded")
     print("drives of a Velodyne HDL-64E on a car; each simulated city is a drive of 300 scans.\n")
@@ -53,8 +53,9 @@ def main(folder: Path) -> None:
 def _segments(drive: Drive) -> None:
     print("## Segments, `kit_muehlburger`\n")
     print("Consecutive scans at 10 Hz, four fifths mapped (`interleaved:0.2`, and the four other")
-    print("phases of that split). Errors in all, and of them while the car moves: these stand")
-    print("beside a cut, and which scans are held out decides whether there are any.\n")
+    print("phases of that split). Each cell: errors in total, errors while the car moves, queries.")
+    print("Errors while moving occur next to a cut; which scans are held out decides whether there")
+    print("are any.\n")
     phases = range(5)
     rows = []
     for length in (50, 100, 167):
@@ -68,8 +69,8 @@ def _segments(drive: Drive) -> None:
 
 
 def _reducers(drives: Sequence[Drive]) -> None:
-    print("## Which return a shared cell keeps\n")
-    print("Recall@1 within 3 m, even scans mapped, odd ones asked, five segments.\n")
+    print("## Reducers\n")
+    print("Recall@1 within 3 m, even scans mapped, odd scans as queries, five segments.\n")
     rows = []
     for reducer in RANGE_REDUCERS:
         protocol = Protocol(MapParameters(reducer=reducer), segments=5, split=Every(2))
@@ -79,8 +80,8 @@ def _reducers(drives: Sequence[Drive]) -> None:
 
 
 def _disturbances(drives: Sequence[Drive]) -> None:
-    print("## Turned, beside, noisy\n")
-    print("The same with `last`: the query vehicle is turned, stands to the left of the mapped")
+    print("## Relative yaw, lateral offset, noise\n")
+    print("The same with `last`: the query vehicle has another yaw, is to the left of the mapped")
     print("line (the returns are moved, nothing new is seen), or has noise on every coordinate.\n")
     protocol = Protocol(segments=5, split=Every(2), conditions=DISTURBANCES)
     found = [evaluate(drive, protocol).conditions for drive in drives]

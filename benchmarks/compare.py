@@ -65,24 +65,23 @@ def main(folder: Path, part: str = "") -> None:
 def _head() -> None:
     of = provenance()
     print("# Comparison with other methods\n")
-    print("What our encodings and other methods of place recognition reach on the same scans;")
-    print("printed by\n")
+    print("Results of our encodings and the baselines on the same scans; printed by\n")
     print("```text\npython -m benchmarks.compare DRIVES\n```\n")
     print(f"at commit {commit()} on {machine()}, one thread, Python {of['python']}, NumPy")
-    print(f"{of['numpy']}. `tensormap compare` prints the same figures of your own drives:")
-    print("[Compare methods](../how-to/compare-methods.md). How the others were re-derived:")
-    print("[decision 16](../decisions/0016-peers.md).\n")
-    print("- **R@1** within so many metres: of the queries that have a place so near, the share")
-    print("  whose answer is one. **F1**: the greatest over all thresholds of the score, which is")
-    print("  the distance, negated. **AP**: average precision, the area under precision over")
-    print("  recall as a sum of steps. **AUROC**: of findable queries against another drive's.")
-    print("- **Bytes sent**: what a vehicle sends, ours packed (the paper's encoding one signature")
-    print("  for each segment), others' numbers as float32. **Bytes kept**: arrays of the places,")
-    print("  bases included, a place. **ms**: medians of processor time from returns to")
-    print("  descriptor and from there to the answer.")
+    print(f"{of['numpy']}. `tensormap compare` prints the same figures for your own drives:")
+    print("[Compare methods](../how-to/compare-methods.md). How the baselines were re-derived:")
+    print("[Baselines](baselines.md).\n")
+    print("- **R@1** within so many metres: of the queries that have a place within that distance,")
+    print("  the share whose best match is one. **F1**: the maximum over all thresholds of the")
+    print("  score, the negated distance. **AP**: average precision, the area under precision over")
+    print("  recall as a sum of steps. **AUROC**: findable queries against those of another drive.")
+    print("- **Bytes sent**: what a vehicle sends; ours packed (the paper's encoding one signature")
+    print("  for each segment), the baselines' numbers as float32. **Bytes kept**: arrays per")
+    print("  place, bases included. **ms**: medians of processor time from returns to descriptor")
+    print("  and from descriptor to answer.")
     print("- `map-closures` describes and matches in one call. It is made for maps of many scans;")
-    print("  here it gets single ones, as all do, leaves most queries unanswered, and so takes")
-    print("  part in the first table only.\n")
+    print("  here it gets single scans like all methods, leaves most queries unanswered, and is")
+    print("  therefore in the first table only.\n")
     print("Configuration: every method's defaults, five segments.\n")
     rows = [
         [f"`{one.name}`", _described_parameters(one)]
@@ -109,8 +108,8 @@ def _contestants(drive: Drive, names: Sequence[str]) -> tuple[Contestant, ...]:
 
 def _kitti00(folder: Path) -> None:
     print("## `kitti00`, as driven\n")
-    print("Recorded, 250 scans of an HDL-64E: even ones are places, odd ones asked. Unknown:")
-    print(f"`kit_muehlburger`, every {ASKED_EVERY}th scan.\n")
+    print("Recorded, 250 scans of an HDL-64E: even scans are places, odd ones queries. Unknown")
+    print(f"places: `kit_muehlburger`, every {ASKED_EVERY}th scan.\n")
     drive = open_drive(folder / "kitti00", min_returns=100)
     unknown = open_drive(folder / "kit_muehlburger", min_returns=100)
     protocol = ComparisonProtocol(HALF, unknown_every=ASKED_EVERY)
@@ -119,10 +118,10 @@ def _kitti00(folder: Path) -> None:
 
 
 def _conditions(folder: Path) -> None:
-    print("## `kitti00`, turned, beside, noisy\n")
-    print("R@1 within 3 m; the vehicle is turned and stands to the left of its scan (its returns")
+    print("## `kitti00`, relative yaw, lateral offset, noise\n")
+    print("R@1 within 3 m; the vehicle has another yaw and is to the left of its scan (its returns")
     print("are moved, nothing new is seen), or every coordinate has noise. M2DP centres returns:")
-    print("moved ones are the same to it, and only a true second pass, below, tries it.\n")
+    print("moved ones are the same to it; only a real second pass (below) tests it.\n")
     drive = open_drive(folder / "kitti00", min_returns=100)
     found = compare(drive, _contestants(drive, METHODS[:-1]), ComparisonProtocol(HALF, CONDITIONS))
     _print_conditions(found)
@@ -130,7 +129,7 @@ def _conditions(folder: Path) -> None:
 
 def _muehlburger(folder: Path) -> None:
     print("## `kit_muehlburger`\n")
-    print("Recorded, 501 scans at 10 Hz, the first 188 standing; even ones are places.\n")
+    print("Recorded, 501 scans at 10 Hz, the first 188 while standing; even scans are places.\n")
     drive = open_drive(folder / "kit_muehlburger", min_returns=100)
     found = compare(drive, _contestants(drive, METHODS[:-1]), ComparisonProtocol(HALF))
     _print_means([found], 3.0)
@@ -139,10 +138,11 @@ def _muehlburger(folder: Path) -> None:
 def _cities() -> None:
     print("## Simulated cities, second passes\n")
     print(
-        f"R@1 within 5 m: {SCANS} scans are places; a second pass truly drives beside their line,"
+        f"R@1 within 5 m: {SCANS} scans are places; a second pass really drives beside their line,"
     )
     print(
-        f"in its direction and against it, other cars parked; every {ASKED_EVERY}th scan asked.\n"
+        'in its direction and in the opposite one ("against"), among other parked cars;'
+        f" every {ASKED_EVERY}th scan is a query.\n"
     )
     rows, found = [], []
     for seed in SEEDS:
@@ -179,7 +179,7 @@ def _cities() -> None:
 
 def _loops() -> None:
     print("## Simulated cities, closing loops\n")
-    print(f"One drive of {SCANS} scans that comes back to where it began; each scan is asked among")
+    print(f"One drive of {SCANS} scans that returns to its start; each scan is a query among")
     print("those at least 50 before it. Means over the seeds")
     print(f"{', '.join(map(str, SEEDS))}; our bases are fitted to the whole drive.\n")
     found = []
@@ -239,7 +239,7 @@ def _print_means(found: Sequence[Comparison], metres: float) -> None:
 def _columns(metres: float) -> list[str]:
     return [
         "method", "R@1 3 m", "5 m", "10 m", f"F1 {metres:g} m", f"AP {metres:g} m", "AUROC",
-        "turn error deg", "bytes sent", "bytes kept", "ms describe", "ms match", "unanswered",
+        "yaw error deg", "bytes sent", "bytes kept", "ms describe", "ms match", "unanswered",
     ]  # fmt: skip
 
 

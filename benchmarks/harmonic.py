@@ -1,4 +1,4 @@
-"""The tables of docs/decisions/0010-harmonic-encoding.md, from a recorded and simulated drives.
+"""The tables of docs/reference/harmonic-measurements.md, from recorded and simulated drives.
 
     python -m benchmarks.harmonic DRIVES [recorded|cities]
 
@@ -144,7 +144,7 @@ def _described(condition: Condition) -> str:
 
 
 def _packed(drive: MemoryDrive) -> None:
-    print("## Signatures on the road, `kitti00`\n")
+    print("## Packed signatures on `kitti00`\n")
     print("The same with the default, the signature as it is and packed; bytes of the body.\n")
     localizer = _localizer(drive, harmonic(), np.arange(0, len(drive), 2))
     ways: tuple[Packing | None, ...] = (None, Packing.FLOAT16, Packing.INT8)

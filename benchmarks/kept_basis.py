@@ -1,4 +1,4 @@
-"""The tables of docs/decisions/0014-merging-and-basis-identity.md: what it costs to keep a basis.
+"""The last tables of docs/reference/harmonic-measurements.md: what it costs to keep a basis.
 
     python -m benchmarks.kept_basis DRIVES
 

@@ -1,4 +1,4 @@
-"""The tables of docs/decisions/0015-loop-closures.md: proposed closures, true and false.
+"""A table of docs/reference/mapping-measurements.md: proposed closures, true and false.
 
     python -m benchmarks.loop_closures DRIVES [fit]
 
@@ -257,7 +257,7 @@ def _report(found: list[Judged]) -> int:
             "true ones accepted",
             "false ones rejected",
             "Brier score",
-            "turn error deg",
+            "yaw error deg",
             "place error m",
         ],
         rows,

@@ -1,4 +1,4 @@
-"""Unequal segments against equal ones at equal storage: the table of decision 13.
+"""Unequal and equal segments at equal storage: tables of docs/reference/mapping-measurements.md.
 
     python -m benchmarks.segments DRIVES [NAME ...]
 

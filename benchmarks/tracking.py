@@ -1,4 +1,4 @@
-"""The tables of docs/decisions/0012-tracking.md; fails where a bar is missed.
+"""The tables of docs/reference/tracking-measurements.md; fails where a bar is missed.
 
     python -m benchmarks.tracking DRIVES [recorded|cities]
 
@@ -105,14 +105,14 @@ def _cities() -> list[str]:
     print_table(
         [
             "city",
-            "told of seen",
+            "reported of observed",
             "first fix",
             "wrong segments",
             "recall 3 / 5 / 10 m",
             "position error m",
-            "standing found / false",
+            "standing detected / false",
             "flicker",
-            "scans until recovered",
+            "scans until recovery",
             "ms",
         ],
         rows,

@@ -1,4 +1,4 @@
-"""The tables of docs/decisions/0011-trust.md: is a probability one, and does it tell the unknown?
+"""The tables of docs/reference/trust-measurements.md: calibration error, and unknown places.
 
     python -m benchmarks.trust DRIVES [harmonic|paper] [recorded|cities]
 

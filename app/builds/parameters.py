@@ -71,7 +71,7 @@ class BuildParameters(BaseModel):
     )
 
     drives: DriveNames | None = Field(
-        None, description="Which drives, in this order; all of the map by default."
+        None, description="Which drives, in this order; all of the map that have scans by default."
     )
     base: Annotated[str, Field(pattern="^(live|[0-9a-f]{12,64})$")] | None = Field(
         None,
@@ -152,10 +152,11 @@ class BuildParameters(BaseModel):
         ge=0,
         le=1,
         description="By how much recall on the scans that both have may be lower than the live"
-        " revision's; beyond, the result of `make_live` is done but not live.",
+        " revision's; beyond, the result of `make_live` is done but not live. Only with it.",
     )
     force: Flag = Field(
-        default=False, description="Make the result of `make_live` live whatever it finds."
+        default=False,
+        description="Make the result of `make_live` live whatever it finds. Only with it.",
     )
 
     _integers = field_validator("ranks", "segment_length", "segments", mode="before")(integers)

@@ -134,7 +134,7 @@ def _facts(
     job_id: str | None,
 ) -> RevisionFacts:
     tensor_map = built.tensor_map
-    notes = (*left_over, *built.notes)
+    notes = (*plan.notes, *left_over, *built.notes)
     if gate is not None and gate.reason is not None:
         notes = (*notes, gate.reason)
     return RevisionFacts(

@@ -40,16 +40,19 @@ class Plan:
         parameters: As asked for; with `base`, everything else that was built with there.
         drives: Which, in their order in the map; at least one, each has a scan.
         kept: The basis to keep, `None` to fit one.
+        notes: What whoever asked for the build should know of the choice.
     """
 
     parameters: BuildParameters
     drives: tuple[str, ...]
     kept: KeptBasis | None
+    notes: tuple[str, ...] = ()
 
 
 def plan_build(store: Store, map_id: str, parameters: BuildParameters) -> Plan:
     """Choose the drives and the basis of a build.
 
+    A build of all drives leaves out those without a scan, as a mistyped name makes with its poses.
     A harmonic map keeps the basis of the revision that it is based on, or else of the live one if
     that makes the same signatures of a scan, unless `refit` asks for another.
 
@@ -60,7 +63,7 @@ def plan_build(store: Store, map_id: str, parameters: BuildParameters) -> Plan:
         AmbiguousRevision: If the map has several revisions of that prefix.
         UnknownDrive: If a drive is to be left out that the base does not have.
         DriveNotFound: If the map lacks one of the drives.
-        EmptyDrive: If no drive is left, or one has no scan.
+        EmptyDrive: If no drive is left, or one that is named has no scan.
         InvalidParameters: If parameters do not fit, or differ from the base's.
         CorruptFile: If the file of the revision whose basis would be kept is damaged.
     """
@@ -68,8 +71,11 @@ def plan_build(store: Store, map_id: str, parameters: BuildParameters) -> Plan:
         parameters.map_parameters()  # refuses what does not fit, before anything is read
     base = _base(store, map_id, parameters)
     names: Sequence[str]
+    notes: tuple[str, ...] = ()
     if base is None:
-        names = parameters.drives or [d.slug for d in store.drives.of_map(map_id)]
+        names = parameters.drives or ()
+        if not names:
+            names, notes = _all_with_scans(store, map_id)
         names = _young(store, map_id, names, parameters.max_age_days)
     else:
         record, base_map = base
@@ -86,8 +92,12 @@ def plan_build(store: Store, map_id: str, parameters: BuildParameters) -> Plan:
         try:
             kept = _kept(base or _live(store, map_id), parameters)
         except CorruptFile as error:
-            raise CorruptFile(f"{error}: its basis cannot be kept, refit fits another") from error
-    return Plan(parameters, tuple(drive.slug for drive in drives), kept)
+            raise CorruptFile(
+                f"{error}: a build keeps the basis of the live revision, which cannot be read. Send"
+                " refit: true to fit a new basis, which vehicles then download; or, to keep one,"
+                " first make a revision live whose file is good, imported or built before"
+            ) from error
+    return Plan(parameters, tuple(drive.slug for drive in drives), kept, notes)
 
 
 def _base(
@@ -114,6 +124,21 @@ def _read(store: Store, record: RevisionRecord) -> tuple[RevisionRecord, TensorM
         return record, read_revision(store.revisions.path_of(record), record.digest)
     except FileNotFoundError as error:
         raise CorruptFile(f"the file of revision {record.digest} is gone") from error
+
+
+def _all_with_scans(store: Store, map_id: str) -> tuple[Sequence[str], tuple[str, ...]]:
+    """Return the drives of a map that have scans, and a note on each other one."""
+    drives = store.drives.of_map(map_id)
+    notes = []
+    for drive in drives:
+        if not drive.scans:
+            waiting = (
+                f", {drive.expected_poses} poses wait for them" if drive.expected_poses else ""
+            )
+            notes.append(
+                f"drive {drive.slug} is left out, it has no scans{waiting}: is its name mistyped?"
+            )
+    return [drive.slug for drive in drives if drive.scans], tuple(notes)
 
 
 def _changed(
@@ -154,7 +179,8 @@ def _young(
 def _stored(store: Store, map_id: str, names: Sequence[str]) -> Sequence[DriveRecord]:
     if not names:
         slug = store.maps.get_by_id(map_id).slug
-        reason = "no drive would be left" if store.drives.of_map(map_id) else "upload scans first"
+        scans = any(drive.scans for drive in store.drives.of_map(map_id))
+        reason = "no drive would be left" if scans else "upload scans first"
         raise EmptyDrive(f"map {slug!r} has no drive to build of: {reason}")
     drives = store.drives.of_map(map_id, names)
     empty = [drive.slug for drive in drives if not drive.scans]

@@ -4,6 +4,7 @@ from hashlib import sha256
 from typing import Annotated
 
 from fastapi import Header, Response, status
+from fastapi.exceptions import RequestValidationError
 
 from app.access.dependency import Asking
 from app.access.scopes import Scope, needs
@@ -77,7 +78,8 @@ def build(
     """Queue a build; follow it at `Location`.
 
     What can be refused now is refused now: unknown drives, a base that is not there, a map without
-    scans, parameters that do not fit the sensor, images of returns that were dropped.
+    scans, parameters that do not fit the sensor, images of returns that were dropped, `force` or
+    `max_recall_loss` without `make_live`.
 
     With `base`, the new revision is that one with the drives of `add` after its own and without
     those of `remove`. A harmonic map keeps its basis, so that the signatures of vehicles stay good,
@@ -89,6 +91,7 @@ def build(
     With an `Idempotency-Key`, a client that did not hear the answer asks again: the job that it has
     made is told, and no other is queued.
     """
+    _require_make_live(parameters)
     jobs = running.store.jobs
     request = None if idempotency_key is None else _request(idempotency_key, parameters)
     job = None if request is None else jobs.made_by(map_slug, request)
@@ -106,6 +109,23 @@ def build(
         running.runner.wake()
     response.headers["Location"] = f"/v1/jobs/{job.id}"
     return JobOut.from_record(job)
+
+
+def _require_make_live(parameters: BuildParameters) -> None:
+    """Refuse options of `make_live` without it.
+
+    Here, and not in the model: that reads the jobs of older versions too, which accepted them.
+    """
+    for name in ("force", "max_recall_loss"):
+        default = BuildParameters.model_fields[name].default
+        if not parameters.make_live and getattr(parameters, name) != default:
+            told = (
+                f"Value error, {name} only applies with make_live: true; without it a build is not"
+                " compared with the live revision, and only the first one of a map becomes live"
+            )
+            raise RequestValidationError(
+                [{"type": "value_error", "loc": ("body", name), "msg": told}]
+            )
 
 
 def _request(key: str, parameters: BuildParameters) -> RequestKey:

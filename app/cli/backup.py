@@ -32,7 +32,8 @@ def backup(
     """Back up a data directory into one file, while the service runs; every digest is checked.
 
     What is damaged is in it as it is, what is gone or cannot be read is not: both are reported, the
-    exit status is then 1, and the rest is a backup.
+    exit status is then 1, and the rest is a backup. Such an incomplete one never replaces a file
+    that is there: it is written beside it, as FILE.incomplete.tar.
     """
     if os.environ.get("TENSORMAP_CATALOG_URL"):
         raise InvalidParameters(_ELSEWHERE)
@@ -40,10 +41,16 @@ def backup(
     private_files()
     written = write_backup(data, output_file)
     output().print(
-        f"{output_file}: {written.files} files, {written.size_bytes} bytes",
+        f"{written.path}: {written.files} files, {written.size_bytes} bytes",
         markup=False,
         soft_wrap=True,
     )
+    if written.path != output_file:
+        typer.echo(
+            f"tensormap: this backup is incomplete: it is in {written.path}, and {output_file} is"
+            " what it was",
+            err=True,
+        )
     _require_whole(written)
 
 

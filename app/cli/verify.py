@@ -65,5 +65,7 @@ def verify(
 
 
 def _line(finding: Finding) -> str:
-    done = f" ({finding.done})" if finding.done else ""
-    return f"{finding.condition}: {finding.path}: {finding.what}{done}"
+    path, described = finding.path, finding.described
+    notes = "; ".join(note for note in (path if described else "", finding.done) if note)
+    told = f"{finding.condition}: {described or path}: {finding.what}"
+    return f"{told} ({notes})" if notes else told

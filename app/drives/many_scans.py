@@ -127,9 +127,12 @@ class ScanUpload:
             with suppress(StorageError):  # what came whole may still fit
                 self.store()
             raise
-        except (ClientDisconnect, BodyTooLarge, MalformedBody):  # the client's, or ours
+        except ClientDisconnect:
             self.store()  # what came need not come again
             raise
+        except (BodyTooLarge, MalformedBody) as error:
+            self.store()
+            raise type(error)(f"{error}; {self._so_far()}") from error
 
     def store(self) -> None:
         """Store the scans that came whole and wait for others."""
@@ -151,7 +154,6 @@ class ScanUpload:
         return upload
 
     def _take(self, piece: bytes) -> None:
-        upload = self._upload
         try:
             for member in self._feed.take(piece):
                 require_client()
@@ -160,13 +162,17 @@ class ScanUpload:
                     scan = _scan(member, self._media_type, self._min_returns)
                     self._group.add(member.name, index, scan)
                 except (InvalidScan, UnknownFormat) as error:
-                    upload.refuse(member.name, error)
+                    self._upload.refuse(member.name, error)
         except MalformedUpload as error:
             self.store()
-            raise MalformedUpload(
-                f"{error}; {len(upload.stored)} scans were stored, {len(upload.present)} were"
-                f" there and {upload.set_aside_count} were set aside before"
-            ) from error
+            raise MalformedUpload(f"{error}; {self._so_far()}") from error
+
+    def _so_far(self) -> str:
+        upload = self._upload
+        return (
+            f"{len(upload.stored)} scans were stored, {len(upload.present)} were there and"
+            f" {upload.set_aside_count} were set aside before"
+        )
 
 
 class _Group:

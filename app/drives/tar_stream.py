@@ -1,7 +1,6 @@
 """A tar stream, read as it comes: one file in memory at a time, and that of bounded size.
 
-Its parser is a generator that asks for bytes: `TarStream` reads them where they are, `TarFeed` is
-given them as they come.
+Its parser is a generator that asks for bytes; `TarFeed` gives it those that came.
 
 Python's `tarfile` reads extended headers of any size into memory; a stranger's stream needs less
 trust and less of the format: ustar headers, and the long names of GNU and PAX.
@@ -16,7 +15,7 @@ import numpy as np
 
 from app.http.errors import MalformedUpload
 
-__all__ = ["TarFeed", "TarMember", "TarStream"]
+__all__ = ["TarFeed", "TarMember"]
 
 T = TypeVar("T")
 
@@ -46,28 +45,6 @@ class TarMember:
     name: str
     content: bytes | None
     reason: str = ""
-
-
-class TarStream:
-    """The files of a tar stream, in their order; folders are passed over.
-
-    Args:
-        read: Gives up to so many bytes of the body, none at its end.
-        most_bytes: How long a file may be.
-
-    Raises:
-        MalformedUpload: While it is read, if it is no tar stream or breaks off.
-    """
-
-    def __init__(self, read: Callable[[int], bytes], most_bytes: int) -> None:
-        self._read = read
-        self._most_bytes = most_bytes
-
-    def __iter__(self) -> Iterator[TarMember]:
-        """Give the files, each once."""
-        feed = TarFeed(self._most_bytes)
-        while not feed.ended:
-            yield from feed.take(self._read(_SKIP_BYTES))
 
 
 class TarFeed:

@@ -112,7 +112,7 @@ class TooManyRequests(AppError):
 
 
 class ServiceBusy(AppError):
-    """More requests, or bytes of bodies, than this service takes at once; see `Retry-After`."""
+    """A service that takes no more requests or bytes at once, or is stopping; see `Retry-After`."""
 
     def __init__(self, detail: str, wait_s: int) -> None:
         super().__init__(detail)

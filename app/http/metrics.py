@@ -95,7 +95,8 @@ class Metrics:
         )
         self._scrub_damaged = Gauge(
             "tensormap_scrub_damaged_files",
-            "Files that were damaged or missing when they were last checked.",
+            "Stored files that the background check found damaged, missing or unreadable when it"
+            " last read them; those that a request meets count once it comes by.",
             registry=registry,
         )
         self._scrub_passed_s = Gauge(

@@ -1,5 +1,6 @@
 """Watches every request: gives it an id, counts it, and writes a line about it."""
 
+import asyncio
 import logging
 import time
 
@@ -7,14 +8,17 @@ from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from app.access.admission import CALLER_STATE
+from app.http.errors import ServiceBusy
 from app.http.logs import fields
 from app.http.metrics import Metrics
-from app.http.problems import internal_error
+from app.http.problems import internal_error, problem_response
 from app.http.request_id import HEADER, accepted_id, enter_request
 
 __all__ = ["RequestObserver"]
 
 _MOST_CHARACTERS = 200  # of a path that a log repeats
+_STOPPED = "the service is being stopped: send this again, what was stored of it stays"
+_STARTED_AGAIN_S = 5
 _NO_ANSWER = 499  # what proxies note of a client that went away; it is never sent
 
 _log = logging.getLogger("tensormap.requests")
@@ -55,6 +59,14 @@ class RequestObserver:
 
         try:
             await self._app(scope, receive, watched)
+        except asyncio.CancelledError:
+            # Only Uvicorn cancels a request: it is to stop, and has waited as long as it does.
+            if scope["type"] != "http":
+                raise
+            if status is None:
+                await problem_response(ServiceBusy(_STOPPED, _STARTED_AGAIN_S))(
+                    scope, receive, watched
+                )
         except Exception as error:
             if scope["type"] != "http" or status is not None:
                 raise

@@ -18,12 +18,10 @@ from starlette.routing import Match
 from app.http.errors import (
     STATUS,
     AppError,
-    BodyTooLarge,
     InternalError,
     InvalidRequest,
     MethodNotAllowed,
     NoSuchRoute,
-    UnsupportedBody,
 )
 from app.http.request_id import current_id
 from core import errors as core
@@ -167,13 +165,7 @@ def add_handlers(app: FastAPI) -> None:
         return response
 
     @app.exception_handler(RequestValidationError)
-    async def invalid(request: Request, error: RequestValidationError) -> JSONResponse:
-        kind = request.headers.get("content-type", "")
-        # FastAPI parses as JSON only what says that it is, and else finds bytes for a body.
-        if "json" not in kind.lower() and any(e["loc"] == ("body",) for e in error.errors()):
-            return problem_response(
-                UnsupportedBody(f"Content-Type is {kind[:80]!r}, wanted application/json")
-            )
+    async def invalid(_request: Request, error: RequestValidationError) -> JSONResponse:
         fields = list(_field_problems(error))
         more = len(error.errors()) - len(fields)
         detail = "; ".join(f"{field['where']}: {field['what']}" for field in fields)
@@ -183,10 +175,6 @@ def add_handlers(app: FastAPI) -> None:
 
     @app.exception_handler(HTTPException)
     async def http(request: Request, error: HTTPException) -> JSONResponse:
-        if isinstance(error.__cause__, core.TensorMapError):  # met while the body was read
-            return problem_response(error.__cause__)
-        if error.status_code == HTTPStatus.REQUEST_ENTITY_TOO_LARGE:
-            return problem_response(BodyTooLarge(str(error.detail)))
         path = request.url.path[:_MOST_CHARACTERS]
         if error.status_code == HTTPStatus.NOT_FOUND:
             return problem_response(NoSuchRoute(f"there is no {path}; see /docs"))

@@ -56,11 +56,13 @@ CATALOG, STORE_ID, MANIFEST = "catalog.sqlite3", "store-id", "manifest.json"
 
 T = TypeVar("T")
 
+_LACKING = ("damaged", "missing")
 _PASSES = 50  # each one that fails met a deletion or compaction, which are rare
-_SCANS = """SELECT drives.map_id, drives.id, chunk, chunk_row, digest FROM scans
+_SCANS = """SELECT drives.map_id, drives.id, chunk, chunk_row, scan_index, digest FROM scans
             JOIN drives ON drives.id = scans.drive_id WHERE chunk <> '' ORDER BY 1, 2, 3, 4"""
 _WITHOUT_RETURNS = """SELECT DISTINCT drives.map_id, drives.id FROM scans
                       JOIN drives ON drives.id = scans.drive_id WHERE chunk = '' ORDER BY 1, 2"""
+_SLUGS = "SELECT id, slug FROM maps UNION ALL SELECT id, slug FROM drives"
 _REVISIONS = "SELECT map_id, file_name, digest FROM revisions ORDER BY 1, 2"
 
 
@@ -69,12 +71,14 @@ class Backup:
     """What was written.
 
     Attributes:
+        path: Where it is.
         files: How many files of scans and revisions.
         size_bytes: Of the backup.
         damaged: What is not as it was stored, in words; it is in the backup as it is.
         missing: What the catalog names and the backup lacks, in words.
     """
 
+    path: Path
     files: int
     size_bytes: int
     damaged: tuple[str, ...]
@@ -84,7 +88,9 @@ class Backup:
 def write_backup(data_dir: Path, output: Path) -> Backup:
     """Copy a data directory whose catalog is its own SQLite file; the service may run.
 
-    Every scan and revision is checked against its digest on the way.
+    Every scan and revision is checked against its digest on the way. A backup in which something is
+    damaged or missing replaces no file that is at `output`: it goes beside it, `backup.tar` to
+    `backup.incomplete.tar`, where it replaces an earlier one.
 
     Args:
         data_dir: The data directory.
@@ -103,7 +109,8 @@ def write_backup(data_dir: Path, output: Path) -> Backup:
     for left in (*abandoned_copies(folder), *folder.glob(f".{output.name}.*.part")):
         remove_abandoned(left)
     copied = _Copied()
-    with publish(output) as part, ExitStack() as stack:
+    path = output
+    with publish(output, instead=lambda: path) as part, ExitStack() as stack:
         copy = stack.enter_context(_folder_beside(output)) / CATALOG
         descriptor = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
         with (
@@ -122,23 +129,31 @@ def write_backup(data_dir: Path, output: Path) -> Backup:
             with copy.open("rb") as source:
                 kept[CATALOG] = _add(tar, CATALOG, source)
             manifest = {"format": FORMAT, "format_version": FORMAT_VERSION, "files": kept}
-            for kind, told in (("damaged", copied.damaged), ("missing", copied.missing)):
+            for kind, told in zip(_LACKING, (copied.damaged, copied.missing), strict=True):
                 if wrong := {path: said for path, said in told.items() if path in named}:
                     manifest[kind] = wrong
             _add_bytes(tar, MANIFEST, json.dumps(manifest, indent=1).encode())
         size_bytes = part.stat().st_size
+        if manifest.keys() & _LACKING and output.exists():
+            path = output.with_name(f"{output.stem}.incomplete{output.suffix}")
     return Backup(
+        path,
         sum(1 for path in kept if path.startswith("maps/") and "/images/" not in path),
         size_bytes,
-        tuple(f"{path}: {said}" for path, said in copied.damaged.items() if path in named),
-        tuple(f"{path}: {said}" for path, said in copied.missing.items() if path in named),
+        tuple(f"{said} ({path})" for path, said in copied.damaged.items() if path in named),
+        tuple(f"{said} ({path})" for path, said in copied.missing.items() if path in named),
     )
 
 
 @dataclass
 class _Copied:
-    """What became of the files: what the manifest says of each, or in words what is wrong."""
+    """What became of the files: what the manifest says of each, or in words what is wrong.
 
+    Attributes:
+        slugs: Of maps and drives, by id.
+    """
+
+    slugs: dict[str, str] = field(default_factory=dict)
     written: dict[str, dict[str, object]] = field(default_factory=dict)
     damaged: dict[str, str] = field(default_factory=dict)
     missing: dict[str, str] = field(default_factory=dict)
@@ -163,6 +178,7 @@ def _copy_files(
     for _ in range(_PASSES):
         _copy_catalog(layout.catalog, copy)
         files = named_files(copy)
+        copied.slugs = _slugs(copy)
         first_gone = False
         for file in files:
             if file.path in copied.written or file.path in copied.missing:
@@ -171,7 +187,8 @@ def _copy_files(
                 _copy_file(layout, file, tar, copied, checker)
             except FileNotFoundError:
                 if file.path in gone:
-                    copied.missing[file.path] = "the file is gone"
+                    described = file.described(copied.slugs)
+                    copied.missing[file.path] = f"{described}: the file is gone"
                 else:
                     gone.add(file.path)
                     first_gone = True
@@ -188,7 +205,8 @@ def _copy_file(
         if not stat.S_ISREG(_of_source(path.stat).st_mode):
             raise _SourceError("it is no file")
         if (fault := checker.fault(path, file)) is not None:
-            copied.damaged[file.path] = fault.what
+            described = file.described(copied.slugs, fault.good_rows)
+            copied.damaged[file.path] = f"{described}: {fault.what}"
         with _of_source(lambda: path.open("rb")) as source:
             copied.written[file.path] = _add(tar, file.path, source)
     except FileNotFoundError:
@@ -196,7 +214,8 @@ def _copy_file(
         raise
     except _SourceError as error:
         copied.damaged.pop(file.path, None)
-        copied.missing[file.path] = f"it cannot be read: {error}"
+        described = file.described(copied.slugs)
+        copied.missing[file.path] = f"{described}: the file cannot be read: {error}"
 
 
 def _of_source(do: Callable[[], T]) -> T:
@@ -251,18 +270,26 @@ def named_files(catalog: Path) -> list[StoredFile]:
     """
     layout = Layout(Path())
     scans: dict[str, dict[int, str]] = {}
+    indices: dict[str, dict[int, int]] = {}
     try:
         with closing(sqlite3.connect(catalog)) as connection:
-            for map_id, drive_id, chunk, row, digest in connection.execute(_SCANS):
+            for map_id, drive_id, chunk, row, index, digest in connection.execute(_SCANS):
                 path = str(layout.chunks(map_id, drive_id) / chunk)
                 scans.setdefault(path, {})[row] = digest
+                indices.setdefault(path, {})[row] = index
             revisions = [
                 StoredFile(str(layout.revisions(map_id) / name), revision=digest)
                 for map_id, name, digest in connection.execute(_REVISIONS)
             ]
     except (sqlite3.Error, UnicodeDecodeError) as error:
         raise CorruptFile(f"the backup's catalog cannot be read: {error}") from error
-    return [*(StoredFile(path, rows) for path, rows in scans.items()), *revisions]
+    chunks = (StoredFile(path, digests, indices[path]) for path, digests in scans.items())
+    return [*chunks, *revisions]
+
+
+def _slugs(catalog: Path) -> dict[str, str]:
+    with closing(sqlite3.connect(catalog)) as connection:
+        return dict(connection.execute(_SLUGS).fetchall())
 
 
 def store_id_of(catalog: Path) -> str:

@@ -107,7 +107,7 @@ def _restore(backup: Path, folder: Path) -> Restored:
 
 
 def _said(of_each: dict[str, Any]) -> tuple[str, ...]:
-    return tuple(f"{path}: {said}" for path, said in sorted(of_each.items()))
+    return tuple(f"{said} ({path})" for path, said in sorted(of_each.items()))
 
 
 def _remove(folder: Path, name: str) -> None:

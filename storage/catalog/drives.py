@@ -114,6 +114,13 @@ class Drives:
             )
             return {(map_id, drive_id or "") for map_id, drive_id in pairs}
 
+    def slugs_by_id(self) -> dict[str, str]:
+        """Return the slugs of all maps and of all drives, by their ids."""
+        with self._database.reading() as session:
+            of_maps = session.execute(select(Map.id, Map.slug))
+            of_drives = session.execute(select(Drive.id, Drive.slug))
+            return {row.id: row.slug for row in (*of_maps, *of_drives)}
+
 
 def drive_named(session: Session, map_slug: str, slug: str, *, lock: bool = False) -> Drive:
     """Return the row of a drive, locked until the transaction ends if asked for.

@@ -16,12 +16,12 @@ from storage.catalog.records import ScanRecord
 from storage.catalog.scan_poses import ScanPoses, at_indices, poses_put, row_values, write_rows
 from storage.errors import PosesDoNotFit
 
-__all__ = ["expect", "met", "require_fit"]
+__all__ = ["expect", "forget", "met", "require_fit"]
 
 
 def expect(session: Session, drive_id: str, wanted: ScanPoses) -> None:
     """Keep pose and time of scans by index; what was expected of them before is forgotten."""
-    _forget(session, drive_id, wanted.scans)
+    forget(session, drive_id, wanted.scans)
     known = is_known(wanted.poses) | np.isfinite(wanted.timestamps_s)
     for rows in row_values(wanted.only(known)):
         write_rows(
@@ -88,8 +88,19 @@ def met(session: Session, drive_id: str, records: Sequence[ScanRecord]) -> list[
         ):
             expected[index] = values
     met_here = sorted(expected.keys() & set(wanted))
-    _forget(session, drive_id, np.array(met_here, dtype=np.int64))
+    forget(session, drive_id, np.array(met_here, dtype=np.int64))
     return [_completed(record, expected.get(record.index, (None, None))) for record in records]
+
+
+def forget(session: Session, drive_id: str, indices: IntArray) -> None:
+    """Remove what is expected of scans, whose indices rise."""
+    spans = [(drive_id, first, last) for first, last in _spans(indices)]
+    if spans:
+        write_rows(
+            session,
+            "DELETE FROM expected_poses WHERE drive_id = ? AND scan_index BETWEEN ? AND ?",
+            spans,
+        )
 
 
 def _completed(record: ScanRecord, expected: Sequence[Any]) -> ScanRecord:
@@ -99,17 +110,6 @@ def _completed(record: ScanRecord, expected: Sequence[Any]) -> ScanRecord:
     if math.isnan(record.timestamp_s) and timestamp_s is not None:
         record = replace(record, timestamp_s=timestamp_s)
     return record
-
-
-def _forget(session: Session, drive_id: str, indices: IntArray) -> None:
-    """Remove what is expected of scans, whose indices rise."""
-    spans = [(drive_id, first, last) for first, last in _spans(indices)]
-    if spans:
-        write_rows(
-            session,
-            "DELETE FROM expected_poses WHERE drive_id = ? AND scan_index BETWEEN ? AND ?",
-            spans,
-        )
 
 
 def _spans(indices: IntArray) -> list[tuple[int, int]]:

@@ -13,7 +13,7 @@ from sqlalchemy.orm import Session
 from core.scans.pose import Pose, is_known, pose_rows
 from storage.catalog.database import Database
 from storage.catalog.drives import drive_named
-from storage.catalog.expected_poses import expect, met, require_fit
+from storage.catalog.expected_poses import expect, forget, met, require_fit
 from storage.catalog.maps import map_named
 from storage.catalog.models import Drive, Map, Scan
 from storage.catalog.records import BYTES_PER_RETURN, PosesPut, ScanRecord
@@ -221,6 +221,7 @@ class Scans:
                 put = poses_put(before, after)
                 extra = int(np.count_nonzero(is_known(missing.poses)))
                 if target.closed:
+                    forget(session, drive_id, missing.scans)
                     return replace(put, left_over=extra)
                 expect(session, drive_id, missing)
                 return replace(put, waiting=extra)

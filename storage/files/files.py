@@ -3,7 +3,7 @@
 import errno
 import os
 import secrets
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -17,13 +17,20 @@ _FAILING = {errno.EIO, errno.ENXIO, errno.ESTALE, errno.ETIMEDOUT}  # the last t
 
 
 @contextmanager
-def publish(path: Path, *, synced: bool = False) -> Iterator[Path]:
+def publish(
+    path: Path, *, synced: bool = False, instead: Callable[[], Path] | None = None
+) -> Iterator[Path]:
     """Give a path to write beside `path`, then rename it there.
 
     When the block ends, the file is fsynced, renamed and its folder fsynced: after that, it
     survives a power cut. When anything up to the rename fails, nothing is left behind and what
     stood at `path` before still does; when only the folder's fsync fails, the new file stands there
     but is not promised to stay. Between two writers the last rename wins.
+
+    Args:
+        path: The file.
+        synced: Whether the block syncs it.
+        instead: Returns, once it is written, which file of the same folder it becomes after all.
 
     Raises:
         StorageFull: If no space or quota is left.
@@ -48,7 +55,7 @@ def publish(path: Path, *, synced: bool = False) -> Iterator[Path]:
                 sync(part)
             # Readable by no more people than its folder, whatever the umask.
             part.chmod(part.stat().st_mode & path.parent.stat().st_mode & 0o666)
-            part.rename(path)
+            part.rename(path if instead is None else instead())
             sync(path.parent)
     except BaseException:
         discard(part)

@@ -1,7 +1,8 @@
 """A file that the catalog names, and whether it holds what was stored."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field
+from itertools import groupby
 from pathlib import Path, PurePosixPath
 
 from storage.errors import CorruptFile
@@ -12,6 +13,7 @@ from storage.hdf5 import FileSource, Hdf5File
 __all__ = ["Fault", "StoredFile", "fault_of"]
 
 _ROWS = 64  # of images, some megabytes
+_MOST_RANGES = 10  # of scans, in words
 
 
 @dataclass(frozen=True)
@@ -21,11 +23,13 @@ class StoredFile:
     Attributes:
         path: Under the data directory.
         scans: Digests of the scans that the catalog finds in it, by row.
+        indices: Of these scans in their drive, by row.
         revision: Digest of the revision that it holds, `None` if it holds none.
     """
 
     path: str
     scans: Mapping[int, str] = field(default_factory=dict)
+    indices: Mapping[int, int] = field(default_factory=dict)
     revision: str | None = None
 
     @property
@@ -47,6 +51,26 @@ class StoredFile:
     def drive_id(self) -> str:
         """The drive that it belongs to, if it is no revision."""
         return PurePosixPath(self.path).parts[3]
+
+    def described(self, slugs: Mapping[str, str], good_rows: Collection[int] = ()) -> str:
+        """Return what it is to users: map and drive with the scans, or map and revision.
+
+        Args:
+            slugs: Of maps and drives, by id.
+            good_rows: Of a file of scans: those that are left out.
+
+        Examples:
+            >>> file = StoredFile("maps/a1/drives/b2/chunks/c3.h5", indices={0: 7, 1: 8, 2: 10})
+            >>> file.described({"a1": "campus", "b2": "monday"})
+            'map campus, drive monday, scans 7-8, 10'
+        """
+        of_map = f"map {slugs.get(self.map_id, self.map_id)}"
+        if self.revision is not None:
+            return f"{of_map}, revision {self.revision[:12]}"
+        of_drive = f"{of_map}, drive {slugs.get(self.drive_id, self.drive_id)}"
+        if self.kind == "images":
+            return f"{of_drive}, cached images"
+        return f"{of_drive}, {_scans(i for row, i in self.indices.items() if row not in good_rows)}"
 
 
 @dataclass(frozen=True)
@@ -107,6 +131,17 @@ def _fault_of_scans(chunk: ChunkFile, scans: Mapping[int, str]) -> Fault | None:
         return None
     more = f"; {len(wrong)} of {len(scans)} rows are damaged" if len(wrong) > 1 else ""
     return Fault(wrong[0] + more, certain, tuple(good))
+
+
+def _scans(indices: Iterable[int]) -> str:
+    """Return scans as ranges of their indices, the first ones if there are many."""
+    # Within a range without a gap, an index minus its rank is the same number.
+    ranked = enumerate(sorted(indices))
+    islands = [[i for _, i in of] for _, of in groupby(ranked, lambda pair: pair[1] - pair[0])]
+    shown = [f"{of[0]}-{of[-1]}" if len(of) > 1 else f"{of[0]}" for of in islands[:_MOST_RANGES]]
+    more = sum(map(len, islands[_MOST_RANGES:]))
+    one = len(islands) == 1 and len(islands[0]) == 1
+    return f"scan{'' if one else 's'} {', '.join(shown)}" + (f" and {more} more" if more else "")
 
 
 def _is_of_the_disk(error: BaseException | None) -> bool:

@@ -1,12 +1,36 @@
-"""Whether a catalog and a data directory belong together: both keep the same random id."""
+"""Whether a folder is a data directory, and whether a catalog belongs to it: both keep one id."""
 
+from core.errors import InvalidParameters
 from storage.catalog import Catalog
 from storage.errors import WrongCatalog
 from storage.files.files import publish
 from storage.names import new_id
 from storage.store.layout import Layout
 
-__all__ = ["check_identity"]
+__all__ = ["check_identity", "require_own_folder"]
+
+_OF_FILE_SYSTEMS = {"lost+found"}
+
+
+def require_own_folder(layout: Layout) -> None:
+    """Refuse a folder of something else: it would become private, and fill with our files.
+
+    What is empty or not there yet may become a data directory. One of ours has a catalog, or what
+    PostgreSQL leaves in the folder: a store-id, in the oldest ones only the server's lock.
+
+    Raises:
+        InvalidParameters: If it holds something, and nothing of these; it is left as it is.
+    """
+    if not layout.data_dir.exists():
+        return
+    held = {path.name for path in layout.data_dir.iterdir()} - _OF_FILE_SYSTEMS
+    ours = {path.name for path in (layout.catalog, layout.store_id, layout.lock)}
+    if held and not held & ours:
+        raise InvalidParameters(
+            f"{layout.data_dir} is no data directory, it has no {layout.catalog.name} or"
+            f" {layout.store_id.name}, and is not empty, it has {min(held)!r}: wanted a data"
+            " directory, an empty folder or a new one"
+        )
 
 
 def check_identity(catalog: Catalog, layout: Layout) -> None:

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 
-from storage.catalog import Catalog
+from storage.catalog import Catalog, ScanRecord
 from storage.files.checker import Checker
 from storage.files.stored_file import Fault, StoredFile
 from storage.store.layout import Layout
@@ -66,19 +66,28 @@ class Inventory:
                 return None
             raise
 
+    def described(self, file: StoredFile, fault: Fault | None = None) -> str:
+        """Return what a file is to users, without the scans that its fault leaves good."""
+        good_rows = () if fault is None else fault.good_rows
+        return file.described(self._catalog.drives.slugs_by_id(), good_rows)
+
     def _drives(self) -> Iterator[tuple[str, list[str]]]:
         known = self._catalog.drives.known()
         for map_id in sorted({map_id for map_id, _ in known}):
             yield map_id, sorted(drive for of_map, drive in known if of_map == map_id and drive)
 
     def _of_drive(self, map_id: str, drive_id: str) -> Iterator[StoredFile]:
-        rows: dict[str, dict[int, str]] = {}
+        chunks: dict[str, list[ScanRecord]] = {}
         for record in self._catalog.scans.of_drive(drive_id):
             if record.has_returns:
-                rows.setdefault(record.chunk, {})[record.row] = record.digest
+                chunks.setdefault(record.chunk, []).append(record)
         folder = self._path(self._layout.chunks(map_id, drive_id))
-        for name, scans in sorted(rows.items()):
-            yield StoredFile(f"{folder}/{name}", scans)
+        for name, records in sorted(chunks.items()):
+            yield StoredFile(
+                f"{folder}/{name}",
+                {record.row: record.digest for record in records},
+                {record.row: record.index for record in records},
+            )
         yield from map(StoredFile, self._images(map_id, drive_id))
 
     def _images(self, map_id: str, drive_id: str) -> list[str]:

@@ -5,7 +5,7 @@ import re
 import shutil
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, date, datetime, timedelta
 from pathlib import Path
 
@@ -34,11 +34,13 @@ class Leftover:
         path: Where it is.
         what: What it is, in words.
         useless: Whether it can be removed; else it may be the only copy of something.
+        done: What a sweep did, in words; empty before.
     """
 
     path: Path
     what: str
     useless: bool
+    done: str = ""
 
 
 def leftovers(catalog: Catalog, layout: Layout, *, alone: bool) -> list[Leftover]:
@@ -55,11 +57,12 @@ def leftovers(catalog: Catalog, layout: Layout, *, alone: bool) -> list[Leftover
         *(Leftover(path, "no row names it", useless=False) for path in _unnamed(catalog, layout)),
     ]
     kept = [item for item in found if alone or _age_s(item.path) > _IN_USE_S]
-    return sorted(kept, key=lambda item: item.path)
+    # What is half-written first: else it is moved with the folder that it is in, and kept.
+    return sorted(kept, key=lambda item: (not item.useless, item.path))
 
 
 def sweep(catalog: Catalog, layout: Layout) -> list[Leftover]:
-    """Remove what is half-written, and move what no row names to `orphans/`; return what it was.
+    """Remove what is half-written, and move what no row names to `orphans/`; return what was done.
 
     Mostly that is what a crash left. Should the catalog be at fault, as after a partial restore,
     nothing is lost: there it stays under the day and the path that it had, for
@@ -67,14 +70,18 @@ def sweep(catalog: Catalog, layout: Layout) -> list[Leftover]:
 
     Only safe while nobody writes: a file is there before its row.
     """
-    swept = leftovers(catalog, layout, alone=True)
+    swept = []
     orphans = 0
-    for item in swept:
-        if item.useless:
-            remove_abandoned(item.path)
-        else:
+    for item in leftovers(catalog, layout, alone=True):
+        if not item.useless:
             set_aside(item.path, layout, layout.orphans)
             orphans += 1
+            done = "moved to orphans/"
+        elif remove_abandoned(item.path):
+            done = "removed"
+        else:
+            done = "left: it is in use, or is not this user's"
+        swept.append(replace(item, done=done))
     if orphans:
         _log.warning(
             "%d files or folders that the catalog does not name were moved to %s",

@@ -41,8 +41,8 @@ class Revisions:
     ) -> RevisionRecord:
         """Write a revision's file and add its row; the first one of a map becomes live.
 
-        A digest that the map has already keeps its file and record; if its file was lost, or set
-        aside because it was damaged, this one takes its place.
+        A digest that the map has already keeps its record, and the file takes the place of its
+        first one.
 
         Args:
             map_id: The map; one that was made anew under the same slug is another.
@@ -76,18 +76,11 @@ class Revisions:
             discard(path)
             raise
         if record.file_name != name:
-            self._put_back(record, path)
-        return record
-
-    def _put_back(self, record: RevisionRecord, path: Path) -> None:
-        """Let a file that was written again take the place of the first one, if that is gone."""
-        first = self.path_of(record)
-        if first.exists():
-            discard(path)
-        else:
+            # The one that is there may be lost or damaged, and this one has just been read back.
             with named_disk_errors():
-                path.rename(first)
-                sync(first.parent)
+                path.replace(self.path_of(record))
+                sync(path.parent)
+        return record
 
     def path(self, map_slug: str, digest: str) -> Path:
         """Return the file of a revision, named by its digest or a unique prefix.

@@ -9,7 +9,7 @@ from typing import Self
 from storage.catalog import Catalog
 from storage.files.files import make_folder, named_disk_errors
 from storage.store.drives import Drives
-from storage.store.identity import check_identity
+from storage.store.identity import check_identity, require_own_folder
 from storage.store.layout import Layout
 from storage.store.leftovers import sweep
 from storage.store.maps import Maps
@@ -93,10 +93,12 @@ class Store:
         """Open a store as its server: lock the directory, then migrate, then recover.
 
         Raises:
+            InvalidParameters: If it is a folder of something else; nothing is changed.
             DataDirInUse: If another server runs on it; nothing is changed.
             WrongCatalog: If the catalog belongs to another data directory, or to a newer version.
         """
         layout = Layout(data_dir.absolute())
+        require_own_folder(layout)
         make_folder(layout.data_dir)
         lock = ServerLock(layout.lock)
         lock.take()

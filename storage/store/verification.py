@@ -38,6 +38,7 @@ class Finding:
         what: In words.
         done: What a repair did, empty if nothing.
         is_loss: Whether something that the catalog names cannot be read, nor be made anew.
+        described: What the file is to users; empty if the catalog does not name it.
     """
 
     condition: Condition
@@ -45,6 +46,7 @@ class Finding:
     what: str
     done: str = ""
     is_loss: bool = True
+    described: str = ""
 
 
 @dataclass(frozen=True)
@@ -99,11 +101,15 @@ def _verify(store: Store, progress: Progress, *, repair: bool) -> Verification:
             try:
                 fault = inventory.fault(file, checker)
             except FileNotFoundError:
-                findings.append(Finding(Condition.MISSING, file.path, "the file is gone"))
+                described = inventory.described(file)
+                findings.append(
+                    Finding(Condition.MISSING, file.path, "the file is gone", described=described)
+                )
                 continue
             if fault is not None:
                 found = Condition.DAMAGED if fault.certain else Condition.UNREADABLE
-                finding = Finding(found, file.path, fault.what)
+                described = inventory.described(file, fault)
+                finding = Finding(found, file.path, fault.what, described=described)
                 findings.append(_repaired(store, file, fault, finding) if repair else finding)
     return Verification(checked, tuple(chain(findings, _left_over(store, repair=repair))))
 
@@ -119,9 +125,8 @@ def _left_over(store: Store, *, repair: bool) -> Iterator[Finding]:
         except DataDirInUse:
             found = leftovers(catalog, layout, alone=False)
     for item in found:
-        done = ("removed" if item.useless else "moved to orphans/") if repair else ""
         path = str(item.path.relative_to(layout.data_dir))
-        yield Finding(Condition.LEFT_OVER, path, item.what, done, is_loss=False)
+        yield Finding(Condition.LEFT_OVER, path, item.what, item.done, is_loss=False)
 
 
 def _repaired(store: Store, file: StoredFile, fault: Fault, finding: Finding) -> Finding:

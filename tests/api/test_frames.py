@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 from core.scans.pose import Pose
 from core.scans.scan import Scan
 from tests.support.recording import Recording, kitti, recording, upload_scan
-from tests.support.service import copy_of, running, upload, wait_for
+from tests.support.service import copy_of, problem_of, running, upload, wait_for
 
 MAP = "/v1/maps/campus"
 ADDED = {"base": "live", "add": ["tuesday"], "make_live": True}
@@ -137,6 +137,25 @@ def test_a_loss_of_recall_can_be_insisted_on(foreign, insisting):
     assert live(foreign) == job["revision"]
 
 
+@pytest.mark.parametrize("option", [{"force": True}, {"max_recall_loss": 1.0}])
+@pytest.mark.parametrize("live", [{}, {"make_live": False}])
+def test_an_option_of_make_live_is_refused_without_it(campus, option, live):
+    asked = {"drives": ["monday"], **option, **live}
+    answer = campus.post(f"{MAP}/builds", json=asked)
+    (name,) = option
+    assert (answer.status_code, answer.json()["type"]) == (422, "/problems/invalid-request")
+    [fault] = answer.json()["errors"]
+    assert fault["where"] == f"body/{name}"
+    assert f"{name} only applies with make_live: true" in fault["what"]
+
+
+def test_the_defaults_of_a_job_may_be_sent_again(campus):
+    job = build(campus, base="live", refit=True)
+    parameters = campus.get(f"/v1/jobs/{job['job']}").json()["parameters"]
+    asked = {name: parameters[name] for name in ("force", "max_recall_loss", "make_live")}
+    assert build(campus, drives=["monday"], segments=3, **asked)["state"] == "done"
+
+
 def test_what_is_insisted_on_once_is_not_taken_over(foreign):
     job = build(foreign, **ADDED, poses="unchecked", force=True)
     parameters = foreign.get(f"/v1/jobs/{job['job']}").json()["parameters"]
@@ -168,3 +187,36 @@ def test_poses_that_are_left_over_are_noted_by_a_build(campus):
     assert put.json()["poses"]["waiting"] == 2
     (note,) = build(campus, **ADDED)["notes"]
     assert "drive tuesday has 2 poses of scans that it lacks" in note
+
+
+@pytest.mark.parametrize("remove", ["delete", "put"])
+def test_a_mistyped_drive_that_has_poses_only_is_left_out_of_a_build_with_a_note(campus, remove):
+    lines = "".join(f"1 0 0 {i} 0 1 0 0 0 0 1 0\n" for i in range(2))
+    kind = {"Content-Type": "application/vnd.tensormap.poses.kitti"}
+    mistyped = f"{MAP}/drives/mondya"
+    assert campus.put(f"{mistyped}/poses", content=lines, headers=kind).status_code == 200
+    (note,) = build(campus, segments=3)["notes"]
+    assert note == (
+        "drive mondya is left out, it has no scans, 2 poses wait for them: is its name mistyped?"
+    )
+    for named in ({"drives": ["monday", "mondya"]}, {"base": "live", "add": ["mondya"]}):
+        refused = campus.post(f"{MAP}/builds", json=named)
+        assert problem_of(refused) == (422, "empty-drive")
+        assert "drive 'mondya' has no scan" in refused.json()["detail"]
+    if remove == "delete":
+        assert campus.delete(mistyped).status_code == 204
+        assert build(campus, segments=3)["notes"] == []
+    else:
+        unknown = f"{'nan ' * 12}\n" * 2
+        put = campus.put(f"{mistyped}/poses", content=unknown, headers=kind).json()
+        assert put["poses_waiting"] == 0
+
+
+def test_a_map_whose_drives_have_no_scans_is_not_built(campus):
+    campus.post("/v1/maps", json={"map": "other"})
+    kind = {"Content-Type": "application/vnd.tensormap.poses.kitti"}
+    line = "1 0 0 0 0 1 0 0 0 0 1 0\n"
+    campus.put("/v1/maps/other/drives/monday/poses", content=line, headers=kind)
+    refused = campus.post("/v1/maps/other/builds", json={})
+    assert problem_of(refused) == (422, "empty-drive")
+    assert "upload scans first" in refused.json()["detail"]

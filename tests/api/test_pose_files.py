@@ -186,6 +186,16 @@ def test_poses_of_scans_that_a_closed_drive_lacks_are_left_over(posed):
     assert told["poses_left_over"] == 0
 
 
+@pytest.mark.parametrize("closed", [False, True])
+def test_poses_that_wait_are_removed_by_lines_that_are_unknown(posed, closed):
+    assert put(posed, lines(5), KITTI).json()["poses"]["waiting"] == 2
+    if closed:
+        assert posed.patch(DRIVE, json={"closed": True}).json()["poses_left_over"] == 2
+    told = put(posed, f"{'nan ' * 12}\n" * 2, KITTI, first=3, partial=closed).json()
+    assert (told["poses_waiting"], told["poses_left_over"]) == (0, 0)
+    assert told["scans_with_pose"] == 3
+
+
 def test_poses_as_json_are_counted_too(posed):
     own = {"scan": 1, "pose": [9, 9, 9, 0, 0, 0, 1]}
     told = posed.put(f"{DRIVE}/poses", json={"poses": [own, {"scan": 2, "pose": None}]}).json()

@@ -54,6 +54,7 @@ def test_a_pass_finds_what_is_damaged_and_names_it_each_time(data, built, caplog
             assert value(text, "tensormap_scrub_last_pass_timestamp_seconds") > 1e9
             [told] = [record for record in caplog.records if record.levelno == logging.ERROR]
             assert live_file(data, built).name in told.tensormap_fields["file"]
+            assert told.tensormap_fields["of"] == f"map campus, revision {built.live[:12]}"
     assert live_file(data, built).exists()
 
 

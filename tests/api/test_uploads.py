@@ -144,6 +144,22 @@ def test_an_archive_that_breaks_off_is_told_and_what_came_before_is_stored(empty
     assert empty.get(f"{DRIVE}/scans").json()["present"] == ranges((0, 0))
 
 
+@pytest.mark.parametrize("encoding", ["gzip", "zstd"])
+@pytest.mark.parametrize("share", [0.01, 0.5, 0.9])
+def test_a_packed_archive_that_breaks_off_reports_how_many_scans_were_stored(
+    empty, encoding, share
+):
+    packed = PACKED[encoding](tar(npy_files()))
+    headers = {**TAR, "Content-Encoding": encoding}
+    cut = packed[: int(share * len(packed))]
+    refused = empty.post(f"{DRIVE}/scans", content=cut, headers=headers)
+    assert problem_of(refused) == (400, "malformed-body")
+    drive = empty.get(DRIVE)
+    stored = drive.json()["scans"] if drive.status_code == 200 else 0
+    assert (stored > 0) is (share > 0.1)
+    assert f"; {stored} scans were stored, 0 were there" in refused.json()["detail"]
+
+
 def header(name=b"000000.npy", size=b"00000000010\0", kind=b"0"):
     block = name.ljust(100, b"\0") + b"0000644\0" + b"0000000\0" * 2 + size.ljust(12, b"\0")
     block += b"0" * 12 + b" " * 8 + kind

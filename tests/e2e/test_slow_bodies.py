@@ -74,6 +74,34 @@ def test_every_kind_of_body_is_waited_for_so_long_and_no_longer(server, path):
         assert connection.recv(2**16).startswith(b"HTTP/1.1 408 ")
 
 
+@pytest.mark.parametrize(
+    ("method", "path", "kind"),
+    [
+        ("POST", f"{DRIVE}/scans", TAR["Content-Type"]),
+        ("PUT", f"{DRIVE}/scans/0", "application/vnd.tensormap.npy"),
+        ("POST", "/v1/maps", "application/json"),
+    ],
+)
+def test_a_body_that_still_comes_when_the_service_stops_is_answered_503(
+    tmp_path, method, path, kind
+):
+    log = tmp_path / "log"
+    with serving(tmp_path / "data", log) as stopping:
+        stopping.client.post("/v1/maps", json={"map": "campus"})
+        with connected(stopping) as connection:
+            connection.sendall(head(method, path, 10_000, Content_Type=kind) + b"{")
+            stopping.client.get("/readyz")
+            stopping.process.terminate()
+            answer = rest_of(connection)
+        stopping.process.wait(30)
+    assert answer.startswith(b"HTTP/1.1 503 "), answer
+    assert b"content-type: application/problem+json" in answer
+    assert b"/problems/service-busy" in answer
+    assert b"being stopped" in answer
+    assert b"retry-after: 5" in answer
+    assert "Traceback" not in log.read_text()
+
+
 def test_a_body_that_is_refused_unread_is_not_read_for_ever(server):
     refused = head(
         "POST", "/v1/maps/none/drives/d/scans", 64 * 2**30, Content_Type="application/x-tar"

@@ -3,21 +3,35 @@
 import functools
 import io
 import tarfile
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from app.drives.tar_stream import TarFeed, TarMember
 from core.scans.pose import Pose
 from core.scans.scan import Scan
 from core.simulation import SimulatedDrive, SimulatedSensor
 
-__all__ = ["KITTI", "NPY", "TAR", "Recording", "kitti", "npy", "recording", "tar", "upload_scan"]
+__all__ = [
+    "KITTI",
+    "NPY",
+    "TAR",
+    "Recording",
+    "kitti",
+    "npy",
+    "recording",
+    "tar",
+    "tar_members",
+    "upload_scan",
+]
 
 KITTI = {"Content-Type": "application/vnd.tensormap.kitti"}
 NPY = {"Content-Type": "application/vnd.tensormap.npy"}
 TAR = {"Content-Type": "application/x-tar"}
+
+_PIECE_BYTES = 2**16
 
 
 @dataclass(frozen=True)
@@ -87,3 +101,11 @@ def tar(files: Iterable[tuple[str, bytes]], *, style: int = tarfile.USTAR_FORMAT
             member.size = len(content)
             archive.addfile(member, io.BytesIO(content))
     return body.getvalue()
+
+
+def tar_members(body: bytes, most_bytes: int) -> Iterator[TarMember]:
+    """Yield the files of a tar stream as an upload reads them, 64 KiB of its body at a time."""
+    feed = TarFeed(most_bytes)
+    for start in range(0, len(body), _PIECE_BYTES):
+        yield from feed.take(body[start : start + _PIECE_BYTES])
+    yield from feed.take(b"")

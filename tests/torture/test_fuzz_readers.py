@@ -4,7 +4,6 @@
 `tests/unit/formats/test_crashers.py`.
 """
 
-import io
 import random
 import resource
 import time
@@ -20,7 +19,6 @@ from pydantic import BaseModel, ValidationError
 from app.access.key_schemas import KeyIn
 from app.drives.pose_files import CSV, KITTI, TUM, read_poses
 from app.drives.pose_schemas import PosesIn
-from app.drives.tar_stream import TarStream
 from app.http.bodies.content_encoding import decoder_of
 from app.maps.schemas import MapIn
 from app.revisions.schemas import BasisOut
@@ -32,6 +30,7 @@ from core.scans.pose import Pose, first_invalid
 from core.scans.scan import Scan
 from storage.formats.drives.layouts import open_drive
 from storage.formats.scans.registry import FORMAT_NAMES, read_scan
+from tests.support.recording import tar_members
 from tests.support.samples import calibrated_map, sample_harmonic_map, sample_map
 from tests.torture.reader_inputs import CLOUD, INPUTS, SEED, damaged, samples
 
@@ -92,7 +91,7 @@ def test_a_damaged_file_of_poses_is_poses_or_refused(name: str, kind: str) -> No
 
 def test_a_damaged_tar_stream_is_files_or_refused() -> None:
     def read(body: bytes) -> None:
-        for member in TarStream(io.BytesIO(body).read, 2**20):
+        for member in tar_members(body, 2**20):
             member.name.encode()
 
     attack("tar", bodies("tar", read))

@@ -1,7 +1,7 @@
 """What the worst bodies cost that a search found: 5 s of CPU and 500 MB at most.
 
 Every row is measured in a process of its own. The table is kept in
-docs/decisions/0027-budgets-of-readers.md.
+docs/reference/service-measurements.md.
 """
 
 import json

@@ -21,12 +21,11 @@ import zstandard
 
 from app.drives.many_scans import _scan as read_member
 from app.drives.pose_files import CSV, KITTI, MOST_LINES, TUM, read_poses
-from app.drives.tar_stream import TarStream
 from app.http.bodies.content_encoding import decoder_of
 from core.errors import TensorMapError
 from storage.formats.scans.registry import FORMAT_NAMES, read_scan
 from tests.support.captures import hdl32, ouster, ouster_metadata, udp
-from tests.support.recording import tar
+from tests.support.recording import tar, tar_members
 from tests.torture.support.costs import cost_of
 
 __all__ = ["ARCHIVES", "SINGLE", "TWINS"]
@@ -140,7 +139,7 @@ def _unpacked(encoding: str) -> Read:
 
 
 def _tar_read(body: bytes) -> None:
-    for member in TarStream(io.BytesIO(body).read, SENT):
+    for member in tar_members(body, SENT):
         with suppress(TensorMapError):
             read_member(member, None if member.name.endswith(".csv") else _KITTI, 1)
 

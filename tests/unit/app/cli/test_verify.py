@@ -1,4 +1,4 @@
-"""`tensormap verify`: what it prints, and how it ends."""
+"""`tensormap verify`, and `backup` of what it finds: what they print, and how they end."""
 
 import pytest
 from typer.testing import CliRunner
@@ -6,6 +6,7 @@ from typer.testing import CliRunner
 from app.cli.main import cli
 from core.errors import InvalidParameters
 from storage.errors import DataDirInUse, StorageUnavailable
+from storage.files.claims import claimed
 from storage.store import Store
 from tests.support.small_scans import sample_scan
 
@@ -31,6 +32,9 @@ def test_a_sound_store_is_one_line_and_no_failure(data):
 
 def test_each_finding_is_a_line_and_a_loss_is_a_failure(data):
     damaged, gone, _ = sorted(data.rglob("chunks/*.h5"))
+    with Store(data) as store:
+        scans = {r.chunk: r.index for r in store.drives.scan_records("campus", "monday")}
+    of_drive = "map campus, drive monday, scan"
     damaged.write_bytes(damaged.read_bytes()[:-100])
     gone.unlink()
     (data / "maps" / ".x.1.part").touch()
@@ -38,12 +42,14 @@ def test_each_finding_is_a_line_and_a_loss_is_a_failure(data):
     lines = printed.splitlines()
     assert status == 1
     assert len(lines) == 4
-    assert lines[0].startswith(f"damaged: {damaged.relative_to(data)}: ")
-    assert lines[1] == f"missing: {gone.relative_to(data)}: the file is gone"
+    assert lines[0].startswith(f"damaged: {of_drive} {scans[damaged.name]}: ")
+    assert lines[0].endswith(f" ({damaged.relative_to(data)})")
+    where = gone.relative_to(data)
+    assert lines[1] == f"missing: {of_drive} {scans[gone.name]}: the file is gone ({where})"
     assert lines[2] == "left over: maps/.x.1.part: half-written"
     assert lines[3] == f"{data}: 3 files checked, 2 damaged or missing"
     status, printed, _ = ran(data, "--repair")
-    assert (status, "(moved to damaged/" in printed) == (1, True)
+    assert (status, "; moved to damaged/" in printed) == (1, True)
     assert "half-written (removed)" in printed
     status, printed, _ = ran(data)
     assert (status, printed.count("missing: ")) == (1, 2)
@@ -56,6 +62,18 @@ def test_what_is_left_over_alone_is_no_failure(data):
     assert ran(data)[:2] == (0, f"{data}: 3 files checked, 0 damaged or missing\n")
     [kept] = (data / "orphans").glob("*/maps/stray")
     assert kept.is_file()
+
+
+def test_what_a_repair_could_not_remove_is_reported_as_left(data):
+    part = data / "maps" / ".x.1.part"
+    part.touch()
+    with claimed(part):  # as by a process that still writes it
+        status, printed, _ = ran(data, "--repair")
+    assert status == 0
+    assert "half-written (left: it is in use, or is not this user's)" in printed
+    assert part.exists()
+    assert "half-written (removed)" in ran(data, "--repair")[1]
+    assert not part.exists()
 
 
 def test_a_folder_that_is_no_data_directory_stays_what_it_is(tmp_path):
@@ -79,6 +97,17 @@ def test_a_damaged_catalog_is_told(data):
     catalog.write_bytes(content)
     status, printed, _ = ran(data)
     assert (status, "damaged: catalog: " in printed) == (1, True)
+
+
+def test_an_incomplete_backup_says_where_it_is_and_fails(data, tmp_path):
+    whole, beside = tmp_path / "b.tar", tmp_path / "b.incomplete.tar"
+    backup = ["backup", "--data", str(data), "-o", str(whole)]
+    first = CliRunner().invoke(cli, backup)
+    assert (first.exit_code, first.stderr) == (0, "")
+    next(data.rglob("chunks/*.h5")).unlink()
+    second = CliRunner().invoke(cli, backup)
+    assert (second.exit_code, second.stdout.partition(":")[0]) == (1, str(beside))
+    assert f"incomplete: it is in {beside}, and {whole} is what it was" in second.stderr
 
 
 def test_a_repair_is_its_owners(data, monkeypatch):

@@ -185,7 +185,14 @@ def test_a_backup_goes_on_without_a_file_that_is_gone_and_a_restore_says_what_it
     assert (told.files, len(told.missing), told.damaged) == (6, 3, ())
     restored = restore_backup(tmp_path / "b.tar", tmp_path / "new")
     assert (restored.files, set(restored.missing)) == (6, set(told.missing))
-    assert all(said.endswith("the file is gone") for said in restored.missing)
+    names = [said.partition(": the file is gone (maps/")[0] for said in told.missing]
+    revision = filled.revisions.list("campus").items[0].digest[:12]
+    of_drive = "map campus, drive monday, scan"
+    assert sorted(names) == [
+        f"{of_drive} 0",
+        f"{of_drive} 1",
+        f"map campus, revision {revision}",
+    ]
     with Store.serving(tmp_path / "new") as store:
         for drive, index in (("monday", 2), ("monday", 4), ("tuesday", 0)):
             assert store.drives.read_scan("campus", drive, index).points_m.size
@@ -194,6 +201,30 @@ def test_a_backup_goes_on_without_a_file_that_is_gone_and_a_restore_says_what_it
         put(store, [5])
     again = write_backup(tmp_path / "new", tmp_path / "again.tar")
     assert (again.files, len(again.missing)) == (7, 3)
+
+
+@pytest.mark.parametrize("lost", ["damaged", "missing"])
+def test_an_incomplete_backup_goes_beside_the_one_that_is_there(filled, tmp_path, lost):
+    data, path = filled.layout.data_dir, tmp_path / "b.tar"
+    beside = tmp_path / "b.incomplete.tar"
+    assert write_backup(data, path).path == path
+    put(filled, [5])
+    assert write_backup(data, path).path == path  # a whole one replaces it, as every night
+    kept = path.read_bytes()
+    chunk = next(filled.layout.maps.rglob("chunks/*.h5"))
+    if lost == "damaged":
+        chunk.write_bytes(chunk.read_bytes()[:-100])
+    else:
+        chunk.unlink()
+    for _ in range(2):
+        told = write_backup(data, path)
+        assert (told.path, len(told.damaged + told.missing)) == (beside, 1)
+    assert path.read_bytes() == kept
+    assert sorted(tmp_path.glob("b*.tar")) == [beside, path]
+    assert restore_backup(path, tmp_path / "good") == Restored(7, (), ())
+    assert restore_backup(beside, tmp_path / "rest").files == told.files
+    path.unlink()
+    assert write_backup(data, path).path == path  # nothing is there that it would replace
 
 
 def test_what_the_disk_does_not_give_is_missing_in_the_backup(filled, tmp_path, monkeypatch):
@@ -265,7 +296,13 @@ def test_what_is_damaged_is_told_and_the_rest_is_safe(filled, tmp_path, which, a
         file[array][0] += 1.0
     told = write_backup(filled.layout.data_dir, tmp_path / "b.tar")
     assert len(told.damaged) == 1
-    assert path.name in told.damaged[0]
+    assert told.damaged[0].endswith(f"({path.relative_to(filled.layout.data_dir)})")
+    [revision] = filled.revisions.list("campus").items
+    names = [
+        *(f"drive monday, scan {index}" for index in range(5)),
+        f"revision {revision.digest[:12]}",
+    ]
+    assert any(told.damaged[0].startswith(f"map campus, {name}: ") for name in names)
     assert told.missing == ()
     restored = restore_backup(tmp_path / "b.tar", tmp_path / "new")
     assert restored == Restored(6, told.damaged, ())

@@ -4,14 +4,18 @@ import logging
 import multiprocessing
 import shutil
 import sqlite3
+import stat
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
 
+from core.errors import InvalidParameters
 from storage.catalog import Catalog
 from storage.errors import DataDirInUse, WrongCatalog
 from storage.store import Store
+from storage.store.identity import require_own_folder
+from storage.store.layout import Layout
 from tests.support.small_scans import sample_scan
 
 
@@ -176,3 +180,42 @@ def test_a_worker_opens_the_store_of_a_running_server(tmp_path):
         worker.start()
         worker.join()
         assert worker.exitcode == 0
+
+
+@pytest.mark.parametrize("held", ["thesis.txt", "maps/berlin.osm", ".ssh/id"])
+def test_a_folder_of_something_else_is_not_served_and_stays_as_it_is(tmp_path, held):
+    folder = tmp_path / "home"
+    (folder / held).parent.mkdir(parents=True)
+    (folder / held).write_text("mine")
+    folder.chmod(0o755)
+    with pytest.raises(InvalidParameters, match="is no data directory"):
+        Store.serving(folder)
+    assert stat.S_IMODE(folder.stat().st_mode) == 0o755
+    assert everything(folder) == {Path(held): b"mine"}
+    assert not (folder / "server.lock").exists()
+
+
+@pytest.mark.parametrize("held", [[], ["lost+found"]])
+def test_an_empty_folder_is_served_also_that_of_a_file_system(tmp_path, held):
+    for name in held:
+        (tmp_path / name).mkdir()
+    with Store.serving(tmp_path) as store:
+        store.maps.create("campus")
+    (tmp_path / "backup.tar").touch()  # what is beside its own files matters to no start
+    with Store.serving(tmp_path) as store:
+        assert store.maps.get("campus").slug == "campus"
+
+
+def test_a_folder_whose_catalog_is_elsewhere_is_known_by_its_store_id(stopped, tmp_path):
+    move_the_catalog_away(stopped)
+    (stopped / "server.lock").unlink(missing_ok=True)
+    with Store.serving(stopped, f"sqlite:///{tmp_path / 'away.sqlite3'}") as store:
+        assert store.drives.get("campus", "monday").scans == 1
+
+
+def test_a_folder_from_before_store_ids_is_known_by_its_lock(tmp_path):
+    (tmp_path / "maps").mkdir()
+    with pytest.raises(InvalidParameters, match="'maps'"):
+        require_own_folder(Layout(tmp_path))
+    (tmp_path / "server.lock").touch()
+    require_own_folder(Layout(tmp_path))

@@ -75,6 +75,7 @@ def test_a_damaged_row_is_set_aside_and_all_other_scans_are_read(filled):
     damaged = path.read_bytes()
     [finding] = verify(filled).findings
     assert (finding.condition, finding.path.endswith(path.name)) == (Condition.DAMAGED, True)
+    assert finding.described == "map campus, drive monday, scan 3"
     assert path.exists()
     assert not filled.layout.damaged.exists()
     found = verify(filled, repair=True)
@@ -105,10 +106,14 @@ def test_a_damaged_revision_is_set_aside_and_the_other_one_stays(filled):
     assert [f.path for f in verify(filled).findings] == [finding.path]
 
 
-def test_a_revision_that_was_lost_is_put_back_by_adding_it_again(filled):
+@pytest.mark.parametrize("how", ["lost", "damaged"])
+def test_a_revision_that_was_lost_or_damaged_is_put_back_by_adding_it_again(filled, how):
     live = filled.revisions.live("campus")
     path = filled.revisions.path_of(live)
-    path.unlink()
+    if how == "lost":
+        path.unlink()
+    else:
+        path.write_bytes(path.read_bytes()[:-100])
     for seed in range(2):
         made, _ = sample_map(seed=seed)
         write = functools.partial(write_map, tensor_map=made)
@@ -220,6 +225,16 @@ def test_a_start_removes_what_killed_backups_left_in_the_data_directory(filled):
     (data / "backup.tar").touch()  # a backup, and none of a server's business
     filled.recover()
     assert {path.name for path in data.iterdir() if "backup" in path.name} == {"backup.tar"}
+
+
+def test_what_is_half_written_in_a_folder_that_no_row_names_is_removed_and_the_rest_kept(filled):
+    chunks = filled.layout.chunks(filled.maps.get("campus").id, "d" * 32)
+    chunks.mkdir(parents=True)
+    (chunks / ".x.h5.0123.part").touch()
+    (chunks / "x.h5").write_bytes(b"who knows")
+    filled.recover()
+    [kept] = (path for path in filled.layout.orphans.rglob("*") if path.is_file())
+    assert kept.read_bytes() == b"who knows"
 
 
 def test_a_store_on_any_database_is_verified_and_repaired(database_url, tmp_path):
