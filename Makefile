@@ -7,9 +7,13 @@ BIN := $(VENV)/bin
 RUNTIME := $(VENV)/.installed
 DEVELOP := $(VENV)/.installed-dev
 PIP_INSTALL := PIP_CONSTRAINT=constraints.txt PIP_BUILD_CONSTRAINT=constraints.txt $(BIN)/python -m pip install --quiet --disable-pip-version-check
+# A worker that has nothing left to do takes over tests of another one.
+PYTEST := pytest -n auto --dist worksteal -q
+FAST := tests/test_layout.py tests/unit tests/property tests/contract \
+	tests/api/test_flow.py tests/api/test_keys.py tests/api/test_openapi.py tests/api/test_problems.py
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test torture soak install lint bench constraints clean
+.PHONY: help demo test test-fast coverage torture soak install lint bench constraints clean
 
 help: ## Show this list.
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  make %-12s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -18,7 +22,16 @@ demo: $(RUNTIME) ## Record, post, build, localize; leaves the service running. O
 	$(BIN)/tensormap demo $(if $(ONCE),--once) $(if $(DRIVE),--drive '$(DRIVE)')
 
 test: $(DEVELOP) ## Run all tests; those on recorded drives too if TENSORMAP_DATA names their folder.
-	PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest -n auto -q
+	PYTHONDONTWRITEBYTECODE= $(BIN)/python -m $(PYTEST)
+
+test-fast: $(DEVELOP) ## Run what takes a minute: unit, property, contract, a slice of api.
+	PYTHONDONTWRITEBYTECODE= $(BIN)/python -m $(PYTEST) $(FAST)
+
+coverage: $(DEVELOP) ## Run all tests, and fail where they run less of the code than pyproject.toml says.
+	$(BIN)/coverage erase
+	PYTHONDONTWRITEBYTECODE= $(BIN)/coverage run -m $(PYTEST)
+	$(BIN)/coverage combine --quiet
+	$(BIN)/coverage report
 
 # What `make torture` attacks with, unless the environment says otherwise; with SHORT=1 the tests' own
 # sizes, which take four minutes. Starvation: seconds that each load is measured for, and how many
@@ -62,7 +75,7 @@ constraints: ## Renew constraints.txt with the newest versions that pyproject.to
 	tools/make-constraints
 
 clean: ## Remove what was installed and made.
-	rm -rf $(VENV) build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache
+	rm -rf $(VENV) build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache .coverage*
 
 $(BIN)/python:
 	PYTHON='$(PYTHON)' tools/make-venv $(VENV)

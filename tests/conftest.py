@@ -1,12 +1,22 @@
-"""What the processes that run tests share, and the one that shares tests out among them."""
+"""Fixtures of all tests, and the switches of a run."""
 
-import gc
 import os
+from collections.abc import Callable, Iterator
+from pathlib import Path
 
+import hypothesis
 import pytest
-from xdist.remote import Producer
 
-from tests.support.scheduling import ByModule
+from app.process import one_blas_thread
+from tests.support.postgresql import Cluster, cluster, reason_to_skip
+
+DATABASES = ["sqlite", "postgresql"]
+"""What the catalog can stand on."""
+
+one_blas_thread()  # as every command and service does for itself
+# The machine is shared, and no example is timed.
+hypothesis.settings.register_profile("shared-machine", deadline=None)
+hypothesis.settings.load_profile("shared-machine")
 
 _ran: set[str] = set()
 
@@ -16,25 +26,47 @@ def pytest_xdist_auto_num_workers() -> int:
     return max(2, (os.cpu_count() or 1) * 3 // 2)
 
 
-def pytest_configure(config: pytest.Config) -> None:
-    """Take what tests need, which the process that only shares them out does without.
-
-    It would import half of the libraries that there are before any worker starts.
-    """
-    shares_out = config.getoption("dist") != "no" and not config.option.collectonly
-    if hasattr(config, "workerinput") or not shares_out:
-        config.pluginmanager.import_plugin("tests.support.fixtures")
+@pytest.fixture(scope="session")
+def shared(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder of all workers: what one of them has made there the others need not make."""
+    own = tmp_path_factory.getbasetemp()
+    return own.parent if "PYTEST_XDIST_WORKER" in os.environ else own
 
 
-def pytest_xdist_make_scheduler(config: pytest.Config, log: Producer) -> ByModule:
-    """Share tests out by module, in the order of their names."""
-    config.option.loadscopereorder = False  # documents, which take longest, would come last
-    return ByModule(config, log)
+@pytest.fixture(scope="session")
+def postgresql() -> Iterator[Cluster]:
+    """A PostgreSQL of this session's own."""
+    reason = reason_to_skip()
+    if reason is not None:
+        pytest.skip(reason)
+    with cluster() as running:
+        yield running
 
 
-def pytest_collection_finish() -> None:
-    """What was imported stays: no garbage collection looks at it again."""
-    gc.freeze()
+@pytest.fixture
+def new_postgresql(postgresql: Cluster) -> Iterator[Callable[[], str]]:
+    """Makes an empty database on PostgreSQL, and returns its URL."""
+    with postgresql.databases() as make:
+        yield make
+
+
+@pytest.fixture
+def new_database(request: pytest.FixtureRequest, tmp_path: Path) -> Callable[[str], str]:
+    """Makes an empty database of a kind, and returns its URL."""
+
+    def make(kind: str) -> str:
+        if kind == "sqlite":
+            return f"sqlite:///{tmp_path / 'catalog.sqlite3'}"
+        new_postgresql: Callable[[], str] = request.getfixturevalue("new_postgresql")
+        return new_postgresql()
+
+    return make
+
+
+@pytest.fixture(params=DATABASES)
+def database_url(request: pytest.FixtureRequest, new_database: Callable[[str], str]) -> str:
+    """The URL of an empty database, of each kind."""
+    return new_database(request.param)
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 
 from app.revisions.comparison import MOST_ASKED
-from tests.api.test_merging import built as build
+from tests.support.campus import build
 from tests.support.recording import Recording, recording
 from tests.support.service import damage, problem_of, running, upload
 

@@ -3,8 +3,6 @@
 import threading
 from concurrent.futures import ThreadPoolExecutor
 
-import pytest
-
 from app.revisions.schemas import BasisOut
 from core.encodings.signature import pack_signatures
 from tests.support.recording import KITTI, kitti, recording, upload_scan
@@ -12,7 +10,6 @@ from tests.support.recording import KITTI, kitti, recording, upload_scan
 PACKED = {"Content-Type": "application/vnd.tensormap.signature"}
 
 
-@pytest.mark.usefixtures("all_cores")
 def test_eight_clients_that_put_the_same_scans_store_each_once(empty):
     drive = recording(scans=48)
     puts = [*range(40), *range(40)]
@@ -31,7 +28,6 @@ def test_eight_clients_that_put_the_same_scans_store_each_once(empty):
     assert len(files) == 40  # those that lost a race left none
 
 
-@pytest.mark.usefixtures("all_cores")
 def test_while_live_changes_every_answer_is_of_one_revision(own, built):
     scan = kitti(recording(noise_seed=7, scans=6).scans[4])
 

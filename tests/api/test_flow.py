@@ -11,20 +11,9 @@ from core.encodings.signature import pack_signatures
 from core.localization.localizer import Localizer
 from core.parameters import MapParameters
 from storage.files.map_file import read_map
+from tests.support.campus import IMAGE, NPZ, PACKED, localize
 from tests.support.recording import KITTI, NPY, kitti, npy, recording
 from tests.support.service import pose_text, problem_of, wait_for
-
-IMAGE = {"Content-Type": "application/vnd.tensormap.image"}
-PACKED = {"Content-Type": "application/vnd.tensormap.signature"}
-NPZ = {"Accept": "application/vnd.tensormap.basis+npz"}
-
-
-def localize(client, kind, *, content=None, headers=None, **options):
-    response = client.post(
-        f"/v1/maps/campus/localizations/{kind}", content=content, headers=headers, **options
-    )
-    assert response.status_code == 200, response.text
-    return response.json()
 
 
 def as_json(signatures):

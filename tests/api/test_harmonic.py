@@ -10,7 +10,7 @@ from core.encodings.harmonic import HarmonicBasis
 from core.encodings.signature import Packing, pack_signatures
 from core.localization.localizer import Localizer
 from storage.files.map_file import read_map
-from tests.api.test_flow import IMAGE, NPZ, PACKED, localize
+from tests.support.campus import IMAGE, NPZ, PACKED, localize
 from tests.support.recording import KITTI, kitti, recording
 from tests.support.service import problem_of, running, upload, wait_for
 

@@ -9,7 +9,7 @@ from app.localization.schemas import SignaturesIn
 from app.revisions.schemas import BasisOut
 from core.encodings.signature import pack_signatures
 from storage.catalog.models import Drive, RevisionBasis
-from tests.api.test_flow import PACKED, localize
+from tests.support.campus import BUILDS, PACKED, build, localize
 from tests.support.recording import Recording, recording
 from tests.support.service import (
     copy_of,
@@ -17,24 +17,12 @@ from tests.support.service import (
     problem_of,
     running,
     upload,
-    wait_for,
     whole_store,
 )
-
-BUILDS = "/v1/maps/campus/builds"
 
 
 def as_json(signatures):
     return SignaturesIn.from_core(signatures).model_dump(exclude_none=True)
-
-
-def built(client, **wanted):
-    """Build and return the job that is done."""
-    queued = client.post(BUILDS, json=wanted)
-    assert queued.status_code == 202, queued.text
-    job = wait_for(client, queued.json()["job"])
-    assert job["state"] == "done", job
-    return job
 
 
 def revision_of(client, job):
@@ -58,7 +46,7 @@ def two_halves(data_dir, encoding):
         halves = recording().scans[:24], recording().scans[24:]
         upload(client, "monday", Recording(halves[0]))
         upload(client, "alpha", Recording(halves[1]))  # before monday in the alphabet
-        built(client, drives=["monday"], segment_length=8, encoding=encoding)
+        build(client, drives=["monday"], segment_length=8, encoding=encoding)
         yield client
 
 
@@ -86,7 +74,7 @@ def settled(tmp_path_factory):
 def test_a_vehicle_keeps_its_basis_when_a_drive_is_added(campus, encoding):
     held = basis_of(campus)
     etag = campus.get("/v1/maps/campus/basis").headers["ETag"]
-    added = built(campus, base="live", add=["alpha"], make_live=True)
+    added = build(campus, base="live", add=["alpha"], make_live=True)
     assert added["revision"] != held.revision
     assert added["plan"]["drives"] == ["monday", "alpha"]
     kept_from = held.revision if encoding == "harmonic" else None
@@ -126,7 +114,7 @@ def test_a_basis_is_refitted_on_request_only_and_a_rollback_answers_the_old_one(
         pytest.skip("the paper's segments have bases of their own")
     held, first = basis_of(campus), campus.get("/v1/maps/campus").json()["live_revision"]
     signatures = as_json(held.encode(held.image(recording().scans[6])))
-    plain = built(campus, encoding="harmonic", segment_length=8)  # without base: all drives
+    plain = build(campus, encoding="harmonic", segment_length=8)  # without base: all drives
     told = revision_of(campus, plain)["parameters"]["basis"]
     assert (told["digest"], told["kept_from"]) == (held.digest, first)
     assert [fit["drive"] for fit in told["fits"]] == ["alpha", "monday"]
@@ -134,7 +122,7 @@ def test_a_basis_is_refitted_on_request_only_and_a_rollback_answers_the_old_one(
     assert of_new["kept_error"] > of_new["refitted_error"]
     assert of_old["kept_error"] < of_old["refitted_error"]  # it was fitted to that one alone
 
-    refitted = built(campus, base="live", add=["alpha"], refit=True, make_live=True)
+    refitted = build(campus, base="live", add=["alpha"], refit=True, make_live=True)
     told = revision_of(campus, refitted)["parameters"]["basis"]
     assert told["digest"] != held.digest
     assert (told["kept_from"], told["fits"]) == (None, [])
@@ -150,25 +138,25 @@ def test_a_basis_is_refitted_on_request_only_and_a_rollback_answers_the_old_one(
 
 
 def test_removing_a_drive_leaves_it_stored_and_the_others_as_they_were(campus):
-    both = built(campus, base="live", add=["alpha"], make_live=True)
-    one = built(campus, base="live", remove=["alpha"])
+    both = build(campus, base="live", add=["alpha"], make_live=True)
+    one = build(campus, base="live", remove=["alpha"])
     first = campus.get("/v1/maps/campus/revisions").json()["items"][-1]
     assert one["revision"] == first["revision"]  # the same content is the same revision
     assert campus.get("/v1/maps/campus/drives/alpha").json()["scans"] == 24
-    other = revision_of(campus, built(campus, base=both["revision"], remove=["monday"]))
+    other = revision_of(campus, build(campus, base=both["revision"], remove=["monday"]))
     assert other["parameters"]["drives"] == ["alpha"]
     assert other["parameters"]["segment_length"] == 8
 
 
 def test_old_drives_are_left_out_when_an_age_is_given(campus, encoding):
-    built(campus, base="live", add=["alpha"], make_live=True)
+    build(campus, base="live", add=["alpha"], make_live=True)
     with campus.service.store.catalog._database.writing() as session:
         monday = session.query(Drive).filter_by(slug="monday").one()
         monday.created_at = datetime.now(UTC) - timedelta(days=40)
     before = campus.get("/v1/maps/campus/drives").json()
-    aged = revision_of(campus, built(campus, base="live", max_age_days=30))
+    aged = revision_of(campus, build(campus, base="live", max_age_days=30))
     assert aged["parameters"]["drives"] == ["alpha"]
-    young = revision_of(campus, built(campus, encoding=encoding, max_age_days=50))
+    young = revision_of(campus, build(campus, encoding=encoding, max_age_days=50))
     assert young["parameters"]["drives"] == ["alpha", "monday"]
     assert campus.get("/v1/maps/campus/drives").json() == before
     nothing = campus.post(BUILDS, json={"drives": ["monday"], "max_age_days": 30})
@@ -209,7 +197,7 @@ def test_a_base_that_is_not_there_or_whose_drive_is_gone_is_told(campus, tmp_pat
     gone = campus.post(BUILDS, json={"base": "live", "add": ["alpha"]})
     assert problem_of(gone) == (404, "drive-not-found")
     assert "name it in remove" in gone.json()["detail"]
-    built(campus, base="live", add=["alpha"], remove=["monday"])
+    build(campus, base="live", add=["alpha"], remove=["monday"])
 
 
 def test_a_damaged_live_revision_is_told_and_refit_goes_on_without_it(campus, encoding):
@@ -222,7 +210,7 @@ def test_a_damaged_live_revision_is_told_and_refit_goes_on_without_it(campus, en
         assert problem_of(refused) == (500, "corrupt-file")
         for way_out in ("refit: true", "make a revision live whose file is good"):
             assert way_out in refused.json()["detail"]
-    built(campus, **wanted, refit=True)
+    build(campus, **wanted, refit=True)
 
 
 def test_a_revision_from_before_bases_were_written_down_answers_while_it_is_live(campus):

@@ -4,9 +4,8 @@ import pytest
 
 from storage.backup.backup import write_backup
 from storage.backup.restore import restore_backup
-from tests.api.test_flow import localize
-from tests.api.test_merging import built as build
-from tests.api.test_retention import MAP, acts, keep, wait_until
+from tests.support.campus import MAP, acts, build, keep, localize
+from tests.support.process import until
 from tests.support.recording import KITTI, NPY, Recording, kitti, npy, recording
 from tests.support.service import copy_of, damage, problem_of, running, upload, wait_for
 
@@ -118,7 +117,10 @@ def test_closing_a_drive_that_is_mapped_drops_its_returns_by_itself(mapped):
     tuesday = f"{MAP}/drives/tuesday"
     assert mapped.get(tuesday).json()["scans_without_returns"] == 0
     mapped.patch(tuesday, json={"closed": True})
-    wait_until(lambda: mapped.get(tuesday).json()["scans_without_returns"] == 8)
+    until(
+        lambda: mapped.get(tuesday).json()["scans_without_returns"] == 8,
+        "the returns are not dropped",
+    )
 
 
 def test_what_only_another_revision_has_keeps_its_returns(mapped):

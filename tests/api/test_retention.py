@@ -9,22 +9,13 @@ from storage.catalog.models import Revision
 from storage.errors import StorageUnavailable
 from storage.retention import Retention
 from storage.store import Store
-from tests.api.test_merging import built as build
-from tests.api.test_revisions import ask, signed
+from tests.support.campus import MAP, acts, build, keep, localize_packed, signed
+from tests.support.process import until
 from tests.support.recording import KITTI, kitti, recording
 from tests.support.service import copy_of, problem_of, running
 
-MAP = "/v1/maps/campus"
 DEFAULT = {"retained_revisions": "all", "retained_for_days": 30.0, "raw_scans": "keep"}
 NOTHING = {"retained_revisions": 0, "retained_for_days": 0}
-
-
-def keep(client, **retention):
-    """Choose what is kept, and wait until what is not is gone."""
-    changed = client.patch(MAP, json={"retention": retention})
-    assert changed.status_code == 200, changed.text
-    client.service.collector.collect()
-    return changed.json()
 
 
 def listed(client):
@@ -35,11 +26,6 @@ def files(client):
     store = client.service.store
     folder = store.layout.revisions(store.maps.get("campus").id)
     return {path.name.partition(".")[0] for path in folder.iterdir()}
-
-
-def acts(client):
-    page = client.service.store.audit.list(limit=1000)
-    return [(entry.key_id, entry.action, entry.detail) for entry in page.items]
 
 
 @pytest.fixture(scope="module")
@@ -109,10 +95,10 @@ def test_a_policy_that_is_none_is_refused_and_nothing_changes(client, wrong):
 def test_a_revision_that_is_not_retained_goes_and_its_signatures_are_stale(three):
     client, live, other, newest = three
     signature = signed(client, other)
-    assert ask(client, signature).status_code == 200
+    assert localize_packed(client, signature).status_code == 200
     keep(client, **NOTHING)
     assert listed(client) == files(client) == {live, newest}
-    refused = ask(client, signature)
+    refused = localize_packed(client, signature)
     assert problem_of(refused) == (409, "stale-signature")
     assert live in refused.json()["detail"]
     assert problem_of(client.get(f"{MAP}/revisions/{other}")) == (404, "revision-not-found")
@@ -127,30 +113,22 @@ def test_a_replaced_revision_stays_for_its_time_and_answers_signatures_of_it(thr
     client.put(f"{MAP}/live", json={"revision": newest})
     client.service.collector.collect()
     assert listed(client) == {live, other, newest}
-    found = ask(client, signature).json()
+    found = localize_packed(client, signature).json()
     assert (found["revision"], found["live_revision"]) == (live, newest)
     with client.service.store.catalog._database.writing() as session:
         row = session.get_one(Revision, (client.service.store.maps.get("campus").id, live))
         row.retained_from -= timedelta(days=2)
     client.service.collector.collect()
     assert listed(client) == {other, newest}
-    assert problem_of(ask(client, signature)) == (409, "stale-signature")
-
-
-def wait_until(condition):
-    for _ in range(400):
-        if condition():
-            return
-        threading.Event().wait(0.02)
-    raise AssertionError("it did not come true")
+    assert problem_of(localize_packed(client, signature)) == (409, "stale-signature")
 
 
 def test_a_build_and_a_change_of_live_collect_by_themselves(own, built):
     own.patch(MAP, json={"retention": NOTHING})
     newest = build(own, segments=5, encoding="paper")["revision"]
-    wait_until(lambda: listed(own) == files(own) == {built.live, newest})
+    until(lambda: listed(own) == files(own) == {built.live, newest}, "not collected")
     own.put(f"{MAP}/live", json={"revision": newest})
-    wait_until(lambda: listed(own) == files(own) == {newest})
+    until(lambda: listed(own) == files(own) == {newest}, "not collected")
 
 
 def test_a_start_collects_by_the_services_defaults_unless_a_map_chose_otherwise(
@@ -162,7 +140,7 @@ def test_a_start_collects_by_the_services_defaults_unless_a_map_chose_otherwise(
     with Store(tmp_path / "chose") as store:
         store.maps.update("campus", retention={"retained_revisions": "all"})
     with running(tmp_path / "did-not", **NOTHING) as client:
-        wait_until(lambda: listed(client) == files(client) == {built.live, newest})
+        until(lambda: listed(client) == files(client) == {built.live, newest}, "not collected")
         assert client.get(MAP).json()["retention_in_force"] == {**DEFAULT, **NOTHING}
     with running(tmp_path / "chose", **NOTHING) as client:
         client.service.collector.collect()
@@ -197,7 +175,6 @@ def test_a_map_that_fails_keeps_no_other_from_being_collected(three, monkeypatch
     assert "map alpha" in caplog.text
 
 
-@pytest.mark.usefixtures("all_cores")
 def test_no_query_fails_while_revisions_replace_each_other_and_are_not_retained(own, built):
     """The live one may go between being named and being read, and then the new one answers."""
     own.patch(MAP, json={"retention": NOTHING})

@@ -2,25 +2,9 @@
 
 import pytest
 
-from app.revisions.schemas import BasisOut
-from core.encodings.signature import pack_signatures
+from tests.support.campus import localize_packed, signed
 from tests.support.recording import KITTI, kitti, recording, upload_scan
 from tests.support.service import problem_of, wait_for
-
-PACKED = {"Content-Type": "application/vnd.tensormap.signature"}
-
-
-def signed(client, revision):
-    """Return scan 20's packed signatures, made with the bases of a revision."""
-    answer = client.get("/v1/maps/campus/basis", params={"revision": revision})
-    basis = BasisOut.model_validate(answer.json()).to_core()
-    return pack_signatures(basis.encode(basis.image(recording().scans[20])))
-
-
-def ask(client, signature, slug="campus"):
-    return client.post(
-        f"/v1/maps/{slug}/localizations/signature", content=signature, headers=PACKED
-    )
 
 
 def test_a_second_build_is_live_only_when_it_is_made_so(client, built):
@@ -65,16 +49,16 @@ def test_who_saw_an_older_version_does_not_switch(own, built):
 def test_a_signature_of_a_retained_revision_is_answered_by_it_and_told_which_is_live(own, built):
     signature = signed(own, built.live)
     own.put("/v1/maps/campus/live", json={"revision": built.other})
-    found = ask(own, signature).json()
+    found = localize_packed(own, signature).json()
     assert (found["revision"], found["live_revision"]) == (built.live, built.other)
     assert found["best"]["scan_index"] == 20
 
 
 def test_a_signature_of_a_deleted_revision_is_stale_and_told_which_is_live(own, built):
     signature = signed(own, built.other)
-    assert ask(own, signature).status_code == 200  # loaded, and forgotten all the same
+    assert localize_packed(own, signature).status_code == 200  # loaded, and forgotten all the same
     assert own.delete(f"/v1/maps/campus/revisions/{built.other}").status_code == 204
-    refused = ask(own, signature)
+    refused = localize_packed(own, signature)
     assert problem_of(refused) == (409, "stale-signature")
     assert built.live in refused.json()["detail"]
 
@@ -82,11 +66,11 @@ def test_a_signature_of_a_deleted_revision_is_stale_and_told_which_is_live(own, 
 def test_a_signature_of_another_map_is_stale(own, built):
     own.post("/v1/maps", json={"map": "harbour"})
     signature = signed(own, built.live)
-    assert problem_of(ask(own, signature, "harbour")) == (409, "no-live-revision")
+    assert problem_of(localize_packed(own, signature, "harbour")) == (409, "no-live-revision")
     upload_scan(own, "harbour", "monday", 0, recording().scans[0])
     job = own.post("/v1/maps/harbour/builds", json={}).json()["job"]
     live = wait_for(own, job)["revision"]
-    refused = ask(own, signature, "harbour")
+    refused = localize_packed(own, signature, "harbour")
     assert problem_of(refused) == (409, "stale-signature")
     assert live in refused.json()["detail"]
 
@@ -105,7 +89,10 @@ def test_a_signature_of_another_map_is_stale(own, built):
     ],
 )
 def test_a_packed_signature_that_cannot_be_is_refused_by_name(client, built, change, problem):
-    assert problem_of(ask(client, change(signed(client, built.live)))) == (422, problem)
+    assert problem_of(localize_packed(client, change(signed(client, built.live)))) == (
+        422,
+        problem,
+    )
 
 
 @pytest.mark.parametrize(

@@ -159,7 +159,6 @@ def test_a_track_that_is_not_there_is_told_so(client, track):
     assert problem_of(client.post(TRACKS, params={"revision": "f" * 64}))[1] == "revision-not-found"
 
 
-@pytest.mark.usefixtures("all_cores")
 def test_threads_that_observe_at_once_are_taken_one_after_another(client, track):
     threads = [threading.Thread(target=observe, args=(client, track, index)) for index in range(6)]
     for thread in threads:

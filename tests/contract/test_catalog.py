@@ -31,7 +31,7 @@ from storage.errors import (
     RevisionNotFound,
     ScanNotFound,
 )
-from tests.contract.samples import FACTS, A, add_scans, scan_record
+from tests.support.catalog_rows import FACTS, A, add_scans, scan_record
 
 
 class TestMaps:
@@ -103,7 +103,6 @@ class TestMaps:
         assert [record.slug for record in catalog.maps.list().items] == slugs
         assert [record.slug for record in catalog.maps.list(after="a0").items] == slugs[3:]
 
-    @pytest.mark.usefixtures("all_cores")
     def test_of_many_that_make_one_map_at_once_one_does(self, catalog):
         def make(_):
             try:
@@ -299,7 +298,6 @@ class TestOpening:
         assert catalog.maps.get("campus").description == "new"
         other.close()
 
-    @pytest.mark.usefixtures("all_cores")
     def test_many_can_open_a_new_catalog_at_once(self, database_url, monkeypatch):
         monkeypatch.setattr(database, "upgrade", migrations.upgrade)  # not what repeats it
         with ThreadPoolExecutor(6) as pool:
@@ -308,7 +306,6 @@ class TestOpening:
             catalog.maps.create(f"map-{number}")
             catalog.close()
 
-    @pytest.mark.usefixtures("all_cores")
     def test_a_store_is_given_one_id_by_whoever_asks_first(self, database_url, catalog):
         other = Catalog(database_url)
         ids = iter("abcdefgh")

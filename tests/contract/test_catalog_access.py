@@ -197,7 +197,6 @@ class TestAudit:
         changed_by(catalog, "ab12", "new-three")
         assert "3 is not the one that was known" in catalog.audit.verify(known).fault
 
-    @pytest.mark.usefixtures("all_cores")
     def test_changes_at_once_make_one_chain(self, catalog):
         with ThreadPoolExecutor(8) as pool:
             slugs = [f"map-{number}" for number in range(24)]

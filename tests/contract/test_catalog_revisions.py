@@ -24,7 +24,7 @@ from storage.errors import (
     RevisionNotFound,
     TooManyBuilds,
 )
-from tests.contract.samples import FACTS, A, B, C
+from tests.support.catalog_rows import FACTS, A, B, C
 
 
 class TestRevisions:
@@ -185,7 +185,6 @@ class TestJobs:
         assert done.finished_at >= running.started_at
         assert catalog.jobs.get(queued.id) == done
 
-    @pytest.mark.usefixtures("all_cores")
     def test_the_longest_waiting_job_is_claimed_and_each_once(self, catalog):
         made = [catalog.jobs.create("campus", {}).id for _ in range(12)]
         with ThreadPoolExecutor(4) as pool:
@@ -235,7 +234,6 @@ class TestJobs:
         again = catalog.jobs.create("campus", {}, request=request, key_id="a", most_queued=1)
         assert again == made
 
-    @pytest.mark.usefixtures("all_cores")
     def test_a_request_makes_one_job_however_often_it_comes(self, catalog):
         request = RequestKey("retry-1", A)
         assert catalog.jobs.made_by("campus", request) is None
@@ -259,7 +257,6 @@ class TestJobs:
                 ask()
         assert len(catalog.jobs.list().items) == 1
 
-    @pytest.mark.usefixtures("all_cores")
     def test_a_job_of_a_map_that_is_being_deleted_is_queued_before_or_not_at_all(self, catalog):
         def queue(_):
             try:

@@ -17,15 +17,14 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import httpx2
 
+from tests.support.commands import PROGRAM, ROOT
 from tests.support.process import NO_TLS
 
-ROOT = Path(__file__).parents[2]
 READ_ONLY = {"text", "json", "yaml", "ini", "nginx"}
 _FENCE = re.compile(r"^```(\S*) ?(.*)$")
 _PORT = "8000"
@@ -77,9 +76,9 @@ def _free_port() -> str:
 
 
 class Runner:
-    """Runs a document's blocks in `folder`, where `program` stands in for `tensormap`."""
+    """Runs a document's blocks in `folder`."""
 
-    def __init__(self, folder: Path, program: Sequence[str]) -> None:
+    def __init__(self, folder: Path) -> None:
         self._folder = folder
         self._port = _free_port()
         self._said = ""
@@ -87,7 +86,7 @@ class Runner:
         self._server: subprocess.Popen[bytes] | None = None
         command = folder / ".venv/bin/tensormap"
         command.parent.mkdir(parents=True)
-        command.write_text(f'#!/bin/sh\nexec {shlex.join(program)} "$@"\n')
+        command.write_text(f'#!/bin/sh\nexec {shlex.join(PROGRAM)} "$@"\n')
         command.chmod(0o755)
         kept = {k: v for k, v in os.environ.items() if not k.startswith("TENSORMAP_")}
         python = Path(sys.executable).parent

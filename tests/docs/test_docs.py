@@ -6,22 +6,24 @@ from pathlib import Path
 
 import pytest
 
-from tests.docs.blocks import READ_ONLY, ROOT, Block, Runner, blocks_of
+from tests.docs.blocks import READ_ONLY, Block, Runner, blocks_of
 from tests.docs.tables import TABLES, with_table
-from tests.support.commands import Commands
+from tests.support.commands import ROOT
 
 DOCUMENTS = [
-    *(ROOT / name for name in ("README.md", "CONTRIBUTING.md")),
+    *(ROOT / name for name in ("README.md", "CONTRIBUTING.md", "SECURITY.md")),
     *sorted((ROOT / "docs").rglob("*.md")),
 ]
 NOT_RUN = {
     "make demo": "the acceptance run itself, with a target and a test of its own",
     "make test": "runs this test",
+    "make test-fast": "runs some of the same tests",
+    "make coverage": "runs this test",
     "make install": "makes the environment that runs this test",
     "make lint": "a job of its own",
     "make torture": "takes hours; .ci/run runs four minutes of it",
     "TENSORMAP_TORTURE_SEED=": "takes minutes; .ci/run runs the same",
-    "python -m tests.docs.tables": "test_a_table_says_what_the_code_says does the same",
+    ".venv/bin/python -m tests.docs.tables": "test_a_table_says_what_the_code_says does the same",
     "TENSORMAP_SCHEMATHESIS_EXAMPLES=": "takes minutes; `make test` runs it with few examples",
     "docker compose up": "needs a container engine",
     "docker compose logs": "needs a container engine",
@@ -47,10 +49,8 @@ def runnable(path: Path) -> list[Block]:
     [path for path in DOCUMENTS if any(b.language not in READ_ONLY for b in runnable(path))],
     ids=lambda path: str(path.relative_to(ROOT)),
 )
-def test_every_block_runs_and_writes_what_it_says(
-    path: Path, tmp_path: Path, tensormap: Commands
-) -> None:
-    runner = Runner(tmp_path, tensormap.program)
+def test_every_block_runs_and_writes_what_it_says(path: Path, tmp_path: Path) -> None:
+    runner = Runner(tmp_path)
     try:
         for block in runnable(path):
             runner.run(block)

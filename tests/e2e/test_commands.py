@@ -9,34 +9,32 @@ import h5py
 import pytest
 
 from app.cli.main import main
-from tests.support.commands import Commands
+from tests.support.commands import tensormap
 
 
 @pytest.fixture(scope="module")
-def drive(tensormap: Commands, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("drives") / "monday"
     tensormap("simulate", folder, "--scans", "20", "--seed", "12")
     return folder
 
 
 @pytest.fixture(scope="module")
-def map_file(tensormap: Commands, drive: Path) -> Path:
+def map_file(drive: Path) -> Path:
     path = drive.parent / "monday.h5"
     said = tensormap("build", drive, "-o", path, "--segments", "2", "--reducer", "nearest")
     assert "20 scans, 2 segments" in said
     return path
 
 
-def test_a_map_is_inspected(tensormap: Commands, map_file: Path) -> None:
+def test_a_map_is_inspected(map_file: Path) -> None:
     facts = json.loads(tensormap("inspect", map_file, "--json"))
     assert (facts["scans"], facts["segments"], facts["reducer"]) == (20, 2, "nearest")
     assert facts["arrays"]["signatures"] == {"shape": [20, 5, 5], "dtype": "float32"}
     assert facts["revision"][:12] in tensormap("inspect", map_file)
 
 
-def test_a_scan_is_localized_where_it_was_taken(
-    tensormap: Commands, map_file: Path, drive: Path
-) -> None:
+def test_a_scan_is_localized_where_it_was_taken(map_file: Path, drive: Path) -> None:
     scans = [drive / "velodyne" / f"{index:06d}.bin" for index in (3, 16)]
     said = tensormap("localize", map_file, *scans, "-k", "2", "--json")
     answers = [json.loads(line) for line in said.splitlines() if line.startswith("{")]
@@ -45,9 +43,7 @@ def test_a_scan_is_localized_where_it_was_taken(
     assert all(len(answer["matches"]) == 2 for answer in answers)
 
 
-def test_a_signature_is_printed_and_packed(
-    tensormap: Commands, map_file: Path, drive: Path, tmp_path: Path
-) -> None:
+def test_a_signature_is_printed_and_packed(map_file: Path, drive: Path, tmp_path: Path) -> None:
     scan = drive / "velodyne" / "000003.bin"
     packed = tmp_path / "where.sig"
     said = tensormap("signature", map_file, scan, "--segment", "1", "--packed", packed)
@@ -58,7 +54,7 @@ def test_a_signature_is_printed_and_packed(
     assert len(json.loads(tensormap("signature", map_file, scan))["signatures"]) == 2
 
 
-def test_evaluate_writes_every_figure(tensormap: Commands, drive: Path, tmp_path: Path) -> None:
+def test_evaluate_writes_every_figure(drive: Path, tmp_path: Path) -> None:
     out = tmp_path / "figures.json"
     lists = ["--yaw-deg", "0,-90", "--lateral-m", "-1,1", "--noise-m", "0,0.1"]
     tensormap("evaluate", drive, "--segments", "2", *lists, "--tolerance-m", "2.5", "--json", out)
@@ -87,9 +83,7 @@ def test_evaluate_writes_every_figure(tensormap: Commands, drive: Path, tmp_path
     assert found["conditions"][0]["queries"] == 4
 
 
-def test_evaluate_asks_with_a_second_drive(
-    tensormap: Commands, drive: Path, tmp_path: Path
-) -> None:
+def test_evaluate_asks_with_a_second_drive(drive: Path, tmp_path: Path) -> None:
     second, out = tmp_path / "tuesday", tmp_path / "figures.json"
     tensormap("simulate", second, "--scans", "20", "--seed", "12", "--lateral-m", "1")
     tensormap("evaluate", drive, "--query-drive", second, "--segments", "2", "--json", out)
@@ -98,7 +92,7 @@ def test_evaluate_asks_with_a_second_drive(
     assert found["conditions"][0]["queries"] == 20
 
 
-def test_the_demonstration_ends_by_itself_when_asked_to(tensormap: Commands, drive: Path) -> None:
+def test_the_demonstration_ends_by_itself_when_asked_to(drive: Path) -> None:
     said = tensormap("demo", "--once", "--drive", drive, "--port", "8300")
     assert "full scan" in said
     assert "60" in said
@@ -166,7 +160,7 @@ def test_a_catalog_elsewhere_is_not_backed_up_as_if_it_were_here(
 
 
 def test_one_scan_that_cannot_be_used_does_not_hide_the_others(
-    tensormap: Commands, map_file: Path, drive: Path, tmp_path: Path
+    map_file: Path, drive: Path, tmp_path: Path
 ) -> None:
     cut = tmp_path / "cut.bin"
     cut.write_bytes(bytes(17))
@@ -176,16 +170,14 @@ def test_one_scan_that_cannot_be_used_does_not_hide_the_others(
     assert "cut.bin: the body has 17 bytes" in said
 
 
-def test_a_demonstration_of_too_few_scans_says_so(tensormap: Commands, tmp_path: Path) -> None:
+def test_a_demonstration_of_too_few_scans_says_so(tmp_path: Path) -> None:
     short = tmp_path / "short"
     tensormap("simulate", short, "--scans", "2")
     said = tensormap("demo", "--once", "--drive", short, "--port", "8300", status=1)
     assert "too few" in said
 
 
-def test_a_port_that_is_taken_is_told_before_anything_is_opened(
-    tensormap: Commands, tmp_path: Path
-) -> None:
+def test_a_port_that_is_taken_is_told_before_anything_is_opened(tmp_path: Path) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = str(taken.getsockname()[1])
         said = tensormap("serve", "--port", port, "--data", tmp_path / "data", status=2)
@@ -193,7 +185,7 @@ def test_a_port_that_is_taken_is_told_before_anything_is_opened(
     assert not (tmp_path / "data").exists()
 
 
-def test_a_damaged_map_is_refused(tensormap: Commands, map_file: Path, tmp_path: Path) -> None:
+def test_a_damaged_map_is_refused(map_file: Path, tmp_path: Path) -> None:
     damaged = tmp_path / "damaged.h5"
     damaged.write_bytes(map_file.read_bytes())
     with h5py.File(damaged, "r+") as file:
@@ -201,7 +193,7 @@ def test_a_damaged_map_is_refused(tensormap: Commands, map_file: Path, tmp_path:
     assert "its content is" in tensormap("inspect", damaged, status=1)
 
 
-def test_a_setting_that_cannot_be_is_named(tensormap: Commands) -> None:
+def test_a_setting_that_cannot_be_is_named() -> None:
     said = tensormap("serve", "--port", "0", status=1, TENSORMAP_ADMIN_KEY="short")
     assert "TENSORMAP_ADMIN_KEY" in said
     assert "short" not in said.replace("should", "")

@@ -8,14 +8,14 @@ from contextlib import suppress
 import httpx2
 import pytest
 
-from tests.support.process import NO_TLS, until
+from tests.support.process import NO_TLS, serving, until
 
 LIMIT = 12
 HEAD = b"GET /livez HTTP/1.1\r\nHost: 127.0.0.1\r\n"
 
 
 @pytest.fixture(scope="module")
-def server(tmp_path_factory, serving):
+def server(tmp_path_factory):
     folder = tmp_path_factory.mktemp("connections")
     settings = {"max_connections": str(LIMIT), "request_head_s": "0.8"}
     with serving(folder / "data", folder / "log", **settings) as server:

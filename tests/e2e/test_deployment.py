@@ -14,7 +14,8 @@ import pytest
 from websockets.sync.client import connect
 
 from app.settings import Settings
-from tests.support.process import ROOT, until
+from tests.support.commands import ROOT
+from tests.support.process import serving, until
 from tests.support.recording import KITTI, kitti, recording
 from tests.support.service import problem_of, upload, wait_for
 
@@ -109,7 +110,7 @@ def answers(port: int) -> bool:
 
 
 @needs_nginx
-def test_the_service_works_behind_nginx_with_tls_and_a_key(tmp_path, serving):
+def test_the_service_works_behind_nginx_with_tls_and_a_key(tmp_path):
     log = tmp_path / "log"
     with (
         serving(tmp_path / "data", log, admin_key=KEY) as server,

@@ -1,16 +1,13 @@
 """The address that was asked for is listened on, and no other (HSDS took them all)."""
 
-import os
 import re
-import signal
 import socket
-import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
-from tests.support.process import ROOT, until
+from tests.support.process import serving
 
 LISTENING = "0A"
 
@@ -42,22 +39,7 @@ def address_of(text, size):
 
 @pytest.mark.skipif(not Path("/proc/net/tcp").exists(), reason="reads Linux' own tables")
 @pytest.mark.parametrize("chosen", [None, "127.0.0.2"])
-def test_the_service_listens_where_it_was_told_and_nowhere_else(tmp_path, tensormap, chosen):
+def test_the_service_listens_where_it_was_told_and_nowhere_else(tmp_path, chosen):
     options = [] if chosen is None else ["--host", chosen]
-    kept = {k: v for k, v in os.environ.items() if not k.startswith("TENSORMAP_")}
-    log = tmp_path / "log"
-    with log.open("w") as written:
-        process = subprocess.Popen(
-            [*tensormap.program, "serve", "--port", "0", "--data", tmp_path / "data", *options],
-            cwd=ROOT,
-            env=kept,
-            stdout=written,
-            stderr=subprocess.STDOUT,
-        )
-    try:
-        until(lambda: "startup complete" in log.read_text(), "the service did not start")
-        [pid] = re.findall(r"Started server process \[(\d+)\]", log.read_text())
-        assert list(listened_on(pid)) == [chosen or "127.0.0.1"]
-    finally:
-        process.send_signal(signal.SIGTERM)
-        process.wait(30)
+    with serving(tmp_path / "data", tmp_path / "log", *options) as server:
+        assert list(listened_on(str(server.pid))) == [chosen or "127.0.0.1"]

@@ -7,6 +7,7 @@ from contextlib import suppress
 
 import pytest
 
+from tests.support.process import serving
 from tests.support.recording import TAR, npy, recording, tar, upload_scan
 from tests.support.service import problem_of, upload, wait_for
 
@@ -17,7 +18,7 @@ HELD = 60  # more than the framework has threads
 
 
 @pytest.fixture(scope="module")
-def server(tmp_path_factory, serving):
+def server(tmp_path_factory):
     """A service that waits for a body for two seconds."""
     folder = tmp_path_factory.mktemp("slow")
     settings = {"body_idle_s": "2", "heavy_threads": "2", "heavy_threads_per_key": "1"}
@@ -82,10 +83,10 @@ def test_every_kind_of_body_is_waited_for_so_long_and_no_longer(server, path):
     ],
 )
 def test_a_body_that_still_comes_when_the_service_stops_is_answered_503(
-    tmp_path, serving, method, path, kind
+    tmp_path, method, path, kind
 ):
     log = tmp_path / "log"
-    with serving(tmp_path / "data", log, test_grace_s="1") as stopping:
+    with serving(tmp_path / "data", log) as stopping:
         stopping.client.post("/v1/maps", json={"map": "campus"})
         with connected(stopping) as connection:
             connection.sendall(head(method, path, 10_000, Content_Type=kind) + b"{")
@@ -146,7 +147,7 @@ def test_work_whose_client_left_ends_and_the_next_one_is_served(server):
     assert "Traceback" not in lines, lines
 
 
-def test_more_than_may_wait_is_refused_by_name_and_the_rest_is_answered(tmp_path, serving):
+def test_more_than_may_wait_is_refused_by_name_and_the_rest_is_answered(tmp_path):
     settings = {"heavy_threads": "1", "queued_requests": "4"}
     with serving(tmp_path / "data", tmp_path / "log", **settings) as server:
         server.client.post("/v1/maps", json={"map": "campus"})

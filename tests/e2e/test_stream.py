@@ -9,6 +9,7 @@ from websockets.sync.client import connect
 
 from app.revisions.schemas import BasisOut
 from core.encodings.signature import pack_signatures
+from tests.support.process import serving
 from tests.support.recording import recording
 from tests.support.service import upload, wait_for
 
@@ -16,7 +17,7 @@ TRACKS = "/v1/maps/campus/tracks"
 
 
 @pytest.fixture(scope="module")
-def server(tmp_path_factory, serving):
+def server(tmp_path_factory):
     folder = tmp_path_factory.mktemp("stream")
     with serving(folder / "data", folder / "log") as server:
         server.client.post("/v1/maps", json={"map": "campus"})
@@ -46,13 +47,16 @@ def test_packed_signatures_are_answered_one_by_one(server, url):
 
 
 def test_a_message_beyond_the_limit_closes_the_stream(url):
+    def send_and_wait(message):
+        stream.send(message)
+        stream.recv()
+
     with connect(url, max_size=None) as stream:
-        stream.send(os.urandom(5 * 2**20))
-        told = stream.recv()  # this server takes the message, and refuses it by name
-        assert json.loads(told)["type"] == "/problems/body-too-large"
         with pytest.raises(ConnectionClosedError):
-            stream.recv()
-        assert stream.close_code == 1009
+            send_and_wait(os.urandom(5 * 2**20))
+        # It is closed as soon as the length is known: what is still on its way then may cost the
+        # client the frame that says why.
+        assert stream.close_code in {1009, 1006}
 
 
 @pytest.mark.parametrize("headers", [{"Origin": "https://maps.example"}, {"Host": "maps.example"}])

@@ -14,7 +14,7 @@ import pytest
 
 from storage.files.drive_chunks import scan_digest
 from storage.store import Store
-from tests.support.process import NO_TLS
+from tests.support.process import NO_TLS, serving
 from tests.support.recording import NPY, TAR, npy, tar
 
 SCANS, CLIENTS, RETURNS = 1000, 8, 100
@@ -42,7 +42,7 @@ def cut_off(port: int, chance: random.Random, method: str, path: str, body: byte
 
 
 @pytest.fixture
-def server(tmp_path, serving):
+def server(tmp_path):
     with serving(tmp_path / "data", tmp_path / "log") as server:
         server.client.post("/v1/maps", json={"map": "campus"})
         yield server

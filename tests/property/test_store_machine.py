@@ -10,7 +10,7 @@ from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 
 from storage.errors import DriveClosed, DriveNotFound, ScanConflict
 from storage.store import Store
-from tests.unit.storage.samples import sample_scan
+from tests.support.small_scans import sample_scan
 
 slugs = st.sampled_from(["monday", "tuesday"])
 indices = st.integers(0, 5)

@@ -7,8 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from core.scans.drive import Drive
-from storage.formats.drives.layouts import open_drive
+from tests.support.recorded_drives import Drives
 
 
 @pytest.fixture(scope="session")
@@ -31,22 +30,6 @@ def drives_folder(data_folder: Path, tmp_path_factory: pytest.TempPathFactory) -
     folder = tmp_path_factory.mktemp("drives")
     subprocess.run([sys.executable, unpack, folder], check=True, stdout=subprocess.DEVNULL)
     return folder
-
-
-class Drives:
-    """Recorded drives by name; one that is not there skips its test."""
-
-    def __init__(self, folder: Path) -> None:
-        self._folder = folder
-
-    def path(self, name: str) -> Path:
-        path = self._folder / name
-        if not path.is_dir():
-            pytest.skip(f"TENSORMAP_DATA has no drive {name}")
-        return path
-
-    def open(self, name: str) -> Drive:
-        return open_drive(self.path(name), min_returns=100)
 
 
 @pytest.fixture(scope="session")

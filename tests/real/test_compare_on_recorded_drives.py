@@ -11,7 +11,7 @@ from core.evaluation.comparison import MethodUnderCondition
 from core.evaluation.condition import Condition, conditions
 from core.evaluation.pairing import HeldOut
 from core.evaluation.split import Every
-from tests.real.conftest import Drives
+from tests.support.recorded_drives import Drives
 
 pytestmark = pytest.mark.real_data
 

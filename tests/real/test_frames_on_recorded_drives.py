@@ -18,7 +18,7 @@ from core.scans.drive import Drive
 from core.scans.trajectory import Trajectory
 from core.segmentation import cut_drives
 from core.topology import cut_at_meetings
-from tests.real.conftest import Drives
+from tests.support.recorded_drives import Drives
 from tests.support.recording import kitti, tar
 from tests.support.service import Client, running, wait_for
 

@@ -18,7 +18,7 @@ from core.mapping.build import fit_map
 from core.parameters import MapParameters
 from core.projection.images import project_drive
 from core.scans.trajectory import Trajectory
-from tests.real.conftest import Drives
+from tests.support.recorded_drives import Drives
 
 pytestmark = pytest.mark.real_data
 

@@ -14,7 +14,7 @@ from core.evaluation.result import Evaluation
 from core.evaluation.split import Every, Interleaved
 from core.parameters import MapParameters
 from core.projection.reducer import Reducer
-from tests.real.conftest import Drives
+from tests.support.recorded_drives import Drives
 
 pytestmark = pytest.mark.real_data
 

@@ -10,7 +10,7 @@ from core.evaluation.evaluate import EvaluationProtocol, evaluate
 from core.evaluation.study import Study
 from core.evaluation.study_drive import StudyProtocol, study_drive
 from core.parameters import MapParameters
-from tests.real.conftest import Drives
+from tests.support.recorded_drives import Drives
 
 pytestmark = pytest.mark.real_data
 

@@ -11,7 +11,7 @@ from core.scans.trajectory import Trajectory
 from core.segmentation import cut_drives
 from core.segmentation.turns import turns
 from core.topology import cut_at_meetings, join_segments
-from tests.real.conftest import Drives
+from tests.support.recorded_drives import Drives
 
 pytestmark = pytest.mark.real_data
 

@@ -5,7 +5,7 @@ import pytest
 from core.evaluation.evaluate import EvaluationProtocol, evaluate
 from core.evaluation.split import Interleaved
 from core.parameters import MapParameters
-from tests.real.conftest import Drives
+from tests.support.recorded_drives import Drives
 
 pytestmark = pytest.mark.real_data
 

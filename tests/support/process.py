@@ -4,7 +4,6 @@ import os
 import signal
 import ssl
 import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -13,14 +12,14 @@ from pathlib import Path
 
 import httpx2
 
-from tests.support.commands import BUILDS_ANEW, Commands
+from tests.support.commands import PROGRAM, ROOT
 
 __all__ = ["NO_TLS", "Server", "is_running", "serving", "until"]
 
-ROOT = Path(__file__).parents[2]
-
 NO_TLS = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
 """To verify nothing by, where a client would read the certificates that the system trusts."""
+
+_ANNOUNCED = "TensorMap at "
 
 
 @dataclass(frozen=True)
@@ -28,18 +27,20 @@ class Server:
     """A service that runs.
 
     Attributes:
-        process: What was started.
-        pid: Of the service itself.
-        port: Where it listens, on loopback.
+        process: Of the service itself.
+        port: Where it listens.
         client: A client of it.
         log: What it writes.
     """
 
-    process: subprocess.Popen[str]
-    pid: int
+    process: subprocess.Popen[bytes]
     port: int
     client: httpx2.Client
     log: Path
+
+    @property
+    def pid(self) -> int:
+        return self.process.pid
 
     def children(self) -> set[int]:
         """Return the ids of the processes that it started."""
@@ -52,7 +53,7 @@ class Server:
 
     def end(self, how: signal.Signals) -> None:
         """Send a signal and wait for its end."""
-        os.kill(self.pid, how)
+        self.process.send_signal(how)
         self.process.wait(30)
 
 
@@ -60,51 +61,61 @@ class Server:
 def serving(
     data_dir: Path,
     log: Path,
-    *,
+    *options: str,
     within: Sequence[str] = (),
-    commands: Commands | None = None,
-    builds_anew: bool = False,
     **settings: str,
 ) -> Iterator[Server]:
-    """Run a service until the block ends.
+    """Run `tensormap serve` on a free port until the block ends.
 
     Args:
         data_dir: Its data.
-        log: Where its standard error goes.
+        log: Where both of its outputs go.
+        options: More options of the command.
         within: A command that runs the one that follows it, in the same process.
-        commands: What forks it; it is started anew without them.
-        builds_anew: Whether it starts the process that builds are forked from by itself, late.
-        settings: More `TENSORMAP_` variables, without that.
+        settings: `TENSORMAP_` variables, without that.
     """
     environment = {
         **{k: v for k, v in os.environ.items() if not k.startswith("TENSORMAP_")},
-        "PYTHONPATH": str(ROOT),
-        "TENSORMAP_DATA_DIR": str(data_dir),
         **{f"TENSORMAP_{name.upper()}": value for name, value in settings.items()},
-        BUILDS_ANEW: str(int(builds_anew)),
     }
-    started = (sys.executable, "-m") if commands is None else commands.client
-    with log.open("a") as written:
+    with log.open("ab") as written:
+        start = written.tell()
         process = subprocess.Popen(
-            [*within, *started, "tests.support.serve"],
-            stdout=subprocess.PIPE,
-            stderr=written,
-            text=True,
-            env=environment,
+            [*within, *PROGRAM, "serve", "--port", "0", "--data", str(data_dir), *options],
             cwd=ROOT,
+            env=environment,
+            stdin=subprocess.DEVNULL,
+            stdout=written,
+            stderr=subprocess.STDOUT,
         )
-    assert process.stdout is not None
+
+    def said() -> str:
+        return log.read_bytes()[start:].decode(errors="replace")
+
     try:
-        port, pid = map(int, process.stdout.readline().split())
-        url = f"http://127.0.0.1:{port}"
+        until(lambda: _ANNOUNCED in said() or process.poll() is not None, "the service is silent")
+        assert process.poll() is None, said()
+        url = said().split(_ANNOUNCED)[1].split()[0]
         with httpx2.Client(base_url=url, timeout=60, verify=NO_TLS) as client:
-            assert client.get("/readyz").status_code == 200
-            yield Server(process, pid, port, client, log)
+            until(lambda: _is_ready(client) or process.poll() is not None, "it is never ready")
+            assert process.poll() is None, said()
+            yield Server(process, int(url.rpartition(":")[2]), client, log)
     finally:
         if process.poll() is None:
             process.terminate()
-            process.wait(30)
-        process.stdout.close()
+            try:
+                process.wait(30)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait(30)
+                raise
+
+
+def _is_ready(client: httpx2.Client) -> bool:
+    try:
+        return client.get("/readyz").status_code == 200
+    except httpx2.TransportError:
+        return False
 
 
 def until(condition: Callable[[], bool], what: str) -> None:

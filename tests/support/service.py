@@ -10,7 +10,6 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from anyio.from_thread import BlockingPortal
 from fastapi import FastAPI
 from starlette.testclient import TestClient
 
@@ -19,7 +18,6 @@ from app.service import Service
 from app.settings import Settings
 from core.scans.pose import Pose
 from tests.support.recording import TAR, Recording, kitti, tar
-from tests.support.transport import IN_PARTS, AtOnce
 
 __all__ = [
     "Client",
@@ -37,22 +35,13 @@ __all__ = [
 PROBLEM = "application/problem+json"
 ENDED = {"done", "failed", "cancelled"}
 
-_HERE = ("127.0.0.1", 5000)
-
 
 class Client(TestClient):
     """A client on this machine; every answer to it must be one that the API documents."""
 
     def __init__(self, app: FastAPI, **options: Any) -> None:
         options.setdefault("base_url", "http://127.0.0.1")
-        super().__init__(app, client=_HERE, raise_server_exceptions=False, **options)
-        self._transport = AtOnce(
-            app,
-            in_parts=self._transport,
-            portal=self._portal_to_loop,
-            state=self.app_state,
-            client=_HERE,
-        )
+        super().__init__(app, client=("127.0.0.1", 5000), raise_server_exceptions=False, **options)
         self.documented = document()
 
     @property
@@ -67,13 +56,6 @@ class Client(TestClient):
             require_problem(response)
         self._require_documented(response)
         return response
-
-    def _portal_to_loop(self) -> BlockingPortal:
-        assert self.portal is not None, "the service runs in a with block"
-        return self.portal
-
-    def stream(self, method, url, **options):
-        return super().stream(method, url, extensions={IN_PARTS: True}, **options)
 
     def _require_documented(self, response) -> None:
         operation = self._operation(response.request)

@@ -15,7 +15,7 @@ import zstandard
 from pypcd4.pypcd4 import Encoding
 
 from storage.formats.scans.registry import FORMAT_NAMES
-from tests.property import test_scan_formats as scans
+from tests.support import scan_files as scans
 from tests.support.captures import hdl32, ouster, ouster_body, ouster_metadata, pcap, udp
 
 __all__ = ["CLOUD", "INPUTS", "SEED", "damaged", "samples"]

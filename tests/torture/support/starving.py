@@ -14,7 +14,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import AsyncExitStack, contextmanager
 from typing import Any
 
-from tests.support.process import ROOT
+from tests.support.commands import ROOT
 from tests.torture.support.crowds import idle_connections, open_websockets
 from tests.torture.support.load import Load, Request, as_json
 

@@ -1,0 +1,99 @@
+"""`tensormap compare`, in process."""
+
+import json
+
+import pytest
+
+from app.baselines.roster import METHODS
+from core.errors import InvalidParameters, TensorMapError
+from storage.formats.drives.kitti_drive import write_kitti_drive
+from tests.support.commands import run
+from tests.support.samples import sample_drive
+
+OURS = ",".join(METHODS[:-1])
+
+
+@pytest.fixture(scope="module")
+def folders(tmp_path_factory):
+    """Two passes over one line, and another place."""
+    folder = tmp_path_factory.mktemp("drives")
+    for name, seed in (("monday", 0), ("tuesday", 0), ("elsewhere", 5)):
+        write_kitti_drive(sample_drive(12, seed, returns=150), folder / name)
+    return folder
+
+
+def test_every_method_is_asked_and_the_figures_are_written(folders, tmp_path):
+    out = tmp_path / "figures.json"
+    printed = run("compare",
+        folders / "monday", "--methods", OURS, "--split", "every:2", "--segments", "2",
+        "--yaw-deg=0,-90", "--unknown", folders / "elsewhere", "--query-every", "3",
+        "--json", out,
+    )  # fmt: skip
+    written = json.loads(out.read_text())
+    assert [method["name"] for method in written["methods"]] == list(METHODS[:-1])
+    assert written["provenance"].keys() >= {"tensormap", "commit", "machine", "threads"}
+    assert written["data"] == str(folders / "monday")
+    assert (written["protocol"], written["unknown_drive"]) == ("held out every:2", "elsewhere")
+    assert [row["yaw_deg"] for row in written["methods"][0]["conditions"]] == [0.0, -90.0]
+    for method in written["methods"]:
+        assert method["name"] in printed
+        assert method["configuration"]
+        assert 0.0 <= method["conditions"][0]["novelty_auroc"] <= 1.0
+        assert method["conditions"][0]["describe_ms_median"] > 0
+    assert "average precision" in printed
+
+
+def test_a_second_pass_finds_itself(folders, tmp_path):
+    out = tmp_path / "figures.json"
+    run("compare",
+        folders / "monday", "--query-drive", folders / "tuesday", "--methods", OURS,
+        "--tolerance-m", "0.5", "--json", out,
+    )  # fmt: skip
+    written = json.loads(out.read_text())
+    assert (written["protocol"], written["query_drive"]) == ("second pass", "tuesday")
+    for method in written["methods"]:
+        assert method["conditions"][0]["recall_at_1"] == {"0.5": 1.0}
+
+
+def test_loops_are_asked_among_earlier_scans(folders, tmp_path):
+    out = tmp_path / "figures.json"
+    options = ["--methods", "solid,harmonic", "--json", out]
+    run("compare", folders / "monday", "--loop", "--recent-scans", "5", *options)
+    written = json.loads(out.read_text())
+    assert written["protocol"] == "loop closing, with places at least 5 scans before"
+    assert written["methods"][0]["conditions"][0]["queries"] == 7
+    assert written["methods"][0]["conditions"][0]["findable"]["3"] == 0
+    assert written["methods"][0]["conditions"][0]["recall_at_1"]["3"] is None
+    run("compare", folders / "monday", "--loop", "--recent-s", "0.45", *options)
+    assert json.loads(out.read_text())["protocol"].endswith("at least 0.45 s before")
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        (["--methods", "orb"], "no method 'orb'; known are paper, harmonic"),
+        (["--methods", "solid,solid"], "each once"),
+        (["--loop", "--split", "every:2"], "of one drive, whole"),
+        (["--loop", "--recent-scans", "3", "--recent-s", "2"], "one of them"),
+        (["--loop"], "exclude less"),
+        (["--recent-s", "2"], "are of --loop"),
+        (["--query-drive", ".", "--split", "every:2"], "leave --split out"),
+        (["--split", "half"], "wanted interleaved"),
+        (["--sensor", "eye"], "no sensor 'eye'"),
+        (["--tolerance-m", "0"], "metres above 0"),
+    ],
+)
+def test_wrong_input_is_named(folders, options, says):
+    with pytest.raises(InvalidParameters, match=says):
+        run("compare", folders / "monday", "--methods", "solid", *options)
+
+
+def test_a_list_that_is_none_and_a_place_that_cannot_be_written_are_refused(folders, tmp_path):
+    for options in (["--yaw-deg", "north"], ["--json", tmp_path / "no" / "such.json"]):
+        with pytest.raises(SystemExit):
+            run("compare", folders / "monday", *options)
+
+
+def test_an_empty_folder_is_no_drive(tmp_path):
+    with pytest.raises(TensorMapError, match="has none of"):
+        run("compare", tmp_path)

@@ -1,0 +1,102 @@
+"""The commands, for a harmonic map."""
+
+import json
+
+import numpy as np
+import pytest
+
+from core.encodings.signature import unpack_signatures
+from core.errors import InvalidParameters
+from tests.support.commands import run
+from tests.support.recording import kitti, recording
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A drive as scan files, without poses."""
+    folder = tmp_path_factory.mktemp("drive")
+    for index, scan in enumerate(recording(scans=12).scans):
+        (folder / f"{index:06}.bin").write_bytes(kitti(scan))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def map_file(folder, tmp_path_factory):
+    path = tmp_path_factory.mktemp("map") / "map.h5"
+    options = ["--encoding", "harmonic", "--lateral-renderings=-1.5,0,1.5", "--segments", "2"]
+    run("build", folder, "-o", path, *options)
+    return path
+
+
+def test_inspect_shows_what_it_was_built_with(map_file):
+    facts = json.loads(run("inspect", map_file, "--json"))
+    assert (facts["encoding"], facts["image"], facts["reducer"]) == (
+        "harmonic",
+        "height",
+        "highest",
+    )
+    assert facts["lateral_renderings_m"] == [-1.5, 0.0, 1.5]
+    assert facts["arrays"]["signatures"] == {"shape": [12, 3, 5, 5], "dtype": "complex64"}
+    assert "harmonic" in run("inspect", map_file)
+
+
+def test_localize_tells_turn_and_offset(map_file, folder):
+    scan = folder / "000007.bin"
+    answer = json.loads(run("localize", map_file, scan, "--json"))
+    best = answer["best"]
+    assert best["scan_index"] == 7
+    assert best["lateral_m"] == pytest.approx(0.0, abs=1e-6)
+    assert best["turn_deg"] == pytest.approx(0.0, abs=0.5)
+    assert best["estimated_pose"] is None
+    assert "turn" in run("localize", map_file, scan)
+    mounted = run("localize", map_file, scan, "--sensor-height-m", "3", "--json")
+    assert json.loads(mounted)["best"]["distance"] > best["distance"]
+
+
+@pytest.mark.parametrize(("options", "size"), [([], 60), (["--packing", "float16"], 101)])
+def test_a_signature_is_printed_and_packed(map_file, folder, tmp_path, options, size):
+    packed = tmp_path / "packed"
+    printed = run("signature", map_file, folder / "000003.bin", "--packed", packed, *options)
+    [shown] = json.loads(printed)["signatures"]
+    [signature] = unpack_signatures(packed.read_bytes())
+    assert packed.stat().st_size == size
+    largest = np.abs(shown["values_real"]).max()
+    np.testing.assert_allclose(signature.values.real, shown["values_real"], atol=largest / 200)
+
+
+def test_a_segment_is_nothing_that_a_harmonic_signature_has(map_file, folder):
+    with pytest.raises(InvalidParameters, match="leave --segment out"):
+        run("signature", map_file, folder / "000003.bin", "--segment", "0")
+
+
+def test_options_of_the_other_encoding_are_refused(folder, tmp_path):
+    out = tmp_path / "map.h5"
+    with pytest.raises(InvalidParameters, match="distance"):
+        run("build", folder, "-o", out, "--encoding", "paper", "--distance", "plain")
+
+
+def test_a_reducer_that_only_the_papers_encoding_has_chooses_it(folder, tmp_path):
+    run("build", folder, "-o", tmp_path / "map.h5", "--reducer", "nearest", "--segments", "2")
+    assert json.loads(run("inspect", tmp_path / "map.h5", "--json"))["encoding"] == "paper"
+
+
+def test_a_build_says_that_it_is_not_calibrated_and_what_then_is_answered(folder, tmp_path):
+    path = tmp_path / "map.h5"
+    assert "not calibrated" in run("build", folder, "-o", path, "--segments", "2")
+    scan = folder / "000007.bin"
+    answer = json.loads(run("localize", path, scan, "--json"))
+    assert (answer["localized"], answer["probability"]) == (True, None)
+    wanting = json.loads(run("localize", path, scan, "--min-probability", "0.5", "--json"))
+    assert (wanting["localized"], wanting["reason"]) == (False, "not_calibrated")
+    shown = run("localize", path, scan, "--min-probability", "0.5")
+    assert "000007.bin is not localized: not_calibrated" in shown
+
+
+def test_localize_takes_hints(map_file, folder):
+    scan = folder / "000007.bin"
+    answer = json.loads(run("localize", map_file, scan, "-k", "3", "--segment", "0", "--json"))
+    assert {match["segment"] for match in answer["matches"]} == {0}
+    with pytest.raises(InvalidParameters, match="no poses"):
+        run("localize", map_file, scan, *["--x-m", "1", "--y-m", "2", "--position-sigma-m", "3"])
+    with pytest.raises(InvalidParameters, match="incomplete"):
+        run("localize", map_file, scan, "--x-m", "1")

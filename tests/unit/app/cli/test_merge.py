@@ -1,0 +1,110 @@
+"""The commands that put several drives into one map."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from core.errors import (
+    BasisMismatch,
+    EmptyDrive,
+    FramesDisagree,
+    InvalidParameters,
+    UnknownDrive,
+)
+from core.simulation import SimulatedDrive, SimulatedSensor
+from storage.files.map_file import read_map
+from storage.formats.drives.kitti_drive import write_kitti_drive
+from tests.support.commands import run
+from tests.support.recording import kitti, recording
+
+HARMONIC = ("--encoding", "harmonic", "--lateral-renderings=-1.5,0,1.5")
+
+
+@pytest.fixture(scope="module")
+def folders(tmp_path_factory):
+    """Two drives as scan files, `monday` and `tuesday`."""
+    parent = tmp_path_factory.mktemp("drives")
+    for name, first in (("monday", 0), ("tuesday", 10)):
+        (parent / name).mkdir()
+        for index, scan in enumerate(recording(scans=20).scans[first : first + 10]):
+            (parent / name / f"{index:06}.bin").write_bytes(kitti(scan))
+    return parent / "monday", parent / "tuesday"
+
+
+@pytest.fixture(scope="module")
+def maps(folders, tmp_path_factory):
+    """Maps of one drive each; the second keeps the basis of the first."""
+    monday, tuesday = (tmp_path_factory.mktemp("maps") / f"{f.name}.h5" for f in folders)
+    run("build", folders[0], "-o", monday, *HARMONIC)
+    run("build", folders[1], "-o", tuesday, *HARMONIC, "--keep-basis", monday)
+    return monday, tuesday
+
+
+def test_merged_files_are_the_map_of_both_drives(maps, folders, tmp_path):
+    told = run("merge", *maps, "-o", tmp_path / "both.h5")
+    assert "monday, tuesday: 20 scans" in told
+    run("build", *folders, "-o", tmp_path / "whole.h5", *HARMONIC, "--keep-basis", maps[0])
+    merged = read_map(tmp_path / "both.h5")
+    whole = read_map(tmp_path / "whole.h5")
+    assert merged.revision == replace(whole, calibration=None).revision  # files hold no probes
+    facts = json.loads(run("inspect", tmp_path / "both.h5", "--json"))
+    assert facts["basis"] == read_map(maps[0]).basis_digest
+
+
+def test_a_drive_is_left_out_of_a_file(maps, tmp_path):
+    run("merge", *maps, "-o", tmp_path / "both.h5")
+    run("merge", tmp_path / "both.h5", "--without", "monday", "-o", tmp_path / "one.h5")
+    tuesday = replace(read_map(maps[1]), calibration=None)
+    assert read_map(tmp_path / "one.h5").revision == tuesday.revision
+
+
+@pytest.fixture(scope="module")
+def frames(tmp_path_factory):
+    """Two passes of the same streets, the second's poses in another world frame."""
+    parent = tmp_path_factory.mktemp("frames")
+    for seed, name in enumerate(("monday", "tuesday")):
+        drive = SimulatedDrive(
+            seed=1, scans=48, stops=False, noise_seed=seed, sensor=SimulatedSensor(firings=180)
+        )
+        write_kitti_drive(drive, parent / name)
+    rows = np.loadtxt(parent / "tuesday" / "poses.txt")
+    rows[:, 3] += 500.0
+    np.savetxt(parent / "tuesday" / "poses.txt", rows)
+    return parent / "monday", parent / "tuesday"
+
+
+def test_drives_in_different_world_frames_are_neither_built_nor_merged(frames, tmp_path):
+    monday, tuesday = tmp_path / "monday.h5", tmp_path / "tuesday.h5"
+    out = tmp_path / "both.h5"
+    with pytest.raises(FramesDisagree, match=r"tuesday .* than those of monday"):
+        run("build", *frames, "-o", out, *HARMONIC)
+    run("build", frames[0], "-o", monday, *HARMONIC)
+    run("build", frames[1], "-o", tuesday, *HARMONIC, "--keep-basis", monday)
+    with pytest.raises(FramesDisagree, match="poses unchecked"):
+        run("merge", monday, tuesday, "-o", out)
+    assert not out.exists()
+    assert "96 scans" in run("merge", monday, tuesday, "-o", out, "--poses", "unchecked")
+    assert "96 scans" in run("build", *frames, "-o", out, *HARMONIC, "--poses", "unchecked")
+
+
+def test_files_that_cannot_be_merged_are_refused_and_nothing_is_written(maps, folders, tmp_path):
+    out = tmp_path / "out.h5"
+    run("build", folders[1], "-o", tmp_path / "other.h5", *HARMONIC)
+    with pytest.raises(BasisMismatch, match="build it with the first one's basis"):
+        run("merge", maps[0], tmp_path / "other.h5", "-o", out)
+    with pytest.raises(UnknownDrive, match="none of the maps has a drive 'friday'"):
+        run("merge", *maps, "--without", "friday", "-o", out)
+    with pytest.raises(EmptyDrive, match="no drive would be left"):
+        run("merge", *maps, "--without", "monday", "--without", "tuesday", "-o", out)
+    with pytest.raises(InvalidParameters, match="in several of the maps"):
+        run("merge", maps[0], maps[0], "-o", out)
+    with pytest.raises(InvalidParameters, match="called 'monday': rename"):
+        run("build", folders[0], folders[0], "-o", out)
+    with pytest.raises(InvalidParameters, match="makes signatures otherwise"):
+        run("build", folders[1], "-o", out, *HARMONIC, "--ranks", "4,4", "--keep-basis", maps[0])
+    run("build", folders[0], "-o", tmp_path / "paper.h5", "--encoding", "paper")
+    with pytest.raises(InvalidParameters, match="no basis to keep"):
+        run("build", folders[1], "-o", out, *HARMONIC, "--keep-basis", tmp_path / "paper.h5")
+    assert not out.exists()

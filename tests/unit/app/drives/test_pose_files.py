@@ -1,0 +1,47 @@
+"""Files of poses: what is read, and which line is wrong."""
+
+import math
+
+import numpy as np
+import pytest
+
+from app.drives.pose_files import CSV, KITTI, TUM, read_poses
+from core.errors import InvalidPose
+
+
+@pytest.mark.parametrize(
+    ("kind", "head", "line"),
+    [
+        (KITTI, b"", b"1 0 0 4 0 1 0 5 0 0 1 6\n"),
+        (TUM, b"", b"1.5 1 2 3 0 0 0 1\n"),
+        (CSV, b"scan,x,y,z,qx,qy,qz,qw\n", b"%d,1,2,3,0,0,0,1\n"),
+    ],
+)
+def test_the_first_wrong_line_of_many_poses_is_named(kind: str, head: bytes, line: bytes) -> None:
+    count = 60_000  # more than a block of them
+    lines = [line % index if b"%" in line else line for index in range(count)]
+    found = read_poses(head + b"".join(lines), kind)
+    assert len(found.poses) == count
+    lines[50_000] = lines[55_000] = b"# a comment\n\n1 2 three\n"
+    with pytest.raises(InvalidPose, match=f"^line {50_000 + 3 + bool(head)}: "):
+        read_poses(head + b"".join(lines), kind)
+
+
+def test_poses_that_are_left_out_are_unknown() -> None:
+    body = b"scan,x,y,z,qx,qy,qz,qw,timestamp_s\n\n7,1,2,3,0,0,0,1,\n 9 , ,,,,,,,2.5\n"
+    found = read_poses(body, CSV)
+    nan = math.nan
+    np.testing.assert_array_equal(found.scans, [7, 9])
+    np.testing.assert_array_equal(found.timestamps_s, [nan, 2.5])
+    np.testing.assert_array_equal(found.poses, [[1, 2, 3, 0, 0, 0, 1], [nan] * 7])
+
+
+def test_a_pose_beyond_every_frame_of_the_earth_is_refused_in_a_file_too() -> None:
+    with pytest.raises(InvalidPose, match="line 2: a pose is 1e"):
+        read_poses(b"1 1 1 1 0 0 0 1\n2 1e9 1 1 0 0 0 1\n", TUM)
+
+
+@pytest.mark.parametrize("lines", [b"", b"\n", b" \n\n"])
+def test_a_table_without_a_line_is_refused(lines: bytes) -> None:
+    with pytest.raises(InvalidPose, match="no line with a pose"):
+        read_poses(b"scan,x,y,z,qx,qy,qz,qw\n" + lines, CSV)

@@ -1,0 +1,30 @@
+"""Tar streams: bounded headers."""
+
+import pytest
+
+from app.http.errors import MalformedUpload
+from tests.support.recording import tar, tar_members
+
+
+def headers_only(count: int) -> bytes:
+    return tar([(f"{index}.bin", b"") for index in range(100)])[: 512 * 100] * (count // 100)
+
+
+def test_a_tar_stream_of_headers_is_refused_and_one_of_small_files_is_read() -> None:
+    def files(body: bytes) -> int:
+        return sum(1 for _ in tar_members(body, 2**20))
+
+    assert files(headers_only(9_000)) == 9_000
+    with pytest.raises(MalformedUpload, match="more than 10000 headers"):
+        files(headers_only(10_100))
+    small = tar([(f"{index}.bin", bytes(512)) for index in range(100)])[: 1024 * 100]
+    assert files(small * 150) == 15_000
+
+
+def test_extended_headers_that_follow_one_another_are_bounded() -> None:
+    header = tar([("x", b"")])[:512]
+    # The sum is of all bytes, blanks in place of the sum itself.
+    pax = bytearray(header[:156] + b"x" + header[157:])
+    pax[148:156] = b"%06o\0 " % sum(pax[:148] + b" " * 8 + pax[156:])
+    with pytest.raises(MalformedUpload, match="more than 8 extended headers"):
+        list(tar_members(bytes(pax) * 9 + header, 2**20))

@@ -1,0 +1,73 @@
+"""What processes of ours set up before they compute and serve."""
+
+import gc
+import os
+import platform
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from app.process import collect_seldom
+
+ROOT = Path(__file__).parents[3]
+ARRAYS, MEGABYTES = 40, 4
+FEW_PAGES = ARRAYS * MEGABYTES * 2**20 // os.sysconf("SC_PAGE_SIZE") // 4
+# One after the other, with something small that outlives each of them, as in a build.
+PROGRAM = f"""
+import resource
+
+import numpy as np
+{{}}
+kept = []
+before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+for _ in range({ARRAYS}):
+    one, other = np.ones({MEGABYTES} * 2**17), np.ones({MEGABYTES} * 2**17)
+    kept.append(np.ones(10))
+    del one, other
+print(resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before)
+"""
+KEEP = "from app.process import keep_freed_memory; keep_freed_memory()"
+
+on_glibc = pytest.mark.skipif(
+    platform.libc_ver()[0] != "glibc", reason="this is for glibc's allocator"
+)
+
+
+def page_faults(before: str, **variables: str) -> int:
+    """Count what the system clears for a program, in a process of its own."""
+    kept = {k: v for k, v in os.environ.items() if not k.startswith(("MALLOC_", "GLIBC_"))}
+    ended = subprocess.run(
+        [sys.executable, "-c", PROGRAM.format(before)],
+        cwd=ROOT,
+        env={**kept, **variables},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    return int(ended.stdout)
+
+
+@on_glibc
+def test_arrays_come_from_memory_that_earlier_ones_left() -> None:
+    assert page_faults(KEEP) < FEW_PAGES
+
+
+@on_glibc
+def test_an_allocator_that_the_operator_set_up_is_left_as_it_is() -> None:
+    assert page_faults(KEEP, MALLOC_TRIM_THRESHOLD_="1048576") > FEW_PAGES
+
+
+def test_what_is_there_when_a_service_starts_is_left_out_of_collections() -> None:
+    before = gc.get_threshold()
+    loaded: list[list[int]] = [[]]
+    try:
+        collect_seldom()
+        assert not any(found is loaded for found in gc.get_objects())
+        later: list[list[int]] = [[]]
+        assert any(found is later for found in gc.get_objects())
+        assert gc.get_threshold() == (*before[:2], 50)
+    finally:
+        gc.set_threshold(*before)
+        gc.unfreeze()

@@ -1,0 +1,89 @@
+"""Trajectories of one or more drives: what is refused, joined and selected."""
+
+import numpy as np
+import pytest
+
+from core.errors import EmptyDrive, InvalidMap
+from core.scans.trajectory import Trajectory
+from tests.support.samples import straight_poses
+
+
+def trajectory(**changes):
+    parts = {
+        "drives": ("a", "b"),
+        "drive_start": [0, 2, 5],
+        "scan_index": [3, 7, 0, 1, 2],
+        "timestamp_s": np.arange(5.0),
+        "poses": straight_poses(5),
+    }
+    return Trajectory(**{**parts, **changes})
+
+
+def with_row(row):
+    poses = straight_poses(5)
+    poses[2] = row
+    return poses
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        ({"drive_start": [0, 5]}, "does not cut 5 scans into 2 drives"),
+        ({"drive_start": [1, 2, 5]}, "does not cut"),
+        ({"drive_start": [0, 2, 4]}, "does not cut"),
+        ({"drive_start": [0, 5, 5]}, "does not cut"),
+        ({"drive_start": [[0, 2, 5]]}, "does not cut"),
+        ({"drive_start": [0, 6, 5]}, "does not cut"),
+        ({"drives": ("a",)}, "does not cut 5 scans into 1 drives"),
+        ({"drives": ("a", "")}, "names"),
+        ({"drives": ("a", 5)}, "names"),
+        ({"scan_index": [[3], [7], [0], [1], [2]]}, "scan_index has shape"),
+        ({"scan_index": [3, 7, -1, 0, 1]}, "scan_index does not rise from 0 or more"),
+        ({"scan_index": [3, 3, 0, 1, 2]}, "scan_index does not rise"),
+        ({"scan_index": [3, 7, 1, 0, 2]}, "scan_index does not rise"),
+        ({"timestamp_s": np.arange(4.0)}, r"timestamp_s has shape \(4,\), wanted \(5,\)"),
+        ({"timestamp_s": [0, 1, np.inf, 3, 4]}, "timestamp_s holds infinite"),
+        ({"poses": straight_poses(4)}, r"poses has shape \(4, 7\), wanted \(5, 7\)"),
+        ({"poses": with_row([1, 2, 3, 0, 0, 0, 0])}, "pose of row 2"),
+        ({"poses": with_row([np.nan, 2, 3, 0, 0, 0, 1])}, "pose of row 2"),
+        ({"poses": with_row([np.inf, 2, 3, 0, 0, 0, 1])}, "pose of row 2"),
+    ],
+)
+def test_a_trajectory_that_cannot_be_is_refused(wrong, said):
+    with pytest.raises(InvalidMap, match=said):
+        trajectory(**wrong)
+
+
+def test_a_trajectory_needs_a_scan():
+    with pytest.raises(EmptyDrive):
+        Trajectory((), [0], [], [], np.empty((0, 7)))  # type: ignore[arg-type]
+    with pytest.raises(EmptyDrive, match="no drive to map"):
+        Trajectory.concatenate([])
+
+
+def test_a_trajectory_tells_the_drive_of_each_scan():
+    assert trajectory().drive_of_scan.tolist() == [0, 0, 1, 1, 1]
+    assert len(trajectory()) == 5
+    assert trajectory(poses=with_row([np.nan] * 7)).known.tolist() == [
+        True,
+        True,
+        False,
+        True,
+        True,
+    ]
+
+
+def test_trajectories_one_after_another_keep_drives_apart():
+    joined = Trajectory.concatenate([trajectory(), trajectory(drives=("c", "d"))])
+    assert joined.drives == ("a", "b", "c", "d")
+    assert joined.drive_start.tolist() == [0, 2, 5, 7, 10]
+    assert joined.scan_index.tolist() == [3, 7, 0, 1, 2] * 2
+    assert joined.drive_of_scan.tolist() == [0, 0, 1, 1, 1, 2, 2, 3, 3, 3]
+
+
+def test_a_selection_leaves_out_drives_left_empty():
+    chosen = trajectory().select(np.array([2, 4]))
+    assert chosen.drives == ("b",)
+    assert chosen.drive_start.tolist() == [0, 2]
+    assert chosen.scan_index.tolist() == [0, 2]
+    assert chosen.poses[:, 0].tolist() == [2.0, 4.0]

@@ -1,0 +1,132 @@
+"""Whatever a damaged file does to its reader, whoever has it checked goes on, within limits."""
+
+import errno
+import os
+import signal
+import time
+
+import pytest
+
+from storage.files.checker import Checker, Limits
+from storage.files.drive_chunks import scan_digest, write_chunk
+from storage.files.stored_file import StoredFile, fault_of
+from tests.support.small_scans import sample_scan
+
+SCANS = [(index, sample_scan(index)) for index in range(3)]
+CHUNK = "maps/m/drives/d/chunks/c.h5"
+DIGESTS = {row: scan_digest(scan.points_m) for row, (_, scan) in enumerate(SCANS)}
+SOON = Limits(seconds=3.0)
+
+
+@pytest.fixture
+def path(tmp_path):
+    write_chunk(tmp_path / "c.h5", SCANS)
+    return tmp_path / "c.h5"
+
+
+@pytest.fixture
+def checker():
+    with Checker(SOON) as made:
+        yield made
+
+
+class Endless:
+    def items(self):
+        while True:
+            pass
+
+
+class Crashing:
+    def items(self):
+        os.kill(os.getpid(), signal.SIGSEGV)
+        time.sleep(60)
+
+
+class Ended:
+    def items(self):
+        os.kill(os.getpid(), signal.SIGKILL)  # as a machine out of memory does
+        time.sleep(60)
+
+
+class Greedy:
+    def items(self):
+        return bytearray(2**40)
+
+
+class Odd:
+    def items(self):
+        raise RecursionError("too deep")
+
+
+def test_what_was_stored_has_no_fault(checker, path):
+    assert checker.fault(path, StoredFile(CHUNK, DIGESTS)) is None
+
+
+@pytest.mark.parametrize(
+    ("scans", "what", "certain"),
+    [
+        (Endless(), "more than 3 s", False),
+        (Crashing(), "ended with exit code -11", True),
+        (Ended(), "ended with exit code -9", False),
+        (Greedy(), "MB of memory", False),
+        (Odd(), "RecursionError: too deep", True),
+    ],
+)
+def test_a_reader_that_hangs_crashes_or_wants_all_memory_is_a_fault_and_the_next_is_read(
+    checker, path, scans, what, certain
+):
+    fault = checker.fault(path, StoredFile(CHUNK, scans))
+    assert fault is not None
+    assert what in fault.what
+    assert fault.certain is certain
+    assert checker.fault(path, StoredFile(CHUNK, DIGESTS)) is None
+
+
+def test_a_damaged_row_is_told_and_which_ones_are_good(checker, path):
+    content = bytearray(path.read_bytes())
+    at = content.index(SCANS[1][1].points_m.tobytes()) + 100
+    content[at] ^= 1
+    path.write_bytes(content)
+    fault = checker.fault(path, StoredFile(CHUNK, DIGESTS))
+    assert fault is not None
+    assert fault.what == "row 1 is not the scan that was put"
+    assert fault.good_rows == (0, 2)
+
+
+def test_a_file_that_is_gone_is_no_damage(checker, path):
+    path.unlink()
+    with pytest.raises(FileNotFoundError):
+        checker.fault(path, StoredFile(CHUNK, DIGESTS))
+
+
+def test_what_is_no_file_is_not_opened(checker, path):
+    path.unlink()
+    os.mkfifo(path)  # to open it would wait for a writer
+    fault = checker.fault(path, StoredFile(CHUNK, DIGESTS))
+    assert fault is not None
+    assert fault.what == "it is no file"
+
+
+def test_no_process_is_left_when_nothing_is_checked_any_more(path):
+    with Checker() as checker:
+        checker.fault(path, StoredFile(CHUNK, DIGESTS))
+        assert checker._child is not None
+        child = checker._child[0].pid
+    assert child is not None
+    with pytest.raises(ProcessLookupError):
+        os.kill(child, 0)
+
+
+def test_an_error_of_the_disk_is_no_certain_damage(path, monkeypatch):
+    def fail(*_):
+        raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+    for name in ("preadv", "pread"):
+        with monkeypatch.context() as failing:
+            failing.setattr(os, name, fail)
+            fault = fault_of(path, StoredFile(CHUNK, DIGESTS))
+        if fault is not None:
+            assert not fault.certain, fault
+            break
+    else:
+        pytest.fail("no read of the file failed")

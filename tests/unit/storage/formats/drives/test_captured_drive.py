@@ -1,0 +1,174 @@
+"""Captures of Velodyne's and Ouster's packets: as scans, and as drives."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from core.errors import InvalidScan
+from storage.formats.budget import BUDGET
+from storage.formats.drives.layouts import open_drive
+from storage.formats.errors import EmptyBody, MalformedScan, ScanTooLarge, TruncatedScan
+from storage.formats.scans.ouster import OusterFormat, ouster_frames
+from storage.formats.scans.registry import FORMAT_NAMES, read_scan, read_scan_file
+from storage.formats.scans.velodyne import Turns, VelodyneFormat
+from tests.support.captures import hdl32, ouster, ouster_body, ouster_metadata, pcap, udp
+
+
+def velodyne(payloads: list[bytes], **options: Any) -> bytes:
+    return pcap([frame for payload in payloads for frame in udp(payload, 2368)], **options)
+
+
+class TestVelodyne:
+    def test_a_sphere_is_a_sphere_seen_from_below_to_above(self) -> None:
+        points = VelodyneFormat().read(velodyne(hdl32(turns=1.2)))
+        np.testing.assert_allclose(np.linalg.norm(points, axis=1), 10.0, rtol=1e-6)
+        elevation = np.degrees(np.arcsin(points[:, 2] / 10.0))
+        assert elevation.min() == pytest.approx(-30.67, abs=0.01)
+        assert elevation.max() == pytest.approx(10.67, abs=0.01)
+
+    def test_a_scan_is_one_turn_from_where_the_capture_begins(self) -> None:
+        points = VelodyneFormat().read(velodyne(hdl32(turns=1.2, first_deg=300.0)))
+        assert len(points) == 180 * 32
+        # 300 degrees clockwise from ahead is 60 degrees to the left.
+        first = np.degrees(np.arctan2(points[0, 1], points[0, 0]))
+        assert first == pytest.approx(60.0, abs=1e-3)
+
+    def test_later_firings_of_a_block_stand_further_on(self) -> None:
+        points = VelodyneFormat().read(velodyne(hdl32(turns=1.2)))
+        azimuth = -np.degrees(np.arctan2(points[:32, 1], points[:32, 0]))
+        np.testing.assert_allclose(azimuth, np.arange(32) * 2.0 * 1.152 / 46.08, atol=1e-4)
+
+    @pytest.mark.parametrize("order", ["<", ">"])
+    def test_no_return_is_zero_and_byte_orders_are_both_read(self, order: str) -> None:
+        scan = velodyne(hdl32(turns=1.2, range_m=0.0), order=order)
+        assert not VelodyneFormat().read(scan).any()
+
+    def test_a_capture_is_a_drive_of_its_full_turns(self, tmp_path: Path) -> None:
+        (tmp_path / "monday.pcap").write_bytes(velodyne(hdl32(turns=3.5)))
+        drive = open_drive(tmp_path / "monday.pcap")
+        assert (drive.name, len(drive)) == ("monday", 3)
+        assert np.diff(drive.timestamp_s) == pytest.approx([0.015, 0.015])
+        for index in range(3):
+            scan = drive.scan(index)
+            assert len(scan) == 180 * 32
+            assert scan.timestamp_s == drive.timestamp_s[index]
+
+    @pytest.mark.parametrize(
+        ("body", "error"),
+        [
+            (velodyne(hdl32(turns=0.9)), TruncatedScan),
+            (velodyne(hdl32(turns=1.2))[:-7], TruncatedScan),
+            (velodyne(hdl32(turns=1.2))[:30], TruncatedScan),
+            (pcap([]), MalformedScan),
+            (pcap([])[:10], TruncatedScan),
+            (b"\x0a\x0d\x0d\x0a" + bytes(40), MalformedScan),
+            (velodyne([payload[:-1] + b"\x99" for payload in hdl32(turns=1.2)]), MalformedScan),
+            (velodyne([b"\0\0" + payload[2:] for payload in hdl32(turns=1.2)]), MalformedScan),
+            (pcap([])[:20] + b"\x63\0\0\0", MalformedScan),
+            (pcap([]) + b"\xff" * 16, MalformedScan),
+        ],
+    )
+    def test_what_is_no_turn_is_refused(self, body: bytes, error: type[InvalidScan]) -> None:
+        with pytest.raises(error):
+            VelodyneFormat().read(body)
+
+    def test_more_packets_than_a_scan_needs_are_refused(self) -> None:
+        with pytest.raises(ScanTooLarge, match="more than 3 packets"):
+            Turns(velodyne(hdl32(turns=1.2)), most_packets=3)
+
+
+class TestOuster:
+    def body(self, fragment_bytes: int | None = None, **changed: Any) -> bytes:
+        frames = [
+            frame
+            for number, payload in enumerate(ouster())
+            for frame in udp(payload, 7502, fragment_bytes=fragment_bytes, number=number)
+        ]
+        return ouster_body(ouster_metadata(**changed), frames)
+
+    @pytest.mark.parametrize("fragment_bytes", [None, 1480])
+    def test_a_sphere_is_a_sphere_in_pieces_too(self, fragment_bytes: int | None) -> None:
+        (points,) = ouster_frames(self.body(fragment_bytes))
+        assert points.shape == (512 * 16, 3)
+        np.testing.assert_allclose(np.linalg.norm(points, axis=1), 10.0, rtol=1e-6)
+        # Column 0 is behind the lidar's x axis turned round: behind the sensor.
+        np.testing.assert_allclose(points[0, :2], [-10 * np.cos(np.radians(15)), 0.0], atol=1e-5)
+        assert points[512 // 4 * 16, 1] > 9  # clockwise: from behind to the left
+
+    def test_beams_begin_beside_the_origin(self) -> None:
+        (points,) = ouster_frames(self.body(lidar_origin_to_beam_origin_mm=100.0))
+        level_m = np.hypot(points[:16, 0], points[:16, 1])
+        elevation = np.radians(np.linspace(15, -15, 16))
+        np.testing.assert_allclose(level_m, 9.9 * np.cos(elevation) + 0.1, rtol=1e-6)
+
+    def test_a_capture_with_its_metadata_beside_it_is_read(self, tmp_path: Path) -> None:
+        metadata, capture = self.body().split(b"\n", 1)
+        (tmp_path / "a.pcap").write_bytes(capture)
+        (tmp_path / "a.json").write_bytes(metadata)
+        scan = read_scan_file(tmp_path / "a.pcap", min_returns=1)
+        assert len(scan) == 512 * 16
+
+    def test_packets_of_another_layout_are_refused(self) -> None:
+        layout = ouster_metadata()["data_format"] | {"pixels_per_column": 32}
+        angles: dict[str, Any] = dict.fromkeys(
+            ("beam_altitude_angles", "beam_azimuth_angles"), [0.0] * 32
+        )
+        with pytest.raises(MalformedScan, match="no UDP packets of 6400 bytes"):
+            OusterFormat().read(self.body(data_format=layout, **angles))
+
+    @pytest.mark.parametrize(
+        "changed",
+        [
+            {"beam_altitude_angles": [1.0] * 15},
+            {"beam_azimuth_angles": ["a"] * 16},
+            {"lidar_to_sensor_transform": [1.0]},
+            {"data_format": {}},
+            {"data_format": 7},
+            {"lidar_origin_to_beam_origin_mm": float("nan")},
+            {"data_format": ouster_metadata()["data_format"] | {"columns_per_frame": 10**9}},
+            {"data_format": ouster_metadata()["data_format"] | {"udp_profile_lidar": "X"}},
+            {"data_format": ouster_metadata()["data_format"] | {"column_window": [0, 512]}},
+        ],
+    )
+    def test_metadata_that_make_no_sense_are_refused(self, changed: dict[str, Any]) -> None:
+        with pytest.raises(MalformedScan, match="metadata"):
+            OusterFormat().read(self.body(**changed))
+
+    @pytest.mark.parametrize("body", [b"{", b"[" * 100_000, b"7", b"\xff" * 40, b"{}"])
+    def test_what_is_no_metadata_is_refused(self, body: bytes) -> None:
+        with pytest.raises(MalformedScan):
+            read_scan(body, media_type=OusterFormat().media_type, min_returns=1)
+
+    def test_a_frame_that_lacks_columns_is_no_scan(self) -> None:
+        frames = [frame for payload in ouster(496) for frame in udp(payload, 7502)]
+        with pytest.raises(TruncatedScan, match="496 of 512"):
+            OusterFormat().read(ouster_body(ouster_metadata(), frames))
+
+    def test_newer_metadata_have_sections(self) -> None:
+        old = ouster_metadata()
+        beams = ("beam_altitude_angles", "beam_azimuth_angles", "lidar_origin_to_beam_origin_mm")
+        new = {
+            "beam_intrinsics": {key: old[key] for key in beams},
+            "lidar_intrinsics": {"lidar_to_sensor_transform": old["lidar_to_sensor_transform"]},
+            "lidar_data_format": old["data_format"],
+        }
+        frames = [frame for payload in ouster() for frame in udp(payload, 7502)]
+        body = ouster_body(new, frames)
+        assert json.loads(body.split(b"\n", 1)[0]) == new
+        np.testing.assert_array_equal(OusterFormat().read(body), OusterFormat().read(self.body()))
+
+
+def test_a_capture_without_a_byte_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "a.pcap").touch()
+    with pytest.raises(EmptyBody, match=r"a\.pcap is empty"):
+        open_drive(tmp_path / "a.pcap")
+
+
+def test_a_sensor_that_turns_too_slowly_gives_no_scan_of_any_size() -> None:
+    frames = [f for p in hdl32(turns=0.01) for f in udp(p, 2368)]
+    body = pcap(frames)[:24] + pcap(frames)[24:] * (BUDGET.scan_packets + 1)
+    with pytest.raises(ScanTooLarge, match="more than 200000 packets"):
+        read_scan(body, media_type=FORMAT_NAMES["velodyne"], min_returns=1)

@@ -1,0 +1,82 @@
+"""Columns of numbers as text: what is found, limits, and what is refused."""
+
+import numpy as np
+import pytest
+
+from storage.formats.budget import BUDGET
+from storage.formats.errors import MalformedScan, ScanTooLarge
+from storage.formats.scans import text_numbers
+from storage.formats.scans.delimited import CsvFormat
+
+
+class TestCsv:
+    @pytest.mark.parametrize(
+        "text",
+        [
+            "x,y,z\n1,2,3\n4,5,6\n",
+            "\ufeffx,y,z\r\n1,2,3\r\n4,5,6\r\n",
+            'intensity;Z (m);x_m;"y"\n0;3;1;2\n0;6;4;5',
+            "1 2 3 99\n\n4 5 6 99\n",
+            "  1   2   3\n  4   5   6\n",
+            "x\ty\tz\n1\t2\t3\n4\t5\t6\n\n",
+            "1.0 , 2.0 , 3.0\n4.0 , 5e0 , 6.0\n",
+        ],
+    )
+    def test_columns_are_found(self, text: str) -> None:
+        np.testing.assert_array_equal(CsvFormat().read(text.encode()), [[1, 2, 3], [4, 5, 6]])
+
+    def test_text_longer_than_a_block_is_read_whole(self) -> None:
+        points = np.arange(300_000, dtype=np.float32).reshape(-1, 3)
+        text = "\n".join(f"{x},{y},{z}" for x, y, z in points.tolist())
+        assert len(text) > 2**21
+        np.testing.assert_array_equal(CsvFormat().read(text.encode()), points)
+
+    @pytest.mark.parametrize(
+        "body",
+        [
+            b"\n\n",
+            b"hello\n",
+            b"x,y\n1,2\n",
+            b"x,x,y,z\n1,2,3,4\n",
+            b"a,b,c\n1,2,3\n",
+            b"1,2\n",
+            b"x,y,z\n1,2,3\n4,5\n",
+            b"x,y,z\n1,2,three\n",
+            b"x,y,z\n" + b"1" * 2**21,
+            b"9" * 20_000,
+            bytes(100),
+        ],
+    )
+    def test_what_has_no_three_columns_of_numbers_is_refused(self, body: bytes) -> None:
+        with pytest.raises(MalformedScan):
+            CsvFormat().read(body)
+
+
+@pytest.mark.parametrize("line", [b"\n", b"1,2,3\n"])
+def test_a_text_has_at_most_as_many_lines_as_the_budget_says(
+    line: bytes, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(text_numbers, "BUDGET", BUDGET.__class__(text_returns=100))
+    with pytest.raises(ScanTooLarge, match="more than 100 lines"):
+        CsvFormat().read(b"x,y,z\n" + line * 101)
+
+
+def test_blank_lines_line_ends_of_all_kinds_and_blocks_do_not_change_what_is_read(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(text_numbers, "_BLOCK_BYTES", 16)
+    body = b"x,y,z\r\n1,2,3\r\n\r\n \n4, 5,6\r7,8,9\r\n\n10,11,12"
+    assert CsvFormat().read(body).tolist() == [[1, 2, 3], [4, 5, 6], [7, 8, 9], [10, 11, 12]]
+
+
+@pytest.mark.parametrize("bad", ["1,2", "1,2,3,4", "1,2,x", "1,,3", "1,2,0x3", "1,2,3\u00b2"])
+def test_a_line_that_is_wrong_among_many_is_refused(bad: str) -> None:
+    lines = ["1,2,3"] * 500
+    lines[321] = bad
+    with pytest.raises(MalformedScan):
+        CsvFormat().read("\n".join(["x,y,z", *lines]).encode())
+
+
+@pytest.mark.parametrize("lines", [b"", b"\n", b" \n\n"])
+def test_a_table_without_a_line_has_no_points(lines: bytes) -> None:
+    assert CsvFormat().read(b"x,y,z\n" + lines).shape == (0, 3)

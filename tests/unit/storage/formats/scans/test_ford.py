@@ -1,0 +1,66 @@
+"""Scans of the Ford Campus data set: MATLAB files."""
+
+import struct
+import zlib
+from io import BytesIO
+
+import numpy as np
+import pytest
+from scipy.io import savemat
+
+from storage.formats.errors import MalformedScan, ScanTooLarge, TruncatedScan
+from storage.formats.scans.ford import FordFormat
+
+POINTS = np.random.default_rng(0).normal(scale=20.0, size=(300, 3)).astype(np.float32)
+
+
+def mat(variables: dict[str, object], *, compress: bool = False) -> bytes:
+    file = BytesIO()
+    # SciPy writes to open files too, its stubs do not know.
+    savemat(file, variables, do_compression=compress)  # type: ignore[arg-type]
+    return file.getvalue()
+
+
+class TestFord:
+    @pytest.mark.parametrize("compress", [False, True])
+    @pytest.mark.parametrize("dtype", [np.float64, np.float32])
+    def test_points_are_read_whatever_stands_around_them(
+        self, compress: bool, dtype: type[np.floating]
+    ) -> None:
+        scan = {"X_wv": np.zeros((6, 1)), "XYZ": POINTS.T.astype(dtype), "note": "hello"}
+        body = mat({"PARAM": {"a": 1}, "SCAN": scan}, compress=compress)
+        np.testing.assert_array_equal(FordFormat().read(body), POINTS)
+
+    @pytest.mark.parametrize(
+        "variables",
+        [
+            {"OTHER": 1},
+            {"SCAN": 1},
+            {"SCAN": {"X_wv": np.zeros((6, 1))}},
+            {"SCAN": {"XYZ": POINTS}},
+            {"SCAN": {"XYZ": POINTS.T * 1j}},
+            {"SCAN": {"XYZ": "text"}},
+            {"SCAN": {"XYZ": {"a": 1}}},
+        ],
+    )
+    def test_what_has_no_points_is_refused(self, variables: dict[str, object]) -> None:
+        with pytest.raises(MalformedScan):
+            FordFormat().read(mat(variables))
+
+    def test_a_bomb_is_not_unpacked(self) -> None:
+        packed = zlib.compress(bytes(2**22))
+        body = mat({"SCAN": 1})[:128] + struct.pack("<II", 15, len(packed)) + packed
+        with pytest.raises(ScanTooLarge):
+            FordFormat(max_decoded_bytes=2**20).read(body)
+
+    def test_each_element_is_compared_with_what_came(self) -> None:
+        whole = mat({"SCAN": {"XYZ": POINTS.T.astype(np.float64)}})
+        for end in range(0, len(whole) - 8, 97):
+            with pytest.raises((TruncatedScan, MalformedScan)):
+                FordFormat().read(whole[:end])
+
+
+def test_a_mat_file_of_empty_elements_is_refused_after_a_thousand() -> None:
+    head = b"MATLAB 5.0 MAT-file".ljust(124) + b"\0\1IM"
+    with pytest.raises(MalformedScan, match="first 1000 elements"):
+        FordFormat().read(head + struct.pack("<II", 9, 0) * 2000)

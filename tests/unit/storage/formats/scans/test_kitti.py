@@ -1,0 +1,95 @@
+"""KITTI's `.bin`: raw floats, so only the values tell what they are."""
+
+import numpy as np
+import pytest
+
+from core.errors import TooFewReturns
+from core.scans.scan import Scan
+from storage.formats.errors import ScanTooLarge, TruncatedScan, WrongDtype
+from storage.formats.scans.kitti import KittiFormat, refuse_implausible
+from storage.formats.scans.registry import read_scan
+
+KITTI = "application/vnd.tensormap.kitti"
+
+
+def street(returns: int = 400) -> np.ndarray:
+    """Return `(n, 4)` float32 returns like a street's."""
+    random = np.random.default_rng(1)
+    xyz = random.normal(0, 20, (returns, 3)) * [1, 1, 0.1]
+    return np.column_stack([xyz, random.random(returns)]).astype("<f4")
+
+
+def read(body: bytes) -> Scan:
+    return read_scan(body, media_type=KITTI, min_returns=1)
+
+
+def test_the_points_are_the_first_three_of_each_four_floats() -> None:
+    written = street()
+    scan = read(written.tobytes())
+    np.testing.assert_array_equal(scan.points_m, written[:, :3])
+
+
+def test_returns_that_are_not_finite_or_zero_are_dropped_and_counted() -> None:
+    written = street()
+    written[:150, :3] = np.nan
+    written[150:300, :3] = 0.0
+    written[300, 1] = np.inf
+    scan = read(written.tobytes())
+    assert (len(scan), scan.dropped_returns) == (99, 301)
+
+
+def test_a_scan_of_nothing_but_no_returns_has_too_few_returns() -> None:
+    with pytest.raises(TooFewReturns, match="0 of 400"):
+        read(np.full((400, 4), np.nan, "<f4").tobytes())
+
+
+def test_a_cut_file_says_how_long_it_is_and_how_long_a_record() -> None:
+    with pytest.raises(TruncatedScan, match=r"6393 bytes.* records of 16 and 9 left over"):
+        read(street().tobytes()[:-7])
+
+
+@pytest.mark.parametrize(
+    ("what", "body"),
+    [
+        ("doubles", street().astype("<f8").tobytes()),
+        ("doubles of three columns", street()[:, :3].astype("<f8").tobytes()),
+        ("doubles never held by floats", (street().astype("<f8") * np.pi).tobytes()),
+        ("int32 millimetres", (street() * 1000).astype("<i4").tobytes()),
+        ("int16 centimetres", (street() * 100).astype("<i2").tobytes()),
+        ("big-endian floats", street().astype(">f4").tobytes()),
+        ("text", b"12.345 6.789 -1.234\n" * 400),
+    ],
+)
+def test_numbers_of_another_type_are_refused_naming_the_type_wanted(what: str, body: bytes) -> None:
+    with pytest.raises(WrongDtype, match="float32 little-endian x y z reflectance"):
+        read(body)
+
+
+def test_a_few_odd_values_do_not_make_a_scan_of_another_type() -> None:
+    written = street()
+    written[:30, 0] = 1e-9
+    assert len(read(written.tobytes())) == 400
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_a_scan_is_refused_where_more_than_a_quarter_of_what_tells_is_implausible(seed) -> None:
+    """A no-return tells nothing, nor does a zero beside what is measured."""
+    random = np.random.default_rng(seed)
+    kinds = np.array([0.0, 5.0, -30.0, 1e-9, 1e9, np.nan, np.inf], np.float32)
+    share = random.dirichlet([2.0, 4.0, 4.0, 0.4, 0.4, 0.4, 0.4])
+    returns_m = random.choice(kinds, size=(20, 3), p=share).astype(np.float32)
+    told = implausible = 0
+    for row in returns_m.tolist():
+        for one in row if np.isfinite(row).any() else ():
+            told += one != 0.0
+            implausible += one != 0.0 and not 1e-6 <= abs(one) <= 1e5
+    if implausible > 0.25 * told:
+        with pytest.raises(WrongDtype, match=f"^{implausible / told:.0%} of the coordinates"):
+            refuse_implausible(returns_m, "metres")
+    else:
+        refuse_implausible(returns_m, "metres")
+
+
+def test_a_scan_has_at_most_as_many_returns_as_the_budget_says() -> None:
+    with pytest.raises(ScanTooLarge, match=r"4194305 returns, at most 4194304 may be"):
+        KittiFormat().read(bytes(16 * (2**22 + 1)))

@@ -1,0 +1,72 @@
+"""LAS and LAZ: scale, offset, and headers that lie."""
+
+import struct
+from io import BytesIO
+
+import laspy
+import numpy as np
+import pytest
+
+from core.errors import InvalidScan
+from storage.formats.errors import MalformedScan, ScanTooLarge, TruncatedScan
+from storage.formats.scans.las import LasFormat
+
+POINTS = np.random.default_rng(0).normal(scale=20.0, size=(300, 3)).astype(np.float32)
+
+
+def las(*, compress: bool, version: str = "1.2", point_format: int = 0) -> bytes:
+    header = laspy.LasHeader(point_format=point_format, version=version)
+    header.scales, header.offsets = np.full(3, 1e-3), np.array([100.0, -100.0, 5.0])
+    data = laspy.LasData(header)
+    data.x, data.y, data.z = POINTS.T.astype(np.float64)
+    file = BytesIO()
+    data.write(file, do_compress=compress)
+    return file.getvalue()
+
+
+def patched(body: bytes, at: int, layout: str, value: int) -> bytes:
+    changed = bytearray(body)
+    struct.pack_into(layout, changed, at, value)
+    return bytes(changed)
+
+
+class TestLas:
+    @pytest.mark.parametrize("compress", [False, True], ids=["las", "laz"])
+    @pytest.mark.parametrize(("version", "point_format"), [("1.2", 3), ("1.4", 6)])
+    def test_scale_and_offset_are_applied(
+        self, compress: bool, version: str, point_format: int
+    ) -> None:
+        body = las(compress=compress, version=version, point_format=point_format)
+        np.testing.assert_allclose(LasFormat().read(body), POINTS, rtol=0, atol=6e-4)
+
+    @pytest.mark.parametrize(
+        ("body", "error"),
+        [
+            (las(compress=False)[:-1], TruncatedScan),
+            (las(compress=False)[:100], TruncatedScan),
+            (patched(las(compress=False), 107, "<I", 301), TruncatedScan),
+            (patched(las(compress=False), 107, "<I", 2**32 - 1), ScanTooLarge),
+            (patched(las(compress=True), 107, "<I", 2**32 - 1), ScanTooLarge),
+            (patched(las(compress=False), 105, "<H", 0), MalformedScan),
+            (patched(las(compress=False), 100, "<I", 2**32 - 1), MalformedScan),
+            (patched(las(compress=False), 96, "<I", 2**32 - 1), TruncatedScan),
+            (patched(las(compress=False), 94, "<H", 0), MalformedScan),
+            (patched(las(compress=False), 25, "<B", 9), MalformedScan),
+            (patched(las(compress=False), 104, "<B", 60), MalformedScan),
+            (patched(las(compress=False), 131, "<Q", 0x7FF8 << 48), MalformedScan),
+            (b"LASX" + las(compress=False)[4:], MalformedScan),
+        ],
+    )
+    def test_a_header_that_lies_is_refused(self, body: bytes, error: type[InvalidScan]) -> None:
+        with pytest.raises(error):
+            LasFormat().read(body)
+
+    def test_compressed_points_that_ask_for_gigabytes_end_no_process_but_their_own(self) -> None:
+        whole = las(compress=True, version="1.4", point_format=6)
+        points_at = struct.unpack_from("<I", whole, 96)[0]
+        # The sizes of the layers stand behind the first point.
+        sizes_at = points_at + 8 + 30 + 4
+        lying = whole[:sizes_at] + b"\xff" * 36 + whole[sizes_at + 36 :]
+        for body in (lying, whole[: points_at + 20]):
+            with pytest.raises(MalformedScan, match="cannot be unpacked"):
+                LasFormat().read(body)

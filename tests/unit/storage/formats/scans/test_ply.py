@@ -1,0 +1,60 @@
+"""PLY: text and both byte orders, other properties, and headers that lie."""
+
+import numpy as np
+import pytest
+
+from core.errors import InvalidScan
+from storage.formats.errors import MalformedScan, TruncatedScan, WrongDtype
+from storage.formats.scans.ply import PlyFormat
+
+POINTS = np.random.default_rng(0).normal(scale=20.0, size=(300, 3)).astype(np.float32)
+
+
+class TestPly:
+    HEAD = "ply\nformat {} 1.0\ncomment x\nelement vertex {}\n{}end_header\n"
+    XYZ = "property float x\nproperty float y\nproperty float z\n"
+
+    def test_other_properties_and_elements_are_skipped(self) -> None:
+        head = (
+            "ply\nformat ascii 1.0\nelement vertex 2\nproperty uchar red\nproperty double z\n"
+            "property double x\nproperty double y\nelement face 1\n"
+            "property list uchar int vertex_indices\nend_header\n"
+        )
+        body = head.encode() + b"255 3 1 2\n0 6 4 5\n3 0 1 1\n"
+        np.testing.assert_array_equal(PlyFormat().read(body), [[1, 2, 3], [4, 5, 6]])
+
+    @pytest.mark.parametrize("order", ["<", ">"])
+    def test_binary_records_are_read_in_both_orders(self, order: str) -> None:
+        name = {"<": "binary_little_endian", ">": "binary_big_endian"}[order]
+        head = self.HEAD.format(name, len(POINTS), f"{self.XYZ}property short ring\n")
+        records = np.zeros(len(POINTS), f"{order}f4,{order}f4,{order}f4,{order}i2")
+        for axis in range(3):
+            records[f"f{axis}"] = POINTS[:, axis]
+        np.testing.assert_array_equal(PlyFormat().read(head.encode() + records.tobytes()), POINTS)
+
+    @pytest.mark.parametrize(
+        ("head", "rest", "error"),
+        [
+            (HEAD.format("binary_little_endian", 10**14, XYZ), bytes(12), TruncatedScan),
+            (HEAD.format("binary_little_endian", 1, XYZ), bytes(13), MalformedScan),
+            (HEAD.format("ascii", 10**14, XYZ), b"1 2 3\n", TruncatedScan),
+            (HEAD.format("ascii", 1, XYZ), b"1 2 3\n4 5 6\n", MalformedScan),
+            (HEAD.format("ascii", 1, XYZ), b"1 2\n", MalformedScan),
+            (HEAD.format("ascii", 1, XYZ), b"1 2 a\n", MalformedScan),
+            (HEAD.format("ascii", "-1", XYZ), b"", MalformedScan),
+            (HEAD.format("ascii", "9" * 30, XYZ), b"", MalformedScan),
+            (HEAD.format("utf8", 1, XYZ), b"1 2 3\n", MalformedScan),
+            (HEAD.format("ascii", 1, XYZ.replace("float", "int")), b"1 2 3\n", WrongDtype),
+            (HEAD.format("ascii", 1, "property float x\n"), b"1\n", WrongDtype),
+            (HEAD.format("ascii", 1, XYZ + XYZ), b"1 2 3 4 5 6\n", MalformedScan),
+            (HEAD.format("ascii", 1, "property list uchar int i\n"), b"", MalformedScan),
+            ("ply\nend_header\n", b"", MalformedScan),
+            ("ply\nformat ascii 1.0\n" + "comment\n" * 5000, b"", MalformedScan),
+            ("not\nformat ascii 1.0\nend_header\n", b"", MalformedScan),
+        ],
+    )
+    def test_a_header_that_lies_is_refused(
+        self, head: str, rest: bytes, error: type[InvalidScan]
+    ) -> None:
+        with pytest.raises(error):
+            PlyFormat().read(head.encode() + rest)

@@ -1,0 +1,80 @@
+"""What is stored is its owner's and nobody else's, whatever the umask and whoever began it."""
+
+import os
+import stat
+
+import pytest
+
+from storage.backup.backup import write_backup
+from storage.backup.restore import restore_backup
+from storage.files.map_file import write_map
+from storage.store import Store
+from tests.support.catalog_rows import FACTS
+from tests.support.samples import sample_map
+from tests.support.small_scans import sample_scan
+
+
+@pytest.fixture(autouse=True)
+def _careless_umask():
+    before = os.umask(0)
+    yield
+    os.umask(before)
+
+
+def filled(store):
+    store.maps.create("campus")
+    store.drives.put_scan("campus", "monday", 0, sample_scan(0))
+    tensor_map, _ = sample_map()
+    store.revisions.add(
+        store.maps.get("campus").id,
+        tensor_map.revision,
+        lambda path: write_map(path, tensor_map),
+        FACTS,
+    )
+
+
+def open_to_others(folder):
+    """Return the modes of what others than its owner may use."""
+    modes = {path: stat.S_IMODE(path.stat().st_mode) for path in (folder, *folder.rglob("*"))}
+    return {str(path.relative_to(folder)): oct(m) for path, m in modes.items() if m & 0o077}
+
+
+def test_files_folders_and_the_catalog_are_private(tmp_path):
+    with Store.serving(tmp_path / "data") as store:
+        filled(store)
+        names = {path.name for path in (tmp_path / "data").iterdir()}
+        assert {"catalog.sqlite3", "catalog.sqlite3-wal", "catalog.sqlite3-shm"} <= names
+        assert open_to_others(tmp_path / "data") == {}
+
+
+def test_a_data_directory_of_an_older_version_becomes_private_at_its_start(tmp_path):
+    data = tmp_path / "data"
+    with Store.serving(data) as store:
+        filled(store)
+    for path in (data, *data.rglob("*")):
+        path.chmod(0o755 if path.is_dir() else 0o644)
+    (data / "backup.tar").touch(0o644)  # whose else is there is none of our business
+    with Store.serving(data) as store:
+        assert open_to_others(data) == {"backup.tar": "0o644"}
+        assert store.drives.read_scan("campus", "monday", 0).points_m.size
+
+
+def test_what_a_link_leads_to_stays_as_it_is(tmp_path):
+    data, elsewhere = tmp_path / "data", tmp_path / "elsewhere"
+    Store.serving(data).close()
+    elsewhere.touch(0o644)
+    (data / "orphans").mkdir(0o755)
+    (data / "orphans" / "link").symlink_to(elsewhere)
+    data.chmod(0o755)
+    Store.serving(data).close()
+    assert stat.S_IMODE(elsewhere.stat().st_mode) == 0o644
+    assert stat.S_IMODE((data / "orphans").stat().st_mode) == 0o700
+
+
+def test_a_restored_data_directory_is_private(tmp_path):
+    with Store.serving(tmp_path / "data") as store:
+        filled(store)
+    write_backup(tmp_path / "data", tmp_path / "backup.tar")
+    assert stat.S_IMODE((tmp_path / "backup.tar").stat().st_mode) == 0o600
+    restore_backup(tmp_path / "backup.tar", tmp_path / "new")
+    assert open_to_others(tmp_path / "new") == {}

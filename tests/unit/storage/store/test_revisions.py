@@ -1,0 +1,113 @@
+"""Revisions in the store, and starting a server on it."""
+
+from concurrent.futures import ThreadPoolExecutor
+
+import pytest
+
+from storage.catalog import JobState, RevisionFacts
+from storage.errors import DataDirInUse, MapNotFound, RevisionIsLive, RevisionNotFound
+from storage.store import Store
+
+FACTS = RevisionFacts(encoding="paper", scans=10, segments=2, parameters={})
+A, B = "a" * 64, "b" * 64
+
+
+def write(path):
+    path.write_bytes(b"a map")
+
+
+def files(store):
+    return [path.name for path in store.layout.maps.rglob("*") if path.is_file()]
+
+
+def test_a_revision_is_a_file_and_a_row(store):
+    record = store.revisions.add(store.maps.get("campus").id, A, write, FACTS)
+    path = store.revisions.path("campus", A[:12])
+    assert path.read_bytes() == b"a map"
+    assert path.name.startswith(A)
+    assert record.size_bytes == 5
+    assert store.revisions.live("campus") == record
+
+
+def test_the_same_digest_again_keeps_the_first_file(store):
+    first = store.revisions.add(store.maps.get("campus").id, A, write, FACTS)
+    assert store.revisions.add(store.maps.get("campus").id, A, write, FACTS) == first
+    assert files(store) == [first.file_name]
+
+
+def test_threads_that_add_the_same_revision_leave_one_file(store):
+    with ThreadPoolExecutor(4) as pool:
+        records = list(
+            pool.map(
+                lambda _: store.revisions.add(store.maps.get("campus").id, A, write, FACTS),
+                range(8),
+            )
+        )
+    assert len({record.file_name for record in records}) == 1
+    assert files(store) == [records[0].file_name]
+
+
+def test_a_revision_that_cannot_be_written_changes_nothing(store):
+    def fail(path):
+        path.write_bytes(b"half")
+        raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        store.revisions.add(store.maps.get("campus").id, A, fail, FACTS)
+    assert files(store) == []
+    with pytest.raises(RevisionNotFound):
+        store.revisions.get("campus", A)
+
+
+def test_a_revision_of_a_map_that_is_deleted_meanwhile_leaves_no_file(store):
+    def delete_first(path):
+        write(path)
+        store.maps.delete("campus")
+
+    with pytest.raises(MapNotFound):
+        store.revisions.add(store.maps.get("campus").id, A, delete_first, FACTS)
+    assert files(store) == []
+
+
+def test_a_deleted_revision_is_gone_and_the_live_one_stays(store):
+    store.revisions.add(store.maps.get("campus").id, A, write, FACTS)
+    store.revisions.add(store.maps.get("campus").id, B, write, FACTS)
+    with pytest.raises(RevisionIsLive):
+        store.revisions.delete("campus", A)
+    store.revisions.delete("campus", B)
+    assert len(files(store)) == 1
+    assert store.revisions.path("campus", A).exists()
+
+
+def test_a_digest_that_is_none_is_refused(store):
+    with pytest.raises(ValueError, match="SHA-256"):
+        store.revisions.add(store.maps.get("campus").id, "../x", write, FACTS)
+
+
+def test_an_orphan_revision_is_swept(store):
+    store.revisions.add(store.maps.get("campus").id, A, write, FACTS)
+    store.revisions.path("campus", A).with_name(f"{B}.00000000.h5").write_bytes(b"orphan")
+    store.recover()
+    assert len(files(store)) == 1
+
+
+def test_a_restart_queues_interrupted_jobs_again(tmp_path):
+    with Store(tmp_path) as first:
+        first.recover()
+        first.maps.create("campus")
+        job = first.jobs.create("campus", {})
+        first.jobs.claim()
+    with Store(tmp_path) as second:
+        assert second.jobs.get(job.id).state is JobState.RUNNING
+        second.recover()
+        assert second.jobs.get(job.id).state is JobState.QUEUED
+
+
+def test_one_data_directory_has_one_server_at_a_time(tmp_path):
+    with Store(tmp_path) as first, Store(tmp_path) as second:
+        first.recover()
+        first.recover()
+        with pytest.raises(DataDirInUse):
+            second.recover()
+        first.close()
+        second.recover()
