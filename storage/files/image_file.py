@@ -2,8 +2,10 @@
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from core.arrays import Float32Array, FloatArray, IntArray
 from core.encodings.grams import drive_gram
@@ -68,7 +70,7 @@ class ImageFile(Closing):
 
     def _read_facts(self, file: Hdf5File, imager: Imager) -> None:
         told = file.attributes
-        self.scans: IntArray = _typed(file, "scans", "<i8", 1).read()
+        self.scans: IntArray = _sane(_typed(file, "scans", "<i8", 1).read())
         self._images = _typed(file, "images", "<f4", 1 + len(imager.shape))
         self.returns = told.whole("returns")
         self.skipped = _skipped(told.text("skipped", _MOST_SKIPPED_BYTES))
@@ -80,8 +82,8 @@ class ImageFile(Closing):
         if "probe_version" not in told or told.whole("probe_version") != PROBE_VERSION:
             return
         probes = _typed(file, "probes", "<f4", 1 + len(self.grid.shape))
-        self.probed = _typed(file, "probed", "<i8", 1).read()
-        self.standing = _typed(file, "standing", "<f8", 2).read()
+        self.probed = _sane(_typed(file, "probed", "<i8", 1).read())
+        self.standing = _sane(_typed(file, "standing", "<f8", 2).read())
         self.probes = _Stored(probes, self.grid, self._name)
         if probes.shape != (len(self.probed), *self.grid.shape):
             raise CorruptFile(f"probes have shape {probes.shape}")
@@ -115,7 +117,7 @@ class ImageFile(Closing):
         """
         if self._file is not None and _DETAIL_GRAM in self._file.names:
             try:
-                kept: FloatArray = _typed(self._file, _DETAIL_GRAM, "<f8", 2).read()
+                kept: FloatArray = _sane(_typed(self._file, _DETAIL_GRAM, "<f8", 2).read())
                 if kept.shape != (self.grid.rows, self.grid.rows):
                     raise CorruptFile(f"{_DETAIL_GRAM} has shape {kept.shape}")
             except CorruptFile as error:
@@ -140,7 +142,7 @@ class _Stored:
 
 def _read(images: Dataset, start: int, stop: int, name: str) -> Float32Array:
     try:
-        block: Float32Array = images.rows(start, stop)
+        block: Float32Array = _sane(images.rows(start, stop))
     except CorruptFile as error:
         raise CorruptImages(f"{name} cannot be read: {error}") from error
     return block
@@ -151,6 +153,25 @@ def _typed(file: Hdf5File, name: str, dtype: str, axes: int) -> Dataset:
     if dataset.dtype != dtype or len(dataset.shape) != axes:
         raise CorruptFile(f"{name} has shape {dataset.shape} of {dataset.dtype}, wanted {dtype}")
     return dataset
+
+
+def _sane(numbers: NDArray[Any]) -> NDArray[Any]:
+    """Return numbers that can be an image's, or a file's about images.
+
+    A Fletcher checksum does not see 0 become 0xFFFF, and images are mostly zeros: of those NaN is
+    made, or a subnormal number, or a negative position.
+
+    Raises:
+        CorruptFile: If one is not finite, or subnormal, or a position below 0.
+    """
+    if numbers.dtype.kind == "i":
+        if (numbers < 0).any():
+            raise CorruptFile("a position in it is negative")
+        return numbers
+    size = np.abs(numbers)
+    if not np.isfinite(size).all() or ((size > 0.0) & (size < np.finfo(size.dtype).tiny)).any():
+        raise CorruptFile("a number in it was never written")
+    return numbers
 
 
 def _skipped(text: str) -> tuple[Skipped, ...]:

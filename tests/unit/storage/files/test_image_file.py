@@ -89,6 +89,19 @@ def test_one_bit_that_changed_is_refused(path, name):
         images.read(0, 20)
 
 
+@pytest.mark.parametrize("zeros", [b"\0\0\0\0", b"\0\0"], ids=["NaN", "subnormal"])
+def test_zeros_that_became_ones_are_refused_though_the_checksum_is_the_same(path, zeros):
+    with h5py.File(path, "r") as file:
+        first = file["images"].id.get_chunk_info(0)
+        image = file["images"][0]
+    at = first.byte_offset + 4 * int(np.flatnonzero(image.ravel() == 0)[0])
+    content = bytearray(path.read_bytes())
+    content[at : at + len(zeros)] = b"\xff" * len(zeros)
+    path.write_bytes(content)
+    with ImageFile(path, LAST) as images, pytest.raises(CorruptImages, match="never written"):
+        images.read(0, 1)
+
+
 def test_the_name_tells_the_version_of_the_projection(monkeypatch):
     name = image_file_name(LAST, "ab" * 32)
     monkeypatch.setattr(image_file, "PROJECTION_VERSION", image_file.PROJECTION_VERSION + 1)
