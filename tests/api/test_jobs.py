@@ -183,7 +183,7 @@ class Undying:
 def test_a_worker_that_cannot_be_ended_fails_its_job_and_the_next_one_is_done(
     tmp_path, monkeypatch
 ):
-    with running(tmp_path, build_stall_s=0.5) as client:
+    with running(tmp_path, build_stall_s=6) as client:  # a process is started within it
         client.post("/v1/maps", json={"map": "campus"})
         upload_scan(client, "campus", "monday", 0, recording().scans[0])
         context = client.service.runner._context
