@@ -1,4 +1,4 @@
-"""Drives: recordings of scans, made by their first one."""
+"""Drives: list, change, close and delete them; PUT and GET of a single scan."""
 
 import io
 import math

@@ -1,4 +1,4 @@
-"""Uploads: many scans in one body, and which of them are in."""
+"""Uploads: POST of many scans in one archive, and which scans are in."""
 
 from collections.abc import Iterator
 from contextlib import suppress

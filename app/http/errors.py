@@ -1,4 +1,4 @@
-"""The errors that only a service has; the HTTP status of every error, known nowhere else."""
+"""The HTTP status of every error, and the errors that only a service raises."""
 
 from collections.abc import Mapping
 from http import HTTPStatus

@@ -1,4 +1,4 @@
-"""Routes whose functions run in a pool: `short`, or `heavy` if they say so.
+"""Routes in a pool: the body is read, then the function runs in the pool `short` or `heavy`.
 
 A plain function under `@router.get(...)` runs in the short pool; `@heavy` below that puts it in the
 heavy one. Its body is read before, on the event loop: a thread is taken only once the bytes are

@@ -1,4 +1,4 @@
-"""A scan's signature: what a vehicle sends instead of its scan (paper, sec. 2.3)."""
+"""A signature as a value: what a vehicle sends instead of its scan, and its packing."""
 
 import re
 import struct

@@ -1,4 +1,4 @@
-"""The orthogonal Tucker model of a segment, with W = I (paper, sec. 2.2).
+"""The Tucker2 model of a segment: X = G x1 U x2 V, W = I (paper, sec. 2.2, eq. 1).
 
 With the third factor fixed to the identity, the HO-SVD of `X (I, J, k)` needs two small
 eigenproblems only: U from `sum S S^T`, V from `sum S^T S`. Both sums are additive over scans,

@@ -1,4 +1,4 @@
-"""What a query vehicle may meet: turned, beside the mapped line, noisy (paper, sec. 3.4)."""
+"""Disturbances of queries: relative yaw, lateral offset, noise (paper, sec. 3.4)."""
 
 import itertools
 from collections.abc import Sequence

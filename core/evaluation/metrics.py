@@ -1,4 +1,4 @@
-"""What answers are measured by: distances, headings, and their medians and shares."""
+"""Errors of single answers, their medians and shares; scores are in `retrieval`."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""What a vehicle knows of where it is before it asks (paper, sec. 4: other sensors).
+"""Priors, `Hints` on the wire: what a vehicle knows of where it is before it queries (sec. 4).
 
 A hint is a gate at three standard deviations, and within it a prior: among scans that are about as
 near the likelier place wins.

@@ -1,4 +1,4 @@
-"""A probe: a scan of the map as another vehicle, on another day, would have it."""
+"""Probes: disturbed scans of the map that calibrate it, as of another vehicle on another day."""
 
 import numpy as np
 from scipy.spatial.transform import Rotation

@@ -1,4 +1,4 @@
-"""Atomic, durable files: whole under their name or not there at all."""
+"""Publishing files: whole under their name after rename and sync, or not there at all."""
 
 import errno
 import os

@@ -9,6 +9,7 @@ from core.mapping.pipeline import build
 from core.parameters import Segmentation
 from storage.files.map_file import read_map
 from storage.formats.drives.layouts import open_drive
+from tests.support.commands import tensormap
 from tests.support.recording import Recording
 from tests.support.service import upload, wait_for
 
@@ -16,9 +17,9 @@ SCANS, K = 24, 8
 
 
 @pytest.fixture(scope="module")
-def folder(tensormap, tmp_path_factory):
+def folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("drives") / "monday"
-    tensormap("simulate", folder, "--scans", SCANS)
+    tensormap("simulate", folder, "--scans", str(SCANS))
     return folder
 
 
@@ -30,9 +31,9 @@ def by_service(client, drive, chosen):
     return wait_for(client, job["job"])["revision"]
 
 
-def by_command(tensormap, folder, out, chosen):
+def by_command(folder, out, chosen):
     options = [word for name, value in chosen.items() for word in (f"--{name}", value)]
-    tensormap("build", folder, "-o", out, "--segment-length", K, *options)
+    tensormap("build", folder, "-o", out, "--segment-length", str(K), *options)
     return read_map(out).revision
 
 
@@ -56,12 +57,12 @@ def by_evaluation(drive, parameters, monkeypatch):
     [("harmonic", Segmentation.FIXED), ("paper", Segmentation.UNEQUAL)],
 )
 def test_service_command_core_and_evaluation_build_one_map(
-    empty, tensormap, folder, tmp_path, monkeypatch, encoding, segmentation
+    empty, folder, tmp_path, monkeypatch, encoding, segmentation
 ):
     chosen = {"encoding": encoding, "segmentation": segmentation.value}
     drive = open_drive(folder, min_returns=MIN_RETURNS)
     parameters = MapParameters.for_sensor(**chosen)
     digest = build_map(drive, parameters, segment_length=K).revision
     assert by_service(empty, drive, chosen) == digest
-    assert by_command(tensormap, folder, tmp_path / "map.h5", chosen) == digest
+    assert by_command(folder, tmp_path / "map.h5", chosen) == digest
     assert by_evaluation(drive, parameters, monkeypatch) == digest

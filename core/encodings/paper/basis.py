@@ -1,4 +1,4 @@
-"""The bases of a map's segments, as a vehicle uses them."""
+"""The bases of segments, and a scan's signature in each, U^T S V (paper, sec. 2.3, eq. 2)."""
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any

@@ -83,7 +83,7 @@ def test_a_reader_that_crashes_or_wants_all_memory_is_a_fault_and_the_next_is_re
 
 def test_a_reader_that_hangs_is_a_fault_and_the_next_is_read(path):
     with Checker(SOON) as checker:
-        fault = checker.fault(path, StoredFile(CHUNK, Endless()))
+        fault = checker.fault(path, StoredFile(CHUNK, Endless()))  # type: ignore[arg-type]  # no Mapping ends never
         assert fault is not None
         assert "more than 8 s" in fault.what
         assert not fault.certain
