@@ -25,7 +25,7 @@ test: $(DEVELOP) ## Run all tests; those on recorded drives too if TENSORMAP_DAT
 	PYTHONDONTWRITEBYTECODE= $(BIN)/python -m $(PYTEST)
 
 test-fast: $(DEVELOP) ## Run what takes a minute: unit, property, contract, a slice of api.
-	PYTHONDONTWRITEBYTECODE= $(BIN)/python -m $(PYTEST) $(FAST)
+	PYTHONDONTWRITEBYTECODE= $(BIN)/python -m $(PYTEST) -m 'not slow' $(FAST)
 
 coverage: $(DEVELOP) ## Run all tests, and fail where they run less of the code than pyproject.toml says.
 	$(BIN)/coverage erase

@@ -9,6 +9,8 @@ import pytest
 from storage.hdf5 import source
 from tests.support.bit_flips import KINDS, flipped
 
+pytestmark = pytest.mark.slow
+
 FLIPS = 400
 SEED = 20261122
 

@@ -16,6 +16,8 @@ from core.encodings.signature import Packing, Signature, pack_signatures, unpack
 from core.encodings.tucker import leading_basis, row_gram
 from core.parameters import Distance
 
+pytestmark = pytest.mark.slow
+
 REVISION = "0123456789abcdef" * 4
 ROWS, COLUMNS = 6, 24
 

@@ -16,6 +16,8 @@ from storage.hdf5.checksums import fletcher32
 from storage.hdf5.kinds import CODES
 from storage.hdf5.writer import hdf5_in_memory, hdf5_on_disk
 
+pytestmark = pytest.mark.slow
+
 NAMES = st.text(
     st.characters(codec="utf-8", exclude_characters="/.\0", exclude_categories=["Cs"]),
     min_size=1,

@@ -12,6 +12,8 @@ from storage.errors import DriveClosed, DriveNotFound, ScanConflict
 from storage.store import Store
 from tests.support.small_scans import sample_scan
 
+pytestmark = pytest.mark.slow
+
 slugs = st.sampled_from(["monday", "tuesday"])
 indices = st.integers(0, 5)
 seeds = st.integers(0, 1)  # few, so that the same content often comes again

@@ -14,6 +14,8 @@ from core.tracking.step import Direction
 from core.tracking.track import Observation, Track, Tracker
 from tests.support.samples import sample_harmonic_map, sample_map
 
+pytestmark = pytest.mark.slow
+
 MAKERS = {"paper": sample_map, "harmonic": sample_harmonic_map}
 TRACKERS = {
     (name, drives): Tracker(Localizer(make(count=40, segment_length=10, drives=drives)[0]))

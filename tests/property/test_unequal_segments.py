@@ -20,6 +20,8 @@ from core.segmentation import cut_unequal, length_limits
 from core.segmentation.turns import turns
 from tests.support.samples import RecordedProgress, straight_poses
 
+pytestmark = pytest.mark.slow
+
 GRID = AngularGrid(elevation_min_deg=-30.0, elevation_step_deg=10.0, rows=6, azimuth_step_deg=20.0)
 RINGS = RingGrid(ring_m=10.0, rings=6, azimuth_step_deg=20.0)
 PAPER = MapParameters(ranks=(2, 2), grid=GRID, segmentation=Segmentation.UNEQUAL)

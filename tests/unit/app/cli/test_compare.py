@@ -10,6 +10,8 @@ from storage.formats.drives.kitti_drive import write_kitti_drive
 from tests.support.commands import run
 from tests.support.samples import sample_drive
 
+pytestmark = pytest.mark.slow
+
 OURS = ",".join(METHODS[:-1])
 
 

@@ -10,6 +10,8 @@ from core.errors import InvalidParameters
 from tests.support.commands import run
 from tests.support.recording import kitti, recording
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):

@@ -19,6 +19,8 @@ from storage.formats.drives.kitti_drive import write_kitti_drive
 from tests.support.commands import run
 from tests.support.recording import kitti, recording
 
+pytestmark = pytest.mark.slow
+
 HARMONIC = ("--encoding", "harmonic", "--lateral-renderings=-1.5,0,1.5")
 
 

@@ -10,6 +10,8 @@ from storage.files.claims import claimed
 from storage.store import Store
 from tests.support.small_scans import sample_scan
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture
 def data(tmp_path):

@@ -22,6 +22,8 @@ from core.scans.drive import MemoryDrive
 from core.scans.scan import Scan
 from tests.support.recording import kitti, recording
 
+pytestmark = pytest.mark.slow
+
 VOID = {"meta", "link", "br", "img", "hr", "input"}
 MADE = {"made": "2026-01-01", "version": "1"}
 NASTY = 'a<script>alert("x")</script>&amp;{{ 7 * 7 }}'

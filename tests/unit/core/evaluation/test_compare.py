@@ -20,6 +20,8 @@ from core.scans.pose import Pose
 from core.scans.scan import Scan
 from tests.support.samples import FaultyDrive, RecordedProgress, sample_drive
 
+pytestmark = pytest.mark.slow
+
 
 class Places:
     """Answers that were written down: query timestamp in tenths -> (place, distance, turn)."""

@@ -17,6 +17,8 @@ from core.scans.scan import Scan
 from core.simulation import SimulatedDrive
 from tests.support.samples import SMALL_GRID, FaultyDrive, RecordedProgress, sample_drive
 
+pytestmark = pytest.mark.slow
+
 SMALL = MapParameters(grid=SMALL_GRID, ranks=(3, 3))
 
 

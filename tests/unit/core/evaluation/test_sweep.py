@@ -26,6 +26,8 @@ from core.scans.scan import Scan
 from core.segmentation import cut_fixed
 from tests.support.recording import recording
 
+pytestmark = pytest.mark.slow
+
 GRID = SweepGrid(r1=(2, 3, 5), r2=(2, 4, 5), segment_lengths=(10, 25))
 CONDITIONS = (Condition(), Condition(lateral_m=1.0))
 

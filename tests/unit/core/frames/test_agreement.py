@@ -16,6 +16,8 @@ from core.segmentation import cut_drives
 from core.simulation import SimulatedDrive, SimulatedSensor
 from core.topology import cut_at_meetings
 
+pytestmark = pytest.mark.slow
+
 
 class Stages:
     """Remembers what was told."""

@@ -28,6 +28,8 @@ from core.scans.scan import Scan
 from core.simulation import SimulatedDrive
 from tests.support.samples import sample_harmonic_map, sample_image, sample_map
 
+pytestmark = pytest.mark.slow
+
 HEIGHT_M = 1.73
 SHARES = st.floats(0.0, 1.0)
 

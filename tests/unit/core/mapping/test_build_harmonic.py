@@ -30,6 +30,8 @@ from core.scans.trajectory import Trajectory
 from core.simulation import SimulatedDrive, SimulatedSensor
 from tests.support.samples import sample_harmonic_map, straight_poses
 
+pytestmark = pytest.mark.slow
+
 HARMONIC, PAPER = "harmonic", "paper"
 
 

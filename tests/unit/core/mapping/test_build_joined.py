@@ -24,6 +24,8 @@ from storage.files.map_file import read_map, write_map
 from tests.support.commands import run
 from tests.support.samples import SMALL_GRID, random_images, sample_image, straight_poses
 
+pytestmark = pytest.mark.slow
+
 
 def made(*drives) -> tuple[TensorMap, np.ndarray]:
     """Return a map of drives given by their poses, and its images."""

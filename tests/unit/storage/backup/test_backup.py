@@ -24,6 +24,8 @@ from storage.files.map_file import write_map
 from storage.store import Store
 from tests.support.samples import sample_map
 
+pytestmark = pytest.mark.slow
+
 FACTS = RevisionFacts(encoding="paper", scans=24, segments=3, parameters={})
 
 

@@ -4,6 +4,7 @@ import errno
 import os
 import signal
 import time
+from typing import Any
 
 import pytest
 
@@ -11,6 +12,8 @@ from storage.files.checker import Checker, Limits
 from storage.files.drive_chunks import scan_digest, write_chunk
 from storage.files.stored_file import StoredFile, fault_of
 from tests.support.small_scans import sample_scan
+
+pytestmark = pytest.mark.slow
 
 SCANS = [(index, sample_scan(index)) for index in range(3)]
 CHUNK = "maps/m/drives/d/chunks/c.h5"
@@ -82,8 +85,9 @@ def test_a_reader_that_crashes_or_wants_all_memory_is_a_fault_and_the_next_is_re
 
 
 def test_a_reader_that_hangs_is_a_fault_and_the_next_is_read(path):
+    endless: Any = Endless()
     with Checker(SOON) as checker:
-        fault = checker.fault(path, StoredFile(CHUNK, Endless()))  # type: ignore[arg-type]  # no Mapping ends never
+        fault = checker.fault(path, StoredFile(CHUNK, endless))
         assert fault is not None
         assert "more than 8 s" in fault.what
         assert not fault.certain

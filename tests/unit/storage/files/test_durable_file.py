@@ -18,6 +18,8 @@ from storage.files.image_file import ImageFile, write_image_file
 from storage.files.map_file import read_map, write_map
 from tests.support.samples import SMALL_GRID, FaultyDrive, sample_drive, sample_map
 
+pytestmark = pytest.mark.slow
+
 MAP, _ = sample_map(count=12, segment_length=4, drives=2)
 IMAGERS = [
     Imager(SMALL_GRID, Reducer.LAST),

@@ -30,6 +30,8 @@ from storage.files.drive_chunks import scan_digest
 from storage.store import Store
 from tests.support.small_scans import sample_scan
 
+pytestmark = pytest.mark.slow
+
 
 def files(store):
     return sorted(path.name for path in store.layout.maps.rglob("*") if path.is_file())

@@ -5,9 +5,13 @@ import signal
 from contextlib import suppress
 from multiprocessing import Pipe, get_context
 
+import pytest
+
 from storage.catalog import JobState, RevisionFacts
 from storage.store import Store
 from tests.support.small_scans import sample_scan
+
+pytestmark = pytest.mark.slow
 
 PROCESSES = get_context("forkserver")
 

@@ -21,6 +21,8 @@ from storage.store.verification import Condition, verify
 from tests.support.samples import sample_map
 from tests.support.small_scans import sample_scan
 
+pytestmark = pytest.mark.slow
+
 FACTS = RevisionFacts(encoding="paper", scans=24, segments=3, parameters={})
 
 
