@@ -1,4 +1,4 @@
-"""The check that every route under /v1 begins with."""
+"""What a route under /v1 requires of the caller; the key itself is found in `admission`."""
 
 from typing import Annotated
 
