@@ -287,9 +287,13 @@ def named_files(catalog: Path) -> list[StoredFile]:
     return [*chunks, *revisions]
 
 
-def _slugs(catalog: Path) -> dict[str, str]:
-    with closing(sqlite3.connect(catalog)) as connection:
-        return dict(connection.execute(_SLUGS).fetchall())
+def _slugs(copy: Path) -> dict[str, str]:
+    # Nobody writes into the copy: immutable, it needs no file of shared memory beside it.
+    try:
+        with closing(sqlite3.connect(f"{copy.as_uri()}?immutable=1", uri=True)) as connection:
+            return dict(connection.execute(_SLUGS).fetchall())
+    except (sqlite3.Error, UnicodeDecodeError) as error:
+        raise CorruptFile(f"the copy of the catalog cannot be read: {error}") from error
 
 
 def store_id_of(catalog: Path) -> str:
