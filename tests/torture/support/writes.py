@@ -282,14 +282,23 @@ class Collect(MakeLive):
 
 
 class Backup(Import):
-    """A backup of everything, by command, beside the data."""
+    """A backup of everything, by command, beside the data.
+
+    All attempts back up the same map: with one map more for each, a backup would have more calls
+    than the one before it, and failing each of them in turn would never end.
+    """
+
+    def __init__(self, service: Tortured, client: httpx2.Client, number: int) -> None:
+        super().__init__(service, client, 0)
+        self.folder = service.data_dir.parent / "backups" / str(number)
+        self.file = self.folder / "backup.tar"
 
     def prepare(self) -> None:
-        super().prepare()
-        self.must("POST", f"/v1/maps/{self.map}/revisions", content=self.body, headers=HDF5)
-        self.folder = self.service.data_dir.parent / "backups" / self.map
-        self.folder.mkdir(parents=True, exist_ok=True)
-        self.file = self.folder / "backup.tar"
+        if not self.client.get(f"/v1/maps/{self.map}").is_success:
+            super().prepare()
+            path = f"/v1/maps/{self.map}/revisions"
+            self.must("POST", path, content=self.body, headers=HDF5)
+        self.folder.mkdir(parents=True)
 
     def attempt(self) -> str | None:
         ended = self.service.command("backup", "-o", self.file, **self.variables)
