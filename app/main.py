@@ -38,8 +38,6 @@ from app.tracking.tracks import Tracks
 from storage.catalog import JobRecord
 from storage.store import Store
 
-__all__ = ["create_app"]
-
 _log = logging.getLogger("tensormap")
 
 _DESCRIPTION = """Stores LiDAR topological maps and answers *where am I?* from one scan, or from a

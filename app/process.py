@@ -10,15 +10,6 @@ from pathlib import Path
 
 from threadpoolctl import threadpool_limits
 
-__all__ = [
-    "collect_seldom",
-    "keep_freed_memory",
-    "limited_memory",
-    "most_build_memory_bytes",
-    "one_blas_thread",
-    "private_files",
-]
-
 # Of glibc's malloc.h.
 _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3
 _MEGABYTE = 2**20

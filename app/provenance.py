@@ -9,8 +9,6 @@ from typing import Any
 import numpy as np
 import scipy
 
-__all__ = ["commit", "machine", "provenance"]
-
 _SOURCE = Path(__file__).parents[1]
 
 

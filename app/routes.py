@@ -19,8 +19,6 @@ from app.revisions import routes as revisions
 from app.tracking import routes as tracks
 from app.tracking import stream_routes
 
-__all__ = ["api", "open_routes", "streams"]
-
 
 def api() -> APIRouter:
     """Return every route under /v1, all behind the key; each declares the scope that it needs."""

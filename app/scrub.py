@@ -14,8 +14,6 @@ from storage.files.files import publish
 from storage.store import Store
 from storage.store.inventory import Inventory
 
-__all__ = ["Scrub"]
-
 _DAY_S = 86_400.0
 _LONGEST_WAIT_S = 3600.0  # of a small store: its files are read more often than they must be
 _END_S = 5.0  # that an end waits for the file at hand, which a disk may never give

@@ -20,8 +20,6 @@ from app.tracking.tracks import Tracks
 from storage.names import SLUG_PATTERN
 from storage.store import Store
 
-__all__ = ["DriveSlug", "MapSlug", "Running", "Service", "running_service"]
-
 
 @dataclass(frozen=True)
 class Service:

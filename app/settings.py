@@ -12,8 +12,6 @@ from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
 from app.http.logs import LogFormat
 from storage.retention import LONGEST_DAYS, MOST_REVISIONS, RawScans, Retention
 
-__all__ = ["Settings", "is_loopback", "unknown_variables"]
-
 _ORIGIN = re.compile(r"https?://([a-z0-9.-]+|\[[0-9a-f:.]+\])(:[0-9]{1,5})?")
 
 Count = Annotated[int, Field(ge=1)]

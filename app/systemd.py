@@ -6,8 +6,6 @@ import socket
 from collections.abc import AsyncIterator, Mapping
 from contextlib import asynccontextmanager, suppress
 
-__all__ = ["notify", "supervised"]
-
 
 def notify(message: str, environment: Mapping[str, str] = os.environ) -> None:
     """Send a message of sd_notify(3), as `READY=1`; nobody listening is no fault.

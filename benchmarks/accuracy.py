@@ -23,8 +23,6 @@ from core.scans.drive import Drive
 from core.simulation import SimulatedDrive
 from storage.formats.drives.layouts import open_drive
 
-__all__ = ["commit", "print_table"]
-
 SEEDS = (101, 102, 103)
 
 # As driven, turned, beside, noisy: each by itself.

@@ -17,6 +17,7 @@ from benchmarks.accuracy import commit, print_table
 from benchmarks.maps import localizer_of
 from benchmarks.timing import machine
 from core.arrays import FloatArray, IntArray
+from core.encodings.distance import Distance
 from core.encodings.harmonic.basis import HarmonicBasis
 from core.encodings.signature import Packing, pack_signatures, unpack_signatures
 from core.encodings.tucker import leading_basis, row_gram
@@ -24,8 +25,9 @@ from core.evaluation.condition import Condition, conditions
 from core.evaluation.evaluate import EvaluationProtocol, evaluate
 from core.evaluation.result import Evaluation
 from core.evaluation.split import Every
-from core.localization.localizer import Localizer, Match
-from core.parameters import Distance, MapParameters
+from core.localization.localizer import Localizer
+from core.localization.match import Match
+from core.parameters import MapParameters
 from core.projection.imager import ImageKind
 from core.projection.images import project_drive
 from core.projection.reducer import Reducer

@@ -5,8 +5,6 @@ import numpy as np
 from core.arrays import Float32Array
 from core.scans.sensor import AngularGrid
 
-__all__ = ["GeneratedImages"]
-
 
 class GeneratedImages:
     """`scans` images made when they are read: a street that drifts by, and noise; never kept."""

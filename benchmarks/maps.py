@@ -10,8 +10,6 @@ from core.parameters import MapParameters
 from core.scans.drive import Drive
 from core.segmentation import cut_fixed, segment_length_for
 
-__all__ = ["localizer_of"]
-
 
 def localizer_of(
     drive: Drive,

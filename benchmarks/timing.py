@@ -5,8 +5,6 @@ import statistics
 import time
 from collections.abc import Callable
 
-__all__ = ["machine", "medians_s"]
-
 
 def medians_s(
     ours: Callable[[], object], other: Callable[[], object], runs: int

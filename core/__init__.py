@@ -14,7 +14,8 @@ if TYPE_CHECKING:
     from core.evaluation.condition import Condition
     from core.evaluation.evaluate import EvaluationProtocol, evaluate
     from core.evaluation.result import Evaluation
-    from core.localization.localizer import Localization, Localizer, Match
+    from core.localization.localizer import Localization, Localizer
+    from core.localization.match import Match
     from core.mapping.merge import merge_maps, without_drives
     from core.mapping.pipeline import build_map
     from core.mapping.tensormap import TensorMap
@@ -60,7 +61,8 @@ _MODULE_OF = {
         ("core.evaluation.condition", "Condition"),
         ("core.evaluation.evaluate", "EvaluationProtocol evaluate"),
         ("core.evaluation.result", "Evaluation"),
-        ("core.localization.localizer", "Localization Localizer Match"),
+        ("core.localization.localizer", "Localization Localizer"),
+        ("core.localization.match", "Match"),
         ("core.mapping.merge", "merge_maps without_drives"),
         ("core.mapping.pipeline", "build_map"),
         ("core.mapping.tensormap", "TensorMap"),

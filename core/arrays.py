@@ -5,16 +5,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
-__all__ = [
-    "BoolArray",
-    "Complex64Array",
-    "ComplexArray",
-    "Float32Array",
-    "FloatArray",
-    "IntArray",
-    "frozen",
-]
-
 FloatArray = NDArray[np.float64]
 Float32Array = NDArray[np.float32]
 Complex64Array = NDArray[np.complex64]

@@ -19,26 +19,6 @@ TensorMapError
 └── Cancelled               the caller asked a long computation to stop
 """
 
-__all__ = [
-    "BasisMismatch",
-    "Cancelled",
-    "EmptyDrive",
-    "FramesDisagree",
-    "InvalidImage",
-    "InvalidMap",
-    "InvalidParameters",
-    "InvalidPose",
-    "InvalidScan",
-    "InvalidSignature",
-    "SensorMismatch",
-    "StaleObservation",
-    "StaleSignature",
-    "TensorMapError",
-    "TooFewReturns",
-    "UnknownDrive",
-    "UnknownSegment",
-]
-
 
 class TensorMapError(Exception):
     """Base of every error this product raises on purpose."""

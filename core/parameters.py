@@ -18,8 +18,6 @@ from core.text import flaw_in
 if TYPE_CHECKING:
     from core.encodings.base import Encoding
 
-__all__ = ["HDL_64E_ON_KITTI_HEIGHT_M", "Distance", "MapParameters", "Segmentation"]
-
 HDL_64E_ON_KITTI_HEIGHT_M = 1.73  # KITTI's sensor set-up: above ground
 _LONGEST_SENSOR = 64
 

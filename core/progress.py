@@ -2,8 +2,6 @@
 
 from typing import Protocol
 
-__all__ = ["NO_PROGRESS", "Progress"]
-
 
 class Progress(Protocol):
     """Told of each stage of long work and of every unit done in it.

@@ -8,8 +8,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["content_digest"]
-
 
 def content_digest(arrays: Mapping[str, NDArray[Any]], attributes: Mapping[str, object]) -> str:
     """Return the SHA-256 of named arrays and attributes, 64 hexadecimal digits.

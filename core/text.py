@@ -2,8 +2,6 @@
 
 import re
 
-__all__ = ["LONGEST_NAME", "flaw_in", "shown"]
-
 LONGEST_NAME = 255
 """Of a drive, in characters; as long as a folder's name may be."""
 

@@ -34,39 +34,6 @@ StorageError                 a TensorMapError
 
 from core.errors import TensorMapError
 
-__all__ = [
-    "AmbiguousRevision",
-    "Conflict",
-    "CorruptFile",
-    "CorruptImages",
-    "DataDirInUse",
-    "DriveClosed",
-    "DriveNotFound",
-    "InvalidSlug",
-    "JobNotFound",
-    "JobNotRunning",
-    "KeyNotFound",
-    "MapChanged",
-    "MapExists",
-    "MapNotFound",
-    "NoLiveRevision",
-    "NotFound",
-    "PosesDoNotFit",
-    "RequestKeyReused",
-    "ReturnsGone",
-    "RevisionIsLive",
-    "RevisionNotFound",
-    "ScanConflict",
-    "ScanNotFound",
-    "StorageBusy",
-    "StorageError",
-    "StorageFull",
-    "StorageReadOnly",
-    "StorageUnavailable",
-    "TooManyBuilds",
-    "WrongCatalog",
-]
-
 
 class StorageError(TensorMapError):
     """Base of every error that storage raises on purpose."""

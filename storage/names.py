@@ -5,8 +5,6 @@ import uuid
 
 from storage.errors import InvalidSlug
 
-__all__ = ["SLUG_PATTERN", "checked_slug", "new_id"]
-
 SLUG_PATTERN = r"^[a-z0-9][a-z0-9._-]{0,63}$"
 _SLUG = re.compile(r"[a-z0-9][a-z0-9._-]{0,63}")
 

@@ -9,16 +9,6 @@ from typing import Any, Literal
 
 from core.errors import InvalidParameters
 
-__all__ = [
-    "LONGEST_DAYS",
-    "MOST_REVISIONS",
-    "OwnRetention",
-    "RawScans",
-    "Retention",
-    "Standing",
-    "to_collect",
-]
-
 MOST_REVISIONS = 1_000_000
 LONGEST_DAYS = 36_525.0
 

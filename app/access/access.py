@@ -18,8 +18,6 @@ from app.settings import Settings, is_loopback
 from storage.catalog import KeyRecord, TokenRecord
 from storage.store import Store
 
-__all__ = ["Access", "make_first_key", "open_access", "sent_hash"]
-
 _DAY_S = 86_400
 _MOMENT = "%Y-%m-%dT%H:%M:%SZ"
 

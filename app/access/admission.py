@@ -11,8 +11,6 @@ from app.access.access import Access
 from app.http.problems import problem_response
 from core.errors import TensorMapError
 
-__all__ = ["Admission"]
-
 _BEHIND_THE_KEY = ("/v1", "/metrics")
 
 _log = logging.getLogger("tensormap.access")

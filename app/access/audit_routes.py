@@ -13,8 +13,6 @@ from app.http.pooled_route import pooled_router
 from app.http.problems import problems
 from app.service import Running
 
-__all__ = ["router"]
-
 router = pooled_router(tags=["access"])
 
 AfterEntry = Annotated[

@@ -7,8 +7,6 @@ from pydantic import Field
 from app.http.shown import Shown
 from storage.catalog import AuditRecord
 
-__all__ = ["AuditEntryOut"]
-
 
 class AuditEntryOut(Shown):
     """A change that was asked for, and what came of it."""

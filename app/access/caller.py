@@ -8,8 +8,6 @@ from app.access.scopes import Scope
 from app.http.errors import ScopeMissing
 from storage.errors import MapNotFound
 
-__all__ = ["EVERYONE_ID", "OPERATOR_ID", "Caller", "everyone_here", "the_operator"]
-
 EVERYONE_ID = "everyone"
 OPERATOR_ID = "operator"
 

@@ -12,8 +12,6 @@ from app.access.trail import sign
 from app.http.context import context_of
 from app.http.errors import KeyNeeded
 
-__all__ = ["Asking", "require_access", "stream_caller"]
-
 
 async def require_access(
     request: Request,

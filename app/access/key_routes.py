@@ -19,8 +19,6 @@ from core.errors import InvalidParameters
 from storage.errors import InvalidSlug, KeyNotFound
 from storage.names import checked_slug
 
-__all__ = ["router"]
-
 router = pooled_router(prefix="/keys", tags=["access"])
 
 KeyId = Annotated[str, Path(alias="key", description="The key's id.")]

@@ -9,8 +9,6 @@ from app.http.exact_types import Moment, Name, SlugText, each_once
 from app.http.shown import Shown
 from storage.catalog import KeyRecord
 
-__all__ = ["KeyIn", "KeyMade", "KeyOut"]
-
 _MOST_MAPS = 1000
 
 

@@ -9,8 +9,6 @@ from dataclasses import dataclass
 
 from app.http.errors import TooManyRequests
 
-__all__ = ["BYTES", "NO_LIMITS", "REQUESTS", "Allowance", "RateLimits", "Unit"]
-
 # The one used longest ago goes first; should its owner come back, it is full, as it mostly was.
 _MOST_BUCKETS = 10_000
 

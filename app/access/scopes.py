@@ -7,8 +7,6 @@ from fastapi import Depends, Security
 from fastapi.params import Security as SecurityDependency
 from fastapi.security import HTTPAuthorizationCredentials, HTTPBearer
 
-__all__ = ["ANY_SCOPE", "Scope", "bearer_scheme", "needed_by", "needs"]
-
 bearer_scheme = HTTPBearer(
     auto_error=False,
     description="A key of this service, or a token that was exchanged for one.",

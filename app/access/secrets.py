@@ -5,17 +5,6 @@ import re
 import secrets
 from dataclasses import dataclass
 
-__all__ = [
-    "KEY_PREFIX",
-    "TOKEN_PREFIX",
-    "Secret",
-    "hidden",
-    "is_token",
-    "is_well_formed",
-    "new_secret",
-    "secret_hash",
-]
-
 KEY_PREFIX = "tm"
 TOKEN_PREFIX = "tmt"  # noqa: S105 - it is no secret
 _ID_BYTES = 8

@@ -20,8 +20,6 @@ from core.errors import InvalidParameters
 from storage.errors import InvalidSlug
 from storage.names import checked_slug
 
-__all__ = ["router"]
-
 router = pooled_router(tags=["access"])
 
 

@@ -8,8 +8,6 @@ from app.access.scopes import Scope
 from app.http.exact_types import SlugText, each_once, integers
 from app.http.shown import Shown
 
-__all__ = ["TokenIn", "TokenMade"]
-
 _LONGEST_S = 3600
 
 

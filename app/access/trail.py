@@ -20,8 +20,6 @@ from storage.errors import InvalidSlug
 from storage.names import checked_slug
 from storage.store import Store
 
-__all__ = ["AuditTrail", "note", "sign"]
-
 _log = logging.getLogger("tensormap.audit")
 _SAFE = frozenset({"GET", "HEAD", "OPTIONS"})
 _ERROR = 400

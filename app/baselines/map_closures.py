@@ -22,8 +22,6 @@ from core.progress import NO_PROGRESS, Progress
 from core.scans.drive import Drive
 from core.scans.scan import Scan
 
-__all__ = ["MapClosures", "is_installed"]
-
 _QUERY_ID = 1_000_000  # queries enter the detector's database too: their ids begin here
 
 

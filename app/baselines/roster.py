@@ -13,8 +13,6 @@ from core.evaluation.methods import MappedPlaces, Method
 from core.parameters import MapParameters
 from core.scans.sensor import sensor_named
 
-__all__ = ["METHODS", "default_methods", "methods_named"]
-
 METHODS = (
     *encoding_names(),
     "scan-context",

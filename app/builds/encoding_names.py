@@ -8,8 +8,6 @@ from pydantic_core import CoreSchema, PydanticKnownError, core_schema
 
 from core.encodings.registry import encoding_names
 
-__all__ = ["EncodingName"]
-
 
 class _Registered:
     """Makes `str` a choice as an enum is, also in OpenAPI, but one that registering extends."""

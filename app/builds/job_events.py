@@ -15,8 +15,6 @@ from app.http.errors import HostNotAllowed, KeyNeeded, KeyRefused
 from storage.catalog import JobRecord
 from storage.store import Store
 
-__all__ = ["JobEvents", "event_id"]
-
 _LOOK_EVERY_S = 0.25
 _ALIVE_EVERY_S = 15.0  # proxies close what is silent for longer
 

@@ -23,8 +23,6 @@ from core.errors import InvalidParameters
 from storage.catalog import JobRecord
 from storage.errors import JobNotFound, MapNotFound
 
-__all__ = ["job_of", "router"]
-
 router = pooled_router(tags=["builds"])
 
 _EVENTS = "text/event-stream"

@@ -11,8 +11,6 @@ from app.http.shown import Shown
 from app.revisions.comparison import NoRecall
 from storage.catalog import JobRecord, JobState
 
-__all__ = ["JobOut"]
-
 
 class JobErrorOut(BaseModel):
     """Why a job failed."""

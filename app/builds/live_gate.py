@@ -12,8 +12,6 @@ from storage.errors import CorruptFile, RevisionNotFound
 from storage.files.map_file import read_map
 from storage.store import Store
 
-__all__ = ["Gate", "pass_gate"]
-
 
 @dataclass(frozen=True)
 class Gate:

@@ -9,15 +9,14 @@ from pydantic_core import to_jsonable_python
 
 from app.builds.encoding_names import EncodingName
 from app.http.exact_types import Flag, Number, integers
+from core.encodings.distance import Distance
 from core.encodings.registry import DEFAULT_ENCODING
 from core.errors import InvalidParameters
-from core.parameters import Distance, MapParameters, Segmentation
+from core.parameters import MapParameters, Segmentation
 from core.projection.imager import LATERAL_RENDERINGS_M, ImageKind
 from core.projection.reducer import Reducer
 from core.scans.sensor import HDL_64E, SENSORS
 from core.segmentation import PAPER_SEGMENT_LENGTH
-
-__all__ = ["BuildParameters", "PoseCheck", "as_built"]
 
 _MOST = 2**31 - 1  # scans
 _OF_MAP = (

@@ -31,8 +31,6 @@ _log = logging.getLogger("tensormap.builds")
 
 _ATTEMPTS = 20  # each lost race is another revision that became live
 
-__all__ = ["Built", "build_drives", "build_revision"]
-
 
 @dataclass(frozen=True, eq=False)
 class Built(Build):

@@ -14,8 +14,6 @@ from storage.errors import CorruptFile, DriveNotFound, NoLiveRevision
 from storage.files.map_file import read_parameters
 from storage.store import Store
 
-__all__ = ["Plan", "plan_build", "unreadable_basis"]
-
 
 class Plan(BaseModel):
     """A build with all that was left open chosen when it was queued."""

@@ -21,8 +21,6 @@ from core.errors import EmptyDrive, InvalidParameters, UnknownDrive
 from storage import errors as stored
 from storage.catalog import RequestKey
 
-__all__ = ["router"]
-
 router = pooled_router(tags=["builds"])
 
 IdempotencyKey = Annotated[

@@ -21,8 +21,6 @@ from storage.errors import JobNotFound, JobNotRunning
 from storage.files.forking import forkserver
 from storage.store import Store
 
-__all__ = ["JobRunner"]
-
 _POLL_S = 0.2
 _CANCEL_GRACE_S = 0.8  # a worker looks for a cancel every 0.2 s, unless it is deep in one scan
 _KILL_S = 10.0  # that a killed process takes at most, unless the disk that it waits for hangs

@@ -19,8 +19,6 @@ from storage.catalog import JobRecord
 from storage.errors import JobNotFound
 from storage.store import Store
 
-__all__ = ["IMPORTED_LATE", "run_build"]
-
 IMPORTED_LATE = ("scipy.optimize", "sqlalchemy.dialects.sqlite")
 """Modules that every build needs, imported when they are used: not everybody who uses us does."""
 

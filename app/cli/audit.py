@@ -13,8 +13,6 @@ from storage.errors import StorageUnavailable
 from storage.store import Store
 from storage.store.layout import Layout
 
-__all__ = ["audit"]
-
 audit = typer.Typer(
     name="audit", help="Check the log of changes.", no_args_is_help=True, add_completion=False
 )

@@ -13,8 +13,6 @@ from core.errors import InvalidParameters
 from storage.backup.backup import Backup, write_backup
 from storage.backup.restore import Restored, restore_backup
 
-__all__ = ["backup", "restore"]
-
 _ELSEWHERE = (
     "TENSORMAP_CATALOG_URL is set: the catalog is not in the data directory. Dump it with the"
     " database's own tool (pg_dump), then copy the folder: docs/how-to/deploy.md"

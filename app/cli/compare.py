@@ -42,8 +42,6 @@ from core.evaluation.pairing import RECENT_SCANS, HeldOut, LoopClosing, Pairing,
 from core.scans.sensor import HDL_64E
 from core.segmentation import segment_length_for
 
-__all__ = ["compare"]
-
 
 def compare(
     drive: DriveArgument,

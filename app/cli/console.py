@@ -15,8 +15,6 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
-__all__ = ["BarProgress", "figure", "output", "progress_bar", "say"]
-
 _FILE_COLUMNS = 160  # a file or pipe has no width; Rich's 80 would cut figures off
 
 

@@ -16,8 +16,6 @@ from core.scans.drive import Drive
 from core.simulation import SimulatedDrive
 from storage.formats.drives.layouts import open_drive
 
-__all__ = ["demo"]
-
 _BAR = 0.9  # of recall@1 within 3 m
 _MAP = "demo"
 

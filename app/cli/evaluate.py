@@ -48,8 +48,6 @@ from core.evaluation.result import Evaluation
 from core.parameters import MapParameters, Segmentation
 from core.scans.sensor import HDL_64E
 
-__all__ = ["evaluate"]
-
 
 def evaluate(
     drive: DriveArgument,

@@ -17,24 +17,6 @@ from core.scans.drive import Drive
 from storage.files.files import publish
 from storage.formats.drives.layouts import open_drive
 
-__all__ = [
-    "PROTOCOL",
-    "JsonOption",
-    "LateralOption",
-    "NoiseOption",
-    "SeedOption",
-    "SplitOption",
-    "ToleranceOption",
-    "YawOption",
-    "figure",
-    "opened",
-    "show",
-    "show_conditions",
-    "show_table",
-    "split_of",
-    "write_figures",
-]
-
 PROTOCOL = "Protocol"
 
 _CONDITION = (

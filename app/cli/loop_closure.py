@@ -17,8 +17,6 @@ from core.scans.drive import Drive
 from core.scans.scan import Scan
 from storage.formats.drives.layouts import open_drive
 
-__all__ = ["loop_closure"]
-
 
 def loop_closure(
     drive: DriveArgument,

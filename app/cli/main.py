@@ -13,8 +13,6 @@ from app.demo.errors import DemoFailed
 from app.process import keep_freed_memory, one_blas_thread
 from core.errors import TensorMapError
 
-__all__ = ["cli", "imported", "main"]
-
 _MODULES = {
     "serve": "serve",
     "backup": "backup",

@@ -32,8 +32,6 @@ from storage.formats.drives.layouts import open_drive
 from storage.formats.errors import UnknownFormat
 from storage.formats.scans.registry import media_type_of, read_scan_file
 
-__all__ = ["build", "inspect", "localize", "signature"]
-
 _hint: Any = partial(typer.Option, rich_help_panel="Hints")
 _FACTS = ("revision", "basis", "encoding", "sensor", "reducer", "ranks", "drives")
 

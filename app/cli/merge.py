@@ -14,8 +14,6 @@ from core.mapping.merge import merge_maps, without_drives
 from storage.files.files import publish
 from storage.files.map_file import read_map, write_map
 
-__all__ = ["merge"]
-
 
 def merge(
     map_files: Annotated[list[Path], typer.Argument(help="Map files.", metavar="MAP.h5...")],

@@ -8,36 +8,13 @@ from typing import Annotated, Any
 import typer
 
 from app.builds.parameters import PoseCheck
+from core.encodings.distance import Distance
 from core.encodings.registry import encoding_names
-from core.parameters import Distance, Segmentation
+from core.parameters import Segmentation
 from core.projection.imager import ImageKind
 from core.projection.reducer import Reducer
 from core.scans.sensor import SENSORS
 from storage.formats.scans.registry import FORMAT_NAMES
-
-__all__ = [
-    "MIN_RETURNS",
-    "DistanceOption",
-    "DriveArgument",
-    "DrivesArgument",
-    "EncodingOption",
-    "FormatOption",
-    "ImageOption",
-    "LateralRenderingsOption",
-    "MapArgument",
-    "PosesOption",
-    "RanksOption",
-    "ReducerOption",
-    "SegmentLengthOption",
-    "SegmentationOption",
-    "SegmentsOption",
-    "SensorHeightOption",
-    "SensorOption",
-    "checked",
-    "numbers",
-    "ranks",
-    "require_folder",
-]
 
 MIN_RETURNS = 100
 """A scan file with fewer finite, non-zero returns is refused; the service's default too."""

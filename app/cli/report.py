@@ -25,8 +25,6 @@ from core.parameters import MapParameters
 from core.scans.sensor import HDL_64E
 from storage.files.files import publish
 
-__all__ = ["report"]
-
 _PANEL = "What is tried"
 _NEEDED = ("matplotlib", "jinja2")
 

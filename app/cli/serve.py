@@ -14,8 +14,6 @@ from pydantic import ValidationError
 from app.settings import Settings, unknown_variables
 from core.errors import InvalidParameters
 
-__all__ = ["serve"]
-
 _log = logging.getLogger("tensormap")
 
 _GRACE_S = 10  # for answers that are under way when the service is asked to stop

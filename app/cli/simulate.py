@@ -9,8 +9,6 @@ from app.cli.console import progress_bar, say
 from core.simulation import SimulatedDrive
 from storage.formats.drives.kitti_drive import write_kitti_drive
 
-__all__ = ["simulate"]
-
 
 def simulate(
     folder: Annotated[

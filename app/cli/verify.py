@@ -16,8 +16,6 @@ from storage.store.layout import Layout
 from storage.store.verification import Finding
 from storage.store.verification import verify as verify_store
 
-__all__ = ["verify"]
-
 
 def verify(
     data: Annotated[

@@ -15,8 +15,6 @@ from app.revisions.topology_schemas import TopologyOut
 from core.scans.scan import Scan
 from storage.catalog import JobState
 
-__all__ = ["Client"]
-
 _KITTI = "application/vnd.tensormap.kitti"
 _SIGNATURE = "application/vnd.tensormap.signature"
 _POLL_S = 0.1

@@ -4,8 +4,6 @@ from dataclasses import dataclass
 
 from core.encodings.compression import Compression
 
-__all__ = ["MAX_SCANS", "RECALL_M", "Fixes", "Outcome"]
-
 MAX_SCANS = 300
 RECALL_M = 3.0
 

@@ -31,8 +31,6 @@ from core.segmentation import cut_fixed, segment_length_for
 from storage.catalog import JobState
 from storage.formats.scans.kitti import kitti_body
 
-__all__ = ["hold_out", "run_demo"]
-
 _DRIVE = "recorded"
 # Longer segments are recalled better (paper, sec. 3.2): two are the fewest that can be mistaken.
 _SEGMENTS = 2

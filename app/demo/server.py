@@ -14,8 +14,6 @@ import httpx2
 
 from app.demo.errors import DemoFailed
 
-__all__ = ["free_port", "running_server"]
-
 _START_S = 60.0  # a cold disk reads SciPy slowly
 _STOP_S = 15.0
 

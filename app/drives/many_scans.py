@@ -22,8 +22,6 @@ from storage.formats.errors import ScanTooLarge, UnknownFormat
 from storage.formats.scans.registry import read_scan, suffix_of
 from storage.store import Store
 
-__all__ = ["ScanUpload", "SetAside", "Upload"]
-
 _NAME = re.compile(r"(\d{1,16})\.\w+(\.\w+)?", re.ASCII)
 _PLAIN = ".bin"
 _LAST_INDEX = 2**53

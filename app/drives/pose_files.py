@@ -13,8 +13,6 @@ from core.scans.pose import UNKNOWN_POSE, Pose, first_invalid, is_known, rows_fr
 from storage.catalog import ScanPoses
 from storage.formats.scans.text_numbers import blocks_of_lines, number_rows
 
-__all__ = ["CSV", "KITTI", "MOST_LINES", "POSE_TYPES", "TUM", "read_poses"]
-
 KITTI = "application/vnd.tensormap.poses.kitti"
 TUM = "application/vnd.tensormap.poses.tum"
 CSV = "application/vnd.tensormap.poses.csv"

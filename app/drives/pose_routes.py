@@ -17,8 +17,6 @@ from app.service import DriveSlug, MapSlug, Running
 from core.errors import InvalidPose
 from storage import errors as stored
 
-__all__ = ["router"]
-
 router = pooled_router(tags=["drives"])
 
 _JSON = "application/json"

@@ -12,8 +12,6 @@ from app.http.shown import Shown
 from core.errors import InvalidPose
 from core.scans.pose import Pose
 
-__all__ = ["PoseOut", "PoseQuery", "PosesIn", "pose_from_query"]
-
 _ORDER = "x,y,z,qx,qy,qz,qw: metres and a unit quaternion, sensor to world"
 
 PoseQuery = Annotated[

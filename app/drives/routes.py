@@ -21,8 +21,6 @@ from storage import errors as stored
 from storage.formats import errors as formats
 from storage.formats.scans.registry import read_scan
 
-__all__ = ["BAD_SCAN", "TimestampQuery", "router"]
-
 router = pooled_router(tags=["drives"])
 
 BAD_SCAN = (

@@ -9,8 +9,6 @@ from pydantic import BaseModel, ConfigDict, Field
 from app.http.shown import Shown
 from storage.catalog import DriveRecord, PosesPut, ScanRecord
 
-__all__ = ["DriveOut", "DrivePatch", "DriveWithPosesOut", "ScanOut"]
-
 
 class IndexRangeOut(Shown):
     """Scan indices `first` to `last`, both included."""

@@ -16,8 +16,6 @@ from storage.files.image_file import (
 )
 from storage.store import Store, StoredDrive
 
-__all__ = ["images_path", "open_images", "require_images"]
-
 _log = logging.getLogger("tensormap.builds")
 
 

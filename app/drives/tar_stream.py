@@ -15,8 +15,6 @@ import numpy as np
 
 from app.http.errors import MalformedUpload
 
-__all__ = ["TarFeed", "TarMember"]
-
 T = TypeVar("T")
 
 _BLOCK = 512

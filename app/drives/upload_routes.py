@@ -24,8 +24,6 @@ from storage.errors import DriveNotFound, InvalidSlug, MapNotFound
 from storage.formats.errors import UnknownFormat
 from storage.formats.scans.registry import FORMAT_NAMES, media_type_of
 
-__all__ = ["router"]
-
 router = pooled_router(tags=["drives"])
 
 _TAR = "application/x-tar"

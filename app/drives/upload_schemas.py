@@ -9,8 +9,6 @@ from app.drives.schemas import IndexRangeOut
 from app.http.shown import Shown
 from storage.catalog import DriveRecord
 
-__all__ = ["PresentOut", "UploadOut"]
-
 
 class PresentOut(Shown):
     """Which scans of a drive are in, so that an upload can go on where it was cut."""

@@ -5,8 +5,6 @@ from starlette.types import Message
 
 from app.http.context import HEADER, RequestContext
 
-__all__ = ["complete_head"]
-
 _FOR_BROWSERS = {
     # What was uploaded is never taken for a page or a script.
     "X-Content-Type-Options": "nosniff",

@@ -8,8 +8,6 @@ from contextvars import ContextVar
 from starlette.requests import ClientDisconnect
 from starlette.types import Receive
 
-__all__ = ["Client", "require_client"]
-
 
 class Client:
     """The client of one request; a thread that works for it asks `require_client` now and then."""

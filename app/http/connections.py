@@ -26,15 +26,6 @@ if TYPE_CHECKING:
 else:
     UvicornProtocol = object
 
-__all__ = [
-    "BoundedServer",
-    "ConnectionSlots",
-    "bounded",
-    "close_unread",
-    "connection_options",
-    "within_descriptors",
-]
-
 _log = logging.getLogger("tensormap.connections")
 
 _MOST_BY_DEFAULT = 4096  # more take memory (some 20 KB each), not descriptors

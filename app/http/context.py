@@ -14,8 +14,6 @@ if TYPE_CHECKING:  # they import modules that log, and every log line reads the 
     from app.access.rate_limits import Allowance
     from app.http.bodies.incoming import Incoming
 
-__all__ = ["HEADER", "RequestContext", "accepted_id", "context_of", "current_id", "enter_request"]
-
 HEADER = "X-Request-Id"
 
 _KEY = "tensormap"

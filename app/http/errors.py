@@ -8,43 +8,6 @@ from core import errors as core
 from storage import errors as stored
 from storage.formats import errors as formats
 
-__all__ = [
-    "ANY_BODY",
-    "JSON_BODY",
-    "KEY",
-    "NAMED_REVISION",
-    "READING",
-    "REVISION",
-    "STATUS",
-    "WRITING",
-    "AppError",
-    "BodyTooLarge",
-    "BuildOutOfMemory",
-    "BuildStalled",
-    "DigestMismatch",
-    "HostNotAllowed",
-    "InternalError",
-    "InvalidRequest",
-    "KeyNeeded",
-    "KeyRefused",
-    "MalformedBody",
-    "MalformedUpload",
-    "MethodNotAllowed",
-    "NoSuchRoute",
-    "ScopeMissing",
-    "ServiceBusy",
-    "SlowBody",
-    "TooManyConnections",
-    "TooManyRequests",
-    "TooManyStreams",
-    "TooManyStreamsOfKey",
-    "TooManyTracks",
-    "TooManyTracksOfKey",
-    "TrackNotFound",
-    "UnsupportedBody",
-    "WorkerDied",
-]
-
 
 class AppError(core.TensorMapError):
     """Base of the errors that only a service has.

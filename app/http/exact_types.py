@@ -17,8 +17,6 @@ from pydantic_core import PydanticCustomError, PydanticKnownError
 from core.text import flaw_in
 from storage.names import SLUG_PATTERN
 
-__all__ = ["Flag", "Lines", "Moment", "Name", "Number", "SlugText", "each_once", "integers"]
-
 _RFC_3339 = re.compile(
     r"[0-9]{4}-[0-9]{2}-[0-9]{2}[Tt ][0-9]{2}:[0-9]{2}:[0-9]{2}(\.[0-9]+)?"
     r"([Zz]|[+-][0-9]{2}:[0-9]{2})"

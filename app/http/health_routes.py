@@ -13,8 +13,6 @@ from app.http.problems import problem_name, problems
 from app.service import Running
 from core.errors import TensorMapError
 
-__all__ = ["router"]
-
 router = pooled_router(tags=["health"])
 
 ProblemName = Annotated[str, Path(description="The last part of its type.")]

@@ -16,8 +16,6 @@ from typing import Any, TextIO
 from app.access.secrets import hidden
 from app.http.context import current_id
 
-__all__ = ["LogFormat", "configure_logging", "fields"]
-
 _FIELDS = "tensormap_fields"
 _CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029]")
 # What is said of each stream besides our own line: one repeats its query, and another takes a

@@ -13,8 +13,6 @@ from app.http.logs import fields
 from app.http.metrics import Metrics
 from app.http.problems import internal_error, problem_response
 
-__all__ = ["RequestObserver"]
-
 _MOST_CHARACTERS = 200  # of a path that a log repeats
 _STOPPED = "the service is being stopped: send this again, what was stored of it stays"
 _STARTED_AGAIN_S = 5

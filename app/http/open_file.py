@@ -6,8 +6,6 @@ from typing import Any, BinaryIO
 from starlette.responses import FileResponse
 from starlette.types import Receive, Scope, Send
 
-__all__ = ["OpenFileResponse"]
-
 
 class OpenFileResponse(FileResponse):
     """The content of a file that is open already; takes ranges, as its base does.

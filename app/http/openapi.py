@@ -6,8 +6,6 @@ from fastapi import FastAPI
 from pydantic import BaseModel
 from pydantic.json_schema import models_json_schema
 
-__all__ = ["complete_openapi", "reference"]
-
 _named: set[type[BaseModel]] = set()
 _NOT_OURS = ("HTTPValidationError", "ValidationError")
 

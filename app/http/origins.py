@@ -5,8 +5,6 @@ from collections.abc import Sequence
 from fastapi import FastAPI
 from starlette.middleware.cors import CORSMiddleware
 
-__all__ = ["allow_origins"]
-
 _METHODS = ("DELETE", "GET", "PATCH", "POST", "PUT")
 _ASKED_WITH = (
     "Authorization",

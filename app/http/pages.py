@@ -8,8 +8,6 @@ from pydantic import BaseModel, Field
 
 from storage.catalog import Page
 
-__all__ = ["After", "Limit", "PageOut", "page_out"]
-
 R = TypeVar("R")
 T = TypeVar("T")
 

@@ -20,8 +20,6 @@ from app.http.client import Client
 from app.http.context import context_of
 from app.http.pools import Pools
 
-__all__ = ["PooledRoute", "heavy", "pooled_router", "run_heavy"]
-
 T = TypeVar("T")
 F = TypeVar("F", bound=Callable[..., Any])
 

@@ -13,8 +13,6 @@ from app.http.client import Client
 from app.http.errors import ServiceBusy, TooManyRequests
 from app.settings import Settings
 
-__all__ = ["Pool", "Pools"]
-
 T = TypeVar("T")
 _RETRY_S = 2
 _SMALL_BYTES = 64 * 2**10

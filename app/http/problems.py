@@ -20,17 +20,6 @@ from app.http.context import current_id
 from app.http.openapi import reference
 from core import errors as core
 
-__all__ = [
-    "MEDIA_TYPE",
-    "Problem",
-    "add_handlers",
-    "internal_error",
-    "problem_name",
-    "problem_response",
-    "problem_type",
-    "problems",
-]
-
 MEDIA_TYPE = "application/problem+json"
 
 _METHODS = ("DELETE", "GET", "HEAD", "PATCH", "POST", "PUT")

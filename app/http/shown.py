@@ -4,8 +4,6 @@ from typing import Any, Self
 
 from pydantic import BaseModel, ConfigDict
 
-__all__ = ["Shown"]
-
 
 class Shown(BaseModel):
     """A model whose fields are attributes of what it shows."""

@@ -7,8 +7,6 @@ from contextlib import contextmanager
 
 from app.http.errors import TooManyStreams, TooManyStreamsOfKey
 
-__all__ = ["Streams"]
-
 
 class Streams:
     """Counts the open streams of all keys and of each; safe to share between threads.

@@ -8,8 +8,6 @@ from fastapi import Depends, Query
 from core.errors import InvalidParameters
 from core.localization.priors import HeadingHint, Hints, OdometryHint, PositionHint, ScanOfMap
 
-__all__ = ["HintsIn", "MinProbability", "hints_of"]
-
 _MOST_SEGMENTS = 10_000
 
 MinProbability = Annotated[

@@ -32,16 +32,6 @@ from storage.errors import CorruptFile, MapNotFound, NoLiveRevision
 from storage.formats.errors import EmptyBody
 from storage.formats.scans.registry import read_scan
 
-__all__ = [
-    "IMAGE_TYPE",
-    "SIGNATURE_TYPE",
-    "SIGNATURE_TYPES",
-    "SensorHeight",
-    "read_image",
-    "read_signatures",
-    "router",
-]
-
 router = pooled_router(tags=["localizations"], prefix="/maps/{map}/localizations")
 
 _ANSWERING = (

@@ -25,8 +25,6 @@ from core.encodings.signature import Signature
 from core.localization.localizer import Localization
 from core.localization.match import Match
 
-__all__ = ["SIGNATURE_TAGS", "LocalizationOut", "NearestCount", "SignaturesIn"]
-
 _OTHER = "other"
 SIGNATURE_TAGS = {"paper", "harmonic", _OTHER}
 """Forms of a signature; pydantic's errors name them between an item and its fields."""

@@ -10,8 +10,6 @@ from core.scans.scan import Scan
 from storage.errors import ScanNotFound
 from storage.store import Store
 
-__all__ = ["judge_closures"]
-
 
 def judge_closures(
     store: Store, revisions: LoadedRevisions, map_slug: str, wanted: LoopClosuresIn

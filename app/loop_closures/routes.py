@@ -11,8 +11,6 @@ from app.service import MapSlug, Running
 from core.errors import InvalidScan, InvalidSignature, StaleSignature, UnknownSegment
 from storage import errors as stored
 
-__all__ = ["router"]
-
 router = pooled_router(tags=["loop closures"])
 
 

@@ -9,8 +9,6 @@ from app.http.shown import Shown
 from app.localization.schemas import SignaturesIn
 from core.loop_closure.closure import ACCEPT_FROM, LoopClosure, Verdict
 
-__all__ = ["LoopClosureOut", "LoopClosuresIn", "LoopClosuresOut", "StoredScanIn"]
-
 _MOST = 100  # proposals; a pair of scans takes about a tenth of a second
 
 

@@ -18,8 +18,6 @@ from storage.files.map_file import read_map
 from storage.retention import RawScans
 from storage.store import Store, StoredDrive
 
-__all__ = ["GarbageCollector"]
-
 _EVERY_S = 3600.0  # what is kept by its age grows older by itself
 
 _log = logging.getLogger("tensormap.collector")

@@ -7,14 +7,6 @@ from pydantic import BaseModel, ConfigDict, Field
 from app.http.shown import Shown
 from storage.retention import LONGEST_DAYS, MOST_REVISIONS, RawScans
 
-__all__ = [
-    "OwnRetentionOut",
-    "RetainedForDays",
-    "RetainedRevisions",
-    "RetentionOut",
-    "RetentionPatch",
-]
-
 RetainedRevisions = Annotated[int, Field(ge=0, le=MOST_REVISIONS)] | Literal["all"]
 RetainedForDays = Annotated[float, Field(ge=0, le=LONGEST_DAYS, allow_inf_nan=False)]
 

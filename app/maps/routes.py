@@ -18,8 +18,6 @@ from app.service import MapSlug, Running, Service
 from storage.catalog import MapRecord
 from storage.errors import InvalidSlug, MapChanged, MapExists, MapNotFound
 
-__all__ = ["IfMatch", "router", "shown_map", "version_seen"]
-
 router = pooled_router(tags=["maps"])
 
 _ETAG = re.compile(r'\s*(?:\*|(?:W/)?"([0-9]{1,18})")\s*')

@@ -10,8 +10,6 @@ from app.maps.retention_schemas import OwnRetentionOut, RetentionOut, RetentionP
 from storage.catalog import MapRecord
 from storage.retention import Retention
 
-__all__ = ["MapIn", "MapOut", "MapPatch"]
-
 
 class MapIn(BaseModel):
     """A map to be made."""

@@ -14,8 +14,6 @@ from app.report.figure import Figure, Panel, Table, percent, shown
 from core.arrays import BoolArray, FloatArray, IntArray
 from core.evaluation.study import Answers, CurvePoint, EncodingStudy, Study
 
-__all__ = ["answers_figure", "confusion_figure", "curves_figure", "relative_error_figure"]
-
 _MOST_NUMBERED = 12  # segments, beyond which the matrix' cells are too small for numbers
 
 

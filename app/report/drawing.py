@@ -13,8 +13,6 @@ from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure as Canvas
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 
-__all__ = ["ACCENT", "ERROR", "GOOD", "GRID", "INK", "MARKERS", "MUTED", "SERIES", "Drawing"]
-
 # Colours that nobody else uses stand for variables of the page, which has two sets of them.
 _VARIABLES = {
     "#010201": "ink",

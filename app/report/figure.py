@@ -5,8 +5,6 @@ from dataclasses import dataclass
 
 from core.errors import InvalidParameters
 
-__all__ = ["Figure", "Panel", "Table", "percent", "shown"]
-
 
 @dataclass(frozen=True)
 class Panel:

@@ -9,8 +9,6 @@ from core.evaluation.study import Study
 from core.scans.pose import is_known
 from core.segmentation import cut_fixed
 
-__all__ = ["nodes_figure"]
-
 
 def nodes_figure(study: Study) -> Figure:
     """Nodes on the trajectory, for every k that was tried and every map that is shown."""

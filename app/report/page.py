@@ -18,8 +18,6 @@ from core.evaluation.advisor import Decision
 from core.evaluation.study import EncodingStudy, Study
 from core.progress import NO_PROGRESS, Progress
 
-__all__ = ["DECISIONS", "render_report"]
-
 DECISIONS = {
     Decision.DECIDED: "Recommended",
     Decision.SIZE_ONLY: "Smallest of equals: the evidence does not decide",

@@ -5,8 +5,6 @@ from datetime import UTC, datetime
 
 from app import provenance as made
 
-__all__ = ["provenance"]
-
 
 def provenance() -> dict[str, str]:
     """Return what figures depend on besides the drive and the configuration."""

@@ -9,8 +9,6 @@ from app.report.figure import Figure, Panel, Table, percent, shown
 from core.evaluation.study import EncodingStudy
 from core.evaluation.sweep import Sweep, SweepPoint
 
-__all__ = ["accuracy_figure", "size_figure", "trade_off_figure"]
-
 _PAPER_RANKS = (5, 10, 15, 25)  # what fig. 4 holds fixed
 _AXES = ("r1", "r2")
 _Quantity = Callable[[SweepPoint], float]

@@ -21,16 +21,6 @@ from storage.errors import CorruptImages, DriveNotFound
 from storage.files.image_file import ImageFile
 from storage.store import Store, StoredDrive
 
-__all__ = [
-    "MOST_ASKED",
-    "Comparison",
-    "NoRecall",
-    "Recall",
-    "Side",
-    "compare_revisions",
-    "measure_recall",
-]
-
 MOST_ASKED = 200
 """How many scans are asked at most, evenly spread: some seconds on maps of thousands of scans."""
 _ASKED_AT_ONCE = 10  # then it is seen whether anyone still waits for the answer

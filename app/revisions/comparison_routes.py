@@ -16,8 +16,6 @@ from app.service import MapSlug, Running, Service
 from core.mapping.tensormap import TensorMap
 from storage.catalog import RevisionRecord
 
-__all__ = ["router"]
-
 router = pooled_router(tags=["revisions"])
 
 Other = Annotated[

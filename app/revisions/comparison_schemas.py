@@ -9,8 +9,6 @@ from app.http.shown import Shown
 from app.revisions.comparison import Comparison, NoRecall, Recall, Side
 from core.evaluation.self_recall import CRITERION
 
-__all__ = ["ComparisonOut"]
-
 
 class ComparedOut(Shown):
     """A revision in numbers."""

@@ -8,8 +8,6 @@ from storage.errors import CorruptFile, RevisionNotFound
 from storage.files.map_file import map_of_bytes, write_map
 from storage.store import Store
 
-__all__ = ["import_revision"]
-
 
 def import_revision(
     store: Store, map_slug: str, body: bytes, *, make_live: bool

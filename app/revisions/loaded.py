@@ -20,8 +20,6 @@ from storage.errors import (
 from storage.files.map_file import read_revision
 from storage.store import Store
 
-__all__ = ["Answering", "LoadedRevisions"]
-
 _ATTEMPTS = 20
 
 

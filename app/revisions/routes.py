@@ -28,8 +28,6 @@ from core.errors import InvalidMap, InvalidParameters, UnknownSegment
 from storage import errors as stored
 from storage.formats.errors import EmptyBody
 
-__all__ = ["router"]
-
 router = pooled_router(tags=["revisions"])
 
 RevisionId = Annotated[

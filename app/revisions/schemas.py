@@ -10,8 +10,6 @@ from core.parameters import MapParameters
 from core.text import shown
 from storage.catalog import RevisionRecord
 
-__all__ = ["BasisOut", "LiveIn", "RevisionOut"]
-
 
 class RevisionOut(BaseModel):
     """One immutable build of a map."""

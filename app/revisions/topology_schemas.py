@@ -8,8 +8,6 @@ from app.drives.pose_schemas import PoseOut
 from core.mapping.tensormap import TensorMap
 from core.scans.pose import Pose
 
-__all__ = ["EdgeOut", "TopologyOut"]
-
 
 class NodeOut(BaseModel):
     """A node of the graph: where segments end, drives turn or meet."""

@@ -32,8 +32,6 @@ from storage import errors as stored
 from storage.formats.errors import EmptyBody
 from storage.formats.scans.registry import read_scan
 
-__all__ = ["TrackId", "router", "track_of"]
-
 router = pooled_router(tags=["tracks"], prefix="/maps/{map}/tracks")
 
 TrackId = Annotated[str, Path(alias="track", description="The track's name.")]

@@ -12,8 +12,6 @@ from app.tracking.tracks import LiveTrack
 from core.tracking.step import Direction, Doubt, TrackStep
 from core.tracking.track import Observation
 
-__all__ = ["ObservationIn", "TrackOut", "TrackStepOut"]
-
 
 class ObservationIn(SignaturesIn):
     """One scan's signatures and, if the vehicle knows, when it was and how far it came."""

@@ -24,8 +24,6 @@ from core.errors import TensorMapError
 from core.tracking.track import Observation
 from storage.errors import MapNotFound
 
-__all__ = ["router"]
-
 router = APIRouter(tags=["tracks"])
 
 _ENDING = (

@@ -17,8 +17,6 @@ from core.localization.localizer import Localizer
 from core.tracking.step import TrackStep
 from core.tracking.track import Observation, Track, Tracker
 
-__all__ = ["LiveTrack", "Tracks"]
-
 _ID_BYTES = 12
 
 

@@ -13,8 +13,6 @@ from core.arrays import FloatArray
 from core.confidence.spread import Spread
 from core.errors import InvalidMap, InvalidParameters
 
-__all__ = ["MIN_PROBABILITY", "Calibration"]
-
 MIN_PROBABILITY = 0.5
 """An answer that is more likely wrong than right is none."""
 

@@ -6,8 +6,6 @@ from scipy.special import expit
 from core.arrays import BoolArray, FloatArray
 from core.errors import InvalidParameters
 
-__all__ = ["fit_logistic"]
-
 _RIDGE = 1.0  # of slopes in standard deviations of their feature, against one sample's loss
 
 

@@ -6,8 +6,6 @@ from core.arrays import BoolArray, FloatArray, IntArray
 from core.scans.pose import heading_deg
 from core.scans.trajectory import Trajectory
 
-__all__ = ["AWAY_M", "AWAY_SCANS", "CLOSE_SCANS", "away_from", "close_along_m"]
-
 AWAY_M = 10.0
 """A runner-up stands at least this far from the winner: nearer ones only confirm it."""
 AWAY_SCANS = 50

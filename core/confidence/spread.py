@@ -10,8 +10,6 @@ import numpy as np
 from core.arrays import FloatArray
 from core.errors import InvalidMap, InvalidParameters
 
-__all__ = ["Deviation", "Spread", "along_spread_m", "fit_variance"]
-
 # Deviations and their squares stay finite: a distance over the least typical one is below 1e110.
 _LEAST_TYPICAL, _LARGEST = 1e-30, 1e12
 _LEAST_RELATIVE = 1e-3  # of the errors' root mean square: no standard deviation is 0

@@ -6,8 +6,6 @@ from enum import StrEnum
 from core.confidence.calibration import Calibration
 from core.errors import InvalidParameters
 
-__all__ = ["Refusal", "Verdict", "judge"]
-
 
 class Refusal(StrEnum):
     """Why a query was not localized."""

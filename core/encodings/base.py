@@ -23,8 +23,6 @@ from core.scans.trajectory import Trajectory
 if TYPE_CHECKING:
     from core.parameters import MapParameters
 
-__all__ = ["Encoding"]
-
 
 class Encoding(ABC):
     """How images become signatures, and how signatures are searched. It has no state.

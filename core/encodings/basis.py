@@ -17,8 +17,6 @@ from core.scans.scan import Scan
 if TYPE_CHECKING:
     from core.parameters import MapParameters
 
-__all__ = ["Basis", "BasisFit", "make_same_signatures", "signature_parameters"]
-
 _OF_SIGNATURES = (
     "encoding",
     "image",

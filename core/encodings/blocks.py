@@ -7,8 +7,6 @@ from core.errors import InvalidImage
 from core.progress import Progress
 from core.projection.images import ImageSource
 
-__all__ = ["BLOCK_SCANS", "read_blocks"]
-
 BLOCK_SCANS = 32  # 2.8 MB of float64 on the paper's grid: inside a cache, yet long enough for BLAS
 
 

@@ -2,8 +2,6 @@
 
 from dataclasses import dataclass
 
-__all__ = ["Compression"]
-
 
 @dataclass(frozen=True)
 class Compression:

@@ -2,8 +2,6 @@
 
 from enum import StrEnum
 
-__all__ = ["Distance"]
-
 
 class Distance(StrEnum):
     """How far apart two harmonic signatures g and G are, `max` their best correlation.

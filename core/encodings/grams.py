@@ -12,8 +12,6 @@ from core.errors import InvalidImage
 from core.progress import NO_PROGRESS, Progress
 from core.projection.images import ImageSource
 
-__all__ = ["detail_gram", "drive_gram", "fit_radial_basis", "radial_error", "sum_of_grams"]
-
 _DETAIL_DEG = 24.0  # finer than this is detail: J / 15 columns, the waves from harmonic 15 on
 _TIES = 1e-6  # of the whole image's Gram: it decides where an image has no detail
 

@@ -7,8 +7,6 @@ from numpy.typing import NDArray
 
 from core.arrays import ComplexArray, Float32Array, FloatArray
 
-__all__ = ["azimuth_factor", "encode", "energy", "harmonic_elements", "weights"]
-
 
 def azimuth_factor(columns: int, r2: int) -> ComplexArray:
     """Return the first `r2` circular harmonics, f_m(j) = exp(-2 pi i m j / J) / sqrt(J), `(J, r2)`.

@@ -17,16 +17,6 @@ from core.errors import InvalidMap, UnknownSegment
 if TYPE_CHECKING:
     from core.parameters import MapParameters
 
-__all__ = [
-    "DistanceSearch",
-    "Model",
-    "Neighbours",
-    "Search",
-    "Viewpoints",
-    "nearest",
-    "require_sane",
-]
-
 _LARGEST_SIGNATURE = 1e12  # sums of squares stay finite in single precision too
 _LARGEST_OF_BASIS = 1.001  # its columns have length 1
 

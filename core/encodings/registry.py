@@ -11,16 +11,6 @@ from core.projection.reducer import Reducer
 if TYPE_CHECKING:
     from core.encodings.base import Encoding
 
-__all__ = [
-    "DEFAULT_ENCODING",
-    "encoding_named",
-    "encoding_names",
-    "encoding_of_layout",
-    "encoding_with",
-    "register",
-    "unregister",
-]
-
 DEFAULT_ENCODING = "harmonic"
 """Of what is built without naming one: docs/decisions/0010-harmonic-encoding.md."""
 

@@ -12,15 +12,6 @@ from core.arrays import Complex64Array, Float32Array, frozen
 from core.encodings.registry import encoding_named, encoding_of_layout
 from core.errors import InvalidSignature
 
-__all__ = [
-    "HEADER_BYTES",
-    "REVISION_PREFIX_BYTES",
-    "Packing",
-    "Signature",
-    "pack_signatures",
-    "unpack_signatures",
-]
-
 REVISION_PREFIX_BYTES = 8
 """How much of the digest of a basis or revision a packed query carries: 64 bits name one among
 billions."""

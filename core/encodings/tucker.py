@@ -15,15 +15,6 @@ from core.arrays import Float32Array, FloatArray
 from core.encodings.blocks import BLOCK_SCANS
 from core.errors import InvalidParameters
 
-__all__ = [
-    "Grams",
-    "leading_basis",
-    "project",
-    "relative_error",
-    "row_gram",
-    "storage_elements",
-]
-
 
 @dataclass(frozen=True, eq=False)
 class Grams:

@@ -16,8 +16,6 @@ from core.errors import InvalidParameters
 from core.evaluation.plain import Plain
 from core.evaluation.sweep import SweepPoint
 
-__all__ = ["FEWEST_JUDGED", "Advice", "Axis", "Decision", "advise", "standard_error"]
-
 FEWEST_JUDGED = 30
 """With fewer held-out scans one standard error at 90 % is more than 5 points."""
 

@@ -22,8 +22,6 @@ from core.scans.drive import Drive
 from core.scans.pose import heading_deg, is_known
 from core.scans.scan import Scan
 
-__all__ = ["ComparisonProtocol", "compare"]
-
 
 @dataclass(frozen=True)
 class ComparisonProtocol(QueryProtocol):

@@ -6,8 +6,6 @@ from typing import Any
 from core.evaluation.condition import Condition
 from core.evaluation.plain import Plain
 
-__all__ = ["Comparison", "MethodResult", "MethodUnderCondition"]
-
 
 @dataclass(frozen=True)
 class MethodUnderCondition(Plain):

@@ -11,8 +11,6 @@ from core.errors import InvalidParameters
 from core.scans.displacement import pose_beside, seen_from_beside
 from core.scans.scan import Scan
 
-__all__ = ["Condition", "conditions"]
-
 
 @dataclass(frozen=True)
 class Condition:

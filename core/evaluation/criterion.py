@@ -10,8 +10,6 @@ from core.evaluation.metrics import apart_m
 from core.evaluation.motion import is_standing
 from core.scans.pose import is_known
 
-__all__ = ["Criterion", "counted"]
-
 
 @dataclass(frozen=True, eq=False)
 class Criterion:

@@ -31,8 +31,6 @@ from core.scans.scan import Scan
 from core.segmentation import segment_length_for
 from core.tracking.track import Tracker
 
-__all__ = ["EvaluationProtocol", "evaluate"]
-
 
 @dataclass(frozen=True)
 class EvaluationProtocol(QueryProtocol):

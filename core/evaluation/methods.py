@@ -17,8 +17,6 @@ from core.scans.drive import Drive
 from core.scans.scan import Scan
 from core.segmentation import cut_fixed
 
-__all__ = ["Ask", "Enrolled", "EnrolledPlaces", "MappedPlaces", "Method", "Nearest"]
-
 
 @dataclass(frozen=True)
 class Nearest:

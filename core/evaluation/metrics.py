@@ -5,8 +5,6 @@ import numpy as np
 from core.arrays import BoolArray, FloatArray
 from core.scans.angles import wrapped_deg
 
-__all__ = ["apart_m", "heading_error_deg", "median", "rate", "share_within"]
-
 
 def apart_m(found: FloatArray, true: FloatArray) -> FloatArray:
     """Return how far apart pose rows are, `(n,)` metres, NaN where one is unknown."""

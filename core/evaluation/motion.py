@@ -10,8 +10,6 @@ from core.arrays import BoolArray, FloatArray
 from core.scans.angles import wrapped_rad
 from core.scans.pose import is_known
 
-__all__ = ["NOMINAL_PERIOD_S", "STANDING_M", "is_standing", "motion_surrogate"]
-
 _T = TypeVar("_T", bound=np.generic)
 
 NOMINAL_PERIOD_S = 0.1  # the paper's sensor turns at 10 Hz

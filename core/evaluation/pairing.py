@@ -13,8 +13,6 @@ from core.evaluation.split import Interleaved, Split
 from core.scans.drive import Drive
 from core.segmentation import PAPER_SEGMENT_LENGTH, cut_fixed
 
-__all__ = ["RECENT_SCANS", "HeldOut", "LoopClosing", "Paired", "Pairing", "SecondPass"]
-
 RECENT_SCANS = 50
 
 

@@ -6,8 +6,6 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["Plain", "plain"]
-
 
 class Plain:
     """A dataclass of figures."""

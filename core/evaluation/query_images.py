@@ -14,8 +14,6 @@ from core.progress import NO_PROGRESS, Progress
 from core.scans.drive import Drive
 from core.scans.scan import Scan
 
-__all__ = ["QueryImages", "held_out_scans"]
-
 
 def held_out_scans(drive: Drive, split: Split, most: int | None) -> tuple[BoolArray, IntArray]:
     """Return which scans are not mapped, `(K,)`, and which of those are queries, rising.

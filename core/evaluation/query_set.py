@@ -18,8 +18,6 @@ from core.scans.drive import Drive
 from core.scans.pose import is_known
 from core.scans.scan import Scan
 
-__all__ = ["LocatedQueries", "QueryProtocol", "QuerySet", "hold_out", "require_scans"]
-
 _Answer = TypeVar("_Answer")
 
 

@@ -10,13 +10,6 @@ from core.errors import InvalidParameters
 from core.evaluation.plain import Plain
 from core.evaluation.retrieval import auroc, precision_recall
 
-__all__ = [
-    "Outcome",
-    "Reliability",
-    "expected_calibration_error",
-    "reliability",
-]
-
 BINS = 10
 
 

@@ -10,8 +10,6 @@ from core.evaluation.reliability import Reliability
 from core.evaluation.tracks import TrackResult
 from core.projection.images import Skipped
 
-__all__ = ["ConditionResult", "Evaluation", "SegmentError"]
-
 
 @dataclass(frozen=True)
 class SegmentError:

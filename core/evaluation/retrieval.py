@@ -13,8 +13,6 @@ import numpy as np
 from core.arrays import BoolArray, FloatArray
 from core.errors import InvalidParameters
 
-__all__ = ["PrecisionRecall", "auroc", "precision_recall"]
-
 
 @dataclass(frozen=True, eq=False)
 class PrecisionRecall:

@@ -16,8 +16,6 @@ from core.mapping.tensormap import TensorMap
 from core.projection.images import ImageSource
 from core.projection.probe import LEFT_OUT_M
 
-__all__ = ["CRITERION", "finds_own", "is_findable"]
-
 CRITERION = (
     f"the matched scan was recorded within {AWAY_M:g} m of the one that asks; what was recorded"
     f" within {LEFT_OUT_M:g} m of that is not asked. Where poses are unknown: within {RIGHT_SCANS}"

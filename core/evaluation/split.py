@@ -9,8 +9,6 @@ import numpy as np
 from core.arrays import BoolArray, FloatArray, IntArray
 from core.errors import InvalidParameters
 
-__all__ = ["Every", "Interleaved", "Split", "parse_split"]
-
 
 class Split(Protocol):
     """A rule that holds scans out."""

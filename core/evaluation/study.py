@@ -15,8 +15,6 @@ from core.parameters import MapParameters
 from core.projection.images import Skipped
 from core.scans.pose import path_length_m
 
-__all__ = ["Answers", "CurvePoint", "EncodingStudy", "Study"]
-
 
 @dataclass(frozen=True, eq=False)
 class Answers(Plain):

@@ -25,8 +25,6 @@ from core.scans.drive import Drive
 from core.scans.scan import Scan
 from core.segmentation import cut_fixed
 
-__all__ = ["StudyProtocol", "segment_lengths_for", "study_drive"]
-
 SWEPT_CONDITIONS = (Condition(), Condition(lateral_m=1.0))
 """As driven, and where the paper finds its limit: nearly every setting answers the first."""
 

@@ -17,8 +17,6 @@ from core.mapping.tensormap import TensorMap
 from core.scans.displacement import left_of_m
 from core.scans.pose import heading_deg
 
-__all__ = ["Answer", "summarize"]
-
 
 @dataclass(frozen=True)
 class Answer:

@@ -13,8 +13,6 @@ from core.mapping.pipeline import rows_of_cuts
 from core.progress import NO_PROGRESS, Progress
 from core.segmentation import cut_fixed
 
-__all__ = ["BYTES_A_NUMBER", "Sweep", "SweepGrid", "SweepPoint", "sweep"]
-
 BYTES_A_NUMBER = 4  # a map file keeps float32, or pairs of it
 
 

@@ -19,8 +19,6 @@ from core.scans.scan import Scan
 from core.tracking.step import TrackStep
 from core.tracking.track import Observation, Track, Tracker
 
-__all__ = ["TrackError", "TrackResult", "cut_position", "evaluate_tracks"]
-
 _KIDNAPPINGS = 8  # spread over the drive
 _BEFORE, _AFTER = 10, 30  # queries before a vehicle is carried off, and within which it is found
 _RIGHT_M = 10.0

@@ -22,8 +22,6 @@ from core.scans.displacement import pose_beside
 from core.scans.pose import heading_deg
 from core.scans.trajectory import Trajectory
 
-__all__ = ["MOST_MATCHED", "Disagreement", "FrameCheck", "check_frames", "require_one_frame"]
-
 MOST_MATCHED = 200
 """How many scans of a drive are matched at most, evenly spread along its path."""
 

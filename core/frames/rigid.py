@@ -9,8 +9,6 @@ from scipy.spatial.transform import Rotation
 from core.arrays import BoolArray, FloatArray, IntArray, frozen
 from core.scans.angles import wrapped_deg
 
-__all__ = ["Consensus", "RigidTransform", "find_consensus"]
-
 _BASELINE_M = 10.0  # between two places that give a heading: 1 m of error is 6 degrees then
 _HYPOTHESES = 4000  # of each kind at most
 _AT_ONCE = 500  # hypotheses that are tried at once: 500 x 200 x 3 numbers are 2.4 MB

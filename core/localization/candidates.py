@@ -14,8 +14,6 @@ from core.encodings.model import Neighbours, Search
 from core.localization.priors import Prior, nearest_within
 from core.mapping.tensormap import TensorMap
 
-__all__ = ["Candidates", "deviation_of", "find_candidates"]
-
 _WEIGHED = 32  # nearest scans among which a prior chooses
 _FAR_BETTER = -math.log(0.0027)  # as much as hints that are off by three sigma are unlikely
 

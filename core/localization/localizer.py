@@ -5,7 +5,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from core.confidence.places import AWAY_M, AWAY_SCANS
 from core.confidence.spread import Deviation
 from core.confidence.verdict import Verdict
 from core.encodings.model import Neighbours, Search
@@ -22,8 +21,6 @@ from core.localization.priors import NO_HINTS, Hints, Prior
 from core.mapping.tensormap import TensorMap
 from core.projection.imager import Image
 from core.scans.scan import Scan
-
-__all__ = ["AWAY_M", "AWAY_SCANS", "Localization", "Localizer", "Match"]
 
 
 @dataclass(frozen=True)

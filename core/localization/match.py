@@ -13,8 +13,6 @@ from core.scans.displacement import left_of_m, places_beside_m, pose_beside
 from core.scans.pose import Pose, heading_deg, path_length_m
 from core.scans.trajectory import Trajectory
 
-__all__ = ["Match", "match_at"]
-
 _SHARPNESS = 8  # weights are the inverse distance to this power: docs/decisions/0010
 _SCANS_BESIDE = 1  # before and after the match; farther ones weigh next to nothing
 _SAME_PLACE_M = 10.0  # a drive that was interrupted goes on elsewhere

@@ -16,17 +16,6 @@ from core.mapping.tensormap import TensorMap
 from core.scans.angles import wrapped_deg
 from core.scans.pose import heading_deg
 
-__all__ = [
-    "NO_HINTS",
-    "HeadingHint",
-    "Hints",
-    "OdometryHint",
-    "PositionHint",
-    "Prior",
-    "ScanOfMap",
-    "nearest_within",
-]
-
 _GATE = 3.0  # standard deviations
 _REACH_M = 5.0  # a scan of the map answers for what is so near to it: half a gap, and a lane
 _HEADING_SLACK_DEG = 5.0  # of a path's heading between two scans, and of its estimate

@@ -9,8 +9,6 @@ from scipy.ndimage import gaussian_filter
 from core.arrays import Float32Array, FloatArray
 from core.scans.scan import Scan
 
-__all__ = ["CELL_M", "Alignment", "align_overhead", "overhead_view", "upright_m"]
-
 CELL_M = 0.5
 """Side of a cell: about how far apart two scans put the same wall."""
 _REACH_M = 40.0  # walls of a street; farther away a spinning sensor's returns are sparse

@@ -21,16 +21,6 @@ from core.scans.angles import wrapped_deg
 from core.scans.displacement import seen_from_beside
 from core.scans.scan import Scan
 
-__all__ = [
-    "ACCEPT_FROM",
-    "Likelihood",
-    "LoopClosure",
-    "Verdict",
-    "check_scans",
-    "check_signatures",
-    "closure_probability",
-]
-
 ACCEPT_FROM = 0.99
 """A false closure bends a whole map: it is accepted only if this probable."""
 

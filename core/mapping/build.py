@@ -16,8 +16,6 @@ from core.projection.images import ImageSource, Probes
 from core.scans.trajectory import Trajectory
 from core.topology import join_segments
 
-__all__ = ["fit_map"]
-
 
 def fit_map(
     images: ImageSource,

@@ -25,8 +25,6 @@ from core.scans.angles import wrapped_deg
 from core.scans.displacement import pose_beside
 from core.scans.pose import heading_deg
 
-__all__ = ["MOST_PROBES", "calibrate"]
-
 MOST_PROBES = 400
 """How many probes of a map are asked at most, evenly spread over its drives."""
 

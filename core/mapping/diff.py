@@ -8,8 +8,6 @@ import numpy as np
 
 from core.mapping.tensormap import TensorMap
 
-__all__ = ["DriveOverlap", "MapFacts", "changed_parameters", "drive_overlaps"]
-
 
 @dataclass(frozen=True)
 class MapFacts:

@@ -9,8 +9,6 @@ from core.mapping.tensormap import TensorMap
 from core.scans.trajectory import Trajectory
 from core.topology import join_segments
 
-__all__ = ["merge_maps", "without_drives"]
-
 
 def merge_maps(maps: Sequence[TensorMap]) -> TensorMap:
     """Put the drives of several maps into one, exactly: no number of any of them changes.

@@ -15,8 +15,6 @@ from core.projection.range_image import RangeImage
 from core.projection.rings import RingGrid
 from core.scans.trajectory import Trajectory
 
-__all__ = ["RIGHT_SCANS", "image_of", "own_place"]
-
 RIGHT_SCANS = 15
 """Where poses are unknown, as `AWAY_M` is where they are known."""
 

@@ -32,18 +32,6 @@ from core.scans.trajectory import Trajectory
 from core.segmentation import cut_drives, cut_fixed, cut_unequal, segment_length_for
 from core.topology import cut_at_meetings
 
-__all__ = [
-    "Build",
-    "DriveImages",
-    "ImagesOf",
-    "build",
-    "build_map",
-    "cut_scans",
-    "project_scans",
-    "rows_of_cuts",
-    "trajectory_of",
-]
-
 
 class DriveImages(ImageSource, Protocol):
     """The images of a drive's usable scans, in memory or in a file."""

@@ -18,8 +18,6 @@ from core.revision import content_digest
 from core.scans.trajectory import Trajectory
 from core.topology import JOINED, Topology, segment_ends
 
-__all__ = ["TensorMap"]
-
 _WHOLE = {
     "segment_start",
     "drive_start",

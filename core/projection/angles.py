@@ -12,8 +12,6 @@ from numpy.polynomial import chebyshev
 
 from core.arrays import Float32Array, FloatArray, IntArray
 
-__all__ = ["azimuth_steps", "elevation_steps"]
-
 _DEGREE = 8
 # The polynomial is off by 2e-5 degrees at most, rounding adds as much (a property test looks).
 _OFF_DEG = 1e-4

@@ -5,8 +5,6 @@ import numpy as np
 from core.arrays import Float32Array, frozen
 from core.errors import InvalidImage
 
-__all__ = ["checked_cells"]
-
 
 def checked_cells(name: str, cells: Float32Array, shape: tuple[int, ...]) -> Float32Array:
     """Return the cells of an image, frozen.

@@ -12,8 +12,6 @@ from core.projection.reducer import HEIGHT_REDUCERS, Reducer, reduce_returns
 from core.projection.rings import RingGrid
 from core.scans.scan import Scan
 
-__all__ = ["HeightImage", "project_heights"]
-
 
 @dataclass(frozen=True, eq=False)
 class HeightImage:

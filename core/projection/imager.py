@@ -17,15 +17,6 @@ from core.scans.displacement import seen_from_beside
 from core.scans.scan import Scan
 from core.scans.sensor import AngularGrid
 
-__all__ = [
-    "LATERAL_RENDERINGS_M",
-    "Grid",
-    "Image",
-    "ImageKind",
-    "Imager",
-    "grid_from_attributes",
-]
-
 Grid = AngularGrid | RingGrid
 Image = RangeImage | HeightImage
 

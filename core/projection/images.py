@@ -14,20 +14,6 @@ from core.projection.probe import Standing, probe_image, probed_among, standing_
 from core.scans.drive import Drive
 from core.scans.scan import Scan
 
-__all__ = [
-    "Cells",
-    "ConcatenatedImages",
-    "ImageSource",
-    "MemoryImages",
-    "Probes",
-    "Projected",
-    "ProjectedDrive",
-    "Skipped",
-    "project_drive",
-    "project_each",
-    "project_into",
-]
-
 
 class ImageSource(Protocol):
     """Images on one grid, in the order of the map's scans; one a scan, or its D renderings.

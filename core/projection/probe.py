@@ -9,16 +9,6 @@ from core.projection.imager import Image, Imager
 from core.scans.displacement import seen_from_beside
 from core.scans.scan import Scan
 
-__all__ = [
-    "LEFT_OUT_M",
-    "PROBES",
-    "Standing",
-    "probe_image",
-    "probe_scan",
-    "probed_among",
-    "standing_of_probe",
-]
-
 Standing = tuple[float, float, float]
 """How far ahead of its scan and to its left a probe stands, metres, and its turn in degrees."""
 

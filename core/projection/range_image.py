@@ -12,8 +12,6 @@ from core.projection.reducer import RANGE_REDUCERS, Reducer, reduce_returns
 from core.scans.scan import Scan
 from core.scans.sensor import AngularGrid, whole_and_fraction
 
-__all__ = ["RangeImage", "project_scan"]
-
 
 @dataclass(frozen=True, eq=False)
 class RangeImage:

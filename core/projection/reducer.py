@@ -8,8 +8,6 @@ import numpy as np
 
 from core.arrays import Float32Array, FloatArray, IntArray
 
-__all__ = ["HEIGHT_REDUCERS", "RANGE_REDUCERS", "Reduced", "Reducer", "reduce_returns"]
-
 _BLOCK = 8192  # returns; 64 kB a number: the ten or so that a projection works with stay in cache
 
 

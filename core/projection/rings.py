@@ -5,8 +5,6 @@ from dataclasses import asdict, dataclass
 from core.errors import InvalidParameters
 from core.scans.sensor import MAX_CELLS, require_lattice
 
-__all__ = ["RingGrid"]
-
 _MIN_STEP = 1e-3  # metres, degrees
 
 

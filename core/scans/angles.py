@@ -5,8 +5,6 @@ from typing import TypeVar
 
 from core.arrays import FloatArray
 
-__all__ = ["wrapped_deg", "wrapped_rad"]
-
 _Angle = TypeVar("_Angle", float, FloatArray)
 
 

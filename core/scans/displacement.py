@@ -11,8 +11,6 @@ from scipy.spatial.transform import Rotation
 
 from core.arrays import Float32Array, FloatArray
 
-__all__ = ["left_of_m", "places_beside_m", "pose_beside", "seen_from_beside"]
-
 
 def seen_from_beside(
     points_m: Float32Array | FloatArray, left_m: float, turn_deg: float = 0.0, ahead_m: float = 0.0

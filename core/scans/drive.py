@@ -9,8 +9,6 @@ from core.arrays import FloatArray, IntArray, frozen
 from core.scans.pose import pose_rows
 from core.scans.scan import Scan
 
-__all__ = ["Drive", "IndexedDrive", "MemoryDrive"]
-
 
 class Drive(Protocol):
     """An ordered recording of scans; what every reader, store and simulator gives.

@@ -10,17 +10,6 @@ from scipy.spatial.transform import Rotation
 from core.arrays import BoolArray, FloatArray
 from core.errors import InvalidPose
 
-__all__ = [
-    "UNKNOWN_POSE",
-    "Pose",
-    "first_invalid",
-    "heading_deg",
-    "is_known",
-    "path_length_m",
-    "pose_rows",
-    "rows_from_matrices",
-]
-
 UNKNOWN_POSE: tuple[float, ...] = (math.nan,) * 7
 
 _FARTHEST_M = 1e8  # beyond every frame of the Earth; lengths of paths stay finite

@@ -10,8 +10,6 @@ from core.arrays import BoolArray, Float32Array, frozen
 from core.errors import InvalidScan, TooFewReturns
 from core.scans.pose import Pose
 
-__all__ = ["Scan"]
-
 
 @dataclass(frozen=True, eq=False)
 class Scan:

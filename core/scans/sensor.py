@@ -8,17 +8,6 @@ import numpy as np
 from core.arrays import FloatArray
 from core.errors import InvalidParameters
 
-__all__ = [
-    "HDL_64E",
-    "MAX_CELLS",
-    "SENSORS",
-    "AngularGrid",
-    "Sensor",
-    "require_lattice",
-    "sensor_named",
-    "whole_and_fraction",
-]
-
 _MIN_STEP_DEG = 1e-3
 MAX_CELLS = 4_000_000
 """Of a grid: one of a hundredth of a degree is a typing error, not a sensor."""

@@ -11,8 +11,6 @@ from core.errors import EmptyDrive, InvalidMap
 from core.scans.pose import first_invalid, is_known
 from core.text import LONGEST_NAME, flaw_in
 
-__all__ = ["LAST_SCAN_INDEX", "Trajectory"]
-
 LAST_SCAN_INDEX = 2**53
 """Indices are below it: every JSON parser reads them exactly."""
 _FARTHEST_S = 1e300  # differences of any two of them are finite; whatever clock they are of

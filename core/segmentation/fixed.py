@@ -8,13 +8,6 @@ import numpy as np
 from core.arrays import IntArray
 from core.errors import EmptyDrive, InvalidParameters
 
-__all__ = [
-    "PAPER_SEGMENT_LENGTH",
-    "cut_drives",
-    "cut_fixed",
-    "segment_length_for",
-]
-
 PAPER_SEGMENT_LENGTH = 760  # k, sec. 3.2
 
 

@@ -8,8 +8,6 @@ from core.arrays import FloatArray, IntArray
 from core.scans.trajectory import Trajectory
 from core.topology.lines import SAMPLE_M, Line, driven_lines
 
-__all__ = ["turns"]
-
 TURN_DEG = 50.0
 """How far a drive turns at a corner at least: less is a bend."""
 WITHIN_M = 30.0

@@ -28,8 +28,6 @@ from core.projection.images import ImageSource
 from core.scans.trajectory import Trajectory
 from core.segmentation.turns import turns
 
-__all__ = ["SURPRISE", "cut_unequal", "length_limits"]
-
 SURPRISE = 1.45
 """Error of a block over that of the scans before it, from which on the model explains no more:
 docs/decisions/0013-unequal-segments-and-topology.md."""

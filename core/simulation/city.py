@@ -9,8 +9,6 @@ import numpy as np
 from core.errors import InvalidParameters
 from core.simulation.world import Boxes, Cylinders, Traffic, World
 
-__all__ = ["make_city"]
-
 # Every stretch of street draws from streams of its own, keyed by these and its place in the grid,
 # so that other traffic leaves every house where it was.
 _GRID, _LAYOUT, _PARKED, _MOVING = range(4)

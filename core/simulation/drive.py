@@ -14,8 +14,6 @@ from core.simulation.raycast import SimulatedSensor, cast
 from core.simulation.route import Route
 from core.simulation.world import World
 
-__all__ = ["SimulatedDrive"]
-
 _SCAN_S = 0.1  # the HDL-64E turns ten times a second
 _BLOCK_M = 69.0  # the usual side of a block, see the city
 _TURN_RADIUS_M = 12.0

@@ -14,8 +14,6 @@ from core.scans.pose import Pose
 from core.scans.scan import Scan
 from core.simulation.world import Boxes, Cylinders, Scene
 
-__all__ = ["HDL_64E_BEAMS_DEG", "SimulatedSensor", "cast"]
-
 # Velodyne HDL-64E manual: 32 beams 1/3 deg apart from +2 deg down, 32 beams 1/2 deg apart below.
 HDL_64E_BEAMS_DEG: tuple[float, ...] = (
     *(2.0 - beam / 3.0 for beam in range(32)),

@@ -9,8 +9,6 @@ from core.arrays import BoolArray, FloatArray, IntArray, frozen
 from core.errors import InvalidParameters
 from core.scans.angles import wrapped_rad
 
-__all__ = ["Route"]
-
 
 @dataclass(frozen=True, eq=False)
 class Route:

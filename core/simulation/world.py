@@ -8,8 +8,6 @@ from numpy.typing import ArrayLike
 from core.arrays import FloatArray, frozen
 from core.errors import InvalidParameters
 
-__all__ = ["Boxes", "Cylinders", "Scene", "Traffic", "World"]
-
 
 def _rows(rows: ArrayLike, columns: tuple[str, ...], sizes: tuple[str, ...]) -> FloatArray:
     """Freeze `(n, len(columns))` rows whose `sizes` are positive."""

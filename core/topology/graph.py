@@ -13,8 +13,6 @@ from core.errors import InvalidMap
 from core.scans.pose import path_length_m
 from core.scans.trajectory import Trajectory
 
-__all__ = ["JOINED", "Entry", "Topology", "segment_ends"]
-
 JOINED = ("edge_scans", "edge_of_segment", "segment_reversed")
 """Arrays that only a joined graph has in its file: all three or none."""
 _LONGEST_M = 1e15  # more than millions of poses can be apart

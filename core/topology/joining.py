@@ -13,8 +13,6 @@ from core.scans.trajectory import Trajectory
 from core.topology.graph import Topology, segment_ends
 from core.topology.streets import Place, Streets, Stretch, find_streets
 
-__all__ = ["cut_at_meetings", "join_segments"]
-
 CUT_M = 10.0
 """A segment that ends this near a meeting place ends there."""
 NODE_M = 15.0

@@ -9,8 +9,6 @@ import numpy as np
 from core.arrays import FloatArray, IntArray
 from core.scans.trajectory import Trajectory
 
-__all__ = ["SAMPLE_M", "Line", "driven_lines"]
-
 SAMPLE_M = 2.0
 """Between samples; a tenth of what parts two meeting places."""
 _STEP_M = 1.0  # a vehicle that stands does not jitter farther

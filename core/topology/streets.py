@@ -19,8 +19,6 @@ from core.arrays import BoolArray, FloatArray, IntArray
 from core.scans.trajectory import Trajectory
 from core.topology.lines import SAMPLE_M, Line, driven_lines
 
-__all__ = ["Meeting", "Place", "Streets", "Stretch", "find_streets"]
-
 BESIDE_M = 8.0
 """How far apart two lines of one street are at most: two lanes and a half."""
 LEVEL_M = 2.5

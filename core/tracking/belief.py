@@ -9,8 +9,6 @@ from core.errors import InvalidParameters
 from core.tracking.graph import TravelGraph
 from core.tracking.motion import Motion, predict
 
-__all__ = ["Belief"]
-
 _SUM_TOLERANCE = 1e-9
 
 

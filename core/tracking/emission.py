@@ -9,8 +9,6 @@ from core.arrays import BoolArray, FloatArray
 from core.encodings.signature import Signature
 from core.mapping.tensormap import TensorMap
 
-__all__ = ["DistanceSpread", "Emission", "LikelihoodRatio", "own_signatures"]
-
 _SAMPLED = 32  # scans of the map that are compared with all others
 _ELSEWHERE_M = 10.0
 _ELSEWHERE_SCANS = 50  # 5 s at 10 Hz; counts where poses are unknown

@@ -11,8 +11,6 @@ from core.arrays import FloatArray, IntArray
 from core.errors import InvalidParameters
 from core.mapping.tensormap import TensorMap
 
-__all__ = ["TravelGraph"]
-
 
 @dataclass(frozen=True, eq=False)
 class TravelGraph:

@@ -12,8 +12,6 @@ from core.arrays import FloatArray, frozen
 from core.errors import InvalidParameters
 from core.tracking.graph import TravelGraph
 
-__all__ = ["MAX_STEPS", "Motion", "predict"]
-
 MAX_STEPS = 24
 """Scans of the map that are passed at most between two observations."""
 

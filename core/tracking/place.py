@@ -8,8 +8,6 @@ from core.arrays import BoolArray, FloatArray
 from core.mapping.tensormap import TensorMap
 from core.tracking.belief import Belief
 
-__all__ = ["NEAR_M", "NEAR_SCANS", "Place", "gathered"]
-
 NEAR_M = 5.0
 NEAR_SCANS = 5
 """What counts as one place: metres, or scans of one drive where a pose is unknown."""

@@ -10,8 +10,6 @@ from core.encodings.registry import encoding_named
 from core.encodings.signature import Signature
 from core.mapping.tensormap import TensorMap
 
-__all__ = ["Standing", "StandingDetector", "change", "changes_of_map"]
-
 _MOVING_QUANTILE = 0.75  # of the map's own changes: a map whose vehicle mostly drove, or half of it
 _SHARE = 0.4  # of that, less than half a scan's way of the map: standing
 _STANDING_TOLD = 0.9  # how often standing is told of a vehicle that stands

@@ -6,8 +6,6 @@ from enum import StrEnum
 from core.localization.match import Match
 from core.scans.pose import Pose
 
-__all__ = ["SURE", "Direction", "Doubt", "TrackStep"]
-
 SURE = 0.9
 """A place, a segment or a direction is told from this probability on."""
 

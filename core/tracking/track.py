@@ -22,8 +22,6 @@ from core.tracking.place import Place, gathered
 from core.tracking.standing import Standing, StandingDetector
 from core.tracking.step import SURE, Direction, Doubt, TrackStep
 
-__all__ = ["Observation", "Track", "Tracker"]
-
 _FIRST_FIX = 3  # observations in a row that agree: one alone is a localization, two may err alike
 _ELSEWHERE = 0.5  # of being outside of the map, to say so
 _MOVE_ODDS = 0.9  # of a standing vehicle being beyond the place that was told, to move the answer

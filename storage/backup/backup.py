@@ -39,18 +39,6 @@ from storage.files.files import named_disk_errors, publish
 from storage.files.stored_file import StoredFile
 from storage.store.layout import Layout
 
-__all__ = [
-    "CATALOG",
-    "FORMAT",
-    "FORMAT_VERSION",
-    "MANIFEST",
-    "STORE_ID",
-    "Backup",
-    "named_files",
-    "store_id_of",
-    "write_backup",
-]
-
 FORMAT, FORMAT_VERSION = "tensormap-backup", 1
 CATALOG, STORE_ID, MANIFEST = "catalog.sqlite3", "store-id", "manifest.json"
 

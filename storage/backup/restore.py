@@ -27,8 +27,6 @@ from storage.errors import CorruptFile
 from storage.files.claims import claimed, remove_abandoned
 from storage.files.files import make_folder, named_disk_errors, sync
 
-__all__ = ["Restored", "restore_backup"]
-
 _BLOCK_BYTES = 2**20
 _MOST_MANIFEST_BYTES = 2**30
 # All that a backup may hold: nothing else becomes a path.

@@ -5,8 +5,6 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
 
-__all__ = ["Act", "current_act", "on_behalf"]
-
 _MOST_CHARACTERS = 300
 
 

@@ -14,8 +14,6 @@ from storage.catalog.models import AuditEntry
 from storage.catalog.pages import DEFAULT_LIMIT, one_more, page_of
 from storage.catalog.records import Page, record_of
 
-__all__ = ["START", "Audit", "AuditCheck", "AuditRecord", "AuditState"]
-
 _BATCH = 1000
 
 

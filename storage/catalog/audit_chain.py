@@ -10,8 +10,6 @@ from sqlalchemy.orm import Session
 from storage.catalog.acts import Act
 from storage.catalog.models import AuditEntry, AuditHead
 
-__all__ = ["DONE", "append", "entry_hash", "head_of"]
-
 DONE = "done"
 _ROW = 1
 

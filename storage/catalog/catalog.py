@@ -14,8 +14,6 @@ from storage.catalog.scans import Scans
 from storage.catalog.store_id import StoreIds
 from storage.catalog.tokens import Tokens
 
-__all__ = ["Catalog"]
-
 _ALLOWED = nullcontext()
 
 

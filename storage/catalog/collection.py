@@ -14,8 +14,6 @@ from storage.catalog.revisions import revision_record
 from storage.catalog.scans import LostRace, chunks_of
 from storage.retention import OwnRetention, RawScans, Retention, Standing, to_collect
 
-__all__ = ["Collector"]
-
 _OPEN = (JobState.QUEUED, JobState.RUNNING)
 
 

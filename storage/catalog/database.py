@@ -28,8 +28,6 @@ from storage.errors import (
     StorageUnavailable,
 )
 
-__all__ = ["Database", "Repository"]
-
 _BUSY_TIMEOUT_S = 30  # of another process's transaction; ours take milliseconds
 
 _NAMED: dict[int, type[StorageError]] = {

@@ -13,8 +13,6 @@ from storage.catalog.pages import DEFAULT_LIMIT, one_more, page_of
 from storage.catalog.records import DriveRecord, IndexRange, Page, record_of
 from storage.errors import DriveNotFound
 
-__all__ = ["Drives", "drive_named"]
-
 
 class Drives(Repository):
     """The drives of each map, in the order of their slugs."""

@@ -16,8 +16,6 @@ from storage.catalog.records import ScanRecord
 from storage.catalog.scan_poses import ScanPoses, at_indices, poses_put, row_values, write_rows
 from storage.errors import PosesDoNotFit
 
-__all__ = ["expect", "forget", "met", "require_fit"]
-
 
 def expect(session: Session, drive_id: str, wanted: ScanPoses) -> None:
     """Keep pose and time of scans by index; what was expected of them before is forgotten."""

@@ -22,8 +22,6 @@ from storage.catalog.turns import next_job
 from storage.errors import JobNotFound, JobNotRunning, RequestKeyReused, TooManyBuilds
 from storage.names import new_id
 
-__all__ = ["Jobs", "finish_if_running"]
-
 
 class Jobs(Repository):
     """The jobs of all maps, newest first."""

@@ -13,8 +13,6 @@ from storage.catalog.records import KeyRecord, Page, record_of
 from storage.errors import KeyNotFound
 from storage.names import new_id
 
-__all__ = ["Keys", "allowed", "key_record"]
-
 
 class Keys(Repository):
     """The keys, in the order in which they were made."""

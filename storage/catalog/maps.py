@@ -17,8 +17,6 @@ from storage.errors import MapChanged, MapExists, MapNotFound
 from storage.names import checked_slug, new_id
 from storage.retention import OwnRetention
 
-__all__ = ["Maps", "locked_map", "map_named", "map_of_id"]
-
 
 class Maps(Repository):
     """The maps, in the order of their slugs."""

@@ -19,24 +19,6 @@ from sqlalchemy import (
 )
 from sqlalchemy.orm import DeclarativeBase, Mapped, configure_mappers, mapped_column
 
-__all__ = [
-    "AuditEntry",
-    "AuditHead",
-    "Base",
-    "Drive",
-    "ExpectedPose",
-    "Job",
-    "Key",
-    "LiveRevision",
-    "Map",
-    "Revision",
-    "RevisionBasis",
-    "Scan",
-    "StoreId",
-    "Token",
-    "plain",
-]
-
 
 def plain(text: str) -> str:
     """Return a text as it is stored: PostgreSQL has no NUL, U+FFFD stands for it everywhere."""

@@ -9,8 +9,6 @@ from sqlalchemy.orm import InstrumentedAttribute, Session
 from core.errors import InvalidParameters
 from storage.catalog.records import Page
 
-__all__ = ["DEFAULT_LIMIT", "one_more", "page_by_age", "page_of"]
-
 M = TypeVar("M")
 T = TypeVar("T")
 

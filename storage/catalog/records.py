@@ -13,21 +13,6 @@ from storage.retention import OwnRetention
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
-__all__ = [
-    "DriveRecord",
-    "IndexRange",
-    "JobRecord",
-    "JobState",
-    "KeyRecord",
-    "MapRecord",
-    "Page",
-    "RequestKey",
-    "RevisionFacts",
-    "RevisionRecord",
-    "ScanRecord",
-    "record_of",
-]
-
 T = TypeVar("T")
 
 BYTES_PER_RETURN = 12  # three float32

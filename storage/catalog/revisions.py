@@ -19,8 +19,6 @@ from storage.errors import (
     RevisionNotFound,
 )
 
-__all__ = ["Revisions", "revision_record"]
-
 _SHORTEST_PREFIX = 12  # hex digits; 48 bits, a clash among a million revisions is 1 in 500
 
 

@@ -14,16 +14,6 @@ from core.scans.pose import UNKNOWN_POSE, is_known
 from storage.catalog.models import Scan
 from storage.catalog.records import PosesPut
 
-__all__ = [
-    "ScanPoses",
-    "at_indices",
-    "poses_put",
-    "row_values",
-    "stored_poses",
-    "update_poses",
-    "write_rows",
-]
-
 _ROWS_AT_ONCE = 5_000  # of those that are Python objects at a time
 _MOST_LISTED = 500
 _SPARSE = 4

@@ -27,8 +27,6 @@ from storage.catalog.scan_poses import (
 from storage.errors import ScanNotFound, StorageBusy
 from storage.names import checked_slug, new_id
 
-__all__ = ["LostRace", "PutTarget", "Scans", "chunks_of"]
-
 
 class LostRace(StorageBusy):
     """Another writer came between looking and writing: look again."""

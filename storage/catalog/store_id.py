@@ -7,8 +7,6 @@ from sqlalchemy import select, text
 from storage.catalog.database import Repository
 from storage.catalog.models import Map, StoreId
 
-__all__ = ["StoreIds"]
-
 _ROW = 1
 
 

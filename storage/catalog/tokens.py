@@ -11,8 +11,6 @@ from storage.catalog.keys import allowed, key_record
 from storage.catalog.models import Key, Token
 from storage.catalog.records import KeyRecord, record_of
 
-__all__ = ["TokenRecord", "Tokens"]
-
 
 @dataclass(frozen=True)
 class TokenRecord:

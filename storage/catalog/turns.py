@@ -10,8 +10,6 @@ from sqlalchemy.orm import Session
 from storage.catalog.models import Job
 from storage.catalog.records import JobState
 
-__all__ = ["next_job"]
-
 _NEVER = datetime.min.replace(tzinfo=UTC)
 
 

@@ -18,8 +18,6 @@ from storage.closing import Closing
 from storage.files.forking import forkserver
 from storage.files.stored_file import Fault, StoredFile, fault_of
 
-__all__ = ["Checker", "Limits"]
-
 _PAGE_BYTES = resource.getpagesize()
 _END_S = 5.0  # to wait for a process that was killed; one that waits for a dead disk stays
 # What content does to a reader; other ends, such as a machine out of memory, are not its fault.

@@ -7,8 +7,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-__all__ = ["abandoned_copies", "claimed", "remove_abandoned"]
-
 _CATALOG = "catalog.sqlite3"
 
 

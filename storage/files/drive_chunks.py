@@ -25,8 +25,6 @@ from storage.files.files import publish
 from storage.hdf5 import ContiguousDataset, FileSource, Hdf5File
 from storage.hdf5.writer import hdf5_in_memory
 
-__all__ = ["ChunkFile", "scan_digest", "write_chunk"]
-
 FORMAT = "tensormap-drive-chunk"
 FORMAT_VERSION = 1
 _RETURN_BYTES = 12

@@ -9,8 +9,6 @@ from pathlib import Path
 from storage.closing import Closing
 from storage.errors import CorruptFile
 
-__all__ = ["DurableFile", "reading_back", "write_whole"]
-
 _PIECE_BYTES = 2**20  # compared at once
 
 

@@ -9,8 +9,6 @@ from pathlib import Path
 
 from storage.errors import StorageFull, StorageReadOnly, StorageUnavailable
 
-__all__ = ["discard", "make_folder", "named_disk_errors", "publish", "sync"]
-
 _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}  # the last is `ulimit -f`
 _READ_ONLY = {errno.EROFS, errno.EACCES, errno.EPERM}
 _FAILING = {errno.EIO, errno.ENXIO, errno.ESTALE, errno.ETIMEDOUT}  # the last two: a network's

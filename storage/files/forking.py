@@ -7,8 +7,6 @@ import tempfile
 import threading
 from multiprocessing.context import ForkServerContext
 
-__all__ = ["forkserver"]
-
 # The name of a Unix socket has at most 107 bytes, and multiprocessing adds some 35 to the folder's.
 _MOST_FOLDER_BYTES = 70
 _SHORT_FOLDER = "/tmp"  # noqa: S108 - multiprocessing makes a private folder in it

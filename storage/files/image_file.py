@@ -24,15 +24,6 @@ from storage.files.json_text import parse_json
 from storage.hdf5 import Dataset, FileSource, Hdf5File
 from storage.hdf5.writer import FileWriter, hdf5_on_disk
 
-__all__ = [
-    "PROBE_VERSION",
-    "PROJECTION_VERSION",
-    "ImageFile",
-    "image_file_name",
-    "remove_other_versions",
-    "write_image_file",
-]
-
 PROJECTION_VERSION = 1
 """Counted up whenever the code makes other images of the same scans, or skips others."""
 

@@ -5,8 +5,6 @@ from typing import Any
 
 from storage.errors import CorruptFile
 
-__all__ = ["MOST_JSON_BYTES", "parse_json"]
-
 MOST_JSON_BYTES = 2**22
 """Attributes of a map take some thousand bytes; parsed, a text may take thirty times its size."""
 

@@ -29,16 +29,6 @@ from storage.hdf5 import (
 )
 from storage.hdf5.writer import hdf5_in_memory
 
-__all__ = [
-    "FORMAT",
-    "FORMAT_VERSION",
-    "map_of_bytes",
-    "read_map",
-    "read_parameters",
-    "read_revision",
-    "write_map",
-]
-
 FORMAT = "tensormap"
 FORMAT_VERSION = 1
 

@@ -10,8 +10,6 @@ from storage.files.drive_chunks import ChunkFile, scan_digest
 from storage.files.map_file import read_map
 from storage.hdf5 import FileSource, Hdf5File
 
-__all__ = ["Fault", "StoredFile", "fault_of"]
-
 _ROWS = 64  # of images, some megabytes
 _MOST_RANGES = 10  # of scans, in words
 

@@ -8,8 +8,6 @@ from dataclasses import dataclass
 
 from storage.formats.errors import MalformedScan, ScanTooLarge
 
-__all__ = ["BUDGET", "Budget"]
-
 
 @dataclass(frozen=True)
 class Budget:

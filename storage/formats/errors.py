@@ -14,18 +14,6 @@ TensorMapError
 
 from core.errors import InvalidScan, TensorMapError
 
-__all__ = [
-    "EmptyBody",
-    "MalformedDrive",
-    "MalformedScan",
-    "ScanTooLarge",
-    "TruncatedScan",
-    "UnknownDriveLayout",
-    "UnknownFormat",
-    "WrongDtype",
-    "short",
-]
-
 
 def short(value: object) -> str:
     """Return a value for a message, cut: a client chose it.

@@ -10,8 +10,6 @@ from storage.hdf5.kinds import shape_of, text_or_dtype
 from storage.hdf5.object_header import Message, Messages
 from storage.hdf5.source import UNDEFINED, Fields, Source
 
-__all__ = ["Attributes"]
-
 _MOST = 64
 
 

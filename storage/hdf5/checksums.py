@@ -6,8 +6,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["fletcher32", "lookup3"]
-
 _MASK = 0xFFFFFFFF
 _ROW = 512  # 16-bit words that are added up at once
 _PIECE = _ROW * 2**15  # so many words: sums of columns stay below 2**32

@@ -5,8 +5,6 @@ from dataclasses import dataclass
 from storage.errors import CorruptFile
 from storage.hdf5.source import UNDEFINED, Fields, Source
 
-__all__ = ["ChunkAddress", "read_fixed_array"]
-
 _CHECKSUM = 4
 
 

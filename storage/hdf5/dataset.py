@@ -14,8 +14,6 @@ from storage.hdf5.kinds import dtype_of, shape_of
 from storage.hdf5.object_header import Message, Messages
 from storage.hdf5.source import UNDEFINED, Fields, Source
 
-__all__ = ["ChunkedDataset", "ContiguousDataset", "Dataset", "open_dataset"]
-
 _FLETCHER32 = 3
 _CHECKSUM = 4
 _CONTIGUOUS, _CHUNKED, _VIRTUAL = 1, 2, 3

@@ -10,8 +10,6 @@ from storage.hdf5.links import read_links
 from storage.hdf5.object_header import read_messages
 from storage.hdf5.source import UNDEFINED, Fields, Source
 
-__all__ = ["Hdf5File"]
-
 _SIGNATURE = b"\x89HDF\r\n\x1a\n"
 
 

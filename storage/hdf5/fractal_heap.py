@@ -3,8 +3,6 @@
 from storage.errors import CorruptFile
 from storage.hdf5.source import UNDEFINED, Fields, Source
 
-__all__ = ["FractalHeap"]
-
 _MOST_BYTES = 2**16  # of one direct block
 
 

@@ -8,8 +8,6 @@ import numpy as np
 from storage.errors import CorruptFile
 from storage.hdf5.source import Fields
 
-__all__ = ["CODES", "dtype_of", "shape_of", "text_or_dtype"]
-
 _FLOAT32 = bytes.fromhex("11201f000400000000002000170800177f000000")
 
 CODES: Final = {

@@ -7,8 +7,6 @@ from storage.hdf5.fractal_heap import FractalHeap
 from storage.hdf5.object_header import Message, Messages
 from storage.hdf5.source import UNDEFINED, Fields, Source
 
-__all__ = ["Link", "read_links"]
-
 _MOST_LINKS = 64
 """More than any file of ours has in its root."""
 

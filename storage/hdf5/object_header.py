@@ -7,8 +7,6 @@ from dataclasses import dataclass
 from storage.errors import CorruptFile
 from storage.hdf5.source import Fields, Source
 
-__all__ = ["Message", "Messages", "read_messages"]
-
 _CONTINUATION = 0x10
 _MOST_BLOCKS = 64
 _MOST_MESSAGES = 256

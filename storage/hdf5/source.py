@@ -13,8 +13,6 @@ from storage.closing import Closing
 from storage.errors import CorruptFile
 from storage.hdf5.checksums import lookup3
 
-__all__ = ["UNDEFINED", "BytesSource", "Fields", "FileSource", "Source"]
-
 UNDEFINED = 2**64 - 1
 """The address of what was never given a place."""
 

@@ -21,8 +21,6 @@ from storage.hdf5.dataset import ChunkedDataset
 from storage.hdf5.file import Hdf5File
 from storage.hdf5.source import FileSource
 
-__all__ = ["FileWriter", "Rows", "hdf5_in_memory", "hdf5_on_disk"]
-
 _LIBVER = "v110"  # checksums of all structures, and a fixed array that lists the chunks
 _BLOCK_BYTES = 2**22  # read back at once
 

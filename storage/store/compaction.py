@@ -12,8 +12,6 @@ from storage.files.drive_chunks import write_chunk
 from storage.files.files import discard
 from storage.names import new_id
 
-__all__ = ["compact", "in_chunks", "move_into_one"]
-
 _CHUNK_BYTES = 64 * 2**20  # held in memory while it is written; some 90 scans of 60,000 returns
 
 

@@ -30,8 +30,6 @@ from storage.store.layout import Layout
 from storage.store.scan_reader import ScanReader
 from storage.store.stored_drive import StoredDrive
 
-__all__ = ["Drives", "PutResult"]
-
 # Each lost race is somebody else's progress; so many in a row is something else.
 _ATTEMPTS = 20
 _LAST_INDEX = 2**53  # beyond, JSON readers round

@@ -9,8 +9,6 @@ from storage.files.files import discard
 from storage.retention import Retention
 from storage.store.compaction import in_chunks, move_into_one
 
-__all__ = ["drop_returns"]
-
 
 def drop_returns(
     catalog: Catalog,

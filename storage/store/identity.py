@@ -7,8 +7,6 @@ from storage.files.files import publish
 from storage.names import new_id
 from storage.store.layout import Layout
 
-__all__ = ["check_identity", "require_own_folder"]
-
 _OF_FILE_SYSTEMS = {"lost+found"}
 
 

@@ -7,8 +7,6 @@ from storage.files.checker import Checker
 from storage.files.stored_file import Fault, StoredFile
 from storage.store.layout import Layout
 
-__all__ = ["Inventory"]
-
 
 class Inventory:
     """What should be in a data directory, as the catalog has it when it is asked.

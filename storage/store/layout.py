@@ -13,8 +13,6 @@ damaged/<day>/maps/...                         what a repair found that is not w
 from dataclasses import dataclass
 from pathlib import Path
 
-__all__ = ["Layout"]
-
 
 @dataclass(frozen=True)
 class Layout:

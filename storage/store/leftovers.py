@@ -15,8 +15,6 @@ from storage.files.files import make_folder
 from storage.names import new_id
 from storage.store.layout import Layout
 
-__all__ = ["ORPHANS_KEPT_DAYS", "Leftover", "leftovers", "set_aside", "sweep"]
-
 ORPHANS_KEPT_DAYS = 30
 """As long as revisions are retained by default: in that time it shows whether one is missed."""
 

@@ -5,8 +5,6 @@ import shutil
 from storage.catalog import Catalog, MapRecord
 from storage.store.layout import Layout
 
-__all__ = ["Maps"]
-
 
 class Maps:
     """The maps, in the order of their slugs."""

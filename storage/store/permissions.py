@@ -7,8 +7,6 @@ from pathlib import Path
 
 from storage.store.layout import Layout
 
-__all__ = ["make_private"]
-
 _OTHERS = stat.S_IRWXG | stat.S_IRWXO
 
 _log = logging.getLogger("tensormap.storage")

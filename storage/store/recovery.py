@@ -8,8 +8,6 @@ from pathlib import Path
 
 from storage.errors import DataDirInUse
 
-__all__ = ["ServerLock"]
-
 
 class ServerLock:
     """A lock on a file that ends with the process, however that ends."""

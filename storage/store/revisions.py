@@ -12,8 +12,6 @@ from storage.names import new_id
 from storage.retention import Retention
 from storage.store.layout import Layout
 
-__all__ = ["Revisions"]
-
 
 class Revisions:
     """The revisions of each map, newest first; what only reads rows is the catalog's."""

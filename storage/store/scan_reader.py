@@ -8,8 +8,6 @@ from storage.catalog import Catalog, DriveRecord, ScanRecord
 from storage.errors import CorruptFile, ReturnsGone
 from storage.files.drive_chunks import ChunkFile, scan_digest
 
-__all__ = ["ScanReader"]
-
 
 class ScanReader:
     """Reads the scans of a drive, those of one file in a row in the least time.

@@ -18,8 +18,6 @@ from storage.store.permissions import make_private
 from storage.store.recovery import ServerLock
 from storage.store.revisions import Revisions
 
-__all__ = ["Store"]
-
 _LEAST_FREE_BYTES = 2**20  # a scan of an HDL-64E has 1.5 million bytes
 
 

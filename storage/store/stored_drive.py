@@ -9,8 +9,6 @@ from core.scans.pose import pose_rows
 from core.scans.scan import Scan
 from storage.catalog import DriveRecord, ScanRecord
 
-__all__ = ["StoredDrive"]
-
 
 class StoredDrive:
     """The scans that a drive had when it was opened; satisfies `core.scans.drive.Drive`.

@@ -16,8 +16,6 @@ from storage.store.leftovers import leftovers, set_aside, sweep
 from storage.store.scan_reader import ScanReader
 from storage.store.store import Store
 
-__all__ = ["Condition", "Finding", "Verification", "verify"]
-
 
 class Condition(StrEnum):
     """What is wrong with a file."""

@@ -9,17 +9,16 @@ from pathlib import Path
 
 import numpy as np
 
+from core.encodings.distance import Distance
 from core.mapping.build import fit_map
 from core.mapping.tensormap import TensorMap
-from core.parameters import Distance, MapParameters
+from core.parameters import MapParameters
 from core.projection.images import MemoryImages
 from core.projection.reducer import Reducer
 from core.projection.rings import RingGrid
 from core.scans.sensor import AngularGrid
 from core.scans.trajectory import Trajectory
 from storage.files.map_file import write_map
-
-__all__ = ["golden_harmonic_map", "golden_map", "make"]
 
 
 def golden_map() -> TensorMap:

@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from core.encodings.distance import Distance
 from core.encodings.harmonic import (
     HarmonicModel,
     azimuth_factor,
@@ -14,7 +15,6 @@ from core.encodings.harmonic import (
 )
 from core.encodings.signature import Packing, Signature, pack_signatures, unpack_signatures
 from core.encodings.tucker import leading_basis, row_gram
-from core.parameters import Distance
 
 pytestmark = pytest.mark.slow
 

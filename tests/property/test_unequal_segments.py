@@ -9,8 +9,9 @@ from hypothesis import strategies as st
 
 from core.arrays import Float32Array, FloatArray
 from core.encodings.blocks import BLOCK_SCANS
+from core.encodings.distance import Distance
 from core.errors import InvalidParameters
-from core.parameters import Distance, MapParameters, Segmentation
+from core.parameters import MapParameters, Segmentation
 from core.projection.images import MemoryImages
 from core.projection.reducer import Reducer
 from core.projection.rings import RingGrid

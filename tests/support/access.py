@@ -6,19 +6,6 @@ from starlette.testclient import WebSocketDenialResponse
 from app.access.scopes import Scope
 from tests.support.service import problem_of
 
-__all__ = [
-    "ADMIN",
-    "ADMIN_KEY",
-    "LOCALIZE",
-    "OPENED_BY",
-    "READ",
-    "WRITE",
-    "ask",
-    "bearer",
-    "holder",
-    "make",
-]
-
 ADMIN_KEY = "correct horse battery staple"
 READ, WRITE, LOCALIZE = Scope.MAPS_READ, Scope.MAPS_WRITE, Scope.LOCALIZE
 

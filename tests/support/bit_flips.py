@@ -36,8 +36,6 @@ from tests.support.samples import (
     sample_map,
 )
 
-__all__ = ["KINDS", "Kind", "flipped"]
-
 _IMAGER = Imager(SMALL_GRID, Reducer.LAST)
 
 

@@ -21,8 +21,6 @@ from core.projection.imager import ImageKind
 from core.projection.reducer import Reducer
 from core.revision import content_digest
 
-__all__ = ["BLOCK_MEANS", "BlockMeans", "run_build_with_block_means"]
-
 NAME = "block-means"
 
 

@@ -5,9 +5,6 @@ from core.encodings.signature import pack_signatures
 from tests.support.recording import recording
 from tests.support.service import wait_for
 
-__all__ = ["BUILDS", "IMAGE", "MAP", "NPZ", "PACKED", "acts", "build", "keep", "localize"]
-__all__ += ["localize_packed", "signed"]
-
 MAP = "/v1/maps/campus"
 BUILDS = f"{MAP}/builds"
 IMAGE = {"Content-Type": "application/vnd.tensormap.image"}

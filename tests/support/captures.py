@@ -7,8 +7,6 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["hdl32", "ouster", "ouster_body", "ouster_metadata", "pcap", "udp"]
-
 
 def udp(payload: bytes, port: int, *, fragment_bytes: int | None = None, number: int = 0) -> Any:
     """Return the Ethernet frames of one datagram, in pieces if it does not fit."""

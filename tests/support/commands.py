@@ -9,8 +9,6 @@ from typer.testing import CliRunner
 
 from app.cli.main import cli
 
-__all__ = ["PROGRAM", "ROOT", "run", "tensormap"]
-
 ROOT = Path(__file__).parents[2]
 PROGRAM = (sys.executable, "-m", "app.cli")
 """Words that stand in for `tensormap`, which only an installed service has."""

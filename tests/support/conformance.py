@@ -23,8 +23,6 @@ from core.localization.localizer import Localizer
 from storage.formats.scans.registry import SCAN_FORMATS
 from tests.support.recording import kitti, npy, recording
 
-__all__ = ["Bridge", "KnownNames", "register_bodies", "without_long_lists"]
-
 _HDF5 = "application/vnd.tensormap.map+hdf5"
 _TAR = "application/x-tar"
 _POSES = {

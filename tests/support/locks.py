@@ -5,8 +5,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-__all__ = ["one_at_a_time"]
-
 
 @contextmanager
 def one_at_a_time(path: Path) -> Iterator[None]:

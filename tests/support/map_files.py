@@ -5,8 +5,6 @@ import h5py
 from core.errors import TensorMapError
 from storage.files.map_file import read_map
 
-__all__ = ["replaced", "whole_or_refused"]
-
 
 def whole_or_refused(path, revision):
     """Read; return whether it was refused. Any other exception, and any other map, is a failure."""

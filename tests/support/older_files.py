@@ -7,8 +7,6 @@ from pathlib import Path
 import h5py
 import numpy as np
 
-__all__ = ["copied_map", "older_chunk"]
-
 
 def copied_map(path: Path, tensor_map) -> Path:
     """Write a map as somebody's copy looks, made dataset by dataset with h5py."""

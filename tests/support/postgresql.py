@@ -17,8 +17,6 @@ from pathlib import Path
 
 from sqlalchemy import URL
 
-__all__ = ["Cluster", "cluster", "reason_to_skip"]
-
 _START_S = 60
 # Nothing here outlives the tests: no waiting for the disk. An English collation, so that an order
 # that only holds in ASCII shows.

@@ -14,8 +14,6 @@ import httpx2
 
 from tests.support.commands import PROGRAM, ROOT
 
-__all__ = ["NO_TLS", "Server", "is_running", "serving", "until"]
-
 NO_TLS = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
 """To verify nothing by, where a client would read the certificates that the system trusts."""
 

@@ -7,8 +7,6 @@ import pytest
 from core.scans.drive import Drive
 from storage.formats.drives.layouts import open_drive
 
-__all__ = ["Drives"]
-
 
 class Drives:
     """Recorded drives by name; one that is not there skips its test."""

@@ -14,19 +14,6 @@ from core.scans.pose import Pose
 from core.scans.scan import Scan
 from core.simulation import SimulatedDrive, SimulatedSensor
 
-__all__ = [
-    "KITTI",
-    "NPY",
-    "TAR",
-    "Recording",
-    "kitti",
-    "npy",
-    "recording",
-    "tar",
-    "tar_members",
-    "upload_scan",
-]
-
 KITTI = {"Content-Type": "application/vnd.tensormap.kitti"}
 NPY = {"Content-Type": "application/vnd.tensormap.npy"}
 TAR = {"Content-Type": "application/x-tar"}

@@ -3,10 +3,11 @@
 import numpy as np
 
 from core.arrays import Float32Array, FloatArray, IntArray
+from core.encodings.distance import Distance
 from core.errors import InvalidScan
 from core.mapping.build import fit_map
 from core.mapping.tensormap import TensorMap
-from core.parameters import Distance, MapParameters
+from core.parameters import MapParameters
 from core.projection.images import MemoryImages, Probes
 from core.projection.range_image import RangeImage
 from core.projection.reducer import Reducer
@@ -17,22 +18,6 @@ from core.scans.scan import Scan
 from core.scans.sensor import AngularGrid
 from core.scans.trajectory import Trajectory
 from core.segmentation import cut_drives
-
-__all__ = [
-    "SMALL_GRID",
-    "FaultyDrive",
-    "RecordedProgress",
-    "calibrated_map",
-    "noisy_probes",
-    "random_images",
-    "sample_drive",
-    "sample_harmonic_map",
-    "sample_image",
-    "sample_map",
-    "sample_points",
-    "smooth_images",
-    "straight_poses",
-]
 
 SMALL_GRID = AngularGrid(
     elevation_min_deg=-30.0, elevation_step_deg=10.0, rows=6, azimuth_step_deg=20.0

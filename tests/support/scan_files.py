@@ -7,8 +7,6 @@ import numpy as np
 from pypcd4.pypcd4 import Encoding, PointCloud
 from scipy.io import savemat
 
-__all__ = ["csv", "ford", "kitti", "las", "npy", "nuscenes", "pcd", "ply", "ply_ascii"]
-
 
 def kitti(points: np.ndarray) -> bytes:
     return np.column_stack([points, np.zeros(len(points))]).astype("<f4").tobytes()

@@ -19,19 +19,6 @@ from app.settings import Settings
 from core.scans.pose import Pose
 from tests.support.recording import TAR, Recording, kitti, tar
 
-__all__ = [
-    "Client",
-    "copy_of",
-    "damage",
-    "document",
-    "pose_text",
-    "problem_of",
-    "running",
-    "upload",
-    "wait_for",
-    "whole_store",
-]
-
 PROBLEM = "application/problem+json"
 ENDED = {"done", "failed", "cancelled"}
 

@@ -4,8 +4,6 @@ import numpy as np
 
 from core.scans.scan import Scan
 
-__all__ = ["sample_scan"]
-
 
 def sample_scan(seed: int, returns: int = 20) -> Scan:
     """Return the scan of that seed."""

@@ -4,8 +4,6 @@ import os
 import time
 from typing import Any
 
-__all__ = ["fall_over", "find_no_catalog", "stand_still", "take_memory"]
-
 
 def stand_still(*_: object) -> None:
     """Be a worker that never ends."""

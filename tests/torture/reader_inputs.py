@@ -18,8 +18,6 @@ from storage.formats.scans.registry import FORMAT_NAMES
 from tests.support import scan_files as scans
 from tests.support.captures import hdl32, ouster, ouster_body, ouster_metadata, pcap, udp
 
-__all__ = ["CLOUD", "INPUTS", "SEED", "damaged", "samples"]
-
 SEED = int(os.environ.get("TENSORMAP_TORTURE_SEED") or time.time_ns() % 1_000_000)
 """The seed of this run."""
 os.environ["TENSORMAP_TORTURE_SEED"] = str(SEED)

@@ -28,8 +28,6 @@ from tests.support.captures import hdl32, ouster, ouster_metadata, udp
 from tests.support.recording import tar, tar_members
 from tests.torture.support.costs import cost_of
 
-__all__ = ["ARCHIVES", "SINGLE", "TWINS"]
-
 UNPACKED, SENT = 256 * 2**20, 64 * 2**20
 _PCAP = struct.pack("<IHHiIII", 0xA1B2C3D4, 2, 4, 0, 0, 65535, 1)
 _PLY = "ply\nformat {} 1.0\nelement vertex {}\n{}end_header\n"

@@ -22,8 +22,6 @@ from tests.support.recording import TAR, tar
 from tests.support.service import Client, running
 from tests.torture.support.costs import cost_of
 
-__all__ = ["ARCHIVES", "REQUESTS"]
-
 _DRIVE = "/v1/maps/campus/drives/monday"
 _JSON = "application/json"
 _MOST_JSON = 10_000

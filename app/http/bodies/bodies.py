@@ -26,20 +26,6 @@ from app.settings import Settings
 from core.errors import TensorMapError
 from storage.formats.scans.registry import SCAN_FORMATS
 
-__all__ = [
-    "SCAN_TYPES",
-    "AsItComes",
-    "Body",
-    "BodyGuard",
-    "ContentType",
-    "Json",
-    "JsonFrom",
-    "Received",
-    "described_body",
-    "incoming_of",
-    "media_type",
-]
-
 M = TypeVar("M", bound=BaseModel)
 T = TypeVar("T")
 

@@ -7,8 +7,6 @@ import re
 
 from app.http.errors import DigestMismatch
 
-__all__ = ["ContentDigest"]
-
 _ALGORITHMS = {"sha-256": hashlib.sha256, "sha-512": hashlib.sha512}
 _MEMBER = re.compile(r"\s*([a-z0-9-]+)=:([A-Za-z0-9+/=]*):\s*")
 

@@ -8,8 +8,6 @@ import zstandard
 
 from app.http.errors import BodyTooLarge, MalformedBody, UnsupportedBody
 
-__all__ = ["ENCODINGS", "Decoder", "decoder_of"]
-
 ENCODINGS = ("gzip", "zstd")
 _PIECE_BYTES = 2**20
 _GZIP_SLICE_BYTES = 2**12

@@ -13,8 +13,6 @@ from app.http.bodies.pace import Pace
 from app.http.bodies.spool import Spool, SpoolRoom
 from app.http.errors import BodyTooLarge
 
-__all__ = ["Incoming", "Limits"]
-
 
 @dataclass(frozen=True)
 class Limits:

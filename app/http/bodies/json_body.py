@@ -10,8 +10,6 @@ from pydantic import BaseModel, ValidationError
 
 from app.http.errors import InvalidRequest
 
-__all__ = ["MOST_DEPTH", "MOST_KEYS", "MOST_VALUES", "read_json", "require_bounded"]
-
 M = TypeVar("M", bound=BaseModel)
 
 MOST_KEYS = 50_000

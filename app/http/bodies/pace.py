@@ -9,8 +9,6 @@ from starlette.types import Message, Receive
 from app.http.errors import SlowBody
 from app.settings import Settings
 
-__all__ = ["Pace"]
-
 
 class Pace:
     """Waits for the parts of one body; time that we take ourselves between two does not count.

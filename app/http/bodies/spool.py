@@ -15,8 +15,6 @@ from app.settings import Settings
 from storage.errors import StorageFull
 from storage.files.files import named_disk_errors
 
-__all__ = ["Spool", "SpoolRoom"]
-
 _RETRY_S = 5
 _SMALL_BYTES = 128 * 2**10  # of each body in memory
 _LARGE_BYTES = 8 * 2**20  # of a body that finds room in what all share

@@ -6,8 +6,6 @@ import time
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-__all__ = ["UnreadBody"]
-
 _DRAINED_BYTES = 256 * 2**20
 _DRAINED_S = 30.0
 _IDLE_S = 2.0

@@ -19,8 +19,6 @@ from core.revision import content_digest
 if TYPE_CHECKING:
     from core.parameters import MapParameters
 
-__all__ = ["HarmonicBasis", "harmonic_basis_digest"]
-
 
 def harmonic_basis_digest(parameters: "MapParameters", radial_basis: Float32Array) -> str:
     """Return what names a harmonic basis: equal ones make equal signatures of every scan."""

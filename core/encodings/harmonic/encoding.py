@@ -30,8 +30,6 @@ from core.scans.trajectory import Trajectory
 if TYPE_CHECKING:
     from core.parameters import MapParameters
 
-__all__ = ["HarmonicEncoding"]
-
 
 class HarmonicEncoding(Encoding):
     """G = U^T S F: answers in any heading and lane (docs/decisions/0010-harmonic-encoding.md)."""

@@ -25,8 +25,6 @@ from core.errors import InvalidMap, InvalidSignature
 if TYPE_CHECKING:
     from core.parameters import MapParameters
 
-__all__ = ["HarmonicModel"]
-
 
 @dataclass(frozen=True, eq=False)
 class HarmonicModel(Model):

@@ -10,8 +10,6 @@ from core.arrays import FloatArray
 from core.encodings.signature import HEADER_BYTES, Packing, Signature
 from core.errors import InvalidSignature
 
-__all__ = ["LAYOUTS", "pack", "unpack"]
-
 _FLOAT16, _INT8 = 3, 4
 LAYOUTS = {_FLOAT16: "harmonic float16", _INT8: "harmonic int8"}
 _SCALE = struct.Struct("<f")

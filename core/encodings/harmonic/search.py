@@ -14,8 +14,6 @@ from core.scans.angles import wrapped_deg
 if TYPE_CHECKING:
     from core.encodings.harmonic.model import HarmonicModel
 
-__all__ = ["HarmonicSearch"]
-
 _SAMPLES_A_WAVE = 12  # of the shortest wave: the parabola then errs by less than 0.1 deg
 _FIRST = 4  # scans that are searched before the bound decides on the others
 _EXACT_SCANS = 1024  # searched over headings at once: 10 MB of them

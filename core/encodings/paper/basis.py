@@ -16,8 +16,6 @@ from core.revision import content_digest
 if TYPE_CHECKING:
     from core.parameters import MapParameters
 
-__all__ = ["PaperBasis", "paper_basis_digests"]
-
 
 def paper_basis_digests(
     parameters: "MapParameters", elevation_basis: Float32Array, azimuth_basis: Float32Array

@@ -28,8 +28,6 @@ if TYPE_CHECKING:
     from core.encodings.model import Model
     from core.parameters import MapParameters
 
-__all__ = ["PaperEncoding"]
-
 
 class PaperEncoding(Encoding):
     """Tucker2 models of range images, one a segment (paper, sec. 2.2)."""

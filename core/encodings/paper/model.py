@@ -17,8 +17,6 @@ from core.errors import InvalidMap, InvalidSignature
 if TYPE_CHECKING:
     from core.parameters import MapParameters
 
-__all__ = ["PaperModel", "SegmentModel"]
-
 
 @dataclass(frozen=True, eq=False)
 class SegmentModel:

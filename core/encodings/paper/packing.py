@@ -9,8 +9,6 @@ import numpy as np
 from core.encodings.signature import HEADER_BYTES, Packing, Signature
 from core.errors import InvalidSignature
 
-__all__ = ["LAYOUTS", "pack", "unpack"]
-
 _FLOAT16, _FLOAT32 = 1, 2
 LAYOUTS = {_FLOAT16: "float16", _FLOAT32: "float32"}
 _DTYPES: dict[int, np.dtype[np.floating[Any]]] = {

@@ -20,8 +20,6 @@ from core.projection.images import ImageSource
 if TYPE_CHECKING:
     from core.parameters import MapParameters
 
-__all__ = ["leading_sums", "sweep"]
-
 
 def leading_sums(blocks: FloatArray, r1: Sequence[int], r2: Sequence[int]) -> FloatArray:
     """Return sums over the leading r1 x r2 block of `(..., R1, R2)`, for all `r1` and `r2`.

@@ -18,8 +18,6 @@ from core.scans.angles import wrapped_deg
 from core.scans.drive import Drive
 from core.scans.scan import Scan
 
-__all__ = ["PlaceDescriptor", "Places", "enrol_each", "sent_bytes", "turn_deg"]
-
 _FLOAT32_BYTES = 4
 
 

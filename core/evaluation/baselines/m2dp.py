@@ -24,8 +24,6 @@ from core.evaluation.baselines.voxels import voxel_means
 from core.evaluation.methods import Nearest
 from core.scans.scan import Scan
 
-__all__ = ["M2dp", "M2dpPlaces"]
-
 _BLOCK = 8192  # returns that are projected at once: the intermediate arrays stay in the cache
 
 

@@ -17,8 +17,6 @@ from core.evaluation.baselines.descriptor import PlaceDescriptor, Places, turn_d
 from core.evaluation.methods import Nearest
 from core.scans.scan import Scan
 
-__all__ = ["ScanContext", "ScanContextPlaces", "ring_keys"]
-
 
 @dataclass(frozen=True)
 class ScanContext(PlaceDescriptor):

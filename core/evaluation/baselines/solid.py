@@ -19,8 +19,6 @@ from core.evaluation.baselines.voxels import voxel_means
 from core.evaluation.methods import Nearest
 from core.scans.scan import Scan
 
-__all__ = ["Solid", "SolidPlaces"]
-
 
 @dataclass(frozen=True)
 class Solid(PlaceDescriptor):

@@ -4,8 +4,6 @@ import numpy as np
 
 from core.arrays import Float32Array, FloatArray
 
-__all__ = ["voxel_means"]
-
 
 def voxel_means(points_m: Float32Array, side_m: float) -> FloatArray:
     """Return the mean of the returns in each occupied cube of a grid, `(n, 3)`.

@@ -12,8 +12,6 @@ from core.scans.scan import Scan
 from storage.formats.errors import EmptyBody
 from storage.formats.scans.velodyne import Turns
 
-__all__ = ["CapturedDrive", "open_captured_drive"]
-
 
 class CapturedDrive:
     """The full turns of a capture; its packets are kept in memory, points are made when asked for.

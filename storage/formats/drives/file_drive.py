@@ -15,8 +15,6 @@ from storage.formats.errors import MalformedDrive
 from storage.formats.scans.records import NcltFormat
 from storage.formats.scans.registry import is_scan_file, read_scan_file
 
-__all__ = ["FileDrive", "in_order", "open_nclt_drive", "open_scan_folder"]
-
 
 @dataclass(frozen=True, eq=False)
 class FileDrive:

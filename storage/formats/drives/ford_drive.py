@@ -44,8 +44,6 @@ from storage.formats.drives.file_drive import in_order
 from storage.formats.errors import MalformedScan
 from storage.formats.scans.ford import points_m_of, scan_matrices
 
-__all__ = ["FordDrive", "open_ford_drive", "read_ford_scan"]
-
 _LASER_ON_VEHICLE = np.array([2.4, -0.01, -2.3, math.pi, 0.0, math.pi / 2])
 _Z_DOWN_TO_Z_UP = np.diag([1.0, -1.0, -1.0, 1.0])
 

@@ -28,8 +28,6 @@ from storage.formats.drives.file_drive import FileDrive, in_order
 from storage.formats.errors import MalformedDrive
 from storage.formats.scans.kitti import kitti_body
 
-__all__ = ["camera_to_lidar_poses", "open_kitti_drive", "write_kitti_drive"]
-
 
 def open_kitti_drive(path: Path, *, min_returns: int = 1) -> FileDrive:
     """Open a drive of `velodyne/*.bin`; all the files beside it are optional.

@@ -12,8 +12,6 @@ from storage.formats.drives.ros_drive import is_ros_bag, open_ros_drive, split_t
 from storage.formats.errors import UnknownDriveLayout
 from storage.formats.scans.registry import SCAN_FORMATS
 
-__all__ = ["open_drive"]
-
 
 def open_drive(path: Path, *, min_returns: int = 1) -> Drive:
     """Open a recorded drive; scans are read when asked for.

@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
     from rosbags.interfaces import Connection
 
-__all__ = ["RosDrive", "is_ros_bag", "open_ros_drive", "split_topic"]
-
 _SUFFIXES = frozenset({".bag", ".mcap", ".db3"})
 _METADATA = "metadata.yaml"  # in the folder that ROS 2 records
 _CLOUD = "sensor_msgs/msg/PointCloud2"

@@ -8,15 +8,6 @@ from core.arrays import Float32Array
 from storage.formats.budget import BUDGET
 from storage.formats.errors import MalformedScan, TruncatedScan
 
-__all__ = [
-    "AXES",
-    "as_float32",
-    "coordinates",
-    "record_of",
-    "require_amount",
-    "require_records",
-]
-
 AXES = ("x", "y", "z")
 
 

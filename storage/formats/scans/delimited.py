@@ -7,8 +7,6 @@ from storage.formats.errors import MalformedScan
 from storage.formats.scans.coordinates import AXES
 from storage.formats.scans.text_numbers import text_columns
 
-__all__ = ["CsvFormat"]
-
 _DELIMITERS = (",", ";", "\t", " ")
 _MAX_LINE_BYTES = 16_384
 

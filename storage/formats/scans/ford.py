@@ -17,8 +17,6 @@ from storage.formats.budget import BUDGET
 from storage.formats.errors import MalformedScan, ScanTooLarge, TruncatedScan
 from storage.formats.scans.coordinates import as_float32
 
-__all__ = ["FordFormat", "points_m_of", "scan_matrices"]
-
 _HEADER_BYTES = 128
 _MATRIX, _COMPRESSED = 14, 15
 _STRUCT_CLASS = 2

@@ -9,8 +9,6 @@ from core.scans.scan import Scan
 from storage.formats.errors import WrongDtype
 from storage.formats.scans.coordinates import require_records
 
-__all__ = ["KittiFormat", "kitti_body", "refuse_implausible"]
-
 _RECORD_BYTES = 16
 _WANTED = "float32 little-endian x y z reflectance, 16 bytes a return, in metres"
 

@@ -12,8 +12,6 @@ from storage.formats.budget import BUDGET
 from storage.formats.errors import MalformedScan, ScanTooLarge, TruncatedScan
 from storage.formats.scans.laz import read_points, unpack
 
-__all__ = ["LasFormat"]
-
 _SHORTEST_HEADER_BYTES = 227
 _VLR_BYTES = 54
 _COMPRESSED = 0x80

@@ -16,8 +16,6 @@ from core.arrays import Float32Array
 from storage.formats.budget import BUDGET
 from storage.formats.errors import MalformedScan
 
-__all__ = ["read_points", "unpack"]
-
 _CHUNK_BYTES = 4 * 2**20
 _MEMORY_BYTES, _WALL_S = 2**30, 60
 _READ_BYTES = 12

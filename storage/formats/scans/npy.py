@@ -18,8 +18,6 @@ from storage.formats.budget import BUDGET
 from storage.formats.errors import MalformedScan, TruncatedScan, WrongDtype, short
 from storage.formats.scans.coordinates import AXES, as_float32, coordinates, require_amount
 
-__all__ = ["NpyFormat"]
-
 _MAGIC = b"\x93NUMPY"
 _LENGTH_BYTES = {(1, 0): 2, (2, 0): 4, (3, 0): 4}
 _MAX_HEADER_BYTES = 10_000  # NumPy's own limit

@@ -19,8 +19,6 @@ from storage.formats.errors import MalformedScan, TruncatedScan
 from storage.formats.scans.coordinates import record_of
 from storage.formats.scans.pcap import datagrams
 
-__all__ = ["OusterFormat", "ouster_frames"]
-
 _MAX_METADATA_BYTES = 2**20
 _MOST_FRAMES = 2000
 _BATCH_PACKETS = 256

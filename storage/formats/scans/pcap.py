@@ -8,8 +8,6 @@ from dataclasses import dataclass, field
 from storage.formats.budget import BUDGET
 from storage.formats.errors import MalformedScan, TruncatedScan
 
-__all__ = ["PCAP_MAGICS", "Buffer", "Datagram", "datagrams"]
-
 Buffer = bytes | mmap.mmap
 """A capture in memory, or a file that is mapped there."""
 

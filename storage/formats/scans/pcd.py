@@ -23,8 +23,6 @@ from storage.formats.scans.coordinates import (
 )
 from storage.formats.scans.text_numbers import text_columns
 
-__all__ = ["PcdFormat"]
-
 _SIZES = {"F": {4, 8}, "I": {1, 2, 4, 8}, "U": {1, 2, 4, 8}}
 _ENCODINGS = ("ascii", "binary", "binary_compressed")
 _MAX_HEADER_BYTES = 16_384

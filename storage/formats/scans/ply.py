@@ -15,8 +15,6 @@ from storage.formats.errors import MalformedScan, WrongDtype, short
 from storage.formats.scans.coordinates import AXES, coordinates, require_amount
 from storage.formats.scans.text_numbers import text_columns
 
-__all__ = ["PlyFormat"]
-
 _TYPES = {
     **dict.fromkeys(("char", "int8"), "i1"),
     **dict.fromkeys(("uchar", "uint8"), "u1"),

@@ -12,8 +12,6 @@ from storage.formats.errors import WrongDtype
 from storage.formats.scans.coordinates import require_records
 from storage.formats.scans.kitti import refuse_implausible
 
-__all__ = ["NcltFormat", "NuscenesFormat"]
-
 _NUSCENES_BYTES = 20
 _NUSCENES = "float32 little-endian x y z intensity ring, 20 bytes a return, in metres"
 _MOST_RINGS = 256

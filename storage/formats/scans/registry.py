@@ -21,17 +21,6 @@ from storage.formats.scans.ply import PlyFormat
 from storage.formats.scans.records import NcltFormat, NuscenesFormat
 from storage.formats.scans.velodyne import VelodyneFormat
 
-__all__ = [
-    "FORMAT_NAMES",
-    "SCAN_FORMATS",
-    "ScanFormat",
-    "is_scan_file",
-    "media_type_of",
-    "read_scan",
-    "read_scan_file",
-    "suffix_of",
-]
-
 _ANY_BYTES = "application/octet-stream"
 
 

@@ -10,8 +10,6 @@ from storage.formats.budget import BUDGET
 from storage.formats.errors import MalformedScan, ScanTooLarge
 from storage.formats.scans.coordinates import as_float32
 
-__all__ = ["blocks_of_lines", "number_rows", "text_columns"]
-
 _BLOCK_BYTES = 2**20
 _NEWLINE, _BLANK = ord("\n"), ord(" ")
 # Whatever is no character of a number is one that no parser takes for white space or a digit.

@@ -17,8 +17,6 @@ from storage.formats.budget import BUDGET
 from storage.formats.errors import MalformedScan, ScanTooLarge, TruncatedScan
 from storage.formats.scans.pcap import PCAP_MAGICS, Buffer, datagrams
 
-__all__ = ["Turns", "VelodyneFormat"]
-
 _PAYLOAD_BYTES = 1206
 _BLOCK = np.dtype(
     [("flag", "<u2"), ("azimuth", "<u2"), ("returns", [("range", "<u2"), ("i", "u1")], 32)]

@@ -14,18 +14,6 @@ from storage.files.map_file import read_map, write_map
 from tests.support.recording import kitti, npy, recording, tar
 from tests.support.samples import sample_harmonic_map, sample_map
 
-__all__ = [
-    "HDF5",
-    "digest_of_file",
-    "digest_of_npy",
-    "driven",
-    "driven_tar",
-    "map_file",
-    "noise",
-    "noise_digest",
-    "noise_tar",
-]
-
 HDF5 = {"Content-Type": "application/vnd.tensormap.map+hdf5"}
 _RETURNS = 100  # the fewest that are taken
 

@@ -11,8 +11,6 @@ from pathlib import Path
 
 from tests.torture.support.sizes import SEED, TREE
 
-__all__ = ["Fared", "fared"]
-
 _ROOT = Path(__file__).parents[3]
 _TICKS = os.sysconf("SC_CLK_TCK")
 _LOOK_S = 0.25

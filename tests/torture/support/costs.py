@@ -6,8 +6,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-__all__ = ["cost_of"]
-
 
 def cost_of(act: Callable[[], str]) -> dict[str, Any]:
     """Return `cpu_s`, `mb` that were added at the peak, and what the act returned, `outcome`."""

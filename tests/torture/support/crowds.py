@@ -7,8 +7,6 @@ from collections import Counter
 from collections.abc import AsyncIterator, Mapping
 from contextlib import AsyncExitStack, asynccontextmanager, suppress
 
-__all__ = ["Crowd", "idle_connections", "open_websockets"]
-
 _HOST = "127.0.0.1"
 _AT_ONCE, _STREAMS_AT_ONCE = 50, 20
 _PATIENCE_S = 30.0

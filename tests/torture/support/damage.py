@@ -3,8 +3,6 @@
 import random
 from collections.abc import Callable
 
-__all__ = ["DAMAGES", "damaged", "flipped"]
-
 _SECTOR = 512
 _WORD = 8
 

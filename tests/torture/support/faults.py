@@ -16,8 +16,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Self
 
-__all__ = ["FAULTS", "OPERATIONS", "Fault", "Faults", "built_library", "reason_to_skip"]
-
 OPERATIONS = ("open", "write", "sync", "rename", "truncate", "mkdir")
 _SOURCE = Path(__file__).with_name("faults.c")
 _NOTES, _NOTE = 512, 120

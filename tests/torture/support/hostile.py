@@ -13,8 +13,6 @@ import numpy as np
 
 from tests.torture.support.bodies import map_file
 
-__all__ = ["hostile_maps", "truncated_maps"]
-
 _SIGNATURE = b"\x89HDF\r\n\x1a\n"
 
 

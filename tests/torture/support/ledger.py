@@ -12,8 +12,6 @@ from tests.torture.support.bodies import digest_of_file, digest_of_npy
 from tests.torture.support.service import Tortured, named
 from tests.torture.support.writes import poses_of
 
-__all__ = ["Ledger", "Refused", "Thing", "read_thing", "require_acknowledged"]
-
 Thing = tuple[str, ...]
 """What can be read back: its kind, and where it is. Its value is text, `None` where it is not."""
 

@@ -8,8 +8,6 @@ from collections.abc import Awaitable, Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 
-__all__ = ["Answers", "Load", "Request", "ask_again_and_again", "asked"]
-
 _HOST = "127.0.0.1"
 
 

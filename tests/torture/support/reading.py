@@ -32,8 +32,6 @@ from tests.support.samples import (
 from tests.torture.support.damage import damaged
 from tests.torture.support.sizes import chance
 
-__all__ = ["SUBJECTS", "Subject", "damaged_file"]
-
 _MEMORY_BYTES = 2 * 2**30  # beyond, allocating fails: a reader that asks for more is refused
 
 

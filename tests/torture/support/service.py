@@ -16,8 +16,6 @@ from tests.support.access import ADMIN_KEY, bearer
 from tests.support.process import NO_TLS, is_running, until
 from tests.torture.support.sizes import TREE
 
-__all__ = ["Tortured", "named", "tortured"]
-
 _START_S = 60.0
 _COMMAND_S = 120.0
 PROBLEM = "application/problem+json"

@@ -9,8 +9,6 @@ import random
 import time
 from pathlib import Path
 
-__all__ = ["SEED", "TREE", "chance", "seconds", "size"]
-
 _PREFIX = "TENSORMAP_TORTURE_"
 
 SEED = int(os.environ.get(f"{_PREFIX}SEED") or time.time_ns() % 1_000_000)

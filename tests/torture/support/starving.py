@@ -18,8 +18,6 @@ from tests.support.commands import ROOT
 from tests.torture.support.crowds import idle_connections, open_websockets
 from tests.torture.support.load import Load, Request, as_json
 
-__all__ = ["Greedy", "greedy"]
-
 _LENGTH = 10**9  # of an upload that never ends
 
 

@@ -11,8 +11,6 @@ import httpx2
 
 from tests.torture.support.service import Tortured
 
-__all__ = ["Used", "Watch", "used_by", "watching"]
-
 _EVERY_S = 0.05
 _PAGE_BYTES = 4096
 

@@ -20,8 +20,6 @@ from tests.torture.support.bodies import (
 from tests.torture.support.ledger import Ledger, Refused, Thing
 from tests.torture.support.service import Tortured, named
 
-__all__ = ["Writer"]
-
 _REVISIONS = 4
 _BUILT = 6  # scans that a build takes
 _WEIGHTS = {

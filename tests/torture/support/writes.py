@@ -26,8 +26,6 @@ from tests.torture.support.bodies import (
 )
 from tests.torture.support.service import Tortured, named
 
-__all__ = ["WRITES", "Write", "ended_job", "poses_of"]
-
 _ENDED = {"done", "failed", "cancelled"}
 _SCANS = 6
 _COLLECTING_S = 0.2

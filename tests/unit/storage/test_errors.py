@@ -6,13 +6,8 @@ from core.errors import TensorMapError
 from storage import errors
 
 
-def test_all_lists_every_error_in_order_and_the_tree_draws_it():
-    defined = [
-        name
-        for name, value in vars(errors).items()
-        if inspect.isclass(value) and value.__module__ == errors.__name__
-    ]
-    assert sorted(defined) == errors.__all__
-    for name in errors.__all__:
-        assert issubclass(getattr(errors, name), TensorMapError)
-        assert f" {name} " in f" {errors.__doc__} ".replace("\n", " ")
+def test_the_tree_draws_every_error():
+    drawn = f" {errors.__doc__} ".replace("\n", " ")
+    for name, error in inspect.getmembers(errors, inspect.isclass):
+        assert issubclass(error, TensorMapError)
+        assert f" {name} " in drawn

@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from core.confidence.places import AWAY_M, AWAY_SCANS
 from core.encodings.signature import Signature, pack_signatures, unpack_signatures
 from core.errors import (
     InvalidMap,
@@ -14,7 +15,7 @@ from core.errors import (
     StaleSignature,
     UnknownSegment,
 )
-from core.localization.localizer import AWAY_M, AWAY_SCANS, Localizer
+from core.localization.localizer import Localizer
 from core.mapping.build import fit_map
 from core.mapping.tensormap import TensorMap
 from core.parameters import MapParameters

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.linalg import eigh
 
+from core.encodings.distance import Distance
 from core.encodings.harmonic import HarmonicBasis, HarmonicModel, azimuth_factor
 from core.encodings.signature import Packing, Signature, pack_signatures, unpack_signatures
 from core.errors import (
@@ -17,7 +18,7 @@ from core.evaluation.condition import Condition
 from core.localization.localizer import Localizer
 from core.mapping.build import fit_map
 from core.mapping.tensormap import TensorMap
-from core.parameters import Distance, MapParameters
+from core.parameters import MapParameters
 from core.projection.height_image import HeightImage
 from core.projection.imager import ImageKind
 from core.projection.images import ConcatenatedImages, MemoryImages, project_drive
