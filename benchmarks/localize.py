@@ -15,7 +15,7 @@ from core.mapping.build import fit_map
 from core.parameters import MapParameters
 from core.projection.range_image import RangeImage
 from core.scans.trajectory import Trajectory
-from core.segmentation import PAPER_SEGMENT_LENGTH, cut_fixed
+from core.segmentation.fixed import PAPER_SEGMENT_LENGTH, cut_fixed
 
 BAR = 20.0
 SCANS = 3800

@@ -40,7 +40,7 @@ from core.evaluation.comparison import Comparison, MethodResult, MethodUnderCond
 from core.evaluation.condition import conditions
 from core.evaluation.pairing import RECENT_SCANS, HeldOut, LoopClosing, Pairing, SecondPass
 from core.scans.sensor import HDL_64E
-from core.segmentation import segment_length_for
+from core.segmentation.fixed import segment_length_for
 
 
 def compare(

@@ -7,7 +7,7 @@ from app.report.figure import Figure, Panel, Table, shown
 from core.arrays import FloatArray, IntArray
 from core.evaluation.study import Study
 from core.scans.pose import is_known
-from core.segmentation import cut_fixed
+from core.segmentation.fixed import cut_fixed
 
 
 def nodes_figure(study: Study) -> Figure:

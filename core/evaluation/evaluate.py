@@ -28,7 +28,7 @@ from core.progress import NO_PROGRESS, Progress
 from core.scans.drive import Drive
 from core.scans.pose import is_known
 from core.scans.scan import Scan
-from core.segmentation import segment_length_for
+from core.segmentation.fixed import segment_length_for
 from core.tracking.track import Tracker
 
 

@@ -15,7 +15,7 @@ from core.parameters import MapParameters
 from core.progress import NO_PROGRESS, Progress
 from core.scans.drive import Drive
 from core.scans.scan import Scan
-from core.segmentation import cut_fixed
+from core.segmentation.fixed import cut_fixed
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from core.errors import InvalidParameters
 from core.evaluation.query_set import hold_out, require_scans
 from core.evaluation.split import Interleaved, Split
 from core.scans.drive import Drive
-from core.segmentation import PAPER_SEGMENT_LENGTH, cut_fixed
+from core.segmentation.fixed import PAPER_SEGMENT_LENGTH, cut_fixed
 
 RECENT_SCANS = 50
 

@@ -23,7 +23,7 @@ from core.progress import NO_PROGRESS, Progress
 from core.projection.images import Skipped
 from core.scans.drive import Drive
 from core.scans.scan import Scan
-from core.segmentation import cut_fixed
+from core.segmentation.fixed import cut_fixed
 
 SWEPT_CONDITIONS = (Condition(), Condition(lateral_m=1.0))
 """As driven, and where the paper finds its limit: nearly every setting answers the first."""

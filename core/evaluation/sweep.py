@@ -11,7 +11,7 @@ from core.evaluation.plain import Plain
 from core.evaluation.query_images import QueryImages
 from core.mapping.pipeline import rows_of_cuts
 from core.progress import NO_PROGRESS, Progress
-from core.segmentation import cut_fixed
+from core.segmentation.fixed import cut_fixed
 
 BYTES_A_NUMBER = 4  # a map file keeps float32, or pairs of it
 

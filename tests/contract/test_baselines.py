@@ -10,7 +10,8 @@ from core.evaluation.baselines.scan_context import ScanContext
 from core.evaluation.baselines.solid import Solid
 from core.evaluation.condition import Condition
 from core.scans.scan import Scan
-from core.simulation import SimulatedDrive, SimulatedSensor
+from core.simulation import SimulatedDrive
+from core.simulation.raycast import SimulatedSensor
 
 # A baseline joins by its descriptor, the numbers in it, and whether it tells the heading.
 BASELINES = {

@@ -6,13 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from core.encodings.distance import Distance
-from core.encodings.harmonic import (
-    HarmonicModel,
-    azimuth_factor,
-    encode,
-    energy,
-    weights,
-)
+from core.encodings.harmonic.model import HarmonicModel
+from core.encodings.harmonics import azimuth_factor, encode, energy, weights
 from core.encodings.signature import Packing, Signature, pack_signatures, unpack_signatures
 from core.encodings.tucker import leading_basis, row_gram
 

@@ -17,7 +17,7 @@ from core.scans.pose import Pose
 from core.scans.scan import Scan
 from core.scans.sensor import AngularGrid
 from core.scans.trajectory import Trajectory
-from core.segmentation import cut_drives
+from core.segmentation.fixed import cut_drives
 
 SMALL_GRID = AngularGrid(
     elevation_min_deg=-30.0, elevation_step_deg=10.0, rows=6, azimuth_step_deg=20.0

@@ -235,3 +235,6 @@ class HarmonicEncoding(Encoding):
         with np.errstate(over="ignore"):  # infinite then, and refused as such
             found.real, found.imag = real, imag
         return Signature(found, None, revision)
+
+
+ENCODING = HarmonicEncoding()

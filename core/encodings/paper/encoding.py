@@ -124,3 +124,6 @@ class PaperEncoding(Encoding):
         with np.errstate(over="ignore"):  # infinite then, and refused as such
             found = np.array(rows, dtype=np.float64).astype(np.float32)
         return Signature(found, segment, revision)
+
+
+ENCODING = PaperEncoding()

@@ -10,7 +10,7 @@ from core.parameters import MapParameters
 from core.projection.range_image import project_scan
 from core.projection.reducer import Reducer
 from core.scans.sensor import HDL_64E, AngularGrid
-from core.segmentation import PAPER_SEGMENT_LENGTH, cut_fixed, segment_length_for
+from core.segmentation.fixed import PAPER_SEGMENT_LENGTH, cut_fixed, segment_length_for
 from core.simulation import SimulatedDrive
 
 K, RETURNS = 3800, 77_000

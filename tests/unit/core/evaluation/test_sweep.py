@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from core.encodings.harmonic import HarmonicModel
-from core.encodings.paper import PaperModel
+from core.encodings.harmonic.model import HarmonicModel
+from core.encodings.paper.model import PaperModel
 from core.encodings.paper.sweep import leading_sums
 from core.encodings.registry import encoding_names
 from core.errors import InvalidParameters
@@ -23,7 +23,7 @@ from core.mapping.pipeline import build
 from core.parameters import MapParameters
 from core.scans.drive import MemoryDrive
 from core.scans.scan import Scan
-from core.segmentation import cut_fixed
+from core.segmentation.fixed import cut_fixed
 from tests.support.recording import recording
 
 pytestmark = pytest.mark.slow

@@ -23,7 +23,7 @@ from core.projection.images import MemoryImages, project_drive
 from core.projection.range_image import RangeImage
 from core.scans.sensor import AngularGrid
 from core.scans.trajectory import Trajectory
-from core.segmentation import cut_fixed
+from core.segmentation.fixed import cut_fixed
 from core.simulation import SimulatedDrive
 from core.topology import Topology
 from tests.support.samples import random_images, sample_drive, sample_image, sample_map

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from core.encodings.paper import PaperModel
+from core.encodings.paper.model import PaperModel
 from core.errors import Cancelled, EmptyDrive, InvalidImage, InvalidParameters, SensorMismatch
 from core.mapping.build import fit_map
 from core.parameters import MapParameters

@@ -5,7 +5,9 @@ import pytest
 from scipy.linalg import eigh
 
 from core.encodings.distance import Distance
-from core.encodings.harmonic import HarmonicBasis, HarmonicModel, azimuth_factor
+from core.encodings.harmonic.basis import HarmonicBasis
+from core.encodings.harmonic.model import HarmonicModel
+from core.encodings.harmonics import azimuth_factor
 from core.encodings.signature import Packing, Signature, pack_signatures, unpack_signatures
 from core.errors import (
     InvalidMap,
@@ -28,7 +30,8 @@ from core.projection.rings import RingGrid
 from core.scans.pose import heading_deg
 from core.scans.sensor import AngularGrid
 from core.scans.trajectory import Trajectory
-from core.simulation import SimulatedDrive, SimulatedSensor
+from core.simulation import SimulatedDrive
+from core.simulation.raycast import SimulatedSensor
 from tests.support.samples import sample_harmonic_map, straight_poses
 
 pytestmark = pytest.mark.slow

@@ -15,7 +15,7 @@ from core.encodings.grams import (
     radial_error,
     sum_of_grams,
 )
-from core.encodings.harmonic import HarmonicBasis
+from core.encodings.harmonic.basis import HarmonicBasis
 from core.errors import (
     BasisMismatch,
     EmptyDrive,
@@ -31,7 +31,7 @@ from core.mapping.merge import merge_maps, without_drives
 from core.projection.height_image import HeightImage
 from core.projection.images import ConcatenatedImages, MemoryImages
 from core.scans.trajectory import Trajectory
-from core.segmentation import cut_drives
+from core.segmentation.fixed import cut_drives
 from tests.support.samples import (
     RecordedProgress,
     random_images,

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from core.errors import InvalidParameters
-from core.simulation import Boxes, Cylinders, Traffic, World, make_city
+from core.simulation.city import make_city
+from core.simulation.world import Boxes, Cylinders, Traffic, World
 
 
 def test_one_seed_is_one_city():
