@@ -7,11 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 from numpy.typing import NDArray
 
-from core.arrays import FloatArray
+from core.arrays import FloatArray, arrays_of
 from core.encodings.signature import Signature
 from core.errors import SensorMismatch
-from core.projection.height_image import HeightImage
-from core.projection.imager import Image, ImageKind
+from core.projection.imager import Image
 from core.scans.scan import Scan
 
 if TYPE_CHECKING:
@@ -103,9 +102,9 @@ class Basis(ABC):
             SensorMismatch: If the image is of another kind or on another grid.
         """
 
-    @abstractmethod
     def arrays(self) -> dict[str, NDArray[Any]]:
         """Return every array by its name."""
+        return arrays_of(self)
 
     @abstractmethod
     def as_values(self) -> dict[str, Any]:
@@ -144,10 +143,9 @@ class Basis(ABC):
 
     def require_grid(self, image: Image) -> None:
         """Raise `SensorMismatch` unless the image is of this map's kind and on its grid."""
-        kind = ImageKind.HEIGHT if isinstance(image, HeightImage) else ImageKind.RANGE
-        if kind != self.parameters.image:
+        if image.kind != self.parameters.image:
             raise SensorMismatch(
-                f"the image is a {kind} image, the map is of {self.parameters.image} images"
+                f"the image is a {image.kind} image, the map is of {self.parameters.image} images"
             )
         if image.grid != self.parameters.grid:
             raise SensorMismatch(f"the image is on {image.grid}, the map on {self.parameters.grid}")

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from core.arrays import BoolArray, FloatArray, IntArray, frozen
+from core.arrays import BoolArray, FloatArray, IntArray, arrays_of, frozen
 from core.encodings.basis import Basis
 from core.encodings.signature import Signature
 from core.errors import InvalidMap, UnknownSegment
@@ -203,9 +203,9 @@ class Model(ABC):
         """Whether a match says how far the query is turned relative to its scan."""
         return False
 
-    @abstractmethod
     def arrays(self) -> dict[str, NDArray[Any]]:
         """Return every array by its name in the file."""
+        return arrays_of(self)
 
     @abstractmethod
     def search(self, signatures: Sequence[Signature]) -> Search:

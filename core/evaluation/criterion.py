@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from core.arrays import BoolArray, FloatArray, IntArray, frozen
+from core.arrays import BoolArray, FloatArray, IntArray, freeze
 from core.errors import InvalidParameters
 from core.evaluation.metrics import apart_m
 from core.evaluation.motion import is_standing
@@ -32,8 +32,7 @@ class Criterion:
     tolerance_scans: int = 3
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "poses", frozen(self.poses, np.float64))
-        object.__setattr__(self, "timestamp_s", frozen(self.timestamp_s, np.float64))
+        freeze(self, poses=np.float64, timestamp_s=np.float64)
         if not 0.0 < self.tolerance_m < np.inf:
             raise InvalidParameters(f"tolerance_m is {self.tolerance_m}, wanted metres above 0")
         if self.tolerance_scans < 0:

@@ -201,7 +201,7 @@ def _images_alike(
 
 
 def _heights(scan: Scan, sensor_height_m: float) -> Float32Array:
-    return project_heights(scan, _GRID, Reducer.MEAN, sensor_height_m).cells
+    return project_heights(scan, _GRID, Reducer.MEAN, sensor_height_m)
 
 
 def _headings(correlation: FloatArray) -> FloatArray:

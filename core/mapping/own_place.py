@@ -7,12 +7,9 @@ within a metre of it, is not asked. What was recorded within `AWAY_M` of it is r
 from core.arrays import BoolArray
 from core.confidence.places import AWAY_M, away_from
 from core.mapping.tensormap import TensorMap
-from core.projection.height_image import HeightImage
 from core.projection.imager import Image
 from core.projection.images import ImageSource
 from core.projection.probe import LEFT_OUT_M
-from core.projection.range_image import RangeImage
-from core.projection.rings import RingGrid
 from core.scans.trajectory import Trajectory
 
 RIGHT_SCANS = 15
@@ -38,5 +35,4 @@ def own_place(trajectory: Trajectory, row: int) -> tuple[BoolArray, BoolArray]:
 
 def image_of(tensor_map: TensorMap, images: ImageSource, position: int) -> Image:
     """Return one image of a source on the map's grid, without renderings, as a query is."""
-    cells, grid = images.read(position, position + 1)[0], tensor_map.parameters.grid
-    return HeightImage(cells, grid) if isinstance(grid, RingGrid) else RangeImage(cells, grid)
+    return Image(images.read(position, position + 1)[0], tensor_map.parameters.grid)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from core.arrays import FloatArray, IntArray, frozen
+from core.arrays import FloatArray, IntArray, freeze
 from core.confidence.calibration import Calibration
 from core.encodings.basis import Basis
 from core.encodings.model import Model
@@ -51,7 +51,7 @@ class TensorMap:
     calibration: Calibration | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "relative_error", frozen(self.relative_error, np.float64))
+        freeze(self, relative_error=np.float64)
         scans, segments = len(self.model), self.model.segments
         if len(self.trajectory) != scans:
             raise InvalidMap(f"{scans} signatures and {len(self.trajectory)} scans")

@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from core.arrays import Float32Array
-from core.errors import InvalidParameters
-from core.projection.height_image import HeightImage, project_heights
-from core.projection.range_image import RangeImage, project_scan
+from core.arrays import Float32Array, freeze
+from core.errors import InvalidImage, InvalidParameters
+from core.projection.height_image import project_heights
+from core.projection.range_image import project_scan
 from core.projection.reducer import HEIGHT_REDUCERS, RANGE_REDUCERS, Reducer
 from core.projection.rings import RingGrid
 from core.scans.displacement import seen_from_beside
@@ -18,7 +18,6 @@ from core.scans.scan import Scan
 from core.scans.sensor import AngularGrid
 
 Grid = AngularGrid | RingGrid
-Image = RangeImage | HeightImage
 
 LATERAL_RENDERINGS_M = (-3.0, -1.5, 0.0, 1.5, 3.0)
 """Virtual viewpoints a lane to either side: docs/decisions/0010-harmonic-encoding.md."""
@@ -32,6 +31,34 @@ class ImageKind(StrEnum):
 
     RANGE = "range"
     HEIGHT = "height"
+
+
+@dataclass(frozen=True, eq=False)
+class Image:
+    """A scan on a grid: a range image, the paper's matrix S, or a height image.
+
+    Attributes:
+        cells: `(I, J)` float32 metres, finite, 0 where nothing is; not all 0.
+        grid: The lattice; an angular one holds ranges, one of rings heights.
+    """
+
+    cells: Float32Array
+    grid: Grid
+
+    def __post_init__(self) -> None:
+        shape = np.shape(self.cells)
+        if shape != self.grid.shape:
+            raise InvalidImage(f"the {self.kind} image has shape {shape}, wanted {self.grid.shape}")
+        freeze(self, cells=np.float32)
+        if not np.isfinite(self.cells).all() or (self.cells < 0).any():
+            raise InvalidImage(f"the {self.kind} image has cells that are negative or not finite")
+        if not self.cells.any():
+            raise InvalidImage(f"the {self.kind} image is empty: every cell is 0")
+
+    @property
+    def kind(self) -> ImageKind:
+        """What the cells hold."""
+        return _kind_on(self.grid)
 
 
 @dataclass(frozen=True)
@@ -78,7 +105,7 @@ class Imager:
     @property
     def kind(self) -> ImageKind:
         """What the cells hold."""
-        return ImageKind.HEIGHT if isinstance(self.grid, RingGrid) else ImageKind.RANGE
+        return _kind_on(self.grid)
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -98,9 +125,9 @@ class Imager:
             InvalidScan: If no return falls inside the grid, or all on the ground.
         """
         if isinstance(self.grid, AngularGrid):
-            return project_scan(scan, self.grid, self.reducer)
+            return Image(project_scan(scan, self.grid, self.reducer), self.grid)
         height_m = self.sensor_height_m if sensor_height_m is None else sensor_height_m
-        return project_heights(scan, self.grid, self.reducer, height_m)
+        return Image(project_heights(scan, self.grid, self.reducer, height_m), self.grid)
 
     def render(self, scan: Scan) -> Float32Array:
         """Return what a scan of the map becomes, of `shape`.
@@ -138,6 +165,10 @@ def grid_from_attributes(attributes: dict[str, Any]) -> Grid:
         TypeError: If something is missing or of neither kind.
     """
     return RingGrid(**attributes) if "rings" in attributes else AngularGrid(**attributes)
+
+
+def _kind_on(grid: Grid) -> ImageKind:
+    return ImageKind.HEIGHT if isinstance(grid, RingGrid) else ImageKind.RANGE
 
 
 def _beside(scan: Scan, left_m: float) -> Scan:

@@ -6,7 +6,7 @@ from typing import Protocol
 
 import numpy as np
 
-from core.arrays import Float32Array, FloatArray, IntArray, frozen
+from core.arrays import Float32Array, FloatArray, IntArray, freeze, frozen
 from core.errors import EmptyDrive, InvalidImage, InvalidParameters, InvalidScan
 from core.progress import NO_PROGRESS, Progress
 from core.projection.imager import Grid, Imager
@@ -111,8 +111,7 @@ class Probes:
     images: ImageSource
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "rows", frozen(self.rows, np.int64))
-        object.__setattr__(self, "standing", frozen(self.standing, np.float64))
+        freeze(self, rows=np.int64, standing=np.float64)
         count = len(self.images)
         if self.rows.shape != (count,) or self.standing.shape != (count, 3):
             raise InvalidParameters(

@@ -1,5 +1,6 @@
 """Which return a shared cell of an image keeps, and how a scan's returns come to their cells."""
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
@@ -33,7 +34,7 @@ class Reduced:
     """What is left of a scan's returns in the cells of an image.
 
     Attributes:
-        cells: `(c,)`, 0 where nothing fell.
+        cells: `(I, J)`, 0 where nothing is.
         inside: How many returns have a cell.
         largest: The largest of their values, 0 without any.
     """
@@ -46,7 +47,7 @@ class Reduced:
 def reduce_returns(
     points_m: Float32Array,
     place: Callable[[FloatArray], tuple[IntArray, FloatArray]],
-    cell_count: int,
+    shape: tuple[int, int],
     reducer: Reducer,
 ) -> Reduced:
     """Place returns in cells and keep one number a cell.
@@ -58,10 +59,10 @@ def reduce_returns(
         points_m: `(n, 3)`.
         place: Turns `(3, m)` coordinates into `(k,)` cells and `(k,)` values, 0 or more, of those
             returns that have a cell, in their order.
-        cell_count: How many cells there are.
+        shape: `(I, J)` of the image.
         reducer: What a shared cell keeps.
     """
-    reduction = _REDUCTIONS[reducer](cell_count)
+    reduction = _REDUCTIONS[reducer](math.prod(shape))
     inside, largest = 0, 0.0
     for at in range(0, len(points_m), _BLOCK):
         cells, values = place(points_m[at : at + _BLOCK].T.astype(np.float64, order="C"))
@@ -69,7 +70,7 @@ def reduce_returns(
             inside += len(cells)
             largest = max(largest, float(values.max()))
             reduction.add(cells, values)
-    return Reduced(reduction.cells(), inside, largest)
+    return Reduced(reduction.cells().reshape(shape), inside, largest)
 
 
 class _Mean:

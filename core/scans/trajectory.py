@@ -6,7 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
-from core.arrays import BoolArray, FloatArray, IntArray, frozen
+from core.arrays import BoolArray, FloatArray, IntArray, freeze, frozen
 from core.errors import EmptyDrive, InvalidMap
 from core.scans.pose import first_invalid, is_known
 from core.text import LONGEST_NAME, flaw_in
@@ -35,23 +35,15 @@ class Trajectory:
     poses: FloatArray
 
     def __post_init__(self) -> None:
-        for name, dtype in (
-            ("drive_start", np.int64),
-            ("scan_index", np.int64),
-            ("timestamp_s", np.float64),
-            ("poses", np.float64),
-        ):
-            object.__setattr__(self, name, frozen(getattr(self, name), dtype))
+        freeze(self, drive_start=np.int64, scan_index=np.int64)
+        freeze(self, timestamp_s=np.float64, poses=np.float64)
         scans = len(self.scan_index)
         if scans == 0:
             raise EmptyDrive("a trajectory needs at least one scan")
-        for name, shape in (
-            ("scan_index", (scans,)),
-            ("timestamp_s", (scans,)),
-            ("poses", (scans, 7)),
-        ):
-            if getattr(self, name).shape != shape:
-                raise InvalidMap(f"{name} has shape {getattr(self, name).shape}, wanted {shape}")
+        for name, *columns in (("scan_index",), ("timestamp_s",), ("poses", 7)):
+            shape, wanted = getattr(self, name).shape, (scans, *columns)
+            if shape != wanted:
+                raise InvalidMap(f"{name} has shape {shape}, wanted {wanted}")
         # A comparison with NaN, the unknown, is false.
         if (np.abs(self.timestamp_s) > _FARTHEST_S).any():
             raise InvalidMap(f"timestamp_s holds infinite numbers, or beyond {_FARTHEST_S:g} s")
@@ -67,8 +59,7 @@ class Trajectory:
         starts = self.drive_start
         if (
             starts.shape != (len(self.drives) + 1,)
-            or starts[0] != 0
-            or starts[-1] != scans
+            or starts[[0, -1]].tolist() != [0, scans]
             or (np.diff(starts) < 1).any()
         ):
             raise InvalidMap(

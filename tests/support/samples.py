@@ -8,8 +8,8 @@ from core.errors import InvalidScan
 from core.mapping.build import fit_map
 from core.mapping.tensormap import TensorMap
 from core.parameters import MapParameters
+from core.projection.imager import Image
 from core.projection.images import MemoryImages, Probes
-from core.projection.range_image import RangeImage
 from core.projection.reducer import Reducer
 from core.projection.rings import RingGrid
 from core.scans.drive import MemoryDrive
@@ -137,11 +137,9 @@ def sample_harmonic_map(
     ), images
 
 
-def sample_image(tensor_map: TensorMap, ranges_m: Float32Array) -> RangeImage:
-    """Return a range image on the map's grid."""
-    grid = tensor_map.parameters.grid
-    assert isinstance(grid, AngularGrid)
-    return RangeImage(ranges_m, grid)
+def sample_image(tensor_map: TensorMap, cells: Float32Array) -> Image:
+    """Return an image on the map's grid."""
+    return Image(cells, tensor_map.parameters.grid)
 
 
 class RecordedProgress:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from core.arrays import Complex64Array, Float32Array, FloatArray, IntArray, frozen
+from core.arrays import Complex64Array, Float32Array, FloatArray, IntArray, freeze, frozen
 from core.encodings.distance import Distance
 from core.encodings.harmonic.basis import HarmonicBasis, harmonic_basis_digest
 from core.encodings.harmonic.search import HarmonicSearch
@@ -49,13 +49,8 @@ class HarmonicModel(Model):
     measure: Distance
 
     def __post_init__(self) -> None:
-        for name, dtype in (
-            ("radial_basis", np.float32),
-            ("signatures", np.complex64),
-            ("lateral_offset_m", np.float64),
-            ("segment_start", np.int64),
-        ):
-            object.__setattr__(self, name, frozen(getattr(self, name), dtype))
+        freeze(self, radial_basis=np.float32, signatures=np.complex64)
+        freeze(self, lateral_offset_m=np.float64, segment_start=np.int64)
         if self.radial_basis.ndim != 2 or self.signatures.ndim != 4:
             raise InvalidMap("the radial basis has two axes, signatures have four")
         scans, renderings, r1, r2 = self.signatures.shape
@@ -88,15 +83,6 @@ class HarmonicModel(Model):
         """How many numbers the basis and signatures are."""
         scans, renderings = self.signatures.shape[:2]
         return harmonic_elements(scans, renderings, self.grid_shape[0], self.ranks)
-
-    def arrays(self) -> dict[str, NDArray[Any]]:
-        """Return every array by its name in the file."""
-        return {
-            "radial_basis": self.radial_basis,
-            "signatures": self.signatures,
-            "lateral_offset_m": self.lateral_offset_m,
-            "segment_start": self.segment_start,
-        }
 
     def search(self, signatures: Sequence[Signature]) -> HarmonicSearch:
         """Compare one scan's signature with the map's in every heading.
@@ -174,14 +160,11 @@ class HarmonicModel(Model):
     def units(self) -> Complex64Array:
         """Conjugate signatures of norm 1, weighted by sqrt(w_m), `(r2, r1, D K)`.
 
-        Harmonic by harmonic, rendering by rendering, and each row contiguous: the bound is then r2
-        products with long vectors and the greatest of D of them.
+        Ordered by harmonic, then by rendering, each row contiguous: the bound is then r2 products
+        with long vectors, and the maximum over D of them.
         """
         scaled = np.conj(self.signatures.astype(np.complex128))
         scaled *= np.sqrt(weights(self.columns, self.ranks[1]))
         scaled /= np.where(self.norms > 0, self.norms, 1.0)[..., None, None]
         r1, r2 = self.ranks
-        by_harmonic: Complex64Array = frozen(
-            scaled.transpose(3, 2, 1, 0).reshape(r2, r1, -1), np.complex64
-        )
-        return by_harmonic
+        return frozen(scaled.transpose(3, 2, 1, 0).reshape(r2, r1, -1), np.complex64)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from core.arrays import Float32Array, FloatArray, IntArray, frozen
+from core.arrays import Float32Array, FloatArray, IntArray, freeze
 from core.encodings.model import DistanceSearch, Model, require_sane
 from core.encodings.paper.basis import PaperBasis, paper_basis_digests
 from core.encodings.signature import Signature
@@ -19,30 +19,13 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False)
-class SegmentModel:
-    """One segment's Tucker2 model, `X ~ signatures x1 u x2 v`.
-
-    Attributes:
-        u: `(I, r1)`, orthonormal columns; the elevation basis.
-        v: `(J, r2)`, orthonormal columns; the azimuth basis.
-        signatures: `(k, r1, r2)`, the core tensor; slice `i` is the signature of scan `i`.
-        first_scan: Row in the whole map of the segment's scan 0.
-    """
-
-    u: FloatArray
-    v: FloatArray
-    signatures: FloatArray
-    first_scan: int
-
-
-@dataclass(frozen=True, eq=False)
 class PaperModel(Model):
-    """All segments' models, packed.
+    """The Tucker2 models of all segments, `X ~ signatures x1 u x2 v` in each.
 
     Attributes:
-        elevation_basis: `(L, I, r1)` float32.
-        azimuth_basis: `(L, J, r2)` float32.
-        signatures: `(K, r1, r2)` float32.
+        elevation_basis: `(L, I, r1)` float32, U of each segment, orthonormal columns.
+        azimuth_basis: `(L, J, r2)` float32, V of each segment, orthonormal columns.
+        signatures: `(K, r1, r2)` float32, the slices of the core tensors.
         segment_start: `(L + 1,)` row of each segment's first scan, and K.
     """
 
@@ -54,9 +37,8 @@ class PaperModel(Model):
     segment_start: IntArray
 
     def __post_init__(self) -> None:
-        for name in ("elevation_basis", "azimuth_basis", "signatures"):
-            object.__setattr__(self, name, frozen(getattr(self, name), np.float32))
-        object.__setattr__(self, "segment_start", frozen(self.segment_start, np.int64))
+        freeze(self, elevation_basis=np.float32, azimuth_basis=np.float32)
+        freeze(self, signatures=np.float32, segment_start=np.int64)
         if any(a.ndim != 3 for a in (self.elevation_basis, self.azimuth_basis, self.signatures)):
             raise InvalidMap("bases and signatures have three axes each")
         scans, r1, r2 = self.signatures.shape
@@ -90,15 +72,6 @@ class PaperModel(Model):
     def elements(self) -> int:
         """How many numbers the bases and signatures are (paper, sec. 2.4)."""
         return storage_elements(self.segments, len(self), self.grid_shape, self.ranks)
-
-    def arrays(self) -> dict[str, NDArray[Any]]:
-        """Return every array by its name in the file."""
-        return {
-            "elevation_basis": self.elevation_basis,
-            "azimuth_basis": self.azimuth_basis,
-            "signatures": self.signatures,
-            "segment_start": self.segment_start,
-        }
 
     def search(self, signatures: Sequence[Signature]) -> "DistanceSearch":
         """Compare one scan's signatures with those of their segments.
@@ -196,19 +169,4 @@ class PaperModel(Model):
             np.concatenate([model.azimuth_basis for model in models]),
             np.concatenate([model.signatures for model in models]),
             segment_start,
-        )
-
-    def segment(self, index: int) -> SegmentModel:
-        """Return one segment's model.
-
-        Raises:
-            UnknownSegment: If the map has no such segment.
-        """
-        self.require_segments(np.array([index]))
-        start, end = self.segment_start[index : index + 2]
-        return SegmentModel(
-            self.elevation_basis[index].astype(np.float64),
-            self.azimuth_basis[index].astype(np.float64),
-            self.signatures[start:end].astype(np.float64),
-            int(start),
         )

@@ -17,7 +17,7 @@ from core.localization.priors import (
     ScanOfMap,
 )
 from core.mapping.build import fit_map
-from core.projection.height_image import HeightImage
+from core.projection.imager import Image
 from core.projection.images import MemoryImages
 from core.projection.rings import RingGrid
 from core.scans.trajectory import Trajectory
@@ -138,7 +138,7 @@ def test_a_harmonic_map_is_held_to_the_heading_of_the_answer():
     localizer = Localizer(tensor_map)
     grid = tensor_map.parameters.grid
     assert isinstance(grid, RingGrid)
-    query = HeightImage(images[7, 1], grid)
+    query = Image(images[7, 1], grid)
     ahead = localizer.localize_image(query, hints=Hints(heading=HeadingHint(3.0, 2.0)))
     assert ahead.best.row == 7
     back = localizer.localize_image(query, k=40, hints=Hints(heading=HeadingHint(180.0, 2.0)))

@@ -28,7 +28,7 @@ from core.errors import (
 from core.localization.localizer import Localizer
 from core.mapping.build import fit_map
 from core.mapping.merge import merge_maps, without_drives
-from core.projection.height_image import HeightImage
+from core.projection.imager import Image
 from core.projection.images import ConcatenatedImages, MemoryImages
 from core.scans.trajectory import Trajectory
 from core.segmentation.fixed import cut_drives
@@ -182,7 +182,7 @@ def test_a_signature_of_the_held_basis_is_answered_after_a_drive_was_added():
     assert after.revision != before.revision
     for part, row in ((first, 3), (second, 12 + 5)):
         cells = part.images.read(0, 100)[row - (0 if part is first else 12), 1]
-        image = HeightImage(cells, held.parameters.grid)
+        image = Image(cells, held.parameters.grid)
         found = Localizer(after).localize_signatures(held.encode(image))
         assert (found.best.row, found.revision) == (row, after.revision)
         assert found.best.distance == pytest.approx(0.0, abs=1e-6)
