@@ -15,6 +15,7 @@ from enum import StrEnum
 from core.errors import InvalidParameters
 from core.evaluation.plain import Plain
 from core.evaluation.sweep import SweepPoint
+from core.numbers import require_above
 
 FEWEST_JUDGED = 30
 """With fewer held-out scans one standard error at 90 % is more than 5 points."""
@@ -117,8 +118,7 @@ def advise(
     """
     if not points:
         raise InvalidParameters("there is no candidate to recommend")
-    if max_bytes_per_scan is not None and not max_bytes_per_scan > 0:
-        raise InvalidParameters(f"max_bytes_per_scan is {max_bytes_per_scan}, wanted above 0")
+    require_above(0, max_bytes_per_scan=max_bytes_per_scan)
     candidates = [p for p in points if p.segments > 1] or list(points)
     smallest = min(p.bytes_per_scan for p in candidates)
     budget = math.inf if max_bytes_per_scan is None else max_bytes_per_scan

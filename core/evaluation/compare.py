@@ -17,6 +17,7 @@ from core.evaluation.metrics import apart_m, heading_error_deg, median
 from core.evaluation.pairing import HeldOut, Paired, Pairing
 from core.evaluation.query_set import QueryProtocol, QuerySet
 from core.evaluation.retrieval import auroc, precision_recall
+from core.numbers import require_at_least
 from core.progress import NO_PROGRESS, Progress
 from core.scans.drive import Drive
 from core.scans.pose import heading_deg, is_known
@@ -37,8 +38,7 @@ class ComparisonProtocol(QueryProtocol):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.unknown_every < 1:
-            raise InvalidParameters(f"unknown_every is {self.unknown_every}, wanted 1 or more")
+        require_at_least(1, unknown_every=self.unknown_every)
 
 
 @dataclass(frozen=True)

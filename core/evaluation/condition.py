@@ -8,6 +8,7 @@ import numpy as np
 
 from core.arrays import FloatArray
 from core.errors import InvalidParameters
+from core.numbers import require_at_least
 from core.scans.displacement import pose_beside, seen_from_beside
 from core.scans.scan import Scan
 
@@ -27,10 +28,9 @@ class Condition:
     noise_m: float = 0.0
 
     def __post_init__(self) -> None:
-        if not np.isfinite([self.yaw_deg, self.lateral_m, self.noise_m]).all():
-            raise InvalidParameters(f"{self} holds a number that is not finite")
-        if self.noise_m < 0:
-            raise InvalidParameters(f"noise_m is {self.noise_m}, wanted 0 or more")
+        if not np.isfinite([self.yaw_deg, self.lateral_m]).all():
+            raise InvalidParameters(f"{self} has a number that is not finite")
+        require_at_least(0, noise_m=self.noise_m)
 
     def apply(self, scan: Scan, rng: np.random.Generator) -> Scan:
         """Return the scan as the query vehicle would have it.

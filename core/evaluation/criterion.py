@@ -5,9 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from core.arrays import BoolArray, FloatArray, IntArray, freeze
-from core.errors import InvalidParameters
 from core.evaluation.metrics import apart_m
 from core.evaluation.motion import is_standing
+from core.numbers import require_above, require_at_least
 from core.scans.pose import is_known
 
 
@@ -33,10 +33,8 @@ class Criterion:
 
     def __post_init__(self) -> None:
         freeze(self, poses=np.float64, timestamp_s=np.float64)
-        if not 0.0 < self.tolerance_m < np.inf:
-            raise InvalidParameters(f"tolerance_m is {self.tolerance_m}, wanted metres above 0")
-        if self.tolerance_scans < 0:
-            raise InvalidParameters(f"tolerance_scans is {self.tolerance_scans}, wanted 0 or more")
+        require_above(0, tolerance_m=self.tolerance_m)
+        require_at_least(0, tolerance_scans=self.tolerance_scans)
 
     @property
     def by_place(self) -> bool:

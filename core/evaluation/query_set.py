@@ -13,6 +13,7 @@ from core.errors import EmptyDrive, InvalidParameters, InvalidScan
 from core.evaluation.condition import Condition
 from core.evaluation.motion import is_standing, motion_surrogate
 from core.evaluation.split import Split
+from core.numbers import require_at_least
 from core.progress import NO_PROGRESS, Progress
 from core.scans.drive import Drive
 from core.scans.pose import is_known
@@ -38,8 +39,7 @@ class QueryProtocol:
     def __post_init__(self) -> None:
         if not self.tolerances_m or not all(0 < m < math.inf for m in self.tolerances_m):
             raise InvalidParameters(f"tolerances_m is {self.tolerances_m}, wanted metres above 0")
-        if self.seed < 0:
-            raise InvalidParameters(f"seed is {self.seed}, wanted 0 or more")
+        require_at_least(0, seed=self.seed)
         if not self.conditions:
             raise InvalidParameters("conditions is empty, wanted at least one")
 

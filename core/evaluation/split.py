@@ -8,6 +8,7 @@ import numpy as np
 
 from core.arrays import BoolArray, FloatArray, IntArray
 from core.errors import InvalidParameters
+from core.numbers import require_at_least
 
 
 class Split(Protocol):
@@ -38,8 +39,7 @@ class Interleaved:
     def __post_init__(self) -> None:
         if not 0.0 < self.fraction < 1.0:
             raise InvalidParameters(f"the held-out fraction is {self.fraction}, wanted 0 < f < 1")
-        if self.phase < 0:
-            raise InvalidParameters(f"the phase is {self.phase}, wanted 0 or more")
+        require_at_least(0, phase=self.phase)
 
     def held_out(self, segment_start: IntArray) -> BoolArray:
         """Return which scans are queries, `(K,)`."""
@@ -64,8 +64,7 @@ class Every:
     n: int = 2
 
     def __post_init__(self) -> None:
-        if self.n < 2:
-            raise InvalidParameters(f"n is {self.n}, wanted at least 2: else nothing is held out")
+        require_at_least(2, n=self.n)  # else nothing is held out
 
     def held_out(self, segment_start: IntArray) -> BoolArray:
         """Return which scans are queries, `(K,)`."""

@@ -98,6 +98,11 @@ class EncodingStudy(Plain):
     refused: tuple[int, ...]
 
     @property
+    def name(self) -> str:
+        """Of the encoding."""
+        return self.parameters.encoding
+
+    @property
     def segments(self) -> int:
         """L of the map that is shown."""
         return len(self.segment_start) - 1

@@ -18,6 +18,7 @@ from core.evaluation.study import Answers, CurvePoint, EncodingStudy, Study
 from core.evaluation.sweep import SweepGrid, sweep
 from core.localization.localizer import Localizer
 from core.mapping.pipeline import build
+from core.numbers import require_above, require_at_least
 from core.parameters import MapParameters
 from core.progress import NO_PROGRESS, Progress
 from core.projection.images import Skipped
@@ -69,12 +70,8 @@ class StudyProtocol:
     def __post_init__(self) -> None:
         if not self.parameters:
             raise InvalidParameters("parameters is empty, wanted those of at least one encoding")
-        if self.max_queries < 1:
-            raise InvalidParameters(f"max_queries is {self.max_queries}, wanted 1 or more")
-        if self.max_bytes_per_scan is not None and not self.max_bytes_per_scan > 0:
-            raise InvalidParameters(
-                f"max_bytes_per_scan is {self.max_bytes_per_scan}, wanted above 0"
-            )
+        require_at_least(1, max_queries=self.max_queries)
+        require_above(0, max_bytes_per_scan=self.max_bytes_per_scan)
 
 
 def segment_lengths_for(scans: int) -> tuple[int, ...]:

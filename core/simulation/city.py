@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from core.errors import InvalidParameters
+from core.numbers import require_at_least
 from core.simulation.world import Boxes, Cylinders, Traffic, World
 
 # Every stretch of street draws from streams of its own, keyed by these and its place in the grid,
@@ -99,10 +99,8 @@ def make_city(
         False
     """
     traffic_seed = seed if traffic_seed is None else traffic_seed
-    if min(seed, traffic_seed) < 0:
-        raise InvalidParameters(f"seeds are {seed} and {traffic_seed}, wanted at least 0")
-    if min(blocks) < 1:
-        raise InvalidParameters(f"blocks is {blocks}, wanted at least 1 x 1")
+    require_at_least(0, seed=seed, traffic_seed=traffic_seed)
+    require_at_least(1, blocks=min(blocks))
     north, east = _streets(seed, 0, blocks), _streets(seed, 1, blocks)
     boxes: list[tuple[float, ...]] = []
     cylinders: list[tuple[float, ...]] = []

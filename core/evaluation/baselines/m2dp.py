@@ -18,10 +18,11 @@ from functools import cached_property
 import numpy as np
 
 from core.arrays import Float32Array, FloatArray
-from core.errors import InvalidParameters, InvalidScan
+from core.errors import InvalidScan
 from core.evaluation.baselines.descriptor import PlaceDescriptor, Places
 from core.evaluation.baselines.voxels import voxel_means
 from core.evaluation.methods import Nearest
+from core.numbers import require_at_least
 from core.scans.scan import Scan
 
 _BLOCK = 8192  # returns that are projected at once: the intermediate arrays stay in the cache
@@ -46,10 +47,9 @@ class M2dp(PlaceDescriptor):
     voxel_m: float = 0.5
 
     def __post_init__(self) -> None:
-        if min(self.azimuths, self.elevations, self.circles, self.sectors) < 1:
-            raise InvalidParameters(f"{self} counts something with less than 1")
-        if not (np.isfinite(self.voxel_m) and self.voxel_m >= 0):
-            raise InvalidParameters(f"voxel_m is {self.voxel_m}, wanted metres, 0 or more")
+        require_at_least(1, azimuths=self.azimuths, elevations=self.elevations)
+        require_at_least(1, circles=self.circles, sectors=self.sectors)
+        require_at_least(0, voxel_m=self.voxel_m)
 
     @property
     def name(self) -> str:

@@ -6,15 +6,17 @@ cosine of an empty column is not defined, so that the mean is over the columns i
 descriptors hold something, and two that share none are at distance 1.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from core.arrays import Complex64Array, Float32Array, FloatArray, IntArray
-from core.errors import InvalidParameters, InvalidScan
+from core.errors import InvalidScan
 from core.evaluation.baselines.descriptor import PlaceDescriptor, Places, turn_deg
 from core.evaluation.methods import Nearest
+from core.numbers import require_above, require_at_least
 from core.scans.scan import Scan
 
 
@@ -44,14 +46,9 @@ class ScanContext(PlaceDescriptor):
     candidates: int | None = None
 
     def __post_init__(self) -> None:
-        if self.rings < 1 or self.sectors < 1:
-            raise InvalidParameters(
-                f"Scan Context has {self.rings} rings and {self.sectors} sectors, wanted 1 or more"
-            )
-        if not (self.reach_m > 0 and np.isfinite([self.reach_m, self.sensor_height_m]).all()):
-            raise InvalidParameters(f"reach_m is {self.reach_m}, wanted metres above 0")
-        if self.candidates is not None and self.candidates < 1:
-            raise InvalidParameters(f"candidates is {self.candidates}, wanted 1 or more")
+        require_at_least(1, rings=self.rings, sectors=self.sectors, candidates=self.candidates)
+        require_above(0, reach_m=self.reach_m)
+        require_above(-math.inf, sensor_height_m=self.sensor_height_m)
 
     @property
     def name(self) -> str:

@@ -17,6 +17,7 @@ from core.errors import InvalidParameters, InvalidScan
 from core.evaluation.baselines.descriptor import PlaceDescriptor, Places, turn_deg
 from core.evaluation.baselines.voxels import voxel_means
 from core.evaluation.methods import Nearest
+from core.numbers import require_above, require_at_least
 from core.scans.scan import Scan
 
 
@@ -43,15 +44,9 @@ class Solid(PlaceDescriptor):
     voxel_m: float = 0.5
 
     def __post_init__(self) -> None:
-        if min(self.ranges, self.azimuths, self.elevations) < 1:
-            raise InvalidParameters(
-                f"SOLiD has {self.ranges} ranges, {self.azimuths} azimuths and {self.elevations}"
-                " elevations, wanted 1 or more"
-            )
-        if not (np.isfinite(self.reach_m) and self.reach_m > 0):
-            raise InvalidParameters(f"reach_m is {self.reach_m}, wanted metres above 0")
-        if not (np.isfinite(self.voxel_m) and self.voxel_m >= 0):
-            raise InvalidParameters(f"voxel_m is {self.voxel_m}, wanted metres, 0 or more")
+        require_at_least(1, ranges=self.ranges, azimuths=self.azimuths, elevations=self.elevations)
+        require_above(0, reach_m=self.reach_m)
+        require_at_least(0, voxel_m=self.voxel_m)
         if not -90.0 <= self.elevation_min_deg < self.elevation_max_deg <= 90.0:
             raise InvalidParameters(
                 f"elevations {self.elevation_min_deg}..{self.elevation_max_deg} do not rise"
