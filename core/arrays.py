@@ -1,6 +1,6 @@
 """Array aliases, and how arrays are made read-only."""
 
-from dataclasses import fields
+from dataclasses import fields, is_dataclass
 from typing import Any
 
 import numpy as np
@@ -37,4 +37,6 @@ def freeze(owner: object, **dtypes: DTypeLike) -> None:
 
 def arrays_of(owner: object) -> dict[str, NDArray[Any]]:
     """Return the attributes of a dataclass that are arrays, by name."""
-    return {f.name: v for f in fields(owner) if isinstance(v := getattr(owner, f.name), np.ndarray)}
+    assert is_dataclass(owner)  # noqa: S101 - for mypy
+    values = {field.name: getattr(owner, field.name) for field in fields(owner)}
+    return {name: value for name, value in values.items() if isinstance(value, np.ndarray)}

@@ -71,5 +71,5 @@ def methods_named(
         )
     chosen = tuple(made[name]() for name in names)
     for method in chosen:
-        method.configuration()  # tells what is not installed before any work is done
+        method.configuration()  # raises before any work if a package is missing
     return chosen

@@ -3,12 +3,9 @@
 from pathlib import Path
 from typing import Annotated
 
-import typer
-
 from app.baselines.roster import METHODS, default_methods, methods_named
-from app.cli.console import output, progress_bar
+from app.cli.console import figure, progress_bar, say
 from app.cli.evaluation import (
-    PROTOCOL,
     JsonOption,
     LateralOption,
     NoiseOption,
@@ -16,9 +13,8 @@ from app.cli.evaluation import (
     SplitOption,
     ToleranceOption,
     YawOption,
-    figure,
     opened,
-    show,
+    protocol_option,
     show_table,
     split_of,
     write_figures,
@@ -29,6 +25,7 @@ from app.cli.options import (
     SegmentsOption,
     SensorHeightOption,
     SensorOption,
+    height_m,
     numbers,
     require_folder,
 )
@@ -47,62 +44,54 @@ def compare(
     drive: DriveArgument,
     query_drive: Annotated[
         Path | None,
-        typer.Option(
+        protocol_option(
             metavar="DRIVE2",
             help="A second pass: query with this drive, in the same world frame; all of DRIVE is"
             " mapped.",
-            rich_help_panel=PROTOCOL,
         ),
     ] = None,
     loop: Annotated[
         bool,
-        typer.Option(
+        protocol_option(
             "--loop",
             help="Close loops: query with every scan among the earlier ones that are not recent.",
-            rich_help_panel=PROTOCOL,
         ),
     ] = False,
     recent_scans: Annotated[
         int | None,
-        typer.Option(
+        protocol_option(
             min=1,
             help=f"With --loop, how many scans earlier a place must be. [{RECENT_SCANS}]",
-            rich_help_panel=PROTOCOL,
         ),
     ] = None,
     recent_s: Annotated[
         float | None,
-        typer.Option(
+        protocol_option(
             help="With --loop, how many seconds instead, for example 30.",
-            rich_help_panel=PROTOCOL,
         ),
     ] = None,
     split: SplitOption = None,
     unknown: Annotated[
         Path | None,
-        typer.Option(
+        protocol_option(
             metavar="DRIVE3",
             help="A drive through other places, for the novelty AUROC.",
-            rich_help_panel=PROTOCOL,
         ),
     ] = None,
     query_every: Annotated[
         int,
-        typer.Option(
-            min=1, help="Query with every N-th scan of DRIVE2 and DRIVE3.", rich_help_panel=PROTOCOL
-        ),
+        protocol_option(min=1, help="Query with every N-th scan of DRIVE2 and DRIVE3."),
     ] = 1,
     methods: Annotated[
         str | None,
-        typer.Option(
+        protocol_option(
             help=f"Some of {','.join(METHODS)}. [all that are installed]",
-            rich_help_panel=PROTOCOL,
         ),
     ] = None,
     segment_length: SegmentLengthOption = None,
     segments: SegmentsOption = None,
     sensor: SensorOption = HDL_64E.name,
-    sensor_height_m: SensorHeightOption = 1.73,
+    sensor_height_m: SensorHeightOption = None,
     yaw_deg: YawOption = "0",
     lateral_m: LateralOption = "0",
     noise_m: NoiseOption = "0",
@@ -119,7 +108,10 @@ def compare(
     )
     names = default_methods() if methods is None else tuple(methods.split(","))
     chosen = methods_named(
-        names, sensor=sensor, sensor_height_m=sensor_height_m, segment_length=length
+        names,
+        sensor=sensor,
+        sensor_height_m=height_m(sensor, sensor_height_m),
+        segment_length=length,
     )
     protocol = ComparisonProtocol(
         pairing=_pairing(
@@ -181,15 +173,14 @@ def _pairing(
 def _show(result: Comparison) -> None:
     of = result.drive if result.query_drive is None else f"{result.query_drive} in {result.drive}"
     elsewhere = "" if result.unknown_drive is None else f"; unknown: {result.unknown_drive}"
-    show(f"{of}: {result.protocol}{elsewhere}")
+    say(f"{of}: {result.protocol}{elsewhere}")
     first = result.methods[0]
     for column, of_first in enumerate(first.conditions):
         condition = of_first.condition
         findable = ", ".join(f"{count} within {m:g} m" for m, count in of_first.findable.items())
-        output().print(
+        say(
             f"\nyaw {condition.yaw_deg:g} deg, {condition.lateral_m:g} m to the left,"
             f" noise {condition.noise_m:g} m: {of_first.queries} asked, findable {findable}",
-            soft_wrap=True,
         )
         tolerances = list(of_first.recall_at_1)
         show_table(
@@ -203,18 +194,16 @@ def _show(result: Comparison) -> None:
             [_cells(method, method.conditions[column], tolerances) for method in result.methods],
             named=True,
         )
-    output().print(
+    say(
         "F1: the greatest over all thresholds. AP: average precision, the area under precision over"
         " recall by steps. Milliseconds: medians of processor time, one thread.",
-        soft_wrap=True,
     )
     for method in result.methods:
         for row in method.conditions:
             if row.refusals or row.unanswered:
-                output().print(
+                say(
                     f"{method.name}: {row.refusals} queries not described, {row.unanswered} without"
                     " an answer",
-                    soft_wrap=True,
                 )
 
 

@@ -20,8 +20,8 @@ _FILE_COLUMNS = 160  # a file or pipe has no width; Rich's 80 would cut figures 
 
 def output() -> Console:
     """Return what writes on standard output."""
-    told = sys.stdout.isatty() or "COLUMNS" in os.environ  # Rich finds a width by itself
-    return Console(width=None if told else _FILE_COLUMNS)
+    has_width = sys.stdout.isatty() or "COLUMNS" in os.environ  # Rich finds it
+    return Console(width=None if has_width else _FILE_COLUMNS)
 
 
 def say(line: str) -> None:
@@ -29,7 +29,7 @@ def say(line: str) -> None:
     output().print(line, markup=False, highlight=False, soft_wrap=True)
 
 
-def figure(value: float | None, form: str) -> str:
+def figure(value: float | str | None, form: str) -> str:
     """Return a number for a table, `-` if it is unknown."""
     return "-" if value is None else format(value, form)
 

@@ -3,11 +3,8 @@
 from pathlib import Path
 from typing import Annotated
 
-import typer
-
-from app.cli.console import output, progress_bar
+from app.cli.console import figure, progress_bar, say
 from app.cli.evaluation import (
-    PROTOCOL,
     JsonOption,
     LateralOption,
     NoiseOption,
@@ -15,9 +12,8 @@ from app.cli.evaluation import (
     SplitOption,
     ToleranceOption,
     YawOption,
-    figure,
     opened,
-    show,
+    protocol_option,
     show_conditions,
     split_of,
     write_figures,
@@ -35,6 +31,7 @@ from app.cli.options import (
     SegmentsOption,
     SensorHeightOption,
     SensorOption,
+    height_m,
     numbers,
     ranks,
     require_folder,
@@ -46,6 +43,7 @@ from core.evaluation.evaluate import EvaluationProtocol
 from core.evaluation.evaluate import evaluate as evaluate_drive
 from core.evaluation.result import Evaluation
 from core.parameters import MapParameters, Segmentation
+from core.projection.imager import ImageKind
 from core.scans.sensor import HDL_64E
 
 
@@ -53,18 +51,16 @@ def evaluate(
     drive: DriveArgument,
     query_drive: Annotated[
         Path | None,
-        typer.Option(
+        protocol_option(
             metavar="DRIVE2",
             help="Query with this drive, in the same world frame; DRIVE as a whole is the map.",
-            rich_help_panel=PROTOCOL,
         ),
     ] = None,
     unknown: Annotated[
         list[Path] | None,
-        typer.Option(
+        protocol_option(
             metavar="DRIVE3",
             help="Query with this drive too, of places that are not in the map; repeatable.",
-            rich_help_panel=PROTOCOL,
         ),
     ] = None,
     encoding: EncodingOption = None,
@@ -77,7 +73,7 @@ def evaluate(
     distance: DistanceOption = None,
     lateral_renderings: LateralRenderingsOption = None,
     sensor: SensorOption = HDL_64E.name,
-    sensor_height_m: SensorHeightOption = 1.73,
+    sensor_height_m: SensorHeightOption = None,
     split: SplitOption = None,
     yaw_deg: YawOption = "0",
     lateral_m: LateralOption = "0",
@@ -86,10 +82,9 @@ def evaluate(
     seed: SeedOption = 0,
     track: Annotated[
         bool,
-        typer.Option(
+        protocol_option(
             "--track",
             help="Also track them one after another, as one vehicle's drive.",
-            rich_help_panel=PROTOCOL,
         ),
     ] = False,
     json_out: JsonOption = None,
@@ -121,6 +116,8 @@ def evaluate(
         seed=seed,
         track=track,
     )
+    if protocol.parameters.image == ImageKind.HEIGHT:
+        height_m(sensor, sensor_height_m)  # notes one that is assumed
     mapped = opened(drive)
     queried = None if query_drive is None else opened(query_drive)
     elsewhere = [opened(path) for path in unknown or ()]
@@ -134,7 +131,7 @@ def _show(result: Evaluation) -> None:
     of = result.drive if result.query_drive is None else f"{result.query_drive} in {result.drive}"
     how = "" if result.split is None else f", {result.split}"
     unequal = "unequal " if result.segmentation == Segmentation.UNEQUAL else ""
-    show(
+    say(
         f"{of}: {result.map_scans} map scans in {result.segments} {unequal}segments,"
         f" {result.encoding} {result.ranks[0]}x{result.ranks[1]},"
         f" {result.reducer} {result.image}{how}"
@@ -146,24 +143,22 @@ def _show(result: Evaluation) -> None:
         show_conditions(result.tracks, _TRACKED, title="tracked")
     refused = sum(row.refusals for row in result.conditions)
     if refused:
-        output().print(f"refused: {refused} queries, counted in no figure")
+        say(f"refused: {refused} queries, counted in no figure")
     moving = result.motion_surrogate_median_moving
     standing = result.motion_surrogate_median_standing
     if result.standing_scans is not None:
-        output().print(
+        say(
             f"standing: {result.standing_scans} queries; median 6-DOF change"
             f" {figure(standing, '.4f')} standing, {figure(moving, '.4f')} moving",
-            soft_wrap=True,
         )
     errors = result.relative_error
-    output().print(
+    say(
         f"relative error {min(errors):.3f}..{max(errors):.3f}; compression"
         f" 1 : {result.compression.tensor_ratio:.1f} : {result.compression.returns_ratio:.0f},"
         f" {result.compression.elements} elements",
-        soft_wrap=True,
     )
     for skipped in result.skipped:
-        output().print(f"left out scan {skipped.scan}: {skipped.reason}", markup=False)
+        say(f"left out scan {skipped.scan}: {skipped.reason}")
 
 
 _COLUMNS = (
@@ -206,7 +201,7 @@ _RELIABILITY = (
 
 def _show_reliability(result: Evaluation) -> None:
     if not result.calibrated:
-        output().print("not calibrated: the map is too small to learn trust from")
+        say("not calibrated: the map is too small to learn trust from")
         return
     checked = [(row, row.reliability) for row in result.conditions if row.reliability is not None]
     if not checked:
@@ -214,4 +209,4 @@ def _show_reliability(result: Evaluation) -> None:
     show_conditions([row for row, _ in checked], _RELIABILITY)
     if result.unknown_drives:
         queries = checked[0][1].unknown_queries
-        show(f"unknown places: {', '.join(result.unknown_drives)}, {queries} queries")
+        say(f"unknown places: {', '.join(result.unknown_drives)}, {queries} queries")

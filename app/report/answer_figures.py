@@ -58,7 +58,7 @@ def _segments_panel(of: EncodingStudy) -> Panel:
     scan, segment, found = of.answers.scan, of.answers.segment, of.answers.matched_segment
     wrong = of.answers.wrong_segment
     key = f"{of.name}-segments"
-    with Drawing.on("(a) Segments", key, xlabel="scan", ylabel="segment") as drawing:
+    with Drawing.on("(a) Segments", key, "scan", "segment") as drawing:
         axes = drawing.axes
         axes.step(scan, segment, where="mid", color=MUTED, label="where it belongs")
         axes.plot(scan[~wrong], found[~wrong], ".", color=ACCENT, label="found there")
@@ -70,8 +70,8 @@ def _segments_panel(of: EncodingStudy) -> Panel:
 
 def _scans_panel(of: EncodingStudy) -> Panel:
     answers, right = of.answers, of.answers.right
-    labels = {"xlabel": "scan that was asked", "ylabel": "closest scan of the map"}
-    with Drawing.on("(d) Closest scans", f"{of.name}-scans", **labels) as drawing:
+    labels = ("scan that was asked", "closest scan of the map")
+    with Drawing.on("(d) Closest scans", f"{of.name}-scans", *labels) as drawing:
         _mark_right(drawing.axes, answers, answers.matched_scan)
         drawing.alt = f"{int(right.sum())} of {len(right)} answers lie on the diagonal."
     return drawing.panel
@@ -79,8 +79,8 @@ def _scans_panel(of: EncodingStudy) -> Panel:
 
 def _motion_panel(study: Study, of: EncodingStudy) -> Panel:
     wrong, standing = of.answers.wrong_segment, study.standing
-    labels = {"xlabel": "scan", "ylabel": "change in pose a scan (m, rad)"}
-    with Drawing.on("(b) Motion and errors", f"{of.name}-motion", **labels) as drawing:
+    labels = ("scan", "change in pose a scan (m, rad)")
+    with Drawing.on("(b) Motion and errors", f"{of.name}-motion", *labels) as drawing:
         axes = drawing.axes
         axes.plot(study.surrogate, color=ACCENT, linewidth=1.0, label="motion surrogate")
         _shade(axes, standing)
@@ -97,8 +97,8 @@ def _motion_panel(study: Study, of: EncodingStudy) -> Panel:
 
 def _distance_panel(study: Study, of: EncodingStudy) -> Panel:
     distance_m = of.answers.distance_m
-    labels = {"xlabel": "scan", "ylabel": "m from asked to closest (log)"}
-    with Drawing.on("(e) How far off", f"{of.name}-distance", **labels) as drawing:
+    labels = ("scan", "m from asked to closest (log)")
+    with Drawing.on("(e) How far off", f"{of.name}-distance", *labels) as drawing:
         axes = drawing.axes
         # Drawn from 1 cm: a stationary vehicle's closest scan was recorded at the same place.
         _mark_right(axes, of.answers, np.maximum(distance_m, 0.01))
@@ -130,9 +130,9 @@ def _shade(axes: Axes, standing: BoolArray) -> None:
 def relative_error_figure(of: EncodingStudy) -> Figure:
     """Relative error of each segment (c, f)."""
     errors = 100 * of.relative_error
-    labels = {"xlabel": "segment", "ylabel": "relative error, %"}
+    labels = ("segment", "relative error, %")
     with Drawing.on(
-        "(c, f) Relative error", f"{of.name}-errors", legend_columns=0, **labels
+        "(c, f) Relative error", f"{of.name}-errors", *labels, legend_columns=0
     ) as drawing:
         axes = drawing.axes
         axes.bar(np.arange(len(errors)), errors, color=ACCENT, alpha=0.75)
@@ -173,13 +173,13 @@ def confusion_figure(of: EncodingStudy) -> Figure:
     with Drawing.on(
         "(g) Confusion",
         f"{of.name}-confusion",
+        "segment that was found",
+        "segment it belongs to",
         height_in=4.2,
         legend_columns=0,
         xlim=(-0.5, segments - 0.5),
         ylim=(segments - 0.5, -0.5),
         aspect="equal",
-        xlabel="segment that was found",
-        ylabel="segment it belongs to",
     ) as drawing:
         axes = drawing.axes
         for i, j in np.argwhere(counts):
@@ -258,7 +258,7 @@ def _curves_panel(
     lines: Sequence[tuple[str, Sequence[CurvePoint]]], quantity: str, title: str, label: str
 ) -> Panel:
     key = f"curve-{quantity.replace('_', '-')}"
-    with Drawing.on(title, key, xlabel=label, ylabel="right answers, %") as drawing:
+    with Drawing.on(title, key, label, "right answers, %") as drawing:
         axes = drawing.axes
         summaries = []
         for i, (name, points) in enumerate(lines):

@@ -82,6 +82,8 @@ class Drawing:
         cls,
         title: str,
         key: str,
+        xlabel: str,
+        ylabel: str,
         *,
         height_in: float = 3.0,
         legend_columns: int = 5,
@@ -92,9 +94,11 @@ class Drawing:
         Args:
             title: Of the panel.
             key: Distinguishes the panel's element ids from those of all others in the page.
+            xlabel: Of the horizontal axis.
+            ylabel: Of the vertical axis.
             height_in: How high the panel is.
             legend_columns: Of the legend above the axes, where it covers nothing; 0 for none.
-            settings: Of the axes, such as labels, applied when the block ends.
+            settings: Of the axes, such as limits, applied when the block ends.
         """
         with mpl.rc_context():
             mpl.rcdefaults()  # a user's own matplotlibrc does not apply here
@@ -105,7 +109,7 @@ class Drawing:
             drawing = cls()
             drawing.axes = canvas.subplots()
             yield drawing
-            drawing.axes.set(**settings)
+            drawing.axes.set(xlabel=xlabel, ylabel=ylabel, **settings)
             if legend_columns:
                 canvas.legend(loc="outside upper left", ncols=legend_columns)
             # Settled once: Matplotlib would do it twice, and draw everything each time.

@@ -51,7 +51,7 @@ def nodes_figure(study: Study) -> Figure:
 
 def _panel(position_m: FloatArray, nodes: IntArray, title: str, key: str) -> Panel:
     x_m, y_m = position_m[:, :2].T
-    with Drawing.on(title, key, height_in=3.6, xlabel="x, m", ylabel="y, m") as drawing:
+    with Drawing.on(title, key, "x, m", "y, m", height_in=3.6) as drawing:
         axes = drawing.axes
         axes.plot(x_m, y_m, color=ACCENT, linewidth=1.4)
         inner = nodes[1:-1]

@@ -77,9 +77,9 @@ def trade_off_figure(study: EncodingStudy) -> Figure:
     if study.parameters.encoder.shares_basis:
         series = {"any k": lengths[-1]}
     key = f"{study.name}-trade-off"
-    labels = {"xlabel": "map bytes per scan (log)", "ylabel": "right answers, %"}
+    labels = ("map bytes per scan (log)", "right answers, %")
     with Drawing.on(
-        "Accuracy and storage", key, height_in=3.4, legend_columns=3, **labels
+        "Accuracy and storage", key, *labels, height_in=3.4, legend_columns=3
     ) as drawing:
         axes = drawing.axes
         for i, (label, length) in enumerate(series.items()):
@@ -133,7 +133,7 @@ def _against(
     """Draw a quantity; one that is never more than `at_most`, on one scale in all panels."""
     name, tried = _AXES[varied], _tried(swept, varied)
     title = f"{label[0].upper()}{label[1:]}, {_AXES[1 - varied]} = {fixed}"
-    with Drawing.on(title, key, xlabel=f"{name} (log)", ylabel=label) as drawing:
+    with Drawing.on(title, key, f"{name} (log)", label) as drawing:
         axes = drawing.axes
         ranges = []
         for i, length in enumerate(_lengths(swept)):

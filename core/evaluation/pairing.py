@@ -57,9 +57,7 @@ class HeldOut:
     def pair(self, drive: Drive, query_drive: Drive | None) -> Paired:
         """Choose places and queries of the one drive."""
         if query_drive is not None:
-            raise InvalidParameters(
-                "with a query drive the whole drive is mapped: leave the split"
-            )
+            raise InvalidParameters("with a query drive the whole drive is mapped: leave the split")
         require_scans(drive)
         held_out = hold_out(self.split, cut_fixed(len(drive), self.segment_length))
         queries = np.flatnonzero(held_out)

@@ -138,7 +138,7 @@ class _Crossings(NamedTuple):
     top_m: FloatArray
 
     def only(self, which: BoolArray | IntArray) -> "_Crossings":
-        return _Crossings(*(column[which] for column in self))
+        return _Crossings(*(column[which] for column in self))  # type: ignore[arg-type]  # of several dtypes
 
 
 def _nearest(scene: Scene, pose: Pose, sensor: SimulatedSensor) -> FloatArray:
@@ -153,7 +153,8 @@ def _nearest(scene: Scene, pose: Pose, sensor: SimulatedSensor) -> FloatArray:
     nearest_m = np.broadcast_to(ground_m, (sensor.firings, len(slopes))).copy()
     boxes = _box_crossings(scene.boxes, pose, sensor)
     cylinders = _cylinder_crossings(scene.cylinders, pose, sensor)
-    crossings = _Crossings(*map(np.concatenate, zip(boxes, cylinders, strict=True)))
+    columns = map(np.concatenate, zip(boxes, cylinders, strict=True))
+    crossings = _Crossings(*columns)  # type: ignore[arg-type]  # of several dtypes
     crossings = crossings.only(_not_hidden(crossings, pose.z_m, sensor))
     if not len(crossings.firing):
         return nearest_m

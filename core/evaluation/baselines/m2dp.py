@@ -40,6 +40,8 @@ class M2dp(PlaceDescriptor):
         voxel_m: Side of cubes that returns are thinned to; 0 keeps all of them.
     """
 
+    name = "m2dp"
+
     azimuths: int = 4
     elevations: int = 16
     circles: int = 8
@@ -50,11 +52,6 @@ class M2dp(PlaceDescriptor):
         require_at_least(1, azimuths=self.azimuths, elevations=self.elevations)
         require_at_least(1, circles=self.circles, sectors=self.sectors)
         require_at_least(0, voxel_m=self.voxel_m)
-
-    @property
-    def name(self) -> str:
-        """`m2dp`."""
-        return "m2dp"
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -114,7 +111,8 @@ class M2dp(PlaceDescriptor):
             )
         return counts.reshape(planes, cells).astype(np.float64)
 
-    def _places(self, descriptors: Float32Array) -> Places:
+    def places(self, descriptors: Float32Array) -> Places:
+        """Return places to search."""
         return M2dpPlaces(descriptors)
 
 
@@ -122,15 +120,15 @@ def _principal(points: FloatArray) -> FloatArray:
     """Return points about their centroid, along their principal axes, the longest first."""
     centred = points - points.mean(axis=0)
     _, vectors = np.linalg.eigh(centred.T @ centred)
-    first, second = vectors[:, 2], vectors[:, 1]
     first, second = (
-        axis if (np.power(centred @ axis, 3)).sum() >= 0 else -axis for axis in (first, second)
+        axis if np.power(centred @ axis, 3).sum() >= 0 else -axis
+        for axis in (vectors[:, 2], vectors[:, 1])
     )
     return np.asarray(centred @ np.stack([first, second, np.cross(first, second)], axis=1))
 
 
 class M2dpPlaces(Places):
-    """Places by the Euclidean distance of their descriptors, which tell no heading."""
+    """Places by the Euclidean distance of their descriptors, which have no heading."""
 
     def __init__(self, descriptors: Float32Array) -> None:
         super().__init__(descriptors)

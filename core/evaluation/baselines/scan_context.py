@@ -81,7 +81,8 @@ class ScanContext(PlaceDescriptor):
             )
         return context.reshape(self.shape)
 
-    def _places(self, descriptors: Float32Array) -> Places:
+    def places(self, descriptors: Float32Array) -> Places:
+        """Return places to search."""
         return ScanContextPlaces(descriptors, self.candidates)
 
 

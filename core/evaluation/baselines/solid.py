@@ -35,6 +35,8 @@ class Solid(PlaceDescriptor):
         voxel_m: Side of the cubes that returns are thinned to; 0 keeps all of them.
     """
 
+    name = "solid"
+
     ranges: int = 40
     azimuths: int = 60
     elevations: int = 64
@@ -52,11 +54,6 @@ class Solid(PlaceDescriptor):
                 f"elevations {self.elevation_min_deg}..{self.elevation_max_deg} do not rise"
                 " within -90..90"
             )
-
-    @property
-    def name(self) -> str:
-        """`solid`."""
-        return "solid"
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -96,16 +93,12 @@ class Solid(PlaceDescriptor):
             weight = np.ones(self.elevations)
         return np.concatenate([by_range @ weight, by_azimuth @ weight]).astype(np.float32)
 
-    def _places(self, descriptors: Float32Array) -> Places:
+    def places(self, descriptors: Float32Array) -> Places:
+        """Return places to search."""
         return SolidPlaces(descriptors, self.ranges)
 
 
-def _counts(
-    first: IntArray,
-    bins: int,
-    elevation: IntArray,
-    of: Solid,
-) -> FloatArray:
+def _counts(first: IntArray, bins: int, elevation: IntArray, of: Solid) -> FloatArray:
     cells = first * of.elevations + elevation
     counts = np.bincount(cells, minlength=bins * of.elevations)
     return counts.reshape(bins, of.elevations).astype(np.float64)

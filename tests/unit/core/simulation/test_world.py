@@ -78,9 +78,9 @@ def test_a_solid_that_cannot_be_is_refused(make, rows):
 
 
 def test_a_negative_seed_or_an_empty_city_is_refused():
-    with pytest.raises(InvalidParameters, match="seeds"):
+    with pytest.raises(InvalidParameters, match="seed is -1"):
         make_city(-1)
-    with pytest.raises(InvalidParameters, match="seeds"):
+    with pytest.raises(InvalidParameters, match="seed is -1"):
         make_city(1, traffic_seed=-1)
     with pytest.raises(InvalidParameters, match="blocks"):
         make_city(1, blocks=(0, 1))
