@@ -104,7 +104,8 @@ def _pruned(model: HarmonicModel, signatures: Sequence[Signature]) -> Neighbours
 
 
 def _brute(model: HarmonicModel, signatures: Sequence[Signature]) -> Neighbours:
-    return model.search(signatures).nearest_by_brute_force(1)
+    search, rows = model.search(signatures), np.arange(len(model))
+    return search.ranked(rows, *search.exact(rows), 1)
 
 
 if __name__ == "__main__":

@@ -31,9 +31,13 @@ from app.cli.options import (
 )
 from app.provenance import provenance
 from core.errors import InvalidParameters
-from core.evaluation.compare import ComparisonProtocol
+from core.evaluation.compare import (
+    Comparison,
+    ComparisonProtocol,
+    MethodResult,
+    MethodUnderCondition,
+)
 from core.evaluation.compare import compare as compare_methods
-from core.evaluation.comparison import Comparison, MethodResult, MethodUnderCondition
 from core.evaluation.condition import conditions
 from core.evaluation.pairing import RECENT_SCANS, HeldOut, LoopClosing, Pairing, SecondPass
 from core.scans.sensor import HDL_64E

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.spatial import KDTree
 
-from core.arrays import IntArray
+from core.arrays import FloatArray, IntArray
 from core.evaluation.metrics import median
 from core.evaluation.query_set import (
     LocatedQueries,
@@ -19,7 +19,7 @@ from core.evaluation.query_set import (
 from core.evaluation.result import Evaluation
 from core.evaluation.split import Interleaved, Split
 from core.evaluation.summary import Answer, summarize
-from core.evaluation.tracks import cut_position, evaluate_tracks
+from core.evaluation.tracks import TrackResult, cut_position, evaluate_tracks
 from core.localization.localizer import Localizer
 from core.mapping.pipeline import build, cut_scans, project_scans
 from core.mapping.tensormap import TensorMap
@@ -84,15 +84,15 @@ def evaluate(
         [drive], parameters, lambda _: images, segment_start=segment_start, progress=progress
     )
     tensor_map = made.tensor_map
-    queried = drive if query_drive is None else query_drive
-    scans = np.arange(len(queried)) if query_drive is not None else np.flatnonzero(held_out)
-    segment = (
-        np.searchsorted(segment_start, scans, side="right") - 1
-        if query_drive is None
-        else _segment_of_nearest(query_drive, tensor_map)
-    )
-    queries = LocatedQueries(queried, scans, conditions, protocol.seed, segment)
     localizer = Localizer(tensor_map)
+    if query_drive is None:
+        queried, scans = drive, np.flatnonzero(held_out)
+        cuts: FloatArray | None = cut_position(images.scans, segment_start)
+        segment = np.searchsorted(segment_start, scans, side="right") - 1
+    else:
+        queried, scans, cuts = query_drive, np.arange(len(query_drive)), None
+        segment = _segment_of_nearest(query_drive, tensor_map)
+    queries = LocatedQueries(queried, scans, conditions, protocol.seed, segment)
 
     def localized(query_set: QuerySet, stage: str) -> list[list[Answer | None]]:
         def localize(_: int, scan: Scan) -> Answer:
@@ -108,7 +108,10 @@ def evaluate(
         others = QuerySet(of_unknown, np.arange(len(of_unknown)), conditions, protocol.seed)
         for column, found in enumerate(localized(others, f"localizing {of_unknown.name}")):
             elsewhere[column] += found
-    cuts = None if query_drive is not None else cut_position(images.scans, segment_start)
+    tracks: tuple[TrackResult, ...] = ()
+    if protocol.track:
+        tracker = Tracker(localizer, cut_position=cuts)
+        tracks = evaluate_tracks(tracker, queries, protocol.tolerances_m, progress)
     return Evaluation(
         drive=drive.name,
         query_drive=None if query_drive is None else query_drive.name,
@@ -137,11 +140,7 @@ def evaluate(
             summarize(condition, tensor_map, queries, found, of_unknown, protocol.tolerances_m)
             for condition, found, of_unknown in zip(conditions, answers, elsewhere, strict=True)
         ),
-        tracks=evaluate_tracks(
-            Tracker(localizer, cut_position=cuts), queries, protocol.tolerances_m, progress
-        )
-        if protocol.track
-        else (),
+        tracks=tracks,
     )
 
 
