@@ -14,9 +14,9 @@ if TYPE_CHECKING:
     from core.encodings.signature import unpack_signatures as unpack_signatures
     from core.errors import TensorMapError as TensorMapError
     from core.evaluation.condition import Condition as Condition
+    from core.evaluation.evaluate import Evaluation as Evaluation
     from core.evaluation.evaluate import EvaluationProtocol as EvaluationProtocol
     from core.evaluation.evaluate import evaluate as evaluate
-    from core.evaluation.result import Evaluation as Evaluation
     from core.localization.localizer import Localization as Localization
     from core.localization.localizer import Localizer as Localizer
     from core.localization.match import Match as Match
@@ -40,8 +40,7 @@ _MODULE_OF = {
         ("core.encodings.signature", "Signature pack_signatures unpack_signatures"),
         ("core.errors", "TensorMapError"),
         ("core.evaluation.condition", "Condition"),
-        ("core.evaluation.evaluate", "EvaluationProtocol evaluate"),
-        ("core.evaluation.result", "Evaluation"),
+        ("core.evaluation.evaluate", "Evaluation EvaluationProtocol evaluate"),
         ("core.localization.localizer", "Localization Localizer"),
         ("core.localization.match", "Match"),
         ("core.mapping.merge", "merge_maps without_drives"),

@@ -39,9 +39,8 @@ from app.cli.options import (
 from core.encodings.registry import encoding_with
 from core.errors import InvalidParameters
 from core.evaluation.condition import conditions
-from core.evaluation.evaluate import EvaluationProtocol
+from core.evaluation.evaluate import Evaluation, EvaluationProtocol
 from core.evaluation.evaluate import evaluate as evaluate_drive
-from core.evaluation.result import Evaluation
 from core.parameters import MapParameters, Segmentation
 from core.projection.imager import ImageKind
 from core.scans.sensor import HDL_64E

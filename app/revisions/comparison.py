@@ -15,7 +15,7 @@ from core.evaluation.self_recall import finds_own, is_findable
 from core.mapping.diff import DriveOverlap, MapFacts, changed_parameters, drive_overlaps
 from core.mapping.tensormap import TensorMap
 from core.projection.images import ImageSource
-from core.projection.probe import probed_among
+from core.projection.probe import spread_evenly
 from storage.catalog import RevisionRecord
 from storage.errors import CorruptImages, DriveNotFound
 from storage.files.image_file import ImageFile
@@ -164,7 +164,7 @@ def measure_recall(
             return NoRecall.IMAGES_NOT_KEPT
         asked = [
             (mine, theirs)
-            for mine, theirs in (pairs[i] for i in probed_among(np.arange(len(pairs)), MOST_ASKED))
+            for mine, theirs in (pairs[i] for i in spread_evenly(np.arange(len(pairs)), MOST_ASKED))
             if is_findable(tensor_map, mine.row) and is_findable(other_map, theirs.row)
         ]
         if not asked:

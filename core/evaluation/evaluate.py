@@ -8,7 +8,9 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from core.arrays import FloatArray, IntArray
+from core.encodings.compression import Compression
 from core.evaluation.metrics import median
+from core.evaluation.plain import Plain
 from core.evaluation.query_set import (
     LocatedQueries,
     QueryProtocol,
@@ -16,15 +18,15 @@ from core.evaluation.query_set import (
     hold_out,
     require_scans,
 )
-from core.evaluation.result import Evaluation
 from core.evaluation.split import Interleaved, Split
-from core.evaluation.summary import Answer, summarize
+from core.evaluation.summary import Answer, ConditionResult, summarize
 from core.evaluation.tracks import TrackResult, cut_position, evaluate_tracks
 from core.localization.localizer import Localizer
 from core.mapping.pipeline import build, cut_scans, project_scans
 from core.mapping.tensormap import TensorMap
 from core.parameters import MapParameters
 from core.progress import NO_PROGRESS, Progress
+from core.projection.images import Skipped
 from core.scans.drive import Drive
 from core.scans.pose import is_known
 from core.scans.scan import Scan
@@ -49,6 +51,57 @@ class EvaluationProtocol(QueryProtocol):
     segments: int | None = None
     split: Split = field(default_factory=Interleaved)
     track: bool = False
+
+
+@dataclass(frozen=True)
+class Evaluation(Plain):
+    """A map of one part of a drive, queried with the other part or with another drive.
+
+    Attributes:
+        drive: Name of the mapped drive; `query_drive` is `None` if its own scans are the queries.
+        unknown_drives: Names of the drives whose places the map does not have.
+        calibrated: Whether the map gives probabilities.
+        segments: L.
+        segmentation: How they were cut.
+        split: How the queries were held out, `None` with a query drive.
+        distance: How harmonic signatures are compared, `None` in the paper's encoding.
+        lateral_renderings_m: From where the map's scans were rendered, `None` likewise.
+        map_scans: How many scans made the map.
+        standing_scans: Queries recorded while stationary, `None` without poses.
+        motion_surrogate_median_standing: Median norm of the 6-DOF change of those queries.
+        motion_surrogate_median_moving: The same of all others.
+        skipped: Scans that could not be mapped.
+        compression: Against the map's own images and returns.
+        relative_error: |X - X^| / |X| of each segment.
+        conditions: The figures, one entry a disturbance.
+        tracks: The figures of tracking the queries as one drive; empty without it.
+    """
+
+    drive: str
+    query_drive: str | None
+    unknown_drives: tuple[str, ...]
+    calibrated: bool
+    encoding: str
+    ranks: tuple[int, int]
+    segments: int
+    segmentation: str
+    split: str | None
+    reducer: str
+    image: str
+    distance: str | None
+    lateral_renderings_m: tuple[float, ...] | None
+    sensor: str
+    sensor_height_m: float
+    seed: int
+    map_scans: int
+    standing_scans: int | None
+    motion_surrogate_median_standing: float | None
+    motion_surrogate_median_moving: float | None
+    skipped: tuple[Skipped, ...]
+    compression: Compression
+    relative_error: tuple[float, ...]
+    conditions: tuple[ConditionResult, ...]
+    tracks: tuple[TrackResult, ...] = ()
 
 
 def evaluate(

@@ -20,7 +20,7 @@ from core.mapping.own_place import image_of, own_place
 from core.mapping.tensormap import TensorMap
 from core.progress import NO_PROGRESS, Progress
 from core.projection.images import Probes
-from core.projection.probe import probed_among
+from core.projection.probe import spread_evenly
 from core.scans.angles import wrapped_deg
 from core.scans.displacement import pose_beside
 from core.scans.pose import heading_deg
@@ -72,7 +72,7 @@ def calibrate(
         or ten wrong ones, as a map all of whose scans are one neighbourhood gives.
     """
     trajectory, basis = tensor_map.trajectory, tensor_map.basis()
-    asked = probed_among(np.arange(len(probes.rows)), MOST_PROBES).tolist()
+    asked = spread_evenly(np.arange(len(probes.rows)), MOST_PROBES).tolist()
     rng = np.random.default_rng(_SEED)
     answers: list[_Answer] = []
     at_scan: list[tuple[float, bool]] = []

@@ -10,7 +10,7 @@ from core.arrays import Float32Array, FloatArray, IntArray, freeze, frozen
 from core.errors import EmptyDrive, InvalidImage, InvalidParameters, InvalidScan
 from core.progress import NO_PROGRESS, Progress
 from core.projection.imager import Grid, Imager
-from core.projection.probe import Standing, probe_image, probed_among, standing_of_probe
+from core.projection.probe import Standing, probe_image, spread_evenly, standing_of_probe
 from core.scans.drive import Drive
 from core.scans.scan import Scan
 
@@ -216,7 +216,7 @@ def project_into(
 
     Args:
         cells: `(n, [D,] I, J)` for n scans.
-        probe_cells: `(p, I, J)` for as many of them as `probed_among` gives.
+        probe_cells: `(p, I, J)` for as many of them as `spread_evenly` gives.
         drive: The drive.
         scans: Which of its scans, rising.
         imager: How a scan becomes an image.
@@ -230,7 +230,7 @@ def project_into(
     probed: list[int] = []
     standing: list[Standing] = []
     skipped: list[Skipped] = []
-    to_probe = set(probed_among(np.array(scans, dtype=np.int64)).tolist())
+    to_probe = set(spread_evenly(np.array(scans, dtype=np.int64)).tolist())
     row_of = {index: row for row, index in enumerate(scans)}
     poses = drive.poses[list(scans)]
     returns = 0
@@ -271,7 +271,7 @@ def project_drive(
         EmptyDrive: If not one of them is usable; the message gives the first reason.
     """
     cells = np.empty((len(scans), *imager.shape), np.float32)
-    probe_cells = np.empty((len(probed_among(scans)), *imager.grid.shape), np.float32)
+    probe_cells = np.empty((len(spread_evenly(scans)), *imager.grid.shape), np.float32)
     told = project_into(cells, probe_cells, drive, scans.tolist(), imager, progress)
     return ProjectedDrive(
         **vars(told),

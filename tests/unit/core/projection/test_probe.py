@@ -6,7 +6,7 @@ import pytest
 from core.errors import InvalidParameters
 from core.projection.imager import Imager
 from core.projection.images import ConcatenatedImages, MemoryImages, Probes, project_drive
-from core.projection.probe import PROBES, probe_image, probe_scan, probed_among, standing_of_probe
+from core.projection.probe import PROBES, probe_image, probe_scan, spread_evenly, standing_of_probe
 from core.projection.reducer import Reducer
 from core.projection.rings import RingGrid
 from core.scans.displacement import seen_from_beside
@@ -109,7 +109,7 @@ def test_a_probe_that_nothing_is_left_of_has_no_image():
 
 @pytest.mark.parametrize("count", [1, PROBES, PROBES + 1, 5000])
 def test_probes_are_spread_evenly_and_bounded(count):
-    probed = probed_among(np.arange(10, 10 + count))
+    probed = spread_evenly(np.arange(10, 10 + count))
     assert len(probed) == min(count, PROBES)
     assert (np.diff(probed) >= 1).all()
     assert probed[0] == 10
