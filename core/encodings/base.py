@@ -179,7 +179,6 @@ class Encoding(ABC):
         Raises:
             InvalidParameters: If this encoding has no sweep.
         """
-        del images, queries, cuts, ranks, parameters, progress
         raise InvalidParameters(f"ranks of the {self.name} encoding cannot be swept")
 
     # --- Files and wire
@@ -214,7 +213,6 @@ class Encoding(ABC):
 
     def require_values(self, values: NDArray[Any]) -> None:
         """Raise `InvalidSignature` unless these `(r1, r2)` finite values can be a signature."""
-        del values
 
     def weighted(self, values: NDArray[Any]) -> NDArray[Any]:
         """Return `(..., r1, r2)` values whose plain inner product is that of signatures."""

@@ -106,9 +106,9 @@ class Basis(ABC):
         """Return every array by its name."""
         return arrays_of(self)
 
-    @abstractmethod
     def as_values(self) -> dict[str, Any]:
-        """Return the arrays as plain values, as `Encoding.read_basis` takes them."""
+        """Return the arrays as plain values, exact for float32, as `Encoding.read_basis` takes them."""
+        return {name: array.tolist() for name, array in self.arrays().items()}
 
     def fits(self, grams: Mapping[str, FloatArray]) -> tuple[BasisFit, ...]:
         """Compare this basis with one fitted to all of these drives, drive by drive.
@@ -119,7 +119,6 @@ class Basis(ABC):
         Returns:
             Nothing if the encoding fits its basis to no drive.
         """
-        del grams
         return ()
 
     def serves(self, parameters: "MapParameters") -> bool:

@@ -99,7 +99,6 @@ class Search(ABC):
 
         It refines the pose of a match, between viewpoints and scans.
         """
-        del rows
         return None
 
 

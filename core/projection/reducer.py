@@ -52,8 +52,7 @@ def reduce_returns(
 ) -> Reduced:
     """Place returns in cells and keep one number a cell.
 
-    Returns are processed in blocks: the numbers of all 60,000 do not fit into the cache, which
-    takes twice as long.
+    Returns are processed in blocks that fit into the cache: all 60,000 at once take twice as long.
 
     Args:
         points_m: `(n, 3)`.

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -50,10 +50,6 @@ class HarmonicBasis(Basis):
         """Return the basis of this U, `(I, r1)`."""
         digest = harmonic_basis_digest(parameters, radial_basis)
         return cls(revision, digest, parameters, radial_basis)
-
-    def as_values(self) -> dict[str, Any]:
-        """Return the basis as plain values; a float32 survives it."""
-        return {"radial_basis": self.radial_basis.tolist()}
 
     def fits(self, grams: Mapping[str, FloatArray]) -> tuple[BasisFit, ...]:
         """Compare this basis with one fitted to all of these drives, drive by drive."""

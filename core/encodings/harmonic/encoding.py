@@ -58,7 +58,6 @@ class HarmonicEncoding(Encoding):
 
     def elements(self, parameters: "MapParameters", segments: int, scans: int) -> int:
         """Return I r1 + D + K D r1 (2 r2 - 1)."""
-        del segments
         renderings = len(parameters.lateral_renderings_m or ())
         return harmonic_elements(scans, renderings, parameters.grid.rows, parameters.ranks)
 

@@ -123,7 +123,6 @@ class HarmonicModel(Model):
         self, rows: Iterable[int], named: str, segments: IntArray | None = None
     ) -> Iterator[tuple[Signature, ...]]:
         """Yield each scan's recorded signature: one for all segments."""
-        del segments
         recorded = self.recorded
         for row in rows:
             yield (Signature(recorded[row], None, named),)
@@ -136,14 +135,12 @@ class HarmonicModel(Model):
         self, revision: str, digest: str, parameters: "MapParameters", segments: IntArray
     ) -> HarmonicBasis:
         """Return the one basis."""
-        del segments
         return HarmonicBasis(revision, digest, parameters, self.radial_basis)
 
     def select(
         self, rows: IntArray, segments: IntArray, segment_start: IntArray
     ) -> "HarmonicModel":
         """Return the model of some scans, which stay as they are."""
-        del segments
         return replace(self, signatures=self.signatures[rows], segment_start=segment_start)
 
     def joined(self, others: Sequence["HarmonicModel"], segment_start: IntArray) -> "HarmonicModel":

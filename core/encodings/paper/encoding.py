@@ -57,7 +57,6 @@ class PaperEncoding(Encoding):
         grams: Mapping[str, FloatArray] | None = None,
     ) -> tuple["Model", FloatArray]:
         """Fit each segment's own bases, one segment after the other, in two passes each."""
-        del trajectory, kept, grams
         segments = len(segment_start) - 1
         (rows, columns), (r1, r2) = parameters.grid.shape, parameters.ranks
         elevation_basis = np.empty((segments, rows, r1), np.float32)
@@ -86,7 +85,6 @@ class PaperEncoding(Encoding):
         self, parameters: "MapParameters", arrays: Mapping[str, NDArray[Any]]
     ) -> "Model":
         """Return the model that `Model.arrays` gave."""
-        del parameters
         names = ("elevation_basis", "azimuth_basis", "signatures", "segment_start")
         return PaperModel(*(arrays[name] for name in names))
 
