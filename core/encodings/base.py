@@ -213,6 +213,7 @@ class Encoding(ABC):
 
     def require_values(self, values: NDArray[Any]) -> None:
         """Raise `InvalidSignature` unless these `(r1, r2)` finite values can be a signature."""
+        del values
 
     def weighted(self, values: NDArray[Any]) -> NDArray[Any]:
         """Return `(..., r1, r2)` values whose plain inner product is that of signatures."""

@@ -107,7 +107,7 @@ class Basis(ABC):
         return arrays_of(self)
 
     def as_values(self) -> dict[str, Any]:
-        """Return the arrays as plain values, exact for float32, as `Encoding.read_basis` takes them."""
+        """Return the arrays as plain values, as `Encoding.read_basis` takes them."""
         return {name: array.tolist() for name, array in self.arrays().items()}
 
     def fits(self, grams: Mapping[str, FloatArray]) -> tuple[BasisFit, ...]:

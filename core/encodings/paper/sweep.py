@@ -43,6 +43,7 @@ def sweep(
     progress: Progress,
 ) -> tuple[IntArray, FloatArray]:
     """Return the nearest row of every query and the relative errors: `Encoding.rank_sweep`."""
+    del parameters
     r1, r2 = ranks
     counts = (len(r1), len(r2))
     rows = np.zeros((len(cuts), len(queries), *counts), dtype=np.int64)
