@@ -4,31 +4,8 @@ from pathlib import Path
 from typing import Annotated
 
 from app.baselines.roster import METHODS, default_methods, methods_named
+from app.cli import evaluation, options
 from app.cli.console import figure, progress_bar, say
-from app.cli.evaluation import (
-    JsonOption,
-    LateralOption,
-    NoiseOption,
-    SeedOption,
-    SplitOption,
-    ToleranceOption,
-    YawOption,
-    opened,
-    protocol_option,
-    show_table,
-    split_of,
-    write_figures,
-)
-from app.cli.options import (
-    DriveArgument,
-    SegmentLengthOption,
-    SegmentsOption,
-    SensorHeightOption,
-    SensorOption,
-    height_m,
-    numbers,
-    require_folder,
-)
 from app.provenance import provenance
 from core.errors import InvalidParameters
 from core.evaluation.compare import (
@@ -45,10 +22,10 @@ from core.segmentation.fixed import segment_length_for
 
 
 def compare(
-    drive: DriveArgument,
+    drive: options.DriveArgument,
     query_drive: Annotated[
         Path | None,
-        protocol_option(
+        evaluation.protocol_option(
             metavar="DRIVE2",
             help="A second pass: query with this drive, in the same world frame; all of DRIVE is"
             " mapped.",
@@ -56,57 +33,57 @@ def compare(
     ] = None,
     loop: Annotated[
         bool,
-        protocol_option(
+        evaluation.protocol_option(
             "--loop",
             help="Close loops: query with every scan among the earlier ones that are not recent.",
         ),
     ] = False,
     recent_scans: Annotated[
         int | None,
-        protocol_option(
+        evaluation.protocol_option(
             min=1,
             help=f"With --loop, how many scans earlier a place must be. [{RECENT_SCANS}]",
         ),
     ] = None,
     recent_s: Annotated[
         float | None,
-        protocol_option(
+        evaluation.protocol_option(
             help="With --loop, how many seconds instead, for example 30.",
         ),
     ] = None,
-    split: SplitOption = None,
+    split: evaluation.SplitOption = None,
     unknown: Annotated[
         Path | None,
-        protocol_option(
+        evaluation.protocol_option(
             metavar="DRIVE3",
             help="A drive through other places, for the novelty AUROC.",
         ),
     ] = None,
     query_every: Annotated[
         int,
-        protocol_option(min=1, help="Query with every N-th scan of DRIVE2 and DRIVE3."),
+        evaluation.protocol_option(min=1, help="Query with every N-th scan of DRIVE2 and DRIVE3."),
     ] = 1,
     methods: Annotated[
         str | None,
-        protocol_option(
+        evaluation.protocol_option(
             help=f"Some of {','.join(METHODS)}. [all that are installed]",
         ),
     ] = None,
-    segment_length: SegmentLengthOption = None,
-    segments: SegmentsOption = None,
-    sensor: SensorOption = HDL_64E.name,
-    sensor_height_m: SensorHeightOption = None,
-    yaw_deg: YawOption = "0",
-    lateral_m: LateralOption = "0",
-    noise_m: NoiseOption = "0",
-    tolerance_m: ToleranceOption = "3,5,10",
-    seed: SeedOption = 0,
-    json_out: JsonOption = None,
+    segment_length: options.SegmentLengthOption = None,
+    segments: options.SegmentsOption = None,
+    sensor: options.SensorOption = HDL_64E.name,
+    sensor_height_m: options.SensorHeightOption = None,
+    yaw_deg: evaluation.YawOption = "0",
+    lateral_m: evaluation.LateralOption = "0",
+    noise_m: evaluation.NoiseOption = "0",
+    tolerance_m: evaluation.ToleranceOption = "3,5,10",
+    seed: evaluation.SeedOption = 0,
+    json_out: evaluation.JsonOption = None,
 ) -> None:
     """Run other methods of place recognition on the same scans, beside ours."""
     if json_out is not None:
-        require_folder(json_out)
-    mapped = opened(drive)
+        options.require_folder(json_out)
+    mapped = evaluation.opened(drive)
     length = segment_length_for(
         max(1, len(mapped)), segment_length=segment_length, segments=segments
     )
@@ -114,7 +91,7 @@ def compare(
     chosen = methods_named(
         names,
         sensor=sensor,
-        sensor_height_m=height_m(sensor, sensor_height_m),
+        sensor_height_m=options.height_m(sensor, sensor_height_m),
         segment_length=length,
     )
     protocol = ComparisonProtocol(
@@ -127,8 +104,8 @@ def compare(
             every=query_every,
             segment_length=length,
         ),
-        conditions=conditions(numbers(yaw_deg), numbers(lateral_m), numbers(noise_m)),
-        tolerances_m=numbers(tolerance_m),
+        conditions=conditions(*map(options.numbers, (yaw_deg, lateral_m, noise_m))),
+        tolerances_m=options.numbers(tolerance_m),
         unknown_every=query_every,
         seed=seed,
     )
@@ -137,13 +114,13 @@ def compare(
             mapped,
             chosen,
             protocol,
-            None if query_drive is None else opened(query_drive),
-            None if unknown is None else opened(unknown),
+            None if query_drive is None else evaluation.opened(query_drive),
+            None if unknown is None else evaluation.opened(unknown),
             progress,
         )
     _show(result)
     made = {"provenance": provenance(), "data": str(drive)}
-    write_figures(json_out, made | result.as_dict())
+    evaluation.write_figures(json_out, made | result.as_dict())
 
 
 def _pairing(
@@ -171,7 +148,7 @@ def _pairing(
         if split is not None:
             raise InvalidParameters("with --query-drive all of DRIVE is the map: leave --split out")
         return SecondPass(every)
-    return HeldOut(split_of(split), segment_length)
+    return HeldOut(evaluation.split_of(split), segment_length)
 
 
 def _show(result: Comparison) -> None:
@@ -187,7 +164,7 @@ def _show(result: Comparison) -> None:
             f" noise {condition.noise_m:g} m: {of_first.queries} asked, findable {findable}",
         )
         tolerances = list(of_first.recall_at_1)
-        show_table(
+        evaluation.show_table(
             (
                 "method",
                 *(f"R@1 {metres:g} m" for metres in tolerances),

@@ -8,17 +8,8 @@ from typing import Annotated, Any
 
 import typer
 
+from app.cli import evaluation, options
 from app.cli.console import progress_bar, say
-from app.cli.evaluation import JsonOption, SplitOption, opened, split_of, write_figures
-from app.cli.options import (
-    DriveArgument,
-    SensorHeightOption,
-    SensorOption,
-    checked,
-    height_m,
-    ranks,
-    require_folder,
-)
 from app.report.provenance import provenance
 from core.encodings.registry import encoding_names
 from core.evaluation.study import Study
@@ -39,11 +30,11 @@ def _sizes(text: str | None) -> tuple[int, ...]:
 
 
 def _sizes_option(text: str) -> Any:  # noqa: ANN401 - Typer's own type
-    return _tried(help=text, callback=checked(_sizes))
+    return _tried(help=text, callback=options.checked(_sizes))
 
 
 def report(
-    drive: DriveArgument,
+    drive: options.DriveArgument,
     out: Annotated[
         Path, typer.Option("--output", "-o", metavar="REPORT.html", help="The page to write.")
     ],
@@ -71,30 +62,30 @@ def report(
     segment_length: Annotated[
         int | None, _tried(min=1, help="k whose answers are shown, likewise.")
     ] = None,
-    split: SplitOption = None,
+    split: evaluation.SplitOption = None,
     max_questions: Annotated[
         int | None, typer.Option(min=1, help="Ask at most so many scans. [200; quick: 60]")
     ] = None,
-    sensor: SensorOption = HDL_64E.name,
-    sensor_height_m: SensorHeightOption = None,
+    sensor: options.SensorOption = HDL_64E.name,
+    sensor_height_m: options.SensorHeightOption = None,
     seed: Annotated[int, typer.Option(min=0, help="Of the noise.")] = 0,
-    json_out: JsonOption = None,
+    json_out: evaluation.JsonOption = None,
 ) -> None:
     """Redraw the paper's figures for a drive, and recommend {r1, r2, k}."""
     _require_drawing()
     for path in (out, *([] if json_out is None else [json_out])):
-        require_folder(path)
-    above_ground_m = height_m(sensor, sensor_height_m)
+        options.require_folder(path)
+    above_ground_m = options.height_m(sensor, sensor_height_m)
     protocol = StudyProtocol(
         parameters=tuple(
             MapParameters.for_sensor(sensor, encoding=each, sensor_height_m=above_ground_m)
             for each in dict.fromkeys(encoding or encoding_names())
         ),
         max_queries=max_questions or (60 if quick else 200),
-        ranks=None if ranks_text is None else ranks(ranks_text),
+        ranks=None if ranks_text is None else options.ranks(ranks_text),
         segment_length=segment_length,
         segment_lengths=_sizes(k) or None,
-        split=split_of(split),
+        split=evaluation.split_of(split),
         max_bytes_per_scan=max_bytes_per_scan,
         seed=seed,
     )
@@ -108,7 +99,7 @@ def report(
             yaw_deg=(0.0, 10.0, 180.0),
         )
     protocol = replace(protocol, r1=_sizes(r1) or protocol.r1, r2=_sizes(r2) or protocol.r2)
-    recorded = opened(drive)
+    recorded = evaluation.opened(drive)
     from app.report.page import render_report  # here: it needs the extra, and a second to load
 
     with progress_bar() as progress:
@@ -117,7 +108,7 @@ def report(
         page = render_report(study, made, progress)
     with publish(out) as part:
         part.write_text(page, encoding="utf-8")
-    write_figures(json_out, study.as_dict() | {"made": made}, indent=None)
+    evaluation.write_figures(json_out, study.as_dict() | {"made": made}, indent=None)
     _show(study, out)
 
 

@@ -1,8 +1,8 @@
-"""Self-recall: whether a map finds its own scans, as a vehicle would see them from elsewhere.
+"""Self-recall: whether a map finds its own scans, seen from elsewhere.
 
-The queries are the probes that calibrate it: its scans turned, shifted, hidden behind cars and
-noised, each searched for without itself. So the recall of two maps of the same scans can be
-compared without a second drive.
+The queries are the probes that calibrate it: its scans with relative yaw, lateral offset,
+occlusion and noise, each searched for without itself. So the recall of two maps of the same scans
+can be compared without a second drive.
 """
 
 from collections.abc import Sequence

@@ -1,7 +1,7 @@
-"""Asking a map for one of its own scans: what is left out, and what would be right.
+"""Queries of a map with its own scans: which scans are searched, and which are right.
 
-A vehicle never stands exactly where a scan was recorded, so the scan itself, and what was recorded
-within a metre of it, is not asked. What was recorded within `AWAY_M` of it is right.
+A vehicle is never exactly where a scan was recorded, so the scan itself, and what was recorded
+within a metre of it, is not searched. What was recorded within `AWAY_M` of it is right.
 """
 
 from core.arrays import BoolArray
@@ -19,18 +19,18 @@ _LEFT_OUT_SCANS = 1  # where poses are unknown, as `LEFT_OUT_M` is where they ar
 
 
 def own_place(trajectory: Trajectory, row: int) -> tuple[BoolArray, BoolArray]:
-    """Return which scans are asked when a probe of scan `row` asks, and which of them are right.
+    """Return which scans are searched for a probe of scan `row`, and which of them are right.
 
     Args:
         trajectory: K scans.
-        row: Whose probe.
+        row: Of the probe's scan.
 
     Returns:
         `(K,)` all but the scan itself and what was recorded beside it, and `(K,)` those of them
         that were recorded near.
     """
-    asked = away_from(trajectory, row, LEFT_OUT_M, _LEFT_OUT_SCANS)
-    return asked, asked & ~away_from(trajectory, row, AWAY_M, RIGHT_SCANS)
+    searched = away_from(trajectory, row, LEFT_OUT_M, _LEFT_OUT_SCANS)
+    return searched, searched & ~away_from(trajectory, row, AWAY_M, RIGHT_SCANS)
 
 
 def image_of(tensor_map: TensorMap, images: ImageSource, position: int) -> Image:
