@@ -1,4 +1,4 @@
-"""What a vehicle downloads once to make signatures on board."""
+"""The basis that a vehicle downloads once to encode scans on board."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
@@ -38,21 +38,21 @@ def signature_parameters(parameters: "MapParameters") -> dict[str, Any]:
 
 
 def make_same_signatures(one: "MapParameters", other: "MapParameters") -> bool:
-    """Return whether a basis of maps of `one` makes the signatures of maps of `other` too.
+    """Return whether a basis of maps of `one` is valid in maps of `other`.
 
-    It must be one for all segments.
+    All segments must share it.
     """
     return one.encoder.shares_basis and signature_parameters(one) == signature_parameters(other)
 
 
 @dataclass(frozen=True)
 class BasisFit:
-    """How well a basis that was kept fits one drive.
+    """The fit of a kept basis to one drive.
 
     Attributes:
         drive: Its name.
         kept_error: `radial_error` over the renderings of its scans, U kept.
-        refitted_error: The same with U fitted anew to all drives that are at hand.
+        refitted_error: The same with U refitted to all available drives.
     """
 
     drive: str
@@ -61,24 +61,23 @@ class BasisFit:
 
     @property
     def much_worse(self) -> bool:
-        """Whether refitting would be worth asking vehicles to download their basis again."""
+        """Whether refitting is better by more than it costs vehicles to download a new basis."""
         return self.kept_error > _MUCH_WORSE * self.refitted_error
 
     def __str__(self) -> str:
         return (
-            f"the basis that was kept leaves out {self.kept_error:.3f} of the detail of drive"
-            f" {self.drive}, one fitted anew would leave out {self.refitted_error:.3f}"
+            f"the kept basis leaves out {self.kept_error:.3f} of the detail of drive {self.drive},"
+            f" a refitted one would leave out {self.refitted_error:.3f}"
         )
 
 
 @dataclass(frozen=True, eq=False)
 class Basis(ABC):
-    """How one revision makes signatures of scans; no scan's place can be read from it.
+    """Encodes scans as signatures of one revision; it contains no scan's place.
 
     Attributes:
         revision: Digest of the map revision.
-        digest: What names the basis, the same in every revision that has it; signatures made with
-            it name it.
+        digest: Of the basis, the same in every revision that has it; its signatures name it.
         parameters: How scans become images; grid, reducer and sensor.
     """
 
@@ -114,18 +113,15 @@ class Basis(ABC):
         """Compare this basis with one fitted to all of these drives, drive by drive.
 
         Args:
-            grams: What `core.encodings.grams.drive_gram` gave for each drive, by name.
+            grams: The result of `core.encodings.grams.drive_gram` for each drive, by name.
 
         Returns:
-            Nothing if the encoding fits its basis to no drive.
+            Nothing if the encoding does not fit its basis to drives.
         """
         return ()
 
     def serves(self, parameters: "MapParameters") -> bool:
-        """Return whether a map of these parameters can keep this basis.
-
-        Signatures made with it then stay good.
-        """
+        """Return whether a map of these parameters can keep this basis and its signatures."""
         return make_same_signatures(self.parameters, parameters)
 
     def image(self, scan: Scan, sensor_height_m: float | None = None) -> Image:

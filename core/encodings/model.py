@@ -29,8 +29,8 @@ class Neighbours:
         rows: `(n,)` their rows in the map.
         distances: `(n,)` between the signatures.
         relative_yaw_deg: `(n,)` of the query to each scan, counter-clockwise, -180..180; NaN where
-            the encoding does not give it.
-        lateral_m: `(n,)` how far to the left of each scan the query was made, NaN likewise.
+            the encoding does not estimate it.
+        lateral_m: `(n,)` lateral offset of the query from each scan, NaN likewise.
     """
 
     rows: IntArray
@@ -254,7 +254,7 @@ class Model(ABC):
 
 
 def require_sane(bases: Mapping[str, NDArray[Any]], signatures: NDArray[Any]) -> None:
-    """Reject numbers that no build makes, and with which no distance is finite.
+    """Reject numbers that no build computes, and with which no distance is finite.
 
     Raises:
         InvalidMap: If one is not finite or too large.

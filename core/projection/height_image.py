@@ -16,7 +16,7 @@ def project_heights(
     """Return the height image of a scan, `(I, J)` metres, 0 on the ground and where nothing is.
 
     Each return's height above ground goes to its `(ring, azimuth)` cell. The height is
-    z + `sensor_height_m`, clipped at 0: what lies below the ground is on it. The result does not
+    z + `sensor_height_m`, clipped at 0. The result does not
     depend on the order of the returns, but for the rounding of sums.
 
     Args:

@@ -1,4 +1,4 @@
-"""How a map's scans, and the queries to it, become images."""
+"""Images, and how scans become images."""
 
 import itertools
 from dataclasses import dataclass
@@ -27,7 +27,7 @@ _MAX_RENDERINGS = 64
 
 
 class ImageKind(StrEnum):
-    """What an image's cells hold."""
+    """The quantity in an image's cells."""
 
     RANGE = "range"
     HEIGHT = "height"
@@ -39,7 +39,7 @@ class Image:
 
     Attributes:
         cells: `(I, J)` float32 metres, finite, 0 where nothing is; not all 0.
-        grid: The lattice; an angular one holds ranges, one of rings heights.
+        grid: The lattice; an angular one has ranges, one of rings heights.
     """
 
     cells: Float32Array
@@ -57,20 +57,20 @@ class Image:
 
     @property
     def kind(self) -> ImageKind:
-        """What the cells hold."""
+        """The quantity in the cells."""
         return _kind_on(self.grid)
 
 
 @dataclass(frozen=True)
 class Imager:
-    """Everything that an image depends on besides its scan.
+    """The parameters of an image besides its scan.
 
     Attributes:
-        grid: The lattice; an angular one makes range images, one of rings height images.
+        grid: The lattice; an angular one is for range images, one of rings for height images.
         reducer: What a shared cell keeps.
         sensor_height_m: Height of the sensor above ground; only height images depend on it.
-        lateral_renderings_m: `D` places, metres to the left, from which a scan of the map is also
-            rendered; `None` for the image as it was recorded and nothing else.
+        lateral_renderings_m: `D` viewpoints, metres to the left, from which a scan of the map is
+            rendered; `None` for the recorded one only.
     """
 
     grid: Grid
@@ -82,7 +82,7 @@ class Imager:
         allowed = HEIGHT_REDUCERS if self.kind == ImageKind.HEIGHT else RANGE_REDUCERS
         if self.reducer not in allowed:
             raise InvalidParameters(
-                f"reducer is {self.reducer}, a {self.kind} image wants {', '.join(allowed)}"
+                f"reducer is {self.reducer}, wanted {', '.join(allowed)} for a {self.kind} image"
             )
         offsets = self.lateral_renderings_m
         if offsets is None:
@@ -92,7 +92,7 @@ class Imager:
         object.__setattr__(self, "lateral_renderings_m", offsets)
         if not 1 <= len(offsets) <= _MAX_RENDERINGS:
             raise InvalidParameters(
-                f"lateral_renderings_m holds {len(offsets)} places, wanted 1..{_MAX_RENDERINGS}"
+                f"lateral_renderings_m has {len(offsets)} offsets, wanted 1..{_MAX_RENDERINGS}"
             )
         if not all(abs(offset) <= _MAX_LATERAL_M for offset in offsets) or not all(
             one < two for one, two in itertools.pairwise(offsets)
@@ -104,12 +104,12 @@ class Imager:
 
     @property
     def kind(self) -> ImageKind:
-        """What the cells hold."""
+        """The quantity in the cells."""
         return _kind_on(self.grid)
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """`(I, J)`, or `(D, I, J)` with lateral renderings: what a scan of the map becomes."""
+        """`(I, J)`, or `(D, I, J)` with lateral renderings: of a scan of the map."""
         if self.lateral_renderings_m is None:
             return self.grid.shape
         return len(self.lateral_renderings_m), *self.grid.shape
@@ -119,7 +119,7 @@ class Imager:
 
         Args:
             scan: The returns.
-            sensor_height_m: Of this scan's sensor, if it is mounted otherwise than the map's.
+            sensor_height_m: Of this scan's sensor, if it is not the map's.
 
         Raises:
             InvalidScan: If no return falls inside the grid, or all on the ground.
@@ -130,7 +130,7 @@ class Imager:
         return Image(project_heights(scan, self.grid, self.reducer, height_m), self.grid)
 
     def render(self, scan: Scan) -> Float32Array:
-        """Return what a scan of the map becomes, of `shape`.
+        """Return the image or renderings of a scan of the map, of `shape`.
 
         Raises:
             InvalidScan: If one of the images would be empty.
@@ -145,7 +145,7 @@ class Imager:
         )
 
     def as_attributes(self) -> dict[str, Any]:
-        """Return everything that a rendering depends on, as plain values."""
+        """Return the parameters of a rendering, as plain values."""
         attributes: dict[str, Any] = {
             "grid": self.grid.as_attributes(),
             "reducer": self.reducer.value,
@@ -162,7 +162,7 @@ def grid_from_attributes(attributes: dict[str, Any]) -> Grid:
 
     Raises:
         InvalidParameters: If a value is out of its range.
-        TypeError: If something is missing or of neither kind.
+        TypeError: If a value is missing or of neither kind.
     """
     return RingGrid(**attributes) if "rings" in attributes else AngularGrid(**attributes)
 

@@ -9,7 +9,7 @@ from core.projection.imager import Image, Imager
 from core.scans.displacement import seen_from_beside
 from core.scans.scan import Scan
 
-Standing = tuple[float, float, float]
+Displacement = tuple[float, float, float]
 """How far a probe is ahead and to the left of its scan, metres, and its relative yaw, degrees."""
 
 LEFT_OUT_M = 1.0
@@ -18,7 +18,7 @@ LEFT_OUT_M = 1.0
 PROBES = 200
 """How many scans of a drive are probed at most, evenly spread."""
 
-_STANDING, _DISTURBED = 20_001, 20_002  # seeds, together with a scan's position in its drive
+_DISPLACED, _DISTURBED = 20_001, 20_002  # seeds, together with a scan's position in its drive
 _NOISE_M, _ALONE_NOISE_M = 0.5, 0.05
 _CARS = 4  # that hide something, at most
 _CAR_AHEAD_M = (3.0, 12.0)  # horizontal distance of its near side
@@ -43,15 +43,17 @@ def spread_evenly(scans: IntArray, at_most: int = PROBES) -> IntArray:
     return scans[np.linspace(0, len(scans) - 1, at_most).round().astype(np.int64)]
 
 
-def probe_image(scan: Scan, position: int, imager: Imager, standing: Standing) -> Image | None:
+def probe_image(
+    scan: Scan, position: int, imager: Imager, displacement: Displacement
+) -> Image | None:
     """Return the image of a scan's probe, `None` if nothing of it is left in the grid."""
     try:
-        return imager.image(probe_scan(scan, position, imager, standing))
+        return imager.image(probe_scan(scan, position, imager, displacement))
     except InvalidScan:
         return None
 
 
-def probe_scan(scan: Scan, position: int, imager: Imager, standing: Standing) -> Scan:
+def probe_scan(scan: Scan, position: int, imager: Imager, displacement: Displacement) -> Scan:
     """Disturb a scan, always in the same way for the same position.
 
     Up to four cars hide what is behind them, the vehicle is displaced, and returns have noise of
@@ -61,7 +63,7 @@ def probe_scan(scan: Scan, position: int, imager: Imager, standing: Standing) ->
         scan: As recorded.
         position: Of the scan in its drive; with a fixed seed it determines all random numbers.
         imager: Of the map.
-        standing: As `standing_of_probe` returns it.
+        displacement: As `displacement_of_probe` returns it.
 
     Raises:
         InvalidScan: If no return is left that is finite.
@@ -70,14 +72,16 @@ def probe_scan(scan: Scan, position: int, imager: Imager, standing: Standing) ->
     points = scan.points_m.astype(np.float64)
     for _ in range(int(rng.integers(0, _CARS, endpoint=True))):
         _occlude_by_a_car(points, imager.sensor_height_m, rng)
-    ahead_m, left_m, turn_deg = standing
+    ahead_m, left_m, turn_deg = displacement
     points = seen_from_beside(points, left_m, turn_deg, ahead_m)
     most_m = _ALONE_NOISE_M if imager.lateral_renderings_m is None else _NOISE_M
     points += rng.normal(scale=rng.uniform(0.0, most_m), size=points.shape)
     return Scan.from_returns(points)
 
 
-def standing_of_probe(position: int, imager: Imager, poses: FloatArray, row: int) -> Standing:
+def displacement_of_probe(
+    position: int, imager: Imager, poses: FloatArray, row: int
+) -> Displacement:
     """Return the displacement of a probe: beside its scan and on the way to a neighbouring one.
 
     To the side as far as the map's renderings reach and half a metre more, in any heading. A map
@@ -94,7 +98,7 @@ def standing_of_probe(position: int, imager: Imager, poses: FloatArray, row: int
         poses: `(n, 7)` of the drive's scans that are projected, NaN where unknown.
         row: Of the probe's scan among them.
     """
-    rng = np.random.default_rng([_STANDING, position])
+    rng = np.random.default_rng([_DISPLACED, position])
     offsets = imager.lateral_renderings_m
     if offsets is None:
         left_m, turn_deg = rng.uniform(-_ALONE_M, _ALONE_M), rng.normal(scale=_PAPER_TURN_DEG)

@@ -1,4 +1,4 @@
-"""Where, when and in which drive a map's scans were recorded."""
+"""The drive, time and pose of each scan of a map."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ from core.text import LONGEST_NAME, flaw_in
 
 LAST_SCAN_INDEX = 2**53
 """Indices are below it: every JSON parser reads them exactly."""
-_FARTHEST_S = 1e300  # differences of any two of them are finite; whatever clock they are of
+_FARTHEST_S = 1e300  # differences of any two of them are finite, with any clock
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,7 +21,7 @@ class Trajectory:
     """The scans of a map in order, drive after drive, without their returns.
 
     Attributes:
-        drives: Names of the D drives, no two alike.
+        drives: Names of the D drives, all different.
         drive_start: `(D + 1,)` row of each drive's first scan, and K.
         scan_index: `(K,)` index of each scan in its own drive, rising; gaps are allowed.
         timestamp_s: `(K,)` seconds, NaN where unknown.
@@ -46,16 +46,16 @@ class Trajectory:
                 raise InvalidMap(f"{name} has shape {shape}, wanted {wanted}")
         # A comparison with NaN, the unknown, is false.
         if (np.abs(self.timestamp_s) > _FARTHEST_S).any():
-            raise InvalidMap(f"timestamp_s holds infinite numbers, or beyond {_FARTHEST_S:g} s")
+            raise InvalidMap(f"timestamp_s has infinite numbers, or beyond {_FARTHEST_S:g} s")
         wrong = first_invalid(self.poses)
         if wrong is not None:
-            raise InvalidMap(f"the pose of row {wrong} is none: {self.poses[wrong].tolist()}")
+            raise InvalidMap(f"row {wrong} is no pose: {self.poses[wrong].tolist()}")
         for name in self.drives:
             flaw = flaw_in(name, LONGEST_NAME)
             if flaw is not None:
                 raise InvalidMap(f"drives holds {ascii(name)[:80]}, wanted names: {flaw}")
         if len(set(self.drives)) < len(self.drives):
-            raise InvalidMap(f"a drive comes twice in {_short(self.drives)}")
+            raise InvalidMap(f"a drive is repeated in {_short(self.drives)}")
         starts = self.drive_start
         if (
             starts.shape != (len(self.drives) + 1,)
@@ -125,7 +125,7 @@ class Trajectory:
         )
 
     def select(self, rows: IntArray) -> "Trajectory":
-        """Return the trajectory of some rows, in rising order, leaving out drives left empty."""
+        """Return the trajectory of some rows, in rising order, without drives that have none."""
         drive = self.drive_of_scan[rows]
         kept, counts = np.unique(drive, return_counts=True)
         return Trajectory(

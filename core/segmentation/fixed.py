@@ -17,9 +17,9 @@ def segment_length_for(
 ) -> int:
     """Return k for a drive of `scans` scans.
 
-    `segments` asks for L parts: k = ceil(K / L), with which a short drive may fall into fewer, and
-    unequal segments into more or fewer.
-    Without either, k is the paper's 760: longer segments are told apart better than shorter ones.
+    With `segments`, L, k = ceil(K / L): a short drive may have fewer segments, and unequal segments
+    may be more or fewer. Without either, k is the paper's 760: long segments are easier to
+    distinguish than short ones.
 
     Raises:
         InvalidParameters: If both are given, or one is below 1.

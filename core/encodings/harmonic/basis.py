@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 def harmonic_basis_digest(parameters: "MapParameters", radial_basis: Float32Array) -> str:
-    """Return what names a harmonic basis: equal ones make equal signatures of every scan."""
+    """Return the digest of a harmonic basis: equal ones encode every scan equally."""
     return content_digest({"radial_basis": radial_basis}, signature_parameters(parameters))
 
 

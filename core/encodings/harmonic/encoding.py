@@ -1,4 +1,4 @@
-"""The harmonic encoding as one object: one radial basis for the map, harmonics in azimuth."""
+"""The harmonic encoding: one radial basis for the map, harmonics in azimuth."""
 
 import itertools
 import struct
@@ -133,7 +133,7 @@ class HarmonicEncoding(Encoding):
         segment_start: IntArray,
         parameters: "MapParameters",
     ) -> HarmonicModel:
-        measure = parameters.distance or Distance.NORMALISED  # which parameters always name
+        measure = parameters.distance or Distance.NORMALISED  # parameters always have one
         return HarmonicModel(
             u, signatures, offsets_m, segment_start, parameters.grid.columns, measure
         )
@@ -147,7 +147,7 @@ class HarmonicEncoding(Encoding):
         parameters: "MapParameters",
         progress: Progress,
     ) -> tuple[IntArray, FloatArray]:
-        """Return the same for all cuts: the basis is shared, so they change nothing."""
+        """Return the same for all cuts: the basis is shared."""
         shape, scans, (r1s, r2s) = parameters.imager.shape, len(images), ranks
         image_rows, columns = parameters.grid.shape
         gram, squared_norm = np.zeros((image_rows, image_rows)), 0.0
@@ -181,7 +181,7 @@ class HarmonicEncoding(Encoding):
         )
 
     def read_model(self, parameters: "MapParameters", arrays: Mapping[str, NDArray[Any]]) -> Model:
-        """Return the model that `Model.arrays` gave."""
+        """Return the model of these arrays."""
         return self._model(
             arrays["radial_basis"],
             arrays["signatures"],
@@ -191,7 +191,7 @@ class HarmonicEncoding(Encoding):
         )
 
     def require_model(self, model: Model, parameters: "MapParameters") -> None:
-        """Refuse a model of another measure, or of other viewpoints, too."""
+        """Reject a model of another measure, or of other viewpoints, too."""
         super().require_model(model, parameters)
         if not isinstance(model, HarmonicModel) or model.measure != parameters.distance:
             raise InvalidMap("the model's distance is not that of the parameters")
@@ -207,7 +207,7 @@ class HarmonicEncoding(Encoding):
         return HarmonicBasis(revision, digest, parameters, u)
 
     def require_values(self, values: NDArray[Any]) -> None:
-        """Refuse a first column that is not real: it is the mean over azimuth."""
+        """Reject a first column that is not real: it is the mean over azimuth."""
         if values[:, 0].imag.any():
             raise InvalidSignature("the first column of a harmonic signature is real")
 
@@ -281,7 +281,7 @@ class HarmonicEncoding(Encoding):
         if len(lengths) > 1 or len(real) != len(imag):
             raise InvalidSignature("values_real and values_imag are not of one shape r1 x r2")
         found = np.zeros((len(real), lengths.pop()), np.complex64)
-        with np.errstate(over="ignore"):  # infinite then, and refused as such
+        with np.errstate(over="ignore"):  # infinite then, and rejected as not finite
             found.real, found.imag = real, imag
         return Signature(found, None, revision)
 

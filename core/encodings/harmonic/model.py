@@ -1,8 +1,8 @@
 """The model of a map in the harmonic encoding.
 
-A turn of the sensor moves the columns of an image around, which leaves S S^T as it is, and with it
-U, and multiplies harmonic m by a phase. So a signature made in any heading is compared with the
-map's in every heading, and the best one gives the relative yaw.
+Relative yaw rotates the columns of an image, which does not change S S^T, nor U, and multiplies
+harmonic m by a phase. So a signature of any heading is compared with the map's in every heading,
+and the best one is the relative yaw.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -33,7 +33,7 @@ class HarmonicModel(Model):
     Attributes:
         radial_basis: `(I, r1)` float32, orthonormal columns; U of all segments.
         signatures: `(K, D, r1, r2)` complex64, the first column real; D renderings of each scan.
-        lateral_offset_m: `(D,)` how far to the left of the line each rendering is seen from.
+        lateral_offset_m: `(D,)` of the viewpoint of each rendering.
         segment_start: `(L + 1,)` row of each segment's first scan, and K.
         columns: J, how many azimuths an image has.
         measure: How signatures are compared.
@@ -64,7 +64,7 @@ class HarmonicModel(Model):
         self._require_rising(scans)
         require_sane({"radial_basis": self.radial_basis}, self.signatures)
         if not np.isfinite(self.lateral_offset_m).all():
-            raise InvalidMap("lateral_offset_m holds numbers that are not finite")
+            raise InvalidMap("lateral_offset_m has numbers that are not finite")
         if self.signatures[..., 0].imag.any():
             raise InvalidMap("the first column of a harmonic signature is real")
 
@@ -128,7 +128,7 @@ class HarmonicModel(Model):
             yield (Signature(recorded[row], None, named),)
 
     def basis_digests(self, parameters: "MapParameters") -> tuple[str, ...]:
-        """Return what names the one basis."""
+        """Return the digest of the one basis."""
         return (harmonic_basis_digest(parameters, self.radial_basis),)
 
     def basis(
@@ -140,7 +140,7 @@ class HarmonicModel(Model):
     def select(
         self, rows: IntArray, segments: IntArray, segment_start: IntArray
     ) -> "HarmonicModel":
-        """Return the model of some scans, which stay as they are."""
+        """Return the model of some scans, unchanged."""
         return replace(self, signatures=self.signatures[rows], segment_start=segment_start)
 
     def joined(self, others: Sequence["HarmonicModel"], segment_start: IntArray) -> "HarmonicModel":

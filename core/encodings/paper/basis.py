@@ -19,11 +19,11 @@ if TYPE_CHECKING:
 def paper_basis_digests(
     parameters: "MapParameters", elevation_basis: Float32Array, azimuth_basis: Float32Array
 ) -> tuple[str, ...]:
-    """Return what names the bases of the first 1, 2, ... L segments, `L` digests.
+    """Return the digests of the bases of the first 1, 2, ... L segments.
 
-    Each is made of the one before and one segment more. So who holds the bases of a map's first
-    segments holds a part of every map that continues with others: adding a drive at the end leaves
-    the digest of what was there as it was.
+    Each is computed from the one before and one segment more. So bases of a map's first segments
+    are a part of every map that continues with others: adding a drive at the end does not change
+    their digest.
 
     Args:
         parameters: Of the map.

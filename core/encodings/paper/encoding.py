@@ -1,4 +1,4 @@
-"""The paper's encoding as one object: each segment has bases of its own."""
+"""The paper's encoding: each segment has bases of its own."""
 
 import itertools
 from collections.abc import Mapping, Sequence
@@ -84,7 +84,7 @@ class PaperEncoding(Encoding):
     def read_model(
         self, parameters: "MapParameters", arrays: Mapping[str, NDArray[Any]]
     ) -> "Model":
-        """Return the model that `Model.arrays` gave."""
+        """Return the model of these arrays."""
         names = ("elevation_basis", "azimuth_basis", "signatures", "segment_start")
         return PaperModel(*(arrays[name] for name in names))
 
@@ -140,7 +140,7 @@ class PaperEncoding(Encoding):
         rows, segment = values["values"], values["segment"]
         if len({len(row) for row in rows}) > 1:
             raise InvalidSignature(f"the rows of segment {segment} differ in length")
-        with np.errstate(over="ignore"):  # infinite then, and refused as such
+        with np.errstate(over="ignore"):  # infinite then, and rejected as not finite
             found = np.array(rows, dtype=np.float64).astype(np.float32)
         return Signature(found, segment, revision)
 

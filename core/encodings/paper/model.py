@@ -43,11 +43,8 @@ class PaperModel(Model):
             raise InvalidMap("bases and signatures have three axes each")
         scans, r1, r2 = self.signatures.shape
         self._require_rising(scans)
-        segments = self.segments
-        if self.elevation_basis.shape[::2] != (segments, r1) or self.azimuth_basis.shape[::2] != (
-            segments,
-            r2,
-        ):
+        shapes = self.elevation_basis.shape[::2], self.azimuth_basis.shape[::2]
+        if shapes != ((self.segments, r1), (self.segments, r2)):
             raise InvalidMap(
                 f"elevation_basis {self.elevation_basis.shape}, azimuth_basis"
                 f" {self.azimuth_basis.shape}, signatures {self.signatures.shape} and"
@@ -77,7 +74,7 @@ class PaperModel(Model):
         """Compare one scan's signatures with those of their segments.
 
         Raises:
-            InvalidSignature: If a segment comes twice or a signature is harmonic.
+            InvalidSignature: If a segment is repeated or a signature is harmonic.
             UnknownSegment: If the map has no such segment.
         """
         segments = [s.segment for s in signatures if s.segment is not None]
@@ -86,7 +83,7 @@ class PaperModel(Model):
                 f"the signature is {signatures[0].encoding}, this map is of the paper's encoding"
             )
         if len(set(segments)) < len(segments):
-            raise InvalidSignature(f"a segment comes twice in {segments}")
+            raise InvalidSignature(f"a segment is repeated in {segments}")
         values = np.stack([s.values for s in signatures]).astype(np.float64)
         rows, distances = self.distances(values, np.array(segments, dtype=np.int64))
         return DistanceSearch(tuple(sorted(segments)), rows, distances, len(self))
@@ -115,12 +112,12 @@ class PaperModel(Model):
     def own_queries(
         self, rows: Iterable[int], named: str, segments: IntArray | None = None
     ) -> Iterator[tuple[Signature, ...]]:
-        """Yield what each scan would send: the segment's model of it, U_l^T U G V^T V_l.
+        """Yield each scan's signatures, of the segment's model of it: U_l^T U G V^T V_l.
 
-        What the bases of its own segment leave out of the image is missing in those of segment l.
+        They lack the part of the image that the bases of its own segment leave out.
         """
-        wanted = np.arange(self.segments) if segments is None else segments
-        u, v = (b[wanted].astype(np.float64) for b in (self.elevation_basis, self.azimuth_basis))
+        queried = np.arange(self.segments) if segments is None else segments
+        u, v = (b[queried].astype(np.float64) for b in (self.elevation_basis, self.azimuth_basis))
         segment_of_scan, last = self.segment_of_scan, -1
         for row in rows:
             own = int(segment_of_scan[row])
@@ -129,14 +126,14 @@ class PaperModel(Model):
                 from_v = self.azimuth_basis[own].astype(np.float64).T @ v
                 last = own
             values = from_u @ self.signatures[row].astype(np.float64) @ from_v
-            values[wanted == own] = self.signatures[row]
+            values[queried == own] = self.signatures[row]
             yield tuple(
                 Signature(of_segment.astype(np.float32), segment, named)
-                for of_segment, segment in zip(values, wanted.tolist(), strict=True)
+                for of_segment, segment in zip(values, queried.tolist(), strict=True)
             )
 
     def basis_digests(self, parameters: "MapParameters") -> tuple[str, ...]:
-        """Return what names the bases of the first 1, 2, ... L segments, `L` digests."""
+        """Return the digests of the bases of the first 1, 2, ... L segments."""
         return paper_basis_digests(parameters, self.elevation_basis, self.azimuth_basis)
 
     def basis(
@@ -153,7 +150,7 @@ class PaperModel(Model):
         )
 
     def select(self, rows: IntArray, segments: IntArray, segment_start: IntArray) -> "PaperModel":
-        """Return the model of some segments, which stay as they are."""
+        """Return the model of some segments, unchanged."""
         return PaperModel(
             self.elevation_basis[segments],
             self.azimuth_basis[segments],
@@ -164,9 +161,6 @@ class PaperModel(Model):
     def joined(self, others: Sequence["PaperModel"], segment_start: IntArray) -> "PaperModel":
         """Return one model of this one's segments and those of others after it."""
         models = (self, *others)
-        return PaperModel(
-            np.concatenate([model.elevation_basis for model in models]),
-            np.concatenate([model.azimuth_basis for model in models]),
-            np.concatenate([model.signatures for model in models]),
-            segment_start,
-        )
+        names = ("elevation_basis", "azimuth_basis", "signatures")
+        parts = [np.concatenate([getattr(model, name) for model in models]) for name in names]
+        return PaperModel(*parts, segment_start)

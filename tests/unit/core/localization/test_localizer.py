@@ -169,7 +169,7 @@ def test_signatures_that_cannot_be_answered_are_refused(made, localizer):
         localizer.localize_signatures([])
     with pytest.raises(InvalidSignature, match=r"shape \(4, 3\), this map's have \(3, 4\)"):
         localizer.localize_signatures([first, changed(second, values=second.values.T)])
-    with pytest.raises(InvalidSignature, match="comes twice"):
+    with pytest.raises(InvalidSignature, match="is repeated"):
         localizer.localize_signatures([first, changed(second, segment=0)])
     with pytest.raises(UnknownSegment, match=r"no segment 6; the map has 0\.\.5"):
         localizer.localize_signatures([changed(first, segment=6)])
