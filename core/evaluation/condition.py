@@ -17,10 +17,10 @@ from core.scans.scan import Scan
 class Condition:
     """A disturbance of every query scan.
 
-    The vehicle stands `lateral_m` to the left of its recorded pose (negative: right), is then
-    turned `yaw_deg` counter-clockwise, p' = Rz(-yaw) (p - (0, d, 0)), and every coordinate of its
-    returns carries Gaussian noise. As in the paper the displacement is simulated: the returns are
-    those seen from the recorded place.
+    The vehicle is `lateral_m` to the left of its recorded pose (negative: right), then rotated by
+    `yaw_deg` counter-clockwise, p' = Rz(-yaw) (p - (0, d, 0)), and every coordinate of its returns
+    has Gaussian noise. As in the paper the displacement is simulated: the returns are those seen
+    from the recorded place.
     """
 
     yaw_deg: float = 0.0
@@ -49,7 +49,7 @@ class Condition:
         return Scan.from_returns(points, timestamp_s=scan.timestamp_s, pose=scan.pose)
 
     def pose(self, recorded: FloatArray) -> FloatArray:
-        """Return where the vehicle is under this condition, of `(7,)` pose rows both."""
+        """Return the pose of the vehicle under this condition, of `(7,)` pose rows both."""
         return pose_beside(recorded, self.lateral_m, self.yaw_deg)
 
 

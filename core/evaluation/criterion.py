@@ -1,4 +1,4 @@
-"""Which answers count as right, whatever the map's ranks and cuts."""
+"""Which answers are right, independent of the map's ranks and cuts."""
 
 from dataclasses import dataclass
 
@@ -15,9 +15,9 @@ from core.scans.pose import is_known
 class Criterion:
     """Compares a query with the scan of the same drive that answered it.
 
-    With poses an answer is right if both were recorded within `tolerance_m`; where one of the two
-    is unknown, if their indices differ by at most `tolerance_scans`. Whether it is right does not
-    depend on the segments, so answers of maps that are cut differently can be compared.
+    With poses an answer is right if both were recorded within `tolerance_m`; where a pose is
+    unknown, if their indices differ by at most `tolerance_scans`. This does not depend on the
+    segments, so answers of maps that are cut differently can be compared.
 
     Attributes:
         poses: `(K, 7)` of the drive, NaN where unknown.
@@ -42,7 +42,7 @@ class Criterion:
         return bool(is_known(self.poses).all())
 
     def __str__(self) -> str:
-        near = f"within {self.tolerance_scans} scans of the one asked"
+        near = f"within {self.tolerance_scans} scans of the query"
         if self.by_place:
             return f"the matched scan was recorded within {self.tolerance_m:g} m"
         if is_known(self.poses).any():
@@ -51,7 +51,7 @@ class Criterion:
 
     @property
     def standing(self) -> BoolArray:
-        """Which scans were taken standing, `(K,)`; none where poses are unknown."""
+        """Which scans were recorded while stationary, `(K,)`; none where poses are unknown."""
         return is_standing(self.poses, self.timestamp_s)
 
     def distance_m(self, queried: IntArray, answered: IntArray) -> FloatArray:
@@ -74,5 +74,5 @@ class Criterion:
 
 
 def counted(standing: BoolArray) -> BoolArray:
-    """Return which queries count: those taken standing do not, if any was taken moving."""
+    """Return which queries count: stationary ones do not, if any was recorded while moving."""
     return np.asarray(~standing if not standing.all() else standing)

@@ -1,4 +1,4 @@
-"""Which scans of a drive make the map and which are held out to test it (paper, sec. 3.1)."""
+"""Which scans of a drive are mapped and which are held out as queries (paper, sec. 3.1)."""
 
 import re
 from dataclasses import dataclass
@@ -26,7 +26,7 @@ class Interleaved:
 
     Attributes:
         fraction: f, above 0 and below 1.
-        phase: Adds to j, to hold out other scans of the same spacing.
+        phase: Added to j, to hold out other scans of the same spacing.
 
     Examples:
         >>> np.flatnonzero(Interleaved(0.2).held_out(np.array([0, 10]))).tolist()
