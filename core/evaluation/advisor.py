@@ -110,7 +110,7 @@ def advise(
     Args:
         points: The candidates; those of one segment count only if there are no others: a map of one
             segment does not say where along the drive the vehicle is.
-        judged: Held-out scans behind each accuracy.
+        judged: How many held-out scans each accuracy is of.
         max_bytes_per_scan: Leave out candidates that are larger.
 
     Raises:

@@ -230,10 +230,10 @@ def compare(
 
 def _answer(enrolled: Enrolled, first_excluded: IntArray, query: int, scan: Scan) -> _Answer:
     before = int(np.searchsorted(enrolled.scans, first_excluded[query]))
-    begun = time.process_time()  # not of the wall: other work on the machine must not count
-    ask = enrolled.describe(scan)
+    begun = time.process_time()  # not wall time: other work on the machine must not count
+    match = enrolled.describe(scan)
     described = time.process_time()
-    found = ask(None if before == len(enrolled.scans) else before)
+    found = match(None if before == len(enrolled.scans) else before)
     describe_s, match_s = described - begun, time.process_time() - described
     if found is None:
         return _Answer(describe_s=describe_s, match_s=match_s)

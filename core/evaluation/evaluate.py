@@ -60,13 +60,13 @@ class Evaluation(Plain):
     Attributes:
         drive: Name of the mapped drive; `query_drive` is `None` if its own scans are the queries.
         unknown_drives: Names of the drives whose places the map does not have.
-        calibrated: Whether the map gives probabilities.
+        calibrated: Whether the map has probabilities.
         segments: L.
         segmentation: How they were cut.
         split: How the queries were held out, `None` with a query drive.
         distance: How harmonic signatures are compared, `None` in the paper's encoding.
         lateral_renderings_m: From where the map's scans were rendered, `None` likewise.
-        map_scans: How many scans made the map.
+        map_scans: How many scans the map has.
         standing_scans: Queries recorded while stationary, `None` without poses.
         motion_surrogate_median_standing: Median norm of the 6-DOF change of those queries.
         motion_surrogate_median_moving: The same of all others.

@@ -19,8 +19,8 @@ from core.scans.scan import Scan
 def held_out_scans(drive: Drive, split: Split, most: int) -> tuple[BoolArray, IntArray]:
     """Return which scans are not mapped, `(K,)`, and which of those are queries, rising.
 
-    The drive is split as one: whatever its segments, the same scans are held out. At most `most`
-    of them are queries, spread evenly.
+    The drive is split as a whole: the same scans are held out with any segments. At most `most` of
+    them are queries, spread evenly.
 
     Raises:
         InvalidParameters: If nothing is held out or nothing is left to map.

@@ -1,4 +1,4 @@
-"""What two maps hold, and in what they differ."""
+"""The content of two maps, and their differences."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ class MapFacts:
         scans: K.
         segments: L.
         drives: In their order.
-        relative_error_median: Of its segments, 0..1: what the signatures leave out of the images.
+        relative_error_median: Of its segments, 0..1: what signatures leave out of the images.
         relative_error_largest: Likewise.
         calibrated: Whether its answers have a probability.
         threshold: Below this probability an answer is a refusal; `None` if it is not calibrated.
@@ -87,7 +87,7 @@ def drive_overlaps(
     Args:
         this: A map.
         other: Another.
-        recorded_anew: Names that stand for another recording in each of them.
+        recorded_anew: Names of drives that are another recording in each of them.
     """
     mine, theirs = _indices(this), _indices(other)
     overlaps = []
@@ -101,7 +101,7 @@ def drive_overlaps(
 def changed_parameters(
     this: Mapping[str, Any], other: Mapping[str, Any]
 ) -> dict[str, tuple[Any, Any]]:
-    """Return what two sets of parameters say differently, `None` for what one does not say.
+    """Return the differences of two sets of parameters, `None` for what one does not have.
 
     Examples:
         >>> changed_parameters({"ranks": [5, 5], "image": "height"}, {"ranks": [1, 1]})

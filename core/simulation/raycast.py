@@ -27,10 +27,10 @@ _UPRIGHT = 1e-6  # how far qx and qy may be from 0
 
 @dataclass(frozen=True)
 class SimulatedSensor:
-    """A spinning sensor; the defaults are an HDL-64E that gives about 60,000 returns in a street.
+    """A spinning sensor; the defaults are an HDL-64E with about 60,000 returns in a street.
 
     Attributes:
-        beams_deg: Elevation of each beam, in the order in which a firing gives them.
+        beams_deg: Elevation of each beam, in the order of a firing.
         firings: Azimuths of a revolution, evenly spaced.
         range_noise_m: Standard deviation of a range; about the 2 cm of the HDL-64E's datasheet.
         max_range_m: Of any return; 120 m is the HDL-64E's datasheet range.

@@ -162,5 +162,5 @@ class PaperModel(Model):
         """Return one model of this one's segments and those of others after it."""
         models = (self, *others)
         names = ("elevation_basis", "azimuth_basis", "signatures")
-        parts = [np.concatenate([getattr(model, name) for model in models]) for name in names]
-        return PaperModel(*parts, segment_start)
+        parts = {name: np.concatenate([getattr(m, name) for m in models]) for name in names}
+        return PaperModel(**parts, segment_start=segment_start)

@@ -51,10 +51,10 @@ class Places(ABC):
 
 
 class PlaceDescriptor(ABC):
-    """A method that makes a descriptor of fixed shape of a scan; its parameters are its fields.
+    """A method with a descriptor of fixed shape for a scan; its parameters are its fields.
 
-    The descriptor is the same for the same scan whenever it is made, and independent of the order
-    of the returns but for the rounding of sums.
+    The same scan always has the same descriptor, which does not depend on the order of the returns
+    but for the rounding of sums.
     """
 
     @property
@@ -72,7 +72,7 @@ class PlaceDescriptor(ABC):
         """Return the scan's descriptor, of `shape`.
 
         Raises:
-            InvalidScan: If the scan holds nothing that can be described.
+            InvalidScan: If the scan cannot be described.
         """
 
     @abstractmethod

@@ -5,7 +5,7 @@ principal axes, projected onto p x q planes and counted there in l circles of t 
 left and right singular vectors of that `(p q, l t)` matrix are the descriptor. What the paper
 leaves open, and what is done here: a principal axis has no sign, so that each of the first two
 points to where the third moment along it is positive, and the third completes a right-handed frame;
-normals stand at azimuths k pi / p and elevations k pi / 2q, k from 0; the x axis of a plane is the
+normals have azimuths k pi / p and elevations k pi / 2q, k from 0; the x axis of a plane is the
 projection of the first principal axis, or of the second where the first is the plane's normal; all
 planes share the outer radius, the distance of the farthest return from the centroid; both singular
 vectors have no negative sum (those of a matrix of counts have one sign); and returns are thinned to

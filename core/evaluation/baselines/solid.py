@@ -2,10 +2,10 @@
 
 Re-derived from the paper's description. Returns, thinned to one in each cube of 0.5 m, are counted
 in bins of range and elevation and in bins of azimuth and elevation. Elevations are weighted by how
-many returns they hold, scaled to 0..1: the two products with that weight are the descriptor, one
+many returns they have, scaled to 0..1: the two products with that weight are the descriptor, one
 for places, one for the heading. What the paper leaves open, and what is done here: the elevations
-are those of the sensor's grid and what lies outside them or beyond reach is left out; a return on
-the edge of two bins is in the upper one; if all elevations hold as many returns all weigh 1.
+are those of the sensor's grid, and returns outside them or beyond reach are left out; a return on
+the edge of two bins is in the upper one; if all elevations have equally many returns all weigh 1.
 """
 
 from dataclasses import dataclass
@@ -117,11 +117,11 @@ class SolidPlaces(Places):
         """Return the place with the greatest cosine, and the turn to it."""
         distances = 1.0 - self._units[:last] @ _unit(descriptor[: self._ranges])
         row = int(distances.argmin())
-        asked = descriptor[self._ranges :].astype(np.float64)
-        sectors = len(asked)
+        queried = descriptor[self._ranges :].astype(np.float64)
+        sectors = len(queried)
         # Row s is the place's azimuths seen from a query that is turned by s sectors.
         shifted = self._azimuths[row][(np.arange(sectors)[:, None] + np.arange(sectors)) % sectors]
-        shift = int(np.abs(shifted - asked).sum(axis=1).argmin())
+        shift = int(np.abs(shifted - queried).sum(axis=1).argmin())
         return Nearest(row, max(0.0, float(distances[row])), turn_deg(shift, sectors))
 
 

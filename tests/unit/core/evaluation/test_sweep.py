@@ -142,7 +142,7 @@ def test_the_same_scans_are_held_out_whatever_the_segments_and_few_are_spread_ev
     assert held_out.sum() == 20
     assert asked.tolist() == [1, 13, 27, 39]
     with pytest.raises(InvalidParameters, match="some must be queried"):
-        held_out_scans(drive(1), Every(2), None)
+        held_out_scans(drive(1), Every(2), 4)
 
 
 def test_without_poses_an_answer_is_right_near_the_scan_that_was_asked() -> None:

@@ -35,9 +35,7 @@ def test_an_image_is_read_only():
 
 
 def test_each_kind_of_image_has_its_own_reducers():
-    with pytest.raises(
-        InvalidParameters, match="wanted last, .* for a range image"
-    ):
+    with pytest.raises(InvalidParameters, match=r"wanted last, .* for a range image"):
         Imager(AngularGrid(), Reducer.HIGHEST)
     for reducer in set(RANGE_REDUCERS) - set(HEIGHT_REDUCERS):
         with pytest.raises(InvalidParameters, match="wanted mean, highest for a height image"):
