@@ -1,4 +1,4 @@
-"""What made a published figure: release, commit, machine."""
+"""The provenance of a published figure: release, commit, machine."""
 
 import platform
 import subprocess

@@ -41,22 +41,18 @@ def compare(
     recent_scans: Annotated[
         int | None,
         evaluation.protocol_option(
-            min=1,
-            help=f"With --loop, how many scans earlier a place must be. [{RECENT_SCANS}]",
+            min=1, help=f"With --loop, how many scans earlier a place must be. [{RECENT_SCANS}]"
         ),
     ] = None,
     recent_s: Annotated[
         float | None,
-        evaluation.protocol_option(
-            help="With --loop, how many seconds instead, for example 30.",
-        ),
+        evaluation.protocol_option(help="With --loop, how many seconds instead, for example 30."),
     ] = None,
     split: evaluation.SplitOption = None,
     unknown: Annotated[
         Path | None,
         evaluation.protocol_option(
-            metavar="DRIVE3",
-            help="A drive through other places, for the novelty AUROC.",
+            metavar="DRIVE3", help="A drive through other places, for the novelty AUROC."
         ),
     ] = None,
     query_every: Annotated[
@@ -65,9 +61,7 @@ def compare(
     ] = 1,
     methods: Annotated[
         str | None,
-        evaluation.protocol_option(
-            help=f"Some of {','.join(METHODS)}. [all that are installed]",
-        ),
+        evaluation.protocol_option(help=f"Some of {','.join(METHODS)}. [all that are installed]"),
     ] = None,
     segment_length: options.SegmentLengthOption = None,
     segments: options.SegmentsOption = None,
@@ -133,11 +127,11 @@ def _pairing(
     every: int,
     segment_length: int,
 ) -> Pairing:
-    """Return the protocol that the options ask for, refusing those of two at once."""
+    """Return the protocol of the options; reject options of two protocols."""
     if loop:
         if second_pass or split is not None:
             raise InvalidParameters(
-                "--loop is of one drive, whole: leave --query-drive and --split"
+                "--loop is of one whole drive: leave --query-drive and --split out"
             )
         if recent_s is not None:
             return LoopClosing(recent_scans, recent_s)
@@ -146,7 +140,7 @@ def _pairing(
         raise InvalidParameters("--recent-scans and --recent-s are of --loop")
     if second_pass:
         if split is not None:
-            raise InvalidParameters("with --query-drive all of DRIVE is the map: leave --split out")
+            raise InvalidParameters("with --query-drive all of DRIVE is mapped: leave --split out")
         return SecondPass(every)
     return HeldOut(evaluation.split_of(split), segment_length)
 
@@ -161,7 +155,7 @@ def _show(result: Comparison) -> None:
         findable = ", ".join(f"{count} within {m:g} m" for m, count in of_first.findable.items())
         say(
             f"\nyaw {condition.yaw_deg:g} deg, {condition.lateral_m:g} m to the left,"
-            f" noise {condition.noise_m:g} m: {of_first.queries} asked, findable {findable}",
+            f" noise {condition.noise_m:g} m: {of_first.queries} queries, findable {findable}"
         )
         tolerances = list(of_first.recall_at_1)
         evaluation.show_table(
@@ -177,14 +171,14 @@ def _show(result: Comparison) -> None:
         )
     say(
         "F1: the greatest over all thresholds. AP: average precision, the area under precision over"
-        " recall by steps. Milliseconds: medians of processor time, one thread.",
+        " recall by steps. Milliseconds: medians of processor time, one thread."
     )
     for method in result.methods:
         for row in method.conditions:
             if row.refusals or row.unanswered:
                 say(
                     f"{method.name}: {row.refusals} queries not described, {row.unanswered} without"
-                    " an answer",
+                    " an answer"
                 )
 
 

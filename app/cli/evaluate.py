@@ -51,8 +51,7 @@ def evaluate(
     track: Annotated[
         bool,
         evaluation.protocol_option(
-            "--track",
-            help="Also track them one after another, as one vehicle's drive.",
+            "--track", help="Also track the queries, as one vehicle's drive."
         ),
     ] = False,
     json_out: evaluation.JsonOption = None,
@@ -61,7 +60,7 @@ def evaluate(
     if json_out is not None:
         options.require_folder(json_out)
     if query_drive is not None and split is not None:
-        raise InvalidParameters("with --query-drive all of DRIVE is the map: leave --split out")
+        raise InvalidParameters("with --query-drive all of DRIVE is mapped: leave --split out")
     protocol = EvaluationProtocol(
         parameters=MapParameters.for_sensor(
             sensor,
@@ -119,20 +118,20 @@ def _show(result: Evaluation) -> None:
     if result.standing_scans is not None:
         say(
             f"standing: {result.standing_scans} queries; median 6-DOF change"
-            f" {figure(standing, '.4f')} standing, {figure(moving, '.4f')} moving",
+            f" {figure(standing, '.4f')} standing, {figure(moving, '.4f')} moving"
         )
     errors = result.relative_error
     say(
         f"relative error {min(errors):.3f}..{max(errors):.3f}; compression"
         f" 1 : {result.compression.tensor_ratio:.1f} : {result.compression.returns_ratio:.0f},"
-        f" {result.compression.elements} elements",
+        f" {result.compression.elements} elements"
     )
     for skipped in result.skipped:
         say(f"left out scan {skipped.scan}: {skipped.reason}")
 
 
 _COLUMNS = (
-    ("asked", "queries", "d"),
+    ("queries", "queries", "d"),
     ("segm. right", "segment_accuracy", ".3f"),
     ("errors", "errors", "d"),
     ("moving", "errors_moving", "d"),
@@ -144,8 +143,8 @@ _ESTIMATES = (
     ("lateral m", "lateral_error_m_median", ".2f"),
 )
 _TRACKED = (
-    ("seen", "observations", "d"),
-    ("told", "localized", "d"),
+    ("obs.", "observations", "d"),
+    ("found", "localized", "d"),
     ("first", "first_fix", "d"),
     ("segments", "segments_told", "d"),
     ("errors", "errors", "d"),
@@ -171,7 +170,7 @@ _RELIABILITY = (
 
 def _show_reliability(result: Evaluation) -> None:
     if not result.calibrated:
-        say("not calibrated: the map is too small to learn trust from")
+        say("not calibrated: the map is too small")
         return
     checked = [(row, row.reliability) for row in result.conditions if row.reliability is not None]
     if not checked:

@@ -1,4 +1,4 @@
-"""What the commands that measure share: options, drives, tables and files of figures."""
+"""Shared by the commands of evaluation: options, drives, tables and files of figures."""
 
 import json
 from collections.abc import Sequence
@@ -68,7 +68,7 @@ def show_table(
         headings: Of the columns.
         rows: Cells.
         title: Above it.
-        named: Whether the first column holds names, and not numbers.
+        named: Whether the first column has names, not numbers.
     """
     table = Table(box=SIMPLE_HEAD, padding=0, title=title, title_justify="left")
     for column, heading in enumerate(headings):

@@ -42,9 +42,7 @@ def report(
         list[str] | None,
         _tried(metavar="|".join(encoding_names()), help="One of them; both without it."),
     ] = None,
-    quick: Annotated[
-        bool, typer.Option("--quick", help="Fewer candidates, 60 scans asked.")
-    ] = False,
+    quick: Annotated[bool, typer.Option("--quick", help="Fewer candidates, 60 queries.")] = False,
     max_bytes_per_scan: Annotated[
         float | None,
         typer.Option(min=1.0, help="Recommend nothing whose map is larger, for each scan."),
@@ -64,7 +62,7 @@ def report(
     ] = None,
     split: evaluation.SplitOption = None,
     max_questions: Annotated[
-        int | None, typer.Option(min=1, help="Ask at most so many scans. [200; quick: 60]")
+        int | None, typer.Option(min=1, help="Use at most so many queries. [200; quick: 60]")
     ] = None,
     sensor: options.SensorOption = HDL_64E.name,
     sensor_height_m: options.SensorHeightOption = None,

@@ -43,14 +43,14 @@ def answers_figure(study: Study, of: EncodingStudy) -> Figure:
         key=f"{of.name}-answers",
         title="Scans held out, their segments and closest scans",
         caption=(
-            f"{len(answers.scan)} scans were asked as driven; {int(wrong.sum())} were put on a"
-            f" wrong segment, {moving} of them while the vehicle moved;"
+            f"{len(answers.scan)} scans were queried as driven; {int(wrong.sum())} matched on"
+            f" a wrong segment, {moving} of them while the vehicle moved;"
             f" {int((~answers.right).sum())} answers are not right ({study.criterion}). The motion"
             " surrogate is the paper's: the norm of the change in 6-DOF pose since the scan before,"
             f" metres and radians together.{without}"
         ),
         panels=tuple(panels),
-        tables=(Table("Every scan that was asked", headings, tuple(map(shown, rows))),),
+        tables=(Table("Every query", headings, tuple(map(shown, rows))),),
     )
 
 
@@ -60,20 +60,20 @@ def _segments_panel(of: EncodingStudy) -> Panel:
     key = f"{of.name}-segments"
     with Drawing.on("(a) Segments", key, "scan", "segment") as drawing:
         axes = drawing.axes
-        axes.step(scan, segment, where="mid", color=MUTED, label="where it belongs")
-        axes.plot(scan[~wrong], found[~wrong], ".", color=ACCENT, label="found there")
-        axes.plot(scan[wrong], found[wrong], "x", color=ERROR, label="found elsewhere")
+        axes.step(scan, segment, where="mid", color=MUTED, label="true segment")
+        axes.plot(scan[~wrong], found[~wrong], ".", color=ACCENT, label="found, right")
+        axes.plot(scan[wrong], found[wrong], "x", color=ERROR, label="found, wrong")
         axes.yaxis.set_major_locator(MaxNLocator(integer=True))
-        drawing.alt = f"{int(wrong.sum())} of {len(wrong)} scans lie off their segment's step."
+        drawing.alt = f"{int(wrong.sum())} of {len(wrong)} scans are off their segment's step."
     return drawing.panel
 
 
 def _scans_panel(of: EncodingStudy) -> Panel:
     answers, right = of.answers, of.answers.right
-    labels = ("scan that was asked", "closest scan of the map")
+    labels = ("query scan", "closest scan of the map")
     with Drawing.on("(d) Closest scans", f"{of.name}-scans", *labels) as drawing:
         _mark_right(drawing.axes, answers, answers.matched_scan)
-        drawing.alt = f"{int(right.sum())} of {len(right)} answers lie on the diagonal."
+        drawing.alt = f"{int(right.sum())} of {len(right)} answers are on the diagonal."
     return drawing.panel
 
 
@@ -88,16 +88,16 @@ def _motion_panel(study: Study, of: EncodingStudy) -> Panel:
         axes.plot(scan, study.surrogate[scan], "x", color=ERROR, label="wrong segment")
         axes.set_ylim(bottom=0.0)
         drawing.alt = (
-            f"Median {np.nanmedian(study.surrogate):.2f} a scan; the vehicle stands in"
+            f"Median {np.nanmedian(study.surrogate):.2f} a scan; the vehicle is stationary in"
             f" {int(standing.sum())} of {len(standing)} scans;"
-            f" {int((wrong & of.answers.standing).sum())} of {int(wrong.sum())} errors fall there."
+            f" {int((wrong & of.answers.standing).sum())} of {int(wrong.sum())} errors are there."
         )
     return drawing.panel
 
 
 def _distance_panel(study: Study, of: EncodingStudy) -> Panel:
     distance_m = of.answers.distance_m
-    labels = ("scan", "m from asked to closest (log)")
+    labels = ("scan", "m from query to closest (log)")
     with Drawing.on("(e) How far off", f"{of.name}-distance", *labels) as drawing:
         axes = drawing.axes
         # Drawn from 1 cm: a stationary vehicle's closest scan was recorded at the same place.
@@ -151,8 +151,8 @@ def relative_error_figure(of: EncodingStudy) -> Figure:
         key=f"{of.name}-relative-error",
         title="Relative error of each segment",
         caption=(
-            "|X - X^| / |X|: how much of a segment's images the map does not keep. A large error"
-            " is no fault by itself; places can be told apart by what is kept."
+            "|X - X^| / |X|: the part of a segment's images that the map leaves out. A large error"
+            " is no fault by itself; places can differ in the part that is kept."
         ),
         panels=(drawing.panel,),
         tables=(
@@ -174,7 +174,7 @@ def confusion_figure(of: EncodingStudy) -> Figure:
         "(g) Confusion",
         f"{of.name}-confusion",
         "segment that was found",
-        "segment it belongs to",
+        "true segment",
         height_in=4.2,
         legend_columns=0,
         xlim=(-0.5, segments - 0.5),
@@ -197,13 +197,13 @@ def confusion_figure(of: EncodingStudy) -> Figure:
         title="Confusion of segments",
         caption=(
             "How many of the scans held out of each segment (row) were found on which (column),"
-            " standing scans too. Stronger colour is a larger share of the row."
+            " stationary scans included. Stronger colour is a larger share of the row."
         ),
         panels=(drawing.panel,),
         tables=(
             Table(
                 "Where scans of each segment were found",
-                ("belongs to", *(f"found on {j}" for j in range(segments))),
+                ("true segment", *(f"found on {j}" for j in range(segments))),
                 tuple(shown((i, *row)) for i, row in enumerate(counts.tolist())),
             ),
         ),
@@ -234,7 +234,7 @@ def curves_figure(study: Study) -> Figure:
             for name, points in lines
             for point in points
         )
-        headings = ("encoding", unit, "judged", "right", "on their segment")
+        headings = ("encoding", unit, "counted", "right", "on their segment")
         tables.append(Table(title, headings, tuple(map(shown, rows))))
     maps = "; ".join(
         f"{of.name}: {of.parameters.ranks[0]} x {of.parameters.ranks[1]}, k = {of.segment_length}"
@@ -244,10 +244,10 @@ def curves_figure(study: Study) -> Figure:
         key="disturbances",
         title="Accuracy against noise, translation and turns",
         caption=(
-            f"The maps that are shown below ({maps}), asked with disturbed scans. Right: "
+            f"The maps that are shown below ({maps}), queried with disturbed scans. Right: "
             f"{study.criterion}. The bands are 95 % intervals (Wilson). As in the paper a"
             " translation moves the recorded returns; a vehicle that is truly beside the line also"
-            " sees what was hidden, so a second drive tells more. Turns are not in the paper."
+            " sees what was hidden: evaluate a second drive for that. Turns are not in the paper."
         ),
         panels=tuple(panels),
         tables=tuple(tables),

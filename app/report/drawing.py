@@ -15,7 +15,7 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 
 from app.report.figure import Panel
 
-# Colours that nothing else uses; they stand for variables of the page, which has two sets of them.
+# Colours that nothing else uses; each is replaced by a variable of the page, in two themes.
 _VARIABLES = {
     "#010201": "ink",
     "#010202": "muted",
@@ -89,7 +89,7 @@ class Drawing:
         legend_columns: int = 5,
         **settings: Any,  # noqa: ANN401 - of Matplotlib
     ) -> Iterator["Drawing"]:
-        """Give axes of 4.6 inches, narrow enough to be read on a telephone.
+        """Give axes of 4.6 inches, narrow enough for a telephone.
 
         Args:
             title: Of the panel.

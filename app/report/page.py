@@ -30,9 +30,9 @@ DECISIONS = {
 def render_report(
     study: Study, provenance: dict[str, str], progress: Progress = NO_PROGRESS
 ) -> str:
-    """Draw everything and return the page.
+    """Draw all figures and return the page.
 
-    Whatever comes from the drive (its name, reasons why scans were skipped) is escaped.
+    Texts of the drive (its name, reasons why scans were skipped) are escaped.
     """
     progress.start("drawing", 2 + 6 * len(study.encodings))
 
@@ -63,7 +63,9 @@ def render_report(
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters["drawing"] = Markup  # of our own drawings only, never of the drive's words
+    environment.filters["drawing"] = (
+        Markup  # for our own drawings only, never for texts of the drive
+    )
     return environment.get_template("report.html.j2").render(
         study=study,
         sections=sections,
@@ -91,7 +93,7 @@ def _configuration(study: Study) -> list[tuple[str, str]]:
             f" {parameters.grid.shape[0]} x {parameters.grid.shape[1]}",
             f"{parameters.ranks[0]} x {parameters.ranks[1]}, k = {of.segment_length}"
             f" ({of.segments} segments)" + ("" if of.recommended else ", not the recommended one"),
-            f"{of.sweep.map_scans} scans mapped, {of.sweep.asked} asked, {of.sweep.judged} judged",
+            f"{of.sweep.map_scans} scans mapped, {of.sweep.asked} queries, {of.sweep.judged} count",
         ]
         if parameters.distance is not None and parameters.lateral_renderings_m is not None:
             places = ", ".join(f"{m:g}" for m in parameters.lateral_renderings_m)
@@ -101,6 +103,6 @@ def _configuration(study: Study) -> list[tuple[str, str]]:
                 f"rendered from {places} m to the left",
             ]
         if of.refused:
-            facts.append(f"{len(of.refused)} scans could not be asked")
+            facts.append(f"{len(of.refused)} scans could not be queried")
         rows.append((of.name, "; ".join(facts)))
     return rows

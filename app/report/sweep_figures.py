@@ -9,7 +9,7 @@ from app.report.figure import Figure, Panel, Table, percent, shown
 from core.evaluation.study import EncodingStudy
 from core.evaluation.sweep import Sweep, SweepPoint
 
-_PAPER_RANKS = (5, 10, 15, 25)  # what fig. 4 holds fixed
+_PAPER_RANKS = (5, 10, 15, 25)  # fixed in fig. 4
 _AXES = ("r1", "r2")
 
 
@@ -28,9 +28,9 @@ def accuracy_figure(study: EncodingStudy) -> Figure:
         key=f"{study.name}-sweep",
         title="Segment accuracy for every {r1, r2, k}",
         caption=(
-            f"Share of the {swept.judged} judged scans that were put on their segment, as driven."
-            " Each panel holds one rank fixed and varies the other; each line is a segment length"
-            " k in scans. Few long segments are easier to tell apart than many short ones, so"
+            f"Share of the {swept.judged} counted queries matched on their segment, as driven."
+            " Each panel fixes one rank and varies the other; each line is a segment length"
+            " k in scans. Few long segments are easier to distinguish than many short ones, so"
             " this does not compare how well places are found; the figure before does."
         ),
         panels=tuple(panels),
@@ -113,8 +113,8 @@ def trade_off_figure(study: EncodingStudy) -> Figure:
         key=key,
         title="Right answers against storage",
         caption=(
-            f"Every candidate. An answer is right if {swept.criterion}; it is the mean over scans"
-            " asked as driven and 1 m to the left of that. The star is the recommendation: the"
+            f"Every candidate. An answer is right if {swept.criterion}; the share is the mean over"
+            " queries as driven and 1 m to the left of that. The star is the recommendation: the"
             " smallest candidate above the dashed line that larger ranks confirm."
         ),
         panels=(drawing.panel,),

@@ -16,15 +16,7 @@ from core.scans.scan import Scan
 if TYPE_CHECKING:
     from core.parameters import MapParameters
 
-_OF_SIGNATURES = (
-    "encoding",
-    "image",
-    "ranks",
-    "reducer",
-    "sensor",
-    "grid",
-    "sensor_height_m",
-)
+_OF_SIGNATURES = ("encoding", "image", "ranks", "reducer", "sensor", "grid", "sensor_height_m")
 """The parameters that a signature depends on; how signatures are compared is none of them."""
 
 _MUCH_WORSE = 1.02

@@ -57,9 +57,7 @@ class Grams:
 
     def __add__(self, other: "Grams") -> "Grams":
         return Grams(
-            self.elevation + other.elevation,
-            self.azimuth + other.azimuth,
-            self.scans + other.scans,
+            self.elevation + other.elevation, self.azimuth + other.azimuth, self.scans + other.scans
         )
 
     @property

@@ -194,10 +194,7 @@ def _disturbances(protocol: StudyProtocol) -> tuple[Condition, ...]:
 
 
 def _answers(
-    queries: QuerySet,
-    criterion: Criterion,
-    matched: Sequence[int | None],
-    segment_start: IntArray,
+    queries: QuerySet, criterion: Criterion, matched: Sequence[int | None], segment_start: IntArray
 ) -> Answers:
     """Return the answers; a disturbed scan without one is left out."""
     given = np.array([scan is not None for scan in matched], dtype=bool)

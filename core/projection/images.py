@@ -189,10 +189,7 @@ class ProjectedDrive(Projected):
 
 
 def project_each(
-    drive: Drive,
-    scans: Iterable[int],
-    imager: Imager,
-    progress: Progress = NO_PROGRESS,
+    drive: Drive, scans: Iterable[int], imager: Imager, progress: Progress = NO_PROGRESS
 ) -> Iterator[tuple[int, Scan, Float32Array] | Skipped]:
     """Read and render scans one by one; yield `Skipped` for an unusable scan."""
     for index in scans:
@@ -260,10 +257,7 @@ def project_into(
 
 
 def project_drive(
-    drive: Drive,
-    scans: IntArray,
-    imager: Imager,
-    progress: Progress = NO_PROGRESS,
+    drive: Drive, scans: IntArray, imager: Imager, progress: Progress = NO_PROGRESS
 ) -> ProjectedDrive:
     """Project scans of a drive into memory, 43 kB an image on the paper's grid.
 

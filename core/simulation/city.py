@@ -71,10 +71,7 @@ class _Stretch(NamedTuple):
     def place(self, along_m: float, aside_m: float) -> tuple[float, float]:
         """Return x and y in metres."""
         cos, sin = np.cos(np.radians(self.heading_deg)), np.sin(np.radians(self.heading_deg))
-        return (
-            self.x_m + along_m * cos - aside_m * sin,
-            self.y_m + along_m * sin + aside_m * cos,
-        )
+        return (self.x_m + along_m * cos - aside_m * sin, self.y_m + along_m * sin + aside_m * cos)
 
 
 def make_city(
