@@ -20,7 +20,6 @@ from app.http.problems import problems
 from app.maps.routes import IfMatch, shown_map, version_seen
 from app.maps.schemas import MapOut
 from app.revisions.imports import import_revision
-from app.revisions.loaded import Answering
 from app.revisions.schemas import BasisOut, LiveIn, RevisionOut
 from app.revisions.topology_schemas import TopologyOut
 from app.service import MapSlug, Running
@@ -202,7 +201,7 @@ def get_basis(
     nothing anew when a drive was added. A harmonic map has one basis for all its segments, and
     answers with it whichever are asked for.
     """
-    tensor_map = _answering(running, map_slug, revision).localizer.map
+    tensor_map = running.revisions.get(map_slug, revision).localizer.map
     as_npz = _NPZ in accept
     headers = {"Vary": "Accept"}
     if segments is None:
@@ -236,15 +235,9 @@ def get_basis(
 @heavy
 def get_topology(map_slug: MapSlug, running: Running, revision: OneRevision = None) -> TopologyOut:
     """Show a map as a graph: nodes where segments end and drives meet, edges along streets."""
-    return TopologyOut.from_core(_answering(running, map_slug, revision).localizer.map)
+    return TopologyOut.from_core(running.revisions.get(map_slug, revision).localizer.map)
 
 
 def _is_held(etag: str, if_none_match: str | None) -> bool:
     held = {part.strip().removeprefix("W/") for part in (if_none_match or "").split(",")}
     return etag in held or "*" in held
-
-
-def _answering(running: Running, map_slug: str, revision: str | None) -> Answering:
-    if revision is None:
-        return running.revisions.live(map_slug)
-    return running.revisions.named(map_slug, revision)

@@ -166,7 +166,7 @@ def _tracked(
     wrong = _wrong(tracker, asked, steps)
     errors = tuple(error for error in wrong if steps[error.observation].segment_sure)
     standing = asked.standing
-    told_standing = np.array([step.standing for step in steps], dtype=bool)
+    told_standing = np.array([step.stationary for step in steps], dtype=bool)
     true = np.array([condition.pose(pose) for pose in asked.poses]).reshape(-1, 7)
     matched = tracker.map.trajectory.poses[np.array([step.row for step in steps], np.int64)]
     estimated = np.full((len(steps), 7), np.nan)
@@ -195,7 +195,7 @@ def _tracked(
         standing_false=None if standing is None else rate(told_standing[~standing]),
         flicker=_flicker(steps, asked),
         scan_changes=sum(
-            one.standing and two.standing and one.row != two.row
+            one.stationary and two.stationary and one.row != two.row
             for one, two in itertools.pairwise(steps)
         ),
         recovery=_recovery(tracker, asked, observations),

@@ -6,7 +6,7 @@ out: a vehicle never stands exactly there. It is right if the match is within `A
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -213,7 +213,7 @@ def _fitted(
         tuple(likelihood),
         least_cells=least_cells,
     )
-    return calibration.with_spread(_spread(calibration, errors, typical))
+    return replace(calibration, spread=_spread(calibration, errors, typical))
 
 
 def _spread(calibration: Calibration, errors: list[_Error], typical: float) -> Spread | None:

@@ -1,4 +1,4 @@
-"""Answers that say whether they are any, and hints that narrow them, over HTTP."""
+"""Accepted and refused localizations, and priors, over HTTP."""
 
 import pytest
 
@@ -34,7 +34,7 @@ def test_an_answer_says_what_the_method_does(client):
     assert found.deviation is not None
     assert answer["localized"] is found.localized is True
     assert answer["reason"] is None
-    assert answer["probability"] == found.verdict.probability
+    assert answer["probability"] == found.decision.probability
     assert 0.5 <= answer["probability"] < 1.0
     told = [answer[name] for name in ("along_std_m", "lateral_std_m", "heading_std_deg")]
     deviation = found.deviation
@@ -49,7 +49,7 @@ def test_a_refusal_is_an_answer_with_a_reason_and_the_candidates(client):
     assert len(answer["matches"]) == 3
 
 
-def test_hints_narrow_the_search_and_a_wrong_one_is_told(client):
+def test_priors_narrow_the_search_and_a_wrong_one_is_refused(client):
     place = ask(client)["best"]["pose"]
     x_m, y_m = place["x_m"], place["y_m"]
     right = ask(client, f"x_m={x_m}&y_m={y_m}&position_sigma_m=3")
@@ -94,7 +94,7 @@ def test_hints_narrow_the_search_and_a_wrong_one_is_told(client):
         ("min_probability=nan", "invalid-request"),
     ],
 )
-def test_a_hint_that_cannot_be_is_refused_by_name(client, query, problem):
+def test_an_impossible_prior_is_refused_with_its_problem(client, query, problem):
     response = client.post(
         f"/v1/maps/campus/localizations/scan?{query}",
         content=kitti(recording().scans[0]),
