@@ -149,7 +149,7 @@ def test_a_motion_refuses_impossible_values(wrong):
 
 
 def test_a_belief_that_does_not_sum_to_one_is_refused():
-    with pytest.raises(InvalidParameters, match="sum to 2.1"):
+    with pytest.raises(InvalidParameters, match=r"sum to 2\.1"):
         Belief(np.full((4, 2), 0.2), 0.5)
     with pytest.raises(InvalidParameters):
         Belief(np.array([[2.0, -1.0]]), 0.0)
