@@ -4,13 +4,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from core.arrays import BoolArray, FloatArray
+from core.arrays import FloatArray
 from core.confidence.calibration import Calibration
+from core.confidence.places import away_from
 from core.mapping.tensormap import TensorMap
 
 _SAMPLED = 32  # scans of the map that are compared with all others
-_ELSEWHERE_M = 10.0
-_ELSEWHERE_SCANS = 50  # 5 s at 10 Hz; counts where poses are unknown
 _RARE = 0.1  # quantile: a tenth of the map's scans have one elsewhere that is as near
 _RESOLVED = 0.5  # of the change from one scan to the next
 _FAR = 10.0
@@ -51,7 +50,8 @@ class DistanceSpread:
         queries = model.own_queries(rows, tensor_map.revision)
         for row, signatures in zip(rows, queries, strict=True):
             distances = model.search(signatures).distances()
-            elsewhere.append(distances[_elsewhere(tensor_map, row)].min(initial=np.inf))
+            away = away_from(tensor_map.trajectory, row)
+            elsewhere.append(distances[away].min(initial=np.inf))
             if row < len(follows) and follows[row]:
                 steps.append(distances[row + 1])
         nearest = [distance for distance in elsewhere if 0.0 < distance < np.inf]
@@ -103,15 +103,3 @@ class Emission:
         """Return the emission of a map, by its calibration where it has one."""
         spread = DistanceSpread.of_map(tensor_map)
         return cls(tensor_map.calibration or spread, spread)
-
-
-def _elsewhere(tensor_map: TensorMap, row: int) -> BoolArray:
-    """Return which scans are elsewhere than scan `row`, `(K,)`."""
-    trajectory = tensor_map.trajectory
-    drive, index = trajectory.drive_of_scan, trajectory.scan_index
-    by_scans = (drive == drive[row]) & (np.abs(index - index[row]) >= _ELSEWHERE_SCANS)
-    if not trajectory.known[row]:
-        return np.asarray(by_scans)
-    positions_m = trajectory.poses[:, :3]
-    apart_m = np.linalg.norm(positions_m - positions_m[row], axis=1)
-    return np.asarray(np.where(trajectory.known, apart_m >= _ELSEWHERE_M, by_scans))
