@@ -1,4 +1,4 @@
-"""Comparisons: what changed between two revisions of a map."""
+"""Comparisons of two revisions of a map."""
 
 from typing import Annotated
 
@@ -8,13 +8,10 @@ from app.access.scopes import Scope, needs
 from app.http.errors import READING, REVISION
 from app.http.pooled_route import heavy, pooled_router
 from app.http.problems import problems
-from app.revisions.comparison import compare_revisions
 from app.revisions.comparison_schemas import ComparisonOut
-from app.revisions.loaded import Answering
+from app.revisions.recall import measure_recall
 from app.revisions.routes import RevisionId
-from app.service import MapSlug, Running, Service
-from core.mapping.tensormap import TensorMap
-from storage.catalog import RevisionRecord
+from app.service import MapSlug, Running
 
 router = pooled_router(tags=["revisions"])
 
@@ -37,23 +34,18 @@ Other = Annotated[
 def compare(
     map_slug: MapSlug, revision: RevisionId, running: Running, other: Other = None
 ) -> ComparisonOut:
-    """Compare a revision with the live or another one: what it holds, and what it finds.
+    """Compare the content of a revision, and its recall, with the live or another revision.
 
-    Recall is that on scans which both have, each asked without itself and as a vehicle would that
-    stands beside it, behind other cars. It takes some seconds on a map of thousands of scans.
+    Recall is on the scans that both have: each is a query, seen from beside and behind other cars,
+    and is left out of the search. It takes some seconds on a map of thousands of scans.
     """
-    loaded = running.revisions
-    this = loaded.named(map_slug, revision)
-    compared = loaded.live(map_slug) if other is None else loaded.named(map_slug, other)
-    return ComparisonOut.from_core(
-        compare_revisions(
-            running.store, _side(running, map_slug, this), _side(running, map_slug, compared)
-        )
+    store = running.store
+    sides = []
+    for name in (revision, other):
+        tensor_map = running.revisions.get(map_slug, name).localizer.map
+        sides.append((store.revisions.get(map_slug, tensor_map.revision), tensor_map))
+    (record, tensor_map), (other_record, other_map) = this, that = sides
+    recall = measure_recall(
+        store, record.map_id, (record.drive_ids, tensor_map), (other_record.drive_ids, other_map)
     )
-
-
-def _side(
-    running: Service, map_slug: str, answering: Answering
-) -> tuple[RevisionRecord, TensorMap]:
-    tensor_map = answering.localizer.map
-    return running.store.revisions.get(map_slug, tensor_map.revision), tensor_map
+    return ComparisonOut.from_core(this, that, recall)

@@ -1,4 +1,4 @@
-"""What changed between two revisions, over the wire."""
+"""Comparisons of two revisions on the wire."""
 
 from datetime import datetime
 from typing import Any
@@ -6,8 +6,13 @@ from typing import Any
 from pydantic import BaseModel, Field
 
 from app.http.shown import Shown
-from app.revisions.comparison import Comparison, NoRecall, Recall, Side
+from app.revisions.recall import NoRecall, Recall
 from core.evaluation.self_recall import CRITERION
+from core.mapping.diff import MapFacts, changed_parameters, drive_overlaps
+from core.mapping.tensormap import TensorMap
+from storage.catalog import RevisionRecord
+
+Side = tuple[RevisionRecord, TensorMap]
 
 
 class ComparedOut(Shown):
@@ -19,9 +24,9 @@ class ComparedOut(Shown):
     drives: list[str]
     scans: int
     segments: int
-    basis: str = Field(description="Digest of its basis: what signatures name.")
+    basis: str = Field(description="Digest of its basis, which signatures name.")
     relative_error_median: float = Field(
-        description="Of its segments, 0..1: what signatures leave out of the images."
+        description="Of its segments, 0..1: the part of the images that signatures leave out."
     )
     relative_error_largest: float
     calibrated: bool
@@ -35,14 +40,13 @@ class ComparedOut(Shown):
     )
 
     @classmethod
-    def from_core(cls, side: Side) -> "ComparedOut":
-        """Show one of the two."""
-        record = side.record
-        return cls.of(side.facts, created_at=record.created_at, size_bytes=record.size_bytes)
+    def from_core(cls, record: RevisionRecord, facts: MapFacts) -> "ComparedOut":
+        """Return the model of one revision."""
+        return cls.of(facts, created_at=record.created_at, size_bytes=record.size_bytes)
 
 
 class ChangedParameterOut(BaseModel):
-    """A parameter that the two have otherwise; null where one has none."""
+    """A parameter with different values; null where one has none."""
 
     name: str
     this: Any
@@ -59,16 +63,16 @@ class DriveOverlapOut(Shown):
 
 
 class RecallOut(Shown):
-    """How many of their common scans the two find, asked as a vehicle that stands elsewhere."""
+    """Self-recall of the two on their common scans, seen from beside."""
 
-    asked: int = Field(description="How many scans were asked, evenly spread, at most 200.")
+    asked: int = Field(description="How many scans were queries, evenly spread, at most 200.")
     this: float = Field(description="Share that this revision finds with its first match, 0..1.")
     other: float
     same_questions: bool = Field(
-        description="Whether both were asked from the same places in the same headings. Maps with"
-        " other renderings, or of the other encoding, promise answers from other places."
+        description="Whether both had queries from the same places in the same headings. Maps with"
+        " other renderings, or of the other encoding, answer other places."
     )
-    criterion: str = Field(description="What counts as found.")
+    criterion: str = Field(description="When a match counts as found.")
 
 
 class ComparisonOut(BaseModel):
@@ -83,26 +87,30 @@ class ComparisonOut(BaseModel):
     scans_in_both: int
     scans_only_this: int
     scans_only_other: int
-    recall: RecallOut | None = Field(description="Null where it cannot be known.")
+    recall: RecallOut | None = Field(description="Null if it is not known.")
     recall_unknown: NoRecall | None = Field(
-        description="Why it cannot be: one was imported, or built before its drives were written"
-        " down; no scan is in both; the images, from which questions are made, are not kept; no"
-        " scan has another one near."
+        description="Why not: one was imported, or built before revisions stored their drives; no"
+        " scan is in both; the images, from which queries are made, are not kept; no scan has"
+        " another one near."
     )
 
     @classmethod
-    def from_core(cls, comparison: Comparison) -> "ComparisonOut":
-        """Show what changed."""
-        recall, drives = comparison.recall, comparison.drives
-        this, other = comparison.this.facts, comparison.other.facts
+    def from_core(cls, this: Side, other: Side, recall: Recall | NoRecall) -> "ComparisonOut":
+        """Return the model of two revisions and their recall."""
+        (record, tensor_map), (other_record, other_map) = this, other
+        facts, other_facts = MapFacts.of(tensor_map), MapFacts.of(other_map)
+        mine, theirs = record.drive_ids, other_record.drive_ids
+        anew = frozenset(name for name in mine.keys() & theirs.keys() if mine[name] != theirs[name])
+        drives = drive_overlaps(tensor_map, other_map, recorded_anew=anew)
+        changed = changed_parameters(_parameters(*this), _parameters(*other))
         return cls(
-            identical=this.revision == other.revision,
-            this=ComparedOut.from_core(comparison.this),
-            other=ComparedOut.from_core(comparison.other),
-            same_basis=this.basis == other.basis,
+            identical=facts.revision == other_facts.revision,
+            this=ComparedOut.from_core(record, facts),
+            other=ComparedOut.from_core(other_record, other_facts),
+            same_basis=facts.basis == other_facts.basis,
             changed_parameters=[
-                ChangedParameterOut(name=name, this=mine, other=theirs)
-                for name, (mine, theirs) in comparison.parameters.items()
+                ChangedParameterOut(name=name, this=one, other=two)
+                for name, (one, two) in changed.items()
             ],
             drives=[DriveOverlapOut.of(drive) for drive in drives],
             scans_in_both=sum(drive.in_both for drive in drives),
@@ -113,3 +121,11 @@ class ComparisonOut(BaseModel):
             else None,
             recall_unknown=recall if isinstance(recall, NoRecall) else None,
         )
+
+
+def _parameters(record: RevisionRecord, tensor_map: TensorMap) -> dict[str, Any]:
+    return {
+        **tensor_map.parameters.as_attributes(),
+        "segmentation": tensor_map.parameters.segmentation.value,
+        "segment_length": record.parameters.get("segment_length"),
+    }
