@@ -1,21 +1,23 @@
 """Comparisons of two revisions on the wire."""
 
+import math
 from datetime import datetime
 from typing import Any
 
+import numpy as np
 from pydantic import BaseModel, Field
 
 from app.http.shown import Shown
 from app.revisions.recall import NoRecall, Recall
 from core.evaluation.self_recall import CRITERION
-from core.mapping.diff import MapFacts, changed_parameters, drive_overlaps
+from core.mapping.diff import drive_overlaps
 from core.mapping.tensormap import TensorMap
 from storage.catalog import RevisionRecord
 
 Side = tuple[RevisionRecord, TensorMap]
 
 
-class ComparedOut(Shown):
+class ComparedOut(BaseModel):
     """A revision in numbers."""
 
     revision: str
@@ -40,9 +42,26 @@ class ComparedOut(Shown):
     )
 
     @classmethod
-    def from_core(cls, record: RevisionRecord, facts: MapFacts) -> "ComparedOut":
+    def from_core(cls, record: RevisionRecord, tensor_map: TensorMap) -> "ComparedOut":
         """Return the model of one revision."""
-        return cls.of(facts, created_at=record.created_at, size_bytes=record.size_bytes)
+        topology, calibration = tensor_map.topology, tensor_map.calibration
+        length_m = float(topology.edge_length_m.sum())
+        return cls(
+            revision=tensor_map.revision,
+            created_at=record.created_at,
+            size_bytes=record.size_bytes,
+            drives=list(tensor_map.trajectory.drives),
+            scans=len(tensor_map),
+            segments=tensor_map.model.segments,
+            basis=tensor_map.basis_digest,
+            relative_error_median=float(np.median(tensor_map.relative_error)),
+            relative_error_largest=float(tensor_map.relative_error.max()),
+            calibrated=calibration is not None,
+            threshold=calibration and calibration.threshold,
+            nodes=len(topology.node_scan),
+            edges=topology.edges,
+            length_m=None if math.isnan(length_m) else length_m,
+        )
 
 
 class ChangedParameterOut(BaseModel):
@@ -98,19 +117,19 @@ class ComparisonOut(BaseModel):
     def from_core(cls, this: Side, other: Side, recall: Recall | NoRecall) -> "ComparisonOut":
         """Return the model of two revisions and their recall."""
         (record, tensor_map), (other_record, other_map) = this, other
-        facts, other_facts = MapFacts.of(tensor_map), MapFacts.of(other_map)
         mine, theirs = record.drive_ids, other_record.drive_ids
         anew = frozenset(name for name in mine.keys() & theirs.keys() if mine[name] != theirs[name])
         drives = drive_overlaps(tensor_map, other_map, recorded_anew=anew)
-        changed = changed_parameters(_parameters(*this), _parameters(*other))
+        own, compared = _parameters(*this), _parameters(*other)
         return cls(
-            identical=facts.revision == other_facts.revision,
-            this=ComparedOut.from_core(record, facts),
-            other=ComparedOut.from_core(other_record, other_facts),
-            same_basis=facts.basis == other_facts.basis,
+            identical=tensor_map.revision == other_map.revision,
+            this=ComparedOut.from_core(*this),
+            other=ComparedOut.from_core(*other),
+            same_basis=tensor_map.basis_digest == other_map.basis_digest,
             changed_parameters=[
-                ChangedParameterOut(name=name, this=one, other=two)
-                for name, (one, two) in changed.items()
+                ChangedParameterOut(name=name, this=own.get(name), other=compared.get(name))
+                for name in sorted({*own, *compared})
+                if own.get(name) != compared.get(name)
             ],
             drives=[DriveOverlapOut.of(drive) for drive in drives],
             scans_in_both=sum(drive.in_both for drive in drives),

@@ -76,11 +76,7 @@ def birds_eye_view(places_m: FloatArray, turn_deg: float = 0.0) -> Float32Array:
 
 
 def align_views(
-    first: Scan,
-    second: Scan,
-    turns_deg: FloatArray,
-    first_height_m: float,
-    second_height_m: float,
+    first: Scan, second: Scan, turns_deg: FloatArray, sensor_height_m: float
 ) -> Alignment:
     """Return the best alignment of two scans over some headings and all shifts within 5 m.
 
@@ -88,11 +84,10 @@ def align_views(
         first: The scan that the answer is relative to.
         second: The other one.
         turns_deg: `(n,)` headings of the second relative to the first.
-        first_height_m: Of the first one's sensor above ground.
-        second_height_m: Of the second one's.
+        sensor_height_m: Of both sensors above ground.
     """
-    fixed = birds_eye_view(structure_m(first, first_height_m))
-    places_m = structure_m(second, second_height_m)
+    fixed = birds_eye_view(structure_m(first, sensor_height_m))
+    places_m = structure_m(second, sensor_height_m)
     spectrum = fft.rfft2(fixed, (_PADDED, _PADDED))
     shifts = np.arange(-_MOST_CELLS, _MOST_CELLS + 1)
     best = Alignment(0.0, float(turns_deg[0]), 0.0, 0.0)

@@ -88,27 +88,23 @@ class LoopClosure:
         return Verdict.REJECTED if self.probability < 0.5 else Verdict.UNDECIDED
 
 
-def check_scans(
-    first: Scan, second: Scan, first_height_m: float, second_height_m: float | None = None
-) -> LoopClosure:
+def check_scans(first: Scan, second: Scan, sensor_height_m: float) -> LoopClosure:
     """Check a closure by both scans' returns.
 
     Their height images are compared in every heading, from virtual viewpoints too; then their
     bird's-eye views in the best headings, with all shifts within 5 m. The result depends on no map,
-    encoding or sensor, but on the sensors' heights.
+    encoding or sensor, but on the sensors' height.
 
     Args:
         first: The scan that the answer is relative to.
         second: The other one.
-        first_height_m: Of the first one's sensor above ground.
-        second_height_m: Of the second one's, if it is another.
+        sensor_height_m: Of both sensors above ground.
 
     Raises:
         InvalidScan: If one has no return above the ground within 80 m.
     """
-    height_m = first_height_m if second_height_m is None else second_height_m
-    similarity, turns_deg = _similarity(first, second, first_height_m, height_m)
-    found = align_views(first, second, turns_deg, first_height_m, height_m)
+    similarity, turns_deg = _similarity(first, second, sensor_height_m)
+    found = align_views(first, second, turns_deg, sensor_height_m)
     return LoopClosure(
         closure_probability(similarity, found.overlap),
         turn_deg=wrapped_deg(found.turn_deg),
@@ -162,15 +158,13 @@ def closure_probability(image_similarity: float, overlap: float) -> float:
     return float(expit(_INTERCEPT + _OF_SIMILARITY * image_similarity + _OF_OVERLAP * overlap))
 
 
-def _similarity(
-    first: Scan, second: Scan, first_height_m: float, second_height_m: float
-) -> tuple[float, FloatArray]:
+def _similarity(first: Scan, second: Scan, sensor_height_m: float) -> tuple[float, FloatArray]:
     """Return the greatest similarity over headings and viewpoints, and the best headings.
 
     The similarity is the cosine above the median over all headings, as a share of the most that is
     possible.
     """
-    query = _heights(second, second_height_m)
+    query = _heights(second, sensor_height_m)
     spectrum = np.fft.rfft(query, axis=1)
     norm = float(np.linalg.norm(query))
     best, correlation = -1.0, np.zeros(_GRID.columns)
@@ -178,7 +172,7 @@ def _similarity(
         aside = first
         if left_m:
             aside = Scan(seen_from_beside(first.points_m, left_m).astype(np.float32))
-        view = _heights(aside, first_height_m)
+        view = _heights(aside, sensor_height_m)
         product = (spectrum * np.conj(np.fft.rfft(view, axis=1))).sum(axis=0)
         cosines = np.fft.irfft(product, _GRID.columns) / (norm * float(np.linalg.norm(view)))
         by_chance = float(np.median(cosines))

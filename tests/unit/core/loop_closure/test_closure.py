@@ -38,7 +38,7 @@ SHARES = st.floats(0.0, 1.0)
 
 @functools.cache
 def drive(*, lateral_offset_m=0.0, reverse=False):
-    """Pass the same streets of an unseen seed; a pass aside comes on another day."""
+    """Return a drive through the same streets, with other traffic if it is another pass."""
     other_day = lateral_offset_m != 0.0 or reverse
     return SimulatedDrive(
         seed=401,
@@ -56,7 +56,7 @@ def nearest(other, place_m):
 
 @pytest.mark.parametrize("row", [20, 75, 130])
 @pytest.mark.parametrize(("offset_m", "reverse"), [(2.0, False), (-3.0, False), (2.0, True)])
-def test_a_true_closure_is_told_with_heading_and_offset(row, offset_m, reverse):
+def test_a_true_closure_is_found_with_heading_and_offset(row, offset_m, reverse):
     first, second = drive(), drive(lateral_offset_m=offset_m, reverse=reverse)
     at = nearest(second, first.poses[row])
     found = check_scans(first.scan(row), second.scan(at), HEIGHT_M)
@@ -79,7 +79,7 @@ def test_a_false_closure_is_rejected(row):
 
 
 @pytest.mark.parametrize(("left_m", "turn_deg"), [(0.0, 0.0), (2.0, 90.0), (-3.0, 180.0)])
-def test_a_moved_scan_tells_exactly_how_it_was_moved(left_m, turn_deg):
+def test_the_transform_of_a_moved_scan_is_exact(left_m, turn_deg):
     scan = drive().scan(60)
     moved = Scan(seen_from_beside(scan.points_m, left_m, turn_deg).astype(np.float32))
     found = check_scans(scan, moved, HEIGHT_M)
@@ -90,25 +90,26 @@ def test_a_moved_scan_tells_exactly_how_it_was_moved(left_m, turn_deg):
     assert found.probability > 0.99
 
 
-def test_the_order_of_returns_and_another_mount_change_nothing():
+def test_the_order_of_returns_and_the_sensor_height_change_nothing():
     first, second = drive().scan(60), drive(lateral_offset_m=2.0).scan(60)
     plain = check_scans(first, second, HEIGHT_M)
     shuffled = np.random.default_rng(0).permutation(second.points_m)
     again = check_scans(first, Scan(shuffled), HEIGHT_M)
     assert again.overlap == plain.overlap
     assert again.image_similarity == pytest.approx(plain.image_similarity, abs=1e-6)
-    lifted = Scan(second.points_m - np.array([0.0, 0.0, 0.5], np.float32))
-    higher = check_scans(first, lifted, HEIGHT_M, HEIGHT_M + 0.5)
+    lift_m = np.array([0.0, 0.0, 0.5], np.float32)
+    first_higher, second_higher = Scan(first.points_m - lift_m), Scan(second.points_m - lift_m)
+    higher = check_scans(first_higher, second_higher, HEIGHT_M + 0.5)
     assert higher.probability == pytest.approx(plain.probability, abs=1e-3)
 
 
-def test_scans_that_show_nothing_upright_are_refused_or_overlap_nothing():
+def test_scans_without_structure_are_refused_or_do_not_overlap():
     road = Scan(np.array([[5.0, 0.0, -HEIGHT_M], [0.0, 9.0, -HEIGHT_M]]))
     with pytest.raises(InvalidScan, match="above the ground"):
         check_scans(road, drive().scan(0), HEIGHT_M)
     kerb = Scan(np.array([[5.0, 0.0, -HEIGHT_M + 0.2]]))
     assert len(structure_m(kerb, HEIGHT_M)) == 0
-    found = align_views(kerb, drive().scan(0), np.zeros(1), HEIGHT_M, HEIGHT_M)
+    found = align_views(kerb, drive().scan(0), np.zeros(1), HEIGHT_M)
     assert found.overlap == 0.0
     far = Scan(np.array([[3e38, 0.0, 0.0], [5.0, 5.0, 0.0]]))
     assert structure_m(far, HEIGHT_M).tolist() == [[5.0, 5.0]]
