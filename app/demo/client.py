@@ -1,7 +1,7 @@
 """The client of the demonstration's vehicles."""
 
 import time
-from typing import Any, Self
+from typing import Any
 
 import httpx2
 import numpy as np
@@ -22,23 +22,17 @@ _TYPES = {
 _POLL_S = 0.1
 
 
-class Client:
-    """One connection to a service, for one map."""
+class Client(httpx2.Client):
+    """A connection to a service, for one map."""
 
     def __init__(self, url: str, map_slug: str) -> None:
-        self._http = httpx2.Client(base_url=url, timeout=60.0)
+        super().__init__(base_url=url, timeout=60.0)
         self._map = f"/v1/maps/{map_slug}"
         self._slug = map_slug
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._http.close()
-
     def create_map(self, description: str) -> None:
         """Create the map."""
-        self._request("POST", "/v1/maps", json={"map": self._slug, "description": description})
+        self._checked("POST", "/v1/maps", json={"map": self._slug, "description": description})
 
     def put_scan(self, drive: str, index: int, body: bytes, scan: Scan) -> None:
         """Store one scan, with its time and pose where known."""
@@ -47,7 +41,7 @@ class Client:
             known["timestamp_s"] = scan.timestamp_s
         if scan.pose is not None:
             known["pose"] = ",".join(map(repr, scan.pose.as_tuple()))
-        self._request(
+        self._checked(
             "PUT",
             f"{self._map}/drives/{drive}/scans/{index}",
             params=known,
@@ -57,7 +51,7 @@ class Client:
 
     def build(self, parameters: BuildParameters) -> JobOut:
         """Queue a build."""
-        answer = self._request("POST", f"{self._map}/builds", json=parameters.as_json())
+        answer = self._checked("POST", f"{self._map}/builds", json=parameters.as_json())
         return JobOut.model_validate_json(answer.content)
 
     def follow(self, job: JobOut) -> JobOut:
@@ -67,25 +61,25 @@ class Client:
             DemoFailed: If it failed.
         """
         time.sleep(_POLL_S)
-        now = JobOut.model_validate_json(self._request("GET", f"/v1/jobs/{job.job}").content)
+        now = JobOut.model_validate_json(self._checked("GET", f"/v1/jobs/{job.job}").content)
         if now.state in {JobState.FAILED, JobState.CANCELLED}:
             raise DemoFailed(f"the build is {now.state}: {now.error}")
         return now
 
     def mapped_scans(self) -> int:
         """Return the number of scans of the live revision."""
-        live = self._request("GET", self._map).json()["live_revision"]
-        scans: int = self._request("GET", f"{self._map}/revisions/{live}").json()["scans"]
+        live = self._checked("GET", self._map).json()["live_revision"]
+        scans: int = self._checked("GET", f"{self._map}/revisions/{live}").json()["scans"]
         return scans
 
     def basis(self) -> BasisOut:
         """Download the basis."""
-        return BasisOut.model_validate_json(self._request("GET", f"{self._map}/basis").content)
+        return BasisOut.model_validate_json(self._checked("GET", f"{self._map}/basis").content)
 
     def topology(self) -> TopologyOut:
         """Download the graph."""
         return TopologyOut.model_validate_json(
-            self._request("GET", f"{self._map}/topology").content
+            self._checked("GET", f"{self._map}/topology").content
         )
 
     def localize(self, kind: str, body: bytes) -> LocalizationOut:
@@ -95,7 +89,7 @@ class Client:
             kind: `scan` or `signature`.
             body: Of the request.
         """
-        answer = self._request(
+        answer = self._checked(
             "POST",
             f"{self._map}/localizations/{kind}",
             content=body,
@@ -103,8 +97,8 @@ class Client:
         )
         return LocalizationOut.model_validate_json(answer.content)
 
-    def _request(self, method: str, path: str, **parts: Any) -> httpx2.Response:  # noqa: ANN401
-        answer = self._http.request(method, path, **parts)
+    def _checked(self, method: str, path: str, **parts: Any) -> httpx2.Response:  # noqa: ANN401
+        answer = self.request(method, path, **parts)
         if not answer.is_success:
             raise DemoFailed(f"{method} {path}: {answer.status_code} {answer.text}")
         return answer

@@ -13,7 +13,7 @@ class Fixes:
     """The localizations of all held-out scans by one kind of request.
 
     Attributes:
-        asked_by: The content of a request.
+        request: The content of a request.
         queries: Number of scans.
         segment_accuracy: Share on the right segment.
         recall_at_1: Share whose map scan was recorded within 3 m, `None` without poses.
@@ -22,7 +22,7 @@ class Fixes:
         ms_per_fix: Mean time from scan to answer, including the signature and HTTP.
     """
 
-    asked_by: str
+    request: str
     queries: int
     segment_accuracy: float
     recall_at_1: float | None

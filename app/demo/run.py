@@ -202,7 +202,7 @@ def _localize(
         progress.advance()
     seconds = time.perf_counter() - begun
     return Fixes(
-        asked_by=way.name,
+        request=way.name,
         queries=len(queries),
         segment_accuracy=float(np.mean(right)),
         recall_at_1=float(np.mean(np.array(error_m) <= RECALL_M)) if error_m else None,

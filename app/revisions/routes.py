@@ -19,7 +19,9 @@ from app.http.pooled_route import heavy, pooled_router
 from app.http.problems import problems
 from app.maps.routes import IfMatch, shown_map, version_seen
 from app.maps.schemas import MapOut
+from app.revisions.comparison_schemas import ComparisonOut
 from app.revisions.imports import import_revision
+from app.revisions.recall import measure_recall
 from app.revisions.schemas import BasisOut, LiveIn, RevisionOut
 from app.revisions.topology_schemas import TopologyOut
 from app.service import MapSlug, Running
@@ -139,6 +141,42 @@ def download_revision(map_slug: MapSlug, revision: RevisionId, running: Running)
         filename=f"{map_slug}-{record.digest[:12]}.h5",
         headers={"ETag": f'"{record.digest}"'},
     )
+
+
+@router.get(
+    "/maps/{map}/revisions/{revision}/comparison",
+    dependencies=[needs(Scope.MAPS_READ)],
+    responses=problems(*errors.REVISION, *errors.READING),
+)
+@heavy
+def compare(
+    map_slug: MapSlug,
+    revision: RevisionId,
+    running: Running,
+    other: Annotated[
+        str | None,
+        Query(
+            alias="with",
+            description="The other one: its digest, or at least 12 first digits; the live one by"
+            " default.",
+        ),
+    ] = None,
+) -> ComparisonOut:
+    """Compare the content of a revision, and its recall, with the live or another revision.
+
+    Recall is on the scans that both have: each is a query, seen from beside and behind other cars,
+    and is left out of the search. It takes some seconds on a map of thousands of scans.
+    """
+    store = running.store
+    sides = []
+    for name in (revision, other):
+        tensor_map = running.revisions.get(map_slug, name).localizer.map
+        sides.append((store.revisions.get(map_slug, tensor_map.revision), tensor_map))
+    (record, tensor_map), (other_record, other_map) = this, that = sides
+    recall = measure_recall(
+        store, record.map_id, (record.drive_ids, tensor_map), (other_record.drive_ids, other_map)
+    )
+    return ComparisonOut.from_core(this, that, recall)
 
 
 @router.delete(

@@ -63,14 +63,14 @@ class FrameCheck:
 
     Attributes:
         drive: Its name.
-        asked: Number of its scans that were matched with the drives before it.
+        queries: Number of its scans that were matched with the drives before it.
         clear: Number of clear matches.
         agreeing: Number of clear matches that agree with the poses.
         disagreement: The evidence for another frame, `None` if there is none.
     """
 
     drive: str
-    asked: int
+    queries: int
     clear: int
     agreeing: int
     disagreement: Disagreement | None
@@ -91,7 +91,7 @@ class FrameCheck:
         found = self.disagreement
         if found is None:
             return (
-                f"of {self.asked} scans of drive {self.drive} {self.clear} have a clear match in"
+                f"of {self.queries} scans of drive {self.drive} {self.clear} have a clear match in"
                 f" the drives before it, {self.agreeing} of them where its poses say"
             )
         step = max(1, len(found.scans) // _NAMED)
@@ -134,7 +134,7 @@ def check_frames(tensor_map: TensorMap, progress: Progress = NO_PROGRESS) -> tup
         checks.append(
             FrameCheck(
                 trajectory.drives[trajectory.drive_of_scan[rows[0]]],
-                asked=len(rows),
+                queries=len(rows),
                 clear=len(matches.rows),
                 agreeing=int(matches.agrees.sum()),
                 disagreement=_disagreement(trajectory, matches),

@@ -60,8 +60,7 @@ class Localization:
     @property
     def position_covariance_m2(self) -> Covariance | None:
         """Covariance of the best match's position in the map's frame, `None` where not known."""
-        place = self.best.pose if self.best.estimated_pose is None else self.best.estimated_pose
-        if self.deviation is None or place is None or self.best.pose is None:
+        if self.deviation is None or self.best.pose is None:
             return None
         return self.deviation.covariance_m2(self.best.pose.yaw_deg)
 
