@@ -152,7 +152,7 @@ def test_there_and_back_gives_half_the_edges(step_m, length, far_m):
 def test_a_drive_that_turns_round_comes_back_along_the_same_edges(step_m, length, far_m):
     found, _ = graph(trajectory(along([(0, 0), (far_m, 0), (0, 0)], step_m)), length)
     assert 2 * found.edges == len(found.edge_of_segment)
-    # A line is thinned to steps of a metre, so that a vehicle that stands does not jitter.
+    # A line is thinned to steps of a metre, so that a stationary vehicle does not jitter.
     assert abs(found.edge_length_m.sum() - far_m) <= 2.0 * step_m + 1.0
     assert found.segment_reversed.sum() == found.edges
     assert found.segment_nodes[0, 0] == found.segment_nodes[-1, 1] == 0

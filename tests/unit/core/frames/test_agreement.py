@@ -20,7 +20,7 @@ pytestmark = pytest.mark.slow
 
 
 class Stages:
-    """Remembers what was told."""
+    """Stores the reported progress."""
 
     def __init__(self):
         self.stages, self.units = [], 0

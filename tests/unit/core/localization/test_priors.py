@@ -1,4 +1,4 @@
-"""What is known beforehand narrows the search."""
+"""Priors narrow the search."""
 
 from dataclasses import replace
 
@@ -56,13 +56,13 @@ def test_a_position_is_a_gate_at_three_sigma_and_a_scans_reach(made):
     assert rows == list(range(39, 62))
 
 
-def test_a_place_beyond_all_worlds_is_no_warning(made):
+def test_a_place_far_beyond_the_map_gives_no_warning(made):
     far = (1e300, -1e300)
     assert rows_of(Priors(position=PositionPrior(*far, 2.0)), made) == []
     assert rows_of(Priors(odometry=OdometryPrior(far, 10.0, 1.0)), made) == []
 
 
-def test_odometry_reaches_as_far_as_was_driven_from_a_place_or_a_scan(made):
+def test_odometry_allows_scans_within_the_distance_driven_from_a_place_or_a_scan(made):
     from_scan = Priors(odometry=OdometryPrior(ScanOfMap("smooth", 20), 10.0, 1.0))
     from_place = Priors(odometry=OdometryPrior((20.0, 0.0), 10.0, 1.0))
     assert rows_of(from_scan, made) == rows_of(from_place, made) == list(range(2, 39))
@@ -77,13 +77,13 @@ def test_priors_are_combined(made):
     assert rows_of(priors, made) == list(range(60, 67))
 
 
-def test_a_paper_map_answers_a_heading_by_the_scans_that_were_recorded_in_it(made):
+def test_a_heading_prior_in_a_paper_map_allows_scans_recorded_in_that_heading(made):
     assert len(rows_of(Priors(heading=HeadingPrior(10.0, 2.0)), made)) == 120
     assert rows_of(Priors(heading=HeadingPrior(180.0, 10.0)), made) == []
     assert len(rows_of(Priors(heading=HeadingPrior(-355.0, 2.0)), made)) == 120
 
 
-def test_a_right_hint_makes_the_answer_more_probable(made, localizer, images):
+def test_a_right_prior_makes_the_match_more_probable(made, localizer, images):
     image = sample_image(made, images[51])
     plain = localizer.localize_image(image)
     with_prior = localizer.localize_image(
@@ -94,7 +94,7 @@ def test_a_right_hint_makes_the_answer_more_probable(made, localizer, images):
     assert with_prior.decision.probability >= plain.decision.probability
 
 
-def test_a_hint_of_elsewhere_is_told_and_not_believed(made, localizer, images):
+def test_a_wrong_prior_is_refused_as_outside_prior(made, localizer, images):
     image = sample_image(made, images[51])
     for priors in (
         Priors(position=PositionPrior(100.0, 0.0, 2.0)),
@@ -108,14 +108,14 @@ def test_a_hint_of_elsewhere_is_told_and_not_believed(made, localizer, images):
         assert found.decision.reason == Refusal.OUTSIDE_PRIOR
 
 
-def test_what_no_hint_allows_is_shown_from_the_whole_map(made, localizer, images):
+def test_without_a_scan_within_the_priors_matches_are_of_the_whole_map(made, localizer, images):
     nowhere = Priors(position=PositionPrior(5000.0, 0.0, 2.0))
     found = localizer.localize_image(sample_image(made, images[51]), k=3, priors=nowhere)
     assert found.best.row == 51
     assert len(found.matches) == 3
 
 
-def test_a_twin_nearer_to_the_hint_wins(made):
+def test_of_two_equal_places_the_one_nearer_to_the_prior_wins(made):
     """Two places look alike: the position decides, though the gate holds both."""
     _, images = sample_map(count=60, segment_length=30)
     twin = np.concatenate([images[:30], images[:30]])
@@ -135,7 +135,7 @@ def _map_of(images, like):
     return replace(built, calibration=like.calibration)
 
 
-def test_a_harmonic_map_is_held_to_the_heading_of_the_answer():
+def test_a_heading_prior_in_a_harmonic_map_is_compared_with_the_matchs_heading():
     tensor_map, images = sample_harmonic_map(count=40, segment_length=20)
     localizer = Localizer(tensor_map)
     grid = tensor_map.parameters.grid
@@ -194,6 +194,6 @@ def test_a_segment_that_the_map_does_not_have_is_refused(made):
         lambda: Priors(segments=()),
     ],
 )
-def test_a_hint_that_cannot_be_is_refused(make):
+def test_an_impossible_prior_is_refused(make):
     with pytest.raises(InvalidParameters):
         make()
