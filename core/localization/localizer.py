@@ -202,7 +202,12 @@ class Localizer:
                     f"the signature has shape {shape}, this map's have {self.map.parameters.ranks}"
                 )
         for named in {signature.revision for signature in signatures}:
-            held, segments = self._held(named), self.map.model.segments
+            held, segments = self._segments_of(named), self.map.model.segments
+            if not held:
+                raise StaleSignature(
+                    f"the signature was made with revision or basis {named or '(none)'}, this one"
+                    f" is {self.map.revision} with basis {self.map.basis_digest}"
+                )
             for signature in signatures:
                 # For a number beyond, `search` raises that the map has no such segment.
                 if signature.revision == named and held <= (signature.segment or 0) < segments:
@@ -211,24 +216,19 @@ class Localizer:
                         f" {signature.segment}"
                     )
 
-    def _held(self, named: str) -> int:
-        """Return how many segments have bases in a revision or basis."""
-        if not self.answers(named):
-            raise StaleSignature(
-                f"the signature was made with revision or basis {named or '(none)'}, this one is"
-                f" {self.map.revision} with basis {self.map.basis_digest}"
-            )
+    def _segments_of(self, named: str) -> int:
+        """Return the number of segments with bases in a revision or basis, 0 if it is not known."""
+        if len(named) < 2 * REVISION_PREFIX_BYTES:
+            return 0
         if self.map.revision.startswith(named):
             return self.map.model.segments
-        return [digest.startswith(named) for digest in self.map.basis_digests].index(True) + 1
+        digests = enumerate(self.map.basis_digests, 1)
+        return next((count for count, digest in digests if digest.startswith(named)), 0)
 
     def answers(self, named: str) -> bool:
-        """Return whether this revision has a basis, or is the revision, that signatures name.
+        """Return whether signatures may name this digest: the revision's or that of its basis.
 
         Args:
             named: A digest of 64 hexadecimal digits, or at least its first 16.
         """
-        if len(named) < 2 * REVISION_PREFIX_BYTES:
-            return False
-        own = (self.map.revision, *self.map.basis_digests)
-        return any(digest.startswith(named) for digest in own)
+        return self._segments_of(named) > 0
