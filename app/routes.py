@@ -14,7 +14,6 @@ from app.http.problems import problems
 from app.localization import routes as localizations
 from app.loop_closures import routes as loop_closures
 from app.maps import routes as maps
-from app.revisions import comparison_routes
 from app.revisions import routes as revisions
 from app.tracking import routes as tracks
 from app.tracking import stream_routes
@@ -35,7 +34,6 @@ def api() -> APIRouter:
         builds,
         job_routes,
         revisions,
-        comparison_routes,
         localizations,
         loop_closures,
         tracks,
