@@ -1,45 +1,42 @@
-"""Whose job is next: keys take turns, and so do the maps of a key."""
+"""Which job is next: keys take turns, and so do the maps of a key."""
 
-from collections.abc import Iterable
-from dataclasses import dataclass
 from datetime import UTC, datetime
 
 from sqlalchemy import ColumnElement, func, select
 from sqlalchemy.orm import Session
 
-from storage.catalog.models import Job
-from storage.catalog.records import JobState
+from storage.catalog.models import JobRecord, JobState
 
 _NEVER = datetime.min.replace(tzinfo=UTC)
 
 
-@dataclass(frozen=True)
-class _Share:
-    """The jobs of one key for one map that wait.
+def next_job(session: Session) -> JobRecord | None:
+    """Return the job whose turn it is, locked; `None` if none is queued.
 
-    Attributes:
-        key_id: Of the key; jobs of nobody's, from before keys were written down, are one share.
-        map_id: Of the map.
-        since: When the one was queued that has waited longest.
+    The jobs of one key for one map are a share; jobs without a key, of earlier versions, are of one
+    key. Shares are ordered by: the fewest running jobs of the key, the longest time since the key's
+    last job started, the same of the share, the longest wait. A share's jobs run in the order in
+    which they were queued.
     """
-
-    key_id: str | None
-    map_id: str
-    since: datetime
-
-
-def next_job(session: Session) -> Job | None:
-    """Return the job whose turn it is, locked; `None` if none waits.
-
-    Of the keys that have jobs in the queue, it is the turn of that with the fewest running, then of
-    that whose last job started longest ago; of that key's maps, of that whose last job for it
-    started longest ago. A share's own jobs run in the order in which they were queued.
-    """
-    for share in _in_turn(session, _waiting(session)):
+    queued = JobRecord.state == JobState.QUEUED
+    query = select(JobRecord.key_id, JobRecord.map_id, func.min(JobRecord.created_at))
+    shares = session.execute(query.where(queued).group_by(JobRecord.key_id, JobRecord.map_id)).all()
+    if len(shares) > 1:
+        ranks = {key_id: _rank(session, key_id) for key_id in {share.key_id for share in shares}}
+        shares = sorted(
+            shares,
+            key=lambda share: (
+                *ranks[share.key_id],
+                _last_started(session, _of(share.key_id, share.map_id)),
+                share[2],
+                share.map_id,
+            ),
+        )
+    for key_id, map_id, _ in shares:
         job = session.scalar(
-            select(Job)
-            .where(Job.state == JobState.QUEUED, *_of(share.key_id, share.map_id))
-            .order_by(Job.created_at, Job.id)
+            select(JobRecord)
+            .where(queued, *_of(key_id, map_id))
+            .order_by(JobRecord.created_at, JobRecord.id)
             .limit(1)
             .with_for_update(skip_locked=True)
         )
@@ -48,42 +45,16 @@ def next_job(session: Session) -> Job | None:
     return None
 
 
-def _waiting(session: Session) -> list[_Share]:
-    query = (
-        select(Job.key_id, Job.map_id, func.min(Job.created_at))
-        .where(Job.state == JobState.QUEUED)
-        .group_by(Job.key_id, Job.map_id)
-    )
-    return [_Share(*row) for row in session.execute(query)]
+def _rank(session: Session, key_id: str | None) -> tuple[int, datetime]:
+    """Return the number of running jobs of a key, and when its last one started."""
+    running = select(func.count()).where(JobRecord.state == JobState.RUNNING, *_of(key_id))
+    return session.scalar(running) or 0, _last_started(session, _of(key_id))
 
 
-def _in_turn(session: Session, shares: list[_Share]) -> Iterable[_Share]:
-    if len(shares) < 2:
-        return shares
-    keys = {share.key_id for share in shares}
-    running = {key: _running(session, key) for key in keys}
-    started = {key: _last_started(session, _of(key)) for key in keys}
-    return sorted(
-        shares,
-        key=lambda share: (
-            running[share.key_id],
-            started[share.key_id],
-            _last_started(session, _of(share.key_id, share.map_id)),
-            share.since,
-            share.map_id,
-        ),
-    )
-
-
-def _running(session: Session, key_id: str | None) -> int:
-    query = select(func.count()).where(Job.state == JobState.RUNNING, *_of(key_id))
-    return session.scalar(query) or 0
-
-
-def _last_started(session: Session, of: Iterable[ColumnElement[bool]]) -> datetime:
-    return session.scalar(select(func.max(Job.started_at)).where(*of)) or _NEVER
+def _last_started(session: Session, conditions: list[ColumnElement[bool]]) -> datetime:
+    return session.scalar(select(func.max(JobRecord.started_at)).where(*conditions)) or _NEVER
 
 
 def _of(key_id: str | None, map_id: str | None = None) -> list[ColumnElement[bool]]:
-    of_key = [Job.key_id == key_id]  # of None this is IS NULL
-    return of_key if map_id is None else [*of_key, Job.map_id == map_id]
+    of_key = [JobRecord.key_id == key_id]  # of None this is IS NULL
+    return of_key if map_id is None else [*of_key, JobRecord.map_id == map_id]
