@@ -1,4 +1,4 @@
-"""Where files lie under the data directory; ids stand in paths, never a client's names.
+"""The layout of the data directory; paths are built from ids, never from a client's names.
 
 catalog.sqlite3
 store-id                                       the same as in the catalog
@@ -6,8 +6,8 @@ server.lock                                    held by the one server of this di
 maps/<map id>/drives/<drive id>/chunks/*.h5    raw scans
 maps/<map id>/drives/<drive id>/images/        what builds cache
 maps/<map id>/revisions/<digest>.<id>.h5
-orphans/<day>/maps/...                         what a start found that no row names
-damaged/<day>/maps/...                         what a repair found that is not what was stored
+orphans/<day>/maps/...                         files that no row names, found at a start
+damaged/<day>/maps/...                         damaged files, found by a repair
 """
 
 from dataclasses import dataclass
@@ -32,22 +32,22 @@ class Layout:
 
     @property
     def store_id(self) -> Path:
-        """The file that says which catalog belongs to this directory."""
+        """The file with the id that this directory shares with its catalog."""
         return self.data_dir / "store-id"
 
     @property
     def orphans(self) -> Path:
-        """Where files go that no row names, under the path that they had."""
+        """The folder of files that no row names, under their former paths."""
         return self.data_dir / "orphans"
 
     @property
     def damaged(self) -> Path:
-        """Where a repair puts files that are not what was stored, under the path that they had."""
+        """The folder of damaged files that a repair moved, under their former paths."""
         return self.data_dir / "damaged"
 
     @property
     def folders(self) -> tuple[Path, ...]:
-        """All folders of ours that the data directory may have."""
+        """All folders that a data directory may have."""
         return self.maps, self.orphans, self.damaged
 
     @property
