@@ -9,7 +9,7 @@ from collections.abc import Collection, Mapping
 from datetime import UTC, datetime
 from typing import Any
 
-from sqlalchemy import func, select
+from sqlalchemy import ColumnElement, func, select
 from sqlalchemy.exc import IntegrityError
 from sqlalchemy.orm import Session
 
@@ -18,9 +18,10 @@ from storage.catalog.maps import map_named
 from storage.catalog.models import OPEN_STATES, JobRecord, JobState, Map
 from storage.catalog.pages import DEFAULT_LIMIT, page_by_age
 from storage.catalog.records import Page, RequestKey, RevisionFacts
-from storage.catalog.turns import next_job
 from storage.errors import JobNotFound, JobNotRunning, RequestKeyReused, TooManyBuilds
 from storage.names import new_id
+
+_NEVER = datetime.min.replace(tzinfo=UTC)
 
 
 class Jobs(Repository):
@@ -96,11 +97,10 @@ class Jobs(Repository):
     def claim(self) -> JobRecord | None:
         """Start the next job; `None` if none is queued.
 
-        Keys take turns, and so do the maps of a key: `storage.catalog.turns`. No two callers get
-        the same job.
+        Keys take turns, and so do the maps of a key. No two callers get the same job.
         """
         with self._database.writing() as session:
-            job = next_job(session)
+            job = _next_job(session)
             if job is not None:
                 job.state = JobState.RUNNING
                 job.started_at = datetime.now(UTC)
@@ -272,3 +272,53 @@ def _running(session: Session, job_id: str) -> JobRecord:
     if job.state != JobState.RUNNING:
         raise JobNotRunning(f"job {job_id} is {job.state}, not running")
     return job
+
+
+def _next_job(session: Session) -> JobRecord | None:
+    """Return the job whose turn it is, locked; `None` if none is queued.
+
+    The jobs of one key for one map are a share; jobs without a key, of earlier versions, are of one
+    key. Shares are ordered by: the fewest running jobs of the key, the longest time since the key's
+    last job started, the same of the share, the longest wait. A share's jobs run in the order in
+    which they were queued.
+    """
+    queued = JobRecord.state == JobState.QUEUED
+    query = select(JobRecord.key_id, JobRecord.map_id, func.min(JobRecord.created_at))
+    shares = session.execute(query.where(queued).group_by(JobRecord.key_id, JobRecord.map_id)).all()
+    if len(shares) > 1:
+        ranks = {key_id: _rank(session, key_id) for key_id in {share.key_id for share in shares}}
+        shares = sorted(
+            shares,
+            key=lambda share: (
+                *ranks[share.key_id],
+                _last_started(session, _of(share.key_id, share.map_id)),
+                share[2],
+                share.map_id,
+            ),
+        )
+    for key_id, map_id, _ in shares:
+        job = session.scalar(
+            select(JobRecord)
+            .where(queued, *_of(key_id, map_id))
+            .order_by(JobRecord.created_at, JobRecord.id)
+            .limit(1)
+            .with_for_update(skip_locked=True)
+        )
+        if job is not None:  # else other workers hold all of them
+            return job
+    return None
+
+
+def _rank(session: Session, key_id: str | None) -> tuple[int, datetime]:
+    """Return the number of running jobs of a key, and when its last one started."""
+    running = select(func.count()).where(JobRecord.state == JobState.RUNNING, *_of(key_id))
+    return session.scalar(running) or 0, _last_started(session, _of(key_id))
+
+
+def _last_started(session: Session, conditions: list[ColumnElement[bool]]) -> datetime:
+    return session.scalar(select(func.max(JobRecord.started_at)).where(*conditions)) or _NEVER
+
+
+def _of(key_id: str | None, map_id: str | None = None) -> list[ColumnElement[bool]]:
+    of_key = [JobRecord.key_id == key_id]  # of None this is IS NULL
+    return of_key if map_id is None else [*of_key, JobRecord.map_id == map_id]

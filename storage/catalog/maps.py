@@ -10,8 +10,9 @@ from sqlalchemy import delete, select
 from sqlalchemy.exc import IntegrityError
 from sqlalchemy.orm import Session
 
+from storage.catalog.columns import plain
 from storage.catalog.database import Repository
-from storage.catalog.models import LiveRevision, Map, plain
+from storage.catalog.models import LiveRevision, Map
 from storage.catalog.pages import DEFAULT_LIMIT, one_more, page_of
 from storage.catalog.records import MapRecord, Page
 from storage.errors import MapChanged, MapExists, MapNotFound

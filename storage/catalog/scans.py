@@ -82,9 +82,7 @@ class Scans(Repository):
                 if _among(session, target.drive_id, {record.index for record in records}):
                     raise LostRace(f"drive {target.drive_slug!r} got some of these scans meanwhile")
                 records = with_expected(session, target.drive_id, records)
-                session.execute(
-                    insert(Scan), [_values(target.drive_id, record) for record in records]
-                )
+                session.execute(insert(Scan), [_values(target.drive_id, one) for one in records])
                 return list(records)
         except IntegrityError as error:  # on databases with concurrent writers
             raise LostRace(f"drive {target.drive_slug!r} changed meanwhile") from error
@@ -190,13 +188,10 @@ class Scans(Repository):
                 is_stored = np.isin(poses.scans, before.scans)
                 missing = poses.only(~is_stored)
                 if len(missing) and target.closed and not partial:
-                    raise ScanNotFound(
-                        f"drive {slug!r} is closed and has no scan {missing.scans[0]}"
-                    )
+                    raise ScanNotFound(f"drive {slug!r} is closed without scan {missing.scans[0]}")
                 if not partial:
-                    last = session.scalar(
-                        select(func.max(Scan.index)).where(Scan.drive_id == drive_id)
-                    )
+                    last_index = select(func.max(Scan.index)).where(Scan.drive_id == drive_id)
+                    last = session.scalar(last_index)
                     require_fit(slug, poses, before, last, consecutive=consecutive)
                 given = poses.only(is_stored)
                 timed = np.isfinite(given.timestamps_s)

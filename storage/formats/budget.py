@@ -57,9 +57,7 @@ class Budget:
             ScanTooLarge: If there are more.
         """
         if returns > self.returns:
-            raise ScanTooLarge(
-                f"the scan has {returns:.10g} returns, at most {self.returns} may be"
-            )
+            raise ScanTooLarge(f"the scan has {returns:.10g} returns, at most {self.returns}")
 
     def require_packets(self, packets: int, capture_bytes: int) -> None:
         """Reject a capture that consists of too many, too short packets.

@@ -10,50 +10,30 @@ orphans/<day>/maps/...                         files that no row names, found at
 damaged/<day>/maps/...                         damaged files, found by a repair
 """
 
-from dataclasses import dataclass
 from pathlib import Path
 
 
-@dataclass(frozen=True)
 class Layout:
-    """The paths under one data directory."""
+    """The paths under one data directory.
 
-    data_dir: Path
+    Attributes:
+        data_dir: The data directory.
+        catalog: The default catalog's file.
+        lock: The file that the server of this directory holds locked.
+        store_id: The file with the id that this directory shares with its catalog.
+        maps: The folder with one folder per map.
+        orphans: The folder of files that no row names, under their former paths.
+        damaged: The folder of damaged files that a repair moved, under their former paths.
+    """
 
-    @property
-    def catalog(self) -> Path:
-        """The default catalog's file."""
-        return self.data_dir / "catalog.sqlite3"
-
-    @property
-    def lock(self) -> Path:
-        """The file that the server of this directory holds locked."""
-        return self.data_dir / "server.lock"
-
-    @property
-    def store_id(self) -> Path:
-        """The file with the id that this directory shares with its catalog."""
-        return self.data_dir / "store-id"
-
-    @property
-    def orphans(self) -> Path:
-        """The folder of files that no row names, under their former paths."""
-        return self.data_dir / "orphans"
-
-    @property
-    def damaged(self) -> Path:
-        """The folder of damaged files that a repair moved, under their former paths."""
-        return self.data_dir / "damaged"
-
-    @property
-    def folders(self) -> tuple[Path, ...]:
-        """All folders that a data directory may have."""
-        return self.maps, self.orphans, self.damaged
-
-    @property
-    def maps(self) -> Path:
-        """The folder with one folder per map."""
-        return self.data_dir / "maps"
+    def __init__(self, data_dir: Path) -> None:
+        self.data_dir = data_dir
+        self.catalog = data_dir / "catalog.sqlite3"
+        self.lock = data_dir / "server.lock"
+        self.store_id = data_dir / "store-id"
+        self.maps = data_dir / "maps"
+        self.orphans = data_dir / "orphans"
+        self.damaged = data_dir / "damaged"
 
     def map(self, map_id: str) -> Path:
         """All that belongs to a map."""

@@ -88,9 +88,7 @@ def open_nclt_drive(path: Path, *, min_returns: int = 1) -> FileDrive:
     Raises:
         EmptyDrive: If there are no scans.
     """
-    files = in_order(
-        file for file in (path / "velodyne_sync").glob("*.bin") if not file.name.startswith(".")
-    )
+    files = in_order((path / "velodyne_sync").glob("[!.]*.bin"))
     return FileDrive(
         path.resolve().name,
         files,

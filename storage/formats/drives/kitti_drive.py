@@ -36,9 +36,7 @@ def open_kitti_drive(path: Path, *, min_returns: int = 1) -> FileDrive:
         EmptyDrive: If there are no scans.
         MalformedDrive: If times, poses or calibration do not parse or do not fit the scans.
     """
-    files = in_order(
-        file for file in (path / "velodyne").glob("*.bin") if not file.name.startswith(".")
-    )
+    files = in_order((path / "velodyne").glob("[!.]*.bin"))
     return FileDrive(
         path.resolve().name,
         files,

@@ -155,9 +155,7 @@ def _matrices(elements: _Elements, fields: Collection[str]) -> dict[str, np.ndar
         raise MalformedScan("the names of SCAN's fields cannot be read")
     step = int(length[0])
     if len(names) > BUDGET.elements * step:
-        raise MalformedScan(
-            f"SCAN has {len(names) // step} fields, at most {BUDGET.elements} may be"
-        )
+        raise MalformedScan(f"SCAN has {len(names) // step} fields, at most {BUDGET.elements}")
     found: dict[str, np.ndarray] = {}
     for at in range(0, len(names), step):
         field = names[at : at + step].rstrip(b"\0").decode("latin-1")

@@ -90,7 +90,7 @@ def _checked_points(body: bytes) -> int:
         raise MalformedScan(f"a point takes {record_bytes} bytes, wanted at least 20")
     if points * record_bytes > BUDGET.decoded_bytes:
         claim = f"the header claims {points:.6g} points of {record_bytes} bytes"
-        raise ScanTooLarge(f"{claim}, at most {BUDGET.decoded_bytes} bytes may be")
+        raise ScanTooLarge(f"{claim}, at most {BUDGET.decoded_bytes} bytes")
     if not kind & _COMPRESSED and first_point + points * record_bytes > len(body):
         raise TruncatedScan(
             f"{points} points of {record_bytes} bytes from {first_point} on take more than the"
@@ -99,7 +99,6 @@ def _checked_points(body: bytes) -> int:
     BUDGET.require_returns(points)
     if kind & _COMPRESSED and len(body) > BUDGET.packed_points_bytes:
         raise ScanTooLarge(
-            f"the compressed points take {len(body)} bytes, at most"
-            f" {BUDGET.packed_points_bytes} may be"
+            f"the compressed points take {len(body)} bytes, at most {BUDGET.packed_points_bytes}"
         )
     return int(points)

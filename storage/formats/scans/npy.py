@@ -79,7 +79,7 @@ def _header(body: bytes) -> tuple[dict[str, Any], int]:
     if len(body) < begin + length:
         raise TruncatedScan(f"the header takes {length} bytes, got {max(len(body) - begin, 0)}")
     if length > _MAX_HEADER_BYTES:
-        raise MalformedScan(f"the header takes {length} bytes, at most {_MAX_HEADER_BYTES} may be")
+        raise MalformedScan(f"the header takes {length} bytes, at most {_MAX_HEADER_BYTES}")
     text = body[begin : begin + length].decode("latin-1")
     if not _LITERALS.fullmatch(text):
         raise MalformedScan(f"the header is no dictionary of literals: {short(text)}")

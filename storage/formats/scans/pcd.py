@@ -62,9 +62,8 @@ class PcdFormat(ScanFormat):
                 raise TruncatedScan(
                     f"the header claims {header.claim}, got {len(points)} bytes of points"
                 )
-            raise ScanTooLarge(
-                f"the header claims {header.claim}, at most {BUDGET.decoded_bytes} bytes may be"
-            )
+            most = f"at most {BUDGET.decoded_bytes} bytes"
+            raise ScanTooLarge(f"the header claims {header.claim}, {most}")
         if header.encoding == "ascii":
             if body.find(b"#", start) >= 0:
                 raise MalformedScan("there is a '#' among the ascii points")
@@ -224,9 +223,7 @@ def _compressed_points(points: memoryview, header: _Header) -> Float32Array:
     _require_bytes(f"{packed} compressed bytes", packed, len(points) - 8)
     _require_bytes(header.claim, header.size_bytes, unpacked)
     if unpacked > BUDGET.unpacked_bytes:
-        raise ScanTooLarge(
-            f"the points unpack to {unpacked} bytes, at most {BUDGET.unpacked_bytes} may be"
-        )
+        raise ScanTooLarge(f"the points take {unpacked} bytes, at most {BUDGET.unpacked_bytes}")
     if unpacked > packed * _LZF_RATIO:
         raise TruncatedScan(f"{packed} compressed bytes cannot unpack to {unpacked}")
     BUDGET.require_returns(header.points)

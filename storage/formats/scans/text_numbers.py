@@ -35,9 +35,7 @@ def text_columns(
         ScanTooLarge: If there are more bytes or lines than a scan may have.
     """
     if len(text) > BUDGET.text_bytes:
-        raise ScanTooLarge(
-            f"the lines of the scan have {len(text)} bytes, at most {BUDGET.text_bytes} may be"
-        )
+        raise ScanTooLarge(f"the lines have {len(text)} bytes, at most {BUDGET.text_bytes}")
     parts: list[Float32Array] = [np.empty((0, 3), np.float32)]
     lines = 0
     for block in blocks_of_lines(text, _BLOCK_BYTES):
@@ -112,9 +110,8 @@ def _has_width(block: bytes, width: int, delimiter: str | None) -> bool:
         expected = width - 1
     before = np.cumsum(begins, dtype=np.int32)[codes == _NEWLINE]
     has_blank_line = block.startswith(b"\n") or b"\n\n" in block
-    return bool((np.diff(before, prepend=0) == expected).all()) and (
-        expected > 0 or not has_blank_line
-    )
+    has_width = bool((np.diff(before, prepend=0) == expected).all())
+    return has_width and (expected > 0 or not has_blank_line)
 
 
 def _of_width(block: bytes, width: int, delimiter: str | None) -> Iterator[bytes]:
