@@ -1,4 +1,4 @@
-"""Poses of a drive's scans, as JSON or as files have them."""
+"""Poses of a drive's scans, as JSON or as files."""
 
 from typing import Annotated
 
@@ -29,7 +29,7 @@ Partial = Annotated[
     bool | None,
     Query(
         description="Set a file's poses even if their number, or scans that would lose theirs, show"
-        " that they cannot be those of all scans."
+        " that they are not those of all scans."
     ),
 ]
 
@@ -58,11 +58,11 @@ def put_poses(
     first: First = 0,
     partial: Partial = None,
 ) -> DriveWithPosesOut:
-    """Set poses and timestamps of scans, all or none; those of a file also of scans to come.
+    """Set poses and timestamps of scans, all or none; those of a file also for future scans.
 
-    As JSON, of scans that are stored only. From a file, what a scan to come has not of its own.
-    A file whose lines count scans is refused if it has fewer than the drive has scans, or more and
-    would replace other poses: it is another drive's, or cut off.
+    JSON sets those of stored scans only. A file also sets what a scan that is stored later does not
+    have itself. A file whose lines count scans is rejected if it has fewer than the drive has
+    scans, or if it has more and would replace other poses: it is another drive's, or cut off.
     """
     kind = media_type(content_type)
     drives = running.store.drives
@@ -78,6 +78,6 @@ def put_poses(
         poses, timestamps_s = read_json(body, PosesIn).to_core()
         put = drives.put_poses(map_slug, drive_slug, poses, timestamps_s)
     else:
-        wanted = ", ".join((_JSON, *POSE_TYPES))
-        raise UnsupportedBody(f"Content-Type is {kind[:80]!r}, wanted one of {wanted}")
+        known = ", ".join((_JSON, *POSE_TYPES))
+        raise UnsupportedBody(f"Content-Type is {kind[:80]!r}, wanted one of {known}")
     return DriveWithPosesOut.from_both(drives.get(map_slug, drive_slug), put)

@@ -1,4 +1,4 @@
-"""Uploads: POST of many scans in one archive, and which scans are in."""
+"""Uploads: POST of many scans in one archive, and GET of the stored indices."""
 
 from collections.abc import Iterator
 from contextlib import suppress
@@ -34,9 +34,9 @@ FormatName = Annotated[
     str | None,
     Query(
         alias="format",
-        description="What the files are, the last word of a scan's media type, as `kitti`; without"
-        " it their suffixes tell, but for `.bin`.",
-        json_schema_extra={"enum": list(FORMAT_NAMES)},  # what is none is an unknown format
+        description="Format of the files, the last word of a scan's media type, as `kitti`; by"
+        " default that of their suffixes, except `.bin`.",
+        json_schema_extra={"enum": list(FORMAT_NAMES)},  # any other is an unknown format
     ),
 ]
 
@@ -47,7 +47,7 @@ FormatName = Annotated[
     responses=problems(MapNotFound, DriveNotFound, *errors.READING),
 )
 def list_scans(map_slug: MapSlug, drive_slug: DriveSlug, running: Running) -> PresentOut:
-    """Tell which scans are in, as ranges: an upload goes on with the others."""
+    """Return which scans are stored, as ranges: an upload continues with the others."""
     return PresentOut.from_record(running.store.drives.get(map_slug, drive_slug))
 
 
@@ -76,32 +76,24 @@ async def post_scans(
     content_type: ContentType = None,
     format_name: FormatName = None,
 ) -> UploadOut:
-    """Store many scans, sent as a tar stream; one that cannot be used stops none of the others.
+    """Store many scans, sent as a tar stream; the others are stored if one cannot be used.
 
-    Scans are stored as they come, a few megabytes at a time. When the answer is there the scans
-    that it names are on disk; when it is not, ask which are in and send the others, or all again.
-    With a `Content-Digest` nothing is stored before the whole body has come and is what it says; a
-    packed body is unpacked when it has come whole, or as far as it came.
+    Scans are stored as they arrive, a few megabytes at a time. The scans that the answer names are
+    on disk; without an answer, request which are stored and send the others, or send all again.
+    With a `Content-Digest` nothing is stored before the whole body was received and its digest is
+    right; a packed body is unpacked when it is complete, or as far as it was received.
     """
     if media_type(content_type) not in _TYPES:
         raise errors.UnsupportedBody(
             f"Content-Type is {(content_type or '')[:80]!r}, wanted {_TAR}"
         )
-    wanted = None if format_name is None else media_type_of(format_name)
+    scan_type = None if format_name is None else media_type_of(format_name)
     # A missing map is reported before a body is read.
     await running.pools.short.run(
         context_of(request.scope).sender, partial(running.store.drives.slugs, map_slug)
     )
-    upload = ScanUpload(
-        running.store,
-        map_slug,
-        drive_slug,
-        media_type=wanted,
-        min_returns=running.settings.min_returns,
-        most_bytes=running.settings.max_body_bytes,
-        folder=running.settings.data_dir,
-    )
-    # An unpacker takes megabytes: none waits for the rest of a slow body.
+    upload = ScanUpload(running.store, running.settings, map_slug, drive_slug, scan_type)
+    # A decompressor takes megabytes: none waits for the rest of a slow body.
     up_to = None if body.packed or body.has_digest else _BATCH_BYTES
     async with body.spool() as spool:
         while not body.ended:
@@ -112,20 +104,19 @@ async def post_scans(
                     await run_heavy(request, partial(_store_rest, upload, body, spool), begun=True)
                 raise
             await _store(request, upload, body, spool)
-    return await run_heavy(request, lambda: UploadOut.from_upload(upload.finish()), begun=True)
+    return await run_heavy(request, upload.finish, begun=True)
 
 
 async def _store(request: Request, upload: ScanUpload, body: Incoming, spool: Spool) -> None:
-    """Store what came, a batch after another: between two it is the turn of other keys."""
+    """Store what was received in batches; between two of them other keys have their turn."""
     pieces = body.unpacked(spool.pieces())
-    more = True
-    while more:
-        more = await run_heavy(request, partial(_store_batch, upload, pieces), begun=True)
+    while await run_heavy(request, partial(_store_batch, upload, pieces), begun=True):
+        pass
     spool.clear()
 
 
 def _store_batch(upload: ScanUpload, pieces: Iterator[bytes]) -> bool:
-    """Store what the next megabytes hold, and return whether there may be more."""
+    """Store the scans of the next megabytes, and return whether there may be more."""
     taken = 0
 
     def batch() -> Iterator[bytes]:
@@ -141,7 +132,7 @@ def _store_batch(upload: ScanUpload, pieces: Iterator[bytes]) -> bool:
 
 
 def _store_rest(upload: ScanUpload, body: Incoming, spool: Spool) -> None:
-    """Store what came before the body was cut off."""
-    with suppress(TensorMapError):  # of two faults the first one is reported
+    """Store what was received before the body was cut off."""
+    with suppress(TensorMapError):  # of two errors the first one is reported
         upload.take(body.unpacked(spool.pieces()))
         upload.store()

@@ -12,6 +12,7 @@ import zstandard
 
 from app.drives.many_scans import ScanUpload
 from app.http.errors import BodyTooLarge
+from app.settings import Settings
 from tests.support.recording import KITTI, TAR, kitti, npy, recording, tar
 from tests.support.service import problem_of, running, whole_store
 
@@ -112,22 +113,15 @@ def test_a_closed_drive_takes_what_it_has_and_nothing_else(empty):
     assert empty.get(f"{DRIVE}/scans").json()["closed"] is True
 
 
-def test_scans_that_came_before_a_limit_was_reached_are_stored(empty, tmp_path):
+def test_scans_before_a_limit_was_reached_are_stored(empty, tmp_path):
     body = tar(npy_files())
 
     def pieces():
         yield from (body[at : at + 999] for at in range(0, len(body) // 2, 999))
-        raise BodyTooLarge("as it is told in the middle of a body that unpacks to too much")
+        raise BodyTooLarge("in the middle of a body that unpacks to too many bytes")
 
-    upload = ScanUpload(
-        empty.service.store,
-        "campus",
-        "monday",
-        media_type=None,
-        min_returns=1,
-        most_bytes=len(body),
-        folder=tmp_path,
-    )
+    settings = Settings(data_dir=tmp_path, min_returns=1)
+    upload = ScanUpload(empty.service.store, settings, "campus", "monday")
     with pytest.raises(BodyTooLarge):
         upload.take(pieces())
     assert empty.get(f"{DRIVE}/scans").json()["present"] == ranges((0, 2))
