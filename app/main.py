@@ -11,12 +11,11 @@ from fastapi_offline import FastAPIOffline
 from starlette.concurrency import run_in_threadpool
 from starlette.routing import BaseRoute
 
-from app.access.access import open_access
+from app.access.access import Access, make_first_key
 from app.access.admission import Admission
 from app.access.trail import AuditTrail
 from app.builds.job_events import JobEvents
 from app.builds.runner import JobRunner
-from app.http.bodies.bodies import BodyGuard
 from app.http.bodies.spool import SpoolRoom
 from app.http.bodies.unread import UnreadBody
 from app.http.metrics import Metrics
@@ -77,7 +76,6 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     )
     app.state.settings = chosen
     add_handlers(app)
-    app.add_middleware(BodyGuard, settings=chosen)
     app.add_middleware(Admission)
     app.add_middleware(AuditTrail)
     app.add_middleware(UnreadBody)
@@ -100,13 +98,14 @@ def _routes() -> tuple[BaseRoute, ...]:
 def _start(settings: Settings, metrics: Metrics, pools: Pools) -> Service:
     store = Store.serving(settings.data_dir, settings.catalog_url)
     try:
-        access, made = open_access(settings, store)
+        made = make_first_key(store, settings)
     except BaseException:
         store.close()
         raise
     if made is not None:
         # The one place where a key is shown: only its hash is kept.
         print(f"Administrator key, shown this once: {made}", flush=True)  # noqa: T201
+    access = Access(store, settings)
     collector = GarbageCollector(settings, store)
 
     def ended(job: JobRecord) -> None:

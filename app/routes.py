@@ -2,7 +2,7 @@
 
 from fastapi import APIRouter, Depends
 
-from app.access import audit_routes, key_routes, token_routes
+from app.access import audit_routes, key_routes
 from app.access.dependency import require_access
 from app.builds import job_routes
 from app.builds import routes as builds
@@ -40,7 +40,6 @@ def api() -> APIRouter:
         loop_closures,
         tracks,
         key_routes,
-        token_routes,
         audit_routes,
     ):
         router.include_router(module.router)

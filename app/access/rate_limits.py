@@ -1,4 +1,4 @@
-"""How much each key may: a bucket, of requests or of bytes sent, that fills up again."""
+"""Rate limits of each key: token buckets, of requests or of bytes sent."""
 
 import math
 import threading
@@ -9,18 +9,18 @@ from dataclasses import dataclass
 
 from app.http.errors import TooManyRequests
 
-# The one used longest ago goes first; should its owner come back, it is full, as it mostly was.
+# The least recently used one is dropped; should its owner return, it is full, as it mostly was.
 _MOST_BUCKETS = 10_000
 
 
 @dataclass(frozen=True)
 class Unit:
-    """What a bucket holds.
+    """Unit of a bucket.
 
     Attributes:
-        name: As the header fields call the policy.
-        policy: What the policy's field says besides, after its name.
-        allowed: What is allowed, of a rate a second and a full bucket.
+        name: The policy's name in the header fields.
+        policy: Parameters of the policy's field, after its name.
+        allowed: Describes the limit, from a rate a second and the size of a full bucket.
     """
 
     name: str
@@ -36,11 +36,11 @@ BYTES = Unit(
 
 @dataclass(frozen=True)
 class Allowance:
-    """What is left to whoever asked.
+    """What is left in a bucket.
 
     Attributes:
-        unit: Of what.
-        burst: How many are in a full bucket.
+        unit: Its unit.
+        burst: Size of a full bucket.
         window_s: Seconds in which an empty one fills up, rounded up.
         remaining: How many are left in it.
         full_in_s: Seconds until it is full again, rounded up.
@@ -72,9 +72,9 @@ class RateLimits:
 
     Args:
         per_s: How fast a bucket fills up; 0 limits nothing.
-        burst: How many a full one holds.
-        clock: Seconds that never go back.
-        unit: What it holds.
+        burst: Size of a full one.
+        clock: Monotonic clock, in seconds.
+        unit: Its unit.
 
     Examples:
         >>> limits = RateLimits(2.0, 3, clock=lambda: 0.0)
@@ -99,40 +99,35 @@ class RateLimits:
         self._buckets: OrderedDict[str, _Bucket] = OrderedDict()
         self._lock = threading.Lock()
 
-    def take(self, who: str, amount: int = 1) -> Allowance | None:
-        """Take out of a bucket; `None` if nothing is limited.
-
-        Raises:
-            TooManyRequests: If it holds less; nothing is taken.
-        """
-        return self._take(who, amount, amount)
-
     def never_allows(self, amount: int) -> bool:
         """Return whether not even a full bucket holds this much."""
         return self._rate > 0 and amount > self._burst
 
-    def require(self, who: str, amount: int) -> Allowance | None:
-        """Look whether a bucket holds this much, and take nothing; `None` if nothing is limited.
+    def take(self, who: str, amount: int = 1, *, check_only: bool = False) -> Allowance | None:
+        """Take out of a bucket, and return what is left; `None` if nothing is limited.
+
+        Args:
+            who: Whose bucket.
+            amount: How much.
+            check_only: Take nothing, only check that the bucket has as much.
 
         Raises:
-            TooManyRequests: If it holds less.
+            TooManyRequests: If it has less; nothing is taken.
         """
-        return self._take(who, amount, 0)
-
-    def _take(self, who: str, wanted: int, taken: int) -> Allowance | None:
         if self._rate == 0:
             return None
         with self._lock:
             bucket = self._filled(who)
-            if bucket.left < wanted:
-                # More than a full bucket can hold comes in parts only: the next when it is full.
-                wait_s = max(1, math.ceil((min(wanted, self._burst) - bucket.left) / self._rate))
+            if bucket.left < amount:
+                # More than a full bucket must be sent in parts: the next when it is full.
+                wait_s = max(1, math.ceil((min(amount, self._burst) - bucket.left) / self._rate))
                 raise TooManyRequests(
                     f"{self._unit.allowed(self._rate, self._burst)} are allowed: wait {wait_s} s",
                     wait_s,
                     self._allowance(bucket).headers(),
                 )
-            bucket.left -= taken
+            if not check_only:
+                bucket.left -= amount
             return self._allowance(bucket)
 
     def _filled(self, who: str) -> _Bucket:
@@ -153,6 +148,3 @@ class RateLimits:
             int(bucket.left),
             math.ceil((self._burst - bucket.left) / self._rate),
         )
-
-
-NO_LIMITS = RateLimits(0.0, 1)

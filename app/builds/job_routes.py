@@ -10,7 +10,7 @@ from starlette.types import Receive, Send
 from starlette.types import Scope as ASGIScope
 
 from app.access.caller import Caller
-from app.access.dependency import Asking
+from app.access.dependency import CurrentCaller
 from app.access.scopes import Scope, needs
 from app.builds.job_events import event_id
 from app.builds.job_schemas import JobOut
@@ -52,12 +52,16 @@ OfMap = Annotated[str | None, Query(alias="map", description="Only the jobs of t
     responses=problems(MapNotFound, InvalidParameters, InvalidRequest, *READING),
 )
 def list_jobs(
-    running: Running, asking: Asking, map_slug: OfMap = None, after: After = "", limit: Limit = 100
+    running: Running,
+    caller: CurrentCaller,
+    map_slug: OfMap = None,
+    after: After = "",
+    limit: Limit = 100,
 ) -> PageOut[JobOut]:
     """List the jobs, newest first, those of maps within the limits of the key."""
     if map_slug is not None:
-        asking.require_map(map_slug)
-    page = running.store.jobs.list(map_slug, after, limit, slugs=asking.maps)
+        caller.require_map(map_slug)
+    page = running.store.jobs.list(map_slug, after, limit, slugs=caller.maps)
     return page_out(page, JobOut.from_record)
 
 
@@ -66,9 +70,9 @@ def list_jobs(
     dependencies=[needs(Scope.MAPS_READ, Scope.MAPS_WRITE)],
     responses=problems(JobNotFound, *READING),
 )
-def get_job(job_id: JobId, running: Running, asking: Asking) -> JobOut:
+def get_job(job_id: JobId, running: Running, caller: CurrentCaller) -> JobOut:
     """Show a job and how far it is."""
-    return JobOut.from_record(job_of(running, asking, job_id))
+    return JobOut.from_record(job_of(running, caller, job_id))
 
 
 @router.get(
@@ -87,7 +91,7 @@ def get_job(job_id: JobId, running: Running, asking: Asking) -> JobOut:
 def follow_job(
     job_id: JobId,
     running: Running,
-    asking: Asking,
+    caller: CurrentCaller,
     request: Request,
     last_event_id: LastEventId = None,
 ) -> Response:
@@ -96,19 +100,19 @@ def follow_job(
     The stream ends when the job has, or the key is revoked. `Last-Event-ID`, as a browser sends it
     when it comes back, leaves out what was seen.
     """
-    record = job_of(running, asking, job_id)
+    record = job_of(running, caller, job_id)
     if record.ended and last_event_id == event_id(record):
         return Response(status_code=status.HTTP_204_NO_CONTENT)
     events = running.job_events.follow(request, record, last_event_id)
-    return _Followed(events, running.streams.opened(asking.key_id))
+    return _Followed(events, running.streams.opened(caller.key_id))
 
 
 @router.delete(
     "/jobs/{job}", dependencies=[needs(Scope.MAPS_WRITE)], responses=problems(JobNotFound, *WRITING)
 )
-def cancel_job(job_id: JobId, running: Running, asking: Asking) -> JobOut:
+def cancel_job(job_id: JobId, running: Running, caller: CurrentCaller) -> JobOut:
     """Cancel a job: a waiting one at once, a running one within a second; one that ended stays."""
-    job = job_of(running, asking, job_id)
+    job = job_of(running, caller, job_id)
     return JobOut.from_record(running.store.jobs.request_cancel(job.id))
 
 
@@ -128,18 +132,18 @@ class _Followed(StreamingResponse):
             await super().__call__(scope, receive, send)
 
 
-def job_of(running: Service, asking: Caller, job_id: str) -> JobRecord:
+def job_of(running: Service, caller: Caller, job_id: str) -> JobRecord:
     """Return a job of a map within the limits of the caller's key.
 
     Raises:
         JobNotFound: If there is none, for this caller.
     """
     job = running.store.jobs.get(job_id)
-    if asking.maps is not None:
+    if caller.maps is not None:
         try:
             of_map = running.store.maps.get_by_id(job.map_id).slug
         except MapNotFound:
             of_map = ""  # it went a moment ago, and its jobs with it
-        if not asking.sees(of_map):
+        if not caller.sees(of_map):
             raise JobNotFound(f"there is no job {job_id[:80]!r}")
     return job

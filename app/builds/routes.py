@@ -6,7 +6,7 @@ from typing import Annotated
 from fastapi import Header, Response, status
 from fastapi.exceptions import RequestValidationError
 
-from app.access.dependency import Asking
+from app.access.dependency import CurrentCaller
 from app.access.scopes import Scope, needs
 from app.builds.job_schemas import JobOut
 from app.builds.parameters import BuildParameters
@@ -56,7 +56,7 @@ def build(
     map_slug: MapSlug,
     parameters: Json[BuildParameters],
     running: Running,
-    asking: Asking,
+    caller: CurrentCaller,
     response: Response,
     idempotency_key: IdempotencyKey = None,
 ) -> JobOut:
@@ -89,7 +89,7 @@ def build(
             (parameters if parameters.base is None else plan.parameters).as_json(),
             plan=plan.model_dump(mode="json"),
             request=request,
-            key_id=asking.key_id,
+            key_id=caller.key_id,
             most_queued=running.settings.max_queued_builds_per_key,
         )
         running.runner.wake()

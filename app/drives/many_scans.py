@@ -3,10 +3,10 @@
 import re
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from functools import partial
 from pathlib import PurePosixPath
 from tempfile import SpooledTemporaryFile
-from typing import NamedTuple
 
 from starlette.requests import ClientDisconnect
 
@@ -34,7 +34,8 @@ _MOST_REPORTED = 1000
 _MOST_CHARACTERS = 200
 
 
-class _Waiting(NamedTuple):
+@dataclass(frozen=True)
+class _Waiting:
     index: int
     file: str
     scan: Scan

@@ -95,7 +95,7 @@ async def post_scans(
     upload = ScanUpload(running.store, running.settings, map_slug, drive_slug, scan_type)
     # A decompressor takes megabytes: none waits for the rest of a slow body.
     up_to = None if body.packed or body.has_digest else _BATCH_BYTES
-    async with body.spool() as spool:
+    with body.spool() as spool:
         while not body.ended:
             try:
                 await body.fill(spool, up_to)

@@ -72,7 +72,9 @@ class ScopeMissing(AppError):
 class TooManyRequests(AppError):
     """More requests, or bytes, than a key may send in this time or have open; see `Retry-After`."""
 
-    def __init__(self, detail: str, wait_s: int, headers: Mapping[str, str]) -> None:
+    def __init__(
+        self, detail: str, wait_s: int, headers: Mapping[str, str] = MappingProxyType({})
+    ) -> None:
         super().__init__(detail)
         self.headers = {"Retry-After": str(wait_s), **headers}
 

@@ -5,7 +5,7 @@ from typing import Annotated
 
 from fastapi import Header, Response, status
 
-from app.access.dependency import Asking
+from app.access.dependency import CurrentCaller
 from app.access.scopes import Scope, needs
 from app.access.trail import note
 from app.http import errors
@@ -36,10 +36,12 @@ IfMatch = Annotated[
     status_code=status.HTTP_201_CREATED,
     responses=problems(InvalidSlug, MapExists, *errors.JSON_BODY, *errors.WRITING),
 )
-def create_map(wanted: Json[MapIn], running: Running, response: Response, asking: Asking) -> MapOut:
+def create_map(
+    wanted: Json[MapIn], running: Running, response: Response, caller: CurrentCaller
+) -> MapOut:
     """Make an empty map."""
     note("", map_slug=wanted.map)
-    asking.require_new_map(wanted.map)
+    caller.require_new_map(wanted.map)
     record = running.store.maps.create(wanted.map, wanted.description)
     response.headers["Location"] = f"/v1/maps/{record.slug}"
     return shown_map(record, running, response)
@@ -51,10 +53,10 @@ def create_map(wanted: Json[MapIn], running: Running, response: Response, asking
     responses=problems(errors.InvalidRequest, *errors.READING),
 )
 def list_maps(
-    running: Running, asking: Asking, after: After = "", limit: Limit = 100
+    running: Running, caller: CurrentCaller, after: After = "", limit: Limit = 100
 ) -> PageOut[MapOut]:
     """List the maps by name, those within the limits of the key."""
-    page = running.store.maps.list(after, limit, slugs=asking.maps)
+    page = running.store.maps.list(after, limit, slugs=caller.maps)
     default = running.settings.retention
     return page_out(page, lambda record: MapOut.from_record(record, default))
 
