@@ -12,13 +12,12 @@ from core.errors import InvalidMap, InvalidParameters
 from core.projection.imager import Grid, ImageKind, Imager, grid_from_attributes
 from core.projection.reducer import Reducer
 from core.projection.rings import RingGrid
-from core.scans.sensor import HDL_64E, sensor_named
+from core.scans.sensor import HDL_64E, HDL_64E_ON_KITTI_HEIGHT_M, sensor_named
 from core.text import flaw_in
 
 if TYPE_CHECKING:
     from core.encodings.base import Encoding
 
-HDL_64E_ON_KITTI_HEIGHT_M = 1.73  # KITTI's sensor set-up: above ground
 _LONGEST_SENSOR = 64
 
 
@@ -104,7 +103,7 @@ class MapParameters:
         encoding: str = DEFAULT_ENCODING,
         ranks: tuple[int, int] = (5, 5),
         reducer: Reducer | None = None,
-        sensor_height_m: float = HDL_64E_ON_KITTI_HEIGHT_M,
+        sensor_height_m: float | None = None,
         image: ImageKind | None = None,
         distance: Distance | None = None,
         lateral_renderings_m: Sequence[float] | None = None,
@@ -113,7 +112,8 @@ class MapParameters:
         """Return parameters for a known sensor; what is not given is the encoding's own default.
 
         The paper's are range images, `last`; the harmonic's are heights, `highest`, or on request
-        ranges, `mean`, `normalised`, and five renderings.
+        ranges, `mean`, `normalised`, and five renderings. A sensor without a usual height is
+        assumed as high as an HDL-64E.
 
         Raises:
             InvalidParameters: If the sensor or encoding is unknown, a value is out of its range or
@@ -132,7 +132,7 @@ class MapParameters:
             RingGrid()
             if kind == ImageKind.HEIGHT
             else replace(known.grid, wraps=encoder.wraps or known.grid.wraps),
-            sensor_height_m,
+            known.height_or_assumed_m(sensor_height_m),
             encoder.distance if distance is None else distance,
             offsets_m,
             segmentation,

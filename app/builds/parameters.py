@@ -15,7 +15,7 @@ from core.errors import InvalidParameters
 from core.parameters import MapParameters, Segmentation
 from core.projection.imager import LATERAL_RENDERINGS_M, ImageKind
 from core.projection.reducer import Reducer
-from core.scans.sensor import HDL_64E, SENSORS
+from core.scans.sensor import HDL_64E, SENSORS, sensor_named
 from core.segmentation import PAPER_SEGMENT_LENGTH
 
 _MOST = 2**31 - 1  # scans
@@ -142,7 +142,13 @@ class BuildParameters(BaseModel):
         f" {list(LATERAL_RENDERINGS_M)} by default, [0] for none.",
     )
     sensor: str = Field(HDL_64E.name, description=f"One of {', '.join(sorted(SENSORS))}.")
-    sensor_height_m: Number = Field(1.73, gt=0, lt=100, description="Sensor above ground.")
+    sensor_height_m: Number | None = Field(
+        None,
+        gt=0,
+        lt=100,
+        description=f"Sensor above ground; {HDL_64E.height_m} by default, the usual height of"
+        f" {HDL_64E.name}. Of another sensor that is an assumption, which the job notes.",
+    )
     poses: PoseCheck = Field(
         PoseCheck.CHECKED,
         description="`checked`: the scans of each drive are matched with those before it, and the"
@@ -229,6 +235,14 @@ class BuildParameters(BaseModel):
                 is not of this encoding.
         """
         return MapParameters.for_sensor(**{name: getattr(self, name) for name in _OF_MAP})
+
+    @property
+    def assumptions(self) -> list[str]:
+        """What is assumed as it was not given."""
+        if self.map_parameters().image != ImageKind.HEIGHT:
+            return []
+        note = sensor_named(self.sensor).height_note(self.sensor_height_m)
+        return [] if note is None else [note]
 
     def resolved(self) -> "BuildParameters":
         """Return them with the options that were left open as the map will have them.

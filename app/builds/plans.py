@@ -85,7 +85,7 @@ def plan_build(store: Store, map_id: str, parameters: BuildParameters) -> Plan:
         drives=[drive.slug for drive in drives],
         basis_kept_from=basis_kept_from,
         parameters=parameters.resolved(),
-        notes=notes,
+        notes=[*notes, *parameters.assumptions],
     )
 
 

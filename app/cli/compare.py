@@ -29,6 +29,7 @@ from app.cli.options import (
     SegmentsOption,
     SensorHeightOption,
     SensorOption,
+    height_m,
     numbers,
     require_folder,
 )
@@ -102,7 +103,7 @@ def compare(
     segment_length: SegmentLengthOption = None,
     segments: SegmentsOption = None,
     sensor: SensorOption = HDL_64E.name,
-    sensor_height_m: SensorHeightOption = 1.73,
+    sensor_height_m: SensorHeightOption = None,
     yaw_deg: YawOption = "0",
     lateral_m: LateralOption = "0",
     noise_m: NoiseOption = "0",
@@ -119,7 +120,10 @@ def compare(
     )
     names = default_methods() if methods is None else tuple(methods.split(","))
     chosen = methods_named(
-        names, sensor=sensor, sensor_height_m=sensor_height_m, segment_length=length
+        names,
+        sensor=sensor,
+        sensor_height_m=height_m(sensor, sensor_height_m),
+        segment_length=length,
     )
     protocol = ComparisonProtocol(
         pairing=_pairing(

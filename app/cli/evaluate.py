@@ -35,6 +35,7 @@ from app.cli.options import (
     SegmentsOption,
     SensorHeightOption,
     SensorOption,
+    height_m,
     numbers,
     ranks,
     require_folder,
@@ -46,6 +47,7 @@ from core.evaluation.evaluate import EvaluationProtocol
 from core.evaluation.evaluate import evaluate as evaluate_drive
 from core.evaluation.result import Evaluation
 from core.parameters import MapParameters, Segmentation
+from core.projection.imager import ImageKind
 from core.scans.sensor import HDL_64E
 
 
@@ -77,7 +79,7 @@ def evaluate(
     distance: DistanceOption = None,
     lateral_renderings: LateralRenderingsOption = None,
     sensor: SensorOption = HDL_64E.name,
-    sensor_height_m: SensorHeightOption = 1.73,
+    sensor_height_m: SensorHeightOption = None,
     split: SplitOption = None,
     yaw_deg: YawOption = "0",
     lateral_m: LateralOption = "0",
@@ -121,6 +123,8 @@ def evaluate(
         seed=seed,
         track=track,
     )
+    if protocol.parameters.image == ImageKind.HEIGHT:
+        height_m(sensor, sensor_height_m)  # notes one that is assumed
     mapped = opened(drive)
     queried = None if query_drive is None else opened(query_drive)
     elsewhere = [opened(path) for path in unknown or ()]

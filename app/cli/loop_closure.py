@@ -12,9 +12,9 @@ from app.cli.options import MIN_RETURNS, DriveArgument
 from app.loop_closures.schemas import LoopClosureOut
 from core.errors import InvalidParameters
 from core.loop_closure.closure import ACCEPT_FROM, check_scans
-from core.parameters import HDL_64E_ON_KITTI_HEIGHT_M
 from core.scans.drive import Drive
 from core.scans.scan import Scan
+from core.scans.sensor import HDL_64E_ON_KITTI_HEIGHT_M
 from storage.formats.drives.layouts import open_drive
 
 

@@ -51,7 +51,7 @@ def build(
     distance: options.DistanceOption = None,
     lateral_renderings: options.LateralRenderingsOption = None,
     sensor: options.SensorOption = HDL_64E.name,
-    sensor_height_m: options.SensorHeightOption = 1.73,
+    sensor_height_m: options.SensorHeightOption = None,
     keep_basis: Annotated[
         Path | None,
         typer.Option(
@@ -102,7 +102,7 @@ def build(
         of_drive = f" of {name}" if len(recorded) > 1 else ""
         for skipped in of_it:
             say(f"left out scan {skipped.scan}{of_drive}: {skipped.reason}")
-    for note in built.notes:
+    for note in (*parameters.assumptions, *built.notes):
         say(note)
     compression = built.compression
     say(

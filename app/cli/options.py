@@ -13,7 +13,7 @@ from core.encodings.registry import encoding_names
 from core.parameters import Segmentation
 from core.projection.imager import ImageKind
 from core.projection.reducer import Reducer
-from core.scans.sensor import SENSORS
+from core.scans.sensor import HDL_64E, SENSORS, sensor_named
 from storage.formats.scans.registry import FORMAT_NAMES
 
 MIN_RETURNS = 100
@@ -91,7 +91,23 @@ PosesOption = Annotated[
     ),
 ]
 SensorOption = Annotated[str, _build(help=f"One of {', '.join(sorted(SENSORS))}.")]
-SensorHeightOption = Annotated[float, _build(help="Sensor above ground, in metres.")]
+SensorHeightOption = Annotated[
+    float | None,
+    _build(help=f"Sensor above ground, in metres. [{HDL_64E.height_m}: {HDL_64E.name} on a car]"),
+]
+
+
+def height_m(sensor: str, given_m: float | None) -> float:
+    """Return the sensor's height above ground; one that is only assumed is noted.
+
+    Raises:
+        InvalidParameters: If there is no such sensor.
+    """
+    known = sensor_named(sensor)
+    note = known.height_note(given_m)
+    if note is not None:
+        typer.echo(f"tensormap: {note}", err=True)
+    return known.height_or_assumed_m(given_m)
 
 
 def require_folder(path: Path) -> None:

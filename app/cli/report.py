@@ -14,6 +14,7 @@ from app.cli.options import (
     SensorHeightOption,
     SensorOption,
     checked,
+    height_m,
     ranks,
     require_folder,
 )
@@ -87,7 +88,7 @@ def report(
         int | None, typer.Option(min=1, help="Ask at most so many scans. [200; quick: 60]")
     ] = None,
     sensor: SensorOption = HDL_64E.name,
-    sensor_height_m: SensorHeightOption = 1.73,
+    sensor_height_m: SensorHeightOption = None,
     seed: Annotated[int, typer.Option(min=0, help="Of the noise.")] = 0,
     json_out: JsonOption = None,
 ) -> None:
@@ -95,9 +96,10 @@ def report(
     _require_drawing()
     for path in (out, *([] if json_out is None else [json_out])):
         require_folder(path)
+    above_ground_m = height_m(sensor, sensor_height_m)
     protocol = StudyProtocol(
         parameters=tuple(
-            MapParameters.for_sensor(sensor, encoding=each, sensor_height_m=sensor_height_m)
+            MapParameters.for_sensor(sensor, encoding=each, sensor_height_m=above_ground_m)
             for each in dict.fromkeys(encoding or encoding_names())
         ),
         max_queries=max_questions or (60 if quick else 200),

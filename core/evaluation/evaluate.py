@@ -60,11 +60,11 @@ def evaluate(
 ) -> Evaluation:
     """Evaluate localization on a drive against itself, or against a second pass.
 
-    Segments are cut over all scans of the drive, then split; unlike a build's, not where the drive
-    meets itself. With a query drive the whole of `drive` is the map, both share one world frame,
-    and a query's true segment is that of the nearest map scan. Scans of `unknown` drives, which
-    share no place with the map, are queried under the same conditions: whatever the map answers
-    them is wrong.
+    Segments are cut over all scans of the drive, then split; unlike a build's, neither at turns
+    nor where the drive meets itself. With a query drive the whole of `drive` is the map, both share
+    one world frame, and a query's true segment is that of the nearest map scan. Scans of `unknown`
+    drives, which share no place with the map, are queried under the same conditions: whatever the
+    map answers them is wrong.
 
     Raises:
         EmptyDrive: If a drive has no scan, or the map's no usable one.

@@ -30,6 +30,7 @@ from core.projection.images import (
 from core.scans.drive import Drive, IndexedDrive
 from core.scans.trajectory import Trajectory
 from core.segmentation import cut_drives, cut_fixed, cut_unequal, segment_length_for
+from core.segmentation.turns import cut_at_turns
 from core.topology import cut_at_meetings
 
 
@@ -165,7 +166,7 @@ def build(
         segment_length: k, in usable scans.
         segments: L instead: k = ceil(K / L) of the longest drive's K usable scans.
         segment_start: `(L + 1,)` positions in the only drive where segments begin, and its length:
-            instead of cuts over usable scans and where drives meet.
+            instead of cuts over usable scans, at turns and where drives meet.
         kept: The basis of another map to keep; signatures that were made with it stay good.
         calibrated: Whether the map's probes are asked for its calibration.
         progress: Receives every stage; may raise `Cancelled`.
@@ -189,7 +190,7 @@ def build(
     if segment_start is None:
         longest = max(map(len, images))
         length = segment_length_for(longest, segment_length=segment_length, segments=segments)
-        cuts = cut_at_meetings(trajectory, _cut(joined, trajectory, length, parameters, progress))
+        cuts = _cut(joined, trajectory, length, parameters, progress)
     else:
         cuts = rows_of_cuts(images[0].scans, segment_start)
     grams: dict[str, FloatArray] | None = None
@@ -260,9 +261,15 @@ def _cut(
     parameters: MapParameters,
     progress: Progress,
 ) -> IntArray:
-    if parameters.segmentation == Segmentation.FIXED:
-        return cut_drives(trajectory.drive_start, segment_length)
-    return cut_unequal(images, trajectory, segment_length, parameters, progress)
+    if parameters.segmentation == Segmentation.UNEQUAL:
+        cuts = cut_unequal(images, trajectory, segment_length, parameters, progress)
+    else:
+        cuts = cut_drives(trajectory.drive_start, segment_length)
+        # A cut costs nothing where all segments share a basis; otherwise each has one of its own,
+        # and the paper's are of equal length.
+        if parameters.encoder.shares_basis:
+            cuts = cut_at_turns(trajectory, cuts)
+    return cut_at_meetings(trajectory, cuts)
 
 
 def rows_of_cuts(scans: IntArray, segment_start: IntArray) -> IntArray:

@@ -8,6 +8,7 @@ import numpy as np
 from core.arrays import FloatArray
 from core.errors import InvalidParameters
 
+HDL_64E_ON_KITTI_HEIGHT_M = 1.73  # KITTI's sensor set-up: above ground
 _MIN_STEP_DEG = 1e-3
 MAX_CELLS = 4_000_000
 """Of a grid: one of a hundredth of a degree is a typing error, not a sensor."""
@@ -106,12 +107,30 @@ class Sensor:
     Attributes:
         name: The short name that commands, requests and maps use.
         grid: Default lattice; one row per beam where beams are evenly spaced.
-        source: Where the figures stand.
+        source: Where the figures are published.
+        height_m: Its usual height above ground, `None` if vehicles differ.
     """
 
     name: str
     grid: AngularGrid
     source: str
+    height_m: float | None = None
+
+    def height_or_assumed_m(self, given_m: float | None = None) -> float:
+        """Return the height above ground: as given, the sensor's own, or that of an HDL-64E."""
+        if given_m is not None:
+            return given_m
+        return HDL_64E_ON_KITTI_HEIGHT_M if self.height_m is None else self.height_m
+
+    def height_note(self, given_m: float | None) -> str | None:
+        """Return a note if the height is neither given nor known."""
+        if given_m is not None or self.height_m is not None:
+            return None
+        return (
+            f"sensor_height_m is not given and {self.name} has no default:"
+            f" {HDL_64E_ON_KITTI_HEIGHT_M} m above ground is assumed; give the height of yours,"
+            " as height images depend on it"
+        )
 
 
 def _even_beams(lowest_deg: float, highest_deg: float, beams: int) -> AngularGrid:
@@ -123,6 +142,7 @@ HDL_64E = Sensor(
     "hdl-64e",
     AngularGrid(),
     "paper, sec. 2.1: 26.3 deg of elevation, 30 whole degrees -25..4",
+    HDL_64E_ON_KITTI_HEIGHT_M,
 )
 
 SENSORS: dict[str, Sensor] = {

@@ -1,4 +1,4 @@
-"""Where a drive turns, by its poses."""
+"""Where a drive turns, by its poses: there the graph has nodes (paper, sec. 1)."""
 
 from collections.abc import Iterator
 
@@ -6,6 +6,7 @@ import numpy as np
 
 from core.arrays import FloatArray, IntArray
 from core.scans.trajectory import Trajectory
+from core.topology.joining import CUT_M
 from core.topology.lines import SAMPLE_M, Line, driven_lines
 
 TURN_DEG = 50.0
@@ -21,6 +22,26 @@ def turns(trajectory: Trajectory) -> IntArray:
     """
     rows = {row for line in driven_lines(trajectory) for row in _turns_of(line)}
     return np.array(sorted(rows), dtype=np.int64)
+
+
+def cut_at_turns(trajectory: Trajectory, segment_start: IntArray) -> IntArray:
+    """Cut segments in the middle of turns too, `(L' + 1,)` starts and the end.
+
+    A turn within `CUT_M` of a cut has its node there. Without poses nothing is cut.
+
+    Args:
+        trajectory: Of all drives.
+        segment_start: `(L + 1,)` rows where segments begin, and K.
+    """
+    added: list[int] = []
+    for line in driven_lines(trajectory):
+        first, last = np.searchsorted(segment_start, [line.row[0], line.row[-1] + 1])
+        cuts_m = line.arc_at(segment_start[first:last])
+        for row in _turns_of(line):
+            if not (np.abs(cuts_m - line.arc_at(row)) <= CUT_M).any():
+                added.append(row)
+                cuts_m = np.append(cuts_m, line.arc_at(row))
+    return np.union1d(segment_start, np.array(added, dtype=np.int64))
 
 
 def _turns_of(line: Line) -> Iterator[int]:

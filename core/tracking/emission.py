@@ -5,13 +5,12 @@ from typing import Protocol
 
 import numpy as np
 
-from core.arrays import BoolArray, FloatArray
+from core.arrays import FloatArray
+from core.confidence.places import away_from
 from core.encodings.signature import Signature
 from core.mapping.tensormap import TensorMap
 
 _SAMPLED = 32  # scans of the map that are compared with all others
-_ELSEWHERE_M = 10.0
-_ELSEWHERE_SCANS = 50  # 5 s at 10 Hz; counts where poses are unknown
 _RARE = 0.1  # quantile: a tenth of the map's scans have one elsewhere that is as near
 _RESOLVED = 0.5  # of what one scan changes to the next
 _FAR = 10.0
@@ -58,8 +57,8 @@ class DistanceSpread:
         queries = model.own_queries(rows.tolist(), tensor_map.revision)
         for row, signatures in zip(rows.tolist(), queries, strict=True):
             distances = model.search(signatures).distances()
-            away = distances[_elsewhere(tensor_map, row)]
-            elsewhere.append(float(away.min(initial=np.inf)))
+            away = away_from(tensor_map.trajectory, row)
+            elsewhere.append(float(distances[away].min(initial=np.inf)))
             after = row + 1
             # Signatures of two segments may not compare.
             if (
@@ -125,15 +124,3 @@ class Emission:
 def own_signatures(tensor_map: TensorMap, row: int) -> tuple[Signature, ...]:
     """Return the signatures that a query at scan `row` would send, as far as the map has them."""
     return next(tensor_map.model.own_queries([row], tensor_map.revision))
-
-
-def _elsewhere(tensor_map: TensorMap, row: int) -> BoolArray:
-    """Return which scans are elsewhere than scan `row`, `(K,)`."""
-    trajectory = tensor_map.trajectory
-    drive, index = trajectory.drive_of_scan, trajectory.scan_index
-    by_scans = (drive == drive[row]) & (np.abs(index - index[row]) >= _ELSEWHERE_SCANS)
-    if not trajectory.known[row]:
-        return np.asarray(by_scans)
-    positions_m = trajectory.poses[:, :3]
-    apart_m = np.linalg.norm(positions_m - positions_m[row], axis=1)
-    return np.asarray(np.where(trajectory.known, apart_m >= _ELSEWHERE_M, by_scans))

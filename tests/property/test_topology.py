@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from core.arrays import FloatArray, IntArray
 from core.scans.trajectory import Trajectory
 from core.segmentation import cut_drives
+from core.segmentation.turns import cut_at_turns
 from core.topology import Topology, cut_at_meetings, join_segments, segment_ends
 
 steps_m = st.floats(0.8, 4.0)
@@ -38,7 +39,8 @@ def trajectory(*drives: FloatArray) -> Trajectory:
 
 
 def graph(mapped: Trajectory, length: int) -> tuple[Topology, IntArray]:
-    cuts = cut_at_meetings(mapped, cut_drives(mapped.drive_start, length))
+    cuts = cut_at_turns(mapped, cut_drives(mapped.drive_start, length))
+    cuts = cut_at_meetings(mapped, cuts)
     return join_segments(mapped, cuts), cuts
 
 

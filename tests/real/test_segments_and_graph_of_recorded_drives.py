@@ -9,7 +9,7 @@ from core.evaluation.split import Every
 from core.parameters import MapParameters, Segmentation
 from core.scans.trajectory import Trajectory
 from core.segmentation import cut_drives
-from core.segmentation.turns import turns
+from core.segmentation.turns import cut_at_turns, turns
 from core.topology import cut_at_meetings, join_segments
 from tests.support.recorded_drives import Drives
 
@@ -24,6 +24,9 @@ def of_drive(drives: Drives, name: str) -> Trajectory:
 def test_kitti00_turns_four_times_and_the_others_never(drives: Drives) -> None:
     # Headings change by some 90 degrees at scans 45, 80, 165 and 212.
     assert np.abs(turns(of_drive(drives, "kitti00")) - [45, 80, 165, 212]).max() <= 6
+    mapped = of_drive(drives, "kitti00")
+    cuts = cut_at_turns(mapped, cut_drives(mapped.drive_start, 760))
+    assert cuts.tolist() == [0, *turns(mapped), len(mapped)]
     assert not len(turns(of_drive(drives, "kitti_drive0001")))
     assert not len(turns(of_drive(drives, "kit_muehlburger")))
 

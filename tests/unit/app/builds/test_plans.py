@@ -80,3 +80,26 @@ def test_what_is_gone_since_it_was_planned_fails_the_build_by_name(store, map_id
     store.drives.delete("campus", "tuesday")
     with pytest.raises(DriveNotFound):
         build_revision(store, map_id, plan)
+
+
+@pytest.mark.parametrize(
+    ("chosen", "noted"),
+    [
+        ({"sensor": "os1-64"}, True),
+        ({"sensor": "os1-64", "sensor_height_m": 2.1}, False),
+        ({"sensor": "os1-64", "encoding": "paper"}, False),
+        ({"sensor": "hdl-64e"}, False),
+    ],
+)
+def test_a_plan_notes_a_height_that_it_assumes(store, map_id, chosen, noted):
+    plan = plan_build(store, map_id, BuildParameters(segments=2, **chosen))
+    assert plan.parameters.sensor_height_m == chosen.get("sensor_height_m", 1.73)
+    assert any("1.73 m above ground is assumed" in note for note in plan.notes) is noted
+
+
+def test_a_build_on_a_base_takes_its_height_over_and_notes_nothing(store, map_id):
+    first = plan_build(store, map_id, BuildParameters(segments=2, sensor="os1-64"))
+    build_revision(store, map_id, first)
+    put(store, "alpha")
+    again = plan_build(store, map_id, BuildParameters(base="live", add=["alpha"]))
+    assert (again.parameters.sensor_height_m, again.notes) == (1.73, [])
