@@ -1,4 +1,4 @@
-"""Jobs: what the service does in the background."""
+"""Jobs: builds in the background."""
 
 from collections.abc import AsyncIterator
 from contextlib import AbstractContextManager
@@ -41,7 +41,7 @@ _EVENT = {
 
 JobId = Annotated[str, Path(alias="job", description="The job's id.")]
 LastEventId = Annotated[
-    str | None, Header(max_length=200, description="Of the last event that the client was told.")
+    str | None, Header(max_length=200, description="Of the last event that the client received.")
 ]
 OfMap = Annotated[str | None, Query(alias="map", description="Only the jobs of this map.")]
 
@@ -71,7 +71,7 @@ def list_jobs(
     responses=problems(JobNotFound, *READING),
 )
 def get_job(job_id: JobId, running: Running, caller: CurrentCaller) -> JobOut:
-    """Show a job and how far it is."""
+    """Show a job and its progress."""
     return JobOut.from_record(job_of(running, caller, job_id))
 
 
@@ -81,10 +81,10 @@ def get_job(job_id: JobId, running: Running, caller: CurrentCaller) -> JobOut:
     response_class=Response,
     responses={
         200: {
-            "description": "The job whenever it has got further.",
+            "description": "The job whenever it has changed.",
             "content": {_EVENTS: {"itemSchema": _EVENT}},
         },
-        204: {"description": "It has ended, and the client was told so: do not come back."},
+        204: {"description": "It has ended, and the client received its end: do not reconnect."},
         **problems(JobNotFound, InvalidRequest, TooManyStreams, TooManyStreamsOfKey, *READING),
     },
 )
@@ -95,10 +95,10 @@ def follow_job(
     request: Request,
     last_event_id: LastEventId = None,
 ) -> Response:
-    """Follow a job: an event now and whenever it has got further, each the whole job as JSON.
+    """Follow a job: an event now and whenever it changes, each the whole job as JSON.
 
-    The stream ends when the job has, or the key is revoked. `Last-Event-ID`, as a browser sends it
-    when it comes back, leaves out what was seen.
+    The stream ends when the job ends, or the key is revoked. With `Last-Event-ID`, which a browser
+    sends when it reconnects, an event that was received is not repeated.
     """
     record = job_of(running, caller, job_id)
     if record.ended and last_event_id == event_id(record):
@@ -122,7 +122,7 @@ class _Followed(StreamingResponse):
     def __init__(
         self, events: AsyncIterator[bytes], while_open: AbstractContextManager[None]
     ) -> None:
-        # Proxies that buffer would hold back what is meant for now.
+        # Proxies that buffer would delay the events.
         headers = {"Cache-Control": "no-store", "X-Accel-Buffering": "no"}
         super().__init__(events, media_type=_EVENTS, headers=headers)
         self._while_open = while_open
@@ -143,7 +143,7 @@ def job_of(running: Service, caller: Caller, job_id: str) -> JobRecord:
         try:
             of_map = running.store.maps.get_by_id(job.map_id).slug
         except MapNotFound:
-            of_map = ""  # it went a moment ago, and its jobs with it
+            of_map = ""  # it was deleted just now, with its jobs
         if not caller.sees(of_map):
             raise JobNotFound(f"there is no job {job_id[:80]!r}")
     return job

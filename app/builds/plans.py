@@ -1,4 +1,4 @@
-"""What a build is to be made of: which drives in which order, and whose basis."""
+"""Plans of builds: which drives in which order, and whose basis."""
 
 from collections.abc import Sequence
 from datetime import UTC, datetime, timedelta
@@ -16,45 +16,45 @@ from storage.store import Store
 
 
 class Plan(BaseModel):
-    """A build with all that was left open chosen when it was queued."""
+    """A build with all its choices made when it was queued."""
 
     model_config = ConfigDict(frozen=True)
 
-    drives: list[str] = Field(description="The drives that it is built of, in their order.")
+    drives: list[str] = Field(description="The drives that it is built from, in their order.")
     basis_kept_from: str | None = Field(
         description="The revision whose basis it keeps; null if it fits one."
     )
     parameters: BuildParameters = Field(
-        description="What was asked for, with the options that were left open; with `base`, as"
-        " that revision was built."
+        description="The requested ones, with defaults filled in; with `base`, those of that"
+        " revision."
     )
-    notes: list[str] = Field(description="What whoever asked for it should know of the choice.")
+    notes: list[str] = Field(description="Notes on these choices for the client.")
 
 
 _Based = tuple[RevisionRecord, MapParameters, tuple[str, ...]]
-"""A revision, and what its file tells of it: its parameters and drives."""
+"""A revision, and the parameters and drives of its file."""
 
 
 def plan_build(store: Store, map_id: str, parameters: BuildParameters) -> Plan:
     """Choose the drives and the basis of a build, from the catalog and the heads of files.
 
-    A build of all drives leaves out those without a scan, as a mistyped name makes with its poses.
-    A harmonic map keeps the basis of the revision that it is based on, or else of the live one if
-    that makes the same signatures of a scan, unless `refit` asks for another.
+    A build of all drives leaves out those without a scan: poses under a mistyped name create such a
+    drive. A harmonic map keeps the basis of the revision that it is based on, or else of the live
+    one if that makes the same signatures of a scan, unless `refit` is set.
 
     Raises:
-        MapNotFound: If the map is gone.
+        MapNotFound: If the map was deleted.
         NoLiveRevision: If the build is based on the live revision and there is none.
-        RevisionNotFound: If it is based on one that is not there.
+        RevisionNotFound: If it is based on an unknown one.
         AmbiguousRevision: If the map has several revisions of that prefix.
-        UnknownDrive: If a drive is to be left out that the base does not have.
+        UnknownDrive: If a drive of `remove` is not in the base.
         DriveNotFound: If the map lacks one of the drives.
-        EmptyDrive: If no drive is left, or one that is named has no scan.
+        EmptyDrive: If no drive is left, or a named one has no scan.
         InvalidParameters: If parameters do not fit, or differ from the base's.
         CorruptFile: If the file of the revision whose basis would be kept is damaged.
     """
     if parameters.base is None:
-        parameters.map_parameters()  # refuses what does not fit, before anything is read
+        parameters.map_parameters()  # rejects what does not fit, before anything is read
     base = _base(store, map_id, parameters)
     names: Sequence[str]
     notes: list[str] = []
@@ -68,8 +68,8 @@ def plan_build(store: Store, map_id: str, parameters: BuildParameters) -> Plan:
         parameters = parameters.on_base(record.digest, record.parameters)
         if parameters.map_parameters() != built_with:
             raise InvalidParameters(
-                f"base {record.digest[:12]} was built with parameters that its record does not"
-                " tell: build without base"
+                f"base {record.digest[:12]} was built with other parameters than its record has:"
+                " build without base"
             )
         names = _changed(store, map_id, base, parameters)
     drives = _stored(store, map_id, names)
@@ -94,7 +94,7 @@ def unreadable_basis(error: CorruptFile) -> CorruptFile:
     return CorruptFile(
         f"{error}: a build keeps the basis of the live revision, which cannot be read. Send"
         " refit: true to fit a new basis, which vehicles then download; or, to keep one,"
-        " first make a revision live whose file is good, imported or built before"
+        " first make a revision live whose file can be read, imported or built before"
     )
 
 

@@ -1,4 +1,4 @@
-"""Whether the client of a request still waits for its answer."""
+"""The client of a request: whether it still waits for the answer."""
 
 import asyncio
 from collections.abc import Iterator

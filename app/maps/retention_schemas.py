@@ -1,4 +1,4 @@
-"""What a map keeps, over the wire."""
+"""Retention over the wire."""
 
 from typing import Annotated, Literal
 
@@ -12,11 +12,11 @@ RetainedForDays = Annotated[float, Field(ge=0, le=LONGEST_DAYS, allow_inf_nan=Fa
 
 _COUNT = "How many revisions are kept besides the live and the newest one, or `all`."
 _AGE = "How long any revision is kept after it was built or, if it was live, replaced."
-_RAW = "What becomes of the returns of closed drives that the live revision was built of."
+_RAW = "Whether the returns of closed drives in the live revision are kept or dropped."
 
 
 class RetentionPatch(BaseModel):
-    """What changes of what a map keeps; null goes back to the service's default."""
+    """Changes of a map's retention; null restores the service's default."""
 
     model_config = ConfigDict(
         extra="forbid",
@@ -29,7 +29,7 @@ class RetentionPatch(BaseModel):
 
 
 class OwnRetentionOut(Shown):
-    """What a map chose to keep; null where the service's default is in force."""
+    """A map's own retention; null where the service's default is in force."""
 
     retained_revisions: RetainedRevisions | None = Field(description=_COUNT)
     retained_for_days: RetainedForDays | None = Field(description=_AGE)
@@ -37,7 +37,7 @@ class OwnRetentionOut(Shown):
 
 
 class RetentionOut(Shown):
-    """What is in force."""
+    """The retention in force."""
 
     retained_revisions: RetainedRevisions = Field(description=_COUNT)
     retained_for_days: RetainedForDays = Field(description=_AGE)

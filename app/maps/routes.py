@@ -24,7 +24,7 @@ _ETAG = re.compile(r'\s*(?:\*|(?:W/)?"([0-9]{1,18})")\s*')
 IfMatch = Annotated[
     str | None,
     Header(
-        description="The ETag that was seen: change only that version.",
+        description="An ETag of the map: change only that version.",
         json_schema_extra={"pattern": r'^(\*|(W/)?"[0-9]{1,18}")$'},
     ),
 ]
@@ -37,12 +37,12 @@ IfMatch = Annotated[
     responses=problems(InvalidSlug, MapExists, *errors.JSON_BODY, *errors.WRITING),
 )
 def create_map(
-    wanted: Json[MapIn], running: Running, response: Response, caller: CurrentCaller
+    sent: Json[MapIn], running: Running, response: Response, caller: CurrentCaller
 ) -> MapOut:
-    """Make an empty map."""
-    note("", map_slug=wanted.map)
-    caller.require_new_map(wanted.map)
-    record = running.store.maps.create(wanted.map, wanted.description)
+    """Create an empty map."""
+    note("", map_slug=sent.map)
+    caller.require_new_map(sent.map)
+    record = running.store.maps.create(sent.map, sent.description)
     response.headers["Location"] = f"/v1/maps/{record.slug}"
     return shown_map(record, running, response)
 
@@ -84,7 +84,7 @@ def update_map(
     response: Response,
     if_match: IfMatch = None,
 ) -> MapOut:
-    """Change a map's description, or what is kept of it."""
+    """Change a map's description or retention."""
     kept = None if change.retention is None else change.retention.model_dump(exclude_unset=True)
     if kept:
         note("retention " + ", ".join(f"{name}={value}" for name, value in kept.items()))
@@ -106,18 +106,18 @@ def update_map(
     responses=problems(MapNotFound, MapChanged, errors.InvalidRequest, *errors.WRITING),
 )
 def delete_map(map_slug: MapSlug, running: Running, if_match: IfMatch = None) -> None:
-    """Remove a map with its drives, revisions and jobs."""
+    """Delete a map with its drives, revisions and jobs."""
     running.store.maps.delete(map_slug, if_version=version_seen(if_match))
 
 
 def shown_map(record: MapRecord, running: Service, response: Response) -> MapOut:
-    """Return a map's answer, with the ETag of its version in the head."""
+    """Return a map, with the ETag of its version in the head."""
     response.headers["ETag"] = f'"{record.version}"'
     return MapOut.from_record(record, running.settings.retention)
 
 
 def version_seen(if_match: str | None) -> int | None:
-    """Return the version that a client saw, `None` if any will do.
+    """Return the version of an If-Match, `None` if every version matches.
 
     Raises:
         InvalidRequest: If it is no ETag of a map.

@@ -26,7 +26,7 @@ class MapIn(BaseModel):
 
 
 class MapPatch(BaseModel):
-    """What changes of a map; what is not given stays."""
+    """Changes of a map; what is not given stays."""
 
     model_config = ConfigDict(
         extra="forbid",
@@ -38,7 +38,7 @@ class MapPatch(BaseModel):
 
     description: Lines | None = Field(None, max_length=2000)
     retention: RetentionPatch | None = Field(
-        None, description="What is kept; what no policy keeps any more is removed at once."
+        None, description="What is kept; what is no longer kept is removed at once."
     )
 
     @model_validator(mode="after")
@@ -59,12 +59,12 @@ class MapOut(Shown):
         description="Digest of the revision that answers scan queries; null before the first build."
     )
     retention: OwnRetentionOut = Field(
-        description="What the map chose to keep; null where the service's default is in force."
+        description="The map's own retention; null where the service's default is in force."
     )
     retention_in_force: RetentionOut
 
     @classmethod
     def from_record(cls, record: MapRecord, default: Retention) -> "MapOut":
-        """Show a map's record, with what is kept by default."""
+        """Show a map's record, with the default retention."""
         in_force = RetentionOut.of(record.retention.over(default))
         return cls.of(record, map=record.slug, retention_in_force=in_force)

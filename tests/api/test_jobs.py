@@ -12,6 +12,7 @@ import pytest
 
 from app.builds import runner as runner_module
 from app.builds.worker import run_build
+from app.settings import Settings
 from core.scans.scan import Scan
 from storage.catalog import JobState
 from storage.errors import JobNotFound, StorageBusy, StorageUnavailable
@@ -293,7 +294,7 @@ def claimed(tmp_path):
 def test_a_worker_that_is_asked_to_stop_publishes_nothing(tmp_path, claimed):
     store, job = claimed
     store.jobs.request_cancel(job.id)
-    run_build(tmp_path, None, job)
+    run_build(Settings(data_dir=tmp_path), job)
     assert store.jobs.get(job.id).state == JobState.CANCELLED
     assert store.revisions.list("campus").items == ()
     assert not list(tmp_path.rglob("*.part"))
@@ -302,7 +303,7 @@ def test_a_worker_that_is_asked_to_stop_publishes_nothing(tmp_path, claimed):
 def test_a_worker_whose_map_is_removed_ends_quietly(tmp_path, claimed):
     store, job = claimed
     store.maps.delete("campus")
-    run_build(tmp_path, None, job)
+    run_build(Settings(data_dir=tmp_path), job)
     with pytest.raises(JobNotFound):
         store.jobs.get(job.id)
 

@@ -6,7 +6,7 @@ import logging
 
 import pytest
 
-from app.http.logs import _JsonLine
+from app.http.logs import LineFormatter, LogFormat
 from tests.support.recording import KITTI, recording, upload_scan
 from tests.support.service import problem_of, running
 
@@ -16,7 +16,7 @@ def logged():
     """What the service logs while a test runs, as JSON."""
     written = io.StringIO()
     handler = logging.StreamHandler(written)
-    handler.setFormatter(_JsonLine())
+    handler.setFormatter(LineFormatter(LogFormat.JSON))
     logger = logging.getLogger("tensormap")
     kept = logger.level
     logger.addHandler(handler)
