@@ -20,8 +20,8 @@ from app.builds import job_routes
 from app.builds import routes as builds
 from app.builds.job_events import JobEvents
 from app.builds.runner import JobRunner
-from app.drives import pose_routes, upload_routes
 from app.drives import routes as drives
+from app.drives import upload_routes
 from app.http import health_routes
 from app.http.bodies.spool import SpoolRoom
 from app.http.bodies.unread import UnreadBody
@@ -53,21 +53,26 @@ from storage.store import Store
 _DESCRIPTION = """Stores LiDAR topological maps and answers *where am I?* from one scan, or from a
 signature of some 60 bytes. Post scans to a drive, build, localize."""
 _API = (
-    maps,
-    drives,
-    upload_routes,
-    pose_routes,
-    builds,
-    job_routes,
-    revisions,
-    comparison_routes,
-    localizations,
-    loop_closures,
-    tracks,
-    key_routes,
-    audit_routes,
+    maps.reading,
+    maps.writing,
+    drives.reading,
+    drives.writing,
+    drives.scans,
+    upload_routes.reading,
+    upload_routes.writing,
+    builds.router,
+    job_routes.reading,
+    job_routes.writing,
+    revisions.router,
+    comparison_routes.router,
+    localizations.router,
+    loop_closures.router,
+    tracks.router,
+    key_routes.keys,
+    key_routes.tokens,
+    audit_routes.router,
 )
-"""Modules with routes under /v1, all behind the key; each route declares the scope it needs."""
+"""The routers under /v1, all behind the key; each or its routes declare the scope they need."""
 _HEADERS_OF_PAGES = (
     "Authorization",
     "Content-Digest",
@@ -135,8 +140,8 @@ def _routes() -> tuple[BaseRoute, ...]:
     """Return the routes, the same in every application: making them takes long."""
     router = APIRouter()
     api = APIRouter(prefix="/v1", dependencies=[Depends(require_access)], responses=problems(*KEY))
-    for module in _API:
-        api.include_router(module.router)
+    for part in _API:
+        api.include_router(part)
     router.include_router(api)
     # FastAPI's dependencies for keys are of requests: a stream checks its caller itself.
     router.include_router(stream_routes.router, prefix="/v1")

@@ -16,7 +16,7 @@ from app.http.shown import Shown
 from app.service import Running
 from storage.catalog import AuditRecord
 
-router = pooled_router(tags=["access"])
+router = pooled_router(tags=["access"], dependencies=[needs(Scope.ADMIN)])
 
 AfterEntry = Annotated[
     int,
@@ -56,11 +56,7 @@ class AuditEntryOut(Shown):
         return cls.of(record, entry=record.seq, key=record.key_id, map=record.map_slug)
 
 
-@router.get(
-    "/audit",
-    dependencies=[needs(Scope.ADMIN)],
-    responses=problems(InvalidRequest, *READING),
-)
+@router.get("/audit", responses=problems(InvalidRequest, *READING))
 def list_audit(
     running: Running,
     after: AfterEntry = 0,

@@ -22,19 +22,15 @@ from core.errors import InvalidParameters
 from storage.errors import InvalidSlug, KeyNotFound
 from storage.names import checked_slug
 
-router = pooled_router(tags=["access"])
+keys = pooled_router(tags=["access"], dependencies=[needs(Scope.ADMIN)])
+tokens = pooled_router(tags=["access"], dependencies=[needs(*ANY_SCOPE)])
 
 KeyId = Annotated[str, Path(alias="key", description="The key's id.")]
 
 _MAKING = problems(InvalidParameters, InvalidSlug, *errors.JSON_BODY, *errors.WRITING)
 
 
-@router.post(
-    "/keys",
-    dependencies=[needs(Scope.ADMIN)],
-    status_code=status.HTTP_201_CREATED,
-    responses=_MAKING,
-)
+@keys.post("/keys", status_code=status.HTTP_201_CREATED, responses=_MAKING)
 def make_key(sent: Json[KeyIn], running: Running, response: Response) -> KeyMade:
     """Make a key; its secret is in this answer and nowhere else.
 
@@ -56,32 +52,20 @@ def make_key(sent: Json[KeyIn], running: Running, response: Response) -> KeyMade
     return KeyMade(**KeyOut.from_record(record).model_dump(), secret=made.text)
 
 
-@router.get(
-    "/keys",
-    dependencies=[needs(Scope.ADMIN)],
-    responses=problems(InvalidParameters, errors.InvalidRequest, *errors.READING),
-)
+@keys.get("/keys", responses=problems(InvalidParameters, errors.InvalidRequest, *errors.READING))
 def list_keys(running: Running, after: After = "", limit: Limit = 100) -> PageOut[KeyOut]:
     """List the keys in the order in which they were made, revoked ones too."""
     page = running.store.keys.list(after, limit)
     return page_out(page, KeyOut.from_record)
 
 
-@router.get(
-    "/keys/{key}",
-    dependencies=[needs(Scope.ADMIN)],
-    responses=problems(KeyNotFound, *errors.READING),
-)
+@keys.get("/keys/{key}", responses=problems(KeyNotFound, *errors.READING))
 def get_key(key_id: KeyId, running: Running) -> KeyOut:
     """Show a key."""
     return KeyOut.from_record(running.store.keys.get(key_id))
 
 
-@router.delete(
-    "/keys/{key}",
-    dependencies=[needs(Scope.ADMIN)],
-    responses=problems(KeyNotFound, *errors.WRITING),
-)
+@keys.delete("/keys/{key}", responses=problems(KeyNotFound, *errors.WRITING))
 def revoke_key(key_id: KeyId, running: Running) -> KeyOut:
     """Revoke a key at once and for good: the next request with it is rejected.
 
@@ -91,12 +75,7 @@ def revoke_key(key_id: KeyId, running: Running) -> KeyOut:
     return KeyOut.from_record(running.store.keys.revoke(key_id))
 
 
-@router.post(
-    "/tokens",
-    dependencies=[needs(*ANY_SCOPE)],
-    status_code=status.HTTP_201_CREATED,
-    responses=_MAKING,
-)
+@tokens.post("/tokens", status_code=status.HTTP_201_CREATED, responses=_MAKING)
 def exchange_token(
     sent: Json[TokenIn], running: Running, caller: CurrentCaller, response: Response
 ) -> TokenMade:

@@ -23,7 +23,8 @@ from core.errors import InvalidParameters
 from storage.catalog import JobRecord
 from storage.errors import JobNotFound, MapNotFound
 
-router = pooled_router(tags=["builds"])
+reading = pooled_router(tags=["builds"], dependencies=[needs(Scope.MAPS_READ, Scope.MAPS_WRITE)])
+writing = pooled_router(tags=["builds"], dependencies=[needs(Scope.MAPS_WRITE)])
 
 _EVENTS = "text/event-stream"
 _EVENT = {
@@ -46,11 +47,7 @@ LastEventId = Annotated[
 OfMap = Annotated[str | None, Query(alias="map", description="Only the jobs of this map.")]
 
 
-@router.get(
-    "/jobs",
-    dependencies=[needs(Scope.MAPS_READ, Scope.MAPS_WRITE)],
-    responses=problems(MapNotFound, InvalidParameters, InvalidRequest, *READING),
-)
+@reading.get("/jobs", responses=problems(MapNotFound, InvalidParameters, InvalidRequest, *READING))
 def list_jobs(
     running: Running,
     caller: CurrentCaller,
@@ -65,19 +62,14 @@ def list_jobs(
     return page_out(page, JobOut.from_record)
 
 
-@router.get(
-    "/jobs/{job}",
-    dependencies=[needs(Scope.MAPS_READ, Scope.MAPS_WRITE)],
-    responses=problems(JobNotFound, *READING),
-)
+@reading.get("/jobs/{job}", responses=problems(JobNotFound, *READING))
 def get_job(job_id: JobId, running: Running, caller: CurrentCaller) -> JobOut:
     """Show a job and its progress."""
     return JobOut.from_record(job_of(running, caller, job_id))
 
 
-@router.get(
+@reading.get(
     "/jobs/{job}/events",
-    dependencies=[needs(Scope.MAPS_READ, Scope.MAPS_WRITE)],
     response_class=Response,
     responses={
         200: {
@@ -107,9 +99,7 @@ def follow_job(
     return _Followed(events, running.streams.opened(caller.key_id))
 
 
-@router.delete(
-    "/jobs/{job}", dependencies=[needs(Scope.MAPS_WRITE)], responses=problems(JobNotFound, *WRITING)
-)
+@writing.delete("/jobs/{job}", responses=problems(JobNotFound, *WRITING))
 def cancel_job(job_id: JobId, running: Running, caller: CurrentCaller) -> JobOut:
     """Cancel a job: a waiting one at once, a running one within a second; one that ended stays."""
     job = job_of(running, caller, job_id)

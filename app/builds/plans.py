@@ -53,33 +53,32 @@ def plan_build(store: Store, map_id: str, parameters: BuildParameters) -> Plan:
         InvalidParameters: If parameters do not fit, or differ from the base's.
         CorruptFile: If the file of the revision whose basis would be kept is damaged.
     """
-    if parameters.base is None:
-        parameters.map_parameters()  # rejects what does not fit, before anything is read
-    base = _base(store, map_id, parameters)
-    names: Sequence[str]
+    names: Sequence[str] = parameters.drives or ()
     notes: list[str] = []
-    if base is None:
-        names = parameters.drives or ()
+    if parameters.base is None:
+        base = None
+        of_map = parameters.map_parameters()  # rejects what does not fit, before anything is read
         if not names:
             names, notes = _all_with_scans(store, map_id)
-        names = _young(store, map_id, names, parameters.max_age_days)
     else:
+        base = _base(store, map_id, parameters.base)
         record, built_with, _ = base
         parameters = parameters.on_base(record.digest, record.parameters)
-        if parameters.map_parameters() != built_with:
+        of_map = parameters.map_parameters()
+        if of_map != built_with:
             raise InvalidParameters(
                 f"base {record.digest[:12]} was built with other parameters than its record has:"
                 " build without base"
             )
         names = _changed(store, map_id, base, parameters)
-    drives = _stored(store, map_id, names)
+    drives = _stored(store, map_id, names, parameters.max_age_days)
     basis_kept_from = None
-    if parameters.map_parameters().encoder.shares_basis and not parameters.refit:
+    if of_map.encoder.shares_basis and not parameters.refit:
         try:
             kept = base or _live(store, map_id)
         except CorruptFile as error:
             raise unreadable_basis(error) from error
-        if kept is not None and make_same_signatures(parameters.map_parameters(), kept[1]):
+        if kept is not None and make_same_signatures(of_map, kept[1]):
             basis_kept_from = kept[0].digest
     return Plan(
         drives=[drive.slug for drive in drives],
@@ -98,11 +97,9 @@ def unreadable_basis(error: CorruptFile) -> CorruptFile:
     )
 
 
-def _base(store: Store, map_id: str, parameters: BuildParameters) -> _Based | None:
-    if parameters.base is None:
-        return None
-    if parameters.base != "live":
-        return _read(store, store.revisions.of_map(map_id, parameters.base))
+def _base(store: Store, map_id: str, base: str) -> _Based:
+    if base != "live":
+        return _read(store, store.revisions.of_map(map_id, base))
     live = _live(store, map_id)
     if live is None:
         slug = store.maps.get_by_id(map_id).slug
@@ -125,15 +122,13 @@ def _read(store: Store, record: RevisionRecord) -> _Based:
 def _all_with_scans(store: Store, map_id: str) -> tuple[list[str], list[str]]:
     """Return the drives of a map that have scans, and a note on each other one."""
     drives = store.drives.of_map(map_id)
-    notes = []
-    for drive in drives:
-        if not drive.scans:
-            waiting = (
-                f", {drive.expected_poses} poses wait for them" if drive.expected_poses else ""
-            )
-            notes.append(
-                f"drive {drive.slug} is left out, it has no scans{waiting}: is its name mistyped?"
-            )
+    notes = [
+        f"drive {drive.slug} is left out, it has no scans"
+        + (f", {drive.expected_poses} poses wait for them" if drive.expected_poses else "")
+        + ": is its name mistyped?"
+        for drive in drives
+        if not drive.scans
+    ]
     return [drive.slug for drive in drives if drive.scans], notes
 
 
@@ -146,37 +141,32 @@ def _changed(store: Store, map_id: str, base: _Based, parameters: BuildParameter
         raise UnknownDrive(
             f"base {record.digest[:12]} has no drive {unknown[0]!r}, it has {', '.join(of_base)}"
         )
-    stays = [name for name in of_base if name not in {*added, *removed}]
+    kept = [name for name in of_base if name not in {*added, *removed}]
     stored = {drive.slug for drive in store.drives.of_map(map_id)}
-    gone = [name for name in stays if name not in stored]
-    if gone:
+    deleted = [name for name in kept if name not in stored]
+    if deleted:
         raise DriveNotFound(
-            f"drive {gone[0]!r} of base {record.digest[:12]} is no longer stored: upload it again,"
-            " or name it in remove"
+            f"drive {deleted[0]!r} of base {record.digest[:12]} is no longer stored: upload it"
+            " again, or name it in remove"
         )
-    return _young(store, map_id, [*stays, *added], parameters.max_age_days)
+    return [*kept, *added]
 
 
-def _young(
+def _stored(
     store: Store, map_id: str, names: Sequence[str], max_age_days: float | None
-) -> Sequence[str]:
-    if max_age_days is None or not names:
-        return names
-    since = datetime.now(UTC) - timedelta(days=max_age_days)
-    drives = store.drives.of_map(map_id, names)
-    young = [drive.slug for drive in drives if drive.created_at >= since]
-    if not young:
-        raise EmptyDrive(f"no drive of {len(names)} is younger than {max_age_days:g} days")
-    return young
-
-
-def _stored(store: Store, map_id: str, names: Sequence[str]) -> Sequence[DriveRecord]:
+) -> Sequence[DriveRecord]:
+    """Return the drives of these names without those that are too old; each must have scans."""
     if not names:
         slug = store.maps.get_by_id(map_id).slug
         scans = any(drive.scans for drive in store.drives.of_map(map_id))
         reason = "no drive would be left" if scans else "upload scans first"
         raise EmptyDrive(f"map {slug!r} has no drive to build of: {reason}")
-    drives = store.drives.of_map(map_id, names)
+    drives: Sequence[DriveRecord] = store.drives.of_map(map_id, names)
+    if max_age_days is not None:
+        since = datetime.now(UTC) - timedelta(days=max_age_days)
+        drives = [drive for drive in drives if drive.created_at >= since]
+        if not drives:
+            raise EmptyDrive(f"no drive of {len(names)} is younger than {max_age_days:g} days")
     empty = [drive.slug for drive in drives if not drive.scans]
     if empty:
         raise EmptyDrive(f"drive {empty[0]!r} has no scan")

@@ -21,7 +21,7 @@ from core.errors import EmptyDrive, InvalidParameters, UnknownDrive
 from storage import errors as stored
 from storage.catalog import RequestKey
 
-router = pooled_router(tags=["builds"])
+router = pooled_router(tags=["builds"], dependencies=[needs(Scope.MAPS_WRITE)])
 
 IdempotencyKey = Annotated[
     str | None,
@@ -36,7 +36,6 @@ IdempotencyKey = Annotated[
 
 @router.post(
     "/maps/{map}/builds",
-    dependencies=[needs(Scope.MAPS_WRITE)],
     status_code=status.HTTP_202_ACCEPTED,
     responses=problems(
         stored.MapNotFound,

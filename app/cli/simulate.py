@@ -1,4 +1,4 @@
-"""`tensormap simulate`: a drive for those who have none."""
+"""`tensormap simulate`: a simulated drive."""
 
 from pathlib import Path
 from typing import Annotated
@@ -23,7 +23,7 @@ def simulate(
         float, typer.Option(help="Drive so far left of the line, negative right.")
     ] = 0.0,
     reverse: Annotated[bool, typer.Option("--reverse", help="Drive the other way.")] = False,
-    stops: Annotated[bool, typer.Option("--stops", help="Stand at junctions for a while.")] = False,
+    stops: Annotated[bool, typer.Option("--stops", help="Stop at junctions for a while.")] = False,
 ) -> None:
     """Drive through a simulated city and write the scans in KITTI odometry layout.
 

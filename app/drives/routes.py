@@ -21,7 +21,9 @@ from storage import errors as stored
 from storage.formats import errors as formats
 from storage.formats.scans.registry import read_scan
 
-router = pooled_router(tags=["drives"])
+scans = pooled_router(tags=["drives"], dependencies=[needs(Scope.MAPS_READ)])
+reading = pooled_router(tags=["drives"], dependencies=[needs(Scope.MAPS_READ, Scope.MAPS_WRITE)])
+writing = pooled_router(tags=["drives"], dependencies=[needs(Scope.MAPS_WRITE)])
 
 BAD_SCAN = (
     formats.EmptyBody,
@@ -45,9 +47,8 @@ TimestampQuery = Annotated[
 _NPY = "application/vnd.tensormap.npy"
 
 
-@router.get(
+@reading.get(
     "/maps/{map}/drives",
-    dependencies=[needs(Scope.MAPS_READ, Scope.MAPS_WRITE)],
     responses=problems(stored.MapNotFound, errors.InvalidRequest, *errors.READING),
 )
 def list_drives(
@@ -58,9 +59,8 @@ def list_drives(
     return page_out(page, DriveOut.from_record)
 
 
-@router.get(
+@reading.get(
     "/maps/{map}/drives/{drive}",
-    dependencies=[needs(Scope.MAPS_READ, Scope.MAPS_WRITE)],
     responses=problems(stored.MapNotFound, stored.DriveNotFound, *errors.READING),
 )
 def get_drive(map_slug: MapSlug, drive_slug: DriveSlug, running: Running) -> DriveOut:
@@ -68,9 +68,8 @@ def get_drive(map_slug: MapSlug, drive_slug: DriveSlug, running: Running) -> Dri
     return DriveOut.from_record(running.store.drives.get(map_slug, drive_slug))
 
 
-@router.patch(
+@writing.patch(
     "/maps/{map}/drives/{drive}",
-    dependencies=[needs(Scope.MAPS_WRITE)],
     responses=problems(
         stored.MapNotFound,
         stored.DriveNotFound,
@@ -91,9 +90,8 @@ def close_drive(
     return DriveOut.from_record(closed)
 
 
-@router.delete(
+@writing.delete(
     "/maps/{map}/drives/{drive}",
-    dependencies=[needs(Scope.MAPS_WRITE)],
     status_code=status.HTTP_204_NO_CONTENT,
     responses=problems(stored.MapNotFound, stored.DriveNotFound, *errors.WRITING),
 )
@@ -102,9 +100,8 @@ def delete_drive(map_slug: MapSlug, drive_slug: DriveSlug, running: Running) -> 
     running.store.drives.delete(map_slug, drive_slug)
 
 
-@router.put(
+@writing.put(
     "/maps/{map}/drives/{drive}/scans/{index}",
-    dependencies=[needs(Scope.MAPS_WRITE)],
     openapi_extra=described_body(SCAN_TYPES),
     status_code=status.HTTP_201_CREATED,
     responses={
@@ -153,9 +150,8 @@ def put_scan(
     return ScanOut.from_record(result.record)
 
 
-@router.get(
+@scans.get(
     "/maps/{map}/drives/{drive}/scans/{index}",
-    dependencies=[needs(Scope.MAPS_READ)],
     response_class=Response,
     responses={
         200: {

@@ -108,11 +108,11 @@ class TarFeed:
                 continue
             name, long_name = long_name or _name(header), None
             if kind not in _FILE:
-                yield from self._skip(size)
+                yield from self._skip(_padded(size))
                 if kind != _FOLDER:
                     yield TarMember(name, None, "it is a link or device, no file")
             elif size > self._most_bytes:
-                yield from self._skip(size)
+                yield from self._skip(_padded(size))
                 yield TarMember(
                     name, None, f"it has {size} bytes, at most {self._most_bytes} are read"
                 )
@@ -124,7 +124,8 @@ class TarFeed:
         """Return the next header, `None` at the end of the stream."""
         block = yield from self._exactly(_BLOCK, "its next header")
         if block is None or not block.strip(b"\0"):
-            yield from self._drain()  # a block of zeros ends the archive, what follows is padding
+            while (yield _SKIP_BYTES):
+                pass  # a block of zeros ends the archive, the rest is padding
             return None
         # The sum is of bytes, with blanks in its own place; some programs add signed bytes.
         rest = block[:148] + b" " * 8 + block[156:]
@@ -151,20 +152,15 @@ class TarFeed:
         content = (yield from self._exactly(size, "a file")) if size else b""
         if content is None:
             raise MalformedUpload(f"the tar stream breaks off before a file of {size} bytes")
-        yield from self._skip(-size % _BLOCK, exact=False)
+        yield from self._skip(_padded(size) - size)
         return content
 
-    def _skip(self, size: int, *, exact: bool = True) -> _Reading[None]:
-        left = size + (-size % _BLOCK if exact else 0)
-        while left:
-            chunk = yield min(left, _SKIP_BYTES)
+    def _skip(self, size: int) -> _Reading[None]:
+        while size:
+            chunk = yield min(size, _SKIP_BYTES)
             if not chunk:
                 raise MalformedUpload("the tar stream breaks off within a file")
-            left -= len(chunk)
-
-    def _drain(self) -> _Reading[None]:
-        while (yield _SKIP_BYTES):
-            pass
+            size -= len(chunk)
 
     def _exactly(self, size: int, what: str) -> _Reading[bytes | None]:
         """Return so many bytes, `None` if the stream has ended before the first of them."""
@@ -182,6 +178,11 @@ class TarFeed:
                 came += len(chunk)
             parts.seek(0)
             return parts.read()
+
+
+def _padded(size: int) -> int:
+    """Return the size of a file's content with the padding of its last block."""
+    return size + -size % _BLOCK
 
 
 def _size(header: bytes) -> int:

@@ -1,4 +1,4 @@
-"""Uploads: POST of many scans in one archive, and GET of the stored indices."""
+"""Uploads of a drive: many scans in one archive, the stored indices, and poses."""
 
 from collections.abc import Iterator
 from contextlib import suppress
@@ -10,23 +10,28 @@ from starlette.requests import ClientDisconnect
 
 from app.access.scopes import Scope, needs
 from app.drives.many_scans import ScanUpload
+from app.drives.pose_files import CSV, POSE_TYPES, read_poses
+from app.drives.pose_schemas import PosesIn
+from app.drives.schemas import DriveWithPosesOut
 from app.drives.upload_schemas import PresentOut, UploadOut
 from app.http import errors
-from app.http.bodies.bodies import AsItComes, ContentType, described_body, media_type
+from app.http.bodies.bodies import AsItComes, Body, ContentType, described_body, media_type
 from app.http.bodies.incoming import Incoming
+from app.http.bodies.json_body import read_json
 from app.http.bodies.spool import Spool
 from app.http.context import context_of
 from app.http.pooled_route import pooled_router, run_heavy
 from app.http.problems import problems
 from app.service import DriveSlug, MapSlug, Running
-from core.errors import TensorMapError
-from storage.errors import DriveNotFound, InvalidSlug, MapNotFound
+from core.errors import InvalidPose, TensorMapError
+from storage.errors import DriveNotFound, InvalidSlug, MapNotFound, PosesDoNotFit, ScanNotFound
 from storage.formats.errors import UnknownFormat
 from storage.formats.scans.registry import FORMAT_NAMES, media_type_of
 
-router = pooled_router(tags=["drives"])
+reading = pooled_router(tags=["drives"], dependencies=[needs(Scope.MAPS_READ, Scope.MAPS_WRITE)])
+writing = pooled_router(tags=["drives"], dependencies=[needs(Scope.MAPS_WRITE)])
 
-_TAR = "application/x-tar"
+_TAR, _JSON = "application/x-tar", "application/json"
 _BATCH_BYTES = 4 * 2**20
 _TYPES = {"", "application/octet-stream", _TAR, "application/tar"}
 
@@ -39,11 +44,21 @@ FormatName = Annotated[
         json_schema_extra={"enum": list(FORMAT_NAMES)},  # any other is an unknown format
     ),
 ]
+First = Annotated[
+    int,
+    Query(ge=0, lt=2**52, description="The scan of the first line, of KITTI's and TUM's files."),
+]
+Partial = Annotated[
+    bool | None,
+    Query(
+        description="Set a file's poses even if their number, or scans that would lose theirs, show"
+        " that they are not those of all scans."
+    ),
+]
 
 
-@router.get(
+@reading.get(
     "/maps/{map}/drives/{drive}/scans",
-    dependencies=[needs(Scope.MAPS_READ, Scope.MAPS_WRITE)],
     responses=problems(MapNotFound, DriveNotFound, *errors.READING),
 )
 def list_scans(map_slug: MapSlug, drive_slug: DriveSlug, running: Running) -> PresentOut:
@@ -51,9 +66,8 @@ def list_scans(map_slug: MapSlug, drive_slug: DriveSlug, running: Running) -> Pr
     return PresentOut.from_record(running.store.drives.get(map_slug, drive_slug))
 
 
-@router.post(
+@writing.post(
     "/maps/{map}/drives/{drive}/scans",
-    dependencies=[needs(Scope.MAPS_WRITE)],
     openapi_extra=described_body(
         {_TAR: "A tar stream of scan files, each named by its index, as `000012.pcd`."}
     ),
@@ -105,6 +119,54 @@ async def post_scans(
                 raise
             await _store(request, upload, body, spool)
     return await run_heavy(request, upload.finish, begun=True)
+
+
+@writing.put(
+    "/maps/{map}/drives/{drive}/poses",
+    openapi_extra=described_body(POSE_TYPES, PosesIn),
+    responses=problems(
+        MapNotFound,
+        DriveNotFound,
+        InvalidSlug,
+        ScanNotFound,
+        PosesDoNotFit,
+        InvalidPose,
+        *errors.JSON_BODY,
+        *errors.WRITING,
+    ),
+)
+def put_poses(
+    map_slug: MapSlug,
+    drive_slug: DriveSlug,
+    body: Body,
+    running: Running,
+    content_type: ContentType = None,
+    first: First = 0,
+    partial: Partial = None,
+) -> DriveWithPosesOut:
+    """Set poses and timestamps of scans, all or none; those of a file also for future scans.
+
+    JSON sets those of stored scans only. A file also sets what a scan that is stored later does not
+    have itself. A file whose lines count scans is rejected if it has fewer than the drive has
+    scans, or if it has more and would replace other poses: it is another drive's, or cut off.
+    """
+    kind = media_type(content_type)
+    drives = running.store.drives
+    if kind in POSE_TYPES:
+        put = drives.expect_poses(
+            map_slug,
+            drive_slug,
+            read_poses(body, kind, first),
+            consecutive=kind != CSV,
+            partial=bool(partial),
+        )
+    elif kind == _JSON:
+        poses, timestamps_s = read_json(body, PosesIn).to_core()
+        put = drives.put_poses(map_slug, drive_slug, poses, timestamps_s)
+    else:
+        known = ", ".join((_JSON, *POSE_TYPES))
+        raise errors.UnsupportedBody(f"Content-Type is {kind[:80]!r}, wanted one of {known}")
+    return DriveWithPosesOut.from_both(drives.get(map_slug, drive_slug), put)
 
 
 async def _store(request: Request, upload: ScanUpload, body: Incoming, spool: Spool) -> None:

@@ -4,12 +4,10 @@ import math
 import shutil
 import threading
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from functools import partial
 
 import prometheus_client as prometheus
-from prometheus_client.core import CounterMetricFamily
-from prometheus_client.registry import Collector
 
 from core.errors import TensorMapError
 from storage.catalog import JobRecord, JobState
@@ -80,9 +78,13 @@ class Metrics:
             "tensormap_scrub_last_pass_timestamp_seconds",
             "When all stored files had been checked last; 0 before the first time.",
         )
+        self._stored = counter(
+            "tensormap_scans_stored",
+            "Scans that were accepted and stored, without those that were stored before.",
+        )
         self._lock = threading.Lock()
         self._added_up_at_s = -math.inf
-        self._stored: _StoredScans | None = None
+        self._stored_scans = 0
 
     def requested(self, route: str, method: str, status: int, seconds: float) -> None:
         """Count an answer.
@@ -129,9 +131,9 @@ class Metrics:
             return prometheus.generate_latest(self._registry)
 
     def _read_store(self, store: Store, tracks: int) -> None:
-        if self._stored is None:
-            self._stored = _StoredScans(store)
-            self._registry.register(self._stored)
+        stored_scans = store.drives.stored_scans  # since the start, as the counter
+        self._stored.inc(stored_scans - self._stored_scans)
+        self._stored_scans = stored_scans
         self._tracks.set(tracks)
         self._free_bytes.set(shutil.disk_usage(store.layout.data_dir).free)
         try:
@@ -147,18 +149,3 @@ class Metrics:
             self._catalog_up.set(0)
         else:
             self._catalog_up.set(1)
-
-
-class _StoredScans(Collector):
-    """The store's count of scans that were stored since the start."""
-
-    def __init__(self, store: Store) -> None:
-        self._store = store
-
-    def collect(self) -> Iterable[prometheus.Metric]:
-        """Yield the count."""
-        yield CounterMetricFamily(
-            "tensormap_scans_stored",
-            "Scans that were accepted and stored, without those that were stored before.",
-            value=self._store.drives.stored_scans,
-        )

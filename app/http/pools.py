@@ -82,28 +82,21 @@ class Pool:
             self._require_queue(key)
         turn: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         self._waiting.setdefault(key, deque()).append(turn)
+        client = client or Client()  # one that never leaves
+        left = asyncio.create_task(client.left.wait())
+        ends: set[asyncio.Future[Any]] = {turn, left}
         try:
-            await self._wait(turn, client)
+            await asyncio.wait(ends, return_when=asyncio.FIRST_COMPLETED)
+            if client.left.is_set():
+                raise ClientDisconnect
         except BaseException:
             if turn.done() and not turn.cancelled():  # its turn came at the same time
                 self._leave(key)
             else:
                 self._discard(key, turn)
             raise
-
-    @staticmethod
-    async def _wait(turn: asyncio.Future[None], client: Client | None) -> None:
-        if client is None:
-            await turn
-            return
-        left = asyncio.ensure_future(client.left.wait())
-        either: set[asyncio.Future[Any]] = {turn, left}
-        try:
-            await asyncio.wait(either, return_when=asyncio.FIRST_COMPLETED)
         finally:
             left.cancel()
-        if client.left.is_set():
-            raise ClientDisconnect
 
     def _has_room(self, key: str) -> bool:
         return self._running.total() < self._threads and self._running[key] < self._per_key

@@ -18,7 +18,8 @@ from app.service import MapSlug, Running, Service
 from storage.catalog import MapRecord
 from storage.errors import InvalidSlug, MapChanged, MapExists, MapNotFound
 
-router = pooled_router(tags=["maps"])
+reading = pooled_router(tags=["maps"], dependencies=[needs(Scope.MAPS_READ)])
+writing = pooled_router(tags=["maps"], dependencies=[needs(Scope.MAPS_WRITE)])
 
 _ETAG = re.compile(r'\s*(?:\*|(?:W/)?"([0-9]{1,18})")\s*')
 IfMatch = Annotated[
@@ -30,9 +31,8 @@ IfMatch = Annotated[
 ]
 
 
-@router.post(
+@writing.post(
     "/maps",
-    dependencies=[needs(Scope.MAPS_WRITE)],
     status_code=status.HTTP_201_CREATED,
     responses=problems(InvalidSlug, MapExists, *errors.JSON_BODY, *errors.WRITING),
 )
@@ -47,11 +47,7 @@ def create_map(
     return shown_map(record, running, response)
 
 
-@router.get(
-    "/maps",
-    dependencies=[needs(Scope.MAPS_READ)],
-    responses=problems(errors.InvalidRequest, *errors.READING),
-)
+@reading.get("/maps", responses=problems(errors.InvalidRequest, *errors.READING))
 def list_maps(
     running: Running, caller: CurrentCaller, after: After = "", limit: Limit = 100
 ) -> PageOut[MapOut]:
@@ -61,21 +57,15 @@ def list_maps(
     return page_out(page, lambda record: MapOut.from_record(record, default))
 
 
-@router.get(
-    "/maps/{map}",
-    dependencies=[needs(Scope.MAPS_READ)],
-    responses=problems(MapNotFound, *errors.READING),
-)
+@reading.get("/maps/{map}", responses=problems(MapNotFound, *errors.READING))
 def get_map(map_slug: MapSlug, running: Running, response: Response) -> MapOut:
     """Show a map."""
     record = running.store.maps.get(map_slug)
     return shown_map(record, running, response)
 
 
-@router.patch(
-    "/maps/{map}",
-    dependencies=[needs(Scope.MAPS_WRITE)],
-    responses=problems(MapNotFound, MapChanged, *errors.JSON_BODY, *errors.WRITING),
+@writing.patch(
+    "/maps/{map}", responses=problems(MapNotFound, MapChanged, *errors.JSON_BODY, *errors.WRITING)
 )
 def update_map(
     map_slug: MapSlug,
@@ -99,9 +89,8 @@ def update_map(
     return shown_map(record, running, response)
 
 
-@router.delete(
+@writing.delete(
     "/maps/{map}",
-    dependencies=[needs(Scope.MAPS_WRITE)],
     status_code=status.HTTP_204_NO_CONTENT,
     responses=problems(MapNotFound, MapChanged, errors.InvalidRequest, *errors.WRITING),
 )
