@@ -191,7 +191,7 @@ def test_nothing_of_ours_reads_what_could_run():
 # One "current map" for all clients (OpenVPS)
 
 
-def test_what_one_client_asks_changes_no_answer_to_another(own, built):
+def test_requests_of_one_client_change_no_answer_to_another(own, built):
     own.post("/v1/maps", json={"map": "dock"})
     store = own.service.store
     source = store.revisions.path("campus", built.other)

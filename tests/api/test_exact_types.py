@@ -117,7 +117,7 @@ def test_what_is_no_etag_changes_nothing(client, etag):
     assert client.get("/v1/maps/campus").json() == before
 
 
-def test_a_proposal_is_told_only_what_its_own_kind_lacks(client):
+def test_errors_of_a_proposal_are_those_of_its_own_kind(client):
     first = {"drive": "monday", "scan_index": 0}
     for second, lacks in (
         ({"drive": "monday"}, "body/proposals/0/second/scan/scan_index"),

@@ -164,7 +164,7 @@ def test_what_is_insisted_on_once_is_not_taken_over(foreign):
     assert again["error"]["type"] == "/problems/frames-disagree"
 
 
-def test_the_first_build_of_a_map_is_live_and_one_that_cannot_be_measured_says_so(campus):
+def test_the_first_build_of_a_map_is_live_and_an_unmeasured_one_gives_its_reason(campus):
     campus.post("/v1/maps", json={"map": "other"})
     upload(campus, "monday", recording(), slug="other")
     queued = campus.post("/v1/maps/other/builds", json={"segments": 3, "make_live": True}).json()

@@ -26,7 +26,7 @@ def limited(tmp_path_factory):
         yield client
 
 
-def test_a_key_that_asks_too_often_is_told_when_to_come_back_and_others_are_not(limited):
+def test_a_key_beyond_its_limit_gets_a_time_to_retry_and_others_do_not(limited):
     one, other = (bearer(make(limited, "maps:read")["secret"]) for _ in range(2))
     answers = [limited.get("/v1/maps", headers=one) for _ in range(6)]
     assert [answer.status_code for answer in answers] == [200] * 5 + [429]
@@ -58,7 +58,7 @@ def test_without_keys_an_address_counts(tmp_path):
     assert asked == [200, 200, 429]
 
 
-def test_messages_of_a_stream_count_and_it_goes_on(tmp_path, built):
+def test_messages_of_a_stream_count_and_it_continues(tmp_path, built):
     limits = {"requests_per_s": 0.001, "request_burst": 4}
     data_dir = copy_of(built.data_dir, tmp_path / "data")
     with running(data_dir, admin_key=ADMIN_KEY, **limits) as client:
@@ -139,7 +139,7 @@ def test_by_default_no_page_elsewhere_reads_an_answer(tmp_path):
             assert not any(name.startswith("access-control") for name in preflight.headers)
 
 
-def test_the_pages_of_a_named_site_may_ask_with_a_key_and_without_cookies(tmp_path):
+def test_pages_of_an_allowed_origin_may_send_requests_with_a_key_and_without_cookies(tmp_path):
     with running(tmp_path, admin_key=ADMIN_KEY, allowed_origins=(SITE,)) as client:
         preflight = client.options("/v1/maps", headers={"Origin": SITE, **PREFLIGHT})
         assert preflight.status_code == 200
@@ -222,7 +222,7 @@ def test_origins_are_read_from_the_environment(monkeypatch):
 
 
 @pytest.mark.parametrize("path", ["/v1/maps", "/v1/maps/nowhere", "/docs", "/livez", "/none"])
-def test_every_answer_tells_a_browser_to_be_careful(client, path):
+def test_every_answer_has_the_headers_that_protect_browsers(client, path):
     told = client.get(path).headers
     assert told["X-Content-Type-Options"] == "nosniff"
     assert told["Content-Security-Policy"] == "frame-ancestors 'none'"

@@ -188,7 +188,7 @@ def test_a_change_that_cannot_be_is_refused_and_changes_nothing(settled, wanted,
     assert whole_store(settled) == before
 
 
-def test_a_base_that_is_not_there_or_whose_drive_is_gone_is_told(campus, tmp_path):
+def test_an_unknown_base_or_one_whose_drive_was_deleted_is_rejected(campus, tmp_path):
     with running(tmp_path / "other") as empty:
         empty.post("/v1/maps", json={"map": "campus"})
         none = empty.post(BUILDS, json={"base": "live", "add": ["alpha"]})
@@ -200,7 +200,7 @@ def test_a_base_that_is_not_there_or_whose_drive_is_gone_is_told(campus, tmp_pat
     build(campus, base="live", add=["alpha"], remove=["monday"])
 
 
-def test_a_damaged_live_revision_is_told_and_refit_goes_on_without_it(campus, encoding):
+def test_a_damaged_live_revision_is_reported_and_refit_builds_without_it(campus, encoding):
     live = campus.get("/v1/maps/campus").json()["live_revision"]
     path = campus.service.store.revisions.path("campus", live)
     damage(path, b"no map at all")

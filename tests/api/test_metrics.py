@@ -46,7 +46,7 @@ def test_routes_are_the_documented_ones(own):
     assert routes <= documented
 
 
-def test_scans_builds_localizations_tracks_and_bytes_are_told(empty):
+def test_scans_builds_localizations_tracks_and_bytes_are_counted(empty):
     before = metrics_of(empty)
     assert before["tensormap_scans_stored_total",] == 0
     assert (before["tensormap_tracks",], before["tensormap_jobs", "queued"]) == (0, 0)

@@ -65,7 +65,7 @@ def test_a_path_that_is_not_there_is_a_problem_too(client):
         ("POST", "/livez", "GET"),
     ],
 )
-def test_a_method_that_a_path_lacks_is_told_which_it_has(client, method, path, allowed):
+def test_a_method_that_a_path_lacks_is_rejected_with_those_it_has(client, method, path, allowed):
     refused = client.request(method, path)
     assert problem_of(refused) == (405, "method-not-allowed")
     assert refused.headers["Allow"] == allowed
@@ -79,7 +79,7 @@ def test_no_route_leaves_its_body_to_fastapi():
     assert [route.path for route in ours if route.body_field is not None] == []
 
 
-def test_a_fault_of_ours_says_nothing_of_the_inside(own, monkeypatch, caplog):
+def test_an_internal_error_reveals_nothing_of_the_inside(own, monkeypatch, caplog):
     def fault(*_args):
         raise ZeroDivisionError("secret of the inside")
 

@@ -45,7 +45,7 @@ def chunk_bytes(client, drive):
     return sum(path.stat().st_size for path in folder.iterdir())
 
 
-def test_returns_that_the_live_revision_was_built_of_are_dropped_and_said_to_be(mapped):
+def test_returns_of_the_live_revision_are_dropped_and_shown_as_dropped(mapped):
     before = chunk_bytes(mapped, "monday")
     of_tuesday = chunk_bytes(mapped, "tuesday")
     keep(mapped, raw_scans="drop")

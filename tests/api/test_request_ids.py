@@ -30,7 +30,7 @@ def requests(lines):
     return [line for line in lines if line["event"] == "request"]
 
 
-def test_an_id_that_came_is_returned_and_logged(own, logged):
+def test_an_id_that_was_sent_is_returned_and_logged(own, logged):
     asked = {"X-Request-Id": "truck-7:42"}
     answer = own.get("/v1/maps/campus", headers=asked)
     assert answer.headers["X-Request-Id"] == "truck-7:42"
@@ -46,7 +46,7 @@ def test_an_id_that_came_is_returned_and_logged(own, logged):
     assert line["client"] == "127.0.0.1"
 
 
-def test_every_request_has_an_id_of_its_own_and_each_problem_tells_it(own, logged):
+def test_every_request_has_an_id_of_its_own_and_each_problem_contains_it(own, logged):
     asked = [
         own.get("/v1/maps/nowhere"),
         own.get("/nothing"),

@@ -16,7 +16,7 @@ def test_a_second_build_is_live_only_when_it_is_made_so(client, built):
     assert client.get(f"/v1/jobs/{built.job}").json()["revision"] == built.live
 
 
-def test_a_build_that_asks_for_it_is_live_at_once(own, built):
+def test_a_build_with_make_live_is_live_at_once(own, built):
     wanted = {"segments": 4, "make_live": True}
     job = own.post("/v1/maps/campus/builds", json=wanted).json()["job"]
     revision = wait_for(own, job)["revision"]
@@ -46,7 +46,7 @@ def test_who_saw_an_older_version_does_not_switch(own, built):
     assert own.get("/v1/maps/campus").json()["live_revision"] == built.live
 
 
-def test_a_signature_of_a_retained_revision_is_answered_by_it_and_told_which_is_live(own, built):
+def test_a_signature_of_a_retained_revision_is_answered_by_it_with_the_live_one_named(own, built):
     signature = signed(own, built.live)
     own.put("/v1/maps/campus/live", json={"revision": built.other})
     found = localize_packed(own, signature).json()
@@ -54,7 +54,7 @@ def test_a_signature_of_a_retained_revision_is_answered_by_it_and_told_which_is_
     assert found["best"]["scan_index"] == 20
 
 
-def test_a_signature_of_a_deleted_revision_is_stale_and_told_which_is_live(own, built):
+def test_a_signature_of_a_deleted_revision_is_stale_with_the_live_one_named(own, built):
     signature = signed(own, built.other)
     assert localize_packed(own, signature).status_code == 200  # loaded, and forgotten all the same
     assert own.delete(f"/v1/maps/campus/revisions/{built.other}").status_code == 204

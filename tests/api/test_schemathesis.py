@@ -142,7 +142,7 @@ def names_of(client, built, deletes):
 
 
 @pytest.mark.parametrize("operation", OPERATIONS)
-def test_an_operation_is_as_its_description_says(operation, api, service):
+def test_an_operation_is_as_it_is_described(operation, api, service):
     method, path = operation.split()
     if path != "/readyz":
         service.runner.stop()  # what is queued is not built: builds have tests of their own

@@ -103,7 +103,7 @@ def test_a_declaration_names_a_scope():
         needs()
 
 
-def test_a_refusal_tells_which_scope_would_do(client, holders):
+def test_a_rejection_names_the_needed_scope(client, holders):
     refused = client.get("/v1/maps/campus/basis", headers=holders[WRITE])
     assert refused.headers["WWW-Authenticate"] == (
         'Bearer error="insufficient_scope", scope="maps:read localize"'

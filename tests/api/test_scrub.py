@@ -72,7 +72,7 @@ def test_what_is_damaged_is_refused_by_name_and_the_rest_serves(data, built):
         assert client.get("/v1/maps/campus/drives/monday/scans/5").status_code == 200
 
 
-def test_a_pass_goes_on_after_a_start_where_it_stopped(data):
+def test_a_pass_continues_after_a_start_where_it_stopped(data):
     with Store(data) as store:
         counted = []
         for done in (0, 4):

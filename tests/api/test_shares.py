@@ -157,7 +157,7 @@ class AsHolder:
         return self._client.get(path, headers=self._headers)
 
 
-def test_a_revoked_key_is_told_no_more_events_and_others_are(sparing, monkeypatch):
+def test_a_revoked_key_gets_no_more_events_and_others_do(sparing, monkeypatch):
     monkeypatch.setattr("app.builds.runner.run_build", stand_still)
     job = sparing.post(BUILDS, json={"segments": 2}, headers=ADMIN).json()["job"]
     revoked = make(sparing, READ)

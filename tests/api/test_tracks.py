@@ -93,7 +93,7 @@ def test_a_drive_is_followed_scan_by_scan(client, track):
     assert shown["revision"] == shown["live_revision"] == last["revision"]
 
 
-def test_scan_image_and_signatures_of_either_form_are_told_the_same(client, basis):
+def test_scan_image_and_signatures_of_either_form_get_the_same_answer(client, basis):
     ways = {
         "scan": lambda i: {"content": kitti(recording(noise_seed=7).scans[i]), "headers": KITTI},
         "image": lambda i: {
@@ -151,7 +151,7 @@ def test_what_is_no_observation_is_refused_by_name_and_changes_nothing(client, b
     assert client.get(track).json() == before
 
 
-def test_a_track_that_is_not_there_is_told_so(client, track):
+def test_an_unknown_track_is_not_found(client, track):
     client.delete(track)
     for response in (client.get(track), client.delete(track), client.get(f"{TRACKS}/none")):
         assert problem_of(response) == (404, "track-not-found")
@@ -181,7 +181,7 @@ def test_a_stream_answers_each_packed_signature(client, basis, track):
     assert client.get(track).json()["last"] == answer
 
 
-def test_a_stream_takes_json_and_goes_on_after_a_refusal(client, basis, track):
+def test_a_stream_takes_json_and_continues_after_a_rejection(client, basis, track):
     with open_stream(client, f"{track}/stream") as stream:
         stream.send_json({**as_json(signatures(basis, 0)), "sequence": 3, "timestamp_s": 1.0})
         assert stream.receive_json()["observations"] == 1

@@ -52,7 +52,7 @@ def test_what_an_archive_holds_is_stored_bit_for_bit_and_a_second_time_is_there(
         assert got.tobytes() == SCANS[index].points_m.tobytes()
 
 
-def test_what_cannot_be_used_is_set_aside_with_its_reason_and_the_rest_goes_on(empty):
+def test_unusable_files_are_set_aside_with_their_reason_and_the_others_are_stored(empty):
     empty.post(f"{DRIVE}/scans", content=tar(npy_files([4])))
     files = [
         ("000000.npy", npy(SCANS[0].points_m)),
@@ -128,7 +128,7 @@ def test_scans_before_a_limit_was_reached_are_stored(empty, tmp_path):
 
 
 @pytest.mark.parametrize("cut", [100, 512, 700, -1024 - 100])
-def test_an_archive_that_breaks_off_is_told_and_what_came_before_is_stored(empty, cut):
+def test_an_incomplete_archive_is_reported_and_earlier_scans_are_stored(empty, cut):
     whole = tar(npy_files([0, 1]))
     second = whole.index(b"000001.npy")
     end = second + cut if cut > 0 else len(whole.rstrip(b"\0")) - 400
@@ -287,7 +287,7 @@ def test_an_encoding_that_is_unknown_is_refused(empty, encoding):
 
 
 @pytest.mark.parametrize("algorithm", ["sha256", "sha512"])
-def test_a_body_that_is_what_its_digest_says_is_taken(empty, algorithm):
+def test_a_body_with_the_right_digest_is_accepted(empty, algorithm):
     body, archive = kitti(SCANS[0]), tar(npy_files([1, 2]))
     put = empty.put(f"{DRIVE}/scans/0", content=body, headers={**KITTI, **digest(body, algorithm)})
     assert put.status_code == 201

@@ -83,7 +83,7 @@ def test_evaluate_writes_every_figure(drive: Path, tmp_path: Path) -> None:
     assert found["conditions"][0]["queries"] == 4
 
 
-def test_evaluate_asks_with_a_second_drive(drive: Path, tmp_path: Path) -> None:
+def test_evaluate_queries_with_a_second_drive(drive: Path, tmp_path: Path) -> None:
     second, out = tmp_path / "tuesday", tmp_path / "figures.json"
     tensormap("simulate", second, "--scans", "20", "--seed", "12", "--lateral-m", "1")
     tensormap("evaluate", drive, "--query-drive", second, "--segments", "2", "--json", out)
@@ -92,7 +92,7 @@ def test_evaluate_asks_with_a_second_drive(drive: Path, tmp_path: Path) -> None:
     assert found["conditions"][0]["queries"] == 20
 
 
-def test_the_demonstration_ends_by_itself_when_asked_to(drive: Path) -> None:
+def test_the_demonstration_ends_by_itself_with_once(drive: Path) -> None:
     said = tensormap("demo", "--once", "--drive", drive, "--port", "8300")
     assert "full scan" in said
     assert "60" in said
@@ -125,7 +125,7 @@ def test_the_demonstration_ends_by_itself_when_asked_to(drive: Path) -> None:
         (["backup", "--data", "{folder}", "-o", "{folder}/no/b.tar"], 2, "there is no folder"),
     ],
 )
-def test_what_cannot_be_is_told_in_a_line(
+def test_an_invalid_option_is_reported_in_a_line(
     words: list[str],
     status: int,
     said: str,
@@ -170,14 +170,14 @@ def test_one_scan_that_cannot_be_used_does_not_hide_the_others(
     assert "cut.bin: the body has 17 bytes" in said
 
 
-def test_a_demonstration_of_too_few_scans_says_so(tmp_path: Path) -> None:
+def test_a_demonstration_of_too_few_scans_is_an_error(tmp_path: Path) -> None:
     short = tmp_path / "short"
     tensormap("simulate", short, "--scans", "2")
     said = tensormap("demo", "--once", "--drive", short, "--port", "8300", status=1)
     assert "too few" in said
 
 
-def test_a_port_that_is_taken_is_told_before_anything_is_opened(tmp_path: Path) -> None:
+def test_a_used_port_is_reported_before_anything_is_opened(tmp_path: Path) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = str(taken.getsockname()[1])
         said = tensormap("serve", "--port", port, "--data", tmp_path / "data", status=2)

@@ -73,7 +73,7 @@ def test_a_new_connection_is_answered_however_many_do_nothing(server, opened):
     )
 
 
-def test_what_never_asked_is_closed_before_what_is_kept_for_another_request(server, opened):
+def test_unused_connections_are_closed_before_those_kept_for_another_request(server, opened):
     kept = [opened() for _ in range(3)]
     assert all(answer_on(made).startswith(b"HTTP/1.1 200") for made in kept)
     idle = [opened() for _ in range(LIMIT - 3 + 5)]
@@ -130,7 +130,7 @@ def test_a_slow_body_is_no_late_head(server, opened):
     assert made.recv(4096).startswith(b"HTTP/1.1 201")
 
 
-def test_a_kept_connection_asks_again_and_again(server):
+def test_a_kept_connection_sends_many_requests(server):
     with httpx2.Client(base_url=f"http://127.0.0.1:{server.port}", verify=NO_TLS) as client:
         for _ in range(3):
             assert client.get("/livez").status_code == 200

@@ -60,7 +60,7 @@ def temporary():
         yield Path(folder)
 
 
-def test_the_service_ends_with_what_it_was_asked_answered_and_its_build_queued(tmp_path, temporary):
+def test_the_service_stops_with_requests_answered_and_its_build_queued(tmp_path, temporary):
     data, log = tmp_path / "data", tmp_path / "log"
     answered: list[httpx2.Response] = []
     within = ["env", f"TMPDIR={temporary}"]

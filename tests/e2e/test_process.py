@@ -82,7 +82,7 @@ def test_what_was_acknowledged_outlives_a_kill_and_what_was_begun_is_done_after_
 
 
 @pytest.mark.parametrize("declared", [True, False], ids=["declared", "chunked"])
-def test_a_body_beyond_the_limit_is_told_so_and_not_cut_off(server, declared):
+def test_a_body_beyond_the_limit_gets_an_answer_and_is_not_cut_off(server, declared):
     megabyte = bytes(2**20)
     content = (megabyte for _ in range(80))
     headers = {**KITTI, "Content-Length": str(80 * 2**20)} if declared else KITTI

@@ -70,7 +70,7 @@ def test_a_page_from_elsewhere_is_refused_before_the_stream_opens(url, headers):
     assert "Origin" not in headers or b"host-not-allowed" in (refused.value.response.body or b"")
 
 
-def test_a_stream_of_no_track_is_told_so(server):
+def test_a_stream_of_an_unknown_track_is_rejected(server):
     none = f"ws://127.0.0.1:{server.port}{TRACKS}/none/stream"
     with pytest.raises(InvalidStatus) as refused, connect(none):
         pass

@@ -108,7 +108,7 @@ def test_a_map_that_is_renamed_during_a_build_gets_its_revision(store):
     assert store.revisions.path("yard", record.digest).is_relative_to(store.layout.map(map_id))
 
 
-def test_a_build_is_compared_again_with_what_became_live_meanwhile(store, monkeypatch):
+def test_a_build_is_compared_again_with_a_revision_that_became_live_meanwhile(store, monkeypatch):
     map_id = store.maps.get("campus").id
     first, second = (
         build_revision(store, map_id, BuildParameters(segments=segments)) for segments in (2, 3)
