@@ -34,33 +34,6 @@ BYTES = Unit(
 )
 
 
-@dataclass(frozen=True)
-class Allowance:
-    """What is left in a bucket.
-
-    Attributes:
-        unit: Its unit.
-        burst: Size of a full bucket.
-        window_s: Seconds in which an empty one fills up, rounded up.
-        remaining: How many are left in it.
-        full_in_s: Seconds until it is full again, rounded up.
-    """
-
-    unit: Unit
-    burst: int
-    window_s: int
-    remaining: int
-    full_in_s: int
-
-    def headers(self) -> dict[str, str]:
-        """Return the fields of the IETF's draft `RateLimit header fields for HTTP`."""
-        return {
-            "RateLimit-Policy": f'"{self.unit.name}";q={self.burst}{self.unit.policy}'
-            f";w={self.window_s}",
-            "RateLimit": f'"{self.unit.name}";r={self.remaining};t={self.full_in_s}',
-        }
-
-
 @dataclass
 class _Bucket:
     left: float
@@ -78,8 +51,8 @@ class RateLimits:
 
     Examples:
         >>> limits = RateLimits(2.0, 3, clock=lambda: 0.0)
-        >>> [limits.take("fleet").remaining for _ in range(3)]
-        [2, 1, 0]
+        >>> [limits.take("fleet")["RateLimit"] for _ in range(3)]
+        ['"requests";r=2;t=1', '"requests";r=1;t=1', '"requests";r=0;t=2']
         >>> limits.take("fleet")
         Traceback (most recent call last):
         app.http.errors.TooManyRequests: 2 requests a second, 3 at once, are allowed: wait 1 s
@@ -103,8 +76,8 @@ class RateLimits:
         """Return whether not even a full bucket holds this much."""
         return self._rate > 0 and amount > self._burst
 
-    def take(self, who: str, amount: int = 1, *, check_only: bool = False) -> Allowance | None:
-        """Take out of a bucket, and return what is left; `None` if nothing is limited.
+    def take(self, who: str, amount: int = 1, *, check_only: bool = False) -> dict[str, str]:
+        """Take out of a bucket, and return the header fields of what is left, none without a limit.
 
         Args:
             who: Whose bucket.
@@ -115,7 +88,7 @@ class RateLimits:
             TooManyRequests: If it has less; nothing is taken.
         """
         if self._rate == 0:
-            return None
+            return {}
         with self._lock:
             bucket = self._filled(who)
             if bucket.left < amount:
@@ -124,11 +97,11 @@ class RateLimits:
                 raise TooManyRequests(
                     f"{self._unit.allowed(self._rate, self._burst)} are allowed: wait {wait_s} s",
                     wait_s,
-                    self._allowance(bucket).headers(),
+                    self._headers(bucket),
                 )
             if not check_only:
                 bucket.left -= amount
-            return self._allowance(bucket)
+            return self._headers(bucket)
 
     def _filled(self, who: str) -> _Bucket:
         now_s = self._clock()
@@ -140,11 +113,12 @@ class RateLimits:
             self._buckets.popitem(last=False)
         return bucket
 
-    def _allowance(self, bucket: _Bucket) -> Allowance:
-        return Allowance(
-            self._unit,
-            self._burst,
-            math.ceil(self._burst / self._rate),
-            int(bucket.left),
-            math.ceil((self._burst - bucket.left) / self._rate),
-        )
+    def _headers(self, bucket: _Bucket) -> dict[str, str]:
+        """Return what is left, as in the IETF's draft `RateLimit header fields for HTTP`."""
+        name, rate = self._unit.name, self._rate
+        window_s = math.ceil(self._burst / rate)
+        full_in_s = math.ceil((self._burst - bucket.left) / rate)
+        return {
+            "RateLimit-Policy": f'"{name}";q={self._burst}{self._unit.policy};w={window_s}',
+            "RateLimit": f'"{name}";r={int(bucket.left)};t={full_in_s}',
+        }

@@ -7,7 +7,7 @@ from typing import Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 from app.http.shown import Shown
-from storage.catalog import DriveRecord, PosesPut, ScanRecord
+from storage.catalog import DriveRecord, ScanRecord
 
 
 class IndexRangeOut(Shown):
@@ -67,11 +67,6 @@ class DriveWithPosesOut(DriveOut):
     """A drive, and what poses that were put changed."""
 
     poses: PosesPutOut
-
-    @classmethod
-    def from_both(cls, record: DriveRecord, put: PosesPut) -> "DriveWithPosesOut":
-        """Show both."""
-        return cls(**dict(DriveOut.from_record(record)), poses=PosesPutOut.of(put))
 
 
 class DrivePatch(BaseModel):

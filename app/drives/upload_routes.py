@@ -12,7 +12,7 @@ from app.access.scopes import Scope, needs
 from app.drives.many_scans import ScanUpload
 from app.drives.pose_files import CSV, POSE_TYPES, read_poses
 from app.drives.pose_schemas import PosesIn
-from app.drives.schemas import DriveWithPosesOut
+from app.drives.schemas import DriveOut, DriveWithPosesOut, PosesPutOut
 from app.drives.upload_schemas import PresentOut, UploadOut
 from app.http import errors
 from app.http.bodies.bodies import AsItComes, Body, ContentType, described_body, media_type
@@ -63,7 +63,8 @@ Partial = Annotated[
 )
 def list_scans(map_slug: MapSlug, drive_slug: DriveSlug, running: Running) -> PresentOut:
     """Return which scans are stored, as ranges: an upload continues with the others."""
-    return PresentOut.from_record(running.store.drives.get(map_slug, drive_slug))
+    record = running.store.drives.get(map_slug, drive_slug)
+    return PresentOut.of(record, drive=record.slug, scans_without_returns=record.dropped_scans)
 
 
 @writing.post(
@@ -166,7 +167,8 @@ def put_poses(
     else:
         known = ", ".join((_JSON, *POSE_TYPES))
         raise errors.UnsupportedBody(f"Content-Type is {kind[:80]!r}, wanted one of {known}")
-    return DriveWithPosesOut.from_both(drives.get(map_slug, drive_slug), put)
+    drive = DriveOut.from_record(drives.get(map_slug, drive_slug))
+    return DriveWithPosesOut(**dict(drive), poses=PosesPutOut.of(put))
 
 
 async def _store(request: Request, upload: ScanUpload, body: Incoming, spool: Spool) -> None:

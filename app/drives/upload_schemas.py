@@ -6,7 +6,6 @@ from pydantic import BaseModel, Field
 
 from app.drives.schemas import IndexRangeOut
 from app.http.shown import Shown
-from storage.catalog import DriveRecord
 
 
 class PresentOut(Shown):
@@ -20,11 +19,6 @@ class PresentOut(Shown):
     )
     present: list[IndexRangeOut] = Field(description="The indices that are stored.")
     gaps: list[IndexRangeOut] = Field(description="The indices that are missing in between.")
-
-    @classmethod
-    def from_record(cls, record: DriveRecord) -> "PresentOut":
-        """Show a drive's record."""
-        return cls.of(record, drive=record.slug, scans_without_returns=record.dropped_scans)
 
 
 class SetAsideOut(BaseModel):

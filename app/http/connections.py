@@ -74,7 +74,9 @@ def connection_options(settings: Settings) -> dict[str, Any]:
         settings: Of `within_descriptors`.
     """
     slots = ConnectionSlots(settings.max_connections)
-    protocol = bounded(AutoHTTPProtocol, slots, settings.request_head_s)
+    limits = {"slots": slots, "head_s": settings.request_head_s}
+    # Which protocol Uvicorn uses depends on the installed parser.
+    protocol = type("BoundedProtocol", (BoundedConnection, AutoHTTPProtocol), limits)
     return {"http": protocol, "backlog": _ACCEPTED_AT_ONCE}
 
 
@@ -156,7 +158,7 @@ class ConnectionSlots:
 
 
 class BoundedConnection(UvicornProtocol):
-    """A connection with limits; `bounded` adds Uvicorn's protocol of either parser as a base.
+    """A connection with limits; `connection_options` adds Uvicorn's protocol as a base.
 
     Attributes:
         slots: Those of the server.
@@ -221,14 +223,6 @@ class BoundedConnection(UvicornProtocol):
         if self._late is not None:
             self._late.cancel()
             self._late = None
-
-
-def bounded(
-    protocol: type[asyncio.Protocol], slots: ConnectionSlots, head_s: float
-) -> type[asyncio.Protocol]:
-    """Return Uvicorn's protocol with limited connections."""
-    own = {"slots": slots, "head_s": head_s}
-    return type(f"Bounded{protocol.__name__}", (BoundedConnection, protocol), own)
 
 
 def _refusal() -> bytes:

@@ -11,7 +11,6 @@ from starlette.types import Scope
 
 if TYPE_CHECKING:  # these import modules that log, and every log line reads the context
     from app.access.caller import Caller
-    from app.access.rate_limits import Allowance
     from app.http.bodies.incoming import Incoming
 
 HEADER = "X-Request-Id"
@@ -29,7 +28,7 @@ class RequestContext:
         request_id: As in `X-Request-Id`, in problems and in the log.
         sender: Whose request it is, for limits and shares: id of a key, or the client's address.
         caller: Who sent it, after its key was checked; `None` on routes that need none.
-        allowances: What is left to the sender, by unit.
+        allowances: Header fields of what is left to the sender, by policy.
         body: Its body, of which nothing is read before the route reads it.
         audited: Whether its failure is recorded in the audit log.
         status: Of its answer, when that has begun.
@@ -38,15 +37,15 @@ class RequestContext:
     request_id: str
     sender: str
     caller: "Caller | None" = None
-    allowances: "dict[str, Allowance]" = field(default_factory=dict)
+    allowances: dict[str, dict[str, str]] = field(default_factory=dict)
     body: "Incoming | None" = None
     audited: bool = False
     status: int | None = None
 
-    def allow(self, allowance: "Allowance | None") -> None:
+    def allow(self, left: dict[str, str]) -> None:
         """Record what is left to the sender, for the head of the answer."""
-        if allowance is not None:
-            self.allowances[allowance.unit.name] = allowance
+        if left:
+            self.allowances[left["RateLimit-Policy"]] = left
 
 
 _current: ContextVar[RequestContext | None] = ContextVar("tensormap_request", default=None)

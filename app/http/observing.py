@@ -106,7 +106,7 @@ def _complete_head(message: Message, context: RequestContext) -> None:
         return
     for name, value in _FOR_BROWSERS.items():
         headers.setdefault(name, value)
-    left = [allowance.headers() for allowance in context.allowances.values()]
+    left = list(context.allowances.values())
     if left and "RateLimit" not in headers:  # a rejection has that of the limit that was reached
         for name in left[0]:
             headers[name] = ", ".join(of_unit[name] for of_unit in left)
