@@ -84,8 +84,8 @@ cli = typer.Typer(
 )
 
 
-def _show_version(wanted: bool) -> None:
-    if wanted:
+def _show_version(requested: bool) -> None:
+    if requested:
         from importlib.metadata import version  # here: it takes longer than the list of commands
 
         typer.echo(f"tensormap {version('tensormap-server')}")

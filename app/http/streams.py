@@ -72,7 +72,7 @@ class Streams:
             if self._open.total() >= self._limit:
                 raise TooManyStreams(
                     f"{self._limit} streams are open, as many as may be: post observations one by"
-                    " one, or ask again"
+                    " one, or try again"
                 )
             self._open[key_id] += 1
             self._open_with[secret_hash] += 1

@@ -54,7 +54,7 @@ def secret(own):
 def test_no_name_leads_to_a_file(own, secret, name):
     before = whole_store(own)
     scan = kitti(recording().scans[0])
-    asked = [
+    requested = [
         own.get(f"/v1/maps/campus/revisions/{name}"),
         own.get(f"/v1/maps/campus/revisions/{name}/file"),
         own.get(f"/v1/maps/{name}"),
@@ -73,7 +73,7 @@ def test_no_name_leads_to_a_file(own, secret, name):
         own.get("/v1/maps/campus/topology", params={"revision": name}),
         own.post("/v1/maps/campus/tracks", params={"revision": name}),
     ]
-    for answer in asked:
+    for answer in requested:
         assert problem_of(answer)[0] in {404, 405, 422}, (answer.request.url, answer.text)
         assert secret not in answer.content
         assert b"root:" not in answer.content

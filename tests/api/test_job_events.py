@@ -48,13 +48,13 @@ def test_a_job_that_goes_with_its_map_ends_its_events(own, monkeypatch):
     monkeypatch.setattr("app.builds.runner.run_build", stand_still)
     job = own.post("/v1/maps/campus/builds", json={"segments": 2}).json()["job"]
     wait_for(own, job, {"running"})
-    told = []
+    shown = []
     with own.stream("GET", f"/v1/jobs/{job}/events") as answer:
         for line in answer.iter_lines():
             if line.startswith("data: "):
-                told.append(json.loads(line.removeprefix("data: "))["state"])
+                shown.append(json.loads(line.removeprefix("data: "))["state"])
                 own.delete("/v1/maps/campus")
-    assert told == ["running"]
+    assert shown == ["running"]
 
 
 def test_there_are_no_events_of_no_job(client):
@@ -72,8 +72,8 @@ def test_the_remaining_time_of_a_stage_follows_its_pace(own, monkeypatch):
     assert begun.stage_started_at is not None
     later = begun.stage_started_at + timedelta(seconds=5)
     assert begun.remaining_s(later) == pytest.approx(15.0)
-    told = own.get(f"/v1/jobs/{job}").json()["remaining_s"]
-    assert told == pytest.approx(
+    answer = own.get(f"/v1/jobs/{job}").json()["remaining_s"]
+    assert answer == pytest.approx(
         3 * (datetime.now(UTC) - begun.stage_started_at).total_seconds(), 0.5
     )
     again = jobs.progress(job, "fitting", 24, 48)

@@ -331,10 +331,10 @@ def test_readiness_names_what_is_missing(empty, monkeypatch):
 
 
 def test_the_service_is_alive_while_every_thread_of_it_waits(own, monkeypatch):
-    let_go, asked = threading.Event(), threading.Semaphore(0)
+    let_go, requested = threading.Event(), threading.Semaphore(0)
 
     def wait(*_args):
-        asked.release()
+        requested.release()
         assert let_go.wait(60)
         raise TimeoutError
 
@@ -343,7 +343,7 @@ def test_the_service_is_alive_while_every_thread_of_it_waits(own, monkeypatch):
         try:
             slow = [pool.submit(own.get, "/v1/maps/campus/topology") for _ in range(60)]
             for _ in range(own.service.settings.heavy_threads_per_key):
-                assert asked.acquire(timeout=60)
+                assert requested.acquire(timeout=60)
             assert own.get("/livez").json() == {"status": "live"}
             # What is read of the catalog only has threads of its own.
             assert own.get("/v1/maps/campus").status_code == 200

@@ -54,8 +54,8 @@ def test_who_guesses_keys_is_slowed_down_by_address_and_holders_there_are_not(li
 
 def test_without_keys_an_address_counts(tmp_path):
     with running(tmp_path, requests_per_s=0.001, request_burst=2) as client:
-        asked = [client.get("/v1/maps").status_code for _ in range(3)]
-    assert asked == [200, 200, 429]
+        requested = [client.get("/v1/maps").status_code for _ in range(3)]
+    assert requested == [200, 200, 429]
 
 
 def test_messages_of_a_stream_count_and_it_continues(tmp_path, built):
@@ -65,11 +65,11 @@ def test_messages_of_a_stream_count_and_it_continues(tmp_path, built):
         vehicle = bearer(make(client, "localize")["secret"])
         track = client.post("/v1/maps/campus/tracks", headers=vehicle).headers["Location"]
         with client.websocket_connect(f"{track}/stream", headers=vehicle) as stream:
-            told = []
+            answer = []
             for _ in range(4):
                 stream.send_text("{}")
-                told.append(stream.receive_json()["type"])
-        assert told == ["/problems/invalid-request"] * 2 + ["/problems/too-many-requests"] * 2
+                answer.append(stream.receive_json()["type"])
+        assert answer == ["/problems/invalid-request"] * 2 + ["/problems/too-many-requests"] * 2
         with (
             pytest.raises(WebSocketDenialResponse) as refused,
             client.websocket_connect(f"{track}/stream", headers=vehicle),
@@ -147,9 +147,9 @@ def test_pages_of_an_allowed_origin_may_send_requests_with_a_key_and_without_coo
         answer = client.get("/v1/maps", headers={**ADMIN, "Origin": SITE})
         assert answer.headers["Access-Control-Allow-Origin"] == SITE
         assert "Retry-After" in answer.headers["Access-Control-Expose-Headers"]
-        for told in (preflight, answer):
-            assert "Access-Control-Allow-Credentials" not in told.headers
-            assert "Origin" in told.headers["Vary"]
+        for shown in (preflight, answer):
+            assert "Access-Control-Allow-Credentials" not in shown.headers
+            assert "Origin" in shown.headers["Vary"]
         refused = client.get("/v1/maps", headers={"Origin": SITE})
         assert problem_of(refused) == (401, "key-needed")
         assert refused.headers["Access-Control-Allow-Origin"] == SITE
@@ -171,8 +171,8 @@ def test_the_pages_of_other_sites_may_not(tmp_path):
             answer = client.get("/v1/maps", headers={**ADMIN, "Origin": origin})
             assert "Access-Control-Allow-Origin" not in answer.headers, origin
             # Starlette answers a preflight in plain text, which only a browser reads.
-            asked = {"Origin": origin, **PREFLIGHT}
-            preflight = TestClient.request(client, "OPTIONS", "/v1/maps", headers=asked)
+            headers = {"Origin": origin, **PREFLIGHT}
+            preflight = TestClient.request(client, "OPTIONS", "/v1/maps", headers=headers)
             assert preflight.status_code == 400
             assert "Access-Control-Allow-Origin" not in preflight.headers, origin
 
@@ -223,8 +223,8 @@ def test_origins_are_read_from_the_environment(monkeypatch):
 
 @pytest.mark.parametrize("path", ["/v1/maps", "/v1/maps/nowhere", "/docs", "/livez", "/none"])
 def test_every_answer_has_the_headers_that_protect_browsers(client, path):
-    told = client.get(path).headers
-    assert told["X-Content-Type-Options"] == "nosniff"
-    assert told["Content-Security-Policy"] == "frame-ancestors 'none'"
-    assert told["Cross-Origin-Resource-Policy"] == "same-origin"
-    assert told["Referrer-Policy"] == "no-referrer"
+    answer = client.get(path).headers
+    assert answer["X-Content-Type-Options"] == "nosniff"
+    assert answer["Content-Security-Policy"] == "frame-ancestors 'none'"
+    assert answer["Cross-Origin-Resource-Policy"] == "same-origin"
+    assert answer["Referrer-Policy"] == "no-referrer"

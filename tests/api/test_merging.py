@@ -115,17 +115,17 @@ def test_a_basis_is_refitted_on_request_only_and_a_rollback_answers_the_old_one(
     held, first = basis_of(campus), campus.get("/v1/maps/campus").json()["live_revision"]
     signatures = as_json(held.encode(held.image(recording().scans[6])))
     plain = build(campus, encoding="harmonic", segment_length=8)  # without base: all drives
-    told = revision_of(campus, plain)["parameters"]["basis"]
-    assert (told["digest"], told["kept_from"]) == (held.digest, first)
-    assert [fit["drive"] for fit in told["fits"]] == ["alpha", "monday"]
-    of_new, of_old = told["fits"]
+    answer = revision_of(campus, plain)["parameters"]["basis"]
+    assert (answer["digest"], answer["kept_from"]) == (held.digest, first)
+    assert [fit["drive"] for fit in answer["fits"]] == ["alpha", "monday"]
+    of_new, of_old = answer["fits"]
     assert of_new["kept_error"] > of_new["refitted_error"]
     assert of_old["kept_error"] < of_old["refitted_error"]  # it was fitted to that one alone
 
     refitted = build(campus, base="live", add=["alpha"], refit=True, make_live=True)
-    told = revision_of(campus, refitted)["parameters"]["basis"]
-    assert told["digest"] != held.digest
-    assert (told["kept_from"], told["fits"]) == (None, [])
+    answer = revision_of(campus, refitted)["parameters"]["basis"]
+    assert answer["digest"] != held.digest
+    assert (answer["kept_from"], answer["fits"]) == (None, [])
     found = localize(campus, "signature", json=signatures)
     assert found["revision"] == plain["revision"]  # the newest that has the basis
     assert found["live_revision"] == refitted["revision"]
@@ -204,13 +204,13 @@ def test_a_damaged_live_revision_is_reported_and_refit_builds_without_it(campus,
     live = campus.get("/v1/maps/campus").json()["live_revision"]
     path = campus.service.store.revisions.path("campus", live)
     damage(path, b"no map at all")
-    wanted = {"drives": ["alpha"], "encoding": encoding}
+    body = {"drives": ["alpha"], "encoding": encoding}
     if encoding == "harmonic":
-        refused = campus.post(BUILDS, json=wanted)
+        refused = campus.post(BUILDS, json=body)
         assert problem_of(refused) == (500, "corrupt-file")
         for way_out in ("refit: true", "make a revision live whose file is good"):
             assert way_out in refused.json()["detail"]
-    build(campus, **wanted, refit=True)
+    build(campus, **body, refit=True)
 
 
 def test_a_revision_from_before_bases_were_written_down_answers_while_it_is_live(campus):

@@ -33,8 +33,8 @@ def test_requests_are_counted_by_route_method_and_status_only(own):
     assert found["tensormap_http_requests_total", "/v1/maps/{map}", "405", "OTHER"] == 1
     assert found["tensormap_http_request_seconds_count", "/v1/maps/{map}", "GET"] >= 3
     assert found["tensormap_http_request_seconds_sum", "/v1/maps/{map}", "GET"] > 0
-    told = own.get("/metrics").text
-    assert not any(name in told for name in (*names[:3], "BREW", "monday"))
+    answer = own.get("/metrics").text
+    assert not any(name in answer for name in (*names[:3], "BREW", "monday"))
 
 
 def test_routes_are_the_documented_ones(own):

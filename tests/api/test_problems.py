@@ -112,7 +112,7 @@ def test_an_internal_error_reveals_nothing_of_the_inside(own, monkeypatch, caplo
 def test_a_name_that_is_no_slug_reaches_no_file(client, built, slug):
     before = whole_store(client)
     beside = sorted(path.name for path in built.data_dir.parent.iterdir())
-    asked = [
+    requested = [
         ("GET", f"/v1/maps/{slug}", None),
         ("DELETE", f"/v1/maps/{slug}", None),
         ("GET", f"/v1/maps/{slug}/drives", None),
@@ -126,7 +126,7 @@ def test_a_name_that_is_no_slug_reaches_no_file(client, built, slug):
         ("GET", f"/problems/{slug}", None),
         ("GET", f"/static-offline-docs/{slug}", None),
     ]
-    for method, path, body in asked:
+    for method, path, body in requested:
         refused = client.request(method, path, content=body, headers=KITTI if body else None)
         assert refused.status_code in {404, 405, 422}, path
     assert whole_store(client) == before

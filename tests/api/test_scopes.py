@@ -64,8 +64,8 @@ def test_no_route_is_without_a_line_in_the_table():
 @pytest.mark.parametrize("route", OPENED_BY)
 def test_a_route_opens_for_its_scopes_and_for_no_other(client, holders, route, scope):
     method, _, path = route.partition(" ")
-    asked = re.sub(r"\{(\w+)\}", lambda part: PARTS.get(part[1], "x" * 12), path)
-    status, problem = ask(client, method, asked, holders[scope])
+    requested = re.sub(r"\{(\w+)\}", lambda part: PARTS.get(part[1], "x" * 12), path)
+    status, problem = ask(client, method, requested, holders[scope])
     if scope is Scope.ADMIN or scope in OPENED_BY[route]:
         assert status not in {401, 403}, problem
     else:
@@ -78,8 +78,10 @@ def test_the_description_names_the_scopes_of_each_route(client):
         method, _, path = route.partition(" ")
         if method == "WS":
             continue
-        told = [scope for way in paths[path][method.lower()]["security"] for scope in way.values()]
-        assert sorted(told) == sorted([scope.value] for scope in scopes or {Scope.ADMIN}), route
+        answer = [
+            scope for way in paths[path][method.lower()]["security"] for scope in way.values()
+        ]
+        assert sorted(answer) == sorted([scope.value] for scope in scopes or {Scope.ADMIN}), route
 
 
 def test_a_route_that_declares_no_scope_is_the_administrators(tmp_path):

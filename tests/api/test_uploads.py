@@ -40,9 +40,9 @@ def test_what_an_archive_holds_is_stored_bit_for_bit_and_a_second_time_is_there(
     ).json()
     assert (first["scans_stored"], first["scans_present"], first["files_set_aside"]) == (5, 0, 0)
     assert first["stored"] == ranges((0, 2), (4, 5))
-    told = empty.get(f"{DRIVE}/scans").json()
-    assert (told["scans"], told["closed"]) == (5, False)
-    assert (told["present"], told["gaps"]) == (ranges((0, 2), (4, 5)), ranges((3, 3)))
+    answer = empty.get(f"{DRIVE}/scans").json()
+    assert (answer["scans"], answer["closed"]) == (5, False)
+    assert (answer["present"], answer["gaps"]) == (ranges((0, 2), (4, 5)), ranges((3, 3)))
     before = whole_store(empty)
     again = empty.post(f"{DRIVE}/scans", content=tar(files), params={"format": "kitti"}).json()
     assert (again["scans_stored"], again["present"]) == (0, ranges((0, 2), (4, 5)))
@@ -66,11 +66,11 @@ def test_unusable_files_are_set_aside_with_their_reason_and_the_others_are_store
         ("000006.npy", b""),
         ("5.npy", npy(SCANS[5].points_m)),
     ]
-    told = empty.post(f"{DRIVE}/scans", content=tar(files), headers=TAR).json()
-    assert told["stored"] == ranges((0, 0), (5, 5))
-    assert told["files_set_aside"] == 8
+    answer = empty.post(f"{DRIVE}/scans", content=tar(files), headers=TAR).json()
+    assert answer["stored"] == ranges((0, 0), (5, 5))
+    assert answer["files_set_aside"] == 8
     assert [
-        (item["file"], item["type"].removeprefix("/problems/")) for item in told["set_aside"]
+        (item["file"], item["type"].removeprefix("/problems/")) for item in answer["set_aside"]
     ] == [
         ("000001.npy", "truncated-scan"),
         ("000002.bin", "unknown-format"),
@@ -81,7 +81,7 @@ def test_unusable_files_are_set_aside_with_their_reason_and_the_others_are_store
         ("000006.npy", "empty-body"),
         ("000004.npy", "scan-conflict"),
     ]
-    assert "?format=kitti" in told["set_aside"][1]["detail"]
+    assert "?format=kitti" in answer["set_aside"][1]["detail"]
     assert empty.get(f"{DRIVE}/scans").json()["present"] == ranges((0, 0), (4, 5))
 
 
@@ -99,17 +99,17 @@ def test_names_may_be_long_and_links_and_folders_are_no_scans(empty, style):
         for member in (folder, link):
             archive.addfile(member)
         archive.addfile(long_name, io.BytesIO(content))
-    told = empty.post(f"{DRIVE}/scans", content=body.getvalue(), headers=TAR).json()
-    assert told["stored"] == ranges((0, 0))
-    assert [item["file"] for item in told["set_aside"]] == ["000001.npy"]
+    answer = empty.post(f"{DRIVE}/scans", content=body.getvalue(), headers=TAR).json()
+    assert answer["stored"] == ranges((0, 0))
+    assert [item["file"] for item in answer["set_aside"]] == ["000001.npy"]
 
 
 def test_a_closed_drive_takes_what_it_has_and_nothing_else(empty):
     empty.post(f"{DRIVE}/scans", content=tar(npy_files([0, 1])))
     empty.patch(DRIVE, json={"closed": True})
-    told = empty.post(f"{DRIVE}/scans", content=tar(npy_files([0, 1, 2]))).json()
-    assert told["present"] == ranges((0, 1))
-    assert [item["type"] for item in told["set_aside"]] == ["/problems/drive-closed"]
+    answer = empty.post(f"{DRIVE}/scans", content=tar(npy_files([0, 1, 2]))).json()
+    assert answer["present"] == ranges((0, 1))
+    assert [item["type"] for item in answer["set_aside"]] == ["/problems/drive-closed"]
     assert empty.get(f"{DRIVE}/scans").json()["closed"] is True
 
 
@@ -189,9 +189,9 @@ def test_a_file_that_is_too_long_is_passed_over_unread(tmp_path):
         small = npy(SCANS[0].points_m[:200])
         body = tar([("0.npy", npy(np.ones((9_000, 3), np.float32))), ("1.npy", small)])
         assert len(body) > 100_000  # the archive itself may be longer than one scan
-        told = client.post(f"{DRIVE}/scans", content=body, headers=TAR).json()
-        assert told["stored"] == ranges((1, 1))
-        assert told["set_aside"][0]["type"] == "/problems/scan-too-large"
+        answer = client.post(f"{DRIVE}/scans", content=body, headers=TAR).json()
+        assert answer["stored"] == ranges((1, 1))
+        assert answer["set_aside"][0]["type"] == "/problems/scan-too-large"
 
 
 def test_an_upload_has_a_limit_of_its_own(tmp_path):
@@ -239,10 +239,10 @@ def test_a_packed_body_is_the_body(empty, encoding, members):
     assert (plain.status_code, plain.json()) == (200, put.json())
     archive = PACKED[encoding](tar(npy_files([1, 2])))
     pieces = (archive[at : at + 777] for at in range(0, len(archive), 777))
-    told = empty.post(
+    answer = empty.post(
         f"{DRIVE}/scans", content=pieces, headers={**TAR, "Content-Encoding": encoding}
     ).json()
-    assert told["stored"] == ranges((1, 2))
+    assert answer["stored"] == ranges((1, 2))
     poses = PACKED[encoding](b'{"poses": [{"scan": 0, "timestamp_s": 7.5}]}')
     headers = {"Content-Type": "application/json", "Content-Encoding": encoding}
     assert empty.put(f"{DRIVE}/poses", content=poses, headers=headers).status_code == 200
@@ -292,8 +292,8 @@ def test_a_body_with_the_right_digest_is_accepted(empty, algorithm):
     put = empty.put(f"{DRIVE}/scans/0", content=body, headers={**KITTI, **digest(body, algorithm)})
     assert put.status_code == 201
     headers = {**TAR, **digest(archive, algorithm)}
-    told = empty.post(f"{DRIVE}/scans", content=archive, headers=headers).json()
-    assert told["stored"] == ranges((1, 2))
+    answer = empty.post(f"{DRIVE}/scans", content=archive, headers=headers).json()
+    assert answer["stored"] == ranges((1, 2))
 
 
 @pytest.mark.parametrize(

@@ -72,8 +72,8 @@ def test_every_exception_is_still_needed() -> None:
 
 @pytest.mark.parametrize("name", TABLES)
 def test_a_table_is_that_of_the_code(name: str) -> None:
-    found, wanted = with_table(name)
-    assert found == wanted, "run `python -m tests.docs.tables`"
+    found, expected = with_table(name)
+    assert found == expected, "run `python -m tests.docs.tables`"
 
 
 @pytest.mark.parametrize("path", DOCUMENTS, ids=lambda path: str(path.relative_to(ROOT)))

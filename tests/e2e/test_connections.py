@@ -86,8 +86,8 @@ def test_where_all_are_in_use_another_is_refused_by_name(server, opened):
     body = b"POST /v1/maps HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Type: application/json\r\n"
     busy = [opened(body + b"Content-Length: 100\r\n\r\n{") for _ in range(LIMIT)]
     time.sleep(0.3)  # until their heads are read
-    told = opened().recv(4096)
-    head, _, problem = told.partition(b"\r\n\r\n")
+    answer = opened().recv(4096)
+    head, _, problem = answer.partition(b"\r\n\r\n")
     assert head.startswith(b"HTTP/1.1 503 ")
     assert b"retry-after: 1" in head.lower()
     assert json.loads(problem)["type"] == "/problems/too-many-connections"

@@ -21,8 +21,8 @@ NAMESPACE = ["unshare", "--mount"] if os.geteuid() == 0 else ["unshare", "-r", "
 
 def can_mount() -> bool:
     try:
-        asked = [*NAMESPACE, "mount", "-t", "tmpfs", "tmpfs", "/mnt"]
-        return subprocess.run(asked, capture_output=True, timeout=30).returncode == 0
+        requested = [*NAMESPACE, "mount", "-t", "tmpfs", "tmpfs", "/mnt"]
+        return subprocess.run(requested, capture_output=True, timeout=30).returncode == 0
     except FileNotFoundError:
         return False
 

@@ -52,12 +52,12 @@ def test_what_was_acknowledged_outlives_a_kill_and_what_was_begun_is_done_after_
     with serving(data_dir, log) as server:
         server.client.post("/v1/maps", json={"map": "campus"})
         upload(server.client, "tuesday", recording(scans=6))
-        wanted = {"drives": ["tuesday"]}
+        body = {"drives": ["tuesday"]}
         enough = threading.Event()
         putting = threading.Thread(target=put_until_it_ends, args=(server, acknowledged, enough))
         putting.start()
         assert enough.wait(60)
-        job = server.client.post("/v1/maps/campus/builds", json=wanted).json()["job"]
+        job = server.client.post("/v1/maps/campus/builds", json=body).json()["job"]
         wait_for(server.client, job, {"running", "done"})
         end_in_the_middle(server, signal.SIGKILL)
         putting.join()

@@ -22,8 +22,8 @@ def server(tmp_path_factory):
     with serving(folder / "data", folder / "log") as server:
         server.client.post("/v1/maps", json={"map": "campus"})
         upload(server.client, "monday", recording())
-        wanted = {"segments": 2, "encoding": "harmonic"}
-        job = server.client.post("/v1/maps/campus/builds", json=wanted).json()["job"]
+        body = {"segments": 2, "encoding": "harmonic"}
+        job = server.client.post("/v1/maps/campus/builds", json=body).json()["job"]
         assert wait_for(server.client, job)["state"] == "done"
         yield server
 
@@ -39,8 +39,8 @@ def test_packed_signatures_are_answered_one_by_one(server, url):
     with connect(url) as stream:
         for index in range(6):
             stream.send(pack_signatures(basis.encode(basis.image(recording().scans[index]))))
-            told = json.loads(stream.recv())
-        assert (told["observations"], told["scan_index"], told["localized"]) == (6, 5, True)
+            answer = json.loads(stream.recv())
+        assert (answer["observations"], answer["scan_index"], answer["localized"]) == (6, 5, True)
     log = server.log.read_text()
     assert "Traceback" not in log, log
     assert "Warning" not in log, log

@@ -122,8 +122,8 @@ def test_a_build_is_compared_again_with_a_revision_that_became_live_meanwhile(st
         return gate
 
     monkeypatch.setattr(pipelines, "pass_gate", decide)
-    wanted = BuildParameters(segments=4, make_live=True, max_recall_loss=1.0)
-    third = build_revision(store, map_id, wanted)
+    expected = BuildParameters(segments=4, make_live=True, max_recall_loss=1.0)
+    third = build_revision(store, map_id, expected)
     assert compared == [first.digest, second.digest]
     assert store.revisions.live("campus") == third
     assert len(list(store.layout.revisions(map_id).iterdir())) == 3  # none of the lost race

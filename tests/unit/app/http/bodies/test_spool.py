@@ -153,8 +153,8 @@ class Sender:
 
 
 def paced(**settings):
-    wanted = {"body_idle_s": 60.0, "body_grace_s": 60.0, "body_bytes_per_s": 1.0, **settings}
-    return Pace(Settings(**wanted))
+    expected = {"body_idle_s": 60.0, "body_grace_s": 60.0, "body_bytes_per_s": 1.0, **settings}
+    return Pace(Settings(**expected))
 
 
 async def taken(pace, sender):
