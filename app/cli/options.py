@@ -43,7 +43,7 @@ FormatOption = Annotated[
     str | None,
     typer.Option(
         "--format",
-        help=f"Format of the scan files if their suffixes do not show it: {', '.join(FORMAT_NAMES)}.",
+        help=f"Format of the scan files, by default by suffix: {', '.join(FORMAT_NAMES)}.",
     ),
 ]
 EncodingOption = Annotated[
