@@ -208,7 +208,7 @@ def test_a_damaged_live_revision_is_reported_and_refit_builds_without_it(campus,
     if encoding == "harmonic":
         refused = campus.post(BUILDS, json=body)
         assert problem_of(refused) == (500, "corrupt-file")
-        for way_out in ("refit: true", "make a revision live whose file is good"):
+        for way_out in ("refit: true", "make a revision live whose file can be read"):
             assert way_out in refused.json()["detail"]
     build(campus, **body, refit=True)
 

@@ -174,7 +174,7 @@ def test_a_revoked_key_gets_no_more_events_and_others_do(sparing, monkeypatch):
 
 def test_however_many_follow_a_job_it_is_read_as_often_as_for_one(sparing, monkeypatch):
     monkeypatch.setattr("app.builds.runner.run_build", stand_still)
-    monkeypatch.setattr(app.builds.job_events, "_LOOK_EVERY_S", 0.02)
+    monkeypatch.setattr(app.builds.job_events, "_READ_EVERY_S", 0.02)
     job = sparing.post(BUILDS, json={"segments": 2}, headers=ADMIN).json()["job"]
     wait_for(AsHolder(sparing, ADMIN), job, {"running"})
     service = sparing.service
