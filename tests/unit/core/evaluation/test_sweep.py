@@ -8,17 +8,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from core.encodings.harmonic.model import HarmonicModel
+from core.encodings.paper.encoding import leading_sums
 from core.encodings.paper.model import PaperModel
-from core.encodings.paper.sweep import leading_sums
 from core.encodings.registry import encoding_names
 from core.errors import InvalidParameters
 from core.evaluation.condition import Condition
 from core.evaluation.criterion import Criterion
 from core.evaluation.evaluate import EvaluationProtocol, evaluate
-from core.evaluation.query_images import QueryImages, held_out_scans
 from core.evaluation.query_set import QuerySet
 from core.evaluation.split import Every, Interleaved
-from core.evaluation.sweep import SweepGrid, sweep
+from core.evaluation.study_drive import held_out_scans
+from core.evaluation.sweep import QueryImages, SweepGrid, sweep
 from core.mapping.pipeline import build
 from core.parameters import MapParameters
 from core.scans.drive import MemoryDrive
