@@ -20,8 +20,8 @@ OURS = ("core.encodings.paper", "core.encodings.harmonic")
 CLASSES = {"Encoding", "Model", "Basis", "Search"}
 
 
-def test_nothing_outside_of_the_encodings_asks_which_one_it_has():
-    asked = [
+def test_nothing_outside_of_the_encodings_checks_which_one_it_has():
+    queried = [
         f"{name}:{line}: {what}"
         for room in ("app", "core", "storage")
         for path in sorted((ROOT / room).rglob("*.py"))
@@ -30,10 +30,10 @@ def test_nothing_outside_of_the_encodings_asks_which_one_it_has():
         )
         for line, what in questions(path.read_text(), MAY_NAME.get(name, set()))
     ]
-    assert asked == []
+    assert queried == []
 
 
-def test_each_way_to_ask_is_found():
+def test_each_check_of_the_encoding_is_found():
     for code in (
         'name = "harmonic"',
         "from core.encodings.paper import PaperModel",

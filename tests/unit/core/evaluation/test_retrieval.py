@@ -37,7 +37,7 @@ def test_what_was_not_answered_is_missed():
     assert (len(nothing.thresholds), nothing.max_f1, nothing.average_precision) == (0, 0.0, 0.0)
 
 
-def test_nonsense_is_refused():
+def test_invalid_values_are_rejected():
     with pytest.raises(InvalidParameters, match="not NaN"):
         precision_recall(np.array([np.nan]), np.array([True]), 1)
     with pytest.raises(InvalidParameters, match="not NaN"):

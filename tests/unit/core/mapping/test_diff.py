@@ -37,12 +37,12 @@ def test_what_is_said_the_same_is_no_change():
     assert changed_parameters({}, {"image": "height"}) == {"image": (None, "height")}
 
 
-def test_what_stands_beside_is_not_asked_and_what_is_near_is_right():
+def test_scans_beside_are_not_searched_and_near_ones_are_right():
     trajectory = calibrated_map().trajectory
     row = len(trajectory) // 2
-    asked, near = own_place(trajectory, row)
+    queried, near = own_place(trajectory, row)
     apart = np.linalg.norm(trajectory.poses[:, :3] - trajectory.poses[row, :3], axis=1)
-    np.testing.assert_array_equal(asked, apart >= 1.0)
+    np.testing.assert_array_equal(queried, apart >= 1.0)
     np.testing.assert_array_equal(near, (apart >= 1.0) & (apart < 10.0))
 
 
@@ -56,7 +56,7 @@ def test_a_map_finds_the_neighbour_that_a_scan_looks_like_and_no_scan_that_looks
     assert not finds_own(tensor_map, rows, elsewhere).any()
 
 
-def test_a_scan_that_stands_alone_cannot_be_found():
+def test_a_scan_without_neighbours_cannot_be_found():
     alone = sample_map(6, 3, step_m=20.0)[0]
     assert not any(is_findable(alone, row) for row in range(6))
     source = MemoryImages(sample_map(6, 3)[1], SMALL_GRID)
