@@ -270,8 +270,8 @@ class TestEncodings:
         with running(tmp_path / "data") as client:
             client.post("/v1/maps", json={"map": "campus"})
             upload(client, "monday", recording())
-            queried = {"encoding": name, "segments": 2}
-            queued = client.post("/v1/maps/campus/builds", json=queried)
+            body = {"encoding": name, "segments": 2}
+            queued = client.post("/v1/maps/campus/builds", json=body)
             assert queued.status_code == 202, queued.text
             job = wait_for(client, queued.json()["job"])
             assert (job["state"], job["error"]) == ("done", None)

@@ -75,14 +75,14 @@ def test_loops_are_searched_among_earlier_scans(folders, tmp_path):
     [
         (["--methods", "orb"], "no method 'orb'; known are paper, harmonic"),
         (["--methods", "solid,solid"], "each once"),
-        (["--loop", "--split", "every:2"], "of one drive, whole"),
+        (["--loop", "--split", "every:2"], "of one whole drive"),
         (["--loop", "--recent-scans", "3", "--recent-s", "2"], "one of them"),
         (["--loop"], "exclude less"),
         (["--recent-s", "2"], "are of --loop"),
         (["--query-drive", ".", "--split", "every:2"], "leave --split out"),
         (["--split", "half"], "wanted interleaved"),
         (["--sensor", "eye"], "no sensor 'eye'"),
-        (["--tolerance-m", "0"], "metres above 0"),
+        (["--tolerance-m", "0"], "wanted above 0"),
     ],
 )
 def test_wrong_input_is_named(folders, options, says):

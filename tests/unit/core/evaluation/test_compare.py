@@ -236,8 +236,8 @@ def test_the_whole_is_plain_values_and_reports_its_progress():
     row = written["methods"][2]["conditions"][1]
     assert (row["yaw_deg"], row["noise_m"], row["queries"]) == (90.0, 0.01, 6)
     assert set(row["recall_at_1"]) == {"3", "5", "10"}
-    assert ("asking", 6 * 2 * 6) in progress.stages
-    assert ("asking elsewhere", 3 * 2 * 6) in progress.stages
+    assert ("querying", 6 * 2 * 6) in progress.stages
+    assert ("querying unknown places", 3 * 2 * 6) in progress.stages
     assert progress.done == [total for _, total in progress.stages]
 
 

@@ -48,7 +48,7 @@ def parameters(encoding, ranks=(5, 5)):
 @functools.cache
 def images_of(encoding, recorded=None, split=None, most=None):
     recorded = recorded or drive()
-    held_out, queried = held_out_scans(recorded, split or Interleaved(), most)
+    held_out, queried = held_out_scans(recorded, split or Interleaved(), most or 10**6)
     queries = QuerySet(recorded, queried, CONDITIONS, 0)
     return QueryImages.of_drive(held_out, queries, parameters(encoding))
 

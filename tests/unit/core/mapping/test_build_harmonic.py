@@ -95,7 +95,7 @@ def test_parts_that_do_not_fit_are_rejected(options):
 def test_a_grid_with_a_seam_is_rejected():
     with pytest.raises(InvalidParameters, match="wraps"):
         MapParameters(HARMONIC, grid=AngularGrid())
-    with pytest.raises(InvalidParameters, match="wants distance"):
+    with pytest.raises(InvalidParameters, match="needs distance"):
         MapParameters(HARMONIC, grid=AngularGrid(wraps=True))
 
 

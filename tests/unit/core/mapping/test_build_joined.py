@@ -115,7 +115,7 @@ def test_nodes_that_are_no_ends_of_their_segments_are_rejected(there_and_back):
             nodes, graph.edge_nodes, graph.edge_length_m, graph.edge_scans,
             graph.edge_of_segment, graph.segment_reversed,
         )  # fmt: skip
-        with pytest.raises(InvalidMap, match="first segment end that came there"):
+        with pytest.raises(InvalidMap, match="first segment end at its place"):
             TensorMap(
                 tensor_map.parameters, tensor_map.model, tensor_map.trajectory, moved,
                 tensor_map.relative_error,
