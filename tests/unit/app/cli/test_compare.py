@@ -82,7 +82,7 @@ def test_loops_are_searched_among_earlier_scans(folders, tmp_path):
         (["--query-drive", ".", "--split", "every:2"], "leave --split out"),
         (["--split", "half"], "wanted interleaved"),
         (["--sensor", "eye"], "no sensor 'eye'"),
-        (["--tolerance-m", "0"], "wanted above 0"),
+        (["--tolerance-m", "0"], "metres above 0"),
     ],
 )
 def test_wrong_input_is_named(folders, options, says):
