@@ -130,30 +130,17 @@ def find_consensus(
         most = agrees[agrees.sum(axis=1).argmax()]
         if most.sum() > best.sum():
             best = most
-    return _refitted(points_m, matched_m, yaw_deg, tolerance_m, best, level=level)
-
-
-def _refitted(
-    points_m: FloatArray,
-    matched_m: FloatArray,
-    turn_deg: FloatArray | None,
-    tolerance_m: float,
-    agrees: BoolArray,
-    *,
-    level: bool,
-) -> Consensus | None:
-    """Fit to the matches that agree, until these do not change."""
     found = None
     for _ in range(_REFITS):
-        if agrees.sum() < 3:
+        if best.sum() < 3:
             return None
-        transform = RigidTransform.fit(points_m[agrees], matched_m[agrees], level=level)
+        transform = RigidTransform.fit(points_m[best], matched_m[best], level=level)
         off_m = np.linalg.norm(transform.apply(points_m) - matched_m, axis=1)
-        agree = (off_m <= tolerance_m) & _same_yaw(transform.rotation[None], turn_deg)[0]
+        agree = (off_m <= tolerance_m) & _same_yaw(transform.rotation[None], yaw_deg)[0]
         found = Consensus(transform, agree)
-        if np.array_equal(agree, agrees):
+        if np.array_equal(agree, best):
             break
-        agrees = agree
+        best = agree
     return found
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from core.arrays import FloatArray, IntArray
-from core.encodings.model import Neighbours, Search, Viewpoints
+from core.encodings.model import Neighbours, Search
 from core.mapping.tensormap import TensorMap
 from core.scans.angles import wrapped_deg
 from core.scans.displacement import left_of_m, places_beside_m, pose_beside
@@ -117,7 +117,10 @@ def _refined(
         aside_deg = wrapped_deg(seen.relative_yaw_deg + headings_deg[:, None] - yaw_deg)
     else:
         aside_deg = wrapped_deg(seen.relative_yaw_deg - yaw_deg)
-    weights = _weights(seen, distance, aside_deg)
+    nearest = max(distance, float(np.finfo(np.float32).tiny))
+    weights = (nearest / np.maximum(seen.distances, nearest)) ** _SHARPNESS
+    weights *= np.abs(aside_deg) <= _SAME_YAW_DEG
+    weights /= weights.sum()
     if yaw_deg is not None:
         yaw_deg += float(np.sum(weights * aside_deg))
         yaw_deg = wrapped_deg(yaw_deg)
@@ -127,14 +130,6 @@ def _refined(
     estimated = pose_beside(poses[row], 0.0, yaw_deg or 0.0)
     estimated[:3] = np.einsum("kd,kdx->x", weights, seen_from_m)
     return yaw_deg, left_of_m(poses[row], estimated), Pose.from_row(estimated)
-
-
-def _weights(seen: Viewpoints, distance: float, aside_deg: FloatArray) -> FloatArray:
-    """Return each viewpoint's weight, `(n, D)`; they sum to 1."""
-    nearest = max(distance, float(np.finfo(np.float32).tiny))
-    weights = (nearest / np.maximum(seen.distances, nearest)) ** _SHARPNESS
-    weights *= np.abs(aside_deg) <= _SAME_YAW_DEG
-    return np.asarray(weights / weights.sum())
 
 
 def _rows_beside(trajectory: Trajectory, row: int) -> IntArray:
