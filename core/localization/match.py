@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from core.arrays import FloatArray, IntArray
+from core.arrays import IntArray
 from core.encodings.model import Neighbours, Search
 from core.mapping.tensormap import TensorMap
 from core.scans.angles import wrapped_deg
