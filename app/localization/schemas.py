@@ -111,7 +111,7 @@ class SignaturesIn(BaseModel):
 
     basis: _Digest | None = Field(
         None,
-        description="Digest of the basis that made them, or at least 16 first digits: any revision"
+        description="Digest of their basis, or at least 16 first digits: any revision"
         " that has it answers, the live one first.",
     )
     revision: _Digest | None = Field(
@@ -122,7 +122,7 @@ class SignaturesIn(BaseModel):
     @model_validator(mode="after")
     def _one_name(self) -> "SignaturesIn":
         if (self.basis is None) == (self.revision is None):
-            raise ValueError("give the basis that made the signatures, or else a revision")
+            raise ValueError("give the signatures' basis or a revision, not both")
         return self
 
     @property

@@ -122,7 +122,7 @@ def check_frames(tensor_map: TensorMap, progress: Progress = NO_PROGRESS) -> tup
         progress: Receives every scan that is matched.
 
     Returns:
-        A check for each drive that has poses and comes after another that has.
+        A check for each drive with poses but the first.
     """
     trajectory = tensor_map.trajectory
     pairs = list(_pairs(trajectory))

@@ -1,4 +1,4 @@
-"""A match: a scan of the map, and where the query was made relative to it."""
+"""A match: a scan of the map, and the query's pose relative to it."""
 
 import math
 from dataclasses import dataclass
@@ -21,10 +21,10 @@ _SAME_YAW_DEG = 20.0  # a rendering with another relative yaw is similar to the 
 
 @dataclass(frozen=True)
 class Match:
-    """A scan of the map, and where the query was made relative to it.
+    """A scan of the map, and the query's pose relative to it.
 
     Attributes:
-        segment: The segment it lies on.
+        segment: Its segment.
         fraction: How far along the segment, 0 at its start and 1 at its end.
         along_m: The same in metres, `None` where a pose on the way is unknown.
         drive: The drive it was recorded in.
@@ -36,8 +36,8 @@ class Match:
         pose: Where it was recorded, `None` where unknown.
         relative_yaw_deg: Of the query, counter-clockwise, -180..180; `None` where the encoding
             does not give it, as the paper's.
-        lateral_m: How far to the left of the scan the query was made, `None` likewise.
-        estimated_pose: Where the query was made: `pose` displaced and turned; `None` likewise.
+        lateral_m: Lateral offset of the query, positive to the left of the scan; `None` likewise.
+        estimated_pose: Of the query: `pose` displaced and turned; `None` likewise.
     """
 
     segment: int

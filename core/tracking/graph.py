@@ -27,7 +27,7 @@ class TravelGraph:
             drive begins, or at the drive's last scan.
         ahead: `(2K, 2K)`, the probability of a place (row) one scan after another (column);
             columns sum to 1.
-        step_m: `(2K,)` metres to the next scan ahead, NaN where unknown, 0 where nothing is ahead.
+        step_m: `(2K,)` metres to the next scan ahead, NaN where unknown, 0 where there is none.
         along_m: `(K,)` metres along the map's drives, without a jump between them; NaN unknown.
     """
 
@@ -72,7 +72,7 @@ class TravelGraph:
         cuts: FloatArray = np.asarray(starts - 0.5 if cut_position is None else cut_position)
         if cuts.shape != starts.shape or (cuts > starts).any() or (cuts < starts - 1).any():
             raise InvalidParameters(
-                "a cut lies between the last scan before it and the first after"
+                "each cut must be between the last scan before it and the first one after it"
             )
         places = 2 * len(tensor_map)
         one, two = _links(tensor_map).T
