@@ -17,7 +17,7 @@ class Client:
 
     @property
     def left(self) -> asyncio.Event:
-        """Set when the connection is gone."""
+        """Set when the connection was closed."""
         return self._left
 
     async def watch(self, receive: Receive) -> None:
