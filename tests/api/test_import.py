@@ -1,4 +1,4 @@
-"""A revision from elsewhere: checked whole, written anew, answering as it did there."""
+"""A revision from another service: checked, rewritten, and with the same answers."""
 
 import errno
 import io

@@ -1,4 +1,4 @@
-"""Revisions: which one answers, and what a signature of another one is told."""
+"""Revisions: which one answers, also a signature of another one."""
 
 import pytest
 
