@@ -16,8 +16,9 @@ from core.evaluation.compare import (
 )
 from core.evaluation.compare import compare as compare_methods
 from core.evaluation.condition import conditions
+from core.evaluation.disturbances import Recording
 from core.evaluation.pairing import RECENT_SCANS, HeldOut, LoopClosing, Pairing, SecondPass
-from core.scans.sensor import HDL_64E
+from core.scans.sensor import HDL_64E, sensor_named
 from core.segmentation.fixed import segment_length_for
 
 
@@ -70,6 +71,7 @@ def compare(
     yaw_deg: evaluation.YawOption = "0",
     lateral_m: evaluation.LateralOption = "0",
     noise_m: evaluation.NoiseOption = "0",
+    disturb: evaluation.DisturbOption = "",
     tolerance_m: evaluation.ToleranceOption = "3,5,10",
     seed: evaluation.SeedOption = 0,
     json_out: evaluation.JsonOption = None,
@@ -82,11 +84,9 @@ def compare(
         max(1, len(mapped)), segment_length=segment_length, segments=segments
     )
     names = default_methods() if methods is None else tuple(methods.split(","))
+    recording = Recording(sensor_named(sensor), options.height_m(sensor, sensor_height_m))
     chosen = methods_named(
-        names,
-        sensor=sensor,
-        sensor_height_m=options.height_m(sensor, sensor_height_m),
-        segment_length=length,
+        names, sensor=sensor, sensor_height_m=recording.height_m, segment_length=length
     )
     protocol = ComparisonProtocol(
         pairing=_pairing(
@@ -98,10 +98,16 @@ def compare(
             every=query_every,
             segment_length=length,
         ),
-        conditions=conditions(*map(options.numbers, (yaw_deg, lateral_m, noise_m))),
+        conditions=conditions(
+            options.numbers(yaw_deg),
+            options.numbers(lateral_m),
+            options.numbers(noise_m),
+            disturb.split(","),
+        ),
         tolerances_m=options.numbers(tolerance_m),
         unknown_every=query_every,
         seed=seed,
+        recording=recording,
     )
     with progress_bar() as progress:
         result = compare_methods(
@@ -152,10 +158,12 @@ def _show(result: Comparison) -> None:
     first = result.methods[0]
     for column, of_first in enumerate(first.conditions):
         condition = of_first.condition
+        disturbed = f", {condition.disturb}" if condition.disturb else ""
         findable = ", ".join(f"{count} within {m:g} m" for m, count in of_first.findable.items())
         say(
             f"\nyaw {condition.yaw_deg:g} deg, {condition.lateral_m:g} m to the left,"
-            f" noise {condition.noise_m:g} m: {of_first.queries} queries, findable {findable}"
+            f" noise {condition.noise_m:g} m{disturbed}: {of_first.queries} queries,"
+            f" findable {findable}"
         )
         tolerances = list(of_first.recall_at_1)
         evaluation.show_table(

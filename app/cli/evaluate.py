@@ -46,6 +46,7 @@ def evaluate(
     yaw_deg: evaluation.YawOption = "0",
     lateral_m: evaluation.LateralOption = "0",
     noise_m: evaluation.NoiseOption = "0",
+    disturb: evaluation.DisturbOption = "",
     tolerance_m: evaluation.ToleranceOption = "3,5,10",
     seed: evaluation.SeedOption = 0,
     track: Annotated[
@@ -78,7 +79,12 @@ def evaluate(
         segment_length=segment_length,
         segments=segments,
         split=evaluation.split_of(split),
-        conditions=conditions(*map(options.numbers, (yaw_deg, lateral_m, noise_m))),
+        conditions=conditions(
+            options.numbers(yaw_deg),
+            options.numbers(lateral_m),
+            options.numbers(noise_m),
+            disturb.split(","),
+        ),
         tolerances_m=options.numbers(tolerance_m),
         seed=seed,
         track=track,

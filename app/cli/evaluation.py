@@ -13,6 +13,7 @@ from rich.table import Table
 
 from app.cli.console import figure, output
 from app.cli.options import MIN_RETURNS, checked, numbers
+from core.evaluation.disturbances import DISTURBANCES, parse_disturbances
 from core.evaluation.split import Interleaved, Split, parse_split
 from core.scans.drive import Drive
 from storage.files.files import publish
@@ -26,6 +27,7 @@ _CONDITION = (
     ("left m", "condition.lateral_m", "g"),
     ("noise m", "condition.noise_m", "g"),
 )
+_DISTURBED = ("disturb", "condition.disturb", "")
 
 
 def _list(text: str) -> Any:  # noqa: ANN401 - Typer's own type
@@ -36,7 +38,16 @@ YawOption = Annotated[str, _list("Turn the query vehicle, counter-clockwise")]
 LateralOption = Annotated[str, _list("Shift it so far to the left")]
 NoiseOption = Annotated[str, _list("Sigma of noise on every coordinate")]
 ToleranceOption = Annotated[str, _list("A match is right within so many metres")]
-SeedOption = Annotated[int, protocol_option(min=0, help="Of the noise.")]
+DisturbOption = Annotated[
+    str,
+    protocol_option(
+        help="Disturb the queries: a comma-separated list of NAME:VALUE, those of one query joined"
+        f" by +. NAME: {', '.join(DISTURBANCES)}.",
+        callback=checked(parse_disturbances),
+        metavar="A+B,C",
+    ),
+]
+SeedOption = Annotated[int, protocol_option(min=0, help="Of noise and disturbances.")]
 SplitOption = Annotated[
     str | None, protocol_option(help="interleaved:F[:PHASE] or every:N. [interleaved:0.2]")
 ]
@@ -92,7 +103,8 @@ def show_conditions(
     """
     headings: list[str] = []
     cells: list[list[str]] = [[] for _ in rows]
-    for heading, attribute, form in (*_CONDITION, *columns):
+    disturbed = [_DISTURBED] if any(row.condition.disturb for row in rows) else []
+    for heading, attribute, form in (*_CONDITION, *disturbed, *columns):
         values = [attrgetter(attribute)(row) for row in rows]
         if isinstance(values[0], dict):
             headings += [heading.format(key) for key in values[0]]

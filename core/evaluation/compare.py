@@ -12,6 +12,7 @@ import numpy as np
 from core.arrays import FloatArray, IntArray
 from core.errors import InvalidParameters
 from core.evaluation.condition import Condition
+from core.evaluation.disturbances import KITTI_RECORDING, Recording
 from core.evaluation.methods import Enrolled, Method
 from core.evaluation.metrics import apart_m, heading_error_deg, median
 from core.evaluation.pairing import HeldOut, Paired, Pairing
@@ -32,10 +33,12 @@ class ComparisonProtocol(QueryProtocol):
     Attributes:
         pairing: Which scans are places, and which are queries.
         unknown_every: Query with every N-th scan of the unknown drive.
+        recording: The sensor that recorded the queries.
     """
 
     pairing: Pairing = field(default_factory=HeldOut)
     unknown_every: int = 1
+    recording: Recording = KITTI_RECORDING
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -183,7 +186,9 @@ def compare(
     def answers(
         of: Drive, scans: IntArray, first_excluded: IntArray, stage: str
     ) -> list[list[list[_Answer | None]]]:
-        queries = QuerySet(of, scans, protocol.conditions, protocol.seed)
+        queries = QuerySet(
+            of, scans, protocol.conditions, protocol.seed, recording=protocol.recording
+        )
         return queries.answers(
             [partial(_answer, places, first_excluded) for places in enrolled], stage, progress
         )

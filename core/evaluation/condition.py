@@ -1,4 +1,4 @@
-"""Disturbances of queries: relative yaw, lateral offset, noise (paper, sec. 3.4)."""
+"""Conditions of queries: relative yaw, lateral offset, noise (paper, sec. 3.4), disturbances."""
 
 import itertools
 from collections.abc import Sequence
@@ -8,6 +8,7 @@ import numpy as np
 
 from core.arrays import FloatArray
 from core.errors import InvalidParameters
+from core.evaluation.disturbances import KITTI_RECORDING, Recording, parse_disturbances
 from core.numbers import require_at_least
 from core.scans.displacement import pose_beside, seen_from_beside
 from core.scans.scan import Scan
@@ -15,25 +16,42 @@ from core.scans.scan import Scan
 
 @dataclass(frozen=True)
 class Condition:
-    """A disturbance of every query scan.
+    """What changes every query scan.
 
     The vehicle is `lateral_m` to the left of its recorded pose (negative: right), then rotated by
     `yaw_deg` counter-clockwise, p' = Rz(-yaw) (p - (0, d, 0)), and every coordinate of its returns
     has Gaussian noise. As in the paper the displacement is simulated: the returns are those seen
-    from the recorded place.
+    from the recorded place. Disturbances come after the displacement and before the noise.
+
+    Attributes:
+        yaw_deg: Relative yaw.
+        lateral_m: Offset to the left.
+        noise_m: Standard deviation of the noise.
+        disturb: One combination as `core.evaluation.disturbances.parse_disturbances` reads it, such
+            as `hidden:60+truck:1`; none if empty.
     """
 
     yaw_deg: float = 0.0
     lateral_m: float = 0.0
     noise_m: float = 0.0
+    disturb: str = ""
 
     def __post_init__(self) -> None:
         if not np.isfinite([self.yaw_deg, self.lateral_m]).all():
             raise InvalidParameters(f"{self} has a number that is not finite")
         require_at_least(0, noise_m=self.noise_m)
+        if len(parse_disturbances(self.disturb)) != 1:
+            raise InvalidParameters(f"disturb is {self.disturb!r}, wanted one combination")
 
-    def apply(self, scan: Scan, rng: np.random.Generator) -> Scan:
+    def apply(
+        self, scan: Scan, rng: np.random.Generator, recording: Recording = KITTI_RECORDING
+    ) -> Scan:
         """Return the scan as the query vehicle would have it.
+
+        Args:
+            scan: The recorded scan.
+            rng: Source of noise and disturbances.
+            recording: The sensor that recorded it.
 
         Examples:
             >>> scan = Scan(np.array([[10.0, 5.0, 0.0]]))
@@ -44,6 +62,8 @@ class Condition:
         if self == Condition():
             return scan
         points = seen_from_beside(scan.points_m, self.lateral_m, self.yaw_deg)
+        for disturbance in parse_disturbances(self.disturb)[0]:
+            points = disturbance.apply(points, recording, rng)
         if self.noise_m:
             points += rng.normal(scale=self.noise_m, size=points.shape)
         return Scan.from_returns(points, timestamp_s=scan.timestamp_s, pose=scan.pose)
@@ -54,10 +74,11 @@ class Condition:
 
 
 def conditions(
-    yaw_deg: Sequence[float], lateral_m: Sequence[float], noise_m: Sequence[float]
+    yaw_deg: Sequence[float],
+    lateral_m: Sequence[float],
+    noise_m: Sequence[float],
+    disturb: Sequence[str] = ("",),
 ) -> tuple[Condition, ...]:
-    """Return the product of three lists."""
-    return tuple(
-        Condition(yaw, lateral, noise)
-        for yaw, lateral, noise in itertools.product(yaw_deg, lateral_m, noise_m)
-    )
+    """Return the product of four lists."""
+    product = itertools.product(yaw_deg, lateral_m, noise_m, disturb)
+    return tuple(itertools.starmap(Condition, product))

@@ -9,6 +9,7 @@ from scipy.spatial import KDTree
 
 from core.arrays import FloatArray, IntArray
 from core.encodings.compression import Compression
+from core.evaluation.disturbances import Recording
 from core.evaluation.metrics import median
 from core.evaluation.plain import Plain
 from core.evaluation.query_set import (
@@ -30,6 +31,7 @@ from core.projection.images import Skipped
 from core.scans.drive import Drive
 from core.scans.pose import is_known
 from core.scans.scan import Scan
+from core.scans.sensor import sensor_named
 from core.segmentation.fixed import segment_length_for
 from core.tracking.track import Tracker
 
@@ -145,7 +147,10 @@ def evaluate(
     else:
         queried, scans, cuts = query_drive, np.arange(len(query_drive)), None
         segment = _segment_of_nearest(query_drive, tensor_map)
-    queries = LocatedQueries(queried, scans, conditions, protocol.seed, segment)
+    recording = Recording(sensor_named(parameters.sensor), parameters.sensor_height_m)
+    queries = LocatedQueries(
+        queried, scans, conditions, protocol.seed, segment, recording=recording
+    )
 
     def localized(query_set: QuerySet, stage: str) -> list[list[Answer | None]]:
         def localize(_: int, scan: Scan) -> Answer:
@@ -158,7 +163,8 @@ def evaluate(
     answers = localized(queries, "localizing")
     elsewhere: list[list[Answer | None]] = [[] for _ in conditions]
     for of_unknown in unknown:
-        others = QuerySet(of_unknown, np.arange(len(of_unknown)), conditions, protocol.seed)
+        every = np.arange(len(of_unknown))
+        others = QuerySet(of_unknown, every, conditions, protocol.seed, recording=recording)
         for column, found in enumerate(localized(others, f"localizing {of_unknown.name}")):
             elsewhere[column] += found
     tracks: tuple[TrackResult, ...] = ()

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TypeVar
 
@@ -11,6 +11,7 @@ import numpy as np
 from core.arrays import BoolArray, FloatArray, IntArray
 from core.errors import EmptyDrive, InvalidParameters, InvalidScan
 from core.evaluation.condition import Condition
+from core.evaluation.disturbances import KITTI_RECORDING, Recording
 from core.evaluation.motion import is_standing, motion_surrogate
 from core.evaluation.split import Split
 from core.numbers import require_at_least
@@ -29,7 +30,7 @@ class QueryProtocol:
     Attributes:
         conditions: The disturbances of the queries.
         tolerances_m: Within which an answer is right.
-        seed: Of the noise; a scan's noise does not depend on the other queries.
+        seed: Of noise and disturbances; a scan's do not depend on the other queries.
     """
 
     conditions: tuple[Condition, ...] = (Condition(),)
@@ -52,13 +53,15 @@ class QuerySet:
         drive: The drive of the scans.
         scans: `(n,)` their positions in it.
         conditions: The disturbances.
-        seed: Of the noise.
+        seed: Of noise and disturbances.
+        recording: The sensor that recorded the scans.
     """
 
     drive: Drive
     scans: IntArray
     conditions: tuple[Condition, ...]
     seed: int
+    recording: Recording = field(default=KITTI_RECORDING, kw_only=True)
 
     def __len__(self) -> int:
         return len(self.scans)
@@ -96,7 +99,8 @@ class QuerySet:
             return
         for condition in self.conditions:
             try:
-                yield condition.apply(scan, np.random.default_rng([self.seed, position]))
+                rng = np.random.default_rng([self.seed, position])
+                yield condition.apply(scan, rng, self.recording)
             except InvalidScan:
                 yield None
 

@@ -109,12 +109,21 @@ class Sensor:
         grid: Default lattice; one row per beam where beams are evenly spaced.
         source: Where the figures are published.
         height_m: Its usual height above ground, `None` if vehicles differ.
+        uneven_beams_deg: Elevation of each beam, rising, where they are not those of the grid.
     """
 
     name: str
     grid: AngularGrid
     source: str
     height_m: float | None = None
+    uneven_beams_deg: tuple[float, ...] = ()
+
+    @property
+    def beams_deg(self) -> FloatArray:
+        """The elevation of each beam, `(b,)`, rising."""
+        return (
+            np.array(self.uneven_beams_deg) if self.uneven_beams_deg else self.grid.elevations_deg
+        )
 
     def height_or_assumed_m(self, given_m: float | None = None) -> float:
         """Return the height above ground: as given, the sensor's own, or that of an HDL-64E."""
@@ -138,11 +147,18 @@ def _even_beams(lowest_deg: float, highest_deg: float, beams: int) -> AngularGri
     return AngularGrid(elevation_min_deg=lowest_deg, elevation_step_deg=step, rows=beams)
 
 
+# Velodyne HDL-64E manual: 32 beams 1/3 deg apart from +2 deg down, 32 beams 1/2 deg apart below.
+HDL_64E_BEAMS_DEG: tuple[float, ...] = (
+    *(2.0 - beam / 3.0 for beam in range(32)),
+    *(2.0 - 31.0 / 3.0 - (beam + 1) / 2.0 for beam in range(32)),
+)
+
 HDL_64E = Sensor(
     "hdl-64e",
     AngularGrid(),
     "paper, sec. 2.1: 26.3 deg of elevation, 30 whole degrees -25..4",
     HDL_64E_ON_KITTI_HEIGHT_M,
+    tuple(sorted(HDL_64E_BEAMS_DEG)),
 )
 
 SENSORS: dict[str, Sensor] = {

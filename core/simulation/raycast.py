@@ -13,13 +13,8 @@ from core.numbers import require_above, require_at_least
 from core.scans.angles import wrapped_deg
 from core.scans.pose import Pose
 from core.scans.scan import Scan
+from core.scans.sensor import HDL_64E_BEAMS_DEG
 from core.simulation.world import Boxes, Cylinders, Scene
-
-# Velodyne HDL-64E manual: 32 beams 1/3 deg apart from +2 deg down, 32 beams 1/2 deg apart below.
-HDL_64E_BEAMS_DEG: tuple[float, ...] = (
-    *(2.0 - beam / 3.0 for beam in range(32)),
-    *(2.0 - 31.0 / 3.0 - (beam + 1) / 2.0 for beam in range(32)),
-)
 
 _LEVEL = 1e-12  # slope given to a beam, or component to a ray, of exactly 0, to divide by it
 _UPRIGHT = 1e-6  # how far qx and qy may be from 0

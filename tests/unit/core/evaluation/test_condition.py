@@ -88,3 +88,23 @@ def test_conditions_are_the_product_of_their_lists():
         Condition(yaw_deg=90.0, noise_m=0.5),
     )
     assert conditions([], [0.0], [0.0]) == ()
+
+
+def test_disturbances_come_after_the_displacement_and_before_the_noise():
+    scan = Scan(np.array([[10.0, 0.0, 0.0], [0.0, 10.0, 0.0]]))
+    condition = Condition(yaw_deg=90.0, disturb="fov:90+height:1")
+    disturbed = condition.apply(scan, np.random.default_rng(0))
+    np.testing.assert_allclose(disturbed.points_m, [[10.0, 0.0, -1.0]], atol=1e-6)
+
+
+@pytest.mark.parametrize("disturb", ["hidden:60,fov:90", "fog:1", "hidden"])
+def test_a_condition_has_one_combination_of_disturbances(disturb):
+    with pytest.raises(InvalidParameters, match="disturb"):
+        Condition(disturb=disturb)
+
+
+def test_conditions_are_the_product_with_disturbances():
+    made = conditions((0.0, 90.0), (0.0,), (0.0,), ["", "hidden:60"])
+    assert [(c.yaw_deg, c.disturb) for c in made] == [
+        (0.0, ""), (0.0, "hidden:60"), (90.0, ""), (90.0, "hidden:60"),
+    ]  # fmt: skip

@@ -8,7 +8,8 @@ import pytest
 from core.arrays import FloatArray
 from core.errors import InvalidParameters, InvalidPose, TooFewReturns
 from core.scans.pose import Pose
-from core.simulation.raycast import HDL_64E_BEAMS_DEG, SimulatedSensor, cast
+from core.scans.sensor import HDL_64E_BEAMS_DEG
+from core.simulation.raycast import SimulatedSensor, cast
 from core.simulation.world import Boxes, Cylinders, Scene
 
 HEIGHT_M = 1.73
