@@ -26,7 +26,7 @@ from core.progress import Progress
 from core.projection.reducer import Reducer
 from core.scans.drive import Drive
 from core.scans.scan import Scan
-from core.segmentation import cut_fixed, segment_length_for
+from core.segmentation.fixed import cut_fixed, segment_length_for
 from storage.catalog import JobState
 from storage.formats.scans.kitti import kitti_body
 

@@ -1,4 +1,4 @@
-"""Lists, a page at a time."""
+"""Pages of lists."""
 
 from collections.abc import Callable
 from typing import Annotated, Generic, TypeVar
@@ -19,7 +19,7 @@ class PageOut(BaseModel, Generic[T]):
     """Some items of a list, in its order."""
 
     items: list[T]
-    next_after: str | None = Field(description="Ask for the rest with `after`; null at the end.")
+    next_after: str | None = Field(description="`after` of the next page; null at the end.")
 
 
 def page_out(page: Page[R], show: Callable[[R], T]) -> PageOut[T]:

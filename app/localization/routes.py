@@ -19,10 +19,7 @@ from app.revisions.loaded import Answering
 from app.service import MapSlug, Running
 from core import errors as core
 from core.encodings.signature import Signature, unpack_signatures
-from core.projection.height_image import HeightImage
 from core.projection.imager import Grid, Image
-from core.projection.range_image import RangeImage
-from core.projection.rings import RingGrid
 from storage.errors import CorruptFile, MapNotFound, NoLiveRevision
 from storage.formats.errors import EmptyBody
 from storage.formats.scans.registry import read_scan
@@ -161,8 +158,7 @@ def read_image(body: bytes, grid: Grid) -> Image:
         raise core.InvalidImage(
             f"the body has {len(body)} bytes, wanted {size}: {grid.rows} x {grid.columns} float32"
         )
-    cells = np.frombuffer(body, "<f4").reshape(grid.shape)
-    return HeightImage(cells, grid) if isinstance(grid, RingGrid) else RangeImage(cells, grid)
+    return Image(np.frombuffer(body, "<f4").reshape(grid.shape), grid)
 
 
 def read_signatures(body: bytes, content_type: str | None) -> tuple[Signature, ...]:

@@ -14,7 +14,7 @@ from core.evaluation.self_recall import finds_own, is_findable
 from core.mapping.diff import drive_overlaps
 from core.mapping.tensormap import TensorMap
 from core.projection.images import ImageSource
-from core.projection.probe import probed_among
+from core.projection.probe import spread_evenly
 from storage.errors import CorruptImages, DriveNotFound
 from storage.files.image_file import ImageFile
 from storage.store import Store, StoredDrive
@@ -98,7 +98,7 @@ def measure_recall(
                 pairs += [(mine[scan], theirs[scan]) for scan in sorted(mine.keys() & theirs)]
         if not pairs:
             return NoRecall.IMAGES_NOT_KEPT
-        chosen = [pairs[i] for i in probed_among(np.arange(len(pairs)), MOST_ASKED)]
+        chosen = [pairs[i] for i in spread_evenly(np.arange(len(pairs)), MOST_ASKED)]
         findable = [
             (mine, theirs)
             for mine, theirs in chosen

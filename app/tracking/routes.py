@@ -5,7 +5,7 @@ from typing import Annotated
 
 from fastapi import Path, Query, Response
 
-from app.access.dependency import Asking
+from app.access.dependency import CurrentCaller
 from app.access.scopes import Scope, needs
 from app.drives.routes import BAD_SCAN
 from app.http import errors
@@ -57,7 +57,7 @@ _OBSERVATION_TYPES = {
 def create_track(
     map_slug: MapSlug,
     running: Running,
-    asking: Asking,
+    caller: CurrentCaller,
     response: Response,
     revision: Annotated[
         str | None,
@@ -73,7 +73,7 @@ def create_track(
     """
     answering = running.revisions.get(map_slug, revision)
     record = running.store.maps.get(map_slug)
-    created = running.tracks.create(record.id, asking.key_id, answering.localizer)
+    created = running.tracks.create(record.id, caller.key_id, answering.localizer)
     response.headers["Location"] = f"/v1/maps/{map_slug}/tracks/{created.id}"
     return TrackOut.from_track(created, map_slug, answering.live_revision, running.tracks.idle_s)
 

@@ -16,7 +16,7 @@ from core.frames.rigid import RigidTransform, find_consensus
 from core.localization.match import match_at
 from core.mapping.tensormap import TensorMap
 from core.progress import NO_PROGRESS, Progress
-from core.projection.probe import probed_among
+from core.projection.probe import spread_evenly
 from core.scans.displacement import pose_beside
 from core.scans.pose import heading_deg
 from core.scans.trajectory import Trajectory
@@ -172,7 +172,7 @@ def _along_path(trajectory: Trajectory, rows: IntArray) -> IntArray:
     path_m = np.concatenate([[0.0], np.cumsum(steps_m)])
     spacing_m = max(1.0, path_m[-1] / MOST_MATCHED)
     _, first = np.unique(np.floor(path_m / spacing_m), return_index=True)
-    return probed_among(rows[first], MOST_MATCHED)
+    return spread_evenly(rows[first], MOST_MATCHED)
 
 
 @dataclass(frozen=True, eq=False)

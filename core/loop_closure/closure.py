@@ -183,7 +183,7 @@ def _similarity(first: Scan, second: Scan, sensor_height_m: float) -> tuple[floa
 
 
 def _heights(scan: Scan, sensor_height_m: float) -> Float32Array:
-    return project_heights(scan, _GRID, Reducer.MEAN, sensor_height_m).cells
+    return project_heights(scan, _GRID, Reducer.MEAN, sensor_height_m)
 
 
 def _headings(correlation: FloatArray) -> FloatArray:

@@ -164,7 +164,7 @@ def test_unchecked_poses_are_not_inherited_by_the_next_build(foreign):
     assert again["error"]["type"] == "/problems/frames-disagree"
 
 
-def test_the_first_build_of_a_map_is_live_and_one_without_recall_has_a_reason(campus):
+def test_the_first_build_of_a_map_is_live_and_an_unmeasured_one_gives_its_reason(campus):
     campus.post("/v1/maps", json={"map": "other"})
     upload(campus, "monday", recording(), slug="other")
     queued = campus.post("/v1/maps/other/builds", json={"segments": 3, "make_live": True}).json()

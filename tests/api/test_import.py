@@ -106,7 +106,7 @@ def test_a_file_with_a_link_to_another_is_refused(empty, exported, tmp_path):
     assert problem_of(answer) == (422, "invalid-map")
 
 
-def test_an_import_needs_its_media_type_and_an_existing_map(empty, exported):
+def test_an_import_has_a_media_type_and_needs_an_existing_map(empty, exported):
     assert problem_of(empty.post(REVISIONS, content=exported)) == (415, "unsupported-body")
     nowhere = empty.post("/v1/maps/other/revisions", content=exported, headers=HDF5)
     assert problem_of(nowhere) == (404, "map-not-found")

@@ -93,7 +93,7 @@ def test_a_drive_is_tracked_scan_by_scan(client, track):
     assert shown["revision"] == shown["live_revision"] == last["revision"]
 
 
-def test_a_scan_an_image_and_signatures_get_the_same_answer(client, basis):
+def test_scan_image_and_signatures_of_either_form_get_the_same_answer(client, basis):
     ways = {
         "scan": lambda i: {"content": kitti(recording(noise_seed=7).scans[i]), "headers": KITTI},
         "image": lambda i: {
@@ -183,7 +183,7 @@ def test_a_stream_answers_each_packed_signature(client, basis, track):
     assert client.get(track).json()["last"] == answer
 
 
-def test_a_stream_takes_json_and_stays_open_after_a_refusal(client, basis, track):
+def test_a_stream_takes_json_and_continues_after_a_rejection(client, basis, track):
     with open_stream(client, f"{track}/stream") as stream:
         stream.send_json({**as_json(signatures(basis, 0)), "sequence": 3, "timestamp_s": 1.0})
         assert stream.receive_json()["observations"] == 1

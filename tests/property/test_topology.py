@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from core.arrays import FloatArray, IntArray
 from core.scans.trajectory import Trajectory
-from core.segmentation import cut_drives
+from core.segmentation.fixed import cut_drives
 from core.segmentation.turns import cut_at_turns
 from core.topology import Topology, cut_at_meetings, join_segments, segment_ends
 

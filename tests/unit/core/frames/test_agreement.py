@@ -12,8 +12,9 @@ from core.mapping.build import fit_map
 from core.parameters import MapParameters
 from core.projection.images import ConcatenatedImages, project_drive
 from core.scans.trajectory import Trajectory
-from core.segmentation import cut_drives
-from core.simulation import SimulatedDrive, SimulatedSensor
+from core.segmentation.fixed import cut_drives
+from core.simulation import SimulatedDrive
+from core.simulation.raycast import SimulatedSensor
 from core.topology import cut_at_meetings
 
 pytestmark = pytest.mark.slow

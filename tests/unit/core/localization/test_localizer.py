@@ -19,11 +19,11 @@ from core.localization.localizer import Localizer
 from core.mapping.build import fit_map
 from core.mapping.tensormap import TensorMap
 from core.parameters import MapParameters
+from core.projection.imager import Image
 from core.projection.images import MemoryImages, project_drive
-from core.projection.range_image import RangeImage
 from core.scans.sensor import AngularGrid
 from core.scans.trajectory import Trajectory
-from core.segmentation import cut_fixed
+from core.segmentation.fixed import cut_fixed
 from core.simulation import SimulatedDrive
 from core.topology import Topology
 from tests.support.samples import random_images, sample_drive, sample_image, sample_map
@@ -82,13 +82,10 @@ def test_the_answer_is_that_of_a_loop_over_all_slices(made, localizer, seed, k):
     found = localizer.localize_image(sample_image(tensor_map, ranges_m), k)
     model = tensor_map.model
     expected = []
-    for index in range(model.segments):
-        part = model.segment(index)
-        signature = part.u.T @ ranges_m.astype(np.float64) @ part.v
-        expected += [
-            (float(np.linalg.norm(signature - slice_)), part.first_scan + i)
-            for i, slice_ in enumerate(part.signatures)
-        ]
+    for row, segment in enumerate(model.segment_of_scan):
+        u, v = model.elevation_basis[segment], model.azimuth_basis[segment]
+        signature = u.T @ ranges_m.astype(np.float64) @ v
+        expected.append((float(np.linalg.norm(signature - model.signatures[row])), row))
     expected.sort()
     assert [match.row for match in found.matches] == [row for _, row in expected[:k]]
     np.testing.assert_allclose(
@@ -172,14 +169,14 @@ def test_signatures_that_cannot_be_answered_are_refused(made, localizer):
         localizer.localize_signatures([])
     with pytest.raises(InvalidSignature, match=r"shape \(4, 3\), this map's have \(3, 4\)"):
         localizer.localize_signatures([first, changed(second, values=second.values.T)])
-    with pytest.raises(InvalidSignature, match="comes twice"):
+    with pytest.raises(InvalidSignature, match="is repeated"):
         localizer.localize_signatures([first, changed(second, segment=0)])
     with pytest.raises(UnknownSegment, match=r"no segment 6; the map has 0\.\.5"):
         localizer.localize_signatures([changed(first, segment=6)])
 
 
 def test_an_image_on_another_grid_is_refused(localizer):
-    image = RangeImage(np.ones((30, 361), np.float32), AngularGrid())
+    image = Image(np.ones((30, 361), np.float32), AngularGrid())
     with pytest.raises(SensorMismatch, match="the image is on"):
         localizer.localize_image(image)
 
@@ -188,7 +185,7 @@ def test_an_image_of_the_same_shape_but_other_angles_is_refused(made, localizer)
     grid = AngularGrid(-20.0, 10.0, 6, 20.0)
     assert grid.shape == made[0].parameters.grid.shape
     with pytest.raises(SensorMismatch):
-        localizer.localize_image(RangeImage(made[1][0], grid))
+        localizer.localize_image(Image(made[1][0], grid))
 
 
 @pytest.mark.parametrize("step_m", [0.3, 1.0, 4.0])

@@ -17,7 +17,7 @@ from core.localization.priors import (
     ScanOfMap,
 )
 from core.mapping.build import fit_map
-from core.projection.height_image import HeightImage
+from core.projection.imager import Image
 from core.projection.images import MemoryImages
 from core.projection.rings import RingGrid
 from core.scans.trajectory import Trajectory
@@ -140,7 +140,7 @@ def test_a_heading_prior_in_a_harmonic_map_is_compared_with_the_matchs_heading()
     localizer = Localizer(tensor_map)
     grid = tensor_map.parameters.grid
     assert isinstance(grid, RingGrid)
-    query = HeightImage(images[7, 1], grid)
+    query = Image(images[7, 1], grid)
     ahead = localizer.localize_image(query, priors=Priors(heading=HeadingPrior(3.0, 2.0)))
     assert ahead.best.row == 7
     back = localizer.localize_image(query, k=40, priors=Priors(heading=HeadingPrior(180.0, 2.0)))

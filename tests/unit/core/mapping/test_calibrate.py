@@ -7,7 +7,7 @@ import pytest
 
 from core.confidence.calibration import MIN_PROBABILITY
 from core.confidence.spread import Deviation, Spread, fit_variance
-from core.encodings.paper import PaperEncoding
+from core.encodings.paper.encoding import PaperEncoding
 from core.errors import InvalidMap, InvalidParameters
 from core.localization.candidates import find_candidates
 from core.localization.localizer import Localizer
