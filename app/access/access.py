@@ -95,7 +95,7 @@ class Access:
             announced: They are not received yet: only check whether they are allowed.
 
         Raises:
-            TooManyRequests: If they exceed what is left.
+            TooManyRequests: If they exceed the rest of the quota.
             BodyTooLarge: If they exceed the whole quota.
         """
         if context.caller is None:

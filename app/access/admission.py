@@ -35,7 +35,7 @@ class Admission:
         service = scope["app"].state.service
         try:
             if scope["path"].startswith(_BEHIND_THE_KEY):
-                # Threads of its own: a key is looked up at once, however busy the others are.
+                # Threads of its own: a key is looked up at once, also if all others are busy.
                 await to_thread.run_sync(
                     service.access.admit, HTTPConnection(scope), limiter=service.pools.admission
                 )

@@ -71,7 +71,7 @@ class JobEvents:
     async def follow(
         self, connection: HTTPConnection, record: JobRecord, seen: str | None
     ) -> AsyncIterator[bytes]:
-        """Yield a job's events until it has ended, is gone, or the key is revoked.
+        """Yield a job's events until it has ended or was deleted, or the key is revoked.
 
         Args:
             connection: Of the client.

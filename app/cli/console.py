@@ -57,7 +57,7 @@ class BarProgress:
             self._bars.update(self._task, completed=done)
 
     def finish(self) -> None:
-        """Fill the bar: its stage is over, whatever was skipped."""
+        """Fill the bar: its stage is over, also if units were skipped."""
         if self._task is not None:
             self._bars.update(self._task, completed=self._bars.tasks[self._task].total)
 

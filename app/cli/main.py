@@ -31,7 +31,7 @@ _MODULES = {
     "simulate": "simulate",
     "audit": "audit",
 }
-"""Which module of this package has a command."""
+"""The module of this package with each command."""
 
 
 class _Commands(typer.core.TyperGroup):

@@ -25,6 +25,7 @@ scans = pooled_router(tags=["drives"], dependencies=[needs(Scope.MAPS_READ)])
 reading = pooled_router(tags=["drives"], dependencies=[needs(Scope.MAPS_READ, Scope.MAPS_WRITE)])
 writing = pooled_router(tags=["drives"], dependencies=[needs(Scope.MAPS_WRITE)])
 
+_DRIVE = (stored.MapNotFound, stored.DriveNotFound)
 BAD_SCAN = (
     formats.EmptyBody,
     formats.TruncatedScan,
@@ -61,7 +62,7 @@ def list_drives(
 
 @reading.get(
     "/maps/{map}/drives/{drive}",
-    responses=problems(stored.MapNotFound, stored.DriveNotFound, *errors.READING),
+    responses=problems(*_DRIVE, *errors.READING),
 )
 def get_drive(map_slug: MapSlug, drive_slug: DriveSlug, running: Running) -> DriveOut:
     """Show a drive: which scans are stored, and which are missing."""
@@ -70,13 +71,7 @@ def get_drive(map_slug: MapSlug, drive_slug: DriveSlug, running: Running) -> Dri
 
 @writing.patch(
     "/maps/{map}/drives/{drive}",
-    responses=problems(
-        stored.MapNotFound,
-        stored.DriveNotFound,
-        stored.CorruptFile,
-        *errors.JSON_BODY,
-        *errors.WRITING,
-    ),
+    responses=problems(*_DRIVE, stored.CorruptFile, *errors.JSON_BODY, *errors.WRITING),
 )
 def close_drive(
     map_slug: MapSlug,
@@ -93,7 +88,7 @@ def close_drive(
 @writing.delete(
     "/maps/{map}/drives/{drive}",
     status_code=status.HTTP_204_NO_CONTENT,
-    responses=problems(stored.MapNotFound, stored.DriveNotFound, *errors.WRITING),
+    responses=problems(*_DRIVE, *errors.WRITING),
 )
 def delete_drive(map_slug: MapSlug, drive_slug: DriveSlug, running: Running) -> None:
     """Delete a drive and its scans; revisions that were built from it stay."""
@@ -159,8 +154,7 @@ def put_scan(
             "content": {_NPY: {"schema": {"type": "string", "format": "binary"}}},
         },
         **problems(
-            stored.MapNotFound,
-            stored.DriveNotFound,
+            *_DRIVE,
             stored.ScanNotFound,
             stored.ReturnsGone,
             stored.CorruptFile,

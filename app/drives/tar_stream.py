@@ -164,18 +164,18 @@ class TarFeed:
 
     def _exactly(self, size: int, what: str) -> _Reading[bytes | None]:
         """Return so many bytes, `None` if the stream has ended before the first of them."""
-        came = 0
+        received = 0
         with self._place() as parts:
-            while came < size:
-                chunk = yield min(size - came, 2**20)
+            while received < size:
+                chunk = yield min(size - received, 2**20)
                 if not chunk:
-                    if not came:
+                    if not received:
                         return None
                     raise MalformedUpload(
-                        f"the tar stream breaks off within {what}: {came} of {size} bytes came"
+                        f"the tar stream breaks off within {what}, after {received} of {size} bytes"
                     )
                 parts.write(chunk)
-                came += len(chunk)
+                received += len(chunk)
             parts.seek(0)
             return parts.read()
 

@@ -10,22 +10,21 @@ from starlette.types import Receive
 
 
 class Client:
-    """The client of one request; threads that work for it call `require_client` regularly."""
+    """The client of one request; threads that work for it call `require_client` regularly.
+
+    Attributes:
+        left: Set when the connection was closed.
+    """
 
     def __init__(self) -> None:
-        self._left = asyncio.Event()
-
-    @property
-    def left(self) -> asyncio.Event:
-        """Set when the connection is gone."""
-        return self._left
+        self.left = asyncio.Event()
 
     async def watch(self, receive: Receive) -> None:
         """Wait for the end of the connection, without reading a body."""
         while (message := await receive())["type"] != "http.disconnect":
             if message.get("more_body", False):
                 return
-        self._left.set()
+        self.left.set()
 
     @contextmanager
     def waiting(self) -> Iterator[None]:

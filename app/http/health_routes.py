@@ -40,7 +40,7 @@ class Version(BaseModel):
 
 
 class ProblemPage(BaseModel):
-    """What an error means."""
+    """The meaning of an error."""
 
     type: str
     title: str

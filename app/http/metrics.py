@@ -57,7 +57,7 @@ class Metrics:
         self._tracks = gauge("tensormap_tracks", "Tracks that are kept now.")
         self._store_bytes = gauge(
             "tensormap_store_bytes",
-            "What is stored: raw returns, and files of revisions.",
+            "Stored bytes: raw returns, and files of revisions.",
             ["kind"],
         )
         self._free_bytes = gauge(

@@ -176,7 +176,7 @@ class Pools:
         self.opening = CapacityLimiter(_OPENING_THREADS)
 
     def of_body(self, length: int) -> Pool:
-        """Return the pool of work on a body: large ones take longer whatever the work is."""
+        """Return the pool of work on a body: work on large ones takes longer."""
         return self.heavy if length > _SMALL_BYTES else self.short
 
     def size_the_default(self) -> None:

@@ -1,4 +1,4 @@
-"""Holes that services of this kind had, each tried on ours.
+"""Known attacks on services of this kind, each tried on ours.
 
 Elsewhere: test_access.py, a key before the first request on an open address, and Host names;
 test_limits_and_browsers.py, origins and preflights; test_map_file.py, links, filters and external

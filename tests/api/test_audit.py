@@ -1,4 +1,4 @@
-"""Who changed what, over HTTP: every change has its entry, and the chain shows a missing one."""
+"""The audit log over HTTP: every change has its entry, and the chain shows a missing one."""
 
 import sqlite3
 

@@ -1,4 +1,4 @@
-"""Bodies that no scan can be read from: each its own problem, and nothing stored changes."""
+"""Bodies that are no scan: each has its own problem, and nothing stored changes."""
 
 import numpy as np
 import pytest

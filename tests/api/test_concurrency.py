@@ -1,4 +1,4 @@
-"""Many clients at once: nothing is lost, doubled or answered by half of each of two maps."""
+"""Many clients at once: nothing is lost, stored twice or answered from two maps."""
 
 import threading
 from concurrent.futures import ThreadPoolExecutor

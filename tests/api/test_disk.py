@@ -1,4 +1,4 @@
-"""Disks that are full and files that have changed: told by name, and nothing else suffers."""
+"""Full disks and changed files: reported by name, and nothing else is affected."""
 
 import errno
 import os

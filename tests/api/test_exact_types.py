@@ -1,4 +1,4 @@
-"""Requests are taken as the API describes them, and nothing else for them."""
+"""Requests are accepted as the API describes them, and not otherwise."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""A job's events: server-sent, from where the client last was."""
+"""Jobs' server-sent events, continued from the last one that a client received."""
 
 import json
 from datetime import UTC, datetime, timedelta

@@ -1,4 +1,4 @@
-"""Builds as jobs: each one ends, however its process does."""
+"""Builds as jobs: each one ends, also if its process is killed."""
 
 import os
 import signal

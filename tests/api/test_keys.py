@@ -1,4 +1,4 @@
-"""What a key is: a secret shown once, ended by time or by hand; and the first one."""
+"""Keys: a secret shown once, expired or revoked; and the first key."""
 
 import re
 import threading

@@ -1,4 +1,4 @@
-"""How often a key may ask, and what a browser lets the pages of other sites do."""
+"""Rate limits, and what a browser allows the pages of other sites."""
 
 import pytest
 from starlette.testclient import TestClient, WebSocketDenialResponse

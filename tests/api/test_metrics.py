@@ -1,4 +1,4 @@
-"""Metrics: what happened is counted, and no label grows with what is stored."""
+"""Metrics: events are counted, and no label grows with the stored data."""
 
 import pytest
 from prometheus_client.parser import text_string_to_metric_families

@@ -1,4 +1,4 @@
-"""What an imported map may hold: nothing is live that a route cannot answer with."""
+"""Contents of imported maps: a route can answer with every live map."""
 
 import io
 import json

@@ -1,4 +1,4 @@
-"""The API's own description: complete, whole, and readable without the internet."""
+"""The OpenAPI document: complete, consistent, and readable without the internet."""
 
 import re
 from html.parser import HTMLParser

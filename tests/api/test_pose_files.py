@@ -1,4 +1,4 @@
-"""Poses as files have them, before and after their scans."""
+"""Files of poses, before and after their scans."""
 
 import numpy as np
 import pytest

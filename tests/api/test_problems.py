@@ -1,4 +1,4 @@
-"""Errors: one table, one shape, each explained, none that tells of the inside."""
+"""Errors: one table, one shape, each explained, without internal details."""
 
 import importlib
 import pkgutil

@@ -1,4 +1,4 @@
-"""Returns that a map was built of: kept, or dropped once nothing needs them."""
+"""Returns of mapped scans: kept, or dropped when no build needs them."""
 
 import pytest
 

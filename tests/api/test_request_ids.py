@@ -1,4 +1,4 @@
-"""Every answer has an id, and the log knows it too."""
+"""Every answer has an id, which the log contains too."""
 
 import io
 import json

@@ -1,4 +1,4 @@
-"""What revisions a map keeps, by number and age."""
+"""Retention of revisions, by number and age."""
 
 import threading
 from datetime import timedelta

@@ -1,4 +1,4 @@
-"""Which routes a scope opens: every route with every scope."""
+"""Scopes: every route with every scope."""
 
 import re
 

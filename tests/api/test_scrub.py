@@ -1,4 +1,4 @@
-"""Damage is noticed in the background, by name, in the log and in the metrics; the rest serves."""
+"""Damage is detected in the background, by name, in the log and the metrics; all else is served."""
 
 import json
 import logging

@@ -1,4 +1,4 @@
-"""What one key takes leaves room for others: tracks, streams and queued builds."""
+"""Shares of keys: one key leaves tracks, streams and queued builds to others."""
 
 import time
 from contextlib import ExitStack

@@ -1,4 +1,4 @@
-"""Tokens that are exchanged for a key: never more than the key, never longer."""
+"""Tokens: a key is exchanged for one, with no more rights and no longer life."""
 
 from datetime import UTC, datetime, timedelta
 

@@ -1,4 +1,4 @@
-"""Many scans in one body, bodies that are packed, and bodies that say what they are."""
+"""Many scans in one body, compressed bodies, and bodies with a digest."""
 
 import base64
 import gzip

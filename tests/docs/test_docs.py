@@ -1,4 +1,4 @@
-"""Every command and program of the documents runs, and every table says what the code says."""
+"""Every command and program of the documents runs, and every table is that of the code."""
 
 import re
 import shutil

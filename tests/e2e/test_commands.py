@@ -1,4 +1,4 @@
-"""The command line as a person uses it, each command a process."""
+"""The command line, each command a process."""
 
 import json
 import socket

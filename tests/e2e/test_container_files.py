@@ -1,4 +1,4 @@
-"""What the Dockerfile and the compose file promise; no container engine runs here."""
+"""The Dockerfile and the compose file; no container engine runs here."""
 
 import itertools
 import re

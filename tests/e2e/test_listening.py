@@ -1,4 +1,4 @@
-"""The address that was asked for is listened on, and no other (HSDS took them all)."""
+"""The service listens on its configured address, and no other (HSDS used all of them)."""
 
 import re
 import socket

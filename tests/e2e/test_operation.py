@@ -1,4 +1,4 @@
-"""The service as an administrator runs it: logs, backups while it works, and its end."""
+"""Operation: logs, backups of a running service, and its shutdown."""
 
 import json
 import signal

@@ -1,4 +1,4 @@
-"""The service as it runs: over a socket, killed, stopped and started again."""
+"""The service as a process: over a socket, killed, stopped and started again."""
 
 import http.client
 import io

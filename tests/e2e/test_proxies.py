@@ -1,4 +1,4 @@
-"""Whose `X-Forwarded-For` is believed: of the proxies that the operator names, nobody else."""
+"""`X-Forwarded-For` is trusted from the configured proxies only."""
 
 import httpx2
 

@@ -1,4 +1,4 @@
-"""Bodies that come slowly, stop, or are sent to somebody who refused them; clients that leave."""
+"""Bodies that are slow, stop, or are sent after a rejection; clients that leave."""
 
 import socket
 import time

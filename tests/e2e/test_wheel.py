@@ -1,4 +1,4 @@
-"""The wheel holds all that a service needs: it runs from an empty folder, without the source."""
+"""The wheel has all that a service needs: it runs from an empty folder, without the source."""
 
 import contextlib
 import os

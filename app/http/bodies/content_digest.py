@@ -49,6 +49,6 @@ class ContentDigest:
             sent, computed = self._sent[name], digest.digest()
             if computed != sent:
                 raise DigestMismatch(
-                    f"Content-Digest {name} is {base64.b64encode(sent).decode()[:88]}, what came"
+                    f"Content-Digest {name} is {base64.b64encode(sent).decode()[:88]}, the body"
                     f" has {base64.b64encode(computed).decode()}"
                 )

@@ -44,9 +44,9 @@ class Pace:
                 message = await receive()
         except TimeoutError:
             if patience_s >= self._idle_s:
-                raise SlowBody(f"nothing of the body came for {self._idle_s:g} s") from None
+                raise SlowBody(f"nothing of the body arrived for {self._idle_s:g} s") from None
             raise SlowBody(
-                f"the body comes slower than {self._rate:g} bytes a second, the least that may be"
+                f"the body arrives slower than {self._rate:g} bytes a second, the minimum"
             ) from None
         lag = (time.monotonic() - began_s) * self._rate
         self._left = min(self._most_left, self._left - lag + len(message.get("body", b"")))
@@ -109,7 +109,7 @@ class Incoming:
         """Receive until its end, or until `up_to` bytes are spooled; these stay when it raises.
 
         Raises:
-            SlowBody: If it comes too slowly.
+            SlowBody: If it arrives too slowly.
             BodyTooLarge: If it is too long.
             TooManyRequests: If it exceeds the quota of its sender.
             DigestMismatch: If its digest is another.

@@ -1,4 +1,4 @@
-"""A service manager hears that the service is ready, and hears nothing of a loop that is held."""
+"""A service manager gets a message when the service is ready, and none of a blocked loop."""
 
 import asyncio
 import os

@@ -1,4 +1,4 @@
-"""Builds from the store: of the map that was asked for, and never of damaged images."""
+"""Builds from the store: of the requested map, and never from damaged images."""
 
 import h5py
 import pytest

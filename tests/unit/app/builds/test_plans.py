@@ -1,4 +1,4 @@
-"""A build is planned once: from heads of files, and as things were when it was queued."""
+"""A build is planned once: from heads of files, in the state when it was queued."""
 
 import pytest
 

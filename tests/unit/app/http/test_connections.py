@@ -1,4 +1,4 @@
-"""How many connections a process takes, and which goes first."""
+"""How many connections a process accepts, and which is closed first."""
 
 import resource
 

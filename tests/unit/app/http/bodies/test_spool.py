@@ -163,7 +163,7 @@ async def taken(pace, sender):
 
 
 def test_a_body_that_is_idle_is_refused():
-    with pytest.raises(SlowBody, match=r"nothing of the body came for 0\.05 s"):
+    with pytest.raises(SlowBody, match=r"nothing of the body arrived for 0\.05 s"):
         asyncio.run(taken(paced(body_idle_s=0.05), Sender((0, 10), (60, 10))))
 
 
