@@ -1,4 +1,4 @@
-"""`tensormap simulate`: a drive for those who have none."""
+"""`tensormap simulate`: a simulated drive."""
 
 from pathlib import Path
 from typing import Annotated
@@ -20,10 +20,10 @@ def simulate(
         int | None, typer.Option(min=0, help="Of parked and moving cars. [the city's seed]")
     ] = None,
     lateral_m: Annotated[
-        float, typer.Option(help="Drive so far left of the line, negative right.")
+        float, typer.Option(help="Lateral offset from the line, positive to the left.")
     ] = 0.0,
     reverse: Annotated[bool, typer.Option("--reverse", help="Drive the other way.")] = False,
-    stops: Annotated[bool, typer.Option("--stops", help="Stand at junctions for a while.")] = False,
+    stops: Annotated[bool, typer.Option("--stops", help="Stop at junctions for a while.")] = False,
 ) -> None:
     """Drive through a simulated city and write the scans in KITTI odometry layout.
 

@@ -1,4 +1,4 @@
-"""Disks that are full and files that have changed: told by name, and nothing else suffers."""
+"""Full disks and changed files: reported by name, and nothing else is affected."""
 
 import errno
 import os
@@ -22,7 +22,7 @@ def localize(client, scan):
     return client.post("/v1/maps/campus/localizations/scan", content=kitti(scan), headers=KITTI)
 
 
-def test_a_full_disk_is_told_and_nothing_is_lost(own, monkeypatch):
+def test_a_full_disk_is_reported_and_nothing_is_lost(own, monkeypatch):
     def full(_descriptor):
         raise OSError(errno.ENOSPC, "No space left on device")
 
@@ -41,7 +41,7 @@ def test_a_full_disk_is_told_and_nothing_is_lost(own, monkeypatch):
 
 
 @pytest.mark.parametrize("harm", ["one bit", "cut", "another", "gone", "no map"])
-def test_a_harmed_revision_is_told_and_the_others_answer(own, built, harm):
+def test_a_damaged_revision_is_reported_and_the_others_answer(own, built, harm):
     signature = _signature_of(own, built.other)
     path = own.service.store.revisions.path("campus", built.live)
     whole = path.read_bytes()
@@ -106,7 +106,7 @@ def _signature_of(client, revision):
     return pack_signatures(basis.encode(basis.image(recording().scans[9])))
 
 
-def test_a_catalog_that_turns_read_only_is_told_and_nothing_is_lost(own):
+def test_a_catalog_that_turns_read_only_is_reported_and_nothing_is_lost(own):
     engine = own.service.store.catalog._database.engine
     before = whole_store(own)
 

@@ -1,4 +1,4 @@
-"""What revisions a map keeps, by number and age."""
+"""Retention of revisions, by number and age."""
 
 import threading
 from datetime import timedelta
@@ -45,7 +45,7 @@ def three(tmp_path, built, with_a_third):
         yield client, built.live, built.other, newest
 
 
-def test_a_map_keeps_everything_until_somebody_says_otherwise(three):
+def test_a_map_keeps_everything_by_default(three):
     client, *revisions = three
     shown = client.get(MAP).json()
     assert shown["retention"] == dict.fromkeys(DEFAULT)

@@ -1,4 +1,4 @@
-"""A short simulated drive, rendered once a session, and its bodies as a vehicle sends them."""
+"""A short simulated drive, rendered once a session, and its request bodies."""
 
 import functools
 import io
@@ -12,7 +12,8 @@ import numpy as np
 from app.drives.tar_stream import TarFeed, TarMember
 from core.scans.pose import Pose
 from core.scans.scan import Scan
-from core.simulation import SimulatedDrive, SimulatedSensor
+from core.simulation import SimulatedDrive
+from core.simulation.raycast import SimulatedSensor
 
 KITTI = {"Content-Type": "application/vnd.tensormap.kitti"}
 NPY = {"Content-Type": "application/vnd.tensormap.npy"}
@@ -31,7 +32,7 @@ class Recording:
         return len(self.scans)
 
     def pose(self, index: int) -> Pose:
-        """Return where scan `index` was taken."""
+        """Return the pose of scan `index`."""
         pose = self.scans[index].pose
         assert pose is not None
         return pose

@@ -92,7 +92,7 @@ def test_nothing_is_repaired_beside_a_server(data):
         assert ran(data)[0] == 0
 
 
-def test_a_damaged_catalog_is_told(data):
+def test_a_damaged_catalog_is_reported(data):
     catalog = data / "catalog.sqlite3"
     content = bytearray(catalog.read_bytes())
     at = content.rindex(b"campus")  # of a row and of an index: one of them now differs
@@ -102,7 +102,7 @@ def test_a_damaged_catalog_is_told(data):
     assert (status, "damaged: catalog: " in printed) == (1, True)
 
 
-def test_an_incomplete_backup_says_where_it_is_and_fails(data, tmp_path):
+def test_an_incomplete_backup_names_its_file_and_fails(data, tmp_path):
     whole, beside = tmp_path / "b.tar", tmp_path / "b.incomplete.tar"
     backup = ["backup", "--data", str(data), "-o", str(whole)]
     first = CliRunner().invoke(cli, backup)

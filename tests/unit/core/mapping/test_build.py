@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from core.encodings.paper import PaperModel
+from core.encodings.paper.model import PaperModel
 from core.errors import Cancelled, EmptyDrive, InvalidImage, InvalidParameters, SensorMismatch
 from core.mapping.build import fit_map
 from core.parameters import MapParameters
@@ -43,12 +43,13 @@ def built(images, cuts, progress=None):
 def test_the_bases_are_orthonormal_and_errors_are_those_of_the_models():
     images = random_images(90, SMALL_GRID.shape)
     tensor_map = built(images, [0, 40, 90])
-    for segment in range(2):
-        model = tensor_map.model.segment(segment)
-        np.testing.assert_allclose(model.u.T @ model.u, np.eye(3), atol=1e-6)
-        np.testing.assert_allclose(model.v.T @ model.v, np.eye(4), atol=1e-6)
-        own = images[model.first_scan : model.first_scan + len(model.signatures)]
-        rebuilt = np.einsum("ir,nrs,js->nij", model.u, model.signatures, model.v)
+    model = tensor_map.model
+    for segment, scans in enumerate((slice(0, 40), slice(40, 90))):
+        u, v = model.elevation_basis[segment], model.azimuth_basis[segment]
+        np.testing.assert_allclose(u.T @ u, np.eye(3), atol=1e-6)
+        np.testing.assert_allclose(v.T @ v, np.eye(4), atol=1e-6)
+        own = images[scans]
+        rebuilt = np.einsum("ir,nrs,js->nij", u, model.signatures[scans], v)
         error = np.linalg.norm(own - rebuilt) / np.linalg.norm(own)
         assert tensor_map.relative_error[segment] == pytest.approx(error, abs=1e-5)
 
@@ -99,7 +100,7 @@ def test_equal_input_is_an_equal_revision_however_it_is_read(tmp_path):
     assert built(images, cuts).revision != revision
 
 
-def test_a_revision_is_64_hexadecimal_digits_and_tells_every_difference():
+def test_a_revision_is_64_hexadecimal_digits_and_changes_with_every_difference():
     images = random_images(20, SMALL_GRID.shape)
     source, cuts = MemoryImages(images, SMALL_GRID), np.array([0, 10, 20])
     plain = fit_map(source, trajectory_of(20), cuts, PARAMETERS)
@@ -146,7 +147,7 @@ def test_a_drive_built_alone_has_the_models_it_has_among_others():
     assert together.topology.node_scan.tolist() == [0, 8, 16, 23, 24, 32, 40, 47]
 
 
-def test_images_on_another_grid_are_refused():
+def test_images_on_another_grid_are_rejected():
     with pytest.raises(SensorMismatch, match="the images are on"):
         fit_map(
             MemoryImages(random_images(4, (30, 361)), AngularGrid()),
@@ -157,19 +158,19 @@ def test_images_on_another_grid_are_refused():
 
 
 @pytest.mark.parametrize("cuts", [[0, 9], [0, 11], [1, 10], [0, 5, 5, 10], [0, 7, 3, 10], [10], []])
-def test_cuts_that_do_not_cover_the_images_are_refused(cuts):
+def test_cuts_that_do_not_cover_the_images_are_rejected(cuts):
     with pytest.raises(InvalidParameters, match="the cuts"):
         built(random_images(10, SMALL_GRID.shape), np.array(cuts, dtype=np.int64))
 
 
-def test_a_segment_over_two_drives_is_refused():
+def test_a_segment_over_two_drives_is_rejected():
     joined = Trajectory.concatenate([trajectory_of(5), trajectory_of(5, "drive-1")])
     source = MemoryImages(random_images(10, SMALL_GRID.shape), SMALL_GRID)
     with pytest.raises(InvalidParameters, match="drive"):
         fit_map(source, joined, np.array([0, 7, 10]), PARAMETERS)
 
 
-def test_a_source_that_reads_short_is_refused():
+def test_a_source_that_reads_short_is_rejected():
     class Short(_Fortran):
         def read(self, start, stop):
             return super().read(start, stop)[1:]
@@ -222,7 +223,7 @@ def test_projecting_a_drive_skips_what_cannot_be_used_and_says_why():
     assert (progress.stages, progress.done) == ([("projecting", 7)], [7])
 
 
-def test_a_drive_without_a_usable_scan_is_refused_with_the_first_reason():
+def test_a_drive_without_a_usable_scan_is_rejected_with_the_first_reason():
     drive = FaultyDrive(sample_drive(3), {0, 1, 2})
     with pytest.raises(EmptyDrive, match="drive drive has no usable scan: scan 0: scan 0 is torn"):
         project_drive(drive, np.arange(3), Imager(SMALL_GRID, Reducer.LAST))

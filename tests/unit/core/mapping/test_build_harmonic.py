@@ -5,7 +5,9 @@ import pytest
 from scipy.linalg import eigh
 
 from core.encodings.distance import Distance
-from core.encodings.harmonic import HarmonicBasis, HarmonicModel, azimuth_factor
+from core.encodings.harmonic.basis import HarmonicBasis
+from core.encodings.harmonic.model import HarmonicModel
+from core.encodings.harmonics import azimuth_factor
 from core.encodings.signature import Packing, Signature, pack_signatures, unpack_signatures
 from core.errors import (
     InvalidMap,
@@ -19,16 +21,15 @@ from core.localization.localizer import Localizer
 from core.mapping.build import fit_map
 from core.mapping.tensormap import TensorMap
 from core.parameters import MapParameters
-from core.projection.height_image import HeightImage
-from core.projection.imager import ImageKind
+from core.projection.imager import Image, ImageKind
 from core.projection.images import ConcatenatedImages, MemoryImages, project_drive
-from core.projection.range_image import RangeImage
 from core.projection.reducer import Reducer
 from core.projection.rings import RingGrid
 from core.scans.pose import heading_deg
 from core.scans.sensor import AngularGrid
 from core.scans.trajectory import Trajectory
-from core.simulation import SimulatedDrive, SimulatedSensor
+from core.simulation import SimulatedDrive
+from core.simulation.raycast import SimulatedSensor
 from tests.support.samples import sample_harmonic_map, straight_poses
 
 pytestmark = pytest.mark.slow
@@ -86,15 +87,15 @@ def test_range_images_are_on_the_sensors_grid_without_a_seam():
         {"encoding": PAPER, "lateral_renderings_m": [0.0]},
     ],
 )
-def test_what_does_not_go_together_is_refused(options):
+def test_parts_that_do_not_fit_are_rejected(options):
     with pytest.raises(InvalidParameters):
         MapParameters.for_sensor(**options)
 
 
-def test_a_grid_with_a_seam_is_refused():
+def test_a_grid_with_a_seam_is_rejected():
     with pytest.raises(InvalidParameters, match="wraps"):
         MapParameters(HARMONIC, grid=AngularGrid())
-    with pytest.raises(InvalidParameters, match="wants distance"):
+    with pytest.raises(InvalidParameters, match="needs distance"):
         MapParameters(HARMONIC, grid=AngularGrid(wraps=True))
 
 
@@ -131,8 +132,8 @@ def test_one_basis_is_the_best_for_the_detail_in_all_renderings_of_all_segments(
     )
     assert (model.radial_basis[np.abs(model.radial_basis).argmax(axis=0), range(3)] > 0).all()
     factor = azimuth_factor(images.shape[-1], 4)
-    wanted = np.einsum("ir,kdij,jm->kdrm", model.radial_basis, images, factor, optimize=True)
-    np.testing.assert_allclose(model.signatures, wanted, rtol=1e-4, atol=1e-4)
+    expected = np.einsum("ir,kdij,jm->kdrm", model.radial_basis, images, factor, optimize=True)
+    np.testing.assert_allclose(model.signatures, expected, rtol=1e-4, atol=1e-4)
 
 
 def test_the_relative_error_is_what_the_reconstruction_misses():
@@ -171,7 +172,7 @@ def test_the_elements_are_those_of_the_arrays():
     assert tensor_map.elements == 6 * 3 + 3 + 10 * 3 * 3 * 7
 
 
-def test_a_map_whose_parts_do_not_fit_is_refused():
+def test_a_map_whose_parts_do_not_fit_is_rejected():
     tensor_map, _ = sample_harmonic_map(count=10, segment_length=5)
     model = tensor_map.model
     assert isinstance(model, HarmonicModel)
@@ -193,8 +194,8 @@ def test_a_map_whose_parts_do_not_fit_is_refused():
     other = HarmonicModel(**{**vars_of(model), "lateral_offset_m": np.array([-1.0, 0.0, 1.0])})
     plain = HarmonicModel(**{**vars_of(model), "measure": Distance.PLAIN})
     parts = (tensor_map.trajectory, tensor_map.topology, tensor_map.relative_error)
-    for wrong, said in ((other, "lateral_offset_m"), (plain, "distance")):
-        with pytest.raises(InvalidMap, match=said):
+    for wrong, message in ((other, "lateral_offset_m"), (plain, "distance")):
+        with pytest.raises(InvalidMap, match=message):
             TensorMap(tensor_map.parameters, wrong, *parts)
 
 
@@ -206,7 +207,7 @@ def vars_of(model):
 # Answering
 
 
-def test_every_rendering_finds_its_scan_and_tells_where_it_is_seen_from():
+def test_every_rendering_finds_its_scan_and_its_viewpoint():
     tensor_map, images = sample_harmonic_map(count=20, segment_length=10)
     localizer = Localizer(tensor_map)
     grid = tensor_map.parameters.grid
@@ -214,7 +215,7 @@ def test_every_rendering_finds_its_scan_and_tells_where_it_is_seen_from():
     for row in range(0, 20, 3):
         for rendering, left_m in enumerate((-2.0, 0.0, 2.0)):
             turned = np.roll(images[row, rendering], -5, axis=1)
-            found = localizer.localize_image(HeightImage(turned, grid))
+            found = localizer.localize_image(Image(turned, grid))
             assert found.best.row == row
             assert found.best.lateral_m == pytest.approx(left_m, abs=1e-9)
             assert found.best.relative_yaw_deg == pytest.approx(5 * 20, abs=2)
@@ -223,7 +224,7 @@ def test_every_rendering_finds_its_scan_and_tells_where_it_is_seen_from():
 
 @pytest.mark.parametrize("lateral_m", [-3.0, 0.0, 1.5])
 @pytest.mark.parametrize("yaw_deg", [0.0, 35.0, -120.0, 180.0])
-def test_a_vehicle_beside_the_line_and_turned_is_found_where_it_stands(
+def test_a_vehicle_with_an_offset_and_relative_yaw_is_found_at_its_place(
     drive, localizer, lateral_m, yaw_deg
 ):
     condition = Condition(yaw_deg=yaw_deg, lateral_m=lateral_m)
@@ -267,11 +268,11 @@ def test_every_choice_finds_a_turned_neighbour(drive, options):
     assert np.median(turns) < 3
 
 
-def test_without_poses_a_turn_and_an_offset_are_still_told():
+def test_without_poses_relative_yaw_and_offset_are_still_estimated():
     tensor_map, images = sample_harmonic_map(count=10, segment_length=5, poses=False)
     grid = tensor_map.parameters.grid
     assert isinstance(grid, RingGrid)
-    best = Localizer(tensor_map).localize_image(HeightImage(images[4, 2], grid)).best
+    best = Localizer(tensor_map).localize_image(Image(images[4, 2], grid)).best
     assert best.row == 4
     assert best.lateral_m == pytest.approx(2.0, abs=1e-9)
     assert best.relative_yaw_deg == pytest.approx(0.0, abs=2)
@@ -299,13 +300,13 @@ def test_the_basis_is_one_for_all_segments(localizer):
     np.testing.assert_array_equal(basis.radial_basis, localizer.map.model.radial_basis)
 
 
-def test_what_is_of_another_kind_is_refused(drive, localizer):
+def test_values_of_another_kind_are_rejected(drive, localizer):
     angular = AngularGrid(wraps=True)
     with pytest.raises(SensorMismatch, match="a range image, the map is of height images"):
-        localizer.localize_image(RangeImage(np.ones(angular.shape, np.float32), angular))
+        localizer.localize_image(Image(np.ones(angular.shape, np.float32), angular))
     rings = RingGrid(rings=10)
     with pytest.raises(SensorMismatch, match="the image is on"):
-        localizer.localize_image(HeightImage(np.ones(rings.shape, np.float32), rings))
+        localizer.localize_image(Image(np.ones(rings.shape, np.float32), rings))
     [signature] = localizer.basis.encode(localizer.basis.image(drive.scan(0)))
     with pytest.raises(InvalidSignature, match="exactly one harmonic signature"):
         localizer.localize_signatures([signature, signature])
@@ -316,7 +317,7 @@ def test_what_is_of_another_kind_is_refused(drive, localizer):
         localizer.localize_signatures([Signature(signature.values, None, "f" * 64)])
 
 
-def test_a_paper_map_refuses_a_harmonic_signature():
+def test_a_paper_map_rejects_a_harmonic_signature():
     parameters = MapParameters(ranks=(2, 2))
     images = np.random.default_rng(0).random((3, 30, 361), dtype=np.float32)
     trajectory = Trajectory.of_drive("d", np.arange(3.0), straight_poses(3), np.arange(3))
@@ -326,26 +327,26 @@ def test_a_paper_map_refuses_a_harmonic_signature():
     harmonic = Signature(np.ones((2, 2), np.complex64), None, tensor_map.revision)
     with pytest.raises(InvalidSignature, match="harmonic"):
         Localizer(tensor_map).localize_signatures([harmonic])
-    found = Localizer(tensor_map).localize_image(RangeImage(images[1], AngularGrid())).best
+    found = Localizer(tensor_map).localize_image(Image(images[1], AngularGrid())).best
     assert (found.relative_yaw_deg, found.lateral_m, found.heading_deg, found.estimated_pose) == (
         None,
     ) * 4
 
 
 @pytest.mark.parametrize(
-    ("values", "segment", "said"),
+    ("values", "segment", "message"),
     [
         (np.ones((2, 2), np.complex64), 0, "complex"),
         (np.full((2, 2), 1j), None, "first column"),
         (np.full((2, 2), np.inf), None, "not finite"),
     ],
 )
-def test_a_harmonic_signature_that_cannot_be_is_refused(values, segment, said):
-    with pytest.raises(InvalidSignature, match=said):
+def test_an_invalid_harmonic_signature_is_rejected(values, segment, message):
+    with pytest.raises(InvalidSignature, match=message):
         Signature(values, segment, "f" * 64)
 
 
-def test_what_cannot_be_packed_or_unpacked_is_refused():
+def test_signatures_that_cannot_be_packed_or_unpacked_are_rejected():
     one = Signature(np.ones((2, 2), np.complex64), None, "f" * 64)
     with pytest.raises(InvalidSignature, match="alone"):
         pack_signatures([one, one])

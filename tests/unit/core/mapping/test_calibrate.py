@@ -7,7 +7,7 @@ import pytest
 
 from core.confidence.calibration import MIN_PROBABILITY
 from core.confidence.spread import Deviation, Spread, fit_variance
-from core.encodings.paper import PaperEncoding
+from core.encodings.paper.encoding import PaperEncoding
 from core.errors import InvalidMap, InvalidParameters
 from core.localization.candidates import find_candidates
 from core.localization.localizer import Localizer
@@ -36,7 +36,7 @@ def test_a_map_is_calibrated_when_it_is_built_and_the_same_every_time(made):
     assert calibrate(made, noisy_probes(smooth_images(120, SMALL_GRID.shape))) == made.calibration
 
 
-def test_calibrating_tells_its_progress():
+def test_calibrating_reports_its_progress():
     progress = RecordedProgress()
     images = smooth_images(40, SMALL_GRID.shape)
     tensor_map = calibrated_map(40)
@@ -56,8 +56,8 @@ def test_a_place_of_the_map_is_probable_and_one_of_elsewhere_is_not(made):
     )
     assert np.mean([found.localized for found in of_known]) > 0.9
     assert np.mean([found.localized for found in of_unknown]) < 0.1
-    assert {found.verdict.reason for found in of_unknown} & {"unknown_place", "ambiguous"}
-    probable = [found.verdict.probability for found in of_known]
+    assert {found.decision.reason for found in of_unknown} & {"unknown_place", "ambiguous"}
+    probable = [found.decision.probability for found in of_known]
     assert np.median(np.array(probable, dtype=np.float64)) > 0.9
 
 
@@ -73,7 +73,7 @@ def test_sharper_odds_change_probabilities_and_no_decision(made, monkeypatch):
         assert abs(after - 0.5) >= abs(before - 0.5)
 
 
-def test_a_standard_deviation_is_told_where_poses_are_known(made):
+def test_a_standard_deviation_is_returned_where_poses_are_known(made):
     found = Localizer(made).localize_image(
         sample_image(made, smooth_images(120, SMALL_GRID.shape)[51])
     )
@@ -113,7 +113,7 @@ def test_a_map_built_without_probes_is_as_it_was():
     assert replace(made, calibration=None).revision == plain.revision
     found = Localizer(plain).localize_image(sample_image(plain, images.read(7, 8)[0]))
     assert found.localized
-    assert found.verdict.probability is None
+    assert found.decision.probability is None
 
 
 def test_the_share_searched_is_that_of_the_segments_that_signatures_came_for(made):
@@ -152,7 +152,7 @@ def test_a_covariance_has_the_deviations_as_its_axes():
 @pytest.mark.parametrize(
     "part", [{"typical": 0.0}, {"along_m": (1.0,)}, {"lateral_m": (-1.0, 0.0)}]
 )
-def test_a_spread_that_makes_no_sense_is_refused(part):
+def test_an_invalid_spread_is_rejected(part):
     with pytest.raises(InvalidParameters, match=next(iter(part))):
         replace(SPREAD, **part)
 
