@@ -157,11 +157,6 @@ class Sweep(Plain):
     judged: int
     points: tuple[SweepPoint, ...]
 
-    def at(self, ranks: tuple[int, int], segment_length: int) -> SweepPoint | None:
-        """Return a candidate, `None` if it was not tried."""
-        wanted = (ranks, segment_length)
-        return next((p for p in self.points if (p.ranks, p.segment_length) == wanted), None)
-
 
 def sweep(
     images: QueryImages, criterion: Criterion, grid: SweepGrid, progress: Progress = NO_PROGRESS
