@@ -1,56 +1,93 @@
 """The application: `create_app(settings)`; nothing is built at import."""
 
-import logging
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from functools import cache
 from importlib.metadata import version
 
-from fastapi import APIRouter, FastAPI
+from fastapi import APIRouter, Depends, FastAPI
 from fastapi_offline import FastAPIOffline
 from starlette.concurrency import run_in_threadpool
+from starlette.middleware.cors import CORSMiddleware
 from starlette.routing import BaseRoute
 
-from app.access.access import open_access
+from app.access import audit_routes, key_routes
+from app.access.access import Access, make_first_key
 from app.access.admission import Admission
+from app.access.dependency import require_access
 from app.access.trail import AuditTrail
+from app.builds import job_routes
+from app.builds import routes as builds
 from app.builds.job_events import JobEvents
 from app.builds.runner import JobRunner
-from app.http.bodies.bodies import BodyGuard
+from app.drives import routes as drives
+from app.drives import upload_routes
+from app.http import health_routes
 from app.http.bodies.spool import SpoolRoom
 from app.http.bodies.unread import UnreadBody
+from app.http.errors import KEY
 from app.http.metrics import Metrics
 from app.http.observing import RequestObserver
 from app.http.openapi import complete_openapi
-from app.http.origins import allow_origins
 from app.http.pools import Pools
-from app.http.problems import add_handlers
+from app.http.problems import add_handlers, problems
 from app.http.streams import Streams
+from app.localization import routes as localizations
+from app.loop_closures import routes as loop_closures
+from app.maps import routes as maps
 from app.maps.collector import GarbageCollector
 from app.process import one_blas_thread
+from app.revisions import routes as revisions
 from app.revisions.loaded import LoadedRevisions
-from app.routes import api, open_routes, streams
 from app.scrub import Scrub
 from app.service import Service
 from app.settings import Settings
 from app.systemd import supervised
+from app.tracking import routes as tracks
+from app.tracking import stream_routes
 from app.tracking.tracks import Tracks
 from storage.catalog import JobRecord
 from storage.store import Store
 
-_log = logging.getLogger("tensormap")
-
 _DESCRIPTION = """Stores LiDAR topological maps and answers *where am I?* from one scan, or from a
 signature of some 60 bytes. Post scans to a drive, build, localize."""
+_API = (
+    maps.reading,
+    maps.writing,
+    drives.reading,
+    drives.writing,
+    drives.scans,
+    upload_routes.reading,
+    upload_routes.writing,
+    builds.router,
+    job_routes.reading,
+    job_routes.writing,
+    revisions.router,
+    localizations.router,
+    loop_closures.router,
+    tracks.router,
+    key_routes.keys,
+    key_routes.tokens,
+    audit_routes.router,
+)
+"""The routers under /v1, all behind the key; each or its routes declare the scope they need."""
+_HEADERS_OF_PAGES = (
+    "Authorization",
+    "Content-Digest",
+    "Content-Type",
+    "Idempotency-Key",
+    "If-Match",
+    "If-None-Match",
+    "Last-Event-ID",
+)
+_HEADERS_FOR_PAGES = ("ETag", "Location", "RateLimit", "RateLimit-Policy", "Retry-After")
 
 
 def create_app(settings: Settings | None = None) -> FastAPI:
-    """Make the application.
-
-    Its store is opened when it starts and closed when it ends.
+    """Return the application, which opens its store when it starts and closes it when it ends.
 
     Args:
-        settings: What the operator chose; read from the environment if not given.
+        settings: Read from the environment if not given.
     """
     chosen = settings or Settings()
     metrics = Metrics()
@@ -77,11 +114,19 @@ def create_app(settings: Settings | None = None) -> FastAPI:
     )
     app.state.settings = chosen
     add_handlers(app)
-    app.add_middleware(BodyGuard, settings=chosen)
     app.add_middleware(Admission)
     app.add_middleware(AuditTrail)
     app.add_middleware(UnreadBody)
-    allow_origins(app, chosen.allowed_origins)
+    if chosen.allowed_origins:
+        app.add_middleware(
+            CORSMiddleware,
+            allow_origins=chosen.allowed_origins,
+            allow_methods=("DELETE", "GET", "PATCH", "POST", "PUT"),
+            allow_headers=_HEADERS_OF_PAGES,
+            expose_headers=_HEADERS_FOR_PAGES,
+            allow_credentials=False,  # no cookies: a page sends a key that it holds
+            max_age=600,
+        )
     app.add_middleware(RequestObserver, metrics=metrics)  # the last one added is the outermost
     app.router.routes.extend(_routes())
     complete_openapi(app)
@@ -90,23 +135,29 @@ def create_app(settings: Settings | None = None) -> FastAPI:
 
 @cache
 def _routes() -> tuple[BaseRoute, ...]:
-    """Return the routes, which are the same in every application and take long to work out."""
+    """Return the routes, the same in every application: making them takes long."""
     router = APIRouter()
-    for part in (api(), streams(), open_routes()):
-        router.include_router(part)
+    api = APIRouter(prefix="/v1", dependencies=[Depends(require_access)], responses=problems(*KEY))
+    for part in _API:
+        api.include_router(part)
+    router.include_router(api)
+    # FastAPI's dependencies for keys are of requests: a stream checks its caller itself.
+    router.include_router(stream_routes.router, prefix="/v1")
+    router.include_router(health_routes.router)  # health checks are unauthenticated
     return tuple(router.routes)
 
 
 def _start(settings: Settings, metrics: Metrics, pools: Pools) -> Service:
     store = Store.serving(settings.data_dir, settings.catalog_url)
     try:
-        access, made = open_access(settings, store)
+        made = make_first_key(store, settings)
     except BaseException:
         store.close()
         raise
     if made is not None:
-        # The one place where a key is shown: only its hash is kept.
+        # The only place where a key is shown: its hash alone is stored.
         print(f"Administrator key, shown this once: {made}", flush=True)  # noqa: T201
+    access = Access(store, settings)
     collector = GarbageCollector(settings, store)
 
     def ended(job: JobRecord) -> None:

@@ -1,4 +1,4 @@
-"""What processes of ours set up before they compute."""
+"""Set-up of our processes: threads, memory, files and garbage collection."""
 
 import ctypes
 import gc
@@ -30,17 +30,17 @@ def one_blas_thread() -> None:
 
 
 def private_files() -> None:
-    """Let files that this process makes be its user's, and nobody else's."""
+    """Let only this user read the files that this process creates."""
     os.umask(0o077)
 
 
 def collect_seldom() -> None:
-    """Let full garbage collections be short and rare from now on.
+    """Make full garbage collections short and rare from now on.
 
-    One looks at every object that may be part of a cycle, and nothing else runs meanwhile: 0.2 s
-    when all modules, routes and models are loaded, twice that with a thousand streams open, every
-    few seconds (measured on two cores). What there is now is left out for good. A full one comes
-    after 350,000 objects more than were freed, not 70,000; young ones come as often as ever.
+    One visits every object that may be part of a cycle, and nothing else runs meanwhile: 0.2 s when
+    all modules, routes and models are loaded, twice that with a thousand streams open, every few
+    seconds (measured on two cores). The objects of now are excluded for good. A full collection
+    runs after 350,000 objects more than were freed, not 70,000; young ones run as often as before.
     """
     gc.collect()
     gc.freeze()
@@ -49,7 +49,7 @@ def collect_seldom() -> None:
 
 
 def keep_freed_memory() -> None:
-    """Let arrays of a few megabytes come from memory that earlier ones left, up to 64 MB of it.
+    """Allocate arrays of a few megabytes from the memory of freed ones, up to 64 MB of it.
 
     For a process that computes in one thread: glibc gives such memory back to the system at once,
     and the system clears it page by page for the next array, half of the time that it takes to
@@ -67,7 +67,7 @@ def keep_freed_memory() -> None:
 
 @contextmanager
 def limited_memory(limit_bytes: int) -> Iterator[None]:
-    """Let this process allocate so much and no more in the block: past it is a `MemoryError`.
+    """Limit what this process allocates in the block: more raises `MemoryError`.
 
     Mapped files are not counted. A limit that the process has already is not raised, and 0 is none.
     """
@@ -82,9 +82,9 @@ def limited_memory(limit_bytes: int) -> Iterator[None]:
 
 
 def most_build_memory_bytes() -> int:
-    """Return three quarters of what this machine, or this process's control group, has; 1 GB least.
+    """Return three quarters of the memory of this machine, or of its control group; 1 GB at least.
 
-    What takes more would be ended by the system in a moment, or slow everything down by paging.
+    The system would soon end a process that takes more, or slow everything down by paging.
     """
     has = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
     return max(min([has, *_group_limits()]) * 3 // 4, _LEAST_BUILD_BYTES)

@@ -1,4 +1,4 @@
-"""The provenance of a published figure: release, commit, machine."""
+"""Provenance of a published figure: release, commit, machine."""
 
 import platform
 import subprocess
@@ -39,7 +39,7 @@ def of_report() -> dict[str, str]:
 
 
 def commit() -> str | None:
-    """Name the commit that runs, `-dirty` if files were changed; `None` outside a checkout."""
+    """Return the commit that runs, `-dirty` if files were changed; `None` outside a checkout."""
     if not (_SOURCE / ".git").exists():
         return None
     command = ["git", "-C", str(_SOURCE), "describe", "--always", "--dirty", "--abbrev=12"]
@@ -51,7 +51,7 @@ def commit() -> str | None:
 
 
 def machine(cpuinfo: Path = Path("/proc/cpuinfo")) -> str:
-    """Name the processor as the system does."""
+    """Return the system's name of the processor."""
     try:
         lines = cpuinfo.read_text(errors="replace").splitlines()
     except OSError:

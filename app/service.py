@@ -1,4 +1,4 @@
-"""What a running service holds; routes reach it through dependencies."""
+"""The parts of a running service; routes get them by dependencies."""
 
 from dataclasses import dataclass
 from typing import Annotated
@@ -26,19 +26,19 @@ class Service:
     """The parts of a running service.
 
     Attributes:
-        settings: What the operator chose.
+        settings: Of the service.
         store: Maps, drives, revisions and jobs.
         revisions: Those that answer queries.
-        runner: Builds.
-        access: Who may ask.
-        tracks: Vehicles that are followed.
-        streams: Those that are open.
-        job_events: Of jobs that clients follow.
-        metrics: What is counted.
+        runner: Runs builds.
+        access: Checks keys.
+        tracks: Tracked vehicles.
+        streams: Open streams.
+        job_events: Events of jobs that clients follow.
+        metrics: Its metrics.
         collector: Removes what is not retained.
-        scrub: Checks what is stored.
+        scrub: Checks stored files.
         pools: Threads for requests.
-        spool_room: Where their bodies wait.
+        spool_room: For incomplete bodies.
     """
 
     settings: Settings
@@ -57,13 +57,13 @@ class Service:
 
 
 async def running_service(request: Request) -> Service:
-    """Return the service that a request came to; asynchronous to need no thread."""
+    """Return the service of a request; asynchronous, so that it needs no thread."""
     service: Service = request.app.state.service
     return service
 
 
 Running = Annotated[Service, Depends(running_service)]
-_SLUG = {"pattern": SLUG_PATTERN}  # described only: what is none is not there, or an invalid slug
+_SLUG = {"pattern": SLUG_PATTERN}  # described only: another name is not found, or invalid
 MapSlug = Annotated[
     str,
     Path(

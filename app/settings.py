@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import Field, SecretStr, field_validator
+from pydantic import AfterValidator, Field, SecretStr, field_validator
 from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
 
 from app.http.logs import LogFormat
@@ -18,11 +18,30 @@ Count = Annotated[int, Field(ge=1)]
 Kilobytes = Annotated[int, Field(ge=2**10)]
 AtLeast0 = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
 Above0 = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
-Words = Annotated[tuple[str, ...], NoDecode]
+
+
+def _origin(given: str) -> str:
+    if _ORIGIN.fullmatch(given) is None:
+        raise ValueError(
+            "wanted origins as a browser sends them, `https://maps.example` or"
+            " `http://127.0.0.1:3000`, lower case, without a path and without `*`"
+        )
+    return given
+
+
+def _network(given: str) -> str:
+    try:
+        ipaddress.ip_network(given)
+    except ValueError:
+        raise ValueError(
+            "wanted addresses or networks, as `127.0.0.1` or `10.0.0.0/8`, without names and"
+            " without `*`"
+        ) from None
+    return given
 
 
 class Settings(BaseSettings):
-    """What an operator may choose; `TENSORMAP_` and the upper-case name is the variable."""
+    """The settings; `TENSORMAP_` and the upper-case name is the variable."""
 
     model_config = SettingsConfigDict(
         env_prefix="TENSORMAP_",
@@ -40,47 +59,47 @@ class Settings(BaseSettings):
     catalog_url: str | None = None
     """SQLAlchemy URL of the catalog; SQLite in the data directory by default."""
     admin_key: SecretStr | None = Field(None, min_length=16)
-    """The administrator's key; asked of every caller if set."""
+    """The administrator's key; every request needs a key if this is set."""
     max_body_bytes: Kilobytes = 64 * 2**20
     """The largest request body that is read."""
     max_decoded_bytes: Kilobytes = 256 * 2**20
-    """What a compressed request body may unpack to."""
+    """The largest compressed request body after decompression."""
     max_upload_bytes: Kilobytes = 64 * 2**30
     """The largest body of many scans, unpacked; each scan in it may have
     TENSORMAP_MAX_BODY_BYTES."""
     max_json_bytes: Kilobytes = 4 * 2**20
     """The largest JSON body that is read: it is parsed whole, scans are not."""
     body_idle_s: float = Field(20.0, gt=0.0)
-    """How many seconds a request body may bring nothing; then it is refused."""
+    """How many seconds nothing of a request body may arrive; then it is rejected."""
     body_bytes_per_s: AtLeast0 = 256.0
-    """The least rate of a request body; 0 asks for none. There is no total time."""
+    """The minimum rate of a request body; 0 for none. The total time is not limited."""
     body_grace_s: Above0 = 30.0
     """How many seconds a request body may lag behind TENSORMAP_BODY_BYTES_PER_S."""
     bodies_per_key: Count = 512
     """How many request bodies of one key are read at once."""
     max_spool_bytes: int = Field(96 * 2**30, ge=2**20)
-    """How many bytes of request bodies wait, in memory or in files of the data directory, until
-    they are whole; three quarters of that for one key."""
+    """How many bytes of incomplete request bodies are kept, in memory or in files of the data
+    directory; three quarters of that for one key."""
     heavy_threads: Count = Field(6, le=256)
-    """How many requests that take long run at once: scans, archives, closures, imports,
-    comparisons, large JSON."""
+    """How many long requests run at once: scans, archives, closures, imports, comparisons, large
+    JSON."""
     heavy_threads_per_key: Count = 2
     """How many of these of one key run at once; others of it wait."""
     short_threads: int = Field(32, ge=2, le=256)
     """How many other requests run at once; 3/4 of one key."""
     queued_requests: Count = 1024
-    """How many requests wait for a thread of each kind, half of them of one key; more are refused.
-    Keys that wait take turns."""
+    """How many requests wait for a thread of each kind, half of them of one key; more are rejected.
+    Waiting keys take turns."""
     log_format: LogFormat = LogFormat.TEXT
-    """How a line of the log is written: `text` or `json`."""
+    """The format of a log line: `text` or `json`."""
     log_level: Literal["DEBUG", "INFO", "WARNING", "ERROR"] = "INFO"
-    """What is logged; a line for each request at `INFO`."""
+    """The least level that is logged; a line for each request at `INFO`."""
     min_returns: Count = 100
-    """A scan with fewer finite, non-zero returns is refused."""
+    """A scan with fewer finite, non-zero returns is rejected."""
     build_workers: Count = Field(1, le=64)
     """How many builds run at once."""
     max_queued_builds_per_key: Count = 50
-    """How many builds a key may have in the queue; another is refused."""
+    """How many builds a key may have in the queue; another is rejected."""
     build_stall_s: Above0 = 3600.0
     """How many seconds a build may make no progress; then its process is ended, and it fails."""
     build_memory_bytes: int | None = Field(None, ge=0)
@@ -98,22 +117,22 @@ class Settings(BaseSettings):
     """`drop` removes the returns of closed drives that the live revision was built of; a map may
     choose otherwise."""
     max_tracks: Count = 1000
-    """How many vehicles are tracked at once; another is refused."""
+    """How many vehicles are tracked at once; another is rejected."""
     max_tracks_per_key: Count = 500
-    """How many tracks of one key are kept at once; another is refused."""
+    """How many tracks of one key are kept at once; another is rejected."""
     track_idle_s: float = Field(600.0, gt=0.0)
-    """How many seconds after its last use a track is forgotten."""
+    """How many seconds after its last use a track is deleted."""
     max_connections: int = Field(0, ge=0)
     """How many connections are open at once; the one that was idle for longest is closed for
     another. 0 takes as many as the descriptors allow, at most 4096."""
     request_head_s: Above0 = 10.0
     """How many seconds a request's head may take, from the start of its connection or from its
-    first byte; then that is closed."""
+    first byte; then the connection is closed."""
     max_streams: Count = 2000
-    """How many streams, of tracks and of jobs' events, are open at once; another is refused.
+    """How many streams, of tracks and of jobs' events, are open at once; another is rejected.
     `serve` takes half of TENSORMAP_MAX_CONNECTIONS if that is less."""
     max_streams_per_key: Count = 1000
-    """How many streams of one key are open at once; another is refused. `serve` takes half of all
+    """How many streams of one key are open at once; another is rejected. `serve` takes half of all
     streams if that is less."""
     stream_idle_s: Above0 = 600.0
     """How many seconds after its last message the stream of a track is closed."""
@@ -122,20 +141,20 @@ class Settings(BaseSettings):
     request_burst: Count = 50
     """How many requests a key that was idle may make at once."""
     upload_bytes_per_day: int = Field(0, ge=0)
-    """How many bytes a key may send in a day, as they come over the wire; 0 limits nothing. A key
-    that was idle for a day has all of them again."""
-    allowed_origins: Words = ()
-    """Origins of other sites whose pages may ask, as `https://maps.example`, comma between; none by
-    default."""
-    trusted_proxies: Words = ()
+    """How many bytes a key may send in a day, counted on the wire; 0 limits nothing. A key that was
+    idle for a day has all of them again."""
+    allowed_origins: Annotated[tuple[Annotated[str, AfterValidator(_origin)], ...], NoDecode] = ()
+    """Origins of other sites whose pages may send requests, as `https://maps.example`, separated by
+    commas; none by default."""
+    trusted_proxies: Annotated[tuple[Annotated[str, AfterValidator(_network)], ...], NoDecode] = ()
     """Addresses or networks of reverse proxies whose `X-Forwarded-For` and `X-Forwarded-Proto` are
-    believed, as `127.0.0.1`, comma between; none by default."""
+    trusted, as `127.0.0.1`, separated by commas; none by default."""
     scrub_days: AtLeast0 = Field(30.0, le=LONGEST_DAYS)
     """Within how many days every stored file is read and checked once; 0 checks none."""
 
     @property
     def retention(self) -> Retention:
-        """What maps keep that have not chosen otherwise."""
+        """The retention of maps that do not set their own."""
         return Retention(self.retained_revisions, self.retained_for_days, self.raw_scans)
 
     @field_validator("allowed_origins", "trusted_proxies", mode="before")
@@ -145,33 +164,9 @@ class Settings(BaseSettings):
             return tuple(part.strip() for part in given.split(",") if part.strip())
         return given
 
-    @field_validator("allowed_origins")
-    @classmethod
-    def _are_origins(cls, given: tuple[str, ...]) -> tuple[str, ...]:
-        for origin in given:
-            if _ORIGIN.fullmatch(origin) is None:
-                raise ValueError(
-                    "wanted origins as a browser sends them, `https://maps.example` or"
-                    " `http://127.0.0.1:3000`, lower case, without a path and without `*`"
-                )
-        return given
-
-    @field_validator("trusted_proxies")
-    @classmethod
-    def _are_networks(cls, given: tuple[str, ...]) -> tuple[str, ...]:
-        for network in given:
-            try:
-                ipaddress.ip_network(network)
-            except ValueError:
-                raise ValueError(
-                    "wanted addresses or networks, as `127.0.0.1` or `10.0.0.0/8`, without names"
-                    " and without `*`"
-                ) from None
-        return given
-
 
 def unknown_variables(environment: Iterable[str]) -> list[str]:
-    """Return the variables that look like a setting and are none, such as misspelt ones.
+    """Return the variables that look like a setting but are unknown, such as misspelt ones.
 
     Examples:
         >>> unknown_variables(["TENSORMAP_MAX_TRAKS", "TENSORMAP_MAX_TRACKS", "PATH"])
@@ -187,7 +182,7 @@ def unknown_variables(environment: Iterable[str]) -> list[str]:
 
 
 def is_loopback(host: str) -> bool:
-    """Return whether only this machine can reach `host`."""
+    """Return whether `host` is reachable from this machine only."""
     if host == "localhost":
         return True
     try:

@@ -1,4 +1,4 @@
-"""What a service manager hears of us: that the service is ready, and that its loop goes round."""
+"""Messages to a service manager: that the service is ready, and that its event loop runs."""
 
 import asyncio
 import os
@@ -8,7 +8,7 @@ from contextlib import asynccontextmanager, suppress
 
 
 def notify(message: str, environment: Mapping[str, str] = os.environ) -> None:
-    """Send a message of sd_notify(3), as `READY=1`; nobody listening is no fault.
+    """Send a message of sd_notify(3), as `READY=1`; without a manager nothing is sent.
 
     Examples:
         >>> notify("READY=1", {})
@@ -18,17 +18,17 @@ def notify(message: str, environment: Mapping[str, str] = os.environ) -> None:
         return
     if address.startswith("@"):  # Linux' abstract name
         address = "\0" + address[1:]
-    kind = socket.SOCK_DGRAM | socket.SOCK_NONBLOCK  # a manager that does not listen holds nobody
+    kind = socket.SOCK_DGRAM | socket.SOCK_NONBLOCK  # a hung manager does not block the service
     with suppress(OSError), socket.socket(socket.AF_UNIX, kind) as sending:
         sending.sendto(message.encode(), address)
 
 
 @asynccontextmanager
 async def supervised(environment: Mapping[str, str] = os.environ) -> AsyncIterator[None]:
-    """Say that the service is ready, and then regularly that the event loop still turns.
+    """Report that the service is ready, and then regularly that the event loop still runs.
 
-    From the loop itself: where something holds it, the messages stop, and the manager starts the
-    service anew (`WatchdogSec` in the unit).
+    The messages are sent from the loop: if it is blocked they stop, and the manager restarts the
+    service (`WatchdogSec` in the unit).
     """
     interval_s = _interval_s(environment)
     notify("READY=1", environment)
@@ -48,7 +48,7 @@ async def _beat(interval_s: float, environment: Mapping[str, str]) -> None:
 
 
 def _interval_s(environment: Mapping[str, str]) -> float | None:
-    """Return how often the manager wants to hear of us: twice in its own time, as it asks."""
+    """Return the interval of the messages, half of the manager's timeout as it recommends."""
     microseconds = environment.get("WATCHDOG_USEC", "")
     meant_for = environment.get("WATCHDOG_PID", str(os.getpid()))
     if not microseconds.isdecimal() or meant_for != str(os.getpid()):

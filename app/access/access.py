@@ -1,15 +1,14 @@
-"""Who may ask: everyone on this machine, or whoever holds a key."""
+"""Authentication: everyone on this machine while there are no keys, then holders of keys."""
 
 import hmac
-from collections.abc import Collection
 from dataclasses import replace
 from datetime import UTC, datetime
 from urllib.parse import urlsplit
 
 from starlette.requests import HTTPConnection
 
-from app.access.caller import EVERYONE_ID, OPERATOR_ID, Caller, everyone_here, the_operator
-from app.access.rate_limits import BYTES, NO_LIMITS, RateLimits
+from app.access.caller import EVERYONE_ID, OPERATOR_ID, Caller
+from app.access.rate_limits import BYTES, RateLimits
 from app.access.scopes import Scope as KeyScope
 from app.access.secrets import is_token, is_well_formed, new_secret, secret_hash
 from app.http.context import RequestContext, context_of
@@ -23,31 +22,24 @@ _MOMENT = "%Y-%m-%dT%H:%M:%SZ"
 
 
 class Access:
-    """The keys that open the service; each request looks them up, so that a revoke holds at once.
+    """The keys of the service; each request looks its key up, so that revoking works at once.
 
-    As long as no key was ever made, and the settings have none, everyone on this machine may ask.
+    While no key was ever made, and the settings have none, everyone on this machine has access.
 
     Args:
         store: Where the keys are kept.
-        operator_key: The key of the settings.
-        limits: How often each may ask.
-        quota: How many bytes each may send.
-        allowed_origins: Of pages elsewhere that may ask.
+        settings: Their administrator's key, limits of each key, and allowed origins.
     """
 
-    def __init__(
-        self,
-        store: Store,
-        operator_key: str | None = None,
-        limits: RateLimits = NO_LIMITS,
-        quota: RateLimits = NO_LIMITS,
-        allowed_origins: Collection[str] = (),
-    ) -> None:
+    def __init__(self, store: Store, settings: Settings) -> None:
         self._store = store
-        self._allowed_origins = frozenset(allowed_origins)
-        self._limits, self._quota = limits, quota
-        self._operator_hash = None if operator_key is None else secret_hash(operator_key)
-        self._has_keys = False  # once it has it always has
+        self._allowed_origins = frozenset(settings.allowed_origins)
+        self._limits = RateLimits(settings.requests_per_s, settings.request_burst)
+        daily = settings.upload_bytes_per_day
+        self._quota = RateLimits(daily / _DAY_S, daily, unit=BYTES)
+        key = settings.admin_key
+        self._operator_hash = None if key is None else secret_hash(key.get_secret_value())
+        self._has_keys = False  # once true it stays true
 
     @property
     def is_open(self) -> bool:
@@ -57,29 +49,29 @@ class Access:
         return self._operator_hash is None and not self._has_keys
 
     def caller_of(self, connection: HTTPConnection) -> Caller:
-        """Return who asks; called from a thread, because it reads the catalog.
+        """Return who sent a request; called from a thread, because it reads the catalog.
 
         Raises:
-            HostNotAllowed: If the service has no keys and is reached from elsewhere, by a name that
-                a page elsewhere could have pointed at this machine, or from such a page.
-            KeyNeeded: If it has keys and none came.
-            KeyRefused: If the key is none of them, or no longer.
+            HostNotAllowed: If the service has no keys and is reached from another machine, by a
+                name that a foreign page could have pointed at this machine, or from such a page.
+            KeyNeeded: If it has keys and none was sent.
+            KeyRefused: If the key is unknown, or no longer valid.
         """
         if self.is_open:
             _require_local(connection, self._allowed_origins)
-            return everyone_here()
+            return Caller(EVERYONE_ID, frozenset({KeyScope.ADMIN}))
         sent = _bearer_of(connection)
         if not sent:
             raise KeyNeeded("send a key of this service as `Authorization: Bearer KEY`")
         return self._holder(sent)
 
     def admit(self, connection: HTTPConnection) -> Caller:
-        """Return who asks, if it is not too often.
+        """Return who sent a request, and count it against the sender's limit.
 
-        Without a good key, an address stands for one.
+        Requests without a valid key are counted by address.
 
         Raises:
-            TooManyRequests: If it is.
+            TooManyRequests: If the sender has reached its limit.
             TensorMapError: What `caller_of` raises.
         """
         context = context_of(connection.scope)
@@ -95,16 +87,16 @@ class Access:
         return caller
 
     def spend_bytes(self, context: RequestContext, amount: int, *, announced: bool = False) -> None:
-        """Count bytes of a body against what its sender may send in a day.
+        """Count bytes of a body against the daily quota of its sender.
 
         Args:
-            context: Of the request; one that needs no key may send as much as it likes.
-            amount: How many.
-            announced: They are yet to come: look only whether they are allowed.
+            context: Of the request; one that needs no key has no quota.
+            amount: Number of bytes.
+            announced: They are not received yet: only check whether they are allowed.
 
         Raises:
-            TooManyRequests: If they are not.
-            BodyTooLarge: If so many never will be.
+            TooManyRequests: If they exceed the rest of the quota.
+            BodyTooLarge: If they exceed the whole quota.
         """
         if context.caller is None:
             return
@@ -112,16 +104,15 @@ class Access:
             raise BodyTooLarge(
                 f"the body has {amount} bytes, more than a key may send in a day: send it in parts"
             )
-        count = self._quota.require if announced else self._quota.take
-        context.allow(count(context.sender, amount))
+        context.allow(self._quota.take(context.sender, amount, check_only=announced))
 
     def _holder(self, sent: str) -> Caller:
         given = secret_hash(sent)
         if self._operator_hash is not None and hmac.compare_digest(given, self._operator_hash):
-            return the_operator(given)
+            return Caller(OPERATOR_ID, frozenset({KeyScope.ADMIN}), key_hash=given)
         if not is_well_formed(sent):
             raise _unknown()
-        # The hash of 256 random bits is looked up: how long that takes tells nothing about them.
+        # The hash of 256 random bits is looked up: the time this takes reveals nothing about them.
         return self._holder_of_token(given) if is_token(sent) else self._holder_of_key(given)
 
     def _holder_of_key(self, given: str) -> Caller:
@@ -150,12 +141,12 @@ class Access:
         if not key.opens_at(datetime.now(UTC)):
             raise KeyRefused(f"key {key.id} expired at {key.expires_at:{_MOMENT}}")
         if key.first_run and self._operator_hash is not None:
-            # To set a key is how a made one that was lost or seen is put out of use.
+            # Setting a key disables the generated one, which may be lost or compromised.
             raise KeyRefused(f"key {key.id} is out of use while TENSORMAP_ADMIN_KEY is set")
 
 
 def sent_hash(connection: HTTPConnection) -> str:
-    """Return the hash of the key or token that came, good or not; all that sent none are one."""
+    """Return the hash of the key or token that was sent, valid or not, or of an empty one."""
     return secret_hash(_bearer_of(connection))
 
 
@@ -168,26 +159,14 @@ def _unknown() -> KeyRefused:
     return KeyRefused("this service does not know the key that was sent")
 
 
-def open_access(settings: Settings, store: Store) -> tuple[Access, str | None]:
-    """Return who may ask, and a key that was made just now and must be shown once.
+def make_first_key(store: Store, settings: Settings) -> str | None:
+    """Make the administrator's first key where one is needed, to be shown once.
 
-    On another address than loopback, and without a key of the settings or an administrator's, one
-    is made and only its hash is kept.
+    It is needed on any address but loopback if neither the settings nor the catalog have an
+    administrator's key. Only its hash is kept.
     """
-    limits = RateLimits(settings.requests_per_s, settings.request_burst)
-    daily = settings.upload_bytes_per_day
-    quota = RateLimits(daily / _DAY_S, daily, unit=BYTES)
-    if settings.admin_key is not None:
-        operator_key = settings.admin_key.get_secret_value()
-        return Access(store, operator_key, limits, quota, settings.allowed_origins), None
-    made = None
-    if not is_loopback(settings.host) and not _has_administrator(store):
-        made = make_first_key(store)
-    return Access(store, None, limits, quota, settings.allowed_origins), made
-
-
-def make_first_key(store: Store) -> str:
-    """Make the administrator's first key, and keep its hash."""
+    if settings.admin_key or is_loopback(settings.host) or _has_administrator(store):
+        return None
     made = new_secret()
     store.keys.add(
         secret_hash(made.text),
@@ -216,10 +195,10 @@ def _bearer_of(connection: HTTPConnection) -> str:
 
 
 def _require_local(connection: HTTPConnection, allowed_origins: frozenset[str]) -> None:
-    """Refuse what is not of this machine.
+    """Reject requests from other machines and from pages of other sites.
 
-    A browser lets any page send simple requests and open streams to any host, and says only in
-    `Origin` which page it was.
+    A browser lets any page send simple requests and open streams to any host, and names the page
+    only in `Origin`.
     """
     name = connection.url.hostname or ""
     address = (connection.scope.get("server") or ("",))[0]
@@ -232,15 +211,12 @@ def _require_local(connection: HTTPConnection, allowed_origins: frozenset[str]) 
     origin = connection.headers.get("origin")
     if origin is None or origin in allowed_origins:
         return
-    if not is_loopback(_host_of(origin)):
+    try:
+        host = urlsplit(origin).hostname or ""
+    except ValueError:
+        host = ""
+    if not is_loopback(host):
         raise HostNotAllowed(
             "a service without keys answers pages of this machine only, not of"
             f" {origin[:80]!r}; set TENSORMAP_ADMIN_KEY"
         )
-
-
-def _host_of(origin: str) -> str:
-    try:
-        return urlsplit(origin).hostname or ""
-    except ValueError:
-        return ""

@@ -1,4 +1,4 @@
-"""The key comes first: nothing of a request is read, parsed or looked at before it."""
+"""Admission: the key is checked, and the body prepared, before anything of the body is read."""
 
 import logging
 from http import HTTPStatus
@@ -7,7 +7,8 @@ from anyio import to_thread
 from starlette.requests import HTTPConnection
 from starlette.types import ASGIApp, Receive, Scope, Send
 
-from app.access.access import Access
+from app.http.bodies.bodies import prepared_body
+from app.http.context import context_of
 from app.http.problems import problem_response
 from core.errors import TensorMapError
 
@@ -17,30 +18,32 @@ _log = logging.getLogger("tensormap.access")
 
 
 class Admission:
-    """Finds out who asks before the framework parses a body, and refuses who has no key.
+    """Checks a request's key and the head of its body before the framework parses the body.
 
-    Dependencies come too late for that: FastAPI parses JSON first.
+    Dependencies run too late for that: FastAPI parses JSON first. Its own `max_body_size` answers
+    in plain text; our errors are problems.
     """
 
     def __init__(self, app: ASGIApp) -> None:
         self._app = app
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass a request on with its caller."""
-        if scope["type"] != "http" or not scope["path"].startswith(_BEHIND_THE_KEY):
+        """Pass a request on with its caller and its body, of which nothing is read yet."""
+        if scope["type"] != "http":
             await self._app(scope, receive, send)
             return
         service = scope["app"].state.service
-        access: Access = service.access
         try:
-            # Threads of its own: whatever others do, a key is looked up at once.
-            await to_thread.run_sync(
-                access.admit, HTTPConnection(scope), limiter=service.pools.admission
-            )
+            if scope["path"].startswith(_BEHIND_THE_KEY):
+                # Threads of its own: a key is looked up at once, also if all others are busy.
+                await to_thread.run_sync(
+                    service.access.admit, HTTPConnection(scope), limiter=service.pools.admission
+                )
+            context_of(scope).body = prepared_body(scope, receive)
         except TensorMapError as error:
             response = problem_response(error)
             if response.status_code >= HTTPStatus.INTERNAL_SERVER_ERROR:
-                _log.exception("who asks for %s cannot be found out", scope["path"])
+                _log.exception("the caller of %s cannot be checked", scope["path"])
             await response(scope, receive, send)
             return
         await self._app(scope, receive, send)

@@ -1,19 +1,22 @@
-"""The audit log: who changed what, when, and what came of it."""
+"""The audit log: who changed what and when, and the outcome."""
 
+from datetime import datetime
 from typing import Annotated
 
 from fastapi import Query
+from pydantic import Field
 
-from app.access.audit_schemas import AuditEntryOut
 from app.access.scopes import Scope, needs
 from app.http.errors import READING, InvalidRequest
 from app.http.exact_types import Moment
 from app.http.pages import Limit, PageOut, page_out
 from app.http.pooled_route import pooled_router
 from app.http.problems import problems
+from app.http.shown import Shown
 from app.service import Running
+from storage.catalog import AuditRecord
 
-router = pooled_router(tags=["access"])
+router = pooled_router(tags=["access"], dependencies=[needs(Scope.ADMIN)])
 
 AfterEntry = Annotated[
     int,
@@ -27,15 +30,33 @@ OfMap = Annotated[
 OfKey = Annotated[
     str | None, Query(alias="key", max_length=32, description="Only entries of this key.")
 ]
-Since = Annotated[Moment | None, Query(description="Only entries of this moment or later.")]
-Until = Annotated[Moment | None, Query(description="Only entries before this moment.")]
+Since = Annotated[Moment | None, Query(description="Only entries of this time or later.")]
+Until = Annotated[Moment | None, Query(description="Only entries before this time.")]
 
 
-@router.get(
-    "/audit",
-    dependencies=[needs(Scope.ADMIN)],
-    responses=problems(InvalidRequest, *READING),
-)
+class AuditEntryOut(Shown):
+    """A requested change and its outcome."""
+
+    entry: int = Field(description="Its place in the log, counted from 1 without a gap.")
+    at: datetime
+    key: str = Field(
+        description="Id of the key; `operator` for that of the settings, `everyone` without keys,"
+        " `service` for what the service does by itself."
+    )
+    action: str = Field(examples=["make_live"])
+    subject: str = Field(description="The path of the request.")
+    map: str | None = Field(description="The map that it is about; null if about none.")
+    detail: str = Field(description="What the path does not show.")
+    outcome: str = Field(description="`done`, or the status of a rejected or failed request.")
+    hash: str = Field(description="SHA-256 over all this and the hash of the entry before.")
+
+    @classmethod
+    def from_record(cls, record: AuditRecord) -> "AuditEntryOut":
+        """Show an entry's record."""
+        return cls.of(record, entry=record.seq, key=record.key_id, map=record.map_slug)
+
+
+@router.get("/audit", responses=problems(InvalidRequest, *READING))
 def list_audit(
     running: Running,
     after: AfterEntry = 0,
@@ -45,9 +66,9 @@ def list_audit(
     since: Since = None,
     until: Until = None,
 ) -> PageOut[AuditEntryOut]:
-    """List the changes that were asked for, oldest first, with who asked and what came of it.
+    """List the requested changes, oldest first, with the key of each and its outcome.
 
-    `tensormap audit verify` tells whether an entry was changed or removed.
+    `tensormap audit verify` detects whether an entry was changed or removed.
     """
     page = running.store.audit.list(
         after, limit, map_slug=map_slug, key_id=key_id, since=since, until=until

@@ -1,4 +1,4 @@
-"""Who asks, and what that one may."""
+"""The caller of a request, and its permissions."""
 
 from collections.abc import Collection
 from dataclasses import dataclass, field
@@ -14,14 +14,14 @@ OPERATOR_ID = "operator"
 
 @dataclass(frozen=True)
 class Caller:
-    """Who asks.
+    """Who sent a request.
 
     Attributes:
         key_id: Id of the key; `operator` for the key of the settings, `everyone` without keys.
         scopes: What the key allows.
         maps: Slugs of the maps that it is limited to, `None` for all.
         key_hash: Hash of the key, `None` without keys.
-        by_token: What came is a token that was exchanged for the key.
+        by_token: Whether a token was sent that was exchanged for the key.
     """
 
     key_id: str
@@ -35,7 +35,7 @@ class Caller:
         return Scope.ADMIN in self.scopes or not self.scopes.isdisjoint(scopes)
 
     def require(self, scopes: Collection[Scope]) -> None:
-        """Let through who has one of these scopes.
+        """Require one of these scopes.
 
         Raises:
             ScopeMissing: If the key has none of them.
@@ -44,7 +44,7 @@ class Caller:
             self._refuse(" or ".join(scopes), scopes)
 
     def require_all(self, scopes: Collection[Scope]) -> None:
-        """Let through who has all of these scopes.
+        """Require all of these scopes.
 
         Raises:
             ScopeMissing: If the key lacks one of them.
@@ -52,10 +52,10 @@ class Caller:
         if not all(self.may(scope) for scope in scopes):
             self._refuse(" and ".join(sorted(scopes)), scopes)
 
-    def _refuse(self, wanted: str, scopes: Collection[Scope]) -> NoReturn:
+    def _refuse(self, needed: str, scopes: Collection[Scope]) -> NoReturn:
         held = f"{'token of ' if self.by_token else ''}key {self.key_id}"
         raise ScopeMissing(
-            f"{held} allows {', '.join(sorted(self.scopes))}; this needs {wanted}",
+            f"{held} allows {', '.join(sorted(self.scopes))}; this needs {needed}",
             scopes=tuple(scopes),
         )
 
@@ -64,33 +64,23 @@ class Caller:
         return self.maps is None or map_slug in self.maps
 
     def require_map(self, map_slug: str) -> None:
-        """Let through to a map within the key's limits.
+        """Require a map within the key's limits.
 
         Raises:
-            MapNotFound: If it is another: for this key it is not there, so that nobody learns from
-                a key to some maps what other maps there are.
+            MapNotFound: If it is another one: a key to some maps does not reveal which other maps
+                exist.
         """
         if not self.sees(map_slug):
             raise MapNotFound(f"there is no map {map_slug[:80]!r}")
 
     def require_new_map(self, map_slug: str) -> None:
-        """Let make a map within the key's limits.
+        """Require that a map to be made is within the key's limits.
 
         Raises:
-            ScopeMissing: If it is another, be there such a map or not.
+            ScopeMissing: If it is another one, whether there is such a map or not.
         """
         if not self.sees(map_slug):
             raise ScopeMissing(
                 f"key {self.key_id} is limited to maps {', '.join(sorted(self.maps or ()))};"
                 f" it cannot make {map_slug[:80]!r}"
             )
-
-
-def everyone_here() -> Caller:
-    """Return who asks a service without keys: whoever is on its machine, for anything."""
-    return Caller(EVERYONE_ID, frozenset({Scope.ADMIN}))
-
-
-def the_operator(key_hash: str) -> Caller:
-    """Return who holds the key of the settings."""
-    return Caller(OPERATOR_ID, frozenset({Scope.ADMIN}), key_hash=key_hash)

@@ -1,4 +1,4 @@
-"""What a route under /v1 requires of the caller; the key itself is found in `admission`."""
+"""The scope and map that a route under /v1 requires; `admission` has checked the key."""
 
 from typing import Annotated
 
@@ -17,7 +17,7 @@ async def require_access(
     request: Request,
     _: Annotated[HTTPAuthorizationCredentials | None, Depends(bearer_scheme)],
 ) -> None:
-    """Check whoever was admitted against what the route needs, and the map that it names."""
+    """Check the caller against the scopes that the route needs, and the map that it names."""
     caller = await _caller_of(request)
     sign(request, caller)
     caller.require(needed_by(request.scope["route"]))
@@ -29,10 +29,10 @@ def stream_caller(websocket: WebSocket, *scopes: Scope, map_slug: str) -> Caller
     """Check the key of a stream: before it is accepted, and again with each message.
 
     Raises:
-        HostNotAllowed: As `Access.caller_of` does, and so on.
-        TooManyRequests: If it asks too often.
-        KeyNeeded: If the service has keys and none came.
-        KeyRefused: If the key is none of them, or no longer.
+        HostNotAllowed: As `Access.caller_of`.
+        TooManyRequests: If the sender has reached its limit.
+        KeyNeeded: If the service has keys and none was sent.
+        KeyRefused: If the key is unknown, or no longer valid.
         ScopeMissing: If it allows none of the scopes.
         MapNotFound: If it is limited to other maps.
     """
@@ -45,9 +45,9 @@ def stream_caller(websocket: WebSocket, *scopes: Scope, map_slug: str) -> Caller
 
 async def _caller_of(request: Request) -> Caller:
     caller = context_of(request.scope).caller
-    if caller is None:  # `Admission` is not there, or does not know this path
-        raise KeyNeeded("nobody has looked at the key of this request")
+    if caller is None:  # `Admission` is not installed, or does not cover this path
+        raise KeyNeeded("the key of this request was not checked")
     return caller
 
 
-Asking = Annotated[Caller, Depends(_caller_of)]
+CurrentCaller = Annotated[Caller, Depends(_caller_of)]

@@ -1,13 +1,16 @@
-"""Keys: who may ask for what, given out and revoked by an administrator."""
+"""Keys, made and revoked by an administrator, and tokens, for which a key is exchanged."""
 
-from datetime import UTC, datetime
+from collections.abc import Set as AbstractSet
+from datetime import UTC, datetime, timedelta
 from typing import Annotated
 
 from fastapi import Path, Response, status
 
-from app.access.key_schemas import KeyIn, KeyMade, KeyOut
-from app.access.scopes import Scope, needs
-from app.access.secrets import new_secret, secret_hash
+from app.access.caller import Caller
+from app.access.dependency import CurrentCaller
+from app.access.key_schemas import KeyIn, KeyMade, KeyOut, TokenIn, TokenMade
+from app.access.scopes import ANY_SCOPE, Scope, needs
+from app.access.secrets import TOKEN_PREFIX, new_secret, secret_hash
 from app.access.trail import note
 from app.http import errors
 from app.http.bodies.bodies import Json
@@ -19,88 +22,125 @@ from core.errors import InvalidParameters
 from storage.errors import InvalidSlug, KeyNotFound
 from storage.names import checked_slug
 
-router = pooled_router(prefix="/keys", tags=["access"])
+keys = pooled_router(tags=["access"], dependencies=[needs(Scope.ADMIN)])
+tokens = pooled_router(tags=["access"], dependencies=[needs(*ANY_SCOPE)])
 
 KeyId = Annotated[str, Path(alias="key", description="The key's id.")]
 
+_MAKING = problems(InvalidParameters, InvalidSlug, *errors.JSON_BODY, *errors.WRITING)
 
-@router.post(
-    "",
-    dependencies=[needs(Scope.ADMIN)],
-    status_code=status.HTTP_201_CREATED,
-    responses=problems(InvalidParameters, InvalidSlug, *errors.JSON_BODY, *errors.WRITING),
-)
-def make_key(wanted: Json[KeyIn], running: Running, response: Response) -> KeyMade:
+
+@keys.post("/keys", status_code=status.HTTP_201_CREATED, responses=_MAKING)
+def make_key(sent: Json[KeyIn], running: Running, response: Response) -> KeyMade:
     """Make a key; its secret is in this answer and nowhere else.
 
-    The first key of a service must be an administrator's: from then on keys are asked for.
+    The first key of a service must be an administrator's: from then on every request needs a key.
     """
-    _require_sense(wanted, is_first=running.access.is_open)
+    _require_usable(sent, is_first=running.access.is_open)
     made = new_secret()
-    note(_in_short(made.id, wanted))
+    note(_summary(made.id, sent))
     record = running.store.keys.add(
         secret_hash(made.text),
-        wanted.scopes,
+        sent.scopes,
         key_id=made.id,
-        name=wanted.name,
-        maps=wanted.maps,
-        expires_at=wanted.expires_at,
+        name=sent.name,
+        maps=sent.maps,
+        expires_at=sent.expires_at,
     )
     response.headers["Location"] = f"/v1/keys/{record.id}"
     response.headers["Cache-Control"] = "no-store"
     return KeyMade(**KeyOut.from_record(record).model_dump(), secret=made.text)
 
 
-@router.get(
-    "",
-    dependencies=[needs(Scope.ADMIN)],
-    responses=problems(InvalidParameters, errors.InvalidRequest, *errors.READING),
-)
+@keys.get("/keys", responses=problems(InvalidParameters, errors.InvalidRequest, *errors.READING))
 def list_keys(running: Running, after: After = "", limit: Limit = 100) -> PageOut[KeyOut]:
-    """List the keys in the order of their making, the revoked ones too."""
+    """List the keys in the order in which they were made, revoked ones too."""
     page = running.store.keys.list(after, limit)
     return page_out(page, KeyOut.from_record)
 
 
-@router.get(
-    "/{key}", dependencies=[needs(Scope.ADMIN)], responses=problems(KeyNotFound, *errors.READING)
-)
+@keys.get("/keys/{key}", responses=problems(KeyNotFound, *errors.READING))
 def get_key(key_id: KeyId, running: Running) -> KeyOut:
     """Show a key."""
     return KeyOut.from_record(running.store.keys.get(key_id))
 
 
-@router.delete(
-    "/{key}", dependencies=[needs(Scope.ADMIN)], responses=problems(KeyNotFound, *errors.WRITING)
-)
+@keys.delete("/keys/{key}", responses=problems(KeyNotFound, *errors.WRITING))
 def revoke_key(key_id: KeyId, running: Running) -> KeyOut:
-    """Revoke a key at once and for good: the next request with it is refused.
+    """Revoke a key at once and for good: the next request with it is rejected.
 
-    It stays in the list, for the audit. Whoever revokes the last administrator's key starts the
+    It stays in the list, for the audit. After revoking the last administrator's key, start the
     service with `TENSORMAP_ADMIN_KEY` to make another.
     """
     return KeyOut.from_record(running.store.keys.revoke(key_id))
 
 
-def _in_short(key_id: str, wanted: KeyIn) -> str:
-    maps = "all maps" if wanted.maps is None else f"maps {', '.join(sorted(wanted.maps))}"
-    end = "" if wanted.expires_at is None else f" until {wanted.expires_at.isoformat()}"
-    return f"key {key_id}: {', '.join(sorted(wanted.scopes))} of {maps}{end}"
+@tokens.post("/tokens", status_code=status.HTTP_201_CREATED, responses=_MAKING)
+def exchange_token(
+    sent: Json[TokenIn], running: Running, caller: CurrentCaller, response: Response
+) -> TokenMade:
+    """Exchange the key of this request for a token, with no more rights and for an hour at most.
+
+    It expires with the key. It never has scope `admin` and cannot be exchanged itself.
+    """
+    if caller.key_hash is None:
+        raise errors.KeyNeeded(
+            "a key is exchanged for a token, and none was sent: this service has no keys"
+        )
+    if caller.by_token:
+        raise errors.ScopeMissing("a key is exchanged for a token, a token is not")
+    scopes, maps = _token_scopes(sent, caller), _token_maps(sent, caller)
+    made = new_secret(TOKEN_PREFIX)
+    note(f"token {made.id}: {', '.join(sorted(scopes))} for {sent.expires_in_s} s")
+    record = running.store.tokens.add(
+        made.id,
+        secret_hash(made.text),
+        caller.key_hash,
+        scopes,
+        maps,
+        datetime.now(UTC) + timedelta(seconds=sent.expires_in_s),
+    )
+    response.headers["Cache-Control"] = "no-store"
+    return TokenMade.of(record, token=record.id, key=caller.key_id, secret=made.text)
 
 
-def _require_sense(wanted: KeyIn, *, is_first: bool) -> None:
-    """Refuse a key that could open nothing, or more than it says."""
-    is_admin = Scope.ADMIN in wanted.scopes
-    if is_admin and wanted.maps is not None:
+def _summary(key_id: str, sent: KeyIn) -> str:
+    maps = "all maps" if sent.maps is None else f"maps {', '.join(sorted(sent.maps))}"
+    end = "" if sent.expires_at is None else f" until {sent.expires_at.isoformat()}"
+    return f"key {key_id}: {', '.join(sorted(sent.scopes))} of {maps}{end}"
+
+
+def _require_usable(sent: KeyIn, *, is_first: bool) -> None:
+    """Reject a key that could be used for nothing, or for more than its limits."""
+    is_admin = Scope.ADMIN in sent.scopes
+    if is_admin and sent.maps is not None:
         raise InvalidParameters(
             "scope admin is limited to no maps: its holder could make a key without limits"
         )
-    for slug in wanted.maps or ():
+    for slug in sent.maps or ():
         checked_slug(slug)
-    if wanted.expires_at is not None and wanted.expires_at <= datetime.now(UTC):
-        raise InvalidParameters(f"expires_at is {wanted.expires_at.isoformat()}, wanted the future")
-    if is_first and not (is_admin and wanted.expires_at is None):
+    if sent.expires_at is not None and sent.expires_at <= datetime.now(UTC):
+        raise InvalidParameters(f"expires_at is {sent.expires_at.isoformat()}, wanted the future")
+    if is_first and not (is_admin and sent.expires_at is None):
         raise InvalidParameters(
-            "the first key must have scope admin and no end: from then on keys are asked for, and"
-            " nobody could make another"
+            "the first key must have scope admin and never expire: from then on every request needs"
+            " a key, and nobody could make another"
         )
+
+
+def _token_scopes(sent: TokenIn, caller: Caller) -> AbstractSet[Scope]:
+    if sent.scopes is None:
+        return {scope for scope in Scope if scope is not Scope.ADMIN and caller.may(scope)}
+    if Scope.ADMIN in sent.scopes:
+        raise InvalidParameters("a token never has scope admin: use the key itself")
+    caller.require_all(sent.scopes)
+    return sent.scopes
+
+
+def _token_maps(sent: TokenIn, caller: Caller) -> AbstractSet[str] | None:
+    if sent.maps is None:
+        return caller.maps
+    for slug in sorted(sent.maps):
+        if not caller.sees(checked_slug(slug)):
+            raise errors.ScopeMissing(f"key {caller.key_id} is not for map {slug!r}")
+    return sent.maps

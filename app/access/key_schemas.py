@@ -1,15 +1,16 @@
-"""Keys over the wire; a secret goes out once, when it is made."""
+"""Keys and tokens over the wire; a secret is sent once, when it is made."""
 
 from datetime import UTC, datetime
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from app.access.scopes import Scope
-from app.http.exact_types import Moment, Name, SlugText, each_once
+from app.http.exact_types import Moment, Name, SlugText, each_once, integers
 from app.http.shown import Shown
 from storage.catalog import KeyRecord
 
 _MOST_MAPS = 1000
+_LONGEST_S = 3600
 
 
 class KeyIn(BaseModel):
@@ -35,10 +36,10 @@ class KeyIn(BaseModel):
         None,
         min_length=1,
         max_length=_MOST_MAPS,
-        description="The maps that it is limited to, there already or not; null for all.",
+        description="The maps that it is limited to, existing or not; null for all.",
     )
     expires_at: Moment | None = Field(
-        None, description="When it ends, with a time zone; null for never."
+        None, description="When it expires, with a time zone; null for never."
     )
 
     _sets = field_validator("scopes", "maps", mode="before")(each_once)
@@ -68,4 +69,47 @@ class KeyMade(KeyOut):
     secret: str = Field(
         description="What its holder sends as `Authorization: Bearer`; shown this once.",
         examples=["tm_0123456789abcdef_(43 characters)"],
+    )
+
+
+class TokenIn(BaseModel):
+    """A token to be made; what is left out is as the key has it."""
+
+    model_config = ConfigDict(
+        extra="forbid",
+        json_schema_extra={
+            "example": {"scopes": ["localize"], "maps": ["campus"], "expires_in_s": 900}
+        },
+    )
+
+    scopes: set[Scope] | None = Field(
+        None,
+        min_length=1,
+        description="What it allows, no more than the key and never `admin`; null for all that.",
+    )
+    maps: set[SlugText] | None = Field(
+        None,
+        min_length=1,
+        max_length=_MOST_MAPS,
+        description="The maps that it is limited to, of those of the key; null for all these.",
+    )
+    expires_in_s: int = Field(
+        _LONGEST_S, ge=1, le=_LONGEST_S, description="How many seconds it lasts."
+    )
+
+    _sets = field_validator("scopes", "maps", mode="before")(each_once)
+    _integers = field_validator("expires_in_s", mode="before")(integers)
+
+
+class TokenMade(Shown):
+    """A token that was made just now."""
+
+    token: str = Field(description="Its id.")
+    key: str = Field(description="Id of the key that it was exchanged for.")
+    scopes: list[Scope]
+    maps: list[str] | None = Field(description="The maps that it is limited to; null for all.")
+    expires_at: datetime = Field(description="When it expires, unless its key expires earlier.")
+    secret: str = Field(
+        description="What its holder sends as `Authorization: Bearer`; shown this once.",
+        examples=["tmt_0123456789abcdef_(43 characters)"],
     )

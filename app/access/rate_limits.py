@@ -1,4 +1,4 @@
-"""How much each key may: a bucket, of requests or of bytes sent, that fills up again."""
+"""Rate limits of each key: token buckets, of requests or of bytes sent."""
 
 import math
 import threading
@@ -9,18 +9,18 @@ from dataclasses import dataclass
 
 from app.http.errors import TooManyRequests
 
-# The one used longest ago goes first; should its owner come back, it is full, as it mostly was.
+# The least recently used one is dropped; should its owner return, it is full, as it mostly was.
 _MOST_BUCKETS = 10_000
 
 
 @dataclass(frozen=True)
 class Unit:
-    """What a bucket holds.
+    """Unit of a bucket.
 
     Attributes:
-        name: As the header fields call the policy.
-        policy: What the policy's field says besides, after its name.
-        allowed: What is allowed, of a rate a second and a full bucket.
+        name: The policy's name in the header fields.
+        policy: Parameters of the policy's field, after its name.
+        allowed: Describes the limit, from a rate a second and the size of a full bucket.
     """
 
     name: str
@@ -34,33 +34,6 @@ BYTES = Unit(
 )
 
 
-@dataclass(frozen=True)
-class Allowance:
-    """What is left to whoever asked.
-
-    Attributes:
-        unit: Of what.
-        burst: How many are in a full bucket.
-        window_s: Seconds in which an empty one fills up, rounded up.
-        remaining: How many are left in it.
-        full_in_s: Seconds until it is full again, rounded up.
-    """
-
-    unit: Unit
-    burst: int
-    window_s: int
-    remaining: int
-    full_in_s: int
-
-    def headers(self) -> dict[str, str]:
-        """Return the fields of the IETF's draft `RateLimit header fields for HTTP`."""
-        return {
-            "RateLimit-Policy": f'"{self.unit.name}";q={self.burst}{self.unit.policy}'
-            f";w={self.window_s}",
-            "RateLimit": f'"{self.unit.name}";r={self.remaining};t={self.full_in_s}',
-        }
-
-
 @dataclass
 class _Bucket:
     left: float
@@ -72,14 +45,14 @@ class RateLimits:
 
     Args:
         per_s: How fast a bucket fills up; 0 limits nothing.
-        burst: How many a full one holds.
-        clock: Seconds that never go back.
-        unit: What it holds.
+        burst: Size of a full one.
+        clock: Monotonic clock, in seconds.
+        unit: Its unit.
 
     Examples:
         >>> limits = RateLimits(2.0, 3, clock=lambda: 0.0)
-        >>> [limits.take("fleet").remaining for _ in range(3)]
-        [2, 1, 0]
+        >>> [limits.take("fleet")["RateLimit"] for _ in range(3)]
+        ['"requests";r=2;t=1', '"requests";r=1;t=1', '"requests";r=0;t=2']
         >>> limits.take("fleet")
         Traceback (most recent call last):
         app.http.errors.TooManyRequests: 2 requests a second, 3 at once, are allowed: wait 1 s
@@ -99,41 +72,36 @@ class RateLimits:
         self._buckets: OrderedDict[str, _Bucket] = OrderedDict()
         self._lock = threading.Lock()
 
-    def take(self, who: str, amount: int = 1) -> Allowance | None:
-        """Take out of a bucket; `None` if nothing is limited.
-
-        Raises:
-            TooManyRequests: If it holds less; nothing is taken.
-        """
-        return self._take(who, amount, amount)
-
     def never_allows(self, amount: int) -> bool:
         """Return whether not even a full bucket holds this much."""
         return self._rate > 0 and amount > self._burst
 
-    def require(self, who: str, amount: int) -> Allowance | None:
-        """Look whether a bucket holds this much, and take nothing; `None` if nothing is limited.
+    def take(self, who: str, amount: int = 1, *, check_only: bool = False) -> dict[str, str]:
+        """Take out of a bucket, and return the header fields of what is left, none without a limit.
+
+        Args:
+            who: Whose bucket.
+            amount: How much.
+            check_only: Take nothing, only check that the bucket has as much.
 
         Raises:
-            TooManyRequests: If it holds less.
+            TooManyRequests: If it has less; nothing is taken.
         """
-        return self._take(who, amount, 0)
-
-    def _take(self, who: str, wanted: int, taken: int) -> Allowance | None:
         if self._rate == 0:
-            return None
+            return {}
         with self._lock:
             bucket = self._filled(who)
-            if bucket.left < wanted:
-                # More than a full bucket can hold comes in parts only: the next when it is full.
-                wait_s = max(1, math.ceil((min(wanted, self._burst) - bucket.left) / self._rate))
+            if bucket.left < amount:
+                # More than a full bucket must be sent in parts: the next when it is full.
+                wait_s = max(1, math.ceil((min(amount, self._burst) - bucket.left) / self._rate))
                 raise TooManyRequests(
                     f"{self._unit.allowed(self._rate, self._burst)} are allowed: wait {wait_s} s",
                     wait_s,
-                    self._allowance(bucket).headers(),
+                    self._headers(bucket),
                 )
-            bucket.left -= taken
-            return self._allowance(bucket)
+            if not check_only:
+                bucket.left -= amount
+            return self._headers(bucket)
 
     def _filled(self, who: str) -> _Bucket:
         now_s = self._clock()
@@ -145,14 +113,12 @@ class RateLimits:
             self._buckets.popitem(last=False)
         return bucket
 
-    def _allowance(self, bucket: _Bucket) -> Allowance:
-        return Allowance(
-            self._unit,
-            self._burst,
-            math.ceil(self._burst / self._rate),
-            int(bucket.left),
-            math.ceil((self._burst - bucket.left) / self._rate),
-        )
-
-
-NO_LIMITS = RateLimits(0.0, 1)
+    def _headers(self, bucket: _Bucket) -> dict[str, str]:
+        """Return what is left, as in the IETF's draft `RateLimit header fields for HTTP`."""
+        name, rate = self._unit.name, self._rate
+        window_s = math.ceil(self._burst / rate)
+        full_in_s = math.ceil((self._burst - bucket.left) / rate)
+        return {
+            "RateLimit-Policy": f'"{name}";q={self._burst}{self._unit.policy};w={window_s}',
+            "RateLimit": f'"{name}";r={int(bucket.left)};t={full_in_s}',
+        }

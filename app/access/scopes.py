@@ -1,4 +1,4 @@
-"""What a key may be for, and how a route says what it needs."""
+"""What a key allows, and how a route declares what it needs."""
 
 from enum import StrEnum
 from typing import Annotated, Any
@@ -28,7 +28,7 @@ ANY_SCOPE = (Scope.MAPS_READ, Scope.MAPS_WRITE, Scope.LOCALIZE)
 def needs(*scopes: Scope) -> Any:  # noqa: ANN401 - as FastAPI's own Security
     """Declare, among a route's `dependencies`, that a caller needs one of these scopes.
 
-    `require_access` looks for it; a route that declares none is the administrator's.
+    `require_access` checks it; a route that declares none needs `admin`.
     """
     if not scopes:
         raise ValueError("no scope is given, wanted at least one")
@@ -36,7 +36,7 @@ def needs(*scopes: Scope) -> Any:  # noqa: ANN401 - as FastAPI's own Security
 
 
 def needed_by(route: object) -> tuple[Scope, ...]:
-    """Return the scopes of which one opens a route."""
+    """Return the scopes of which a route needs one."""
     for dependency in getattr(route, "dependencies", ()):
         if isinstance(dependency, SecurityDependency) and dependency.dependency is _declare:
             return tuple(Scope(scope) for scope in dependency.scopes or ())
@@ -46,4 +46,4 @@ def needed_by(route: object) -> tuple[Scope, ...]:
 async def _declare(
     _: Annotated[HTTPAuthorizationCredentials | None, Depends(bearer_scheme)],
 ) -> None:
-    """Do nothing: it stands in the route's description, where FastAPI documents it."""
+    """Do nothing: FastAPI documents it in the route's description."""

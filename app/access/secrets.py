@@ -1,4 +1,4 @@
-"""Keys as they are sent, `tm_<id>_<secret>`, tokens, and the hash that is kept of either."""
+"""Keys as they are sent, `tm_<id>_<secret>`, tokens, and the hashes that are stored."""
 
 import hashlib
 import re
@@ -10,7 +10,7 @@ TOKEN_PREFIX = "tmt"  # noqa: S105 - it is no secret
 _ID_BYTES = 8
 _SECRET_BYTES = 32
 # The first release's keys have an id of 4 bytes. 43 characters of base64url are 32 bytes.
-# Looser than what is well formed: one that was cut off or mistyped is hidden too.
+# Less strict than `_SENT`: incomplete or mistyped ones are hidden too.
 _ANYWHERE = re.compile(r"(tmt?)_[0-9A-Za-z]+_[\w-]{8,}")
 _SENT = re.compile(r"tmt?_[0-9a-f]{8,32}_[A-Za-z0-9_-]{43}")
 
@@ -21,7 +21,7 @@ class Secret:
 
     Attributes:
         id: Its public part, which names it in lists and in the audit log.
-        text: The whole, as its holder sends it; shown once and never kept.
+        text: The whole, as its holder sends it; shown once and never stored.
     """
 
     id: str
@@ -40,14 +40,14 @@ def is_well_formed(sent: str) -> bool:
 
 
 def is_token(sent: str) -> bool:
-    """Return whether a text calls itself a token."""
+    """Return whether a text has the prefix of a token."""
     return sent.startswith(f"{TOKEN_PREFIX}_")
 
 
 def hidden(text: str) -> str:
-    """Return a text with the keys and tokens struck out that stand in it.
+    """Return a text with all keys and tokens in it replaced.
 
-    Whoever puts one into a path by mistake does not put it into the logs as well.
+    A key that was put into a path by mistake is then not in the logs as well.
 
     Examples:
         >>> hidden("/v1/maps/tmt_0123456789abcdef_AbCdEfGhIjKl/live")
@@ -59,7 +59,7 @@ def hidden(text: str) -> str:
 def secret_hash(sent: str) -> str:
     """Return the hash of a key as it is sent, id and all.
 
-    A key holds 256 random bits, or is the operator's own choice of at least 16 characters, and it
-    is hashed on every request: a slow hash would slow the service and stop nobody.
+    A key has 256 random bits, or is the operator's own of at least 16 characters, and is hashed on
+    every request: a slow hash would slow the service down without stopping an attack.
     """
     return hashlib.sha256(sent.encode()).hexdigest()

@@ -1,4 +1,4 @@
-"""What goes into the audit log: every change that is asked for, and what came of it."""
+"""Entries of the audit log: every requested change and its outcome."""
 
 import logging
 from functools import partial
@@ -26,11 +26,11 @@ _ERROR = 400
 
 
 class AuditTrail:
-    """Lets every request that may change something work on behalf of its caller.
+    """Records every request that may change something as its caller's.
 
-    What is changed is in the log with the same commit. What was refused or failed is added when the
-    answer is out: nothing was changed, so nothing is lost if that fails. Requests without a good
-    key are not in the log, or anybody could fill the disk; they are in the server's own.
+    A change is logged in the same commit. A rejected or failed request is logged after its answer:
+    nothing was changed, so nothing is lost if that fails. Requests without a valid key are not
+    logged here, or anybody could fill the disk; they are in the server's own log.
     """
 
     def __init__(self, app: ASGIApp) -> None:
@@ -55,7 +55,7 @@ class AuditTrail:
 
 
 def sign(request: Request, caller: Caller) -> None:
-    """Say whose request it is, and what it asks for."""
+    """Record the caller and the action of a request."""
     act = current_act()
     if act is None:
         return
@@ -67,7 +67,7 @@ def sign(request: Request, caller: Caller) -> None:
 
 
 def note(detail: str, *, map_slug: str | None = None) -> None:
-    """Say what the path of a request does not: call it before the change."""
+    """Record what the path of a request does not show; call it before the change."""
     act = current_act()
     if act is not None:
         act.detail = hidden(detail)

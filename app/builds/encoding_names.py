@@ -1,4 +1,4 @@
-"""Names of encodings in requests: those that are registered when a request comes."""
+"""Names of encodings in requests: those that are registered at the time of the request."""
 
 from typing import Annotated, Any
 
@@ -10,7 +10,7 @@ from core.encodings.registry import encoding_names
 
 
 class _Registered:
-    """Makes `str` a choice as an enum is, also in OpenAPI, but one that registering extends."""
+    """Makes `str` a choice like an enum, also in OpenAPI, that registering extends."""
 
     def __get_pydantic_core_schema__(
         self, source: type[str], handler: GetCoreSchemaHandler

@@ -1,4 +1,4 @@
-"""Jobs' events: server-sent, from where the client last was."""
+"""Jobs' server-sent events, continued from the last one that a client received."""
 
 import asyncio
 import contextvars
@@ -15,17 +15,17 @@ from app.http.errors import HostNotAllowed, KeyNeeded, KeyRefused
 from storage.catalog import JobRecord
 from storage.store import Store
 
-_LOOK_EVERY_S = 0.25
-_ALIVE_EVERY_S = 15.0  # proxies close what is silent for longer
+_READ_EVERY_S = 0.25
+_ALIVE_EVERY_S = 15.0  # proxies close connections that are silent for longer
 
 _log = logging.getLogger("tensormap.jobs")
 
 
 def event_id(record: JobRecord) -> str:
-    """Return what tells one event of a job from another: its state, stage and progress.
+    """Return the id of a job's current event: its state, stage and progress.
 
-    Each event is the whole job as it then was, so a client that comes back with the id of the last
-    one that it saw misses nothing by being told the present one only.
+    Each event is the whole job, so a client that reconnects with the id of its last event needs the
+    current one only.
     """
     return f"{record.state}:{record.stage}:{record.done_units}:{record.total_units}"
 
@@ -36,7 +36,8 @@ class _Follower:
 
     Attributes:
         connection: Of its request, with its key.
-        record: The job as it was last; `None` once it is gone or not shown to this client any more.
+        record: The job when it was last read; `None` if it was deleted or the key was revoked.
+        job_id: Id of the job.
         changed: Set with each new `record`.
     """
 
@@ -51,35 +52,39 @@ class _Follower:
 
 
 class JobEvents:
-    """Follows jobs for any number of clients, and reads them all at once for all of them.
+    """Follows jobs for any number of clients, and reads the jobs of all of them at once.
 
     Thousands of followers cost four queries a second for their jobs and four for each of their
     keys, and no thread of their own.
 
     Args:
-        store: Where jobs are.
-        access: Who may follow them; asked again and again, so that a revoke holds.
+        store: With the jobs.
+        access: Checks the keys each time, so that a revoked one ends its streams.
     """
 
     def __init__(self, store: Store, access: Access) -> None:
         self._store = store
         self._access = access
         self._followers: set[_Follower] = set()
-        self._looking: asyncio.Task[None] | None = None
+        self._reading: asyncio.Task[None] | None = None
 
     async def follow(
         self, connection: HTTPConnection, record: JobRecord, seen: str | None
     ) -> AsyncIterator[bytes]:
-        """Yield a job's events until it has ended, is gone, or the key is revoked.
+        """Yield a job's events until it has ended or was deleted, or the key is revoked.
 
         Args:
             connection: Of the client.
-            record: The job as it is now.
-            seen: Id of the last event that the client was sent, `None` if none.
+            record: The current job.
+            seen: Id of the last event that the client received, `None` if none.
         """
         follower = _Follower(connection, record, record.id)
         self._followers.add(follower)
-        self._keep_looking()
+        if self._reading is None or self._reading.done():
+            # In an empty context: its log lines belong to no request.
+            self._reading = asyncio.get_running_loop().create_task(
+                self._read_jobs(), context=contextvars.Context()
+            )
         try:
             while (job := follower.record) is not None:
                 follower.changed.clear()
@@ -90,24 +95,21 @@ class JobEvents:
                     yield format_sse_event(data_str=data, id=now)
                 if job.ended:
                     return
-                while not await _is_set_within(follower.changed, _ALIVE_EVERY_S):
-                    yield format_sse_event(comment="still here")
+                while not follower.changed.is_set():
+                    try:
+                        await asyncio.wait_for(follower.changed.wait(), _ALIVE_EVERY_S)
+                    except TimeoutError:
+                        yield format_sse_event(comment="still here")
         finally:
             self._followers.discard(follower)
 
-    def _keep_looking(self) -> None:
-        if self._looking is None or self._looking.done():
-            # In no request's context: what it logs is of no request.
-            context = contextvars.Context()
-            self._looking = asyncio.get_running_loop().create_task(self._look(), context=context)
-
-    async def _look(self) -> None:
+    async def _read_jobs(self) -> None:
         while self._followers:
-            await asyncio.sleep(_LOOK_EVERY_S)
+            await asyncio.sleep(_READ_EVERY_S)
             followers = tuple(self._followers)
             try:
                 found = await asyncio.to_thread(self._read, followers)
-            except Exception:  # noqa: BLE001 - it serves all followers; the next look may be luckier
+            except Exception:  # noqa: BLE001 - it serves all followers, and tries again
                 _log.exception("followed jobs cannot be read")
                 continue
             for follower, record in zip(followers, found, strict=True):
@@ -116,8 +118,8 @@ class JobEvents:
                     follower.changed.set()
 
     def _read(self, followers: Collection[_Follower]) -> list[JobRecord | None]:
-        admitted = {f.credentials: f for f in followers}
-        admits = {sent: self._admits(one) for sent, one in admitted.items()}
+        by_key = {f.credentials: f for f in followers}
+        admits = {sent: self._admits(follower) for sent, follower in by_key.items()}
         jobs = self._store.jobs.with_ids({follower.job_id for follower in followers})
         return [jobs.get(f.job_id) if admits[f.credentials] else None for f in followers]
 
@@ -127,11 +129,3 @@ class JobEvents:
         except (KeyRefused, KeyNeeded, HostNotAllowed):
             return False
         return True
-
-
-async def _is_set_within(event: asyncio.Event, seconds: float) -> bool:
-    try:
-        async with asyncio.timeout(seconds):
-            return await event.wait()
-    except TimeoutError:
-        return False

@@ -1,4 +1,4 @@
-"""Jobs: what the service does in the background."""
+"""Jobs: builds in the background."""
 
 from collections.abc import AsyncIterator
 from contextlib import AbstractContextManager
@@ -10,7 +10,7 @@ from starlette.types import Receive, Send
 from starlette.types import Scope as ASGIScope
 
 from app.access.caller import Caller
-from app.access.dependency import Asking
+from app.access.dependency import CurrentCaller
 from app.access.scopes import Scope, needs
 from app.builds.job_events import event_id
 from app.builds.job_schemas import JobOut
@@ -23,7 +23,8 @@ from core.errors import InvalidParameters
 from storage.catalog import JobRecord
 from storage.errors import JobNotFound, MapNotFound
 
-router = pooled_router(tags=["builds"])
+reading = pooled_router(tags=["builds"], dependencies=[needs(Scope.MAPS_READ, Scope.MAPS_WRITE)])
+writing = pooled_router(tags=["builds"], dependencies=[needs(Scope.MAPS_WRITE)])
 
 _EVENTS = "text/event-stream"
 _EVENT = {
@@ -41,74 +42,67 @@ _EVENT = {
 
 JobId = Annotated[str, Path(alias="job", description="The job's id.")]
 LastEventId = Annotated[
-    str | None, Header(max_length=200, description="Of the last event that the client was told.")
+    str | None, Header(max_length=200, description="Of the last event that the client received.")
 ]
 OfMap = Annotated[str | None, Query(alias="map", description="Only the jobs of this map.")]
 
 
-@router.get(
-    "/jobs",
-    dependencies=[needs(Scope.MAPS_READ, Scope.MAPS_WRITE)],
-    responses=problems(MapNotFound, InvalidParameters, InvalidRequest, *READING),
-)
+@reading.get("/jobs", responses=problems(MapNotFound, InvalidParameters, InvalidRequest, *READING))
 def list_jobs(
-    running: Running, asking: Asking, map_slug: OfMap = None, after: After = "", limit: Limit = 100
+    running: Running,
+    caller: CurrentCaller,
+    map_slug: OfMap = None,
+    after: After = "",
+    limit: Limit = 100,
 ) -> PageOut[JobOut]:
     """List the jobs, newest first, those of maps within the limits of the key."""
     if map_slug is not None:
-        asking.require_map(map_slug)
-    page = running.store.jobs.list(map_slug, after, limit, slugs=asking.maps)
+        caller.require_map(map_slug)
+    page = running.store.jobs.list(map_slug, after, limit, slugs=caller.maps)
     return page_out(page, JobOut.from_record)
 
 
-@router.get(
-    "/jobs/{job}",
-    dependencies=[needs(Scope.MAPS_READ, Scope.MAPS_WRITE)],
-    responses=problems(JobNotFound, *READING),
-)
-def get_job(job_id: JobId, running: Running, asking: Asking) -> JobOut:
-    """Show a job and how far it is."""
-    return JobOut.from_record(job_of(running, asking, job_id))
+@reading.get("/jobs/{job}", responses=problems(JobNotFound, *READING))
+def get_job(job_id: JobId, running: Running, caller: CurrentCaller) -> JobOut:
+    """Show a job and its progress."""
+    return JobOut.from_record(job_of(running, caller, job_id))
 
 
-@router.get(
+@reading.get(
     "/jobs/{job}/events",
-    dependencies=[needs(Scope.MAPS_READ, Scope.MAPS_WRITE)],
     response_class=Response,
     responses={
         200: {
-            "description": "The job whenever it has got further.",
+            "description": "The job whenever it has changed.",
             "content": {_EVENTS: {"itemSchema": _EVENT}},
         },
-        204: {"description": "It has ended, and the client was told so: do not come back."},
+        204: {"description": "It has ended, and the client received its end: do not reconnect."},
         **problems(JobNotFound, InvalidRequest, TooManyStreams, TooManyStreamsOfKey, *READING),
     },
 )
 def follow_job(
     job_id: JobId,
     running: Running,
-    asking: Asking,
+    caller: CurrentCaller,
     request: Request,
     last_event_id: LastEventId = None,
 ) -> Response:
-    """Follow a job: an event now and whenever it has got further, each the whole job as JSON.
+    """Follow a job: an event now and whenever it changes, each the whole job as JSON.
 
-    The stream ends when the job has, or the key is revoked. `Last-Event-ID`, as a browser sends it
-    when it comes back, leaves out what was seen.
+    The stream ends when the job ends, or the key is revoked. With `Last-Event-ID`, which a browser
+    sends when it reconnects, an event that was received is not repeated.
     """
-    record = job_of(running, asking, job_id)
+    record = job_of(running, caller, job_id)
     if record.ended and last_event_id == event_id(record):
         return Response(status_code=status.HTTP_204_NO_CONTENT)
     events = running.job_events.follow(request, record, last_event_id)
-    return _Followed(events, running.streams.opened(asking.key_id))
+    return _Followed(events, running.streams.opened(caller.key_id))
 
 
-@router.delete(
-    "/jobs/{job}", dependencies=[needs(Scope.MAPS_WRITE)], responses=problems(JobNotFound, *WRITING)
-)
-def cancel_job(job_id: JobId, running: Running, asking: Asking) -> JobOut:
+@writing.delete("/jobs/{job}", responses=problems(JobNotFound, *WRITING))
+def cancel_job(job_id: JobId, running: Running, caller: CurrentCaller) -> JobOut:
     """Cancel a job: a waiting one at once, a running one within a second; one that ended stays."""
-    job = job_of(running, asking, job_id)
+    job = job_of(running, caller, job_id)
     return JobOut.from_record(running.store.jobs.request_cancel(job.id))
 
 
@@ -118,7 +112,7 @@ class _Followed(StreamingResponse):
     def __init__(
         self, events: AsyncIterator[bytes], while_open: AbstractContextManager[None]
     ) -> None:
-        # Proxies that buffer would hold back what is meant for now.
+        # Proxies that buffer would delay the events.
         headers = {"Cache-Control": "no-store", "X-Accel-Buffering": "no"}
         super().__init__(events, media_type=_EVENTS, headers=headers)
         self._while_open = while_open
@@ -128,18 +122,18 @@ class _Followed(StreamingResponse):
             await super().__call__(scope, receive, send)
 
 
-def job_of(running: Service, asking: Caller, job_id: str) -> JobRecord:
+def job_of(running: Service, caller: Caller, job_id: str) -> JobRecord:
     """Return a job of a map within the limits of the caller's key.
 
     Raises:
         JobNotFound: If there is none, for this caller.
     """
     job = running.store.jobs.get(job_id)
-    if asking.maps is not None:
+    if caller.maps is not None:
         try:
             of_map = running.store.maps.get_by_id(job.map_id).slug
         except MapNotFound:
-            of_map = ""  # it went a moment ago, and its jobs with it
-        if not asking.sees(of_map):
+            of_map = ""  # it was deleted just now, with its jobs
+        if not caller.sees(of_map):
             raise JobNotFound(f"there is no job {job_id[:80]!r}")
     return job

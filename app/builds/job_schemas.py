@@ -8,7 +8,7 @@ from app.builds.parameters import BuildParameters
 from app.builds.plans import Plan
 from app.http.problems import problem_type
 from app.http.shown import Shown
-from app.revisions.comparison import NoRecall
+from app.revisions.recall import NoRecall
 from storage.catalog import JobRecord, JobState
 
 
@@ -23,46 +23,44 @@ class JobErrorOut(BaseModel):
 
 
 class LiveGateOut(BaseModel):
-    """Whether a build was made live, and what it finds beside the revision that was live."""
+    """Whether a build was made live, and its recall compared with the revision that was live."""
 
     live: bool = Field(description="Whether it was made live when it was done.")
     compared_with: str | None = Field(
         description="The revision that was live; null for a first build and with `force`."
     )
-    asked: int | None = Field(description="How many scans both were asked for.")
+    asked: int | None = Field(description="How many scans both were queried with.")
     recall: float | None = Field(description="Share of them that it finds, 0..1.")
     recall_of_live: float | None = Field(description="Share that the live revision found.")
     recall_unknown: NoRecall | None = Field(
-        description="Why recall is not known, as in a comparison."
+        description="Why recall is unknown, as in a comparison."
     )
     reason: str | None = Field(
-        description="Why it was not made live, or was without being measured; also a note."
+        description="Why it was not made live, or was made live without a comparison; also a note."
     )
 
 
 class JobOut(Shown):
-    """A build and how far it is."""
+    """A build and its progress."""
 
     job: str
     kind: str
     state: JobState
-    stage: str = Field(description="What it does now.", examples=["projecting", "fitting"])
+    stage: str = Field(description="Its current stage.", examples=["projecting", "fitting"])
     done: int = Field(description="Units of this stage that are done.")
     total: int = Field(description="Units of this stage.")
     remaining_s: float | None = Field(
-        description="Seconds until this stage is done at its pace so far; null if nothing tells."
+        description="Seconds until this stage is done at its pace so far; null if unknown."
     )
     parameters: BuildParameters
     plan: Plan | None = Field(
-        description="What it is built of, chosen when it was queued; null of a build that an"
+        description="What it is built from, chosen when it was queued; null for a build that an"
         " earlier version queued."
     )
-    revision: str | None = Field(description="What it built, once it is done.")
-    notes: list[str] = Field(
-        description="What whoever asked for it should know, such as a basis that fits badly."
-    )
+    revision: str | None = Field(description="The revision that it built, when it is done.")
+    notes: list[str] = Field(description="Notes for the client, such as a basis that fits badly.")
     gate: LiveGateOut | None = Field(
-        description="Of a build that was to be made live, once it is done; else null."
+        description="Of a build with `make_live`, when it is done; else null."
     )
     error: JobErrorOut | None
     created_at: datetime

@@ -1,13 +1,12 @@
-"""Whether a build may become live: it must find as many scans as the live revision does."""
+"""The live gate: a build may become live if its recall is not below the live revision's."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 from app.builds.parameters import BuildParameters
-from app.revisions.comparison import NoRecall, Recall, measure_recall
+from app.revisions.recall import NoRecall, Recall, measure_recall
 from core.mapping.tensormap import TensorMap
-from storage.catalog import RevisionRecord
 from storage.errors import CorruptFile, RevisionNotFound
 from storage.files.map_file import read_map
 from storage.store import Store
@@ -20,10 +19,10 @@ class Gate:
     Attributes:
         live: Whether it does.
         compared_with: Digest of the live revision that it was compared with; `None` if it was not.
-        recall: What both find, or why that is not known; `None` if they were not compared.
-        reason: Why it does not become live, or does so unmeasured; `None` if nothing is to say.
-        if_live: What the decision depends on: this revision being live, empty for none; `None` if
-            it depends on nothing.
+        recall: Recall of both, or why that is unknown; `None` if they were not compared.
+        reason: Why it does not become live, or becomes live without a comparison.
+        if_live: The revision that must still be live for this decision to hold, empty for none;
+            `None` if the decision holds in any case.
     """
 
     live: bool
@@ -33,7 +32,7 @@ class Gate:
     if_live: str | None = None
 
     def as_json(self) -> dict[str, Any]:
-        """Return plain values, as a job's result keeps them."""
+        """Return plain values, for a job's result."""
         known = self.recall if isinstance(self.recall, Recall) else None
         return {
             "live": self.live,
@@ -53,21 +52,21 @@ def pass_gate(
     tensor_map: TensorMap,
     parameters: BuildParameters,
 ) -> Gate:
-    """Decide whether a build that is to be made live may be.
+    """Decide whether a build with `make_live` becomes live.
 
-    It may if there is no live revision, if it is forced, or if recall on the scans that both have
-    falls by at most `max_recall_loss`. Where that cannot be measured it may too, with a reason: a
-    drive recorded anew, another live map that was imported, images that were not kept.
+    It does if there is no live revision, if it is forced, or if recall on the scans that both have
+    falls by at most `max_recall_loss`. It also does, with a reason, if that cannot be measured: a
+    drive was recorded again, the live map was imported, images were not kept.
 
     Args:
         store: With the images of the drives.
         map_id: The map.
         drive_ids: Of the build, by slug.
-        tensor_map: What was built.
-        parameters: What was asked for.
+        tensor_map: The new map.
+        parameters: Of the build.
 
     Raises:
-        MapNotFound: If the map is gone.
+        MapNotFound: If the map was deleted.
     """
     if parameters.force:
         return Gate(live=True)
@@ -79,33 +78,20 @@ def pass_gate(
     try:
         record = store.revisions.of_map(map_id, digest)
         live_map = read_map(store.revisions.path_of(record))
-    except RevisionNotFound:  # another is live by now; `if_live` says so
+    except RevisionNotFound:  # another is live by now; `if_live` detects that
         return Gate(live=True, if_live=digest)
     except (CorruptFile, FileNotFoundError):
         reason = f"live revision {digest[:12]} cannot be read: recall was not compared"
         return Gate(live=True, compared_with=digest, reason=reason, if_live=digest)
-    return _compared(store, record, live_map, drive_ids, tensor_map, parameters.max_recall_loss)
-
-
-def _compared(
-    store: Store,
-    record: RevisionRecord,
-    live_map: TensorMap,
-    drive_ids: Mapping[str, str],
-    tensor_map: TensorMap,
-    max_loss: float,
-) -> Gate:
-    recall = measure_recall(
-        store, record.map_id, (drive_ids, tensor_map), (record.drive_ids, live_map)
-    )
-    live, reason = True, None
+    recall = measure_recall(store, map_id, (drive_ids, tensor_map), (record.drive_ids, live_map))
     if isinstance(recall, NoRecall):
-        reason = f"made live, recall could not be compared with {record.digest[:12]}: {recall}"
-    elif recall.other - recall.this > max_loss + 1e-9:
-        live = False
-        reason = (
-            f"not made live: of {recall.asked} scans that it shares with live revision"
-            f" {record.digest[:12]} it finds {recall.this:.3f}, that one {recall.other:.3f}; at"
-            f" most {max_loss:g} less is wanted, force makes it live"
-        )
-    return Gate(live, record.digest, recall, reason, record.digest)
+        reason = f"made live, recall could not be compared with {digest[:12]}: {recall}"
+        return Gate(live=True, compared_with=digest, recall=recall, reason=reason, if_live=digest)
+    if recall.other - recall.this <= parameters.max_recall_loss + 1e-9:
+        return Gate(live=True, compared_with=digest, recall=recall, if_live=digest)
+    reason = (
+        f"not made live: of {recall.asked} scans that it shares with live revision"
+        f" {digest[:12]} it finds {recall.this:.3f}, that one {recall.other:.3f}; at"
+        f" most {parameters.max_recall_loss:g} less is allowed, force makes it live"
+    )
+    return Gate(live=False, compared_with=digest, recall=recall, reason=reason, if_live=digest)

@@ -1,4 +1,4 @@
-"""What a build is asked for, as the catalog keeps it."""
+"""The parameters of a build, as requested and as the catalog stores them."""
 
 from collections.abc import Mapping
 from enum import StrEnum
@@ -30,23 +30,9 @@ _OF_MAP = (
     "sensor",
     "sensor_height_m",
 )
-"""What the map keeps of them."""
-_OF_REQUEST = frozenset(
-    {
-        "base",
-        "add",
-        "remove",
-        "drives",
-        "max_age_days",
-        "refit",
-        "poses",
-        "make_live",
-        "max_recall_loss",
-        "force",
-        "segments",
-    }
-)
-"""What a build on another does not take over from it."""
+"""Those that the map stores."""
+_OF_BASE = frozenset({*_OF_MAP, "segment_length"})
+"""Those that a build takes from its `base`."""
 
 
 class PoseCheck(StrEnum):
@@ -82,11 +68,11 @@ class BuildParameters(BaseModel):
     )
     base: Annotated[str, Field(pattern="^(live|[0-9a-f]{12,64})$")] | None = Field(
         None,
-        description="`live`, or the digest of a revision: its drives and parameters, and `add` and"
-        " `remove` tell what changes.",
+        description="`live`, or the digest of a revision: its drives and parameters, changed by"
+        " `add` and `remove`.",
     )
     add: DriveNames | None = Field(
-        None, description="Drives to put after those of `base`; one that it has is read anew."
+        None, description="Drives to put after those of `base`; one that it has is read again."
     )
     remove: DriveNames | None = Field(None, description="Drives of `base` to leave out.")
     max_age_days: Number | None = Field(
@@ -97,7 +83,7 @@ class BuildParameters(BaseModel):
     )
     refit: Flag = Field(
         default=False,
-        description="Fit a harmonic map's basis anew: vehicles have to download it again. By"
+        description="Fit a new basis of a harmonic map: vehicles have to download it again. By"
         " default that of `base`, or of the live revision if its parameters are the same, is kept.",
     )
     encoding: EncodingName = Field(
@@ -109,7 +95,7 @@ class BuildParameters(BaseModel):
     segmentation: Segmentation = Field(
         Segmentation.FIXED,
         description="`fixed`: k scans each; `unequal`: k/2 to 2k, ending where the drive turns or"
-        " one model explains the scans no more. Where drives meet both are cut besides.",
+        " one model no longer fits the scans. Both are also cut where drives meet.",
     )
     segment_length: int | None = Field(
         None,
@@ -129,7 +115,7 @@ class BuildParameters(BaseModel):
         " `mean` or `highest` height. By default `highest`, of ranges `mean`; of paper `last`.",
     )
     image: ImageKind | None = Field(
-        None, description="What is encoded. By default `height`; in a paper map `range`."
+        None, description="Kind of image. By default `height`; in a paper map `range`."
     )
     distance: Distance | None = Field(
         None, description="How harmonic signatures are compared; `normalised` by default."
@@ -153,12 +139,12 @@ class BuildParameters(BaseModel):
         PoseCheck.CHECKED,
         description="`checked`: the scans of each drive are matched with those before it, and the"
         " build fails with `frames-disagree` if the poses of one are in another world frame;"
-        " `unchecked` insists on them. It is not taken over from `base`.",
+        " `unchecked` omits this. It is not taken from `base`.",
     )
     make_live: Flag = Field(
         default=False,
-        description="Make the result live unless it finds fewer scans than the live revision; the"
-        " first one always is.",
+        description="Make the result live unless its recall is below the live revision's; the first"
+        " one always becomes live.",
     )
     max_recall_loss: Number = Field(
         0.02,
@@ -169,7 +155,7 @@ class BuildParameters(BaseModel):
     )
     force: Flag = Field(
         default=False,
-        description="Make the result of `make_live` live whatever it finds. Only with it.",
+        description="Make the result of `make_live` live whatever its recall. Only with it.",
     )
 
     _integers = field_validator("ranks", "segment_length", "segments", mode="before")(integers)
@@ -204,54 +190,52 @@ class BuildParameters(BaseModel):
         return drives
 
     def on_base(self, digest: str, of_base: Mapping[str, Any]) -> "BuildParameters":
-        """Return what a build on that revision is: all that is not asked for is as there.
+        """Return the parameters of a build on that revision: those not given are its own.
 
         Args:
             digest: Of the revision that `base` names.
-            of_base: The parameters that it was built with, as its record tells them.
+            of_base: The parameters of its record.
 
         Raises:
-            InvalidParameters: If something is asked for that is otherwise there.
+            InvalidParameters: If one is given that differs from that of the revision.
         """
-        fields = type(self).model_fields
-        taken = {k: v for k, v in of_base.items() if k in fields and k not in _OF_REQUEST}
-        given = self.model_dump(mode="json", exclude_unset=True)
-        asked = {name: value for name, value in given.items() if value is not None}
-        for name in sorted(asked.keys() - _OF_REQUEST):
-            if asked[name] != taken.get(name):
+        taken = {name: value for name, value in of_base.items() if name in _OF_BASE}
+        given = self.model_dump(mode="json", exclude_unset=True, exclude_none=True)
+        for name in sorted(given.keys() & _OF_BASE):
+            if given[name] != taken.get(name):
                 raise InvalidParameters(
-                    f"{name} is {asked[name]}, that of base {digest[:12]} is {taken.get(name)}:"
+                    f"{name} is {given[name]}, that of base {digest[:12]} is {taken.get(name)}:"
                     " leave it out, or build without base"
                 )
         if self.segments is not None:
             raise InvalidParameters("segments cuts drives anew: build without base")
-        return type(self).model_validate({**taken, **asked, "base": digest})
+        return type(self).model_validate({**taken, **given, "base": digest})
 
     def map_parameters(self) -> MapParameters:
-        """Return what the map will keep.
+        """Return the parameters that the map stores.
 
         Raises:
-            InvalidParameters: If the sensor is unknown, a rank does not fit its grid or something
-                is not of this encoding.
+            InvalidParameters: If the sensor is unknown, a rank does not fit its grid or a parameter
+                is not one of this encoding.
         """
         return MapParameters.for_sensor(**{name: getattr(self, name) for name in _OF_MAP})
 
     @property
     def assumptions(self) -> list[str]:
-        """What is assumed as it was not given."""
+        """A note on each value that is assumed because it was not given."""
         if self.map_parameters().image != ImageKind.HEIGHT:
             return []
         note = sensor_named(self.sensor).height_note(self.sensor_height_m)
         return [] if note is None else [note]
 
     def resolved(self) -> "BuildParameters":
-        """Return them with the options that were left open as the map will have them.
+        """Return them with the defaults of the encoding and sensor filled in.
 
         Raises:
             InvalidParameters: As `map_parameters`.
         """
-        asked = self.model_dump(mode="json", exclude_none=True)
-        return type(self).model_validate({**as_built(self.map_parameters()), **asked})
+        given = self.model_dump(mode="json", exclude_none=True)
+        return type(self).model_validate({**as_built(self.map_parameters()), **given})
 
     def as_json(self) -> dict[str, Any]:
         """Return plain values."""
@@ -259,6 +243,6 @@ class BuildParameters(BaseModel):
 
 
 def as_built(parameters: MapParameters) -> dict[str, Any]:
-    """Return a map's parameters as a build would name them, in plain values."""
+    """Return a map's parameters by their names here, as plain values."""
     named: dict[str, Any] = to_jsonable_python({n: getattr(parameters, n) for n in _OF_MAP})
     return named

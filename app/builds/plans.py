@@ -1,4 +1,4 @@
-"""What a build is to be made of: which drives in which order, and whose basis."""
+"""Plans of builds: which drives in which order, and whose basis."""
 
 from collections.abc import Sequence
 from datetime import UTC, datetime, timedelta
@@ -16,70 +16,69 @@ from storage.store import Store
 
 
 class Plan(BaseModel):
-    """A build with all that was left open chosen when it was queued."""
+    """A build with all its choices made when it was queued."""
 
     model_config = ConfigDict(frozen=True)
 
-    drives: list[str] = Field(description="The drives that it is built of, in their order.")
+    drives: list[str] = Field(description="The drives that it is built from, in their order.")
     basis_kept_from: str | None = Field(
         description="The revision whose basis it keeps; null if it fits one."
     )
     parameters: BuildParameters = Field(
-        description="What was asked for, with the options that were left open; with `base`, as"
-        " that revision was built."
+        description="The requested ones, with defaults filled in; with `base`, those of that"
+        " revision."
     )
-    notes: list[str] = Field(description="What whoever asked for it should know of the choice.")
+    notes: list[str] = Field(description="Notes on these choices for the client.")
 
 
 _Based = tuple[RevisionRecord, MapParameters, tuple[str, ...]]
-"""A revision, and what its file tells of it: its parameters and drives."""
+"""A revision, and the parameters and drives of its file."""
 
 
 def plan_build(store: Store, map_id: str, parameters: BuildParameters) -> Plan:
     """Choose the drives and the basis of a build, from the catalog and the heads of files.
 
-    A build of all drives leaves out those without a scan, as a mistyped name makes with its poses.
-    A harmonic map keeps the basis of the revision that it is based on, or else of the live one if
-    that makes the same signatures of a scan, unless `refit` asks for another.
+    A build of all drives leaves out those without a scan: poses under a mistyped name create such a
+    drive. A harmonic map keeps the basis of the revision that it is based on, or else of the live
+    one if that makes the same signatures of a scan, unless `refit` is set.
 
     Raises:
-        MapNotFound: If the map is gone.
+        MapNotFound: If the map was deleted.
         NoLiveRevision: If the build is based on the live revision and there is none.
-        RevisionNotFound: If it is based on one that is not there.
+        RevisionNotFound: If it is based on an unknown one.
         AmbiguousRevision: If the map has several revisions of that prefix.
-        UnknownDrive: If a drive is to be left out that the base does not have.
+        UnknownDrive: If a drive of `remove` is not in the base.
         DriveNotFound: If the map lacks one of the drives.
-        EmptyDrive: If no drive is left, or one that is named has no scan.
+        EmptyDrive: If no drive is left, or a named one has no scan.
         InvalidParameters: If parameters do not fit, or differ from the base's.
         CorruptFile: If the file of the revision whose basis would be kept is damaged.
     """
-    if parameters.base is None:
-        parameters.map_parameters()  # refuses what does not fit, before anything is read
-    base = _base(store, map_id, parameters)
-    names: Sequence[str]
+    names: Sequence[str] = parameters.drives or ()
     notes: list[str] = []
-    if base is None:
-        names = parameters.drives or ()
+    if parameters.base is None:
+        base = None
+        of_map = parameters.map_parameters()  # rejects what does not fit, before anything is read
         if not names:
             names, notes = _all_with_scans(store, map_id)
-        names = _young(store, map_id, names, parameters.max_age_days)
     else:
+        base = _base(store, map_id, parameters.base)
         record, built_with, _ = base
         parameters = parameters.on_base(record.digest, record.parameters)
-        if parameters.map_parameters() != built_with:
+        of_map = parameters.map_parameters()
+        if of_map != built_with:
             raise InvalidParameters(
-                f"base {record.digest[:12]} was built with parameters that its record does not"
-                " tell: build without base"
+                f"base {record.digest[:12]} was built with other parameters than its record has:"
+                " build without base"
             )
         names = _changed(store, map_id, base, parameters)
-    drives = _stored(store, map_id, names)
+    drives = _stored(store, map_id, names, parameters.max_age_days)
     basis_kept_from = None
-    if parameters.map_parameters().encoder.shares_basis and not parameters.refit:
+    if of_map.encoder.shares_basis and not parameters.refit:
         try:
             kept = base or _live(store, map_id)
         except CorruptFile as error:
             raise unreadable_basis(error) from error
-        if kept is not None and make_same_signatures(parameters.map_parameters(), kept[1]):
+        if kept is not None and make_same_signatures(of_map, kept[1]):
             basis_kept_from = kept[0].digest
     return Plan(
         drives=[drive.slug for drive in drives],
@@ -94,15 +93,13 @@ def unreadable_basis(error: CorruptFile) -> CorruptFile:
     return CorruptFile(
         f"{error}: a build keeps the basis of the live revision, which cannot be read. Send"
         " refit: true to fit a new basis, which vehicles then download; or, to keep one,"
-        " first make a revision live whose file is good, imported or built before"
+        " first make a revision live whose file can be read, imported or built before"
     )
 
 
-def _base(store: Store, map_id: str, parameters: BuildParameters) -> _Based | None:
-    if parameters.base is None:
-        return None
-    if parameters.base != "live":
-        return _read(store, store.revisions.of_map(map_id, parameters.base))
+def _base(store: Store, map_id: str, base: str) -> _Based:
+    if base != "live":
+        return _read(store, store.revisions.of_map(map_id, base))
     live = _live(store, map_id)
     if live is None:
         slug = store.maps.get_by_id(map_id).slug
@@ -125,15 +122,13 @@ def _read(store: Store, record: RevisionRecord) -> _Based:
 def _all_with_scans(store: Store, map_id: str) -> tuple[list[str], list[str]]:
     """Return the drives of a map that have scans, and a note on each other one."""
     drives = store.drives.of_map(map_id)
-    notes = []
-    for drive in drives:
-        if not drive.scans:
-            waiting = (
-                f", {drive.expected_poses} poses wait for them" if drive.expected_poses else ""
-            )
-            notes.append(
-                f"drive {drive.slug} is left out, it has no scans{waiting}: is its name mistyped?"
-            )
+    notes = [
+        f"drive {drive.slug} is left out, it has no scans"
+        + (f", {drive.expected_poses} poses wait for them" if drive.expected_poses else "")
+        + ": is its name mistyped?"
+        for drive in drives
+        if not drive.scans
+    ]
     return [drive.slug for drive in drives if drive.scans], notes
 
 
@@ -146,37 +141,32 @@ def _changed(store: Store, map_id: str, base: _Based, parameters: BuildParameter
         raise UnknownDrive(
             f"base {record.digest[:12]} has no drive {unknown[0]!r}, it has {', '.join(of_base)}"
         )
-    stays = [name for name in of_base if name not in {*added, *removed}]
+    kept = [name for name in of_base if name not in {*added, *removed}]
     stored = {drive.slug for drive in store.drives.of_map(map_id)}
-    gone = [name for name in stays if name not in stored]
-    if gone:
+    deleted = [name for name in kept if name not in stored]
+    if deleted:
         raise DriveNotFound(
-            f"drive {gone[0]!r} of base {record.digest[:12]} is no longer stored: upload it again,"
-            " or name it in remove"
+            f"drive {deleted[0]!r} of base {record.digest[:12]} is no longer stored: upload it"
+            " again, or name it in remove"
         )
-    return _young(store, map_id, [*stays, *added], parameters.max_age_days)
+    return [*kept, *added]
 
 
-def _young(
+def _stored(
     store: Store, map_id: str, names: Sequence[str], max_age_days: float | None
-) -> Sequence[str]:
-    if max_age_days is None or not names:
-        return names
-    since = datetime.now(UTC) - timedelta(days=max_age_days)
-    drives = store.drives.of_map(map_id, names)
-    young = [drive.slug for drive in drives if drive.created_at >= since]
-    if not young:
-        raise EmptyDrive(f"no drive of {len(names)} is younger than {max_age_days:g} days")
-    return young
-
-
-def _stored(store: Store, map_id: str, names: Sequence[str]) -> Sequence[DriveRecord]:
+) -> Sequence[DriveRecord]:
+    """Return the drives of these names without those that are too old; each must have scans."""
     if not names:
         slug = store.maps.get_by_id(map_id).slug
         scans = any(drive.scans for drive in store.drives.of_map(map_id))
         reason = "no drive would be left" if scans else "upload scans first"
         raise EmptyDrive(f"map {slug!r} has no drive to build of: {reason}")
-    drives = store.drives.of_map(map_id, names)
+    drives: Sequence[DriveRecord] = store.drives.of_map(map_id, names)
+    if max_age_days is not None:
+        since = datetime.now(UTC) - timedelta(days=max_age_days)
+        drives = [drive for drive in drives if drive.created_at >= since]
+        if not drives:
+            raise EmptyDrive(f"no drive of {len(names)} is younger than {max_age_days:g} days")
     empty = [drive.slug for drive in drives if not drive.scans]
     if empty:
         raise EmptyDrive(f"drive {empty[0]!r} has no scan")

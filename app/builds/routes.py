@@ -1,4 +1,4 @@
-"""Builds: from the scans of a map to a revision of it."""
+"""Builds: from the scans of a map to a revision."""
 
 from hashlib import sha256
 from typing import Annotated
@@ -6,7 +6,7 @@ from typing import Annotated
 from fastapi import Header, Response, status
 from fastapi.exceptions import RequestValidationError
 
-from app.access.dependency import Asking
+from app.access.dependency import CurrentCaller
 from app.access.scopes import Scope, needs
 from app.builds.job_schemas import JobOut
 from app.builds.parameters import BuildParameters
@@ -21,7 +21,7 @@ from core.errors import EmptyDrive, InvalidParameters, UnknownDrive
 from storage import errors as stored
 from storage.catalog import RequestKey
 
-router = pooled_router(tags=["builds"])
+router = pooled_router(tags=["builds"], dependencies=[needs(Scope.MAPS_WRITE)])
 
 IdempotencyKey = Annotated[
     str | None,
@@ -29,14 +29,13 @@ IdempotencyKey = Annotated[
         min_length=1,
         max_length=255,
         pattern="^[!-~]+$",
-        description="A name that the client chooses for this request, as a UUID, to repeat it.",
+        description="A name that the client gives to this request, as a UUID, to repeat it safely.",
     ),
 ]
 
 
 @router.post(
     "/maps/{map}/builds",
-    dependencies=[needs(Scope.MAPS_WRITE)],
     status_code=status.HTTP_202_ACCEPTED,
     responses=problems(
         stored.MapNotFound,
@@ -56,25 +55,25 @@ def build(
     map_slug: MapSlug,
     parameters: Json[BuildParameters],
     running: Running,
-    asking: Asking,
+    caller: CurrentCaller,
     response: Response,
     idempotency_key: IdempotencyKey = None,
 ) -> JobOut:
     """Queue a build; follow it at `Location`.
 
-    What can be refused now is refused now: unknown drives, a base that is not there, a map without
-    scans, parameters that do not fit the sensor, images of returns that were dropped, `force` or
-    `max_recall_loss` without `make_live`.
+    A request is rejected for unknown drives, an unknown base, a map without scans, parameters that
+    do not fit the sensor, images of returns that were dropped, and `force` or `max_recall_loss`
+    without `make_live`.
 
     With `base`, the new revision is that one with the drives of `add` after its own and without
-    those of `remove`. A harmonic map keeps its basis, so that the signatures of vehicles stay good,
-    until `refit` asks for another. Nothing that is stored is removed.
+    those of `remove`. A harmonic map keeps its basis, so that the signatures of vehicles stay
+    valid, unless `refit` is set. Nothing that is stored is removed.
 
-    Keys take turns in the queue, and so do the maps of a key; a key may have so many builds in it
-    and no more.
+    Keys take turns in the queue, and so do the maps of a key; the number of queued builds of a key
+    is limited.
 
-    With an `Idempotency-Key`, a client that did not hear the answer asks again: the job that it has
-    made is told, and no other is queued.
+    With an `Idempotency-Key`, a client that received no answer can repeat the request: the answer
+    is the job that was made, and no other is queued.
     """
     _require_make_live(parameters)
     jobs = running.store.jobs
@@ -89,7 +88,7 @@ def build(
             (parameters if parameters.base is None else plan.parameters).as_json(),
             plan=plan.model_dump(mode="json"),
             request=request,
-            key_id=asking.key_id,
+            key_id=caller.key_id,
             most_queued=running.settings.max_queued_builds_per_key,
         )
         running.runner.wake()
@@ -98,22 +97,22 @@ def build(
 
 
 def _require_make_live(parameters: BuildParameters) -> None:
-    """Refuse options of `make_live` without it.
+    """Reject options of `make_live` without it.
 
-    Here, and not in the model: that reads the jobs of older versions too, which accepted them.
+    Not in the model, which also reads the jobs of older versions: these accepted them.
     """
     for name in ("force", "max_recall_loss"):
         default = BuildParameters.model_fields[name].default
         if not parameters.make_live and getattr(parameters, name) != default:
-            told = (
+            message = (
                 f"Value error, {name} only applies with make_live: true; without it a build is not"
                 " compared with the live revision, and only the first one of a map becomes live"
             )
             raise RequestValidationError(
-                [{"type": "value_error", "loc": ("body", name), "msg": told}]
+                [{"type": "value_error", "loc": ("body", name), "msg": message}]
             )
 
 
 def _request(key: str, parameters: BuildParameters) -> RequestKey:
-    asked = parameters.model_dump_json(exclude_unset=True)
-    return RequestKey(key, sha256(asked.encode()).hexdigest())
+    content = parameters.model_dump_json(exclude_unset=True)
+    return RequestKey(key, sha256(content.encode()).hexdigest())

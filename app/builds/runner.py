@@ -1,4 +1,4 @@
-"""Starts a process for each queued build, and sees to it that each one ends."""
+"""Starts a process for each queued build, and makes sure that each one ends."""
 
 import logging
 import signal
@@ -11,7 +11,7 @@ from multiprocessing.process import BaseProcess
 
 from app.builds.job_events import event_id
 from app.builds.worker import IMPORTED_LATE, run_build
-from app.http.errors import AppError, BuildStalled, WorkerDied
+from app.http.errors import BuildStalled, WorkerDied
 from app.http.logs import fields
 from app.process import most_build_memory_bytes
 from app.settings import Settings
@@ -22,8 +22,8 @@ from storage.files.forking import forkserver
 from storage.store import Store
 
 _POLL_S = 0.2
-_CANCEL_GRACE_S = 0.8  # a worker looks for a cancel every 0.2 s, unless it is deep in one scan
-_KILL_S = 10.0  # that a killed process takes at most, unless the disk that it waits for hangs
+_CANCEL_GRACE_S = 0.8  # a worker checks for a cancel every 0.2 s, between two scans
+_KILL_S = 10.0  # the longest that a killed process takes, unless its disk hangs
 
 _log = logging.getLogger("tensormap.jobs")
 
@@ -31,13 +31,13 @@ _log = logging.getLogger("tensormap.jobs")
 class JobRunner:
     """Runs queued builds, `build_workers` at a time, one process each.
 
-    A process rather than a thread: a build neither slows the answers nor can take the service down,
+    A process rather than a thread: a build neither slows answers down nor can crash the service,
     and it can be ended at any point because a revision is published whole or not at all.
 
     Args:
-        settings: What the operator chose.
-        store: Where the queue is.
-        ended: Told of every build that ran and ended, unless it went with its map.
+        settings: Of the service.
+        store: With the queue.
+        ended: Called with every build that ran and ended, unless its map was deleted.
     """
 
     def __init__(
@@ -54,7 +54,7 @@ class JobRunner:
         self._memory_bytes = most_build_memory_bytes() if given is None else given
         self._wake = threading.Event()
         self._stopping = threading.Event()
-        # Processes are forked from one that has loaded all that a build needs, and nothing else.
+        # Processes are forked from one that has loaded what a build needs, and nothing else.
         self._context = forkserver()
         self._context.set_forkserver_preload([run_build.__module__, *IMPORTED_LATE])
         self._threads = [
@@ -63,17 +63,17 @@ class JobRunner:
         ]
 
     def start(self) -> None:
-        """Begin with what is queued."""
+        """Start with the queued builds."""
         for thread in self._threads:
             thread.start()
 
     @property
     def alive(self) -> bool:
-        """Whether queued builds will be run."""
+        """Whether queued builds are run."""
         return all(thread.is_alive() for thread in self._threads)
 
     def wake(self) -> None:
-        """Look at the queue now: a job was added."""
+        """Read the queue now: a job was added."""
         self._wake.set()
 
     def stop(self) -> None:
@@ -96,25 +96,17 @@ class JobRunner:
                 continue
             try:
                 self._run(job)
-            except (OSError, RuntimeError):  # no process: the next build may be luckier
+            except (OSError, RuntimeError):  # no process: it may work for the next build
                 _log.exception("job %s cannot be run", job.id)
                 reason = "no process could be started for the build; see the log"
                 self._settle(job.id, WorkerDied.__name__, reason)
-            self._tell_end(job.id)
+            self._report_end(job.id)
 
     def _run(self, job: JobRecord) -> None:
         reports, report = self._context.Pipe(duplex=False)
         worker = self._context.Process(
             target=run_build,
-            args=(
-                self._settings.data_dir,
-                self._settings.catalog_url,
-                job,
-                self._settings.log_format,
-                self._settings.log_level,
-                self._memory_bytes,
-                report,
-            ),
+            args=(self._settings, job, self._memory_bytes, report),
             name=f"build-{job.id}",
         )
         with reports:
@@ -126,16 +118,16 @@ class JobRunner:
                 worker.kill()
                 worker.join(_KILL_S)
             if not self._stopping.is_set():
-                self._settle(job.id, *(_named(stalled) or _reported(reports) or _death(worker)))
+                self._settle(job.id, *(stalled or _reported(reports) or _death(worker)))
         if worker.is_alive():
             _log.error("the process of job %s cannot be ended: the disk hangs", job.id)
         else:
             worker.close()
 
-    def _tell_end(self, job_id: str) -> None:
+    def _report_end(self, job_id: str) -> None:
         try:
             job = self._store.jobs.get(job_id)
-        except TensorMapError:  # gone with its map, or the catalog is
+        except TensorMapError:  # deleted with its map, or the catalog is unavailable
             return
         event = "build ended" if job.ended else "build interrupted, it is queued at a start"
         _log.info(event, extra=fields(job=job.id, state=job.state.value, error=job.error_type))
@@ -143,24 +135,24 @@ class JobRunner:
 
     @staticmethod
     def _start(worker: BaseProcess) -> None:
-        """Start a worker that is deaf to what stops the service.
+        """Start a worker that ignores the signals which stop the service.
 
         Ctrl-C and a service manager signal the whole group: the worker would end first, and its
-        build would count as failed instead of being queued again. A process inherits what the
-        thread that starts it blocks; `kill` ends it all the same.
+        build would count as failed instead of being queued again. A process inherits the signals
+        that the starting thread blocks; `kill` still ends it.
         """
-        resource_tracker.ensure_running()  # which would unblock them when it starts by itself
+        resource_tracker.ensure_running()  # which would unblock them if it were started later
         blocked = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
         try:
             worker.start()
         finally:
             signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
 
-    def _watch(self, worker: BaseProcess, job_id: str) -> BuildStalled | None:
-        """Wait for the worker, give it time to notice a cancel, and no longer.
+    def _watch(self, worker: BaseProcess, job_id: str) -> tuple[str, str] | None:
+        """Wait for the worker's end; after a cancel, only for the time that it needs to notice.
 
         Returns:
-            Why it is to be ended, if it makes no progress.
+            Why it is ended, if it makes no progress.
         """
         patience_s = _CANCEL_GRACE_S
         seen, since_s = "", time.monotonic()
@@ -173,23 +165,23 @@ class JobRunner:
                 continue
             except TensorMapError:
                 _log.exception("job %s cannot be read", job_id)
-                since_s = time.monotonic()  # nor can the worker write how far it is
+                since_s = time.monotonic()  # the worker cannot write its progress either
                 continue
             if job.cancel_requested:
                 patience_s -= _POLL_S
             if (now := event_id(job)) != seen:
                 seen, since_s = now, time.monotonic()
             elif time.monotonic() - since_s > self._settings.build_stall_s:
-                return BuildStalled(
+                return BuildStalled.__name__, (
                     f"the build made no progress for {self._settings.build_stall_s:g} s, in stage"
                     f" {job.stage!r} after {job.done_units} of {job.total_units} units"
                 )
         return None
 
     def _settle(self, job_id: str, error: str, reason: str) -> None:
-        """Write down the end of a worker that could not do so itself.
+        """Store the outcome of a worker that could not do so itself.
 
-        While the catalog does not take it, nothing else could be built either: it is tried again.
+        While the catalog is unavailable nothing else could be built either: this is retried.
         """
         while not self._stopping.is_set():
             try:
@@ -198,20 +190,16 @@ class JobRunner:
                 else:
                     self._store.jobs.fail(job_id, error, reason)
             except (JobNotFound, JobNotRunning):
-                return  # gone with its map, or ended as it should
+                return  # deleted with its map, or its outcome is stored
             except TensorMapError:
-                _log.exception("the end of job %s cannot be written down yet", job_id)
+                _log.exception("the outcome of job %s cannot be stored yet", job_id)
                 self._stopping.wait(_POLL_S * 5)
             else:
                 return
 
 
-def _named(error: AppError | None) -> tuple[str, str] | None:
-    return None if error is None else (type(error).__name__, str(error))
-
-
 def _reported(reports: Connection) -> tuple[str, str] | None:
-    """Return the error that a worker could not write down itself, `None` if it sent none."""
+    """Return the error that a worker could not store itself, `None` if it sent none."""
     try:
         found: tuple[str, str] | None = reports.recv() if reports.poll() else None
     except (EOFError, OSError):
@@ -222,5 +210,5 @@ def _reported(reports: Connection) -> tuple[str, str] | None:
 def _death(worker: BaseProcess) -> tuple[str, str]:
     reason = f"the build process ended with exit code {worker.exitcode}; see the log"
     if worker.exitcode == -signal.SIGKILL:
-        reason += ", and the system's, which ends what takes too much memory like this"
+        reason += ", and the system's, which ends processes that take too much memory this way"
     return WorkerDied.__name__, reason

@@ -6,67 +6,58 @@ import time
 from contextlib import suppress
 from multiprocessing import parent_process
 from multiprocessing.connection import Connection, wait
-from pathlib import Path
 
 from app.builds.parameters import BuildParameters
 from app.builds.pipelines import build_revision
 from app.builds.plans import Plan, plan_build
 from app.http.errors import BuildOutOfMemory
-from app.http.logs import LogFormat, configure_logging
+from app.http.logs import configure_logging
 from app.process import keep_freed_memory, limited_memory, one_blas_thread, private_files
+from app.settings import Settings
 from core.errors import Cancelled, TensorMapError
 from storage.catalog import JobRecord
 from storage.errors import JobNotFound
 from storage.store import Store
 
 IMPORTED_LATE = ("scipy.optimize", "sqlalchemy.dialects.sqlite")
-"""Modules that every build needs, imported when they are used: not everybody who uses us does."""
+"""Modules that every build needs; their importers import them only when they are used."""
 
 _REPORT_EVERY_S = 0.2
 
 
 def run_build(
-    data_dir: Path,
-    catalog_url: str | None,
-    job: JobRecord,
-    log_format: LogFormat = LogFormat.TEXT,
-    log_level: str = "INFO",
-    memory_bytes: int = 0,
-    report: Connection | None = None,
+    settings: Settings, job: JobRecord, memory_bytes: int = 0, report: Connection | None = None
 ) -> None:
-    """Run one claimed job to its end and write down how it ended.
+    """Run one claimed job to its end and store its outcome.
 
     Args:
-        data_dir: Where the store is.
-        catalog_url: Of its catalog.
-        job: Which was claimed.
-        log_format: Of a process of its own.
-        log_level: As well.
-        memory_bytes: What the build may allocate, 0 for any amount; the process is its own, then.
-        report: Takes the name of the error and what it says, if the catalog does not.
+        settings: Of the service.
+        job: The claimed job.
+        memory_bytes: How much the build may allocate, 0 for any amount.
+        report: Receives the name and text of an error that the catalog does not store.
 
     Raises:
-        TensorMapError: If how it ended cannot be written down, and nobody takes a report.
+        TensorMapError: If the outcome cannot be stored, and there is no `report`.
     """
-    if parent_process() is not None:  # nobody's logging or memory but its own
-        configure_logging(log_format, log_level)
+    if parent_process() is not None:  # the logging and memory are this process's own
+        configure_logging(settings.log_format, settings.log_level)
         keep_freed_memory()
         private_files()
     _end_with_parent()
     one_blas_thread()
     try:
-        _run(data_dir, catalog_url, job, memory_bytes)
+        _run(settings, job, memory_bytes)
     except TensorMapError as error:
         if report is None:
             raise
         report.send((type(error).__name__, str(error)))
 
 
-def _run(data_dir: Path, catalog_url: str | None, job: JobRecord, memory_bytes: int) -> None:
+def _run(settings: Settings, job: JobRecord, memory_bytes: int) -> None:
     with (
-        Store(data_dir, catalog_url) as store,
-        suppress(JobNotFound),
-    ):  # gone with its map
+        Store(settings.data_dir, settings.catalog_url) as store,
+        suppress(JobNotFound),  # deleted with its map
+    ):
         progress = _JobProgress(store, job.id)
         try:
             with limited_memory(memory_bytes):
@@ -84,14 +75,14 @@ def _run(data_dir: Path, catalog_url: str | None, job: JobRecord, memory_bytes: 
 
 
 def _plan(store: Store, job: JobRecord) -> Plan:
-    """Return what was planned when the job was queued; an earlier version left it to the worker."""
+    """Return the plan that was made when the job was queued; earlier versions stored none."""
     if job.plan is not None:
         return Plan.model_validate(job.plan)
     return plan_build(store, job.map_id, BuildParameters.model_validate(job.parameters))
 
 
 class _JobProgress:
-    """Writes progress into the catalog now and then, and stops the work when asked to."""
+    """Writes progress into the catalog, and stops the work when the job is cancelled."""
 
     def __init__(self, store: Store, job_id: str) -> None:
         self._store = store
@@ -116,7 +107,7 @@ class _JobProgress:
 
 
 def _end_with_parent() -> None:
-    """End this process when the service does, even if that was killed: the job is queued again."""
+    """End this process with the service, even if that was killed: the job is queued again."""
     parent = parent_process()
     if parent is None:
         return

@@ -1,10 +1,10 @@
-"""`tensormap audit`: is the log of changes what was written?"""
+"""`tensormap audit`: checks of the audit log."""
 
-from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from app.cli.options import DataOption
 from app.process import private_files
 from app.settings import Settings
 from core.errors import InvalidParameters
@@ -25,20 +25,18 @@ def about() -> None:
 
 @audit.command()
 def verify(
-    data: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="The service's data. [data]")
-    ] = None,
+    data: DataOption = None,
     known: Annotated[
         str | None,
         typer.Option(
-            metavar="ENTRY:HASH", help="What an earlier check printed: the log must begin with it."
+            metavar="ENTRY:HASH", help="Printed by an earlier check: the log must begin with it."
         ),
     ] = None,
 ) -> None:
-    """Recompute the chain of hashes; say up to where the log is good, and fail if not to its end.
+    """Recompute the chain of hashes, print its last valid entry, and fail if that is not the end.
 
-    The service may run meanwhile. Keep what is printed in another place: whoever can write the
-    database could write all of it anew, and only that would tell.
+    The service may run meanwhile. Keep the output in another place: whoever can write the database
+    could rewrite the whole log, and only that output would show it.
     """
     settings = Settings() if data is None else Settings(data_dir=data)
     layout = Layout(settings.data_dir.absolute())

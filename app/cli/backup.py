@@ -29,9 +29,9 @@ def backup(
 ) -> None:
     """Back up a data directory into one file, while the service runs; every digest is checked.
 
-    What is damaged is in it as it is, what is gone or cannot be read is not: both are reported, the
-    exit status is then 1, and the rest is a backup. Such an incomplete one never replaces a file
-    that is there: it is written beside it, as FILE.incomplete.tar.
+    Damaged files are in it as they are, missing and unreadable ones are not: both are reported, the
+    exit status is then 1, and the rest is a backup. Such an incomplete one never replaces an
+    existing file: it is written beside it, as FILE.incomplete.tar.
     """
     if os.environ.get("TENSORMAP_CATALOG_URL"):
         raise InvalidParameters(_ELSEWHERE)
@@ -42,7 +42,7 @@ def backup(
     if written.path != output_file:
         typer.echo(
             f"tensormap: this backup is incomplete: it is in {written.path}, and {output_file} is"
-            " what it was",
+            " unchanged",
             err=True,
         )
     _require_whole(written)
@@ -50,13 +50,11 @@ def backup(
 
 def restore(
     backup_file: Annotated[Path, typer.Argument(help="A backup.", metavar="FILE.tar")],
-    data: Annotated[
-        Path, typer.Option(metavar="NEWDIR", help="The data directory to make; not there yet.")
-    ],
+    data: Annotated[Path, typer.Option(metavar="NEWDIR", help="The data directory to create.")],
 ) -> None:
-    """Make a new data directory of a backup; the service is then started on it.
+    """Create a new data directory from a backup; then start the service on it.
 
-    What the backup lacks is reported, with exit status 1; the service then serves the rest.
+    Missing files are reported, with exit status 1; the service can then serve the rest.
     """
     private_files()
     restored = restore_backup(backup_file, data)
@@ -65,10 +63,10 @@ def restore(
 
 
 def _require_whole(made: Backup | Restored) -> None:
-    """Say what is not as it was stored, and fail if anything is not."""
-    for said in made.damaged:
-        typer.echo(f"tensormap: damaged before the backup, and as it is in it: {said}", err=True)
-    for said in made.missing:
-        typer.echo(f"tensormap: the backup lacks what its catalog names: {said}", err=True)
+    """Report damaged and missing files, and fail if there are any."""
+    for file in made.damaged:
+        typer.echo(f"tensormap: damaged before the backup, and as it is in it: {file}", err=True)
+    for file in made.missing:
+        typer.echo(f"tensormap: the backup lacks what its catalog names: {file}", err=True)
     if made.damaged or made.missing:
         raise typer.Exit(1)

@@ -1,4 +1,4 @@
-"""What commands show: tables on standard output, progress on standard error."""
+"""Output of commands: tables on standard output, progress on standard error."""
 
 import os
 import sys
@@ -19,13 +19,13 @@ _FILE_COLUMNS = 160  # a file or pipe has no width; Rich's 80 would cut figures 
 
 
 def output() -> Console:
-    """Return what writes on standard output."""
-    has_width = sys.stdout.isatty() or "COLUMNS" in os.environ  # Rich finds it
+    """Return a console on standard output."""
+    has_width = sys.stdout.isatty() or "COLUMNS" in os.environ  # which Rich detects
     return Console(width=None if has_width else _FILE_COLUMNS)
 
 
 def say(line: str) -> None:
-    """Print a line as it is, however long."""
+    """Print a line unchanged, of any length."""
     output().print(line, markup=False, highlight=False, soft_wrap=True)
 
 
@@ -57,7 +57,7 @@ class BarProgress:
             self._bars.update(self._task, completed=done)
 
     def finish(self) -> None:
-        """Fill the bar: its stage is over, whatever was skipped."""
+        """Fill the bar: its stage is over, also if units were skipped."""
         if self._task is not None:
             self._bars.update(self._task, completed=self._bars.tasks[self._task].total)
 

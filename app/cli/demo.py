@@ -1,4 +1,4 @@
-"""`tensormap demo`: the whole service once, before your eyes."""
+"""`tensormap demo`: a demonstration of the whole service."""
 
 import signal
 from pathlib import Path
@@ -34,12 +34,12 @@ def demo(
         str, typer.Option(metavar="|".join(encoding_names()), help="Of the map.")
     ] = DEFAULT_ENCODING,
 ) -> None:
-    """Record a drive, post it, build the map, localize what was held out, and print a table."""
+    """Record a drive, post it, build the map, localize held-out scans, and print a table."""
     from app.demo.client import Client  # here: no other command needs an HTTP client
     from app.demo.run import hold_out, run_demo
     from app.demo.server import free_port, running_server
 
-    # Whoever ends this ends the service too, at any moment: the blocks below clean up.
+    # A signal at any time also ends the service: the blocks below clean up.
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     recorded: Drive
     if drive is None:
@@ -66,7 +66,7 @@ def demo(
 
 
 def _wait() -> None:
-    """Wait until the person, or whoever started this, has seen enough."""
+    """Wait for Ctrl-C or a signal."""
     try:
         signal.pause()
     except KeyboardInterrupt:
@@ -82,7 +82,7 @@ def _show(name: str, outcome: Outcome) -> None:
         f" ({compression.elements} elements)"
     )
     table = Table(title="Held-out scans, localized over HTTP")
-    table.add_column("asked by", no_wrap=True)
+    table.add_column("request", no_wrap=True)
     for heading in (
         "fixes",
         "segment accuracy",
@@ -94,7 +94,7 @@ def _show(name: str, outcome: Outcome) -> None:
         table.add_column(heading, justify="right")
     for fixes in outcome.fixes:
         table.add_row(
-            fixes.asked_by,
+            fixes.request,
             str(fixes.queries),
             f"{fixes.segment_accuracy:.3f}",
             figure(fixes.recall_at_1, ".3f"),

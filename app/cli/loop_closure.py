@@ -1,4 +1,4 @@
-"""`tensormap loop-closure`: are proposed closures between scans of drives true?"""
+"""`tensormap loop-closure`: checks of proposed closures between scans of drives."""
 
 import sys
 from pathlib import Path

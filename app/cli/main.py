@@ -1,4 +1,4 @@
-"""The commands, and how each one ends."""
+"""The commands, and their exit status."""
 
 import ast
 import sys
@@ -31,11 +31,11 @@ _MODULES = {
     "simulate": "simulate",
     "audit": "audit",
 }
-"""Which module of this package has a command."""
+"""The module of this package with each command."""
 
 
 class _Commands(typer.core.TyperGroup):
-    """The commands, each imported when it runs: a list of them takes no numerical library."""
+    """The commands, each imported when it runs: their list imports no numerical library."""
 
     def __init__(self, **options: Any) -> None:  # noqa: ANN401 - those of the base
         super().__init__(**options)
@@ -48,7 +48,7 @@ class _Commands(typer.core.TyperGroup):
 
 
 def _described(name: str) -> str:
-    """Return what a command's docstring says, from its source: to import it takes a second."""
+    """Return a command's docstring, from its source: importing it takes a second."""
     source = Path(__file__).with_name(f"{_MODULES[name]}.py").read_text()
     for function in ast.parse(source).body:
         if isinstance(function, ast.FunctionDef) and function.name in {_function(name), "about"}:
@@ -61,7 +61,7 @@ def _function(name: str) -> str:
 
 
 def imported(name: str) -> Any:  # noqa: ANN401 - Click's command, which Typer keeps private
-    """Import a command, and keep the libraries that came with it to one thread."""
+    """Import a command, and limit the libraries that it imports to one thread."""
     found = getattr(import_module(f"app.cli.{_MODULES[name]}"), _function(name))
     one_blas_thread()
     if not isinstance(found, typer.Typer):
@@ -69,7 +69,7 @@ def imported(name: str) -> Any:  # noqa: ANN401 - Click's command, which Typer k
         found.command(name)(function)
     command = typer.main.get_command(found)
     for one in (command, *getattr(command, "commands", {}).values()):
-        for parameter in one.params:  # defaults in brackets are no markup of Rich's
+        for parameter in one.params:  # defaults in brackets are no markup for Rich
             parameter.help = escape(getattr(parameter, "help", None) or "")
     return command
 
@@ -77,15 +77,15 @@ def imported(name: str) -> Any:  # noqa: ANN401 - Click's command, which Typer k
 cli = typer.Typer(
     name="tensormap",
     cls=_Commands,
-    help="LiDAR topological maps: build them, serve them, ask them where you are.",
+    help="Build and serve LiDAR topological maps, and localize scans in them.",
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
 )
 
 
-def _show_version(wanted: bool) -> None:
-    if wanted:
+def _show_version(requested: bool) -> None:
+    if requested:
         from importlib.metadata import version  # here: it takes longer than the list of commands
 
         typer.echo(f"tensormap {version('tensormap-server')}")
@@ -96,14 +96,14 @@ def _show_version(wanted: bool) -> None:
 def about(
     _version: Annotated[
         bool,
-        typer.Option("--version", help="Tell the release.", is_eager=True, callback=_show_version),
+        typer.Option("--version", help="Show the release.", is_eager=True, callback=_show_version),
     ] = False,
 ) -> None:
-    """LiDAR topological maps: build them, serve them, ask them where you are."""
+    """Build and serve LiDAR topological maps, and localize scans in them."""
 
 
 def main() -> None:
-    """Run a command; an error that was foreseen is one line, not a traceback."""
+    """Run a command; an expected error is one line, not a traceback."""
     if sys.argv[1:2] != ["serve"]:
         keep_freed_memory()
     try:

@@ -26,14 +26,14 @@ def merge(
     ] = None,
     poses: PosesOption = PoseCheck.CHECKED,
 ) -> None:
-    """Merge maps of one encoding and basis, drive after drive; no number of them changes."""
+    """Merge maps of one encoding and basis, drive after drive, without changing their numbers."""
     require_folder(output_file)
     maps = [read_map(path) for path in map_files]
     left_out = set(without or ())
     unknown = left_out.difference(*(part.trajectory.drives for part in maps))
     if unknown:
         raise UnknownDrive(f"none of the maps has a drive {min(unknown)!r}")
-    # A map of which nothing is left adds nothing; if that is true of all, the last one says so.
+    # Maps without a remaining drive are left out; if that is true of all, the last one raises.
     kept = [part for part in maps if set(part.trajectory.drives) - left_out] or maps[-1:]
     merged = merge_maps(
         [without_drives(part, left_out & set(part.trajectory.drives)) for part in kept]

@@ -17,7 +17,7 @@ from core.scans.sensor import HDL_64E, SENSORS, sensor_named
 from storage.formats.scans.registry import FORMAT_NAMES
 
 MIN_RETURNS = 100
-"""A scan file with fewer finite, non-zero returns is refused; the service's default too."""
+"""A scan file with fewer finite, non-zero returns is rejected, as by the service's default."""
 
 _build: Any = partial(typer.Option, rich_help_panel="Map")
 
@@ -37,12 +37,13 @@ DrivesArgument = Annotated[
         metavar="DRIVE...",
     ),
 ]
+DataOption = Annotated[Path | None, typer.Option(metavar="DIR", help="The service's data. [data]")]
 MapArgument = Annotated[Path, typer.Argument(help="A map file.", metavar="MAP.h5")]
 FormatOption = Annotated[
     str | None,
     typer.Option(
         "--format",
-        help=f"What the scan files are, if their suffixes do not tell: {', '.join(FORMAT_NAMES)}.",
+        help=f"Format of the scan files, by default by suffix: {', '.join(FORMAT_NAMES)}.",
     ),
 ]
 EncodingOption = Annotated[
@@ -86,8 +87,8 @@ LateralRenderingsOption = Annotated[
 PosesOption = Annotated[
     PoseCheck,
     _build(
-        help="`checked` refuses drives whose poses are in different world frames, `unchecked`"
-        " insists on them."
+        help="`checked` rejects drives whose poses are in different world frames, `unchecked`"
+        " does not check them."
     ),
 ]
 SensorOption = Annotated[str, _build(help=f"One of {', '.join(sorted(SENSORS))}.")]
@@ -111,7 +112,7 @@ def height_m(sensor: str, given_m: float | None) -> float:
 
 
 def require_folder(path: Path) -> None:
-    """Refuse to begin long work whose result could not be written.
+    """Check, before long work, that its result can be written.
 
     Raises:
         typer.BadParameter: If the folder of `path` is not there, or `path` is one itself.
@@ -123,7 +124,7 @@ def require_folder(path: Path) -> None:
 
 
 def checked(read: Callable[[Any], object]) -> Callable[[Any], Any]:
-    """Return an option's callback that reads its text once, so that an error names the option."""
+    """Return a callback that parses an option's text, so that an error names the option."""
 
     def check(text: str | None) -> str | None:
         read(text)
@@ -136,7 +137,7 @@ def numbers(text: str) -> tuple[float, ...]:
     """Read a comma-separated list of numbers.
 
     Raises:
-        typer.BadParameter: If something in it is none.
+        typer.BadParameter: If an item is no number.
 
     Examples:
         >>> numbers("0,1,-1.5")

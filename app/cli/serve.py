@@ -16,7 +16,7 @@ from core.errors import InvalidParameters
 
 _log = logging.getLogger("tensormap")
 
-_GRACE_S = 10  # for answers that are under way when the service is asked to stop
+_GRACE_S = 10  # for unfinished answers when the service is stopped
 
 
 def serve(
@@ -31,8 +31,8 @@ def serve(
         Path | None, typer.Option(metavar="DIR", help="Where everything is kept. [data]")
     ] = None,
 ) -> None:
-    """Start the service; `TENSORMAP_*` variables hold what no option sets."""
-    import uvicorn  # here, not above: no other command needs to wait for the whole service
+    """Start the service; `TENSORMAP_*` variables have the other settings."""
+    import uvicorn  # here, not above: other commands must not wait for the whole service
 
     from app.http.connections import (
         BoundedServer,
@@ -56,10 +56,10 @@ def serve(
         host=settings.host,
         port=settings.port,
         server_header=False,
-        ws="websockets-sansio",  # what `auto` takes too, if the package is there: say so, or fail
+        ws="websockets-sansio",  # the choice of `auto`; fails without its package
         log_config=None,
-        access_log=False,  # ours is of the application, and without queries
-        # Without: Uvicorn believes whoever connects from this machine, and so anybody on it.
+        access_log=False,  # the application has its own, without queries
+        # Otherwise Uvicorn trusts the headers of everybody on this machine.
         proxy_headers=bool(settings.trusted_proxies),
         forwarded_allow_ips=list(settings.trusted_proxies),
         ws_max_size=settings.max_json_bytes,
@@ -68,10 +68,10 @@ def serve(
     )
     with _listen(settings.host, settings.port) as listening:
         close_unread(listening)
-        # What refuses to start says so in a line here; from inside Uvicorn it is a traceback.
+        # An error at start is one line here; from inside Uvicorn it would be a traceback.
         Store.serving(settings.data_dir, settings.catalog_url).close()
-        # Once all is answered Uvicorn lets the signal that stopped it do what it does without it:
-        # that would be to end at once, and leave behind what multiprocessing keeps in /tmp.
+        # After its shutdown Uvicorn raises the signal that stopped it again: by default the process
+        # would end at once, and leave the files of multiprocessing in /tmp.
         signal.signal(signal.SIGTERM, lambda _number, _frame: sys.exit(0))
         # Uvicorn, given a socket, names no URL.
         typer.echo(f"TensorMap at {_url(listening)}", err=True)
@@ -79,7 +79,7 @@ def serve(
 
 
 def _settings(**chosen: Any) -> Settings:  # noqa: ANN401 - each setting checks its own type
-    """Return the settings of the environment, with what the options say instead."""
+    """Return the settings of the environment, overridden by the options."""
     try:
         return Settings(**{name: value for name, value in chosen.items() if value is not None})
     except ValidationError as error:
@@ -96,17 +96,17 @@ def _url(listening: socket.socket) -> str:
 
 
 def _listen(host: str, port: int) -> socket.socket:
-    """Take the port before anything is opened or shown.
+    """Bind the port before anything is opened or printed.
 
-    The protocol is named because asyncio switches Nagle's delay off for sockets that say TCP only:
-    with the default, 0, every answer comes 40 ms late.
+    The protocol is given because asyncio switches Nagle's algorithm off only for sockets with TCP:
+    with the default, 0, every answer is 40 ms late.
     """
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     listening = socket.socket(family, socket.SOCK_STREAM, socket.IPPROTO_TCP)
     listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
         listening.bind((host, port))
-        listening.listen()  # the port is ours only now; the server sets how many may wait
+        listening.listen()  # reserves the port; the server sets how many connections may wait
     except OSError as error:
         listening.close()
         reason = os.strerror(error.errno) if error.errno else str(error)

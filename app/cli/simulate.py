@@ -22,9 +22,7 @@ def simulate(
     lateral_m: Annotated[
         float, typer.Option(help="Lateral offset from the line, positive to the left.")
     ] = 0.0,
-    reverse: Annotated[
-        bool, typer.Option("--reverse", help="Drive in the other direction.")
-    ] = False,
+    reverse: Annotated[bool, typer.Option("--reverse", help="Drive the other way.")] = False,
     stops: Annotated[bool, typer.Option("--stops", help="Stop at junctions for a while.")] = False,
 ) -> None:
     """Drive through a simulated city and write the scans in KITTI odometry layout.

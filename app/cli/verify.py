@@ -1,12 +1,12 @@
-"""`tensormap verify`: is everything stored what was stored?"""
+"""`tensormap verify`: checks of every stored file."""
 
 import os
-from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from app.cli.console import progress_bar, say
+from app.cli.options import DataOption
 from app.process import private_files
 from app.settings import Settings
 from core.errors import InvalidParameters
@@ -18,9 +18,7 @@ from storage.store.verification import verify as verify_store
 
 
 def verify(
-    data: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="The service's data. [data]")
-    ] = None,
+    data: DataOption = None,
     repair: Annotated[
         bool,
         typer.Option(
@@ -30,18 +28,18 @@ def verify(
 ) -> None:
     """Check every stored file against its digest, and list what is damaged, missing or left over.
 
-    The exit status is 1 if something that the catalog names is damaged or missing; what is left
-    over harms nothing. Nothing that may be the only copy of something is ever removed.
+    The exit status is 1 if a file that the catalog names is damaged or missing; files that are left
+    over do no harm. A file that may be an only copy is never removed.
     """
     settings = Settings() if data is None else Settings(data_dir=data)
     layout = Layout(settings.data_dir.absolute())
-    at_hand = layout.store_id if settings.catalog_url else layout.catalog
-    if not at_hand.exists():
+    expected = layout.store_id if settings.catalog_url else layout.catalog
+    if not expected.exists():
         raise StorageUnavailable(
-            f"{settings.data_dir} is no data directory: it has no {at_hand.name}"
+            f"{settings.data_dir} is no data directory: it has no {expected.name}"
         )
     owner = settings.data_dir.stat().st_uid
-    if repair and owner != os.geteuid():  # what it makes could not be read by the service
+    if repair and owner != os.geteuid():  # the service could not read the files that it makes
         raise InvalidParameters(
             f"{settings.data_dir} belongs to user {owner}, this is user {os.geteuid()}: repair it"
             " as its owner, with sudo -u"
@@ -60,5 +58,5 @@ def verify(
 def _line(finding: Finding) -> str:
     path, described = finding.path, finding.described
     notes = "; ".join(note for note in (path if described else "", finding.done) if note)
-    told = f"{finding.condition}: {described or path}: {finding.what}"
-    return f"{told} ({notes})" if notes else told
+    line = f"{finding.condition}: {described or path}: {finding.what}"
+    return f"{line} ({notes})" if notes else line

@@ -1,19 +1,21 @@
 """Many scans in one body: a tar stream of scan files that are named by their index."""
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
-from pathlib import Path, PurePosixPath
+from pathlib import PurePosixPath
 from tempfile import SpooledTemporaryFile
 
 from starlette.requests import ClientDisconnect
 
 from app.drives.tar_stream import TarFeed, TarMember
+from app.drives.upload_schemas import SetAsideOut, UploadOut, index_ranges
 from app.http.client import require_client
 from app.http.errors import BodyTooLarge, MalformedBody, MalformedUpload
-from app.http.problems import problem_name
+from app.http.problems import problem_type
+from app.settings import Settings
 from core.errors import InvalidScan, TensorMapError
 from core.scans.scan import Scan
 from storage.errors import DriveClosed, ScanConflict, StorageError
@@ -25,131 +27,122 @@ from storage.store import Store
 _NAME = re.compile(r"(\d{1,16})\.\w+(\.\w+)?", re.ASCII)
 _PLAIN = ".bin"
 _LAST_INDEX = 2**53
+# Making a small scan durable costs more than writing it: scans are stored in groups.
 _GROUP_BYTES, _GROUP_SCANS = 4 * 2**20, 256
-_PART_BYTES = 64 * 2**10  # of a file that is yet to end, in memory
-_MOST_TOLD = 1000
+_PART_BYTES = 64 * 2**10  # of an incomplete file, in memory
+_MOST_REPORTED = 1000
 _MOST_CHARACTERS = 200
 
 
 @dataclass(frozen=True)
-class SetAside:
-    """A file of an upload that was not stored.
-
-    Attributes:
-        name: As the archive has it.
-        problem: The error's stable name.
-        detail: What was wanted and what came.
-    """
-
-    name: str
-    problem: str
-    detail: str
-
-
-@dataclass
-class Upload:
-    """What became of an upload.
-
-    Attributes:
-        stored: Indices that are new.
-        present: Indices whose scan was there already, the same.
-        set_aside: Files that were not stored; the first thousand.
-        set_aside_count: How many there were.
-    """
-
-    stored: list[int] = field(default_factory=list)
-    present: list[int] = field(default_factory=list)
-    set_aside: list[SetAside] = field(default_factory=list)
-    set_aside_count: int = 0
-
-    def refuse(self, name: str, error: TensorMapError) -> None:
-        """Set a file aside."""
-        self.set_aside_count += 1
-        if len(self.set_aside) < _MOST_TOLD:
-            told = str(error)[:_MOST_CHARACTERS]
-            shown = name[:_MOST_CHARACTERS]
-            self.set_aside.append(SetAside(shown, problem_name(type(error)), told))
+class _Waiting:
+    index: int
+    file: str
+    scan: Scan
 
 
 class ScanUpload:
-    """Stores the scans of a tar stream as its bytes are given, small ones some at a time.
+    """Stores the scans of a tar stream as its bytes arrive, small ones in groups.
 
     A file's name is its scan's index, `000012.pcd`; its format is that of `media_type`, or of its
-    suffix. What cannot be used is set aside and the rest goes on. Its methods are called from
-    threads, one after another.
+    suffix. A file that cannot be used is set aside and the next one is read. Its methods are called
+    from threads, one after another.
 
     Args:
-        store: Where to.
+        store: Where the scans are stored.
+        settings: Their `min_returns` and `max_body_bytes` apply to each file; incomplete files are
+            kept in their `data_dir`.
         map_slug: The map.
         drive_slug: The drive.
-        media_type: Of the files; `None` if their suffixes tell it.
-        min_returns: A scan with fewer is set aside.
-        most_bytes: How long a file may be.
-        folder: Where what came of a file waits for the rest.
+        media_type: Of the files; `None` to use their suffixes.
     """
 
     def __init__(
         self,
         store: Store,
+        settings: Settings,
         map_slug: str,
         drive_slug: str,
-        *,
-        media_type: str | None,
-        min_returns: int,
-        most_bytes: int,
-        folder: Path,
+        media_type: str | None = None,
     ) -> None:
-        self._media_type, self._min_returns = media_type, min_returns
-        self._upload = Upload()
-        self._group = _Group(store, map_slug, drive_slug, self._upload)
-        place = partial(SpooledTemporaryFile, _PART_BYTES, dir=folder)
-        self._feed = TarFeed(most_bytes, place)
+        self._drives = store.drives
+        self._target = map_slug, drive_slug
+        self._media_type, self._min_returns = media_type, settings.min_returns
+        self._waiting: list[_Waiting] = []
+        self._waiting_bytes = 0
+        self._stored: list[int] = []
+        self._present: list[int] = []
+        self._set_aside: list[SetAsideOut] = []
+        self._set_aside_count = 0
+        place = partial(SpooledTemporaryFile, _PART_BYTES, dir=settings.data_dir)
+        self._feed = TarFeed(settings.max_body_bytes, place)
 
     def take(self, pieces: Iterable[bytes]) -> None:
         """Store the scans that end within the next bytes; the last ones may wait for more.
 
         Raises:
-            MalformedUpload: If the stream is no tar; scans that came before are stored.
+            MalformedUpload: If the stream is no tar; earlier scans are stored.
             MapNotFound: If there is no such map.
             InvalidSlug: If the drive is new, and its name is no slug.
-            StorageFull: If no space is left; scans that came before are stored.
-            TensorMapError: What `pieces` raises; scans that came before are stored.
-            ClientDisconnect: If the client left; scans that came before are stored.
+            StorageFull: If no space is left; earlier scans are stored.
+            TensorMapError: What `pieces` raises; earlier scans are stored.
+            ClientDisconnect: If the client left; earlier scans are stored.
         """
         try:
-            with named_disk_errors():  # what came of a long file waits on the disk
+            with named_disk_errors():  # incomplete long files are on disk
                 for piece in pieces:
                     if piece:  # no bytes would be the end of the stream
                         self._take(piece)
         except StorageError:
-            with suppress(StorageError):  # what came whole may still fit
+            with suppress(StorageError):  # complete scans may still fit
                 self.store()
             raise
         except ClientDisconnect:
-            self.store()  # what came need not come again
+            self.store()  # so that the client need not send these again
             raise
         except (BodyTooLarge, MalformedBody) as error:
             self.store()
             raise type(error)(f"{error}; {self._so_far()}") from error
 
     def store(self) -> None:
-        """Store the scans that came whole and wait for others."""
-        self._group.store()
+        """Store the complete scans that wait for others."""
+        waiting, self._waiting, self._waiting_bytes = self._waiting, [], 0
+        first: dict[int, _Waiting] = {}
+        repeated = [item for item in waiting if first.setdefault(item.index, item) is not item]
+        scans: Sequence[_Waiting] = tuple(first.values())
+        while scans:
+            try:
+                results = self._drives.put_scans(*self._target, [(s.index, s.scan) for s in scans])
+            except (ScanConflict, DriveClosed):
+                scans = self._without_refused(scans)
+                continue
+            for result in results:
+                indices = self._stored if result.created else self._present
+                indices.append(result.record.index)
+            break
+        # The scans at these indices are stored by now: repeated files must be the same.
+        if repeated:
+            self._present += [item.index for item in self._without_refused(repeated)]
 
-    def finish(self) -> Upload:
-        """Return what became of the files; what is stored is on disk.
+    def finish(self) -> UploadOut:
+        """Return the result for each file; stored scans are on disk.
 
         Raises:
-            MalformedUpload: If the stream breaks off, or held no file; scans that came before are
-                stored.
+            MalformedUpload: If the stream is incomplete or has no file; earlier scans are stored.
             TensorMapError: What `take` raises.
         """
         self._take(b"")
         self.store()
-        upload = self._upload
-        if not (upload.stored or upload.present or upload.set_aside):
-            raise MalformedUpload("the tar stream holds no file; wanted scans named by their index")
-        return upload
+        if not (self._stored or self._present or self._set_aside):
+            raise MalformedUpload("the tar stream has no file, wanted scans named by their index")
+        return UploadOut(
+            scans_stored=len(self._stored),
+            scans_present=len(self._present),
+            files_set_aside=self._set_aside_count,
+            stored=index_ranges(self._stored),
+            present=index_ranges(self._present),
+            set_aside=self._set_aside,
+        )
 
     def _take(self, piece: bytes) -> None:
         try:
@@ -158,78 +151,44 @@ class ScanUpload:
                 try:
                     index = _index(member)
                     scan = _scan(member, self._media_type, self._min_returns)
-                    self._group.add(member.name, index, scan)
                 except (InvalidScan, UnknownFormat) as error:
-                    self._upload.refuse(member.name, error)
+                    self._refuse(member.name, error)
+                else:
+                    self._add(_Waiting(index, member.name, scan))
         except MalformedUpload as error:
             self.store()
             raise MalformedUpload(f"{error}; {self._so_far()}") from error
 
-    def _so_far(self) -> str:
-        upload = self._upload
-        return (
-            f"{len(upload.stored)} scans were stored, {len(upload.present)} were there and"
-            f" {upload.set_aside_count} were set aside before"
-        )
-
-
-class _Group:
-    """Scans that are stored together: to make a small one durable costs more than to write it."""
-
-    def __init__(self, store: Store, map_slug: str, drive_slug: str, upload: Upload) -> None:
-        self._drives = store.drives
-        self._target = map_slug, drive_slug
-        self._upload = upload
-        self._scans: dict[int, tuple[str, Scan]] = {}
-        self._again: list[tuple[int, str, Scan]] = []
-        self._bytes = 0
-
-    def add(self, name: str, index: int, scan: Scan) -> None:
-        """Take a scan; store those that there are if they are enough."""
-        if index in self._scans:
-            self._again.append((index, name, scan))
-        else:
-            self._scans[index] = name, scan
-        self._bytes += scan.points_m.nbytes
-        if self._bytes >= _GROUP_BYTES or len(self._scans) + len(self._again) >= _GROUP_SCANS:
+    def _add(self, item: _Waiting) -> None:
+        self._waiting.append(item)
+        self._waiting_bytes += item.scan.points_m.nbytes
+        if self._waiting_bytes >= _GROUP_BYTES or len(self._waiting) >= _GROUP_SCANS:
             self.store()
 
-    def store(self) -> None:
-        """Store the scans, without those that stand in the way of others."""
-        scans, self._scans, self._bytes = self._scans, {}, 0
-        again, self._again = self._again, []
-        while scans:
-            try:
-                self._put(scans)
-                break
-            except (ScanConflict, DriveClosed):
-                scans = self._without_refused(scans)
-        if not again:
-            return
-        # At each of these indices a scan is stored now: what came first, or what was there.
-        refusals = self._drives.refusals(*self._target, [(index, scan) for index, _, scan in again])
-        for (index, name, _), refusal in zip(again, refusals, strict=True):
-            if refusal is None:
-                self._upload.present.append(index)
-            else:
-                self._upload.refuse(name, refusal)
-
-    def _without_refused(
-        self, scans: Mapping[int, tuple[str, Scan]]
-    ) -> dict[int, tuple[str, Scan]]:
-        pairs = [(index, scan) for index, (_, scan) in scans.items()]
-        refusals = self._drives.refusals(*self._target, pairs)
-        left = dict(scans)
-        for (index, _), refusal in zip(pairs, refusals, strict=True):
+    def _without_refused(self, scans: Sequence[_Waiting]) -> Sequence[_Waiting]:
+        """Return the scans that the drive accepts; set the others aside."""
+        refusals = self._drives.refusals(*self._target, [(s.index, s.scan) for s in scans])
+        for item, refusal in zip(scans, refusals, strict=True):
             if refusal is not None:
-                self._upload.refuse(left.pop(index)[0], refusal)
-        return left
+                self._refuse(item.file, refusal)
+        return [item for item, why in zip(scans, refusals, strict=True) if why is None]
 
-    def _put(self, scans: Mapping[int, tuple[str, Scan]]) -> None:
-        pairs = [(index, scan) for index, (_, scan) in scans.items()]
-        for result in self._drives.put_scans(*self._target, pairs):
-            told = self._upload.stored if result.created else self._upload.present
-            told.append(result.record.index)
+    def _refuse(self, file: str, error: TensorMapError) -> None:
+        self._set_aside_count += 1
+        if len(self._set_aside) < _MOST_REPORTED:
+            self._set_aside.append(
+                SetAsideOut(
+                    file=file[:_MOST_CHARACTERS],
+                    type=problem_type(type(error).__name__),
+                    detail=str(error)[:_MOST_CHARACTERS],
+                )
+            )
+
+    def _so_far(self) -> str:
+        return (
+            f"{len(self._stored)} scans were stored, {len(self._present)} were there and"
+            f" {self._set_aside_count} were set aside before"
+        )
 
 
 def _index(member: TarMember) -> int:
@@ -246,6 +205,6 @@ def _scan(member: TarMember, media_type: str | None, min_returns: int) -> Scan:
     suffix = suffix_of(member.name)
     if media_type is None and suffix == _PLAIN:
         raise UnknownFormat(
-            "records in .bin may be KITTI's, nuScenes' or NCLT's; say which, as ?format=kitti"
+            "records in .bin may be KITTI's, nuScenes' or NCLT's; name the format, as ?format=kitti"
         )
     return read_scan(member.content, media_type=media_type, suffix=suffix, min_returns=min_returns)

@@ -1,9 +1,9 @@
-"""Poses as files have them: KITTI, TUM and CSV, read in blocks of lines."""
+"""Files of poses: KITTI, TUM and CSV, read in blocks of lines."""
 
-import contextlib
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -34,7 +34,7 @@ _NOTHING = re.compile(rb"(?<![^,\n])[ \t]*(?=[,\n])")
 
 @dataclass(frozen=True)
 class _Rows:
-    """Some lines: the scan of each, `(n,)`, -1 if told by position; its seconds; `(n, 7)` poses."""
+    """Some lines: the scan of each, `(n,)`, -1 if the line number gives it; seconds; poses."""
 
     scans: IntArray
     timestamps_s: FloatArray
@@ -47,10 +47,10 @@ def read_poses(body: bytes, media_type: str, first: int = 0) -> ScanPoses:
     Args:
         body: The file.
         media_type: One of `POSE_TYPES`.
-        first: The scan of the first line, of a file that names none.
+        first: The scan of the first line, if the file names no scans.
 
     Raises:
-        InvalidPose: If a line is none; the message says which.
+        InvalidPose: If a line has no valid pose; the message names it.
 
     Examples:
         >>> found = read_poses(b"12.5 1 2 3 0 0 0 1", TUM, first=7)
@@ -66,11 +66,11 @@ def read_poses(body: bytes, media_type: str, first: int = 0) -> ScanPoses:
             raise InvalidPose(f"line {number} has more than {_BLOCK_BYTES} bytes")
         if number + block.count(b"\n") - 1 > MOST_LINES:
             raise InvalidPose(f"the file has more than {MOST_LINES} lines")
-        says = _COMMENT.sub(b"", block) if b"#" in block else block
+        content = _COMMENT.sub(b"", block) if b"#" in block else block
         begin = number
         if parse is None:
-            parse, says, begin = _table(says, number)
-        parts.append(_block(parse, says, begin))
+            parse, content, begin = _table(content, number)
+        parts.append(_block(parse, content, begin))
         number += block.count(b"\n")
     return _joined(parts, first)
 
@@ -79,7 +79,7 @@ def _joined(parts: list[_Rows], first: int) -> ScanPoses:
     if not sum(len(part.scans) for part in parts):
         raise InvalidPose("the file has no line with a pose")
     scans = np.concatenate([part.scans for part in parts])
-    if scans[0] < 0:  # told by position
+    if scans[0] < 0:  # given by the line number
         scans = first + np.arange(len(scans))
     beyond = (scans < 0) | (scans >= _LAST_INDEX)
     if beyond.any():
@@ -97,18 +97,18 @@ def _joined(parts: list[_Rows], first: int) -> ScanPoses:
 
 
 def _require_rising(scans: IntArray, timestamps_s: FloatArray) -> None:
-    """Refuse times that fall from one scan to the next: lines of another order are other scans'."""
+    """Reject times that fall from one scan to the next: the lines are in another order."""
     falls = np.flatnonzero(np.diff(timestamps_s) < 0.0)
     if len(falls):
         before, after = falls[0], falls[0] + 1
         raise InvalidPose(
             f"scan {scans[after]} is of {timestamps_s[after]:.3f} s, before scan {scans[before]} of"
-            f" {timestamps_s[before]:.3f} s: wanted times that rise with the scans"
+            f" {timestamps_s[before]:.3f} s: expected times that rise with the scans"
         )
 
 
 def _block(parse: Callable[[bytes], _Rows], block: bytes, number: int) -> _Rows:
-    """Read a block of whole lines; if one is wrong, find the first of them by halves.
+    """Read a block of whole lines; if one is wrong, find the first of them by bisection.
 
     Raises:
         InvalidPose: Naming the line.
@@ -126,8 +126,6 @@ def _block(parse: Callable[[bytes], _Rows], block: bytes, number: int) -> _Rows:
             wrong, lines = error, half
         else:
             number, lines = number + len(half), lines[len(half) :]
-    with contextlib.suppress(InvalidPose, ValueError):
-        parse(b"".join(lines))
     raise InvalidPose(f"line {number}: {wrong}") from wrong
 
 
@@ -144,48 +142,42 @@ def _tum(block: bytes) -> _Rows:
 
 
 def _table(block: bytes, number: int) -> tuple[Callable[[bytes], _Rows], bytes, int]:
-    """Return what reads the lines of a table, those after its line of names, and their number."""
+    """Return a parser for a table's lines, those after its line of names, and their number."""
     begin = number
     head = b""
     while block and not head:
         head, _, block = block.partition(b"\n")
         head, number = head.strip(), number + 1
-    told = head[:_MOST_LINE_BYTES].decode("utf-8", "replace")
-    names = [name.strip().strip('"').lower() for name in told.split(",")]
-    wanted = ("scan", *_POSE)
-    if not set(wanted) <= set(names) or len(set(names)) != len(names) or len(names) > _MOST_COLUMNS:
+    text = head[:_MOST_LINE_BYTES].decode("utf-8", "replace")
+    names = [name.strip().strip('"').lower() for name in text.split(",")]
+    needed = ("scan", *_POSE)
+    if not set(needed) <= set(names) or len(set(names)) != len(names) or len(names) > _MOST_COLUMNS:
         raise InvalidPose(
-            f"line {max(number - 1, begin)} is {told[:120]!r}, wanted columns {','.join(wanted)}"
+            f"line {max(number - 1, begin)} is {text[:120]!r}, wanted columns {','.join(needed)}"
         )
-    columns = [names.index(name) for name in wanted]
-    timed = "timestamp_s" in names
-    if timed:
-        columns.append(names.index("timestamp_s"))
-
-    def parse(lines: bytes) -> _Rows:
-        return _table_rows(lines, columns, len(names), timed=timed)
-
-    return parse, block, number
+    columns = [names.index(name) for name in (*needed, "timestamp_s") if name in names]
+    return partial(_table_rows, columns=columns, width=len(names)), block, number
 
 
-def _table_rows(block: bytes, columns: list[int], width: int, *, timed: bool) -> _Rows:
+def _table_rows(block: bytes, columns: list[int], width: int) -> _Rows:
     try:
         numbers = number_rows(block, columns, width, ",")
-    except ValueError:  # perhaps since values are left out
-        whole = _NOTHING.sub(b"nan", _BLANK_LINE.sub(b"", block))
-        numbers = number_rows(whole, columns, width, ",")
+    except ValueError:  # perhaps because fields are empty
+        filled = _NOTHING.sub(b"nan", _BLANK_LINE.sub(b"", block))
+        numbers = number_rows(filled, columns, width, ",")
     scans = numbers[:, 0]
     if not ((scans >= 0) & (scans < _LAST_INDEX) & (scans == np.floor(scans))).all():
         raise InvalidPose("a scan is no index")
-    timestamps_s = numbers[:, 8] if timed else np.full(len(numbers), np.nan)
+    has_times = len(columns) > 1 + len(_POSE)
+    timestamps_s = numbers[:, 8] if has_times else np.full(len(numbers), np.nan)
     return _checked(scans.astype(np.int64), timestamps_s, numbers[:, 1:8])
 
 
 def _checked(scans: IntArray, timestamps_s: FloatArray, poses: FloatArray) -> _Rows:
-    """Refuse what is no pose; what is not wholly known is unknown."""
+    """Reject invalid poses; incomplete ones are unknown."""
     poses = np.array(poses)
     poses[~is_known(poses)] = UNKNOWN_POSE
     wrong = first_invalid(poses)
     if wrong is not None:
-        Pose(*poses[wrong].tolist())  # says what is wrong with it
+        Pose(*poses[wrong].tolist())  # raises, and names what is wrong
     return _Rows(scans, np.array(timestamps_s), poses)

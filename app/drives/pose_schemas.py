@@ -23,8 +23,6 @@ PoseQuery = Annotated[
 class PoseOut(Shown):
     """Where a scan of the map was taken: sensor to world."""
 
-    model_config = ConfigDict(from_attributes=True)
-
     x_m: float
     y_m: float
     z_m: float
@@ -47,9 +45,9 @@ class ScanPoseIn(BaseModel):
 
     scan: int = Field(ge=0, lt=2**53, description="Its index in the drive.")
     pose: Annotated[list[Number], Field(min_length=7, max_length=7, fail_fast=True)] | None = Field(
-        None, description=f"{_ORDER}; null forgets it, left as it is without it."
+        None, description=f"{_ORDER}; null removes it, without it nothing changes."
     )
-    timestamp_s: Number | None = Field(None, description="Seconds; left as it is without it.")
+    timestamp_s: Number | None = Field(None, description="Seconds; without it nothing changes.")
 
     _integers = field_validator("scan", mode="before")(integers)
 

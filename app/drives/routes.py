@@ -2,7 +2,7 @@
 
 import io
 import math
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 from fastapi import Path, Query, Response, status
@@ -21,8 +21,11 @@ from storage import errors as stored
 from storage.formats import errors as formats
 from storage.formats.scans.registry import read_scan
 
-router = pooled_router(tags=["drives"])
+scans = pooled_router(tags=["drives"], dependencies=[needs(Scope.MAPS_READ)])
+reading = pooled_router(tags=["drives"], dependencies=[needs(Scope.MAPS_READ, Scope.MAPS_WRITE)])
+writing = pooled_router(tags=["drives"], dependencies=[needs(Scope.MAPS_WRITE)])
 
+_DRIVE = (stored.MapNotFound, stored.DriveNotFound)
 BAD_SCAN = (
     formats.EmptyBody,
     formats.TruncatedScan,
@@ -42,19 +45,11 @@ TimestampQuery = Annotated[
     float | None, Query(allow_inf_nan=False, description="When the scan was taken, in seconds.")
 ]
 
-_NPY: dict[int | str, dict[str, Any]] = {
-    200: {
-        "description": "`(n, 3)` float32 metres.",
-        "content": {
-            "application/vnd.tensormap.npy": {"schema": {"type": "string", "format": "binary"}}
-        },
-    }
-}
+_NPY = "application/vnd.tensormap.npy"
 
 
-@router.get(
+@reading.get(
     "/maps/{map}/drives",
-    dependencies=[needs(Scope.MAPS_READ, Scope.MAPS_WRITE)],
     responses=problems(stored.MapNotFound, errors.InvalidRequest, *errors.READING),
 )
 def list_drives(
@@ -65,26 +60,18 @@ def list_drives(
     return page_out(page, DriveOut.from_record)
 
 
-@router.get(
+@reading.get(
     "/maps/{map}/drives/{drive}",
-    dependencies=[needs(Scope.MAPS_READ, Scope.MAPS_WRITE)],
-    responses=problems(stored.MapNotFound, stored.DriveNotFound, *errors.READING),
+    responses=problems(*_DRIVE, *errors.READING),
 )
 def get_drive(map_slug: MapSlug, drive_slug: DriveSlug, running: Running) -> DriveOut:
-    """Show a drive: which scans are in, and which are missing."""
+    """Show a drive: which scans are stored, and which are missing."""
     return DriveOut.from_record(running.store.drives.get(map_slug, drive_slug))
 
 
-@router.patch(
+@writing.patch(
     "/maps/{map}/drives/{drive}",
-    dependencies=[needs(Scope.MAPS_WRITE)],
-    responses=problems(
-        stored.MapNotFound,
-        stored.DriveNotFound,
-        stored.CorruptFile,
-        *errors.JSON_BODY,
-        *errors.WRITING,
-    ),
+    responses=problems(*_DRIVE, stored.CorruptFile, *errors.JSON_BODY, *errors.WRITING),
 )
 def close_drive(
     map_slug: MapSlug,
@@ -98,20 +85,18 @@ def close_drive(
     return DriveOut.from_record(closed)
 
 
-@router.delete(
+@writing.delete(
     "/maps/{map}/drives/{drive}",
-    dependencies=[needs(Scope.MAPS_WRITE)],
     status_code=status.HTTP_204_NO_CONTENT,
-    responses=problems(stored.MapNotFound, stored.DriveNotFound, *errors.WRITING),
+    responses=problems(*_DRIVE, *errors.WRITING),
 )
 def delete_drive(map_slug: MapSlug, drive_slug: DriveSlug, running: Running) -> None:
-    """Remove a drive and its scans; revisions that were built of it stay."""
+    """Delete a drive and its scans; revisions that were built from it stay."""
     running.store.drives.delete(map_slug, drive_slug)
 
 
-@router.put(
+@writing.put(
     "/maps/{map}/drives/{drive}/scans/{index}",
-    dependencies=[needs(Scope.MAPS_WRITE)],
     openapi_extra=described_body(SCAN_TYPES),
     status_code=status.HTTP_201_CREATED,
     responses={
@@ -140,10 +125,10 @@ def put_scan(
     timestamp_s: TimestampQuery = None,
     pose: PoseQuery = None,
 ) -> ScanOut:
-    """Store one scan; the first scan of a drive makes the drive.
+    """Store one scan; the first scan of a drive creates the drive.
 
-    When the answer is there the scan is on disk. Safe to repeat: the same returns at the same
-    index answer 200 and change nothing, others are refused.
+    The scan is on disk before the answer is sent. Safe to repeat: the same returns at the same
+    index answer 200 and change nothing, others are rejected.
     """
     scan = read_scan(
         body,
@@ -160,15 +145,16 @@ def put_scan(
     return ScanOut.from_record(result.record)
 
 
-@router.get(
+@scans.get(
     "/maps/{map}/drives/{drive}/scans/{index}",
-    dependencies=[needs(Scope.MAPS_READ)],
     response_class=Response,
     responses={
-        **_NPY,
+        200: {
+            "description": "`(n, 3)` float32 metres.",
+            "content": {_NPY: {"schema": {"type": "string", "format": "binary"}}},
+        },
         **problems(
-            stored.MapNotFound,
-            stored.DriveNotFound,
+            *_DRIVE,
             stored.ScanNotFound,
             stored.ReturnsGone,
             stored.CorruptFile,
@@ -181,8 +167,8 @@ def put_scan(
 def get_scan(
     map_slug: MapSlug, drive_slug: DriveSlug, index: ScanIndex, running: Running
 ) -> Response:
-    """Give a scan's returns back, as a NumPy array file."""
+    """Return a scan's returns as a NumPy array file."""
     scan = running.store.drives.read_scan(map_slug, drive_slug, index)
     file = io.BytesIO()
     np.save(file, scan.points_m, allow_pickle=False)
-    return Response(file.getvalue(), media_type="application/vnd.tensormap.npy")
+    return Response(file.getvalue(), media_type=_NPY)

@@ -7,7 +7,7 @@ from typing import Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 from app.http.shown import Shown
-from storage.catalog import DriveRecord, PosesPut, ScanRecord
+from storage.catalog import DriveRecord, ScanRecord
 
 
 class IndexRangeOut(Shown):
@@ -27,13 +27,13 @@ class DriveOut(Shown):
     returns: int = Field(description="Of all scans together.")
     size_bytes: int = Field(description="What the returns that are kept take on disk.")
     scans_without_returns: int = Field(
-        description="Scans whose returns were dropped after a build, as the map's policy asks. They"
-        " stay listed, and sent again they are known; builds use the images that were kept."
+        description="Scans whose returns were dropped after a build by the map's retention. They"
+        " stay listed, and are recognized if sent again; builds use the images that were kept."
     )
     scans_with_pose: int
-    poses_waiting: int = Field(description="Poses of scans that are still to come.")
+    poses_waiting: int = Field(description="Poses of scans that are not stored yet.")
     poses_left_over: int = Field(
-        description="Poses of scans that the drive was closed without: are they another drive's?"
+        description="Poses of scans that the closed drive does not have: another drive's?"
     )
     present: list[IndexRangeOut] = Field(description="The indices that are stored.")
     gaps: list[IndexRangeOut] = Field(description="The indices that are missing in between.")
@@ -52,30 +52,25 @@ class DriveOut(Shown):
 
 
 class PosesPutOut(Shown):
-    """What became of poses that were put."""
+    """What poses that were put changed."""
 
-    set: int = Field(description="How many scans have a pose of them.")
+    set: int = Field(description="How many scans have one of these poses.")
     replaced: int = Field(description="How many of these had another before.")
     forgotten: int = Field(description="How many scans had a pose and have none now.")
-    waiting: int = Field(description="How many wait for scans to come.")
+    waiting: int = Field(description="How many are of scans that are not stored yet.")
     left_over: int = Field(
-        description="How many are of scans that the drive was closed without; they are not kept."
+        description="How many are of scans that the closed drive does not have; they are not kept."
     )
 
 
 class DriveWithPosesOut(DriveOut):
-    """A drive, and what became of poses that were put."""
+    """A drive, and what poses that were put changed."""
 
     poses: PosesPutOut
 
-    @classmethod
-    def from_both(cls, record: DriveRecord, put: PosesPut) -> "DriveWithPosesOut":
-        """Show both."""
-        return cls(**dict(DriveOut.from_record(record)), poses=PosesPutOut.of(put))
-
 
 class DrivePatch(BaseModel):
-    """What changes of a drive."""
+    """Changes of a drive."""
 
     model_config = ConfigDict(extra="forbid", json_schema_extra={"example": {"closed": True}})
 
@@ -97,7 +92,7 @@ class ScanOut(Shown):
 
     @classmethod
     def from_record(cls, record: ScanRecord) -> "ScanOut":
-        """Show what is stored."""
+        """Show a scan's record."""
         return cls.of(
             record,
             scan=record.index,

@@ -1,4 +1,4 @@
-"""The images of a stored drive: kept beside it, or made of its returns while these are there."""
+"""The images of a stored drive: kept beside it, or projected from its returns."""
 
 import hashlib
 import logging
@@ -33,12 +33,12 @@ def images_path(store: Store, drive: StoredDrive, parameters: MapParameters) -> 
 def require_images(
     store: Store, map_id: str, drives: Sequence[str], parameters: MapParameters
 ) -> None:
-    """Refuse drives that have neither the images for these parameters nor all their returns.
+    """Reject drives that have neither the images for these parameters nor all their returns.
 
     Raises:
-        MapNotFound: If the map is gone.
+        MapNotFound: If the map was deleted.
         DriveNotFound: If it lacks one of the drives.
-        ReturnsGone: If the images of one can no longer be made.
+        ReturnsGone: If the images of one can no longer be projected.
     """
     for drive in store.drives.of_map(map_id, drives):
         if drive.dropped_scans:
@@ -58,8 +58,8 @@ def open_images(
     Raises:
         DriveNotFound: If the drive was deleted meanwhile.
         EmptyDrive: If it has no usable scan.
-        ReturnsGone: If they are not kept, and returns that they would be made of were dropped.
-        CorruptImages: If they are damaged, and cannot be made anew for the same reason.
+        ReturnsGone: If they are not kept, and some of the returns were dropped.
+        CorruptImages: If they are damaged, and some of the returns were dropped.
     """
     path = images_path(store, drive, parameters)
     whole = bool(drive.has_returns.all())
@@ -72,7 +72,7 @@ def open_images(
         except CorruptImages as error:
             if not whole:
                 raise CorruptImages(f"{error}; the returns were dropped after a build") from error
-            _log.warning("%s; they are made anew from the raw returns", error)
+            _log.warning("%s; they are projected again from the raw returns", error)
     if not whole:
         if kept is None:
             raise _gone(drive)
@@ -80,7 +80,7 @@ def open_images(
         return kept
     try:
         write_image_file(path, drive, parameters.imager, progress)
-    except (FileNotFoundError, NotFound):  # files go when their map or drive is deleted
+    except (FileNotFoundError, NotFound):  # their map or drive was deleted
         if kept is not None:
             _log.warning("drive %s: its returns are gone, and there are no probes", drive.name)
             return kept

@@ -1,17 +1,15 @@
-"""A tar stream, read as it comes: one file in memory at a time, and that of bounded size.
+"""A tar stream, parsed while it arrives: one file in memory at a time, of bounded size.
 
-Its parser is a generator that asks for bytes; `TarFeed` gives it those that came.
+The parser is a generator that requests bytes; `TarFeed.take` sends them as they arrive.
 
-Python's `tarfile` reads extended headers of any size into memory; a stranger's stream needs less
-trust and less of the format: ustar headers, and the long names of GNU and PAX.
+Python's `tarfile` reads extended headers of any size into memory. Untrusted streams need less of
+the format: ustar headers, and the long names of GNU and PAX.
 """
 
 import io
 from collections.abc import Callable, Generator, Iterator
 from dataclasses import dataclass
 from typing import IO, TypeVar
-
-import numpy as np
 
 from app.http.errors import MalformedUpload
 
@@ -24,8 +22,8 @@ _FILE, _FOLDER = {b"0", b"\0", b"7"}, b"5"
 _GNU_NAME, _PAX, _PAX_GLOBAL = b"L", b"x", b"g"
 _EXTENDED = {_GNU_NAME, _PAX, _PAX_GLOBAL}
 _SIZE_LIMIT = 2**53
-# Folders, links and long names are in every archive; a reader's time goes by headers, however
-# little comes with them. Some programs write three headers a file.
+# Folders, links and long names are in every archive; each header takes the reader time, however
+# little content it has. Some programs write three headers a file.
 _STRAY_HEADERS, _FILE_BYTES_PER_HEADER = 10_000, 256
 _EXTENDED_IN_A_ROW = 8
 
@@ -36,7 +34,7 @@ class TarMember:
 
     Attributes:
         name: Its path, as the archive has it.
-        content: Its bytes; `None` if it is longer than may be, or no plain file.
+        content: Its bytes; `None` if it is too long, or no plain file.
         reason: Why there is no content.
     """
 
@@ -45,62 +43,49 @@ class TarMember:
     reason: str = ""
 
 
+# A parser that requests up to so many bytes, is sent them (none at the end), and returns a value.
+_Reading = Generator[int, bytes, T]
+
+
 class TarFeed:
-    """The files of a tar stream whose bytes are given as they come.
+    """The files of a tar stream whose bytes are passed as they arrive.
 
     Args:
-        most_bytes: How long a file may be.
-        place: Gives a file for what came of one that is yet to end.
+        most_bytes: The largest file that is read.
+        place: Opens a temporary file for the content of one.
     """
 
     def __init__(self, most_bytes: int, place: Callable[[], IO[bytes]] = io.BytesIO) -> None:
-        self._parser = _Parser(most_bytes, place).files()
-        self._asked = next(self._parser)
-        self.ended = False
+        self._most_bytes = most_bytes
+        self._place = place
+        self._headers = self._file_bytes = 0
+        self._parser = self._files()
+        self._next = next(self._parser)
+        self._ended = False
 
     def take(self, chunk: bytes) -> Iterator[TarMember]:
-        """Give the files that end within the next bytes of the stream; none is its end.
+        """Yield the files that end within the next bytes of the stream; no bytes are its end.
 
         Raises:
             MalformedUpload: If it is no tar stream or breaks off.
         """
         at = 0
-        while not self.ended:
-            asked = self._asked
+        while not self._ended:
             piece: bytes | None = None
-            if isinstance(asked, TarMember):
-                yield asked
+            if isinstance(self._next, TarMember):
+                yield self._next
             elif at == len(chunk) and chunk:
                 return
             else:
-                piece = chunk[at : at + asked]
+                piece = chunk[at : at + self._next]
                 at += len(piece)
             try:
-                self._asked = self._parser.send(piece)
+                self._next = self._parser.send(piece)
             except StopIteration:
-                self.ended = True
+                self._ended = True
 
-
-# What asks for up to so many bytes, is sent them, none at the end, and at last returns something.
-_Reading = Generator[int, bytes, T]
-
-
-class _Parser:
-    """Takes a tar stream apart.
-
-    Args:
-        most_bytes: How long a file may be.
-        place: Gives a file for the content of one.
-    """
-
-    def __init__(self, most_bytes: int, place: Callable[[], IO[bytes]]) -> None:
-        self._most_bytes = most_bytes
-        self._place = place
-        self._headers = 0
-        self._file_bytes = 0
-
-    def files(self) -> Generator["int | TarMember", bytes | None, None]:
-        """Yield the files, and how many bytes are wanted."""
+    def _files(self) -> Generator[int | TarMember, bytes | None, None]:
+        """Yield the files, and how many bytes are needed."""
         long_name: str | None = None
         extended = 0
         while (header := (yield from self._header())) is not None:
@@ -110,7 +95,7 @@ class _Parser:
             if extended > _EXTENDED_IN_A_ROW:
                 raise MalformedUpload(
                     f"more than {_EXTENDED_IN_A_ROW} extended headers of the tar stream follow one"
-                    " another; wanted a file"
+                    " another, wanted a file"
                 )
             if kind in _EXTENDED:
                 if size > _MAX_HEADER_BYTES:
@@ -123,11 +108,11 @@ class _Parser:
                 continue
             name, long_name = long_name or _name(header), None
             if kind not in _FILE:
-                yield from self._skip(size)
+                yield from self._skip(_padded(size))
                 if kind != _FOLDER:
                     yield TarMember(name, None, "it is a link or device, no file")
             elif size > self._most_bytes:
-                yield from self._skip(size)
+                yield from self._skip(_padded(size))
                 yield TarMember(
                     name, None, f"it has {size} bytes, at most {self._most_bytes} are read"
                 )
@@ -139,12 +124,13 @@ class _Parser:
         """Return the next header, `None` at the end of the stream."""
         block = yield from self._exactly(_BLOCK, "its next header")
         if block is None or not block.strip(b"\0"):
-            yield from self._drain()  # a block of zeros ends the archive, what follows is padding
+            while (yield _SKIP_BYTES):
+                pass  # a block of zeros ends the archive, the rest is padding
             return None
-        # The sum is of bytes, with blanks where it stands itself; some wrote it of signed ones.
-        wanted = _octal(block[148:156])
+        # The sum is of bytes, with blanks in its own place; some programs add signed bytes.
         rest = block[:148] + b" " * 8 + block[156:]
-        if wanted != sum(rest) and wanted != _signed_sum(rest):
+        stored, total = _octal(block[148:156]), sum(rest)
+        if stored != total and stored != total - 256 * sum(byte > 127 for byte in rest):
             raise MalformedUpload(
                 f"a header begins with {block[:8]!r} and its checksum is wrong: is the body a tar"
                 " stream?"
@@ -152,7 +138,7 @@ class _Parser:
         return block
 
     def _require_files(self) -> None:
-        """Count a header; refuse a stream of little else."""
+        """Count a header; reject a stream that has mostly headers."""
         self._headers += 1
         most = _STRAY_HEADERS + self._file_bytes // _FILE_BYTES_PER_HEADER
         if self._headers > most:
@@ -166,41 +152,37 @@ class _Parser:
         content = (yield from self._exactly(size, "a file")) if size else b""
         if content is None:
             raise MalformedUpload(f"the tar stream breaks off before a file of {size} bytes")
-        yield from self._skip(-size % _BLOCK, exact=False)
+        yield from self._skip(_padded(size) - size)
         return content
 
-    def _skip(self, size: int, *, exact: bool = True) -> _Reading[None]:
-        left = size + (-size % _BLOCK if exact else 0)
-        while left:
-            chunk = yield min(left, _SKIP_BYTES)
+    def _skip(self, size: int) -> _Reading[None]:
+        while size:
+            chunk = yield min(size, _SKIP_BYTES)
             if not chunk:
                 raise MalformedUpload("the tar stream breaks off within a file")
-            left -= len(chunk)
-
-    def _drain(self) -> _Reading[None]:
-        while (yield _SKIP_BYTES):
-            pass
+            size -= len(chunk)
 
     def _exactly(self, size: int, what: str) -> _Reading[bytes | None]:
         """Return so many bytes, `None` if the stream has ended before the first of them."""
-        came = 0
+        received = 0
         with self._place() as parts:
-            while came < size:
-                chunk = yield min(size - came, 2**20)
+            while received < size:
+                chunk = yield min(size - received, 2**20)
                 if not chunk:
-                    if not came:
+                    if not received:
                         return None
                     raise MalformedUpload(
-                        f"the tar stream breaks off within {what}: {came} of {size} bytes came"
+                        f"the tar stream breaks off within {what}, after {received} of {size} bytes"
                     )
                 parts.write(chunk)
-                came += len(chunk)
+                received += len(chunk)
             parts.seek(0)
             return parts.read()
 
 
-def _signed_sum(block: bytes) -> int:
-    return sum(block) - 256 * int(np.count_nonzero(np.frombuffer(block, np.uint8) > 127))
+def _padded(size: int) -> int:
+    """Return the size of a file's content with the padding of its last block."""
+    return size + -size % _BLOCK
 
 
 def _size(header: bytes) -> int:

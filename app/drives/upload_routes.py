@@ -1,4 +1,4 @@
-"""Uploads: POST of many scans in one archive, and which scans are in."""
+"""Uploads of a drive: many scans in one archive, the stored indices, and poses."""
 
 from collections.abc import Iterator
 from contextlib import suppress
@@ -10,23 +10,28 @@ from starlette.requests import ClientDisconnect
 
 from app.access.scopes import Scope, needs
 from app.drives.many_scans import ScanUpload
+from app.drives.pose_files import CSV, POSE_TYPES, read_poses
+from app.drives.pose_schemas import PosesIn
+from app.drives.schemas import DriveOut, DriveWithPosesOut, PosesPutOut
 from app.drives.upload_schemas import PresentOut, UploadOut
 from app.http import errors
-from app.http.bodies.bodies import AsItComes, ContentType, described_body, media_type
+from app.http.bodies.bodies import AsItComes, Body, ContentType, described_body, media_type
 from app.http.bodies.incoming import Incoming
+from app.http.bodies.json_body import read_json
 from app.http.bodies.spool import Spool
 from app.http.context import context_of
 from app.http.pooled_route import pooled_router, run_heavy
 from app.http.problems import problems
 from app.service import DriveSlug, MapSlug, Running
-from core.errors import TensorMapError
-from storage.errors import DriveNotFound, InvalidSlug, MapNotFound
+from core.errors import InvalidPose, TensorMapError
+from storage.errors import DriveNotFound, InvalidSlug, MapNotFound, PosesDoNotFit, ScanNotFound
 from storage.formats.errors import UnknownFormat
 from storage.formats.scans.registry import FORMAT_NAMES, media_type_of
 
-router = pooled_router(tags=["drives"])
+reading = pooled_router(tags=["drives"], dependencies=[needs(Scope.MAPS_READ, Scope.MAPS_WRITE)])
+writing = pooled_router(tags=["drives"], dependencies=[needs(Scope.MAPS_WRITE)])
 
-_TAR = "application/x-tar"
+_TAR, _JSON = "application/x-tar", "application/json"
 _BATCH_BYTES = 4 * 2**20
 _TYPES = {"", "application/octet-stream", _TAR, "application/tar"}
 
@@ -34,26 +39,36 @@ FormatName = Annotated[
     str | None,
     Query(
         alias="format",
-        description="What the files are, the last word of a scan's media type, as `kitti`; without"
-        " it their suffixes tell, but for `.bin`.",
-        json_schema_extra={"enum": list(FORMAT_NAMES)},  # what is none is an unknown format
+        description="Format of the files, the last word of a scan's media type, as `kitti`; by"
+        " default that of their suffixes, except `.bin`.",
+        json_schema_extra={"enum": list(FORMAT_NAMES)},  # any other is an unknown format
+    ),
+]
+First = Annotated[
+    int,
+    Query(ge=0, lt=2**52, description="The scan of the first line, of KITTI's and TUM's files."),
+]
+Partial = Annotated[
+    bool | None,
+    Query(
+        description="Set a file's poses even if their number, or scans that would lose theirs, show"
+        " that they are not those of all scans."
     ),
 ]
 
 
-@router.get(
+@reading.get(
     "/maps/{map}/drives/{drive}/scans",
-    dependencies=[needs(Scope.MAPS_READ, Scope.MAPS_WRITE)],
     responses=problems(MapNotFound, DriveNotFound, *errors.READING),
 )
 def list_scans(map_slug: MapSlug, drive_slug: DriveSlug, running: Running) -> PresentOut:
-    """Tell which scans are in, as ranges: an upload goes on with the others."""
-    return PresentOut.from_record(running.store.drives.get(map_slug, drive_slug))
+    """Return which scans are stored, as ranges: an upload continues with the others."""
+    record = running.store.drives.get(map_slug, drive_slug)
+    return PresentOut.of(record, drive=record.slug, scans_without_returns=record.dropped_scans)
 
 
-@router.post(
+@writing.post(
     "/maps/{map}/drives/{drive}/scans",
-    dependencies=[needs(Scope.MAPS_WRITE)],
     openapi_extra=described_body(
         {_TAR: "A tar stream of scan files, each named by its index, as `000012.pcd`."}
     ),
@@ -76,34 +91,26 @@ async def post_scans(
     content_type: ContentType = None,
     format_name: FormatName = None,
 ) -> UploadOut:
-    """Store many scans, sent as a tar stream; one that cannot be used stops none of the others.
+    """Store many scans, sent as a tar stream; the others are stored if one cannot be used.
 
-    Scans are stored as they come, a few megabytes at a time. When the answer is there the scans
-    that it names are on disk; when it is not, ask which are in and send the others, or all again.
-    With a `Content-Digest` nothing is stored before the whole body has come and is what it says; a
-    packed body is unpacked when it has come whole, or as far as it came.
+    Scans are stored as they arrive, a few megabytes at a time. The scans that the answer names are
+    on disk; without an answer, request which are stored and send the others, or send all again.
+    With a `Content-Digest` nothing is stored before the whole body was received and its digest is
+    right; a packed body is unpacked when it is complete, or as far as it was received.
     """
     if media_type(content_type) not in _TYPES:
         raise errors.UnsupportedBody(
             f"Content-Type is {(content_type or '')[:80]!r}, wanted {_TAR}"
         )
-    wanted = None if format_name is None else media_type_of(format_name)
+    scan_type = None if format_name is None else media_type_of(format_name)
     # A missing map is reported before a body is read.
     await running.pools.short.run(
         context_of(request.scope).sender, partial(running.store.drives.slugs, map_slug)
     )
-    upload = ScanUpload(
-        running.store,
-        map_slug,
-        drive_slug,
-        media_type=wanted,
-        min_returns=running.settings.min_returns,
-        most_bytes=running.settings.max_body_bytes,
-        folder=running.settings.data_dir,
-    )
-    # An unpacker takes megabytes: none waits for the rest of a slow body.
+    upload = ScanUpload(running.store, running.settings, map_slug, drive_slug, scan_type)
+    # A decompressor takes megabytes: none waits for the rest of a slow body.
     up_to = None if body.packed or body.has_digest else _BATCH_BYTES
-    async with body.spool() as spool:
+    with body.spool() as spool:
         while not body.ended:
             try:
                 await body.fill(spool, up_to)
@@ -112,20 +119,68 @@ async def post_scans(
                     await run_heavy(request, partial(_store_rest, upload, body, spool), begun=True)
                 raise
             await _store(request, upload, body, spool)
-    return await run_heavy(request, lambda: UploadOut.from_upload(upload.finish()), begun=True)
+    return await run_heavy(request, upload.finish, begun=True)
+
+
+@writing.put(
+    "/maps/{map}/drives/{drive}/poses",
+    openapi_extra=described_body(POSE_TYPES, PosesIn),
+    responses=problems(
+        MapNotFound,
+        DriveNotFound,
+        InvalidSlug,
+        ScanNotFound,
+        PosesDoNotFit,
+        InvalidPose,
+        *errors.JSON_BODY,
+        *errors.WRITING,
+    ),
+)
+def put_poses(
+    map_slug: MapSlug,
+    drive_slug: DriveSlug,
+    body: Body,
+    running: Running,
+    content_type: ContentType = None,
+    first: First = 0,
+    partial: Partial = None,
+) -> DriveWithPosesOut:
+    """Set poses and timestamps of scans, all or none; those of a file also for future scans.
+
+    JSON sets those of stored scans only. A file also sets what a scan that is stored later does not
+    have itself. A file whose lines count scans is rejected if it has fewer than the drive has
+    scans, or if it has more and would replace other poses: it is another drive's, or cut off.
+    """
+    kind = media_type(content_type)
+    drives = running.store.drives
+    if kind in POSE_TYPES:
+        put = drives.expect_poses(
+            map_slug,
+            drive_slug,
+            read_poses(body, kind, first),
+            consecutive=kind != CSV,
+            partial=bool(partial),
+        )
+    elif kind == _JSON:
+        poses, timestamps_s = read_json(body, PosesIn).to_core()
+        put = drives.put_poses(map_slug, drive_slug, poses, timestamps_s)
+    else:
+        known = ", ".join((_JSON, *POSE_TYPES))
+        raise errors.UnsupportedBody(f"Content-Type is {kind[:80]!r}, wanted one of {known}")
+    drive = DriveOut.from_record(drives.get(map_slug, drive_slug))
+    return DriveWithPosesOut(**dict(drive), poses=PosesPutOut.of(put))
 
 
 async def _store(request: Request, upload: ScanUpload, body: Incoming, spool: Spool) -> None:
-    """Store what came, a batch after another: between two it is the turn of other keys."""
+    """Store what was received in batches; between two of them other keys have their turn."""
     pieces = body.unpacked(spool.pieces())
-    more = True
-    while more:
-        more = await run_heavy(request, partial(_store_batch, upload, pieces), begun=True)
+    while await run_heavy(request, partial(_store_batch, upload, pieces), begun=True):
+        pass
     spool.clear()
 
 
 def _store_batch(upload: ScanUpload, pieces: Iterator[bytes]) -> bool:
-    """Store what the next megabytes hold, and return whether there may be more."""
+    """Store the scans of the next megabytes, and return whether there may be more."""
     taken = 0
 
     def batch() -> Iterator[bytes]:
@@ -141,7 +196,7 @@ def _store_batch(upload: ScanUpload, pieces: Iterator[bytes]) -> bool:
 
 
 def _store_rest(upload: ScanUpload, body: Incoming, spool: Spool) -> None:
-    """Store what came before the body was cut off."""
-    with suppress(TensorMapError):  # of two faults the first one is reported
+    """Store what was received before the body was cut off."""
+    with suppress(TensorMapError):  # of two errors the first one is reported
         upload.take(body.unpacked(spool.pieces()))
         upload.store()

@@ -1,17 +1,15 @@
-"""What became of an upload, over the wire."""
+"""The result of an upload over the wire."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 
 from pydantic import BaseModel, Field
 
-from app.drives.many_scans import Upload
 from app.drives.schemas import IndexRangeOut
 from app.http.shown import Shown
-from storage.catalog import DriveRecord
 
 
 class PresentOut(Shown):
-    """Which scans of a drive are in, so that an upload can go on where it was cut."""
+    """Which scans of a drive are stored, so that an interrupted upload can be continued."""
 
     drive: str
     closed: bool = Field(description="A closed drive takes no new scans.")
@@ -22,22 +20,17 @@ class PresentOut(Shown):
     present: list[IndexRangeOut] = Field(description="The indices that are stored.")
     gaps: list[IndexRangeOut] = Field(description="The indices that are missing in between.")
 
-    @classmethod
-    def from_record(cls, record: DriveRecord) -> "PresentOut":
-        """Show a drive's record."""
-        return cls.of(record, drive=record.slug, scans_without_returns=record.dropped_scans)
-
 
 class SetAsideOut(BaseModel):
     """A file of an upload that was not stored."""
 
     file: str = Field(description="Its name in the archive.")
-    type: str = Field(description="The stable name of what was wrong with it.")
-    detail: str = Field(description="What was wanted and what came.")
+    type: str = Field(description="The stable name of the error.")
+    detail: str = Field(description="What was expected and what was sent.")
 
 
 class UploadOut(BaseModel):
-    """What became of the files of an upload; what is stored is on disk."""
+    """The result for the files of an upload; what is stored is on disk."""
 
     scans_stored: int
     scans_present: int
@@ -48,27 +41,12 @@ class UploadOut(BaseModel):
         description="Files that were not stored, with the reason; the first thousand."
     )
 
-    @classmethod
-    def from_upload(cls, upload: Upload) -> "UploadOut":
-        """Show what became of an upload."""
-        return cls(
-            scans_stored=len(upload.stored),
-            scans_present=len(upload.present),
-            files_set_aside=upload.set_aside_count,
-            stored=_ranges(upload.stored),
-            present=_ranges(upload.present),
-            set_aside=[
-                SetAsideOut(file=item.name, type=f"/problems/{item.problem}", detail=item.detail)
-                for item in upload.set_aside
-            ],
-        )
 
-
-def _ranges(indices: Sequence[int]) -> list[IndexRangeOut]:
+def index_ranges(indices: Iterable[int]) -> list[IndexRangeOut]:
     """Return the ranges that indices make, in rising order.
 
     Examples:
-        >>> [(r.first, r.last) for r in _ranges([7, 1, 2, 2, 3])]
+        >>> [(r.first, r.last) for r in index_ranges([7, 1, 2, 2, 3])]
         [(1, 3), (7, 7)]
     """
     ranges: list[IndexRangeOut] = []

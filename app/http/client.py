@@ -1,4 +1,4 @@
-"""Whether the client of a request still waits for its answer."""
+"""The client of a request: whether it still waits for the answer."""
 
 import asyncio
 from collections.abc import Iterator
@@ -10,26 +10,25 @@ from starlette.types import Receive
 
 
 class Client:
-    """The client of one request; a thread that works for it asks `require_client` now and then."""
+    """The client of one request; threads that work for it call `require_client` regularly.
+
+    Attributes:
+        left: Set when the connection was closed.
+    """
 
     def __init__(self) -> None:
-        self._left = asyncio.Event()
-
-    @property
-    def left(self) -> asyncio.Event:
-        """Set when the connection is gone."""
-        return self._left
+        self.left = asyncio.Event()
 
     async def watch(self, receive: Receive) -> None:
-        """Wait for the connection to go; of a body that is yet to come nothing is read."""
+        """Wait for the end of the connection, without reading a body."""
         while (message := await receive())["type"] != "http.disconnect":
             if message.get("more_body", False):
                 return
-        self._left.set()
+        self.left.set()
 
     @contextmanager
     def waiting(self) -> Iterator[None]:
-        """Make `require_client` ask for this one within the block."""
+        """Make `require_client` check this client within the block."""
         token = _client.set(self)
         try:
             yield
@@ -41,7 +40,7 @@ _client: ContextVar[Client | None] = ContextVar("tensormap_client", default=None
 
 
 def require_client() -> None:
-    """Stop long work whose client has left; called between its units, from any thread.
+    """Stop long work if its client has left; called between its units, from any thread.
 
     Raises:
         ClientDisconnect: If the client of the present request has left.

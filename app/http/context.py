@@ -1,4 +1,4 @@
-"""The context of a request: who sent it and what is known of it, for logs, limits and answers."""
+"""The context of a request: its id, sender and body, for logs, limits and answers."""
 
 import re
 import secrets
@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING
 from starlette.datastructures import Headers
 from starlette.types import Scope
 
-if TYPE_CHECKING:  # they import modules that log, and every log line reads the context
+if TYPE_CHECKING:  # these import modules that log, and every log line reads the context
     from app.access.caller import Caller
-    from app.access.rate_limits import Allowance
     from app.http.bodies.incoming import Incoming
 
 HEADER = "X-Request-Id"
@@ -23,37 +22,37 @@ _ID_BYTES = 12
 
 @dataclass(slots=True)
 class RequestContext:
-    """What is known of one request; its middlewares fill it in, from the outermost inwards.
+    """The context of one request, which its middlewares fill in, from the outermost inwards.
 
     Attributes:
         request_id: As in `X-Request-Id`, in problems and in the log.
         sender: Whose request it is, for limits and shares: id of a key, or the client's address.
-        caller: Who sent it, once its key was checked; `None` on routes that need none.
-        allowances: What is left to the sender, by unit.
-        body: Its body, of which nothing is read before the route wants it.
-        audited: Whether a failure of it belongs into the audit log.
-        status: Of its answer, once that has begun.
+        caller: Who sent it, after its key was checked; `None` on routes that need none.
+        allowances: Header fields of what is left to the sender, by policy.
+        body: Its body, of which nothing is read before the route reads it.
+        audited: Whether its failure is recorded in the audit log.
+        status: Of its answer, when that has begun.
     """
 
     request_id: str
     sender: str
     caller: "Caller | None" = None
-    allowances: "dict[str, Allowance]" = field(default_factory=dict)
+    allowances: dict[str, dict[str, str]] = field(default_factory=dict)
     body: "Incoming | None" = None
     audited: bool = False
     status: int | None = None
 
-    def allow(self, allowance: "Allowance | None") -> None:
-        """Note what is left to the sender, for the head of the answer."""
-        if allowance is not None:
-            self.allowances[allowance.unit.name] = allowance
+    def allow(self, left: dict[str, str]) -> None:
+        """Record what is left to the sender, for the head of the answer."""
+        if left:
+            self.allowances[left["RateLimit-Policy"]] = left
 
 
 _current: ContextVar[RequestContext | None] = ContextVar("tensormap_request", default=None)
 
 
 def enter_request(scope: Scope) -> RequestContext:
-    """Return a new context; all that this task does from now on, in threads too, is within it."""
+    """Return a new context, which is current for this task and its threads from now on."""
     client = scope.get("client")
     context = RequestContext(
         accepted_id(Headers(scope=scope).get(HEADER)), f"address {client[0] if client else ''}"

@@ -13,7 +13,7 @@ class AppError(core.TensorMapError):
     """Base of the errors that only a service has.
 
     Attributes:
-        headers: What the answer says besides, in its head.
+        headers: Additional fields of the answer's head.
     """
 
     headers: Mapping[str, str] = MappingProxyType({})
@@ -36,49 +36,51 @@ class MalformedBody(AppError):
 
 
 class DigestMismatch(AppError):
-    """A body that is not what its Content-Digest says."""
+    """A body with another digest than its Content-Digest."""
 
 
 class SlowBody(AppError):
-    """A body that comes slower than the service waits for; what was stored of it stays."""
+    """A body that arrives too slowly; what was stored of it stays."""
 
 
 class MalformedUpload(AppError):
-    """A body of many scans that is no tar stream, or breaks off; what came before is stored."""
+    """A body of many scans that is no tar stream, or incomplete; earlier scans are stored."""
 
 
 class KeyNeeded(AppError):
-    """A request without a key, to a service that asks for one."""
+    """A request without a key, to a service that needs one."""
 
-    # RFC 6750: a request without a key is only told which scheme to use.
+    # RFC 6750: the answer to a request without a key names the scheme only.
     headers = MappingProxyType({"WWW-Authenticate": "Bearer"})
 
 
 class KeyRefused(AppError):
-    """A key that this service does not know, or no longer."""
+    """A key that is unknown to this service, or no longer valid."""
 
     headers = MappingProxyType({"WWW-Authenticate": 'Bearer error="invalid_token"'})
 
 
 class ScopeMissing(AppError):
-    """A key that does not allow what was asked for."""
+    """A key that does not allow this request."""
 
     def __init__(self, detail: str, scopes: tuple[str, ...] = ()) -> None:
         super().__init__(detail)
-        wanted = f', scope="{" ".join(scopes)}"' if scopes else ""
-        self.headers = {"WWW-Authenticate": f'Bearer error="insufficient_scope"{wanted}'}
+        needed = f', scope="{" ".join(scopes)}"' if scopes else ""
+        self.headers = {"WWW-Authenticate": f'Bearer error="insufficient_scope"{needed}'}
 
 
 class TooManyRequests(AppError):
     """More requests, or bytes, than a key may send in this time or have open; see `Retry-After`."""
 
-    def __init__(self, detail: str, wait_s: int, headers: Mapping[str, str]) -> None:
+    def __init__(
+        self, detail: str, wait_s: int, headers: Mapping[str, str] = MappingProxyType({})
+    ) -> None:
         super().__init__(detail)
         self.headers = {"Retry-After": str(wait_s), **headers}
 
 
 class ServiceBusy(AppError):
-    """A service that takes no more requests or bytes at once, or is stopping; see `Retry-After`."""
+    """A service that has too many requests or bytes at once, or is stopping; see `Retry-After`."""
 
     def __init__(self, detail: str, wait_s: int) -> None:
         super().__init__(detail)
@@ -86,7 +88,7 @@ class ServiceBusy(AppError):
 
 
 class HostNotAllowed(AppError):
-    """A request that reached a service without keys by another name than this machine's."""
+    """A request to a service without keys under another name than this machine's."""
 
 
 class NoSuchRoute(AppError):
@@ -94,11 +96,11 @@ class NoSuchRoute(AppError):
 
 
 class MethodNotAllowed(AppError):
-    """A method that this path does not have; `Allow` lists those that it has."""
+    """A method that this path does not have; `Allow` lists its methods."""
 
 
 class TrackNotFound(AppError):
-    """A track that is not there, or no longer."""
+    """A track that does not exist, or no longer."""
 
 
 class TooManyTracks(AppError):
@@ -136,7 +138,7 @@ class BuildOutOfMemory(AppError):
 
 
 class InternalError(AppError):
-    """A fault of the service; its log says more."""
+    """An internal error of the service; its log has the details."""
 
 
 S = HTTPStatus
@@ -220,24 +222,24 @@ STATUS: dict[type[core.TensorMapError], HTTPStatus] = {
 }
 
 READING = (stored.StorageBusy, stored.StorageUnavailable, InternalError)
-"""How every route that reads the store may end."""
+"""Errors of every route that reads the store."""
 WRITING = (*READING, stored.StorageFull, stored.StorageReadOnly)
-"""How every route that writes to it may end."""
+"""Errors of every route that writes to it."""
 ANY_BODY = (
     BodyTooLarge,
     UnsupportedBody,
     MalformedBody,
     DigestMismatch,
     SlowBody,
-    stored.StorageFull,  # a large body waits on the disk until it is whole
+    stored.StorageFull,  # a large body is on the disk until it is complete
     stored.StorageReadOnly,
 )
-"""How every route that reads a body may end."""
+"""Errors of every route that reads a body."""
 JSON_BODY = (InvalidRequest, *ANY_BODY)
-"""How every route that takes JSON may end."""
+"""Errors of every route that takes JSON."""
 KEY = (KeyNeeded, KeyRefused, HostNotAllowed, ScopeMissing, ServiceBusy, TooManyRequests)
-"""How every route that needs a key may end."""
+"""Errors of every route that needs a key."""
 NAMED_REVISION = (stored.MapNotFound, stored.RevisionNotFound, stored.AmbiguousRevision)
-"""How every route that looks for a revision by its digest may end."""
+"""Errors of every route that looks a revision up by its digest."""
 REVISION = (stored.NoLiveRevision, *NAMED_REVISION, stored.CorruptFile)
-"""How every route that reads that or the live revision may end."""
+"""Errors of every route that reads that or the live revision."""

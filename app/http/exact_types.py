@@ -1,14 +1,15 @@
-"""Types of what comes over the wire that take nothing else for theirs.
+"""Strict types of values on the wire.
 
-Left to itself, pydantic reads `"5"` and `true` as numbers, `0.5` as a moment in 1970, and a list
-that has a name twice as a set: not what the API describes, and more likely a client's fault.
+By default pydantic reads `"5"` and `true` as numbers, `0.5` as a time in 1970, and a list with a
+repeated name as a set: the API does not describe that, and it is probably a client's error.
 
 `integers` and `each_once` are for `field_validator(..., mode="before")`: within an annotation they
-would hide a field's bounds from the description.
+would hide a field's bounds from the OpenAPI document.
 """
 
 import re
 from datetime import UTC, datetime
+from functools import partial
 from typing import Annotated
 
 from pydantic import AfterValidator, AwareDatetime, BeforeValidator, Field, Strict
@@ -24,8 +25,8 @@ _RFC_3339 = re.compile(
 
 
 def integers(given: object) -> object:
-    """Take no text and no truth value for an integer, or for one of a list."""
-    # Not `Strict`: to JSON Schema 5.0 is an integer too, and some clients write it so.
+    """Reject strings and booleans as integers, also in a list."""
+    # Not `Strict`: in JSON Schema 5.0 is an integer too, and some clients send it.
     if any(isinstance(item, bool | str) for item in _items_of(given)):
         raise PydanticKnownError("int_type")
     return given
@@ -40,7 +41,7 @@ def _written_out(given: object) -> object:
 
 
 def _in_utc(given: datetime) -> datetime:
-    """Return a moment in UTC; at the ends of the calendar an offset leads out of it."""
+    """Return a time in UTC; near the ends of the calendar its offset may lead out of it."""
     try:
         return given.astimezone(UTC)
     except OverflowError:
@@ -50,7 +51,7 @@ def _in_utc(given: datetime) -> datetime:
 
 
 def each_once(given: object) -> object:
-    """Take no list that has a name twice for a set."""
+    """Reject a list with a repeated name as a set."""
     texts = [item for item in _items_of(given) if isinstance(item, str)]
     if len(set(texts)) < len(texts):
         raise PydanticCustomError("each_once", "an item comes twice")
@@ -61,15 +62,7 @@ def _items_of(given: object) -> list[object]:
     return given if isinstance(given, list) else [given]
 
 
-def _name(given: str) -> str:
-    return _checked(given, "")
-
-
-def _lines(given: str) -> str:
-    return _checked(given, "\t\n\r")
-
-
-def _checked(given: str, allowed: str) -> str:
+def _checked(given: str, allowed: str = "") -> str:
     flaw = flaw_in(given, len(given), allowed=allowed) if given else None
     if flaw is not None:
         raise PydanticCustomError("text", "{flaw}, wanted text that can be shown", {"flaw": flaw})
@@ -79,13 +72,15 @@ def _checked(given: str, allowed: str) -> str:
 Flag = Annotated[bool, Strict()]
 Number = Annotated[float, Strict()]
 Moment = Annotated[AwareDatetime, BeforeValidator(_written_out), AfterValidator(_in_utc)]
-# Described as `core.text` has it; halves of pairs are in no JSON text.
+# The same characters as in `core.text`; JSON has no halves of surrogate pairs.
 _UNSHOWN = r"\u007f-\u009f\u2028-\u202e\u2066-\u2069"
 _NAME = {"pattern": rf"^[^\u0000-\u001f{_UNSHOWN}]*$"}
 _LINES = {"pattern": rf"^[^\u0000-\u0008\u000b\u000c\u000e-\u001f{_UNSHOWN}]*$"}
-Name = Annotated[str, AfterValidator(_name), Field(json_schema_extra=_NAME)]
+Name = Annotated[str, AfterValidator(_checked), Field(json_schema_extra=_NAME)]
 """Text of one line, without control characters."""
-Lines = Annotated[str, AfterValidator(_lines), Field(json_schema_extra=_LINES)]
+Lines = Annotated[
+    str, AfterValidator(partial(_checked, allowed="\t\n\r")), Field(json_schema_extra=_LINES)
+]
 """Text of any lines, without other control characters."""
-# Described only: `storage.names` refuses what is none, by a name of its own.
+# Described only: `storage.names` rejects other names with an error of its own.
 SlugText = Annotated[str, Field(json_schema_extra={"pattern": SLUG_PATTERN})]

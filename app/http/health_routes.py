@@ -1,21 +1,22 @@
-"""Is it up, can it answer, which release is it, what does an error mean."""
+"""Health checks, the release, metrics, and what each problem means."""
 
 from importlib.metadata import version
 from typing import Annotated, Literal
 
-from fastapi import Path, Response, status
+from fastapi import Depends, Path, Response, status
 from fastapi.responses import RedirectResponse
+from prometheus_client import CONTENT_TYPE_LATEST
 from pydantic import BaseModel
 
-from app.http.errors import STATUS, NoSuchRoute
+from app.access.dependency import require_access
+from app.access.scopes import Scope, needs
+from app.http.errors import KEY, STATUS, InternalError, NoSuchRoute
 from app.http.pooled_route import pooled_router
-from app.http.problems import problem_name, problems
+from app.http.problems import problem_name, problem_title, problems
 from app.service import Running
 from core.errors import TensorMapError
 
 router = pooled_router(tags=["health"])
-
-ProblemName = Annotated[str, Path(description="The last part of its type.")]
 
 
 class Live(BaseModel):
@@ -25,21 +26,21 @@ class Live(BaseModel):
 
 
 class Ready(BaseModel):
-    """Whether the service can do its work, and what is missing."""
+    """Whether the service works, and what is missing."""
 
     ready: bool
     missing: list[str]
 
 
 class Version(BaseModel):
-    """Which release this is."""
+    """The release of the service."""
 
     name: str
     version: str
 
 
 class ProblemPage(BaseModel):
-    """What an error means."""
+    """The meaning of an error."""
 
     type: str
     title: str
@@ -48,20 +49,20 @@ class ProblemPage(BaseModel):
 
 @router.get("/", include_in_schema=False)
 def home() -> RedirectResponse:
-    """Lead a person to the documentation."""
+    """Redirect to the documentation."""
     return RedirectResponse("/docs")
 
 
 @router.get("/livez")
 async def livez() -> Live:
-    """Tell that the process answers."""
-    # On the event loop: a server whose threads are all busy is busy, not dead.
+    """Return whether the process answers."""
+    # On the event loop: a server whose threads are all busy is alive.
     return Live()
 
 
 @router.get("/readyz", responses={503: {"model": Ready}})
 def readyz(running: Running, response: Response) -> Ready:
-    """Tell whether maps can be read and written."""
+    """Return whether maps can be read and written."""
     missing = []
     try:
         running.store.maps.list(limit=1)
@@ -77,15 +78,36 @@ def readyz(running: Running, response: Response) -> Ready:
 
 @router.get("/version")
 def tell_version() -> Version:
-    """Tell which release this is."""
+    """Return the release of the service."""
     return Version(name="tensormap-server", version=version("tensormap-server"))
 
 
 @router.get("/problems/{name}", responses=problems(NoSuchRoute))
-def explain_problem(name: ProblemName) -> ProblemPage:
+def explain_problem(
+    name: Annotated[str, Path(description="The last part of its type.")],
+) -> ProblemPage:
     """Explain the `type` of a problem."""
     for kind, http_status in STATUS.items():
         if problem_name(kind) == name:
-            title = (kind.__doc__ or "").strip().splitlines()[0]
-            return ProblemPage(type=f"/problems/{name}", title=title, status=http_status.value)
+            return ProblemPage(
+                type=f"/problems/{name}", title=problem_title(kind), status=http_status
+            )
     raise NoSuchRoute(f"there is no problem {name[:80]!r}")
+
+
+@router.get(
+    "/metrics",
+    response_class=Response,
+    dependencies=[Depends(require_access), needs(Scope.ADMIN)],
+    responses={
+        200: {
+            "description": "Prometheus' text format.",
+            "content": {CONTENT_TYPE_LATEST.partition(";")[0]: {"schema": {"type": "string"}}},
+        },
+        **problems(*KEY, InternalError),
+    },
+)
+def metrics(running: Running) -> Response:
+    """Return the metrics of the service for Prometheus; if there are keys, `admin` is needed."""
+    text = running.metrics.render(running.store, len(running.tracks))
+    return Response(text, media_type=CONTENT_TYPE_LATEST)

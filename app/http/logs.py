@@ -1,10 +1,11 @@
-"""Logs: one line an event, as text or as JSON; no key, no body and no query ever stands in one.
+"""Logs: one line for each event, as text or JSON, without keys, bodies and queries.
 
-The standard library does it: docs/decisions/0020-operation.md says why.
+The standard library is used for the reasons in docs/decisions/0020-operation.md.
 """
 
 import json
 import logging
+import math
 import re
 import sys
 import time
@@ -18,8 +19,7 @@ from app.http.context import current_id
 
 _FIELDS = "tensormap_fields"
 _CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029]")
-# What is said of each stream besides our own line: one repeats its query, and another takes a
-# refusal for a fault.
+# Uvicorn's lines about streams: one has the query, another takes a rejection for an error.
 _OF_STREAMS = (
     '%s - "WebSocket ',
     "connection open",
@@ -32,27 +32,28 @@ _CAUSED = (
     "Invalid HTTP request received.",
     "Unsupported upgrade request.",
 )
-_SELDOM_S = 10.0
+_THROTTLE_S = 10.0
+_UNNAMED = ("time", "level", "logger", "event")  # values without their names in a line of text
 
 
 class LogFormat(StrEnum):
-    """How a line is written."""
+    """Format of a line."""
 
     TEXT = "text"
     JSON = "json"
 
 
-def fields(**told: object) -> dict[str, Any]:
-    """Return the `extra` of a record that tells these besides its event."""
-    return {_FIELDS: told}
+def fields(**values: object) -> dict[str, Any]:
+    """Return the `extra` of a record with these fields."""
+    return {_FIELDS: values}
 
 
 def configure_logging(
     log_format: LogFormat, level: str = "INFO", stream: TextIO | None = None
 ) -> None:
-    """Write what this process logs to standard error, and nothing of it anywhere else."""
+    """Write the log of this process to standard error, and nowhere else."""
     handler = logging.StreamHandler(stream or sys.stderr)
-    handler.setFormatter(_JsonLine() if log_format is LogFormat.JSON else _TextLine())
+    handler.setFormatter(LineFormatter(log_format))
     root = logging.getLogger()
     root.handlers[:] = [handler]
     root.setLevel(logging.WARNING)
@@ -62,12 +63,11 @@ def configure_logging(
     # It repeats each request, with its query.
     logging.getLogger("uvicorn.access").disabled = True
     for name in ("uvicorn.error", "asyncio"):
-        log = logging.getLogger(name)
-        log.filters[:] = [_Seldom()]
+        logging.getLogger(name).filters[:] = [_Throttle()]
 
 
-class _Seldom(logging.Filter):
-    """Lets what any client can cause, as often as it likes, through once in a while.
+class _Throttle(logging.Filter):
+    """Passes one record in ten seconds of each kind that a client can cause at will.
 
     Without it, connections beyond the descriptors fill a disk: asyncio logs 2,048 tracebacks a
     second for them.
@@ -76,28 +76,32 @@ class _Seldom(logging.Filter):
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         super().__init__()
         self._clock = clock
-        self._let_through_at: dict[str, float] = {}
+        self._passed_at_s: dict[str, float] = {}
 
     def filter(self, record: logging.LogRecord) -> bool:
-        """Return whether a record is to be written."""
+        """Return whether a record is written."""
         event = str(record.msg)
         if event.startswith(_OF_STREAMS):
             return False
         kind = next((kind for kind in _CAUSED if event.startswith(kind)), None)
         if kind is None:
             return True
-        now_s, last_s = self._clock(), self._let_through_at.get(kind)
-        if last_s is not None and now_s - last_s < _SELDOM_S:
+        now_s = self._clock()
+        if now_s - self._passed_at_s.get(kind, -math.inf) < _THROTTLE_S:
             return False
-        self._let_through_at[kind] = now_s
+        self._passed_at_s[kind] = now_s
         return True
 
 
-class _Line(logging.Formatter):
-    """What both formats tell."""
+class LineFormatter(logging.Formatter):
+    """Writes a record as one line of text, and a traceback below it, or as a JSON object."""
 
-    def facts(self, record: logging.LogRecord) -> dict[str, Any]:
-        """Return all but the traceback, in the order in which it is written."""
+    def __init__(self, log_format: LogFormat) -> None:
+        super().__init__()
+        self._as_json = log_format is LogFormat.JSON
+
+    def format(self, record: logging.LogRecord) -> str:
+        """Return the line, without keys and tokens."""
         at = datetime.fromtimestamp(record.created, UTC)
         facts: dict[str, Any] = {
             "time": at.isoformat(timespec="milliseconds").replace("+00:00", "Z"),
@@ -107,27 +111,15 @@ class _Line(logging.Formatter):
         }
         if (request_id := current_id()) is not None:
             facts["request_id"] = request_id
-        return facts | getattr(record, _FIELDS, {})
-
-    def traceback(self, record: logging.LogRecord) -> str | None:
-        """Return the traceback, if an error is told."""
-        return self.formatException(record.exc_info) if record.exc_info else None
-
-
-class _JsonLine(_Line):
-    def format(self, record: logging.LogRecord) -> str:
-        facts = self.facts(record)
-        if (traceback := self.traceback(record)) is not None:
-            facts["traceback"] = traceback
-        return hidden(json.dumps(facts, default=str))
-
-
-class _TextLine(_Line):
-    def format(self, record: logging.LogRecord) -> str:
-        facts = self.facts(record)
-        head = [facts.pop(name) for name in ("time", "level", "logger", "event")]
-        told = [f"{name}={value}" for name, value in facts.items()]
-        # A path holds any character; a line break in one would begin a line of its own.
-        line = _CONTROL.sub(lambda found: repr(found[0])[1:-1], " ".join(map(str, head + told)))
-        traceback = self.traceback(record)
+        facts |= getattr(record, _FIELDS, {})
+        traceback = self.formatException(record.exc_info) if record.exc_info else None
+        if self._as_json:
+            if traceback is not None:
+                facts["traceback"] = traceback
+            return hidden(json.dumps(facts, default=str))
+        words = [
+            str(value) if name in _UNNAMED else f"{name}={value}" for name, value in facts.items()
+        ]
+        # A path may contain any character; a line break in one would start another line.
+        line = _CONTROL.sub(lambda found: repr(found[0])[1:-1], " ".join(words))
         return hidden(line if traceback is None else f"{line}\n{traceback}")

@@ -1,14 +1,13 @@
-"""Metrics in Prometheus' words. Every label has few values: never a map's name or an id."""
+"""Metrics for Prometheus. Every label has few values: never a map's name or an id."""
 
+import math
 import shutil
 import threading
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from functools import partial
 
 import prometheus_client as prometheus
-from prometheus_client.core import CounterMetricFamily
-from prometheus_client.registry import Collector
 
 from core.errors import TensorMapError
 from storage.catalog import JobRecord, JobState
@@ -17,18 +16,13 @@ from storage.store import Store
 _METHODS = frozenset({"DELETE", "GET", "HEAD", "OPTIONS", "PATCH", "POST", "PUT"})
 _REQUEST_S = (0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0, 30.0)
 _BUILD_S = (1.0, 3.0, 10.0, 30.0, 100.0, 300.0, 1_000.0, 3_000.0, 10_000.0)
-_BYTES_KEPT_S = 30.0  # to add up a million scans takes the catalog some 0.1 s
+_BYTES_KEPT_S = 30.0  # adding up a million scans takes the catalog some 0.1 s
 
 
 class Metrics:
-    """What one service counts; safe to share between threads.
+    """The metrics of one service; safe to share between threads."""
 
-    Args:
-        clock: Seconds that never go back.
-    """
-
-    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
-        self._clock = clock
+    def __init__(self) -> None:
         self._registry = registry = prometheus.CollectorRegistry()
         prometheus.ProcessCollector(registry=registry)
         counter: Callable[..., prometheus.Counter] = partial(prometheus.Counter, registry=registry)
@@ -47,10 +41,12 @@ class Metrics:
         )
         self._localizations = counter(
             "tensormap_localizations",
-            "Answers to `where am I?`, by what asked and what came of it.",
+            "Answers to `where am I?`, by kind of query and outcome.",
             ["query", "outcome"],
         )
-        self._builds = counter("tensormap_builds", "Builds that ran, by how they ended.", ["state"])
+        self._builds = counter(
+            "tensormap_builds", "Builds that ran, by their final state.", ["state"]
+        )
         self._build_s = histogram(
             "tensormap_build_seconds",
             "From a build's start to its end.",
@@ -61,7 +57,7 @@ class Metrics:
         self._tracks = gauge("tensormap_tracks", "Tracks that are kept now.")
         self._store_bytes = gauge(
             "tensormap_store_bytes",
-            "What is stored: raw returns, and files of revisions.",
+            "Stored bytes: raw returns, and files of revisions.",
             ["kind"],
         )
         self._free_bytes = gauge(
@@ -70,30 +66,34 @@ class Metrics:
         self._catalog_up = gauge("tensormap_catalog_up", "1 if the catalog could be read just now.")
         self._scrubbed = counter(
             "tensormap_scrub_files",
-            "Stored files that were read and checked in the background, by what was found.",
+            "Stored files that were read and checked in the background, by result.",
             ["result"],
         )
         self._scrub_damaged = gauge(
             "tensormap_scrub_damaged_files",
             "Stored files that the background check found damaged, missing or unreadable when it"
-            " last read them; those that a request meets count once it comes by.",
+            " last read them; those that a request finds are counted at the next check.",
         )
         self._scrub_passed_s = gauge(
             "tensormap_scrub_last_pass_timestamp_seconds",
             "When all stored files had been checked last; 0 before the first time.",
         )
+        self._stored = counter(
+            "tensormap_scans_stored",
+            "Scans that were accepted and stored, without those that were stored before.",
+        )
         self._lock = threading.Lock()
-        self._added_up_at: float | None = None
-        self._stored: _StoredScans | None = None
+        self._added_up_at_s = -math.inf
+        self._stored_scans = 0
 
     def requested(self, route: str, method: str, status: int, seconds: float) -> None:
         """Count an answer.
 
         Args:
             route: The template of its path.
-            method: Any; those that HTTP does not have are one.
+            method: Of the request; unknown ones are counted as one.
             status: Of the answer.
-            seconds: How long it took.
+            seconds: Its duration.
         """
         known = method if method in _METHODS else "OTHER"
         self._requests.labels(route, known, str(status)).inc()
@@ -104,7 +104,7 @@ class Metrics:
         self._localizations.labels(query, refusal or "localized").inc()
 
     def built(self, job: JobRecord) -> None:
-        """Count a build that ended; one that goes on is not counted."""
+        """Count a build that ended; a running one is not counted."""
         if job.started_at is None or job.finished_at is None:
             return
         self._builds.labels(job.state.value).inc()
@@ -116,51 +116,36 @@ class Metrics:
         self._scrubbed.labels(result).inc()
 
     def scrub_state(self, damaged: int, passed_at_s: float) -> None:
-        """Note how many files are damaged, and when the last pass over all of them ended."""
+        """Set how many files are damaged, and when the last pass over all of them ended."""
         self._scrub_damaged.set(damaged)
         self._scrub_passed_s.set(passed_at_s)
 
     def render(self, store: Store, tracks: int) -> bytes:
-        """Return all metrics as text; what the store holds is looked up now.
+        """Return all metrics as text, those of the store as of now.
 
-        Should the catalog be out of reach, what it would tell stays as it was, and
-        `tensormap_catalog_up` is 0: what else is counted is wanted then more than ever.
+        If the catalog is unavailable its metrics keep their values, and `tensormap_catalog_up` is
+        0: the other metrics are needed then more than ever.
         """
         with self._lock:
-            self._look_up(store, tracks)
+            self._read_store(store, tracks)
             return prometheus.generate_latest(self._registry)
 
-    def _look_up(self, store: Store, tracks: int) -> None:
-        if self._stored is None:
-            self._stored = _StoredScans(store)
-            self._registry.register(self._stored)
+    def _read_store(self, store: Store, tracks: int) -> None:
+        stored_scans = store.drives.stored_scans  # since the start, as the counter
+        self._stored.inc(stored_scans - self._stored_scans)
+        self._stored_scans = stored_scans
         self._tracks.set(tracks)
         self._free_bytes.set(shutil.disk_usage(store.layout.data_dir).free)
         try:
             open_jobs = store.jobs.counts()
             for state in (JobState.QUEUED, JobState.RUNNING):
                 self._jobs.labels(state.value).set(open_jobs.get(state, 0))
-            now = self._clock()
-            if self._added_up_at is None or now - self._added_up_at >= _BYTES_KEPT_S:
+            now_s = time.monotonic()
+            if now_s - self._added_up_at_s >= _BYTES_KEPT_S:
                 for kind, size in store.stored_bytes().items():
                     self._store_bytes.labels(kind).set(size)
-                self._added_up_at = now
+                self._added_up_at_s = now_s
         except TensorMapError:
             self._catalog_up.set(0)
         else:
             self._catalog_up.set(1)
-
-
-class _StoredScans(Collector):
-    """Scans that were stored since the start, as the store counts them."""
-
-    def __init__(self, store: Store) -> None:
-        self._store = store
-
-    def collect(self) -> Iterable[prometheus.Metric]:
-        """Tell how many."""
-        yield CounterMetricFamily(
-            "tensormap_scans_stored",
-            "Scans that were accepted and stored; those that were there already are none.",
-            value=self._store.drives.stored_scans,
-        )

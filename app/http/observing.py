@@ -1,31 +1,40 @@
-"""Watches every request: gives it an id, counts it, and writes a line about it."""
+"""Observes every request: gives it an id, completes its answer, counts it, and logs it."""
 
 import asyncio
 import logging
 import time
 
+from starlette.datastructures import MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from app.http.answer_headers import complete_head
-from app.http.context import RequestContext, enter_request
+from app.http.context import HEADER, RequestContext, enter_request
 from app.http.errors import ServiceBusy
 from app.http.logs import fields
 from app.http.metrics import Metrics
 from app.http.problems import internal_error, problem_response
 
-_MOST_CHARACTERS = 200  # of a path that a log repeats
+_MOST_CHARACTERS = 200  # of a path in a log line
 _STOPPED = "the service is being stopped: send this again, what was stored of it stays"
-_STARTED_AGAIN_S = 5
-_NO_ANSWER = 499  # what proxies note of a client that went away; it is never sent
+_RESTARTED_S = 5
+_NO_ANSWER = 499  # as proxies log a client that left; it is never sent
+_FOR_BROWSERS = {
+    # Uploaded content is never run as a page or a script.
+    "X-Content-Type-Options": "nosniff",
+    # No page of another site embeds ours, or loads an answer as an image or a script.
+    "Content-Security-Policy": "frame-ancestors 'none'",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    # Paths have the names of maps.
+    "Referrer-Policy": "no-referrer",
+}
 
 _log = logging.getLogger("tensormap.requests")
 
 
 class RequestObserver:
-    """The outermost of our middlewares: what others answer by themselves is seen too.
+    """The outermost of our middlewares, which sees the answers of all others.
 
     Args:
-        app: What answers.
+        app: The application within.
         metrics: Where requests are counted.
     """
 
@@ -34,42 +43,41 @@ class RequestObserver:
         self._metrics = metrics
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass a request on, and watch what is answered."""
+        """Pass a request on, and observe its answer."""
         if scope["type"] not in {"http", "websocket"}:
             await self._app(scope, receive, send)
             return
         began = time.perf_counter()
         context = enter_request(scope)
 
-        async def watched(message: Message) -> None:
+        async def observed(message: Message) -> None:
             kind = message["type"]
             if kind in {"http.response.start", "websocket.http.response.start"}:
                 context.status = message["status"]
-                complete_head(message, context)
+                _complete_head(message, context)
             elif kind == "websocket.accept":
                 context.status = 101
-                complete_head(message, context)
+                _complete_head(message, context)
             await send(message)
 
         try:
-            await self._app(scope, receive, watched)
+            await self._app(scope, receive, observed)
         except asyncio.CancelledError:
-            # Only Uvicorn cancels a request: it is to stop, and has waited as long as it does.
+            # Only Uvicorn cancels a request, at the end of its graceful shutdown.
             if scope["type"] != "http":
                 raise
             if context.status is None:
-                await problem_response(ServiceBusy(_STOPPED, _STARTED_AGAIN_S))(
-                    scope, receive, watched
-                )
+                answer = problem_response(ServiceBusy(_STOPPED, _RESTARTED_S))
+                await answer(scope, receive, observed)
         except Exception as error:
             if scope["type"] != "http" or context.status is not None:
                 raise
-            # Starlette's own last resort is outside of us: its answer would have no id.
-            await internal_error(error)(scope, receive, watched)
+            # Starlette's own handler is outside of ours: its answer would have no id.
+            await internal_error(error)(scope, receive, observed)
         finally:
-            self._tell(scope, context, time.perf_counter() - began)
+            self._report(scope, context, time.perf_counter() - began)
 
-    def _tell(self, scope: Scope, context: RequestContext, seconds: float) -> None:
+    def _report(self, scope: Scope, context: RequestContext, seconds: float) -> None:
         status = context.status or _NO_ANSWER
         route = _template(scope)
         method = scope.get("method", "GET")
@@ -90,12 +98,26 @@ class RequestObserver:
         )
 
 
+def _complete_head(message: Message, context: RequestContext) -> None:
+    """Add the fields that every answer has."""
+    headers = MutableHeaders(scope=message)
+    headers[HEADER] = context.request_id
+    if message["type"] != "http.response.start":  # of a stream
+        return
+    for name, value in _FOR_BROWSERS.items():
+        headers.setdefault(name, value)
+    left = list(context.allowances.values())
+    if left and "RateLimit" not in headers:  # a rejection has that of the limit that was reached
+        for name in left[0]:
+            headers[name] = ", ".join(of_unit[name] for of_unit in left)
+
+
 def _template(scope: Scope) -> str:
     """Return the template of the route that answered, `(none)` if none did."""
     template = getattr(scope.get("route"), "path", None)
     if template is None:
         return "(none)"
-    # The route knows its path within its router only. No part of ours has a slash in it, so what
-    # the path has before that is the routers' prefix.
+    # The route's path is relative to its router. None of our path parameters matches a slash, so
+    # that the rest of the path is the routers' prefix.
     parts, own = scope["path"].split("/"), template.split("/")
     return "/".join(parts[: max(len(parts) - len(own) + 1, 1)] + own[1:])

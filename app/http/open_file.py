@@ -8,10 +8,10 @@ from starlette.types import Receive, Scope, Send
 
 
 class OpenFileResponse(FileResponse):
-    """The content of a file that is open already; takes ranges, as its base does.
+    """The content of an open file; supports ranges, as its base does.
 
-    The base opens its path only once the status is sent, when it is too late to say that the file
-    is gone. This one is given the path under which Linux keeps an open file, deleted or not.
+    The base opens its path after the status was sent, when it is too late to report that the file
+    was deleted. This one uses the path of the open file under /proc, which works for deleted files.
     """
 
     def __init__(self, file: BinaryIO, **options: Any) -> None:  # noqa: ANN401 - those of the base

@@ -1,4 +1,4 @@
-"""The OpenAPI document, completed where FastAPI does not know what we do."""
+"""The OpenAPI document, completed where FastAPI does not describe our routes."""
 
 from typing import Any
 
@@ -11,13 +11,13 @@ _NOT_OURS = ("HTTPValidationError", "ValidationError")
 
 
 def reference(model: type[BaseModel]) -> dict[str, str]:
-    """Return a reference to a model's schema, which is then in the document."""
+    """Return a reference to a model's schema, and add that to the document."""
     _named.add(model)
     return {"$ref": f"#/components/schemas/{model.__name__}"}
 
 
 def complete_openapi(app: FastAPI) -> None:
-    """Add the schemas that only we name, and take out FastAPI's own 422, which we never answer."""
+    """Add the schemas of `reference`, and remove FastAPI's own 422, which we never answer."""
     described = app.openapi
 
     def complete() -> dict[str, Any]:
@@ -34,23 +34,23 @@ def complete_openapi(app: FastAPI) -> None:
             for path in document["paths"].values():
                 for operation in path.values():
                     _drop_foreign_422(operation["responses"])
-                    _tell_alternatives(operation)
-                    _leave_out_null(operation)
+                    _list_scopes_as_alternatives(operation)
+                    _drop_null(operation)
         return app.openapi_schema or {}
 
     # FastAPI's documented way to extend the document.
     app.openapi = complete  # type: ignore[method-assign]
 
 
-def _tell_alternatives(operation: dict[str, Any]) -> None:
-    # FastAPI lists a route's scopes as if all were needed; with us each one opens it.
+def _list_scopes_as_alternatives(operation: dict[str, Any]) -> None:
+    # FastAPI lists a route's scopes as if all were needed; our routes need one of them.
     if security := operation.get("security"):
         [(scheme, scopes)] = security[0].items()
         operation["security"] = [{scheme: [scope]} for scope in scopes]
 
 
-def _leave_out_null(operation: dict[str, Any]) -> None:
-    # What is optional may be left out; no text in a path, query or header is null.
+def _drop_null(operation: dict[str, Any]) -> None:
+    # Optional parameters are left out: no text in a path, query or header is null.
     for parameter in operation.get("parameters", ()):
         schema = parameter["schema"]
         kinds = [kind for kind in schema.get("anyOf", ()) if kind != {"type": "null"}]

@@ -1,4 +1,4 @@
-"""Lists, a page at a time."""
+"""Pages of lists."""
 
 from collections.abc import Callable
 from typing import Annotated, Generic, TypeVar
@@ -12,14 +12,14 @@ R = TypeVar("R")
 T = TypeVar("T")
 
 After = Annotated[str, Query(description="`next_after` of the page before.", max_length=200)]
-Limit = Annotated[int, Query(ge=1, le=1000, description="How many items a page holds.")]
+Limit = Annotated[int, Query(ge=1, le=1000, description="How many items a page has.")]
 
 
 class PageOut(BaseModel, Generic[T]):
     """Some items of a list, in its order."""
 
     items: list[T]
-    next_after: str | None = Field(description="Ask for the rest with `after`; null at the end.")
+    next_after: str | None = Field(description="`after` of the next page; null at the end.")
 
 
 def page_out(page: Page[R], show: Callable[[R], T]) -> PageOut[T]:

@@ -1,8 +1,8 @@
-"""Routes in a pool: the body is read, then the function runs in the pool `short` or `heavy`.
+"""Routes in a pool: the body is received, then the function runs in the pool `short` or `heavy`.
 
-A plain function under `@router.get(...)` runs in the short pool; `@heavy` below that puts it in the
-heavy one. Its body is read before, on the event loop: a thread is taken only once the bytes are
-there. What came with a large or packed body is heavy work in any case.
+A plain function under `@router.get(...)` runs in the short pool, with `@heavy` below that in the
+heavy one. Its body is received before, on the event loop: a thread is taken only when it is
+complete. A request with a large or compressed body is heavy work in any case.
 """
 
 import asyncio
@@ -15,7 +15,7 @@ from fastapi import APIRouter, Depends, Request
 from fastapi.routing import APIRoute
 from pydantic import BaseModel
 
-from app.http.bodies.bodies import JsonFrom, Received, described_body, incoming_of
+from app.http.bodies.bodies import BodyReader, Received, described_body, incoming_of
 from app.http.client import Client
 from app.http.context import context_of
 from app.http.pools import Pools
@@ -33,13 +33,13 @@ def heavy(function: F) -> F:
     return function
 
 
-def pooled_router(**options: Any) -> APIRouter:  # noqa: ANN401 - those of FastAPI's
+def pooled_router(**options: Any) -> APIRouter:  # noqa: ANN401 - those of `APIRouter`
     """Return a router whose routes run in pools."""
     return APIRouter(route_class=PooledRoute, **options)
 
 
 class PooledRoute(APIRoute):
-    """A route that runs its plain function in a pool; an asynchronous one does that by itself."""
+    """A route that runs its function in a pool, unless that is asynchronous."""
 
     def __init__(self, path: str, endpoint: Callable[..., Any], **options: Any) -> None:  # noqa: ANN401
         if not inspect.iscoroutinefunction(endpoint):
@@ -50,11 +50,12 @@ class PooledRoute(APIRoute):
 
 
 def _json_of(function: Callable[..., Any]) -> type[BaseModel] | None:
-    """Return what the function takes as `Json[...]`, `None` if it takes no JSON."""
+    """Return the model of the function's `Json[...]`, `None` if it takes no JSON."""
     for parameter in inspect.signature(function).parameters.values():
         for mark in getattr(parameter.annotation, "__metadata__", ()):
-            if isinstance(found := getattr(mark, "dependency", None), JsonFrom):
-                return found.model
+            reader = getattr(mark, "dependency", None)
+            if isinstance(reader, BodyReader) and reader.model is not None:
+                return reader.model
     return None
 
 
@@ -65,16 +66,15 @@ def _pooled(function: Callable[..., Any]) -> Callable[..., Any]:
     async def in_pool(**given: Any) -> Any:  # noqa: ANN401 - what the function takes and returns
         request: Request = given.pop(_REQUEST)
         bodies = [value for value in given.values() if isinstance(value, Received)]
+        work = partial(_call, function, given)
         pools: Pools = request.app.state.service.pools
-        of_bodies = (pools.of_body(len(body)) for body in bodies)
-        if is_heavy or any(body.packed for body in bodies) or pools.heavy in of_bodies:
-            return await run_heavy(request, partial(_call, function, given))
-        return await pools.short.run(
-            context_of(request.scope).sender, partial(_call, function, given)
-        )
+        pool = pools.of_body(sum(map(len, bodies)))
+        if is_heavy or pool is pools.heavy or any(body.packed for body in bodies):
+            return await run_heavy(request, work)
+        return await pool.run(context_of(request.scope).sender, work)
 
     signature = inspect.signature(function)
-    # By a dependency: FastAPI hands the request itself to one parameter only.
+    # By a dependency: FastAPI passes the request itself to one parameter only.
     of_it = Annotated[Request, Depends(_itself)]
     added = inspect.Parameter(_REQUEST, inspect.Parameter.KEYWORD_ONLY, annotation=of_it)
     in_pool.__signature__ = signature.replace(  # type: ignore[attr-defined]
@@ -93,9 +93,9 @@ async def run_heavy(request: Request, work: Callable[[], T], *, begun: bool = Fa
     """Return what `work` returns, from a thread of the heavy pool.
 
     Args:
-        request: What it is for; `require_client` stops the work once its client has left.
-        work: What to do.
-        begun: It goes on with what was begun: it waits however many do.
+        request: Its request; `require_client` stops the work when the client has left.
+        work: Called in the thread.
+        begun: It continues earlier work, and may wait even if the queue is full.
 
     Raises:
         TooManyRequests: If too much heavy work of the caller waits.
@@ -104,9 +104,9 @@ async def run_heavy(request: Request, work: Callable[[], T], *, begun: bool = Fa
     """
     pools: Pools = request.app.state.service.pools
     client = Client()
-    # While a body comes, whoever reads it notices that the client left.
-    watching = None if incoming_of(request).is_coming else client.watch(request.receive)
-    task = None if watching is None else asyncio.ensure_future(watching)
+    # While a body is received, its reader notices that the client left.
+    partly = incoming_of(request).is_partial
+    task = None if partly else asyncio.create_task(client.watch(request.receive))
     try:
         with client.waiting():
             return await pools.heavy.run(
@@ -118,7 +118,7 @@ async def run_heavy(request: Request, work: Callable[[], T], *, begun: bool = Fa
 
 
 def _call(function: Callable[..., Any], given: dict[str, Any]) -> Any:  # noqa: ANN401
-    """Call a route's function with its body read; in a thread."""
+    """Call a route's function with its body opened; in a thread."""
     return function(
         **{name: v.open() if isinstance(v, Received) else v for name, v in given.items()}
     )

@@ -1,4 +1,4 @@
-"""Pools of threads: what runs at once, of whom, and who is next."""
+"""Pools of threads, shared fairly between keys."""
 
 import asyncio
 from collections import Counter, OrderedDict, deque
@@ -16,21 +16,21 @@ from app.settings import Settings
 T = TypeVar("T")
 _RETRY_S = 2
 _SMALL_BYTES = 64 * 2**10
-_ADMISSION_THREADS = 8  # a look-up of a key takes the catalog a fraction of a millisecond
+_ADMISSION_THREADS = 8  # looking a key up takes a fraction of a millisecond
 _SPOOL_THREADS = 8
-_AUDIT_THREADS = 2  # the catalog takes one writer at a time
-_OPENING_THREADS = 1  # each that computes takes turns with all that answers others
+_AUDIT_THREADS = 2  # the catalog allows one writer at a time
+_OPENING_THREADS = 1  # each more would delay the threads of requests
 _INNER_THREADS = 40  # of the framework: files that are sent, streams
 
 
 class Pool:
-    """Threads that all keys share, each a part of them at most; keys that wait take turns.
+    """Threads that all keys share, each a part of them at most; waiting keys take turns.
 
     It is used on one event loop only and needs no lock.
 
     Args:
-        name: Of what runs here, for messages.
-        threads: How many run at once.
+        name: Of the work, for messages.
+        threads: How many calls run at once.
         per_key: How many of one key run at once.
         queue: How many wait at most, of one key half of that.
     """
@@ -59,9 +59,9 @@ class Pool:
 
         Args:
             key: Whose work it is.
-            work: What to do.
-            client: Who waits for it; when it leaves before the work began, that is left out.
-            begun: It goes on with what was begun: it waits however many do.
+            work: Called in the thread.
+            client: Who waits for it; if it leaves before the work begins, it is not done.
+            begun: It continues earlier work, and may wait even if the queue is full.
 
         Raises:
             TooManyRequests: If too much work of this key waits.
@@ -82,28 +82,21 @@ class Pool:
             self._require_queue(key)
         turn: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         self._waiting.setdefault(key, deque()).append(turn)
+        client = client or Client()  # one that never leaves
+        left = asyncio.create_task(client.left.wait())
+        ends: set[asyncio.Future[Any]] = {turn, left}
         try:
-            await self._wait(turn, client)
+            await asyncio.wait(ends, return_when=asyncio.FIRST_COMPLETED)
+            if client.left.is_set():
+                raise ClientDisconnect
         except BaseException:
-            if turn.done() and not turn.cancelled():  # its turn came at the same moment
+            if turn.done() and not turn.cancelled():  # its turn came at the same time
                 self._leave(key)
             else:
-                self._forget(key, turn)
+                self._discard(key, turn)
             raise
-
-    @staticmethod
-    async def _wait(turn: asyncio.Future[None], client: Client | None) -> None:
-        if client is None:
-            await turn
-            return
-        left = asyncio.ensure_future(client.left.wait())
-        either: set[asyncio.Future[Any]] = {turn, left}
-        try:
-            await asyncio.wait(either, return_when=asyncio.FIRST_COMPLETED)
         finally:
             left.cancel()
-        if client.left.is_set():
-            raise ClientDisconnect
 
     def _has_room(self, key: str) -> bool:
         return self._running.total() < self._threads and self._running[key] < self._per_key
@@ -115,7 +108,6 @@ class Pool:
                 f"{of_key} requests of this key wait for {self._name}, as many as may:"
                 f" wait {_RETRY_S} s",
                 _RETRY_S,
-                {},
             )
         if self.waiting >= self._queue:
             raise ServiceBusy(
@@ -130,7 +122,7 @@ class Pool:
         self._start_next()
 
     def _start_next(self) -> None:
-        """Let those in whose turn it is: a key that was served goes behind the others."""
+        """Start the next call: a key that had its turn goes behind the others."""
         for key in list(self._waiting):
             if not self._has_room(key):
                 continue
@@ -144,7 +136,7 @@ class Pool:
             turn.set_result(None)
             return
 
-    def _forget(self, key: str, turn: asyncio.Future[None]) -> None:
+    def _discard(self, key: str, turn: asyncio.Future[None]) -> None:
         turns = self._waiting.get(key, deque())
         with suppress(ValueError):
             turns.remove(turn)
@@ -156,13 +148,13 @@ class Pools:
     """The pools of a service.
 
     Attributes:
-        short: What takes milliseconds: the catalog, a fix by signature.
-        heavy: What takes longer: scans, archives, closures, imports, comparisons, large JSON.
-        admission: Threads that look up keys; nobody's work takes one.
+        short: Work of milliseconds: the catalog, localizing by signature.
+        heavy: Longer work: scans, archives, closures, imports, comparisons, large JSON.
+        admission: Threads that look up keys, and do nothing else.
         spool: Threads that write bodies to disk.
-        audit: Threads that log refusals, of whoever asks too often for what is not allowed.
-        opening: Threads that check who opens a stream: thousands that come at once leave the others
-            to requests.
+        audit: Threads that log rejected requests.
+        opening: Threads that check who opens a stream: thousands at once leave the other threads to
+            requests.
     """
 
     def __init__(self, settings: Settings) -> None:
@@ -184,9 +176,9 @@ class Pools:
         self.opening = CapacityLimiter(_OPENING_THREADS)
 
     def of_body(self, length: int) -> Pool:
-        """Return the pool of work on a body: what is large takes longer wherever it goes."""
+        """Return the pool of work on a body: work on large ones takes longer."""
         return self.heavy if length > _SMALL_BYTES else self.short
 
     def size_the_default(self) -> None:
-        """Size the pool that the framework takes threads from by itself."""
+        """Size the pool that the framework itself uses."""
         to_thread.current_default_thread_limiter().total_tokens = _INNER_THREADS

@@ -1,4 +1,4 @@
-"""From errors to `application/problem+json` (RFC 9457): described, answered, handled."""
+"""Errors as `application/problem+json` (RFC 9457)."""
 
 import logging
 import re
@@ -24,7 +24,7 @@ MEDIA_TYPE = "application/problem+json"
 
 _METHODS = ("DELETE", "GET", "HEAD", "PATCH", "POST", "PUT")
 _MOST_FIELDS = 20  # a body of 100,000 poses may be wrong 700,000 times
-_MOST_CHARACTERS = 200  # of what a client sent and an answer repeats
+_MOST_CHARACTERS = 200  # of the client's text in an answer
 
 _log = logging.getLogger("tensormap")
 
@@ -33,11 +33,11 @@ class FieldProblem(BaseModel):
     """One thing that is wrong with a request."""
 
     where: str = Field(description="Path to it, as `body/ranks/0` or `query/k`.")
-    what: str = Field(description="What was wanted.")
+    what: str = Field(description="What is expected.")
 
 
 class Problem(BaseModel):
-    """An error, as RFC 9457 writes it."""
+    """An error, as in RFC 9457."""
 
     model_config = ConfigDict(
         json_schema_extra={
@@ -53,7 +53,7 @@ class Problem(BaseModel):
     type: str = Field(description="Stable name of the error; the path explains it.")
     title: str = Field(description="What it means, the same for every error of this type.")
     status: int
-    detail: str = Field(description="What was wanted and what came, this time.")
+    detail: str = Field(description="What was expected and what was sent, in this case.")
     errors: list[FieldProblem] | None = None
     request_id: str | None = Field(
         None, description="Of the request, as in `X-Request-Id` and in the service's log."
@@ -80,6 +80,20 @@ def problem_type(error: str) -> str:
     return f"/problems/{_name_of(error)}"
 
 
+def problem_title(kind: type[core.TensorMapError]) -> str:
+    """Return the meaning of an error, the first line of its docstring."""
+    return (kind.__doc__ or "").strip().splitlines()[0]
+
+
+def _problem(kind: type[core.TensorMapError], detail: str) -> dict[str, Any]:
+    return {
+        "type": problem_type(kind.__name__),
+        "title": problem_title(kind),
+        "status": own.STATUS[kind].value,
+        "detail": detail,
+    }
+
+
 def _name_of(error: str) -> str:
     return re.sub(r"(?<!^)(?=[A-Z])", "-", error).lower()
 
@@ -91,53 +105,42 @@ def problems(*kinds: type[core.TensorMapError]) -> dict[int | str, dict[str, Any
         by_status.setdefault(own.STATUS[kind], []).append(kind)
     return {
         status.value: {
-            "description": "; ".join(f"`{problem_name(kind)}`: {_title(kind)}" for kind in of_it),
+            "description": "; ".join(
+                f"`{problem_name(kind)}`: {problem_title(kind)}" for kind in of_status
+            ),
             "content": {
                 MEDIA_TYPE: {
                     "schema": reference(Problem),
                     "examples": {
                         problem_name(kind): {
-                            "value": {
-                                "type": problem_type(kind.__name__),
-                                "title": _title(kind),
-                                "status": status.value,
-                                "detail": "what was wanted and what came",
-                            }
+                            "value": _problem(kind, "what was wanted and what came")
                         }
-                        for kind in of_it
+                        for kind in of_status
                     },
                 }
             },
         }
-        for status, of_it in sorted(by_status.items())
+        for status, of_status in sorted(by_status.items())
     }
 
 
 def problem_response(
     error: core.TensorMapError, errors: list[dict[str, str]] | None = None
 ) -> JSONResponse:
-    """Answer with an error."""
-    kind = next(kind for kind in type(error).__mro__ if kind in own.STATUS)
-    status = own.STATUS[kind]
-    content: dict[str, Any] = {
-        "type": problem_type(kind.__name__),
-        "title": _title(kind),
-        "status": status.value,
-        "detail": str(error),
-    }
+    """Return an error as an answer."""
+    content = _problem(next(k for k in type(error).__mro__ if k in own.STATUS), str(error))
     if errors is not None:
         content["errors"] = errors
     if (request_id := current_id()) is not None:
         content["request_id"] = request_id
     headers = error.headers if isinstance(error, own.AppError) else None
-    return JSONResponse(content, status, headers, media_type=MEDIA_TYPE)
+    return JSONResponse(content, content["status"], headers, media_type=MEDIA_TYPE)
 
 
 def add_handlers(app: FastAPI) -> None:
-    """Make every error of the service a problem.
+    """Answer every error of the service with a problem.
 
-    The handlers wait for nothing: to hand them to a thread, as plain functions are, takes longer
-    than they do.
+    The handlers are asynchronous because a thread, as for plain functions, takes longer than they.
     """
 
     @app.exception_handler(core.TensorMapError)
@@ -172,19 +175,19 @@ def add_handlers(app: FastAPI) -> None:
 
     @app.exception_handler(ClientDisconnect)
     async def gone(request: Request, _error: ClientDisconnect) -> Response:
-        # A vehicle drove out of reach: nobody reads the answer, and it is no fault of the service.
+        # For example a vehicle out of reach: nobody reads the answer, and it is no internal error.
         _log.info("%s %s: the client went away", request.method, request.url.path)
         return Response(status_code=HTTPStatus.BAD_REQUEST)
 
 
 def internal_error(error: Exception) -> JSONResponse:
-    """Answer with a fault of ours: its traceback is in the log, under the request's id."""
+    """Return an internal error as an answer; its traceback is logged with the request's id."""
     _log.error("a fault of the service", exc_info=error)
     return problem_response(own.InternalError("the service failed; its log says where"))
 
 
 def _allowed_methods(request: Request) -> list[str]:
-    # Starlette's own Allow has the methods of the first route only, and ours have one each.
+    # Starlette's own Allow has the methods of the first route only, and our routes have one each.
     return [
         method
         for method in _METHODS
@@ -199,7 +202,3 @@ def _field_problems(error: RequestValidationError) -> Iterator[dict[str, str]]:
     for found in error.errors()[:_MOST_FIELDS]:
         where = "/".join(str(part) for part in found["loc"])
         yield {"where": where[:_MOST_CHARACTERS], "what": str(found["msg"])[:_MOST_CHARACTERS]}
-
-
-def _title(kind: type[core.TensorMapError]) -> str:
-    return (kind.__doc__ or "").strip().splitlines()[0]

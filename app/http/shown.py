@@ -1,4 +1,4 @@
-"""Models of answers that show an object of the method or of the catalog."""
+"""Models of answers that show an object of the core or of the catalog."""
 
 from typing import Any, Self
 
@@ -6,12 +6,12 @@ from pydantic import BaseModel, ConfigDict
 
 
 class Shown(BaseModel):
-    """A model whose fields are attributes of what it shows."""
+    """A model whose fields are attributes of the object that it shows."""
 
     model_config = ConfigDict(from_attributes=True)
 
     @classmethod
     def of(cls, source: object, **other: Any) -> Self:  # noqa: ANN401 - what the fields take
-        """Return the fields as `source` has them, but for those that are given."""
+        """Return the model with the attributes of `source`, except the given fields."""
         names = cls.model_fields.keys() - other.keys()
         return cls(**{name: getattr(source, name) for name in names}, **other)

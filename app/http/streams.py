@@ -1,4 +1,4 @@
-"""Streams that are open: of tracks, and of jobs' events."""
+"""Open streams: of tracks, and of jobs' events."""
 
 import threading
 from collections import Counter
@@ -37,13 +37,13 @@ class Streams:
             return self._open.total()
 
     def require_room(self, secret_hash: str) -> None:
-        """Refuse what is sure to be refused, without a look at the catalog.
+        """Reject a stream that `opened` would reject, without reading the catalog.
 
         Args:
-            secret_hash: Of the key or token that was sent, whether it is good or not.
+            secret_hash: Of the key or token that was sent, valid or not.
 
         Raises:
-            TooManyStreamsOfKey: If as many were opened with this very one as a key may have open.
+            TooManyStreamsOfKey: If as many are open with this one as a key may have open.
         """
         with self._lock:
             if self._open_with[secret_hash] >= self._per_key:
@@ -53,23 +53,16 @@ class Streams:
 
     @contextmanager
     def opened(self, key_id: str, secret_hash: str = "") -> Iterator[None]:
-        """Count a stream of a key for as long as the block runs.
+        """Count a stream of a key while the block runs.
 
         Args:
             key_id: Whose it is.
-            secret_hash: Of what was sent, for `require_room`.
+            secret_hash: Of the key or token that was sent, for `require_room`.
 
         Raises:
             TooManyStreamsOfKey: If as many of this key are open as may be.
             TooManyStreams: If as many of all keys are.
         """
-        self._take(key_id, secret_hash)
-        try:
-            yield
-        finally:
-            self._give_back(key_id, secret_hash)
-
-    def _take(self, key_id: str, secret_hash: str) -> None:
         with self._lock:
             if self._open[key_id] >= self._per_key:
                 raise TooManyStreamsOfKey(
@@ -79,14 +72,15 @@ class Streams:
             if self._open.total() >= self._limit:
                 raise TooManyStreams(
                     f"{self._limit} streams are open, as many as may be: post observations one by"
-                    " one, or ask again"
+                    " one, or try again"
                 )
             self._open[key_id] += 1
             self._open_with[secret_hash] += 1
-
-    def _give_back(self, key_id: str, secret_hash: str) -> None:
-        with self._lock:
-            for counted, of in ((self._open, key_id), (self._open_with, secret_hash)):
-                counted[of] -= 1
-                if not counted[of]:
-                    del counted[of]
+        try:
+            yield
+        finally:
+            with self._lock:
+                for counted, of in ((self._open, key_id), (self._open_with, secret_hash)):
+                    counted[of] -= 1
+                    if not counted[of]:
+                        del counted[of]

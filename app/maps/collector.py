@@ -1,4 +1,4 @@
-"""Removes what the maps' policies do not keep: old revisions, and the returns of mapped scans."""
+"""Retention: removes old revisions, and the returns of mapped scans."""
 
 import logging
 import threading
@@ -18,7 +18,7 @@ from storage.files.map_file import read_map
 from storage.retention import RawScans
 from storage.store import Store, StoredDrive
 
-_EVERY_S = 3600.0  # what is kept by its age grows older by itself
+_EVERY_S = 3600.0  # revisions expire by age without any request
 
 _log = logging.getLogger("tensormap.collector")
 
@@ -27,8 +27,8 @@ class GarbageCollector:
     """Collects at the start, when it is woken, and every hour.
 
     Args:
-        settings: What the operator chose: the policy of maps that have none of their own.
-        store: Whose revisions and scans.
+        settings: With the retention of maps that do not set their own.
+        store: With the revisions and scans.
     """
 
     def __init__(self, settings: Settings, store: Store) -> None:
@@ -40,21 +40,21 @@ class GarbageCollector:
         self._thread = threading.Thread(target=self._loop, name="collector", daemon=True)
 
     def start(self) -> None:
-        """Begin, with what the last service left."""
+        """Start the first collection."""
         self._thread.start()
 
     def wake(self) -> None:
-        """Look now: a revision was added or replaced, or a policy changed."""
+        """Collect now: a revision was added or replaced, or a retention changed."""
         self._wake.set()
 
     def stop(self) -> None:
-        """End, after the file at hand."""
+        """Stop, after the current file."""
         self._stopping.set()
         self._wake.set()
         self._thread.join()
 
     def collect(self) -> None:
-        """Remove what no policy keeps now; what cannot be removed is logged and stays."""
+        """Remove what no retention keeps; what cannot be removed is logged and stays."""
         with self._one:
             after: str | None = ""
             while after is not None and not self._stopping.is_set():
@@ -79,7 +79,7 @@ class GarbageCollector:
             if of_map.retention.over(self._default).raw_scans == RawScans.DROP:
                 self._drop_returns(of_map)
         except MapNotFound:
-            pass  # gone, and all that it had
+            pass  # deleted with all its contents
         except LostRace as error:
             _log.info("map %s: %s", of_map.slug, error)
         except (TensorMapError, OSError):
@@ -95,7 +95,7 @@ class GarbageCollector:
             _log.info("revision collected", extra=fields(map=of_map.slug, revision=digest))
 
     def _drop_returns(self, of_map: MapRecord) -> None:
-        """Drop the returns that the live revision was built of, if later builds can do without."""
+        """Drop the returns of the live revision's scans, if later builds do not need them."""
         if of_map.live_revision is None or self._store.catalog.collector.has_open_job(of_map.id):
             return
         live = self._store.revisions.of_map(of_map.id, of_map.live_revision)
@@ -124,7 +124,7 @@ class GarbageCollector:
             )
 
     def _has_images(self, drive: StoredDrive, tensor_map: TensorMap) -> bool:
-        """Return whether the images of the drive as it is now are kept, so that builds go on."""
+        """Return whether the images of the drive in its current state are kept for builds."""
         path = images_path(self._store, drive, tensor_map.parameters)
         if not path.exists():
             return False
@@ -137,7 +137,7 @@ class GarbageCollector:
 
 
 def _mapped(tensor_map: TensorMap, drive: StoredDrive) -> frozenset[int]:
-    """Return the indices of the drive's scans that a map has and whose returns are stored."""
+    """Return the indices of the drive's scans that are in the map and have their returns."""
     trajectory = tensor_map.trajectory
     of_drive = trajectory.drive_of_scan == trajectory.drives.index(drive.name)
     stored = drive.scan_index[drive.has_returns]

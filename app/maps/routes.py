@@ -5,7 +5,7 @@ from typing import Annotated
 
 from fastapi import Header, Response, status
 
-from app.access.dependency import Asking
+from app.access.dependency import CurrentCaller
 from app.access.scopes import Scope, needs
 from app.access.trail import note
 from app.http import errors
@@ -18,62 +18,54 @@ from app.service import MapSlug, Running, Service
 from storage.catalog import MapRecord
 from storage.errors import InvalidSlug, MapChanged, MapExists, MapNotFound
 
-router = pooled_router(tags=["maps"])
+reading = pooled_router(tags=["maps"], dependencies=[needs(Scope.MAPS_READ)])
+writing = pooled_router(tags=["maps"], dependencies=[needs(Scope.MAPS_WRITE)])
 
 _ETAG = re.compile(r'\s*(?:\*|(?:W/)?"([0-9]{1,18})")\s*')
 IfMatch = Annotated[
     str | None,
     Header(
-        description="The ETag that was seen: change only that version.",
+        description="An ETag of the map: change only that version.",
         json_schema_extra={"pattern": r'^(\*|(W/)?"[0-9]{1,18}")$'},
     ),
 ]
 
 
-@router.post(
+@writing.post(
     "/maps",
-    dependencies=[needs(Scope.MAPS_WRITE)],
     status_code=status.HTTP_201_CREATED,
     responses=problems(InvalidSlug, MapExists, *errors.JSON_BODY, *errors.WRITING),
 )
-def create_map(wanted: Json[MapIn], running: Running, response: Response, asking: Asking) -> MapOut:
-    """Make an empty map."""
-    note("", map_slug=wanted.map)
-    asking.require_new_map(wanted.map)
-    record = running.store.maps.create(wanted.map, wanted.description)
+def create_map(
+    sent: Json[MapIn], running: Running, response: Response, caller: CurrentCaller
+) -> MapOut:
+    """Create an empty map."""
+    note("", map_slug=sent.map)
+    caller.require_new_map(sent.map)
+    record = running.store.maps.create(sent.map, sent.description)
     response.headers["Location"] = f"/v1/maps/{record.slug}"
     return shown_map(record, running, response)
 
 
-@router.get(
-    "/maps",
-    dependencies=[needs(Scope.MAPS_READ)],
-    responses=problems(errors.InvalidRequest, *errors.READING),
-)
+@reading.get("/maps", responses=problems(errors.InvalidRequest, *errors.READING))
 def list_maps(
-    running: Running, asking: Asking, after: After = "", limit: Limit = 100
+    running: Running, caller: CurrentCaller, after: After = "", limit: Limit = 100
 ) -> PageOut[MapOut]:
     """List the maps by name, those within the limits of the key."""
-    page = running.store.maps.list(after, limit, slugs=asking.maps)
+    page = running.store.maps.list(after, limit, slugs=caller.maps)
     default = running.settings.retention
     return page_out(page, lambda record: MapOut.from_record(record, default))
 
 
-@router.get(
-    "/maps/{map}",
-    dependencies=[needs(Scope.MAPS_READ)],
-    responses=problems(MapNotFound, *errors.READING),
-)
+@reading.get("/maps/{map}", responses=problems(MapNotFound, *errors.READING))
 def get_map(map_slug: MapSlug, running: Running, response: Response) -> MapOut:
     """Show a map."""
     record = running.store.maps.get(map_slug)
     return shown_map(record, running, response)
 
 
-@router.patch(
-    "/maps/{map}",
-    dependencies=[needs(Scope.MAPS_WRITE)],
-    responses=problems(MapNotFound, MapChanged, *errors.JSON_BODY, *errors.WRITING),
+@writing.patch(
+    "/maps/{map}", responses=problems(MapNotFound, MapChanged, *errors.JSON_BODY, *errors.WRITING)
 )
 def update_map(
     map_slug: MapSlug,
@@ -82,7 +74,7 @@ def update_map(
     response: Response,
     if_match: IfMatch = None,
 ) -> MapOut:
-    """Change a map's description, or what is kept of it."""
+    """Change a map's description or retention."""
     kept = None if change.retention is None else change.retention.model_dump(exclude_unset=True)
     if kept:
         note("retention " + ", ".join(f"{name}={value}" for name, value in kept.items()))
@@ -97,25 +89,24 @@ def update_map(
     return shown_map(record, running, response)
 
 
-@router.delete(
+@writing.delete(
     "/maps/{map}",
-    dependencies=[needs(Scope.MAPS_WRITE)],
     status_code=status.HTTP_204_NO_CONTENT,
     responses=problems(MapNotFound, MapChanged, errors.InvalidRequest, *errors.WRITING),
 )
 def delete_map(map_slug: MapSlug, running: Running, if_match: IfMatch = None) -> None:
-    """Remove a map with its drives, revisions and jobs."""
+    """Delete a map with its drives, revisions and jobs."""
     running.store.maps.delete(map_slug, if_version=version_seen(if_match))
 
 
 def shown_map(record: MapRecord, running: Service, response: Response) -> MapOut:
-    """Return a map's answer, with the ETag of its version in the head."""
+    """Return a map, with the ETag of its version in the head."""
     response.headers["ETag"] = f'"{record.version}"'
     return MapOut.from_record(record, running.settings.retention)
 
 
 def version_seen(if_match: str | None) -> int | None:
-    """Return the version that a client saw, `None` if any will do.
+    """Return the version of an If-Match, `None` if every version matches.
 
     Raises:
         InvalidRequest: If it is no ETag of a map.

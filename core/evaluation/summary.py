@@ -184,7 +184,7 @@ def _reliability(
 
 def _outcomes(found: Sequence[tuple[Localization, bool]]) -> list[Outcome]:
     return [
-        Outcome(of_it.verdict.probability, of_it.localized, right)
+        Outcome(of_it.decision.probability, of_it.localized, right)
         for of_it, right in found
-        if of_it.verdict.probability is not None
+        if of_it.decision.probability is not None
     ]

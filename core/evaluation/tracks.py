@@ -166,7 +166,7 @@ def _tracked(
     wrong = _wrong(tracker, used, steps)
     errors = tuple(error for error in wrong if steps[error.observation].segment_sure)
     standing = used.standing
-    found_standing = np.array([step.standing for step in steps], dtype=bool)
+    found_standing = np.array([step.stationary for step in steps], dtype=bool)
     true = np.array([condition.pose(pose) for pose in used.poses]).reshape(-1, 7)
     matched = tracker.map.trajectory.poses[np.array([step.row for step in steps], np.int64)]
     estimated = np.full((len(steps), 7), np.nan)
@@ -193,7 +193,7 @@ def _tracked(
         standing_false=None if standing is None else rate(found_standing[~standing]),
         flicker=_flicker(steps, used),
         scan_changes=sum(
-            one.standing and two.standing and one.row != two.row
+            one.stationary and two.stationary and one.row != two.row
             for one, two in itertools.pairwise(steps)
         ),
         recovery=_recovery(tracker, used, observations),

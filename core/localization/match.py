@@ -1,12 +1,12 @@
-"""A match: a scan of the map, and where the query was made relative to it."""
+"""A match: a scan of the map, and the query's pose relative to it."""
 
 import math
 from dataclasses import dataclass
 
 import numpy as np
 
-from core.arrays import FloatArray, IntArray
-from core.encodings.model import Neighbours, Search, Viewpoints
+from core.arrays import IntArray
+from core.encodings.model import Neighbours, Search
 from core.mapping.tensormap import TensorMap
 from core.scans.angles import wrapped_deg
 from core.scans.displacement import left_of_m, places_beside_m, pose_beside
@@ -14,18 +14,18 @@ from core.scans.pose import Pose, heading_deg, path_length_m
 from core.scans.trajectory import Trajectory
 
 _SHARPNESS = 8  # weights are the inverse distance to this power: docs/decisions/0010
-_SCANS_BESIDE = 1  # before and after the match; farther ones weigh next to nothing
-_SAME_PLACE_M = 10.0  # a drive that was interrupted goes on elsewhere
-_SAME_YAW_DEG = 20.0  # a rendering of another relative yaw resembles the query by accident
+_SCANS_BESIDE = 1  # before and after the match; the weights of farther ones are negligible
+_SAME_PLACE_M = 10.0  # after an interruption a drive continues elsewhere
+_SAME_YAW_DEG = 20.0  # a rendering with another relative yaw is similar to the query by chance
 
 
 @dataclass(frozen=True)
 class Match:
-    """A scan of the map, and where the query was made relative to it.
+    """A scan of the map, and the query's pose relative to it.
 
     Attributes:
-        segment: The segment it lies on.
-        fraction: How far along the segment, 0 where it begins and 1 where it ends.
+        segment: Its segment.
+        fraction: How far along the segment, 0 at its start and 1 at its end.
         along_m: The same in metres, `None` where a pose on the way is unknown.
         drive: The drive it was recorded in.
         scan_index: Its index in that drive.
@@ -36,8 +36,8 @@ class Match:
         pose: Where it was recorded, `None` where unknown.
         relative_yaw_deg: Of the query, counter-clockwise, -180..180; `None` where the encoding
             does not give it, as the paper's.
-        lateral_m: How far to the left of the scan the query was made, `None` likewise.
-        estimated_pose: Where the query was made: `pose` displaced and turned; `None` likewise.
+        lateral_m: Lateral offset of the query, positive to the left of the scan; `None` likewise.
+        estimated_pose: Of the query: `pose` displaced and turned; `None` likewise.
     """
 
     segment: int
@@ -62,17 +62,16 @@ class Match:
 
 
 def match_at(tensor_map: TensorMap, search: Search, found: Neighbours, position: int = 0) -> Match:
-    """Return one neighbour of a search as a match, refined where the map has viewpoints.
+    """Return a neighbour of a search as a match, with a sub-scan pose where there are viewpoints.
 
-    A query lies between renderings (1.5 m apart) and scans (a metre or two). The mean over those
-    that it resembles, weighted by (d_best / d)^8, lies between them too. Without poses only the
-    matched scan's own renderings are weighed.
+    Renderings are 1.5 m apart and scans a metre or two; the pose is the mean of the similar ones,
+    weighted by (d_best / d)^8. Without poses only the matched scan's renderings are averaged.
 
     Args:
         tensor_map: The map.
         search: The query's search.
-        found: What it found.
-        position: Which of them.
+        found: Its neighbours.
+        position: Index of the neighbour.
     """
     row, distance = int(found.rows[position]), float(found.distances[position])
     trajectory = tensor_map.trajectory
@@ -118,7 +117,10 @@ def _refined(
         aside_deg = wrapped_deg(seen.relative_yaw_deg + headings_deg[:, None] - yaw_deg)
     else:
         aside_deg = wrapped_deg(seen.relative_yaw_deg - yaw_deg)
-    weights = _weights(seen, distance, aside_deg)
+    nearest = max(distance, float(np.finfo(np.float32).tiny))
+    weights = (nearest / np.maximum(seen.distances, nearest)) ** _SHARPNESS
+    weights *= np.abs(aside_deg) <= _SAME_YAW_DEG
+    weights /= weights.sum()
     if yaw_deg is not None:
         yaw_deg += float(np.sum(weights * aside_deg))
         yaw_deg = wrapped_deg(yaw_deg)
@@ -130,18 +132,10 @@ def _refined(
     return yaw_deg, left_of_m(poses[row], estimated), Pose.from_row(estimated)
 
 
-def _weights(seen: Viewpoints, distance: float, aside_deg: FloatArray) -> FloatArray:
-    """Return how much each viewpoint counts, `(n, D)`, 1 in sum."""
-    nearest = max(distance, float(np.finfo(np.float32).tiny))
-    weights = (nearest / np.maximum(seen.distances, nearest)) ** _SHARPNESS
-    weights *= np.abs(aside_deg) <= _SAME_YAW_DEG
-    return np.asarray(weights / weights.sum())
-
-
 def _rows_beside(trajectory: Trajectory, row: int) -> IntArray:
     """Return the rows of a drive around `row` that were recorded near it, itself included."""
     rows = np.arange(max(0, row - _SCANS_BESIDE), min(len(trajectory), row + _SCANS_BESIDE + 1))
     apart_m = np.linalg.norm(trajectory.poses[rows, :3] - trajectory.poses[row, :3], axis=1)
     same_drive = trajectory.drive_of_scan[rows] == trajectory.drive_of_scan[row]
-    near = same_drive & (apart_m <= _SAME_PLACE_M)  # a distance to the unknown, NaN, is not
+    near = same_drive & (apart_m <= _SAME_PLACE_M)  # an unknown distance is NaN and not near
     return np.asarray(rows[near])

@@ -6,7 +6,7 @@ of it: a vehicle is never exactly there. It is right if the match is within `AWA
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -207,7 +207,7 @@ def _fitted(
         tuple(likelihood),
         least_cells=least_cells,
     )
-    return calibration.with_spread(_spread(calibration, errors, typical))
+    return replace(calibration, spread=_spread(calibration, errors, typical))
 
 
 def _spread(calibration: Calibration, errors: list[_Error], typical: float) -> Spread | None:

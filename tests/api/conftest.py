@@ -26,12 +26,12 @@ class Built:
 
 @pytest.fixture(scope="session")
 def built(shared):
-    data_dir, told = shared / "built" / "data", shared / "built.json"
+    data_dir, answer = shared / "built" / "data", shared / "built.json"
     with one_at_a_time(shared / "built.lock"):
-        if not told.exists():
-            told.write_text(json.dumps(build(data_dir)))
+        if not answer.exists():
+            answer.write_text(json.dumps(build(data_dir)))
     before = written(data_dir)
-    yield Built(data_dir, *json.loads(told.read_text()))
+    yield Built(data_dir, *json.loads(answer.read_text()))
     assert written(data_dir) == before, "a service wrote into files that were there"
 
 
@@ -47,8 +47,11 @@ def build(data_dir):
         client.post("/v1/maps", json={"map": "campus"})
         upload(client, "monday", recording())
         jobs = [
-            client.post("/v1/maps/campus/builds", json=wanted).json()["job"]
-            for wanted in ({"segments": 3, **PAPER}, {"segments": 2, "reducer": "nearest", **PAPER})
+            client.post("/v1/maps/campus/builds", json=body).json()["job"]
+            for body in (
+                {"segments": 3, **PAPER},
+                {"segments": 2, "reducer": "nearest", **PAPER},
+            )
         ]
         live, other = (wait_for(client, job)["revision"] for job in jobs)
     return live, other, jobs[0]

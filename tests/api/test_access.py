@@ -1,4 +1,4 @@
-"""Who may ask: this machine by its own names, or whoever holds a key."""
+"""Authentication: this machine under its own names, or holders of keys."""
 
 import re
 

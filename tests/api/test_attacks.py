@@ -1,4 +1,4 @@
-"""Holes that services of this kind had, each tried on ours.
+"""Known attacks on services of this kind, each tried on ours.
 
 Elsewhere: test_access.py, a key before the first request on an open address, and Host names;
 test_limits_and_browsers.py, origins and preflights; test_map_file.py, links, filters and external
@@ -54,7 +54,7 @@ def secret(own):
 def test_no_name_leads_to_a_file(own, secret, name):
     before = whole_store(own)
     scan = kitti(recording().scans[0])
-    asked = [
+    requested = [
         own.get(f"/v1/maps/campus/revisions/{name}"),
         own.get(f"/v1/maps/campus/revisions/{name}/file"),
         own.get(f"/v1/maps/{name}"),
@@ -73,7 +73,7 @@ def test_no_name_leads_to_a_file(own, secret, name):
         own.get("/v1/maps/campus/topology", params={"revision": name}),
         own.post("/v1/maps/campus/tracks", params={"revision": name}),
     ]
-    for answer in asked:
+    for answer in requested:
         assert problem_of(answer)[0] in {404, 405, 422}, (answer.request.url, answer.text)
         assert secret not in answer.content
         assert b"root:" not in answer.content
@@ -191,7 +191,7 @@ def test_nothing_of_ours_reads_what_could_run():
 # One "current map" for all clients (OpenVPS)
 
 
-def test_what_one_client_asks_changes_no_answer_to_another(own, built):
+def test_requests_of_one_client_change_no_answer_to_another(own, built):
     own.post("/v1/maps", json={"map": "dock"})
     store = own.service.store
     source = store.revisions.path("campus", built.other)

@@ -1,8 +1,9 @@
-"""Bodies that no scan can be read from: each its own problem, and nothing stored changes."""
+"""Bodies that are no scan: each has its own problem, and nothing stored changes."""
 
 import numpy as np
 import pytest
 
+from tests.support.catalog_rows import stored_scans
 from tests.support.recording import KITTI, NPY, kitti, npy, recording, upload_scan
 from tests.support.service import problem_of, running, whole_store
 
@@ -98,7 +99,7 @@ def test_json_is_refused_far_below_the_length_of_a_scan(own):
         ),
     ],
 )
-def test_of_a_list_that_is_wrong_throughout_one_fault_is_told(own, path, body):
+def test_of_a_list_that_is_wrong_throughout_one_error_is_reported(own, path, body):
     refused = own.post(f"/v1/maps/campus/{path}", json=body)
     assert problem_of(refused) == (422, "invalid-request")
     assert len(refused.json()["errors"]) == 1
@@ -173,10 +174,10 @@ def test_a_pose_that_is_none_is_refused(client, pose):
     ],
 )
 def test_poses_that_cannot_be_set_change_nothing(client, poses, problem):
-    before = client.service.store.drives.scan_records("campus", "monday")
+    before = stored_scans(client.service.store, "campus", "monday")
     refused = client.put("/v1/maps/campus/drives/monday/poses", json={"poses": poses})
     assert problem_of(refused) == problem
-    assert client.service.store.drives.scan_records("campus", "monday") == before
+    assert stored_scans(client.service.store, "campus", "monday") == before
 
 
 def test_a_thousand_things_that_are_wrong_are_not_all_repeated(client):
@@ -204,7 +205,7 @@ def test_an_image_that_is_none_is_refused(client, body, why):
 
 
 @pytest.mark.parametrize("kind", ["image", "signature"])
-def test_a_query_of_another_type_is_told_which_was_wanted(client, kind):
+def test_a_query_of_another_type_is_rejected_with_the_expected_one(client, kind):
     refused = client.post(f"/v1/maps/campus/localizations/{kind}", content=b"x", headers=UNKNOWN)
     assert problem_of(refused) == (415, "unsupported-body")
     assert "application/vnd.tensormap" in refused.json()["detail"]

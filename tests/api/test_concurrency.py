@@ -1,4 +1,4 @@
-"""Many clients at once: nothing is lost, doubled or answered by half of each of two maps."""
+"""Many clients at once: nothing is lost, stored twice or answered from two maps."""
 
 import threading
 from concurrent.futures import ThreadPoolExecutor
@@ -54,8 +54,8 @@ def test_while_live_changes_every_answer_is_of_one_revision(own, built):
         answers = []
         while not done.is_set():
             answers.append(("scan", None, by_scan()))
-            wanted = (built.live, built.other)[(number + len(answers)) % 2]
-            answers.append(("signature", wanted, by_signature(signatures[wanted])))
+            expected = (built.live, built.other)[(number + len(answers)) % 2]
+            answers.append(("signature", expected, by_signature(signatures[expected])))
         return answers
 
     with ThreadPoolExecutor(4) as pool:
@@ -66,12 +66,12 @@ def test_while_live_changes_every_answer_is_of_one_revision(own, built):
             assert switched.json()["live_revision"] == revision
         done.set()
         answers = [answer for client in asking for answer in client.result()]
-    for kind, wanted, response in answers:
+    for kind, expected, response in answers:
         assert response.status_code == 200, response.text
         answer = response.json()
         assert answer["revision"] in {built.live, built.other}
         assert answer["live_revision"] in {built.live, built.other}
-        assert wanted in {None, answer["revision"]}
+        assert expected in {None, answer["revision"]}
         if kind == "scan":
             assert answer["revision"] == answer["live_revision"]
         assert answer["matches"] == alone[kind, answer["revision"]]

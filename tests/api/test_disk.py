@@ -1,4 +1,4 @@
-"""Disks that are full and files that have changed: told by name, and nothing else suffers."""
+"""Full disks and changed files: reported by name, and nothing else is affected."""
 
 import errno
 import os
@@ -11,6 +11,7 @@ from app.revisions.schemas import BasisOut
 from core.encodings.signature import pack_signatures
 from storage.errors import CorruptFile
 from storage.files.map_file import read_map
+from tests.support.catalog_rows import stored_scans
 from tests.support.recording import KITTI, kitti, recording, upload_scan
 from tests.support.service import damage, problem_of, whole_store
 
@@ -21,7 +22,7 @@ def localize(client, scan):
     return client.post("/v1/maps/campus/localizations/scan", content=kitti(scan), headers=KITTI)
 
 
-def test_a_full_disk_is_told_and_nothing_is_lost(own, monkeypatch):
+def test_a_full_disk_is_reported_and_nothing_is_lost(own, monkeypatch):
     def full(_descriptor):
         raise OSError(errno.ENOSPC, "No space left on device")
 
@@ -40,7 +41,7 @@ def test_a_full_disk_is_told_and_nothing_is_lost(own, monkeypatch):
 
 
 @pytest.mark.parametrize("harm", ["one bit", "cut", "another", "gone", "no map"])
-def test_a_harmed_revision_is_told_and_the_others_answer(own, built, harm):
+def test_a_damaged_revision_is_reported_and_the_others_answer(own, built, harm):
     signature = _signature_of(own, built.other)
     path = own.service.store.revisions.path("campus", built.live)
     whole = path.read_bytes()
@@ -87,7 +88,7 @@ def test_a_scan_whose_file_has_changed_is_not_given_back(own):
         upload_scan(own, "campus", "tuesday", index, recording().scans[index])
     [chunk] = {
         record.chunk
-        for record in own.service.store.drives.scan_records("campus", "tuesday")
+        for record in stored_scans(own.service.store, "campus", "tuesday")
         if record.index == 5
     }
     [path] = own.service.settings.data_dir.rglob(chunk)
@@ -105,7 +106,7 @@ def _signature_of(client, revision):
     return pack_signatures(basis.encode(basis.image(recording().scans[9])))
 
 
-def test_a_catalog_that_turns_read_only_is_told_and_nothing_is_lost(own):
+def test_a_catalog_that_turns_read_only_is_reported_and_nothing_is_lost(own):
     engine = own.service.store.catalog._database.engine
     before = whole_store(own)
 

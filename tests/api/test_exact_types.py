@@ -1,4 +1,4 @@
-"""Requests are taken as the API describes them, and nothing else for them."""
+"""Requests are accepted as the API describes them, and not otherwise."""
 
 import pytest
 
@@ -12,8 +12,8 @@ POSES = "/v1/maps/campus/drives/monday/poses"
 def refusal(response):
     """Return the place and the wording of the one thing that is wrong."""
     assert problem_of(response) == (422, "invalid-request")
-    [told] = response.json()["errors"]
-    return told["where"], told["what"]
+    [answer] = response.json()["errors"]
+    return answer["where"], answer["what"]
 
 
 @pytest.mark.parametrize("value", ["0.5", True, False])
@@ -50,8 +50,8 @@ def test_an_integer_may_be_written_with_a_point(own):
 def test_a_moment_is_written_out_with_its_zone(client, moment):
     for name in ("since", "until"):
         assert refusal(client.get("/v1/audit", params={name: moment}))[0] == f"query/{name}"
-    wanted = {"name": "fleet", "scopes": ["admin"], "expires_at": moment}
-    assert refusal(client.post("/v1/keys", json=wanted))[0] == "body/expires_at"
+    body = {"name": "fleet", "scopes": ["admin"], "expires_at": moment}
+    assert refusal(client.post("/v1/keys", json=body))[0] == "body/expires_at"
 
 
 @pytest.mark.parametrize("moment", ["0001-01-01T00:00:00+14:00", "9999-12-31T23:59:59-14:00"])
@@ -60,8 +60,8 @@ def test_a_moment_that_is_none_in_utc_is_the_clients_fault(client, moment):
     for name in ("since", "until"):
         refused = client.get("/v1/audit", params={name: moment})
         assert refusal(refused) == (f"query/{name}", what)
-    wanted = {"name": "fleet", "scopes": ["admin"], "expires_at": moment}
-    assert refusal(client.post("/v1/keys", json=wanted)) == ("body/expires_at", what)
+    body = {"name": "fleet", "scopes": ["admin"], "expires_at": moment}
+    assert refusal(client.post("/v1/keys", json=body)) == ("body/expires_at", what)
 
 
 @pytest.mark.parametrize("moment", ["0001-01-01T00:00:00Z", "9999-12-31T23:59:59.999999Z"])
@@ -70,15 +70,15 @@ def test_the_first_and_the_last_moment_of_the_calendar_are_moments(client, momen
 
 
 def test_a_key_may_last_until_the_end_of_the_calendar(guarded):
-    wanted = {"name": "f", "scopes": ["localize"], "expires_at": "9999-12-31T23:59:59+14:00"}
-    made = guarded.post("/v1/keys", json=wanted, headers=ADMIN)
+    body = {"name": "f", "scopes": ["localize"], "expires_at": "9999-12-31T23:59:59+14:00"}
+    made = guarded.post("/v1/keys", json=body, headers=ADMIN)
     assert made.status_code == 201
     assert made.json()["expires_at"] == "9999-12-31T09:59:59Z"
 
 
 def test_a_number_is_no_moment(client):
-    wanted = {"name": "fleet", "scopes": ["admin"], "expires_at": 4102444800}
-    assert refusal(client.post("/v1/keys", json=wanted))[0] == "body/expires_at"
+    body = {"name": "fleet", "scopes": ["admin"], "expires_at": 4102444800}
+    assert refusal(client.post("/v1/keys", json=body))[0] == "body/expires_at"
 
 
 @pytest.mark.parametrize("moment", ["2030-01-01T00:00:00Z", "2030-01-01t02:00:00.25+02:00"])
@@ -117,14 +117,14 @@ def test_what_is_no_etag_changes_nothing(client, etag):
     assert client.get("/v1/maps/campus").json() == before
 
 
-def test_a_proposal_is_told_only_what_its_own_kind_lacks(client):
+def test_errors_of_a_proposal_are_those_of_its_own_kind(client):
     first = {"drive": "monday", "scan_index": 0}
     for second, lacks in (
         ({"drive": "monday"}, "body/proposals/0/second/scan/scan_index"),
         ({"basis": "0f" * 32, "signatures": []}, "body/proposals/0/second/signatures/signatures"),
     ):
-        asked = {"proposals": [{"first": first, "second": second}]}
-        assert refusal(client.post("/v1/maps/campus/loop-closures", json=asked))[0] == lacks
+        body = {"proposals": [{"first": first, "second": second}]}
+        assert refusal(client.post("/v1/maps/campus/loop-closures", json=body))[0] == lacks
 
 
 # What the description says of it
@@ -143,14 +143,14 @@ def test_no_parameter_may_be_null(paths):
 
 
 def test_an_optional_parameter_keeps_its_bounds(paths):
-    asked = paths["/v1/maps/{map}/localizations/scan"]["post"]["parameters"]
-    [least] = [item["schema"] for item in asked if item["name"] == "min_probability"]
+    requested = paths["/v1/maps/{map}/localizations/scan"]["post"]["parameters"]
+    [least] = [item["schema"] for item in requested if item["name"] == "min_probability"]
     assert (least["type"], least["minimum"], least["maximum"]) == ("number", 0, 1)
     assert least["description"]
 
 
 def test_each_event_of_a_job_is_described(paths):
-    told = paths["/v1/jobs/{job}/events"]["get"]["responses"]["200"]["content"]
-    event = told["text/event-stream"]["itemSchema"]
+    answer = paths["/v1/jobs/{job}/events"]["get"]["responses"]["200"]["content"]
+    event = answer["text/event-stream"]["itemSchema"]
     assert event["required"] == ["data", "id"]
     assert event["properties"]["data"]["contentSchema"] == {"$ref": "#/components/schemas/JobOut"}

@@ -1,4 +1,4 @@
-"""A job's events: server-sent, from where the client last was."""
+"""Jobs' server-sent events, continued from the last one that a client received."""
 
 import json
 from datetime import UTC, datetime, timedelta
@@ -36,7 +36,7 @@ def test_a_build_is_followed_to_its_end(own):
     assert events[-1][1] == own.get(f"/v1/jobs/{job}").json()
 
 
-def test_who_comes_back_is_not_told_again(built, client):
+def test_a_client_that_reconnects_gets_no_event_twice(built, client):
     [(last, job)] = follow(client, built.job)
     assert job["state"] == "done"
     again = client.get(f"/v1/jobs/{built.job}/events", headers={"Last-Event-ID": last})
@@ -48,20 +48,20 @@ def test_a_job_that_goes_with_its_map_ends_its_events(own, monkeypatch):
     monkeypatch.setattr("app.builds.runner.run_build", stand_still)
     job = own.post("/v1/maps/campus/builds", json={"segments": 2}).json()["job"]
     wait_for(own, job, {"running"})
-    told = []
+    shown = []
     with own.stream("GET", f"/v1/jobs/{job}/events") as answer:
         for line in answer.iter_lines():
             if line.startswith("data: "):
-                told.append(json.loads(line.removeprefix("data: "))["state"])
+                shown.append(json.loads(line.removeprefix("data: "))["state"])
                 own.delete("/v1/maps/campus")
-    assert told == ["running"]
+    assert shown == ["running"]
 
 
 def test_there_are_no_events_of_no_job(client):
     assert problem_of(client.get("/v1/jobs/none/events")) == (404, "job-not-found")
 
 
-def test_what_remains_of_a_stage_is_told_by_its_pace(own, monkeypatch):
+def test_the_remaining_time_of_a_stage_follows_its_pace(own, monkeypatch):
     monkeypatch.setattr("app.builds.runner.run_build", stand_still)
     jobs = own.service.store.jobs
     job = own.post("/v1/maps/campus/builds", json={"segments": 2}).json()["job"]
@@ -72,8 +72,8 @@ def test_what_remains_of_a_stage_is_told_by_its_pace(own, monkeypatch):
     assert begun.stage_started_at is not None
     later = begun.stage_started_at + timedelta(seconds=5)
     assert begun.remaining_s(later) == pytest.approx(15.0)
-    told = own.get(f"/v1/jobs/{job}").json()["remaining_s"]
-    assert told == pytest.approx(
+    answer = own.get(f"/v1/jobs/{job}").json()["remaining_s"]
+    assert answer == pytest.approx(
         3 * (datetime.now(UTC) - begun.stage_started_at).total_seconds(), 0.5
     )
     again = jobs.progress(job, "fitting", 24, 48)

@@ -1,4 +1,4 @@
-"""Builds as jobs: each one ends, however its process does."""
+"""Builds as jobs: each one ends, also if its process is killed."""
 
 import os
 import signal
@@ -12,6 +12,7 @@ import pytest
 
 from app.builds import runner as runner_module
 from app.builds.worker import run_build
+from app.settings import Settings
 from core.scans.scan import Scan
 from storage.catalog import JobState
 from storage.errors import JobNotFound, StorageBusy, StorageUnavailable
@@ -64,7 +65,7 @@ def test_a_map_without_scans_or_that_is_not_there_is_not_built(empty):
     assert problem_of(empty.get("/v1/jobs/nonsense")) == (404, "job-not-found")
 
 
-def test_a_build_that_fails_says_why_and_publishes_nothing(empty):
+def test_a_build_that_fails_has_a_reason_and_publishes_nothing(empty):
     above = np.tile([1.0, 0.0, 100.0], (200, 1))  # 89 degrees up, where the grid ends at 4
     for index in range(3):
         upload_scan(empty, "campus", "sky", index, Scan.from_returns(above))
@@ -218,7 +219,7 @@ def test_a_waiting_and_a_running_build_are_cancelled(standing):
     assert again.json()["state"] == "cancelled"  # one that ended stays as it is
 
 
-def test_a_build_that_is_asked_for_again_under_its_key_is_the_same_job(standing):
+def test_a_repeated_request_with_its_idempotency_key_is_the_same_job(standing):
     def ask(**wanted):
         headers = {"Idempotency-Key": "5a7e-first"}
         return standing.post("/v1/maps/campus/builds", json=wanted, headers=headers)
@@ -265,7 +266,7 @@ def test_the_job_of_a_map_that_is_removed_goes_with_it(standing):
         time.sleep(0.02)
 
 
-def test_a_stopped_service_leaves_no_worker_and_the_next_one_goes_on(tmp_path, monkeypatch):
+def test_a_stopped_service_leaves_no_worker_and_the_next_one_continues(tmp_path, monkeypatch):
     monkeypatch.setattr(runner_module, "run_build", stand_still)
     with running(tmp_path) as client:
         client.post("/v1/maps", json={"map": "campus"})
@@ -290,10 +291,10 @@ def claimed(tmp_path):
         yield store, job
 
 
-def test_a_worker_that_is_asked_to_stop_publishes_nothing(tmp_path, claimed):
+def test_a_cancelled_worker_publishes_nothing(tmp_path, claimed):
     store, job = claimed
     store.jobs.request_cancel(job.id)
-    run_build(tmp_path, None, job)
+    run_build(Settings(data_dir=tmp_path), job)
     assert store.jobs.get(job.id).state == JobState.CANCELLED
     assert store.revisions.list("campus").items == ()
     assert not list(tmp_path.rglob("*.part"))
@@ -302,12 +303,12 @@ def test_a_worker_that_is_asked_to_stop_publishes_nothing(tmp_path, claimed):
 def test_a_worker_whose_map_is_removed_ends_quietly(tmp_path, claimed):
     store, job = claimed
     store.maps.delete("campus")
-    run_build(tmp_path, None, job)
+    run_build(Settings(data_dir=tmp_path), job)
     with pytest.raises(JobNotFound):
         store.jobs.get(job.id)
 
 
-def test_what_is_missing_to_be_ready_is_told(empty, monkeypatch):
+def test_readiness_names_what_is_missing(empty, monkeypatch):
     assert empty.get("/readyz").json() == {"ready": True, "missing": []}
 
     def busy(*_args, **_options):
@@ -330,10 +331,10 @@ def test_what_is_missing_to_be_ready_is_told(empty, monkeypatch):
 
 
 def test_the_service_is_alive_while_every_thread_of_it_waits(own, monkeypatch):
-    let_go, asked = threading.Event(), threading.Semaphore(0)
+    let_go, requested = threading.Event(), threading.Semaphore(0)
 
     def wait(*_args):
-        asked.release()
+        requested.release()
         assert let_go.wait(60)
         raise TimeoutError
 
@@ -342,7 +343,7 @@ def test_the_service_is_alive_while_every_thread_of_it_waits(own, monkeypatch):
         try:
             slow = [pool.submit(own.get, "/v1/maps/campus/topology") for _ in range(60)]
             for _ in range(own.service.settings.heavy_threads_per_key):
-                assert asked.acquire(timeout=60)
+                assert requested.acquire(timeout=60)
             assert own.get("/livez").json() == {"status": "live"}
             # What is read of the catalog only has threads of its own.
             assert own.get("/v1/maps/campus").status_code == 200

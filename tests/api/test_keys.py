@@ -1,4 +1,4 @@
-"""What a key is: a secret shown once, ended by time or by hand; and the first one."""
+"""Keys: a secret shown once, expired or revoked; and the first key."""
 
 import re
 import threading
@@ -47,8 +47,8 @@ def test_a_secret_is_shown_once_and_only_its_hash_is_kept(client):
 
 
 def test_the_answer_with_the_secret_is_not_to_be_cached(client):
-    wanted = {"name": "x", "scopes": ["localize"]}
-    made = client.post("/v1/keys", json=wanted, headers=ADMIN)
+    body = {"name": "x", "scopes": ["localize"]}
+    made = client.post("/v1/keys", json=body, headers=ADMIN)
     assert made.headers["Cache-Control"] == "no-store"
     assert made.headers["Location"] == f"/v1/keys/{made.json()['key']}"
 

@@ -1,4 +1,4 @@
-"""How often a key may ask, and what a browser lets the pages of other sites do."""
+"""Rate limits, and what a browser allows the pages of other sites."""
 
 import pytest
 from starlette.testclient import TestClient, WebSocketDenialResponse
@@ -26,7 +26,7 @@ def limited(tmp_path_factory):
         yield client
 
 
-def test_a_key_that_asks_too_often_is_told_when_to_come_back_and_others_are_not(limited):
+def test_a_key_beyond_its_limit_gets_a_time_to_retry_and_others_do_not(limited):
     one, other = (bearer(make(limited, "maps:read")["secret"]) for _ in range(2))
     answers = [limited.get("/v1/maps", headers=one) for _ in range(6)]
     assert [answer.status_code for answer in answers] == [200] * 5 + [429]
@@ -54,22 +54,22 @@ def test_who_guesses_keys_is_slowed_down_by_address_and_holders_there_are_not(li
 
 def test_without_keys_an_address_counts(tmp_path):
     with running(tmp_path, requests_per_s=0.001, request_burst=2) as client:
-        asked = [client.get("/v1/maps").status_code for _ in range(3)]
-    assert asked == [200, 200, 429]
+        requested = [client.get("/v1/maps").status_code for _ in range(3)]
+    assert requested == [200, 200, 429]
 
 
-def test_messages_of_a_stream_count_and_it_goes_on(tmp_path, built):
+def test_messages_of_a_stream_count_and_it_continues(tmp_path, built):
     limits = {"requests_per_s": 0.001, "request_burst": 4}
     data_dir = copy_of(built.data_dir, tmp_path / "data")
     with running(data_dir, admin_key=ADMIN_KEY, **limits) as client:
         vehicle = bearer(make(client, "localize")["secret"])
         track = client.post("/v1/maps/campus/tracks", headers=vehicle).headers["Location"]
         with client.websocket_connect(f"{track}/stream", headers=vehicle) as stream:
-            told = []
+            answer = []
             for _ in range(4):
                 stream.send_text("{}")
-                told.append(stream.receive_json()["type"])
-        assert told == ["/problems/invalid-request"] * 2 + ["/problems/too-many-requests"] * 2
+                answer.append(stream.receive_json()["type"])
+        assert answer == ["/problems/invalid-request"] * 2 + ["/problems/too-many-requests"] * 2
         with (
             pytest.raises(WebSocketDenialResponse) as refused,
             client.websocket_connect(f"{track}/stream", headers=vehicle),
@@ -139,7 +139,7 @@ def test_by_default_no_page_elsewhere_reads_an_answer(tmp_path):
             assert not any(name.startswith("access-control") for name in preflight.headers)
 
 
-def test_the_pages_of_a_named_site_may_ask_with_a_key_and_without_cookies(tmp_path):
+def test_pages_of_an_allowed_origin_may_send_requests_with_a_key_and_without_cookies(tmp_path):
     with running(tmp_path, admin_key=ADMIN_KEY, allowed_origins=(SITE,)) as client:
         preflight = client.options("/v1/maps", headers={"Origin": SITE, **PREFLIGHT})
         assert preflight.status_code == 200
@@ -147,9 +147,9 @@ def test_the_pages_of_a_named_site_may_ask_with_a_key_and_without_cookies(tmp_pa
         answer = client.get("/v1/maps", headers={**ADMIN, "Origin": SITE})
         assert answer.headers["Access-Control-Allow-Origin"] == SITE
         assert "Retry-After" in answer.headers["Access-Control-Expose-Headers"]
-        for told in (preflight, answer):
-            assert "Access-Control-Allow-Credentials" not in told.headers
-            assert "Origin" in told.headers["Vary"]
+        for shown in (preflight, answer):
+            assert "Access-Control-Allow-Credentials" not in shown.headers
+            assert "Origin" in shown.headers["Vary"]
         refused = client.get("/v1/maps", headers={"Origin": SITE})
         assert problem_of(refused) == (401, "key-needed")
         assert refused.headers["Access-Control-Allow-Origin"] == SITE
@@ -171,8 +171,8 @@ def test_the_pages_of_other_sites_may_not(tmp_path):
             answer = client.get("/v1/maps", headers={**ADMIN, "Origin": origin})
             assert "Access-Control-Allow-Origin" not in answer.headers, origin
             # Starlette answers a preflight in plain text, which only a browser reads.
-            asked = {"Origin": origin, **PREFLIGHT}
-            preflight = TestClient.request(client, "OPTIONS", "/v1/maps", headers=asked)
+            headers = {"Origin": origin, **PREFLIGHT}
+            preflight = TestClient.request(client, "OPTIONS", "/v1/maps", headers=headers)
             assert preflight.status_code == 400
             assert "Access-Control-Allow-Origin" not in preflight.headers, origin
 
@@ -222,9 +222,9 @@ def test_origins_are_read_from_the_environment(monkeypatch):
 
 
 @pytest.mark.parametrize("path", ["/v1/maps", "/v1/maps/nowhere", "/docs", "/livez", "/none"])
-def test_every_answer_tells_a_browser_to_be_careful(client, path):
-    told = client.get(path).headers
-    assert told["X-Content-Type-Options"] == "nosniff"
-    assert told["Content-Security-Policy"] == "frame-ancestors 'none'"
-    assert told["Cross-Origin-Resource-Policy"] == "same-origin"
-    assert told["Referrer-Policy"] == "no-referrer"
+def test_every_answer_has_the_headers_that_protect_browsers(client, path):
+    answer = client.get(path).headers
+    assert answer["X-Content-Type-Options"] == "nosniff"
+    assert answer["Content-Security-Policy"] == "frame-ancestors 'none'"
+    assert answer["Cross-Origin-Resource-Policy"] == "same-origin"
+    assert answer["Referrer-Policy"] == "no-referrer"

@@ -24,10 +24,10 @@ def of_dock(client):
 def test_for_a_key_of_other_maps_a_map_is_not_there(client, of_dock, route):
     method, _, path = route.partition(" ")
     given = {"map": "campus", "drive": "monday", "index": "0"}
-    asked = re.sub(r"\{(\w+)\}", lambda part: given.get(part[1], "x" * 12), path)
-    there = ask(client, method, asked, of_dock)
+    requested = re.sub(r"\{(\w+)\}", lambda part: given.get(part[1], "x" * 12), path)
+    there = ask(client, method, requested, of_dock)
     assert there == (404, "map-not-found")
-    assert ask(client, method, asked.replace("campus", "nowhere"), of_dock) == there
+    assert ask(client, method, requested.replace("campus", "nowhere"), of_dock) == there
 
 
 def test_what_is_hidden_reads_as_what_is_not_there(client, of_dock):

@@ -115,17 +115,17 @@ def test_a_basis_is_refitted_on_request_only_and_a_rollback_answers_the_old_one(
     held, first = basis_of(campus), campus.get("/v1/maps/campus").json()["live_revision"]
     signatures = as_json(held.encode(held.image(recording().scans[6])))
     plain = build(campus, encoding="harmonic", segment_length=8)  # without base: all drives
-    told = revision_of(campus, plain)["parameters"]["basis"]
-    assert (told["digest"], told["kept_from"]) == (held.digest, first)
-    assert [fit["drive"] for fit in told["fits"]] == ["alpha", "monday"]
-    of_new, of_old = told["fits"]
+    answer = revision_of(campus, plain)["parameters"]["basis"]
+    assert (answer["digest"], answer["kept_from"]) == (held.digest, first)
+    assert [fit["drive"] for fit in answer["fits"]] == ["alpha", "monday"]
+    of_new, of_old = answer["fits"]
     assert of_new["kept_error"] > of_new["refitted_error"]
     assert of_old["kept_error"] < of_old["refitted_error"]  # it was fitted to that one alone
 
     refitted = build(campus, base="live", add=["alpha"], refit=True, make_live=True)
-    told = revision_of(campus, refitted)["parameters"]["basis"]
-    assert told["digest"] != held.digest
-    assert (told["kept_from"], told["fits"]) == (None, [])
+    answer = revision_of(campus, refitted)["parameters"]["basis"]
+    assert answer["digest"] != held.digest
+    assert (answer["kept_from"], answer["fits"]) == (None, [])
     found = localize(campus, "signature", json=signatures)
     assert found["revision"] == plain["revision"]  # the newest that has the basis
     assert found["live_revision"] == refitted["revision"]
@@ -188,7 +188,7 @@ def test_a_change_that_cannot_be_is_refused_and_changes_nothing(settled, wanted,
     assert whole_store(settled) == before
 
 
-def test_a_base_that_is_not_there_or_whose_drive_is_gone_is_told(campus, tmp_path):
+def test_an_unknown_base_or_one_whose_drive_was_deleted_is_rejected(campus, tmp_path):
     with running(tmp_path / "other") as empty:
         empty.post("/v1/maps", json={"map": "campus"})
         none = empty.post(BUILDS, json={"base": "live", "add": ["alpha"]})
@@ -200,17 +200,17 @@ def test_a_base_that_is_not_there_or_whose_drive_is_gone_is_told(campus, tmp_pat
     build(campus, base="live", add=["alpha"], remove=["monday"])
 
 
-def test_a_damaged_live_revision_is_told_and_refit_goes_on_without_it(campus, encoding):
+def test_a_damaged_live_revision_is_reported_and_refit_builds_without_it(campus, encoding):
     live = campus.get("/v1/maps/campus").json()["live_revision"]
     path = campus.service.store.revisions.path("campus", live)
     damage(path, b"no map at all")
-    wanted = {"drives": ["alpha"], "encoding": encoding}
+    body = {"drives": ["alpha"], "encoding": encoding}
     if encoding == "harmonic":
-        refused = campus.post(BUILDS, json=wanted)
+        refused = campus.post(BUILDS, json=body)
         assert problem_of(refused) == (500, "corrupt-file")
-        for way_out in ("refit: true", "make a revision live whose file is good"):
+        for way_out in ("refit: true", "make a revision live whose file can be read"):
             assert way_out in refused.json()["detail"]
-    build(campus, **wanted, refit=True)
+    build(campus, **body, refit=True)
 
 
 def test_a_revision_from_before_bases_were_written_down_answers_while_it_is_live(campus):

@@ -1,4 +1,4 @@
-"""Metrics: what happened is counted, and no label grows with what is stored."""
+"""Metrics: events are counted, and no label grows with the stored data."""
 
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
@@ -33,8 +33,8 @@ def test_requests_are_counted_by_route_method_and_status_only(own):
     assert found["tensormap_http_requests_total", "/v1/maps/{map}", "405", "OTHER"] == 1
     assert found["tensormap_http_request_seconds_count", "/v1/maps/{map}", "GET"] >= 3
     assert found["tensormap_http_request_seconds_sum", "/v1/maps/{map}", "GET"] > 0
-    told = own.get("/metrics").text
-    assert not any(name in told for name in (*names[:3], "BREW", "monday"))
+    answer = own.get("/metrics").text
+    assert not any(name in answer for name in (*names[:3], "BREW", "monday"))
 
 
 def test_routes_are_the_documented_ones(own):
@@ -46,7 +46,7 @@ def test_routes_are_the_documented_ones(own):
     assert routes <= documented
 
 
-def test_scans_builds_localizations_tracks_and_bytes_are_told(empty):
+def test_scans_builds_localizations_tracks_and_bytes_are_counted(empty):
     before = metrics_of(empty)
     assert before["tensormap_scans_stored_total",] == 0
     assert (before["tensormap_tracks",], before["tensormap_jobs", "queued"]) == (0, 0)

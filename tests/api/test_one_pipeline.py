@@ -1,4 +1,4 @@
-"""A drive and its parameters give one revision digest, whichever way they come in."""
+"""A drive and its parameters give one revision digest by every way of upload."""
 
 import pytest
 

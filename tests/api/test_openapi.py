@@ -1,4 +1,4 @@
-"""The API's own description: complete, whole, and readable without the internet."""
+"""The OpenAPI document: complete, consistent, and readable without the internet."""
 
 import re
 from html.parser import HTMLParser
@@ -75,7 +75,7 @@ def test_every_error_is_a_problem_with_an_example_of_each(document):
                 assert names[problem] == int(status), (name, problem)
 
 
-def test_every_route_behind_the_key_says_so(document):
+def test_every_route_behind_the_key_is_described_so(document):
     for name, operation in operations(document):
         if " /v1/" in name:
             assert operation["security"], name

@@ -1,10 +1,11 @@
-"""Poses as files have them, before and after their scans."""
+"""Files of poses, before and after their scans."""
 
 import numpy as np
 import pytest
 
 from app.drives.pose_files import CSV, KITTI, TUM
 from core.scans.pose import Pose
+from tests.support.catalog_rows import stored_scans
 from tests.support.recording import recording, upload_scan
 from tests.support.service import pose_text, problem_of, whole_store
 
@@ -20,7 +21,7 @@ def put(client, body, kind, **params):
 
 
 def records(client):
-    return client.service.store.drives.scan_records("campus", "monday")
+    return stored_scans(client.service.store, "campus", "monday")
 
 
 def same(pose, *wanted):
@@ -42,7 +43,7 @@ def test_kittis_poses_are_those_of_scans_that_are_in_and_to_come(empty, when):
     same(ahead.pose, 4, 5, 6, 0, 0, 0, 1)
 
 
-def test_tums_lines_have_times_and_begin_where_they_are_told_to(empty):
+def test_tums_lines_have_times_and_begin_at_the_given_scan(empty):
     upload_scan(empty, "campus", "monday", 2, SCANS[2])
     body = "# t x y z qx qy qz qw\n10.5 1 2 3 0 0 0 1\n\n11.5 4 5 6 0 0 1 0 # turned\n"
     put(empty, body, TUM, first=2)
@@ -65,7 +66,7 @@ def test_a_table_names_its_scans(empty):
     same(last.pose, 7, 8, 9, 0, 0, 0, 1)
 
 
-def test_a_scan_keeps_what_it_says_itself_and_a_later_file_what_an_earlier_one_said(empty):
+def test_a_scan_keeps_its_own_pose_and_a_later_file_that_of_an_earlier_one(empty):
     put(empty, "1 1 1 1 0 0 0 1\n2 2 2 2 0 0 0 1\n", TUM)
     put(empty, "5 5 5 5 0 0 0 1\n", TUM)
     own = Pose(9.0, 9.0, 9.0)
@@ -76,7 +77,7 @@ def test_a_scan_keeps_what_it_says_itself_and_a_later_file_what_an_earlier_one_s
     assert (second.pose, second.timestamp_s) == (Pose(2.0, 2.0, 2.0), 7.5)
 
 
-def test_a_drive_that_has_only_poses_is_empty_and_a_build_says_so(empty):
+def test_a_drive_that_has_only_poses_is_empty_and_a_build_reports_that(empty):
     told = put(empty, KITTI_LINES, KITTI).json()
     assert (told["scans"], told["present"]) == (0, [])
     assert empty.get(f"{DRIVE}/scans").json()["present"] == []

@@ -27,7 +27,7 @@ def test_a_map_is_built_and_answers_and_is_there_after_a_restart(
         assert client.get("/v1/jobs").json()["items"] == []
 
 
-def test_a_catalog_that_goes_away_is_told_and_comes_back(postgresql: Cluster, tmp_path) -> None:
+def test_an_unavailable_catalog_is_reported_until_it_is_back(postgresql: Cluster, tmp_path) -> None:
     url = postgresql.new_database()
     name = url.partition("?")[0].rpartition("/")[2]
     with running(tmp_path / "data", catalog_url=url) as client:
@@ -43,7 +43,7 @@ def test_a_catalog_that_goes_away_is_told_and_comes_back(postgresql: Cluster, tm
         assert client.get("/readyz").status_code == 200
 
 
-def test_a_catalog_that_may_only_be_read_is_told(postgresql: Cluster, tmp_path) -> None:
+def test_a_read_only_catalog_is_reported(postgresql: Cluster, tmp_path) -> None:
     url = postgresql.new_database()
     name = url.partition("?")[0].rpartition("/")[2]
     with running(tmp_path / "data", catalog_url=url) as client:

@@ -1,4 +1,4 @@
-"""Errors: one table, one shape, each explained, none that tells of the inside."""
+"""Errors: one table, one shape, each explained, without internal details."""
 
 import importlib
 import pkgutil
@@ -65,7 +65,7 @@ def test_a_path_that_is_not_there_is_a_problem_too(client):
         ("POST", "/livez", "GET"),
     ],
 )
-def test_a_method_that_a_path_lacks_is_told_which_it_has(client, method, path, allowed):
+def test_a_method_that_a_path_lacks_is_rejected_with_those_it_has(client, method, path, allowed):
     refused = client.request(method, path)
     assert problem_of(refused) == (405, "method-not-allowed")
     assert refused.headers["Allow"] == allowed
@@ -79,7 +79,7 @@ def test_no_route_leaves_its_body_to_fastapi():
     assert [route.path for route in ours if route.body_field is not None] == []
 
 
-def test_a_fault_of_ours_says_nothing_of_the_inside(own, monkeypatch, caplog):
+def test_an_internal_error_reveals_nothing_of_the_inside(own, monkeypatch, caplog):
     def fault(*_args):
         raise ZeroDivisionError("secret of the inside")
 
@@ -112,7 +112,7 @@ def test_a_fault_of_ours_says_nothing_of_the_inside(own, monkeypatch, caplog):
 def test_a_name_that_is_no_slug_reaches_no_file(client, built, slug):
     before = whole_store(client)
     beside = sorted(path.name for path in built.data_dir.parent.iterdir())
-    asked = [
+    requested = [
         ("GET", f"/v1/maps/{slug}", None),
         ("DELETE", f"/v1/maps/{slug}", None),
         ("GET", f"/v1/maps/{slug}/drives", None),
@@ -126,7 +126,7 @@ def test_a_name_that_is_no_slug_reaches_no_file(client, built, slug):
         ("GET", f"/problems/{slug}", None),
         ("GET", f"/static-offline-docs/{slug}", None),
     ]
-    for method, path, body in asked:
+    for method, path, body in requested:
         refused = client.request(method, path, content=body, headers=KITTI if body else None)
         assert refused.status_code in {404, 405, 422}, path
     assert whole_store(client) == before

@@ -1,4 +1,4 @@
-"""Returns that a map was built of: kept, or dropped once nothing needs them."""
+"""Returns of mapped scans: kept, or dropped when no build needs them."""
 
 import pytest
 
@@ -45,7 +45,7 @@ def chunk_bytes(client, drive):
     return sum(path.stat().st_size for path in folder.iterdir())
 
 
-def test_returns_that_the_live_revision_was_built_of_are_dropped_and_said_to_be(mapped):
+def test_returns_of_the_live_revision_are_dropped_and_shown_as_dropped(mapped):
     before = chunk_bytes(mapped, "monday")
     of_tuesday = chunk_bytes(mapped, "tuesday")
     keep(mapped, raw_scans="drop")
@@ -82,13 +82,13 @@ def test_builds_on_the_images_go_on_and_others_are_refused_by_name(mapped):
     shown = mapped.get(f"{MAP}/revisions/{added['revision']}").json()
     assert (shown["parameters"]["drives"], shown["scans"]) == (["monday", "tuesday"], 24)
     build(mapped, ranks=[4, 4], segment_length=4, **PLAIN)  # other bases of the same images
-    for wanted in (
+    for body in (
         {"encoding": "paper"},
         {},
         {"reducer": "mean", **PLAIN},
         {"sensor_height_m": 1.5, **PLAIN},
     ):
-        refused = mapped.post(f"{MAP}/builds", json=wanted)
+        refused = mapped.post(f"{MAP}/builds", json=body)
         assert problem_of(refused) == (409, "returns-gone")
         assert "16 of 17 scans" in refused.json()["detail"]
     without = build(mapped, drives=["tuesday"], encoding="paper")

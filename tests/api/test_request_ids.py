@@ -1,4 +1,4 @@
-"""Every answer has an id, and the log knows it too."""
+"""Every answer has an id, which the log contains too."""
 
 import io
 import json
@@ -6,7 +6,7 @@ import logging
 
 import pytest
 
-from app.http.logs import _JsonLine
+from app.http.logs import LineFormatter, LogFormat
 from tests.support.recording import KITTI, recording, upload_scan
 from tests.support.service import problem_of, running
 
@@ -16,7 +16,7 @@ def logged():
     """What the service logs while a test runs, as JSON."""
     written = io.StringIO()
     handler = logging.StreamHandler(written)
-    handler.setFormatter(_JsonLine())
+    handler.setFormatter(LineFormatter(LogFormat.JSON))
     logger = logging.getLogger("tensormap")
     kept = logger.level
     logger.addHandler(handler)
@@ -30,9 +30,9 @@ def requests(lines):
     return [line for line in lines if line["event"] == "request"]
 
 
-def test_an_id_that_came_is_returned_and_logged(own, logged):
-    asked = {"X-Request-Id": "truck-7:42"}
-    answer = own.get("/v1/maps/campus", headers=asked)
+def test_an_id_that_was_sent_is_returned_and_logged(own, logged):
+    headers = {"X-Request-Id": "truck-7:42"}
+    answer = own.get("/v1/maps/campus", headers=headers)
     assert answer.headers["X-Request-Id"] == "truck-7:42"
     [line] = requests(logged())
     assert line["request_id"] == "truck-7:42"
@@ -46,8 +46,8 @@ def test_an_id_that_came_is_returned_and_logged(own, logged):
     assert line["client"] == "127.0.0.1"
 
 
-def test_every_request_has_an_id_of_its_own_and_each_problem_tells_it(own, logged):
-    asked = [
+def test_every_request_has_an_id_of_its_own_and_each_problem_contains_it(own, logged):
+    requested = [
         own.get("/v1/maps/nowhere"),
         own.get("/nothing"),
         own.post("/livez"),
@@ -56,9 +56,9 @@ def test_every_request_has_an_id_of_its_own_and_each_problem_tells_it(own, logge
         own.put("/v1/maps/campus/drives/monday/scans/0", content=b"x", headers=KITTI),
         own.get("/v1/maps", headers={"X-Request-Id": "not sane\n"[:-1]}),
     ]
-    ids = [answer.headers["X-Request-Id"] for answer in asked]
-    assert len(set(ids)) == len(asked)
-    for answer in asked[:-1]:
+    ids = [answer.headers["X-Request-Id"] for answer in requested]
+    assert len(set(ids)) == len(requested)
+    for answer in requested[:-1]:
         assert answer.status_code >= 400
         assert answer.json()["request_id"] == answer.headers["X-Request-Id"]
     assert [line["request_id"] for line in requests(logged())] == ids
@@ -88,10 +88,10 @@ def test_neither_keys_nor_bodies_nor_queries_are_logged(tmp_path, logged):
         client.get("/v1/maps", headers=bad)
         client.get(f"/v1/maps/{key}", headers=bad)
         client.post("/v1/maps", content=b'{"map": "b0dy', headers=good | JSON)
-    told = json.dumps(logged())
+    answer = json.dumps(logged())
     assert len(requests(logged())) == 5
     for secret in ("s3cret", "wr0ng", "b0dy", "qu3ry"):
-        assert secret not in told
+        assert secret not in answer
 
 
 JSON = {"Content-Type": "application/json"}

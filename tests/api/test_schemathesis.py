@@ -56,7 +56,7 @@ known = KnownNames()
 def api(built):
     """The document as schemathesis reads it."""
     described = document() if EXAMPLES > EVERY_DAY else without_long_lists(document())
-    wanted = {
+    expected = {
         "seed": 1,
         "request-timeout": 60,
         "suppress-health-check": ["all"],
@@ -68,7 +68,7 @@ def api(built):
             "with-security-parameters": False,
         },
     }
-    api = schemathesis.openapi.from_dict(described, config=SchemathesisConfig.from_dict(wanted))
+    api = schemathesis.openapi.from_dict(described, config=SchemathesisConfig.from_dict(expected))
     api.app = bridge
 
     @api.hook
@@ -90,8 +90,8 @@ def is_refused_for_its_meaning(response):
     problem = response.json()
     name = problem["type"].removeprefix("/problems/")
     if name == "invalid-request":  # by a rule of our own, of several fields together
-        told = problem.get("errors", ())
-        return told and all(error["what"].startswith("Value error, ") for error in told)
+        answer = problem.get("errors", ())
+        return answer and all(error["what"].startswith("Value error, ") for error in answer)
     return name in OF_MEANING
 
 
@@ -142,7 +142,7 @@ def names_of(client, built, deletes):
 
 
 @pytest.mark.parametrize("operation", OPERATIONS)
-def test_an_operation_is_as_its_description_says(operation, api, service):
+def test_an_operation_is_as_it_is_described(operation, api, service):
     method, path = operation.split()
     if path != "/readyz":
         service.runner.stop()  # what is queued is not built: builds have tests of their own

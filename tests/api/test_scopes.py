@@ -1,4 +1,4 @@
-"""Which routes a scope opens: every route with every scope."""
+"""Scopes: every route with every scope."""
 
 import re
 
@@ -64,8 +64,8 @@ def test_no_route_is_without_a_line_in_the_table():
 @pytest.mark.parametrize("route", OPENED_BY)
 def test_a_route_opens_for_its_scopes_and_for_no_other(client, holders, route, scope):
     method, _, path = route.partition(" ")
-    asked = re.sub(r"\{(\w+)\}", lambda part: PARTS.get(part[1], "x" * 12), path)
-    status, problem = ask(client, method, asked, holders[scope])
+    requested = re.sub(r"\{(\w+)\}", lambda part: PARTS.get(part[1], "x" * 12), path)
+    status, problem = ask(client, method, requested, holders[scope])
     if scope is Scope.ADMIN or scope in OPENED_BY[route]:
         assert status not in {401, 403}, problem
     else:
@@ -78,8 +78,10 @@ def test_the_description_names_the_scopes_of_each_route(client):
         method, _, path = route.partition(" ")
         if method == "WS":
             continue
-        told = [scope for way in paths[path][method.lower()]["security"] for scope in way.values()]
-        assert sorted(told) == sorted([scope.value] for scope in scopes or {Scope.ADMIN}), route
+        answer = [
+            scope for way in paths[path][method.lower()]["security"] for scope in way.values()
+        ]
+        assert sorted(answer) == sorted([scope.value] for scope in scopes or {Scope.ADMIN}), route
 
 
 def test_a_route_that_declares_no_scope_is_the_administrators(tmp_path):
@@ -103,7 +105,7 @@ def test_a_declaration_names_a_scope():
         needs()
 
 
-def test_a_refusal_tells_which_scope_would_do(client, holders):
+def test_a_rejection_names_the_needed_scope(client, holders):
     refused = client.get("/v1/maps/campus/basis", headers=holders[WRITE])
     assert refused.headers["WWW-Authenticate"] == (
         'Bearer error="insufficient_scope", scope="maps:read localize"'
@@ -128,7 +130,7 @@ def test_while_keys_cannot_be_looked_up_nobody_gets_in(client, monkeypatch, capl
     monkeypatch.setattr(client.service.store.keys, "with_hash", fail)
     refused = client.get("/v1/maps", headers=reader)
     assert problem_of(refused) == (503, "storage-unavailable")
-    assert "who asks" in caplog.text
+    assert "cannot be checked" in caplog.text
 
 
 def test_a_route_that_nobody_guards_is_closed(tmp_path):

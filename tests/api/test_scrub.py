@@ -1,4 +1,4 @@
-"""Damage is noticed in the background, by name, in the log and in the metrics; the rest serves."""
+"""Damage is detected in the background, by name, in the log and the metrics; all else is served."""
 
 import json
 import logging
@@ -52,9 +52,9 @@ def test_a_pass_finds_what_is_damaged_and_names_it_each_time(data, built, caplog
             assert value(text, 'tensormap_scrub_files_total{result="good"}') == passes * 5
             assert value(text, "tensormap_scrub_damaged_files") == 1
             assert value(text, "tensormap_scrub_last_pass_timestamp_seconds") > 1e9
-            [told] = [record for record in caplog.records if record.levelno == logging.ERROR]
-            assert live_file(data, built).name in told.tensormap_fields["file"]
-            assert told.tensormap_fields["of"] == f"map campus, revision {built.live[:12]}"
+            [answer] = [record for record in caplog.records if record.levelno == logging.ERROR]
+            assert live_file(data, built).name in answer.tensormap_fields["file"]
+            assert answer.tensormap_fields["of"] == f"map campus, revision {built.live[:12]}"
     assert live_file(data, built).exists()
 
 
@@ -64,15 +64,18 @@ def test_what_is_damaged_is_refused_by_name_and_the_rest_serves(data, built):
         while value(client.get("/metrics").text, "tensormap_scrub_damaged_files") < 1:
             pass
         body = kitti(recording().scans[5])
-        asked = "/v1/maps/campus/localizations/scan"
-        assert problem_of(client.post(asked, content=body, headers=KITTI)) == (500, "corrupt-file")
+        requested = "/v1/maps/campus/localizations/scan"
+        assert problem_of(client.post(requested, content=body, headers=KITTI)) == (
+            500,
+            "corrupt-file",
+        )
         rolled = client.put("/v1/maps/campus/live", json={"revision": built.other})
         assert rolled.status_code == 200
-        assert client.post(asked, content=body, headers=KITTI).json()["best"]["scan_index"] == 5
+        assert client.post(requested, content=body, headers=KITTI).json()["best"]["scan_index"] == 5
         assert client.get("/v1/maps/campus/drives/monday/scans/5").status_code == 200
 
 
-def test_a_pass_goes_on_after_a_start_where_it_stopped(data):
+def test_a_pass_continues_after_a_start_where_it_stopped(data):
     with Store(data) as store:
         counted = []
         for done in (0, 4):

@@ -28,7 +28,7 @@ def build(client, **wanted):
     return client.get("/v1/maps/campus/topology", params={"revision": ended["revision"]}).json()
 
 
-def test_unequal_segments_are_chosen_for_a_build_and_told_by_its_revision(own):
+def test_unequal_segments_are_chosen_for_a_build_and_shown_by_its_revision(own):
     graph = build(own, segmentation="unequal", segments=3, encoding="paper")
     [revision] = [
         item
@@ -42,7 +42,7 @@ def test_unequal_segments_are_chosen_for_a_build_and_told_by_its_revision(own):
     assert len(basis["segments"]) == revision["segments"]
 
 
-def test_segments_are_fixed_unless_asked_otherwise(own):
+def test_segments_are_fixed_by_default(own):
     graph = build(own, segments=3)
     items = own.get("/v1/maps/campus/revisions").json()["items"]
     assert {item["parameters"]["segmentation"] for item in items} == {"fixed"}

@@ -1,4 +1,4 @@
-"""What one key takes leaves room for others: tracks, streams and queued builds."""
+"""Shares of keys: one key leaves tracks, streams and queued builds to others."""
 
 import time
 from contextlib import ExitStack
@@ -157,7 +157,7 @@ class AsHolder:
         return self._client.get(path, headers=self._headers)
 
 
-def test_a_revoked_key_is_told_no_more_events_and_others_are(sparing, monkeypatch):
+def test_a_revoked_key_gets_no_more_events_and_others_do(sparing, monkeypatch):
     monkeypatch.setattr("app.builds.runner.run_build", stand_still)
     job = sparing.post(BUILDS, json={"segments": 2}, headers=ADMIN).json()["job"]
     revoked = make(sparing, READ)
@@ -165,8 +165,8 @@ def test_a_revoked_key_is_told_no_more_events_and_others_are(sparing, monkeypatc
         "GET",
         f"/v1/jobs/{job}/events",
         headers={"Authorization": f"Bearer {revoked['secret']}"},
-    ) as told:
-        lines = told.iter_lines()
+    ) as answer:
+        lines = answer.iter_lines()
         assert any(line.startswith("data: ") for line in lines)
         assert sparing.delete(f"/v1/keys/{revoked['key']}", headers=ADMIN).status_code in {200, 204}
         assert not [line for line in lines if '"done"' in line]  # the stream ends by itself
@@ -174,7 +174,7 @@ def test_a_revoked_key_is_told_no_more_events_and_others_are(sparing, monkeypatc
 
 def test_however_many_follow_a_job_it_is_read_as_often_as_for_one(sparing, monkeypatch):
     monkeypatch.setattr("app.builds.runner.run_build", stand_still)
-    monkeypatch.setattr(app.builds.job_events, "_LOOK_EVERY_S", 0.02)
+    monkeypatch.setattr(app.builds.job_events, "_READ_EVERY_S", 0.02)
     job = sparing.post(BUILDS, json={"segments": 2}, headers=ADMIN).json()["job"]
     wait_for(AsHolder(sparing, ADMIN), job, {"running"})
     service = sparing.service

@@ -1,4 +1,4 @@
-"""Tokens that are exchanged for a key: never more than the key, never longer."""
+"""Tokens: a key is exchanged for one, with no more rights and no longer life."""
 
 from datetime import UTC, datetime, timedelta
 
@@ -51,8 +51,8 @@ def test_a_token_may_be_narrower_than_its_key(client):
     headers = bearer(token["secret"])
     assert problem_of(client.get("/v1/maps", headers=headers)) == (403, "scope-missing")
     for slug, problem in (("dock", (409, "no-live-revision")), ("campus", (404, "map-not-found"))):
-        asked = client.get(f"/v1/maps/{slug}/basis", headers=headers)
-        assert problem_of(asked) == problem
+        requested = client.get(f"/v1/maps/{slug}/basis", headers=headers)
+        assert problem_of(requested) == problem
     left_s = datetime.fromisoformat(token["expires_at"]) - datetime.now(UTC)
     assert left_s <= timedelta(seconds=60)
 
@@ -137,8 +137,8 @@ def test_a_token_counts_and_signs_as_its_key(tmp_path):
         client.post("/v1/maps", json={"map": "campus"}, headers=token)
         answer = client.get("/v1/jobs", headers=token)
         assert answer.headers["RateLimit"].startswith('"requests";r=1;')
-        told = client.get(f"/v1/audit?key={made['key']}", headers=ADMIN).json()["items"]
-    assert [entry["action"] for entry in told] == ["exchange_token", "create_map"]
+        shown = client.get(f"/v1/audit?key={made['key']}", headers=ADMIN).json()["items"]
+    assert [entry["action"] for entry in shown] == ["exchange_token", "create_map"]
 
 
 def test_tokens_of_the_key_of_the_settings_end_when_it_is_changed(tmp_path):

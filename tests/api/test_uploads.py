@@ -1,4 +1,4 @@
-"""Many scans in one body, bodies that are packed, and bodies that say what they are."""
+"""Many scans in one body, compressed bodies, and bodies with a digest."""
 
 import base64
 import gzip
@@ -12,6 +12,7 @@ import zstandard
 
 from app.drives.many_scans import ScanUpload
 from app.http.errors import BodyTooLarge
+from app.settings import Settings
 from tests.support.recording import KITTI, TAR, kitti, npy, recording, tar
 from tests.support.service import problem_of, running, whole_store
 
@@ -39,9 +40,9 @@ def test_what_an_archive_holds_is_stored_bit_for_bit_and_a_second_time_is_there(
     ).json()
     assert (first["scans_stored"], first["scans_present"], first["files_set_aside"]) == (5, 0, 0)
     assert first["stored"] == ranges((0, 2), (4, 5))
-    told = empty.get(f"{DRIVE}/scans").json()
-    assert (told["scans"], told["closed"]) == (5, False)
-    assert (told["present"], told["gaps"]) == (ranges((0, 2), (4, 5)), ranges((3, 3)))
+    answer = empty.get(f"{DRIVE}/scans").json()
+    assert (answer["scans"], answer["closed"]) == (5, False)
+    assert (answer["present"], answer["gaps"]) == (ranges((0, 2), (4, 5)), ranges((3, 3)))
     before = whole_store(empty)
     again = empty.post(f"{DRIVE}/scans", content=tar(files), params={"format": "kitti"}).json()
     assert (again["scans_stored"], again["present"]) == (0, ranges((0, 2), (4, 5)))
@@ -51,7 +52,7 @@ def test_what_an_archive_holds_is_stored_bit_for_bit_and_a_second_time_is_there(
         assert got.tobytes() == SCANS[index].points_m.tobytes()
 
 
-def test_what_cannot_be_used_is_set_aside_with_its_reason_and_the_rest_goes_on(empty):
+def test_unusable_files_are_set_aside_with_their_reason_and_the_others_are_stored(empty):
     empty.post(f"{DRIVE}/scans", content=tar(npy_files([4])))
     files = [
         ("000000.npy", npy(SCANS[0].points_m)),
@@ -65,11 +66,11 @@ def test_what_cannot_be_used_is_set_aside_with_its_reason_and_the_rest_goes_on(e
         ("000006.npy", b""),
         ("5.npy", npy(SCANS[5].points_m)),
     ]
-    told = empty.post(f"{DRIVE}/scans", content=tar(files), headers=TAR).json()
-    assert told["stored"] == ranges((0, 0), (5, 5))
-    assert told["files_set_aside"] == 8
+    answer = empty.post(f"{DRIVE}/scans", content=tar(files), headers=TAR).json()
+    assert answer["stored"] == ranges((0, 0), (5, 5))
+    assert answer["files_set_aside"] == 8
     assert [
-        (item["file"], item["type"].removeprefix("/problems/")) for item in told["set_aside"]
+        (item["file"], item["type"].removeprefix("/problems/")) for item in answer["set_aside"]
     ] == [
         ("000001.npy", "truncated-scan"),
         ("000002.bin", "unknown-format"),
@@ -80,7 +81,7 @@ def test_what_cannot_be_used_is_set_aside_with_its_reason_and_the_rest_goes_on(e
         ("000006.npy", "empty-body"),
         ("000004.npy", "scan-conflict"),
     ]
-    assert "?format=kitti" in told["set_aside"][1]["detail"]
+    assert "?format=kitti" in answer["set_aside"][1]["detail"]
     assert empty.get(f"{DRIVE}/scans").json()["present"] == ranges((0, 0), (4, 5))
 
 
@@ -98,43 +99,36 @@ def test_names_may_be_long_and_links_and_folders_are_no_scans(empty, style):
         for member in (folder, link):
             archive.addfile(member)
         archive.addfile(long_name, io.BytesIO(content))
-    told = empty.post(f"{DRIVE}/scans", content=body.getvalue(), headers=TAR).json()
-    assert told["stored"] == ranges((0, 0))
-    assert [item["file"] for item in told["set_aside"]] == ["000001.npy"]
+    answer = empty.post(f"{DRIVE}/scans", content=body.getvalue(), headers=TAR).json()
+    assert answer["stored"] == ranges((0, 0))
+    assert [item["file"] for item in answer["set_aside"]] == ["000001.npy"]
 
 
 def test_a_closed_drive_takes_what_it_has_and_nothing_else(empty):
     empty.post(f"{DRIVE}/scans", content=tar(npy_files([0, 1])))
     empty.patch(DRIVE, json={"closed": True})
-    told = empty.post(f"{DRIVE}/scans", content=tar(npy_files([0, 1, 2]))).json()
-    assert told["present"] == ranges((0, 1))
-    assert [item["type"] for item in told["set_aside"]] == ["/problems/drive-closed"]
+    answer = empty.post(f"{DRIVE}/scans", content=tar(npy_files([0, 1, 2]))).json()
+    assert answer["present"] == ranges((0, 1))
+    assert [item["type"] for item in answer["set_aside"]] == ["/problems/drive-closed"]
     assert empty.get(f"{DRIVE}/scans").json()["closed"] is True
 
 
-def test_scans_that_came_before_a_limit_was_reached_are_stored(empty, tmp_path):
+def test_scans_before_a_limit_was_reached_are_stored(empty, tmp_path):
     body = tar(npy_files())
 
     def pieces():
         yield from (body[at : at + 999] for at in range(0, len(body) // 2, 999))
-        raise BodyTooLarge("as it is told in the middle of a body that unpacks to too much")
+        raise BodyTooLarge("in the middle of a body that unpacks to too many bytes")
 
-    upload = ScanUpload(
-        empty.service.store,
-        "campus",
-        "monday",
-        media_type=None,
-        min_returns=1,
-        most_bytes=len(body),
-        folder=tmp_path,
-    )
+    settings = Settings(data_dir=tmp_path, min_returns=1)
+    upload = ScanUpload(empty.service.store, settings, "campus", "monday")
     with pytest.raises(BodyTooLarge):
         upload.take(pieces())
     assert empty.get(f"{DRIVE}/scans").json()["present"] == ranges((0, 2))
 
 
 @pytest.mark.parametrize("cut", [100, 512, 700, -1024 - 100])
-def test_an_archive_that_breaks_off_is_told_and_what_came_before_is_stored(empty, cut):
+def test_an_incomplete_archive_is_reported_and_earlier_scans_are_stored(empty, cut):
     whole = tar(npy_files([0, 1]))
     second = whole.index(b"000001.npy")
     end = second + cut if cut > 0 else len(whole.rstrip(b"\0")) - 400
@@ -195,9 +189,9 @@ def test_a_file_that_is_too_long_is_passed_over_unread(tmp_path):
         small = npy(SCANS[0].points_m[:200])
         body = tar([("0.npy", npy(np.ones((9_000, 3), np.float32))), ("1.npy", small)])
         assert len(body) > 100_000  # the archive itself may be longer than one scan
-        told = client.post(f"{DRIVE}/scans", content=body, headers=TAR).json()
-        assert told["stored"] == ranges((1, 1))
-        assert told["set_aside"][0]["type"] == "/problems/scan-too-large"
+        answer = client.post(f"{DRIVE}/scans", content=body, headers=TAR).json()
+        assert answer["stored"] == ranges((1, 1))
+        assert answer["set_aside"][0]["type"] == "/problems/scan-too-large"
 
 
 def test_an_upload_has_a_limit_of_its_own(tmp_path):
@@ -245,10 +239,10 @@ def test_a_packed_body_is_the_body(empty, encoding, members):
     assert (plain.status_code, plain.json()) == (200, put.json())
     archive = PACKED[encoding](tar(npy_files([1, 2])))
     pieces = (archive[at : at + 777] for at in range(0, len(archive), 777))
-    told = empty.post(
+    answer = empty.post(
         f"{DRIVE}/scans", content=pieces, headers={**TAR, "Content-Encoding": encoding}
     ).json()
-    assert told["stored"] == ranges((1, 2))
+    assert answer["stored"] == ranges((1, 2))
     poses = PACKED[encoding](b'{"poses": [{"scan": 0, "timestamp_s": 7.5}]}')
     headers = {"Content-Type": "application/json", "Content-Encoding": encoding}
     assert empty.put(f"{DRIVE}/poses", content=poses, headers=headers).status_code == 200
@@ -293,13 +287,13 @@ def test_an_encoding_that_is_unknown_is_refused(empty, encoding):
 
 
 @pytest.mark.parametrize("algorithm", ["sha256", "sha512"])
-def test_a_body_that_is_what_its_digest_says_is_taken(empty, algorithm):
+def test_a_body_with_the_right_digest_is_accepted(empty, algorithm):
     body, archive = kitti(SCANS[0]), tar(npy_files([1, 2]))
     put = empty.put(f"{DRIVE}/scans/0", content=body, headers={**KITTI, **digest(body, algorithm)})
     assert put.status_code == 201
     headers = {**TAR, **digest(archive, algorithm)}
-    told = empty.post(f"{DRIVE}/scans", content=archive, headers=headers).json()
-    assert told["stored"] == ranges((1, 2))
+    answer = empty.post(f"{DRIVE}/scans", content=archive, headers=headers).json()
+    assert answer["stored"] == ranges((1, 2))
 
 
 @pytest.mark.parametrize(

@@ -105,9 +105,9 @@ class Runner:
         elif block.language == "python":
             self._said = self._python(text, block.where)
         elif (block.language, block.info) == ("text", "output"):
-            wanted = f"{text}\n"
-            assert doctest.OutputChecker().check_output(wanted, self._said, _LENIENT), (
-                f"{block.where}: wanted\n{wanted}\ngot\n{self._said}"
+            expected = f"{text}\n"
+            assert doctest.OutputChecker().check_output(expected, self._said, _LENIENT), (
+                f"{block.where}: wanted\n{expected}\ngot\n{self._said}"
             )
 
     def _sh(self, text: str, where: str) -> str:
@@ -123,10 +123,10 @@ class Runner:
         return done.stdout
 
     def _python(self, text: str, where: str) -> str:
-        said = io.StringIO()
-        with contextlib.chdir(self._folder), contextlib.redirect_stdout(said):
+        shown = io.StringIO()
+        with contextlib.chdir(self._folder), contextlib.redirect_stdout(shown):
             exec(compile(text, where, "exec"), self._namespace)
-        return said.getvalue()
+        return shown.getvalue()
 
     def _serve(self, text: str) -> None:
         self.close()

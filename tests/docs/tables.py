@@ -39,9 +39,9 @@ def routes_table() -> Iterator[str]:
         for method in _METHODS:
             if method not in operations:
                 continue
-            said = operations[method]
-            does = said["description"].split("\n")[0]
-            answers = ", ".join(sorted(said["responses"]))
+            shown = operations[method]
+            does = shown["description"].split("\n")[0]
+            answers = ", ".join(sorted(shown["responses"]))
             yield f"| `{method.upper()} {path}` | {does} | {answers} |"
 
 
@@ -69,8 +69,8 @@ def formats_table() -> Iterator[str]:
     yield "|---|---|---|---|"
     for known in SCAN_FORMATS:
         suffixes = " ".join(f"`{suffix}`" for suffix in known.suffixes)
-        told = "yes" if known.magics else ""
-        yield f"| {known.name} | `{known.media_type}` | {suffixes} | {told} |"
+        answer = "yes" if known.magics else ""
+        yield f"| {known.name} | `{known.media_type}` | {suffixes} | {answer} |"
 
 
 TABLES: dict[str, tuple[Path, Callable[[], Iterator[str]]]] = {
@@ -90,13 +90,13 @@ def with_table(name: str) -> tuple[str, str]:
     if begin not in text or end not in text:
         raise ValueError(f"{path} has no place for table {name}")
     table = "\n".join(make())
-    wanted = re.sub(
+    expected = re.sub(
         re.escape(begin) + ".*?" + re.escape(end),
         lambda _: f"{begin}\n{table}\n\n{end}",
         text,
         flags=re.DOTALL,
     )
-    return text, wanted
+    return text, expected
 
 
 if __name__ == "__main__":

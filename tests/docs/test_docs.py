@@ -1,4 +1,4 @@
-"""Every command and program of the documents runs, and every table says what the code says."""
+"""Every command and program of the documents runs, and every table is that of the code."""
 
 import re
 import shutil
@@ -23,7 +23,7 @@ NOT_RUN = {
     "make lint": "a job of its own",
     "make torture": "takes hours; .ci/run runs four minutes of it",
     "TENSORMAP_TORTURE_SEED=": "takes minutes; .ci/run runs the same",
-    ".venv/bin/python -m tests.docs.tables": "test_a_table_says_what_the_code_says does the same",
+    ".venv/bin/python -m tests.docs.tables": "test_a_table_is_that_of_the_code does the same",
     "TENSORMAP_SCHEMATHESIS_EXAMPLES=": "takes minutes; `make test` runs it with few examples",
     "docker compose up": "needs a container engine",
     "docker compose logs": "needs a container engine",
@@ -49,7 +49,7 @@ def runnable(path: Path) -> list[Block]:
     [path for path in DOCUMENTS if any(b.language not in READ_ONLY for b in runnable(path))],
     ids=lambda path: str(path.relative_to(ROOT)),
 )
-def test_every_block_runs_and_writes_what_it_says(path: Path, tmp_path: Path) -> None:
+def test_every_block_runs_and_prints_its_documented_output(path: Path, tmp_path: Path) -> None:
     runner = Runner(tmp_path)
     try:
         for block in runnable(path):
@@ -71,9 +71,9 @@ def test_every_exception_is_still_needed() -> None:
 
 
 @pytest.mark.parametrize("name", TABLES)
-def test_a_table_says_what_the_code_says(name: str) -> None:
-    found, wanted = with_table(name)
-    assert found == wanted, "run `python -m tests.docs.tables`"
+def test_a_table_is_that_of_the_code(name: str) -> None:
+    found, expected = with_table(name)
+    assert found == expected, "run `python -m tests.docs.tables`"
 
 
 @pytest.mark.parametrize("path", DOCUMENTS, ids=lambda path: str(path.relative_to(ROOT)))

@@ -1,4 +1,4 @@
-"""The command line as a person uses it, each command a process."""
+"""The command line, each command a process."""
 
 import json
 import socket
@@ -22,8 +22,8 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def map_file(drive: Path) -> Path:
     path = drive.parent / "monday.h5"
-    said = tensormap("build", drive, "-o", path, "--segments", "2", "--reducer", "nearest")
-    assert "20 scans, 2 segments" in said
+    shown = tensormap("build", drive, "-o", path, "--segments", "2", "--reducer", "nearest")
+    assert "20 scans, 2 segments" in shown
     return path
 
 
@@ -36,8 +36,8 @@ def test_a_map_is_inspected(map_file: Path) -> None:
 
 def test_a_scan_is_localized_where_it_was_taken(map_file: Path, drive: Path) -> None:
     scans = [drive / "velodyne" / f"{index:06d}.bin" for index in (3, 16)]
-    said = tensormap("localize", map_file, *scans, "-k", "2", "--json")
-    answers = [json.loads(line) for line in said.splitlines() if line.startswith("{")]
+    shown = tensormap("localize", map_file, *scans, "-k", "2", "--json")
+    answers = [json.loads(line) for line in shown.splitlines() if line.startswith("{")]
     assert [answer["best"]["scan_index"] for answer in answers] == [3, 16]
     assert [answer["best"]["segment"] for answer in answers] == [0, 1]
     assert all(len(answer["matches"]) == 2 for answer in answers)
@@ -46,8 +46,8 @@ def test_a_scan_is_localized_where_it_was_taken(map_file: Path, drive: Path) -> 
 def test_a_signature_is_printed_and_packed(map_file: Path, drive: Path, tmp_path: Path) -> None:
     scan = drive / "velodyne" / "000003.bin"
     packed = tmp_path / "where.sig"
-    said = tensormap("signature", map_file, scan, "--segment", "1", "--packed", packed)
-    body = json.loads(said)
+    shown = tensormap("signature", map_file, scan, "--segment", "1", "--packed", packed)
+    body = json.loads(shown)
     assert [item["segment"] for item in body["signatures"]] == [1]
     assert [len(row) for row in body["signatures"][0]["values"]] == [5] * 5
     assert len(packed.read_bytes()) == 63
@@ -83,7 +83,7 @@ def test_evaluate_writes_every_figure(drive: Path, tmp_path: Path) -> None:
     assert found["conditions"][0]["queries"] == 4
 
 
-def test_evaluate_asks_with_a_second_drive(drive: Path, tmp_path: Path) -> None:
+def test_evaluate_queries_with_a_second_drive(drive: Path, tmp_path: Path) -> None:
     second, out = tmp_path / "tuesday", tmp_path / "figures.json"
     tensormap("simulate", second, "--scans", "20", "--seed", "12", "--lateral-m", "1")
     tensormap("evaluate", drive, "--query-drive", second, "--segments", "2", "--json", out)
@@ -92,10 +92,10 @@ def test_evaluate_asks_with_a_second_drive(drive: Path, tmp_path: Path) -> None:
     assert found["conditions"][0]["queries"] == 20
 
 
-def test_the_demonstration_ends_by_itself_when_asked_to(drive: Path) -> None:
-    said = tensormap("demo", "--once", "--drive", drive, "--port", "8300")
-    assert "full scan" in said
-    assert "60" in said
+def test_the_demonstration_ends_by_itself_with_once(drive: Path) -> None:
+    shown = tensormap("demo", "--once", "--drive", drive, "--port", "8300")
+    assert "full scan" in shown
+    assert "60" in shown
 
 
 @pytest.mark.parametrize(
@@ -125,7 +125,7 @@ def test_the_demonstration_ends_by_itself_when_asked_to(drive: Path) -> None:
         (["backup", "--data", "{folder}", "-o", "{folder}/no/b.tar"], 2, "there is no folder"),
     ],
 )
-def test_what_cannot_be_is_told_in_a_line(
+def test_an_invalid_option_is_reported_in_a_line(
     words: list[str],
     status: int,
     said: str,
@@ -140,9 +140,9 @@ def test_what_cannot_be_is_told_in_a_line(
     monkeypatch.setenv("COLUMNS", "300")
     with pytest.raises(SystemExit) as ended:
         main()
-    told = capsys.readouterr()
+    answer = capsys.readouterr()
     assert ended.value.code == status
-    assert said in " ".join(f"{told.out}{told.err}".split())
+    assert said in " ".join(f"{answer.out}{answer.err}".split())
 
 
 def test_a_catalog_elsewhere_is_not_backed_up_as_if_it_were_here(
@@ -152,10 +152,10 @@ def test_a_catalog_elsewhere_is_not_backed_up_as_if_it_were_here(
     monkeypatch.setattr(sys, "argv", ["tensormap", "backup", "-o", str(tmp_path / "b.tar")])
     with pytest.raises(SystemExit) as ended:
         main()
-    said = capsys.readouterr().err
+    shown = capsys.readouterr().err
     assert ended.value.code == 1
-    assert "pg_dump" in said
-    assert "secret" not in said
+    assert "pg_dump" in shown
+    assert "secret" not in shown
     assert list(tmp_path.iterdir()) == []
 
 
@@ -165,23 +165,23 @@ def test_one_scan_that_cannot_be_used_does_not_hide_the_others(
     cut = tmp_path / "cut.bin"
     cut.write_bytes(bytes(17))
     good = drive / "velodyne" / "000003.bin"
-    said = tensormap("localize", map_file, cut, good, "--json", status=1)
-    assert '"scan_index":3' in said
-    assert "cut.bin: the body has 17 bytes" in said
+    shown = tensormap("localize", map_file, cut, good, "--json", status=1)
+    assert '"scan_index":3' in shown
+    assert "cut.bin: the body has 17 bytes" in shown
 
 
-def test_a_demonstration_of_too_few_scans_says_so(tmp_path: Path) -> None:
+def test_a_demonstration_of_too_few_scans_is_an_error(tmp_path: Path) -> None:
     short = tmp_path / "short"
     tensormap("simulate", short, "--scans", "2")
-    said = tensormap("demo", "--once", "--drive", short, "--port", "8300", status=1)
-    assert "too few" in said
+    shown = tensormap("demo", "--once", "--drive", short, "--port", "8300", status=1)
+    assert "too few" in shown
 
 
-def test_a_port_that_is_taken_is_told_before_anything_is_opened(tmp_path: Path) -> None:
+def test_a_used_port_is_reported_before_anything_is_opened(tmp_path: Path) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = str(taken.getsockname()[1])
-        said = tensormap("serve", "--port", port, "--data", tmp_path / "data", status=2)
-    assert "Address already in use" in " ".join(said.split())
+        shown = tensormap("serve", "--port", port, "--data", tmp_path / "data", status=2)
+    assert "Address already in use" in " ".join(shown.split())
     assert not (tmp_path / "data").exists()
 
 
@@ -194,6 +194,6 @@ def test_a_damaged_map_is_refused(map_file: Path, tmp_path: Path) -> None:
 
 
 def test_a_setting_that_cannot_be_is_named() -> None:
-    said = tensormap("serve", "--port", "0", status=1, TENSORMAP_ADMIN_KEY="short")
-    assert "TENSORMAP_ADMIN_KEY" in said
-    assert "short" not in said.replace("should", "")
+    shown = tensormap("serve", "--port", "0", status=1, TENSORMAP_ADMIN_KEY="short")
+    assert "TENSORMAP_ADMIN_KEY" in shown
+    assert "short" not in shown.replace("should", "")

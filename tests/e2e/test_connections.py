@@ -73,7 +73,7 @@ def test_a_new_connection_is_answered_however_many_do_nothing(server, opened):
     )
 
 
-def test_what_never_asked_is_closed_before_what_is_kept_for_another_request(server, opened):
+def test_unused_connections_are_closed_before_those_kept_for_another_request(server, opened):
     kept = [opened() for _ in range(3)]
     assert all(answer_on(made).startswith(b"HTTP/1.1 200") for made in kept)
     idle = [opened() for _ in range(LIMIT - 3 + 5)]
@@ -86,8 +86,8 @@ def test_where_all_are_in_use_another_is_refused_by_name(server, opened):
     body = b"POST /v1/maps HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Type: application/json\r\n"
     busy = [opened(body + b"Content-Length: 100\r\n\r\n{") for _ in range(LIMIT)]
     time.sleep(0.3)  # until their heads are read
-    told = opened().recv(4096)
-    head, _, problem = told.partition(b"\r\n\r\n")
+    answer = opened().recv(4096)
+    head, _, problem = answer.partition(b"\r\n\r\n")
     assert head.startswith(b"HTTP/1.1 503 ")
     assert b"retry-after: 1" in head.lower()
     assert json.loads(problem)["type"] == "/problems/too-many-connections"
@@ -130,7 +130,7 @@ def test_a_slow_body_is_no_late_head(server, opened):
     assert made.recv(4096).startswith(b"HTTP/1.1 201")
 
 
-def test_a_kept_connection_asks_again_and_again(server):
+def test_a_kept_connection_sends_many_requests(server):
     with httpx2.Client(base_url=f"http://127.0.0.1:{server.port}", verify=NO_TLS) as client:
         for _ in range(3):
             assert client.get("/livez").status_code == 200

@@ -1,4 +1,4 @@
-"""What the Dockerfile and the compose file promise; no container engine runs here."""
+"""The Dockerfile and the compose file; no container engine runs here."""
 
 import itertools
 import re
@@ -37,7 +37,7 @@ def test_the_image_runs_as_a_user_without_rights_where_no_code_lies() -> None:
     ]
 
 
-def test_the_image_serves_its_volume_on_its_port_and_asks_itself() -> None:
+def test_the_image_serves_its_volume_on_its_port_and_checks_its_health() -> None:
     assert instructions("CMD") == ['["tensormap", "serve", "--host", "0.0.0.0", "--data", "/data"]']
     assert instructions("VOLUME") == ["/data"]
     assert instructions("EXPOSE") == ["8000"]
@@ -59,7 +59,7 @@ def test_what_the_image_is_made_of_is_named_and_fixed() -> None:
 _SECRET = re.compile(r"(?i)(key|secret|password|token)[a-z_]*\s*[:=][ \t]*[^\s,]")
 
 
-def test_no_secret_stands_in_them() -> None:
+def test_they_contain_no_secret() -> None:
     for name in ("Dockerfile", "compose.yaml", ".dockerignore"):
         text = (ROOT / name).read_text()
         assert not re.search(r"(?i)(key|secret|password|token)[a-z_]*\s*[:=][ \t]*[^\s,]", text), (

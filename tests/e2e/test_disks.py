@@ -21,8 +21,8 @@ NAMESPACE = ["unshare", "--mount"] if os.geteuid() == 0 else ["unshare", "-r", "
 
 def can_mount() -> bool:
     try:
-        asked = [*NAMESPACE, "mount", "-t", "tmpfs", "tmpfs", "/mnt"]
-        return subprocess.run(asked, capture_output=True, timeout=30).returncode == 0
+        requested = [*NAMESPACE, "mount", "-t", "tmpfs", "tmpfs", "/mnt"]
+        return subprocess.run(requested, capture_output=True, timeout=30).returncode == 0
     except FileNotFoundError:
         return False
 
@@ -84,7 +84,7 @@ def localize(client, slug, index):
     ).json()["best"]["scan_index"]
 
 
-def test_a_disk_that_fills_up_is_told_and_loses_nothing(small):
+def test_a_disk_that_fills_up_is_reported_and_loses_nothing(small):
     server, disk = small
     client, seen = server.client, seen_by(server, disk)
     built_map(client, "filled", 8)
@@ -135,7 +135,7 @@ def read_only(small):
     assert server.client.get("/readyz").json() == {"ready": True, "missing": []}
 
 
-def test_files_that_turn_read_only_are_told_and_what_is_there_answers(read_only):
+def test_files_that_turn_read_only_are_reported_and_reads_are_answered(read_only):
     client = read_only
     for drive in ("monday", "tuesday"):
         refused = upload_scan(client, "frozen", drive, 6, recording().scans[6])

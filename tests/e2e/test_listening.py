@@ -1,4 +1,4 @@
-"""The address that was asked for is listened on, and no other (HSDS took them all)."""
+"""The service listens on its configured address, and no other (HSDS used all of them)."""
 
 import re
 import socket
@@ -39,7 +39,7 @@ def address_of(text, size):
 
 @pytest.mark.skipif(not Path("/proc/net/tcp").exists(), reason="reads Linux' own tables")
 @pytest.mark.parametrize("chosen", [None, "127.0.0.2"])
-def test_the_service_listens_where_it_was_told_and_nowhere_else(tmp_path, chosen):
+def test_the_service_listens_on_its_address_and_no_other(tmp_path, chosen):
     options = [] if chosen is None else ["--host", chosen]
     with serving(tmp_path / "data", tmp_path / "log", *options) as server:
         assert list(listened_on(str(server.pid))) == [chosen or "127.0.0.1"]

@@ -1,4 +1,4 @@
-"""The service as an administrator runs it: logs, backups while it works, and its end."""
+"""Operation: logs, backups of a running service, and its shutdown."""
 
 import json
 import signal
@@ -37,11 +37,11 @@ def test_a_backup_made_while_the_service_works_is_a_service_once_restored(tmp_pa
         putting = threading.Thread(target=put)
         putting.start()
         try:
-            said = tensormap("backup", "--data", data, "-o", file)
+            shown = tensormap("backup", "--data", data, "-o", file)
         finally:
             stop.set()
             putting.join()
-        assert "files" in said
+        assert "files" in shown
     assert "files" in tensormap("restore", file, "--data", new)
     with serving(new, tmp_path / "log") as server:
         body = kitti(scans[4])
@@ -60,7 +60,7 @@ def temporary():
         yield Path(folder)
 
 
-def test_the_service_ends_with_what_it_was_asked_answered_and_its_build_queued(tmp_path, temporary):
+def test_the_service_stops_with_requests_answered_and_its_build_queued(tmp_path, temporary):
     data, log = tmp_path / "data", tmp_path / "log"
     answered: list[httpx2.Response] = []
     within = ["env", f"TMPDIR={temporary}"]
@@ -76,8 +76,8 @@ def test_the_service_ends_with_what_it_was_asked_answered_and_its_build_queued(t
 
         server.client.post("/v1/maps", json={"map": "campus"})
         upload(server.client, "monday", recording(scans=40))
-        wanted = {"encoding": "harmonic", "segments": 2}
-        job = server.client.post("/v1/maps/campus/builds", json=wanted).json()["job"]
+        sent = {"encoding": "harmonic", "segments": 2}
+        job = server.client.post("/v1/maps/campus/builds", json=sent).json()["job"]
         wait_for(server.client, job, {"running", "done"})
         children = server.children()
         put = server.client.put(

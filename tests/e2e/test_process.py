@@ -1,4 +1,4 @@
-"""The service as it runs: over a socket, killed, stopped and started again."""
+"""The service as a process: over a socket, killed, stopped and started again."""
 
 import http.client
 import io
@@ -52,12 +52,12 @@ def test_what_was_acknowledged_outlives_a_kill_and_what_was_begun_is_done_after_
     with serving(data_dir, log) as server:
         server.client.post("/v1/maps", json={"map": "campus"})
         upload(server.client, "tuesday", recording(scans=6))
-        wanted = {"drives": ["tuesday"]}
+        body = {"drives": ["tuesday"]}
         enough = threading.Event()
         putting = threading.Thread(target=put_until_it_ends, args=(server, acknowledged, enough))
         putting.start()
         assert enough.wait(60)
-        job = server.client.post("/v1/maps/campus/builds", json=wanted).json()["job"]
+        job = server.client.post("/v1/maps/campus/builds", json=body).json()["job"]
         wait_for(server.client, job, {"running", "done"})
         end_in_the_middle(server, signal.SIGKILL)
         putting.join()
@@ -82,7 +82,7 @@ def test_what_was_acknowledged_outlives_a_kill_and_what_was_begun_is_done_after_
 
 
 @pytest.mark.parametrize("declared", [True, False], ids=["declared", "chunked"])
-def test_a_body_beyond_the_limit_is_told_so_and_not_cut_off(server, declared):
+def test_a_body_beyond_the_limit_gets_an_answer_and_is_not_cut_off(server, declared):
     megabyte = bytes(2**20)
     content = (megabyte for _ in range(80))
     headers = {**KITTI, "Content-Length": str(80 * 2**20)} if declared else KITTI

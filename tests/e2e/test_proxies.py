@@ -1,4 +1,4 @@
-"""Whose `X-Forwarded-For` is believed: of the proxies that the operator names, nobody else."""
+"""`X-Forwarded-For` is trusted from the configured proxies only."""
 
 import httpx2
 
@@ -30,7 +30,7 @@ def test_a_client_on_this_machine_cannot_take_another_address(tmp_path):
     assert "192.0.2." not in (tmp_path / "log").read_text()
 
 
-def test_a_proxy_that_is_trusted_tells_each_clients_address(tmp_path):
+def test_a_trusted_proxy_passes_on_each_clients_address(tmp_path):
     proxied = {"request_burst": "2", "trusted_proxies": "127.0.0.1"}
     with serving(tmp_path / "data", tmp_path / "log", **LIMITED, **proxied) as server:
         url = server.client.base_url

@@ -1,4 +1,4 @@
-"""Bodies that come slowly, stop, or are sent to somebody who refused them; clients that leave."""
+"""Bodies that are slow, stop, or are sent after a rejection; clients that leave."""
 
 import socket
 import time
@@ -46,7 +46,7 @@ def rest_of(connection):
     return b"".join(parts)
 
 
-def test_uploads_that_stop_hold_nothing_up_and_what_came_of_them_is_stored(server):
+def test_uploads_that_stop_block_nothing_and_what_was_received_is_stored(server):
     body = tar((f"{i:06}.npy", npy(scan.points_m)) for i, scan in enumerate(SCANS))
     cut = body.index(b"000004.npy") + 700
     held = [connected(server) for _ in range(HELD)]

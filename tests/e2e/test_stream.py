@@ -22,8 +22,8 @@ def server(tmp_path_factory):
     with serving(folder / "data", folder / "log") as server:
         server.client.post("/v1/maps", json={"map": "campus"})
         upload(server.client, "monday", recording())
-        wanted = {"segments": 2, "encoding": "harmonic"}
-        job = server.client.post("/v1/maps/campus/builds", json=wanted).json()["job"]
+        body = {"segments": 2, "encoding": "harmonic"}
+        job = server.client.post("/v1/maps/campus/builds", json=body).json()["job"]
         assert wait_for(server.client, job)["state"] == "done"
         yield server
 
@@ -39,8 +39,8 @@ def test_packed_signatures_are_answered_one_by_one(server, url):
     with connect(url) as stream:
         for index in range(6):
             stream.send(pack_signatures(basis.encode(basis.image(recording().scans[index]))))
-            told = json.loads(stream.recv())
-        assert (told["observations"], told["scan_index"], told["localized"]) == (6, 5, True)
+            answer = json.loads(stream.recv())
+        assert (answer["observations"], answer["scan_index"], answer["localized"]) == (6, 5, True)
     log = server.log.read_text()
     assert "Traceback" not in log, log
     assert "Warning" not in log, log
@@ -70,7 +70,7 @@ def test_a_page_from_elsewhere_is_refused_before_the_stream_opens(url, headers):
     assert "Origin" not in headers or b"host-not-allowed" in (refused.value.response.body or b"")
 
 
-def test_a_stream_of_no_track_is_told_so(server):
+def test_a_stream_of_an_unknown_track_is_rejected(server):
     none = f"ws://127.0.0.1:{server.port}{TRACKS}/none/stream"
     with pytest.raises(InvalidStatus) as refused, connect(none):
         pass

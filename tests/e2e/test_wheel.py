@@ -1,4 +1,4 @@
-"""The wheel holds all that a service needs: it runs from an empty folder, without the source."""
+"""The wheel has all that a service needs: it runs from an empty folder, without the source."""
 
 import contextlib
 import os
@@ -88,16 +88,16 @@ def serving(installed: Installed, folder: Path, data: str) -> Iterator[str]:
     watchdog = threading.Timer(60, process.kill)
     watchdog.start()
     try:
-        said = ""
+        shown = ""
         for line in process.stderr:
-            said += line
+            shown += line
             if "startup complete" in line:
-                url = re.findall(r"TensorMap at (http://\S+)", said)[0]
+                url = re.findall(r"TensorMap at (http://\S+)", shown)[0]
                 _wait_until_it_listens(url)
                 yield url
                 break
         else:
-            pytest.fail(f"the service did not start:\n{said}")
+            pytest.fail(f"the service did not start:\n{shown}")
     finally:
         watchdog.cancel()
         process.send_signal(signal.SIGTERM)
@@ -115,22 +115,22 @@ def _wait_until_it_listens(url: str) -> None:
 def test_the_wheel_holds_the_packages_the_migrations_and_the_licence(installed: Installed) -> None:
     with ZipFile(installed.wheel) as file:
         names = set(file.namelist())
-    wanted = {
+    expected = {
         str(path.relative_to(ROOT))
         for package in PACKAGES
         for path in (ROOT / package).rglob("*")
         if path.is_file() and "__pycache__" not in path.parts
     }
-    assert any("migrations/versions/" in name for name in wanted)
-    assert wanted <= names
-    rest = names - wanted
+    assert any("migrations/versions/" in name for name in expected)
+    assert expected <= names
+    rest = names - expected
     assert {name.partition("/")[0] for name in rest} == {"tensormap_server-0.1.0.dist-info"}
     assert any(name.endswith("licenses/LICENSE") for name in rest)
 
 
 def test_what_is_imported_is_what_was_installed(installed: Installed, tmp_path: Path) -> None:
     code = "import app, core, storage; print(app.__file__, core.__file__, storage.__file__)"
-    said = subprocess.run(
+    shown = subprocess.run(
         [installed.folder / "env/bin/python", "-c", code],
         cwd=tmp_path,
         env=installed.environment,
@@ -138,7 +138,7 @@ def test_what_is_imported_is_what_was_installed(installed: Installed, tmp_path: 
         capture_output=True,
         text=True,
     ).stdout
-    assert all(path.startswith(str(installed.folder)) for path in said.split())
+    assert all(path.startswith(str(installed.folder)) for path in shown.split())
 
 
 def test_the_installed_service_makes_its_catalog_in_an_empty_folder(

@@ -1,4 +1,4 @@
-"""What holds of every calibration, and of the distances that it is asked with."""
+"""Laws of every calibration, and of the distances that it takes."""
 
 import numpy as np
 import pytest
@@ -75,13 +75,13 @@ def made(request):
 
 
 @given(st.integers(0, 23), st.integers(0, 2**24 - 1))
-def test_distances_are_those_of_the_nearest_and_infinite_where_not_searched(made, row, queried):
+def test_distances_are_those_of_the_nearest_and_infinite_where_not_compared(made, row, mask):
     tensor_map, images = made
     image = images[row] if images.ndim == 3 else images[row, 1]
     localizer = Localizer(tensor_map)
     signatures = localizer.basis.encode(Image(image, tensor_map.parameters.grid))
     search = tensor_map.model.search(signatures)
-    among = np.array([queried >> i & 1 for i in range(24)], dtype=bool)
+    among = np.array([mask >> i & 1 for i in range(24)], dtype=bool)
     found = search.distances(among)
     assert np.isinf(found[~among]).all()
     nearest = search.nearest(24, among)
@@ -90,7 +90,7 @@ def test_distances_are_those_of_the_nearest_and_infinite_where_not_searched(made
     assert (search.distances()[among] == found[among]).all()
 
 
-def test_segments_that_are_not_searched_have_no_distance(made):
+def test_segments_without_a_signature_have_no_distance(made):
     tensor_map, images = made
     if images.ndim != 3:
         pytest.skip("a harmonic map is always searched whole")

@@ -1,4 +1,4 @@
-"""Keys for tests, and what each route of the service asks of one."""
+"""Keys for tests, and the scopes that each route of the service needs."""
 
 import pytest
 from starlette.testclient import WebSocketDenialResponse

@@ -1,4 +1,4 @@
-"""`tensormap` as a person runs it, each command a process of its own, and in this process."""
+"""`tensormap` as a process of its own, and in this process."""
 
 import os
 import subprocess

@@ -4,6 +4,7 @@ import numpy as np
 
 from core.arrays import Float32Array, FloatArray, IntArray
 from core.encodings.distance import Distance
+from core.encodings.signature import Signature
 from core.errors import InvalidScan
 from core.mapping.build import fit_map
 from core.mapping.tensormap import TensorMap
@@ -135,6 +136,11 @@ def sample_harmonic_map(
     return fit_map(
         MemoryImages(images, grid), paper.trajectory, paper.model.segment_start, parameters
     ), images
+
+
+def own_signatures(tensor_map: TensorMap, row: int) -> tuple[Signature, ...]:
+    """Return the signatures of a query at scan `row` of the map."""
+    return next(tensor_map.model.own_queries([row], tensor_map.revision))
 
 
 def sample_image(tensor_map: TensorMap, cells: Float32Array) -> Image:

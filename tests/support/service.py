@@ -1,4 +1,4 @@
-"""A service in this process, and a client that holds every answer against the OpenAPI document."""
+"""A service in this process, and a client that checks every answer against the OpenAPI document."""
 
 import functools
 import os

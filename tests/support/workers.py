@@ -25,8 +25,9 @@ def take_memory(*arguments: Any) -> None:
     worker.run_build(*arguments)
 
 
-def find_no_catalog(data_dir: Any, _: object, *arguments: Any) -> None:
+def find_no_catalog(settings: Any, *arguments: Any) -> None:
     """Be a worker that cannot open the catalog."""
     from app.builds import worker
 
-    worker.run_build(data_dir, f"sqlite:///{data_dir}/nowhere/catalog.sqlite3", *arguments)
+    url = f"sqlite:///{settings.data_dir}/nowhere/catalog.sqlite3"
+    worker.run_build(settings.model_copy(update={"catalog_url": url}), *arguments)

@@ -14,8 +14,7 @@ import pytest
 from fastapi.exceptions import RequestValidationError
 from pydantic import BaseModel
 
-from app.access.key_schemas import KeyIn
-from app.access.token_schemas import TokenIn
+from app.access.key_schemas import KeyIn, TokenIn
 from app.builds.parameters import BuildParameters
 from app.drives.pose_schemas import PosesIn
 from app.drives.schemas import DrivePatch

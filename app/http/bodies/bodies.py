@@ -1,32 +1,27 @@
-"""Request bodies: which are read, how they are checked, and how a route takes one."""
+"""Request bodies: which are read, how they are checked, and how a route declares one."""
 
 import re
 from collections.abc import AsyncIterator, Mapping
 from functools import partial
-from typing import TYPE_CHECKING, Annotated, Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 from fastapi import Depends, Header, Request
 from fastapi.exceptions import RequestValidationError
 from pydantic import BaseModel
 from starlette.datastructures import Headers
-from starlette.types import ASGIApp, Receive, Scope, Send
+from starlette.types import Receive, Scope
 
-from app.access.access import Access
 from app.http.bodies.content_digest import ContentDigest
 from app.http.bodies.content_encoding import decoder_of
-from app.http.bodies.incoming import Incoming, Limits
+from app.http.bodies.incoming import Incoming, Pace
 from app.http.bodies.json_body import read_json
-from app.http.bodies.pace import Pace
 from app.http.bodies.spool import Spool
-from app.http.context import RequestContext, context_of
+from app.http.context import context_of
 from app.http.errors import BodyTooLarge, UnsupportedBody
 from app.http.openapi import reference
-from app.http.problems import problem_response
 from app.settings import Settings
-from core.errors import TensorMapError
 from storage.formats.scans.registry import SCAN_FORMATS
 
-M = TypeVar("M", bound=BaseModel)
 T = TypeVar("T")
 
 _MANY_SCANS = re.compile(r"/v1/maps/[^/]+/drives/[^/]+/scans")
@@ -35,158 +30,119 @@ _JSON = re.compile(r"application/(json|[^;\s]+\+json)")
 ContentType = Annotated[str | None, Header(include_in_schema=False)]
 
 
-class BodyGuard:
-    """Prepare to read a body; refuse one that is too long at once if it says so.
+def prepared_body(scope: Scope, receive: Receive) -> Incoming:
+    """Return the body of a request before anything of it is read.
 
-    FastAPI's own `max_body_size` answers in plain text; an error of ours is a problem.
+    Raises:
+        UnsupportedBody: If its compression is unknown.
+        DigestMismatch: If its digest cannot be parsed.
+        BodyTooLarge: If its Content-Length is too large.
+        TooManyRequests: If its Content-Length exceeds the quota of its sender.
+    """
+    service = scope["app"].state.service
+    headers, context = Headers(scope=scope), context_of(scope)
+    decoder = decoder_of(headers.get("content-encoding", ""))
+    digest = ContentDigest(headers.get("content-digest", ""))
+    sent, unpacked = _limits(service.settings, scope, headers, packed=decoder is not None)
+    declared = headers.get("content-length", "")
+    if declared.isdecimal():
+        if int(declared) > sent:
+            raise BodyTooLarge(f"the body has {declared} bytes, at most {sent} are read")
+        service.access.spend_bytes(context, int(declared), announced=True)
+    return Incoming(
+        receive,
+        sent_limit=sent,
+        unpacked_limit=unpacked,
+        decoder=decoder,
+        digest=digest,
+        pace=Pace(service.settings),
+        spend=partial(service.access.spend_bytes, context),
+        room=service.spool_room,
+        key=context.sender,
+    )
+
+
+def _limits(settings: Settings, scope: Scope, headers: Headers, *, packed: bool) -> tuple[int, int]:
+    """Return the largest body in bytes, as sent and decompressed."""
+    if scope["method"] == "POST" and _MANY_SCANS.fullmatch(scope["path"]):
+        return settings.max_upload_bytes, settings.max_upload_bytes
+    sent = settings.max_body_bytes
+    unpacked = settings.max_decoded_bytes if packed else sent
+    if "json" in headers.get("content-type", "").lower():
+        return min(settings.max_json_bytes, sent), min(settings.max_json_bytes, unpacked)
+    return sent, unpacked
+
+
+class Received:
+    """A complete body, which a thread opens.
+
+    Args:
+        incoming: The body.
+        spool: Its bytes.
+        model: Of its JSON; `None` if the route takes the bytes.
     """
 
-    def __init__(self, app: ASGIApp, settings: Settings) -> None:
-        self._app = app
-        self._settings = settings
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass a request on; nothing of its body is read before the route wants it."""
-        if scope["type"] != "http":
-            await self._app(scope, receive, send)
-            return
-        context = context_of(scope)
-        try:
-            context.body = self._incoming(scope, context, Headers(scope=scope), receive)
-        except TensorMapError as error:
-            await problem_response(error)(scope, receive, send)
-            return
-        await self._app(scope, receive, send)
-
-    def _incoming(
-        self, scope: Scope, context: RequestContext, headers: Headers, receive: Receive
-    ) -> Incoming:
-        """Return the body that is to come.
-
-        Raises:
-            UnsupportedBody: If it is packed as we cannot unpack.
-            DigestMismatch: If its digest cannot be read.
-            BodyTooLarge: If it says that it is too long.
-            TooManyRequests: If it says that it has more than its sender may send.
-        """
-        decoder = decoder_of(headers.get("content-encoding", ""))
-        digest = ContentDigest(headers.get("content-digest", ""))
-        limits = self._limits(scope, headers, packed=decoder is not None)
-        declared = headers.get("content-length", "")
-        if declared.isdecimal() and int(declared) > limits.sent:
-            raise BodyTooLarge(f"the body has {declared} bytes, at most {limits.sent} are read")
-        service = scope["app"].state.service
-        access: Access = service.access
-        if declared.isdecimal():
-            access.spend_bytes(context, int(declared), announced=True)
-        return Incoming(
-            receive,
-            limits=limits,
-            decoder=decoder,
-            digest=digest,
-            pace=Pace(self._settings),
-            spend=partial(access.spend_bytes, context),
-            room=service.spool_room,
-            key=context.sender,
-        )
-
-    def _limits(self, scope: Scope, headers: Headers, *, packed: bool) -> Limits:
-        chosen = self._settings
-        if scope["method"] == "POST" and _MANY_SCANS.fullmatch(scope["path"]):
-            return Limits(chosen.max_upload_bytes, chosen.max_upload_bytes)
-        sent = chosen.max_body_bytes
-        unpacked = chosen.max_decoded_bytes if packed else sent
-        if "json" in headers.get("content-type", "").lower():
-            return Limits(min(chosen.max_json_bytes, sent), min(chosen.max_json_bytes, unpacked))
-        return Limits(sent, unpacked)
-
-
-class Received(Generic[T]):
-    """A body that came whole and waits for a thread to open it."""
-
-    def __init__(self, incoming: Incoming, spool: Spool) -> None:
-        self._incoming, self._spool = incoming, spool
+    def __init__(self, incoming: Incoming, spool: Spool, model: type[BaseModel] | None) -> None:
+        self._incoming, self._spool, self._model = incoming, spool, model
 
     def __len__(self) -> int:
         return len(self._spool)
 
     @property
     def packed(self) -> bool:
-        """Whether it must be unpacked."""
+        """Whether it is compressed."""
         return self._incoming.packed
 
-    def read(self) -> bytes:
-        """Return its bytes, unpacked.
+    def open(self) -> Any:  # noqa: ANN401 - bytes, or the model
+        """Return its decompressed bytes, or its JSON as the model.
 
         Raises:
-            MalformedBody: If it does not unpack.
-            BodyTooLarge: If it unpacks to more than may be.
+            MalformedBody: If it cannot be decompressed.
+            BodyTooLarge: If it is too long when decompressed.
+            RequestValidationError: If its JSON is not as the API describes it.
         """
-        return b"".join(self._incoming.unpacked(self._spool.pieces()))
-
-    def open(self) -> Any:  # noqa: ANN401 - what a route takes
-        """Return what a route takes: here the bytes."""
-        return self.read()
-
-
-class ReceivedJson(Received[M]):
-    """A body of JSON that came whole."""
-
-    def __init__(self, incoming: Incoming, spool: Spool, model: type[M]) -> None:
-        super().__init__(incoming, spool)
-        self._model = model
-
-    def open(self) -> M:
-        """Return what the JSON says.
-
-        Raises:
-            RequestValidationError: If it is not as the API describes it.
-        """
-        return read_json(self.read(), self._model)
+        body = b"".join(self._incoming.unpacked(self._spool.pieces()))
+        return body if self._model is None else read_json(body, self._model)
 
 
 def incoming_of(request: Request) -> Incoming:
-    """Return the body of a request, of which nothing is read before it is wanted."""
+    """Return the body of a request, of which nothing is read until the route reads it."""
     body = context_of(request.scope).body
-    if body is None:  # `BodyGuard` is not there
+    if body is None:  # `Admission` is not installed
         raise LookupError("the body of this request was not prepared")
     return body
 
 
-async def _received(request: Request) -> AsyncIterator[Received[bytes]]:
-    incoming = incoming_of(request)
-    async with incoming.spool() as spool:
-        await incoming.fill(spool)
-        yield Received(incoming, spool)
+class BodyReader:
+    """The dependency that receives a body; the pool's thread parses and validates its JSON.
 
+    FastAPI does both on the event loop, which 4 MB of JSON block for seconds.
 
-class JsonFrom(Generic[M]):
-    """The dependency that reads a JSON body; the pool's thread parses and validates it.
-
-    FastAPI does both on the event loop, where 4 MB of JSON hold everybody up for seconds.
+    Args:
+        model: Of the JSON; `None` if the route takes bytes.
     """
 
-    def __init__(self, model: type[M]) -> None:
+    def __init__(self, model: type[BaseModel] | None = None) -> None:
         self.model = model
 
-    async def __call__(self, request: Request) -> AsyncIterator[ReceivedJson[M]]:
-        """Give the body once it came whole."""
+    async def __call__(self, request: Request) -> AsyncIterator[Received]:
+        """Yield the body when it is complete."""
         incoming = incoming_of(request)
         kind = request.headers.get("content-type", "")
-        if _JSON.match(kind.strip().lower()) is None:
-            # Before it is read: a foreign page may send what says that it is text.
+        if self.model is not None and _JSON.match(kind.strip().lower()) is None:
+            # Before it is read: pages of other sites may send JSON as text without permission.
             raise UnsupportedBody(f"Content-Type is {kind[:80]!r}, wanted application/json")
-        async with incoming.spool() as spool:
+        with incoming.spool() as spool:
             await incoming.fill(spool)
-            if not len(spool):
+            if self.model is not None and not len(spool):
                 raise RequestValidationError(
                     [{"type": "missing", "loc": ("body",), "msg": "Field required", "input": None}]
                 )
-            yield ReceivedJson(incoming, spool, self.model)
+            yield Received(incoming, spool, self.model)
 
 
-# The pool gives a route's function the bytes, or what the JSON says, for what waits.
-Body = Annotated[bytes, Depends(_received)]
+# The pool calls a route's function with the bytes, or the parsed JSON, of what was received.
+Body = Annotated[bytes, Depends(BodyReader())]
 AsItComes = Annotated[Incoming, Depends(incoming_of)]
 if TYPE_CHECKING:
     Json = Annotated[T, ...]
@@ -196,7 +152,7 @@ else:
         """`Json[MapIn]` is a parameter that takes the request's JSON body."""
 
         def __class_getitem__(cls, model: type[BaseModel]) -> Any:  # noqa: ANN401
-            return Annotated[model, Depends(JsonFrom(model))]
+            return Annotated[model, Depends(BodyReader(model))]
 
 
 def media_type(content_type: str | None) -> str:
@@ -208,11 +164,12 @@ def described_body(
     binary: Mapping[str, str], json: type[BaseModel] | None = None
 ) -> dict[str, Any]:
     """Return the `openapi_extra` of a route that takes bodies of these media types, or JSON."""
-    content: dict[str, Any] = (
-        {} if json is None else {"application/json": {"schema": reference(json)}}
-    )
-    for name, text in binary.items():
-        content[name] = {"schema": {"type": "string", "format": "binary", "description": text}}
+    content: dict[str, Any] = {
+        name: {"schema": {"type": "string", "format": "binary", "description": text}}
+        for name, text in binary.items()
+    }
+    if json is not None:
+        content = {"application/json": {"schema": reference(json)}, **content}
     return {"requestBody": {"required": True, "content": content}}
 
 
@@ -221,6 +178,6 @@ SCAN_TYPES = {
         f.media_type: f"A scan as {f.name} ({' '.join(f.suffixes) or 'no suffix'})"
         for f in SCAN_FORMATS
     },
-    "application/octet-stream": "A scan whose first bytes tell its format: "
+    "application/octet-stream": "A scan whose format is detected by its first bytes: "
     + ", ".join(f.name for f in SCAN_FORMATS if f.magics),
 }

@@ -1,4 +1,4 @@
-"""`Content-Digest` (RFC 9530): whether a body came as it was sent."""
+"""`Content-Digest` (RFC 9530): whether a body was received as it was sent."""
 
 import base64
 import binascii
@@ -12,45 +12,43 @@ _MEMBER = re.compile(r"\s*([a-z0-9-]+)=:([A-Za-z0-9+/=]*):\s*")
 
 
 class ContentDigest:
-    """The digests that a header names and we know, and those of what came, as it was sent."""
+    """The digests of a header whose algorithms we know, compared with those of the body."""
 
     def __init__(self, header: str) -> None:
-        """Read a header; algorithms that we do not know are passed over, as the RFC has it.
+        """Parse a header; unknown algorithms are ignored, as the RFC requires.
 
         Raises:
-            DigestMismatch: If it cannot be read.
+            DigestMismatch: If it cannot be parsed.
         """
-        self._wanted: dict[str, bytes] = {}
+        self._sent: dict[str, bytes] = {}
         for member in header.split(",") if header.strip() else ():
             found = _MEMBER.fullmatch(member)
             if found is None:
                 raise DigestMismatch(f"Content-Digest is {header[:120]!r}, wanted sha-256=:BASE64:")
             try:
-                self._wanted[found[1]] = base64.b64decode(found[2], validate=True)
+                self._sent[found[1]] = base64.b64decode(found[2], validate=True)
             except binascii.Error as error:
                 raise DigestMismatch(f"Content-Digest {found[1]} is no base64: {error}") from error
-        self._came = {name: _ALGORITHMS[name]() for name in self._wanted if name in _ALGORITHMS}
+        self._computed = {name: _ALGORITHMS[name]() for name in self._sent if name in _ALGORITHMS}
 
     def __bool__(self) -> bool:
-        return bool(self._came)
+        return bool(self._computed)
 
     def add(self, chunk: bytes) -> None:
-        """Take the next bytes of the body."""
-        for digest in self._came.values():
+        """Add the next bytes of the body."""
+        for digest in self._computed.values():
             digest.update(chunk)
 
     def check(self) -> None:
         """Compare, at the end of the body.
 
         Raises:
-            DigestMismatch: If what came is something else.
+            DigestMismatch: If the body has another digest.
         """
-        for name, digest in self._came.items():
-            if digest.digest() != self._wanted[name]:
-                wanted, came = (
-                    base64.b64encode(value).decode()
-                    for value in (self._wanted[name], digest.digest())
-                )
+        for name, digest in self._computed.items():
+            sent, computed = self._sent[name], digest.digest()
+            if computed != sent:
                 raise DigestMismatch(
-                    f"Content-Digest {name} is {wanted[:88]}, what came has {came}"
+                    f"Content-Digest {name} is {base64.b64encode(sent).decode()[:88]}, the body"
+                    f" has {base64.b64encode(computed).decode()}"
                 )

@@ -1,4 +1,4 @@
-"""Compressed bodies: unpacked a piece at a time, so that no bomb takes the memory it asks for."""
+"""Compressed bodies: decompressed in pieces, so that a bomb takes no more memory than others."""
 
 import zlib
 from collections.abc import Callable, Iterator
@@ -11,25 +11,25 @@ from app.http.errors import BodyTooLarge, MalformedBody, UnsupportedBody
 ENCODINGS = ("gzip", "zstd")
 _PIECE_BYTES = 2**20
 _GZIP_SLICE_BYTES = 2**12
-# A recorded scan packs to a half or a tenth, text of it to a fifth, a cloud of which nine in ten
-# points are NaN to a fiftieth. Zeros give 1000 in gzip and more in zstd, for which little is sent
-# and much is done. Bodies that stay small may be as sparse as they like.
+# A recorded scan is compressed to a half or a tenth, as text to a fifth, a cloud of which nine in
+# ten points are NaN to a fiftieth. Zeros reach 1000 in gzip and more in zstd: little is sent and
+# much is done. The ratio of small bodies is not limited.
 _RATIO, _ANY_RATIO_BYTES = 200, 16 * 2**20
-# bgzip makes a member of each 64 KiB. To begin one takes as long as to unpack a kilobyte or two.
+# bgzip makes a member of each 64 KiB. Starting one takes as long as decompressing 1 or 2 KiB.
 _STRAY_MEMBERS, _MEMBER_BYTES = 1000, 2**10
 # Of zstd's blocks the smallest has 4 bytes and gives 128 KiB: a slice gives at most 32 MiB.
 _ZSTD_SLICE_BYTES = 2**10
-_ZSTD_WINDOW_BYTES = 8 * 2**20  # RFC 9659: no more may be asked of whoever reads a body
+_ZSTD_WINDOW_BYTES = 8 * 2**20  # RFC 9659: the most that a receiver must support
 
 
 class Decoder:
-    """Unpacks a body that comes in chunks, of one member or frame after another.
+    """Decompresses a body in chunks, one member or frame after another.
 
     Args:
         encoding: Its name, for errors.
-        begin: Gives what unpacks the next member.
-        unpack: Gives a piece of what a part unpacks to, with what unpacks.
-        slice_bytes: How much is unpacked at once.
+        begin: Returns a decompressor of the next member.
+        unpack: Returns a decompressed piece of a part, given the decompressor.
+        slice_bytes: How much is decompressed at once.
     """
 
     def __init__(
@@ -45,13 +45,13 @@ class Decoder:
         self._sent = self._unpacked = self._members = 0
 
     def feed(self, chunk: bytes) -> Iterator[bytes]:
-        """Give what a chunk unpacks to, in pieces.
+        """Yield a chunk decompressed, in pieces.
 
         Raises:
-            MalformedBody: If it does not unpack, or has too many members for what they hold.
-            BodyTooLarge: If it unpacks to many times its size.
+            MalformedBody: If it cannot be decompressed, or has too many members for their content.
+            BodyTooLarge: If it becomes many times its size.
         """
-        # What is left of a slice is copied for each member and piece: short slices keep it linear.
+        # The rest of a slice is copied for each member and piece: short slices keep this linear.
         for start in range(0, len(chunk), self._slice_bytes):
             part = chunk[start : start + self._slice_bytes]
             self._sent += len(part)
@@ -66,20 +66,20 @@ class Decoder:
                         f"the {self._encoding} body does not unpack: {error}"
                     ) from error
                 yield piece
-                self._require_proportion(len(piece))  # the reader's own limit comes first
+                self._require_proportion(len(piece))  # after the reader's own limit
                 part = self._unpacker.unconsumed_tail or self._unpacker.unused_data
 
     def finish(self) -> None:
         """Check that the end was reached.
 
         Raises:
-            MalformedBody: If more should have come.
+            MalformedBody: If the body is incomplete.
         """
         if not self._unpacker.eof:
             raise MalformedBody(f"the {self._encoding} body ends before its end")
 
     def _require_filled_members(self) -> None:
-        """Count a member that begins; refuse too many for what they hold."""
+        """Count a member that begins; reject too many for their content."""
         self._members += 1
         most = _STRAY_MEMBERS + self._unpacked // _MEMBER_BYTES
         if self._members > most:
@@ -89,7 +89,7 @@ class Decoder:
             )
 
     def _require_proportion(self, count: int) -> None:
-        """Count bytes that were given; refuse too many for those that were sent."""
+        """Count decompressed bytes; reject too many for those that were sent."""
         self._unpacked += count
         if self._unpacked > max(_ANY_RATIO_BYTES, self._sent * _RATIO):
             raise BodyTooLarge(
@@ -99,10 +99,10 @@ class Decoder:
 
 
 def decoder_of(content_encoding: str) -> Decoder | None:
-    """Return what unpacks a body of this Content-Encoding, `None` if it is not packed.
+    """Return a decoder of this Content-Encoding, `None` if the body is not compressed.
 
     Raises:
-        UnsupportedBody: If it is none that we know; so is one upon another.
+        UnsupportedBody: If it is unknown, or several in sequence.
     """
     match content_encoding.strip().lower():
         case "" | "identity":
@@ -123,5 +123,5 @@ def decoder_of(content_encoding: str) -> Decoder | None:
                 _ZSTD_SLICE_BYTES,
             )
         case other:
-            wanted = ", ".join(ENCODINGS)
-            raise UnsupportedBody(f"Content-Encoding is {other[:40]!r}, wanted {wanted} or none")
+            known = ", ".join(ENCODINGS)
+            raise UnsupportedBody(f"Content-Encoding is {other[:40]!r}, wanted {known} or none")

@@ -1,152 +1,158 @@
-"""A body on its way in: within its limits, at its pace, and as its digest says."""
+"""A request body while it is received: its limits, its rate and its digest."""
 
-from collections.abc import AsyncIterator, Callable, Iterator
-from contextlib import asynccontextmanager
-from dataclasses import dataclass
+import asyncio
+import time
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, field
 
 from starlette.requests import ClientDisconnect
-from starlette.types import Receive
+from starlette.types import Message, Receive
 
 from app.http.bodies.content_digest import ContentDigest
 from app.http.bodies.content_encoding import Decoder
-from app.http.bodies.pace import Pace
 from app.http.bodies.spool import Spool, SpoolRoom
-from app.http.errors import BodyTooLarge
+from app.http.errors import BodyTooLarge, SlowBody
+from app.settings import Settings
 
 
-@dataclass(frozen=True)
-class Limits:
-    """How long a body may be.
+class Pace:
+    """Receives the parts of one body; the time that we take between two does not count.
 
-    Attributes:
-        sent: Bytes as they come.
-        unpacked: Bytes of what they unpack to.
+    A body may lag behind the minimum rate by what that rate sends in the grace; a faster start does
+    not earn more than that. There is no limit of the total time.
+
+    Args:
+        settings: Their `body_idle_s`, `body_grace_s` and `body_bytes_per_s`.
     """
 
-    sent: int
-    unpacked: int
+    def __init__(self, settings: Settings) -> None:
+        self._idle_s = settings.body_idle_s
+        self._rate = settings.body_bytes_per_s
+        self._most_left = self._left = self._rate * settings.body_grace_s
+
+    async def next(self, receive: Receive) -> Message:
+        """Return the next part of the body.
+
+        Raises:
+            SlowBody: If the body is slower.
+        """
+        patience_s = min(self._idle_s, self._left / self._rate) if self._rate else self._idle_s
+        began_s = time.monotonic()
+        try:
+            async with asyncio.timeout(patience_s):
+                message = await receive()
+        except TimeoutError:
+            if patience_s >= self._idle_s:
+                raise SlowBody(f"nothing of the body arrived for {self._idle_s:g} s") from None
+            raise SlowBody(
+                f"the body arrives slower than {self._rate:g} bytes a second, the minimum"
+            ) from None
+        lag = (time.monotonic() - began_s) * self._rate
+        self._left = min(self._most_left, self._left - lag + len(message.get("body", b"")))
+        return message
 
 
+@dataclass(eq=False)
 class Incoming:
     """The body of one request.
 
-    Args:
-        receive: Gives its parts.
-        limits: How long it may be.
-        decoder: What unpacks it, `None` if it is not packed.
-        digest: What it must have.
-        pace: How slowly it may come.
-        spend: Counts bytes against what the sender may send.
-        room: Where it waits.
+    Attributes:
+        receive: Returns its parts.
+        sent_limit: Largest number of bytes that are received.
+        unpacked_limit: Largest number of bytes after decompression.
+        decoder: Decompresses it, `None` if it is not compressed.
+        digest: The digest that it must have.
+        pace: Its minimum rate.
+        spend: Counts bytes against the quota of the sender.
+        room: Where it is kept until it is complete.
         key: Whose it is.
+        ended: Whether all of it was received.
     """
 
-    def __init__(
-        self,
-        receive: Receive,
-        *,
-        limits: Limits,
-        decoder: Decoder | None,
-        digest: ContentDigest,
-        pace: Pace,
-        spend: Callable[[int], None],
-        room: SpoolRoom,
-        key: str,
-    ) -> None:
-        self._receive = receive
-        self._limits = limits
-        self._decoder = decoder
-        self._digest = digest
-        self._pace = pace
-        self._spend = spend
-        self._room = room
-        self._key = key
-        self._sent = 0
-        self._ended = False
+    receive: Receive
+    sent_limit: int
+    unpacked_limit: int
+    decoder: Decoder | None
+    digest: ContentDigest
+    pace: Pace
+    spend: Callable[[int], None]
+    room: SpoolRoom
+    key: str
+    ended: bool = field(default=False, init=False)
+    _received: int = field(default=0, init=False)
 
     @property
-    def ended(self) -> bool:
-        """Whether all of it came."""
-        return self._ended
-
-    @property
-    def is_coming(self) -> bool:
-        """Whether a part of it was read, and the rest was not."""
-        return self._sent > 0 and not self._ended
+    def is_partial(self) -> bool:
+        """Whether a part of it was received, and the rest was not."""
+        return self._received > 0 and not self.ended
 
     @property
     def packed(self) -> bool:
-        """Whether it must be unpacked."""
-        return self._decoder is not None
+        """Whether it is compressed."""
+        return self.decoder is not None
 
     @property
     def has_digest(self) -> bool:
-        """Whether it says what it is."""
-        return bool(self._digest)
+        """Whether it was sent with a digest."""
+        return bool(self.digest)
 
-    @asynccontextmanager
-    async def spool(self) -> AsyncIterator[Spool]:
-        """Give a place for its bytes until the block ends.
+    def spool(self) -> AbstractContextManager[Spool]:
+        """Return a place for its bytes within the block.
 
         Raises:
             TooManyRequests: If its key sends as many bodies as it may.
         """
-        with self._room.body(self._key):
-            spool = Spool(self._room, self._key)
-            try:
-                yield spool
-            finally:
-                spool.clear()
+        return self.room.spool(self.key)
 
     async def fill(self, spool: Spool, up_to: int | None = None) -> None:
-        """Read until it has ended, or `up_to` bytes wait; what came stays when it raises.
+        """Receive until its end, or until `up_to` bytes are spooled; these stay when it raises.
 
         Raises:
-            SlowBody: If it comes too slowly.
-            BodyTooLarge: If it is longer than may be.
-            TooManyRequests: If it is more than its sender may send.
-            DigestMismatch: If it is not what its digest says.
+            SlowBody: If it arrives too slowly.
+            BodyTooLarge: If it is too long.
+            TooManyRequests: If it exceeds the quota of its sender.
+            DigestMismatch: If its digest is another.
             ServiceBusy: If all bodies together take too much.
             StorageFull: If no space is left on the disk.
             StorageReadOnly: If the data directory cannot be written.
             ClientDisconnect: If the connection is cut.
         """
-        while not self._ended and (up_to is None or len(spool) < up_to):
-            message = await self._pace.next(self._receive)
+        while not self.ended and (up_to is None or len(spool) < up_to):
+            message = await self.pace.next(self.receive)
             if message["type"] != "http.request":
                 raise ClientDisconnect
             chunk = message.get("body", b"")
-            self._sent += len(chunk)
-            if self._sent > self._limits.sent:
+            self._received += len(chunk)
+            if self._received > self.sent_limit:
                 raise BodyTooLarge(
-                    f"the body is longer than the {self._limits.sent} bytes that are read"
+                    f"the body is longer than the {self.sent_limit} bytes that are read"
                 )
-            self._spend(len(chunk))
-            self._digest.add(chunk)
+            self.spend(len(chunk))
+            self.digest.add(chunk)
             await spool.write(chunk)
             if not message.get("more_body", False):
-                self._ended = True
-                self._digest.check()
+                self.ended = True
+                self.digest.check()
 
     def unpacked(self, pieces: Iterator[bytes]) -> Iterator[bytes]:
-        """Yield what its bytes unpack to; in a thread, because a few bytes may become many.
+        """Yield its decompressed bytes; in a thread, because a few bytes may become many.
 
         Raises:
-            MalformedBody: If they do not unpack, or all came and more should have.
-            BodyTooLarge: If they unpack to more than may be.
+            MalformedBody: If they cannot be decompressed, or are incomplete at the body's end.
+            BodyTooLarge: If they become too many.
         """
-        if self._decoder is None:
+        if self.decoder is None:
             yield from pieces
             return
-        left = self._limits.unpacked
+        left = self.unpacked_limit
         for packed in pieces:
-            for piece in self._decoder.feed(packed):
+            for piece in self.decoder.feed(packed):
                 left -= len(piece)
                 if left < 0:
                     raise BodyTooLarge(
-                        f"the body unpacks to more than the {self._limits.unpacked} bytes that"
-                        " may be"
+                        f"the body unpacks to more than the {self.unpacked_limit} bytes that may be"
                     )
                 yield piece
-        if self._ended:
-            self._decoder.finish()
+        if self.ended:
+            self.decoder.finish()

@@ -1,4 +1,4 @@
-"""JSON bodies: bounded before they are parsed, and their first faults reported."""
+"""JSON bodies: bounded before they are parsed, with all errors of their model reported."""
 
 import json
 import re
@@ -27,13 +27,13 @@ _STEPS[[ord("]"), ord("}")]] = -1
 
 
 def read_json(body: bytes, model: type[M]) -> M:
-    """Return what a JSON body says; it costs time and memory, so call it from a thread.
+    """Parse and validate a JSON body; it takes time and memory, so call it from a thread.
 
     Raises:
         InvalidRequest: If it has too many keys or values, or is nested too deep.
-        RequestValidationError: If it is no JSON, or not as `model` wants it.
+        RequestValidationError: If it is no JSON, or does not match `model`.
     """
-    require_bounded(body)
+    _require_bounded(body)
     try:
         found = json.loads(body)
     except (ValueError, RecursionError) as error:
@@ -57,16 +57,16 @@ def read_json(body: bytes, model: type[M]) -> M:
         ) from None
 
 
-def require_bounded(body: bytes) -> None:
-    """Refuse JSON that would take long to parse, in a small part of that time.
+def _require_bounded(body: bytes) -> None:
+    """Reject JSON that would take long to parse, in a small part of that time.
 
-    Separators inside texts count too: no text of the API has so many.
+    Separators inside strings count too: no string of the API has so many.
 
     Raises:
         InvalidRequest: If it has too many keys or values, or is nested too deep.
     """
     if len(body) <= _SMALL_BYTES:
-        return  # the parser's own limits hold it
+        return  # the parser's own limits suffice
     keys = body.count(b":")
     if keys > MOST_KEYS:
         raise InvalidRequest(f"the JSON has {keys} keys, at most {MOST_KEYS} are read")

@@ -1,10 +1,9 @@
-"""Where bodies wait until they are whole: in memory while they are small, then in a file."""
+"""Where bodies are kept until they are complete: small ones in memory, then in a file."""
 
 import shutil
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 from tempfile import TemporaryFile
 from typing import IO
 
@@ -17,25 +16,25 @@ from storage.files.files import named_disk_errors
 
 _RETRY_S = 5
 _SMALL_BYTES = 128 * 2**10  # of each body in memory
-_LARGE_BYTES = 8 * 2**20  # of a body that finds room in what all share
+_LARGE_BYTES = 8 * 2**20  # of a body that finds room in the memory that all share
 _SHARED_BYTES = 64 * 2**20
 _PIECE_BYTES = 2**20
 _KEPT_FREE_BYTES = 2**30  # of a large disk; of a small one a twentieth
 
 
 class SpoolRoom:
-    """What all bodies that are being read may take together; used on the event loop only.
+    """The room that all incomplete bodies share; used on the event loop only.
 
     Args:
-        settings: Its `max_spool_bytes`, `bodies_per_key` and `data_dir`.
+        settings: Their `max_spool_bytes`, `bodies_per_key` and `data_dir`.
         limiter: Of the threads that write files.
     """
 
     def __init__(self, settings: Settings, limiter: CapacityLimiter) -> None:
-        self.folder = Path(settings.data_dir)
+        self.folder = settings.data_dir
         self.limiter = limiter
         self._most_bytes = settings.max_spool_bytes
-        # The rest stays for the other keys.
+        # The rest is for other keys.
         self._most_of_key = self._most_bytes * 3 // 4
         self._bodies_per_key = settings.bodies_per_key
         self._bodies: Counter[str] = Counter()
@@ -44,8 +43,8 @@ class SpoolRoom:
         self._shared = _SHARED_BYTES
 
     @contextmanager
-    def body(self, key: str) -> Iterator[None]:
-        """Count a body of this key until the block ends.
+    def spool(self, key: str) -> Iterator["Spool"]:
+        """Yield a place for a body of this key; its room is returned after the block.
 
         Raises:
             TooManyRequests: If the key sends as many as it may.
@@ -55,16 +54,17 @@ class SpoolRoom:
                 f"{self._bodies_per_key} bodies of this key are being read, as many as may:"
                 f" wait {_RETRY_S} s",
                 _RETRY_S,
-                {},
             )
         self._bodies[key] += 1
+        spool = Spool(self, key)
         try:
-            yield
+            yield spool
         finally:
+            spool.clear()
             _subtract(self._bodies, key, 1)
 
     def take(self, key: str, amount: int) -> None:
-        """Take room for so many bytes.
+        """Reserve room for so many bytes.
 
         Raises:
             ServiceBusy: If there is none.
@@ -79,19 +79,19 @@ class SpoolRoom:
         self._bytes[key] += amount
 
     def give_back(self, key: str, amount: int) -> None:
-        """Give room back."""
+        """Release room."""
         self._total -= amount
         _subtract(self._bytes, key, amount)
 
     def lend(self, amount: int) -> bool:
-        """Return whether so many bytes more may stay in memory; if so they are taken."""
+        """Reserve shared memory, and return whether there was enough."""
         if amount > self._shared:
             return False
         self._shared -= amount
         return True
 
     def return_memory(self, amount: int) -> None:
-        """Give lent memory back."""
+        """Release shared memory."""
         self._shared += amount
 
 
@@ -102,10 +102,10 @@ def _subtract(counted: Counter[str], key: str, amount: int) -> None:
 
 
 class Spool:
-    """Bytes that were received and wait; written on the event loop, read in a thread.
+    """Received bytes; written on the event loop, read in a thread.
 
     Args:
-        room: What it takes from.
+        room: The shared room.
         key: Whose bytes they are.
     """
 
@@ -131,7 +131,7 @@ class Spool:
         self._length += len(chunk)
         self._memory += chunk
         if len(self._memory) > _SMALL_BYTES + self._lent and not self._grows():
-            # A disk that is slow, or full of what is yet to be written, holds no other request up.
+            # In a thread: a slow disk must not delay other requests.
             await to_thread.run_sync(self._write_out, limiter=self._room.limiter)
             self._return_memory()
 
@@ -146,7 +146,7 @@ class Spool:
             yield bytes(self._memory)
 
     def clear(self) -> None:
-        """Forget the bytes, and give back what they took."""
+        """Discard the bytes, and release their room."""
         self._room.give_back(self._key, self._length)
         self._length = 0
         self._memory = bytearray()
@@ -173,7 +173,7 @@ class Spool:
             try:
                 while view:
                     view = view[self._file.write(view) :]
-            except OSError:  # half of it would come twice: it is still in memory
+            except OSError:  # a part would be read twice: it is still in memory
                 self._file.seek(begin)
                 self._file.truncate()
                 raise
@@ -181,7 +181,7 @@ class Spool:
         self._memory = bytearray()
 
     def _require_room_on_disk(self) -> None:
-        """Refuse to fill the disk, which the catalog and acknowledged scans need."""
+        """Leave space on the disk for the catalog and for acknowledged scans."""
         disk = shutil.disk_usage(self._room.folder)
         kept_free = min(disk.total // 20, _KEPT_FREE_BYTES)
         if disk.free < kept_free + len(self._memory):

@@ -1,4 +1,4 @@
-"""Bodies that nobody read: the connection of a request that was refused ends soon."""
+"""Unread bodies: closes the connection of a request that was answered without reading them."""
 
 import asyncio
 import time
@@ -12,10 +12,10 @@ _IDLE_S = 2.0
 
 
 class UnreadBody:
-    """Close the connection of an answer that does not wait for its request's body.
+    """Closes the connection of an answer that was sent before its request's body was read.
 
-    The answer is sent at once. A client that sends first and reads later would lose it with a
-    connection that is closed at once too, so what it still sends is read and dropped for a while.
+    The answer is sent at once. A client that sends first and reads later would lose it if the
+    connection were closed at once too, so the rest of the body is read and dropped for a while.
     """
 
     def __init__(self, app: ASGIApp) -> None:
@@ -35,9 +35,9 @@ class _Exchange:
     """A request with a body, and its answer.
 
     Args:
-        receive: Gives the body.
-        send: Takes the answer.
-        waits: The client sends its body only once it is asked for.
+        receive: Receives the body.
+        send: Sends the answer.
+        waits: The client sends its body only after `100 Continue`.
     """
 
     def __init__(self, receive: Receive, send: Send, *, waits: bool) -> None:

@@ -1,4 +1,4 @@
-"""What processes of ours set up before they compute and serve."""
+"""Set-up of processes before they compute and serve."""
 
 import gc
 import os

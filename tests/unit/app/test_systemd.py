@@ -1,4 +1,4 @@
-"""A service manager hears that the service is ready, and hears nothing of a loop that is held."""
+"""A service manager gets a message when the service is ready, and none of a blocked loop."""
 
 import asyncio
 import os
@@ -49,7 +49,7 @@ def test_a_manager_hears_of_the_start_of_each_turn_and_of_the_end(manager):
     assert heard(listening)[-1] == "STOPPING=1"
 
 
-def test_a_loop_that_is_held_says_nothing(manager):
+def test_a_blocked_loop_sends_nothing(manager):
     listening, environment = manager
 
     async def serve():

@@ -1,4 +1,4 @@
-"""Builds from the store: of the map that was asked for, and never of damaged images."""
+"""Builds from the store: of the requested map, and never from damaged images."""
 
 import h5py
 import pytest
@@ -108,7 +108,7 @@ def test_a_map_that_is_renamed_during_a_build_gets_its_revision(store):
     assert store.revisions.path("yard", record.digest).is_relative_to(store.layout.map(map_id))
 
 
-def test_a_build_is_compared_again_with_what_became_live_meanwhile(store, monkeypatch):
+def test_a_build_is_compared_again_with_a_revision_that_became_live_meanwhile(store, monkeypatch):
     map_id = store.maps.get("campus").id
     first, second = (
         build_revision(store, map_id, BuildParameters(segments=segments)) for segments in (2, 3)
@@ -122,8 +122,8 @@ def test_a_build_is_compared_again_with_what_became_live_meanwhile(store, monkey
         return gate
 
     monkeypatch.setattr(pipelines, "pass_gate", decide)
-    wanted = BuildParameters(segments=4, make_live=True, max_recall_loss=1.0)
-    third = build_revision(store, map_id, wanted)
+    expected = BuildParameters(segments=4, make_live=True, max_recall_loss=1.0)
+    third = build_revision(store, map_id, expected)
     assert compared == [first.digest, second.digest]
     assert store.revisions.live("campus") == third
     assert len(list(store.layout.revisions(map_id).iterdir())) == 3  # none of the lost race

@@ -1,4 +1,4 @@
-"""A build is planned once: from heads of files, and as things were when it was queued."""
+"""A build is planned once: from heads of files, in the state when it was queued."""
 
 import pytest
 
@@ -70,8 +70,8 @@ def test_what_comes_after_it_was_planned_is_not_built(store, map_id):
 def test_what_is_gone_since_it_was_planned_fails_the_build_by_name(store, map_id):
     first = build_revision(store, map_id, plan_build(store, map_id, BuildParameters(segments=2)))
     plan = plan_build(store, map_id, BuildParameters(segments=3))
-    wanted = BuildParameters(segments=3, refit=True, make_live=True, force=True)
-    build_revision(store, map_id, plan_build(store, map_id, wanted))
+    expected = BuildParameters(segments=3, refit=True, make_live=True, force=True)
+    build_revision(store, map_id, plan_build(store, map_id, expected))
     store.revisions.delete("campus", first.digest)
     with pytest.raises(RevisionNotFound):
         build_revision(store, map_id, plan)

@@ -1,4 +1,4 @@
-"""Commands read scans as users have them."""
+"""Commands read scan files of all formats."""
 
 import json
 

@@ -8,6 +8,7 @@ from core.errors import InvalidParameters
 from storage.errors import DataDirInUse, StorageUnavailable
 from storage.files.claims import claimed
 from storage.store import Store
+from tests.support.catalog_rows import stored_scans
 from tests.support.small_scans import sample_scan
 
 pytestmark = pytest.mark.slow
@@ -35,7 +36,7 @@ def test_a_sound_store_is_one_line_and_no_failure(data):
 def test_each_finding_is_a_line_and_a_loss_is_a_failure(data):
     damaged, gone, _ = sorted(data.rglob("chunks/*.h5"))
     with Store(data) as store:
-        scans = {r.chunk: r.index for r in store.drives.scan_records("campus", "monday")}
+        scans = {r.chunk: r.index for r in stored_scans(store, "campus", "monday")}
     of_drive = "map campus, drive monday, scan"
     damaged.write_bytes(damaged.read_bytes()[:-100])
     gone.unlink()
@@ -91,7 +92,7 @@ def test_nothing_is_repaired_beside_a_server(data):
         assert ran(data)[0] == 0
 
 
-def test_a_damaged_catalog_is_told(data):
+def test_a_damaged_catalog_is_reported(data):
     catalog = data / "catalog.sqlite3"
     content = bytearray(catalog.read_bytes())
     at = content.rindex(b"campus")  # of a row and of an index: one of them now differs
@@ -101,7 +102,7 @@ def test_a_damaged_catalog_is_told(data):
     assert (status, "damaged: catalog: " in printed) == (1, True)
 
 
-def test_an_incomplete_backup_says_where_it_is_and_fails(data, tmp_path):
+def test_an_incomplete_backup_names_its_file_and_fails(data, tmp_path):
     whole, beside = tmp_path / "b.tar", tmp_path / "b.incomplete.tar"
     backup = ["backup", "--data", str(data), "-o", str(whole)]
     first = CliRunner().invoke(cli, backup)

@@ -1,4 +1,4 @@
-"""How many connections a process takes, and which goes first."""
+"""How many connections a process accepts, and which is closed first."""
 
 import resource
 
@@ -73,18 +73,18 @@ class Idle(BoundedConnection):
     def __init__(self, closed, name):
         self.closed, self.name = closed, name
 
-    def give_way(self):
+    def close_now(self):
         self.closed.append(self.name)
 
 
-def test_the_idle_give_way_in_order_and_the_report_comes_once_in_a_while(caplog):
+def test_idle_connections_are_closed_in_order_and_the_log_line_comes_once_in_ten_seconds(caplog):
     now = [0.0]
     closed: list[str] = []
     slots = ConnectionSlots(4, clock=lambda: now[0])
     kept, first, second, busy = (Idle(closed, name) for name in ("kept", "first", "second", "busy"))
-    slots.waits(kept, asked=True)
+    slots.idle(kept, used=True)
     for fresh in (first, busy, second):
-        slots.waits(fresh, asked=False)
+        slots.idle(fresh, used=False)
     slots.busy(busy)
     assert slots.has_room(4)
     assert [slots.has_room(5) for _ in range(5)] == [True, True, True, False, False]

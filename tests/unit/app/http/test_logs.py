@@ -1,4 +1,4 @@
-"""Log lines: one an event, readable by machines, without what must stay secret."""
+"""Log lines: one for each event, readable by machines, without secrets."""
 
 import contextvars
 import io
@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from app.http.context import accepted_id, current_id, enter_request
-from app.http.logs import LogFormat, _Seldom, _TextLine, configure_logging, fields
+from app.http.logs import LineFormatter, LogFormat, _Throttle, configure_logging, fields
 
 
 @pytest.fixture
@@ -40,7 +40,7 @@ def log_a_fault(logger):
         logger.exception("it failed")
 
 
-def test_a_json_line_has_the_event_its_fields_and_its_fault(lines):
+def test_a_json_line_has_the_event_its_fields_and_its_traceback(lines):
     written = lines(LogFormat.JSON)
     logger = logging.getLogger("tensormap.test")
     logger.info("two\nlines", extra=fields(status=200, path="/v1/maps"))
@@ -56,11 +56,11 @@ def test_a_json_line_has_the_event_its_fields_and_its_fault(lines):
 @given(st.text(max_size=40))
 def test_a_text_line_stays_one_line_whatever_a_client_sends(path):
     record = logging.makeLogRecord({"name": "tensormap", "msg": "request", **fields(path=path)})
-    assert len(_TextLine().format(record).splitlines()) == 1
+    assert len(LineFormatter(LogFormat.TEXT).format(record).splitlines()) == 1
 
 
 @pytest.mark.parametrize("prefix", ["tm", "tmt"])
-def test_no_key_and_no_token_stands_in_a_line(lines, prefix):
+def test_a_line_has_no_key_and_no_token(lines, prefix):
     key = f"{prefix}_0a1b2c3d_" + "s3cret-" * 6
     for log_format in LogFormat:
         written = lines(log_format)
@@ -73,7 +73,7 @@ def test_no_key_and_no_token_stands_in_a_line(lines, prefix):
         assert f"{prefix}_(hidden)" in written.getvalue()
 
 
-def test_a_line_is_of_the_request_that_it_was_written_in(lines):
+def test_a_line_has_the_id_of_the_request_that_wrote_it(lines):
     def answer():
         enter_request({"headers": [(b"x-request-id", b"truck-7")]})
         assert current_id() == "truck-7"
@@ -99,7 +99,7 @@ def test_nothing_is_written_twice_nor_below_the_level(lines, log_format):
 
 
 @pytest.mark.parametrize("sent", ["a", "truck-7:42", "01HZX.3_k", "f" * 64])
-def test_a_sane_request_id_is_kept(sent):
+def test_a_valid_request_id_is_kept(sent):
     assert accepted_id(sent) == sent
 
 
@@ -111,12 +111,12 @@ def test_any_other_request_id_is_replaced(sent):
     assert made != accepted_id(sent)
 
 
-def test_what_a_client_can_cause_at_will_is_logged_once_in_a_while():
+def test_events_that_a_client_can_cause_at_will_are_logged_once_in_ten_seconds():
     now = [0.0]
-    seldom = _Seldom(lambda: now[0])
+    throttle = _Throttle(lambda: now[0])
 
     def passes(event):
-        return seldom.filter(logging.makeLogRecord({"msg": event}))
+        return throttle.filter(logging.makeLogRecord({"msg": event}))
 
     accept = "socket.accept() out of system resource\nsocket: <socket>"
     assert [passes(accept) for _ in range(3)] == [True, False, False]

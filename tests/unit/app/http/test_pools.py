@@ -1,4 +1,4 @@
-"""Pools of threads: what runs at once, of whom, and who is next."""
+"""Pools of threads, shared fairly between keys."""
 
 import asyncio
 import threading

@@ -1,4 +1,4 @@
-"""Where am I: the closest core tensor slice over all segments (paper, sec. 2.3)."""
+"""Localization: the closest core tensor slice over all segments (paper, sec. 2.3)."""
 
 import numpy as np
 import pytest
@@ -93,7 +93,7 @@ def test_the_answer_is_that_of_a_loop_over_all_slices(made, localizer, seed, k):
     )
 
 
-def test_k_beyond_the_map_answers_every_scan_once(made, localizer):
+def test_k_beyond_the_map_returns_every_scan_once(made, localizer):
     tensor_map, images = made
     found = localizer.localize_image(sample_image(tensor_map, images[3]), k=10**30)
     assert sorted(match.row for match in found.matches) == list(range(48))
@@ -215,14 +215,14 @@ def test_without_poses_the_runner_up_is_at_least_50_scans_away_or_in_another_dri
         assert found.runner_up == away[0]
 
 
-def test_a_map_that_lies_within_10_m_has_no_runner_up():
+def test_a_map_within_10_m_has_no_runner_up():
     tensor_map, images = sample_map(count=8, segment_length=4)
     found = Localizer(tensor_map).localize_image(sample_image(tensor_map, images[0]))
     assert found.runner_up is None
     assert found.ratio is None
 
 
-def test_two_places_that_look_the_same_are_told_to_be_ambiguous():
+def test_two_places_with_the_same_image_are_ambiguous():
     tensor_map, images = sample_map(count=30, segment_length=30)
     twins = images.copy()
     twins[29] = twins[0]
@@ -249,15 +249,15 @@ def test_packed_signatures_find_what_the_whole_ones_do():
     projected = project_drive(drive, mapped, parameters.imager)
     trajectory = Trajectory.of_drive("d", drive.timestamp_s[mapped], drive.poses[mapped], mapped)
     localizer = Localizer(fit_map(projected.images, trajectory, cut_fixed(60, 20), parameters))
-    asked = np.arange(1, 120, 2)
+    queries = np.arange(1, 120, 2)
     same = 0
-    for index in asked.tolist():
+    for index in queries.tolist():
         signatures = localizer.basis.encode(localizer.basis.image(drive.scan(index)))
         body = pack_signatures(signatures)
         assert len(body) == 11 + 3 * 52
         packed = localizer.localize_signatures(unpack_signatures(body))
         same += packed.best.row == localizer.localize_signatures(signatures).best.row
-    assert same >= 0.99 * len(asked)
+    assert same >= 0.99 * len(queries)
 
 
 def test_a_map_whose_parts_do_not_fit_is_refused(made):
@@ -284,7 +284,7 @@ def test_a_map_whose_parts_do_not_fit_is_refused(made):
         "topology": tensor_map.topology,
         "relative_error": tensor_map.relative_error,
     }
-    for changes, said in (
+    for changes, message in (
         ({"trajectory": short}, "48 signatures and 47 scans"),
         ({"relative_error": np.zeros(5)}, "6 segments"),
         ({"relative_error": np.full(6, np.nan)}, "relative_error"),
@@ -295,5 +295,5 @@ def test_a_map_whose_parts_do_not_fit_is_refused(made):
         ({"parameters": MapParameters(grid=tensor_map.parameters.grid, ranks=(4, 3))}, "ranks"),
         ({"parameters": MapParameters(ranks=(3, 4))}, "not for the grid"),
     ):
-        with pytest.raises(InvalidMap, match=said):
+        with pytest.raises(InvalidMap, match=message):
             TensorMap(**{**parts, **changes})

@@ -1,4 +1,4 @@
-"""Where bodies wait, how slowly they may come, and what JSON may cost."""
+"""Spooled bodies, their minimum rate, and the cost of JSON."""
 
 import asyncio
 import errno
@@ -10,8 +10,8 @@ from anyio import CapacityLimiter
 from fastapi.exceptions import RequestValidationError
 
 from app.drives.pose_schemas import PosesIn
+from app.http.bodies.incoming import Pace
 from app.http.bodies.json_body import MOST_DEPTH, MOST_KEYS, MOST_VALUES, read_json
-from app.http.bodies.pace import Pace
 from app.http.bodies.spool import Spool, SpoolRoom
 from app.http.errors import InvalidRequest, ServiceBusy, SlowBody, TooManyRequests
 from app.maps.schemas import MapIn
@@ -129,14 +129,14 @@ def test_a_key_takes_three_quarters_of_the_room_and_gives_it_back(tmp_path):
 def test_a_key_has_so_many_bodies_and_no_more(tmp_path):
     room = room_in(tmp_path, bodies_per_key=2)
     with (
-        room.body("a"),
-        room.body("a"),
-        room.body("b"),
+        room.spool("a"),
+        room.spool("a"),
+        room.spool("b"),
         pytest.raises(TooManyRequests),
-        room.body("a"),
+        room.spool("a"),
     ):
         pass
-    with room.body("a"), room.body("a"):
+    with room.spool("a"), room.spool("a"):
         pass
 
 
@@ -153,8 +153,8 @@ class Sender:
 
 
 def paced(**settings):
-    wanted = {"body_idle_s": 60.0, "body_grace_s": 60.0, "body_bytes_per_s": 1.0, **settings}
-    return Pace(Settings(**wanted))
+    expected = {"body_idle_s": 60.0, "body_grace_s": 60.0, "body_bytes_per_s": 1.0, **settings}
+    return Pace(Settings(**expected))
 
 
 async def taken(pace, sender):
@@ -163,7 +163,7 @@ async def taken(pace, sender):
 
 
 def test_a_body_that_is_idle_is_refused():
-    with pytest.raises(SlowBody, match=r"nothing of the body came for 0\.05 s"):
+    with pytest.raises(SlowBody, match=r"nothing of the body arrived for 0\.05 s"):
         asyncio.run(taken(paced(body_idle_s=0.05), Sender((0, 10), (60, 10))))
 
 
