@@ -157,6 +157,11 @@ class Sweep(Plain):
     judged: int
     points: tuple[SweepPoint, ...]
 
+    def at(self, ranks: tuple[int, int], segment_length: int) -> SweepPoint | None:
+        """Return a candidate, `None` if it was not tried."""
+        tried = {(point.ranks, point.segment_length): point for point in self.points}
+        return tried.get((ranks, segment_length))
+
 
 def sweep(
     images: QueryImages, criterion: Criterion, grid: SweepGrid, progress: Progress = NO_PROGRESS

@@ -33,8 +33,8 @@ def study(drives: Drives) -> Study:
 def test_the_sweep_agrees_with_evaluate(study: Study, drives: Drives) -> None:
     protocol = EvaluationProtocol(MapParameters.for_sensor(encoding="paper"), segment_length=50)
     wanted = evaluate(drives.open("kitti00"), protocol)
-    points = study.encodings[0].sweep.points
-    [found] = [p for p in points if (p.ranks, p.segment_length) == ((5, 5), 50)]
+    found = study.encodings[0].sweep.at((5, 5), 50)
+    assert found is not None
     row = wanted.conditions[0]
     assert found.segment_accuracy == row.segment_accuracy
     assert found.accuracy[0] == row.recall_at_1[3.0]
