@@ -49,7 +49,7 @@ def put(client, body):
 
 
 def answers_of_read_routes(client):
-    """Return the status of every route that reads the live revision, by what was asked."""
+    """Return the status of every route that reads the live revision, by request."""
     scan = {"content": kitti(SCAN), "headers": KITTI}
     asked = {
         "maps": client.get("/v1/maps"),
