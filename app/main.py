@@ -37,7 +37,6 @@ from app.loop_closures import routes as loop_closures
 from app.maps import routes as maps
 from app.maps.collector import GarbageCollector
 from app.process import one_blas_thread
-from app.revisions import comparison_routes
 from app.revisions import routes as revisions
 from app.revisions.loaded import LoadedRevisions
 from app.scrub import Scrub
@@ -64,7 +63,6 @@ _API = (
     job_routes.reading,
     job_routes.writing,
     revisions.router,
-    comparison_routes.router,
     localizations.router,
     loop_closures.router,
     tracks.router,

@@ -10,14 +10,14 @@ import sys
 import numpy as np
 
 from benchmarks.timing import machine, medians_s
-from core.encodings.paper import PaperModel
+from core.encodings.paper.model import PaperModel
 from core.localization.localizer import Localizer
 from core.mapping.tensormap import TensorMap
 from core.parameters import MapParameters
-from core.projection.range_image import RangeImage
+from core.projection.imager import Image
 from core.scans.sensor import AngularGrid
 from core.scans.trajectory import Trajectory
-from core.segmentation import cut_fixed
+from core.segmentation.fixed import cut_fixed
 from core.topology import join_segments
 
 BAR = 1.5
@@ -31,7 +31,7 @@ def main() -> int:
     model, basis = localizer.map.model, localizer.basis
     grid = AngularGrid()
     cells = np.random.default_rng(1).uniform(2.0, 60.0, grid.shape).astype(np.float32)
-    image = RangeImage(cells, grid)
+    image = Image(cells, grid)
     signatures = basis.encode(image)
     answer_s, search_s = medians_s(
         lambda: localizer.localize_image(image),

@@ -15,7 +15,7 @@ from benchmarks.timing import machine
 from core.mapping.build import fit_map
 from core.parameters import MapParameters
 from core.scans.trajectory import Trajectory
-from core.segmentation import PAPER_SEGMENT_LENGTH, cut_fixed
+from core.segmentation.fixed import PAPER_SEGMENT_LENGTH, cut_fixed
 
 BAR_MB = 200.0
 SCANS = 100_000

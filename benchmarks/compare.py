@@ -19,8 +19,13 @@ from app.baselines.roster import METHODS, default_methods, methods_named
 from app.provenance import commit, machine, provenance
 from benchmarks.accuracy import print_table
 from core.arrays import IntArray
-from core.evaluation.compare import ComparisonProtocol, compare
-from core.evaluation.comparison import Comparison, MethodResult, MethodUnderCondition
+from core.evaluation.compare import (
+    Comparison,
+    ComparisonProtocol,
+    MethodResult,
+    MethodUnderCondition,
+    compare,
+)
 from core.evaluation.condition import Condition, conditions
 from core.evaluation.methods import Enrolled, Method
 from core.evaluation.pairing import HeldOut, LoopClosing, SecondPass

@@ -22,8 +22,7 @@ from core.encodings.harmonic.basis import HarmonicBasis
 from core.encodings.signature import Packing, pack_signatures, unpack_signatures
 from core.encodings.tucker import leading_basis, row_gram
 from core.evaluation.condition import Condition, conditions
-from core.evaluation.evaluate import EvaluationProtocol, evaluate
-from core.evaluation.result import Evaluation
+from core.evaluation.evaluate import Evaluation, EvaluationProtocol, evaluate
 from core.evaluation.split import Every
 from core.localization.localizer import Localizer
 from core.localization.match import Match

@@ -24,7 +24,8 @@ from app.revisions.schemas import BasisOut
 from benchmarks.timing import machine
 from core.encodings.signature import pack_signatures
 from core.scans.scan import Scan
-from core.simulation import SimulatedDrive, SimulatedSensor
+from core.simulation import SimulatedDrive
+from core.simulation.raycast import SimulatedSensor
 
 SWITCHES, CLIENTS = 1000, 8
 SCANS = 48

@@ -13,9 +13,9 @@ from benchmarks.timing import machine, medians_s
 from core.localization.localizer import Localizer
 from core.mapping.build import fit_map
 from core.parameters import MapParameters
-from core.projection.range_image import RangeImage
+from core.projection.imager import Image
 from core.scans.trajectory import Trajectory
-from core.segmentation import PAPER_SEGMENT_LENGTH, cut_fixed
+from core.segmentation.fixed import PAPER_SEGMENT_LENGTH, cut_fixed
 
 BAR = 20.0
 SCANS = 3800
@@ -34,10 +34,10 @@ def main() -> int:
     )
     cuts = cut_fixed(SCANS, PAPER_SEGMENT_LENGTH)
     localizer = Localizer(fit_map(source, trajectory, cuts, MapParameters()))
-    query = RangeImage(every_image[1234], source.grid)
+    query = Image(every_image[1234], source.grid)
 
     def by_images() -> int:
-        squared = np.square(every_image - query.ranges_m).sum(axis=(1, 2))
+        squared = np.square(every_image - query.cells).sum(axis=(1, 2))
         return int(squared.argmin())
 
     assert localizer.localize_image(query).best.row == by_images() == 1234  # noqa: S101 - else the comparison is void

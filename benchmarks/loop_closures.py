@@ -217,8 +217,8 @@ def _report(found: list[Judged]) -> int:
     for name, of_it in _groups(found):
         truth = np.array([j.is_true for j in of_it])
         p = np.array([j.closure.probability or 0.0 for j in of_it])
-        accepted = np.array([j.closure.verdict() == Verdict.ACCEPTED for j in of_it])
-        rejected = np.array([j.closure.verdict() == Verdict.REJECTED for j in of_it])
+        accepted = np.array([j.closure.decide() == Verdict.ACCEPTED for j in of_it])
+        rejected = np.array([j.closure.decide() == Verdict.REJECTED for j in of_it])
         auroc = _auroc(p[truth], p[~truth])
         precision = float(truth[accepted].mean()) if accepted.any() else float("nan")
         missed += auroc < WORST_AUROC or not precision >= WORST_PRECISION

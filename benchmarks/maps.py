@@ -8,7 +8,7 @@ from core.localization.localizer import Localizer
 from core.mapping.pipeline import build, project_scans
 from core.parameters import MapParameters
 from core.scans.drive import Drive
-from core.segmentation import cut_fixed, segment_length_for
+from core.segmentation.fixed import cut_fixed, segment_length_for
 
 
 def localizer_of(

@@ -16,12 +16,13 @@ from threadpoolctl import threadpool_limits
 from benchmarks.maps import localizer_of
 from benchmarks.timing import machine, medians_s
 from core.arrays import IntArray
-from core.encodings.harmonic import HarmonicModel
+from core.encodings.harmonic.model import HarmonicModel
 from core.encodings.model import Neighbours
 from core.encodings.signature import Signature
 from core.evaluation.baselines.scan_context import ScanContext
 from core.parameters import MapParameters
-from core.simulation import SimulatedDrive, SimulatedSensor
+from core.simulation import SimulatedDrive
+from core.simulation.raycast import SimulatedSensor
 
 BAR_MS = 1.0
 SCANS = 3800
@@ -103,7 +104,8 @@ def _pruned(model: HarmonicModel, signatures: Sequence[Signature]) -> Neighbours
 
 
 def _brute(model: HarmonicModel, signatures: Sequence[Signature]) -> Neighbours:
-    return model.search(signatures).nearest_by_brute_force(1)
+    search, rows = model.search(signatures), np.arange(len(model))
+    return search.ranked(rows, *search.exact(rows), 1)
 
 
 if __name__ == "__main__":

@@ -16,11 +16,11 @@ import h5py
 import numpy as np
 
 from benchmarks.timing import machine
-from core.encodings.paper import PaperModel
+from core.encodings.paper.model import PaperModel
 from core.mapping.tensormap import TensorMap
 from core.parameters import MapParameters
 from core.scans.trajectory import Trajectory
-from core.segmentation import cut_fixed
+from core.segmentation.fixed import cut_fixed
 from core.topology import Topology
 from storage.files.map_file import read_map, read_revision, write_map
 

@@ -18,8 +18,7 @@ from threadpoolctl import threadpool_limits
 from benchmarks.accuracy import commit, print_table
 from benchmarks.timing import machine
 from core.encodings.registry import encoding_names
-from core.evaluation.evaluate import EvaluationProtocol, evaluate
-from core.evaluation.result import Evaluation
+from core.evaluation.evaluate import Evaluation, EvaluationProtocol, evaluate
 from core.evaluation.split import Every
 from core.parameters import MapParameters, Segmentation
 from core.scans.drive import Drive, MemoryDrive

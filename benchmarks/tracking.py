@@ -14,8 +14,7 @@ from threadpoolctl import threadpool_limits
 
 from benchmarks.accuracy import commit, print_table
 from benchmarks.timing import machine
-from core.evaluation.evaluate import EvaluationProtocol, evaluate
-from core.evaluation.result import Evaluation
+from core.evaluation.evaluate import Evaluation, EvaluationProtocol, evaluate
 from core.evaluation.split import Interleaved
 from core.evaluation.tracks import TrackResult
 from core.parameters import MapParameters

@@ -189,8 +189,8 @@ def _is_right(found: Localization, pose: FloatArray) -> bool:
 
 
 def _judged(found: Localization, *, right: bool) -> Outcome:
-    assert found.verdict.probability is not None  # noqa: S101 - these maps are calibrated
-    return Outcome(found.verdict.probability, found.localized, right)
+    assert found.decision.probability is not None  # noqa: S101 - these maps are calibrated
+    return Outcome(found.decision.probability, found.localized, right)
 
 
 def _coverage(asked: Sequence[tuple[Localization, FloatArray]]) -> list[str]:

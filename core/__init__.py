@@ -1,6 +1,6 @@
 """TensorMap's method: numpy and scipy only, no files, no HTTP, no HDF5.
 
-These names are its public face. Each is loaded when it is first used, so that importing one module
+These names are its public API. Each is loaded when it is first used, so that importing one module
 of `core` loads no other.
 """
 
@@ -8,49 +8,30 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from core.encodings.base import Encoding
-    from core.encodings.signature import Signature, pack_signatures, unpack_signatures
-    from core.errors import TensorMapError
-    from core.evaluation.condition import Condition
-    from core.evaluation.evaluate import EvaluationProtocol, evaluate
-    from core.evaluation.result import Evaluation
-    from core.localization.localizer import Localization, Localizer
-    from core.localization.match import Match
-    from core.mapping.merge import merge_maps, without_drives
-    from core.mapping.pipeline import build_map
-    from core.mapping.tensormap import TensorMap
-    from core.parameters import MapParameters
-    from core.scans.drive import Drive, MemoryDrive
-    from core.scans.pose import Pose
-    from core.scans.scan import Scan
-    from core.tracking.track import Observation, Track, Tracker
-
-__all__ = [
-    "Condition",
-    "Drive",
-    "Encoding",
-    "Evaluation",
-    "EvaluationProtocol",
-    "Localization",
-    "Localizer",
-    "MapParameters",
-    "Match",
-    "MemoryDrive",
-    "Observation",
-    "Pose",
-    "Scan",
-    "Signature",
-    "TensorMap",
-    "TensorMapError",
-    "Track",
-    "Tracker",
-    "build_map",
-    "evaluate",
-    "merge_maps",
-    "pack_signatures",
-    "unpack_signatures",
-    "without_drives",
-]
+    from core.encodings.base import Encoding as Encoding
+    from core.encodings.signature import Signature as Signature
+    from core.encodings.signature import pack_signatures as pack_signatures
+    from core.encodings.signature import unpack_signatures as unpack_signatures
+    from core.errors import TensorMapError as TensorMapError
+    from core.evaluation.condition import Condition as Condition
+    from core.evaluation.evaluate import Evaluation as Evaluation
+    from core.evaluation.evaluate import EvaluationProtocol as EvaluationProtocol
+    from core.evaluation.evaluate import evaluate as evaluate
+    from core.localization.localizer import Localization as Localization
+    from core.localization.localizer import Localizer as Localizer
+    from core.localization.match import Match as Match
+    from core.mapping.merge import merge_maps as merge_maps
+    from core.mapping.merge import without_drives as without_drives
+    from core.mapping.pipeline import build_map as build_map
+    from core.mapping.tensormap import TensorMap as TensorMap
+    from core.parameters import MapParameters as MapParameters
+    from core.scans.drive import Drive as Drive
+    from core.scans.drive import MemoryDrive as MemoryDrive
+    from core.scans.pose import Pose as Pose
+    from core.scans.scan import Scan as Scan
+    from core.tracking.track import Observation as Observation
+    from core.tracking.track import Track as Track
+    from core.tracking.track import Tracker as Tracker
 
 _MODULE_OF = {
     name: module
@@ -59,8 +40,7 @@ _MODULE_OF = {
         ("core.encodings.signature", "Signature pack_signatures unpack_signatures"),
         ("core.errors", "TensorMapError"),
         ("core.evaluation.condition", "Condition"),
-        ("core.evaluation.evaluate", "EvaluationProtocol evaluate"),
-        ("core.evaluation.result", "Evaluation"),
+        ("core.evaluation.evaluate", "Evaluation EvaluationProtocol evaluate"),
         ("core.localization.localizer", "Localization Localizer"),
         ("core.localization.match", "Match"),
         ("core.mapping.merge", "merge_maps without_drives"),
@@ -74,6 +54,7 @@ _MODULE_OF = {
     )
     for name in names.split()
 }
+__all__ = sorted(_MODULE_OF)
 
 
 def __getattr__(name: str) -> Any:  # noqa: ANN401 - PEP 562: mypy reads the imports above

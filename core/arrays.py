@@ -1,5 +1,6 @@
-"""Array aliases and the one way the product freezes an array."""
+"""Array aliases, and how arrays are made read-only."""
 
+from dataclasses import fields, is_dataclass
 from typing import Any
 
 import numpy as np
@@ -16,9 +17,9 @@ BoolArray = NDArray[np.bool_]
 def frozen(values: ArrayLike, dtype: DTypeLike) -> NDArray[Any]:
     """Return `values` as a read-only, C-contiguous array of `dtype`.
 
-    An array that already is all of that is returned as it is; the caller's own
-    writable array is never made read-only under its hands, but viewed or copied. A number
-    beyond `dtype` becomes infinite; the types refuse that themselves.
+    An array that already is all of that is returned as it is; the caller's own writable array is
+    viewed or copied, and stays writable. A number beyond `dtype` becomes infinite, which the types
+    reject themselves.
     """
     with np.errstate(over="ignore"):
         array = np.ascontiguousarray(values, dtype=dtype)
@@ -26,3 +27,16 @@ def frozen(values: ArrayLike, dtype: DTypeLike) -> NDArray[Any]:
         array = array.view()
         array.flags.writeable = False
     return array
+
+
+def freeze(owner: object, **dtypes: DTypeLike) -> None:
+    """Replace arrays of a frozen dataclass, by name, with read-only ones of these dtypes."""
+    for name, dtype in dtypes.items():
+        object.__setattr__(owner, name, frozen(getattr(owner, name), dtype))
+
+
+def arrays_of(owner: object) -> dict[str, NDArray[Any]]:
+    """Return the attributes of a dataclass that are arrays, by name."""
+    assert is_dataclass(owner)  # noqa: S101 - for mypy
+    values = {field.name: getattr(owner, field.name) for field in fields(owner)}
+    return {name: value for name, value in values.items() if isinstance(value, np.ndarray)}

@@ -9,19 +9,19 @@ TensorMapError
 ├── InvalidMap              arrays that do not form a TensorMap
 ├── InvalidSignature        a signature of the wrong shape or content
 ├── StaleSignature          a signature made with another revision's bases
-├── BasisMismatch           maps whose bases differ, where one was wanted
+├── BasisMismatch           maps whose bases differ, where one is needed
 ├── FramesDisagree          drives of one map whose poses are in different world frames
 ├── UnknownDrive            a drive the map does not have
 ├── StaleObservation        an observation that is not newer than the track's last one
 ├── UnknownSegment          a segment the map does not have
 ├── SensorMismatch          a query of a sensor or grid the map was not built for
 ├── EmptyDrive              a drive without a single scan to map
-└── Cancelled               the caller asked a long computation to stop
+└── Cancelled               a long computation that its caller cancelled
 """
 
 
 class TensorMapError(Exception):
-    """Base of every error this product raises on purpose."""
+    """Base of every error that this product raises on purpose."""
 
 
 class InvalidScan(TensorMapError):
@@ -29,7 +29,7 @@ class InvalidScan(TensorMapError):
 
 
 class TooFewReturns(InvalidScan):
-    """Fewer finite, non-zero returns than the caller asked for."""
+    """Fewer finite, non-zero returns than required."""
 
 
 class InvalidPose(TensorMapError):
@@ -49,11 +49,11 @@ class InvalidMap(TensorMapError):
 
 
 class InvalidSignature(TensorMapError):
-    """A signature whose shape or values cannot be."""
+    """A signature with an invalid shape or invalid values."""
 
 
 class StaleSignature(TensorMapError):
-    """A signature made with bases that no revision at hand has."""
+    """A signature made with bases that no available revision has."""
 
 
 class BasisMismatch(TensorMapError):
@@ -65,7 +65,7 @@ class FramesDisagree(TensorMapError):
 
 
 class UnknownDrive(TensorMapError):
-    """A drive that the map does not hold."""
+    """A drive that the map does not have."""
 
 
 class StaleObservation(TensorMapError):
@@ -85,4 +85,4 @@ class EmptyDrive(TensorMapError):
 
 
 class Cancelled(TensorMapError):
-    """A long computation stopped because its caller asked for it."""
+    """A long computation that its caller cancelled."""

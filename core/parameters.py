@@ -1,4 +1,4 @@
-"""The choices a map is built with, kept in the map."""
+"""The parameters a map is built with, stored in the map."""
 
 import operator
 from collections.abc import Sequence
@@ -24,8 +24,8 @@ _LONGEST_SENSOR = 64
 class Segmentation(StrEnum):
     """How drives are cut into segments.
 
-    The paper's are of one length. It asks for unequal ones as its future work, so they are kept,
-    though no default chooses them: docs/decisions/0013-unequal-segments-and-topology.md.
+    The paper's have one length. Unequal ones are its future work; they are available, but not the
+    default: docs/decisions/0013-unequal-segments-and-topology.md.
     """
 
     FIXED = "fixed"
@@ -34,7 +34,7 @@ class Segmentation(StrEnum):
 
 @dataclass(frozen=True)
 class MapParameters:
-    """What a query must share with the map to be answered by it; by default as in the paper.
+    """The parameters that a query must share with the map; by default as in the paper.
 
     Attributes:
         encoding: How images become signatures: a name that `core.encodings.registry` knows.
@@ -70,7 +70,7 @@ class MapParameters:
             raise InvalidParameters(f"sensor is {ascii(self.sensor)[:80]}: {flaw}")
         if len(self.ranks) != 2:
             raise InvalidParameters(f"ranks is {self.ranks}, wanted (r1, r2)")
-        # The imager refuses a reducer of other images, and puts renderings in their own form.
+        # The imager rejects a reducer of other images, and normalizes renderings.
         object.__setattr__(self, "lateral_renderings_m", self.imager.lateral_renderings_m)
         if self.distance is not None:
             object.__setattr__(self, "distance", Distance(self.distance))
@@ -109,7 +109,7 @@ class MapParameters:
         lateral_renderings_m: Sequence[float] | None = None,
         segmentation: Segmentation = Segmentation.FIXED,
     ) -> "MapParameters":
-        """Return parameters for a known sensor; what is not given is the encoding's own default.
+        """Return parameters for a known sensor; what is not given is the encoding's default.
 
         The paper's are range images, `last`; the harmonic's are heights, `highest`, or on request
         ranges, `mean`, `normalised`, and five renderings. A sensor without a usual height is
@@ -117,7 +117,7 @@ class MapParameters:
 
         Raises:
             InvalidParameters: If the sensor or encoding is unknown, a value is out of its range or
-                is not one of this encoding.
+                the encoding has no such parameter.
         """
         known, encoder = sensor_named(sensor), encoding_named(encoding)
         kind = next(iter(encoder.reducers)) if image is None else image
@@ -159,10 +159,10 @@ class MapParameters:
 
     @classmethod
     def from_attributes(cls, attributes: dict[str, Any]) -> "MapParameters":
-        """Read what `as_attributes` gave.
+        """Return the parameters of attributes that `as_attributes` returned.
 
         Raises:
-            InvalidMap: If something is missing or not of its kind.
+            InvalidMap: If an attribute is missing or invalid.
         """
         try:
             distance = attributes.get("distance")

@@ -1,12 +1,12 @@
-"""How long work tells how far it is."""
+"""Progress reporting."""
 
 from typing import Protocol
 
 
 class Progress(Protocol):
-    """Told of each stage of long work and of every unit done in it.
+    """Receives each stage of long work and every finished unit of it.
 
-    Either method may raise `core.errors.Cancelled`: the work then stops where it is.
+    Either method may raise `core.errors.Cancelled` to stop the work.
     """
 
     def start(self, stage: str, total: int) -> None:

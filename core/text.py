@@ -11,12 +11,12 @@ _UNSHOWN = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028-\u202e\u2066-\u2069\ud800-\udf
 
 
 def flaw_in(text: object, most: int, *, allowed: str = "") -> str | None:
-    r"""Return what keeps `text` from being shown, `None` if nothing does.
+    r"""Return why `text` cannot be shown, `None` if it can.
 
     Args:
         text: Anything.
         most: How many characters it may have; it must have one.
-        allowed: Control characters that are welcome.
+        allowed: Control characters that it may have.
 
     Examples:
         >>> flaw_in("Straße 7", 64) is None, flaw_in("a\nb", 64, allowed="\n") is None
@@ -35,7 +35,7 @@ def flaw_in(text: object, most: int, *, allowed: str = "") -> str | None:
 
 
 def shown(value: object) -> object:
-    r"""Return plain values with every text in them made fit for UTF-8.
+    r"""Return plain values with every text in them replaced by one that UTF-8 can encode.
 
     Examples:
         >>> shown({"drives": ["a\ud800"]})

@@ -1,7 +1,7 @@
-"""What of a map is kept: how many revisions, for how long, and whether raw returns."""
+"""Retention policies of maps: which revisions are kept, for how long, and whether raw returns."""
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from datetime import datetime, timedelta
 from enum import StrEnum
@@ -14,7 +14,7 @@ LONGEST_DAYS = 36_525.0
 
 
 class RawScans(StrEnum):
-    """What becomes of a scan's returns once a map was built of it."""
+    """Whether a scan's returns are kept once a map was built of it."""
 
     KEEP = "keep"
     DROP = "drop"
@@ -29,10 +29,10 @@ class Retention:
     Attributes:
         retained_revisions: How many are kept besides the live and the newest one, or `all`.
         retained_for_days: How long any is kept after it was built or, if it was live, replaced.
-        raw_scans: What becomes of the returns that the live revision was built of.
+        raw_scans: Whether the returns that the live revision was built of are kept.
 
     Raises:
-        InvalidParameters: If a number is none, or out of range.
+        InvalidParameters: If a number is not finite, or out of range.
     """
 
     retained_revisions: int | Literal["all"] = "all"
@@ -51,17 +51,17 @@ class Retention:
 
 @dataclass(frozen=True)
 class OwnRetention:
-    """What a map has chosen of a `Retention`; `None` is what the service does by default."""
+    """The values of a `Retention` that a map has chosen; `None` is the service's default."""
 
     retained_revisions: int | Literal["all"] | None = None
     retained_for_days: float | None = None
     raw_scans: RawScans | None = None
 
     def __post_init__(self) -> None:
-        self.over(Retention())  # refuses what is out of range
+        self.over(Retention())  # rejects values out of range
 
     def over(self, default: Retention) -> Retention:
-        """Return what is in force.
+        """Return the policy in force.
 
         Examples:
             >>> in_force = OwnRetention(retained_revisions=3).over(Retention(retained_for_days=7.0))
@@ -71,34 +71,20 @@ class OwnRetention:
         return replace(default, **self.chosen())
 
     def chosen(self) -> dict[str, Any]:
-        """Return what it does not leave to the default, as plain values for JSON."""
+        """Return the chosen values, as plain values for JSON."""
         return {name: value for name, value in asdict(self).items() if value is not None}
-
-    def changed(self, changes: Mapping[str, Any]) -> "OwnRetention":
-        """Return it with some of its attributes replaced."""
-        return replace(self, **changes)
-
-    @classmethod
-    def from_chosen(cls, chosen: Mapping[str, Any]) -> "OwnRetention":
-        """Read what `chosen` gave."""
-        raw_scans = chosen.get("raw_scans")
-        return cls(
-            chosen.get("retained_revisions"),
-            chosen.get("retained_for_days"),
-            None if raw_scans is None else RawScans(raw_scans),
-        )
 
 
 @dataclass(frozen=True)
-class Standing:
-    """What decides whether a revision is kept.
+class Candidate:
+    """A revision, and what decides whether it is kept.
 
     Attributes:
-        digest: Its name.
-        created_at: When the map got it.
-        retained_from: When it was built last or, if it was live later, replaced.
+        digest: Its digest.
+        created_at: When it was added to the map.
+        retained_from: When it was last built or, if it was live later, replaced.
         live: Whether it is the live one.
-        needed: Whether a job that waits or runs is based on it.
+        needed: Whether a queued or running job is based on it.
     """
 
     digest: str
@@ -109,19 +95,18 @@ class Standing:
 
 
 def to_collect(
-    revisions: Iterable[Standing], retention: Retention, now: datetime
+    revisions: Sequence[Candidate], retention: Retention, now: datetime
 ) -> tuple[str, ...]:
     """Return the digests of the revisions of a map that a policy does not keep, oldest first.
 
-    Whatever the policy, the live one stays, what a job needs, and the newest one: whoever built it
-    has not had the time to make it live.
+    Every policy keeps the live one, those that a job needs, and the newest one: it may be about to
+    be made live.
     """
     if retention.retained_revisions == "all":
         return ()
-    standing = list(revisions)
-    newest = max(standing, key=lambda one: (one.created_at, one.digest), default=None)
+    newest = max(revisions, key=lambda one: (one.created_at, one.digest), default=None)
     others = sorted(
-        (one for one in standing if not one.live and one is not newest),
+        (one for one in revisions if not one.live and one is not newest),
         key=lambda one: (one.retained_from, one.digest),
         reverse=True,
     )

@@ -1,7 +1,7 @@
 """MapClosures (Gupta et al., ICRA 2024) of the package index, as a baseline.
 
-The package asks for older versions of what we need newer ones of, so that it is no extra of ours:
-`pip install --no-deps map_closures` beside us is enough for what is called here.
+The package requires older versions of our dependencies, so that it is no extra of ours;
+`pip install --no-deps map_closures` is enough for what is called here.
 """
 
 import importlib
@@ -17,12 +17,12 @@ import numpy as np
 from core.arrays import FloatArray, IntArray
 from core.errors import InvalidParameters
 from core.evaluation.baselines.descriptor import enrol_each
-from core.evaluation.methods import Ask, Nearest
+from core.evaluation.methods import Enrolled, Match, Nearest
 from core.progress import NO_PROGRESS, Progress
 from core.scans.drive import Drive
 from core.scans.scan import Scan
 
-_QUERY_ID = 1_000_000  # queries enter the detector's database too: their ids begin here
+_FIRST_QUERY_ID = 1_000_001  # queries enter the detector's database too
 
 
 class _Closure(Protocol):
@@ -56,10 +56,8 @@ class MapClosures:
         config = importlib.import_module("map_closures.config").MapClosuresConfig()
         return {"version": version("map_closures"), **config.model_dump()}
 
-    def enrol(
-        self, drive: Drive, scans: IntArray, progress: Progress = NO_PROGRESS
-    ) -> "MapClosuresPlaces":
-        """Give the scans to the detector one by one.
+    def enrol(self, drive: Drive, scans: IntArray, progress: Progress = NO_PROGRESS) -> Enrolled:
+        """Pass the scans to the detector one by one.
 
         Raises:
             EmptyDrive: If not one of them is usable.
@@ -72,39 +70,34 @@ class MapClosures:
         def enrol(scan: Scan) -> None:
             detector.get_best_closure(next(enrolled), scan.points_m.astype(np.float64))
 
-        return MapClosuresPlaces(detector, enrol_each(self.name, drive, scans, enrol, progress))
+        kept = enrol_each(self.name, drive, scans, enrol, progress)
+        query_ids = itertools.count(_FIRST_QUERY_ID)
 
-
-class MapClosuresPlaces:
-    """A detector that holds the places of a drive."""
-
-    sent_bytes: float | None = None  # a set of features, of no fixed size
-
-    def __init__(self, detector: Any, scans: IntArray) -> None:  # noqa: ANN401 - the package has no types
-        self.scans = scans
-        self._detector = detector
-        self._queries = 0
-        self.stored_bytes = _database_bytes(detector) / len(scans)
-
-    def describe(self, scan: Scan) -> Ask:
-        """Return what matches: the package describes and matches in one call."""
-        points = scan.points_m.astype(np.float64)
-
-        def ask(before: int | None) -> Nearest | None:
-            last = len(self.scans) if before is None else before
-            self._queries += 1
-            closures: list[_Closure] = self._detector.get_closures(
-                _QUERY_ID + self._queries, points
+        def describe(scan: Scan) -> Match:
+            # The package describes and matches in one call.
+            points = scan.points_m.astype(np.float64)
+            return lambda before: _nearest(
+                detector, next(query_ids), points, len(kept) if before is None else before
             )
-            among = [closure for closure in closures if closure.source_id < last]
-            if not among:
-                return None
-            best = max(among, key=lambda closure: (closure.number_of_inliers, -closure.source_id))
-            forward = np.asarray(best.pose)[:2, 0]  # of the place, seen from the query
-            turn_deg = -float(np.degrees(np.arctan2(forward[1], forward[0])))
-            return Nearest(best.source_id, 1.0 / (1.0 + best.number_of_inliers), turn_deg)
 
-        return ask
+        # A query is a set of features, of no fixed size.
+        return Enrolled(kept, None, _database_bytes(detector) / len(kept), describe)
+
+
+def _nearest(
+    detector: Any,  # noqa: ANN401 - the package has no types
+    query_id: int,
+    points: FloatArray,
+    last: int,
+) -> Nearest | None:
+    closures: list[_Closure] = detector.get_closures(query_id, points)
+    among = [closure for closure in closures if closure.source_id < last]
+    if not among:
+        return None
+    best = max(among, key=lambda closure: (closure.number_of_inliers, -closure.source_id))
+    forward = np.asarray(best.pose)[:2, 0]  # of the place, seen from the query
+    turn_deg = -float(np.degrees(np.arctan2(forward[1], forward[0])))
+    return Nearest(best.source_id, 1.0 / (1.0 + best.number_of_inliers), turn_deg)
 
 
 def _database_bytes(detector: Any) -> int:  # noqa: ANN401 - the package has no types

@@ -38,7 +38,6 @@ def methods_named(
         InvalidParameters: If a name is unknown, the sensor is, or a package is not installed.
     """
     grid = sensor_named(sensor).grid
-    half_step_deg = grid.elevation_step_deg / 2.0
 
     def mapped(encoding: str) -> Method:
         parameters = MapParameters.for_sensor(
@@ -46,22 +45,21 @@ def methods_named(
         )
         return MappedPlaces(parameters, segment_length)
 
-    def scan_context(candidates: int | None) -> Method:
-        return ScanContext(sensor_height_m=sensor_height_m, candidates=candidates)
-
     def solid() -> Method:
-        lowest_deg, highest_deg = (float(grid.elevations_deg[row]) for row in (0, -1))
+        lowest_deg, highest_deg = grid.elevations_deg[[0, -1]].tolist()
+        half_step_deg = grid.elevation_step_deg / 2.0
         return Solid(
             elevation_min_deg=max(-90.0, lowest_deg - half_step_deg),
             elevation_max_deg=min(90.0, highest_deg + half_step_deg),
         )
 
+    context = partial(ScanContext, sensor_height_m=sensor_height_m)
     made: dict[str, Callable[[], Method]] = {
         **{name: partial(mapped, name) for name in encoding_names()},
-        "scan-context": lambda: scan_context(None),
-        "scan-context-ring-key": lambda: scan_context(_SCAN_CONTEXT_CANDIDATES),
+        "scan-context": context,
+        "scan-context-ring-key": partial(context, candidates=_SCAN_CONTEXT_CANDIDATES),
         "solid": solid,
-        "m2dp": lambda: M2dp(),
+        "m2dp": M2dp,
         "map-closures": MapClosures,
     }
     unknown = [name for name in names if name not in made]
@@ -71,5 +69,5 @@ def methods_named(
         )
     chosen = tuple(made[name]() for name in names)
     for method in chosen:
-        method.configuration()  # tells what is not installed before any work is done
+        method.configuration()  # raises before any work if a package is missing
     return chosen

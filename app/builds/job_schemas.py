@@ -8,7 +8,7 @@ from app.builds.parameters import BuildParameters
 from app.builds.plans import Plan
 from app.http.problems import problem_type
 from app.http.shown import Shown
-from app.revisions.comparison import NoRecall
+from app.revisions.recall import NoRecall
 from storage.catalog import JobRecord, JobState
 
 

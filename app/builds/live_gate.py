@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from app.builds.parameters import BuildParameters
-from app.revisions.comparison import NoRecall, Recall, measure_recall
+from app.revisions.recall import NoRecall, Recall, measure_recall
 from core.mapping.tensormap import TensorMap
 from storage.errors import CorruptFile, RevisionNotFound
 from storage.files.map_file import read_map

@@ -16,7 +16,7 @@ from core.parameters import MapParameters, Segmentation
 from core.projection.imager import LATERAL_RENDERINGS_M, ImageKind
 from core.projection.reducer import Reducer
 from core.scans.sensor import HDL_64E, SENSORS, sensor_named
-from core.segmentation import PAPER_SEGMENT_LENGTH
+from core.segmentation.fixed import PAPER_SEGMENT_LENGTH
 
 _MOST = 2**31 - 1  # scans
 _OF_MAP = (

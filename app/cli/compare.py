@@ -3,118 +3,81 @@
 from pathlib import Path
 from typing import Annotated
 
-import typer
-
 from app.baselines.roster import METHODS, default_methods, methods_named
-from app.cli.console import output, progress_bar
-from app.cli.evaluation import (
-    PROTOCOL,
-    JsonOption,
-    LateralOption,
-    NoiseOption,
-    SeedOption,
-    SplitOption,
-    ToleranceOption,
-    YawOption,
-    figure,
-    opened,
-    show,
-    show_table,
-    split_of,
-    write_figures,
-)
-from app.cli.options import (
-    DriveArgument,
-    SegmentLengthOption,
-    SegmentsOption,
-    SensorHeightOption,
-    SensorOption,
-    height_m,
-    numbers,
-    require_folder,
-)
+from app.cli import evaluation, options
+from app.cli.console import figure, progress_bar, say
 from app.provenance import provenance
 from core.errors import InvalidParameters
-from core.evaluation.compare import ComparisonProtocol
+from core.evaluation.compare import (
+    Comparison,
+    ComparisonProtocol,
+    MethodResult,
+    MethodUnderCondition,
+)
 from core.evaluation.compare import compare as compare_methods
-from core.evaluation.comparison import Comparison, MethodResult, MethodUnderCondition
 from core.evaluation.condition import conditions
 from core.evaluation.pairing import RECENT_SCANS, HeldOut, LoopClosing, Pairing, SecondPass
 from core.scans.sensor import HDL_64E
-from core.segmentation import segment_length_for
+from core.segmentation.fixed import segment_length_for
 
 
 def compare(
-    drive: DriveArgument,
+    drive: options.DriveArgument,
     query_drive: Annotated[
         Path | None,
-        typer.Option(
+        evaluation.protocol_option(
             metavar="DRIVE2",
             help="A second pass: query with this drive, in the same world frame; all of DRIVE is"
             " mapped.",
-            rich_help_panel=PROTOCOL,
         ),
     ] = None,
     loop: Annotated[
         bool,
-        typer.Option(
+        evaluation.protocol_option(
             "--loop",
             help="Close loops: query with every scan among the earlier ones that are not recent.",
-            rich_help_panel=PROTOCOL,
         ),
     ] = False,
     recent_scans: Annotated[
         int | None,
-        typer.Option(
-            min=1,
-            help=f"With --loop, how many scans earlier a place must be. [{RECENT_SCANS}]",
-            rich_help_panel=PROTOCOL,
+        evaluation.protocol_option(
+            min=1, help=f"With --loop, how many scans earlier a place must be. [{RECENT_SCANS}]"
         ),
     ] = None,
     recent_s: Annotated[
         float | None,
-        typer.Option(
-            help="With --loop, how many seconds instead, for example 30.",
-            rich_help_panel=PROTOCOL,
-        ),
+        evaluation.protocol_option(help="With --loop, how many seconds instead, for example 30."),
     ] = None,
-    split: SplitOption = None,
+    split: evaluation.SplitOption = None,
     unknown: Annotated[
         Path | None,
-        typer.Option(
-            metavar="DRIVE3",
-            help="A drive through other places, for the novelty AUROC.",
-            rich_help_panel=PROTOCOL,
+        evaluation.protocol_option(
+            metavar="DRIVE3", help="A drive through other places, for the novelty AUROC."
         ),
     ] = None,
     query_every: Annotated[
         int,
-        typer.Option(
-            min=1, help="Query with every N-th scan of DRIVE2 and DRIVE3.", rich_help_panel=PROTOCOL
-        ),
+        evaluation.protocol_option(min=1, help="Query with every N-th scan of DRIVE2 and DRIVE3."),
     ] = 1,
     methods: Annotated[
         str | None,
-        typer.Option(
-            help=f"Some of {','.join(METHODS)}. [all that are installed]",
-            rich_help_panel=PROTOCOL,
-        ),
+        evaluation.protocol_option(help=f"Some of {','.join(METHODS)}. [all that are installed]"),
     ] = None,
-    segment_length: SegmentLengthOption = None,
-    segments: SegmentsOption = None,
-    sensor: SensorOption = HDL_64E.name,
-    sensor_height_m: SensorHeightOption = None,
-    yaw_deg: YawOption = "0",
-    lateral_m: LateralOption = "0",
-    noise_m: NoiseOption = "0",
-    tolerance_m: ToleranceOption = "3,5,10",
-    seed: SeedOption = 0,
-    json_out: JsonOption = None,
+    segment_length: options.SegmentLengthOption = None,
+    segments: options.SegmentsOption = None,
+    sensor: options.SensorOption = HDL_64E.name,
+    sensor_height_m: options.SensorHeightOption = None,
+    yaw_deg: evaluation.YawOption = "0",
+    lateral_m: evaluation.LateralOption = "0",
+    noise_m: evaluation.NoiseOption = "0",
+    tolerance_m: evaluation.ToleranceOption = "3,5,10",
+    seed: evaluation.SeedOption = 0,
+    json_out: evaluation.JsonOption = None,
 ) -> None:
     """Run other methods of place recognition on the same scans, beside ours."""
     if json_out is not None:
-        require_folder(json_out)
-    mapped = opened(drive)
+        options.require_folder(json_out)
+    mapped = evaluation.opened(drive)
     length = segment_length_for(
         max(1, len(mapped)), segment_length=segment_length, segments=segments
     )
@@ -122,7 +85,7 @@ def compare(
     chosen = methods_named(
         names,
         sensor=sensor,
-        sensor_height_m=height_m(sensor, sensor_height_m),
+        sensor_height_m=options.height_m(sensor, sensor_height_m),
         segment_length=length,
     )
     protocol = ComparisonProtocol(
@@ -135,8 +98,8 @@ def compare(
             every=query_every,
             segment_length=length,
         ),
-        conditions=conditions(numbers(yaw_deg), numbers(lateral_m), numbers(noise_m)),
-        tolerances_m=numbers(tolerance_m),
+        conditions=conditions(*map(options.numbers, (yaw_deg, lateral_m, noise_m))),
+        tolerances_m=options.numbers(tolerance_m),
         unknown_every=query_every,
         seed=seed,
     )
@@ -145,13 +108,13 @@ def compare(
             mapped,
             chosen,
             protocol,
-            None if query_drive is None else opened(query_drive),
-            None if unknown is None else opened(unknown),
+            None if query_drive is None else evaluation.opened(query_drive),
+            None if unknown is None else evaluation.opened(unknown),
             progress,
         )
     _show(result)
     made = {"provenance": provenance(), "data": str(drive)}
-    write_figures(json_out, made | result.as_dict())
+    evaluation.write_figures(json_out, made | result.as_dict())
 
 
 def _pairing(
@@ -164,11 +127,11 @@ def _pairing(
     every: int,
     segment_length: int,
 ) -> Pairing:
-    """Return the protocol that the options ask for, refusing those of two at once."""
+    """Return the protocol of the options; reject options of two protocols."""
     if loop:
         if second_pass or split is not None:
             raise InvalidParameters(
-                "--loop is of one drive, whole: leave --query-drive and --split"
+                "--loop is of one whole drive: leave --query-drive and --split out"
             )
         if recent_s is not None:
             return LoopClosing(recent_scans, recent_s)
@@ -177,26 +140,25 @@ def _pairing(
         raise InvalidParameters("--recent-scans and --recent-s are of --loop")
     if second_pass:
         if split is not None:
-            raise InvalidParameters("with --query-drive all of DRIVE is the map: leave --split out")
+            raise InvalidParameters("with --query-drive all of DRIVE is mapped: leave --split out")
         return SecondPass(every)
-    return HeldOut(split_of(split), segment_length)
+    return HeldOut(evaluation.split_of(split), segment_length)
 
 
 def _show(result: Comparison) -> None:
     of = result.drive if result.query_drive is None else f"{result.query_drive} in {result.drive}"
     elsewhere = "" if result.unknown_drive is None else f"; unknown: {result.unknown_drive}"
-    show(f"{of}: {result.protocol}{elsewhere}")
+    say(f"{of}: {result.protocol}{elsewhere}")
     first = result.methods[0]
     for column, of_first in enumerate(first.conditions):
         condition = of_first.condition
         findable = ", ".join(f"{count} within {m:g} m" for m, count in of_first.findable.items())
-        output().print(
+        say(
             f"\nyaw {condition.yaw_deg:g} deg, {condition.lateral_m:g} m to the left,"
-            f" noise {condition.noise_m:g} m: {of_first.queries} asked, findable {findable}",
-            soft_wrap=True,
+            f" noise {condition.noise_m:g} m: {of_first.queries} queries, findable {findable}"
         )
         tolerances = list(of_first.recall_at_1)
-        show_table(
+        evaluation.show_table(
             (
                 "method",
                 *(f"R@1 {metres:g} m" for metres in tolerances),
@@ -207,18 +169,16 @@ def _show(result: Comparison) -> None:
             [_cells(method, method.conditions[column], tolerances) for method in result.methods],
             named=True,
         )
-    output().print(
+    say(
         "F1: the greatest over all thresholds. AP: average precision, the area under precision over"
-        " recall by steps. Milliseconds: medians of processor time, one thread.",
-        soft_wrap=True,
+        " recall by steps. Milliseconds: medians of processor time, one thread."
     )
     for method in result.methods:
         for row in method.conditions:
             if row.refusals or row.unanswered:
-                output().print(
+                say(
                     f"{method.name}: {row.refusals} queries not described, {row.unanswered} without"
-                    " an answer",
-                    soft_wrap=True,
+                    " an answer"
                 )
 
 

@@ -29,7 +29,7 @@ def say(line: str) -> None:
     output().print(line, markup=False, highlight=False, soft_wrap=True)
 
 
-def figure(value: float | None, form: str) -> str:
+def figure(value: float | str | None, form: str) -> str:
     """Return a number for a table, `-` if it is unknown."""
     return "-" if value is None else format(value, form)
 

@@ -82,7 +82,7 @@ def _show(name: str, outcome: Outcome) -> None:
         f" ({compression.elements} elements)"
     )
     table = Table(title="Held-out scans, localized over HTTP")
-    table.add_column("asked by", no_wrap=True)
+    table.add_column("request", no_wrap=True)
     for heading in (
         "fixes",
         "segment accuracy",
@@ -94,7 +94,7 @@ def _show(name: str, outcome: Outcome) -> None:
         table.add_column(heading, justify="right")
     for fixes in outcome.fixes:
         table.add_row(
-            fixes.asked_by,
+            fixes.request,
             str(fixes.queries),
             f"{fixes.segment_accuracy:.3f}",
             figure(fixes.recall_at_1, ".3f"),

@@ -1,7 +1,8 @@
-"""What the commands that measure share: options, drives, tables and files of figures."""
+"""Shared by the commands of evaluation: options, drives, tables and files of figures."""
 
 import json
 from collections.abc import Sequence
+from functools import partial
 from operator import attrgetter
 from pathlib import Path
 from typing import Annotated, Any
@@ -10,14 +11,15 @@ import typer
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from app.cli.console import output
+from app.cli.console import figure, output
 from app.cli.options import MIN_RETURNS, checked, numbers
 from core.evaluation.split import Interleaved, Split, parse_split
 from core.scans.drive import Drive
 from storage.files.files import publish
 from storage.formats.drives.layouts import open_drive
 
-PROTOCOL = "Protocol"
+protocol_option: Any = partial(typer.Option, rich_help_panel="Protocol")
+"""An option of how a command evaluates."""
 
 _CONDITION = (
     ("yaw deg", "condition.yaw_deg", "g"),
@@ -26,22 +28,17 @@ _CONDITION = (
 )
 
 
-def _list_option(text: str) -> Any:  # noqa: ANN401 - Typer's own type
-    return typer.Option(
-        help=f"{text}, comma-separated.", rich_help_panel=PROTOCOL, callback=checked(numbers)
-    )
+def _list(text: str) -> Any:  # noqa: ANN401 - Typer's own type
+    return protocol_option(help=f"{text}, comma-separated.", callback=checked(numbers))
 
 
-YawOption = Annotated[str, _list_option("Turn the query vehicle, counter-clockwise")]
-LateralOption = Annotated[str, _list_option("Stand it so far to the left")]
-NoiseOption = Annotated[str, _list_option("Sigma of noise on every coordinate")]
-ToleranceOption = Annotated[str, _list_option("A match is right within so many metres")]
-SeedOption = Annotated[int, typer.Option(min=0, help="Of the noise.", rich_help_panel=PROTOCOL)]
+YawOption = Annotated[str, _list("Turn the query vehicle, counter-clockwise")]
+LateralOption = Annotated[str, _list("Shift it so far to the left")]
+NoiseOption = Annotated[str, _list("Sigma of noise on every coordinate")]
+ToleranceOption = Annotated[str, _list("A match is right within so many metres")]
+SeedOption = Annotated[int, protocol_option(min=0, help="Of the noise.")]
 SplitOption = Annotated[
-    str | None,
-    typer.Option(
-        help="interleaved:F[:PHASE] or every:N. [interleaved:0.2]", rich_help_panel=PROTOCOL
-    ),
+    str | None, protocol_option(help="interleaved:F[:PHASE] or every:N. [interleaved:0.2]")
 ]
 JsonOption = Annotated[
     Path | None, typer.Option("--json", metavar="OUT", help="Write the figures here.")
@@ -49,18 +46,13 @@ JsonOption = Annotated[
 
 
 def split_of(text: str | None) -> Split:
-    """Return the split that is asked for, the paper's by default."""
+    """Return the split of the option, the paper's by default."""
     return Interleaved() if text is None else parse_split(text)
 
 
 def opened(path: Path) -> Drive:
     """Open a recorded drive as the service would read it."""
     return open_drive(path, min_returns=MIN_RETURNS)
-
-
-def figure(value: float | str | None, form: str) -> str:
-    """Return a figure as text, a dash where there is none."""
-    return "-" if value is None else format(value, form)
 
 
 def show_table(
@@ -76,7 +68,7 @@ def show_table(
         headings: Of the columns.
         rows: Cells.
         title: Above it.
-        named: Whether the first column holds names, and not numbers.
+        named: Whether the first column has names, not numbers.
     """
     table = Table(box=SIMPLE_HEAD, padding=0, title=title, title_justify="left")
     for column, heading in enumerate(headings):
@@ -112,13 +104,8 @@ def show_conditions(
     show_table(headings, cells, title=title)
 
 
-def show(line: str) -> None:
-    """Print a line as it is, however long."""
-    output().print(line, markup=False, soft_wrap=True)
-
-
 def write_figures(path: Path | None, figures: dict[str, Any], indent: int | None = 2) -> None:
-    """Write figures as JSON, if a file is asked for."""
+    """Write figures as JSON, if a file is given."""
     if path is not None:
         with publish(path) as part:
             part.write_text(json.dumps(figures, indent=indent, allow_nan=False))

@@ -1,4 +1,4 @@
-"""`tensormap loop-closure`: are proposed closures between scans of drives true?"""
+"""`tensormap loop-closure`: checks of proposed closures between scans of drives."""
 
 import sys
 from pathlib import Path
@@ -35,7 +35,7 @@ def loop_closure(
     ] = ACCEPT_FROM,
     as_json: Annotated[bool, typer.Option("--json", help="One JSON answer a line.")] = False,
 ) -> None:
-    """Judge proposed loop closures by the returns of both scans."""
+    """Check proposed loop closures by the returns of both scans."""
     proposed = [_pair(text) for text in pairs]
     recorded = open_drive(drive, min_returns=MIN_RETURNS)
     other = recorded
@@ -43,7 +43,7 @@ def loop_closure(
         other = open_drive(second_drive, min_returns=MIN_RETURNS)
     table = Table("first", "second", "verdict", "probability", "turn deg", "ahead m", "left m")
     with progress_bar() as progress:
-        progress.start("judging", len(proposed))
+        progress.start("checking", len(proposed))
         for first, second in proposed:
             found = check_scans(_scan(recorded, first), _scan(other, second), sensor_height_m)
             shown = LoopClosureOut.from_core(found, accept_from)

@@ -14,7 +14,7 @@ from rich.table import Table
 from app.builds.parameters import BuildParameters, PoseCheck
 from app.cli import options
 from app.cli.console import figure, output, progress_bar, say
-from app.localization.prior_schemas import hints_of
+from app.localization.prior_schemas import PriorsIn
 from app.localization.schemas import LocalizationOut, SignaturesIn
 from app.revisions.topology_schemas import TopologyOut
 from core.encodings.basis import Basis
@@ -32,7 +32,7 @@ from storage.formats.drives.layouts import open_drive
 from storage.formats.errors import UnknownFormat
 from storage.formats.scans.registry import media_type_of, read_scan_file
 
-_hint: Any = partial(typer.Option, rich_help_panel="Hints")
+_prior: Any = partial(typer.Option, rich_help_panel="Priors")
 _FACTS = ("revision", "basis", "encoding", "sensor", "reducer", "ranks", "drives")
 
 
@@ -143,44 +143,44 @@ def localize(
         float | None,
         typer.Option(min=0, max=1, help="Refuse what is less probable. [the map's threshold]"),
     ] = None,
-    x_m: Annotated[float | None, _hint(help="Where the vehicle is about.")] = None,
-    y_m: Annotated[float | None, _hint(help=None)] = None,
-    position_sigma_m: Annotated[float | None, _hint(help="Standard deviation of both.")] = None,
+    x_m: Annotated[float | None, _prior(help="Where the vehicle is about.")] = None,
+    y_m: Annotated[float | None, _prior(help=None)] = None,
+    position_sigma_m: Annotated[float | None, _prior(help="Standard deviation of both.")] = None,
     heading_deg: Annotated[
-        float | None, _hint(help="Which way it looks, from the map's x.")
+        float | None, _prior(help="Which way it looks, from the map's x.")
     ] = None,
-    heading_sigma_deg: Annotated[float | None, _hint(help="Its standard deviation.")] = None,
-    travelled_m: Annotated[float | None, _hint(help="Driven since the last fix.")] = None,
-    travelled_sigma_m: Annotated[float | None, _hint(help="Its standard deviation.")] = None,
-    since_drive: Annotated[str | None, _hint(help="The last fix: a scan's drive,")] = None,
-    since_scan: Annotated[int | None, _hint(help="and its index;", min=0)] = None,
-    since_x_m: Annotated[float | None, _hint(help="or where it was,")] = None,
-    since_y_m: Annotated[float | None, _hint(help="and y.")] = None,
+    heading_sigma_deg: Annotated[float | None, _prior(help="Its standard deviation.")] = None,
+    travelled_m: Annotated[float | None, _prior(help="Driven since the last fix.")] = None,
+    travelled_sigma_m: Annotated[float | None, _prior(help="Its standard deviation.")] = None,
+    since_drive: Annotated[str | None, _prior(help="The last fix: a scan's drive,")] = None,
+    since_scan: Annotated[int | None, _prior(help="and its index;", min=0)] = None,
+    since_x_m: Annotated[float | None, _prior(help="or where it was,")] = None,
+    since_y_m: Annotated[float | None, _prior(help="and y.")] = None,
     segment: Annotated[
-        list[int] | None, _hint(help="It is on this segment; repeatable.", min=0)
+        list[int] | None, _prior(help="It is on this segment; repeatable.", min=0)
     ] = None,
     format_name: options.FormatOption = None,
     as_json: Annotated[bool, typer.Option("--json", help="One JSON answer a line.")] = False,
 ) -> None:
     """Localize scans in a map; one that cannot be used is told, the others are answered.
 
-    Hints are of all the scans. A scan that is not localized is no error: it is answered, with
-    the reason.
+    The priors apply to all scans. A scan that is not localized is no error: its answer has the
+    reason.
     """
-    hints = hints_of(
-        x_m,
-        y_m,
-        position_sigma_m,
-        heading_deg,
-        heading_sigma_deg,
-        travelled_m,
-        travelled_sigma_m,
-        since_drive,
-        since_scan,
-        since_x_m,
-        since_y_m,
-        segment,
-    )
+    priors = PriorsIn.model_construct(  # typer has checked the types
+        x_m=x_m,
+        y_m=y_m,
+        position_sigma_m=position_sigma_m,
+        heading_deg=heading_deg,
+        heading_sigma_deg=heading_sigma_deg,
+        travelled_m=travelled_m,
+        travelled_sigma_m=travelled_sigma_m,
+        since_drive=since_drive,
+        since_scan=since_scan,
+        since_x_m=since_x_m,
+        since_y_m=since_y_m,
+        segment=segment,
+    ).to_core()
     media_type = None if format_name is None else media_type_of(format_name)
     localizer = Localizer(read_map(map_file))
     answers: list[tuple[Path, Localization]] = []
@@ -190,7 +190,7 @@ def localize(
         for path in scans:
             try:
                 scan = read_scan_file(path, min_returns=options.MIN_RETURNS, media_type=media_type)
-                found = localizer.localize_scan(scan, k, sensor_height_m, hints, min_probability)
+                found = localizer.localize_scan(scan, k, sensor_height_m, priors, min_probability)
                 answers.append((path, found))
             except (InvalidScan, UnknownFormat) as error:
                 unusable.append(str(error))
@@ -234,11 +234,11 @@ def _show_answers(answers: list[tuple[Path, Localization]], *, as_json: bool) ->
         output().print(table)
         for path, found in answers:
             if not found.localized:
-                say(f"{path.name} is not localized: {found.verdict.reason}")
+                say(f"{path.name} is not localized: {found.decision.reason}")
 
 
 def _trust(found: Localization) -> str:
-    shown = figure(found.verdict.probability, ".2f")
+    shown = figure(found.decision.probability, ".2f")
     return shown if found.localized else f"{shown} no"
 
 

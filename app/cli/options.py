@@ -123,10 +123,10 @@ def require_folder(path: Path) -> None:
         raise typer.BadParameter(f"{path} cannot be written: there is no folder {path.parent}")
 
 
-def checked(read: Callable[[str], object]) -> Callable[[str], str]:
+def checked(read: Callable[[Any], object]) -> Callable[[Any], Any]:
     """Return a callback that parses an option's text, so that an error names the option."""
 
-    def check(text: str) -> str:
+    def check(text: str | None) -> str | None:
         read(text)
         return text
 

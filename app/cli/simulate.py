@@ -20,7 +20,7 @@ def simulate(
         int | None, typer.Option(min=0, help="Of parked and moving cars. [the city's seed]")
     ] = None,
     lateral_m: Annotated[
-        float, typer.Option(help="Drive so far left of the line, negative right.")
+        float, typer.Option(help="Lateral offset from the line, positive to the left.")
     ] = 0.0,
     reverse: Annotated[bool, typer.Option("--reverse", help="Drive the other way.")] = False,
     stops: Annotated[bool, typer.Option("--stops", help="Stop at junctions for a while.")] = False,

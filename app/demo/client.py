@@ -1,7 +1,7 @@
-"""What vehicles do over HTTP."""
+"""The client of the demonstration's vehicles."""
 
 import time
-from typing import Any, Self
+from typing import Any
 
 import httpx2
 import numpy as np
@@ -15,94 +15,90 @@ from app.revisions.topology_schemas import TopologyOut
 from core.scans.scan import Scan
 from storage.catalog import JobState
 
-_KITTI = "application/vnd.tensormap.kitti"
-_SIGNATURE = "application/vnd.tensormap.signature"
+_TYPES = {
+    "scan": "application/vnd.tensormap.kitti",
+    "signature": "application/vnd.tensormap.signature",
+}
 _POLL_S = 0.1
 
 
-class Client:
-    """One connection to a service, for one map."""
+class Client(httpx2.Client):
+    """A connection to a service, for one map."""
 
     def __init__(self, url: str, map_slug: str) -> None:
-        self._http = httpx2.Client(base_url=url, timeout=60.0)
+        super().__init__(base_url=url, timeout=60.0)
         self._map = f"/v1/maps/{map_slug}"
         self._slug = map_slug
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._http.close()
-
     def create_map(self, description: str) -> None:
-        """Make the map."""
-        self._ask("POST", "/v1/maps", json={"map": self._slug, "description": description})
+        """Create the map."""
+        self._checked("POST", "/v1/maps", json={"map": self._slug, "description": description})
 
     def put_scan(self, drive: str, index: int, body: bytes, scan: Scan) -> None:
-        """Store one scan with the time and pose that are known of it."""
+        """Store one scan, with its time and pose where known."""
         known: dict[str, Any] = {}
         if np.isfinite(scan.timestamp_s):
             known["timestamp_s"] = scan.timestamp_s
         if scan.pose is not None:
             known["pose"] = ",".join(map(repr, scan.pose.as_tuple()))
-        self._ask(
+        self._checked(
             "PUT",
             f"{self._map}/drives/{drive}/scans/{index}",
             params=known,
             content=body,
-            headers={"Content-Type": _KITTI},
+            headers={"Content-Type": _TYPES["scan"]},
         )
 
     def build(self, parameters: BuildParameters) -> JobOut:
         """Queue a build."""
-        answer = self._ask("POST", f"{self._map}/builds", json=parameters.as_json())
+        answer = self._checked("POST", f"{self._map}/builds", json=parameters.as_json())
         return JobOut.model_validate_json(answer.content)
 
     def follow(self, job: JobOut) -> JobOut:
-        """Wait a moment and return how far a job is.
+        """Return the state of a job after a short wait.
 
         Raises:
             DemoFailed: If it failed.
         """
         time.sleep(_POLL_S)
-        now = JobOut.model_validate_json(self._ask("GET", f"/v1/jobs/{job.job}").content)
+        now = JobOut.model_validate_json(self._checked("GET", f"/v1/jobs/{job.job}").content)
         if now.state in {JobState.FAILED, JobState.CANCELLED}:
             raise DemoFailed(f"the build is {now.state}: {now.error}")
         return now
 
     def mapped_scans(self) -> int:
-        """Return how many scans the live revision holds."""
-        live = self._ask("GET", self._map).json()["live_revision"]
-        scans: int = self._ask("GET", f"{self._map}/revisions/{live}").json()["scans"]
+        """Return the number of scans of the live revision."""
+        live = self._checked("GET", self._map).json()["live_revision"]
+        scans: int = self._checked("GET", f"{self._map}/revisions/{live}").json()["scans"]
         return scans
 
     def basis(self) -> BasisOut:
-        """Download what signatures are made with."""
-        return BasisOut.model_validate_json(self._ask("GET", f"{self._map}/basis").content)
+        """Download the basis."""
+        return BasisOut.model_validate_json(self._checked("GET", f"{self._map}/basis").content)
 
     def topology(self) -> TopologyOut:
         """Download the graph."""
-        return TopologyOut.model_validate_json(self._ask("GET", f"{self._map}/topology").content)
+        return TopologyOut.model_validate_json(
+            self._checked("GET", f"{self._map}/topology").content
+        )
 
-    def localize_scan(self, body: bytes) -> LocalizationOut:
-        """Ask with a whole scan."""
-        return self._localize("scan", body, _KITTI)
+    def localize(self, kind: str, body: bytes) -> LocalizationOut:
+        """Localize a scan or packed signatures.
 
-    def localize_signature(self, packed: bytes) -> LocalizationOut:
-        """Ask with packed signatures."""
-        return self._localize("signature", packed, _SIGNATURE)
-
-    def _localize(self, by: str, body: bytes, media_type: str) -> LocalizationOut:
-        answer = self._ask(
+        Args:
+            kind: `scan` or `signature`.
+            body: Of the request.
+        """
+        answer = self._checked(
             "POST",
-            f"{self._map}/localizations/{by}",
+            f"{self._map}/localizations/{kind}",
             content=body,
-            headers={"Content-Type": media_type},
+            headers={"Content-Type": _TYPES[kind]},
         )
         return LocalizationOut.model_validate_json(answer.content)
 
-    def _ask(self, method: str, path: str, **parts: Any) -> httpx2.Response:  # noqa: ANN401
-        answer = self._http.request(method, path, **parts)
+    def _checked(self, method: str, path: str, **parts: Any) -> httpx2.Response:  # noqa: ANN401
+        answer = self.request(method, path, **parts)
         if not answer.is_success:
             raise DemoFailed(f"{method} {path}: {answer.status_code} {answer.text}")
         return answer

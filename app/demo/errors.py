@@ -1,4 +1,4 @@
-"""Why a demonstration could not go on; no error of the service, which answers by problems."""
+"""The error of a demonstration."""
 
 
 class DemoFailed(Exception):

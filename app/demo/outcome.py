@@ -1,4 +1,4 @@
-"""What a demonstration found."""
+"""Results of a demonstration."""
 
 from dataclasses import dataclass
 
@@ -10,19 +10,19 @@ RECALL_M = 3.0
 
 @dataclass(frozen=True)
 class Fixes:
-    """All held-out scans, asked in one way.
+    """The localizations of all held-out scans by one kind of request.
 
     Attributes:
-        asked_by: What was sent.
-        queries: How many.
+        request: The content of a request.
+        queries: Number of scans.
         segment_accuracy: Share on the right segment.
         recall_at_1: Share whose map scan was recorded within 3 m, `None` without poses.
         position_error_m: Median distance of that scan, `None` without poses.
         bytes_per_fix: Mean length of a request's body.
-        ms_per_fix: Mean time from scan to answer, signature and HTTP included.
+        ms_per_fix: Mean time from scan to answer, including the signature and HTTP.
     """
 
-    asked_by: str
+    request: str
     queries: int
     segment_accuracy: float
     recall_at_1: float | None
@@ -33,7 +33,7 @@ class Fixes:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What the demonstration found."""
+    """All results."""
 
     fixes: tuple[Fixes, ...]
     compression: Compression

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import accumulate
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -14,7 +14,6 @@ from app.builds.parameters import BuildParameters
 from app.demo.client import Client
 from app.demo.errors import DemoFailed
 from app.demo.outcome import MAX_SCANS, RECALL_M, Fixes, Outcome
-from app.localization.schemas import LocalizationOut
 from app.revisions.topology_schemas import EdgeOut
 from core.arrays import BoolArray
 from core.encodings.basis import Basis
@@ -27,17 +26,17 @@ from core.progress import Progress
 from core.projection.reducer import Reducer
 from core.scans.drive import Drive
 from core.scans.scan import Scan
-from core.segmentation import cut_fixed, segment_length_for
+from core.segmentation.fixed import cut_fixed, segment_length_for
 from storage.catalog import JobState
 from storage.formats.scans.kitti import kitti_body
 
 _DRIVE = "recorded"
-# Longer segments are recalled better (paper, sec. 3.2): two are the fewest that can be mistaken.
+# Longer segments have a higher recall (paper, sec. 3.2); with one, none could be wrong.
 _SEGMENTS = 2
 
 
 class BuildProgress(Progress, Protocol):
-    """A progress that can also be set, as a job tells where it is."""
+    """A progress that can also be set, as of a job."""
 
     def move_to(self, done: int) -> None:
         """Set how many units of the stage are done."""
@@ -51,11 +50,19 @@ class _Query:
     body: bytes
 
 
+class _Way(NamedTuple):
+    """A kind of request to localize a scan with."""
+
+    name: str
+    kind: str
+    body_of: Callable[[_Query], bytes]
+
+
 def hold_out(drive: Drive) -> BoolArray:
-    """Return which of a drive's first 300 scans are not mapped but localized.
+    """Return which of a drive's first 300 scans are localized instead of mapped.
 
     Raises:
-        DemoFailed: If there are too few scans for one of them to be.
+        DemoFailed: If there are too few scans.
     """
     scans = min(len(drive), MAX_SCANS)
     cuts = cut_fixed(scans, segment_length_for(scans, segments=_SEGMENTS))
@@ -77,12 +84,12 @@ def run_demo(
     Args:
         client: Of a service that does not have the client's map yet.
         drive: The drive.
-        held_out: Of its scans, as `hold_out` gives it; those beyond are not used.
-        progress: Told of each stage.
+        held_out: Of its scans, from `hold_out`; later scans are not used.
+        progress: Receives each stage.
         encoding: Of the map.
 
     Raises:
-        DemoFailed: If the service refuses something.
+        DemoFailed: If the service refuses a request.
     """
     client.create_map(f"Demonstration: {drive.name}")
     posted, returns = 0, 0
@@ -92,7 +99,7 @@ def run_demo(
     for index in range(len(held_out)):
         try:
             scan = drive.scan(index)
-        except InvalidScan:  # as on the road: it is left out
+        except InvalidScan:
             progress.advance()
             continue
         if held_out[index]:
@@ -109,20 +116,18 @@ def run_demo(
     edges = client.topology().edges
     edge_of = {along.segment: edge.edge for edge in edges for along in edge.segments}
     starts = _segment_starts(edges)
-    asked = [
+    usable = [
         _Query(index, _segment_at(starts, recorded, index), scan, kitti_body(scan))
         for index, scan in queries
         if _is_usable(basis, scan)
     ]
-    if not asked:
+    if not usable:
         raise DemoFailed(f"not one held-out scan of drive {drive.name} can be projected")
     segments = len(edge_of)
-    ways = _ways(client, basis)
-    progress.start("localizing", len(ways) * len(asked))
+    ways = _ways(basis)
+    progress.start("localizing", len(ways) * len(usable))
     return Outcome(
-        fixes=tuple(
-            _ask(name, asked, drive, edge_of, answer, progress) for name, answer in ways.items()
-        ),
+        fixes=tuple(_localize(client, way, usable, drive, edge_of, progress) for way in ways),
         compression=Compression.of(
             basis.parameters.encoder.elements(basis.parameters, segments, mapped),
             scans=mapped,
@@ -135,29 +140,31 @@ def run_demo(
     )
 
 
-def _ways(
-    client: Client, basis: Basis
-) -> dict[str, Callable[[_Query], tuple[LocalizationOut, int]]]:
-    """Return the ways to ask, by what is sent."""
-    whole = {"full scan": lambda q: _by_scan(client, q)}
+def _ways(basis: Basis) -> list[_Way]:
+    """Return the kinds of requests to localize a scan with."""
+
+    def packed(query: _Query, packing: Packing | None = None, segment: int | None = None) -> bytes:
+        signatures = basis.encode(basis.image(query.scan))
+        if segment is not None:
+            signatures = tuple(s for s in signatures if s.segment == segment)
+        return pack_signatures(signatures, packing)
+
     encoder = basis.parameters.encoder
+    ways = [_Way("full scan", "scan", lambda query: query.body)]
     if encoder.per_segment:
-        return {
-            **whole,
-            "signatures, all segments": lambda q: _by_signature(client, basis, q, None),
-            "signature, segment known": lambda q: _by_signature(client, basis, q, q.segment),
-        }
-    return {
-        **whole,
-        **{
-            f"signature, {packing}": partial(_packed, client, basis, packing)
-            for packing in sorted(encoder.packings)
-        },
-    }
+        return [
+            *ways,
+            _Way("signatures, all segments", "signature", packed),
+            _Way("signature, segment known", "signature", lambda q: packed(q, segment=q.segment)),
+        ]
+    return ways + [
+        _Way(f"signature, {packing}", "signature", partial(packed, packing=packing))
+        for packing in sorted(encoder.packings)
+    ]
 
 
 def _build(client: Client, progress: BuildProgress, encoding: str) -> int:
-    """Build the map as a job, and return how many scans it holds."""
+    """Build the map as a job, and return the number of its scans."""
     parameters = BuildParameters(encoding=encoding, segments=_SEGMENTS)
     if parameters.map_parameters().reducer == Reducer.LAST:  # depends on the order of returns
         parameters = parameters.model_copy(update={"reducer": Reducer.NEAREST})
@@ -173,28 +180,29 @@ def _build(client: Client, progress: BuildProgress, encoding: str) -> int:
     return client.mapped_scans()
 
 
-def _ask(
-    name: str,
+def _localize(
+    client: Client,
+    way: _Way,
     queries: Sequence[_Query],
     drive: Drive,
     edge_of: dict[int, int],
-    answer: Callable[[_Query], tuple[LocalizationOut, int]],
     progress: Progress,
 ) -> Fixes:
     right, sent, error_m = [], [], []
     begun = time.perf_counter()
     for query in queries:
-        found, size = answer(query)
+        body = way.body_of(query)
+        best = client.localize(way.kind, body).best
         # Where a drive passes a street twice, both passes are segments of one edge.
-        right.append(edge_of[found.best.segment] == edge_of[query.segment])
-        sent.append(size)
-        if found.best.pose is not None:  # of the map's scan: recall is of places, not of estimates
-            place = (found.best.pose.x_m, found.best.pose.y_m, found.best.pose.z_m)
+        right.append(edge_of[best.segment] == edge_of[query.segment])
+        sent.append(len(body))
+        if best.pose is not None:  # of the map's scan: recall is of places, not of estimates
+            place = (best.pose.x_m, best.pose.y_m, best.pose.z_m)
             error_m.append(float(np.linalg.norm(drive.poses[query.index, :3] - place)))
         progress.advance()
     seconds = time.perf_counter() - begun
     return Fixes(
-        asked_by=name,
+        request=way.name,
         queries=len(queries),
         segment_accuracy=float(np.mean(right)),
         recall_at_1=float(np.mean(np.array(error_m) <= RECALL_M)) if error_m else None,
@@ -204,33 +212,8 @@ def _ask(
     )
 
 
-def _by_scan(client: Client, query: _Query) -> tuple[LocalizationOut, int]:
-    return client.localize_scan(query.body), len(query.body)
-
-
-def _by_signature(
-    client: Client,
-    basis: Basis,
-    query: _Query,
-    segment: int | None,
-    packing: Packing | None = None,
-) -> tuple[LocalizationOut, int]:
-    """Make the signatures on the client's side and send nothing else."""
-    signatures = basis.encode(basis.image(query.scan))
-    if segment is not None:
-        signatures = tuple(s for s in signatures if s.segment == segment)
-    packed = pack_signatures(signatures, packing)
-    return client.localize_signature(packed), len(packed)
-
-
-def _packed(
-    client: Client, basis: Basis, packing: Packing, query: _Query
-) -> tuple[LocalizationOut, int]:
-    return _by_signature(client, basis, query, None, packing)
-
-
 def _is_usable(basis: Basis, scan: Scan) -> bool:
-    """Return whether a vehicle could ask with this scan at all."""
+    """Return whether a scan has returns inside the grid."""
     try:
         basis.image(scan)
     except InvalidScan:
@@ -239,11 +222,11 @@ def _is_usable(basis: Basis, scan: Scan) -> bool:
 
 
 def _segment_starts(edges: Sequence[EdgeOut]) -> list[int]:
-    """Return at which of the map's scans each segment of its only drive begins."""
+    """Return the rows of the map where each segment of its only drive begins."""
     lengths = {along.segment: along.scans for edge in edges for along in edge.segments}
     return list(accumulate((lengths[s] for s in sorted(lengths)), initial=0))[:-1]
 
 
 def _segment_at(starts: Sequence[int], recorded: Sequence[int], index: int) -> int:
-    """Return the segment that scan `index` lies on, by the recorded scans before it."""
+    """Return the segment of scan `index`, from the recorded scans before it."""
     return max(0, bisect_right(starts, bisect_left(recorded, index)) - 1)

@@ -1,111 +1,128 @@
-"""What a query says beside its scan: what is known of the place, and how sure an answer must be."""
+"""Query parameters of a localization: priors, and how to answer."""
 
-import inspect
-from typing import Annotated, Any
+from typing import Annotated
 
-from fastapi import Depends, Query
+from pydantic import BaseModel, Field
 
 from core.errors import InvalidParameters
-from core.localization.priors import HeadingHint, Hints, OdometryHint, PositionHint, ScanOfMap
+from core.localization.priors import (
+    HeadingPrior,
+    OdometryPrior,
+    PositionPrior,
+    Priors,
+    ScanOfMap,
+)
+from core.projection.imager import ImageKind
 
 _MOST_SEGMENTS = 10_000
 
-MinProbability = Annotated[
-    float | None,
-    Query(
+
+class PriorsIn(BaseModel):
+    """What the vehicle knows of its place before the search."""
+
+    x_m: float | None = Field(None, description="Approximate position, in the map's frame.")
+    y_m: float | None = Field(None, description="Likewise; both or none.")
+    position_sigma_m: float | None = Field(
+        None, description="Standard deviation of both; required with them."
+    )
+    heading_deg: float | None = Field(
+        None, description="Approximate heading, counter-clockwise from the map's x."
+    )
+    heading_sigma_deg: float | None = Field(
+        None, description="Its standard deviation; required with it."
+    )
+    travelled_m: float | None = Field(None, description="Metres driven since the last fix.")
+    travelled_sigma_m: float | None = Field(
+        None, description="Their standard deviation, the fix's included; required with them."
+    )
+    since_drive: str | None = Field(
+        None, max_length=64, description="The last fix: the drive of its scan,"
+    )
+    since_scan: int | None = Field(None, ge=0, le=2**31 - 1, description="and its `scan_index`;")
+    since_x_m: float | None = Field(None, description="or its position, in the map's frame,")
+    since_y_m: float | None = Field(None, description="and y.")
+    segment: list[Annotated[int, Field(ge=0, le=2**31 - 1)]] | None = Field(
+        None,
+        max_length=_MOST_SEGMENTS,
+        description="The vehicle is on this segment, or, repeated, on one of them.",
+    )
+
+    def to_core(self) -> Priors:
+        """Return the priors.
+
+        Raises:
+            InvalidParameters: If a prior is incomplete, or a number is out of its range.
+        """
+        position = self._prior_of("x_m", "y_m", "position_sigma_m")
+        heading = self._prior_of("heading_deg", "heading_sigma_deg")
+        travelled = self._prior_of("travelled_m", "travelled_sigma_m")
+        place = self._prior_of("since_x_m", "since_y_m")
+        if (self.since_drive is None) != (self.since_scan is None):
+            raise InvalidParameters("since_drive and since_scan are one scan: give both or none")
+        since: ScanOfMap | tuple[float, float] | None = None
+        if self.since_drive is not None and self.since_scan is not None:
+            since = ScanOfMap(self.since_drive, self.since_scan)
+        elif place:
+            since = place[0], place[1]
+        if bool(travelled) != (since is not None) or (place and since != place):
+            raise InvalidParameters(
+                "travelled_m and travelled_sigma_m need one last fix: since_drive and since_scan,"
+                " or since_x_m and since_y_m"
+            )
+        return Priors(
+            PositionPrior(*position) if position else None,
+            HeadingPrior(*heading) if heading else None,
+            OdometryPrior(since, *travelled) if travelled and since else None,
+            None if self.segment is None else tuple(self.segment),
+        )
+
+    def _prior_of(self, *names: str) -> tuple[float, ...]:
+        """Return the numbers of one prior, empty if none came."""
+        given = tuple(v for name in names if (v := getattr(self, name)) is not None)
+        if given and len(given) < len(names):
+            missing = ", ".join(name for name in names if getattr(self, name) is None)
+            raise InvalidParameters(f"a prior is incomplete: {missing} is missing")
+        return given
+
+
+class LocalizeQuery(PriorsIn):
+    """Query parameters of every localization."""
+
+    k: int = Field(1, ge=1, le=1000, description="How many matches to return.")
+    min_probability: float | None = Field(
+        None,
         ge=0,
         le=1,
-        description="Below this probability the answer is a refusal; the map's own threshold by"
-        " default, 0 to refuse nothing for its probability.",
-    ),
-]
-
-
-def hints_of(
-    x_m: Annotated[
-        float | None, Query(description="Where the vehicle is about, in the map's frame.")
-    ] = None,
-    y_m: Annotated[float | None, Query(description="Likewise; both or none.")] = None,
-    position_sigma_m: Annotated[
-        float | None, Query(description="Standard deviation of both; with them.")
-    ] = None,
-    heading_deg: Annotated[
-        float | None,
-        Query(description="Which way it looks, counter-clockwise from the map's x."),
-    ] = None,
-    heading_sigma_deg: Annotated[
-        float | None, Query(description="Its standard deviation; with it.")
-    ] = None,
-    travelled_m: Annotated[
-        float | None, Query(description="Metres driven since the last fix.")
-    ] = None,
-    travelled_sigma_m: Annotated[
-        float | None, Query(description="Their standard deviation, the fix's included; with them.")
-    ] = None,
-    since_drive: Annotated[
-        str | None, Query(max_length=64, description="The last fix: the drive of its scan,")
-    ] = None,
-    since_scan: Annotated[
-        int | None, Query(ge=0, le=2**31 - 1, description="and its `scan_index`;")
-    ] = None,
-    since_x_m: Annotated[
-        float | None, Query(description="or where it was, in the map's frame,")
-    ] = None,
-    since_y_m: Annotated[float | None, Query(description="and y.")] = None,
-    segment: Annotated[
-        list[Annotated[int, Query(ge=0, le=2**31 - 1)]] | None,
-        Query(
-            max_length=_MOST_SEGMENTS,
-            description="It is on this segment, or, repeated, on one of them.",
-        ),
-    ] = None,
-) -> Hints:
-    """Read hints; numbers of one hint come together.
-
-    Raises:
-        InvalidParameters: If only a part of a hint came, or a number is out of its range.
-    """
-    position = heading = odometry = None
-    place = _together(x_m=x_m, y_m=y_m, position_sigma_m=position_sigma_m)
-    if place is not None:
-        position = PositionHint(*place)
-    direction = _together(heading_deg=heading_deg, heading_sigma_deg=heading_sigma_deg)
-    if direction is not None:
-        heading = HeadingHint(*direction)
-    way = _together(travelled_m=travelled_m, travelled_sigma_m=travelled_sigma_m)
-    scan_of_map = (since_drive is None, since_scan is None)
-    if scan_of_map[0] != scan_of_map[1]:
-        raise InvalidParameters("since_drive and since_scan are one scan: give both or none")
-    spot = _together(since_x_m=since_x_m, since_y_m=since_y_m)
-    since = (
-        spot if since_drive is None or since_scan is None else ScanOfMap(since_drive, since_scan)
+        description="Least probability to accept; the map's own threshold by default, 0 to refuse"
+        " nothing for its probability.",
     )
-    if (way is None) != (since is None) or (spot is not None and since is not spot):
-        raise InvalidParameters(
-            "travelled_m and travelled_sigma_m want one last fix: since_drive and since_scan, or"
-            " since_x_m and since_y_m"
-        )
-    if way is not None and since is not None:
-        odometry = OdometryHint(
-            since if isinstance(since, ScanOfMap) else (since[0], since[1]), *way
-        )
-    return Hints(position, heading, odometry, None if segment is None else tuple(segment))
 
 
-def _together(**numbers: float | None) -> tuple[float, ...] | None:
-    """Return the numbers of one hint, `None` if none came."""
-    given = tuple(value for value in numbers.values() if value is not None)
-    if given and len(given) < len(numbers):
-        missing = ", ".join(name for name, value in numbers.items() if value is None)
-        raise InvalidParameters(f"a hint is incomplete: {missing} is missing")
-    return given or None
+class SensorHeightIn(BaseModel):
+    """The height of the query's sensor."""
+
+    sensor_height_m: float | None = Field(
+        None,
+        gt=0,
+        lt=100,
+        description="Height of the query's sensor above ground, metres, if it is not the map's;"
+        " only maps of height images depend on it.",
+    )
 
 
-async def _on_the_loop(**given: Any) -> Hints:  # noqa: ANN401 - those of `hints_of`
-    """Read hints where no thread is waited for: the framework would take one for each request."""
-    return hints_of(**given)
+class _SensorQuery(LocalizeQuery):
+    sensor: str | None = Field(
+        None, description="The query's sensor; refused if it is not the map's."
+    )
 
 
-_on_the_loop.__signature__ = inspect.signature(hints_of)  # type: ignore[attr-defined]
+class ScanQuery(_SensorQuery, SensorHeightIn):
+    """Query parameters of the localization of a scan."""
 
-HintsIn = Annotated[Hints, Depends(_on_the_loop)]
+
+class ImageQuery(_SensorQuery):
+    """Query parameters of the localization of an image."""
+
+    image: ImageKind | None = Field(
+        None, description="The image's kind; refused if it is not the map's."
+    )

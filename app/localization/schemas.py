@@ -1,9 +1,8 @@
-"""Queries and answers over the wire."""
+"""Signatures and localizations on the wire."""
 
 from collections.abc import Sequence
 from typing import Annotated, Any
 
-from fastapi import Query
 from pydantic import (
     AfterValidator,
     AliasChoices,
@@ -19,27 +18,22 @@ from pydantic.json_schema import SkipJsonSchema
 
 from app.drives.pose_schemas import PoseOut
 from app.http.exact_types import Number, integers
-from core.confidence.verdict import Refusal
+from app.http.shown import Shown
+from core.confidence.decision import Refusal
 from core.encodings.registry import encoding_named, encoding_names
 from core.encodings.signature import Signature
 from core.localization.localizer import Localization
-from core.localization.match import Match
 
 _OTHER = "other"
 SIGNATURE_TAGS = {"paper", "harmonic", _OTHER}
 """Forms of a signature; pydantic's errors name them between an item and its fields."""
 
-NearestCount = Annotated[
-    int, Query(alias="k", ge=1, le=1000, description="How many nearest scans to answer.")
-]
-
-
-# Bounds as in the packed form; of a list that is wrong, its first fault is told.
+# Bounds as in the packed form; validation of a list stops at its first error.
 _Row = Annotated[list[Number], Field(max_length=255, fail_fast=True)]
 
 
 class SegmentSignatureIn(BaseModel):
-    """A signature and the segment whose bases made it."""
+    """A signature, and the segment with whose bases it was made."""
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
 
@@ -52,7 +46,7 @@ class SegmentSignatureIn(BaseModel):
 
 
 class HarmonicSignatureIn(BaseModel):
-    """A signature made with a harmonic map's basis, good for all its segments."""
+    """A signature made with a harmonic map's basis, for all its segments."""
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
 
@@ -77,7 +71,7 @@ def _of_registered(item: dict[str, Any]) -> dict[str, Any]:
     return item
 
 
-# Of an encoding that was registered besides ours: it reads the rest by itself.
+# Of a registered encoding besides ours, which reads the other fields itself.
 _RegisteredSignatureIn = Annotated[dict[str, Any], AfterValidator(_of_registered)]
 
 
@@ -97,7 +91,7 @@ SignatureIn = Annotated[
 
 
 class SignaturesIn(BaseModel):
-    """One scan's signatures, made with one basis; a harmonic map's is one.
+    """One scan's signatures, made with one basis; one signature for a harmonic map.
 
     They name that basis, or a revision that has it.
     """
@@ -129,7 +123,7 @@ class SignaturesIn(BaseModel):
         " that has it answers, the live one first.",
     )
     revision: Annotated[str, Field(pattern="^[0-9a-f]{16,64}$")] | None = Field(
-        None, description="Instead: digest of the revision that is to answer."
+        None, description="Instead: digest of the revision that answers."
     )
     signatures: list[SignatureIn] = Field(min_length=1, max_length=0x10000, fail_fast=True)
 
@@ -141,12 +135,12 @@ class SignaturesIn(BaseModel):
 
     @property
     def named(self) -> str:
-        """What they name."""
+        """The basis or revision that they name."""
         return self.basis or self.revision or ""
 
     @classmethod
     def from_core(cls, signatures: Sequence[Signature]) -> "SignaturesIn":
-        """Show signatures of one basis as they are sent."""
+        """Return the model of signatures made with one basis."""
         return cls(
             basis=signatures[0].revision,
             signatures=[
@@ -158,7 +152,7 @@ class SignaturesIn(BaseModel):
         """Return the signatures.
 
         Raises:
-            InvalidSignature: If one's rows differ in length or a number is beyond float32.
+            InvalidSignature: If the rows of one differ in length or a number is beyond float32.
         """
         signatures = []
         for item in self.signatures:
@@ -168,43 +162,38 @@ class SignaturesIn(BaseModel):
         return tuple(signatures)
 
 
-class MatchOut(BaseModel):
-    """A scan of the map, and how far the query is from it."""
-
-    model_config = ConfigDict(from_attributes=True)
+class MatchOut(Shown):
+    """A scan of the map, and where the query is relative to it."""
 
     segment: int
-    fraction: float = Field(description="How far along the segment: 0 at one node, 1 at the other.")
+    fraction: float = Field(description="Position in the segment: 0 at its start, 1 at its end.")
     along_m: float | None = Field(description="The same in metres; null without poses.")
     drive: str
     scan_index: int = Field(description="Its index in that drive.")
     distance: float = Field(
-        description="Of the signatures: Frobenius; in a harmonic map the one it was built with."
+        description="Between the signatures: Frobenius; in a harmonic map the one it was built"
+        " with."
     )
     timestamp_s: float | None
     pose: PoseOut | None
     turn_deg: float | None = Field(
         validation_alias=AliasChoices("turn_deg", "relative_yaw_deg"),
-        description="How far the query is turned from that scan, counter-clockwise, -180..180; null"
-        " in the paper's encoding.",
+        description="Relative yaw of the query, counter-clockwise, -180..180; null in the paper's"
+        " encoding.",
     )
     lateral_m: float | None = Field(
-        description="How far to the left of that scan the query stands; null likewise."
+        description="Lateral offset of the query, positive to the left of that scan; null likewise."
     )
     heading_deg: float | None = Field(
         description="Estimated heading of the query in the world; null likewise or without poses."
     )
     estimated_pose: PoseOut | None = Field(
-        description="Where the query stands: that scan's pose, displaced and turned; null likewise."
+        description="Estimated pose of the query: that scan's pose, displaced and turned; null"
+        " likewise."
     )
 
-    @classmethod
-    def from_core(cls, match: Match) -> "MatchOut":
-        """Show a match."""
-        return cls.model_validate(match)
 
-
-class CovarianceOut(BaseModel):
+class CovarianceOut(Shown):
     """Of the position, in the map's frame."""
 
     xx_m2: float
@@ -212,25 +201,25 @@ class CovarianceOut(BaseModel):
     yy_m2: float
 
 
-class LocalizationOut(BaseModel):
-    """Where the query was taken, as far as the map can tell.
+class LocalizationOut(Shown):
+    """Where the query was recorded.
 
-    It names its nearest scan for a query from elsewhere too, to be looked at: only with
-    `localized` true is it an answer.
+    It has the nearest scan also if the query is refused: only with `localized` true is that the
+    place.
     """
 
     revision: str = Field(description="The revision that answered.")
     live_revision: str = Field(description="The revision that is live now.")
-    localized: bool = Field(description="Whether the best match may be taken for the place.")
+    localized: bool = Field(description="Whether the best match is accepted.")
     reason: Refusal | None = Field(
-        description="Why not. `unknown_place`: nothing is near enough; `ambiguous`: it is, but"
-        " another place nearly as much; `too_few_returns`: the image is too empty;"
-        " `outside_prior`: nothing fits the hints, or elsewhere fits far better;"
-        " `not_calibrated`: `min_probability` was asked of a map that cannot tell."
+        description="Why not. `unknown_place`: no scan is near enough; `ambiguous`: one is, but"
+        " another place is nearly as near; `too_few_returns`: the image has too few occupied cells;"
+        " `outside_prior`: no scan is within the priors, or one outside of them matches far better;"
+        " `not_calibrated`: `min_probability` was given, and the map has no calibration."
     )
     probability: float | None = Field(
         description="That the best match is right, if a query is as likely in the map as"
-        " elsewhere; null from a map that was not calibrated: it refuses nothing."
+        " elsewhere; null from a map that is not calibrated: it refuses nothing."
     )
     along_std_m: float | None = Field(
         description="If it is right: standard deviation of the position along the path; null"
@@ -241,39 +230,28 @@ class LocalizationOut(BaseModel):
         description="The same of the heading; null in the paper's encoding."
     )
     position_covariance: CovarianceOut | None = Field(
-        description="The two of them in the map's frame."
+        description="The first two of them in the map's frame."
     )
     best: MatchOut
     matches: list[MatchOut] = Field(description="The k nearest scans, nearest first.")
     runner_up: MatchOut | None = Field(description="The nearest scan away from the best one.")
-    ratio: float | None = Field(description="Distance of the best over that of the runner-up.")
+    ratio: float | None = Field(
+        description="Distance of the best match divided by that of the runner-up."
+    )
     segments_searched: list[int]
 
     @classmethod
     def from_core(cls, found: Localization, live_revision: str) -> "LocalizationOut":
-        """Show an answer."""
-        deviation, covariance = found.deviation, found.position_covariance_m2
-        return cls(
-            revision=found.revision,
+        """Return the model of a localization."""
+        deviation, yaw_known = found.deviation, found.best.heading_deg is not None
+        return cls.of(
+            found,
             live_revision=live_revision,
-            localized=found.localized,
-            reason=found.verdict.reason,
-            probability=found.verdict.probability,
-            along_std_m=None if deviation is None else deviation.along_m,
-            lateral_std_m=None if deviation is None else deviation.lateral_m,
-            heading_std_deg=(
-                None
-                if deviation is None or found.best.heading_deg is None
-                else deviation.heading_deg
-            ),
-            position_covariance=(
-                None
-                if covariance is None
-                else CovarianceOut(xx_m2=covariance[0], xy_m2=covariance[1], yy_m2=covariance[2])
-            ),
-            best=MatchOut.from_core(found.best),
-            matches=[MatchOut.from_core(match) for match in found.matches],
-            runner_up=None if found.runner_up is None else MatchOut.from_core(found.runner_up),
-            ratio=found.ratio,
-            segments_searched=list(found.segments),
+            reason=found.decision.reason,
+            probability=found.decision.probability,
+            along_std_m=deviation and deviation.along_m,
+            lateral_std_m=deviation and deviation.lateral_m,
+            heading_std_deg=deviation.heading_deg if deviation and yaw_known else None,
+            position_covariance=found.position_covariance_m2,
+            segments_searched=found.segments,
         )

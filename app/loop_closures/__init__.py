@@ -1,1 +1,1 @@
-"""Loop closures: checks of proposed ones."""
+"""Checks of proposed loop closures."""

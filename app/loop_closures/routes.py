@@ -1,14 +1,21 @@
-"""Loop closures: is a proposed one true?"""
+"""Checks of proposed loop closures."""
 
 from app.access.scopes import Scope, needs
 from app.http.bodies.bodies import Json
+from app.http.client import require_client
 from app.http.errors import JSON_BODY, READING
 from app.http.pooled_route import heavy, pooled_router
 from app.http.problems import problems
-from app.loop_closures.closures import judge_closures
-from app.loop_closures.schemas import LoopClosureOut, LoopClosuresIn, LoopClosuresOut
-from app.service import MapSlug, Running
+from app.loop_closures.schemas import (
+    LoopClosureOut,
+    LoopClosuresIn,
+    LoopClosuresOut,
+    ProposalIn,
+    StoredScanIn,
+)
+from app.service import MapSlug, Running, Service
 from core.errors import InvalidScan, InvalidSignature, StaleSignature, UnknownSegment
+from core.loop_closure.closure import LoopClosure, check_scans, check_signatures
 from storage import errors as stored
 
 router = pooled_router(tags=["loop closures"])
@@ -34,15 +41,39 @@ router = pooled_router(tags=["loop closures"])
 )
 @heavy
 def check_loop_closures(
-    map_slug: MapSlug, wanted: Json[LoopClosuresIn], running: Running
+    map_slug: MapSlug, body: Json[LoopClosuresIn], running: Running
 ) -> LoopClosuresOut:
-    """Judge proposed closures before they bend a map.
+    """Check proposed closures before they are used to correct a map.
 
-    Two stored scans are judged by their returns, laid over each other in every heading: reliable,
-    and independent of the map's encoding. A scan of which only signatures came is judged by these,
-    which tells far less.
+    Two stored scans are compared by their returns in every heading: reliable, and independent of
+    the map's encoding. A scan of which only signatures came is compared by these, which is far less
+    reliable.
     """
-    found = judge_closures(running.store, running.revisions, map_slug, wanted)
-    return LoopClosuresOut(
-        closures=[LoopClosureOut.from_core(closure, wanted.accept_from) for closure in found]
-    )
+    height_m = body.sensor_height_m
+    if height_m is None and any(isinstance(p.second, StoredScanIn) for p in body.proposals):
+        height_m = running.revisions.live(map_slug).localizer.map.parameters.sensor_height_m
+    closures = []
+    for proposal in body.proposals:
+        require_client()
+        found = _check(running, map_slug, proposal, height_m or 0.0)
+        closures.append(LoopClosureOut.from_core(found, body.accept_from))
+    return LoopClosuresOut(closures=closures)
+
+
+def _check(
+    running: Service, map_slug: str, proposal: ProposalIn, sensor_height_m: float
+) -> LoopClosure:
+    drive, index = proposal.first.drive, proposal.first.scan_index
+    if isinstance(second := proposal.second, StoredScanIn):
+        drives = running.store.drives
+        first_scan = drives.read_scan(map_slug, drive, index)
+        second_scan = drives.read_scan(map_slug, second.drive, second.scan_index)
+        return check_scans(first_scan, second_scan, sensor_height_m)
+    signatures = second.to_core()
+    localizer = running.revisions.of_signature(map_slug, second.named).localizer
+    row = localizer.map.trajectory.row_of(drive, index)
+    if row is None:
+        raise stored.ScanNotFound(
+            f"revision {localizer.map.revision[:12]} has no scan {index} of a drive {drive!r}"
+        )
+    return check_signatures(localizer, row, signatures)

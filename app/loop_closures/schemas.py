@@ -1,4 +1,4 @@
-"""Proposed loop closures over the wire."""
+"""Proposed loop closures on the wire."""
 
 from typing import Annotated, Any
 
@@ -23,7 +23,7 @@ class StoredScanIn(BaseModel):
     _integers = field_validator("scan_index", mode="before")(integers)
 
 
-def _told_of(item: Any) -> str:  # noqa: ANN401 - whatever a client sends
+def _form_of(item: Any) -> str:  # noqa: ANN401 - whatever a client sends
     if isinstance(item, dict):
         return "signatures" if "signatures" in item else "scan"
     return "signatures" if isinstance(item, SignaturesIn) else "scan"
@@ -31,7 +31,7 @@ def _told_of(item: Any) -> str:  # noqa: ANN401 - whatever a client sends
 
 ScanIn = Annotated[
     Annotated[StoredScanIn, Tag("scan")] | Annotated[SignaturesIn, Tag("signatures")],
-    Discriminator(_told_of),
+    Discriminator(_form_of),
 ]
 
 
@@ -42,13 +42,13 @@ class ProposalIn(BaseModel):
 
     first: StoredScanIn = Field(description="What the answer is relative to.")
     second: ScanIn = Field(
-        description="Another stored scan, judged by the returns of both; or signatures of one that"
-        " is not, judged against the first one's in the revision that they name."
+        description="Another stored scan, compared by the returns of both; or signatures of one"
+        " that is not stored, compared with the first one's in the revision that they name."
     )
 
 
 class LoopClosuresIn(BaseModel):
-    """Proposed closures, judged one by one."""
+    """Proposed closures, checked one by one."""
 
     model_config = ConfigDict(
         extra="forbid",
@@ -80,23 +80,23 @@ class LoopClosuresIn(BaseModel):
 
 
 class LoopClosureOut(Shown):
-    """What is thought of one proposal."""
+    """The result of one proposal."""
 
     verdict: Verdict
     probability: float | None = Field(
-        description="That the scans stand within some 5 m of each other, true and false being as"
-        " likely beforehand; null if a map without calibration is asked by signature."
+        description="That the scans are within some 5 m of each other, with even prior odds; null"
+        " if signatures are compared with a map without calibration."
     )
     turn_deg: float | None = Field(
-        description="How far the second is turned from the first, counter-clockwise, -180..180."
+        description="Relative yaw of the second, counter-clockwise, -180..180."
     )
-    forward_m: float | None = Field(description="How far ahead of the first the second stands.")
-    lateral_m: float | None = Field(description="How far to its left.")
+    forward_m: float | None = Field(description="Distance of the second ahead of the first.")
+    lateral_m: float | None = Field(description="Its distance to the left.")
     image_similarity: float | None = Field(
         description="Of the height images in the best heading, at most 1; null without returns."
     )
     overlap: float | None = Field(
-        description="Of the views from above as they lie best, at most 1; null without returns."
+        description="Of the bird's-eye views in the best alignment, at most 1; null likewise."
     )
     signature_distance: float | None = Field(
         description="In the measure of the map; null where returns were compared."
@@ -104,11 +104,11 @@ class LoopClosureOut(Shown):
 
     @classmethod
     def from_core(cls, found: LoopClosure, accept_from: float) -> "LoopClosureOut":
-        """Show a judged closure."""
-        return cls.of(found, verdict=found.verdict(accept_from))
+        """Return the model of a checked closure."""
+        return cls.of(found, verdict=found.decide(accept_from))
 
 
 class LoopClosuresOut(BaseModel):
-    """The proposals' verdicts, in their order."""
+    """The results of the proposals, in their order."""
 
     closures: list[LoopClosureOut]

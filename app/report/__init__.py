@@ -1,1 +1,1 @@
-"""The report on a drive: the paper's figures redrawn, in one file that needs nothing else."""
+"""The report on a drive: the paper's figures redrawn, in one file without external resources."""

@@ -13,7 +13,9 @@ from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure as Canvas
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 
-# Colours that nobody else uses stand for variables of the page, which has two sets of them.
+from app.report.figure import Panel
+
+# Colours that nothing else uses; each is replaced by a variable of the page, in two themes.
 _VARIABLES = {
     "#010201": "ink",
     "#010202": "muted",
@@ -26,7 +28,7 @@ _VARIABLES = {
 INK, MUTED, GRID, ACCENT, ERROR, GOOD = list(_VARIABLES)[:6]
 SERIES = tuple(list(_VARIABLES)[6:])
 MARKERS = ("o", "s", "^", "D", "v", "P")
-"""One a series: colour alone does not tell them apart for everybody."""
+"""One a series: not every reader can distinguish the colours."""
 
 _STYLE: dict[Any, Any] = {
     "svg.fonttype": "none",
@@ -49,6 +51,9 @@ _STYLE: dict[Any, Any] = {
     "text.color": INK,
     "legend.frameon": False,
     "legend.fontsize": 8.5,
+    "legend.columnspacing": 1.2,
+    "legend.handlelength": 1.4,
+    "legend.handletextpad": 0.5,
     "lines.linewidth": 1.6,
     "lines.markersize": 4.5,
 }
@@ -63,44 +68,56 @@ class Drawing:
 
     Attributes:
         axes: What is drawn on.
-        svg: The `svg` element, once the block of `on` has ended.
+        alt: What the drawing shows, in words; set in the block of `on`.
+        panel: The panel, once that block has ended.
     """
 
-    def __init__(self, canvas: Canvas) -> None:
-        self._canvas = canvas
-        FigureCanvasSVG(canvas)  # which measures text as it will be written
-        self.axes: Axes = canvas.subplots()
-        self.svg = ""
+    axes: Axes
+    alt: str
+    panel: Panel
 
     @classmethod
     @contextmanager
-    def on(cls, key: str, *, height_in: float = 3.0) -> Iterator["Drawing"]:
-        """Give axes of 4.6 inches, narrow enough to be read on a telephone.
+    def on(
+        cls,
+        title: str,
+        key: str,
+        xlabel: str,
+        ylabel: str,
+        *,
+        height_in: float = 3.0,
+        legend_columns: int = 5,
+        **settings: Any,  # noqa: ANN401 - of Matplotlib
+    ) -> Iterator["Drawing"]:
+        """Give axes of 4.6 inches, narrow enough for a telephone.
 
         Args:
+            title: Of the panel.
             key: Distinguishes the panel's element ids from those of all others in the page.
+            xlabel: Of the horizontal axis.
+            ylabel: Of the vertical axis.
             height_in: How high the panel is.
+            legend_columns: Of the legend above the axes, where it covers nothing; 0 for none.
+            settings: Of the axes, such as limits, applied when the block ends.
         """
         with mpl.rc_context():
-            mpl.rcdefaults()  # a person's own matplotlibrc is for their figures
+            mpl.rcdefaults()  # a user's own matplotlibrc does not apply here
             mpl.rcParams.update(_STYLE)
             layout = ConstrainedLayoutEngine()
             canvas = Canvas(figsize=(4.6, height_in), layout=layout)
-            drawing = cls(canvas)
+            FigureCanvasSVG(canvas)  # which measures text as it will be written
+            drawing = cls()
+            drawing.axes = canvas.subplots()
             yield drawing
+            drawing.axes.set(xlabel=xlabel, ylabel=ylabel, **settings)
+            if legend_columns:
+                canvas.legend(loc="outside upper left", ncols=legend_columns)
             # Settled once: Matplotlib would do it twice, and draw everything each time.
             layout.execute(canvas)
             canvas.set_layout_engine(None)
             text = io.StringIO()
             canvas.savefig(text, format="svg", transparent=True, metadata={"Date": None})
-        drawing.svg = _for_page(text.getvalue(), key)
-
-    def legend(self, columns: int = 5) -> None:
-        """Explain the marks above the axes, where they cover nothing."""
-        self._canvas.legend(
-            loc="outside upper left", ncols=columns, columnspacing=1.2, handlelength=1.4,
-            handletextpad=0.5,
-        )  # fmt: skip
+        drawing.panel = Panel(title, drawing.alt, _for_page(text.getvalue(), key))
 
 
 def _for_page(text: str, key: str) -> str:

@@ -1,4 +1,4 @@
-"""What a report shows: figures of panels, each with the numbers behind it."""
+"""The figures of a report: panels, and tables with their numbers."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,8 +11,8 @@ class Panel:
     """One drawing.
 
     Attributes:
-        title: What it shows, in a few words.
-        alt: What there is to see in it, for those who do not see it.
+        title: In a few words.
+        alt: The drawing in words, for readers who cannot see it.
         svg: The drawing, an `svg` element.
     """
 
@@ -40,9 +40,9 @@ class Figure:
 
     Attributes:
         key: Its address in the page.
-        title: What it shows.
+        title: In a few words.
         caption: How to read it, units and definitions included.
-        panels: The drawings; none if there is nothing to draw, and the caption says why.
+        panels: The drawings; none if there is nothing to draw, and the caption then has the reason.
         tables: The numbers.
     """
 

@@ -1,4 +1,4 @@
-"""Where segments end on the driven line (paper, fig. 1, 4 i-m and 5 h)."""
+"""Segments' ends on the driven line (paper, fig. 1, 4 i-m and 5 h)."""
 
 import numpy as np
 
@@ -7,7 +7,7 @@ from app.report.figure import Figure, Panel, Table, shown
 from core.arrays import FloatArray, IntArray
 from core.evaluation.study import Study
 from core.scans.pose import is_known
-from core.segmentation import cut_fixed
+from core.segmentation.fixed import cut_fixed
 
 
 def nodes_figure(study: Study) -> Figure:
@@ -26,16 +26,11 @@ def nodes_figure(study: Study) -> Figure:
         )
     origin_m = study.poses[known][0, :3]
     position_m = study.poses[:, :3] - origin_m
-    shown_by = {
-        length: [
-            str(of.parameters.encoding) for of in study.encodings if of.segment_length == length
-        ]
-        for length in lengths
-    }
     panels, rows = [], []
     for length in lengths:
-        nodes = _nodes(study.scans, length)
-        used = f", shown for {' and '.join(shown_by[length])}" if shown_by[length] else ""
+        nodes = np.append(cut_fixed(study.scans, length)[:-1], study.scans - 1)
+        users = " and ".join(of.name for of in study.encodings if of.segment_length == length)
+        used = f", shown for {users}" if users else ""
         panels.append(_panel(position_m, nodes, f"k = {length}{used}", f"nodes-{length}"))
         rows += [
             shown((length, number, scan, *position_m[scan].tolist()))
@@ -54,30 +49,21 @@ def nodes_figure(study: Study) -> Figure:
     )
 
 
-def _nodes(scans: int, segment_length: int) -> IntArray:
-    starts = cut_fixed(scans, segment_length)
-    return np.append(starts[:-1], scans - 1)
-
-
 def _panel(position_m: FloatArray, nodes: IntArray, title: str, key: str) -> Panel:
-    with Drawing.on(key, height_in=3.6) as drawing:
+    x_m, y_m = position_m[:, :2].T
+    with Drawing.on(title, key, "x, m", "y, m", height_in=3.6) as drawing:
         axes = drawing.axes
-        axes.plot(position_m[:, 0], position_m[:, 1], color=ACCENT, linewidth=1.4)
+        axes.plot(x_m, y_m, color=ACCENT, linewidth=1.4)
         inner = nodes[1:-1]
-        axes.plot(
-            position_m[inner, 0], position_m[inner, 1], linestyle="none", marker="o",
-            color=ERROR, label="node",
-        )  # fmt: skip
+        axes.plot(x_m[inner], y_m[inner], "o", color=ERROR, label="node")
         for scan, marker, label in ((nodes[0], "o", "start"), (nodes[-1], "s", "end")):
             axes.plot(
-                position_m[scan, 0], position_m[scan, 1], linestyle="none", marker=marker,
-                markersize=7, markerfacecolor="none", markeredgecolor=GOOD, markeredgewidth=1.8,
-                label=label,
+                x_m[scan], y_m[scan], marker, markersize=7, markerfacecolor="none",
+                markeredgecolor=GOOD, markeredgewidth=1.8, label=label,
             )  # fmt: skip
         axes.set_aspect("equal", adjustable="datalim")
-        axes.set_xlabel("x, m")
-        axes.set_ylabel("y, m")
-        drawing.legend()
-    extent_m = np.nanmax(position_m[:, :2], axis=0) - np.nanmin(position_m[:, :2], axis=0)
-    alt = f"{len(nodes)} nodes on a line that spans {extent_m[0]:.0f} m by {extent_m[1]:.0f} m."
-    return Panel(title, alt, drawing.svg)
+        width_m, height_m = (np.nanmax(m) - np.nanmin(m) for m in (x_m, y_m))
+        drawing.alt = (
+            f"{len(nodes)} nodes on a line that spans {width_m:.0f} m by {height_m:.0f} m."
+        )
+    return drawing.panel

@@ -1,6 +1,7 @@
 """The report as one HTML file: no network, no script, all figures and numbers inside."""
 
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable
+from functools import partial
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
@@ -26,42 +27,35 @@ DECISIONS = {
 }
 
 
-@dataclass(frozen=True, eq=False)
-class _Section:
-    name: str
-    study: EncodingStudy
-    verdict: str
-    figures: tuple[Figure, ...]
-
-
 def render_report(
     study: Study, provenance: dict[str, str], progress: Progress = NO_PROGRESS
 ) -> str:
-    """Draw everything and return the page.
+    """Draw all figures and return the page.
 
-    Whatever comes from the drive (its name, reasons why scans were skipped) is escaped.
+    Texts of the drive (its name, reasons why scans were skipped) are escaped.
     """
     progress.start("drawing", 2 + 6 * len(study.encodings))
-    common = []
-    for draw_common in (curves_figure, nodes_figure):
-        common.append(draw_common(study))
-        progress.advance()
-    sections = []
-    for of in study.encodings:
-        figures = []
-        for draw in (
-            trade_off_figure,
-            accuracy_figure,
-            size_figure,
-            lambda of: answers_figure(study, of),
-            relative_error_figure,
-            confusion_figure,
-        ):
-            figures.append(draw(of))
+
+    def drawn(figures: Iterable[Figure]) -> list[Figure]:
+        kept = []
+        for figure in figures:
+            kept.append(figure)
             progress.advance()
-        sections.append(
-            _Section(str(of.parameters.encoding), of, DECISIONS[of.advice.verdict], tuple(figures))
-        )
+        return kept
+
+    common = drawn(draw(study) for draw in (curves_figure, nodes_figure))
+    of_each: tuple[Callable[[EncodingStudy], Figure], ...] = (
+        trade_off_figure,
+        accuracy_figure,
+        size_figure,
+        partial(answers_figure, study),
+        relative_error_figure,
+        confusion_figure,
+    )
+    sections = [
+        (of, DECISIONS[of.advice.verdict], drawn(draw(of) for draw in of_each))
+        for of in study.encodings
+    ]
     environment = Environment(
         loader=PackageLoader("app.report", ""),
         autoescape=True,
@@ -69,7 +63,9 @@ def render_report(
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters["drawing"] = Markup  # of our own drawings only, never of the drive's words
+    environment.filters["drawing"] = (
+        Markup  # for our own drawings only, never for texts of the drive
+    )
     return environment.get_template("report.html.j2").render(
         study=study,
         sections=sections,
@@ -91,22 +87,22 @@ def _configuration(study: Study) -> list[tuple[str, str]]:
     ]
     for of in study.encodings:
         parameters = of.parameters
-        said = [
+        facts = [
             f"sensor {parameters.sensor}",
             f"{parameters.reducer} {parameters.image} images of"
             f" {parameters.grid.shape[0]} x {parameters.grid.shape[1]}",
             f"{parameters.ranks[0]} x {parameters.ranks[1]}, k = {of.segment_length}"
             f" ({of.segments} segments)" + ("" if of.recommended else ", not the recommended one"),
-            f"{of.sweep.map_scans} scans mapped, {of.sweep.asked} asked, {of.sweep.judged} judged",
+            f"{of.sweep.map_scans} scans mapped, {of.sweep.asked} queries, {of.sweep.judged} count",
         ]
         if parameters.distance is not None and parameters.lateral_renderings_m is not None:
             places = ", ".join(f"{m:g}" for m in parameters.lateral_renderings_m)
-            said += [
+            facts += [
                 f"{parameters.distance} distance",
                 f"sensor {parameters.sensor_height_m:g} m above ground",
                 f"rendered from {places} m to the left",
             ]
         if of.refused:
-            said.append(f"{len(of.refused)} scans could not be asked")
-        rows.append((str(parameters.encoding), "; ".join(said)))
+            facts.append(f"{len(of.refused)} scans could not be queried")
+        rows.append((of.name, "; ".join(facts)))
     return rows

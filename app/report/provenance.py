@@ -1,4 +1,4 @@
-"""With what, on what and when a report was made."""
+"""The version, machine and date of a report."""
 
 import platform
 from datetime import UTC, datetime

@@ -1,1 +1,1 @@
-"""Revisions: loaded, imported, compared, downloaded."""
+"""Revisions of a map: load, import, compare, download."""

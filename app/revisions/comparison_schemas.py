@@ -1,16 +1,23 @@
-"""What changed between two revisions, over the wire."""
+"""Comparisons of two revisions on the wire."""
 
+import math
 from datetime import datetime
 from typing import Any
 
+import numpy as np
 from pydantic import BaseModel, Field
 
 from app.http.shown import Shown
-from app.revisions.comparison import Comparison, NoRecall, Recall, Side
+from app.revisions.recall import NoRecall, Recall
 from core.evaluation.self_recall import CRITERION
+from core.mapping.diff import drive_overlaps
+from core.mapping.tensormap import TensorMap
+from storage.catalog import RevisionRecord
+
+Side = tuple[RevisionRecord, TensorMap]
 
 
-class ComparedOut(Shown):
+class ComparedOut(BaseModel):
     """A revision in numbers."""
 
     revision: str
@@ -19,9 +26,9 @@ class ComparedOut(Shown):
     drives: list[str]
     scans: int
     segments: int
-    basis: str = Field(description="Digest of its basis: what signatures name.")
+    basis: str = Field(description="Digest of its basis, which signatures name.")
     relative_error_median: float = Field(
-        description="Of its segments, 0..1: what signatures leave out of the images."
+        description="Of its segments, 0..1: the part of the images that signatures leave out."
     )
     relative_error_largest: float
     calibrated: bool
@@ -35,14 +42,30 @@ class ComparedOut(Shown):
     )
 
     @classmethod
-    def from_core(cls, side: Side) -> "ComparedOut":
-        """Show one of the two."""
-        record = side.record
-        return cls.of(side.facts, created_at=record.created_at, size_bytes=record.size_bytes)
+    def from_core(cls, record: RevisionRecord, tensor_map: TensorMap) -> "ComparedOut":
+        """Return the model of one revision."""
+        topology, calibration = tensor_map.topology, tensor_map.calibration
+        length_m = float(topology.edge_length_m.sum())
+        return cls(
+            revision=tensor_map.revision,
+            created_at=record.created_at,
+            size_bytes=record.size_bytes,
+            drives=list(tensor_map.trajectory.drives),
+            scans=len(tensor_map),
+            segments=tensor_map.model.segments,
+            basis=tensor_map.basis_digest,
+            relative_error_median=float(np.median(tensor_map.relative_error)),
+            relative_error_largest=float(tensor_map.relative_error.max()),
+            calibrated=calibration is not None,
+            threshold=calibration and calibration.threshold,
+            nodes=len(topology.node_scan),
+            edges=topology.edges,
+            length_m=None if math.isnan(length_m) else length_m,
+        )
 
 
 class ChangedParameterOut(BaseModel):
-    """A parameter that the two have otherwise; null where one has none."""
+    """A parameter with different values; null where one has none."""
 
     name: str
     this: Any
@@ -59,16 +82,16 @@ class DriveOverlapOut(Shown):
 
 
 class RecallOut(Shown):
-    """How many of their common scans the two find, asked as a vehicle that stands elsewhere."""
+    """Self-recall of the two on their common scans, seen from beside."""
 
-    asked: int = Field(description="How many scans were asked, evenly spread, at most 200.")
+    asked: int = Field(description="How many scans were queries, evenly spread, at most 200.")
     this: float = Field(description="Share that this revision finds with its first match, 0..1.")
     other: float
     same_questions: bool = Field(
-        description="Whether both were asked from the same places in the same headings. Maps with"
-        " other renderings, or of the other encoding, promise answers from other places."
+        description="Whether both had queries from the same places in the same headings. Maps with"
+        " other renderings, or of the other encoding, answer other places."
     )
-    criterion: str = Field(description="What counts as found.")
+    criterion: str = Field(description="When a match counts as found.")
 
 
 class ComparisonOut(BaseModel):
@@ -83,26 +106,30 @@ class ComparisonOut(BaseModel):
     scans_in_both: int
     scans_only_this: int
     scans_only_other: int
-    recall: RecallOut | None = Field(description="Null where it cannot be known.")
+    recall: RecallOut | None = Field(description="Null if it is not known.")
     recall_unknown: NoRecall | None = Field(
-        description="Why it cannot be: one was imported, or built before its drives were written"
-        " down; no scan is in both; the images, from which questions are made, are not kept; no"
-        " scan has another one near."
+        description="Why not: one was imported, or built before revisions stored their drives; no"
+        " scan is in both; the images, from which queries are made, are not kept; no scan has"
+        " another one near."
     )
 
     @classmethod
-    def from_core(cls, comparison: Comparison) -> "ComparisonOut":
-        """Show what changed."""
-        recall, drives = comparison.recall, comparison.drives
-        this, other = comparison.this.facts, comparison.other.facts
+    def from_core(cls, this: Side, other: Side, recall: Recall | NoRecall) -> "ComparisonOut":
+        """Return the model of two revisions and their recall."""
+        (record, tensor_map), (other_record, other_map) = this, other
+        mine, theirs = record.drive_ids, other_record.drive_ids
+        anew = frozenset(name for name in mine.keys() & theirs.keys() if mine[name] != theirs[name])
+        drives = drive_overlaps(tensor_map, other_map, recorded_anew=anew)
+        own, compared = _parameters(*this), _parameters(*other)
         return cls(
-            identical=this.revision == other.revision,
-            this=ComparedOut.from_core(comparison.this),
-            other=ComparedOut.from_core(comparison.other),
-            same_basis=this.basis == other.basis,
+            identical=tensor_map.revision == other_map.revision,
+            this=ComparedOut.from_core(*this),
+            other=ComparedOut.from_core(*other),
+            same_basis=tensor_map.basis_digest == other_map.basis_digest,
             changed_parameters=[
-                ChangedParameterOut(name=name, this=mine, other=theirs)
-                for name, (mine, theirs) in comparison.parameters.items()
+                ChangedParameterOut(name=name, this=own.get(name), other=compared.get(name))
+                for name in sorted({*own, *compared})
+                if own.get(name) != compared.get(name)
             ],
             drives=[DriveOverlapOut.of(drive) for drive in drives],
             scans_in_both=sum(drive.in_both for drive in drives),
@@ -113,3 +140,11 @@ class ComparisonOut(BaseModel):
             else None,
             recall_unknown=recall if isinstance(recall, NoRecall) else None,
         )
+
+
+def _parameters(record: RevisionRecord, tensor_map: TensorMap) -> dict[str, Any]:
+    return {
+        **tensor_map.parameters.as_attributes(),
+        "segmentation": tensor_map.parameters.segmentation.value,
+        "segment_length": record.parameters.get("segment_length"),
+    }

@@ -1,8 +1,7 @@
-"""A map from elsewhere becomes a revision: checked whole, and written anew."""
+"""Import of a revision from a map file."""
 
 from app.builds.parameters import as_built
 from core.errors import InvalidMap
-from core.mapping.tensormap import TensorMap
 from storage.catalog import RevisionFacts, RevisionRecord
 from storage.errors import CorruptFile, RevisionNotFound
 from storage.files.map_file import map_of_bytes, write_map
@@ -12,13 +11,13 @@ from storage.store import Store
 def import_revision(
     store: Store, map_slug: str, body: bytes, *, make_live: bool
 ) -> tuple[RevisionRecord, bool]:
-    """Add a map file to a map.
+    """Add a map file to a map as a revision.
 
-    What is stored is written from what was read and checked: nothing else that the file may hold
-    gets in. Its drives are names of scans that are not here, so no build can be based on it.
+    The stored file is written from the values that were read and checked, so that nothing else in
+    the body is stored. The scans of its drives are not stored, so no build can be based on it.
 
     Args:
-        store: Where to.
+        store: The store.
         map_slug: The map.
         body: The bytes of an HDF5 file.
         make_live: Make it live even if it is not the map's first.
@@ -28,11 +27,14 @@ def import_revision(
 
     Raises:
         MapNotFound: If there is no such map.
-        InvalidMap: If the file is no map, is torn, or its content has another digest.
+        InvalidMap: If the file is no map, is damaged, or its content has another digest.
         StorageFull: If no space is left; nothing is changed.
     """
     map_id = store.maps.get(map_slug).id
-    tensor_map = _read(body)
+    try:
+        tensor_map = map_of_bytes(body, "the body")
+    except CorruptFile as error:
+        raise InvalidMap(str(error)) from error
     parameters = tensor_map.parameters
     facts = RevisionFacts(
         encoding=parameters.encoding,
@@ -59,10 +61,3 @@ def import_revision(
         make_live=make_live,
     )
     return record, added
-
-
-def _read(body: bytes) -> TensorMap:
-    try:
-        return map_of_bytes(body, "the body")
-    except CorruptFile as error:
-        raise InvalidMap(str(error)) from error

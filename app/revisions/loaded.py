@@ -1,4 +1,4 @@
-"""Revisions in memory, ready to answer."""
+"""Loaded revisions, which answer queries."""
 
 import threading
 from collections import OrderedDict
@@ -29,7 +29,7 @@ class Answering:
 
     Attributes:
         localizer: Of the revision that answers.
-        live_revision: Digest of the live one; scan queries are answered by it.
+        live_revision: Digest of the live one.
     """
 
     localizer: Localizer
@@ -37,11 +37,11 @@ class Answering:
 
 
 class LoadedRevisions:
-    """The revisions used last, read once; a revision never changes, so none grows stale.
+    """A cache of the revisions used last.
 
     Args:
-        store: Where they are kept.
-        limit: How many are held.
+        store: Of their files.
+        limit: How many are kept.
     """
 
     def __init__(self, store: Store, limit: int) -> None:
@@ -51,18 +51,22 @@ class LoadedRevisions:
         self._lock = threading.Lock()
         self._reading: dict[tuple[str, str], threading.Lock] = {}
 
+    def get(self, map_slug: str, revision: str | None) -> Answering:
+        """Return the revision of that name, without one the live one; see `named` and `live`."""
+        return self.live(map_slug) if revision is None else self.named(map_slug, revision)
+
     def live(self, map_slug: str) -> Answering:
         """Return the live revision of a map.
 
         Raises:
             MapNotFound: If there is no such map.
-            NoLiveRevision: If nothing was built of it yet.
-            CorruptFile: If its file is not what was written.
-            StorageBusy: If another one becomes live again and again while it is read.
+            NoLiveRevision: If the map has no revision yet.
+            CorruptFile: If its file is damaged.
+            StorageBusy: If another one becomes live, and this one is removed, in each attempt.
         """
         for _ in range(_ATTEMPTS):
             of_map, live = self._live(map_slug)
-            with suppress(RevisionNotFound):  # another became live, and this one was not retained
+            with suppress(RevisionNotFound):  # another one became live, and this one was removed
                 return Answering(self._get(map_slug, of_map.id, live), live)
         raise StorageBusy(f"another revision of {map_slug!r} became live {_ATTEMPTS} times")
 
@@ -71,19 +75,20 @@ class LoadedRevisions:
 
         Raises:
             MapNotFound: If there is no such map.
-            NoLiveRevision: If nothing was built of it yet.
-            RevisionNotFound: If the map has no such revision, or no longer.
+            NoLiveRevision: If the map has no revision yet.
+            RevisionNotFound: If the map has no such revision, or it was removed.
             AmbiguousRevision: If the map has several.
-            CorruptFile: If its file is not what was written.
+            CorruptFile: If its file is damaged.
         """
         of_map, live = self._live(map_slug)
         digest = self._store.revisions.get(map_slug, revision).digest
         return Answering(self._get(map_slug, of_map.id, digest), live)
 
     def of_signature(self, map_slug: str, revision: str) -> Answering:
-        """Return the revision that answers signatures which name a basis or a revision.
+        """Return the revision for signatures that name a basis or a revision.
 
-        That of a basis is the live one if it has it, else the newest retained one that does.
+        For a basis that is the live revision if it has the basis, else the newest retained one
+        that has it.
 
         Args:
             map_slug: The map.
@@ -91,9 +96,9 @@ class LoadedRevisions:
 
         Raises:
             MapNotFound: If there is no such map.
-            NoLiveRevision: If nothing was built of it yet.
-            StaleSignature: If the map has nothing of that name, or no longer; names the live one.
-            CorruptFile: If its file is not what was written.
+            NoLiveRevision: If the map has no revision yet.
+            StaleSignature: If no retained revision has that name or basis; names the live one.
+            CorruptFile: If its file is damaged.
         """
         _, live = self._live(map_slug)
         stale = StaleSignature(
@@ -106,12 +111,12 @@ class LoadedRevisions:
             holder = self._store.revisions.with_basis(map_slug, revision)
             if holder is None:
                 break
-            with suppress(RevisionNotFound):  # not retained since; another may have the basis
+            with suppress(RevisionNotFound):  # removed meanwhile; another may have the basis
                 return self.named(map_slug, holder.digest)
         try:
             return self.named(map_slug, revision)
         except (RevisionNotFound, AmbiguousRevision):
-            # A revision from before bases had names of their own has none in the catalog.
+            # The catalog has no bases of revisions that an early version built.
             answering = self.live(map_slug)
             if answering.localizer.answers(revision):
                 return answering
@@ -130,7 +135,7 @@ class LoadedRevisions:
                 self._loaded.move_to_end(key)
                 return found
             reading = self._reading.setdefault(key, threading.Lock())
-        with reading:  # one reader a revision; others of it wait, all else goes on
+        with reading:  # only requests for this revision wait for its reader
             with self._lock:
                 if (found := self._loaded.get(key)) is not None:
                     return found

@@ -1,4 +1,4 @@
-"""Revisions: immutable builds of a map, one of them live, and what is read from them."""
+"""Revisions: immutable builds of a map, one of them live, with their bases and graphs."""
 
 import io
 import json
@@ -19,8 +19,9 @@ from app.http.pooled_route import heavy, pooled_router
 from app.http.problems import problems
 from app.maps.routes import IfMatch, shown_map, version_seen
 from app.maps.schemas import MapOut
+from app.revisions.comparison_schemas import ComparisonOut
 from app.revisions.imports import import_revision
-from app.revisions.loaded import Answering
+from app.revisions.recall import measure_recall
 from app.revisions.schemas import BasisOut, LiveIn, RevisionOut
 from app.revisions.topology_schemas import TopologyOut
 from app.service import MapSlug, Running
@@ -34,11 +35,11 @@ RevisionId = Annotated[
     str, Path(alias="revision", description="Digest of a revision, or at least 12 first digits.")
 ]
 OneRevision = Annotated[
-    str | None, Query(alias="revision", description="Which revision; the live one by default.")
+    str | None, Query(alias="revision", description="A revision; the live one by default.")
 ]
 Segments = Annotated[
     list[Annotated[int, Field(ge=0, lt=2**31)]] | None,
-    Query(alias="segment", description="Only these segments; may be given several times."),
+    Query(alias="segment", description="Only these segments; repeatable."),
 ]
 
 MakeLive = Annotated[
@@ -92,10 +93,10 @@ def import_a_revision(
     content_type: ContentType = None,
     make_live: MakeLive = None,
 ) -> RevisionOut:
-    """Import a revision from elsewhere: a map's file, which is checked whole and written anew.
+    """Import a revision from a map's file, which is checked and rewritten.
 
-    It answers as it did there, and has the same digest. Builds cannot be based on it: the scans
-    that it was made of are not here.
+    It has the same digest and gives the same answers. No build can be based on it, as the scans of
+    its drives are not stored.
     """
     if media_type(content_type) != _HDF5:
         raise errors.UnsupportedBody(
@@ -117,7 +118,7 @@ def import_a_revision(
     responses=problems(*errors.NAMED_REVISION, *errors.READING),
 )
 def get_revision(map_slug: MapSlug, revision: RevisionId, running: Running) -> RevisionOut:
-    """Show a revision."""
+    """Return a revision."""
     live = running.store.maps.get(map_slug).live_revision
     return RevisionOut.from_record(running.store.revisions.get(map_slug, revision), live)
 
@@ -142,6 +143,42 @@ def download_revision(map_slug: MapSlug, revision: RevisionId, running: Running)
     )
 
 
+@router.get(
+    "/maps/{map}/revisions/{revision}/comparison",
+    dependencies=[needs(Scope.MAPS_READ)],
+    responses=problems(*errors.REVISION, *errors.READING),
+)
+@heavy
+def compare(
+    map_slug: MapSlug,
+    revision: RevisionId,
+    running: Running,
+    other: Annotated[
+        str | None,
+        Query(
+            alias="with",
+            description="The other one: its digest, or at least 12 first digits; the live one by"
+            " default.",
+        ),
+    ] = None,
+) -> ComparisonOut:
+    """Compare the content of a revision, and its recall, with the live or another revision.
+
+    Recall is on the scans that both have: each is a query, seen from beside and behind other cars,
+    and is left out of the search. It takes some seconds on a map of thousands of scans.
+    """
+    store = running.store
+    sides = []
+    for name in (revision, other):
+        tensor_map = running.revisions.get(map_slug, name).localizer.map
+        sides.append((store.revisions.get(map_slug, tensor_map.revision), tensor_map))
+    (record, tensor_map), (other_record, other_map) = this, that = sides
+    recall = measure_recall(
+        store, record.map_id, (record.drive_ids, tensor_map), (other_record.drive_ids, other_map)
+    )
+    return ComparisonOut.from_core(this, that, recall)
+
+
 @router.delete(
     "/maps/{map}/revisions/{revision}",
     dependencies=[needs(Scope.MAPS_WRITE)],
@@ -149,7 +186,7 @@ def download_revision(map_slug: MapSlug, revision: RevisionId, running: Running)
     responses=problems(*errors.NAMED_REVISION, stored.RevisionIsLive, *errors.WRITING),
 )
 def delete_revision(map_slug: MapSlug, revision: RevisionId, running: Running) -> None:
-    """Remove a revision that is not live; signatures made with it are stale from then on."""
+    """Remove a revision that is not live; signatures made with it are stale from then."""
     running.store.revisions.delete(map_slug, revision)
 
 
@@ -162,14 +199,14 @@ def delete_revision(map_slug: MapSlug, revision: RevisionId, running: Running) -
 )
 def make_live(
     map_slug: MapSlug,
-    wanted: Json[LiveIn],
+    body: Json[LiveIn],
     running: Running,
     response: Response,
     if_match: IfMatch = None,
 ) -> MapOut:
-    """Make a revision live: to go ahead, or to roll back."""
-    note(f"revision {wanted.revision}")
-    running.store.revisions.set_live(map_slug, wanted.revision, if_version=version_seen(if_match))
+    """Make a revision live, a newer or an older one."""
+    note(f"revision {body.revision}")
+    running.store.revisions.set_live(map_slug, body.revision, if_version=version_seen(if_match))
     running.collector.wake()
     return shown_map(running.store.maps.get(map_slug), running, response)
 
@@ -192,17 +229,17 @@ def get_basis(
     segments: Segments = None,
     accept: Annotated[str, Header(include_in_schema=False)] = "",
     if_none_match: Annotated[
-        str | None, Header(description="ETags of the bases that the vehicle holds.")
+        str | None, Header(description="ETags of the bases that the vehicle has.")
     ] = None,
 ) -> Any:  # noqa: ANN401 - JSON by its model, or bytes as they are
-    """Download what a vehicle needs to make signatures, as JSON or, on `Accept`, as NumPy's npz.
+    """Download the basis to make signatures with, as JSON or, on `Accept`, as NumPy's npz.
 
-    Only the whole has an ETag: who holds that one holds every segment. It names the basis, not the
-    revision, and is weak: revisions that share the basis share it, so that a vehicle downloads
-    nothing anew when a drive was added. A harmonic map has one basis for all its segments, and
-    answers with it whichever are asked for.
+    Only the basis of all segments has an ETag. It is the basis's digest, not the revision's, and
+    weak: revisions with the same basis have the same ETag, so that a vehicle need not download it
+    again after a drive was added. A harmonic map has one basis for all its segments, and returns it
+    for any of them.
     """
-    tensor_map = _answering(running, map_slug, revision).localizer.map
+    tensor_map = running.revisions.get(map_slug, revision).localizer.map
     as_npz = _NPZ in accept
     headers = {"Vary": "Accept"}
     if segments is None:
@@ -219,7 +256,7 @@ def get_basis(
     file = io.BytesIO()
     np.savez(
         file,
-        # None of the arrays is called allow_pickle.
+        # None of the arrays is named allow_pickle.
         **basis.arrays(),  # type: ignore[arg-type]
         revision=np.array(basis.revision),
         basis=np.array(basis.digest),
@@ -235,16 +272,10 @@ def get_basis(
 )
 @heavy
 def get_topology(map_slug: MapSlug, running: Running, revision: OneRevision = None) -> TopologyOut:
-    """Show a map as a graph: nodes where segments end and drives meet, edges along streets."""
-    return TopologyOut.from_core(_answering(running, map_slug, revision).localizer.map)
+    """Return a map as a graph: nodes where segments end and drives meet, edges along streets."""
+    return TopologyOut.from_core(running.revisions.get(map_slug, revision).localizer.map)
 
 
 def _is_held(etag: str, if_none_match: str | None) -> bool:
     held = {part.strip().removeprefix("W/") for part in (if_none_match or "").split(",")}
     return etag in held or "*" in held
-
-
-def _answering(running: Running, map_slug: str, revision: str | None) -> Answering:
-    if revision is None:
-        return running.revisions.live(map_slug)
-    return running.revisions.named(map_slug, revision)

@@ -1,17 +1,18 @@
-"""Revisions and bases over the wire."""
+"""Revisions and bases on the wire."""
 
 from datetime import datetime
 from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from app.http.shown import Shown
 from core.encodings.basis import Basis
 from core.parameters import MapParameters
 from core.text import shown
 from storage.catalog import RevisionRecord
 
 
-class RevisionOut(BaseModel):
+class RevisionOut(Shown):
     """One immutable build of a map."""
 
     revision: str = Field(description="Digest of its content.")
@@ -19,30 +20,26 @@ class RevisionOut(BaseModel):
     encoding: str
     scans: int
     segments: int
-    parameters: dict[str, Any] = Field(description="What it was built with.")
+    parameters: dict[str, Any] = Field(description="Of its build.")
     size_bytes: int
     job: str | None
     created_at: datetime
 
     @classmethod
     def from_record(cls, record: RevisionRecord, live_revision: str | None) -> "RevisionOut":
-        """Show a revision's record."""
-        return cls(
+        """Return the model of a revision's record."""
+        return cls.of(
+            record,
             revision=record.digest,
             live=record.digest == live_revision,
-            encoding=record.encoding,
-            scans=record.scans,
-            segments=record.segments,
-            # A name that an earlier version let in is shown with what UTF-8 has of it.
+            # An early version accepted names that are not valid UTF-8.
             parameters={str(shown(k)): shown(v) for k, v in record.parameters.items()},
-            size_bytes=record.size_bytes,
             job=record.job_id,
-            created_at=record.created_at,
         )
 
 
 class LiveIn(BaseModel):
-    """Which revision is to answer from now on."""
+    """The revision to make live."""
 
     model_config = ConfigDict(
         extra="forbid", json_schema_extra={"example": {"revision": "0f" * 32}}
@@ -60,12 +57,12 @@ class SegmentBasisOut(BaseModel):
 
 
 class BasisOut(BaseModel):
-    """What a vehicle needs to make signatures: no place can be read from it."""
+    """What a vehicle needs to make signatures; it contains no places."""
 
     revision: str
     basis: str = Field(
-        description="Digest of the basis: what signatures made with it name. Revisions that share"
-        " the basis share it."
+        description="Digest of the basis, which signatures made with it name. Revisions with the"
+        " same basis have the same digest."
     )
     parameters: dict[str, Any] = Field(
         description="Encoding, sensor, grid, reducer and ranks; of a harmonic map also the image's"
@@ -82,7 +79,7 @@ class BasisOut(BaseModel):
 
     @classmethod
     def from_core(cls, basis: Basis) -> "BasisOut":
-        """Show bases as JSON; a float32 survives it."""
+        """Return the model of bases; JSON keeps each float32 exactly."""
         return cls(
             revision=basis.revision,
             basis=basis.digest,
@@ -91,7 +88,7 @@ class BasisOut(BaseModel):
         )
 
     def to_core(self) -> Basis:
-        """Return the bases, as a vehicle uses them.
+        """Return the bases.
 
         Raises:
             InvalidMap: If they do not fit the parameters.

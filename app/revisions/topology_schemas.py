@@ -1,4 +1,4 @@
-"""A map's graph over the wire."""
+"""A map's graph on the wire."""
 
 import math
 
@@ -10,7 +10,7 @@ from core.scans.pose import Pose
 
 
 class NodeOut(BaseModel):
-    """A node of the graph: where segments end, drives turn or meet."""
+    """A node of the graph: an end or a meeting place of segments."""
 
     node: int
     drive: str
@@ -48,61 +48,43 @@ class TopologyOut(BaseModel):
 
     @classmethod
     def from_core(cls, tensor_map: TensorMap) -> "TopologyOut":
-        """Show a map's graph."""
-        topology = tensor_map.topology
-        along = _along(tensor_map)
-        edges = zip(
-            topology.edge_nodes.tolist(),
-            topology.edge_scans.tolist(),
-            topology.edge_length_m.tolist(),
-            strict=True,
-        )
-        return cls(
-            revision=tensor_map.revision,
-            nodes=[
-                _node(tensor_map, node, row) for node, row in enumerate(topology.node_scan.tolist())
-            ],
-            edges=[
+        """Return the model of a map's graph."""
+        topology, trajectory = tensor_map.topology, tensor_map.trajectory
+        lengths = tensor_map.segment_ends[:, 1] - tensor_map.segment_ends[:, 0]
+        along: list[list[EdgeSegmentOut]] = [[] for _ in range(topology.edges)]
+        for segment, edge in enumerate(topology.edge_of_segment.tolist()):
+            along[edge].append(
+                EdgeSegmentOut(
+                    segment=segment,
+                    reversed=bool(topology.segment_reversed[segment]),
+                    scans=int(lengths[segment]),
+                    relative_error=float(tensor_map.relative_error[segment]),
+                )
+            )
+        nodes = []
+        for node, row in enumerate(topology.node_scan.tolist()):
+            pose = Pose.from_row(trajectory.poses[row])
+            nodes.append(
+                NodeOut(
+                    node=node,
+                    drive=trajectory.drives[trajectory.drive_of_scan[row]],
+                    scan_index=int(trajectory.scan_index[row]),
+                    pose=None if pose is None else PoseOut.from_core(pose),
+                )
+            )
+        edges = []
+        for edge, segments in enumerate(along):
+            first, last = topology.edge_nodes[edge].tolist()
+            length_m = float(topology.edge_length_m[edge])
+            edges.append(
                 EdgeOut(
                     edge=edge,
-                    segment=along[edge][0].segment,
+                    segment=segments[0].segment,
                     nodes=(first, last),
-                    scans=scans,
+                    scans=int(topology.edge_scans[edge]),
                     length_m=None if math.isnan(length_m) else length_m,
-                    relative_error=along[edge][0].relative_error,
-                    segments=along[edge],
+                    relative_error=segments[0].relative_error,
+                    segments=segments,
                 )
-                for edge, ((first, last), scans, length_m) in enumerate(edges)
-            ],
-        )
-
-
-def _along(tensor_map: TensorMap) -> list[list[EdgeSegmentOut]]:
-    topology = tensor_map.topology
-    along: list[list[EdgeSegmentOut]] = [[] for _ in range(topology.edges)]
-    for segment, (edge, turned, (first, last), error) in enumerate(
-        zip(
-            topology.edge_of_segment.tolist(),
-            topology.segment_reversed.tolist(),
-            tensor_map.segment_ends.tolist(),
-            tensor_map.relative_error.tolist(),
-            strict=True,
-        )
-    ):
-        along[edge].append(
-            EdgeSegmentOut(
-                segment=segment, reversed=turned, scans=last - first, relative_error=error
             )
-        )
-    return along
-
-
-def _node(tensor_map: TensorMap, node: int, row: int) -> NodeOut:
-    trajectory = tensor_map.trajectory
-    pose = Pose.from_row(trajectory.poses[row])
-    return NodeOut(
-        node=node,
-        drive=trajectory.drives[trajectory.drive_of_scan[row]],
-        scan_index=int(trajectory.scan_index[row]),
-        pose=None if pose is None else PoseOut.from_core(pose),
-    )
+        return cls(revision=tensor_map.revision, nodes=nodes, edges=edges)

@@ -1,4 +1,4 @@
-"""Tracks: a vehicle's observations, one after another."""
+"""Tracks: the observations of a vehicle, one at a time."""
 
 from http import HTTPStatus
 from typing import Annotated
@@ -16,23 +16,23 @@ from app.localization.routes import (
     IMAGE_TYPE,
     SIGNATURE_TYPE,
     SIGNATURE_TYPES,
-    SensorHeight,
     read_image,
     read_signatures,
 )
 from app.localization.schemas import SignaturesIn
 from app.service import MapSlug, Running, Service
-from app.tracking.schemas import TrackOut, TrackStepOut
+from app.tracking.schemas import ObservationQuery, TrackOut, TrackStepOut
 from app.tracking.tracks import LiveTrack
 from core import errors as core
 from core.encodings.signature import Signature
 from core.localization.localizer import Localizer
-from core.tracking.track import Observation
 from storage import errors as stored
 from storage.formats.errors import EmptyBody
 from storage.formats.scans.registry import read_scan
 
-router = pooled_router(tags=["tracks"], prefix="/maps/{map}/tracks")
+router = pooled_router(
+    tags=["tracks"], prefix="/maps/{map}/tracks", dependencies=[needs(Scope.LOCALIZE)]
+)
 
 TrackId = Annotated[str, Path(alias="track", description="The track's name.")]
 
@@ -45,7 +45,6 @@ _OBSERVATION_TYPES = {
 
 @router.post(
     "",
-    dependencies=[needs(Scope.LOCALIZE)],
     status_code=HTTPStatus.CREATED,
     responses=problems(
         *errors.REVISION,
@@ -67,16 +66,12 @@ def create_track(
         ),
     ] = None,
 ) -> TrackOut:
-    """Begin a track. It stays in one revision, whatever becomes live, until it is idle.
+    """Create a track. It stays in one revision, whatever becomes live, until it is idle.
 
-    Where as many are kept as may be, a key that has less than its share takes the room of a track
-    of the key that has most: the one that was idle for longest is no longer there.
+    At the limit of all tracks, a key with less than its share replaces the track of the key with
+    the most that was idle for longest.
     """
-    answering = (
-        running.revisions.live(map_slug)
-        if revision is None
-        else running.revisions.named(map_slug, revision)
-    )
+    answering = running.revisions.get(map_slug, revision)
     record = running.store.maps.get(map_slug)
     created = running.tracks.create(record.id, caller.key_id, answering.localizer)
     response.headers["Location"] = f"/v1/maps/{map_slug}/tracks/{created.id}"
@@ -85,30 +80,26 @@ def create_track(
 
 @router.get(
     "/{track}",
-    dependencies=[needs(Scope.LOCALIZE)],
     responses=problems(stored.MapNotFound, errors.TrackNotFound, *errors.READING),
 )
 def get_track(map_slug: MapSlug, track_id: TrackId, running: Running) -> TrackOut:
-    """Show a track and its last answer."""
+    """Return a track and its last answer."""
     found, live = track_of(running, map_slug, track_id)
     return TrackOut.from_track(found, map_slug, live, running.tracks.idle_s)
 
 
 @router.delete(
     "/{track}",
-    dependencies=[needs(Scope.LOCALIZE)],
     status_code=HTTPStatus.NO_CONTENT,
     responses=problems(stored.MapNotFound, errors.TrackNotFound, *errors.READING),
 )
 def delete_track(map_slug: MapSlug, track_id: TrackId, running: Running) -> None:
-    """End a track."""
-    found, _ = track_of(running, map_slug, track_id)
-    running.tracks.delete(found.map_id, found.id)
+    """Remove a track."""
+    running.tracks.delete(running.store.maps.get(map_slug).id, track_id)
 
 
 @router.post(
     "/{track}/observations",
-    dependencies=[needs(Scope.LOCALIZE)],
     openapi_extra=described_body(_OBSERVATION_TYPES, SignaturesIn),
     responses=problems(
         stored.MapNotFound,
@@ -132,29 +123,13 @@ def observe(
     track_id: TrackId,
     body: Body,
     running: Running,
+    query: Annotated[ObservationQuery, Query()],
     content_type: ContentType = None,
-    timestamp_s: Annotated[
-        float | None,
-        Query(allow_inf_nan=False, description="By the vehicle's own clock; rises in a track."),
-    ] = None,
-    sequence: Annotated[
-        int | None, Query(ge=0, lt=2**53, description="The observation's number; rises.")
-    ] = None,
-    travelled_m: Annotated[
-        float | None,
-        Query(
-            allow_inf_nan=False,
-            description="Odometry since the last observation, negative backwards.",
-        ),
-    ] = None,
-    sensor_height_m: SensorHeight = None,
 ) -> TrackStepOut:
     """Take the next observation: a scan, an image or signatures."""
     found, live = track_of(running, map_slug, track_id)
-    localizer = found.track.localizer
-    signatures = _signatures(localizer, body, content_type, running, sensor_height_m)
-    observation = Observation(signatures, timestamp_s, sequence, travelled_m)
-    step = found.observe(observation)
+    signatures = _signatures(found.localizer, body, content_type, running, query.sensor_height_m)
+    step = found.observe(query.to_core(signatures))
     running.metrics.localized("track", step.reason)
     return TrackStepOut.from_core(found.id, step, live)
 
@@ -164,7 +139,7 @@ def track_of(running: Service, map_slug: str, track_id: str) -> tuple[LiveTrack,
 
     Raises:
         MapNotFound: If there is no such map.
-        TrackNotFound: If the map has no such track, or no longer.
+        TrackNotFound: If the map has no such track, or it was removed.
     """
     record = running.store.maps.get(map_slug)
     return running.tracks.get(record.id, track_id), record.live_revision

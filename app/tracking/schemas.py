@@ -1,4 +1,4 @@
-"""Tracks over the wire."""
+"""Tracks on the wire."""
 
 import math
 
@@ -7,14 +7,16 @@ from pydantic import Field, field_validator
 from app.drives.pose_schemas import PoseOut
 from app.http.exact_types import Number, integers
 from app.http.shown import Shown
+from app.localization.prior_schemas import SensorHeightIn
 from app.localization.schemas import SignaturesIn
 from app.tracking.tracks import LiveTrack
+from core.encodings.signature import Signature
 from core.tracking.step import Direction, Doubt, TrackStep
 from core.tracking.track import Observation
 
 
 class ObservationIn(SignaturesIn):
-    """One scan's signatures and, if the vehicle knows, when it was and how far it came."""
+    """One scan's signatures and, if known, their time and the odometry since the last one."""
 
     timestamp_s: Number | None = Field(
         None, allow_inf_nan=False, description="By the vehicle's own clock; rises."
@@ -30,21 +32,41 @@ class ObservationIn(SignaturesIn):
         """Return the observation.
 
         Raises:
-            InvalidSignature: If a signature is none.
+            InvalidSignature: If a signature is malformed.
         """
         return Observation(self.to_core(), self.timestamp_s, self.sequence, self.travelled_m)
 
 
-class TrackStepOut(Shown):
-    """Where the vehicle is taken to be.
+class ObservationQuery(SensorHeightIn):
+    """Query parameters of an observation."""
 
-    The likeliest place is told in any case; `localized` says whether to believe it.
+    timestamp_s: float | None = Field(
+        None, allow_inf_nan=False, description="By the vehicle's own clock; rises in a track."
+    )
+    sequence: int | None = Field(
+        None, ge=0, lt=2**53, description="The observation's number; rises."
+    )
+    travelled_m: float | None = Field(
+        None,
+        allow_inf_nan=False,
+        description="Odometry since the last observation, negative backwards.",
+    )
+
+    def to_core(self, signatures: tuple[Signature, ...]) -> Observation:
+        """Return the observation of some signatures."""
+        return Observation(signatures, self.timestamp_s, self.sequence, self.travelled_m)
+
+
+class TrackStepOut(Shown):
+    """The estimated place of the vehicle.
+
+    The most likely place is returned in any case; `localized` says whether it is accepted.
     """
 
     track: str
     revision: str = Field(description="The revision that the track is pinned to.")
     live_revision: str | None = Field(description="The revision that is live now.")
-    observations: int = Field(description="How many the track has seen.")
+    observations: int = Field(description="How many the track has had.")
     localized: bool
     reason: Doubt | None = Field(description="Why not; null if it is.")
     segment: int
@@ -52,11 +74,9 @@ class TrackStepOut(Shown):
         description="Of that segment, as far as the place is right; near a cut two are as likely."
     )
     segment_sure: bool = Field(
-        description="Whether it is told: localized, and that probability is 0.9 or more."
+        description="Whether it is certain: localized, and that probability is 0.9 or more."
     )
-    fraction: float = Field(
-        description="How far along the segment: 0 where it begins, 1 at its end."
-    )
+    fraction: float = Field(description="Position in the segment: 0 at its start, 1 at its end.")
     drive: str
     scan_index: int = Field(description="Of the nearest scan, in that drive.")
     distance: float | None = Field(
@@ -66,9 +86,11 @@ class TrackStepOut(Shown):
         description="Of being within 5 m of that scan, or 5 scans without poses."
     )
     direction: Direction | None = Field(
-        description="Whether its scans are passed as recorded; null while that is not told."
+        description="Whether its scans are passed as recorded; null while that is uncertain."
     )
-    standing: bool = Field(description="Whether the vehicle stands, by its signatures alone.")
+    standing: bool = Field(
+        description="Whether the vehicle is stationary, by its signatures alone."
+    )
     along_sigma_m: float | None = Field(
         description="Standard deviation along the path; null without poses."
     )
@@ -77,14 +99,16 @@ class TrackStepOut(Shown):
     )
     along_sigma_scans: float = Field(description="The same in scans of the map.")
     turn_deg: float | None = Field(
-        description="How far the query is turned from that scan; null in the paper's encoding."
+        description="Relative yaw of the query; null in the paper's encoding."
     )
-    lateral_m: float | None = Field(description="How far to the left of it; null likewise.")
+    lateral_m: float | None = Field(
+        description="Lateral offset, positive to the left of that scan; null likewise."
+    )
     pose: PoseOut | None = Field(description="Where the vehicle is; null without poses.")
 
     @classmethod
     def from_core(cls, track: str, step: TrackStep, live_revision: str | None) -> "TrackStepOut":
-        """Show an answer."""
+        """Return the model of an answer."""
         sigma_m, match = step.along_sigma_m, step.match
         return cls.of(
             step,
@@ -95,6 +119,7 @@ class TrackStepOut(Shown):
             distance=match.distance if math.isfinite(match.distance) else None,
             along_variance_m2=None if sigma_m is None else sigma_m * sigma_m,
             turn_deg=match.relative_yaw_deg,
+            standing=step.stationary,
             lateral_m=match.lateral_m,
         )
 
@@ -106,14 +131,14 @@ class TrackOut(Shown):
     map: str
     revision: str = Field(description="The revision that the track is pinned to.")
     live_revision: str | None = Field(description="The revision that is live now.")
-    idle_s: float = Field(description="How long after its last use it is forgotten.")
+    idle_s: float = Field(description="Time after its last use when it is removed.")
     last: TrackStepOut | None = Field(description="Null before the first observation.")
 
     @classmethod
     def from_track(
         cls, found: LiveTrack, map_slug: str, live_revision: str | None, idle_s: float
     ) -> "TrackOut":
-        """Show a track."""
+        """Return the model of a track."""
         last = found.last
         return cls.of(
             found,

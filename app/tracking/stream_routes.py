@@ -1,4 +1,4 @@
-"""A track over one connection: packed signatures in, answers out."""
+"""A track over one WebSocket: observations in, answers out."""
 
 import asyncio
 from contextlib import ExitStack, suppress
@@ -42,12 +42,12 @@ async def stream(
     map_slug: Annotated[str, Path(alias="map")],
     track_id: Annotated[str, Path(alias="track")],
 ) -> None:
-    """Take observations as they come, and answer each one.
+    """Answer each observation.
 
-    A binary message is packed signatures, a text one is the JSON of `ObservationIn`. An observation
-    that is refused is answered with the problem that HTTP would answer, and the stream goes on. It
-    ends when the track is gone or the key is revoked, which each message finds out, and when no
-    message came for long.
+    A binary message is packed signatures, a text message is the JSON of `ObservationIn`. A refused
+    observation is answered with the problem that HTTP would return, and the stream stays open. It
+    is closed if the track was removed or the key revoked, which is checked with each message, and
+    if no message comes for a time.
     """
     service: Service = websocket.app.state.service
     with ExitStack() as counted:
@@ -90,7 +90,7 @@ async def _next_message(websocket: WebSocket, idle_s: float) -> Message:
             return await websocket.receive()
     except TimeoutError:
         reason = f"no message for {idle_s:g} s"
-        await _close(websocket, status.WS_1001_GOING_AWAY, reason)  # it may come back
+        await _close(websocket, status.WS_1001_GOING_AWAY, reason)  # the client may reconnect
 
 
 async def _close(websocket: WebSocket, code: int, reason: str | None = None) -> NoReturn:
@@ -101,7 +101,7 @@ async def _close(websocket: WebSocket, code: int, reason: str | None = None) -> 
 def _open(
     websocket: WebSocket, service: Service, map_slug: str, track_id: str, counted: ExitStack
 ) -> str:
-    """Return the id of the key that opens a stream, and count it until `counted` is closed."""
+    """Return the id of the stream's key, and count the stream until `counted` is closed."""
     caller = stream_caller(websocket, Scope.LOCALIZE, map_slug=map_slug)
     counted.enter_context(service.streams.opened(caller.key_id, sent_hash(websocket)))
     track_of(service, map_slug, track_id)

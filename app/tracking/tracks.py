@@ -1,7 +1,7 @@
-"""Tracks in memory: vehicles' sequences, each pinned to one revision, forgotten when idle.
+"""Tracks in memory, each of one vehicle in one revision, removed when idle.
 
-Keys share them: each may keep so many, and where all are taken, a key that has less than its share
-takes one of the key that has most.
+The number of all tracks and of each key's is limited. At the limit of all, a key with less than its
+share replaces a track of the key with the most.
 """
 
 import secrets
@@ -9,7 +9,6 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from weakref import WeakValueDictionary
 
 from app.http.errors import TooManyTracks, TooManyTracksOfKey, TrackNotFound
@@ -20,56 +19,38 @@ from core.tracking.track import Observation, Track, Tracker
 _ID_BYTES = 12
 
 
-@dataclass(eq=False)
-class LiveTrack:
-    """A track that is kept.
+class LiveTrack(Track):
+    """A track of the service; safe to share between threads.
 
     Attributes:
         id: Its name, hard to guess.
         map_id: The map it belongs to, whatever its slug becomes.
-        key_id: Of the key that began it.
-        track: The filter; used under the lock.
-        used_s: When it was used last, by the clock of its keeper.
+        key_id: Of the key that created it.
+        used_s: Time of its last use, by the clock of `Tracks`.
     """
 
-    id: str
-    map_id: str
-    key_id: str
-    track: Track
-    used_s: float
-    _lock: threading.Lock = field(default_factory=threading.Lock)
-
-    @property
-    def revision(self) -> str:
-        """The revision that it is pinned to."""
-        return self.track.revision
-
-    @property
-    def last(self) -> TrackStep | None:
-        """The last answer, `None` before the first observation."""
-        return self.track.last
+    def __init__(self, tracker: Tracker, map_id: str, key_id: str, used_s: float) -> None:
+        super().__init__(tracker)
+        self.id = secrets.token_hex(_ID_BYTES)
+        self.map_id = map_id
+        self.key_id = key_id
+        self.used_s = used_s
+        self._lock = threading.Lock()
 
     def observe(self, observation: Observation) -> TrackStep:
-        """Take an observation; those of one track are taken one after another.
-
-        Raises:
-            StaleObservation: If it is not newer than the last one.
-            StaleSignature: If it was made with another revision's bases.
-            UnknownSegment: If the map has no such segment.
-            InvalidSignature: If it is none of this map.
-        """
+        """Take an observation, one at a time; see `Track.observe`."""
         with self._lock:
-            return self.track.observe(observation)
+            return super().observe(observation)
 
 
 class Tracks:
     """All tracks of a service; safe to share between threads.
 
     Args:
-        limit: How many are kept.
-        idle_s: How long one is kept after it was used last.
-        per_key: How many are kept of one key.
-        clock: Seconds that never go back.
+        limit: Most tracks.
+        idle_s: Time after its last use when a track is removed.
+        per_key: Most tracks of one key.
+        clock: Monotonic seconds.
     """
 
     def __init__(
@@ -84,57 +65,55 @@ class Tracks:
         self.idle_s = idle_s
         self._clock = clock
         self._tracks: dict[str, LiveTrack] = {}
-        # What tracks of one revision share lives as long as one of them does.
+        # The tracker of a revision is shared by its tracks, and freed with the last of them.
         self._trackers: WeakValueDictionary[tuple[str, str], Tracker] = WeakValueDictionary()
         self._lock = threading.Lock()
         self._preparing = threading.Lock()
 
     def __len__(self) -> int:
         with self._lock:
-            self._forget_idle()
+            self._remove_idle()
             return len(self._tracks)
 
     def create(self, map_id: str, key_id: str, localizer: Localizer) -> LiveTrack:
-        """Begin a track in the localizer's revision.
+        """Create a track in the localizer's revision.
 
-        Where as many are kept as may be, a key that has less than its share (the limit by how many
-        keys have one) gets the room of the track that was idle for longest, of those of the key
-        that has most.
+        At the limit, a key with less than its share (the limit divided by the number of keys with
+        tracks) replaces the track of the key with the most that was idle for longest.
 
         Raises:
-            TooManyTracksOfKey: If as many of this key are kept as may be.
-            TooManyTracks: If as many are kept as may be, and the key has its share of them.
+            TooManyTracksOfKey: If the key has as many tracks as it may.
+            TooManyTracks: If all keys together have, and this key has its share.
         """
         with self._lock:
-            self._in_the_way(key_id)
+            self._to_evict(key_id)  # before a tracker is made, which takes long
         tracker = self._tracker(map_id, localizer)
         with self._lock:
-            if (evicted := self._in_the_way(key_id)) is not None:
+            if (evicted := self._to_evict(key_id)) is not None:
                 del self._tracks[evicted.id]
-            track_id = secrets.token_hex(_ID_BYTES)
-            created = LiveTrack(track_id, map_id, key_id, Track(tracker), self._clock())
+            created = LiveTrack(tracker, map_id, key_id, self._clock())
             self._tracks[created.id] = created
         return created
 
     def get(self, map_id: str, track_id: str) -> LiveTrack:
-        """Return a track, and keep it for longer.
+        """Return a track and renew its time of use.
 
         Raises:
-            TrackNotFound: If the map has no such track, or no longer.
+            TrackNotFound: If the map has no such track, or it was removed.
         """
         with self._lock:
-            self._forget_idle()
+            self._remove_idle()
             found = self._tracks.get(track_id)
             if found is None or found.map_id != map_id:
                 raise TrackNotFound(
-                    f"there is no track {track_id[:40]!r} of this map; one is forgotten"
+                    f"there is no track {track_id[:40]!r} of this map; a track is removed"
                     f" {self.idle_s:g} s after its last use"
                 )
             found.used_s = self._clock()
             return found
 
     def delete(self, map_id: str, track_id: str) -> None:
-        """End a track.
+        """Remove a track.
 
         Raises:
             TrackNotFound: If the map has no such track.
@@ -151,9 +130,9 @@ class Tracks:
                 tracker = self._trackers[key] = Tracker(localizer)
             return tracker
 
-    def _in_the_way(self, key_id: str) -> LiveTrack | None:
-        """Return the track that has to go for another one of this key, `None` if none has to."""
-        self._forget_idle()
+    def _to_evict(self, key_id: str) -> LiveTrack | None:
+        """Return the track to remove for a new one of this key, `None` if there is room."""
+        self._remove_idle()
         kept = Counter(track.key_id for track in self._tracks.values())
         wait = f"delete one, or wait until one is idle for {self.idle_s:g} s"
         if kept[key_id] >= self._per_key:
@@ -168,7 +147,7 @@ class Tracks:
         of_it = (track for track in self._tracks.values() if track.key_id == most)
         return min(of_it, key=lambda track: track.used_s)
 
-    def _forget_idle(self) -> None:
+    def _remove_idle(self) -> None:
         oldest_s = self._clock() - self.idle_s
         for idle in [t.id for t in self._tracks.values() if t.used_s < oldest_s]:
             del self._tracks[idle]

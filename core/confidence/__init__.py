@@ -1,1 +1,1 @@
-"""Whether a match can be trusted: calibrated probabilities, and the decision they lead to."""
+"""Calibrated probabilities of matches, and the decision to accept or refuse."""

@@ -1,42 +1,43 @@
-"""How far a map's answers can be trusted, learned from its own scans when it was built."""
+"""Calibration: from distances to probabilities, learned from a map's own scans at build time."""
 
 import math
 import operator
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields, replace
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, Self
 
 import numpy as np
 from scipy.special import expit
 
 from core.arrays import FloatArray
+from core.confidence.attributes import Attributes
 from core.confidence.spread import Spread
-from core.errors import InvalidMap, InvalidParameters
+from core.errors import InvalidParameters
 
 MIN_PROBABILITY = 0.5
-"""An answer that is more likely wrong than right is none."""
+"""Default threshold: a match that is more likely wrong than right is refused."""
 
 _MOST_CELLS = 4_000_000  # as of a grid
 _LARGEST = 1e12  # of a coefficient: with any distance that has a logarithm, sums stay finite
-_SURE = 1.0 - 2.0**-53  # the largest float64 below 1: no answer is beyond doubt
+_SURE = 1.0 - 2.0**-53  # the largest float64 below 1: no probability is 1
 
 
 @dataclass(frozen=True)
-class Calibration:
+class Calibration(Attributes):
     """From distances to probabilities, by logistic regressions on logarithms.
 
-    Distances are in the map's own measure, taken as log(distance + `floor`). A query is taken to
-    be as likely in the map as elsewhere, as the scans that this was learned from were.
+    Distances are in the map's own measure, taken as log(distance + `floor`). The prior odds are
+    even: half of the probes that this was fitted to have their place in the map.
 
     Attributes:
-        floor: Added to every distance, above 0: differences below it say nothing.
+        floor: Added to every distance, above 0; differences below it have little effect.
         both: Intercept, slope of the best distance's logarithm and slope of its ratio to the
             runner-up's; slopes are at most 0.
         alone: Intercept and slope where there is no runner-up.
         likelihood: Intercept and slope of the log-likelihood ratio of a single scan's distance.
         threshold: Below this probability an answer is a refusal, 0..1.
-        least_cells: An image with fewer occupied cells shows too little to be localized.
-        spread: How far off right answers are; `None` where poses are unknown.
+        least_cells: An image with fewer occupied cells is refused.
+        spread: Errors of right answers; `None` where poses are unknown.
     """
 
     floor: float
@@ -56,7 +57,7 @@ class Calibration:
                     f"{name} is {values}, wanted {length} numbers within {_LARGEST:g}"
                 )
             if any(slope > 0.0 for slope in values[1:]):
-                raise InvalidParameters(f"{name} is {values}: a greater distance speaks against")
+                raise InvalidParameters(f"{name} is {values}: wanted slopes of at most 0")
         object.__setattr__(self, "floor", float(self.floor))
         object.__setattr__(self, "threshold", float(self.threshold))
         if not (math.isfinite(self.floor) and self.floor > 0.0):
@@ -67,26 +68,21 @@ class Calibration:
         if not 0 <= self.least_cells <= _MOST_CELLS:
             raise InvalidParameters(f"least_cells is {self.least_cells}, wanted 0..{_MOST_CELLS}")
 
-    def with_spread(self, spread: Spread | None) -> "Calibration":
-        """Return this calibration with another spread."""
-        return replace(self, spread=spread)
-
     @staticmethod
     def ratio(distance: FloatArray, runner_up: FloatArray) -> FloatArray:
         """Return the ratios of distances, 1 where the runner-up's is 0."""
         return np.divide(distance, runner_up, out=np.ones_like(distance), where=runner_up > 0)
 
     def probability(self, distance: float, ratio: float | None, share: float = 1.0) -> float:
-        """Return how likely the best match is right, above 0 and below 1.
+        """Return the probability that the best match is right, above 0 and below 1.
 
-        The best of fewer scans is less likely to be as near as that by chance: with a share s of
-        them searched, wrong answers so near are s times as frequent, and the odds 1 / s times as
-        good, up to those of a single scan's likelihood ratio.
+        With a share s of the scans searched, wrong matches this near are s times as frequent, so
+        the odds are divided by s, up to those of a single scan's likelihood ratio.
 
         Args:
             distance: Of the best match, at least 0.
-            ratio: Of it to that of the runner-up away from it, 0..1, `None` without one.
-            share: Of the map's scans, how many came into question; above 0, at most 1.
+            ratio: Of it to the runner-up's, 0..1, `None` without one.
+            share: Of the map's scans that were searched; above 0, at most 1.
 
         Raises:
             InvalidParameters: If one is NaN or out of its range.
@@ -107,7 +103,7 @@ class Calibration:
             odds = self.both[0] + self.both[1] * far + self.both[2] * ratio
         else:
             raise InvalidParameters(f"ratio is {ratio}, wanted 0..1")
-        # A single scan is judged by its own likelihood: no share makes the odds better than that.
+        # The odds of a single scan are its likelihood ratio: no share raises them above that.
         alone = float(self.log_likelihood_ratio(np.array(distance)))
         odds = max(odds, min(odds - math.log(share), alone))
         return min(max(float(expit(odds)), math.ulp(0.0)), _SURE)
@@ -115,41 +111,21 @@ class Calibration:
     def log_likelihood_ratio(self, distances: FloatArray) -> FloatArray:
         """Return log p(d | the query is at this scan) - log p(d | elsewhere), of any shape.
 
-        An infinite distance, of a scan that was not compared, gives minus infinity, or 0 where
-        distances tell nothing at all.
+        The ratio of an infinite distance, of a scan that was not compared, is minus infinity; where
+        the slope is 0, all ratios are the intercept.
         """
         intercept, slope = self.likelihood
         if slope == 0.0:
             return np.full(distances.shape, intercept)
         return np.asarray(intercept + slope * np.log(distances + self.floor))
 
-    def as_attributes(self) -> dict[str, Any]:
-        """Return plain values for a file's attributes."""
-        attributes = {
-            name: list(value) if isinstance(value, tuple) else value
-            for name, value in asdict(self).items()
-        }
-        if self.spread is not None:
-            attributes["spread"] = self.spread.as_attributes()
-        return attributes
-
     @classmethod
-    def from_attributes(cls, attributes: Mapping[str, Any]) -> "Calibration":
-        """Read what `as_attributes` gave.
+    def from_attributes(cls, attributes: Mapping[str, Any]) -> Self:
+        """Read the values of `as_attributes`.
 
         Raises:
-            InvalidMap: If something is missing, unknown or not of its kind.
+            InvalidMap: If a value is missing, unknown or of another type.
         """
-        try:
-            odd = set(attributes) ^ {field.name for field in fields(cls)}
-            if odd:
-                raise ValueError(f"it lacks or should not hold {', '.join(sorted(odd))}")
-            spread = attributes["spread"]
-            return cls(
-                **{
-                    **attributes,
-                    "spread": None if spread is None else Spread.from_attributes(spread),
-                }
-            )
-        except (TypeError, ValueError, OverflowError, InvalidParameters) as error:
-            raise InvalidMap(f"the map's calibration cannot be read: {error}") from error
+        if (spread := attributes.get("spread")) is not None:
+            attributes = {**attributes, "spread": Spread.from_attributes(spread)}
+        return super().from_attributes(attributes)

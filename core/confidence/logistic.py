@@ -1,4 +1,4 @@
-"""Logistic regression that stays finite where classes separate."""
+"""Logistic regression with finite weights for separable classes."""
 
 import numpy as np
 from scipy.special import expit
@@ -10,23 +10,22 @@ _RIDGE = 1.0  # of slopes in standard deviations of their feature, against one s
 
 
 def fit_logistic(features: FloatArray, right: BoolArray, falling: BoolArray) -> FloatArray:
-    """Fit log-odds = w_0 + sum w_i x_i to samples that are right or not.
+    """Fit log-odds = w_0 + sum w_i x_i to right and wrong samples.
 
-    Two things keep it finite where the classes separate. The targets are not 1 and 0 but
-    (n_right + 1) / (n_right + 2) and 1 / (n_wrong + 2), what a uniform prior leaves of them (Platt,
-    1999), and slopes have a ridge.
+    The weights are finite for separable classes too: slopes have a ridge, and the targets are
+    (n_right + 1) / (n_right + 2) and 1 / (n_wrong + 2) as with a uniform prior (Platt, 1999).
 
     Args:
         features: `(n, f)`, finite.
-        right: `(n,)`, both kinds present.
-        falling: `(f,)` features that can only speak against: their slope is at most 0.
+        right: `(n,)`, with at least one right and one wrong sample.
+        falling: `(f,)` which slopes are at most 0.
 
     Returns:
         `(1 + f,)` the intercept and the slopes.
 
     Raises:
-        InvalidParameters: If the shapes do not fit, a feature is not finite, or all samples are of
-            one kind.
+        InvalidParameters: If the shapes differ, a feature is not finite, or all samples are right
+            or all wrong.
 
     Examples:
         >>> distance = np.array([[0.1], [0.2], [0.8], [0.9]])

@@ -1,4 +1,4 @@
-"""Which scans of a map were recorded away from, or close to, one of them."""
+"""Scans that were recorded away from, or close to, a scan of the map."""
 
 import numpy as np
 
@@ -7,11 +7,11 @@ from core.scans.pose import heading_deg
 from core.scans.trajectory import Trajectory
 
 AWAY_M = 10.0
-"""A runner-up stands at least this far from the winner: nearer ones only confirm it."""
+"""A runner-up is at least this far from the best match; nearer scans only confirm it."""
 AWAY_SCANS = 50
 """The same where poses are unknown, in scans of one drive (5 s at 10 Hz)."""
 CLOSE_SCANS = 64
-"""Of the scans around a winner so many say how sharply it stands out."""
+"""How many scans around a best match are compared to estimate its spread along the path."""
 
 
 def away_from(
@@ -34,7 +34,7 @@ def away_from(
 def close_along_m(trajectory: Trajectory, row: int) -> tuple[IntArray, FloatArray] | None:
     """Return the scans within `AWAY_M` of scan `row` and how far ahead of it each was recorded.
 
-    At most `CLOSE_SCANS` of them, evenly spread, and `row` itself: a vehicle that stood there left
+    At most `CLOSE_SCANS` of them, evenly spread, and `row` itself: a stationary vehicle records
     hundreds.
 
     Returns:

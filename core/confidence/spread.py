@@ -1,23 +1,31 @@
-"""How far off an answer that is right may be: along the path, beside it, and in heading."""
+"""Standard deviations of right answers: along the path, across it, and in heading."""
 
 import math
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
-from typing import Any
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from core.arrays import FloatArray
-from core.errors import InvalidMap, InvalidParameters
+from core.confidence.attributes import Attributes
+from core.errors import InvalidParameters
 
 # Deviations and their squares stay finite: a distance over the least typical one is below 1e110.
 _LEAST_TYPICAL, _LARGEST = 1e-30, 1e12
 _LEAST_RELATIVE = 1e-3  # of the errors' root mean square: no standard deviation is 0
 
 
+class Covariance(NamedTuple):
+    """Of a position, in the map's frame."""
+
+    xx_m2: float
+    xy_m2: float
+    yy_m2: float
+
+
 @dataclass(frozen=True)
 class Deviation:
-    """Standard deviations of an estimated place, seen from the vehicle.
+    """Standard deviations of an estimated pose, in the vehicle's axes.
 
     Attributes:
         along_m: Forward and backward.
@@ -29,8 +37,8 @@ class Deviation:
     lateral_m: float
     heading_deg: float
 
-    def covariance_m2(self, heading_deg: float) -> tuple[float, float, float]:
-        """Return xx, xy and yy of the position in the map's frame.
+    def covariance_m2(self, heading_deg: float) -> Covariance:
+        """Return the covariance of the position in the map's frame.
 
         Args:
             heading_deg: Of the vehicle in the map, counter-clockwise from x.
@@ -42,7 +50,7 @@ class Deviation:
         """
         cos, sin = math.cos(math.radians(heading_deg)), math.sin(math.radians(heading_deg))
         along, lateral = self.along_m**2, self.lateral_m**2
-        return (
+        return Covariance(
             along * cos * cos + lateral * sin * sin,
             (along - lateral) * cos * sin,
             along * sin * sin + lateral * cos * cos,
@@ -50,12 +58,12 @@ class Deviation:
 
 
 @dataclass(frozen=True)
-class Spread:
+class Spread(Attributes):
     """Variances as a constant and a part that grows: s^2 = a^2 + (b x)^2.
 
-    Along the path x is how far the scans around the winner that fit the query are spread; beside
-    it and in heading x is the best distance over a typical one, at least 1: that a match nearer
-    than most is more exact than they are is not claimed.
+    Along the path x is the spread of the scans around the best match that fit the query. Across it
+    and in heading x is the best distance divided by a typical one, at least 1: a match nearer than
+    typical is not taken for more exact.
 
     Attributes:
         typical: A right answer's median distance, above 0.
@@ -93,34 +101,12 @@ class Spread:
             math.hypot(self.heading_deg[0], self.heading_deg[1] * far),
         )
 
-    def as_attributes(self) -> dict[str, Any]:
-        """Return plain values for a file's attributes."""
-        return {
-            name: list(value) if isinstance(value, tuple) else value
-            for name, value in asdict(self).items()
-        }
-
-    @classmethod
-    def from_attributes(cls, attributes: Mapping[str, Any]) -> "Spread":
-        """Read what `as_attributes` gave.
-
-        Raises:
-            InvalidMap: If something is missing, unknown or not of its kind.
-        """
-        try:
-            odd = set(attributes) ^ {field.name for field in fields(cls)}
-            if odd:
-                raise ValueError(f"it lacks or should not hold {', '.join(sorted(odd))}")
-            return cls(**attributes)
-        except (TypeError, ValueError, OverflowError, InvalidParameters) as error:
-            raise InvalidMap(f"the map's spread cannot be read: {error}") from error
-
 
 def along_spread_m(along_m: FloatArray, log_likelihood: FloatArray) -> float:
-    """Return how far scans are spread along the path, each weighted by how well it fits.
+    """Return the spread of scans along the path, weighted by their likelihood.
 
     Args:
-        along_m: `(n,)` where the scans stand along the path, at least one.
+        along_m: `(n,)` positions of the scans along the path, at least one.
         log_likelihood: `(n,)` log-likelihood ratios of their distances.
 
     Examples:
@@ -136,7 +122,7 @@ def along_spread_m(along_m: FloatArray, log_likelihood: FloatArray) -> float:
 
 
 def fit_variance(errors: FloatArray, grows: FloatArray) -> tuple[float, float]:
-    """Return a and b under which errors of variance a^2 + (b x)^2 are most likely.
+    """Return the most likely a and b of errors with variance a^2 + (b x)^2.
 
     Args:
         errors: `(n,)` at least one, of mean 0.

@@ -1,4 +1,4 @@
-"""What an encoding is: from images to signatures, bases and a map's model, as one object."""
+"""The interface of an encoding: from images to signatures, bases and a map's model."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
@@ -25,28 +25,28 @@ if TYPE_CHECKING:
 
 
 class Encoding(ABC):
-    """How images become signatures, and how signatures are searched. It has no state.
+    """Encodes images as signatures and searches signatures. It has no state.
 
-    One instance is registered under its name (`core.encodings.registry`); nothing outside of
-    `core.encodings` asks which one it is, but only what this class promises.
+    One instance is registered under its name (`core.encodings.registry`); code outside of
+    `core.encodings` uses this interface and does not check which encoding it has.
 
     Attributes:
-        name: Of the parameters, files and wire.
+        name: In parameters, in files and on the wire.
         reducers: The default reducer of each kind of image that it encodes, its default kind first.
-        wraps: Whether an image's columns must go around.
+        wraps: Whether the last column of an image must be next to the first.
         distance: The default of that parameter, `None` if it has one measure only.
-        lateral_renderings_m: Likewise from where scans are rendered, `None` if they are not.
-        implied_by: Reducers that mean this encoding where none is named.
-        dtypes: Of its own arrays in a map file, by name, `segment_start` left out.
-        layouts: Its layouts of packed signatures, and what they are called.
+        lateral_renderings_m: The default viewpoints of renderings, `None` without renderings.
+        implied_by: Reducers that select this encoding where none is named.
+        dtypes: Of its own arrays in a map file, by name, without `segment_start`.
+        layouts: Names of its layouts of packed signatures.
         packings: How its signatures can be packed, the default first.
         signature_dtype: Of a signature's values.
         per_segment: Whether a signature is made with the bases of one segment.
         shares_basis: Whether all segments share one basis, which other drives' maps can keep.
         fits_to_grams: Whether it is fitted to the detail in each drive's images (`drive_gram`).
-        yaw_invariant: Whether a scan matches whatever the relative yaw of the query.
-        sharper: How much sharper the scans of one drive divide than a calibration's probes do:
-            these are disturbed in several ways at once. Measured on simulated cities.
+        yaw_invariant: Whether a scan matches at any relative yaw of the query.
+        sharper: How much sharper the scans of one drive are separated than a calibration's probes,
+            which are disturbed in several ways at once. Measured on simulated cities.
     """
 
     name: ClassVar[str]
@@ -71,12 +71,12 @@ class Encoding(ABC):
         """Return the reducer of a kind of image where none is named.
 
         Raises:
-            InvalidParameters: If this encoding is not of such images.
+            InvalidParameters: If this encoding does not encode such images.
         """
         if image not in self.reducers:
             raise InvalidParameters(
-                f"the {self.name} encoding is of {', '.join(self.reducers)} images,"
-                f" not of {image} images"
+                f"the {self.name} encoding encodes {', '.join(self.reducers)} images,"
+                f" not {image} images"
             )
         return self.reducers[image]
 
@@ -85,11 +85,11 @@ class Encoding(ABC):
         return grid_shape
 
     def require_parameters(self, parameters: "MapParameters") -> None:
-        """Refuse parameters that are not of this encoding.
+        """Check parameters.
 
         Raises:
-            InvalidParameters: If the image, the grid, the ranks or one of the parameters that not
-                every encoding has do not fit.
+            InvalidParameters: If the image, the grid, the ranks, or a parameter that only some
+                encodings have is not valid in this encoding.
         """
         self.default_reducer(parameters.image)
         if self.wraps and not parameters.grid.wraps:
@@ -97,11 +97,11 @@ class Encoding(ABC):
                 f"a {self.name} map's grid wraps: relative yaw must not have a seam"
             )
         for name in ("distance", "lateral_renderings_m"):
-            wanted, given = getattr(self, name), getattr(parameters, name)
-            if wanted is None and given is not None:
+            default, given = getattr(self, name), getattr(parameters, name)
+            if default is None and given is not None:
                 raise InvalidParameters(f"{name} is no parameter of the {self.name} encoding")
-            if wanted is not None and given is None:
-                raise InvalidParameters(f"a {self.name} map wants {name}")
+            if default is not None and given is None:
+                raise InvalidParameters(f"a {self.name} map needs {name}")
         most = self.largest_ranks(parameters.grid.shape)
         for rank, size, name in zip(parameters.ranks, most, ("r1", "r2"), strict=True):
             if not 1 <= rank <= size:
@@ -126,31 +126,31 @@ class Encoding(ABC):
     ) -> tuple[Model, FloatArray]:
         """Fit the bases and encode every scan.
 
-        The result depends on nothing but the images and the cuts: each segment is summed in blocks
-        that begin at its first scan, and segments in their order.
+        The result depends only on the images and the cuts: each segment is summed in blocks that
+        begin at its first scan, and segments in their order.
 
         Args:
             images: One image a scan of the trajectory, on the parameters' grid.
-            trajectory: Which drive each scan is of.
+            trajectory: The drive of each scan.
             segment_start: `(L + 1,)` rows where segments begin, and K.
             parameters: Ranks and all that queries must share with the map.
             progress: Receives every image of each pass.
             kept: A basis that `serves` these parameters, to keep instead of fitting one.
-            grams: What `drive_gram` gave for every drive, by name, if it is known already.
+            grams: The result of `drive_gram` for every drive, by name, if known.
 
         Returns:
             The model, and `(L,)` |X - X^| / |X| of each segment's images.
 
         Raises:
             InvalidParameters: If the basis or the sums do not fit the parameters or drives.
-            InvalidImage: If the source reads other images than it was asked for.
+            InvalidImage: If the source returns images of another number or shape.
         """
 
     def explaining_grams(self, images: Float32Array) -> tuple[FloatArray, ...]:
         """Return `(n, I, J)` images' Gram matrix for each mode that a segment's model has.
 
-        Unequal segments grow while that model explains them. By default that is the row space,
-        which relative yaw does not change.
+        Unequal segments grow while that model explains them. By default the row space, which
+        relative yaw does not change.
         """
         return (row_gram(images),)
 
@@ -179,14 +179,13 @@ class Encoding(ABC):
         Raises:
             InvalidParameters: If this encoding has no sweep.
         """
-        del images, queries, cuts, ranks, parameters, progress
         raise InvalidParameters(f"ranks of the {self.name} encoding cannot be swept")
 
     # --- Files and wire
 
     @abstractmethod
     def read_model(self, parameters: "MapParameters", arrays: Mapping[str, NDArray[Any]]) -> Model:
-        """Return the model that `Model.arrays` gave.
+        """Return the model of the arrays that `Model.arrays` returned.
 
         Raises:
             InvalidMap: If the arrays do not fit together.
@@ -206,10 +205,10 @@ class Encoding(ABC):
     def read_basis(
         self, revision: str, digest: str, parameters: "MapParameters", values: Mapping[str, Any]
     ) -> Basis:
-        """Return the basis whose `as_values` these are.
+        """Return the basis of values that `Basis.as_values` returned.
 
         Raises:
-            InvalidMap: If they do not fit the parameters or the digest.
+            InvalidMap: If the parameters or the digest are others.
         """
 
     def require_values(self, values: NDArray[Any]) -> None:
@@ -217,7 +216,7 @@ class Encoding(ABC):
         del values
 
     def weighted(self, values: NDArray[Any]) -> NDArray[Any]:
-        """Return `(..., r1, r2)` values whose plain inner product is that of signatures."""
+        """Return `(..., r1, r2)` values with the inner product of signatures as plain product."""
         return values.astype(np.float64)
 
     @abstractmethod
@@ -232,7 +231,7 @@ class Encoding(ABC):
     def unpack(
         self, layout: int, body: bytes, shape: tuple[int, int], revision: str
     ) -> tuple[Signature, ...]:
-        """Read what `pack` gave.
+        """Return the signatures of packed bytes.
 
         Raises:
             InvalidSignature: If the bytes are not of that layout.
@@ -242,12 +241,12 @@ class Encoding(ABC):
     def as_values(self, signature: Signature) -> dict[str, Any]:
         """Return one signature as plain values, its revision left out.
 
-        An encoding that is registered besides ours puts its name under `encoding`.
+        Encodings that are not shipped put their name under `encoding`.
         """
 
     @abstractmethod
     def from_values(self, values: Mapping[str, Any], revision: str) -> Signature:
-        """Return the signature whose `as_values` these are.
+        """Return the signature of values that `as_values` returned.
 
         Raises:
             InvalidSignature: If they are no signature.

@@ -1,4 +1,4 @@
-"""What a vehicle downloads once to make signatures on board."""
+"""The basis that a vehicle downloads once to encode scans on board."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
@@ -7,25 +7,16 @@ from typing import TYPE_CHECKING, Any
 
 from numpy.typing import NDArray
 
-from core.arrays import FloatArray
+from core.arrays import FloatArray, arrays_of
 from core.encodings.signature import Signature
 from core.errors import SensorMismatch
-from core.projection.height_image import HeightImage
-from core.projection.imager import Image, ImageKind
+from core.projection.imager import Image
 from core.scans.scan import Scan
 
 if TYPE_CHECKING:
     from core.parameters import MapParameters
 
-_OF_SIGNATURES = (
-    "encoding",
-    "image",
-    "ranks",
-    "reducer",
-    "sensor",
-    "grid",
-    "sensor_height_m",
-)
+_OF_SIGNATURES = ("encoding", "image", "ranks", "reducer", "sensor", "grid", "sensor_height_m")
 """The parameters that a signature depends on; how signatures are compared is none of them."""
 
 _MUCH_WORSE = 1.02
@@ -39,21 +30,21 @@ def signature_parameters(parameters: "MapParameters") -> dict[str, Any]:
 
 
 def make_same_signatures(one: "MapParameters", other: "MapParameters") -> bool:
-    """Return whether a basis of maps of `one` makes the signatures of maps of `other` too.
+    """Return whether a basis of maps of `one` is valid in maps of `other`.
 
-    It must be one for all segments.
+    All segments must share it.
     """
     return one.encoder.shares_basis and signature_parameters(one) == signature_parameters(other)
 
 
 @dataclass(frozen=True)
 class BasisFit:
-    """How well a basis that was kept fits one drive.
+    """The fit of a kept basis to one drive.
 
     Attributes:
         drive: Its name.
         kept_error: `radial_error` over the renderings of its scans, U kept.
-        refitted_error: The same with U fitted anew to all drives that are at hand.
+        refitted_error: The same with U refitted to all available drives.
     """
 
     drive: str
@@ -62,24 +53,23 @@ class BasisFit:
 
     @property
     def much_worse(self) -> bool:
-        """Whether refitting would be worth asking vehicles to download their basis again."""
+        """Whether refitting is better by more than it costs vehicles to download a new basis."""
         return self.kept_error > _MUCH_WORSE * self.refitted_error
 
     def __str__(self) -> str:
         return (
-            f"the basis that was kept leaves out {self.kept_error:.3f} of the detail of drive"
-            f" {self.drive}, one fitted anew would leave out {self.refitted_error:.3f}"
+            f"the kept basis leaves out {self.kept_error:.3f} of the detail of drive {self.drive},"
+            f" a refitted one would leave out {self.refitted_error:.3f}"
         )
 
 
 @dataclass(frozen=True, eq=False)
 class Basis(ABC):
-    """How one revision makes signatures of scans; no scan's place can be read from it.
+    """Encodes scans as signatures of one revision; it contains no scan's place.
 
     Attributes:
         revision: Digest of the map revision.
-        digest: What names the basis, the same in every revision that has it; signatures made with
-            it name it.
+        digest: Of the basis, the same in every revision that has it; its signatures name it.
         parameters: How scans become images; grid, reducer and sensor.
     """
 
@@ -103,31 +93,27 @@ class Basis(ABC):
             SensorMismatch: If the image is of another kind or on another grid.
         """
 
-    @abstractmethod
     def arrays(self) -> dict[str, NDArray[Any]]:
         """Return every array by its name."""
+        return arrays_of(self)
 
-    @abstractmethod
     def as_values(self) -> dict[str, Any]:
         """Return the arrays as plain values, as `Encoding.read_basis` takes them."""
+        return {name: array.tolist() for name, array in self.arrays().items()}
 
     def fits(self, grams: Mapping[str, FloatArray]) -> tuple[BasisFit, ...]:
         """Compare this basis with one fitted to all of these drives, drive by drive.
 
         Args:
-            grams: What `core.encodings.grams.drive_gram` gave for each drive, by name.
+            grams: The result of `core.encodings.grams.drive_gram` for each drive, by name.
 
         Returns:
-            Nothing if the encoding fits its basis to no drive.
+            Nothing if the encoding does not fit its basis to drives.
         """
-        del grams
         return ()
 
     def serves(self, parameters: "MapParameters") -> bool:
-        """Return whether a map of these parameters can keep this basis.
-
-        Signatures made with it then stay good.
-        """
+        """Return whether a map of these parameters can keep this basis and its signatures."""
         return make_same_signatures(self.parameters, parameters)
 
     def image(self, scan: Scan, sensor_height_m: float | None = None) -> Image:
@@ -144,10 +130,9 @@ class Basis(ABC):
 
     def require_grid(self, image: Image) -> None:
         """Raise `SensorMismatch` unless the image is of this map's kind and on its grid."""
-        kind = ImageKind.HEIGHT if isinstance(image, HeightImage) else ImageKind.RANGE
-        if kind != self.parameters.image:
+        if image.kind != self.parameters.image:
             raise SensorMismatch(
-                f"the image is a {kind} image, the map is of {self.parameters.image} images"
+                f"the image is a {image.kind} image, the map is of {self.parameters.image} images"
             )
         if image.grid != self.parameters.grid:
             raise SensorMismatch(f"the image is on {image.grid}, the map on {self.parameters.grid}")

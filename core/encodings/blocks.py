@@ -1,4 +1,4 @@
-"""Images read block by block, so that a build never holds them all."""
+"""Images read block by block, so that a build never has all of them in memory."""
 
 from collections.abc import Iterator
 

@@ -1,10 +1,10 @@
-"""How far apart two harmonic signatures are."""
+"""The distance of two harmonic signatures."""
 
 from enum import StrEnum
 
 
 class Distance(StrEnum):
-    """How far apart two harmonic signatures g and G are, `max` their best correlation.
+    """The distance of two harmonic signatures g and G, `max` being their best correlation.
 
     `plain` is |g|^2 + |G|^2 - 2 max, `normalised` 1 - max / (|g| |G|).
     """

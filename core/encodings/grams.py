@@ -1,4 +1,4 @@
-"""What a radial basis is fitted to: the detail in each drive's images, which adds over drives."""
+"""The Gram matrix of the detail in each drive's images, to which a radial basis is fitted."""
 
 from collections.abc import Mapping
 
@@ -19,11 +19,11 @@ _TIES = 1e-6  # of the whole image's Gram: it decides where an image has no deta
 def detail_gram(images: Float32Array | FloatArray) -> FloatArray:
     """Return the Gram matrix whose leading eigenvectors are U, of `(n, I, J)` images, `(I, I)`.
 
-    It is S S^T without the waves longer than 24 degrees. Broad waves hold the most energy: heights
-    of rings that every street has. A basis that is fitted to them describes all places alike; one
-    that is fitted to edges and poles keeps the rings by which places differ, and its signatures
-    tell them apart though they hold broad waves only. The sum is additive over images, and turning
-    an image leaves it as it is, but for rounding.
+    It is S S^T without the waves longer than 24 degrees. Broad waves have the most energy: heights
+    of rings that every street has. A basis fitted to them describes all places alike; one fitted to
+    edges and poles keeps the rings in which places differ, and its signatures differ too, although
+    they contain broad waves only. The sum is additive over images and does not depend on their yaw,
+    but for rounding.
 
     Examples:
         >>> edge, even = np.zeros((2, 1, 2, 360))
@@ -46,13 +46,13 @@ def drive_gram(
     """Return `detail_gram` of the images, or all renderings, of one drive, `(I, I)`.
 
     It is summed in blocks that begin at the drive's first scan, so it is the same to the bit
-    whether the drive is read alone or among others, and by whichever worker.
+    whether the drive is read alone or among others, and in any worker.
 
     Args:
         images: Of one or more drives.
         start: Row of the drive's first scan.
         end: Row after its last.
-        progress: Told of every scan.
+        progress: Receives every scan.
 
     Raises:
         InvalidImage: If the source reads images of another shape than its grid's.
@@ -71,8 +71,8 @@ def drive_gram(
 def sum_of_grams(grams: Mapping[str, FloatArray]) -> FloatArray:
     """Return the sum over drives, added in the order of their names.
 
-    Floating-point sums depend on their order; this one does not depend on that in which drives
-    were put into the map or workers were done.
+    Floating-point sums depend on their order; this one does not depend on the order of drives in
+    the map or of workers.
 
     Examples:
         >>> one, two, three = (np.full((1, 1), x) for x in (0.1, 0.2, 0.3))
@@ -97,7 +97,7 @@ def fit_radial_basis(grams: Mapping[str, FloatArray], rank: int) -> Float32Array
 
 
 def radial_error(gram: FloatArray, u: Float32Array | FloatArray) -> float:
-    """Return the share of the detail in all images that were summed that U leaves out, 0..1.
+    """Return the share of the detail in all summed images that U leaves out, 0..1.
 
     |D - U U^T D| / |D|, D being the images without their broad waves.
 

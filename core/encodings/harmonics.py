@@ -1,4 +1,4 @@
-"""Circular harmonics in azimuth: what a harmonic signature is made of."""
+"""Circular harmonics in azimuth, the columns of a harmonic signature."""
 
 from typing import Any
 
@@ -24,7 +24,7 @@ def azimuth_factor(columns: int, r2: int) -> ComplexArray:
 
 
 def weights(columns: int, r2: int) -> FloatArray:
-    """Return w_m, `(r2,)`: a harmonic stands for its conjugate too, but 0 and J/2 have none.
+    """Return w_m, `(r2,)`: a harmonic counts for its conjugate too, but 0 and J/2 have none.
 
     With them |G|^2 = sum_m w_m sum_r |G_rm|^2 is the energy that the encoding keeps of an image.
 

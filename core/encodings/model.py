@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from core.arrays import BoolArray, FloatArray, IntArray, frozen
+from core.arrays import BoolArray, FloatArray, IntArray, arrays_of, frozen
 from core.encodings.basis import Basis
 from core.encodings.signature import Signature
 from core.errors import InvalidMap, UnknownSegment
@@ -29,8 +29,8 @@ class Neighbours:
         rows: `(n,)` their rows in the map.
         distances: `(n,)` between the signatures.
         relative_yaw_deg: `(n,)` of the query to each scan, counter-clockwise, -180..180; NaN where
-            the encoding does not give it.
-        lateral_m: `(n,)` how far to the left of each scan the query was made, NaN likewise.
+            the encoding does not estimate it.
+        lateral_m: `(n,)` lateral offset of the query from each scan, NaN likewise.
     """
 
     rows: IntArray
@@ -40,7 +40,7 @@ class Neighbours:
 
     @classmethod
     def of_distances(cls, rows: IntArray, distances: FloatArray) -> "Neighbours":
-        """Return neighbours of which nothing but the distance is known."""
+        """Return neighbours of which only the distance is known."""
         unknown = np.full(len(rows), np.nan)
         return cls(rows, distances, unknown, unknown)
 
@@ -48,17 +48,12 @@ class Neighbours:
         return len(self.rows)
 
     def __getitem__(self, chosen: slice | IntArray | BoolArray) -> "Neighbours":
-        return Neighbours(
-            self.rows[chosen],
-            self.distances[chosen],
-            self.relative_yaw_deg[chosen],
-            self.lateral_m[chosen],
-        )
+        return Neighbours(*(values[chosen] for values in vars(self).values()))
 
 
 @dataclass(frozen=True, eq=False)
 class Viewpoints:
-    """How a query compares with every virtual viewpoint of some scans.
+    """The comparison of a query with every virtual viewpoint of some scans.
 
     Attributes:
         distances: `(n, D)`.
@@ -72,12 +67,13 @@ class Viewpoints:
 
 
 class Search(ABC):
-    """One query, ready to be compared with the scans of a map."""
+    """One query, ready to be compared with the scans of a map.
 
-    @property
-    @abstractmethod
-    def segments(self) -> tuple[int, ...]:
-        """The segments that are searched, rising."""
+    Attributes:
+        segments: The segments that are searched, rising.
+    """
+
+    segments: tuple[int, ...]
 
     @abstractmethod
     def nearest(self, k: int, among: BoolArray | None = None) -> Neighbours:
@@ -101,38 +97,29 @@ class Search(ABC):
     def viewpoints(self, rows: IntArray) -> Viewpoints | None:
         """Return the comparison with all viewpoints of some scans, `None` if they have only one.
 
-        A match is refined by it: where the query was made, between viewpoints and scans.
+        It refines the pose of a match, between viewpoints and scans.
         """
-        del rows
         return None
 
 
+@dataclass(frozen=True, eq=False)
 class DistanceSearch(Search):
     """A search of which all distances are known.
 
-    Args:
-        segments: Those that are searched, rising.
-        rows: `(n,)` rows of their scans.
+    Attributes:
+        rows: `(n,)` rows of the segments' scans.
         distances_of_rows: `(n,)` in the Frobenius norm.
         scans: K, how many the map has.
     """
 
-    def __init__(
-        self, segments: tuple[int, ...], rows: IntArray, distances_of_rows: FloatArray, scans: int
-    ) -> None:
-        self._segments = segments
-        self._rows = rows
-        self._distances = distances_of_rows
-        self._scans = scans
-
-    @property
-    def segments(self) -> tuple[int, ...]:
-        """The segments that are searched, rising."""
-        return self._segments
+    segments: tuple[int, ...]
+    rows: IntArray
+    distances_of_rows: FloatArray
+    scans: int
 
     def nearest(self, k: int, among: BoolArray | None = None) -> Neighbours:
         """Return the `k` nearest scans, nearest first."""
-        rows, distances = self._rows, self._distances
+        rows, distances = self.rows, self.distances_of_rows
         if among is not None:
             kept = among[rows]
             rows, distances = rows[kept], distances[kept]
@@ -141,8 +128,8 @@ class DistanceSearch(Search):
 
     def distances(self, among: BoolArray | None = None) -> FloatArray:
         """Return the distance of each scan, `(K,)`, infinite outside `among` or these segments."""
-        distances = np.full(self._scans, np.inf)
-        distances[self._rows] = self._distances
+        distances = np.full(self.scans, np.inf)
+        distances[self.rows] = self.distances_of_rows
         return distances if among is None else np.where(among, distances, np.inf)
 
 
@@ -200,12 +187,12 @@ class Model(ABC):
 
     @property
     def gives_relative_yaw(self) -> bool:
-        """Whether a match says how far the query is turned relative to its scan."""
+        """Whether a match has a relative yaw."""
         return False
 
-    @abstractmethod
     def arrays(self) -> dict[str, NDArray[Any]]:
         """Return every array by its name in the file."""
+        return arrays_of(self)
 
     @abstractmethod
     def search(self, signatures: Sequence[Signature]) -> Search:
@@ -218,13 +205,13 @@ class Model(ABC):
 
     @abstractmethod
     def search_values(self, values: NDArray[Any]) -> Search:
-        """Compare an image that the basis of all segments projected: nothing is checked."""
+        """Compare an image that the basis of all segments projected, without checks."""
 
     @abstractmethod
     def own_queries(
         self, rows: Iterable[int], named: str, segments: IntArray | None = None
     ) -> Iterator[tuple[Signature, ...]]:
-        """Yield for each row the signatures of a query at that scan, as far as the map has them.
+        """Yield for each row the signatures of a query at that scan, as far as the map gives them.
 
         Args:
             rows: Of the map.
@@ -234,17 +221,17 @@ class Model(ABC):
 
     @abstractmethod
     def basis_digests(self, parameters: "MapParameters") -> tuple[str, ...]:
-        """Return what names the bases that this map has, 64 hexadecimal digits each."""
+        """Return the digests of the bases that this map has, 64 hexadecimal digits each."""
 
     @abstractmethod
     def basis(
         self, revision: str, digest: str, parameters: "MapParameters", segments: IntArray
     ) -> Basis:
-        """Return what makes signatures; in an encoding of one basis, that of all segments."""
+        """Return the basis of some segments; in an encoding of one basis, that of all segments."""
 
     @abstractmethod
     def select(self, rows: IntArray, segments: IntArray, segment_start: IntArray) -> Self:
-        """Return the model of some scans: all those of some segments, which stay as they are."""
+        """Return the model of some scans, all those of some segments, unchanged."""
 
     @abstractmethod
     def joined(self, others: Sequence[Self], segment_start: IntArray) -> Self:
@@ -267,7 +254,7 @@ class Model(ABC):
 
 
 def require_sane(bases: Mapping[str, NDArray[Any]], signatures: NDArray[Any]) -> None:
-    """Refuse numbers that no build makes, and with which no distance is finite.
+    """Reject numbers that no build computes, and with which no distance is finite.
 
     Raises:
         InvalidMap: If one is not finite or too large.

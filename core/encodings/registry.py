@@ -1,7 +1,5 @@
-"""The encodings by name: the paper's, the harmonic one, and whatever registers itself."""
+"""The encodings by name: the paper's, the harmonic one, and those that are registered."""
 
-from collections.abc import Callable
-from functools import cache
 from importlib import import_module
 from typing import TYPE_CHECKING
 
@@ -15,50 +13,42 @@ DEFAULT_ENCODING = "harmonic"
 """Of what is built without naming one: docs/decisions/0010-harmonic-encoding.md."""
 
 
-def _in(module: str) -> Callable[[], "Encoding"]:
-    """Return what imports an encoding of ours when it is first used: commands begin sooner."""
-
-    @cache
-    def load() -> "Encoding":
-        found: Encoding = import_module(module).ENCODING
-        return found
-
-    return load
-
-
-_known: dict[str, Callable[[], "Encoding"]] = {
-    "paper": _in("core.encodings.paper"),
-    "harmonic": _in("core.encodings.harmonic"),
+_MODULES = {
+    "paper": "core.encodings.paper.encoding",
+    "harmonic": "core.encodings.harmonic.encoding",
 }
+"""Where the shipped encodings are; imported at the first use, so that commands start sooner."""
+
+_registered: dict[str, "Encoding"] = {}
 
 
 def register(encoding: "Encoding") -> None:
-    """Make an encoding known by its name, in this process and those forked from it.
+    """Register an encoding under its name, in this process and those forked from it.
 
     Raises:
-        InvalidParameters: If there is one of that name, or one of its layouts is another's.
+        InvalidParameters: If the name, or one of its layouts, is already in use.
     """
-    if encoding.name in _known:
+    if encoding.name in encoding_names():
         raise InvalidParameters(f"there is an encoding {encoding.name!r} already")
     for name in encoding_names():
         if taken := encoding_named(name).layouts.keys() & encoding.layouts.keys():
             raise InvalidParameters(f"layout {min(taken)} of packed signatures is that of {name}")
-    _known[encoding.name] = lambda: encoding
+    _registered[encoding.name] = encoding
 
 
 def unregister(name: str) -> None:
-    """Forget an encoding that `register` made known."""
-    del _known[name]
+    """Remove a registered encoding."""
+    del _registered[name]
 
 
 def encoding_names() -> tuple[str, ...]:
-    """Return the names of all known encodings, ours first.
+    """Return the names of all encodings, the shipped ones first.
 
     Examples:
         >>> encoding_names()[:2]
         ('paper', 'harmonic')
     """
-    return tuple(_known)
+    return (*_MODULES, *_registered)
 
 
 def encoding_named(name: str) -> "Encoding":
@@ -71,9 +61,12 @@ def encoding_named(name: str) -> "Encoding":
         >>> encoding_named("paper").name
         'paper'
     """
-    if name not in _known:
-        raise InvalidParameters(f"encoding is {name!r:.80}, wanted {', '.join(_known)}")
-    return _known[name]()
+    if name in _MODULES:
+        shipped: Encoding = import_module(_MODULES[name]).ENCODING
+        return shipped
+    if name not in _registered:
+        raise InvalidParameters(f"encoding is {name!r:.80}, wanted {', '.join(encoding_names())}")
+    return _registered[name]
 
 
 def encoding_of_layout(layout: int) -> "Encoding":
@@ -83,7 +76,7 @@ def encoding_of_layout(layout: int) -> "Encoding":
         InvalidSignature: If there is none; lists the known ones.
     """
     known: dict[int, str] = {}
-    for name in _known:
+    for name in encoding_names():
         encoding = encoding_named(name)
         if layout in encoding.layouts:
             return encoding
@@ -102,5 +95,6 @@ def encoding_with(reducer: Reducer | None) -> str:
         ('harmonic', 'paper')
     """
     return next(
-        (name for name in _known if reducer in encoding_named(name).implied_by), DEFAULT_ENCODING
+        (name for name in encoding_names() if reducer in encoding_named(name).implied_by),
+        DEFAULT_ENCODING,
     )

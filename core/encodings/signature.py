@@ -1,4 +1,4 @@
-"""A signature as a value: what a vehicle sends instead of its scan, and its packing."""
+"""A signature, which a vehicle sends instead of its scan, and its packing."""
 
 import re
 import struct
@@ -13,8 +13,7 @@ from core.encodings.registry import encoding_named, encoding_of_layout
 from core.errors import InvalidSignature
 
 REVISION_PREFIX_BYTES = 8
-"""How much of the digest of a basis or revision a packed query carries: 64 bits name one among
-billions."""
+"""Of the digest of a basis or revision in a packed query: 64 bits are unique among billions."""
 
 _HEADER = struct.Struct("<B8sBB")  # layout, revision prefix, r1, r2
 HEADER_BYTES = _HEADER.size
@@ -36,10 +35,10 @@ class Signature:
 
     Attributes:
         values: `(r1, r2)`, finite; float32, or complex64 with a real first column if harmonic.
-        segment: Whose bases made it; in another segment's the numbers say nothing. `None` if the
-            basis is the whole map's.
-        revision: Digest (or its first digits) of the basis that made it, or of a map revision
-            that holds it: two digests are never the same, so one field names either.
+        segment: The segment of its bases, only with which it is comparable. `None` if the basis is
+            the whole map's.
+        revision: Digest (or its first digits) of its basis, or of a map revision that has it: no
+            two digests are equal, so one field names either.
         encoding: Its name; by default the paper's with a segment, the harmonic one without.
     """
 
@@ -54,17 +53,17 @@ class Signature:
         encoding = encoding_named(self.encoding)
         dtype = encoding.signature_dtype
         if dtype.kind != "c" and np.iscomplexobj(self.values):
-            raise InvalidSignature("complex values are harmonic, and of no segment")
+            raise InvalidSignature("complex values are harmonic, without a segment")
         if encoding.per_segment != (self.segment is not None):
             wanted = "a" if encoding.per_segment else "no"
-            raise InvalidSignature(f"a {self.encoding} signature is of {wanted} segment")
-        # Beyond float32 is infinite, and a signalling NaN is a NaN: both are refused below.
+            raise InvalidSignature(f"a {self.encoding} signature has {wanted} segment")
+        # Beyond float32 is infinite, and a signalling NaN is a NaN: both are rejected below.
         with np.errstate(over="ignore", invalid="ignore"):
             values = np.asarray(self.values, dtype=dtype)
         if values.ndim != 2 or values.size == 0:
             raise InvalidSignature(f"values has shape {values.shape}, wanted (r1, r2)")
         if not np.isfinite(values).all():
-            raise InvalidSignature("values holds numbers that are not finite")
+            raise InvalidSignature("values has numbers that are not finite")
         encoding.require_values(values)
         if self.segment is not None and not 0 <= self.segment <= _MAX_SEGMENT:
             raise InvalidSignature(f"segment is {self.segment}, wanted 0..{_MAX_SEGMENT}")
@@ -75,9 +74,9 @@ def pack_signatures(signatures: Sequence[Signature], packing: Packing | None = N
     """Pack signatures of one revision for the wire.
 
     11 bytes of header; then for the paper's signatures 2 + 2 r1 r2 bytes each, the values rounded
-    to float16 (one part in 2048) or, if one is beyond float16's range, kept as float32. A harmonic
-    one is r1 (2 r2 - 1) numbers: by default a scale and one byte each (`int8`, the whole root of
-    a number, 127 of the largest), or two (`float16`). Layout: docs/reference/signature.md.
+    to float16 (one part in 2048) or, if one is beyond float16's range, in float32. A harmonic one
+    is r1 (2 r2 - 1) numbers: by default a scale and one byte each (`int8`, the rounded root of a
+    number, 127 for the largest), or two (`float16`). Layout: docs/reference/signature.md.
 
     Args:
         signatures: At least one.
@@ -122,13 +121,13 @@ def _revision_prefix(revision: str) -> bytes:
 
 
 def unpack_signatures(body: bytes) -> tuple[Signature, ...]:
-    """Read what `pack_signatures` wrote; `revision` holds the 16 digits that were sent.
+    """Return packed signatures; `revision` is the 16 digits that were sent.
 
     Raises:
         InvalidSignature: If the bytes are not of that layout.
     """
     if len(body) < _HEADER.size:
-        raise InvalidSignature(f"{len(body)} bytes came, the header alone has {_HEADER.size}")
+        raise InvalidSignature(f"{len(body)} bytes came, wanted {_HEADER.size} or more")
     layout, prefix, r1, r2 = _HEADER.unpack_from(body)
     encoding = encoding_of_layout(layout)
     if r1 == 0 or r2 == 0:

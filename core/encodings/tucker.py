@@ -18,7 +18,7 @@ from core.errors import InvalidParameters
 
 @dataclass(frozen=True, eq=False)
 class Grams:
-    """What a model needs to know of a set of images; sums over disjoint sets add.
+    """Gram matrices of a set of images, which add over disjoint sets.
 
     Attributes:
         elevation: `(I, I)`, the sum of S S^T.
@@ -57,9 +57,7 @@ class Grams:
 
     def __add__(self, other: "Grams") -> "Grams":
         return Grams(
-            self.elevation + other.elevation,
-            self.azimuth + other.azimuth,
-            self.scans + other.scans,
+            self.elevation + other.elevation, self.azimuth + other.azimuth, self.scans + other.scans
         )
 
     @property
@@ -71,7 +69,7 @@ class Grams:
 def row_gram(images: Float32Array | FloatArray) -> FloatArray:
     """Return the sum of S S^T of `(n, I, J)` images, `(I, I)`, summed in float64.
 
-    It is additive over images, its trace is |X|^2, and turning an image leaves it as it is.
+    It is additive over images, its trace is |X|^2, and it does not depend on yaw.
     """
     total = np.zeros((images.shape[1], images.shape[1]))
     for block in _blocks(images):
@@ -114,7 +112,7 @@ def project(images: Float32Array | FloatArray, u: FloatArray, v: FloatArray) -> 
 def relative_error(squared_norm: float, signatures: Float32Array | FloatArray) -> float:
     """Return |X - X^| / |X| from |X|^2 and the core tensor; the bases are orthonormal.
 
-    Floating-point sums may make |G| exceed |X| by a rounding, which counts as no error.
+    By rounding |G| may exceed |X|, which counts as no error.
     """
     if squared_norm <= 0.0:
         return 0.0
@@ -125,7 +123,7 @@ def relative_error(squared_norm: float, signatures: Float32Array | FloatArray) -
 def storage_elements(
     segments: int, scans: int, grid_shape: tuple[int, int], ranks: tuple[int, int]
 ) -> int:
-    """Return L(I r1 + J r2) + K r1 r2, the numbers a TensorMap holds (paper, sec. 2.4).
+    """Return L(I r1 + J r2) + K r1 r2, the size of a TensorMap in numbers (paper, sec. 2.4).
 
     Examples:
         >>> storage_elements(5, 3800, (30, 361), (5, 5))

@@ -1,1 +1,1 @@
-"""How well a map answers, by the paper's protocol and the field's."""
+"""Evaluation of maps and methods, by the paper's protocol and the field's."""

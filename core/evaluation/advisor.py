@@ -1,4 +1,4 @@
-"""Which {r1, r2, k} to take, and how far the evidence carries (paper, sec. 3.2).
+"""Which {r1, r2, k} to take, and how strong the evidence is (paper, sec. 3.2).
 
 The paper looks for the parameters of "highest accuracy, while being efficient in terms of the
 storage requirements". As a rule: of all candidates whose accuracy on held-out scans is within one
@@ -15,13 +15,14 @@ from enum import StrEnum
 from core.errors import InvalidParameters
 from core.evaluation.plain import Plain
 from core.evaluation.sweep import SweepPoint
+from core.numbers import require_above
 
-FEWEST_JUDGED = 30
+FEWEST_QUERIES = 30
 """With fewer held-out scans one standard error at 90 % is more than 5 points."""
 
 
 class Decision(StrEnum):
-    """How far the evidence carries."""
+    """How strong the evidence is."""
 
     DECIDED = "decided"
     SIZE_ONLY = "size_only"
@@ -31,7 +32,7 @@ class Decision(StrEnum):
 
 @dataclass(frozen=True)
 class Axis:
-    """What the evidence says of one parameter, the other two as recommended.
+    """The evidence on one parameter, the other two as recommended.
 
     Attributes:
         name: `r1`, `r2` or `k`.
@@ -56,17 +57,17 @@ class Advice(Plain):
     """A recommendation and its reasons.
 
     Attributes:
-        verdict: How far the evidence carries.
+        verdict: How strong the evidence is.
         recommended: The smallest candidate within one standard error of the best that larger ranks
             confirm, `None` if none fits the budget.
         best: The most accurate candidate that fits, the smallest among equals.
         standard_error: Of the best one's accuracy.
-        judged: Held-out scans that were judged.
+        judged: Held-out scans that count.
         fitting: How many candidates fit the budget.
         tied: How many of them are within one standard error of the best.
         max_bytes_per_scan: The budget, `None` without one.
         smallest_bytes_per_scan: Of all candidates.
-        axes: What the evidence says of r1, r2 and k.
+        axes: The evidence on r1, r2 and k.
         reasons: The same in sentences.
     """
 
@@ -107,9 +108,9 @@ def advise(
     the one of longer segments, which the paper prefers, then of smaller ranks.
 
     Args:
-        points: The candidates; those of one segment only count if there are no others,
-            since a map of one segment says nothing of where along the way the vehicle is.
-        judged: Held-out scans behind each accuracy.
+        points: The candidates; those of one segment count only if there are no others: a map of one
+            segment does not say where along the drive the vehicle is.
+        judged: How many held-out scans each accuracy is of.
         max_bytes_per_scan: Leave out candidates that are larger.
 
     Raises:
@@ -117,8 +118,7 @@ def advise(
     """
     if not points:
         raise InvalidParameters("there is no candidate to recommend")
-    if max_bytes_per_scan is not None and not max_bytes_per_scan > 0:
-        raise InvalidParameters(f"max_bytes_per_scan is {max_bytes_per_scan}, wanted above 0")
+    require_above(0, max_bytes_per_scan=max_bytes_per_scan)
     candidates = [p for p in points if p.segments > 1] or list(points)
     smallest = min(p.bytes_per_scan for p in candidates)
     budget = math.inf if max_bytes_per_scan is None else max_bytes_per_scan
@@ -138,7 +138,9 @@ def advise(
     )
     if not fitting:
         return replace(advice, reasons=_reasons(advice, ()))
-    ordered = sorted(fitting, key=_smallest_first)
+    ordered = sorted(
+        fitting, key=lambda p: (p.elements, -p.mean_accuracy, -p.segment_length, p.ranks)
+    )
     best = max(ordered, key=lambda p: p.mean_accuracy)  # the first, so the smallest, of equals
     error = standard_error(best.mean_accuracy, judged)
     bar = best.mean_accuracy - error - 1e-12
@@ -149,10 +151,10 @@ def advise(
         for p in ordered
         if p.mean_accuracy < bar and p.bytes_per_scan <= recommended.bytes_per_scan
     ]
-    verdict = Decision.DECIDED if ruled_out else Decision.SIZE_ONLY
+    decision = Decision.DECIDED if ruled_out else Decision.SIZE_ONLY
     advice = replace(
         advice,
-        verdict=Decision.TOO_FEW if judged < FEWEST_JUDGED else verdict,
+        verdict=Decision.TOO_FEW if judged < FEWEST_QUERIES else decision,
         recommended=recommended,
         best=best,
         standard_error=error,
@@ -160,10 +162,6 @@ def advise(
         axes=_axes(ordered, recommended, bar),
     )
     return replace(advice, reasons=_reasons(advice, ruled_out))
-
-
-def _smallest_first(point: SweepPoint) -> tuple[float, float, int, tuple[int, int]]:
-    return point.elements, -point.mean_accuracy, -point.segment_length, point.ranks
 
 
 def _supported(
@@ -174,15 +172,14 @@ def _supported(
     Neighbours beyond the budget count too. If there is none, the best one is returned alone.
     """
     at = {(p.segment_length, p.ranks): p.mean_accuracy for p in candidates}
-    r1 = sorted({p.ranks[0] for p in candidates})
-    r2 = sorted({p.ranks[1] for p in candidates})
 
-    def above(values: Sequence[int], rank: int) -> int:
-        return next((v for v in values if v > rank), rank)
+    def above(axis: int, rank: int) -> int:
+        return min((p.ranks[axis] for p in candidates if p.ranks[axis] > rank), default=rank)
 
     def is_supported(p: SweepPoint) -> bool:
-        more = ((above(r1, p.ranks[0]), p.ranks[1]), (p.ranks[0], above(r2, p.ranks[1])))
-        return all(at.get((p.segment_length, ranks), 1.0) >= bar for ranks in more)
+        r1, r2 = p.ranks
+        larger = ((above(0, r1), r2), (r1, above(1, r2)))
+        return all(at.get((p.segment_length, ranks), 1.0) >= bar for ranks in larger)
 
     supported = [p for p in tied if is_supported(p)]
     return supported or [max(tied, key=lambda p: p.mean_accuracy)]
@@ -195,11 +192,8 @@ def _axes(ordered: Sequence[SweepPoint], chosen: SweepPoint, bar: float) -> tupl
     own = values(chosen)
     axes = []
     for axis, name in enumerate(("r1", "r2", "k")):
-        along = [
-            p
-            for p in ordered
-            if all(values(p)[other] == own[other] for other in range(3) if other != axis)
-        ]
+        others = [other for other in range(3) if other != axis]
+        along = [p for p in ordered if all(values(p)[other] == own[other] for other in others)]
         tied = sorted(values(p)[axis] for p in along if p.mean_accuracy >= bar)
         worse = sorted(values(p)[axis] for p in along if p.mean_accuracy < bar)
         axes.append(Axis(name, own[axis], tuple(tied), tuple(worse)))
@@ -229,14 +223,14 @@ def _reasons(advice: Advice, ruled_out: Sequence[SweepPoint]) -> tuple[str, ...]
         )
     if advice.verdict == Decision.TOO_FEW:
         reasons.append(
-            f"The evidence does not decide: only {advice.judged} scans were judged, and at least"
-            f" {FEWEST_JUDGED} are wanted. Take a longer drive."
+            f"The evidence does not decide: only {advice.judged} scans count, and at least"
+            f" {FEWEST_QUERIES} are needed. Take a longer drive."
         )
     elif advice.verdict == Decision.SIZE_ONLY:
         reasons.append(
             "The evidence does not decide: no candidate that is smaller was less accurate. This one"
-            " is chosen for its size alone; ask harder questions, such as a"
-            " second drive over the same streets, before you rely on it."
+            " is chosen for its size alone; evaluate it with harder queries, such as a second drive"
+            " over the same streets, before you rely on it."
         )
     return (*reasons, *map(_of_axis, advice.axes))
 

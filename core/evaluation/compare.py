@@ -5,18 +5,20 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import partial
+from typing import Any
 
 import numpy as np
 
 from core.arrays import FloatArray, IntArray
 from core.errors import InvalidParameters
-from core.evaluation.comparison import Comparison, MethodResult, MethodUnderCondition
 from core.evaluation.condition import Condition
 from core.evaluation.methods import Enrolled, Method
 from core.evaluation.metrics import apart_m, heading_error_deg, median
 from core.evaluation.pairing import HeldOut, Paired, Pairing
+from core.evaluation.plain import Plain
 from core.evaluation.query_set import QueryProtocol, QuerySet
 from core.evaluation.retrieval import auroc, precision_recall
+from core.numbers import require_at_least
 from core.progress import NO_PROGRESS, Progress
 from core.scans.drive import Drive
 from core.scans.pose import heading_deg, is_known
@@ -37,13 +39,99 @@ class ComparisonProtocol(QueryProtocol):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.unknown_every < 1:
-            raise InvalidParameters(f"unknown_every is {self.unknown_every}, wanted 1 or more")
+        require_at_least(1, unknown_every=self.unknown_every)
+
+
+@dataclass(frozen=True)
+class MethodUnderCondition(Plain):
+    """One method, all queries under one condition; `None` where not applicable.
+
+    Distances in metres are the keys of mappings: a query is *findable* within so many metres if a
+    place that it may be compared with was recorded so near, and an answer is right if the place it
+    names was.
+
+    Attributes:
+        condition: The disturbance.
+        queries: How many scans were queried.
+        refusals: How many could not be described; like queries without an answer they are wrong.
+        unanswered: How many were described and got no answer.
+        findable: How many had something to find.
+        recall_at_1: Share of findable queries whose answer is right.
+        max_f1: Greatest F1 over all thresholds of the score.
+        average_precision: Area under precision over recall, as a sum of steps.
+        novelty_auroc: Probability that a findable query (within the greatest distance) scores above
+            a query of the unknown drive.
+        heading_error_deg_median: Over right answers (within the greatest distance) that have one.
+        describe_ms_median: Processor time from returns to descriptor.
+        match_ms_median: Processor time from descriptor to answer.
+    """
+
+    condition: Condition
+    queries: int
+    refusals: int
+    unanswered: int
+    findable: dict[float, int]
+    recall_at_1: dict[float, float | None]
+    max_f1: dict[float, float | None]
+    average_precision: dict[float, float | None]
+    novelty_auroc: float | None
+    heading_error_deg_median: float | None
+    describe_ms_median: float | None
+    match_ms_median: float | None
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return plain values."""
+        found = super().as_dict()
+        return {**found.pop("condition"), **found}
+
+
+@dataclass(frozen=True)
+class MethodResult(Plain):
+    """One method.
+
+    Attributes:
+        name: Its name.
+        configuration: All its parameters.
+        places: How many scans it keeps as places.
+        sent_bytes: Size of a query as a vehicle sends it; `None` where it is not fixed.
+        stored_bytes: Size of a stored place; `None` where it is unknown.
+        conditions: The figures, one entry a disturbance.
+    """
+
+    name: str
+    configuration: dict[str, Any]
+    places: int
+    sent_bytes: float | None
+    stored_bytes: float | None
+    conditions: tuple[MethodUnderCondition, ...]
+
+
+@dataclass(frozen=True)
+class Comparison(Plain):
+    """The results of several methods on the same scans.
+
+    Attributes:
+        drive: Name of the drive that the places are of.
+        query_drive: Name of the drive that the queries are of, `None` if it was the same.
+        unknown_drive: Name of the drive of other places, `None` without one.
+        protocol: How places and queries were chosen, in words.
+        scans: How many scans the drive has.
+        seed: Of the noise.
+        methods: The figures.
+    """
+
+    drive: str
+    query_drive: str | None
+    unknown_drive: str | None
+    protocol: str
+    scans: int
+    seed: int
+    methods: tuple[MethodResult, ...]
 
 
 @dataclass(frozen=True)
 class _Answer:
-    """What a method answered; `scan` is -1 where it described the query and found no place."""
+    """The answer of a method; `scan` is -1 where it described the query and found no place."""
 
     scan: int = -1
     score: float = -math.inf
@@ -69,10 +157,10 @@ def compare(
 
     Args:
         drive: The places are scans of it.
-        methods: What is compared.
-        protocol: How.
+        methods: The methods to compare.
+        protocol: How they are compared.
         query_drive: Its scans are the queries, in the same world frame; without one `drive`'s are.
-        unknown_drive: Of places that are not in `drive`; its queries give the novelty AUROC.
+        unknown_drive: Of places that are not in `drive`, for the novelty AUROC.
         progress: Receives each scan enrolled and each answer.
 
     Raises:
@@ -88,7 +176,7 @@ def compare(
     for of, scans in ((drive, paired.places), (queried, paired.queries)):
         if not is_known(of.poses[scans]).all():
             raise InvalidParameters(
-                f"drive {of.name} has scans without a pose: right and wrong cannot be told apart"
+                f"drive {of.name} has scans without a pose: answers cannot be checked"
             )
     enrolled = [method.enrol(drive, paired.places, progress) for method in methods]
 
@@ -100,12 +188,12 @@ def compare(
             [partial(_answer, places, first_excluded) for places in enrolled], stage, progress
         )
 
-    answered = answers(queried, paired.queries, paired.first_excluded, "asking")
+    answered = answers(queried, paired.queries, paired.first_excluded, "querying")
     unknown: list[list[list[_Answer | None]]] | None = None
     if unknown_drive is not None:
         scans = np.arange(0, len(unknown_drive), protocol.unknown_every)
         everything = np.full(len(scans), len(drive))
-        unknown = answers(unknown_drive, scans, everything, "asking elsewhere")
+        unknown = answers(unknown_drive, scans, everything, "querying unknown places")
     queries = queried.poses[paired.queries]
     nearest_m = _nearest_m(drive, paired, queries)
     return Comparison(
@@ -142,10 +230,10 @@ def compare(
 
 def _answer(enrolled: Enrolled, first_excluded: IntArray, query: int, scan: Scan) -> _Answer:
     before = int(np.searchsorted(enrolled.scans, first_excluded[query]))
-    begun = time.process_time()  # not of the wall: other work on the machine must not count
-    ask = enrolled.describe(scan)
+    begun = time.process_time()  # not wall time: other work on the machine must not count
+    match = enrolled.describe(scan)
     described = time.process_time()
-    found = ask(None if before == len(enrolled.scans) else before)
+    found = match(None if before == len(enrolled.scans) else before)
     describe_s, match_s = described - begun, time.process_time() - described
     if found is None:
         return _Answer(describe_s=describe_s, match_s=match_s)

@@ -8,6 +8,7 @@ import numpy as np
 
 from core.arrays import FloatArray
 from core.errors import InvalidParameters
+from core.numbers import require_at_least
 from core.scans.displacement import pose_beside, seen_from_beside
 from core.scans.scan import Scan
 
@@ -16,10 +17,10 @@ from core.scans.scan import Scan
 class Condition:
     """A disturbance of every query scan.
 
-    The vehicle stands `lateral_m` to the left of its recorded pose (negative: right), is then
-    turned `yaw_deg` counter-clockwise, p' = Rz(-yaw) (p - (0, d, 0)), and every coordinate of its
-    returns carries Gaussian noise. As in the paper the displacement is simulated: the returns are
-    those seen from the recorded place.
+    The vehicle is `lateral_m` to the left of its recorded pose (negative: right), then rotated by
+    `yaw_deg` counter-clockwise, p' = Rz(-yaw) (p - (0, d, 0)), and every coordinate of its returns
+    has Gaussian noise. As in the paper the displacement is simulated: the returns are those seen
+    from the recorded place.
     """
 
     yaw_deg: float = 0.0
@@ -27,10 +28,9 @@ class Condition:
     noise_m: float = 0.0
 
     def __post_init__(self) -> None:
-        if not np.isfinite([self.yaw_deg, self.lateral_m, self.noise_m]).all():
-            raise InvalidParameters(f"{self} holds a number that is not finite")
-        if self.noise_m < 0:
-            raise InvalidParameters(f"noise_m is {self.noise_m}, wanted 0 or more")
+        if not np.isfinite([self.yaw_deg, self.lateral_m]).all():
+            raise InvalidParameters(f"{self} has a number that is not finite")
+        require_at_least(0, noise_m=self.noise_m)
 
     def apply(self, scan: Scan, rng: np.random.Generator) -> Scan:
         """Return the scan as the query vehicle would have it.
@@ -49,7 +49,7 @@ class Condition:
         return Scan.from_returns(points, timestamp_s=scan.timestamp_s, pose=scan.pose)
 
     def pose(self, recorded: FloatArray) -> FloatArray:
-        """Return where the vehicle is under this condition, of `(7,)` pose rows both."""
+        """Return the pose of the vehicle under this condition, of `(7,)` pose rows both."""
         return pose_beside(recorded, self.lateral_m, self.yaw_deg)
 
 

@@ -1,13 +1,13 @@
-"""Which answers count as right, whatever the map's ranks and cuts."""
+"""Which answers are right, independent of the map's ranks and cuts."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from core.arrays import BoolArray, FloatArray, IntArray, frozen
-from core.errors import InvalidParameters
+from core.arrays import BoolArray, FloatArray, IntArray, freeze
 from core.evaluation.metrics import apart_m
 from core.evaluation.motion import is_standing
+from core.numbers import require_above, require_at_least
 from core.scans.pose import is_known
 
 
@@ -15,9 +15,9 @@ from core.scans.pose import is_known
 class Criterion:
     """Compares a query with the scan of the same drive that answered it.
 
-    With poses an answer is right if both were recorded within `tolerance_m`; where one of the two
-    is unknown, if their indices differ by at most `tolerance_scans`. Whether it is right does not
-    depend on the segments, so answers of maps that are cut differently can be compared.
+    With poses an answer is right if both were recorded within `tolerance_m`; where a pose is
+    unknown, if their indices differ by at most `tolerance_scans`. This does not depend on the
+    segments, so answers of maps that are cut differently can be compared.
 
     Attributes:
         poses: `(K, 7)` of the drive, NaN where unknown.
@@ -32,12 +32,9 @@ class Criterion:
     tolerance_scans: int = 3
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "poses", frozen(self.poses, np.float64))
-        object.__setattr__(self, "timestamp_s", frozen(self.timestamp_s, np.float64))
-        if not 0.0 < self.tolerance_m < np.inf:
-            raise InvalidParameters(f"tolerance_m is {self.tolerance_m}, wanted metres above 0")
-        if self.tolerance_scans < 0:
-            raise InvalidParameters(f"tolerance_scans is {self.tolerance_scans}, wanted 0 or more")
+        freeze(self, poses=np.float64, timestamp_s=np.float64)
+        require_above(0, tolerance_m=self.tolerance_m)
+        require_at_least(0, tolerance_scans=self.tolerance_scans)
 
     @property
     def by_place(self) -> bool:
@@ -45,7 +42,7 @@ class Criterion:
         return bool(is_known(self.poses).all())
 
     def __str__(self) -> str:
-        near = f"within {self.tolerance_scans} scans of the one asked"
+        near = f"within {self.tolerance_scans} scans of the query"
         if self.by_place:
             return f"the matched scan was recorded within {self.tolerance_m:g} m"
         if is_known(self.poses).any():
@@ -54,7 +51,7 @@ class Criterion:
 
     @property
     def standing(self) -> BoolArray:
-        """Which scans were taken standing, `(K,)`; none where poses are unknown."""
+        """Which scans were recorded while stationary, `(K,)`; none where poses are unknown."""
         return is_standing(self.poses, self.timestamp_s)
 
     def distance_m(self, queried: IntArray, answered: IntArray) -> FloatArray:
@@ -77,5 +74,5 @@ class Criterion:
 
 
 def counted(standing: BoolArray) -> BoolArray:
-    """Return which queries count: those taken standing do not, if any was taken moving."""
+    """Return which queries count: stationary ones do not, if any was recorded while moving."""
     return np.asarray(~standing if not standing.all() else standing)

@@ -7,8 +7,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.spatial import KDTree
 
-from core.arrays import IntArray
+from core.arrays import FloatArray, IntArray
+from core.encodings.compression import Compression
 from core.evaluation.metrics import median
+from core.evaluation.plain import Plain
 from core.evaluation.query_set import (
     LocatedQueries,
     QueryProtocol,
@@ -16,19 +18,19 @@ from core.evaluation.query_set import (
     hold_out,
     require_scans,
 )
-from core.evaluation.result import Evaluation
 from core.evaluation.split import Interleaved, Split
-from core.evaluation.summary import Answer, summarize
-from core.evaluation.tracks import cut_position, evaluate_tracks
+from core.evaluation.summary import Answer, ConditionResult, summarize
+from core.evaluation.tracks import TrackResult, cut_position, evaluate_tracks
 from core.localization.localizer import Localizer
 from core.mapping.pipeline import build, cut_scans, project_scans
 from core.mapping.tensormap import TensorMap
 from core.parameters import MapParameters
 from core.progress import NO_PROGRESS, Progress
+from core.projection.images import Skipped
 from core.scans.drive import Drive
 from core.scans.pose import is_known
 from core.scans.scan import Scan
-from core.segmentation import segment_length_for
+from core.segmentation.fixed import segment_length_for
 from core.tracking.track import Tracker
 
 
@@ -49,6 +51,57 @@ class EvaluationProtocol(QueryProtocol):
     segments: int | None = None
     split: Split = field(default_factory=Interleaved)
     track: bool = False
+
+
+@dataclass(frozen=True)
+class Evaluation(Plain):
+    """A map of one part of a drive, queried with the other part or with another drive.
+
+    Attributes:
+        drive: Name of the mapped drive; `query_drive` is `None` if its own scans are the queries.
+        unknown_drives: Names of the drives whose places the map does not have.
+        calibrated: Whether the map has probabilities.
+        segments: L.
+        segmentation: How they were cut.
+        split: How the queries were held out, `None` with a query drive.
+        distance: How harmonic signatures are compared, `None` in the paper's encoding.
+        lateral_renderings_m: From where the map's scans were rendered, `None` likewise.
+        map_scans: How many scans the map has.
+        standing_scans: Queries recorded while stationary, `None` without poses.
+        motion_surrogate_median_standing: Median norm of the 6-DOF change of those queries.
+        motion_surrogate_median_moving: The same of all others.
+        skipped: Scans that could not be mapped.
+        compression: Against the map's own images and returns.
+        relative_error: |X - X^| / |X| of each segment.
+        conditions: The figures, one entry a disturbance.
+        tracks: The figures of tracking the queries as one drive; empty without it.
+    """
+
+    drive: str
+    query_drive: str | None
+    unknown_drives: tuple[str, ...]
+    calibrated: bool
+    encoding: str
+    ranks: tuple[int, int]
+    segments: int
+    segmentation: str
+    split: str | None
+    reducer: str
+    image: str
+    distance: str | None
+    lateral_renderings_m: tuple[float, ...] | None
+    sensor: str
+    sensor_height_m: float
+    seed: int
+    map_scans: int
+    standing_scans: int | None
+    motion_surrogate_median_standing: float | None
+    motion_surrogate_median_moving: float | None
+    skipped: tuple[Skipped, ...]
+    compression: Compression
+    relative_error: tuple[float, ...]
+    conditions: tuple[ConditionResult, ...]
+    tracks: tuple[TrackResult, ...] = ()
 
 
 def evaluate(
@@ -84,15 +137,15 @@ def evaluate(
         [drive], parameters, lambda _: images, segment_start=segment_start, progress=progress
     )
     tensor_map = made.tensor_map
-    queried = drive if query_drive is None else query_drive
-    scans = np.arange(len(queried)) if query_drive is not None else np.flatnonzero(held_out)
-    segment = (
-        np.searchsorted(segment_start, scans, side="right") - 1
-        if query_drive is None
-        else _segment_of_nearest(query_drive, tensor_map)
-    )
-    queries = LocatedQueries(queried, scans, conditions, protocol.seed, segment)
     localizer = Localizer(tensor_map)
+    if query_drive is None:
+        queried, scans = drive, np.flatnonzero(held_out)
+        cuts: FloatArray | None = cut_position(images.scans, segment_start)
+        segment = np.searchsorted(segment_start, scans, side="right") - 1
+    else:
+        queried, scans, cuts = query_drive, np.arange(len(query_drive)), None
+        segment = _segment_of_nearest(query_drive, tensor_map)
+    queries = LocatedQueries(queried, scans, conditions, protocol.seed, segment)
 
     def localized(query_set: QuerySet, stage: str) -> list[list[Answer | None]]:
         def localize(_: int, scan: Scan) -> Answer:
@@ -108,7 +161,10 @@ def evaluate(
         others = QuerySet(of_unknown, np.arange(len(of_unknown)), conditions, protocol.seed)
         for column, found in enumerate(localized(others, f"localizing {of_unknown.name}")):
             elsewhere[column] += found
-    cuts = None if query_drive is not None else cut_position(images.scans, segment_start)
+    tracks: tuple[TrackResult, ...] = ()
+    if protocol.track:
+        tracker = Tracker(localizer, cut_position=cuts)
+        tracks = evaluate_tracks(tracker, queries, protocol.tolerances_m, progress)
     return Evaluation(
         drive=drive.name,
         query_drive=None if query_drive is None else query_drive.name,
@@ -137,11 +193,7 @@ def evaluate(
             summarize(condition, tensor_map, queries, found, of_unknown, protocol.tolerances_m)
             for condition, found, of_unknown in zip(conditions, answers, elsewhere, strict=True)
         ),
-        tracks=evaluate_tracks(
-            Tracker(localizer, cut_position=cuts), queries, protocol.tolerances_m, progress
-        )
-        if protocol.track
-        else (),
+        tracks=tracks,
     )
 
 

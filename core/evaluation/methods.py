@@ -15,7 +15,7 @@ from core.parameters import MapParameters
 from core.progress import NO_PROGRESS, Progress
 from core.scans.drive import Drive
 from core.scans.scan import Scan
-from core.segmentation import cut_fixed
+from core.segmentation.fixed import cut_fixed
 
 
 @dataclass(frozen=True)
@@ -24,9 +24,9 @@ class Nearest:
 
     Attributes:
         row: Its row among the places.
-        distance: How unlike it is, smaller is nearer; comparable between queries of one method.
-        turn_deg: How far the query is turned from it, counter-clockwise, -180..180; `None` where
-            the method does not tell.
+        distance: Smaller is nearer; comparable between queries of one method.
+        turn_deg: Relative yaw of the query, counter-clockwise, -180..180; `None` where the method
+            does not estimate it.
     """
 
     row: int
@@ -34,32 +34,26 @@ class Nearest:
     turn_deg: float | None = None
 
 
-Ask = Callable[[int | None], Nearest | None]
-"""A described query: given how many of the first rows may be searched (`None`: all), the nearest
-place among them, or `None` where the method has no answer."""
+Match = Callable[[int | None], Nearest | None]
+"""Matches a described query: given how many of the first rows are searched (`None`: all), returns
+the nearest place among them, or `None` where the method has no answer."""
 
 
-class Enrolled(Protocol):
-    """The places of a drive as one method keeps them."""
+@dataclass(frozen=True, eq=False)
+class Enrolled:
+    """The places of a drive in one method.
 
-    @property
-    def scans(self) -> IntArray:
-        """Which scans of the drive the places are, rising; those that could not be used lack."""
+    Attributes:
+        scans: The scans of the drive that are places, rising; those that could not be used lack.
+        sent_bytes: Size of a query as a vehicle sends it; `None` where it is not fixed.
+        stored_bytes: Size of a stored place; `None` where it is unknown.
+        describe: Describes a query and returns what matches it; may raise `InvalidScan`.
+    """
 
-    @property
-    def sent_bytes(self) -> float | None:
-        """What a vehicle sends for a query; `None` where that has no fixed size."""
-
-    @property
-    def stored_bytes(self) -> float | None:
-        """What is kept, a place; `None` where the method does not tell."""
-
-    def describe(self, scan: Scan) -> Ask:
-        """Describe a query; what is returned does the matching.
-
-        Raises:
-            InvalidScan: If the scan cannot be described.
-        """
+    scans: IntArray
+    sent_bytes: float | None
+    stored_bytes: float | None
+    describe: Callable[[Scan], Match]
 
 
 class Method(Protocol):
@@ -78,7 +72,7 @@ class Method(Protocol):
         Args:
             drive: The drive.
             scans: Which of its scans, rising.
-            progress: Told of each scan.
+            progress: Receives each scan.
 
         Raises:
             EmptyDrive: If not one of them is usable.
@@ -124,10 +118,10 @@ class MappedPlaces:
         first = basis.encode(basis.image(drive.scan(int(kept[0]))))
         stored = sum(array.nbytes for array in tensor_map.model.arrays().values())
 
-        def describe(scan: Scan) -> Ask:
+        def describe(scan: Scan) -> Match:
             return partial(_nearest_in_map, tensor_map, basis.encode(basis.image(scan)))
 
-        return EnrolledPlaces(kept, len(pack_signatures(first)), stored / len(kept), describe)
+        return Enrolled(kept, len(pack_signatures(first)), stored / len(kept), describe)
 
 
 def _nearest_in_map(
@@ -138,18 +132,5 @@ def _nearest_in_map(
     if not len(found):
         return None
     yaw_deg = found.relative_yaw_deg[0]
-    return Nearest(
-        int(found.rows[0]),
-        float(found.distances[0]),
-        None if np.isnan(yaw_deg) else float(yaw_deg),
-    )
-
-
-@dataclass(frozen=True, eq=False)
-class EnrolledPlaces:
-    """Places whose method describes queries with a function."""
-
-    scans: IntArray
-    sent_bytes: float | None
-    stored_bytes: float | None
-    describe: Callable[[Scan], Ask]
+    turn_deg = None if np.isnan(yaw_deg) else float(yaw_deg)
+    return Nearest(int(found.rows[0]), float(found.distances[0]), turn_deg)

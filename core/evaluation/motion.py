@@ -1,4 +1,4 @@
-"""Whether the vehicle moves: errors while it stands are counted apart (paper, sec. 3.3)."""
+"""Whether the vehicle is stationary: such errors are counted separately (paper, sec. 3.3)."""
 
 from typing import TypeVar
 
@@ -12,15 +12,15 @@ from core.scans.pose import is_known
 
 _T = TypeVar("_T", bound=np.generic)
 
-NOMINAL_PERIOD_S = 0.1  # the paper's sensor turns at 10 Hz
+NOMINAL_PERIOD_S = 0.1  # the paper's sensor rotates at 10 Hz
 STANDING_M = 0.05  # per nominal period: 0.5 m/s
 
 
 def is_standing(poses: FloatArray, timestamp_s: FloatArray) -> BoolArray:
-    """Return which scans were taken standing: moved less than 0.05 m x (dt / 0.1 s).
+    """Return which scans were recorded while stationary: moved less than 0.05 m x (dt / 0.1 s).
 
-    The motion is that since the previous scan; the first scan's is that to the next. Where a time
-    is unknown dt is 0.1 s; where a pose is unknown nothing shows that the vehicle stands.
+    The motion is that since the previous scan; for the first scan, to the next. Where a time is
+    unknown dt is 0.1 s; where a pose is unknown the vehicle counts as moving.
 
     Args:
         poses: `(K, 7)`.
@@ -36,8 +36,8 @@ def is_standing(poses: FloatArray, timestamp_s: FloatArray) -> BoolArray:
 def motion_surrogate(poses: FloatArray) -> FloatArray:
     """Return the paper's surrogate of speed, `(K,)`: the norm of the change in 6-DOF pose.
 
-    The six are x, y, z in metres and roll, pitch, yaw in radians, as the Ford dataset gives them;
-    angles are differenced the short way round. NaN where a pose is unknown.
+    The six are x, y, z in metres and roll, pitch, yaw in radians, as in the Ford dataset;
+    differences of angles are wrapped. NaN where a pose is unknown.
     """
     known = is_known(poses)
     angles = np.full((len(poses), 3), np.nan)
@@ -49,6 +49,6 @@ def motion_surrogate(poses: FloatArray) -> FloatArray:
 
 
 def _since_previous(steps: NDArray[_T], scans: int, alone: float) -> NDArray[_T]:
-    """Give the first scan the step to its next one; a scan `alone` has no step at all."""
+    """Repeat the first step for the first scan; a scan `alone` has none."""
     first = steps[:1] if len(steps) else np.array([alone], dtype=steps.dtype)
     return np.concatenate([first, steps])[:scans]

@@ -1,6 +1,5 @@
 """Which scans are places, which are queries, and what each query may be compared with."""
 
-import math
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -10,8 +9,9 @@ from core.arrays import IntArray
 from core.errors import InvalidParameters
 from core.evaluation.query_set import hold_out, require_scans
 from core.evaluation.split import Interleaved, Split
+from core.numbers import require_above, require_at_least
 from core.scans.drive import Drive
-from core.segmentation import PAPER_SEGMENT_LENGTH, cut_fixed
+from core.segmentation.fixed import PAPER_SEGMENT_LENGTH, cut_fixed
 
 RECENT_SCANS = 50
 
@@ -44,7 +44,7 @@ class Pairing(Protocol):
 
 @dataclass(frozen=True)
 class HeldOut:
-    """Scans of one drive are held out and queried with.
+    """Some scans of a drive are the queries; the others are the places.
 
     Attributes:
         split: Which.
@@ -57,7 +57,7 @@ class HeldOut:
     def pair(self, drive: Drive, query_drive: Drive | None) -> Paired:
         """Choose places and queries of the one drive."""
         if query_drive is not None:
-            raise InvalidParameters("with a query drive all of the drive is the map: split none")
+            raise InvalidParameters("with a query drive the whole drive is mapped: leave the split")
         require_scans(drive)
         held_out = hold_out(self.split, cut_fixed(len(drive), self.segment_length))
         queries = np.flatnonzero(held_out)
@@ -72,14 +72,13 @@ class SecondPass:
     """A drive is mapped whole and queried with another one, in the same world frame.
 
     Attributes:
-        every: Query with every N-th scan: its neighbours, 0.1 s apart, say little more.
+        every: Query with every N-th scan; neighbours, 0.1 s apart, are nearly equal.
     """
 
     every: int = 1
 
     def __post_init__(self) -> None:
-        if self.every < 1:
-            raise InvalidParameters(f"every is {self.every}, wanted 1 or more")
+        require_at_least(1, every=self.every)
 
     def pair(self, drive: Drive, query_drive: Drive | None) -> Paired:
         """Choose all places, and queries of the other drive."""
@@ -95,11 +94,11 @@ class SecondPass:
 
 @dataclass(frozen=True)
 class LoopClosing:
-    """Every scan of a drive is a query as it comes, among the earlier ones that are not recent.
+    """Every scan of a drive is a query among the earlier ones that are not recent.
 
     Attributes:
-        recent_scans: How many scans before its query a place is at least.
-        recent_s: Or how many seconds; one of the two is given.
+        recent_scans: A place is at least this many scans before its query.
+        recent_s: Or this many seconds; exactly one of the two is given.
     """
 
     recent_scans: int | None = RECENT_SCANS
@@ -108,13 +107,11 @@ class LoopClosing:
     def __post_init__(self) -> None:
         if (self.recent_scans is None) == (self.recent_s is None):
             raise InvalidParameters("give recent_scans or recent_s, one of them")
-        if self.recent_scans is not None and self.recent_scans < 1:
-            raise InvalidParameters(f"recent_scans is {self.recent_scans}, wanted 1 or more")
-        if self.recent_s is not None and not 0 < self.recent_s < math.inf:
-            raise InvalidParameters(f"recent_s is {self.recent_s}, wanted seconds above 0")
+        require_at_least(1, recent_scans=self.recent_scans)
+        require_above(0, recent_s=self.recent_s)
 
     def pair(self, drive: Drive, query_drive: Drive | None) -> Paired:
-        """Choose every scan as a place, and as a query if there is a place before it."""
+        """Choose every scan as a place, and as a query if there is an earlier place."""
         if query_drive is not None:
             raise InvalidParameters("loops are closed within one drive: leave the query drive out")
         require_scans(drive)
@@ -125,13 +122,13 @@ class LoopClosing:
             time_s = drive.timestamp_s
             if not np.isfinite(time_s).all() or (np.diff(time_s) < 0).any():
                 raise InvalidParameters(
-                    "not all scans have a time, or times fall: exclude by scans instead"
+                    "timestamps are unknown or falling: exclude by scans instead"
                 )
             first_excluded = np.searchsorted(time_s, time_s - (self.recent_s or 0.0), side="right")
-        asked = first_excluded > 0
-        if not asked.any():
+        queried = first_excluded > 0
+        if not queried.any():
             raise InvalidParameters(f"drive {drive.name} is too short for {self}: exclude less")
-        return Paired(scans, scans[asked], first_excluded[asked])
+        return Paired(scans, scans[queried], first_excluded[queried])
 
     def __str__(self) -> str:
         recent = (

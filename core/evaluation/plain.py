@@ -1,4 +1,4 @@
-"""Figures as plain values, ready for JSON."""
+"""Results as plain values, ready for JSON."""
 
 from dataclasses import fields, is_dataclass
 from enum import Enum
@@ -8,7 +8,7 @@ import numpy as np
 
 
 class Plain:
-    """A dataclass of figures."""
+    """A dataclass of results."""
 
     def as_dict(self) -> dict[str, Any]:
         """Return plain values, ready for JSON."""

@@ -1,4 +1,4 @@
-"""The images that a study of a drive works with: of the mapped scans, and of the queries."""
+"""The images of a study of a drive: of the mapped scans, and of the queries."""
 
 from dataclasses import dataclass, replace
 
@@ -11,29 +11,27 @@ from core.evaluation.split import Split
 from core.mapping.pipeline import DriveImages, project_scans
 from core.parameters import MapParameters
 from core.progress import NO_PROGRESS, Progress
+from core.projection.probe import spread_evenly
 from core.scans.drive import Drive
 from core.scans.scan import Scan
 
 
-def held_out_scans(drive: Drive, split: Split, most: int | None) -> tuple[BoolArray, IntArray]:
+def held_out_scans(drive: Drive, split: Split, most: int) -> tuple[BoolArray, IntArray]:
     """Return which scans are not mapped, `(K,)`, and which of those are queries, rising.
 
-    The drive is split as one: whatever its segments, the same scans are held out. At most `most`
-    of them are queries, spread evenly.
+    The drive is split as a whole: the same scans are held out with any segments. At most `most` of
+    them are queries, spread evenly.
 
     Raises:
         InvalidParameters: If nothing is held out or nothing is left to map.
     """
     held_out = hold_out(split, np.array([0, len(drive)]))
-    scans = np.flatnonzero(held_out)
-    if most is not None and most < len(scans):
-        scans = scans[np.linspace(0, len(scans) - 1, most).round().astype(np.int64)]
-    return held_out, scans
+    return held_out, spread_evenly(np.flatnonzero(held_out), most)
 
 
 @dataclass(frozen=True, eq=False)
 class QueryImages:
-    """A drive's mapped images and those of its queries, in one way to make images.
+    """A drive's mapped images and those of its queries, made alike.
 
     Attributes:
         parameters: How images are made; the ranks are not used here.
@@ -68,10 +66,10 @@ class QueryImages:
         def image(_: int, scan: Scan) -> Float32Array:
             return parameters.imager.image(scan).cells
 
-        (images,) = queries.answers([image], "asking", progress)
+        (images,) = queries.answers([image], "querying", progress)
         usable = np.all([[cells is not None for cells in row] for row in images], axis=0)
         if not usable.any():
-            raise InvalidParameters(f"not one of the {len(queries)} scans held out can be asked")
+            raise InvalidParameters(f"not one of the {len(queries)} held-out scans is usable")
         cells = [[row[i] for i in np.flatnonzero(usable).tolist()] for row in images]
         return cls(
             parameters,

@@ -13,6 +13,7 @@ from core.errors import EmptyDrive, InvalidParameters, InvalidScan
 from core.evaluation.condition import Condition
 from core.evaluation.motion import is_standing, motion_surrogate
 from core.evaluation.split import Split
+from core.numbers import require_at_least
 from core.progress import NO_PROGRESS, Progress
 from core.scans.drive import Drive
 from core.scans.pose import is_known
@@ -23,12 +24,12 @@ _Answer = TypeVar("_Answer")
 
 @dataclass(frozen=True, kw_only=True)
 class QueryProtocol:
-    """What every evaluation has: how queries are disturbed, and what is near.
+    """The protocol of every evaluation: how queries are disturbed, and which answers are right.
 
     Attributes:
         conditions: The disturbances of the queries.
         tolerances_m: Within which an answer is right.
-        seed: Of the noise; a scan's noise is the same whatever else is queried.
+        seed: Of the noise; a scan's noise does not depend on the other queries.
     """
 
     conditions: tuple[Condition, ...] = (Condition(),)
@@ -38,8 +39,7 @@ class QueryProtocol:
     def __post_init__(self) -> None:
         if not self.tolerances_m or not all(0 < m < math.inf for m in self.tolerances_m):
             raise InvalidParameters(f"tolerances_m is {self.tolerances_m}, wanted metres above 0")
-        if self.seed < 0:
-            raise InvalidParameters(f"seed is {self.seed}, wanted 0 or more")
+        require_at_least(0, seed=self.seed)
         if not self.conditions:
             raise InvalidParameters("conditions is empty, wanted at least one")
 
@@ -49,7 +49,7 @@ class QuerySet:
     """Scans of a drive that are queried under every condition.
 
     Attributes:
-        drive: They are of this one.
+        drive: The drive of the scans.
         scans: `(n,)` their positions in it.
         conditions: The disturbances.
         seed: Of the noise.
@@ -69,15 +69,14 @@ class QuerySet:
         stage: str,
         progress: Progress = NO_PROGRESS,
     ) -> list[list[list[_Answer | None]]]:
-        """Return what each method answers, by method, condition and query.
+        """Return the answers by method, condition and query.
 
-        Each scan is read once, disturbed once for each condition, and given to the methods in
-        turn. A scan that cannot be used, or that a method rejects with `InvalidScan`, is answered
-        with `None`.
+        Each scan is read once, disturbed once for each condition, and passed to each method. The
+        answer is `None` for a scan that cannot be used or that a method rejects with `InvalidScan`.
 
         Args:
             methods: Called with the query's number, 0-based, and its disturbed scan.
-            stage: What the work is called.
+            stage: The name of the work, for progress.
             progress: Receives every answer.
         """
         found: list[list[list[_Answer | None]]] = [[[] for _ in self.conditions] for _ in methods]
@@ -104,17 +103,17 @@ class QuerySet:
 
 @dataclass(frozen=True, eq=False)
 class LocatedQueries(QuerySet):
-    """Queries, and what is true of them.
+    """Queries with their ground truth.
 
     Attributes:
-        segment: `(n,)` where they belong, -1 where a pose is unknown.
+        segment: `(n,)` the true segments, -1 where a pose is unknown.
     """
 
     segment: IntArray
 
     @cached_property
     def standing(self) -> BoolArray | None:
-        """`(n,)` whether the vehicle stands, `None` where poses are missing."""
+        """`(n,)` whether the vehicle is stationary, `None` where poses are missing."""
         poses = self.drive.poses
         known = bool(is_known(poses).all())
         return is_standing(poses, self.drive.timestamp_s)[self.scans] if known else None

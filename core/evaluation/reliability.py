@@ -1,4 +1,4 @@
-"""How well probabilities separate known places from unknown ones, and how well calibrated."""
+"""How well probabilities separate known from unknown places, and how calibrated they are."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -20,13 +20,13 @@ def expected_calibration_error(
     adaptive: bool = False,
     weight: FloatArray | None = None,
 ) -> float:
-    """Return how far probabilities are from the share that is right, in the mean over ten bins.
+    """Return the mean difference of probability and share of right answers, over ten bins.
 
     Args:
         probability: `(n,)` within 0..1, at least one.
         right: `(n,)`.
-        adaptive: Bins of about as many samples each, instead of as wide each.
-        weight: `(n,)` how much each sample counts; all the same by default.
+        adaptive: Bins of about equal count, instead of equal width.
+        weight: `(n,)` of each sample; equal by default.
 
     Raises:
         InvalidParameters: If there is no sample, or a probability is none.
@@ -36,7 +36,7 @@ def expected_calibration_error(
         0.3
     """
     if not len(probability) or not ((probability >= 0.0) & (probability <= 1.0)).all():
-        raise InvalidParameters("probability wants at least one number, all of them within 0..1")
+        raise InvalidParameters("probability is empty or has numbers that are not within 0..1")
     weight = np.ones(len(probability)) if weight is None else weight
     if adaptive:
         order = np.argsort(probability, kind="stable")
@@ -50,11 +50,11 @@ def expected_calibration_error(
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of one query.
+    """The outcome of one query.
 
     Attributes:
         probability: That its best match is right.
-        localized: Whether it was an answer.
+        localized: Whether the match was accepted.
         right: Whether the best match is right.
     """
 
@@ -65,19 +65,19 @@ class Outcome:
 
 @dataclass(frozen=True)
 class Reliability(Plain):
-    """How far probabilities can be relied on; what does not apply is `None`.
+    """The metrics of probabilities; `None` where not applicable.
 
     Attributes:
         unknown_queries: How many scans of places that are not in the map were queried.
-        auroc: How likely a query of the map scores above one of elsewhere.
-        average_precision: Of queries of the map among both.
-        ece: Expected calibration error of queries of the map alone, ten bins as wide each.
-        ece_adaptive: The same, bins of as many queries each.
-        ece_mixed: As `ece`, queries of the map and of elsewhere counting half each.
-        ece_mixed_adaptive: The same, bins of as many queries each.
+        auroc: Probability that a query of a known place scores above one of an unknown place.
+        average_precision: Of queries of known places among both.
+        ece: Expected calibration error of queries of known places, ten bins of equal width.
+        ece_adaptive: The same, bins of equal count.
+        ece_mixed: As `ece`, queries of known and of unknown places counting half each.
+        ece_mixed_adaptive: The same, bins of equal count.
         refused_right: Share of the right answers that were refused.
-        refused_wrong: Share of the wrong answers that were, of queries of the map.
-        refused_unknown: Share of the queries of elsewhere that were.
+        refused_wrong: Share of the wrong answers of known places that were refused.
+        refused_unknown: Share of the queries of unknown places that were refused.
     """
 
     unknown_queries: int
@@ -93,7 +93,7 @@ class Reliability(Plain):
 
 
 def reliability(known: Sequence[Outcome], unknown: Sequence[Outcome]) -> Reliability:
-    """Return the metrics of the answers to queries of the map and of elsewhere."""
+    """Return the metrics of the answers to queries of known and of unknown places."""
     of_known, of_unknown = (
         np.array([outcome.probability for outcome in group], dtype=np.float64)
         for group in (known, unknown)
@@ -127,7 +127,7 @@ def reliability(known: Sequence[Outcome], unknown: Sequence[Outcome]) -> Reliabi
 def _calibration_errors(
     probability: FloatArray, right: BoolArray, weight: FloatArray | None = None
 ) -> tuple[float | None, float | None]:
-    """Return the error over bins as wide each, and over bins of as many samples each."""
+    """Return the error over bins of equal width, and over bins of equal count."""
     if not len(probability):
         return None, None
     wide, adaptive = (

@@ -1,9 +1,9 @@
 """How well a score separates right answers from wrong ones: precision, recall, F1, AUROC.
 
 An answer is accepted when its score reaches a threshold. Precision is the share of accepted answers
-that are right; recall the share of all queries *with something to find* that got an accepted, right
-answer. A query without an answer has score minus infinity: it is never accepted, and still counts
-among those with something to find. Answers of equal score are accepted together.
+that are right; recall is the share of all *findable* queries that have an accepted, right answer.
+A query without an answer has score minus infinity: it is never accepted, but is counted among the
+findable ones. Answers of equal score are accepted together.
 """
 
 from dataclasses import dataclass
@@ -41,8 +41,8 @@ class PrecisionRecall:
     def average_precision(self) -> float:
         """The area under the curve as a sum of steps, sum_n (R_n - R_(n-1)) P_n with R_0 = 0.
 
-        Not the trapezoid rule, which draws lines between thresholds where no threshold is, and
-        says more than was measured. What recall never reaches adds nothing.
+        Not the trapezoid rule, which interpolates between thresholds. Recall that is never reached
+        adds nothing.
         """
         return float(np.sum(np.diff(self.recall, prepend=0.0) * self.precision))
 
@@ -51,9 +51,9 @@ def precision_recall(scores: FloatArray, right: BoolArray, findable: int) -> Pre
     """Return the curve of a set of queries.
 
     Args:
-        scores: `(n,)`, greater is surer; minus infinity where there is no answer.
+        scores: `(n,)`, greater is more certain; minus infinity where there is no answer.
         right: `(n,)` whether the answer is right.
-        findable: How many of all queries have something to find, at least as many as are right.
+        findable: How many of all queries are findable, at least as many as are right.
 
     Raises:
         InvalidParameters: If shapes differ, a score is NaN, or fewer are findable than right.
@@ -67,7 +67,7 @@ def precision_recall(scores: FloatArray, right: BoolArray, findable: int) -> Pre
     """
     if scores.ndim != 1 or scores.shape != right.shape or np.isnan(scores).any():
         raise InvalidParameters(
-            f"scores {scores.shape} and right {right.shape} want one number each, not NaN"
+            f"scores {scores.shape} and right {right.shape} differ in shape, or a score is NaN"
         )
     answered = np.isfinite(scores) | (scores > 0)
     true = right & answered

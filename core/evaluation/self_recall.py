@@ -1,8 +1,8 @@
-"""Self-recall: whether a map finds its own scans, as a vehicle would see them from elsewhere.
+"""Self-recall: whether a map finds its own scans, seen from elsewhere.
 
-The queries are the probes that calibrate it: its scans turned, shifted, hidden behind cars and
-noised, each searched for without itself. So the recall of two maps of the same scans can be
-compared without a second drive.
+The queries are the probes that calibrate it: its scans with relative yaw, lateral offset,
+occlusion and noise, each searched for without itself. So the recall of two maps of the same scans
+can be compared without a second drive.
 """
 
 from collections.abc import Sequence
@@ -17,9 +17,9 @@ from core.projection.images import ImageSource
 from core.projection.probe import LEFT_OUT_M
 
 CRITERION = (
-    f"the matched scan was recorded within {AWAY_M:g} m of the one that asks; what was recorded"
-    f" within {LEFT_OUT_M:g} m of that is not asked. Where poses are unknown: within {RIGHT_SCANS}"
-    " scans, and not itself"
+    f"the matched scan was recorded within {AWAY_M:g} m of the query; what was recorded within"
+    f" {LEFT_OUT_M:g} m of it is not searched. Where poses are unknown: within {RIGHT_SCANS} scans,"
+    " and not itself"
 )
 """What counts as right, in words."""
 

@@ -1,4 +1,4 @@
-"""Which scans of a drive make the map and which are held out to test it (paper, sec. 3.1)."""
+"""Which scans of a drive are mapped and which are held out as queries (paper, sec. 3.1)."""
 
 import re
 from dataclasses import dataclass
@@ -8,6 +8,7 @@ import numpy as np
 
 from core.arrays import BoolArray, FloatArray, IntArray
 from core.errors import InvalidParameters
+from core.numbers import require_at_least
 
 
 class Split(Protocol):
@@ -25,7 +26,7 @@ class Interleaved:
 
     Attributes:
         fraction: f, above 0 and below 1.
-        phase: Adds to j, to hold out other scans of the same spacing.
+        phase: Added to j, to hold out other scans of the same spacing.
 
     Examples:
         >>> np.flatnonzero(Interleaved(0.2).held_out(np.array([0, 10]))).tolist()
@@ -38,8 +39,7 @@ class Interleaved:
     def __post_init__(self) -> None:
         if not 0.0 < self.fraction < 1.0:
             raise InvalidParameters(f"the held-out fraction is {self.fraction}, wanted 0 < f < 1")
-        if self.phase < 0:
-            raise InvalidParameters(f"the phase is {self.phase}, wanted 0 or more")
+        require_at_least(0, phase=self.phase)
 
     def held_out(self, segment_start: IntArray) -> BoolArray:
         """Return which scans are queries, `(K,)`."""
@@ -64,8 +64,7 @@ class Every:
     n: int = 2
 
     def __post_init__(self) -> None:
-        if self.n < 2:
-            raise InvalidParameters(f"n is {self.n}, wanted at least 2: else nothing is held out")
+        require_at_least(2, n=self.n)  # else nothing is held out
 
     def held_out(self, segment_start: IntArray) -> BoolArray:
         """Return which scans are queries, `(K,)`."""

@@ -1,4 +1,4 @@
-"""What a study of a drive found: the numbers that a report shows (paper, sec. 3)."""
+"""The results of a study of a drive, which a report shows (paper, sec. 3)."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -18,16 +18,16 @@ from core.scans.pose import path_length_m
 
 @dataclass(frozen=True, eq=False)
 class Answers(Plain):
-    """What a map answered to the undisturbed queries; row by row.
+    """The answers of a map to the undisturbed queries, row by row.
 
     Attributes:
         scan: The scans that were queried.
-        segment: Where they belong.
-        matched_scan: The map scan that each was taken for.
-        matched_segment: Where that lies.
+        segment: Their true segments.
+        matched_scan: The matched map scans.
+        matched_segment: The segments of these.
         distance_m: How far apart the two were recorded, NaN where unknown.
         right: Which answers are right, by the study's criterion.
-        standing: Which scans were taken standing.
+        standing: Which scans were recorded while stationary.
     """
 
     scan: IntArray
@@ -40,11 +40,11 @@ class Answers(Plain):
 
     @property
     def wrong_segment(self) -> BoolArray:
-        """Which were put on a wrong segment."""
+        """Which were matched on a wrong segment."""
         return np.asarray(self.segment != self.matched_segment)
 
     def confusion(self, segments: int) -> IntArray:
-        """Return how often segment `i` was taken for `j`, `(L, L)`; standing scans too."""
+        """Return how often segment `i` was matched as `j`, `(L, L)`, stationary scans included."""
         counts = np.zeros((segments, segments), dtype=np.int64)
         np.add.at(counts, (self.segment, self.matched_segment), 1)
         return counts
@@ -98,6 +98,11 @@ class EncodingStudy(Plain):
     refused: tuple[int, ...]
 
     @property
+    def name(self) -> str:
+        """Of the encoding."""
+        return self.parameters.encoding
+
+    @property
     def segments(self) -> int:
         """L of the map that is shown."""
         return len(self.segment_start) - 1
@@ -119,19 +124,19 @@ class EncodingStudy(Plain):
 
 @dataclass(frozen=True, eq=False)
 class Study:
-    """What was found of a drive.
+    """The results of a drive.
 
     Attributes:
         drive: Its name.
         timestamp_s: `(K,)`.
         poses: `(K, 7)`.
         surrogate: `(K,)` the paper's norm of the 6-DOF change, NaN where unknown.
-        standing: `(K,)` taken standing.
+        standing: `(K,)` recorded while stationary.
         split: How scans were held out.
         criterion: What counts as a right answer.
         seed: Of the noise.
         skipped: Mapped scans that could not be used, and why.
-        encodings: The figures of each.
+        encodings: The results of each.
     """
 
     drive: str

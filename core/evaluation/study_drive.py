@@ -1,4 +1,4 @@
-"""Study a drive: sweep the parameters, recommend some, query that map harder (paper, sec. 3)."""
+"""A study of a drive: sweep parameters, recommend some, disturb their queries (paper, sec. 3)."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -18,15 +18,16 @@ from core.evaluation.study import Answers, CurvePoint, EncodingStudy, Study
 from core.evaluation.sweep import SweepGrid, sweep
 from core.localization.localizer import Localizer
 from core.mapping.pipeline import build
+from core.numbers import require_above, require_at_least
 from core.parameters import MapParameters
 from core.progress import NO_PROGRESS, Progress
 from core.projection.images import Skipped
 from core.scans.drive import Drive
 from core.scans.scan import Scan
-from core.segmentation import cut_fixed
+from core.segmentation.fixed import cut_fixed
 
 SWEPT_CONDITIONS = (Condition(), Condition(lateral_m=1.0))
-"""As driven, and where the paper finds its limit: nearly every setting answers the first."""
+"""As driven, and where the paper finds its limit: nearly every setting is right on the first."""
 
 
 @dataclass(frozen=True)
@@ -36,16 +37,16 @@ class StudyProtocol:
     Attributes:
         parameters: Of the maps, one for each encoding; their ranks are used if no others are
             recommended.
-        r1: Ranks that are tried where images have them.
+        r1: Ranks in elevation that are tried, as far as images have them.
         r2: The same in azimuth.
-        segment_lengths: k that are tried; without them, five made for the drive's length.
-        ranks: Show this setting's answers instead of the recommended one's.
+        segment_lengths: k that are tried; without them, five that depend on the drive's length.
+        ranks: Show the answers of these ranks instead of the recommended ones.
         segment_length: The same for k.
         split: Which scans are held out.
         max_queries: At most so many of them are queries.
         noise_m: Sigmas of noise on every coordinate.
         lateral_m: Translations to the left.
-        yaw_deg: Turns, counter-clockwise.
+        yaw_deg: Relative yaws, counter-clockwise.
         max_bytes_per_scan: The advisor's budget.
         tolerance_m: Within which an answer is right.
         seed: Of the noise.
@@ -69,12 +70,8 @@ class StudyProtocol:
     def __post_init__(self) -> None:
         if not self.parameters:
             raise InvalidParameters("parameters is empty, wanted those of at least one encoding")
-        if self.max_queries < 1:
-            raise InvalidParameters(f"max_queries is {self.max_queries}, wanted 1 or more")
-        if self.max_bytes_per_scan is not None and not self.max_bytes_per_scan > 0:
-            raise InvalidParameters(
-                f"max_bytes_per_scan is {self.max_bytes_per_scan}, wanted above 0"
-            )
+        require_at_least(1, max_queries=self.max_queries)
+        require_above(0, max_bytes_per_scan=self.max_bytes_per_scan)
 
 
 def segment_lengths_for(scans: int) -> tuple[int, ...]:
@@ -91,7 +88,7 @@ def segment_lengths_for(scans: int) -> tuple[int, ...]:
 
 
 def study_drive(drive: Drive, protocol: StudyProtocol, progress: Progress = NO_PROGRESS) -> Study:
-    """Sweep the parameters on a drive, recommend some, and query the recommended map harder.
+    """Sweep the parameters on a drive, recommend some, and disturb that map's queries.
 
     Raises:
         EmptyDrive: If the drive has no scan, or no usable one.
@@ -123,7 +120,7 @@ def study_drive(drive: Drive, protocol: StudyProtocol, progress: Progress = NO_P
 
 
 class _Named:
-    """Puts the encoding's name before each stage."""
+    """Prefixes each stage with the encoding's name."""
 
     def __init__(self, progress: Progress, name: str) -> None:
         self._progress = progress
@@ -197,12 +194,9 @@ def _disturbances(protocol: StudyProtocol) -> tuple[Condition, ...]:
 
 
 def _answers(
-    queries: QuerySet,
-    criterion: Criterion,
-    matched: Sequence[int | None],
-    segment_start: IntArray,
+    queries: QuerySet, criterion: Criterion, matched: Sequence[int | None], segment_start: IntArray
 ) -> Answers:
-    """Return the answers; a disturbed scan without one is in no curve."""
+    """Return the answers; a disturbed scan without one is left out."""
     given = np.array([scan is not None for scan in matched], dtype=bool)
     scan, found = queries.scans[given], np.array([m for m in matched if m is not None], np.int64)
     return Answers(

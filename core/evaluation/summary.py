@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -9,9 +10,9 @@ from core.arrays import FloatArray
 from core.confidence.places import AWAY_M
 from core.evaluation.condition import Condition
 from core.evaluation.metrics import apart_m, heading_error_deg, median, share_within
+from core.evaluation.plain import Plain, plain
 from core.evaluation.query_set import LocatedQueries
 from core.evaluation.reliability import Outcome, Reliability, reliability
-from core.evaluation.result import ConditionResult, SegmentError
 from core.localization.localizer import Localization
 from core.mapping.tensormap import TensorMap
 from core.scans.displacement import left_of_m
@@ -19,8 +20,77 @@ from core.scans.pose import heading_deg
 
 
 @dataclass(frozen=True)
+class SegmentError:
+    """A query that was matched on a wrong segment.
+
+    Attributes:
+        scan: The query's index in its drive.
+        matched_scan: Index of the matched map scan.
+        segment: The true one.
+        matched_segment: The one of the matched scan.
+        standing: Whether the vehicle was stationary, `None` without poses.
+        motion_surrogate: The paper's norm of the 6-DOF change, `None` without poses.
+    """
+
+    scan: int
+    matched_scan: int
+    segment: int
+    matched_segment: int
+    standing: bool | None
+    motion_surrogate: float | None
+
+
+@dataclass(frozen=True)
+class ConditionResult(Plain):
+    """All queries under one condition; `None` where not applicable.
+
+    Attributes:
+        condition: The disturbance.
+        queries: How many scans were queried.
+        refusals: How many got no answer; they count in no figure below.
+        segment_accuracy: Share of answers on the right segment.
+        errors: Answers on a wrong segment, one by one.
+        errors_moving: How many of them while the vehicle moved.
+        errors_stationary: How many while it was stationary.
+        recall_at_1: Share of answers whose map scan was recorded within so many metres.
+        position_error_m_median: Median distance of the estimated position, or of the matched scan
+            where none is estimated, from the displaced vehicle.
+        heading_error_deg_median: Median error of the estimated heading; the paper's encoding
+            estimates none.
+        lateral_error_m_median: Median error of the estimated offset to the left of the matched
+            scan; the paper's encoding estimates none.
+        ms_per_query: Mean wall time from returns to answer, projection included.
+        reliability: Of the probabilities; `None` without calibration or poses.
+    """
+
+    condition: Condition
+    queries: int
+    refusals: int
+    segment_accuracy: float | None
+    errors: tuple[SegmentError, ...]
+    errors_moving: int | None
+    errors_stationary: int | None
+    recall_at_1: dict[float, float | None]
+    position_error_m_median: float | None
+    heading_error_deg_median: float | None
+    lateral_error_m_median: float | None
+    ms_per_query: float | None
+    reliability: Reliability | None
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return plain values, `errors` as their number."""
+        found = super().as_dict()
+        return {
+            **found.pop("condition"),
+            **found,
+            "errors": None if self.segment_accuracy is None else len(self.errors),
+            "error_scans": found["errors"],
+        }
+
+
+@dataclass(frozen=True)
 class Answer:
-    """A localization, and how long it took from scan to answer."""
+    """A localization and its time from scan to answer."""
 
     found: Localization
     seconds: float
@@ -34,7 +104,7 @@ def summarize(
     elsewhere: Sequence[Answer | None],
     tolerances_m: Sequence[float],
 ) -> ConditionResult:
-    """Return the metrics of what a map answered under one condition.
+    """Return the metrics of a map's answers under one condition.
 
     Args:
         condition: The disturbance.
@@ -56,13 +126,20 @@ def summarize(
             estimated[row] = match.estimated_pose.as_tuple()
     segment = queries.segment[rows]
     errors = tuple(
-        _segment_error(queries, row, match.scan_index, match.segment)
+        SegmentError(
+            scan=int(queries.scans[row]),
+            matched_scan=match.scan_index,
+            segment=int(queries.segment[row]),
+            matched_segment=match.segment,
+            standing=None if queries.standing is None else bool(queries.standing[row]),
+            motion_surrogate=plain(float(queries.surrogate[row])),
+        )
         for row, match in zip(rows.tolist(), best, strict=True)
         if 0 <= queries.segment[row] != match.segment
     )
-    judged = int((segment >= 0).sum())
+    checked = int((segment >= 0).sum())
     standing = None
-    if queries.standing is not None and judged:
+    if queries.standing is not None and checked:
         standing = sum(bool(error.standing) for error in errors)
     has_heading = np.array([match.heading_deg is not None for match in best], dtype=bool)
     beside = [
@@ -75,7 +152,7 @@ def summarize(
         condition=condition,
         queries=len(queries),
         refusals=len(queries) - len(given),
-        segment_accuracy=1.0 - len(errors) / judged if judged else None,
+        segment_accuracy=1.0 - len(errors) / checked if checked else None,
         errors=errors,
         errors_moving=None if standing is None else len(errors) - standing,
         errors_stationary=standing,
@@ -107,21 +184,7 @@ def _reliability(
 
 def _outcomes(found: Sequence[tuple[Localization, bool]]) -> list[Outcome]:
     return [
-        Outcome(of_it.verdict.probability, of_it.localized, right)
+        Outcome(of_it.decision.probability, of_it.localized, right)
         for of_it, right in found
-        if of_it.verdict.probability is not None
+        if of_it.decision.probability is not None
     ]
-
-
-def _segment_error(
-    queries: LocatedQueries, row: int, matched_scan: int, matched_segment: int
-) -> SegmentError:
-    surrogate = float(queries.surrogate[row])
-    return SegmentError(
-        scan=int(queries.scans[row]),
-        matched_scan=matched_scan,
-        segment=int(queries.segment[row]),
-        matched_segment=matched_segment,
-        standing=None if queries.standing is None else bool(queries.standing[row]),
-        motion_surrogate=None if np.isnan(surrogate) else surrogate,
-    )

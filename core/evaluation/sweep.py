@@ -11,9 +11,9 @@ from core.evaluation.plain import Plain
 from core.evaluation.query_images import QueryImages
 from core.mapping.pipeline import rows_of_cuts
 from core.progress import NO_PROGRESS, Progress
-from core.segmentation import cut_fixed
+from core.segmentation.fixed import cut_fixed
 
-BYTES_A_NUMBER = 4  # a map file keeps float32, or pairs of it
+BYTES_A_NUMBER = 4  # a map file has float32, or pairs of it
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class SweepGrid:
             object.__setattr__(self, name, values)
 
     def within(self, shape: tuple[int, int]) -> "SweepGrid":
-        """Leave out ranks that images of this many rows and columns do not have.
+        """Return the grid without ranks that images of this many rows and columns do not have.
 
         Raises:
             InvalidParameters: If none is left.
@@ -62,8 +62,8 @@ class SweepPoint(Plain):
         elements: Numbers that the map of the mapped scans holds.
         bytes_per_scan: Of that map, for each mapped scan.
         relative_error: |X - X^| / |X| over all mapped images.
-        segment_accuracy: Share of the judged scans that were put on their segment, as driven.
-        accuracy: Share of right answers to judged scans, under each condition.
+        segment_accuracy: Share of the counted queries matched on their segment, as driven.
+        accuracy: Share of right answers to counted queries, under each condition.
     """
 
     ranks: tuple[int, int]
@@ -88,10 +88,10 @@ class Sweep(Plain):
     Attributes:
         encoding: Of the maps.
         conditions: What each entry of `accuracy` was measured under.
-        criterion: What counts as right.
+        criterion: Which answers are right.
         map_scans: Scans in each map.
-        asked: Scans that were asked, under each condition.
-        judged: How many of them count: those taken standing do not, if any was taken moving.
+        asked: Queries under each condition.
+        judged: How many of them count: stationary ones do not, if any was recorded while moving.
         points: By rising k, r1 and r2.
     """
 

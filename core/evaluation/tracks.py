@@ -1,4 +1,4 @@
-"""The queries of an evaluation as one vehicle's drive: what tracking makes of them."""
+"""The queries of an evaluation, tracked as one vehicle's drive."""
 
 import itertools
 import time
@@ -20,22 +20,22 @@ from core.tracking.step import TrackStep
 from core.tracking.track import Observation, Track, Tracker
 
 _KIDNAPPINGS = 8  # spread over the drive
-_BEFORE, _AFTER = 10, 30  # queries before a vehicle is carried off, and within which it is found
+_BEFORE, _AFTER = 10, 30  # queries before a kidnapping, and within which the vehicle is found
 _RIGHT_M = 10.0
 
 
 @dataclass(frozen=True)
 class TrackError:
-    """An observation that was put on a wrong segment.
+    """An observation that was matched on a wrong segment.
 
     Attributes:
         observation: Which one, from 0.
         scan: Its index in its drive.
-        segment: Where it belongs.
-        told_segment: Where it was put.
-        told_scan: Index of the map scan nearest to that place.
-        probability: Of the segment, as the track gave it.
-        standing: Whether the vehicle stood, `None` without poses.
+        segment: The true one.
+        told_segment: The reported one.
+        told_scan: Index of the map scan nearest to the reported place.
+        probability: Of the reported segment.
+        standing: Whether the vehicle was stationary, `None` without poses.
     """
 
     observation: int
@@ -49,7 +49,7 @@ class TrackError:
 
 @dataclass(frozen=True)
 class TrackResult(Plain):
-    """One drive under one condition, tracked; what does not apply is `None`.
+    """One drive under one condition, tracked; `None` where not applicable.
 
     Attributes:
         condition: The disturbance.
@@ -60,15 +60,15 @@ class TrackResult(Plain):
         first_fix: How many observations it took until the first place.
         errors: Wrong segments that were given as sure.
         errors_moving: How many of them while the vehicle moved.
-        errors_stationary: How many while it stood.
+        errors_stationary: How many while it was stationary.
         segments_told: How many gave a place whose segment is sure, 0.9.
         unsure_wrong: How many gave none because two were likely, and the likelier was wrong.
         recall_at_1: Share whose map scan was recorded within so many metres.
         position_error_m_median: Median distance of the estimated position.
-        standing_found: Share of the standing vehicle's observations that were found standing.
-        standing_false: Share of the moving vehicle's that were.
-        flicker: Changes of the segment while the vehicle stood, beyond those that are true.
-        scan_changes: Changes of the scan from one observation found standing to the next.
+        standing_found: Share of the observations while stationary that were found stationary.
+        standing_false: The same share while moving.
+        flicker: Changes of the segment while the vehicle was stationary, beyond the true ones.
+        scan_changes: Changes of the scan from one observation found stationary to the next.
         recovery: How many observations each kidnapping took until the place was right again,
             `None` for one that was not found within 30.
         ms_per_observation: Mean wall time from signatures to answer.
@@ -157,32 +157,30 @@ def _tracked(
 ) -> TrackResult:
     kept = np.array([row for row, one in enumerate(observed) if one is not None], np.int64)
     observations = [one for one in observed if one is not None]
-    asked = replace(queries, scans=queries.scans[kept], segment=queries.segment[kept])
+    used = replace(queries, scans=queries.scans[kept], segment=queries.segment[kept])
     track = Track(tracker)
     begun = time.perf_counter()
     steps = [track.observe(observation) for observation in observations]
     seconds = time.perf_counter() - begun
     localized = np.array([step.localized for step in steps], dtype=bool)
-    wrong = _wrong(tracker, asked, steps)
+    wrong = _wrong(tracker, used, steps)
     errors = tuple(error for error in wrong if steps[error.observation].segment_sure)
-    standing = asked.standing
-    told_standing = np.array([step.standing for step in steps], dtype=bool)
-    true = np.array([condition.pose(pose) for pose in asked.poses]).reshape(-1, 7)
+    standing = used.standing
+    found_standing = np.array([step.stationary for step in steps], dtype=bool)
+    true = np.array([condition.pose(pose) for pose in used.poses]).reshape(-1, 7)
     matched = tracker.map.trajectory.poses[np.array([step.row for step in steps], np.int64)]
     estimated = np.full((len(steps), 7), np.nan)
     for row, step in enumerate(steps):
         if step.pose is not None:
             estimated[row] = step.pose.as_tuple()
-    recorded_m = apart_m(matched, asked.poses)[localized]
+    recorded_m = apart_m(matched, used.poses)[localized]
     stationary = None if standing is None else sum(bool(error.standing) for error in errors)
     return TrackResult(
         condition=condition,
         observations=len(steps),
-        refusals=len(queries) - len(asked),
+        refusals=len(queries) - len(used),
         localized=int(localized.sum()),
-        not_localized=dict(
-            sorted(Counter(s.reason.value for s in steps if s.reason is not None).items())
-        ),
+        not_localized=dict(sorted(Counter(s.reason.value for s in steps if s.reason).items())),
         first_fix=int(localized.argmax()) + 1 if localized.any() else None,
         errors=errors,
         errors_moving=None if stationary is None else len(errors) - stationary,
@@ -191,55 +189,55 @@ def _tracked(
         unsure_wrong=len(wrong) - len(errors),
         recall_at_1={metres: share_within(recorded_m, metres) for metres in tolerances_m},
         position_error_m_median=median(apart_m(estimated, true)[localized]),
-        standing_found=None if standing is None else rate(told_standing[standing]),
-        standing_false=None if standing is None else rate(told_standing[~standing]),
-        flicker=_flicker(steps, asked),
+        standing_found=None if standing is None else rate(found_standing[standing]),
+        standing_false=None if standing is None else rate(found_standing[~standing]),
+        flicker=_flicker(steps, used),
         scan_changes=sum(
-            one.standing and two.standing and one.row != two.row
+            one.stationary and two.stationary and one.row != two.row
             for one, two in itertools.pairwise(steps)
         ),
-        recovery=_recovery(tracker, asked, observations),
+        recovery=_recovery(tracker, used, observations),
         ms_per_observation=1e3 * seconds / len(steps) if steps else None,
     )
 
 
 def _wrong(
-    tracker: Tracker, asked: LocatedQueries, steps: Sequence[TrackStep]
+    tracker: Tracker, queries: LocatedQueries, steps: Sequence[TrackStep]
 ) -> tuple[TrackError, ...]:
     return tuple(
         TrackError(
             observation=index,
-            scan=int(asked.scans[index]),
-            segment=int(asked.segment[index]),
+            scan=int(queries.scans[index]),
+            segment=int(queries.segment[index]),
             told_segment=step.segment,
             told_scan=int(tracker.map.trajectory.scan_index[step.row]),
             probability=step.segment_probability,
-            standing=None if asked.standing is None else bool(asked.standing[index]),
+            standing=None if queries.standing is None else bool(queries.standing[index]),
         )
         for index, step in enumerate(steps)
-        if step.localized and asked.segment[index] >= 0 and step.segment != asked.segment[index]
+        if step.localized and queries.segment[index] >= 0 and step.segment != queries.segment[index]
     )
 
 
-def _flicker(steps: Sequence[TrackStep], asked: LocatedQueries) -> int | None:
-    if asked.standing is None:
+def _flicker(steps: Sequence[TrackStep], queries: LocatedQueries) -> int | None:
+    if queries.standing is None:
         return None
-    told = true = 0
+    reported = true = 0
     for index in range(1, len(steps)):
-        if asked.standing[index - 1 : index + 1].all() and steps[index - 1].localized:
-            told += steps[index].segment != steps[index - 1].segment
-            true += bool(asked.segment[index] != asked.segment[index - 1])
-    return max(0, told - true)
+        if queries.standing[index - 1 : index + 1].all() and steps[index - 1].localized:
+            reported += steps[index].segment != steps[index - 1].segment
+            true += bool(queries.segment[index] != queries.segment[index - 1])
+    return max(0, reported - true)
 
 
 def _recovery(
-    tracker: Tracker, asked: LocatedQueries, observations: Sequence[Observation]
+    tracker: Tracker, queries: LocatedQueries, observations: Sequence[Observation]
 ) -> tuple[int | None, ...]:
-    """Carry the vehicle off to half a drive away, several times."""
+    """Kidnap the vehicle to half a drive away, several times."""
     count = len(observations)
     if count < 2 * (_BEFORE + _AFTER):
         return ()
-    poses = asked.poses
+    poses = queries.poses
     found: list[int | None] = []
     for start in np.linspace(0, count // 2 - _AFTER, _KIDNAPPINGS).astype(int).tolist():
         track = Track(tracker)
@@ -249,7 +247,7 @@ def _recovery(
         found.append(None)
         for index in range(there, there + _AFTER):
             step = track.observe(observations[index])
-            if step.localized and _is_right(tracker, step, poses[index], asked.segment[index]):
+            if step.localized and _is_right(tracker, step, poses[index], queries.segment[index]):
                 found[-1] = index - there + 1
                 break
     return tuple(found)

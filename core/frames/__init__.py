@@ -1,1 +1,1 @@
-"""World frames: whether the drives of a map agree on theirs."""
+"""World frames: checks that the drives of a map share one."""

@@ -1,8 +1,7 @@
-"""Whether the drives of a map are in one world frame, found by matching their scans.
+"""Checks whether the drives of a map are in one world frame, by matching their scans.
 
-A drive whose poses are of another frame ruins a map without a sign: what was recorded at one place
-then lies at two. Its scans still look like those of the others, so each is matched with them, and
-where the match is clear its poses must agree with theirs.
+A drive with poses in another frame gives each place two positions in the map. Its scans still match
+those of the other drives, and where a match is clear, the poses of both scans must agree.
 """
 
 from collections.abc import Iterator, Sequence
@@ -17,37 +16,37 @@ from core.frames.rigid import RigidTransform, find_consensus
 from core.localization.match import match_at
 from core.mapping.tensormap import TensorMap
 from core.progress import NO_PROGRESS, Progress
-from core.projection.probe import probed_among
+from core.projection.probe import spread_evenly
 from core.scans.displacement import pose_beside
 from core.scans.pose import heading_deg
 from core.scans.trajectory import Trajectory
 
 MOST_MATCHED = 200
-"""How many scans of a drive are matched at most, evenly spread along its path."""
+"""Most scans of a drive that are matched, evenly spread along its path."""
 
 # Chosen on recorded drives and simulated cities, and measured on others:
 # docs/decisions/0028-frames-and-the-gate.md.
-_CLEAR = 0.7  # a match is clear if the runner-up away from it is so much farther
-_ALONG_M = 5.0  # a match may lie so far from where the poses say: scans are metres apart
-_ACROSS_M = 10.0  # likewise to the side: other lanes look alike, and renderings reach 3 m
-_PLACES = 8  # that have to agree on a transform
-_PLACE_M = 5.0  # between two of them: scans of one place err alike
-_STRETCH_M = 10.0  # around the scans that agree; in it most clear matches must
+_CLEAR = 0.7  # a match is clear up to this ratio to the runner-up
+_ALONG_M = 5.0  # most between a match and the place by the poses: scans are metres apart
+_ACROSS_M = 10.0  # likewise to the side: other lanes are similar, and renderings reach 3 m
+_PLACES = 8  # least number that agree on a transform
+_PLACE_M = 5.0  # least between two of them: scans of one place have similar errors
+_STRETCH_M = 10.0  # around the scans that agree; most clear matches in it must agree
 _MOST_CLEAR_AGREE = 0.5
-_FEW_AS_CLAIMED = 0.25  # of the others, may lie where the poses say: in streets that repeat more do
-_TILTED_MORE = 1.2  # matches that another vertical explains, before it is believed
+_FEW_AS_CLAIMED = 0.25  # of them, most that agree with the poses: more do in streets that repeat
+_TILTED_MORE = 1.2  # ratio of matches that agree with another vertical, to accept it
 _NAMED = 5  # scans in the message
 
 
 @dataclass(frozen=True)
 class Disagreement:
-    """Where a drive's scans were found, against where its poses place them.
+    """Evidence that a drive's poses are in another frame than those of the drives before it.
 
     Attributes:
-        others: The drives in which they were found.
-        scans: `(scan, drive, scan there, metres apart)` of those that agree on the transform.
-        matched: How many clear matches are in the same stretches of the drive.
-        apart_m: The median of how far they are apart.
+        others: The drives with the matched scans.
+        scans: `(scan, drive, scan there, metres apart)` of the matches that agree on the transform.
+        matched: Number of clear matches in the same stretches of the drive.
+        apart_m: The median of the metres apart.
         transform: From the frame of the drive's poses to that of the others.
     """
 
@@ -60,30 +59,30 @@ class Disagreement:
 
 @dataclass(frozen=True)
 class FrameCheck:
-    """What is known of the frame of one drive.
+    """The check of one drive's frame.
 
     Attributes:
         drive: Its name.
-        asked: How many of its scans were matched with those of the drives before it.
-        clear: How many of these matches are clear.
-        agreeing: How many of the clear ones lie where the poses say.
-        disagreement: The evidence against its frame, `None` if there is none.
+        queries: Number of its scans that were matched with the drives before it.
+        clear: Number of clear matches.
+        agreeing: Number of clear matches that agree with the poses.
+        disagreement: The evidence for another frame, `None` if there is none.
     """
 
     drive: str
-    asked: int
+    queries: int
     clear: int
     agreeing: int
     disagreement: Disagreement | None
 
     @property
     def met(self) -> bool:
-        """Whether its poses are known to agree with those of the drives before it."""
+        """Whether enough matches agree with the poses."""
         return self.disagreement is None and 2 * self.agreeing >= max(6, self.clear)
 
     @property
     def note(self) -> str | None:
-        """What a user should know if the frame could not be checked, `None` if it was."""
+        """A note for the user if the frame could not be checked, `None` if it was."""
         if self.met or self.disagreement is not None:
             return None
         return f"{self}: whether they share a world frame could not be checked"
@@ -92,7 +91,7 @@ class FrameCheck:
         found = self.disagreement
         if found is None:
             return (
-                f"of {self.asked} scans of drive {self.drive} {self.clear} have a clear match in"
+                f"of {self.queries} scans of drive {self.drive} {self.clear} have a clear match in"
                 f" the drives before it, {self.agreeing} of them where its poses say"
             )
         step = max(1, len(found.scans) // _NAMED)
@@ -113,13 +112,13 @@ class FrameCheck:
 
 
 def check_frames(tensor_map: TensorMap, progress: Progress = NO_PROGRESS) -> tuple[FrameCheck, ...]:
-    """Match every drive's scans with the drives before it and compare their poses.
+    """Match every drive's scans with the drives before it, and compare their poses.
 
-    The queries are the map's own signatures, so that no image is read, and the answer depends on
-    nothing but the map. Matches do not depend on the poses of the drive that is checked.
+    The queries are the map's own signatures, so that the result depends on the map only. Matches do
+    not depend on the poses of the drive that is checked.
 
     Args:
-        tensor_map: Of one or more drives, built with the poses in question.
+        tensor_map: Of one or more drives, built with the poses to check.
         progress: Receives every scan that is matched.
 
     Returns:
@@ -129,14 +128,26 @@ def check_frames(tensor_map: TensorMap, progress: Progress = NO_PROGRESS) -> tup
     pairs = list(_pairs(trajectory))
     if pairs:
         progress.start("checking frames", sum(len(rows) for rows, _ in pairs))
-    return tuple(_check(tensor_map, rows, among, progress) for rows, among in pairs)
+    checks = []
+    for rows, among in pairs:
+        matches = _clear_matches(tensor_map, rows, among, progress)
+        checks.append(
+            FrameCheck(
+                trajectory.drives[trajectory.drive_of_scan[rows[0]]],
+                queries=len(rows),
+                clear=len(matches.rows),
+                agreeing=int(matches.agrees.sum()),
+                disagreement=_disagreement(trajectory, matches),
+            )
+        )
+    return tuple(checks)
 
 
 def require_one_frame(checks: Sequence[FrameCheck]) -> None:
-    """Refuse drives that disagree.
+    """Require that no drive is in another frame.
 
     Raises:
-        FramesDisagree: With the evidence of the first that does.
+        FramesDisagree: With the evidence of the first one that is.
     """
     for check in checks:
         if check.disagreement is not None:
@@ -146,7 +157,7 @@ def require_one_frame(checks: Sequence[FrameCheck]) -> None:
 
 
 def _pairs(trajectory: Trajectory) -> Iterator[tuple[IntArray, BoolArray]]:
-    """Yield rows of each drive to match, and among which rows."""
+    """Yield rows of each drive to match, and the rows to match them with."""
     drive_of_scan, known = trajectory.drive_of_scan, trajectory.known
     for drive in range(1, len(trajectory.drives)):
         rows = np.flatnonzero(known & (drive_of_scan == drive))
@@ -156,17 +167,17 @@ def _pairs(trajectory: Trajectory) -> Iterator[tuple[IntArray, BoolArray]]:
 
 
 def _along_path(trajectory: Trajectory, rows: IntArray) -> IntArray:
-    """Return some rows, evenly spread over a drive's path: none more where it stood."""
+    """Return some rows, evenly spread along a drive's path."""
     steps_m = np.linalg.norm(np.diff(trajectory.poses[rows, :3], axis=0), axis=1)
     path_m = np.concatenate([[0.0], np.cumsum(steps_m)])
     spacing_m = max(1.0, path_m[-1] / MOST_MATCHED)
     _, first = np.unique(np.floor(path_m / spacing_m), return_index=True)
-    return probed_among(rows[first], MOST_MATCHED)
+    return spread_evenly(rows[first], MOST_MATCHED)
 
 
 @dataclass(frozen=True, eq=False)
 class _Matches:
-    """Clear matches: rows, the rows they match, and both places."""
+    """Clear matches: rows, the rows they match, and the positions of both."""
 
     rows: IntArray
     found: IntArray
@@ -176,27 +187,12 @@ class _Matches:
     agrees: BoolArray
 
 
-def _check(
-    tensor_map: TensorMap, rows: IntArray, among: BoolArray, progress: Progress
-) -> FrameCheck:
-    matches = _clear_matches(tensor_map, rows, among, progress)
-    trajectory = tensor_map.trajectory
-    drive = trajectory.drives[trajectory.drive_of_scan[rows[0]]]
-    return FrameCheck(
-        drive,
-        len(rows),
-        len(matches.rows),
-        int(matches.agrees.sum()),
-        _disagreement(trajectory, matches),
-    )
-
-
 def _clear_matches(
     tensor_map: TensorMap, rows: IntArray, among: BoolArray, progress: Progress
 ) -> _Matches:
     trajectory, poses = tensor_map.trajectory, tensor_map.trajectory.poses
     model = tensor_map.model
-    # What a query would send; the paper's is brought into the bases of the drives before.
+    # As from a vehicle; the paper's are converted to the bases of the drives before.
     segments = np.unique(model.segment_of_scan[among])
     queries = model.own_queries(rows.tolist(), tensor_map.basis_digest, segments)
     kept: list[tuple[int, int]] = []
@@ -219,7 +215,7 @@ def _clear_matches(
     pairs = np.array(kept, dtype=np.int64).reshape(-1, 2)
     both = np.array(places, dtype=np.float64).reshape(-1, 2, 7)
     mine, theirs = both[:, 0], both[:, 1]
-    # A scan of an encoding that is not yaw-invariant matches only who looks as it was recorded.
+    # Without yaw invariance a scan matches only queries in its own heading.
     turns_known = model.gives_relative_yaw or not tensor_map.parameters.encoder.yaw_invariant
     ahead = np.radians(heading_deg(poses[pairs[:, 1]]))
     x_m, y_m, z_m = (theirs - mine)[:, :3].T
@@ -236,7 +232,7 @@ def _clear_matches(
 
 
 def _disagreement(trajectory: Trajectory, matches: _Matches) -> Disagreement | None:
-    """Return what the matches that are not where the poses say agree on, if it convinces."""
+    """Return the transform that matches against the poses agree on, if there is enough evidence."""
     others = np.flatnonzero(~matches.agrees)
     points_m, matched_m = matches.points_m[others], matches.matched_m[others]
     turn_deg = None if matches.turn_deg is None else matches.turn_deg[others]
@@ -281,7 +277,7 @@ def _evidence(
 
 
 def _places(points_m: FloatArray, matched_m: FloatArray) -> int:
-    """Return how many matches are left when none is near another, in either frame."""
+    """Return the number of matches when none is near another, in either frame."""
     both = np.stack([points_m, matched_m], axis=1)
     kept: list[FloatArray] = []
     for place in both:

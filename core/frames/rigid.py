@@ -1,4 +1,4 @@
-"""Rigid transforms between world frames, and the one that most matched places agree on."""
+"""Rigid transforms between world frames, and the consensus of matched places."""
 
 from dataclasses import dataclass
 from itertools import combinations
@@ -9,11 +9,11 @@ from scipy.spatial.transform import Rotation
 from core.arrays import BoolArray, FloatArray, IntArray, frozen
 from core.scans.angles import wrapped_deg
 
-_BASELINE_M = 10.0  # between two places that give a heading: 1 m of error is 6 degrees then
+_BASELINE_M = 10.0  # least between two places that give a heading: 1 m of error is 6 degrees
 _HYPOTHESES = 4000  # of each kind at most
-_AT_ONCE = 500  # hypotheses that are tried at once: 500 x 200 x 3 numbers are 2.4 MB
+_AT_ONCE = 500  # hypotheses evaluated at once: 500 x 200 x 3 numbers are 2.4 MB
 _REFITS = 5
-_HEADING_DEG = 30.0  # by which a match may be turned otherwise than the transform says
+_HEADING_DEG = 30.0  # most between the yaws of a match and of the transform
 _SEED = 20_004
 
 
@@ -35,16 +35,16 @@ class RigidTransform:
 
     @property
     def yaw_deg(self) -> float:
-        """How far it turns about the vertical, counter-clockwise, -180..180."""
+        """Rotation about the vertical, counter-clockwise, -180..180."""
         return float(np.degrees(np.arctan2(self.rotation[1, 0], self.rotation[0, 0])))
 
     @property
     def tilt_deg(self) -> float:
-        """Between the vertical axes of both frames, 0..180."""
+        """Angle between the vertical axes of both frames, 0..180."""
         return float(np.degrees(np.arccos(np.clip(self.rotation[2, 2], -1.0, 1.0))))
 
     def apply(self, points_m: FloatArray) -> FloatArray:
-        """Return `(n, 3)` points of the one frame in the other."""
+        """Return `(n, 3)` points in the other frame."""
         return np.asarray(points_m @ self.rotation.T + self.translation_m)
 
     @classmethod
@@ -52,9 +52,9 @@ class RigidTransform:
         """Return the least-squares transform of `(n, 3)` points to others (Kabsch 1976).
 
         Args:
-            points_m: In the one frame.
+            points_m: In one frame.
             others_m: The same in the other.
-            level: Turn about the vertical only.
+            level: Rotate about the vertical only.
 
         Examples:
             >>> ahead = np.array([[0.0, 0.0, 0.0], [10.0, 0.0, 0.0], [10.0, 5.0, 0.0]])
@@ -78,7 +78,7 @@ class Consensus:
     """A transform and the matches that agree with it.
 
     Attributes:
-        transform: From the frame of the points to that of what they matched.
+        transform: From the frame of the points to that of their matches.
         agrees: `(n,)` which matches are within the tolerance.
     """
 
@@ -94,20 +94,20 @@ def find_consensus(
     *,
     level: bool = True,
 ) -> Consensus | None:
-    """Return the transform that most of some matches agree on, however many are wrong.
+    """Return the transform that the most matches agree on, as RANSAC does.
 
-    Hypotheses are of two matches, or of one and its heading; where the vertical may differ too,
-    of three. They are drawn with a fixed seed where there are many.
+    A hypothesis is made from two matches, or from one and its heading; from three where the
+    vertical may differ too. Where there are many, some are drawn with a fixed seed.
 
     Args:
-        points_m: `(n, 3)` of the scans as their drive's poses place them.
-        matched_m: `(n, 3)` of the same as the matches place them.
-        turn_deg: `(n,)` by how much the match's heading is the greater; `None` where it is unknown.
-        tolerance_m: Between a match and where the transform places its scan.
-        level: Whether the transform turns about the vertical only.
+        points_m: `(n, 3)` positions of the scans by their drive's poses.
+        matched_m: `(n, 3)` positions of the same by their matches.
+        turn_deg: `(n,)` heading of the match minus that of the scan; `None` where it is unknown.
+        tolerance_m: Between a match and its transformed scan.
+        level: Whether the transform rotates about the vertical only.
 
     Returns:
-        The consensus; `None` if there are fewer than three matches or nothing to try.
+        The consensus; `None` if there are fewer than three matches or no hypothesis.
     """
     if len(points_m) < 3:
         return None
@@ -120,17 +120,17 @@ def find_consensus(
         at_m, to_m = np.concatenate([at_m, points_m]), np.concatenate([to_m, matched_m])
     if not len(rotations):
         return None
-    turned = turn_deg if level else None
+    yaw_deg = turn_deg if level else None
     best = np.zeros(len(points_m), np.bool_)
     for start in range(0, len(rotations), _AT_ONCE):
         some = slice(start, start + _AT_ONCE)
         placed = np.einsum("hij,nhj->hni", rotations[some], points_m[:, None] - at_m[some])
         off_m = np.linalg.norm(placed + to_m[some, None] - matched_m, axis=2)
-        agrees = (off_m <= tolerance_m) & _same_turn(rotations[some], turned)
+        agrees = (off_m <= tolerance_m) & _same_yaw(rotations[some], yaw_deg)
         most = agrees[agrees.sum(axis=1).argmax()]
         if most.sum() > best.sum():
             best = most
-    return _refitted(points_m, matched_m, turned, tolerance_m, best, level=level)
+    return _refitted(points_m, matched_m, yaw_deg, tolerance_m, best, level=level)
 
 
 def _refitted(
@@ -142,14 +142,14 @@ def _refitted(
     *,
     level: bool,
 ) -> Consensus | None:
-    """Fit to what agrees until that stays the same."""
+    """Fit to the matches that agree, until these do not change."""
     found = None
     for _ in range(_REFITS):
         if agrees.sum() < 3:
             return None
         transform = RigidTransform.fit(points_m[agrees], matched_m[agrees], level=level)
         off_m = np.linalg.norm(transform.apply(points_m) - matched_m, axis=1)
-        agree = (off_m <= tolerance_m) & _same_turn(transform.rotation[None], turn_deg)[0]
+        agree = (off_m <= tolerance_m) & _same_yaw(transform.rotation[None], turn_deg)[0]
         found = Consensus(transform, agree)
         if np.array_equal(agree, agrees):
             break
@@ -160,7 +160,7 @@ def _refitted(
 def _of_pairs(
     points_m: FloatArray, matched_m: FloatArray, tolerance_m: float, rng: np.random.Generator
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return turns about the vertical, and the points that each brings onto each other."""
+    """Return rotations about the vertical, and the pair of points that each aligns."""
     first, second = np.triu_indices(len(points_m), 1)
     way, other_way = points_m[second] - points_m[first], matched_m[second] - matched_m[first]
     length, other_length = np.linalg.norm(way, axis=1), np.linalg.norm(other_way, axis=1)
@@ -181,7 +181,7 @@ def _of_pairs(
 def _of_triples(
     points_m: FloatArray, matched_m: FloatArray, tolerance_m: float, rng: np.random.Generator
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return turns in space, and the points that each brings onto each other."""
+    """Return rotations in space, and the pair of points that each aligns."""
     triples: IntArray = rng.integers(len(points_m), size=(_HYPOTHESES, 3))
     points, others = points_m[triples], matched_m[triples]
     fits = np.ones(len(triples), np.bool_)
@@ -196,7 +196,7 @@ def _of_triples(
 
 
 def _proper(product: FloatArray) -> FloatArray:
-    """Return the rotations nearest to `(n, 3, 3)` matrices, none that mirrors."""
+    """Return the rotations nearest to `(n, 3, 3)` matrices, without reflections."""
     u, _, vt = np.linalg.svd(product)
     u[:, :, 2] *= np.sign(np.linalg.det(u) * np.linalg.det(vt))[:, None]
     return np.asarray(u @ vt)
@@ -206,8 +206,8 @@ def _about_vertical(angle: FloatArray) -> FloatArray:
     return np.asarray(Rotation.from_euler("z", angle[:, None]).as_matrix())
 
 
-def _same_turn(rotations: FloatArray, turn_deg: FloatArray | None) -> BoolArray:
-    """Return which matches are turned as each rotation says, `(h, n)` or `(h, 1)`."""
+def _same_yaw(rotations: FloatArray, turn_deg: FloatArray | None) -> BoolArray:
+    """Return which matches have the yaw of each rotation, `(h, n)` or `(h, 1)`."""
     if turn_deg is None:
         return np.ones((len(rotations), 1), np.bool_)
     yaw_deg = np.degrees(np.arctan2(rotations[:, 1, 0], rotations[:, 0, 0]))

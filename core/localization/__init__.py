@@ -1,1 +1,1 @@
-"""Where am I: the best match in a map, refined to a pose (paper, sec. 2.3)."""
+"""Localization: the best match in a map, refined to a pose (paper, sec. 2.3)."""

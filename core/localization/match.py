@@ -14,9 +14,9 @@ from core.scans.pose import Pose, heading_deg, path_length_m
 from core.scans.trajectory import Trajectory
 
 _SHARPNESS = 8  # weights are the inverse distance to this power: docs/decisions/0010
-_SCANS_BESIDE = 1  # before and after the match; farther ones weigh next to nothing
-_SAME_PLACE_M = 10.0  # a drive that was interrupted goes on elsewhere
-_SAME_YAW_DEG = 20.0  # a rendering of another relative yaw resembles the query by accident
+_SCANS_BESIDE = 1  # before and after the match; the weights of farther ones are negligible
+_SAME_PLACE_M = 10.0  # after an interruption a drive continues elsewhere
+_SAME_YAW_DEG = 20.0  # a rendering with another relative yaw is similar to the query by chance
 
 
 @dataclass(frozen=True)
@@ -25,7 +25,7 @@ class Match:
 
     Attributes:
         segment: The segment it lies on.
-        fraction: How far along the segment, 0 where it begins and 1 where it ends.
+        fraction: How far along the segment, 0 at its start and 1 at its end.
         along_m: The same in metres, `None` where a pose on the way is unknown.
         drive: The drive it was recorded in.
         scan_index: Its index in that drive.
@@ -62,17 +62,16 @@ class Match:
 
 
 def match_at(tensor_map: TensorMap, search: Search, found: Neighbours, position: int = 0) -> Match:
-    """Return one neighbour of a search as a match, refined where the map has viewpoints.
+    """Return a neighbour of a search as a match, with a sub-scan pose where there are viewpoints.
 
-    A query lies between renderings (1.5 m apart) and scans (a metre or two). The mean over those
-    that it resembles, weighted by (d_best / d)^8, lies between them too. Without poses only the
-    matched scan's own renderings are weighed.
+    Renderings are 1.5 m apart and scans a metre or two; the pose is the mean of the similar ones,
+    weighted by (d_best / d)^8. Without poses only the matched scan's renderings are averaged.
 
     Args:
         tensor_map: The map.
         search: The query's search.
-        found: What it found.
-        position: Which of them.
+        found: Its neighbours.
+        position: Index of the neighbour.
     """
     row, distance = int(found.rows[position]), float(found.distances[position])
     trajectory = tensor_map.trajectory
@@ -131,7 +130,7 @@ def _refined(
 
 
 def _weights(seen: Viewpoints, distance: float, aside_deg: FloatArray) -> FloatArray:
-    """Return how much each viewpoint counts, `(n, D)`, 1 in sum."""
+    """Return each viewpoint's weight, `(n, D)`; they sum to 1."""
     nearest = max(distance, float(np.finfo(np.float32).tiny))
     weights = (nearest / np.maximum(seen.distances, nearest)) ** _SHARPNESS
     weights *= np.abs(aside_deg) <= _SAME_YAW_DEG
@@ -143,5 +142,5 @@ def _rows_beside(trajectory: Trajectory, row: int) -> IntArray:
     rows = np.arange(max(0, row - _SCANS_BESIDE), min(len(trajectory), row + _SCANS_BESIDE + 1))
     apart_m = np.linalg.norm(trajectory.poses[rows, :3] - trajectory.poses[row, :3], axis=1)
     same_drive = trajectory.drive_of_scan[rows] == trajectory.drive_of_scan[row]
-    near = same_drive & (apart_m <= _SAME_PLACE_M)  # a distance to the unknown, NaN, is not
+    near = same_drive & (apart_m <= _SAME_PLACE_M)  # an unknown distance is NaN and not near
     return np.asarray(rows[near])

@@ -1,7 +1,6 @@
-"""Priors, `Hints` on the wire: what a vehicle knows of where it is before it queries (sec. 4).
+"""Priors: what a vehicle knows of its place before the search (paper, sec. 4).
 
-A hint is a gate at three standard deviations, and within it a prior: among scans that are about as
-near the likelier place wins.
+A prior removes scans beyond three standard deviations, and weights the others by their probability.
 """
 
 import math
@@ -17,9 +16,9 @@ from core.scans.angles import wrapped_deg
 from core.scans.pose import heading_deg
 
 _GATE = 3.0  # standard deviations
-_REACH_M = 5.0  # a scan of the map answers for what is so near to it: half a gap, and a lane
-_HEADING_SLACK_DEG = 5.0  # of a path's heading between two scans, and of its estimate
-_FIRST = 32  # scans that are asked for at first when headings have to be looked at
+_REACH_M = 5.0  # a query so near to a scan matches it: half a gap between scans, and a lane
+_HEADING_SLACK_DEG = 5.0  # error of a path's heading between two scans, and of the relative yaw
+_FIRST = 32  # scans of the first search, if matches are then filtered by heading
 
 
 def _require_sigma(name: str, value: float) -> None:
@@ -33,8 +32,8 @@ def _require_finite(name: str, value: float) -> None:
 
 
 @dataclass(frozen=True)
-class PositionHint:
-    """Where the vehicle is about, as satellites tell it.
+class PositionPrior:
+    """Approximate position, as from GNSS.
 
     Attributes:
         x_m: In the map's frame.
@@ -53,8 +52,8 @@ class PositionHint:
 
 
 @dataclass(frozen=True)
-class HeadingHint:
-    """Which way the vehicle looks, as a compass tells it.
+class HeadingPrior:
+    """Approximate heading, as from a compass.
 
     Attributes:
         heading_deg: In the map's frame, counter-clockwise from x.
@@ -68,10 +67,15 @@ class HeadingHint:
         _require_finite("heading_deg", self.heading_deg)
         _require_sigma("heading_sigma_deg", self.sigma_deg)
 
+    @property
+    def gate_deg(self) -> float:
+        """The largest difference of a match's heading."""
+        return _GATE * self.sigma_deg + _HEADING_SLACK_DEG
+
 
 @dataclass(frozen=True)
 class ScanOfMap:
-    """A scan that a fix named.
+    """A scan of the map as the last fix.
 
     Attributes:
         drive: Its drive.
@@ -83,10 +87,10 @@ class ScanOfMap:
 
 
 @dataclass(frozen=True)
-class OdometryHint:
-    """How far the vehicle has come since it last knew where it was.
+class OdometryPrior:
+    """Distance driven since the last fix.
 
-    Where it turned is not known: it is within that distance, as the crow flies.
+    The path is not known: the vehicle is within that distance of the fix, in a straight line.
 
     Attributes:
         since: The last fix: a scan of the map, or x and y in its frame, metres.
@@ -108,19 +112,19 @@ class OdometryHint:
 
 
 @dataclass(frozen=True)
-class Hints:
-    """All that is known; what is `None` is not.
+class Priors:
+    """All priors of a query; `None` where there is none.
 
     Attributes:
-        position: Where it is about.
-        heading: Which way it looks.
-        odometry: How far it has come.
-        segments: It is on one of these.
+        position: Approximate position.
+        heading: Approximate heading.
+        odometry: Distance driven since the last fix.
+        segments: The segments that the vehicle may be on.
     """
 
-    position: PositionHint | None = None
-    heading: HeadingHint | None = None
-    odometry: OdometryHint | None = None
+    position: PositionPrior | None = None
+    heading: HeadingPrior | None = None
+    odometry: OdometryPrior | None = None
     segments: tuple[int, ...] | None = None
 
     def __post_init__(self) -> None:
@@ -130,128 +134,123 @@ class Hints:
                 raise InvalidParameters("segments is empty, wanted at least one")
 
 
-NO_HINTS = Hints()
-"""Nothing is known."""
+NO_PRIORS = Priors()
 
 
-class Prior:
-    """Hints as they look on one map.
+class MapPrior:
+    """The priors of a query in one map: which scans are possible, and how likely each is.
 
     Attributes:
-        rows: `(K,)` which scans come into question.
-        share: Of all scans and headings, how many do; above 0 unless none does.
+        rows: `(K,)` which scans are possible.
+        share: Of all scans and headings that are possible; above 0 unless none is.
 
     Raises:
-        InvalidParameters: If a hint is of places and the map has no poses, or names a scan that it
+        InvalidParameters: If a prior needs poses and the map has none, or names a scan that the map
             does not have.
         UnknownSegment: If the map has no such segment.
     """
 
-    def __init__(self, hints: Hints, tensor_map: TensorMap) -> None:
+    def __init__(self, priors: Priors, tensor_map: TensorMap) -> None:
         trajectory = tensor_map.trajectory
         scans = len(trajectory)
         self.rows: BoolArray = np.ones(scans, dtype=bool)
         self._log_weight: FloatArray = np.zeros(scans)
-        self._heading: HeadingHint | None = None
+        self._heading: HeadingPrior | None = None
         self._path_heading_deg: FloatArray = np.zeros(scans)
-        of_place = (hints.position, hints.heading, hints.odometry)
-        if any(hint is not None for hint in of_place) and not trajectory.known.any():
-            raise InvalidParameters("the map has no poses: a hint of a place says nothing in it")
-        if hints.segments is not None:
-            tensor_map.model.require_segments(np.array(hints.segments))
-            self.rows &= np.isin(tensor_map.model.segment_of_scan, hints.segments)
-        if hints.position is not None:
-            self._apply_position(hints.position, trajectory.poses[:, :2])
-        if hints.odometry is not None:
-            since = _since(hints.odometry, tensor_map)
-            self._apply_odometry(hints.odometry, since, trajectory.poses[:, :2])
+        position, heading, odometry = priors.position, priors.heading, priors.odometry
+        if (position or heading or odometry) and not trajectory.known.any():
+            raise InvalidParameters(
+                "the map has no poses, which a prior of position, heading or odometry needs"
+            )
+        if priors.segments is not None:
+            tensor_map.model.require_segments(np.array(priors.segments))
+            self.rows &= np.isin(tensor_map.model.segment_of_scan, priors.segments)
+        places_m = trajectory.poses[:, :2]
+        if position is not None:
+            self._apply_place(places_m, (position.x_m, position.y_m), 0.0, position.sigma_m)
+        if odometry is not None:
+            since_m = _since_m(odometry, tensor_map)
+            self._apply_place(places_m, since_m, odometry.travelled_m, odometry.sigma_m)
         heading_share = 1.0
-        if hints.heading is not None:
+        if heading is not None:
             self._path_heading_deg = heading_deg(trajectory.poses)
             if tensor_map.parameters.encoder.yaw_invariant:
-                self._heading = hints.heading
+                self._heading = heading
                 self.rows &= trajectory.known
-                heading_share = min(1.0, 2.0 * _heading_gate_deg(hints.heading) / 360.0)
-            else:  # a scan answers who looks as it was recorded, and no one else
-                turn = wrapped_deg(self._path_heading_deg - hints.heading.heading_deg)
-                self.rows &= np.abs(turn) <= _heading_gate_deg(hints.heading)
+                heading_share = min(1.0, 2.0 * heading.gate_deg / 360.0)
+            else:  # a scan matches only queries in the heading of its recording
+                off_deg = wrapped_deg(self._path_heading_deg - heading.heading_deg)
+                self.rows &= np.abs(off_deg) <= heading.gate_deg
         self.share = float(self.rows.mean()) * heading_share
 
-    def _apply_position(self, hint: PositionHint, places_m: FloatArray) -> None:
-        off_m = np.hypot(places_m[:, 0] - hint.x_m, places_m[:, 1] - hint.y_m)
-        self.rows &= off_m <= _GATE * hint.sigma_m + _REACH_M
-        off_m = np.maximum(np.where(np.isnan(off_m), 0.0, off_m) - _REACH_M, 0.0)
-        self._log_weight -= _half_square(off_m / hint.sigma_m)
-
-    def _apply_odometry(
-        self, hint: OdometryHint, since_m: tuple[float, float], places_m: FloatArray
+    def _apply_place(
+        self,
+        places_m: FloatArray,
+        from_m: tuple[float, float],
+        travelled_m: float,
+        sigma_m: float,
     ) -> None:
-        off_m = np.hypot(places_m[:, 0] - since_m[0], places_m[:, 1] - since_m[1])
-        self.rows &= off_m <= hint.travelled_m + _GATE * hint.sigma_m + _REACH_M
-        beyond_m = np.where(np.isnan(off_m), 0.0, off_m) - hint.travelled_m - _REACH_M
-        self._log_weight -= _half_square(np.maximum(beyond_m, 0.0) / hint.sigma_m)
+        """Require scans within `travelled_m` of a place, and weight those beyond it."""
+        off_m = np.hypot(places_m[:, 0] - from_m[0], places_m[:, 1] - from_m[1])
+        self.rows &= off_m <= travelled_m + _GATE * sigma_m + _REACH_M
+        beyond_m = np.where(np.isnan(off_m), 0.0, off_m) - travelled_m - _REACH_M
+        sigmas = np.minimum(np.maximum(beyond_m, 0.0) / sigma_m, 1e6)  # its square stays finite
+        self._log_weight -= 0.5 * sigmas**2
 
     @property
-    def looks(self) -> bool:
-        """Whether a match's heading has to be looked at."""
+    def depends_on_heading(self) -> bool:
+        """Whether matches are filtered by their heading."""
         return self._heading is not None
 
     def allows(self, found: Neighbours) -> BoolArray:
-        """Return which matches lie within the gate, `(n,)`."""
+        """Return which matches are within the gate, `(n,)`."""
         allowed = self.rows[found.rows]
         if self._heading is None:
             return allowed
-        return allowed & (self._off_deg(found, self._heading) <= _heading_gate_deg(self._heading))
+        return allowed & (self._off_deg(found, self._heading) <= self._heading.gate_deg)
 
     def log_weight(self, found: Neighbours) -> FloatArray:
-        """Return the logarithm of how likely each place is beforehand, `(n,)`, at most 0."""
+        """Return the logarithm of each match's prior weight, `(n,)`, at most 0."""
         weight = self._log_weight[found.rows]
         if self._heading is None:
             return weight
         off_deg = np.maximum(self._off_deg(found, self._heading) - _HEADING_SLACK_DEG, 0.0)
         return np.asarray(weight - 0.5 * (off_deg / self._heading.sigma_deg) ** 2)
 
-    def _off_deg(self, found: Neighbours, hint: HeadingHint) -> FloatArray:
+    def _off_deg(self, found: Neighbours, prior: HeadingPrior) -> FloatArray:
         estimated = self._path_heading_deg[found.rows] + found.relative_yaw_deg
-        # A single harmonic gives no relative yaw: nothing is off then.
-        return np.nan_to_num(np.abs(wrapped_deg(estimated - hint.heading_deg)))
+        # With a single harmonic the relative yaw is NaN: the difference counts as 0.
+        return np.nan_to_num(np.abs(wrapped_deg(estimated - prior.heading_deg)))
 
 
 def nearest_within(
-    search: Search, k: int, prior: Prior, among: BoolArray | None = None
+    search: Search, k: int, prior: MapPrior, among: BoolArray | None = None
 ) -> Neighbours:
-    """Return the `k` nearest scans that a prior allows, nearest first, as many as there are."""
+    """Return the `k` nearest scans that a prior allows, nearest first, or as many as there are."""
     rows = prior.rows if among is None else prior.rows & among
-    if not prior.looks:
+    if not prior.depends_on_heading:
         return search.nearest(k, rows)
-    asked = max(k, _FIRST)
+    count = max(k, _FIRST)
     while True:
-        found = search.nearest(asked, rows)
+        found = search.nearest(count, rows)
         allowed = found[prior.allows(found)]
-        if len(allowed) >= k or len(found) < asked:
+        if len(allowed) >= k or len(found) < count:
             return allowed[:k]
-        asked *= 4
+        count *= 4
 
 
-def _since(hint: OdometryHint, tensor_map: TensorMap) -> tuple[float, float]:
-    if not isinstance(hint.since, ScanOfMap):
-        return hint.since
-    trajectory, named = tensor_map.trajectory, hint.since
-    row = trajectory.row_of(named.drive, named.scan_index)
+def _since_m(prior: OdometryPrior, tensor_map: TensorMap) -> tuple[float, float]:
+    """Return x and y of the last fix."""
+    fix = prior.since
+    if not isinstance(fix, ScanOfMap):
+        return fix
+    trajectory = tensor_map.trajectory
+    row = trajectory.row_of(fix.drive, fix.scan_index)
     if row is None:
         raise InvalidParameters(
-            f"the map has no scan {named.scan_index} of a drive {named.drive[:64]!r}"
+            f"the map has no scan {fix.scan_index} of a drive {fix.drive[:64]!r}"
         )
     if not trajectory.known[row]:
-        raise InvalidParameters(f"the pose of scan {named.scan_index} is not known")
+        raise InvalidParameters(f"the pose of scan {fix.scan_index} is not known")
     x_m, y_m = trajectory.poses[row, :2].tolist()
     return x_m, y_m
-
-
-def _heading_gate_deg(hint: HeadingHint) -> float:
-    return _GATE * hint.sigma_deg + _HEADING_SLACK_DEG
-
-
-def _half_square(sigmas: FloatArray) -> FloatArray:
-    """Return half the square of distances in standard deviations; beyond a million all are far."""
-    return np.asarray(0.5 * np.minimum(sigmas, 1e6) ** 2)

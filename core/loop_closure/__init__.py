@@ -1,1 +1,1 @@
-"""Whether a proposed loop closure is true (paper, sec. 4)."""
+"""Checks of proposed loop closures (paper, sec. 4)."""

@@ -1,4 +1,4 @@
-"""What stands around a sensor, seen from above, and how two such views lie to each other."""
+"""Bird's-eye views of the structure around a sensor, and their alignment."""
 
 from dataclasses import dataclass
 
@@ -10,28 +10,28 @@ from core.arrays import Float32Array, FloatArray
 from core.scans.scan import Scan
 
 CELL_M = 0.5
-"""Side of a cell: about how far apart two scans put the same wall."""
+"""Side of a cell: about the difference of a wall's place between two scans."""
 _REACH_M = 40.0  # walls of a street; farther away a spinning sensor's returns are sparse
 _CELLS = round(2 * _REACH_M / CELL_M)
 _PADDED = 192  # cells of the transforms: a shift by up to 32 cells does not wrap around
-_MOST_CELLS = 10  # of a shift, along each axis: 5 m, as far apart as two scans of one place are
-_LOWEST_M, _HIGHEST_M = 0.5, 8.0  # above ground: neither the road nor crowns of trees
-_APART_M = 0.2  # nearer returns count once, before they are turned
+_MOST_CELLS = 10  # of a shift, along each axis: 5 m, the most between two scans of one place
+_LOWEST_M, _HIGHEST_M = 0.5, 8.0  # above ground: without the road and the crowns of trees
+_APART_M = 0.2  # returns that are nearer to each other count once
 _LEAST = 1e-6
-_BLUR_CELLS = 0.8  # so that a wall on the border of two cells meets itself
+_BLUR_CELLS = 0.8  # a wall on the border of two cells may be in either
 
 
 @dataclass(frozen=True)
 class Alignment:
-    """How a second view lies to a first one.
+    """The pose of a second view relative to a first one.
 
     Attributes:
-        overlap: 0..1 as they lie best: how far the cosine of the two views is above what it is in
-            the middle of all shifts, as a share of what it could be above that. Dense surroundings
-            overlap by chance more than sparse ones do, and that is taken off.
-        turn_deg: How far the second sensor is turned from the first, counter-clockwise.
-        forward_m: How far ahead of the first it stands.
-        lateral_m: How far to its left.
+        overlap: 0..1 in the best alignment: the cosine of the two views above the median over all
+            shifts, as a share of the most that is possible. So the overlap by chance, which is
+            greater in dense surroundings, is subtracted.
+        turn_deg: Relative yaw of the second sensor, counter-clockwise.
+        forward_m: Its distance ahead of the first.
+        lateral_m: Its distance to the left of the first.
     """
 
     overlap: float
@@ -40,8 +40,8 @@ class Alignment:
     lateral_m: float
 
 
-def upright_m(scan: Scan, sensor_height_m: float) -> FloatArray:
-    """Return where something upright stands, `(n, 2)` metres around the sensor, each place once.
+def structure_m(scan: Scan, sensor_height_m: float) -> FloatArray:
+    """Return the places of structure, `(n, 2)` metres around the sensor, each place once.
 
     Args:
         scan: The returns.
@@ -52,17 +52,17 @@ def upright_m(scan: Scan, sensor_height_m: float) -> FloatArray:
     kept = (height_m > _LOWEST_M) & (height_m < _HIGHEST_M)
     kept &= (np.abs(points[:, :2]) < np.sqrt(2.0) * _REACH_M).all(axis=1)
     places = np.rint(points[kept, :2] / _APART_M).astype(np.int64)
-    span = 2 * round(2.0 * _REACH_M / _APART_M)  # keys of two coordinates in one number
+    span = 2 * round(2.0 * _REACH_M / _APART_M)  # two coordinates in one number
     keys = np.unique(places[:, 0] * span + places[:, 1] + span // 2)
     return np.column_stack([keys // span, keys % span - span // 2]) * _APART_M
 
 
-def overhead_view(places_m: FloatArray, turn_deg: float = 0.0) -> Float32Array:
-    """Return which cells around the sensor hold something, `(160, 160)`, blurred.
+def birds_eye_view(places_m: FloatArray, turn_deg: float = 0.0) -> Float32Array:
+    """Return which cells around the sensor are occupied, `(160, 160)`, blurred.
 
     Args:
-        places_m: `(n, 2)` metres, as of `upright_m`.
-        turn_deg: By which they are turned first, counter-clockwise.
+        places_m: `(n, 2)` metres, from `structure_m`.
+        turn_deg: By which they are rotated, counter-clockwise.
     """
     x, y = places_m.T
     cos, sin = np.cos(np.radians(turn_deg)), np.sin(np.radians(turn_deg))
@@ -75,32 +75,25 @@ def overhead_view(places_m: FloatArray, turn_deg: float = 0.0) -> Float32Array:
     return blurred
 
 
-def align_overhead(
-    first: Scan,
-    second: Scan,
-    turns_deg: FloatArray,
-    first_height_m: float,
-    second_height_m: float,
+def align_views(
+    first: Scan, second: Scan, turns_deg: FloatArray, sensor_height_m: float
 ) -> Alignment:
-    """Lay the second scan over the first, in each of some headings and wherever within 5 m.
-
-    One Fourier transform a heading tries all shifts.
+    """Return the best alignment of two scans over some headings and all shifts within 5 m.
 
     Args:
         first: The scan that the answer is relative to.
         second: The other one.
-        turns_deg: `(n,)` headings of the second relative to the first that are tried.
-        first_height_m: Of the first one's sensor above ground.
-        second_height_m: Of the second one's.
+        turns_deg: `(n,)` headings of the second relative to the first.
+        sensor_height_m: Of both sensors above ground.
     """
-    still = overhead_view(upright_m(first, first_height_m))
-    places_m = upright_m(second, second_height_m)
-    spectrum = fft.rfft2(still, (_PADDED, _PADDED))
+    fixed = birds_eye_view(structure_m(first, sensor_height_m))
+    places_m = structure_m(second, sensor_height_m)
+    spectrum = fft.rfft2(fixed, (_PADDED, _PADDED))
     shifts = np.arange(-_MOST_CELLS, _MOST_CELLS + 1)
     best = Alignment(0.0, float(turns_deg[0]), 0.0, 0.0)
     for turn_deg in turns_deg.tolist():
-        view = overhead_view(places_m, turn_deg)
-        norm = float(np.linalg.norm(still) * np.linalg.norm(view))
+        view = birds_eye_view(places_m, turn_deg)
+        norm = float(np.linalg.norm(fixed) * np.linalg.norm(view))
         if norm == 0.0:
             continue
         turned = fft.rfft2(view, (_PADDED, _PADDED))

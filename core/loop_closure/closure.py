@@ -1,18 +1,17 @@
-"""Is a proposed loop closure true: do two scans show one place? (paper, sec. 4)."""
+"""Checks of proposed loop closures: whether two scans show one place (paper, sec. 4)."""
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Protocol
 
 import numpy as np
+from scipy.special import expit
 
 from core.arrays import Float32Array, FloatArray
 from core.encodings.signature import Signature
 from core.errors import InvalidParameters
 from core.localization.localizer import Localizer
-from core.loop_closure.birds_eye_view import align_overhead
+from core.loop_closure.birds_eye_view import align_views
 from core.projection.height_image import project_heights
 from core.projection.imager import LATERAL_RENDERINGS_M
 from core.projection.reducer import Reducer
@@ -22,11 +21,11 @@ from core.scans.displacement import seen_from_beside
 from core.scans.scan import Scan
 
 ACCEPT_FROM = 0.99
-"""A false closure bends a whole map: it is accepted only if this probable."""
+"""Least probability to accept a closure; a false one would distort a whole map."""
 
 _GRID = RingGrid()
 _LEAST = 1e-6
-_PEAKS = 3  # headings that are tried: opposite directions of a street look alike from within
+_PEAKS = 3  # headings that are compared: opposite directions of a street are similar
 _APART_DEG = 10.0  # between them
 _AROUND_DEG = np.arange(-2.0, 3.0)  # of each: columns of an image are a degree wide
 
@@ -35,34 +34,27 @@ _INTERCEPT, _OF_SIMILARITY, _OF_OVERLAP = -7.0, 8.8, 10.6
 
 
 class Verdict(StrEnum):
-    """What to do with a proposed closure."""
+    """Decision on a proposed closure."""
 
     ACCEPTED = "accepted"
     REJECTED = "rejected"
     UNDECIDED = "undecided"
 
 
-class Likelihood(Protocol):
-    """What a map's calibration knows of distances between signatures."""
-
-    def log_likelihood_ratio(self, distances: FloatArray) -> FloatArray:
-        """Return log p(d | the query is at this scan) - log p(d | it is elsewhere), `(n,)`."""
-
-
 @dataclass(frozen=True)
 class LoopClosure:
-    """A proposed closure between a first and a second scan, judged.
+    """A checked closure between a first and a second scan.
 
     Attributes:
-        probability: That they stand within some 5 m of each other, true and false being as likely
-            beforehand; `None` if nothing tells.
-        turn_deg: How far the second is turned from the first, counter-clockwise, -180..180; `None`
-            where the evidence does not tell, as the paper's signatures.
-        forward_m: How far ahead of the first the second stands; `None` likewise.
-        lateral_m: How far to its left; `None` likewise.
-        image_similarity: Of the height images in the best heading, at most 1, what they have in
-            common in any heading taken off; `None` without returns.
-        overlap: Of the views from above as they lie best, at most 1, likewise.
+        probability: That they are within some 5 m of each other, with even prior odds; `None` if
+            not known.
+        turn_deg: Relative yaw of the second, counter-clockwise, -180..180; `None` if not known, as
+            from the paper's signatures.
+        forward_m: Distance of the second ahead of the first; `None` likewise.
+        lateral_m: Its distance to the left; `None` likewise.
+        image_similarity: Of the height images in the best heading, at most 1, less that of any
+            heading; `None` without returns.
+        overlap: Of the bird's-eye views in the best alignment, at most 1, likewise.
         signature_distance: In the measure of the map, `None` without signatures.
     """
 
@@ -78,8 +70,8 @@ class LoopClosure:
         if self.probability is not None and not 0.0 <= self.probability <= 1.0:
             raise InvalidParameters(f"probability is {self.probability}, wanted 0..1")
 
-    def verdict(self, accept_from: float = ACCEPT_FROM) -> Verdict:
-        """Return what to do with it.
+    def decide(self, accept_from: float = ACCEPT_FROM) -> Verdict:
+        """Accept or reject the closure, or leave it undecided.
 
         Args:
             accept_from: The least probability to accept; below a half it is rejected.
@@ -96,27 +88,23 @@ class LoopClosure:
         return Verdict.REJECTED if self.probability < 0.5 else Verdict.UNDECIDED
 
 
-def check_scans(
-    first: Scan, second: Scan, first_height_m: float, second_height_m: float | None = None
-) -> LoopClosure:
-    """Judge a closure by both scans' returns.
+def check_scans(first: Scan, second: Scan, sensor_height_m: float) -> LoopClosure:
+    """Check a closure by both scans' returns.
 
-    Their height images are compared in every heading, the second also from the sides of the first;
-    then both are laid over each other from above, in the best headings and wherever within 5 m.
-    Nothing depends on a map, its encoding or its sensor but the sensors' heights.
+    Their height images are compared in every heading, from virtual viewpoints too; then their
+    bird's-eye views in the best headings, with all shifts within 5 m. The result depends on no map,
+    encoding or sensor, but on the sensors' height.
 
     Args:
         first: The scan that the answer is relative to.
         second: The other one.
-        first_height_m: Of the first one's sensor above ground.
-        second_height_m: Of the second one's, if it is another.
+        sensor_height_m: Of both sensors above ground.
 
     Raises:
-        InvalidScan: If one has no return that stands above the ground within 80 m.
+        InvalidScan: If one has no return above the ground within 80 m.
     """
-    height_m = first_height_m if second_height_m is None else second_height_m
-    similarity, turns_deg = _images_alike(first, second, first_height_m, height_m)
-    found = align_overhead(first, second, turns_deg, first_height_m, height_m)
+    similarity, turns_deg = _similarity(first, second, sensor_height_m)
+    found = align_views(first, second, turns_deg, sensor_height_m)
     return LoopClosure(
         closure_probability(similarity, found.overlap),
         turn_deg=wrapped_deg(found.turn_deg),
@@ -128,30 +116,26 @@ def check_scans(
 
 
 def check_signatures(
-    localizer: Localizer,
-    row: int,
-    signatures: Sequence[Signature],
-    likelihood: Likelihood | None,
+    localizer: Localizer, row: int, signatures: Sequence[Signature]
 ) -> LoopClosure:
-    """Judge a closure between a scan of a map and one of which only signatures are known.
+    """Check a closure between a scan of a map and one of which only signatures are known.
 
-    Far weaker than `check_scans`: two streets of one kind have nearly the same signature.
+    Far less reliable than `check_scans`: similar streets have nearly the same signatures. The
+    probability is that of the map's calibration, `None` without one.
 
     Args:
         localizer: Of the map.
         row: Of the map's scan, the first of the closure.
-        signatures: Of the second, made with the map's basis; only that in the basis of the first
-            one's segment is used.
-        likelihood: The map's calibration; without one there is no probability.
+        signatures: Of the second, made with the map's basis; only the one of the first scan's
+            segment is used.
 
     Raises:
-        TensorMapError: What `Localizer.compare` raises.
+        TensorMapError: As `Localizer.compare`.
     """
     found = localizer.compare(signatures, row)
     probability = None
-    if likelihood is not None:
-        ratio = likelihood.log_likelihood_ratio(found.distances)
-        probability = _logistic(float(ratio[0]))
+    if (calibration := localizer.map.calibration) is not None:
+        probability = float(expit(calibration.log_likelihood_ratio(found.distances)[0]))
     return LoopClosure(
         probability,
         turn_deg=_given(found.relative_yaw_deg),
@@ -165,24 +149,22 @@ def _given(of_match: FloatArray) -> float | None:
 
 
 def closure_probability(image_similarity: float, overlap: float) -> float:
-    """Return how probable a closure of that evidence is.
+    """Return the probability of a closure with that evidence.
 
     Examples:
         >>> closure_probability(0.7, 0.7) > 0.99, closure_probability(0.2, 0.2) < 0.1
         (True, True)
     """
-    return _logistic(_INTERCEPT + _OF_SIMILARITY * image_similarity + _OF_OVERLAP * overlap)
+    return float(expit(_INTERCEPT + _OF_SIMILARITY * image_similarity + _OF_OVERLAP * overlap))
 
 
-def _images_alike(
-    first: Scan, second: Scan, first_height_m: float, second_height_m: float
-) -> tuple[float, FloatArray]:
-    """Return how alike the images are at best, and the headings that are worth a try.
+def _similarity(first: Scan, second: Scan, sensor_height_m: float) -> tuple[float, FloatArray]:
+    """Return the greatest similarity over headings and viewpoints, and the best headings.
 
-    Over headings and sides, the cosine is at best so far above that of the middle heading, as a
-    share of what it could be above that.
+    The similarity is the cosine above the median over all headings, as a share of the most that is
+    possible.
     """
-    query = _heights(second, second_height_m)
+    query = _heights(second, sensor_height_m)
     spectrum = np.fft.rfft(query, axis=1)
     norm = float(np.linalg.norm(query))
     best, correlation = -1.0, np.zeros(_GRID.columns)
@@ -190,7 +172,7 @@ def _images_alike(
         aside = first
         if left_m:
             aside = Scan(seen_from_beside(first.points_m, left_m).astype(np.float32))
-        view = _heights(aside, first_height_m)
+        view = _heights(aside, sensor_height_m)
         product = (spectrum * np.conj(np.fft.rfft(view, axis=1))).sum(axis=0)
         cosines = np.fft.irfft(product, _GRID.columns) / (norm * float(np.linalg.norm(view)))
         by_chance = float(np.median(cosines))
@@ -201,11 +183,11 @@ def _images_alike(
 
 
 def _heights(scan: Scan, sensor_height_m: float) -> Float32Array:
-    return project_heights(scan, _GRID, Reducer.MEAN, sensor_height_m).cells
+    return project_heights(scan, _GRID, Reducer.MEAN, sensor_height_m)
 
 
 def _headings(correlation: FloatArray) -> FloatArray:
-    """Return the turns at the highest peaks, and those around them, `(n,)` degrees."""
+    """Return the headings at the highest peaks, and those around them, `(n,)` degrees."""
     step_deg = 360.0 / len(correlation)
     left = correlation.copy()
     turns: list[float] = []
@@ -215,7 +197,3 @@ def _headings(correlation: FloatArray) -> FloatArray:
         away = np.abs(wrapped_deg(-step_deg * np.arange(len(left), dtype=np.float64) - turn_deg))
         left[away < _APART_DEG] = -np.inf
     return np.asarray(np.add.outer(turns, _AROUND_DEG)).ravel()
-
-
-def _logistic(odds: float) -> float:
-    return 1.0 / (1.0 + math.exp(-odds)) if odds > -700.0 else 0.0

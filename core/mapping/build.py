@@ -1,4 +1,4 @@
-"""From images to a TensorMap (paper, sec. 2.2), in two passes that hold a block at a time."""
+"""From images to a TensorMap (paper, sec. 2.2), in two passes, one block in memory at a time."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -28,28 +28,27 @@ def fit_map(
     kept: Basis | None = None,
     grams: Mapping[str, FloatArray] | None = None,
 ) -> TensorMap:
-    """Fit each segment's model, pack them all and find out how far the map can be trusted.
+    """Fit each segment's model, join them and calibrate the map.
 
     Each segment is summed in blocks that begin at its first scan, and segments in their order, so
-    the result depends on nothing but the images and the cuts.
+    the result depends only on the images and the cuts.
 
     Args:
         images: One image a scan of the trajectory, on the parameters' grid.
         trajectory: Drive, time and pose of each scan.
         segment_start: `(L + 1,)` rows where segments begin, and K; those that
-            `core.topology.cut_at_meetings` gives share edges where drives meet.
+            `core.topology.cut_at_meetings` returns share edges where drives meet.
         parameters: Ranks and all that queries must share with the map.
-        progress: Told of every image of each pass; may raise `Cancelled`.
+        progress: Receives every image of each pass; may raise `Cancelled`.
         probes: Disturbed scans of the trajectory; without them the map is not calibrated.
-        kept: The basis of another map to keep instead of fitting one: signatures that were made
-            with it stay good.
-        grams: What `drive_gram` gave for every drive, by name, if it is known already.
+        kept: The basis of another map to keep instead of fitting one: its signatures stay valid.
+        grams: The result of `drive_gram` for every drive, by name, if known.
 
     Raises:
         SensorMismatch: If the images are on another grid.
-        InvalidParameters: If the basis or the sums do not fit the parameters or drives.
-        InvalidParameters: If the cuts do not cover the images, or a segment holds two drives.
-        InvalidImage: If the source reads other images than it was asked for.
+        InvalidParameters: If the basis or the sums do not fit the parameters or drives, the cuts do
+            not cover the images, or a segment has scans of two drives.
+        InvalidImage: If the source returns images of another number or shape.
     """
     if images.grid != parameters.grid:
         raise SensorMismatch(f"the images are on {images.grid}, wanted {parameters.grid}")
@@ -60,8 +59,8 @@ def fit_map(
     _require_cuts(trajectory, segment_start)
     if kept is not None and not kept.serves(parameters):
         raise InvalidParameters(
-            f"the basis of {kept.parameters.as_attributes()} cannot be kept: signatures are made"
-            " otherwise, or segments have bases of their own"
+            f"the basis of {kept.parameters.as_attributes()} cannot be kept: its signatures differ,"
+            " or segments have bases of their own"
         )
     model, errors = parameters.encoder.fit(
         images, trajectory, segment_start, parameters, progress, kept, grams

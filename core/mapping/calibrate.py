@@ -1,12 +1,12 @@
-"""From probes of a map to its calibration: positives, and the same where their place is missing.
+"""From probes of a map to its calibration: positives, and negatives whose place is left out.
 
-A *positive* asks the map for a probe of scan i with i and what was recorded within a metre left
-out: a vehicle never stands exactly there. It is right if the match is within `AWAY_M` of i. A
-*negative* asks with i's whole neighbourhood left out: whatever matches is wrong.
+A *positive* queries the map with a probe of scan i, without i and what was recorded within a metre
+of it: a vehicle is never exactly there. It is right if the match is within `AWAY_M` of i. A
+*negative* is the same query without the whole neighbourhood of i: any match is wrong.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -20,16 +20,16 @@ from core.mapping.own_place import image_of, own_place
 from core.mapping.tensormap import TensorMap
 from core.progress import NO_PROGRESS, Progress
 from core.projection.images import Probes
-from core.projection.probe import probed_among
+from core.projection.probe import spread_evenly
 from core.scans.angles import wrapped_deg
 from core.scans.displacement import pose_beside
 from core.scans.pose import heading_deg
 
 MOST_PROBES = 400
-"""How many probes of a map are asked at most, evenly spread over its drives."""
+"""How many probes of a map are used at most, evenly spread over its drives."""
 
 _ELSEWHERE_M, _ELSEWHERE_SCANS = 25.0, 50
-_LEAST = 10  # samples of each kind; fewer are no evidence
+_LEAST = 10  # samples of each kind
 _HERE_SCANS = 2  # of each probe, the nearest in place and as many elsewhere, compared by distance
 _FLOOR = 0.05  # of the median distance of right answers
 _SPARSE = 0.5  # of the fewest occupied cells that a probe has
@@ -41,13 +41,13 @@ class _Answer:
     """The best distance, the runner-up's away from it, and whether the best is right."""
 
     distance: float
-    runner_up: float | None
+    runner_up: float  # NaN without one
     right: bool
 
 
 @dataclass(frozen=True, eq=False)
 class _Error:
-    """How far off a right answer is, and what its neighbours say of that."""
+    """The error of a right answer, and its neighbours' distances."""
 
     distance: float
     along_m: FloatArray
@@ -58,28 +58,26 @@ class _Error:
 def calibrate(
     tensor_map: TensorMap, probes: Probes, progress: Progress = NO_PROGRESS
 ) -> Calibration | None:
-    """Learn how far a map's answers can be trusted.
-
-    It depends on nothing but the map and its probes.
+    """Return the calibration of a map; it depends only on the map and its probes.
 
     Args:
-        tensor_map: Whose calibration it becomes.
+        tensor_map: The map.
         probes: Of its own scans.
-        progress: Told of each probe.
+        progress: Receives each probe.
 
     Returns:
-        The calibration; `None` if the map is too small to learn from: fewer than ten right answers
-        or ten wrong ones, as a map all of whose scans are one neighbourhood gives.
+        The calibration; `None` if the map is too small: fewer than ten right answers or ten wrong
+        ones, for example if all scans are one neighbourhood.
     """
     trajectory, basis = tensor_map.trajectory, tensor_map.basis()
-    asked = probed_among(np.arange(len(probes.rows)), MOST_PROBES).tolist()
+    used = spread_evenly(np.arange(len(probes.rows)), MOST_PROBES).tolist()
     rng = np.random.default_rng(_SEED)
     answers: list[_Answer] = []
     at_scan: list[tuple[float, bool]] = []
     errors: list[_Error] = []
     least_cells = math.inf
-    progress.start("calibrating", len(asked))
-    for probe in asked:
+    progress.start("calibrating", len(used))
+    for probe in used:
         row = int(probes.rows[probe])
         image = image_of(tensor_map, probes.images, probe)
         search = tensor_map.model.search_values(basis.project(image))
@@ -87,31 +85,30 @@ def calibrate(
         beside, here = own_place(trajectory, row)
         elsewhere = away_from(trajectory, row, _ELSEWHERE_M, _ELSEWHERE_SCANS)
         if here.any():
-            found, answer = _ask(tensor_map, search, beside, here)
+            found, answer = _answer(tensor_map, search, beside, here)
             answers.append(answer)
             if answer.right:
                 errors += _error(tensor_map, search, found, beside, row, probes.standing[probe])
         if elsewhere.any():
-            answers.append(_ask(tensor_map, search, elsewhere, ~elsewhere)[1])
+            answers.append(_answer(tensor_map, search, elsewhere, ~elsewhere)[1])
         if here.any() and elsewhere.any():
             at_scan += _at_scan(tensor_map, search, row, here, elsewhere, rng)
         progress.advance()
     right = sum(answer.right for answer in answers)
     if min(right, len(answers) - right) < _LEAST or not at_scan:
         return None
-    # Probes stand elsewhere in several ways at once, with cars before them: they divide less
-    # sharply than the scans of one drive do.
+    # Probes are disturbed in several ways at once and separate less sharply than a drive's scans.
     sharper = tensor_map.parameters.encoder.sharper
     return _fitted(answers, at_scan, errors, int(_SPARSE * least_cells), sharper)
 
 
-def _ask(
+def _answer(
     tensor_map: TensorMap, search: Search, among: BoolArray, right: BoolArray
 ) -> tuple[Neighbours, _Answer]:
     found = search.nearest(1, among)
     row = int(found.rows[0])
     away = search.nearest(1, among & away_from(tensor_map.trajectory, row))
-    runner_up = float(away.distances[0]) if len(away) else None
+    runner_up = float(away.distances[0]) if len(away) else math.nan
     return found, _Answer(float(found.distances[0]), runner_up, bool(right[row]))
 
 
@@ -132,12 +129,13 @@ def _at_scan(
         gap = np.where(np.isnan(gap_m), np.inf, gap_m)
     close = close[np.argsort(gap, kind="stable")[:_HERE_SCANS]]
     far = rng.choice(np.flatnonzero(elsewhere), len(close))
-    asked = np.zeros(len(trajectory), dtype=bool)
-    asked[close] = asked[far] = True
-    distances = search.distances(asked)
+    compared = np.zeros(len(trajectory), dtype=bool)
+    compared[close] = compared[far] = True
+    distances = search.distances(compared)
     return [
-        *((float(distances[i]), True) for i in close.tolist()),
-        *((float(distances[i]), False) for i in far.tolist()),
+        (distance, is_here)
+        for rows, is_here in ((close, True), (far, False))
+        for distance in distances[rows].tolist()
     ]
 
 
@@ -149,7 +147,7 @@ def _error(
     row: int,
     standing: FloatArray,
 ) -> list[_Error]:
-    """Return how far off the place is that a match tells; nothing where poses are unknown."""
+    """Return the error of a match's place; nothing where poses are unknown."""
     poses = tensor_map.trajectory.poses
     ahead_m, left_m, turn_deg = standing.tolist()
     true = pose_beside(poses[row], left_m, turn_deg, ahead_m)
@@ -162,23 +160,20 @@ def _error(
     )
     rows, along_m = near
     kept = among[rows]
-    asked = np.zeros(len(poses), dtype=bool)
-    asked[rows[kept]] = True
+    compared = np.zeros(len(poses), dtype=bool)
+    compared[rows[kept]] = True
     x_m, y_m = (estimated - true)[:2].tolist()
     turn = float(heading_deg(estimated[None])[0] - heading_deg(true[None])[0])
-    # The winner's own path is what `along` and `lateral` are of, whichever way the probe looks.
+    # `along` and `lateral` are of the matched scan's path, whatever the heading of the probe.
     path = math.radians(heading_deg(matched[None])[0])
     forward_m = x_m * math.cos(path) + y_m * math.sin(path)
+    left_m = y_m * math.cos(path) - x_m * math.sin(path)
     return [
         _Error(
             float(found.distances[0]),
             along_m[kept],
-            search.distances(asked)[rows[kept]],
-            (
-                forward_m,
-                y_m * math.cos(path) - x_m * math.sin(path),
-                wrapped_deg(turn),
-            ),
+            search.distances(compared)[rows[kept]],
+            (forward_m, left_m, wrapped_deg(turn)),
         )
     ]
 
@@ -196,16 +191,15 @@ def _fitted(
     floor = _FLOOR * typical
     far = np.log(distance + floor)
     alone = fit_logistic(far[:, None], right, np.array([True]))
-    told = np.array([answer.runner_up is not None for answer in answers])
-    runner_up = np.array([answer.runner_up or 0.0 for answer in answers])
+    runner_up = np.array([answer.runner_up for answer in answers])
+    known = ~np.isnan(runner_up)
     both = np.array([alone[0], alone[1], 0.0])
-    if min(right[told].sum(), (~right[told]).sum()) >= _LEAST:
-        alike = Calibration.ratio(distance[told], runner_up[told])
-        features = np.column_stack([far[told], alike])
-        both = fit_logistic(features, right[told], np.array([True, True]))
-    of_scan = np.array([d for d, _ in at_scan])
-    here = np.array([is_here for _, is_here in at_scan])
-    likelihood = fit_logistic(np.log(of_scan + floor)[:, None], here, np.array([True]))
+    if min(right[known].sum(), (~right[known]).sum()) >= _LEAST:
+        alike = Calibration.ratio(distance[known], runner_up[known])
+        features = np.column_stack([far[known], alike])
+        both = fit_logistic(features, right[known], np.array([True, True]))
+    of_scan, here = np.array(at_scan).T
+    likelihood = fit_logistic(np.log(of_scan + floor)[:, None], here.astype(bool), np.array([True]))
     calibration = Calibration(
         floor,
         tuple(sharper * both),
@@ -213,7 +207,7 @@ def _fitted(
         tuple(likelihood),
         least_cells=least_cells,
     )
-    return calibration.with_spread(_spread(calibration, errors, typical))
+    return replace(calibration, spread=_spread(calibration, errors, typical))
 
 
 def _spread(calibration: Calibration, errors: list[_Error], typical: float) -> Spread | None:
@@ -224,9 +218,5 @@ def _spread(calibration: Calibration, errors: list[_Error], typical: float) -> S
         [along_spread_m(e.along_m, calibration.log_likelihood_ratio(e.distances)) for e in errors]
     )
     far = np.maximum(1.0, np.array([error.distance for error in errors]) / typical)
-    return Spread(
-        typical,
-        fit_variance(along, spread),
-        fit_variance(lateral, far),
-        fit_variance(turn, far),
-    )
+    variances = fit_variance(along, spread), fit_variance(lateral, far), fit_variance(turn, far)
+    return Spread(typical, *variances)

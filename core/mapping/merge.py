@@ -11,12 +11,12 @@ from core.topology import join_segments
 
 
 def merge_maps(maps: Sequence[TensorMap]) -> TensorMap:
-    """Put the drives of several maps into one, exactly: no number of any of them changes.
+    """Merge the drives of several maps into one, exactly: no number of any of them changes.
 
     Harmonic maps must share one radial basis, that is, all but the first were built with the first
-    one's: the result then is what a build of all drives with that basis gives. The paper's
-    segments have bases of their own and are put one after another: the result is what a build of
-    all drives gives. A vehicle's basis of the first map stays good either way.
+    one's: the result is that of a build of all drives with that basis. The paper's segments have
+    bases of their own and are concatenated: the result is that of a build of all drives. In both
+    cases a vehicle's basis of the first map stays valid.
 
     Args:
         maps: At least one, of the same parameters, no drive in two of them.
@@ -54,7 +54,7 @@ def merge_maps(maps: Sequence[TensorMap]) -> TensorMap:
 
 
 def without_drives(tensor_map: TensorMap, names: Collection[str]) -> TensorMap:
-    """Return the map without some of its drives; all that is kept stays as it is.
+    """Return the map without some of its drives; the others do not change.
 
     Raises:
         UnknownDrive: If it has no such drive.
@@ -70,17 +70,15 @@ def without_drives(tensor_map: TensorMap, names: Collection[str]) -> TensorMap:
     if len(kept) == len(drives):
         return tensor_map
     rows = np.flatnonzero(np.isin(tensor_map.trajectory.drive_of_scan, kept))
-    segments = np.flatnonzero(np.isin(tensor_map.model.segment_start[:-1], rows))
-    lengths = np.diff(tensor_map.model.segment_start)[segments]
-    starts = np.concatenate([[0], np.cumsum(lengths)])
     model = tensor_map.model
-    of_kept = model.select(rows, segments, starts)
+    segments = np.flatnonzero(np.isin(model.segment_start[:-1], rows))
+    starts = np.cumsum([0, *np.diff(model.segment_start)[segments]])
     trajectory = tensor_map.trajectory.select(rows)
     return TensorMap(
         tensor_map.parameters,
-        of_kept,
+        model.select(rows, segments, starts),
         trajectory,
-        join_segments(trajectory, of_kept.segment_start),
+        join_segments(trajectory, starts),
         tensor_map.relative_error[segments],
     )
 

@@ -1,18 +1,15 @@
-"""Asking a map for one of its own scans: what is left out, and what would be right.
+"""Queries of a map with its own scans: which scans are searched, and which are right.
 
-A vehicle never stands exactly where a scan was recorded, so the scan itself, and what was recorded
-within a metre of it, is not asked. What was recorded within `AWAY_M` of it is right.
+A vehicle is never exactly where a scan was recorded, so the scan itself, and what was recorded
+within a metre of it, is not searched. What was recorded within `AWAY_M` of it is right.
 """
 
 from core.arrays import BoolArray
 from core.confidence.places import AWAY_M, away_from
 from core.mapping.tensormap import TensorMap
-from core.projection.height_image import HeightImage
 from core.projection.imager import Image
 from core.projection.images import ImageSource
 from core.projection.probe import LEFT_OUT_M
-from core.projection.range_image import RangeImage
-from core.projection.rings import RingGrid
 from core.scans.trajectory import Trajectory
 
 RIGHT_SCANS = 15
@@ -22,21 +19,20 @@ _LEFT_OUT_SCANS = 1  # where poses are unknown, as `LEFT_OUT_M` is where they ar
 
 
 def own_place(trajectory: Trajectory, row: int) -> tuple[BoolArray, BoolArray]:
-    """Return which scans are asked when a probe of scan `row` asks, and which of them are right.
+    """Return which scans are searched for a probe of scan `row`, and which of them are right.
 
     Args:
         trajectory: K scans.
-        row: Whose probe.
+        row: Of the probe's scan.
 
     Returns:
         `(K,)` all but the scan itself and what was recorded beside it, and `(K,)` those of them
         that were recorded near.
     """
-    asked = away_from(trajectory, row, LEFT_OUT_M, _LEFT_OUT_SCANS)
-    return asked, asked & ~away_from(trajectory, row, AWAY_M, RIGHT_SCANS)
+    searched = away_from(trajectory, row, LEFT_OUT_M, _LEFT_OUT_SCANS)
+    return searched, searched & ~away_from(trajectory, row, AWAY_M, RIGHT_SCANS)
 
 
 def image_of(tensor_map: TensorMap, images: ImageSource, position: int) -> Image:
     """Return one image of a source on the map's grid, without renderings, as a query is."""
-    cells, grid = images.read(position, position + 1)[0], tensor_map.parameters.grid
-    return HeightImage(cells, grid) if isinstance(grid, RingGrid) else RangeImage(cells, grid)
+    return Image(images.read(position, position + 1)[0], tensor_map.parameters.grid)

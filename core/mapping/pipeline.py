@@ -29,8 +29,9 @@ from core.projection.images import (
 )
 from core.scans.drive import Drive, IndexedDrive
 from core.scans.trajectory import Trajectory
-from core.segmentation import cut_drives, cut_fixed, cut_unequal, segment_length_for
+from core.segmentation.fixed import cut_drives, cut_fixed, segment_length_for
 from core.segmentation.turns import cut_at_turns
+from core.segmentation.unequal import cut_unequal
 from core.topology import cut_at_meetings
 
 

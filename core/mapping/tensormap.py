@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from core.arrays import FloatArray, IntArray, frozen
+from core.arrays import FloatArray, IntArray, freeze
 from core.confidence.calibration import Calibration
 from core.encodings.basis import Basis
 from core.encodings.model import Model
@@ -40,7 +40,7 @@ class TensorMap:
         trajectory: Drive, time and pose of each scan.
         topology: Nodes, edges, and the edge along which each segment runs.
         relative_error: `(L,)` |X - X^| / |X| of each segment's images, renderings included.
-        calibration: From distances to probabilities; `None` where the map cannot tell.
+        calibration: From distances to probabilities; `None` if the map is not calibrated.
     """
 
     parameters: MapParameters
@@ -51,14 +51,14 @@ class TensorMap:
     calibration: Calibration | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "relative_error", frozen(self.relative_error, np.float64))
+        freeze(self, relative_error=np.float64)
         scans, segments = len(self.model), self.model.segments
         if len(self.trajectory) != scans:
             raise InvalidMap(f"{scans} signatures and {len(self.trajectory)} scans")
         if self.relative_error.shape != (segments,):
             raise InvalidMap(f"{segments} segments and {self.relative_error.shape} errors")
         if not ((self.relative_error >= 0) & (self.relative_error <= 1)).all():
-            raise InvalidMap("relative_error holds numbers that are not within 0..1")
+            raise InvalidMap("relative_error has numbers that are not within 0..1")
         if len(self.topology.edge_of_segment) != segments:
             raise InvalidMap(
                 f"{segments} segments and {len(self.topology.edge_of_segment)} in the graph"
@@ -74,17 +74,15 @@ class TensorMap:
         self.parameters.encoder.require_model(self.model, self.parameters)
 
     def _require_nodes(self) -> None:
-        nodes, starts = (
-            self.topology.node_scan[self.topology.segment_nodes],
-            self.model.segment_start,
-        )
+        nodes = self.topology.node_scan[self.topology.segment_nodes]
+        starts = self.model.segment_start
         if self.topology.is_plain:
             if (nodes[:, 0] > starts[:-1]).any() or (nodes[:, 1] < starts[1:] - 1).any():
-                raise InvalidMap("a segment's scans do not lie between its edge's nodes")
+                raise InvalidMap("a segment's scans are not between its edge's nodes")
         elif (nodes > self.segment_ends).any() or not np.isin(
             self.topology.node_scan, self.segment_ends
         ).all():
-            raise InvalidMap("a node does not stand at the first segment end that came there")
+            raise InvalidMap("a node is not at the first segment end at its place")
 
     def __len__(self) -> int:
         return len(self.trajectory)
@@ -101,15 +99,15 @@ class TensorMap:
 
     @cached_property
     def basis_digests(self) -> tuple[str, ...]:
-        """What names the bases that this map answers to, 64 hexadecimal digits each.
+        """The digests of the bases that this map answers, 64 hexadecimal digits each.
 
-        One of a harmonic map; of the paper's those of its first 1, 2, ... L segments.
+        One of a harmonic map; in the paper's encoding of its first 1, 2, ... L segments.
         """
         return self.model.basis_digests(self.parameters)
 
     @property
     def basis_digest(self) -> str:
-        """What names the basis of all segments."""
+        """The digest of the basis of all segments."""
         return self.basis_digests[-1]
 
     @property
@@ -118,18 +116,18 @@ class TensorMap:
         return self.model.elements
 
     def basis(self, segments: Sequence[int] | IntArray | None = None) -> Basis:
-        """Return what a vehicle needs to make signatures, for all or some segments.
+        """Return the basis with which a vehicle encodes scans, for all or some segments.
 
         A harmonic map has one basis for all of them.
 
         Raises:
             UnknownSegment: If the map has no such segment.
         """
-        wanted = np.arange(self.model.segments)
+        chosen = np.arange(self.model.segments)
         if segments is not None:
-            wanted = np.unique(np.asarray(segments, dtype=np.int64))
-            self.model.require_segments(wanted)
-        return self.model.basis(self.revision, self.basis_digest, self.parameters, wanted)
+            chosen = np.unique(np.asarray(segments, dtype=np.int64))
+            self.model.require_segments(chosen)
+        return self.model.basis(self.revision, self.basis_digest, self.parameters, chosen)
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """Return every array of the map by its name in the file."""
@@ -157,15 +155,15 @@ class TensorMap:
         attributes: Mapping[str, Any],
         revision: str | None = None,
     ) -> "TensorMap":
-        """Make the map of what `arrays` and `attributes` gave.
+        """Return the map of these arrays and attributes.
 
         Args:
             arrays: By name.
             attributes: By name.
-            revision: Their digest, if it was checked before; computed when it is needed otherwise.
+            revision: Their digest, if it was checked before; otherwise it is computed when needed.
 
         Raises:
-            InvalidMap: If something is missing or does not fit together.
+            InvalidMap: If something is missing or invalid.
         """
         try:
             parameters = MapParameters.from_attributes(dict(attributes))
@@ -197,25 +195,25 @@ class TensorMap:
             TypeError,
             ValueError,
         ) as error:
-            raise InvalidMap(f"the map's parts are not of their kind: {error}") from error
+            raise InvalidMap(f"the map's parts are invalid: {error}") from error
         if tensor_map.attributes() != dict(attributes):
-            raise InvalidMap("the map has attributes that are unknown or not in their own form")
+            raise InvalidMap("the map has attributes that are unknown or not normalized")
         if revision is not None:
-            tensor_map.__dict__["revision"] = revision  # where `cached_property` keeps it
+            tensor_map.__dict__["revision"] = revision  # where `cached_property` stores it
         return tensor_map
 
 
 def _numbers(name: str, array: NDArray[Any], dtype: str) -> NDArray[Any]:
-    """Return an array that holds numbers of its kind: none is rounded, cut off or made of text."""
-    wanted = "iu" if name in _WHOLE else "cfiu" if "c" in dtype else "fiu"
+    """Return an array of numbers of its kind: none is rounded, cut off or read from text."""
+    kinds = "iu" if name in _WHOLE else "cfiu" if "c" in dtype else "fiu"
     values = np.asarray(array)
-    if values.dtype.kind not in wanted:
-        raise InvalidMap(f"{name} holds {values.dtype}, wanted numbers of another kind")
+    if values.dtype.kind not in kinds:
+        raise InvalidMap(f"{name} has dtype {values.dtype}, wanted numbers of another kind")
     return values
 
 
 def _calibration(attributes: Mapping[str, Any]) -> Calibration | None:
-    if "calibration" not in attributes:  # a file of before there was any, or of gone returns
+    if "calibration" not in attributes:  # an older file, or one of dropped returns
         return None
     return Calibration.from_attributes(attributes["calibration"])
 
@@ -223,5 +221,5 @@ def _calibration(attributes: Mapping[str, Any]) -> Calibration | None:
 def _topology(a: dict[str, NDArray[Any]]) -> Topology:
     joined = {name: a[name] for name in JOINED if name in a}
     if joined and not np.isin(joined["segment_reversed"], (0, 1)).all():
-        raise InvalidMap("segment_reversed holds other numbers than 0 and 1")
+        raise InvalidMap("segment_reversed has other numbers than 0 and 1")
     return Topology(a["node_scan"], a["edge_nodes"], a["edge_length_m"], **joined)

@@ -1,8 +1,8 @@
 """Angles of returns, rounded to whole steps, without an arctan for each.
 
-Angles are half of what a projection takes. A polynomial in single precision tells nearly all of
-them, and the few that lie within its error of the middle between two steps are worked out in
-double precision: the steps are those of `np.arctan2` and `np.arctan`, to the last one.
+Angles are half of the time of a projection. A polynomial in single precision gives nearly all of
+them; the few that are within its error of the middle between two steps are computed in double
+precision. The steps are exactly those of `np.arctan2` and `np.arctan`.
 """
 
 from collections.abc import Callable
@@ -13,7 +13,7 @@ from numpy.polynomial import chebyshev
 from core.arrays import Float32Array, FloatArray, IntArray
 
 _DEGREE = 8
-# The polynomial is off by 2e-5 degrees at most, rounding adds as much (a property test looks).
+# The polynomial is off by 2e-5 degrees at most, rounding adds as much (a property test checks it).
 _OFF_DEG = 1e-4
 
 
@@ -69,7 +69,7 @@ def elevation_steps(
 
 
 def _first_quadrant_deg(across: FloatArray, aside: FloatArray) -> Float32Array:
-    """Return about how far those of the first quadrant are turned, NaN at the origin."""
+    """Return approximate angles in the first quadrant, NaN at the origin."""
     with np.errstate(invalid="ignore"):
         t = ((across - aside) / (across + aside)).astype(np.float32)  # the tangent of 45 less it
     squared = t * t
@@ -89,13 +89,13 @@ def _rounded(
     first_step: float,
     exactly_deg: Callable[[IntArray], FloatArray],
 ) -> IntArray:
-    """Round, after working out exactly what is too close to the middle between two steps."""
+    """Round; compute exactly what is too close to the middle between two steps."""
     about_deg *= np.float32(1.0 / step_deg)
     about_deg -= np.float32(first_step)
     whole = np.rint(about_deg)
     about_deg -= whole
     np.abs(about_deg, out=about_deg)
-    with np.errstate(invalid="ignore"):  # NaN, worked out below
+    with np.errstate(invalid="ignore"):  # NaN, computed below
         steps = whole.astype(np.int64)
     left = np.flatnonzero(~(about_deg < 0.5 - _OFF_DEG / step_deg))
     if len(left):

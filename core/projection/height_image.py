@@ -1,47 +1,23 @@
-"""From a scan to a height image: how high things stand around the sensor, ring by ring."""
-
-from dataclasses import dataclass
+"""From a scan to a height image: heights above ground around the sensor, ring by ring."""
 
 import numpy as np
 
 from core.arrays import Float32Array, FloatArray, IntArray
-from core.errors import InvalidParameters, InvalidScan
+from core.errors import InvalidScan
 from core.projection.angles import azimuth_steps
-from core.projection.cells import checked_cells
-from core.projection.reducer import HEIGHT_REDUCERS, Reducer, reduce_returns
+from core.projection.reducer import Reducer, reduce_returns
 from core.projection.rings import RingGrid
 from core.scans.scan import Scan
 
 
-@dataclass(frozen=True, eq=False)
-class HeightImage:
-    """Heights above ground on a polar grid.
-
-    Attributes:
-        heights_m: `(I, J)` float32 metres, finite, 0 where nothing fell and on the ground.
-        grid: The lattice of rings and azimuths.
-    """
-
-    heights_m: Float32Array
-    grid: RingGrid
-
-    def __post_init__(self) -> None:
-        cells = checked_cells("heights_m", self.heights_m, self.grid.shape)
-        object.__setattr__(self, "heights_m", cells)
-
-    @property
-    def cells(self) -> Float32Array:
-        """`(I, J)`, the matrix that is encoded."""
-        return self.heights_m
-
-
 def project_heights(
     scan: Scan, grid: RingGrid, reducer: Reducer, sensor_height_m: float
-) -> HeightImage:
-    """Place each return's height above ground at its `(ring, azimuth)` cell.
+) -> Float32Array:
+    """Return the height image of a scan, `(I, J)` metres, 0 on the ground and where nothing is.
 
-    The height is z + `sensor_height_m`, clipped at 0: what lies below the ground is on it. The
-    result is independent of the order of the returns (`mean` up to the rounding of its sum).
+    Each return's height above ground goes to its `(ring, azimuth)` cell. The height is
+    z + `sensor_height_m`, clipped at 0. The result does not
+    depend on the order of the returns, but for the rounding of sums.
 
     Args:
         scan: The returns, sensor at the origin.
@@ -50,24 +26,18 @@ def project_heights(
         sensor_height_m: The sensor's height above ground.
 
     Raises:
-        InvalidScan: If no return within the last ring stands above the ground.
-        InvalidParameters: If the reducer is another.
+        InvalidScan: If no return within the last ring is above the ground.
 
     Examples:
         >>> wall = Scan(np.array([[0.0, 10.0, 0.5], [0.0, 11.0, 1.5]]))
-        >>> image = project_heights(wall, RingGrid(), Reducer.MEAN, sensor_height_m=2.0)
-        >>> image.heights_m.shape, float(image.heights_m[2, 90])
+        >>> heights_m = project_heights(wall, RingGrid(), Reducer.MEAN, sensor_height_m=2.0)
+        >>> heights_m.shape, float(heights_m[2, 90])
         ((20, 360), 3.0)
     """
-    if reducer not in HEIGHT_REDUCERS:
-        raise InvalidParameters(
-            f"a height image is reduced by {' or '.join(HEIGHT_REDUCERS)}, not by {reducer}"
-        )
-    cell_count = grid.rows * grid.columns
     reduced = reduce_returns(
         scan.points_m,
         lambda xyz: _cells_and_heights(xyz, grid, sensor_height_m),
-        cell_count,
+        grid.shape,
         reducer,
     )
     if not reduced.inside:
@@ -75,8 +45,8 @@ def project_heights(
     if reduced.largest > float(np.finfo(np.float32).max):
         raise InvalidScan(f"a return is {reduced.largest:.3g} m high, beyond float32")
     if not reduced.cells.any():
-        raise InvalidScan(f"none of the {len(scan)} returns stands above the ground")
-    return HeightImage(reduced.cells.reshape(grid.shape), grid)
+        raise InvalidScan(f"none of the {len(scan)} returns is above the ground")
+    return reduced.cells
 
 
 def _cells_and_heights(

@@ -1,4 +1,4 @@
-"""How a map's scans, and the queries to it, become images."""
+"""Images, and how scans become images."""
 
 import itertools
 from dataclasses import dataclass
@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from core.arrays import Float32Array
-from core.errors import InvalidParameters
-from core.projection.height_image import HeightImage, project_heights
-from core.projection.range_image import RangeImage, project_scan
+from core.arrays import Float32Array, freeze
+from core.errors import InvalidImage, InvalidParameters
+from core.projection.height_image import project_heights
+from core.projection.range_image import project_scan
 from core.projection.reducer import HEIGHT_REDUCERS, RANGE_REDUCERS, Reducer
 from core.projection.rings import RingGrid
 from core.scans.displacement import seen_from_beside
@@ -18,7 +18,6 @@ from core.scans.scan import Scan
 from core.scans.sensor import AngularGrid
 
 Grid = AngularGrid | RingGrid
-Image = RangeImage | HeightImage
 
 LATERAL_RENDERINGS_M = (-3.0, -1.5, 0.0, 1.5, 3.0)
 """Virtual viewpoints a lane to either side: docs/decisions/0010-harmonic-encoding.md."""
@@ -28,22 +27,50 @@ _MAX_RENDERINGS = 64
 
 
 class ImageKind(StrEnum):
-    """What an image's cells hold."""
+    """The quantity in an image's cells."""
 
     RANGE = "range"
     HEIGHT = "height"
 
 
-@dataclass(frozen=True)
-class Imager:
-    """Everything that an image depends on besides its scan.
+@dataclass(frozen=True, eq=False)
+class Image:
+    """A scan on a grid: a range image, the paper's matrix S, or a height image.
 
     Attributes:
-        grid: The lattice; an angular one makes range images, one of rings height images.
+        cells: `(I, J)` float32 metres, finite, 0 where nothing is; not all 0.
+        grid: The lattice; an angular one has ranges, one of rings heights.
+    """
+
+    cells: Float32Array
+    grid: Grid
+
+    def __post_init__(self) -> None:
+        shape = np.shape(self.cells)
+        if shape != self.grid.shape:
+            raise InvalidImage(f"the {self.kind} image has shape {shape}, wanted {self.grid.shape}")
+        freeze(self, cells=np.float32)
+        if not np.isfinite(self.cells).all() or (self.cells < 0).any():
+            raise InvalidImage(f"the {self.kind} image has cells that are negative or not finite")
+        if not self.cells.any():
+            raise InvalidImage(f"the {self.kind} image is empty: every cell is 0")
+
+    @property
+    def kind(self) -> ImageKind:
+        """The quantity in the cells."""
+        return _kind_on(self.grid)
+
+
+@dataclass(frozen=True)
+class Imager:
+    """The parameters of an image besides its scan.
+
+    Attributes:
+        grid: The lattice; an angular one is for range images, one of rings for height images.
         reducer: What a shared cell keeps.
         sensor_height_m: Height of the sensor above ground; only height images depend on it.
-        lateral_renderings_m: `D` places, metres to the left, from which a scan of the map is also
-            rendered; `None` for the image as it was recorded and nothing else.
+        lateral_renderings_m: `D` viewpoints, metres to the left, from which a scan of the map is
+            rendered; `None` for the recorded one only.
     """
 
     grid: Grid
@@ -55,7 +82,7 @@ class Imager:
         allowed = HEIGHT_REDUCERS if self.kind == ImageKind.HEIGHT else RANGE_REDUCERS
         if self.reducer not in allowed:
             raise InvalidParameters(
-                f"reducer is {self.reducer}, a {self.kind} image wants {', '.join(allowed)}"
+                f"reducer is {self.reducer}, wanted {', '.join(allowed)} for a {self.kind} image"
             )
         offsets = self.lateral_renderings_m
         if offsets is None:
@@ -65,7 +92,7 @@ class Imager:
         object.__setattr__(self, "lateral_renderings_m", offsets)
         if not 1 <= len(offsets) <= _MAX_RENDERINGS:
             raise InvalidParameters(
-                f"lateral_renderings_m holds {len(offsets)} places, wanted 1..{_MAX_RENDERINGS}"
+                f"lateral_renderings_m has {len(offsets)} offsets, wanted 1..{_MAX_RENDERINGS}"
             )
         if not all(abs(offset) <= _MAX_LATERAL_M for offset in offsets) or not all(
             one < two for one, two in itertools.pairwise(offsets)
@@ -77,12 +104,12 @@ class Imager:
 
     @property
     def kind(self) -> ImageKind:
-        """What the cells hold."""
-        return ImageKind.HEIGHT if isinstance(self.grid, RingGrid) else ImageKind.RANGE
+        """The quantity in the cells."""
+        return _kind_on(self.grid)
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """`(I, J)`, or `(D, I, J)` with lateral renderings: what a scan of the map becomes."""
+        """`(I, J)`, or `(D, I, J)` with lateral renderings: of a scan of the map."""
         if self.lateral_renderings_m is None:
             return self.grid.shape
         return len(self.lateral_renderings_m), *self.grid.shape
@@ -92,18 +119,18 @@ class Imager:
 
         Args:
             scan: The returns.
-            sensor_height_m: Of this scan's sensor, if it is mounted otherwise than the map's.
+            sensor_height_m: Of this scan's sensor, if it is not the map's.
 
         Raises:
             InvalidScan: If no return falls inside the grid, or all on the ground.
         """
         if isinstance(self.grid, AngularGrid):
-            return project_scan(scan, self.grid, self.reducer)
+            return Image(project_scan(scan, self.grid, self.reducer), self.grid)
         height_m = self.sensor_height_m if sensor_height_m is None else sensor_height_m
-        return project_heights(scan, self.grid, self.reducer, height_m)
+        return Image(project_heights(scan, self.grid, self.reducer, height_m), self.grid)
 
     def render(self, scan: Scan) -> Float32Array:
-        """Return what a scan of the map becomes, of `shape`.
+        """Return the image or renderings of a scan of the map, of `shape`.
 
         Raises:
             InvalidScan: If one of the images would be empty.
@@ -118,7 +145,7 @@ class Imager:
         )
 
     def as_attributes(self) -> dict[str, Any]:
-        """Return everything that a rendering depends on, as plain values."""
+        """Return the parameters of a rendering, as plain values."""
         attributes: dict[str, Any] = {
             "grid": self.grid.as_attributes(),
             "reducer": self.reducer.value,
@@ -135,9 +162,13 @@ def grid_from_attributes(attributes: dict[str, Any]) -> Grid:
 
     Raises:
         InvalidParameters: If a value is out of its range.
-        TypeError: If something is missing or of neither kind.
+        TypeError: If a value is missing or of neither kind.
     """
     return RingGrid(**attributes) if "rings" in attributes else AngularGrid(**attributes)
+
+
+def _kind_on(grid: Grid) -> ImageKind:
+    return ImageKind.HEIGHT if isinstance(grid, RingGrid) else ImageKind.RANGE
 
 
 def _beside(scan: Scan, left_m: float) -> Scan:

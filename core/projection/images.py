@@ -1,4 +1,4 @@
-"""Where a build reads its images from, as often as it needs them."""
+"""Sources of images that a build reads, and the projection of a drive."""
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -6,11 +6,11 @@ from typing import Protocol
 
 import numpy as np
 
-from core.arrays import Float32Array, FloatArray, IntArray, frozen
+from core.arrays import Float32Array, FloatArray, IntArray, freeze, frozen
 from core.errors import EmptyDrive, InvalidImage, InvalidParameters, InvalidScan
 from core.progress import NO_PROGRESS, Progress
 from core.projection.imager import Grid, Imager
-from core.projection.probe import Standing, probe_image, probed_among, standing_of_probe
+from core.projection.probe import Displacement, displacement_of_probe, probe_image, spread_evenly
 from core.scans.drive import Drive
 from core.scans.scan import Scan
 
@@ -18,7 +18,7 @@ from core.scans.scan import Scan
 class ImageSource(Protocol):
     """Images on one grid, in the order of the map's scans; one a scan, or its D renderings.
 
-    A build reads them twice, block by block, so that it never holds them all.
+    A build reads them twice, block by block, so that it never has all of them in memory.
     """
 
     @property
@@ -33,7 +33,7 @@ class ImageSource(Protocol):
 
 
 class MemoryImages:
-    """Images held in memory, `(n, I, J)`, or renderings, `(n, D, I, J)`."""
+    """Images in memory, `(n, I, J)`, or renderings, `(n, D, I, J)`."""
 
     def __init__(self, cells: Float32Array, grid: Grid) -> None:
         if cells.ndim not in {3, 4} or cells.shape[-2:] != grid.shape:
@@ -63,7 +63,7 @@ class ConcatenatedImages:
         return int(self._starts[-1])
 
     def read(self, start: int, stop: int) -> Float32Array:
-        """Return images `start` up to `stop`, from as many parts as they lie in."""
+        """Return images `start` up to `stop`, from one or more parts."""
         pieces = [
             part.read(max(0, start - first), min(len(part), stop - first))
             for part, first in zip(self._parts, self._starts.tolist(), strict=False)
@@ -76,33 +76,33 @@ class ConcatenatedImages:
 
 @dataclass(frozen=True)
 class Skipped:
-    """A scan that gave no image, and why."""
+    """A scan without an image, and the reason."""
 
     scan: int
     reason: str
 
     @staticmethod
     def explain(drive: str, skipped: Sequence["Skipped"]) -> str:
-        """Say that a drive has no usable scan, and why its first one is none."""
+        """Return the error of a drive without a usable scan, with the first reason."""
         reason = f": scan {skipped[0].scan}: {skipped[0].reason}" if skipped else ""
         return f"drive {drive} has no usable scan{reason}"
 
 
 class Cells(Protocol):
-    """Where images are put, one a row: an array in memory, or a dataset in a file."""
+    """A target of images, one a row: an array in memory, or a dataset in a file."""
 
     def __setitem__(self, row: int, image: Float32Array) -> None:
-        """Keep an image."""
+        """Store an image."""
 
 
 @dataclass(frozen=True, eq=False)
 class Probes:
-    """Disturbed scans of a map, to find out how far its answers can be trusted.
+    """Disturbed scans of a map, to calibrate its answers.
 
     Attributes:
-        rows: `(p,)` rows of the map whose scans they are, rising.
-        standing: `(p, 3)` how far ahead of its scan and to its left each stands, metres, and its
-            turn, degrees counter-clockwise.
+        rows: `(p,)` rows of their scans in the map, rising.
+        standing: `(p, 3)` their displacement: metres ahead of the scan and to its left, and
+            relative yaw in degrees, counter-clockwise.
         images: Their images, one each, without renderings.
     """
 
@@ -111,16 +111,15 @@ class Probes:
     images: ImageSource
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "rows", frozen(self.rows, np.int64))
-        object.__setattr__(self, "standing", frozen(self.standing, np.float64))
+        freeze(self, rows=np.int64, standing=np.float64)
         count = len(self.images)
         if self.rows.shape != (count,) or self.standing.shape != (count, 3):
             raise InvalidParameters(
-                f"rows {self.rows.shape} and standing {self.standing.shape} are not those of"
+                f"rows {self.rows.shape} and standing {self.standing.shape} do not fit"
                 f" {count} probes"
             )
         if not np.isfinite(self.standing).all():
-            raise InvalidParameters("standing holds numbers that are not finite")
+            raise InvalidParameters("standing has numbers that are not finite")
         if (np.diff(self.rows) < 1).any() or (self.rows < 0).any():
             raise InvalidParameters("rows of probes do not rise from 0 or more")
 
@@ -131,8 +130,8 @@ class Probes:
         """Return the probes of a map of drives, one after another.
 
         Args:
-            drives: Of each the positions of its mapped scans, rising, those of its probed ones,
-                where the probes stand, and their images.
+            drives: Of each the positions of its mapped scans, rising, those of its probed ones, the
+                displacements of the probes, and their images.
         """
         first = np.cumsum([0, *(len(scans) for scans, *_ in drives)])
         rows = [
@@ -148,14 +147,14 @@ class Probes:
 
 @dataclass(frozen=True, eq=False)
 class Projected:
-    """Which scans of a drive gave an image.
+    """The scans of a drive that have an image.
 
     Attributes:
         scans: `(n,)` positions of the usable scans in the drive, rising.
-        returns: How many returns they hold together.
+        returns: How many returns they have together.
         skipped: The scans that could not be used.
-        probed: `(p,)` positions of those of which a probe was made, rising.
-        standing: `(p, 3)` where the probes stand, as in `Probes`.
+        probed: `(p,)` positions of those that have a probe, rising.
+        standing: `(p, 3)` displacements of the probes, as in `Probes`.
     """
 
     scans: IntArray
@@ -190,12 +189,9 @@ class ProjectedDrive(Projected):
 
 
 def project_each(
-    drive: Drive,
-    scans: Iterable[int],
-    imager: Imager,
-    progress: Progress = NO_PROGRESS,
+    drive: Drive, scans: Iterable[int], imager: Imager, progress: Progress = NO_PROGRESS
 ) -> Iterator[tuple[int, Scan, Float32Array] | Skipped]:
-    """Read and render scans one by one; one that cannot be used is told, the rest goes on."""
+    """Read and render scans one by one; yield `Skipped` for an unusable scan."""
     for index in scans:
         try:
             scan = drive.scan(index)
@@ -217,11 +213,11 @@ def project_into(
 
     Args:
         cells: `(n, [D,] I, J)` for n scans.
-        probe_cells: `(p, I, J)` for as many of them as `probed_among` gives.
+        probe_cells: `(p, I, J)` for as many of them as `spread_evenly` returns.
         drive: The drive.
         scans: Which of its scans, rising.
         imager: How a scan becomes an image.
-        progress: Told of each scan.
+        progress: Receives each scan.
 
     Raises:
         EmptyDrive: If not one of them is usable; the message gives the first reason.
@@ -229,9 +225,9 @@ def project_into(
     progress.start("projecting", len(scans))
     kept: list[int] = []
     probed: list[int] = []
-    standing: list[Standing] = []
+    displacements: list[Displacement] = []
     skipped: list[Skipped] = []
-    to_probe = set(probed_among(np.array(scans, dtype=np.int64)).tolist())
+    to_probe = set(spread_evenly(np.array(scans, dtype=np.int64)).tolist())
     row_of = {index: row for row, index in enumerate(scans)}
     poses = drive.poses[list(scans)]
     returns = 0
@@ -244,11 +240,11 @@ def project_into(
         returns += len(scan)
         if index not in to_probe:
             continue
-        stands = standing_of_probe(index, imager, poses, row_of[index])
-        if (probe := probe_image(scan, index, imager, stands)) is not None:
+        displacement = displacement_of_probe(index, imager, poses, row_of[index])
+        if (probe := probe_image(scan, index, imager, displacement)) is not None:
             probe_cells[len(probed)] = probe.cells
             probed.append(index)
-            standing.append(stands)
+            displacements.append(displacement)
     if not kept:
         raise EmptyDrive(Skipped.explain(drive.name, skipped))
     return Projected(
@@ -256,15 +252,12 @@ def project_into(
         returns,
         tuple(skipped),
         np.array(probed, dtype=np.int64),
-        np.array(standing, dtype=np.float64).reshape(-1, 3),
+        np.array(displacements, dtype=np.float64).reshape(-1, 3),
     )
 
 
 def project_drive(
-    drive: Drive,
-    scans: IntArray,
-    imager: Imager,
-    progress: Progress = NO_PROGRESS,
+    drive: Drive, scans: IntArray, imager: Imager, progress: Progress = NO_PROGRESS
 ) -> ProjectedDrive:
     """Project scans of a drive into memory, 43 kB an image on the paper's grid.
 
@@ -272,10 +265,10 @@ def project_drive(
         EmptyDrive: If not one of them is usable; the message gives the first reason.
     """
     cells = np.empty((len(scans), *imager.shape), np.float32)
-    probe_cells = np.empty((len(probed_among(scans)), *imager.grid.shape), np.float32)
-    told = project_into(cells, probe_cells, drive, scans.tolist(), imager, progress)
+    probe_cells = np.empty((len(spread_evenly(scans)), *imager.grid.shape), np.float32)
+    projected = project_into(cells, probe_cells, drive, scans.tolist(), imager, progress)
     return ProjectedDrive(
-        **vars(told),
-        images=MemoryImages(cells[: len(told.scans)], imager.grid),
-        probes=MemoryImages(probe_cells[: len(told.probed)], imager.grid),
+        **vars(projected),
+        images=MemoryImages(cells[: len(projected.scans)], imager.grid),
+        probes=MemoryImages(probe_cells[: len(projected.probed)], imager.grid),
     )

@@ -1,42 +1,19 @@
 """From a scan to a range image (paper, sec. 2.1)."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from core.arrays import Float32Array, FloatArray, IntArray
-from core.errors import InvalidParameters, InvalidScan
+from core.errors import InvalidScan
 from core.projection.angles import azimuth_steps, elevation_steps
-from core.projection.cells import checked_cells
-from core.projection.reducer import RANGE_REDUCERS, Reducer, reduce_returns
+from core.projection.reducer import Reducer, reduce_returns
 from core.scans.scan import Scan
 from core.scans.sensor import AngularGrid, whole_and_fraction
 
 
-@dataclass(frozen=True, eq=False)
-class RangeImage:
-    """Ranges on a grid; the paper's matricized scan S.
+def project_scan(scan: Scan, grid: AngularGrid, reducer: Reducer) -> Float32Array:
+    """Return the range image of a scan, the paper's matrix S, `(I, J)`.
 
-    Attributes:
-        ranges_m: `(I, J)` float32 metres, finite, 0 where nothing fell.
-        grid: The lattice of elevations and azimuths.
-    """
-
-    ranges_m: Float32Array
-    grid: AngularGrid
-
-    def __post_init__(self) -> None:
-        cells = checked_cells("ranges_m", self.ranges_m, self.grid.shape)
-        object.__setattr__(self, "ranges_m", cells)
-
-    @property
-    def cells(self) -> Float32Array:
-        """`(I, J)`, the matrix that is encoded."""
-        return self.ranges_m
-
-
-def project_scan(scan: Scan, grid: AngularGrid, reducer: Reducer) -> RangeImage:
-    """Place each return's range at its rounded `(elevation, azimuth)` cell.
+    Each return's range goes to its rounded `(elevation, azimuth)` cell.
 
     The paper leaves open which return wins a shared cell: `reducer` decides, and all reducers but
     `last` are independent of the order of the points (`mean` up to the rounding of its sum).
@@ -47,25 +24,19 @@ def project_scan(scan: Scan, grid: AngularGrid, reducer: Reducer) -> RangeImage:
         reducer: Which return a shared cell keeps.
 
     Returns:
-        Ranges of shape `(I, J)` in metres, 0 where no return fell.
+        `(I, J)` metres, 0 where no return is.
 
     Raises:
         InvalidScan: If no return falls inside the grid, or a range is beyond float32.
-        InvalidParameters: If the reducer is none of range images.
 
     Examples:
         >>> ahead = Scan(np.array([[10.0, 0.0, 0.0], [12.0, 0.0, 0.0]]))
-        >>> image = project_scan(ahead, AngularGrid(), Reducer.FARTHEST)
-        >>> image.ranges_m.shape, float(image.ranges_m[25, 180])
+        >>> ranges_m = project_scan(ahead, AngularGrid(), Reducer.FARTHEST)
+        >>> ranges_m.shape, float(ranges_m[25, 180])
         ((30, 361), 12.0)
     """
-    if reducer not in RANGE_REDUCERS:
-        raise InvalidParameters(
-            f"a range image is reduced by {', '.join(RANGE_REDUCERS)}, not by {reducer}"
-        )
-    cell_count = grid.rows * grid.columns
     reduced = reduce_returns(
-        scan.points_m, lambda xyz: _cells_and_ranges(xyz, grid), cell_count, reducer
+        scan.points_m, lambda xyz: _cells_and_ranges(xyz, grid), grid.shape, reducer
     )
     if not reduced.inside:
         raise InvalidScan(
@@ -74,7 +45,7 @@ def project_scan(scan: Scan, grid: AngularGrid, reducer: Reducer) -> RangeImage:
         )
     if reduced.largest > float(np.finfo(np.float32).max):
         raise InvalidScan(f"a return is {reduced.largest:.3g} m away, beyond float32")
-    return RangeImage(reduced.cells.reshape(grid.shape), grid)
+    return reduced.cells
 
 
 def _cells_and_ranges(xyz: FloatArray, grid: AngularGrid) -> tuple[IntArray, FloatArray]:

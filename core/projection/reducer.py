@@ -1,5 +1,6 @@
-"""Which return a shared cell of an image keeps, and how a scan's returns come to their cells."""
+"""Which return a shared cell of an image keeps, and the reduction of returns to cells."""
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
@@ -30,10 +31,10 @@ HEIGHT_REDUCERS = (Reducer.MEAN, Reducer.HIGHEST)
 
 @dataclass(frozen=True, eq=False)
 class Reduced:
-    """What is left of a scan's returns in the cells of an image.
+    """A scan's returns, reduced to the cells of an image.
 
     Attributes:
-        cells: `(c,)`, 0 where nothing fell.
+        cells: `(I, J)`, 0 where nothing is.
         inside: How many returns have a cell.
         largest: The largest of their values, 0 without any.
     """
@@ -46,80 +47,55 @@ class Reduced:
 def reduce_returns(
     points_m: Float32Array,
     place: Callable[[FloatArray], tuple[IntArray, FloatArray]],
-    cell_count: int,
+    shape: tuple[int, int],
     reducer: Reducer,
 ) -> Reduced:
     """Place returns in cells and keep one number a cell.
 
-    The returns go block by block: all at once the numbers of 60,000 would go to memory and back
-    at every step, which takes twice as long.
+    Returns are processed in blocks that fit into the cache: all 60,000 at once take twice as long.
 
     Args:
         points_m: `(n, 3)`.
         place: Turns `(3, m)` coordinates into `(k,)` cells and `(k,)` values, 0 or more, of those
             returns that have a cell, in their order.
-        cell_count: How many cells there are.
+        shape: `(I, J)` of the image.
         reducer: What a shared cell keeps.
     """
-    reduction = _REDUCTIONS[reducer](cell_count)
+    count = math.prod(shape)
+    sums, counts = np.zeros(count), np.zeros(count, dtype=np.int64)
+    kept = np.full(count, np.inf if reducer == Reducer.NEAREST else 0.0, dtype=np.float32)
     inside, largest = 0, 0.0
     for at in range(0, len(points_m), _BLOCK):
         cells, values = place(points_m[at : at + _BLOCK].T.astype(np.float64, order="C"))
-        if len(cells):
-            inside += len(cells)
-            largest = max(largest, float(values.max()))
-            reduction.add(cells, values)
-    return Reduced(reduction.cells(), inside, largest)
-
-
-class _Mean:
-    """The mean of a cell's returns."""
-
-    def __init__(self, cell_count: int) -> None:
-        self._sums, self._counts = np.zeros(cell_count), np.zeros(cell_count, dtype=np.int64)
-
-    def add(self, cells: IntArray, values: FloatArray) -> None:
-        np.add.at(self._sums, cells, values)
-        np.add.at(self._counts, cells, 1)
-
-    def cells(self) -> Float32Array:
-        return _float32(self._sums / np.maximum(self._counts, 1))
-
-
-class _Kept:
-    """One return's number a cell: `keep` is given the cells so far, then indices and values."""
-
-    def __init__(
-        self,
-        cell_count: int,
-        keep: Callable[[Float32Array, IntArray, Float32Array], None],
-        empty: float = 0.0,
-    ) -> None:
-        self._cells = np.full(cell_count, empty, dtype=np.float32)
-        self._keep, self._empty = keep, empty
-
-    def add(self, cells: IntArray, values: FloatArray) -> None:
-        self._keep(self._cells, cells, _float32(values))
-
-    def cells(self) -> Float32Array:
-        return np.where(self._cells == self._empty, np.float32(0.0), self._cells)
+        if not len(cells):
+            continue
+        inside += len(cells)
+        largest = max(largest, float(values.max()))
+        if reducer == Reducer.MEAN:
+            np.add.at(sums, cells, values)
+            np.add.at(counts, cells, 1)
+        else:
+            _KEEP[reducer](kept, cells, _float32(values))
+    if reducer == Reducer.MEAN:
+        kept = _float32(sums / np.maximum(counts, 1))
+    kept[np.isinf(kept)] = 0.0  # empty; callers reject returns beyond float32
+    return Reduced(kept.reshape(shape), inside, largest)
 
 
 def _overwrite(kept: Float32Array, cells: IntArray, values: Float32Array) -> None:
     # NumPy's tutorial says that the last of repeated indices is kept, its reference promises no
-    # order: a test holds it to the former.
+    # order: a test requires the former.
     kept[cells] = values
 
 
 def _float32(values: FloatArray) -> Float32Array:
-    with np.errstate(over="ignore"):  # who projects refuses what is beyond float32
+    with np.errstate(over="ignore"):  # callers reject what is beyond float32
         return values.astype(np.float32)
 
 
-_REDUCTIONS: dict[Reducer, Callable[[int], _Mean | _Kept]] = {
-    Reducer.LAST: lambda cell_count: _Kept(cell_count, _overwrite),
-    Reducer.NEAREST: lambda cell_count: _Kept(cell_count, np.minimum.at, empty=np.inf),
-    Reducer.FARTHEST: lambda cell_count: _Kept(cell_count, np.maximum.at),
-    Reducer.HIGHEST: lambda cell_count: _Kept(cell_count, np.maximum.at),
-    Reducer.MEAN: _Mean,
+_KEEP: dict[Reducer, Callable[[Float32Array, IntArray, Float32Array], None]] = {
+    Reducer.LAST: _overwrite,
+    Reducer.NEAREST: np.minimum.at,
+    Reducer.FARTHEST: np.maximum.at,
+    Reducer.HIGHEST: np.maximum.at,
 }

@@ -1,1 +1,1 @@
-"""What is recorded: scans, poses, drives and the sensors that make them."""
+"""Recordings: scans, poses, drives and sensors."""

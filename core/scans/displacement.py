@@ -1,7 +1,7 @@
-"""What is seen, and where one is, beside a recorded place and turned.
+"""Points and poses of a sensor that is displaced and rotated from where it recorded.
 
-Single poses are worked out with plain numbers: with rotation objects one takes ten times as long,
-and every answer waits for a dozen.
+Single poses are computed with plain numbers: with rotation objects one takes ten times as long, and
+every answer needs a dozen.
 """
 
 import math
@@ -15,7 +15,7 @@ from core.arrays import Float32Array, FloatArray
 def seen_from_beside(
     points_m: Float32Array | FloatArray, left_m: float, turn_deg: float = 0.0, ahead_m: float = 0.0
 ) -> FloatArray:
-    """Return points as a sensor sees them that stands to the left and ahead, and is then turned.
+    """Return points in the frame of a sensor displaced to the left and ahead, and then rotated.
 
     p' = Rz(-turn) (p - (ahead, left, 0)), the turn counter-clockwise. The points are those seen
     from the recorded place: what only the displaced sensor would see is missing.
@@ -55,7 +55,7 @@ def pose_beside(
     ]
     cos, sin = math.cos(math.radians(turn_deg) / 2.0), math.sin(math.radians(turn_deg) / 2.0)
     w, x, y, z = w * cos - z * sin, x * cos + y * sin, y * cos - x * sin, z * cos + w * sin
-    # A quaternion and its negative are one rotation: the one with w > 0 stands for it.
+    # A quaternion and its negative are one rotation: the one with w > 0 is used.
     if next((number for number in (w, x, y, z) if number), 1.0) < 0.0:
         x, y, z, w = -x, -y, -z, -w
     return np.array([*position_m, x, y, z, w])
@@ -78,7 +78,7 @@ def places_beside_m(rows: FloatArray, left_m: FloatArray) -> FloatArray:
 
 
 def left_of_m(place: FloatArray, other: FloatArray) -> float:
-    """Return how far to the left of one `(7,)` pose row another lies, negative right.
+    """Return the lateral offset of one `(7,)` pose row from another, positive to the left.
 
     NaN if one of them is unknown.
 
@@ -101,5 +101,5 @@ def _unit(row: FloatArray) -> tuple[float, float, float, float]:
 
 
 def _left(x: float, y: float, z: float, w: float) -> tuple[float, float, float]:
-    """Return where the y axis of a unit quaternion's frame points."""
+    """Return the y axis of a unit quaternion's frame."""
     return 2.0 * (x * y - z * w), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z + x * w)

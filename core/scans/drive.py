@@ -11,10 +11,10 @@ from core.scans.scan import Scan
 
 
 class Drive(Protocol):
-    """An ordered recording of scans; what every reader, store and simulator gives.
+    """An ordered recording of scans; the interface of every reader, store and simulator.
 
-    Timestamps and poses are at hand without reading a scan, because splits, cuts and
-    progress need them first.
+    Timestamps and poses are available without reading a scan, because splits and cuts need them
+    first.
     """
 
     @property
@@ -36,13 +36,13 @@ class Drive(Protocol):
         """Read scan `index`, 0-based.
 
         Raises:
-            InvalidScan: If what is recorded there cannot be used.
+            InvalidScan: If the recorded scan cannot be used.
         """
 
 
 @runtime_checkable
 class IndexedDrive(Drive, Protocol):
-    """A drive whose scans keep numbers of their own, with gaps where others are missing."""
+    """A drive whose scans are numbered, with gaps where scans are missing."""
 
     @property
     def scan_index(self) -> IntArray:
@@ -50,7 +50,7 @@ class IndexedDrive(Drive, Protocol):
 
 
 class MemoryDrive:
-    """A drive held in memory."""
+    """A drive in memory."""
 
     def __init__(self, name: str, scans: Sequence[Scan]) -> None:
         self.name = name

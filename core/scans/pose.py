@@ -18,7 +18,7 @@ _UNIT_TOLERANCE = 1e-3  # of a quaternion's norm and a matrix's orthonormality: 
 
 @dataclass(frozen=True)
 class Pose:
-    """Where the sensor stands in the world.
+    """Position and orientation of the sensor in the world.
 
     Examples:
         >>> round(Pose.from_matrix([[0, -1, 0, 5], [1, 0, 0, 6], [0, 0, 1, 7]]).yaw_deg, 6)
@@ -38,9 +38,7 @@ class Pose:
             raise InvalidPose(f"a pose is seven finite numbers, got {self.as_tuple()}")
         farthest_m = max(abs(self.x_m), abs(self.y_m), abs(self.z_m))
         if farthest_m > _FARTHEST_M:
-            raise InvalidPose(
-                f"a pose is {farthest_m:g} m away, at most {_FARTHEST_M:g} are wanted"
-            )
+            raise InvalidPose(f"a pose is {farthest_m:g} m away, wanted at most {_FARTHEST_M:g}")
         norm = math.hypot(self.qx, self.qy, self.qz, self.qw)
         if abs(norm - 1.0) > _UNIT_TOLERANCE:
             raise InvalidPose(f"the quaternion has norm {norm:.6g}, wanted 1")
@@ -77,7 +75,7 @@ def rows_from_matrices(matrices: ArrayLike) -> FloatArray:
     """Turn `(n, 3, 4)` or `(n, 4, 4)` matrices into `(n, 7)` pose rows; NaN stays NaN.
 
     Raises:
-        InvalidPose: If the shape is another or a matrix holds no rotation.
+        InvalidPose: If the shape is another or a matrix is no rotation.
     """
     m = np.asarray(matrices, dtype=np.float64)
     if m.ndim != 3 or m.shape[1:] not in {(3, 4), (4, 4)}:
@@ -85,7 +83,7 @@ def rows_from_matrices(matrices: ArrayLike) -> FloatArray:
     rows = np.full((len(m), 7), np.nan)
     known = np.isfinite(m[:, :3]).all(axis=(1, 2))
     rotations = m[known, :3, :3]
-    with np.errstate(over="ignore", invalid="ignore"):  # infinite or NaN then, and refused
+    with np.errstate(over="ignore", invalid="ignore"):  # infinite or NaN then, and rejected
         residual = np.abs(rotations @ rotations.transpose(0, 2, 1) - np.eye(3)).max(initial=0.0)
     if not residual <= _UNIT_TOLERANCE:
         raise InvalidPose(f"a pose matrix is no rotation: R R^T differs from I by {residual:.3g}")

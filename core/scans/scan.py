@@ -1,4 +1,4 @@
-"""A scan: the returns of one turn of the sensor."""
+"""A scan: the returns of one revolution of the sensor."""
 
 import math
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ from core.scans.pose import Pose
 
 @dataclass(frozen=True, eq=False)
 class Scan:
-    """The returns of one turn, in the sensor's frame (x forward, y left, z up).
+    """The returns of one revolution, in the sensor's frame (x forward, y left, z up).
 
     Attributes:
         points_m: `(n, 3)` float32 metres; every return finite and away from the origin.
@@ -39,7 +39,7 @@ class Scan:
         points = frozen(points, np.float32)
         if not _is_return(points).all():
             raise InvalidScan(
-                "points_m holds returns that are not finite or zero; use Scan.from_returns"
+                "points_m has returns that are not finite or zero; use Scan.from_returns"
             )
         if math.isinf(self.timestamp_s):
             raise InvalidScan(f"timestamp_s is {self.timestamp_s}, wanted seconds or NaN")
@@ -57,17 +57,17 @@ class Scan:
         timestamp_s: float = math.nan,
         pose: Pose | None = None,
     ) -> "Scan":
-        """Make a scan of what a sensor or file gives, dropping and counting what is no return.
+        """Return the scan of a sensor's or file's rows; rows that are no returns are dropped.
 
         Args:
             returns_m: `(n, 3)` metres; non-finite and zero rows are dropped.
-            min_returns: How many must be left.
+            min_returns: How many must remain.
             timestamp_s: Seconds, NaN where unknown.
             pose: Sensor to world, `None` where unknown.
 
         Raises:
             InvalidScan: If the shape is not `(n, 3)`.
-            TooFewReturns: If fewer than `min_returns` are left.
+            TooFewReturns: If fewer than `min_returns` remain.
         """
         # Beyond float32 is infinite and a signalling NaN is a NaN: both are dropped.
         with np.errstate(over="ignore", invalid="ignore"):

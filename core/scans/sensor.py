@@ -15,7 +15,7 @@ MAX_CELLS = 4_000_000
 
 
 def require_lattice(azimuth_step_deg: float, rows: int, columns: int) -> None:
-    """Refuse a grid whose azimuths do not fill half a turn, or that has too many cells.
+    """Reject a grid whose azimuths do not fill half a revolution, or that has too many cells.
 
     Raises:
         InvalidParameters: If it is such a grid.
@@ -27,7 +27,7 @@ def require_lattice(azimuth_step_deg: float, rows: int, columns: int) -> None:
         )
     if rows * columns > MAX_CELLS:
         raise InvalidParameters(
-            f"the grid has {rows} x {columns} cells, at most {MAX_CELLS} are wanted"
+            f"the grid has {rows} x {columns} cells, wanted at most {MAX_CELLS}"
         )
 
 
@@ -191,7 +191,7 @@ def whole_and_fraction(offset: float) -> tuple[int, float]:
     """Split a grid offset, in steps, so that angles themselves are rounded half to even.
 
     `rint(angle / step - fraction) - whole` is the index; with the paper's whole-degree grid the
-    fraction is 0 and the angle is rounded as it stands.
+    fraction is 0 and the angle itself is rounded.
     """
     whole = math.floor(offset + 0.5)
     return whole, offset - whole

@@ -1,4 +1,4 @@
-"""Where, when and in which drive a map's scans were recorded."""
+"""The drive, time and pose of each scan of a map."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -6,14 +6,14 @@ from functools import cached_property
 
 import numpy as np
 
-from core.arrays import BoolArray, FloatArray, IntArray, frozen
+from core.arrays import BoolArray, FloatArray, IntArray, freeze, frozen
 from core.errors import EmptyDrive, InvalidMap
 from core.scans.pose import first_invalid, is_known
 from core.text import LONGEST_NAME, flaw_in
 
 LAST_SCAN_INDEX = 2**53
 """Indices are below it: every JSON parser reads them exactly."""
-_FARTHEST_S = 1e300  # differences of any two of them are finite; whatever clock they are of
+_FARTHEST_S = 1e300  # differences of any two of them are finite, with any clock
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,7 +21,7 @@ class Trajectory:
     """The scans of a map in order, drive after drive, without their returns.
 
     Attributes:
-        drives: Names of the D drives, no two alike.
+        drives: Names of the D drives, all different.
         drive_start: `(D + 1,)` row of each drive's first scan, and K.
         scan_index: `(K,)` index of each scan in its own drive, rising; gaps are allowed.
         timestamp_s: `(K,)` seconds, NaN where unknown.
@@ -35,40 +35,31 @@ class Trajectory:
     poses: FloatArray
 
     def __post_init__(self) -> None:
-        for name, dtype in (
-            ("drive_start", np.int64),
-            ("scan_index", np.int64),
-            ("timestamp_s", np.float64),
-            ("poses", np.float64),
-        ):
-            object.__setattr__(self, name, frozen(getattr(self, name), dtype))
+        freeze(self, drive_start=np.int64, scan_index=np.int64)
+        freeze(self, timestamp_s=np.float64, poses=np.float64)
         scans = len(self.scan_index)
         if scans == 0:
             raise EmptyDrive("a trajectory needs at least one scan")
-        for name, shape in (
-            ("scan_index", (scans,)),
-            ("timestamp_s", (scans,)),
-            ("poses", (scans, 7)),
-        ):
-            if getattr(self, name).shape != shape:
-                raise InvalidMap(f"{name} has shape {getattr(self, name).shape}, wanted {shape}")
+        for name, *columns in (("scan_index",), ("timestamp_s",), ("poses", 7)):
+            shape, wanted = getattr(self, name).shape, (scans, *columns)
+            if shape != wanted:
+                raise InvalidMap(f"{name} has shape {shape}, wanted {wanted}")
         # A comparison with NaN, the unknown, is false.
         if (np.abs(self.timestamp_s) > _FARTHEST_S).any():
-            raise InvalidMap(f"timestamp_s holds infinite numbers, or beyond {_FARTHEST_S:g} s")
+            raise InvalidMap(f"timestamp_s has infinite numbers, or beyond {_FARTHEST_S:g} s")
         wrong = first_invalid(self.poses)
         if wrong is not None:
-            raise InvalidMap(f"the pose of row {wrong} is none: {self.poses[wrong].tolist()}")
+            raise InvalidMap(f"row {wrong} is no pose: {self.poses[wrong].tolist()}")
         for name in self.drives:
             flaw = flaw_in(name, LONGEST_NAME)
             if flaw is not None:
                 raise InvalidMap(f"drives holds {ascii(name)[:80]}, wanted names: {flaw}")
         if len(set(self.drives)) < len(self.drives):
-            raise InvalidMap(f"a drive comes twice in {_short(self.drives)}")
+            raise InvalidMap(f"a drive is repeated in {_short(self.drives)}")
         starts = self.drive_start
         if (
             starts.shape != (len(self.drives) + 1,)
-            or starts[0] != 0
-            or starts[-1] != scans
+            or starts[[0, -1]].tolist() != [0, scans]
             or (np.diff(starts) < 1).any()
         ):
             raise InvalidMap(
@@ -134,7 +125,7 @@ class Trajectory:
         )
 
     def select(self, rows: IntArray) -> "Trajectory":
-        """Return the trajectory of some rows, in rising order, leaving out drives left empty."""
+        """Return the trajectory of some rows, in rising order, without drives that have none."""
         drive = self.drive_of_scan[rows]
         kept, counts = np.unique(drive, return_counts=True)
         return Trajectory(

@@ -7,6 +7,7 @@ import numpy as np
 
 from core.arrays import IntArray
 from core.errors import EmptyDrive, InvalidParameters
+from core.numbers import require_at_least
 
 PAPER_SEGMENT_LENGTH = 760  # k, sec. 3.2
 
@@ -16,18 +17,16 @@ def segment_length_for(
 ) -> int:
     """Return k for a drive of `scans` scans.
 
-    `segments` asks for L parts: k = ceil(K / L), with which a short drive may fall into fewer, and
-    unequal segments into more or fewer.
-    Without either, k is the paper's 760: longer segments are told apart better than shorter ones.
+    With `segments`, L, k = ceil(K / L): a short drive may have fewer segments, and unequal segments
+    may be more or fewer. Without either, k is the paper's 760: long segments are easier to
+    distinguish than short ones.
 
     Raises:
         InvalidParameters: If both are given, or one is below 1.
     """
     if segment_length is not None and segments is not None:
         raise InvalidParameters("give segment_length or segments, not both")
-    for name, value in (("segment_length", segment_length), ("segments", segments)):
-        if value is not None and value < 1:
-            raise InvalidParameters(f"{name} is {value}, wanted at least 1")
+    require_at_least(1, segment_length=segment_length, segments=segments)
     if segment_length is not None:
         return segment_length
     if segments is not None:
@@ -51,8 +50,7 @@ def cut_fixed(scans: int, segment_length: int) -> IntArray:
     """
     if scans < 1:
         raise EmptyDrive("there is no scan to cut into segments")
-    if segment_length < 1:
-        raise InvalidParameters(f"segment_length is {segment_length}, wanted at least 1")
+    require_at_least(1, segment_length=segment_length)
     starts = np.arange(0, scans, min(segment_length, scans), dtype=np.int64)
     if len(starts) > 1 and 2 * (scans - starts[-1]) < segment_length:
         starts = starts[:-1]

@@ -22,6 +22,7 @@ from core.arrays import FloatArray, IntArray
 from core.encodings.blocks import BLOCK_SCANS
 from core.encodings.tucker import leading_basis
 from core.errors import InvalidParameters
+from core.numbers import require_at_least
 from core.parameters import MapParameters
 from core.progress import NO_PROGRESS, Progress
 from core.projection.images import ImageSource
@@ -43,8 +44,7 @@ def length_limits(segment_length: int) -> tuple[int, int]:
         >>> length_limits(760), length_limits(1)
         ((380, 1520), (1, 2))
     """
-    if segment_length < 1:
-        raise InvalidParameters(f"segment_length is {segment_length}, wanted at least 1")
+    require_at_least(1, segment_length=segment_length)
     return math.ceil(segment_length / 2), 2 * segment_length
 
 

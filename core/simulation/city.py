@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from core.errors import InvalidParameters
+from core.numbers import require_at_least
 from core.simulation.world import Boxes, Cylinders, Traffic, World
 
 # Every stretch of street draws from streams of its own, keyed by these and its place in the grid,
@@ -19,7 +19,7 @@ _KERB_M = 5.5  # from the centre line to the middle of a parked car: 3 m aside, 
 _TREES_M = 7.4
 _FRONT_M = (8.6, 14.0)  # from the centre line to the line of the house fronts, street by street
 _CORNER_M = 10.5  # no car parks nearer to a crossing street's centre line: vehicles turn there
-_CLOSED_SHARE = 0.7  # of the ends of streets: without it all junctions would look alike
+_CLOSED_SHARE = 0.7  # of the ends of streets: else all junctions would be alike
 
 
 class _Street(NamedTuple):
@@ -54,9 +54,9 @@ class _Stretch(NamedTuple):
         heading_deg: Along it.
         length_m: From crossing to crossing.
         front_m: From the centre line to the line of the house fronts.
-        begin_m: Where that of the first street crossed lies.
-        end_m: Where that of the second lies.
-        key: What its random streams are keyed by.
+        begin_m: Position of that line of the first street crossed.
+        end_m: Position of that line of the second.
+        key: Of its random streams.
     """
 
     x_m: float
@@ -71,10 +71,7 @@ class _Stretch(NamedTuple):
     def place(self, along_m: float, aside_m: float) -> tuple[float, float]:
         """Return x and y in metres."""
         cos, sin = np.cos(np.radians(self.heading_deg)), np.sin(np.radians(self.heading_deg))
-        return (
-            self.x_m + along_m * cos - aside_m * sin,
-            self.y_m + along_m * sin + aside_m * cos,
-        )
+        return (self.x_m + along_m * cos - aside_m * sin, self.y_m + along_m * sin + aside_m * cos)
 
 
 def make_city(
@@ -83,9 +80,9 @@ def make_city(
     """Return a city; equal arguments give equal cities.
 
     Args:
-        seed: Streets, houses, hedges, trees and poles come from it.
-        traffic_seed: Parked and moving cars come from it; by default from `seed`. Another one is
-            the same city on another day.
+        seed: Of streets, houses, hedges, trees and poles.
+        traffic_seed: Of parked and moving cars; by default `seed`. Another one is the same city on
+            another day.
         blocks: How many blocks east and north.
 
     Raises:
@@ -99,10 +96,8 @@ def make_city(
         False
     """
     traffic_seed = seed if traffic_seed is None else traffic_seed
-    if min(seed, traffic_seed) < 0:
-        raise InvalidParameters(f"seeds are {seed} and {traffic_seed}, wanted at least 0")
-    if min(blocks) < 1:
-        raise InvalidParameters(f"blocks is {blocks}, wanted at least 1 x 1")
+    require_at_least(0, seed=seed, traffic_seed=traffic_seed)
+    require_at_least(1, blocks=min(blocks))
     north, east = _streets(seed, 0, blocks), _streets(seed, 1, blocks)
     boxes: list[tuple[float, ...]] = []
     cylinders: list[tuple[float, ...]] = []
@@ -139,7 +134,7 @@ def _streets(seed: int, axis: int, blocks: tuple[int, int]) -> list[_Street]:
     count, across = blocks[axis] + 1, blocks[1 - axis] + 1
     at_m = np.concatenate([[0.0], np.cumsum(rng.uniform(*_STREET_SPACING_M, count - 1))])
     front_m = rng.uniform(*_FRONT_M, count)
-    # One end at least: two crossings open on all sides are hard to tell apart, even for the eye.
+    # One end at least: two crossings open on all sides are hard to distinguish, even for humans.
     closed = rng.random((count, 2)) < _CLOSED_SHARE
     closed[~closed.any(axis=1), 0] = True
     closed &= across >= 4  # with fewer streets across, nothing would be left between the ends
@@ -174,7 +169,7 @@ def _sides(street: _Street, first: _Street, last: _Street) -> Iterator[_Stretch]
 
 
 def _houses(stretch: _Stretch, rng: np.random.Generator) -> Iterator[tuple[float, ...]]:
-    """Yield houses, and a hedge or wall before some of those that stand back."""
+    """Yield houses, and a hedge or wall in front of some that are set back."""
     usual_setback_m = rng.uniform(0.0, 4.0)
     usual_height_m = rng.uniform(4.0, 14.0)
     begin_m = stretch.begin_m + rng.uniform(0.0, 12.0)
@@ -203,7 +198,7 @@ def _mouth(stretch: _Stretch, rng: np.random.Generator) -> Iterator[tuple[float,
 
 
 def _furniture(stretch: _Stretch, rng: np.random.Generator) -> Iterator[tuple[float, ...]]:
-    """Yield kiosks, shelters and switch boxes near a street's ends: what tells junctions apart."""
+    """Yield kiosks, shelters and switch boxes near a street's ends: junctions differ by them."""
     for corner_m, inward in ((stretch.begin_m, 1.0), (stretch.end_m, -1.0)):
         for _ in range(rng.integers(0, 4)):
             along_m = corner_m + inward * rng.uniform(1.0, 6.0)

@@ -1,12 +1,12 @@
-"""A drive through a simulated city, its scans cast when they are asked for."""
+"""A drive through a simulated city, its scans cast when they are read."""
 
-import math
 from collections.abc import Iterator
 
 import numpy as np
 
 from core.arrays import FloatArray, frozen
 from core.errors import InvalidParameters
+from core.numbers import require_above, require_at_least
 from core.scans.pose import Pose
 from core.scans.scan import Scan
 from core.simulation.city import make_city
@@ -28,14 +28,14 @@ _STOPS, _NOISE = range(2)  # streams of random numbers
 class SimulatedDrive:
     """A recorded loop through a city of `seed`, at ten scans a second; a `Drive`.
 
-    The vehicle follows the streets' centre line, slower in turns, stands before every second
-    turn, and, if there are scans enough, passes the street it began in again. It starts and stops
-    at once and a turn of the sensor takes no time: acceleration and motion distortion are left
-    out. Scan `i` is the same whenever and however often it is asked for.
+    The vehicle follows the streets' centre line, slower in turns, stops before every second turn,
+    and with enough scans passes the street it began in again. It starts and stops at once and a
+    revolution of the sensor takes no time: there is no acceleration and no motion distortion.
+    Scan `i` is the same whenever and however often it is read.
 
     Two drives of one `seed`, `scans`, `speed_m_s` and `loop_m` follow one line in one world frame.
     Vary `traffic_seed`, `lateral_offset_m`, `reverse` and `noise_seed` for the same streets on
-    another day, from another lane, the other way.
+    another day, from another lane, in the other direction.
 
     Args:
         seed: Of the city.
@@ -44,12 +44,12 @@ class SimulatedDrive:
         lateral_offset_m: How far left of the line the vehicle truly drives, as it is heading;
             negative right. Up to 3 m it clears what is parked.
         reverse: Drive the same places in the opposite order and direction.
-        stops: Stand before turns.
+        stops: Stop before turns.
         traffic_seed: Of parked and moving cars; `seed` by default.
         noise_seed: Of range noise and dropouts; `traffic_seed` by default.
         loop_m: About how long the loop is; by default such that the drive closes it. A loop is at
-            least once round a block, and a longer drive goes round again.
-        sensor: What scans.
+            least one block; a longer drive repeats it.
+        sensor: That records.
         sensor_height_m: Above the ground; 1.73 m is KITTI's HDL-64E.
 
     Raises:
@@ -79,25 +79,18 @@ class SimulatedDrive:
         sensor: SimulatedSensor | None = None,
         sensor_height_m: float = 1.73,
     ) -> None:
-        if scans < 1:
-            raise InvalidParameters(f"scans is {scans}, wanted at least 1")
-        if not (math.isfinite(speed_m_s) and speed_m_s > 0.0):
-            raise InvalidParameters(f"speed_m_s is {speed_m_s}, wanted > 0")
+        traffic_seed = seed if traffic_seed is None else traffic_seed
+        self._noise_seed = traffic_seed if noise_seed is None else noise_seed
+        if loop_m is None:
+            loop_m = _LOOP_SHARE * scans * speed_m_s * _SCAN_S
+        require_at_least(1, scans=scans)
+        require_at_least(0, noise_seed=self._noise_seed)
+        require_above(0, speed_m_s=speed_m_s, sensor_height_m=sensor_height_m, loop_m=loop_m)
         if not abs(lateral_offset_m) < _TURN_RADIUS_M:
             raise InvalidParameters(
                 f"lateral_offset_m is {lateral_offset_m}, wanted within the turn radius,"
                 f" {_TURN_RADIUS_M} m"
             )
-        if not (math.isfinite(sensor_height_m) and sensor_height_m > 0.0):
-            raise InvalidParameters(f"sensor_height_m is {sensor_height_m}, wanted > 0")
-        traffic_seed = seed if traffic_seed is None else traffic_seed
-        self._noise_seed = traffic_seed if noise_seed is None else noise_seed
-        if self._noise_seed < 0:
-            raise InvalidParameters(f"noise_seed is {self._noise_seed}, wanted at least 0")
-        if loop_m is None:
-            loop_m = _LOOP_SHARE * scans * speed_m_s * _SCAN_S
-        if not (math.isfinite(loop_m) and loop_m > 0.0):
-            raise InvalidParameters(f"loop_m is {loop_m}, wanted > 0")
         east, north = _loop_blocks(loop_m)
         self.name = f"simulated-{seed}"
         self.sensor = SimulatedSensor() if sensor is None else sensor
@@ -106,20 +99,14 @@ class SimulatedDrive:
         self.route = Route.around(
             _loop_corners(self.world, east, north), turn_radius_m=_TURN_RADIUS_M
         )
-        along_m = _distances(
-            self.route,
-            scans,
-            speed_m_s * _SCAN_S,
-            np.random.default_rng([seed, _STOPS]) if stops else None,
-        )
+        stops_rng = np.random.default_rng([seed, _STOPS]) if stops else None
+        along_m = _distances(self.route, scans, speed_m_s * _SCAN_S, stops_rng)
         self.along_m: FloatArray = frozen(along_m[::-1] if reverse else along_m, np.float64)
         self.timestamp_s: FloatArray = frozen(np.arange(scans) * _SCAN_S, np.float64)
-        self.poses: FloatArray = frozen(
-            _pose_rows(
-                self.route, self.along_m, lateral_offset_m, sensor_height_m, reverse=reverse
-            ),
-            np.float64,
+        rows = _pose_rows(
+            self.route, self.along_m, lateral_offset_m, sensor_height_m, reverse=reverse
         )
+        self.poses: FloatArray = frozen(rows, np.float64)
 
     def __len__(self) -> int:
         return len(self.along_m)
@@ -151,8 +138,7 @@ def _loop_blocks(loop_m: float) -> tuple[int, int]:
 def _loop_corners(world: World, east: int, north: int) -> list[tuple[float, float]]:
     """Return the loop's corners, one block inside the city.
 
-    A loop two blocks wide and high has a corner cut out: it is no longer for it, and turns both
-    ways.
+    A loop at least two blocks wide and high has a corner cut out, so that it turns left and right.
     """
     corners = [(1, 1), (1 + east, 1)]
     if min(east, north) >= 2:

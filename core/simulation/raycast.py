@@ -9,6 +9,7 @@ import numpy as np
 
 from core.arrays import BoolArray, FloatArray, IntArray
 from core.errors import InvalidParameters, InvalidPose
+from core.numbers import require_above, require_at_least
 from core.scans.angles import wrapped_deg
 from core.scans.pose import Pose
 from core.scans.scan import Scan
@@ -26,15 +27,15 @@ _UPRIGHT = 1e-6  # how far qx and qy may be from 0
 
 @dataclass(frozen=True)
 class SimulatedSensor:
-    """A spinning sensor; the defaults are an HDL-64E that gives about 60,000 returns in a street.
+    """A spinning sensor; the defaults are an HDL-64E with about 60,000 returns in a street.
 
     Attributes:
-        beams_deg: Elevation of each beam, in the order in which a firing gives them.
-        firings: Azimuths a turn, evenly spaced.
+        beams_deg: Elevation of each beam, in the order of a firing.
+        firings: Azimuths of a revolution, evenly spaced.
         range_noise_m: Standard deviation of a range; about the 2 cm of the HDL-64E's datasheet.
-        max_range_m: No farther return comes back; 120 m is the HDL-64E's datasheet range.
-        ground_range_m: No farther return comes back from the ground; 50 m is what the HDL-64E's
-            datasheet says of pavement.
+        max_range_m: Of any return; 120 m is the HDL-64E's datasheet range.
+        ground_range_m: Of returns from the ground; 50 m is the HDL-64E's datasheet range on
+            pavement.
         dropout: Share of the returns that are lost at random.
     """
 
@@ -48,13 +49,9 @@ class SimulatedSensor:
     def __post_init__(self) -> None:
         if not self.beams_deg or not all(-90.0 < beam < 90.0 for beam in self.beams_deg):
             raise InvalidParameters("beams_deg wants at least one elevation, each in -90..90")
-        if self.firings < 1:
-            raise InvalidParameters(f"firings is {self.firings}, wanted at least 1")
-        if not (math.isfinite(self.range_noise_m) and self.range_noise_m >= 0.0):
-            raise InvalidParameters(f"range_noise_m is {self.range_noise_m}, wanted >= 0")
-        for name in ("max_range_m", "ground_range_m"):
-            if not (math.isfinite(getattr(self, name)) and getattr(self, name) > 0.0):
-                raise InvalidParameters(f"{name} is {getattr(self, name)}, wanted > 0")
+        require_at_least(1, firings=self.firings)
+        require_at_least(0, range_noise_m=self.range_noise_m)
+        require_above(0, max_range_m=self.max_range_m, ground_range_m=self.ground_range_m)
         if not 0.0 <= self.dropout < 1.0:
             raise InvalidParameters(f"dropout is {self.dropout}, wanted 0 <= dropout < 1")
 
@@ -84,23 +81,23 @@ def cast(
     *,
     timestamp_s: float = math.nan,
 ) -> Scan:
-    """Return what `sensor` at `pose` sees of `scene`.
+    """Return what `sensor` at `pose` measures in `scene`.
 
-    The nearest hit of a ray wins: a wall, a roof, the underside of a crown, or the ground at
-    z = 0. Returns come firing by firing, and beam by beam within one, as the `last` reducer
-    depends on their order. A turn takes no time: there is no motion distortion. A solid whose
-    footprint holds the sensor is not seen, so that one may stand under a tree.
+    The nearest hit of a ray counts: a wall, a roof, the underside of a crown, or the ground at
+    z = 0. Returns are in the order of firings, and of beams within one: the `last` reducer depends
+    on it. A revolution takes no time: there is no motion distortion. A solid whose footprint
+    contains the sensor is not seen, so that the sensor may be under a tree.
 
     Args:
         scene: The world at one moment.
         pose: Sensor to world; upright, z is the height above the ground.
         sensor: Beams, firings, noise and range.
         rng: Where noise and dropouts come from.
-        timestamp_s: What the scan is stamped with.
+        timestamp_s: Of the scan.
 
     Raises:
         InvalidPose: If the pose is tilted or not above the ground.
-        TooFewReturns: If nothing comes back.
+        TooFewReturns: If there is no return.
 
     Examples:
         >>> wall = Scene(Boxes([[10.5, 0.0, 0.0, 1.0, 8.0, 0.0, 5.0]]))
@@ -110,13 +107,13 @@ def cast(
         [[10.0, 0.0, 0.0]]
     """
     if max(abs(pose.qx), abs(pose.qy)) > _UPRIGHT or pose.z_m <= 0.0:
-        raise InvalidPose(f"the sensor stands upright above the ground, got {pose.as_tuple()}")
+        raise InvalidPose(f"the pose is {pose.as_tuple()}, wanted upright above the ground")
     across_m = _nearest(scene, pose, sensor)
     slopes = sensor.slopes
     stretch = np.sqrt(1.0 + slopes**2)
     returned = across_m * stretch <= sensor.max_range_m
     if sensor.dropout:
-        # A byte would be coarse and float64 is slow: float32 decides a return's luck finely enough.
+        # float32: float64 is slower, a byte too coarse.
         returned &= rng.random(across_m.shape, dtype=np.float32) >= sensor.dropout
     firing, beam = np.nonzero(returned)
     across_m = across_m[returned]
@@ -141,22 +138,7 @@ class _Crossings(NamedTuple):
     top_m: FloatArray
 
     def only(self, which: BoolArray | IntArray) -> "_Crossings":
-        return _Crossings(
-            self.firing[which],
-            self.enter_m[which],
-            self.leave_m[which],
-            self.bottom_m[which],
-            self.top_m[which],
-        )
-
-    def joined(self, other: "_Crossings") -> "_Crossings":
-        return _Crossings(
-            np.concatenate([self.firing, other.firing]),
-            np.concatenate([self.enter_m, other.enter_m]),
-            np.concatenate([self.leave_m, other.leave_m]),
-            np.concatenate([self.bottom_m, other.bottom_m]),
-            np.concatenate([self.top_m, other.top_m]),
-        )
+        return _Crossings(*(column[which] for column in self))  # type: ignore[arg-type]  # of several dtypes
 
 
 def _nearest(scene: Scene, pose: Pose, sensor: SimulatedSensor) -> FloatArray:
@@ -171,7 +153,8 @@ def _nearest(scene: Scene, pose: Pose, sensor: SimulatedSensor) -> FloatArray:
     nearest_m = np.broadcast_to(ground_m, (sensor.firings, len(slopes))).copy()
     boxes = _box_crossings(scene.boxes, pose, sensor)
     cylinders = _cylinder_crossings(scene.cylinders, pose, sensor)
-    crossings = boxes.joined(cylinders)
+    columns = map(np.concatenate, zip(boxes, cylinders, strict=True))
+    crossings = _Crossings(*columns)  # type: ignore[arg-type]  # of several dtypes
     crossings = crossings.only(_not_hidden(crossings, pose.z_m, sensor))
     if not len(crossings.firing):
         return nearest_m

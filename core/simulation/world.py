@@ -1,6 +1,7 @@
-"""What stands and moves in a simulated city: upright solids on flat ground."""
+"""The content of a simulated city: upright solids on flat ground, parked and moving cars."""
 
 from dataclasses import dataclass, field
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -9,23 +10,33 @@ from core.arrays import FloatArray, frozen
 from core.errors import InvalidParameters
 
 
-def _rows(rows: ArrayLike, columns: tuple[str, ...], sizes: tuple[str, ...]) -> FloatArray:
-    """Freeze `(n, len(columns))` rows whose `sizes` are positive."""
-    array = np.asarray(rows, dtype=np.float64).reshape(-1, len(columns))
-    if not np.isfinite(array).all():
-        raise InvalidParameters(f"a solid is {', '.join(columns)}, all finite")
-    if (array[:, [columns.index(size) for size in sizes]] <= 0.0).any():
-        raise InvalidParameters(f"a solid's {', '.join(sizes)} are positive")
-    return frozen(array, np.float64)
+@dataclass(frozen=True, eq=False, init=False)
+class _Solids:
+    """Rows of finite numbers, one a solid; its sizes are positive."""
+
+    rows: FloatArray
+
+    _columns: ClassVar[tuple[str, ...]]
+    _sizes: ClassVar[tuple[str, ...]]
+
+    def __init__(self, rows: ArrayLike = ()) -> None:
+        columns, sizes = self._columns, self._sizes
+        array = np.asarray(rows, dtype=np.float64).reshape(-1, len(columns))
+        if not np.isfinite(array).all():
+            raise InvalidParameters(f"a solid is {', '.join(columns)}, all finite")
+        if (array[:, [columns.index(size) for size in sizes]] <= 0.0).any():
+            raise InvalidParameters(f"a solid's {', '.join(sizes)} are positive")
+        if columns[-2:] == ("bottom_m", "top_m"):
+            bottom_m, top_m = array[:, -2:].T
+            if (bottom_m < 0.0).any() or (top_m <= bottom_m).any():
+                raise InvalidParameters("a solid is above the ground, its top above its bottom")
+        object.__setattr__(self, "rows", frozen(array, np.float64))
+
+    def __len__(self) -> int:
+        return len(self.rows)
 
 
-def _check_upright(bottom_m: FloatArray, top_m: FloatArray) -> None:
-    if (bottom_m < 0.0).any() or (top_m <= bottom_m).any():
-        raise InvalidParameters("a solid stands on the ground or above, its top above its bottom")
-
-
-@dataclass(frozen=True, eq=False)
-class Boxes:
+class Boxes(_Solids):
     """Upright boxes: buildings, hedges, cars.
 
     Attributes:
@@ -38,15 +49,8 @@ class Boxes:
         [9.75]
     """
 
-    rows: FloatArray
-
-    def __init__(self, rows: ArrayLike = ()) -> None:
-        columns = ("x_m", "y_m", "yaw_deg", "length_m", "width_m", "bottom_m", "top_m")
-        object.__setattr__(self, "rows", _rows(rows, columns, ("length_m", "width_m")))
-        _check_upright(self.rows[:, 5], self.rows[:, 6])
-
-    def __len__(self) -> int:
-        return len(self.rows)
+    _columns = ("x_m", "y_m", "yaw_deg", "length_m", "width_m", "bottom_m", "top_m")
+    _sizes = ("length_m", "width_m")
 
     def distance_m(self, x_m: float, y_m: float) -> FloatArray:
         """Return how far each footprint is from a point, `(n,)` metres, 0 inside."""
@@ -57,8 +61,7 @@ class Boxes:
         return np.asarray(np.hypot(np.maximum(along, 0.0), np.maximum(across, 0.0)))
 
 
-@dataclass(frozen=True, eq=False)
-class Cylinders:
+class Cylinders(_Solids):
     """Upright cylinders: poles, the trunks of trees and their crowns.
 
     Attributes:
@@ -66,15 +69,8 @@ class Cylinders:
             ground, all in metres.
     """
 
-    rows: FloatArray
-
-    def __init__(self, rows: ArrayLike = ()) -> None:
-        columns = ("x_m", "y_m", "radius_m", "bottom_m", "top_m")
-        object.__setattr__(self, "rows", _rows(rows, columns, ("radius_m",)))
-        _check_upright(self.rows[:, 3], self.rows[:, 4])
-
-    def __len__(self) -> int:
-        return len(self.rows)
+    _columns = ("x_m", "y_m", "radius_m", "bottom_m", "top_m")
+    _sizes = ("radius_m",)
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,11 +81,10 @@ class Scene:
     cylinders: Cylinders = field(default_factory=Cylinders)
 
 
-@dataclass(frozen=True, eq=False)
-class Traffic:
+class Traffic(_Solids):
     """Cars that drive along straight lanes at a constant speed.
 
-    At the end of its lane a car enters again at the start, so a street never runs empty.
+    At the end of its lane a car begins again at the start.
 
     Attributes:
         rows: `(n, 9)`: x and y of the lane's start in metres, heading in degrees, length of the
@@ -102,15 +97,8 @@ class Traffic:
         [0.0, 15.0]
     """
 
-    rows: FloatArray
-
-    def __init__(self, rows: ArrayLike = ()) -> None:
-        sizes = ("lane_m", "length_m", "width_m", "height_m")
-        columns = ("x_m", "y_m", "heading_deg", "lane_m", "along_m", "speed_m_s", *sizes[1:])
-        object.__setattr__(self, "rows", _rows(rows, columns, sizes))
-
-    def __len__(self) -> int:
-        return len(self.rows)
+    _sizes = ("lane_m", "length_m", "width_m", "height_m")
+    _columns = ("x_m", "y_m", "heading_deg", "lane_m", "along_m", "speed_m_s", *_sizes[1:])
 
     def at(self, time_s: float) -> Boxes:
         """Return the cars where they are at `time_s`."""
@@ -124,13 +112,13 @@ class Traffic:
 
 @dataclass(frozen=True, eq=False)
 class World:
-    """A city: what is built and planted, what is parked, what drives.
+    """A city.
 
     Attributes:
-        buildings: Houses, and the hedges and walls before them.
+        buildings: Houses, and the hedges and walls in front of them.
         poles: Poles, the trunks of trees and their crowns.
-        parked: Cars that stand.
-        moving: Cars that drive.
+        parked: Parked cars.
+        moving: Moving cars.
         street_x_m: Centre lines of the streets that run north, ascending.
         street_y_m: Centre lines of the streets that run east, ascending.
     """
@@ -149,9 +137,9 @@ class World:
 
         Args:
             time_s: Seconds since the drive began.
-            around_m: x and y of a vehicle that moving cars give way to, if any.
-            give_way_m: A moving car nearer to it than this is left out: simulated cars know no
-                brakes, and would drive through the vehicle.
+            around_m: x and y of a vehicle, if any.
+            give_way_m: A moving car nearer to that vehicle is left out: simulated cars do not
+                brake, and would drive through it.
         """
         moving = self.moving.at(time_s).rows
         if around_m is not None:

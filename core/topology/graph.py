@@ -15,13 +15,13 @@ from core.scans.trajectory import Trajectory
 
 JOINED = ("edge_scans", "edge_of_segment", "segment_reversed")
 """Arrays that only a joined graph has in its file: all three or none."""
-_LONGEST_M = 1e15  # more than millions of poses can be apart
+_LONGEST_M = 1e15  # more than any path of valid poses
 _MOST_SCANS = 2**53  # every JSON parser reads them exactly
 
 
 @dataclass(frozen=True, order=True)
 class Entry:
-    """A segment, and at which of its ends it is entered.
+    """A segment, and the end where it is entered.
 
     Attributes:
         segment: Its number.
@@ -37,12 +37,11 @@ class Entry:
 class Topology:
     """Nodes, edges, and which segments run along an edge.
 
-    Where a street was driven once, an edge is a segment. Where it was driven again, in either
-    direction, those segments share an edge; its length is that of the first of them, which runs
-    along it forwards.
+    In a street that was driven once, an edge is a segment. Segments of a street that was driven
+    again, in either direction, share an edge; its length and direction are those of the first.
 
     Attributes:
-        node_scan: `(N,)` the map row whose scan stands at the node: the first that came there.
+        node_scan: `(N,)` the row of the first scan at the node.
         edge_nodes: `(E, 2)` the nodes where an edge begins and ends.
         edge_length_m: `(E,)` length of the path in metres, NaN where a pose on it is unknown.
         edge_scans: `(E,)` length in scans, from node to node; from `node_scan` by default.
@@ -52,13 +51,13 @@ class Topology:
             default.
 
     Raises:
-        InvalidMap: If they do not fit together.
+        InvalidMap: If the arrays are inconsistent.
     """
 
     node_scan: IntArray
     edge_nodes: IntArray
     edge_length_m: FloatArray
-    edge_scans: IntArray = None  # type: ignore[assignment]  # set at birth
+    edge_scans: IntArray = None  # type: ignore[assignment]  # set in `__post_init__`
     edge_of_segment: IntArray = None  # type: ignore[assignment]
     segment_reversed: BoolArray = None  # type: ignore[assignment]
 
@@ -76,55 +75,48 @@ class Topology:
         given = getattr(self, name)
         object.__setattr__(self, name, frozen(default if given is None else given, dtype))
 
+    def _require_shape(self, name: str, *shape: int) -> None:
+        if (found := getattr(self, name).shape) != shape:
+            raise InvalidMap(f"{name} has shape {found}, wanted {shape}")
+
     def _require_edges(self) -> None:
-        edges = len(self.edge_length_m)
-        if self.node_scan.ndim != 1:
-            raise InvalidMap(f"node_scan has shape {self.node_scan.shape}, wanted (N,)")
-        if self.edge_length_m.ndim != 1:
-            raise InvalidMap(f"edge_length_m has shape {self.edge_length_m.shape}, wanted (E,)")
-        if (self.edge_length_m < 0).any() or (self.edge_length_m > _LONGEST_M).any():
+        nodes, lengths_m = len(self.node_scan), self.edge_length_m
+        self._require_shape("node_scan", nodes)
+        self._require_shape("edge_length_m", self.edges)
+        self._require_shape("edge_nodes", self.edges, 2)
+        if (lengths_m < 0).any() or (lengths_m > _LONGEST_M).any():
             raise InvalidMap(
-                f"edge_length_m holds negative or infinite numbers, or beyond {_LONGEST_M:g}"
+                f"edge_length_m has negative or infinite numbers, or more than {_LONGEST_M:g}"
             )
-        if self.edge_nodes.shape != (edges, 2):
-            raise InvalidMap(f"edge_nodes has shape {self.edge_nodes.shape}, wanted ({edges}, 2)")
-        if edges and not (
-            self.edge_nodes.min() >= 0 and self.edge_nodes.max() < len(self.node_scan)
-        ):
+        if (self.edge_nodes < 0).any() or (self.edge_nodes >= nodes).any():
             raise InvalidMap("edge_nodes names a node that does not exist")
 
     def _require_segments(self) -> None:
-        if self.edge_scans.shape != (self.edges,):
-            raise InvalidMap(
-                f"edge_scans has shape {self.edge_scans.shape}, wanted ({self.edges},)"
-            )
         of_segment = self.edge_of_segment
-        if of_segment.ndim != 1 or self.segment_reversed.shape != of_segment.shape:
-            raise InvalidMap(
-                f"edge_of_segment {of_segment.shape} and segment_reversed"
-                f" {self.segment_reversed.shape} do not fit together"
-            )
+        self._require_shape("edge_scans", self.edges)
+        self._require_shape("edge_of_segment", len(of_segment))
+        self._require_shape("segment_reversed", len(of_segment))
         edges, first = np.unique(of_segment, return_index=True)
         if not np.array_equal(edges, np.arange(self.edges)) or (np.diff(first) < 1).any():
             raise InvalidMap("edge_of_segment does not name every edge, in the order of segments")
         if self.segment_reversed[first].any():
             raise InvalidMap("the first segment of an edge runs along it backwards")
         if not self.is_plain and (self.edge_scans < 0).any():
-            raise InvalidMap("edge_scans holds negative numbers")
+            raise InvalidMap("edge_scans has negative numbers")
         if (self.edge_scans >= _MOST_SCANS).any():
-            raise InvalidMap(f"edge_scans holds numbers of {_MOST_SCANS} or more")
+            raise InvalidMap(f"edge_scans has numbers of {_MOST_SCANS} or more")
 
     def _path_scans(self) -> IntArray:
         return np.asarray(np.diff(self.node_scan[self.edge_nodes], axis=1)[:, 0])
 
     @property
     def edges(self) -> int:
-        """E, how many edges there are."""
+        """E, the number of edges."""
         return len(self.edge_length_m)
 
     @cached_property
     def is_plain(self) -> bool:
-        """Whether nothing is joined: edge `l` is segment `l`, nodes tell how long it is."""
+        """Whether nothing is joined: edge `l` is segment `l`."""
         return (
             len(self.edge_of_segment) == self.edges
             and not self.segment_reversed.any()
@@ -141,7 +133,7 @@ class Topology:
     def segments_at(self, node: int) -> tuple[Entry, ...]:
         """Return every segment that can be entered at a node, in order.
 
-        One that begins and ends there comes twice.
+        A segment that begins and ends there is returned twice.
 
         Raises:
             IndexError: If there is no such node.
@@ -151,15 +143,14 @@ class Topology:
         return self._entries.get(node, ())
 
     def neighbours(self, segment: int, *, forward: bool = True) -> tuple[Entry, ...]:
-        """Return where a vehicle may go on at the end of a segment, without turning round.
+        """Return the segments that a vehicle may enter at the end of a segment.
 
         Args:
             segment: The segment it drives along.
-            forward: As it was recorded, so that it comes to its last scan; else to its first.
+            forward: In the direction of the recording, to its last scan; else to its first.
 
         Returns:
-            Segments that are entered at that node, in order; none that lead back along the edge
-            that it came by.
+            The segments at that node, in order, without those back along the same edge.
 
         Raises:
             IndexError: If there is no such segment.
@@ -197,10 +188,10 @@ class Topology:
 
     @classmethod
     def of_segments(cls, trajectory: Trajectory, segment_start: IntArray) -> "Topology":
-        """Join each segment to the next one of its drive, and nothing else.
+        """Return the graph that joins each segment to the next one of its drive only.
 
-        A node stands at a segment's first scan, which is where the one before ends; a drive's
-        last segment ends at its last scan.
+        A node is at each segment's first scan, which is the end of the one before, and at each
+        drive's last scan.
         """
         node_scan: list[int] = []
         edge_nodes: list[tuple[int, int]] = []

@@ -1,4 +1,4 @@
-"""Drives that meet become one graph: where segments are cut for it, and what is joined."""
+"""One graph of drives that meet: where segments are cut, and which ends and edges are joined."""
 
 import itertools
 from collections.abc import Iterator
@@ -14,21 +14,21 @@ from core.topology.graph import Topology, segment_ends
 from core.topology.streets import Place, Streets, Stretch, find_streets
 
 CUT_M = 10.0
-"""A segment that ends this near a meeting place ends there."""
+"""A cut this near to a meeting place is used for it."""
 NODE_M = 15.0
-"""How far apart two segment ends at one place of a street are at most: both may be beside it."""
+"""Most between two ends of segments at one place of a street."""
 
 
 def cut_at_meetings(trajectory: Trajectory, segment_start: IntArray) -> IntArray:
-    """Cut segments where drives meet, `(L' + 1,)` starts and the end.
+    """Return segments that are cut where drives meet, `(L' + 1,)` starts and the end.
 
     A segment ends where a drive enters or leaves a street that was driven before, and where two
-    streets cross. Along a street that was driven before, a drive is cut where that street is: so
-    its segments are the street's. Elsewhere all cuts stay. Without poses nothing is cut.
+    streets cross. Along a street that was driven before, a drive is cut at the cuts of the street.
+    Elsewhere the cuts do not change. Without poses there are no cuts at meeting places.
 
     Args:
         trajectory: Of all drives.
-        segment_start: `(L + 1,)` rows where segments begin, and K; no segment holds two drives.
+        segment_start: `(L + 1,)` rows where segments begin, and K; each segment is of one drive.
     """
     streets = find_streets(trajectory)
     if not streets.stretches and not streets.meetings:
@@ -66,13 +66,13 @@ class _Cuts:
         return bool(stretch.arc_m[0] - CUT_M < arc_m < stretch.arc_m[-1] + CUT_M)
 
     def add(self, place: Place) -> None:
-        """Cut at a place, unless a cut is near."""
+        """Add a cut at a place, unless one is near."""
         arc_m = self._cuts_of(place.line)
         if not (np.abs(arc_m - place.arc_m) <= CUT_M).any():
             self.rows.add(self._lines[place.line].row_at(place.arc_m))
 
     def copy(self, stretch: Stretch) -> None:
-        """Cut a stretch where its street is cut."""
+        """Add the cuts of a stretch's street to its line."""
         arc_m = self._cuts_of(stretch.street)
         ends = stretch.street_arc_m[[0, -1]]
         first, last = sorted(int(np.abs(arc_m - end).argmin()) for end in ends)
@@ -81,7 +81,7 @@ class _Cuts:
             self.rows.add(line.row_at(beside_m))
 
     def _cuts_of(self, number: int) -> FloatArray:
-        """Return where a line is cut, in order; with its end, if its drive ends there."""
+        """Return the arc lengths of a line's cuts, in order, with the end of its drive."""
         line = self._lines[number]
         first, last = int(line.row[0]), int(line.row[-1])
         arc_m = line.arc_at(np.array(sorted(r for r in self.rows if first <= r <= last), int))
@@ -89,16 +89,16 @@ class _Cuts:
 
 
 def join_segments(trajectory: Trajectory, segment_start: IntArray) -> Topology:
-    """Make a graph of segments: a street that is driven again is no second one.
+    """Return the graph of segments, with one edge for a street that was driven more than once.
 
-    Ends of segments at one place become one node, and a segment that runs along an earlier one
-    from end to end, in either direction, shares its edge. What was driven once is a path of edges,
-    as in `Topology.of_segments`, and so is everything without poses.
+    Ends of segments at one place become one node, and a segment along an earlier one from end to
+    end, in either direction, shares its edge. All other segments have edges of their own, as in
+    `Topology.of_segments`.
 
     Args:
         trajectory: Of all drives.
-        segment_start: `(L + 1,)` as `cut_at_meetings` gives it; where drives meet amid a segment,
-            it keeps an edge of its own.
+        segment_start: `(L + 1,)` from `cut_at_meetings`; a segment with a meeting place inside
+            keeps an edge of its own.
     """
     streets = find_streets(trajectory)
     plain = Topology.of_segments(trajectory, segment_start)
@@ -123,7 +123,7 @@ def join_segments(trajectory: Trajectory, segment_start: IntArray) -> Topology:
 
 
 class _Nodes:
-    """The nodes of a plain graph, those at one place linked."""
+    """The nodes of a plain graph, with links between those at one place."""
 
     def __init__(self, streets: Streets, plain: Topology) -> None:
         self._lines = streets.lines
@@ -138,7 +138,7 @@ class _Nodes:
             self._link_places(meeting.first, meeting.second)
 
     def _on_line(self, number: int, from_m: float, to_m: float) -> tuple[IntArray, FloatArray]:
-        """Return the nodes on a part of a line, and how far along it they are."""
+        """Return the nodes on a part of a line, and their arc lengths."""
         line = self._lines[number]
         nodes = np.flatnonzero((self._row >= line.row[0]) & (self._row <= line.row[-1]))
         arc_m = line.arc_at(self._row[nodes])
@@ -146,7 +146,7 @@ class _Nodes:
         return nodes[inside], arc_m[inside]
 
     def _pairs(self, stretch: Stretch) -> Iterator[tuple[int, int]]:
-        """Yield nodes of a line and of the street beside it, each the other's nearest."""
+        """Yield pairs of nodes of a line and of the street beside it that are mutually nearest."""
         own, arc_m = self._on_line(
             stretch.line, stretch.arc_m[0] - NODE_M, stretch.arc_m[-1] + NODE_M
         )
@@ -155,7 +155,7 @@ class _Nodes:
         if not len(own) or not len(street):
             return
         apart_m = np.abs(stretch.on_street_m(arc_m)[:, None] - street_arc_m)
-        # Beyond its ends a stretch tells no place: what is nearer to an end is taken there.
+        # Beyond its ends a stretch has no places: the distance to the end is added.
         apart_m += np.maximum(stretch.arc_m[0] - arc_m, arc_m - stretch.arc_m[-1]).clip(0)[:, None]
         for i, j in enumerate(apart_m.argmin(axis=1).tolist()):
             if apart_m[i, j] <= NODE_M and apart_m[:, j].argmin() == i:
@@ -171,7 +171,7 @@ class _Nodes:
         self._links.append((found[0], found[1]))
 
     def numbers(self) -> IntArray:
-        """Return the number of each plain node in the joined graph, in the order of first nodes."""
+        """Return each plain node's number in the joined graph, in the order of first nodes."""
         nodes = len(self._row)
         one, other = np.array(self._links, dtype=np.int64).reshape(-1, 2).T
         links = coo_array((np.ones(len(one)), (one, other)), shape=(nodes, nodes))
@@ -183,7 +183,7 @@ class _Nodes:
 
 
 def _shared_edges(streets: Streets, plain: Topology, nodes: _Nodes) -> tuple[IntArray, BoolArray]:
-    """Return each segment's edge, and whether it runs along it backwards."""
+    """Return each segment's edge, and whether it runs along the edge backwards."""
     segments = plain.edges
     by_nodes = {tuple(pair): segment for segment, pair in enumerate(plain.edge_nodes.tolist())}
     along = np.arange(segments)

@@ -1,4 +1,4 @@
-"""The lines that vehicles drove, sampled evenly, to see where they meet."""
+"""The driven lines of a trajectory, sampled evenly."""
 
 import itertools
 import math
@@ -11,20 +11,20 @@ from core.scans.trajectory import Trajectory
 
 SAMPLE_M = 2.0
 """Between samples; a tenth of what parts two meeting places."""
-_STEP_M = 1.0  # a vehicle that stands does not jitter farther
-_GAP_M = 10.0  # between scans: what was driven there is not known
+_STEP_M = 1.0  # more than the jitter of a stationary vehicle's poses
+_GAP_M = 10.0  # between scans: the path in between is not known
 
 
 @dataclass(frozen=True, eq=False)
 class Line:
-    """One stretch of known poses of one drive, without what was recorded standing.
+    """A path of known poses of one drive, without scans of a stationary vehicle.
 
     Attributes:
         row: `(n,)` rows of the map's scans along it, rising, from its first to its last; n is at
             least 2.
-        arc_m: `(n,)` how far along the line each of them is, from 0.
-        sample_arc_m: `(m,)` the same of samples, `SAMPLE_M` apart or a little less.
-        sample_m: `(m, 3)` where they are.
+        arc_m: `(n,)` their arc lengths along the line, from 0.
+        sample_arc_m: `(m,)` those of samples, `SAMPLE_M` apart or a little less.
+        sample_m: `(m, 3)` the samples.
         tangent: `(m, 2)` direction of travel there, of length 1, or 0 where the line turns back.
     """
 
@@ -36,20 +36,20 @@ class Line:
 
     @property
     def length_m(self) -> float:
-        """From its first scan to its last."""
+        """Arc length from its first scan to its last."""
         return float(self.arc_m[-1])
 
     def row_at(self, arc_m: float) -> int:
-        """Return the row of the scan nearest to a place on the line."""
+        """Return the row of the scan nearest to an arc length."""
         return int(np.floor(np.interp(arc_m, self.arc_m, self.row) + 0.5))
 
     def arc_at(self, row: int | IntArray) -> FloatArray:
-        """Return how far along the line scans are; one before it at its beginning."""
+        """Return the arc lengths of scans, interpolated between rows of the line."""
         return np.asarray(np.interp(row, self.row, self.arc_m))
 
     @classmethod
     def through(cls, row: IntArray, positions_m: FloatArray) -> "Line":
-        """Return the line through `(n, 3)` places of some rows."""
+        """Return the line through `(n, 3)` positions of some rows."""
         arc_m = np.cumsum([0.0, *np.linalg.norm(np.diff(positions_m, axis=0), axis=1)])
         samples = int(np.ceil(arc_m[-1] / SAMPLE_M)) + 1
         sample_arc_m = np.linspace(0.0, arc_m[-1], samples)
@@ -87,7 +87,7 @@ def driven_lines(trajectory: Trajectory) -> tuple[Line, ...]:
 
 
 def _close(lines: list[Line], rows: list[int], last: int, positions_m: FloatArray) -> None:
-    """Keep a line; its last scan is on it though it is no step away from the one before."""
+    """Append a line, which ends at the last scan, also if that is nearer than a step."""
     if len(rows) > 1:
         rows = rows if last == rows[-1] else [*rows, last]
         lines.append(Line.through(np.array(rows, dtype=np.int64), positions_m[rows]))

@@ -1,14 +1,14 @@
-"""Where a drive runs along a street that was driven before, and where streets cross.
+"""Streets: where a drive runs along a street that was driven before, and where streets cross.
 
-Found by poses alone. A false join puts a vehicle on a street where it is not, a missed one only
-keeps a street twice: so a street is the same one only where two lines run beside one another, at
-one height, for long enough and nearly parallel.
+Only poses are used. A false join puts a vehicle on a wrong street, a missed one only keeps a street
+twice: two lines are one street only where they are near, at one height, nearly parallel and long.
 """
 
+import itertools
 import math
 from collections import defaultdict
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -20,25 +20,25 @@ from core.scans.trajectory import Trajectory
 from core.topology.lines import SAMPLE_M, Line, driven_lines
 
 BESIDE_M = 8.0
-"""How far apart two lines of one street are at most: two lanes and a half."""
+"""Most between two lines of one street: two lanes and a half."""
 LEVEL_M = 2.5
-"""How far above one another: a bridge clears 4.5 m, a storey of a car park 3 m."""
+"""Most between their heights: a bridge clears 4.5 m, a storey of a car park 3 m."""
 PARALLEL_DEG = 20.0
-"""Between their directions, either way round, at every place of a stretch."""
+"""Most between their directions, parallel or opposite, at every place of a stretch."""
 MEAN_PARALLEL_DEG = 10.0
-"""The same on average: lines that cross at more than that are two streets."""
+"""The same on average: lines that cross at a greater angle are two streets."""
 STRETCH_M = 25.0
-"""How long they run beside one another at least."""
+"""Least length of a stretch."""
 AGAIN_M = 30.0
-"""How far a drive went at least before it comes the same way again."""
+"""Least distance driven before a drive returns to the same street."""
 _PARALLEL = math.cos(math.radians(PARALLEL_DEG))
-_GAP_M = 12.0  # of a stretch, in which no line beside is found
-_SLIP_M = 6.0  # by which two lines of one street may differ in length from sample to sample
+_GAP_M = 12.0  # most of a stretch without a line beside it
+_SLIP_M = 6.0  # most between the lengths of two lines of one street from sample to sample
 
 
 @dataclass(frozen=True)
 class Place:
-    """A place on a line: the line's number, and how far along it."""
+    """A place on a line: the line's number and the arc length."""
 
     line: int
     arc_m: float
@@ -54,14 +54,14 @@ class Meeting:
 
 @dataclass(frozen=True, eq=False)
 class Stretch:
-    """Where a line runs along an earlier one, or along its own earlier part.
+    """A part of a line along an earlier line, or along its own earlier part.
 
     Attributes:
         line: The later line.
         arc_m: `(n,)` places on it, rising.
-        street: The earlier line, which came there first.
-        street_arc_m: `(n,)` the places on it beside those; rising, or falling if it is driven in
-            the opposite direction.
+        street: The earlier line.
+        street_arc_m: `(n,)` the places on it beside those; rising, or falling if the directions are
+            opposite.
     """
 
     line: int
@@ -86,24 +86,24 @@ class Stretch:
 
 @dataclass(frozen=True, eq=False)
 class Streets:
-    """All lines of a trajectory, and where they meet."""
+    """All lines of a trajectory, and their stretches and meeting places."""
 
     lines: tuple[Line, ...]
     stretches: tuple[Stretch, ...]
     meetings: tuple[Meeting, ...]
 
 
-@lru_cache(maxsize=1)  # a build cuts segments by what it then joins them by
+@lru_cache(maxsize=1)  # a build cuts and joins segments by the same streets
 def find_streets(trajectory: Trajectory) -> Streets:
-    """Find where drives meet, themselves or one another.
+    """Return the streets of all drives.
 
-    Lines are followed in the order of the drives. What is driven for the first time is a street;
-    what runs along a street is a stretch of it, never a street itself. Nothing but positions and
-    their order counts.
+    Lines are searched in the order of the drives. A part that is driven for the first time is a
+    street; a part along a street is a stretch of it, and no street itself. Only positions and their
+    order are used.
     """
     lines = driven_lines(trajectory)
     search = _Search(lines)
-    stretches = [stretch for line in range(len(lines)) for stretch in search.follow(line)]
+    stretches = [stretch for line in range(len(lines)) for stretch in search.stretches_of(line)]
     joined, between = _without_gaps(stretches)
     return Streets(lines, tuple(joined), (*between, *_crossings(lines, search.first_time)))
 
@@ -120,11 +120,6 @@ class _Sample(NamedTuple):
     tangent_y: float
 
 
-def _samples_of(number: int, line: Line) -> list[_Sample]:
-    rows = np.column_stack([line.sample_arc_m, line.sample_m, line.tangent]).tolist()
-    return [_Sample(number, *row) for row in rows]
-
-
 class _Beside(NamedTuple):
     """A sample of a street beside a sample of another line."""
 
@@ -134,41 +129,45 @@ class _Beside(NamedTuple):
     degrees: float
     backwards: bool
 
-
-def _goes_on(last: _Beside, beside: _Beside, driven_m: float) -> bool:
-    """Whether a street goes on there, after about as far as was driven."""
-    ahead_m = (beside.arc_m - last.arc_m) * (-1.0 if last.backwards else 1.0)
-    return (
-        (beside.street, beside.backwards) == (last.street, last.backwards)
-        and ahead_m >= 0.0
-        and abs(ahead_m - driven_m) <= _SLIP_M
-    )
+    def continues(self, last: "_Beside", driven_m: float) -> bool:
+        """Return whether a street continues here, at about the distance driven."""
+        ahead_m = (self.arc_m - last.arc_m) * (-1.0 if last.backwards else 1.0)
+        same_street = (self.street, self.backwards) == (last.street, last.backwards)
+        return same_street and ahead_m >= 0.0 and abs(ahead_m - driven_m) <= _SLIP_M
 
 
 class _Search:
-    """Streets in a grid of square cells, filled as lines are followed."""
+    """The samples of streets in a grid of square cells, filled line by line."""
 
     def __init__(self, lines: tuple[Line, ...]) -> None:
         self._lines = lines
-        self._samples = [_samples_of(number, line) for number, line in enumerate(lines)]
+        self._samples = [
+            [
+                _Sample(number, *row)
+                for row in np.column_stack(
+                    [line.sample_arc_m, line.sample_m, line.tangent]
+                ).tolist()
+            ]
+            for number, line in enumerate(lines)
+        ]
         self.first_time = [np.ones(len(line.sample_arc_m), dtype=bool) for line in lines]
         self._cells: dict[tuple[int, int], list[_Sample]] = defaultdict(list)
 
-    def follow(self, number: int) -> Iterator[Stretch]:
-        """Yield the stretches of a line, and keep the rest of it as streets."""
+    def stretches_of(self, number: int) -> Iterator[Stretch]:
+        """Yield the stretches of a line, and add the rest of it to the streets."""
         line = self._lines[number]
         sample = 0
         while sample < len(line.sample_arc_m):
             stretch = self._longest_from(number, sample)
             if stretch is None:
-                self._keep(number, sample)
+                self._add(number, sample)
                 sample += 1
                 continue
             begin, end = np.searchsorted(line.sample_arc_m, stretch.arc_m[[0, -1]]).tolist()
             for before in range(sample, begin):
-                self._keep(number, before)
+                self._add(number, before)
             self.first_time[number][begin : end + 1] = False
-            yield _turning_at_once(stretch)
+            yield _from_turning_point(stretch)
             sample = end + 1
 
     def _longest_from(self, number: int, sample: int) -> Stretch | None:
@@ -189,7 +188,7 @@ class _Search:
         )
 
     def _along(self, number: int, sample: int, first: _Beside) -> Stretch | None:
-        """Follow a line beside a street as long as that goes; `None` if it is no stretch."""
+        """Return the stretch of a line beside a street from a sample, `None` if there is none."""
         sample_arc_m = self._lines[number].sample_arc_m
         samples, beside = [sample], [first]
         while sample + 1 < len(sample_arc_m):
@@ -197,14 +196,15 @@ class _Search:
             driven_m = float(sample_arc_m[sample] - sample_arc_m[samples[-1]])
             if driven_m > _GAP_M:
                 break
-            goes_on = [o for o in self._beside(number, sample) if _goes_on(beside[-1], o, driven_m)]
-            if goes_on:
-                samples.append(sample)
-                beside.append(goes_on[0])
+            for found in self._beside(number, sample):
+                if found.continues(beside[-1], driven_m):
+                    samples.append(sample)
+                    beside.append(found)
+                    break
         if np.mean([one.degrees for one in beside]) > MEAN_PARALLEL_DEG:
             return None
         arc_m, street_arc_m = sample_arc_m[samples], np.array([one.arc_m for one in beside])
-        # Before a street's end and after it the nearest sample is the end itself, for a while.
+        # Near the end of a street its last sample is beside several samples of the line.
         begin = int(np.flatnonzero(street_arc_m == street_arc_m[0])[-1])
         end = int(np.flatnonzero(street_arc_m == street_arc_m[-1])[0])
         lengths_m = np.abs([arc_m[end] - arc_m[begin], street_arc_m[end] - street_arc_m[begin]])
@@ -234,7 +234,7 @@ class _Search:
                 found.append(_Beside(apart_m, street, arc_m, degrees, along < 0))
         return sorted(found)
 
-    def _keep(self, number: int, sample: int) -> None:
+    def _add(self, number: int, sample: int) -> None:
         kept = self._samples[number][sample]
         self._cells[self._cell(kept)].append(kept)
 
@@ -243,46 +243,41 @@ class _Search:
         return math.floor(sample.x / BESIDE_M), math.floor(sample.y / BESIDE_M)
 
 
-def _turning_at_once(stretch: Stretch) -> Stretch:
-    """Let a stretch begin where the vehicle turned round, if it came back the way it had come."""
+def _from_turning_point(stretch: Stretch) -> Stretch:
+    """Return a stretch from the place where the vehicle turned round, if it drove back at once."""
     turned_m = stretch.arc_m[0] - stretch.street_arc_m[0]
     if stretch.line != stretch.street or not stretch.reversed or turned_m > AGAIN_M:
         return stretch
     middle_m = (stretch.arc_m[0] + stretch.street_arc_m[0]) / 2.0
-    return Stretch(
-        stretch.line,
-        np.concatenate([[middle_m], stretch.arc_m]),
-        stretch.street,
-        np.concatenate([[middle_m], stretch.street_arc_m]),
+    return replace(
+        stretch,
+        arc_m=np.concatenate([[middle_m], stretch.arc_m]),
+        street_arc_m=np.concatenate([[middle_m], stretch.street_arc_m]),
     )
 
 
 def _without_gaps(stretches: list[Stretch]) -> tuple[list[Stretch], list[Meeting]]:
-    """Let a stretch begin where the one before ends, if nearly so: their streets meet there."""
-    joined: list[Stretch] = []
+    """Extend each stretch to the end of the one before, if that is near: their streets meet there.
+
+    Returns:
+        The stretches, and the meeting places.
+    """
+    joined = stretches[:1]
     meetings: list[Meeting] = []
-    for found in stretches:
-        stretch, before = found, joined[-1] if joined else None
-        if (
-            before is not None
-            and before.line == stretch.line
-            and stretch.arc_m[0] - before.arc_m[-1] < _GAP_M
-        ):
-            arc_m = np.concatenate([before.arc_m[-1:], stretch.arc_m])
-            street_arc_m = np.concatenate([stretch.street_arc_m[:1], stretch.street_arc_m])
-            stretch = Stretch(stretch.line, arc_m, stretch.street, street_arc_m)
-            meetings.append(
-                Meeting(
-                    Place(before.street, float(before.street_arc_m[-1])),
-                    Place(stretch.street, float(stretch.street_arc_m[0])),
-                )
-            )
-        joined.append(stretch)
+    for before, stretch in itertools.pairwise(stretches):
+        if before.line != stretch.line or stretch.arc_m[0] - before.arc_m[-1] >= _GAP_M:
+            joined.append(stretch)
+            continue
+        arc_m = np.concatenate([before.arc_m[-1:], stretch.arc_m])
+        street_arc_m = np.concatenate([stretch.street_arc_m[:1], stretch.street_arc_m])
+        joined.append(replace(stretch, arc_m=arc_m, street_arc_m=street_arc_m))
+        end = Place(before.street, float(before.street_arc_m[-1]))
+        meetings.append(Meeting(end, Place(stretch.street, float(street_arc_m[0]))))
     return joined, meetings
 
 
 def _crossings(lines: tuple[Line, ...], first_time: list[BoolArray]) -> Iterator[Meeting]:
-    """Yield where streets cross on one level, in the order of their places."""
+    """Yield the places where streets cross on one level, in order."""
     pieces = [
         np.stack([np.full(len(at), number), at], axis=1)
         for number, first in enumerate(first_time)
@@ -313,7 +308,7 @@ def _crossings(lines: tuple[Line, ...], first_time: list[BoolArray]) -> Iterator
 def _where_crossing(
     begin: FloatArray, step: FloatArray, other: FloatArray, other_step: FloatArray
 ) -> tuple[float, float] | None:
-    """Return at which share of both steps they cross, seen from above; `None` if they do not."""
+    """Return the share of both steps where they cross, seen from above; `None` if they do not."""
     area = float(step[0] * other_step[1] - step[1] * other_step[0])
     lengths = float(np.hypot(*step[:2]) * np.hypot(*other_step[:2]))
     if abs(area) <= lengths * math.sin(math.radians(PARALLEL_DEG)):

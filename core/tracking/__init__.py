@@ -1,1 +1,1 @@
-"""Tracking: a vehicle's sequence of observations in the graph of a map."""
+"""Tracking: localization of a vehicle by its sequence of observations in a map's graph."""

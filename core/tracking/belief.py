@@ -1,4 +1,4 @@
-"""What is believed of a vehicle's place, direction and pace: the state of a Bayes filter."""
+"""The state of the Bayes filter: a distribution over place, direction and pace."""
 
 from dataclasses import dataclass
 
@@ -7,19 +7,22 @@ import numpy as np
 from core.arrays import FloatArray, frozen
 from core.errors import InvalidParameters
 from core.tracking.graph import TravelGraph
-from core.tracking.motion import Motion, predict
+from core.tracking.motion import Motion
 
 _SUM_TOLERANCE = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
 class Belief:
-    """A distribution over places and paces, and being elsewhere than in the map; sums to 1.
+    """A distribution over places and paces, and the probability of being outside the map.
 
     Attributes:
         at: `(2K, P)`, of each place and pace; place `2 row` is a scan passed along its segment,
             `2 row + 1` against it.
         elsewhere: Of being outside of the map.
+
+    Raises:
+        InvalidParameters: If they are negative or do not sum to 1.
     """
 
     at: FloatArray
@@ -30,7 +33,7 @@ class Belief:
         object.__setattr__(self, "elsewhere", float(self.elsewhere))
         total = float(self.at.sum()) + self.elsewhere
         if not (abs(total - 1.0) <= _SUM_TOLERANCE and self.at.min() >= 0 <= self.elsewhere):
-            raise InvalidParameters(f"a belief is probabilities that sum to 1, these to {total}")
+            raise InvalidParameters(f"the probabilities of a belief sum to {total}, wanted 1")
 
     @property
     def of_scan(self) -> FloatArray:
@@ -55,8 +58,8 @@ class Belief:
         scale: float = 1.0,
         travelled_m: float | None = None,
     ) -> "Belief":
-        """Return what is believed one observation later, before it is seen; see `predict`."""
-        moved = predict(self.at, graph, motion, scale, travelled_m)
+        """Return the belief before the next observation; see `Motion.advance`."""
+        moved = motion.advance(self.at, graph, scale, travelled_m)
         within = float(moved.sum())
         anywhere = motion.jumps * within + motion.leaves * self.elsewhere
         at = (1.0 - motion.jumps - motion.leaves) * moved + anywhere / moved.size

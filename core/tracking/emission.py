@@ -1,42 +1,34 @@
-"""What the distances of one observation say about where it was made."""
+"""The emission: the likelihood of one observation's distances at each scan of the map."""
 
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
 from core.arrays import FloatArray
+from core.confidence.calibration import Calibration
 from core.confidence.places import away_from
-from core.encodings.signature import Signature
 from core.mapping.tensormap import TensorMap
 
 _SAMPLED = 32  # scans of the map that are compared with all others
 _RARE = 0.1  # quantile: a tenth of the map's scans have one elsewhere that is as near
-_RESOLVED = 0.5  # of what one scan changes to the next
+_RESOLVED = 0.5  # of the change from one scan to the next
 _FAR = 10.0
 _TINY = 1e-6
 _SLOPE = 4.0  # twice as far from the query is 16 times less likely
-_MOST = 8.0  # nats: no single observation decides alone, whatever it says
-
-
-class LikelihoodRatio(Protocol):
-    """How distances tell a query's own place from others; a map's calibration is one."""
-
-    def log_likelihood_ratio(self, distances: FloatArray) -> FloatArray:
-        """Return log p(d | at this scan) - log p(d | elsewhere), of any shape."""
+_MOST = 8.0  # nats: the most that a single observation changes the belief
 
 
 @dataclass(frozen=True)
 class DistanceSpread:
-    """How distances spread in a map: what is known without a calibration.
+    """Distances between a map's own scans, in place of a calibration.
 
-    A query from elsewhere has a nearest scan too. How near that is, the map tells by its own scans:
-    the nearest one to each of them that was recorded elsewhere.
+    A query from outside the map has a nearest scan too. Its distance is estimated by the nearest
+    scan elsewhere of each of the map's own scans.
 
     Attributes:
-        resolution: What a scan of the map changes to the next, halved; above 0. Differences below
-            it tell little.
-        even: The distance that speaks for this scan as much as for elsewhere, above 0.
+        resolution: Half the change from a scan of the map to the next; above 0. Smaller differences
+            are not significant.
+        even: The distance that is equally likely at this scan and elsewhere, above 0.
     """
 
     resolution: float
@@ -48,55 +40,47 @@ class DistanceSpread:
 
     @classmethod
     def of_map(cls, tensor_map: TensorMap) -> "DistanceSpread":
-        """Learn it from the map's own signatures, some of them against all."""
-        rows = np.unique(np.linspace(0, len(tensor_map) - 1, _SAMPLED).astype(np.int64))
-        drive, segment = tensor_map.trajectory.drive_of_scan, tensor_map.model.segment_of_scan
+        """Return the spread of a map, from some of its signatures against all."""
+        rows = np.unique(np.linspace(0, len(tensor_map) - 1, _SAMPLED).astype(np.int64)).tolist()
+        model, drive = tensor_map.model, tensor_map.trajectory.drive_of_scan
+        # Signatures of two segments may not be comparable.
+        follows = (np.diff(drive) == 0) & (np.diff(model.segment_of_scan) == 0)
         elsewhere: list[float] = []
         steps: list[float] = []
-        model = tensor_map.model
-        queries = model.own_queries(rows.tolist(), tensor_map.revision)
-        for row, signatures in zip(rows.tolist(), queries, strict=True):
+        queries = model.own_queries(rows, tensor_map.revision)
+        for row, signatures in zip(rows, queries, strict=True):
             distances = model.search(signatures).distances()
             away = away_from(tensor_map.trajectory, row)
-            elsewhere.append(float(distances[away].min(initial=np.inf)))
-            after = row + 1
-            # Signatures of two segments may not compare.
-            if (
-                after < len(tensor_map)
-                and drive[after] == drive[row]
-                and segment[after] == segment[row]
-            ):
-                steps.append(float(distances[after]))
+            elsewhere.append(distances[away].min(initial=np.inf))
+            if row < len(follows) and follows[row]:
+                steps.append(distances[row + 1])
         nearest = [distance for distance in elsewhere if 0.0 < distance < np.inf]
         changes = [distance for distance in steps if 0.0 < distance < np.inf]
-        if not nearest:  # one place only: nothing tells how far elsewhere is
-            even = _FAR * (float(np.median(changes)) if changes else 1.0)
-        else:
-            even = float(np.quantile(nearest, _RARE))
-        resolution = _RESOLVED * float(np.median(changes)) if changes else even
-        return cls(min(resolution, even), even)
+        change = float(np.median(changes)) if changes else None
+        even = float(np.quantile(nearest, _RARE)) if nearest else _FAR * (change or 1.0)
+        resolution = even if change is None else min(_RESOLVED * change, even)
+        return cls(resolution, even)
 
 
 @dataclass(frozen=True)
 class Emission:
     """The likelihood of an observation at each scan of the map, and outside of it.
 
-    Whether the vehicle is on the map at all is told by the calibrated ratio of the nearest scan,
-    less what it is for the nearest of all scans elsewhere: it is of one scan, and the nearest of
-    thousands is near by chance.
-    Which scan it is is told by the distances relative to the nearest one, more cautiously:
-    consecutive observations err alike, and what is finer than the map's own scans tells little.
+    Whether the vehicle is on the map follows from the likelihood ratio of the nearest scan, less
+    the ratio that is usual for the nearest of all scans elsewhere: the nearest of thousands is near
+    by chance. Which scan it is follows from the distances relative to the nearest one; consecutive
+    observations have similar errors, so that these weights are lower than the calibrated ones.
 
     Attributes:
         ratio: The map's calibration, or `spread`.
         spread: Of the map's own distances.
     """
 
-    ratio: LikelihoodRatio
+    ratio: Calibration | DistanceSpread
     spread: DistanceSpread
 
     def likelihood(self, distances: FloatArray) -> FloatArray:
-        """Return the likelihood at each scan, `(K,)`; that of being elsewhere is 1.
+        """Return the likelihood at each scan, `(K,)`, relative to that of being elsewhere.
 
         Args:
             distances: `(K,)`, infinite for scans that were not compared.
@@ -106,8 +90,8 @@ class Emission:
             return np.ones(len(distances))
         nearest = float(distances[compared].min())
         resolution = self.spread.resolution
-        told, usual = self.ratio.log_likelihood_ratio(np.array([nearest, self.spread.even]))
-        on_map = float(told - usual)
+        own, usual = self.ratio.log_likelihood_ratio(np.array([nearest, self.spread.even]))
+        on_map = float(own - usual)
         relative = np.full(len(distances), -_MOST)
         relative[compared] = -_SLOPE * np.log(
             (distances[compared] + resolution) / (nearest + resolution)
@@ -119,8 +103,3 @@ class Emission:
         """Return the emission of a map, by its calibration where it has one."""
         spread = DistanceSpread.of_map(tensor_map)
         return cls(tensor_map.calibration or spread, spread)
-
-
-def own_signatures(tensor_map: TensorMap, row: int) -> tuple[Signature, ...]:
-    """Return the signatures that a query at scan `row` would send, as far as the map has them."""
-    return next(tensor_map.model.own_queries([row], tensor_map.revision))

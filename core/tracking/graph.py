@@ -1,4 +1,4 @@
-"""Where a vehicle can go from each scan of a map, in either direction of travel."""
+"""The travel graph: the scans that follow each scan of a map, in either direction."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -14,20 +14,19 @@ from core.mapping.tensormap import TensorMap
 
 @dataclass(frozen=True, eq=False)
 class TravelGraph:
-    """The map's scans as places to pass, each in two directions.
+    """The map's scans as places, each in two directions.
 
     Place `2 row` is scan `row` passed along its segment, `2 row + 1` the same scan passed against
-    it. A segment's end leads to every other segment that meets there, along it if it begins at the
-    node and against it if it ends there; where nothing meets, a vehicle stays.
+    it. A segment's end leads to every other segment at that node, along it if it begins there and
+    against it if it ends there; where there is no other, a vehicle stays.
 
     Attributes:
         segment_of_scan: `(K,)`.
-        cut_position: `(L + 1,)` where segments begin and the last one ends, in rows and between
-            them.
+        cut_position: `(L + 1,)` where segments begin and the last one ends, in fractions of rows.
         segment_ends: `(L, 2)` rows at which each segment begins and ends: where the next one of its
             drive begins, or at the drive's last scan.
-        ahead: `(2K, 2K)`, the share of what is at a place (column) that is at another (row) one
-            scan further on; columns sum to 1.
+        ahead: `(2K, 2K)`, the probability of a place (row) one scan after another (column);
+            columns sum to 1.
         step_m: `(2K,)` metres to the next scan ahead, NaN where unknown, 0 where nothing is ahead.
         along_m: `(K,)` metres along the map's drives, without a jump between them; NaN unknown.
     """
@@ -44,7 +43,7 @@ class TravelGraph:
 
     @property
     def places(self) -> int:
-        """2K, how many places there are."""
+        """2K, the number of places."""
         return 2 * len(self)
 
     @cached_property
@@ -53,7 +52,7 @@ class TravelGraph:
         return np.arange(self.places) ^ 1
 
     def segment_at(self, position: float) -> int:
-        """Return the segment of a position in rows, between scans too."""
+        """Return the segment of a position in rows, which may be between scans."""
         last = len(self.cut_position) - 2
         return int(np.clip(np.searchsorted(self.cut_position, position, "right") - 1, 0, last))
 
@@ -63,12 +62,11 @@ class TravelGraph:
 
         Args:
             tensor_map: The map.
-            cut_position: `(L + 1,)` where its segments were cut, if that is known better than from
-                its scans: by default half-way between a segment's last scan and the next one's
-                first.
+            cut_position: `(L + 1,)` where its segments were cut; by default half-way between a
+                segment's last scan and the next one's first.
 
         Raises:
-            InvalidParameters: If a cut does not lie between the scans of its segments.
+            InvalidParameters: If a cut is not between the scans of its segments.
         """
         starts = tensor_map.model.segment_start
         cuts: FloatArray = np.asarray(starts - 0.5 if cut_position is None else cut_position)
@@ -76,31 +74,28 @@ class TravelGraph:
             raise InvalidParameters(
                 "a cut lies between the last scan before it and the first after"
             )
-        steps = _steps_m(tensor_map)
-        scans = len(tensor_map)
-        links = _links(tensor_map)
-        count = np.bincount(links[:, 0], minlength=2 * scans)
-        share = 1.0 / count[links[:, 0]]
-        ahead = csr_array((share, (links[:, 1], links[:, 0])), shape=(2 * scans, 2 * scans))
-        length = np.array([_link_m(tensor_map, steps, one, two) for one, two in links.tolist()])
-        known = np.where(np.isnan(length), 0.0, length)
-        step_m: FloatArray = np.bincount(links[:, 0], share * known, 2 * scans).astype(np.float64)
-        step_m[np.unique(links[np.isnan(length), 0])] = np.nan
-        along_m = np.concatenate([[0.0], np.cumsum(steps)])
+        places = 2 * len(tensor_map)
+        one, two = _links(tensor_map).T
+        share = 1.0 / np.bincount(one, minlength=places)[one]
+        positions_m = tensor_map.trajectory.poses[:, :3]
+        steps_m = np.linalg.norm(np.diff(positions_m, axis=0), axis=1)
+        steps_m[tensor_map.trajectory.drive_start[1:-1] - 1] = 0.0
+        low, high = np.sort([one // 2, two // 2], axis=0)
+        length_m = np.linalg.norm(positions_m[high] - positions_m[low], axis=1)
+        length_m[one == two] = 0.0
+        length_m[high - low == 1] = steps_m[low[high - low == 1]]
         return cls(
-            tensor_map.model.segment_of_scan, cuts, tensor_map.segment_ends, ahead, step_m, along_m
+            tensor_map.model.segment_of_scan,
+            cuts,
+            tensor_map.segment_ends,
+            csr_array((share, (two, one)), shape=(places, places)),
+            np.bincount(one, share * length_m, places).astype(np.float64),
+            np.concatenate([[0.0], np.cumsum(steps_m)]),
         )
 
 
-def _steps_m(tensor_map: TensorMap) -> FloatArray:
-    """Return metres between consecutive rows, `(K - 1,)`: 0 from one drive to the next."""
-    steps = np.linalg.norm(np.diff(tensor_map.trajectory.poses[:, :3], axis=0), axis=1)
-    steps[tensor_map.trajectory.drive_start[1:-1] - 1] = 0.0
-    return np.asarray(steps)
-
-
 def _links(tensor_map: TensorMap) -> NDArray[np.int64]:
-    """Return every `(place, place one scan ahead)`, `(n, 2)`; at least one from each place."""
+    """Return all pairs of a place and one that is a scan ahead, `(n, 2)`; each place has one."""
     starts = tensor_map.model.segment_start
     within = np.ones(len(tensor_map), bool)
     within[starts[1:] - 1] = False
@@ -111,7 +106,7 @@ def _links(tensor_map: TensorMap) -> NDArray[np.int64]:
         for forward in (True, False):
             leaving = _end_place(starts, segment, forward=forward)
             entered = [
-                # To enter a segment is to leave it the other way round, turned about.
+                # The place where a segment is entered is its end in the other direction, reversed.
                 _end_place(starts, entry.segment, forward=not entry.forward) ^ 1
                 for entry in tensor_map.topology.neighbours(segment, forward=forward)
             ]
@@ -122,14 +117,3 @@ def _links(tensor_map: TensorMap) -> NDArray[np.int64]:
 def _end_place(starts: IntArray, segment: int, *, forward: bool) -> int:
     """Return the place at which a segment is left."""
     return 2 * int(starts[segment + 1] - 1) if forward else 2 * int(starts[segment]) + 1
-
-
-def _link_m(tensor_map: TensorMap, steps: FloatArray, one: int, two: int) -> float:
-    """Return the metres of one link."""
-    if one == two:
-        return 0.0
-    rows = sorted((one // 2, two // 2))
-    if rows[1] - rows[0] == 1:
-        return float(steps[rows[0]])
-    apart = tensor_map.trajectory.poses[rows[1], :3] - tensor_map.trajectory.poses[rows[0], :3]
-    return float(np.linalg.norm(apart))

@@ -1,7 +1,7 @@
-"""How a vehicle moves between two observations: it stays, advances, turns round, or is carried off.
+"""The motion model: a vehicle stays, advances, turns round, or is moved elsewhere.
 
-Maps and vehicles drive at their own speeds and scan as often as they like, so a vehicle has a pace,
-in scans of the map from one observation to the next, which it mostly keeps.
+Vehicle and map differ in speed and scan rate, so a vehicle has a pace, in scans of the map per
+observation, which is mostly constant.
 """
 
 from dataclasses import dataclass, field
@@ -13,7 +13,7 @@ from core.errors import InvalidParameters
 from core.tracking.graph import TravelGraph
 
 MAX_STEPS = 24
-"""Scans of the map that are passed at most between two observations."""
+"""Most scans of the map that are passed between two observations."""
 
 
 def _default_paces() -> FloatArray:
@@ -22,17 +22,17 @@ def _default_paces() -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """How likely which move is.
+    """Probabilities of motions between two observations.
 
     Attributes:
         pace: `(P,)` scans of the map between two observations, rising from 0.
         spread: Of the scans passed around the pace, as a share of it.
-        keeps: Probability that the pace stays as it is.
-        drifts: That it becomes a neighbouring one.
-        stops: That the vehicle stops at once; the rest is divided among all paces.
+        keeps: Probability that the pace is unchanged.
+        drifts: That it changes to a neighbouring one.
+        stops: That the vehicle stops at once; the rest is divided equally among all paces.
         turns_round: That the direction of travel is reversed.
-        jumps: That the vehicle is anywhere in the map: carried there, or the filter was wrong.
-        leaves: That it leaves the map, or comes back from outside.
+        jumps: That the vehicle is anywhere in the map: it was moved, or the filter was wrong.
+        leaves: That it leaves the map or returns to it.
         metres_spread: Of odometry, as a share of it.
         metres_floor: The same at a standstill, in metres.
     """
@@ -61,7 +61,7 @@ class Motion:
             raise InvalidParameters("spreads are above 0")
 
     def pace_change(self) -> FloatArray:
-        """Return how a pace becomes another, `(P, P)`, rows sum to 1."""
+        """Return the probabilities of one pace after another, `(P, P)`, rows sum to 1."""
         paces = len(self.pace)
         rest = 1.0 - self.keeps - self.drifts - self.stops
         change = np.full((paces, paces), rest / paces) + self.keeps * np.eye(paces)
@@ -72,74 +72,67 @@ class Motion:
         return change
 
     def passed(self, scale: float = 1.0) -> FloatArray:
-        """Return how likely how many scans are passed at each pace, `(P, MAX_STEPS + 1)`.
+        """Return the probability of each number of passed scans by pace, `(P, MAX_STEPS + 1)`.
 
         Args:
-            scale: How long it is since the last observation, as a share of the usual time.
+            scale: Time since the last observation, as a share of the usual.
         """
-        wanted = np.minimum(self.pace * scale, MAX_STEPS)[:, None]
+        mean = np.minimum(self.pace * scale, MAX_STEPS)[:, None]
         steps = np.arange(MAX_STEPS + 1)
-        # Whole scans round a pace: at least the spread of the rounding.
-        sigma = np.maximum(self.spread * wanted, 0.4)
-        weights = np.exp(-0.5 * ((steps - wanted) / sigma) ** 2)
+        # The number of scans is whole: its spread is at least that of the rounding.
+        sigma = np.maximum(self.spread * mean, 0.4)
+        weights = np.exp(-0.5 * ((steps - mean) / sigma) ** 2)
         weights[0] = 0.0
         weights[0, 0] = 1.0
         return np.asarray(weights / weights.sum(axis=1, keepdims=True))
 
     def passed_m(self, graph: TravelGraph, travelled_m: float) -> FloatArray:
-        """Return how likely how many scans are passed from each place, `(MAX_STEPS + 1, 2K)`.
+        """Return the probability of each number of scans from each place, `(MAX_STEPS + 1, 2K)`.
 
-        Odometry tells the metres, the map how many scans they are: a scan counts by how near it is
-        to that distance and by how much of the way it stands for.
+        By odometry: a number of scans is weighted by the difference between its length in metres
+        and the distance driven.
         """
         sigma = self.metres_floor + self.metres_spread * abs(travelled_m)
-        distance_m = np.zeros(graph.places)
         weights = np.empty((MAX_STEPS + 1, graph.places))
         known = np.where(np.isnan(graph.step_m), 1.0, graph.step_m)
         back = graph.ahead.T.tocsr()
-        remaining = np.zeros(graph.places)
+        distance_m = np.zeros(graph.places)
         for step in range(MAX_STEPS + 1):
             weights[step] = np.exp(-0.5 * ((distance_m - abs(travelled_m)) / sigma) ** 2)
-            remaining = known + back @ remaining
-            distance_m = remaining
-        # Nothing within reach: as far as the map goes.
-        weights += 1e-12
+            distance_m = known + back @ distance_m
+        weights += 1e-12  # where no number fits, all are equally probable
         return np.asarray(weights / weights.sum(axis=0))
 
+    def advance(
+        self,
+        at: FloatArray,
+        graph: TravelGraph,
+        scale: float = 1.0,
+        travelled_m: float | None = None,
+    ) -> FloatArray:
+        """Return the probabilities after the motion to the next observation, without jumps.
 
-def predict(
-    belief: FloatArray,
-    graph: TravelGraph,
-    motion: Motion,
-    scale: float = 1.0,
-    travelled_m: float | None = None,
-) -> FloatArray:
-    """Move a belief on by one observation, without what is jumped or left.
-
-    Args:
-        belief: `(2K, P)`, what is believed of each place and pace.
-        graph: Where a vehicle can go.
-        motion: How it moves.
-        scale: Time since the last observation, as a share of the usual.
-        travelled_m: Odometry since the last observation, negative backwards; used where the map
-            knows metres.
-    """
-    turned = motion.turns_round
-    belief = (1.0 - turned) * belief + turned * belief[graph.reverse]
-    belief = belief @ motion.pace_change()
-    if travelled_m is not None and not np.isnan(graph.step_m).any():
-        weights = motion.passed_m(graph, travelled_m)
+        Args:
+            at: `(2K, P)`, of each place and pace.
+            graph: Of the map.
+            scale: Time since the last observation, as a share of the usual.
+            travelled_m: Odometry since the last observation, negative backwards; used if the map
+                has poses.
+        """
+        at = (1.0 - self.turns_round) * at + self.turns_round * at[graph.reverse]
+        at = at @ self.pace_change()
+        if travelled_m is None or np.isnan(graph.step_m).any():
+            return _advance(at, graph, self.passed(scale).T[:, None, :])
+        weights = self.passed_m(graph, travelled_m)[:, :, None]
         if travelled_m < 0:
-            backed = _advance(belief[graph.reverse], graph, weights[:, :, None])
-            return np.asarray(backed[graph.reverse])
-        return _advance(belief, graph, weights[:, :, None])
-    return _advance(belief, graph, motion.passed(scale).T[:, None, :])
+            return np.asarray(_advance(at[graph.reverse], graph, weights)[graph.reverse])
+        return _advance(at, graph, weights)
 
 
-def _advance(belief: FloatArray, graph: TravelGraph, weights: FloatArray) -> FloatArray:
-    """Return sum_n A^n (w_n * belief) by Horner's rule, `(2K, P)`."""
+def _advance(at: FloatArray, graph: TravelGraph, weights: FloatArray) -> FloatArray:
+    """Return sum_n A^n (w_n * at) by Horner's rule, `(2K, P)`."""
     used = np.flatnonzero(weights.reshape(len(weights), -1).max(axis=1) > 1e-9)
-    moved = np.zeros_like(belief)
+    moved = np.zeros_like(at)
     for step in range(int(used[-1]), -1, -1):
-        moved = graph.ahead @ moved + weights[step] * belief
+        moved = graph.ahead @ moved + weights[step] * at
     return moved

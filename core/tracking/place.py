@@ -1,4 +1,4 @@
-"""From a belief to one place: where it is gathered, and how widely."""
+"""The most likely place of a belief, and its spread."""
 
 from dataclasses import dataclass
 
@@ -10,21 +10,21 @@ from core.tracking.belief import Belief
 
 NEAR_M = 5.0
 NEAR_SCANS = 5
-"""What counts as one place: metres, or scans of one drive where a pose is unknown."""
+"""The size of a place: metres, or scans of one drive where a pose is unknown."""
 
-_WINDOW = 4  # rows to either side of the likeliest that are averaged
-_BUMP = 2  # rows to either side that make a row the likeliest: its neighbours share its belief
+_WINDOW = 4  # rows to either side of the most likely one that are averaged
+_BUMP = 2  # rows to either side over which the probability is summed to find the most likely row
 
 
 @dataclass(frozen=True, eq=False)
 class Place:
-    """A part of the map, and what is believed of it.
+    """The part of the map around the most likely row.
 
     Attributes:
-        position: Mean of the belief around the likeliest row, in rows.
+        position: Mean of the belief around that row, in rows.
         sigma: Standard deviation about it, in rows.
-        probability: Of being near it.
-        along: Of passing it along the segment, as a share of being there.
+        probability: Of being near that row.
+        along: Of passing it along the segment, given that the vehicle is there.
         rows: The rows that were averaged.
         weight: The belief in each of them, sums to 1.
     """
@@ -37,39 +37,34 @@ class Place:
     weight: FloatArray
 
     def beyond(self, row: int) -> tuple[float, float]:
-        """Return what is believed of the rows before `row`, and of those after it."""
+        """Return the belief in the rows before `row`, and in those after it."""
         rows = np.arange(self.rows.start, self.rows.stop)
         return float(self.weight[rows < row].sum()), float(self.weight[rows > row].sum())
 
-
-def gathered(belief: Belief, tensor_map: TensorMap) -> Place:
-    """Return the likeliest place of a belief."""
-    of_scan = belief.of_scan
-    row = int(np.convolve(of_scan, np.ones(2 * _BUMP + 1), mode="same").argmax())
-    return around(belief, tensor_map, row, of_scan)
-
-
-def around(belief: Belief, tensor_map: TensorMap, row: int, of_scan: FloatArray) -> Place:
-    """Return what is believed around a row."""
-    drive = int(tensor_map.trajectory.drive_of_scan[row])
-    first, end = tensor_map.trajectory.drive_start[drive : drive + 2].tolist()
-    rows = slice(max(first, row - _WINDOW), min(end, row + _WINDOW + 1))
-    within = of_scan[rows]
-    total = float(within.sum())
-    weight = within / total if total > 0.0 else np.full(len(within), 1.0 / len(within))
-    index = np.arange(rows.start, rows.stop)
-    position = float(weight @ index)
-    near = _near(tensor_map, row)
-    probability = float(of_scan[near].sum())
-    along = float(belief.along[near].sum())
-    return Place(
-        position=position,
-        sigma=float(np.sqrt(weight @ (index - position) ** 2)),
-        probability=min(1.0, probability),
-        along=along / probability if probability > 0.0 else 0.5,
-        rows=rows,
-        weight=weight,
-    )
+    @classmethod
+    def most_likely(cls, belief: Belief, tensor_map: TensorMap) -> "Place":
+        """Return the most likely place of a belief."""
+        of_scan = belief.of_scan
+        row = int(np.convolve(of_scan, np.ones(2 * _BUMP + 1), mode="same").argmax())
+        drive = int(tensor_map.trajectory.drive_of_scan[row])
+        first, end = tensor_map.trajectory.drive_start[drive : drive + 2].tolist()
+        rows = slice(max(first, row - _WINDOW), min(end, row + _WINDOW + 1))
+        within = of_scan[rows]
+        total = float(within.sum())
+        weight = within / total if total > 0.0 else np.full(len(within), 1.0 / len(within))
+        index = np.arange(rows.start, rows.stop)
+        position = float(weight @ index)
+        near = _near(tensor_map, row)
+        probability = float(of_scan[near].sum())
+        along = float(belief.along[near].sum())
+        return cls(
+            position=position,
+            sigma=float(np.sqrt(weight @ (index - position) ** 2)),
+            probability=min(1.0, probability),
+            along=along / probability if probability > 0.0 else 0.5,
+            rows=rows,
+            weight=weight,
+        )
 
 
 def _near(tensor_map: TensorMap, row: int) -> BoolArray:

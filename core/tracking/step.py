@@ -1,4 +1,4 @@
-"""What a track answers to one observation."""
+"""The answer of a track to one observation."""
 
 from dataclasses import dataclass
 from enum import StrEnum
@@ -7,18 +7,18 @@ from core.localization.match import Match
 from core.scans.pose import Pose
 
 SURE = 0.9
-"""A place, a segment or a direction is told from this probability on."""
+"""Least probability of a place, a segment or a direction that counts as certain."""
 
 
 class Direction(StrEnum):
-    """Which way a vehicle passes the scans of the map."""
+    """Direction in which a vehicle passes the scans of the map."""
 
     ALONG = "along"
     AGAINST = "against"
 
 
 class Doubt(StrEnum):
-    """Why a track does not tell where it is."""
+    """Why a track has no certain place."""
 
     CONVERGING = "converging"
     UNKNOWN_PLACE = "unknown_place"
@@ -27,28 +27,28 @@ class Doubt(StrEnum):
 
 @dataclass(frozen=True)
 class TrackStep:
-    """Where the vehicle is taken to be after an observation.
+    """The estimated place of the vehicle after an observation.
 
-    All but `localized` and its reason is told in any case: the most likely place, sure or not.
+    The most likely place is returned in any case; `localized` is whether it is certain.
 
     Attributes:
         revision: The revision that answered.
-        observations: How many the track has seen, this one included.
-        localized: Whether the belief is gathered in one place of the map.
+        observations: How many the track has had, this one included.
+        localized: Whether one place has most of the belief.
         reason: Why not, `None` if it is.
         segment: The segment.
-        segment_probability: Of that segment, as far as the place is right. Near a cut, and where
-            the mapping vehicle itself stood at one, two segments are as likely.
-        fraction: How far along it, 0 where it begins and 1 where it ends.
+        segment_probability: Of that segment, if the place is right. Near a cut, and where the
+            mapping vehicle was stationary at one, two segments may be equally likely.
+        fraction: The position within it, 0 at its start and 1 at its end.
         position: In rows of the map, between scans too.
-        match: The nearest scan to that position, and where the query was made relative to it.
+        match: The nearest scan to that position, and the query's pose relative to it.
         probability: Of being within 5 m of that scan, or 5 scans where poses are unknown.
-        direction: Which way the vehicle passes the scans, `None` while that is not told.
-        standing: Whether the vehicle stands, by its signatures alone.
+        direction: In which the vehicle passes the scans, `None` while that is uncertain.
+        stationary: Whether the vehicle is stationary, by its signatures alone.
         along_sigma_m: Standard deviation of the place along the path; `None` without poses.
         along_sigma_scans: The same in scans of the map.
-        pose: Where the vehicle is: on the path between the scans, displaced and turned as far as
-            the encoding tells; `None` without poses.
+        pose: Of the vehicle: on the path between the scans, displaced and turned as the match is;
+            `None` without poses.
     """
 
     revision: str
@@ -62,7 +62,7 @@ class TrackStep:
     match: Match
     probability: float
     direction: Direction | None
-    standing: bool
+    stationary: bool
     along_sigma_m: float | None
     along_sigma_scans: float
     pose: Pose | None
@@ -74,5 +74,5 @@ class TrackStep:
 
     @property
     def segment_sure(self) -> bool:
-        """Whether the segment is told, and not only the likelier one of two that meet there."""
+        """Whether the segment is certain, and not only the more likely of two that meet there."""
         return self.localized and self.segment_probability >= SURE

@@ -1,4 +1,4 @@
-"""Tracks: a vehicle's observations, one after another, in one revision of a map."""
+"""Tracks: the observations of one vehicle in one revision of a map."""
 
 import math
 from dataclasses import dataclass, field
@@ -18,20 +18,20 @@ from core.tracking.belief import Belief
 from core.tracking.emission import Emission
 from core.tracking.graph import TravelGraph
 from core.tracking.motion import Motion
-from core.tracking.place import Place, gathered
-from core.tracking.standing import Standing, StandingDetector
+from core.tracking.place import Place
+from core.tracking.stationary import StationaryDetector, StationaryModel
 from core.tracking.step import SURE, Direction, Doubt, TrackStep
 
-_FIRST_FIX = 3  # observations in a row that agree: one alone is a localization, two may err alike
-_ELSEWHERE = 0.5  # of being outside of the map, to say so
-_MOVE_ODDS = 0.9  # of a standing vehicle being beyond the place that was told, to move the answer
+_FIRST_FIX = 3  # certain observations in a row: two may have the same error
+_ELSEWHERE = 0.5  # probability of being outside of the map, for `unknown_place`
+_MOVE_ODDS = 0.9  # belief beyond a stationary vehicle's last position from which it is moved
 _SLOWEST, _FASTEST = 0.1, 10.0  # times between observations, as shares of the usual one
 _TIMES_KEPT = 15
 
 
 @dataclass(frozen=True, eq=False)
 class Observation:
-    """What a vehicle sends at one moment.
+    """What a vehicle sends at one time.
 
     Attributes:
         signatures: Of one scan.
@@ -58,12 +58,12 @@ class Observation:
 
 
 class Tracker:
-    """What all tracks in one revision share; safe to share between threads.
+    """The models of one revision, shared by its tracks; safe to share between threads.
 
     Args:
         localizer: Of the revision.
         motion: How vehicles move.
-        cut_position: Where segments were cut, see `TravelGraph.of_map`.
+        cut_position: Of its segments, see `TravelGraph.of_map`.
     """
 
     def __init__(
@@ -77,12 +77,12 @@ class Tracker:
         self.motion = motion or Motion()
         self.graph = TravelGraph.of_map(self.map, cut_position)
         self.emission = Emission.of_map(self.map)
-        self.standing = Standing.of_map(self.map)
+        self.stationary = StationaryModel.of_map(self.map)
 
 
 @dataclass
 class _Order:
-    """Which observation came last, and how long one usually takes."""
+    """Time and number of the last observation, and the usual period."""
 
     timestamp_s: float | None = None
     sequence: int | None = None
@@ -97,7 +97,7 @@ class _Order:
                 )
 
     def scale(self, observation: Observation) -> float:
-        """Return how long it is since the last one, as a share of the usual time."""
+        """Return the time since the last one, as a share of the usual period."""
         if self.timestamp_s is None or observation.timestamp_s is None or not self.periods_s:
             return 1.0
         usual_s = float(np.median(self.periods_s))
@@ -117,23 +117,23 @@ class _Order:
 class Track:
     """One vehicle in one revision of a map; not for several threads at once.
 
-    A Bayes filter over the scans of the map, the direction in which they are passed and how many
-    are passed from one observation to the next. An observation that is refused changes nothing.
+    A Bayes filter over the scans of the map, the direction of travel and the pace. An observation
+    that is refused changes nothing.
     """
 
     def __init__(self, tracker: Tracker) -> None:
         self._tracker = tracker
         self._order = _Order()
         self._belief = Belief.unknown(tracker.graph, tracker.motion)
-        self._detector = StandingDetector(tracker.standing)
+        self._detector = StationaryDetector(tracker.stationary)
         self._observations = 0
         self._agreeing = 0
-        self._told: float | None = None
+        self._position: float | None = None
         self.last: TrackStep | None = None
 
     @property
     def revision(self) -> str:
-        """The revision that the track is in, from its first observation to its last."""
+        """The revision of the track, which never changes."""
         return self._tracker.map.revision
 
     @property
@@ -143,7 +143,7 @@ class Track:
 
     @property
     def belief(self) -> Belief:
-        """What is believed now."""
+        """The belief after the last observation."""
         return self._belief
 
     def observe(self, observation: Observation) -> TrackStep:
@@ -153,7 +153,7 @@ class Track:
             StaleObservation: If its timestamp or sequence number is not above the last one's.
             StaleSignature: If a signature was made with another revision's bases.
             UnknownSegment: If the map has no such segment.
-            InvalidSignature: If the signatures are not of this map, or not of one scan.
+            InvalidSignature: If the signatures are not of this map or not of one scan.
         """
         self._order.require_newer(observation)
         search = self._tracker.localizer.search(observation.signatures)
@@ -166,31 +166,31 @@ class Track:
                 self._order.scale(observation),
                 observation.travelled_m,
             )
-        standing = self._detector.update(observation.signatures)
+        stationary = self._detector.update(observation.signatures)
         belief = belief.updated(
             np.repeat(self._tracker.emission.likelihood(distances), 2)[:, None]
-            * self._tracker.standing.likelihood(self._tracker.motion.pace, standing=standing)
+            * self._tracker.stationary.likelihood(self._tracker.motion.pace, stationary=stationary)
         )
         self._order.keep(observation)
         self._observations += 1
         self._belief = belief
-        self.last = self._step(belief, search, standing=standing)
+        self.last = self._step(search, stationary=stationary)
         return self.last
 
-    def _step(self, belief: Belief, search: Search, *, standing: bool) -> TrackStep:
+    def _step(self, search: Search, *, stationary: bool) -> TrackStep:
         tracker = self._tracker
-        place = gathered(belief, tracker.map)
-        position = self._held(place) if standing else place.position
-        self._told = position
+        place = Place.most_likely(self._belief, tracker.map)
+        position = self._held(place) if stationary else place.position
+        self._position = position
         row = min(max(math.floor(position + 0.5), place.rows.start), place.rows.stop - 1)
         among = np.zeros(len(tracker.map), bool)
         among[row] = True
-        # A query of the paper's encoding may not hold the signature of this scan's segment.
+        # A query of the paper's encoding may have no signature of this scan's segment.
         found = search.nearest(1, among)
         if not len(found):
             found = Neighbours.of_distances(np.array([row]), np.array([np.inf]))
         match = match_at(tracker.map, search, found)
-        reason = self._doubt(belief, place)
+        reason = self._doubt(place)
         segment = tracker.graph.segment_at(position)
         return TrackStep(
             revision=self.revision,
@@ -204,27 +204,27 @@ class Track:
             match=match,
             probability=place.probability,
             direction=_direction(place),
-            standing=standing,
+            stationary=stationary,
             along_sigma_m=_sigma_m(tracker.graph.along_m, place),
             along_sigma_scans=place.sigma,
             pose=_pose(tracker.map.trajectory.poses, position, match),
         )
 
     def _held(self, place: Place) -> float:
-        """Return where a standing vehicle is: where it was, unless most is believed beyond."""
-        told = self._told
-        if told is None or not place.rows.start <= told <= place.rows.stop - 1:
+        """Return a stationary vehicle's last position, unless most of the belief is beyond it."""
+        last = self._position
+        if last is None or not place.rows.start <= last <= place.rows.stop - 1:
             return place.position
-        before, after = place.beyond(math.floor(told + 0.5))
-        return place.position if max(before, after) > _MOVE_ODDS else told
+        before, after = place.beyond(math.floor(last + 0.5))
+        return place.position if max(before, after) > _MOVE_ODDS else last
 
-    def _doubt(self, belief: Belief, place: Place) -> Doubt | None:
+    def _doubt(self, place: Place) -> Doubt | None:
         self._agreeing = self._agreeing + 1 if place.probability >= SURE else 0
         if self._agreeing >= _FIRST_FIX:
             return None
         if self._agreeing or self._observations < _FIRST_FIX:
             return Doubt.CONVERGING
-        return Doubt.UNKNOWN_PLACE if belief.elsewhere > _ELSEWHERE else Doubt.AMBIGUOUS
+        return Doubt.UNKNOWN_PLACE if self._belief.elsewhere > _ELSEWHERE else Doubt.AMBIGUOUS
 
 
 def _fraction(tracker: Tracker, segment: int, position: float) -> float:
@@ -233,7 +233,7 @@ def _fraction(tracker: Tracker, segment: int, position: float) -> float:
 
 
 def _share_of(tracker: Tracker, place: Place, segment: int) -> float:
-    """Return how much of what is believed near a place is of one segment."""
+    """Return the share of a place's belief that is in one segment."""
     rows = range(place.rows.start, place.rows.stop)
     within = [tracker.graph.segment_at(row) == segment for row in rows]
     return min(1.0, float(place.weight[within].sum()))
@@ -254,17 +254,16 @@ def _sigma_m(along_m: FloatArray, place: Place) -> float | None:
 
 
 def _pose(poses: FloatArray, position: float, match: Match) -> Pose | None:
-    """Return the pose at a position between rows, displaced and turned as the match says."""
-    low = min(max(math.floor(position), 0), len(poses) - 1)
-    low = min(low, match.row)
+    """Return the pose at a position between rows, displaced and turned as the match is."""
+    low = min(max(math.floor(position), 0), match.row)
     high = min(low + 1, len(poses) - 1)
     pair = poses[[low, high]]
     if not np.isfinite(pair).all():
         return match.pose
     share = min(max(position - low, 0.0), 1.0)
-    turned = Slerp([0.0, 1.0], Rotation.from_quat(pair[:, 3:]))(share)
+    rotation = Slerp([0.0, 1.0], Rotation.from_quat(pair[:, 3:]))(share)
     between = np.concatenate(
-        [(1.0 - share) * pair[0, :3] + share * pair[1, :3], turned.as_quat(canonical=True)]
+        [(1.0 - share) * pair[0, :3] + share * pair[1, :3], rotation.as_quat(canonical=True)]
     )
     return Pose.from_row(
         pose_beside(between, match.lateral_m or 0.0, match.relative_yaw_deg or 0.0)

@@ -1,13 +1,11 @@
-"""Restores: from a backup to a new data directory, or to nothing at all."""
+"""Restores: from a backup to a new data directory, which is whole or not there."""
 
 import hashlib
 import json
 import os
 import re
 import shutil
-import sqlite3
 import tarfile
-from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import mkdtemp
@@ -21,6 +19,7 @@ from storage.backup.backup import (
     MANIFEST,
     STORE_ID,
     named_files,
+    require_sound,
     store_id_of,
 )
 from storage.errors import CorruptFile
@@ -29,7 +28,7 @@ from storage.files.files import make_folder, named_disk_errors, sync
 
 _BLOCK_BYTES = 2**20
 _MOST_MANIFEST_BYTES = 2**30
-# All that a backup may hold: nothing else becomes a path.
+# The only names that a backup may have: no other becomes a path.
 _NAMES = re.compile(
     r"catalog\.sqlite3|store-id|manifest\.json"
     r"|maps/[0-9a-f]{32}/drives/[0-9a-f]{32}/chunks/[0-9a-f]{32}\.h5"
@@ -43,9 +42,9 @@ class Restored:
     """What was restored.
 
     Attributes:
-        files: How many files of scans and revisions.
-        damaged: What was damaged before the backup, in words; it is restored as it was.
-        missing: What the backup lacks, in words: it was gone, or could not be read, before.
+        files: Number of files of scans and revisions.
+        damaged: Descriptions of files that were damaged before the backup; restored as they were.
+        missing: Descriptions of files that the backup lacks: gone, or not readable, before it.
     """
 
     files: int
@@ -54,14 +53,13 @@ class Restored:
 
 
 def restore_backup(backup: Path, data_dir: Path) -> Restored:
-    """Make a data directory of a backup, all of it checked.
+    """Make a data directory of a backup, after a check of all of it.
 
-    The directory appears whole, or not at all; it lacks what the manifest says that the backup
-    lacks, and serves the rest.
+    The directory appears whole, or not at all; it lacks only what the manifest lists as missing.
 
     Raises:
-        InvalidParameters: If there is something at `data_dir` already.
-        CorruptFile: If the backup is none, is cut off, or is not what was written.
+        InvalidParameters: If `data_dir` exists and is no empty folder.
+        CorruptFile: If it is no backup, is cut off, or is not what was written.
         StorageFull: If no space is left; nothing is left behind.
     """
     target = data_dir.absolute()
@@ -87,25 +85,28 @@ def _restore(backup: Path, folder: Path) -> Restored:
     found = _unpack(backup, folder)
     whole = _manifest(folder / MANIFEST)
     manifest, lacks = whole["files"], whole["missing"]
-    for name, told in manifest.items():
-        if found.get(name) != told:
+    for name, facts in manifest.items():
+        if found.get(name) != facts:
             raise CorruptFile(f"the backup's {name} is not what was written")
     for name in found.keys() - manifest.keys() - {MANIFEST}:  # deleted while the backup was made
         _remove(folder, name)
-    named = {file.path for file in named_files(folder / CATALOG)}
-    if missing := sorted(named - manifest.keys() - lacks.keys()):
-        raise CorruptFile(f"the backup lacks {missing[0]} ({len(missing)} in all)")
-    _check_catalog(folder)
+    catalog = folder / CATALOG
+    named = {file.path for file in named_files(catalog)}
+    if lost := sorted(named - manifest.keys() - lacks.keys()):
+        raise CorruptFile(f"the backup lacks {lost[0]} ({len(lost)} in all)")
+    require_sound(catalog)
+    if (folder / STORE_ID).read_text().strip() != store_id_of(catalog):
+        raise CorruptFile("the backup's store-id is not its catalog's")
     make_folder(folder / "maps")
     for path, _, names in os.walk(folder, topdown=False):
         for name in names:
             sync(Path(path, name))
         sync(Path(path))
-    return Restored(len(named & manifest.keys()), _said(whole["damaged"]), _said(lacks))
-
-
-def _said(of_each: dict[str, Any]) -> tuple[str, ...]:
-    return tuple(f"{said} ({path})" for path, said in sorted(of_each.items()))
+    damaged, missing = (
+        tuple(f"{what} ({path})" for path, what in sorted(faults.items()))
+        for faults in (whole["damaged"], lacks)
+    )
+    return Restored(len(named & manifest.keys()), damaged, missing)
 
 
 def _remove(folder: Path, name: str) -> None:
@@ -117,7 +118,7 @@ def _remove(folder: Path, name: str) -> None:
 
 
 def _unpack(backup: Path, folder: Path) -> dict[str, dict[str, object]]:
-    """Write what a backup holds under a folder; return its sizes and digests."""
+    """Extract a backup into a folder; return sizes and digests by name."""
     found: dict[str, dict[str, object]] = {}
     try:
         with tarfile.open(backup, "r:") as tar:
@@ -156,8 +157,8 @@ def _manifest(path: Path) -> dict[str, Any]:
             raise CorruptFile("the backup's manifest is too long to be one")
         manifest = json.loads(path.read_bytes())
         kind = (manifest["format"], manifest["format_version"])
-        told = {kind: dict(manifest.get(kind, {})) for kind in ("damaged", "missing")}
-        told["files"] = files = dict(manifest["files"])
+        parts = {part: dict(manifest.get(part, {})) for part in ("damaged", "missing")}
+        parts["files"] = files = dict(manifest["files"])
     except FileNotFoundError:
         raise CorruptFile("the backup has no manifest: it is cut off, or none") from None
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
@@ -167,16 +168,4 @@ def _manifest(path: Path) -> dict[str, Any]:
     if missing := {CATALOG, STORE_ID} - files.keys():
         raise CorruptFile(f"the backup's manifest lacks {min(missing)}")
     path.unlink()
-    return told
-
-
-def _check_catalog(folder: Path) -> None:
-    try:
-        with closing(sqlite3.connect(folder / CATALOG)) as connection:
-            [(said,), *_] = connection.execute("PRAGMA integrity_check")
-    except (sqlite3.Error, UnicodeDecodeError) as error:
-        raise CorruptFile(f"the backup's catalog cannot be read: {error}") from error
-    if said != "ok":
-        raise CorruptFile(f"the backup's catalog is damaged: {said}")
-    if (folder / STORE_ID).read_text().strip() != store_id_of(folder / CATALOG):
-        raise CorruptFile("the backup's store-id is not its catalog's")
+    return parts

@@ -1,27 +1,30 @@
-"""The catalog: what is stored, where, and what became of it. HDF5 holds arrays, this holds facts.
+"""The catalog: what is stored, where, and its state. HDF5 files hold arrays, the catalog facts.
 
-Every public method is one transaction and answers with frozen records.
+Every public method is one transaction and returns records that are detached from it.
 """
 
 from storage.catalog.acts import Act, on_behalf
-from storage.catalog.audit import AuditCheck, AuditRecord, AuditState
+from storage.catalog.audit import AuditCheck, AuditState
 from storage.catalog.catalog import Catalog
-from storage.catalog.records import (
-    DriveRecord,
-    IndexRange,
+from storage.catalog.models import (
+    AuditRecord,
     JobRecord,
     JobState,
     KeyRecord,
+    RevisionRecord,
+    TokenRecord,
+)
+from storage.catalog.records import (
+    DriveRecord,
+    IndexRange,
     MapRecord,
     Page,
     PosesPut,
     RequestKey,
     RevisionFacts,
-    RevisionRecord,
     ScanRecord,
 )
 from storage.catalog.scan_poses import ScanPoses
-from storage.catalog.tokens import TokenRecord
 
 __all__ = [
     "Act",

@@ -1,4 +1,4 @@
-"""The audit log: who changed what and when, only ever added to."""
+"""The audit log: who changed what and when, append-only."""
 
 from contextlib import closing
 from dataclasses import dataclass
@@ -10,39 +10,18 @@ from core.errors import InvalidParameters
 from storage.catalog.acts import Act, on_behalf
 from storage.catalog.audit_chain import append, entry_hash, head_of
 from storage.catalog.database import Repository
-from storage.catalog.models import AuditEntry
+from storage.catalog.models import AuditRecord
 from storage.catalog.pages import DEFAULT_LIMIT, one_more, page_of
-from storage.catalog.records import Page, record_of
+from storage.catalog.records import Page
 
 _BATCH = 1000
 
 
 @dataclass(frozen=True)
-class AuditRecord:
-    """An entry: what was asked, by whom, and what came of it.
-
-    Attributes:
-        seq: Its place, counted from 1 without a gap.
-        outcome: `done`, or the name of the problem that it ended in.
-        hash: Over all this and the hash of the entry before.
-    """
-
-    seq: int
-    at: datetime
-    key_id: str
-    action: str
-    subject: str
-    map_slug: str | None
-    detail: str
-    outcome: str
-    hash: str
-
-
-@dataclass(frozen=True)
 class AuditState:
-    """How long the log is, and the hash of its last entry.
+    """Length of the log, and the hash of its last entry.
 
-    Whoever keeps one elsewhere can tell later whether the log before it is still the same.
+    A state that is stored elsewhere shows later whether the log up to it is unchanged.
     """
 
     seq: int
@@ -64,7 +43,7 @@ class AuditCheck:
     """Whether the log is what was written.
 
     Attributes:
-        state: As far as it is good.
+        state: Up to which entry it is intact.
         fault: What is wrong after that, `None` if nothing is.
     """
 
@@ -76,7 +55,7 @@ class Audit(Repository):
     """The entries, in the order in which they were written."""
 
     def append(self, act: Act, outcome: str) -> None:
-        """Add an entry about an act that changed nothing, such as one that was refused."""
+        """Add an entry about an act that changed nothing, such as a rejected one."""
         with on_behalf(None), self._database.writing() as session:
             append(session, act, outcome)
 
@@ -94,44 +73,43 @@ class Audit(Repository):
 
         Args:
             after: A place.
-            limit: How many a page holds.
+            limit: Number of entries in a page.
             map_slug: Only those about this map.
             key_id: Only those of this key.
-            since: Only those at this moment or later.
-            until: Only those before this moment.
+            since: Only those at this time or later.
+            until: Only those before this time.
         """
-        query = select(AuditEntry).where(AuditEntry.seq > after)
+        query = select(AuditRecord).where(AuditRecord.seq > after)
         if map_slug is not None:
-            query = query.where(AuditEntry.map_slug == map_slug)
+            query = query.where(AuditRecord.map_slug == map_slug)
         if key_id is not None:
-            query = query.where(AuditEntry.key_id == key_id)
+            query = query.where(AuditRecord.key_id == key_id)
         if since is not None:
-            query = query.where(AuditEntry.at >= since)
+            query = query.where(AuditRecord.at >= since)
         if until is not None:
-            query = query.where(AuditEntry.at < until)
-        query = query.order_by(AuditEntry.seq).limit(one_more(limit))
+            query = query.where(AuditRecord.at < until)
+        query = query.order_by(AuditRecord.seq).limit(one_more(limit))
         with self._database.reading() as session:
-            records = [record_of(AuditRecord, row) for row in session.scalars(query)]
-        return page_of(records, limit, lambda record: str(record.seq))
+            return page_of(session.scalars(query).all(), limit, lambda row: str(row.seq))
 
     def verify(self, known: AuditState | None = None) -> AuditCheck:
         """Recompute the whole chain.
 
-        A changed, removed, inserted or moved entry breaks it, a removed last one is missed by the
-        head. Who can write the database can recompute all of it, head included: only `known`, kept
-        elsewhere, shows that.
+        A changed, removed, inserted or moved entry breaks it; a removed last entry does not match
+        the head. Who can write the database can recompute all of it, head included: only `known`,
+        stored elsewhere, detects that.
 
         Args:
-            known: A state that the log once was in.
+            known: A state that the log once had.
         """
         good = START
         with self._database.reading() as session:
-            # First: entries that are added meanwhile, where readers have no snapshot, come after.
+            # First: where readers have no snapshot, entries that are added meanwhile come after.
             head = head_of(session)
             rows = session.scalars(
-                select(AuditEntry)
-                .where(AuditEntry.seq <= head.seq)
-                .order_by(AuditEntry.seq)
+                select(AuditRecord)
+                .where(AuditRecord.seq <= head.seq)
+                .order_by(AuditRecord.seq)
                 .execution_options(yield_per=_BATCH)
             )
             with closing(rows):  # a fault ends it early

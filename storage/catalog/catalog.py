@@ -18,7 +18,7 @@ _ALLOWED = nullcontext()
 
 
 class Catalog:
-    """Facts about maps, drives, scans, revisions, jobs and keys, and who changed them.
+    """Facts about maps, drives, scans, revisions, jobs and keys, and the log of changes.
 
     Opening one brings its schema to the newest revision. It is safe from any thread; a process
     that was forked opens its own.
@@ -26,7 +26,7 @@ class Catalog:
     Args:
         url: A SQLAlchemy URL, as `sqlite:////var/lib/tensormap/catalog.sqlite3`.
         migrating: Held while the schema is changed, and not entered if it is the newest already;
-            what it raises leaves the schema as it is.
+            an error that it raises leaves the schema as it is.
     """
 
     def __init__(self, url: str, migrating: AbstractContextManager[object] = _ALLOWED) -> None:
@@ -43,7 +43,7 @@ class Catalog:
         self.audit = Audit(self._database)
 
     def faults(self) -> list[str]:
-        """Return what is wrong with the database itself, in words; nothing if it is sound.
+        """Return descriptions of the faults of the database itself, none if it is sound.
 
         Only of SQLite: PostgreSQL has tools of its own.
         """

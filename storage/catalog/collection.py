@@ -1,24 +1,28 @@
-"""What the catalog lets go as a map's policy asks: revisions, and the returns of scans."""
+"""Removal of what a map's retention policy does not keep: revisions, and the returns of scans."""
 
 from collections.abc import Collection
 from datetime import UTC, datetime
 
-from sqlalchemy import delete, select, update
+from sqlalchemy import Select, select, update
 from sqlalchemy.orm import Session
 
 from storage.catalog.database import Repository
 from storage.catalog.maps import map_of_id
-from storage.catalog.models import Drive, Job, LiveRevision, Map, Revision, Scan
-from storage.catalog.records import JobState, RevisionRecord
-from storage.catalog.revisions import revision_record
+from storage.catalog.models import (
+    OPEN_STATES,
+    Drive,
+    JobRecord,
+    LiveRevision,
+    Map,
+    RevisionRecord,
+    Scan,
+)
 from storage.catalog.scans import LostRace, chunks_of
-from storage.retention import OwnRetention, RawScans, Retention, Standing, to_collect
-
-_OPEN = (JobState.QUEUED, JobState.RUNNING)
+from storage.retention import Candidate, OwnRetention, RawScans, Retention, to_collect
 
 
 class Collector(Repository):
-    """Removes what is not retained, and only what still is not when it is removed."""
+    """Removes what is not retained; that is checked in the transaction that removes it."""
 
     def collectable(
         self, map_id: str, default: Retention, now: datetime | None = None
@@ -28,7 +32,7 @@ class Collector(Repository):
         Args:
             map_id: The map.
             default: What it keeps where it did not choose otherwise.
-            now: The moment that it is asked for.
+            now: The time, the present by default.
 
         Raises:
             MapNotFound: If the map is gone.
@@ -40,28 +44,25 @@ class Collector(Repository):
     def collect(
         self, map_id: str, digest: str, default: Retention, now: datetime | None = None
     ) -> RevisionRecord:
-        """Remove a revision that its map's policy does not keep; return what it was.
+        """Remove a revision that its map's policy does not keep; return its record.
 
         Raises:
             MapNotFound: If the map is gone.
-            LostRace: If the revision is gone, or kept after all: it was made live meanwhile, a job
-                was based on it, or the policy is another.
+            LostRace: If the revision is gone or is to be kept: it was made live meanwhile, a job
+                is based on it, or the policy was changed.
         """
         with self._database.writing() as session:
             of_map = map_of_id(session, map_id, lock=True)
             if digest not in _collectable(session, of_map, default, now or datetime.now(UTC)):
-                raise LostRace(f"revision {digest[:12]} is kept after all, or gone")
-            row = session.get_one(Revision, (map_id, digest))
-            record = revision_record(row)
-            session.execute(
-                delete(Revision).where(Revision.map_id == map_id, Revision.digest == digest)
-            )
-            return record
+                raise LostRace(f"revision {digest[:12]} is gone, or to be kept")
+            revision = session.get_one(RevisionRecord, (map_id, digest))
+            session.delete(revision)
+            return revision
 
     def has_open_job(self, map_id: str) -> bool:
-        """Return whether a job of a map waits or runs."""
+        """Return whether a job of a map is queued or running."""
         with self._database.reading() as session:
-            return _open_job(session, map_id)
+            return session.scalar(_open_jobs(map_id).limit(1)) is not None
 
     def drop_returns(
         self,
@@ -71,22 +72,22 @@ class Collector(Repository):
         indices: Collection[int],
         default: Retention,
     ) -> set[str]:
-        """Let the catalog forget where the returns of scans are; all else about them stays.
+        """Delete the location of the returns of scans; all else about them stays.
 
         Args:
             map_id: The map.
             live_revision: The revision that must still be live: it was built of these scans.
             drive_id: Their drive, which must be closed.
-            indices: Of the scans.
+            indices: Indices of the scans.
             default: What the map keeps where it did not choose otherwise.
 
         Returns:
-            The chunk files that hold no scan any more.
+            The chunk files that no longer hold a scan.
 
         Raises:
             MapNotFound: If the map is gone.
-            LostRace: If another revision is live, a job waits or runs that may need the returns,
-                the drive is gone or open, or the policy keeps them.
+            LostRace: If another revision is live, a queued or running job may need the returns, the
+                drive is gone or open, or the policy keeps them.
         """
         with self._database.writing() as session:
             of_map = map_of_id(session, map_id, lock=True)
@@ -98,9 +99,9 @@ class Collector(Repository):
                 or drive is None
                 or not drive.closed
                 or _policy(of_map, default).raw_scans != RawScans.DROP
-                or _open_job(session, of_map.id)
+                or session.scalar(_open_jobs(map_id).limit(1)) is not None
             ):
-                raise LostRace("the map changed meanwhile: returns are dropped another time")
+                raise LostRace("the map changed meanwhile: returns will be dropped later")
             before = chunks_of(session, drive_id)
             if indices:
                 session.execute(
@@ -114,7 +115,7 @@ class Collector(Repository):
 
 
 def _policy(of_map: Map, default: Retention) -> Retention:
-    return OwnRetention.from_chosen(of_map.retention or {}).over(default)
+    return OwnRetention(**of_map.retention).over(default)
 
 
 def _collectable(
@@ -125,31 +126,28 @@ def _collectable(
         return ()
     live = session.get(LiveRevision, of_map.id)
     bases = _bases(session, of_map.id)
-    query = select(Revision.digest, Revision.created_at, Revision.retained_from)
-    standing = [
-        Standing(
-            digest,
-            created_at,
-            retained_from or created_at,
-            live=live is not None and live.digest == digest,
-            needed=any(digest.startswith(base) for base in bases),
+    revisions = session.scalars(select(RevisionRecord).where(RevisionRecord.map_id == of_map.id))
+    candidates = [
+        Candidate(
+            revision.digest,
+            revision.created_at,
+            revision.retained_from or revision.created_at,
+            live=live is not None and live.digest == revision.digest,
+            needed=any(revision.digest.startswith(base) for base in bases),
         )
-        for digest, created_at, retained_from in session.execute(
-            query.where(Revision.map_id == of_map.id)
-        )
+        for revision in revisions
     ]
-    return to_collect(standing, policy, now)
+    return to_collect(candidates, policy, now)
 
 
 def _bases(session: Session, map_id: str) -> set[str]:
-    """Return the digests, or prefixes of them, of what jobs that wait or run read."""
-    query = select(Job.parameters, Job.plan).where(Job.map_id == map_id, Job.state.in_(_OPEN))
+    """Return the digests, or prefixes of them, of the revisions that open jobs read."""
     bases: set[str | None] = set()
-    for parameters, plan in session.execute(query):
-        bases |= {parameters.get("base"), (plan or {}).get("basis_kept_from")}
+    for job in session.scalars(_open_jobs(map_id)):
+        bases |= {job.parameters.get("base"), (job.plan or {}).get("basis_kept_from")}
     return {base for base in bases if base and base != "live"}
 
 
-def _open_job(session: Session, map_id: str) -> bool:
-    query = select(Job.id).where(Job.map_id == map_id, Job.state.in_(_OPEN)).limit(1)
-    return session.scalar(query) is not None
+def _open_jobs(map_id: str) -> Select[JobRecord]:
+    is_open = JobRecord.state.in_(OPEN_STATES)
+    return select(JobRecord).where(JobRecord.map_id == map_id, is_open)

@@ -1,4 +1,4 @@
-"""The database under the catalog: how it is opened and what a transaction is."""
+"""The catalog's database: connections, transactions and named errors."""
 
 import sqlite3
 import threading
@@ -34,7 +34,7 @@ _NAMED: dict[int, type[StorageError]] = {
     sqlite3.SQLITE_BUSY: StorageBusy,
     sqlite3.SQLITE_FULL: StorageFull,
     sqlite3.SQLITE_READONLY: StorageReadOnly,
-    # What WAL mode says on a read-only mount, where it cannot make its files.
+    # From WAL mode on a read-only mount, where it cannot make its files.
     sqlite3.SQLITE_CANTOPEN: StorageReadOnly,
 }
 
@@ -47,9 +47,9 @@ _NAMED_STATES: dict[str, type[StorageError]] = {
     "53100": StorageFull,  # disk full
     "25006": StorageReadOnly,  # a standby, or default_transaction_read_only
 }
-# The last: the driver cannot decode what SQLite says of a damaged file.
+# The last: the driver cannot decode SQLite's message about a damaged file.
 _FAILURES = (SQLAlchemyError, sqlite3.Error, UnicodeDecodeError)
-_KINDS = ("sqlite", "postgresql")
+_BACKENDS = ("sqlite", "postgresql")
 
 
 class Database:
@@ -57,7 +57,7 @@ class Database:
 
     SQLite in WAL mode: readers never wait, one writer at a time, a commit is on disk before it
     returns (`synchronous=FULL`). PostgreSQL: writers lock the rows that they change, in the order
-    map, drive, job; what reads once reads one snapshot.
+    map, drive, job; each reading session has one snapshot.
     """
 
     def __init__(self, url: str, migrating: AbstractContextManager[object]) -> None:
@@ -71,36 +71,32 @@ class Database:
                 isolation_level="REPEATABLE READ", postgresql_readonly=True
             )
         elif self.engine.dialect.name == "sqlite":
-            # Threads queue here and not in SQLite, which polls: as many commits a second, but with
-            # 16 writers the slowest of 600 waits 0.2 s instead of 0.7 s (two cores).
+            # Threads queue here and not in SQLite, which polls: as many commits a second, but of 16
+            # writers the slowest of 600 waits 0.2 s instead of 0.7 s (two cores).
             self._writer = threading.Lock()
             event.listen(self.engine, "connect", _prepare_sqlite)
             event.listen(self.engine, "begin", _begin_sqlite)
             _enter_wal_mode(self.engine)
         writing_engine = self.engine.execution_options(tensormap_writes=True)
-        self._new_writer = sessionmaker(writing_engine)
+        # Records are used after the commit, detached.
+        self._new_writer = sessionmaker(writing_engine, expire_on_commit=False)
         with _named_errors(), self.engine.connect() as connection:
             newest = is_newest(connection)
         if not newest:
-            with (
-                migrating,
-                _named_errors(),
-                self._writer,
-                writing_engine.begin() as connection,
-            ):
+            with migrating, _named_errors(), self._writer, writing_engine.begin() as connection:
                 upgrade(connection)
 
     @contextmanager
     def reading(self) -> Iterator[Session]:
-        """Give a session on one consistent snapshot."""
+        """Yield a session on one consistent snapshot."""
         with _named_errors(), Session(self._reading_engine) as session:
             yield session
 
     @contextmanager
     def writing(self) -> Iterator[Session]:
-        """Give a session that commits when the block ends and rolls back when it raises.
+        """Yield a session that commits when the block ends and rolls back when it raises.
 
-        On SQLite no other writer comes between its reads and its writes. What is done on behalf of
+        On SQLite no other writer can write between its reads and its writes. A change on behalf of
         an `Act` is in the audit log with the same commit.
 
         Raises:
@@ -123,12 +119,12 @@ class Database:
             return []
         try:
             with self._reading_engine.connect() as connection:
-                said = [str(row[0]) for row in connection.exec_driver_sql("PRAGMA integrity_check")]
+                rows = connection.exec_driver_sql("PRAGMA integrity_check")
+                found = [str(row[0]) for row in rows if row[0] != "ok"]
                 broken = connection.exec_driver_sql("PRAGMA foreign_key_check").all()
         except _FAILURES as error:
             return [str(error)]
-        told = [] if said == ["ok"] else said
-        return told + [f"a row of {row[0]} refers to none of {row[2]}" for row in broken]
+        return found + [f"a row of {row[0]} refers to none of {row[2]}" for row in broken]
 
     def close(self) -> None:
         """Close the idle connections."""
@@ -136,29 +132,29 @@ class Database:
 
 
 class Repository:
-    """Base of what reads and writes one noun's rows."""
+    """Base of the classes that read and write the rows of one noun."""
 
     def __init__(self, database: Database) -> None:
         self._database = database
 
 
 def _engine(url: str) -> Engine:
-    """Return an engine, or say what is wrong with its URL without repeating it: a password."""
+    """Return an engine; an error does not repeat the URL, which may have a password."""
     try:
         parsed = make_url(url)
     except ArgumentError:
         raise StorageUnavailable("the catalog's URL is none: see TENSORMAP_CATALOG_URL") from None
-    kind = parsed.get_backend_name()
-    if kind not in _KINDS:
+    backend = parsed.get_backend_name()
+    if backend not in _BACKENDS:
         raise StorageUnavailable(
-            f"the catalog cannot be a {kind} database, wanted {' or '.join(_KINDS)}"
+            f"the catalog cannot be a {backend} database, wanted {' or '.join(_BACKENDS)}"
         )
     try:
-        # A connection that the database's restart broke is replaced before it is used.
-        return create_engine(url, pool_size=16, max_overflow=32, pool_pre_ping=kind != "sqlite")
+        # A connection that a restart of the database closed is replaced before it is used.
+        return create_engine(url, pool_size=16, max_overflow=32, pool_pre_ping=backend != "sqlite")
     except ModuleNotFoundError as error:
         raise StorageUnavailable(
-            f"a {kind} catalog needs Python's {error.name}: pip install '.[postgresql]' in a clone"
+            f"a {backend} catalog needs {error.name}: pip install '.[postgresql]' in a clone"
         ) from error
     except NoSuchModuleError as error:
         raise StorageUnavailable(f"there is no such driver of a catalog: {error}") from None
@@ -167,7 +163,7 @@ def _engine(url: str) -> Engine:
 def _prepare_postgresql(connection: Any, _record: object) -> None:  # noqa: ANN401 - psycopg's own
     with connection.cursor() as cursor:
         cursor.execute(f"SET lock_timeout = '{_BUSY_TIMEOUT_S}s'")
-        # A commit is on disk before it returns; where the server asks for more, that stays.
+        # A commit is on disk before it returns; a stricter setting of the server stays.
         cursor.execute(
             "SELECT set_config('synchronous_commit', 'on', false)"
             " WHERE current_setting('synchronous_commit') = 'off'"
@@ -176,8 +172,8 @@ def _prepare_postgresql(connection: Any, _record: object) -> None:  # noqa: ANN4
 
 
 def _forget_mode(connection: Any, _record: object) -> None:  # noqa: ANN401 - psycopg's own
-    # SQLAlchemy leaves a connection that read as one that writes, whatever the server's default:
-    # a database that may only be read would be written through it.
+    # After a read-only session SQLAlchemy sets a connection to read-write, not to the server's
+    # default: a database that is read-only by default would be written through it.
     if connection is not None:
         connection.read_only = None
 
@@ -191,8 +187,8 @@ def _prepare_sqlite(connection: sqlite3.Connection, _record: object) -> None:
 
 
 def _enter_wal_mode(engine: Engine) -> None:
-    # A mode of the file, for good. Of two that change it at once one is told that it is busy,
-    # without regard to the busy timeout.
+    # A permanent mode of the file. Of two processes that set it at the same time, one gets
+    # SQLITE_BUSY at once, whatever the busy timeout.
     deadline = time.monotonic() + _BUSY_TIMEOUT_S
     with _named_errors(), closing(engine.raw_connection()) as connection:
         while True:
@@ -207,7 +203,7 @@ def _enter_wal_mode(engine: Engine) -> None:
 
 
 def _begin_sqlite(connection: Connection) -> None:
-    # IMMEDIATE: a transaction that reads first and then asks for the write lock would fail at
+    # IMMEDIATE: a transaction that reads first and then requests the write lock would fail at
     # once if another one committed in between, whatever the busy timeout.
     writes = connection.get_execution_options().get("tensormap_writes", False)
     connection.exec_driver_sql("BEGIN IMMEDIATE" if writes else "BEGIN")
@@ -218,7 +214,7 @@ def _named_errors() -> Iterator[None]:
     try:
         yield
     except IntegrityError:
-        raise  # two writers met: who wrote knows what that means
+        raise  # two writers conflict: the caller gives it a name
     except _FAILURES as error:
         cause = error.orig if isinstance(error, DBAPIError) else error
         raise _name_of(cause)(f"the catalog cannot be used: {cause or error}") from error

@@ -10,7 +10,7 @@ from storage.catalog.database import Repository
 from storage.catalog.maps import map_named, map_of_id
 from storage.catalog.models import Drive, ExpectedPose, Map, Scan
 from storage.catalog.pages import DEFAULT_LIMIT, one_more, page_of
-from storage.catalog.records import DriveRecord, IndexRange, Page, record_of
+from storage.catalog.records import DriveRecord, IndexRange, Page
 from storage.errors import DriveNotFound
 
 
@@ -54,7 +54,7 @@ class Drives(Repository):
             return tuple(session.scalars(select(Drive.slug).where(of_map).order_by(Drive.slug)))
 
     def of_map(self, map_id: str, slugs: Sequence[str] | None = None) -> Sequence[DriveRecord]:
-        """Return drives of the map of that id in the order asked for, or all in that of the slugs.
+        """Return drives of the map of that id in the given order, or all in that of their slugs.
 
         Raises:
             MapNotFound: If the map is gone.
@@ -76,7 +76,7 @@ class Drives(Repository):
                 raise DriveNotFound(f"the drive with id {drive_id} is gone")
 
     def close(self, map_slug: str, slug: str) -> DriveRecord:
-        """Let a drive take no more scans; a closed one stays closed.
+        """Close a drive: it accepts no more scans; a closed one stays closed.
 
         Raises:
             MapNotFound: If there is no such map.
@@ -85,11 +85,10 @@ class Drives(Repository):
         with self._database.writing() as session:
             row = drive_named(session, map_slug, slug, lock=True)
             row.closed = True
-            session.flush()
             return _records(session, [row])[0]
 
     def delete(self, map_slug: str, slug: str) -> DriveRecord:
-        """Remove a drive and the facts about its scans; return what it was.
+        """Remove a drive and the facts about its scans; return its record.
 
         Raises:
             MapNotFound: If there is no such map.
@@ -102,12 +101,10 @@ class Drives(Repository):
             return record
 
     def known(self) -> set[tuple[str, str]]:
-        """Return `(map id, drive id)` of every drive of every map."""
+        """Return `(map id, drive id)` of every drive; the latter is empty for a map without."""
         with self._database.reading() as session:
-            pairs = session.execute(
-                select(Map.id, Drive.id).outerjoin(Drive, Drive.map_id == Map.id)
-            )
-            return {(map_id, drive_id or "") for map_id, drive_id in pairs}
+            query = select(Map.id, Drive.id).outerjoin(Drive, Drive.map_id == Map.id)
+            return {(map_id, drive_id or "") for map_id, drive_id in session.execute(query)}
 
     def slugs_by_id(self) -> dict[str, str]:
         """Return the slugs of all maps and of all drives, by their ids."""
@@ -118,7 +115,7 @@ class Drives(Repository):
 
 
 def drive_named(session: Session, map_slug: str, slug: str, *, lock: bool = False) -> Drive:
-    """Return the row of a drive, locked until the transaction ends if asked for.
+    """Return the row of a drive, with `lock` locked until the transaction ends.
 
     Raises:
         MapNotFound: If there is no such map.
@@ -133,9 +130,9 @@ def drive_named(session: Session, map_slug: str, slug: str, *, lock: bool = Fals
 
 
 def _records(session: Session, rows: Sequence[Drive]) -> list[DriveRecord]:
-    """Count the scans of some drives and find their ranges, in one query.
+    """Count the scans of drives and find their ranges, in one query.
 
-    Within a range without a gap, a scan's index minus its rank is the same number.
+    Within a range without a gap, a scan's index minus its rank is constant.
     """
     rank = func.row_number().over(partition_by=Scan.drive_id, order_by=Scan.index)
     ranked = (
@@ -179,9 +176,12 @@ def _record(row: Drive, islands: Sequence[Sequence[int]], expected_poses: int) -
     columns = list(zip(*islands, strict=True)) or [()] * 6
     firsts, lasts = columns[:2]
     returns, dropped_scans, dropped_returns, posed_scans = map(sum, columns[2:])
-    return record_of(
-        DriveRecord,
-        row,
+    return DriveRecord(
+        row.id,
+        row.map_id,
+        row.slug,
+        row.created_at,
+        row.closed,
         scans=sum(lasts) - sum(firsts) + len(islands),
         returns=returns,
         dropped_scans=dropped_scans,

@@ -5,22 +5,23 @@ queued --claim--> running --finish--> done
   |--request_cancel--|---cancelled-> cancelled
 """
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping
 from datetime import UTC, datetime
 from typing import Any
 
-from sqlalchemy import func, select
+from sqlalchemy import ColumnElement, func, select
 from sqlalchemy.exc import IntegrityError
 from sqlalchemy.orm import Session
 
 from storage.catalog.database import Repository
 from storage.catalog.maps import map_named
-from storage.catalog.models import Job, Map
+from storage.catalog.models import OPEN_STATES, JobRecord, JobState, Map
 from storage.catalog.pages import DEFAULT_LIMIT, page_by_age
-from storage.catalog.records import JobRecord, JobState, Page, RequestKey, record_of
-from storage.catalog.turns import next_job
+from storage.catalog.records import Page, RequestKey, RevisionFacts
 from storage.errors import JobNotFound, JobNotRunning, RequestKeyReused, TooManyBuilds
 from storage.names import new_id
+
+_NEVER = datetime.min.replace(tzinfo=UTC)
 
 
 class Jobs(Repository):
@@ -32,59 +33,48 @@ class Jobs(Repository):
         parameters: Mapping[str, Any],
         *,
         plan: Mapping[str, Any] | None = None,
-        kind: str = "build",
         request: RequestKey | None = None,
         key_id: str | None = None,
         most_queued: int | None = None,
     ) -> JobRecord:
-        """Queue a job; one that the same request made already is returned as it is now.
+        """Queue a job; a repeated request returns the job that it made before, as it is now.
 
         Args:
-            map_slug: Of the map that it is for.
-            parameters: What it is to do, as it was asked for.
-            plan: The same with all that was left open chosen.
-            kind: What it is.
-            request: Which makes at most one job.
-            key_id: Of the key that asks for it.
-            most_queued: How many jobs that key may have in the queue. On PostgreSQL, requests for
-                several maps at the same moment may get past it by one each.
+            map_slug: The map.
+            parameters: What the job is to do, as requested.
+            plan: The same with every default resolved.
+            request: The request, which makes at most one job.
+            key_id: Id of the key that requests it.
+            most_queued: Maximum number of queued jobs of that key. On PostgreSQL, simultaneous
+                requests for several maps may exceed it by one each.
 
         Raises:
             MapNotFound: If there is no such map.
             RequestKeyReused: If another request was made under this key.
             TooManyBuilds: If the key has as many queued as it may.
         """
-        row = Job(
+        job = JobRecord(
             id=new_id(),
-            kind=kind,
-            state=JobState.QUEUED,
-            stage="",
-            done_units=0,
-            total_units=0,
+            map_id="",
             parameters=dict(parameters),
             plan=None if plan is None else dict(plan),
-            cancel_requested=False,
             request_key=None if request is None else request.key,
             request_digest=None if request is None else request.digest,
             key_id=key_id,
             created_at=datetime.now(UTC),
         )
         try:
-            return self._insert(map_slug, row, most_queued)
+            with self._database.writing() as session:
+                job.map_id = map_named(session, map_slug, shared=True).id
+                if most_queued is not None:
+                    _require_room(session, key_id, most_queued)
+                session.add(job)
         except (IntegrityError, TooManyBuilds):
             made = None if request is None else self.made_by(map_slug, request)
             if made is None:
                 raise
             return made
-
-    def _insert(self, map_slug: str, row: Job, most_queued: int | None) -> JobRecord:
-        with self._database.writing() as session:
-            row.map_id = map_named(session, map_slug, shared=True).id
-            if most_queued is not None:
-                _require_room(session, row.key_id, most_queued)
-            session.add(row)
-            session.flush()
-            return _record(row)
+        return job
 
     def made_by(self, map_slug: str, request: RequestKey) -> JobRecord | None:
         """Return the job that this request made, `None` if it has made none yet.
@@ -94,32 +84,27 @@ class Jobs(Repository):
             RequestKeyReused: If another request was made under this key.
         """
         with self._database.reading() as session:
-            map_id = map_named(session, map_slug).id
-            query = select(Job).where(Job.map_id == map_id, Job.request_key == request.key)
-            row = session.scalar(query)
-            if row is None:
-                return None
-            if row.request_digest != request.digest:
+            of_map = JobRecord.map_id == map_named(session, map_slug).id
+            query = select(JobRecord).where(of_map, JobRecord.request_key == request.key)
+            job = session.scalar(query)
+            if job is not None and job.request_digest != request.digest:
                 raise RequestKeyReused(
-                    f"the idempotency key {request.key!r} was used for job {row.id}, which was"
-                    " asked for with other parameters"
+                    f"the idempotency key {request.key!r} was used for job {job.id}, which was"
+                    " requested with other parameters"
                 )
-            return _record(row)
+            return job
 
     def claim(self) -> JobRecord | None:
-        """Start the next job; `None` if none waits.
+        """Start the next job; `None` if none is queued.
 
-        Keys take turns, and so do the maps of a key: `storage.catalog.turns`. No two callers are
-        given the same job.
+        Keys take turns, and so do the maps of a key. No two callers get the same job.
         """
         with self._database.writing() as session:
-            row = next_job(session)
-            if row is None:
-                return None
-            row.state = JobState.RUNNING
-            row.started_at = datetime.now(UTC)
-            session.flush()
-            return _record(row)
+            job = _next_job(session)
+            if job is not None:
+                job.state = JobState.RUNNING
+                job.started_at = datetime.now(UTC)
+            return job
 
     def get(self, job_id: str) -> JobRecord:
         """Return a job.
@@ -128,13 +113,13 @@ class Jobs(Repository):
             JobNotFound: If there is none of that id.
         """
         with self._database.reading() as session:
-            return _record(_found(session, job_id))
+            return _found(session, job_id)
 
     def with_ids(self, job_ids: Collection[str]) -> Mapping[str, JobRecord]:
-        """Return those of these jobs that are there, by their ids."""
+        """Return those of these jobs that exist, by their ids."""
         with self._database.reading() as session:
-            rows = session.scalars(select(Job).where(Job.id.in_(job_ids)))
-            return {row.id: _record(row) for row in rows}
+            jobs = session.scalars(select(JobRecord).where(JobRecord.id.in_(job_ids)))
+            return {job.id: job for job in jobs}
 
     def list(
         self,
@@ -151,139 +136,122 @@ class Jobs(Repository):
             InvalidParameters: If `after` is no job.
         """
         with self._database.reading() as session:
-            query = select(Job)
+            query = select(JobRecord)
             if map_slug is not None:
-                query = query.where(Job.map_id == map_named(session, map_slug).id)
+                query = query.where(JobRecord.map_id == map_named(session, map_slug).id)
             if slugs is not None:
-                query = query.where(Job.map_id.in_(select(Map.id).where(Map.slug.in_(slugs))))
-            return page_by_age(session, query, Job.id, after, limit, _record)
+                query = query.where(JobRecord.map_id.in_(select(Map.id).where(Map.slug.in_(slugs))))
+            return page_by_age(session, query, JobRecord.id, after, limit)
 
     def counts(self) -> Mapping[JobState, int]:
-        """Return how many jobs wait and run; those that ended are not counted."""
+        """Return the number of queued and of running jobs, by state."""
         query = (
-            select(Job.state, func.count())
-            .where(Job.state.in_([JobState.QUEUED, JobState.RUNNING]))
-            .group_by(Job.state)
+            select(JobRecord.state, func.count())
+            .where(JobRecord.state.in_(OPEN_STATES))
+            .group_by(JobRecord.state)
         )
         with self._database.reading() as session:
-            return {JobState(state): count for state, count in session.execute(query)}
+            return dict(session.execute(query).all())
 
     def progress(self, job_id: str, stage: str, done_units: int, total_units: int) -> JobRecord:
-        """Record how far a running job is; the answer tells whether it is asked to stop.
+        """Record the progress of a running job; `cancel_requested` of the answer is up to date.
 
         Raises:
             JobNotFound: If there is none of that id.
             JobNotRunning: If it is not running.
         """
         with self._database.writing() as session:
-            row = _running(session, job_id)
-            if stage != row.stage:
-                row.stage_started_at = datetime.now(UTC)
-            row.stage, row.done_units, row.total_units = stage, done_units, total_units
-            session.flush()
-            return _record(row)
+            job = _running(session, job_id)
+            if stage != job.stage:
+                job.stage_started_at = datetime.now(UTC)
+            job.stage, job.done_units, job.total_units = stage, done_units, total_units
+            return job
 
     def finish(self, job_id: str, revision: str) -> JobRecord:
-        """End a running job that built `revision`; one that is done with it already stays so.
+        """End a running job that built `revision`; one that ended so before stays as it is.
 
         Raises:
             JobNotFound: If there is none of that id.
             JobNotRunning: If it is not running.
         """
         with self._database.writing() as session:
-            row = _found(session, job_id, lock=True)
-            if (row.state, row.revision) != (JobState.DONE, revision):
-                _finish_row(_running(session, job_id), revision)
-            session.flush()
-            return _record(row)
+            job = _found(session, job_id, lock=True)
+            if (job.state, job.revision) != (JobState.DONE, revision):
+                _end(_running(session, job_id), JobState.DONE).revision = revision
+            return job
 
     def fail(self, job_id: str, error_type: str, error_detail: str) -> JobRecord:
-        """End a running job that could not be done.
+        """End a running job that failed.
 
         Raises:
             JobNotFound: If there is none of that id.
             JobNotRunning: If it is not running.
         """
-        return self._end(job_id, JobState.FAILED, error_type=error_type, error_detail=error_detail)
+        with self._database.writing() as session:
+            job = _end(_running(session, job_id), JobState.FAILED)
+            job.error_type, job.error_detail = error_type, error_detail
+            return job
 
     def cancelled(self, job_id: str) -> JobRecord:
-        """End a running job that stopped as asked.
+        """End a running job that was cancelled.
 
         Raises:
             JobNotFound: If there is none of that id.
             JobNotRunning: If it is not running.
         """
-        return self._end(job_id, JobState.CANCELLED)
-
-    def _end(self, job_id: str, state: JobState, **facts: str) -> JobRecord:
         with self._database.writing() as session:
-            row = _running(session, job_id)
-            for name, value in facts.items():
-                setattr(row, name, value)
-            _end_row(row, state)
-            session.flush()
-            return _record(row)
+            return _end(_running(session, job_id), JobState.CANCELLED)
 
     def request_cancel(self, job_id: str) -> JobRecord:
-        """Cancel a waiting job, ask a running one to stop; one that has ended stays as it is.
+        """Cancel a queued job, or request the end of a running one; an ended one stays as it is.
 
         Raises:
             JobNotFound: If there is none of that id.
         """
         with self._database.writing() as session:
-            row = _found(session, job_id, lock=True)
-            if row.state == JobState.QUEUED:
-                _end_row(row, JobState.CANCELLED)
-            elif row.state == JobState.RUNNING:
-                row.cancel_requested = True
-            session.flush()
-            return _record(row)
+            job = _found(session, job_id, lock=True)
+            if job.state == JobState.QUEUED:
+                _end(job, JobState.CANCELLED)
+            elif job.state == JobState.RUNNING:
+                job.cancel_requested = True
+            return job
 
     def requeue_interrupted(self) -> int:
-        """Queue again what ran when the server stopped; return how many jobs it was.
+        """Queue again what ran when the server stopped; return the number of these jobs.
 
-        A job that was asked to stop is cancelled instead. Only the server calls it, at its start,
+        A job that was to be cancelled is cancelled instead. Only the server calls it, at its start,
         before a worker runs.
         """
         with self._database.writing() as session:
-            rows = session.scalars(select(Job).where(Job.state == JobState.RUNNING)).all()
-            for row in rows:
-                if row.cancel_requested:
-                    _end_row(row, JobState.CANCELLED)
+            query = select(JobRecord).where(JobRecord.state == JobState.RUNNING)
+            jobs = session.scalars(query).all()
+            for job in jobs:
+                if job.cancel_requested:
+                    _end(job, JobState.CANCELLED)
                 else:
-                    row.state, row.stage, row.started_at = JobState.QUEUED, "", None
-                    row.stage_started_at = None
-                    row.done_units = row.total_units = 0
-            return sum(row.state == JobState.QUEUED for row in rows)
+                    job.state, job.stage = JobState.QUEUED, ""
+                    job.started_at = job.stage_started_at = None
+                    job.done_units = job.total_units = 0
+            return sum(job.state == JobState.QUEUED for job in jobs)
 
 
-def finish_if_running(
-    session: Session,
-    job_id: str,
-    revision: str,
-    notes: Sequence[str] = (),
-    result: Mapping[str, Any] | None = None,
-) -> None:
+def finish_if_running(session: Session, job_id: str, revision: str, facts: RevisionFacts) -> None:
     """End a job that built `revision`, if it runs, within the transaction that publishes it."""
-    row = session.get(Job, job_id, with_for_update=True)
-    if row is not None and row.state == JobState.RUNNING:
-        row.notes = list(notes)
-        row.result = dict(result) if result else None
-        _finish_row(row, revision)
+    job = session.get(JobRecord, job_id, with_for_update=True)
+    if job is not None and job.state == JobState.RUNNING:
+        job.notes, job.result = list(facts.notes), dict(facts.job_result)
+        _end(job, JobState.DONE).revision = revision
 
 
-def _finish_row(row: Job, revision: str) -> None:
-    row.revision = revision
-    _end_row(row, JobState.DONE)
-
-
-def _end_row(row: Job, state: JobState) -> None:
-    row.state = state
-    row.finished_at = datetime.now(UTC)
+def _end(job: JobRecord, state: JobState) -> JobRecord:
+    job.state = state
+    job.finished_at = datetime.now(UTC)
+    return job
 
 
 def _require_room(session: Session, key_id: str | None, most_queued: int) -> None:
-    query = select(func.count()).where(Job.state == JobState.QUEUED, Job.key_id == key_id)
+    of_key = JobRecord.key_id == key_id
+    query = select(func.count()).where(JobRecord.state == JobState.QUEUED, of_key)
     queued = session.scalar(query) or 0
     if queued >= most_queued:
         raise TooManyBuilds(
@@ -292,25 +260,65 @@ def _require_room(session: Session, key_id: str | None, most_queued: int) -> Non
         )
 
 
-def _found(session: Session, job_id: str, *, lock: bool = False) -> Job:
-    row = session.get(Job, job_id, with_for_update=lock)
-    if row is None:
+def _found(session: Session, job_id: str, *, lock: bool = False) -> JobRecord:
+    job = session.get(JobRecord, job_id, with_for_update=lock)
+    if job is None:
         raise JobNotFound(f"there is no job {job_id[:80]!r}")
-    return row
+    return job
 
 
-def _running(session: Session, job_id: str) -> Job:
-    row = _found(session, job_id, lock=True)
-    if row.state != JobState.RUNNING:
-        raise JobNotRunning(f"job {job_id} is {row.state}, not running")
-    return row
+def _running(session: Session, job_id: str) -> JobRecord:
+    job = _found(session, job_id, lock=True)
+    if job.state != JobState.RUNNING:
+        raise JobNotRunning(f"job {job_id} is {job.state}, not running")
+    return job
 
 
-def _record(row: Job) -> JobRecord:
-    return record_of(
-        JobRecord,
-        row,
-        state=JobState(row.state),
-        notes=tuple(row.notes or ()),
-        result=row.result or {},
-    )
+def _next_job(session: Session) -> JobRecord | None:
+    """Return the job whose turn it is, locked; `None` if none is queued.
+
+    The jobs of one key for one map are a share; jobs without a key, of earlier versions, are of one
+    key. Shares are ordered by: the fewest running jobs of the key, the longest time since the key's
+    last job started, the same of the share, the longest wait. A share's jobs run in the order in
+    which they were queued.
+    """
+    queued = JobRecord.state == JobState.QUEUED
+    query = select(JobRecord.key_id, JobRecord.map_id, func.min(JobRecord.created_at))
+    shares = session.execute(query.where(queued).group_by(JobRecord.key_id, JobRecord.map_id)).all()
+    if len(shares) > 1:
+        ranks = {key_id: _rank(session, key_id) for key_id in {share.key_id for share in shares}}
+        shares = sorted(
+            shares,
+            key=lambda share: (
+                *ranks[share.key_id],
+                _last_started(session, _of(share.key_id, share.map_id)),
+                share[2],
+                share.map_id,
+            ),
+        )
+    for key_id, map_id, _ in shares:
+        job = session.scalar(
+            select(JobRecord)
+            .where(queued, *_of(key_id, map_id))
+            .order_by(JobRecord.created_at, JobRecord.id)
+            .limit(1)
+            .with_for_update(skip_locked=True)
+        )
+        if job is not None:  # else other workers hold all of them
+            return job
+    return None
+
+
+def _rank(session: Session, key_id: str | None) -> tuple[int, datetime]:
+    """Return the number of running jobs of a key, and when its last one started."""
+    running = select(func.count()).where(JobRecord.state == JobState.RUNNING, *_of(key_id))
+    return session.scalar(running) or 0, _last_started(session, _of(key_id))
+
+
+def _last_started(session: Session, conditions: list[ColumnElement[bool]]) -> datetime:
+    return session.scalar(select(func.max(JobRecord.started_at)).where(*conditions)) or _NEVER
+
+
+def _of(key_id: str | None, map_id: str | None = None) -> list[ColumnElement[bool]]:
+    of_key = [JobRecord.key_id == key_id]  # of None this is IS NULL
+    return of_key if map_id is None else [*of_key, JobRecord.map_id == map_id]

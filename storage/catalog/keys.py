@@ -7,9 +7,9 @@ from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from storage.catalog.database import Repository
-from storage.catalog.models import Key, Token
+from storage.catalog.models import KeyRecord
 from storage.catalog.pages import DEFAULT_LIMIT, page_by_age
-from storage.catalog.records import KeyRecord, Page, record_of
+from storage.catalog.records import Page
 from storage.errors import KeyNotFound
 from storage.names import new_id
 
@@ -33,84 +33,69 @@ class Keys(Repository):
         Args:
             secret_hash: SHA-256 of the key as it is sent.
             scopes: What it allows.
-            key_id: Its id; a new one if not given.
+            key_id: Its id; a new one by default.
             name: What it is called.
-            maps: The slugs it is limited to; all maps if not given.
-            expires_at: When it ends; never if not given.
+            maps: The slugs it is limited to; all maps by default.
+            expires_at: When it ends; never by default.
             first_run: Whether the service makes it for its administrator.
         """
+        key = KeyRecord(
+            id=key_id or new_id(),
+            name=name,
+            secret_hash=secret_hash,
+            scopes=sorted(set(scopes)),
+            maps=None if maps is None else sorted(set(maps)),
+            first_run=first_run,
+            created_at=datetime.now(UTC),
+            expires_at=expires_at,
+        )
         with self._database.writing() as session:
-            row = Key(
-                id=key_id or new_id(),
-                name=name,
-                secret_hash=secret_hash,
-                scopes=sorted(set(scopes)),
-                maps=None if maps is None else sorted(set(maps)),
-                first_run=first_run,
-                created_at=datetime.now(UTC),
-                expires_at=expires_at,
-            )
-            session.add(row)
-            session.flush()
-            return key_record(row)
+            session.add(key)
+        return key
 
     def get(self, key_id: str) -> KeyRecord:
-        """Return a key, a revoked one too.
+        """Return a key, also a revoked one.
 
         Raises:
             KeyNotFound: If there is none of that id.
         """
         with self._database.reading() as session:
-            return key_record(_found(session, key_id))
+            return _found(session, key_id)
 
     def with_hash(self, secret_hash: str) -> KeyRecord | None:
-        """Return the key of that hash, a revoked one too; `None` if there is none."""
+        """Return the key of that hash, also a revoked one; `None` if there is none."""
         with self._database.reading() as session:
-            row = session.scalar(select(Key).where(Key.secret_hash == secret_hash))
-            return None if row is None else key_record(row)
+            return session.scalar(select(KeyRecord).where(KeyRecord.secret_hash == secret_hash))
 
     def ever_made(self) -> bool:
-        """Return whether there is any key, or was: a revoked one stays in the list."""
+        """Return whether there is any key, revoked ones included."""
         with self._database.reading() as session:
-            return session.scalar(select(Key.id).limit(1)) is not None
+            return session.scalar(select(KeyRecord.id).limit(1)) is not None
 
     def list(self, after: str = "", limit: int = DEFAULT_LIMIT) -> Page[KeyRecord]:
-        """Return the keys that were made after key `after`, the revoked ones too.
+        """Return the keys that were made after key `after`, revoked ones included.
 
         Raises:
             InvalidParameters: If `after` is no key.
         """
         with self._database.reading() as session:
-            return page_by_age(
-                session, select(Key), Key.id, after, limit, key_record, newest_first=False
-            )
+            name = KeyRecord.id
+            return page_by_age(session, select(KeyRecord), name, after, limit, newest_first=False)
 
     def revoke(self, key_id: str) -> KeyRecord:
-        """Let a key open nothing any more; a revoked one keeps its time.
+        """Make a key invalid; one that was revoked before keeps its time.
 
         Raises:
             KeyNotFound: If there is none of that id.
         """
         with self._database.writing() as session:
-            row = _found(session, key_id)
-            row.revoked_at = row.revoked_at or datetime.now(UTC)
-            session.flush()
-            return key_record(row)
+            key = _found(session, key_id)
+            key.revoked_at = key.revoked_at or datetime.now(UTC)
+            return key
 
 
-def key_record(row: Key) -> KeyRecord:
-    """Return the record of a key's row."""
-    return record_of(KeyRecord, row, **allowed(row))
-
-
-def allowed(row: Key | Token) -> dict[str, tuple[str, ...] | None]:
-    """Return the scopes of a row, and the maps that it is limited to."""
-    maps = None if row.maps is None else tuple(row.maps)
-    return {"scopes": tuple(row.scopes), "maps": maps}
-
-
-def _found(session: Session, key_id: str) -> Key:
-    row = session.get(Key, key_id)
-    if row is None:
+def _found(session: Session, key_id: str) -> KeyRecord:
+    key = session.get(KeyRecord, key_id)
+    if key is None:
         raise KeyNotFound(f"there is no key {key_id[:80]!r}")
-    return row
+    return key

@@ -2,6 +2,7 @@
 
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import replace
 from datetime import UTC, datetime
 from typing import Any
 
@@ -9,10 +10,11 @@ from sqlalchemy import delete, select
 from sqlalchemy.exc import IntegrityError
 from sqlalchemy.orm import Session
 
+from storage.catalog.columns import plain
 from storage.catalog.database import Repository
-from storage.catalog.models import LiveRevision, Map, plain
+from storage.catalog.models import LiveRevision, Map
 from storage.catalog.pages import DEFAULT_LIMIT, one_more, page_of
-from storage.catalog.records import MapRecord, Page, record_of
+from storage.catalog.records import MapRecord, Page
 from storage.errors import MapChanged, MapExists, MapNotFound
 from storage.names import checked_slug, new_id
 from storage.retention import OwnRetention
@@ -30,16 +32,14 @@ class Maps(Repository):
         """
         checked_slug(slug)
         with _named_taken(slug), self._database.writing() as session:
-            _refuse_taken(session, slug)
+            _require_free(session, slug)
             row = Map(
                 id=new_id(),
                 slug=slug,
                 description=plain(description),
                 created_at=datetime.now(UTC),
-                version=1,
             )
             session.add(row)
-            session.flush()
             return _record(row, None)
 
     def get(self, slug: str) -> MapRecord:
@@ -53,7 +53,7 @@ class Maps(Repository):
             return _record(row, _live(session, row))
 
     def get_by_id(self, map_id: str) -> MapRecord:
-        """Return a map by its id, whatever it is called now.
+        """Return a map by its id, whatever its slug is now.
 
         Raises:
             MapNotFound: If it is gone.
@@ -63,11 +63,7 @@ class Maps(Repository):
             return _record(row, _live(session, row))
 
     def list(
-        self,
-        after: str = "",
-        limit: int = DEFAULT_LIMIT,
-        *,
-        slugs: Collection[str] | None = None,
+        self, after: str = "", limit: int = DEFAULT_LIMIT, *, slugs: Collection[str] | None = None
     ) -> Page[MapRecord]:
         """Return the maps whose slugs come after `after`, only those of `slugs` if given."""
         query = (
@@ -92,39 +88,38 @@ class Maps(Repository):
         retention: Mapping[str, Any] | None = None,
         if_version: int | None = None,
     ) -> MapRecord:
-        """Change what is given; a change counts up the map's version.
+        """Change what is given; a change increments the map's version.
 
         Args:
             slug: The map.
-            new_slug: What it is called from now on.
-            description: What it is about.
-            retention: What changes of its `OwnRetention`; the rest of that stays.
+            new_slug: Its new slug.
+            description: Its new description.
+            retention: Changes of its `OwnRetention`; the rest of that stays.
             if_version: Change it only if this is still its version.
 
         Raises:
             MapNotFound: If there is none of that slug.
             MapExists: If another map has the new slug.
             MapChanged: If its version is another.
-            InvalidParameters: If it cannot keep what `retention` says.
+            InvalidParameters: If a value of `retention` is out of range.
         """
         with _named_taken(new_slug or slug), self._database.writing() as session:
             row = locked_map(session, slug, if_version)
             if new_slug is not None and new_slug != row.slug:
-                _refuse_taken(session, checked_slug(new_slug))
+                _require_free(session, checked_slug(new_slug))
                 row.slug = new_slug
             if description is not None:
                 row.description = plain(description)
             if retention is not None:
-                chosen = _retention(row).changed(retention).chosen()
-                if chosen != (row.retention or {}):
-                    row.retention = chosen or None
+                chosen = replace(OwnRetention(**row.retention), **retention).chosen()
+                if chosen != row.retention:
+                    row.retention = chosen
             if session.is_modified(row):
                 row.version += 1
-            session.flush()
             return _record(row, _live(session, row))
 
     def delete(self, slug: str, *, if_version: int | None = None) -> MapRecord:
-        """Remove a map and all that belongs to it; return what it was.
+        """Remove a map and all that belongs to it; return its record.
 
         Raises:
             MapNotFound: If there is none of that slug.
@@ -144,8 +139,8 @@ def map_named(session: Session, slug: str, *, lock: bool = False, shared: bool =
     Args:
         session: The transaction.
         slug: The map.
-        lock: Keep others from changing the row until the transaction ends.
-        shared: Lock it against deletion only: what is added to a map waits for nothing else.
+        lock: Lock the row against changes until the transaction ends.
+        shared: Lock it against deletion only, so that writers who add to a map do not wait.
 
     Raises:
         MapNotFound: If there is none of that slug.
@@ -174,7 +169,7 @@ def locked_map(session: Session, slug: str, if_version: int | None = None) -> Ma
         MapNotFound: If there is none of that slug.
         MapChanged: If its version is another than `if_version`.
     """
-    # SQLite leaves FOR UPDATE out: there the whole transaction holds the one write lock.
+    # SQLite has no FOR UPDATE: there the whole transaction holds the only write lock.
     row = map_named(session, slug, lock=True)
     if if_version is not None and row.version != if_version:
         raise MapChanged(f"map {slug!r} is at version {row.version}, not {if_version}")
@@ -183,14 +178,14 @@ def locked_map(session: Session, slug: str, if_version: int | None = None) -> Ma
 
 @contextmanager
 def _named_taken(slug: str) -> Iterator[None]:
-    """Name what the database says when another writer took the slug after we looked."""
+    """Raise `MapExists` if another writer took the slug after the check."""
     try:
         yield
     except IntegrityError as error:
         raise MapExists(f"there is already a map {slug!r}") from error
 
 
-def _refuse_taken(session: Session, slug: str) -> None:
+def _require_free(session: Session, slug: str) -> None:
     if session.scalar(select(Map.id).where(Map.slug == slug)) is not None:
         raise MapExists(f"there is already a map {slug!r}")
 
@@ -199,9 +194,13 @@ def _live(session: Session, row: Map) -> str | None:
     return session.scalar(select(LiveRevision.digest).where(LiveRevision.map_id == row.id))
 
 
-def _retention(row: Map) -> OwnRetention:
-    return OwnRetention.from_chosen(row.retention or {})
-
-
 def _record(row: Map, live_revision: str | None) -> MapRecord:
-    return record_of(MapRecord, row, live_revision=live_revision, retention=_retention(row))
+    return MapRecord(
+        row.id,
+        row.slug,
+        row.description,
+        row.created_at,
+        row.version,
+        live_revision,
+        OwnRetention(**row.retention),
+    )

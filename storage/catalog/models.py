@@ -1,86 +1,56 @@
-"""The catalog's tables. Every change here comes with a migration beside it."""
+"""The catalog's tables; every change needs a migration.
 
-from datetime import UTC, datetime
+A class named `...Record` is also what the catalog returns: its rows are detached from the session.
+"""
+
+from datetime import datetime
+from enum import StrEnum
 from typing import Any
 
 from sqlalchemy import (
     JSON,
     BigInteger,
-    DateTime,
-    Dialect,
+    Enum,
     ForeignKey,
     ForeignKeyConstraint,
     Index,
     MetaData,
-    String,
-    Text,
-    TypeDecorator,
     UniqueConstraint,
 )
-from sqlalchemy.orm import DeclarativeBase, Mapped, configure_mappers, mapped_column
+from sqlalchemy.orm import (
+    DeclarativeBase,
+    Mapped,
+    MappedAsDataclass,
+    configure_mappers,
+    mapped_column,
+)
+
+from storage.catalog.columns import (
+    Digest,
+    Id,
+    JsonOrNull,
+    PlainString,
+    PlainText,
+    Slug,
+    UtcDateTime,
+    Values,
+)
 
 
-def plain(text: str) -> str:
-    """Return a text as it is stored: PostgreSQL has no NUL, U+FFFD stands for it everywhere."""
-    return text.replace("\0", "\N{REPLACEMENT CHARACTER}")
+class JobState(StrEnum):
+    """State of a job; the last three are final."""
+
+    QUEUED = "queued"
+    RUNNING = "running"
+    DONE = "done"
+    FAILED = "failed"
+    CANCELLED = "cancelled"
 
 
-class PlainString(TypeDecorator[str]):
-    """A string; to look for a name with a NUL in it finds nothing, on any database."""
-
-    impl = String
-    cache_ok = True
-
-    def process_bind_param(  # dialect: SQLAlchemy's signature
-        self,
-        value: str | None,
-        dialect: Dialect,  # noqa: ARG002
-    ) -> str | None:
-        """Replace NUL."""
-        return None if value is None else plain(value)
+OPEN_STATES = (JobState.QUEUED, JobState.RUNNING)
 
 
-class PlainText(PlainString):
-    """As `PlainString`, of any length."""
-
-    impl = Text
-    cache_ok = True
-
-
-Id = PlainString(32)
-# In the order of its bytes, whatever language the database speaks.
-Slug = PlainString(64).with_variant(PlainString(64, collation="C"), "postgresql")
-Digest = PlainString(64)
-
-
-class UtcDateTime(TypeDecorator[datetime]):
-    """A moment in UTC; SQLite forgets the zone and would return a naive one."""
-
-    impl = DateTime(timezone=True)
-    cache_ok = True
-
-    def process_bind_param(  # dialect: SQLAlchemy's signature
-        self,
-        value: datetime | None,
-        dialect: Dialect,  # noqa: ARG002
-    ) -> datetime | None:
-        """Refuse a naive moment, store an aware one in UTC."""
-        if value is not None and value.tzinfo is None:
-            raise ValueError(f"{value} has no time zone")
-        return None if value is None else value.astimezone(UTC)
-
-    def process_result_value(
-        self,
-        value: datetime | None,
-        dialect: Dialect,  # noqa: ARG002
-    ) -> datetime | None:
-        """Return an aware moment in UTC."""
-        if value is None:
-            return None
-        return value.replace(tzinfo=UTC) if value.tzinfo is None else value.astimezone(UTC)
-
-
-class Base(DeclarativeBase):
+class Base(MappedAsDataclass, DeclarativeBase):
     """Names every constraint, so that a later migration can drop it on any database."""
 
     metadata = MetaData(
@@ -91,11 +61,19 @@ class Base(DeclarativeBase):
             "pk": "pk_%(table_name)s",
         }
     )
-    type_annotation_map = {datetime: UtcDateTime}  # noqa: RUF012  # SQLAlchemy's own declaration
+    type_annotation_map = {  # noqa: RUF012  # SQLAlchemy's own declaration
+        datetime: UtcDateTime,
+        JobState: Enum(
+            JobState,
+            native_enum=False,
+            length=16,
+            values_callable=lambda states: [state.value for state in states],
+        ),
+    }
 
 
 class StoreId(Base):
-    """Which data directory the catalog belongs to: one row, once it belongs to one."""
+    """The data directory that the catalog belongs to: one row, once it belongs to one."""
 
     __tablename__ = "store"
 
@@ -112,9 +90,9 @@ class Map(Base):
     slug: Mapped[str] = mapped_column(Slug, unique=True)
     description: Mapped[str] = mapped_column(PlainText())
     created_at: Mapped[datetime]
-    version: Mapped[int]
-    # What it has chosen of `storage.retention.Retention`; the service's defaults fill in the rest.
-    retention: Mapped[dict[str, Any] | None] = mapped_column(JSON(none_as_null=True))
+    version: Mapped[int] = mapped_column(default=1)
+    # The fields of `storage.retention.OwnRetention` that the map has chosen.
+    retention: Mapped[dict[str, Any]] = mapped_column(Values, nullable=True, default_factory=dict)
 
 
 class Drive(Base):
@@ -127,11 +105,11 @@ class Drive(Base):
     map_id: Mapped[str] = mapped_column(Id, ForeignKey("maps.id", ondelete="CASCADE"))
     slug: Mapped[str] = mapped_column(Slug)
     created_at: Mapped[datetime]
-    closed: Mapped[bool]
+    closed: Mapped[bool] = mapped_column(default=False)
 
 
 class Scan(Base):
-    """One scan of a drive and the place of its returns."""
+    """One scan of a drive and the location of its returns."""
 
     __tablename__ = "scans"
 
@@ -149,7 +127,7 @@ class Scan(Base):
 
 
 class ExpectedPose(Base):
-    """Where and when a scan that is still to come was taken; it goes when the scan is there."""
+    """Pose and time of a scan that is not stored yet; removed when the scan is stored."""
 
     __tablename__ = "expected_poses"
 
@@ -161,8 +139,17 @@ class ExpectedPose(Base):
     pose: Mapped[list[float] | None] = mapped_column(JSON(none_as_null=True))
 
 
-class Revision(Base):
-    """A built revision of a map; the same digest may stand in several maps."""
+class RevisionRecord(Base):
+    """One immutable revision of a map; several maps may have the same digest.
+
+    Attributes:
+        file_name: The HDF5 file that holds it.
+        job_id: The job that built it; not a foreign key: a revision outlives the list of jobs.
+        drive_ids: Ids of the drives of this store that it was built of, by slug; not foreign keys:
+            a revision outlives its drives. None for one that was imported.
+        retained_from: When it was last built or, if it was live later, replaced; `None` only after
+            a downgrade of the schema.
+    """
 
     __tablename__ = "revisions"
 
@@ -176,17 +163,14 @@ class Revision(Base):
     segments: Mapped[int]
     parameters: Mapped[dict[str, Any]] = mapped_column(JSON)
     size_bytes: Mapped[int] = mapped_column(BigInteger)
-    # Not a foreign key: a revision outlives the list of jobs.
     job_id: Mapped[str | None] = mapped_column(Id)
     created_at: Mapped[datetime]
-    # By slug. Not foreign keys: a revision outlives its drives. None of one from elsewhere.
-    drive_ids: Mapped[dict[str, str] | None] = mapped_column(JSON(none_as_null=True))
-    # When it was built last or, if it was live later, replaced; None only to a downgraded schema.
-    retained_from: Mapped[datetime | None]
+    drive_ids: Mapped[dict[str, str]] = mapped_column(Values, nullable=True, default_factory=dict)
+    retained_from: Mapped[datetime | None] = mapped_column(default=None)
 
 
 class RevisionBasis(Base):
-    """A basis that a revision answers to; many revisions may share one."""
+    """A basis that a revision accepts signatures of; many revisions may share one."""
 
     __tablename__ = "revision_bases"
     __table_args__ = (
@@ -204,7 +188,7 @@ class LiveRevision(Base):
     """Which revision of a map is live.
 
     A table, not a column of maps: maps and revisions would refer to each other in a circle, which
-    SQLite cannot alter. So the database itself refuses to delete a live revision.
+    SQLite cannot alter. So the database itself rejects the deletion of a live revision.
     """
 
     __tablename__ = "live_revisions"
@@ -218,8 +202,24 @@ class LiveRevision(Base):
     digest: Mapped[str] = mapped_column(Digest)
 
 
-class Job(Base):
-    """A long computation for a map."""
+class JobRecord(Base):
+    """A long computation for a map, and its progress.
+
+    Attributes:
+        stage: What it does now, in a word.
+        done_units: Of `total_units`, in this stage.
+        plan: What it does, with every default of `parameters` resolved when it was queued; `None`
+            for a job that an earlier version queued.
+        error_type: Name of the error it failed with.
+        revision: Digest of the revision it built; not a foreign key: it outlives the revision.
+        cancel_requested: Whether a running job is to stop.
+        notes: Remarks on what it built.
+        result: What it decided about it, in plain values.
+        request_key: Idempotency key of the request that made it; a repeated request returns it.
+        key_id: Id of the key that requested it; not a foreign key: the operator's is in no table.
+            `None` for a job of an earlier version.
+        stage_started_at: Start of this stage, of a running job that reported one.
+    """
 
     __tablename__ = "jobs"
     __table_args__ = (
@@ -231,33 +231,53 @@ class Job(Base):
 
     id: Mapped[str] = mapped_column(Id, primary_key=True)
     map_id: Mapped[str] = mapped_column(Id, ForeignKey("maps.id", ondelete="CASCADE"), index=True)
-    kind: Mapped[str] = mapped_column(PlainString(32))
-    state: Mapped[str] = mapped_column(PlainString(16))
-    stage: Mapped[str] = mapped_column(PlainString(64))
-    done_units: Mapped[int] = mapped_column(BigInteger)
-    total_units: Mapped[int] = mapped_column(BigInteger)
     parameters: Mapped[dict[str, Any]] = mapped_column(JSON)
-    plan: Mapped[dict[str, Any] | None] = mapped_column(JSON(none_as_null=True))
-    error_type: Mapped[str | None] = mapped_column(PlainString(128))
-    error_detail: Mapped[str | None] = mapped_column(PlainText())
-    # Not a foreign key: a job remembers what it built after that was deleted.
-    revision: Mapped[str | None] = mapped_column(Digest)
-    cancel_requested: Mapped[bool]
-    notes: Mapped[list[str] | None] = mapped_column(JSON(none_as_null=True))
-    result: Mapped[dict[str, Any] | None] = mapped_column(JSON(none_as_null=True))
-    # Of the request that made it, if it said so: who repeats that is given the same job.
-    request_key: Mapped[str | None] = mapped_column(PlainString(255))
-    request_digest: Mapped[str | None] = mapped_column(Digest)
-    # Of who asked for it; not a foreign key: the operator's is in no table. None of earlier jobs.
-    key_id: Mapped[str | None] = mapped_column(Id)
     created_at: Mapped[datetime]
-    started_at: Mapped[datetime | None]
-    stage_started_at: Mapped[datetime | None]
-    finished_at: Mapped[datetime | None]
+    kind: Mapped[str] = mapped_column(PlainString(32), default="build")
+    state: Mapped[JobState] = mapped_column(default=JobState.QUEUED)
+    stage: Mapped[str] = mapped_column(PlainString(64), default="")
+    done_units: Mapped[int] = mapped_column(BigInteger, default=0)
+    total_units: Mapped[int] = mapped_column(BigInteger, default=0)
+    plan: Mapped[dict[str, Any] | None] = mapped_column(JSON(none_as_null=True), default=None)
+    error_type: Mapped[str | None] = mapped_column(PlainString(128), default=None)
+    error_detail: Mapped[str | None] = mapped_column(PlainText(), default=None)
+    revision: Mapped[str | None] = mapped_column(Digest, default=None)
+    cancel_requested: Mapped[bool] = mapped_column(default=False)
+    notes: Mapped[list[str]] = mapped_column(JsonOrNull(list), nullable=True, default_factory=list)
+    result: Mapped[dict[str, Any]] = mapped_column(Values, nullable=True, default_factory=dict)
+    request_key: Mapped[str | None] = mapped_column(PlainString(255), default=None)
+    request_digest: Mapped[str | None] = mapped_column(Digest, default=None)
+    key_id: Mapped[str | None] = mapped_column(Id, default=None)
+    started_at: Mapped[datetime | None] = mapped_column(default=None)
+    stage_started_at: Mapped[datetime | None] = mapped_column(default=None)
+    finished_at: Mapped[datetime | None] = mapped_column(default=None)
+
+    @property
+    def ended(self) -> bool:
+        """Whether it is done, failed or cancelled."""
+        return self.state not in OPEN_STATES
+
+    def remaining_s(self, now: datetime) -> float | None:
+        """Return the time left of its stage at the rate so far; `None` if it is not known."""
+        if self.state != JobState.RUNNING or self.stage_started_at is None or not self.done_units:
+            return None
+        spent_s = (now - self.stage_started_at).total_seconds()
+        return max(0.0, spent_s * (self.total_units / self.done_units - 1.0))
 
 
-class Key(Base):
-    """An API key."""
+class KeyRecord(Base):
+    """An API key; the secret itself is never stored, only its hash.
+
+    Attributes:
+        name: What its maker calls it.
+        secret_hash: SHA-256 of the whole key as it is sent, hex.
+        scopes: What it allows.
+        maps: Slugs of the maps that it is limited to, `None` for all; not ids: a key may be made
+            before its map.
+        first_run: Whether the service made it for its administrator.
+        expires_at: It is invalid from then on, `None` for never.
+        revoked_at: It is invalid since then.
+    """
 
     __tablename__ = "keys"
 
@@ -265,22 +285,33 @@ class Key(Base):
     name: Mapped[str] = mapped_column(PlainString(100))
     secret_hash: Mapped[str] = mapped_column(PlainString(255), unique=True)
     scopes: Mapped[list[str]] = mapped_column(JSON)
-    # Slugs, not ids: a key may be made before its map. None: all maps.
     maps: Mapped[list[str] | None] = mapped_column(JSON(none_as_null=True))
     first_run: Mapped[bool]
     created_at: Mapped[datetime]
     expires_at: Mapped[datetime | None]
-    revoked_at: Mapped[datetime | None]
+    revoked_at: Mapped[datetime | None] = mapped_column(default=None)
+
+    def opens_at(self, moment: datetime) -> bool:
+        """Return whether it is valid at a time."""
+        return self.revoked_at is None and (self.expires_at is None or moment < self.expires_at)
 
 
-class Token(Base):
-    """What was exchanged for a key for a short time."""
+class TokenRecord(Base):
+    """A token, obtained in exchange for a key; of the secret only the hash is stored.
+
+    Attributes:
+        secret_hash: SHA-256 of the token as it is sent, hex.
+        key_hash: SHA-256 of the key, whose end is the token's; not a foreign key: the key of the
+            settings is in no table.
+        scopes: What it allows, no more than the key.
+        maps: Slugs of the maps that it is limited to, `None` for all.
+        expires_at: It is invalid from then on.
+    """
 
     __tablename__ = "tokens"
 
     id: Mapped[str] = mapped_column(Id, primary_key=True)
     secret_hash: Mapped[str] = mapped_column(PlainString(255), unique=True)
-    # Not a foreign key: it may be the key of the settings, which is in no table.
     key_hash: Mapped[str] = mapped_column(PlainString(255))
     scopes: Mapped[list[str]] = mapped_column(JSON)
     maps: Mapped[list[str] | None] = mapped_column(JSON(none_as_null=True))
@@ -288,25 +319,31 @@ class Token(Base):
     expires_at: Mapped[datetime] = mapped_column(index=True)
 
 
-class AuditEntry(Base):
-    """What somebody changed, or was refused to; no row is ever changed or removed."""
+class AuditRecord(Base):
+    """An entry of the audit log; no row is ever changed or removed.
+
+    Attributes:
+        seq: Its place, counted from 1 without a gap.
+        key_id: Who made the change; no foreign keys: the log outlives its subjects.
+        outcome: `done`, or the name of the problem that it ended in.
+        hash: SHA-256 over all this and the hash of the entry before.
+    """
 
     __tablename__ = "audit"
 
     seq: Mapped[int] = mapped_column(BigInteger, primary_key=True, autoincrement=False)
     at: Mapped[datetime]
-    # No foreign keys: the log outlives what it is about.
     key_id: Mapped[str] = mapped_column(Id, index=True)
     action: Mapped[str] = mapped_column(PlainString(300))
     subject: Mapped[str] = mapped_column(PlainString(300))
     map_slug: Mapped[str | None] = mapped_column(Slug, index=True)
     detail: Mapped[str] = mapped_column(PlainString(300))
     outcome: Mapped[str] = mapped_column(PlainString(100))
-    hash: Mapped[str] = mapped_column(Digest)
+    hash: Mapped[str] = mapped_column(Digest, default="")
 
 
 class AuditHead(Base):
-    """How long the audit log is: one row, locked by whoever adds to it."""
+    """Length of the audit log and its last hash: one row, locked by each writer."""
 
     __tablename__ = "audit_head"
 

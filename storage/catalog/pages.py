@@ -1,4 +1,4 @@
-"""Cursor pagination: a page, and where the next one begins."""
+"""Cursor pagination."""
 
 from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
@@ -9,14 +9,13 @@ from sqlalchemy.orm import InstrumentedAttribute, Session
 from core.errors import InvalidParameters
 from storage.catalog.records import Page
 
-M = TypeVar("M")
 T = TypeVar("T")
 
 DEFAULT_LIMIT = 100
 
 
 def one_more(limit: int) -> int:
-    """Return how many rows to ask for, so that the page knows whether it is the last.
+    """Return the number of rows to select, so that the page shows whether it is the last.
 
     Raises:
         InvalidParameters: If a page would be empty.
@@ -27,18 +26,17 @@ def one_more(limit: int) -> int:
 
 
 def page_of(rows: Sequence[T], limit: int, cursor: Callable[[T], str]) -> Page[T]:
-    """Make a page of at most `limit` of `rows`, which were asked for with `one_more`."""
+    """Return a page of at most `limit` of `rows`, which were selected with `one_more`."""
     items = tuple(rows[:limit])
     return Page(items, cursor(items[-1]) if len(rows) > limit else None)
 
 
 def page_by_age(
     session: Session,
-    query: Select[M],
+    query: Select[T],
     name: InstrumentedAttribute[str],
     after: str,
     limit: int,
-    record: Callable[[M], T],
     *,
     of_map: str | None = None,
     newest_first: bool = True,
@@ -48,12 +46,11 @@ def page_by_age(
     Args:
         session: The transaction.
         query: The rows; each has a `created_at`.
-        name: The column that is their cursor; it decides between rows of one moment.
+        name: The column that is their cursor; it orders rows of the same time.
         after: The cursor of the row before the page, empty for the first page.
-        limit: How many a page holds.
-        record: Makes a row's record, which has the same name.
+        limit: Number of rows in a page.
         of_map: The map whose id is the other half of the rows' primary key, if they have one.
-        newest_first: Whether the newest row comes first.
+        newest_first: Whether the newest row is the first.
 
     Raises:
         InvalidParameters: If `after` is no row, or the page would be empty.
@@ -63,9 +60,10 @@ def page_by_age(
     if after:
         last = session.get(model, after if of_map is None else (of_map, after))
         if last is None:
-            raise InvalidParameters(f"the cursor {after[:80]!r} is no {model.__name__.lower()}")
+            kind = model.__name__.removesuffix("Record").lower()
+            raise InvalidParameters(f"the cursor {after[:80]!r} is no {kind}")
         rows, cursor = tuple_(*columns), tuple_(last.created_at, after)
         query = query.where(rows < cursor if newest_first else rows > cursor)
     query = query.order_by(*(column.desc() if newest_first else column for column in columns))
-    records = [record(row) for row in session.scalars(query.limit(one_more(limit)))]
-    return page_of(records, limit, lambda found: str(getattr(found, name.key)))
+    found = session.scalars(query.limit(one_more(limit))).all()
+    return page_of(found, limit, lambda row: str(getattr(row, name.key)))

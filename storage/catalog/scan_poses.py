@@ -14,17 +14,17 @@ from core.scans.pose import UNKNOWN_POSE, is_known
 from storage.catalog.models import Scan
 from storage.catalog.records import PosesPut
 
-_ROWS_AT_ONCE = 5_000  # of those that are Python objects at a time
+_ROWS_AT_ONCE = 5_000  # as Python objects
 _MOST_LISTED = 500
 _SPARSE = 4
 
 
 @dataclass(frozen=True, eq=False)
 class ScanPoses:
-    """Poses and times of scans: 72 bytes a scan.
+    """Poses and times of scans, 72 bytes for each.
 
     Attributes:
-        scans: `(n,)` int64 indices, rising, none twice.
+        scans: `(n,)` int64 indices, strictly ascending.
         poses: `(n, 7)` poses, NaN where unknown.
         timestamps_s: `(n,)` seconds, NaN where unknown.
     """
@@ -34,21 +34,21 @@ class ScanPoses:
     timestamps_s: FloatArray
 
     def __len__(self) -> int:
-        """Return how many scans there are."""
+        """Return the number of scans."""
         return len(self.scans)
 
     def only(self, which: BoolArray) -> "ScanPoses":
-        """Return those of some of the scans, `(n,)`."""
+        """Return those of the selected scans, `(n,)`."""
         return ScanPoses(self.scans[which], self.poses[which], self.timestamps_s[which])
 
 
 def at_indices(
     column: InstrumentedAttribute[int], indices: Sequence[int]
 ) -> Iterator[ColumnElement[bool]]:
-    """Give conditions that together hold for the rows of these indices, which rise.
+    """Yield conditions that together select the rows of these ascending indices.
 
-    They may hold for others between them, but for no more than four a wanted one: a drive's two
-    ends are not asked for with all that lies in between.
+    They may select other rows between them, but at most four for each index: the two ends of a
+    drive do not select all rows in between.
     """
     if not len(indices):
         return
@@ -62,8 +62,8 @@ def at_indices(
 
 
 def stored_poses(session: Session, drive_id: str, scans: IntArray) -> ScanPoses:
-    """Return poses and times that are stored, of those of these scans that are; they rise."""
-    found = [_no_rows()]
+    """Return poses and times of those of these scans that are stored, in ascending order."""
+    found = [ScanPoses(np.empty(0, np.int64), np.empty((0, 7)), np.empty(0))]
     for clause in at_indices(Scan.index, scans.tolist()):
         query = (
             select(Scan.index, Scan.pose, Scan.timestamp_s)
@@ -80,20 +80,16 @@ def stored_poses(session: Session, drive_id: str, scans: IntArray) -> ScanPoses:
                     np.array(timestamps_s, dtype=np.float64),  # None becomes NaN
                 )
             )
-    all_of_them = ScanPoses(
+    selected = ScanPoses(
         np.concatenate([part.scans for part in found]),
         np.concatenate([part.poses for part in found]),
         np.concatenate([part.timestamps_s for part in found]),
     )
-    return all_of_them.only(np.isin(all_of_them.scans, scans))
-
-
-def _no_rows() -> ScanPoses:
-    return ScanPoses(np.empty(0, np.int64), np.empty((0, 7)), np.empty(0))
+    return selected.only(np.isin(selected.scans, scans))
 
 
 def update_poses(session: Session, drive_id: str, before: ScanPoses, after: ScanPoses) -> None:
-    """Store poses and times of scans that are stored, where they are others than before."""
+    """Store poses and times of stored scans, where they differ from those before."""
     changed = _differ(before.poses, after.poses).any(axis=1)
     changed |= _differ(before.timestamps_s, after.timestamps_s)
     for rows in row_values(after.only(changed)):
@@ -105,12 +101,12 @@ def update_poses(session: Session, drive_id: str, before: ScanPoses, after: Scan
 
 
 def row_values(poses: ScanPoses) -> Iterator[list[tuple[int, str | None, float | None]]]:
-    """Give index, pose and time of each scan as their columns have them, some at a time."""
+    """Yield index, pose and time of each scan as values of their columns, in batches."""
     posed, timed = is_known(poses.poses), np.isfinite(poses.timestamps_s)
     numbers = np.where(posed[:, None], poses.poses, 0.0)
     for start in range(0, len(poses), _ROWS_AT_ONCE):
         part = slice(start, start + _ROWS_AT_ONCE)
-        # One text of all poses takes a third of the time that a text of each does.
+        # One JSON text of all poses takes a third of the time of a text for each.
         texts = json.dumps(numbers[part].tolist())[2:-2].split("], [")
         columns = (poses.scans, posed, poses.timestamps_s, timed)
         rows = zip(*(column[part].tolist() for column in columns), texts, strict=True)
@@ -121,9 +117,9 @@ def row_values(poses: ScanPoses) -> Iterator[list[tuple[int, str | None, float |
 
 
 def write_rows(session: Session, statement: str, rows: Sequence[tuple[Any, ...]]) -> None:
-    """Execute a statement for each row, whose values are as the database takes them.
+    """Execute a statement for each row of values of the database's own types.
 
-    What SQLAlchemy does with each value of 200,000 rows takes thrice the time of all else.
+    SQLAlchemy's conversion of the values of 200,000 rows takes three times as long as the rest.
 
     Args:
         session: The transaction.
@@ -136,7 +132,7 @@ def write_rows(session: Session, statement: str, rows: Sequence[tuple[Any, ...]]
 
 
 def poses_put(before: ScanPoses, after: ScanPoses) -> PosesPut:
-    """Count what poses of scans that were stored become."""
+    """Count the changes of poses of stored scans."""
     had, has = is_known(before.poses), is_known(after.poses)
     other = _differ(before.poses, after.poses).any(axis=1)
     return PosesPut(

@@ -1,4 +1,4 @@
-"""Scans in the catalog: which chunk file holds them, and the facts about them."""
+"""Scans in the catalog: their chunk files, and the facts about them."""
 
 import math
 from collections.abc import Collection, Mapping, Sequence
@@ -13,32 +13,26 @@ from sqlalchemy.orm import Session
 from core.scans.pose import Pose, is_known, pose_rows
 from storage.catalog.database import Repository
 from storage.catalog.drives import drive_named
-from storage.catalog.expected_poses import expect, forget, met, require_fit
+from storage.catalog.expected_poses import expect, forget, require_fit, with_expected
 from storage.catalog.maps import map_named
 from storage.catalog.models import Drive, Map, Scan
-from storage.catalog.records import BYTES_PER_RETURN, PosesPut, ScanRecord, record_of
-from storage.catalog.scan_poses import (
-    ScanPoses,
-    at_indices,
-    poses_put,
-    stored_poses,
-    update_poses,
-)
+from storage.catalog.records import BYTES_PER_RETURN, PosesPut, ScanRecord
+from storage.catalog.scan_poses import ScanPoses, at_indices, poses_put, stored_poses, update_poses
 from storage.errors import ScanNotFound, StorageBusy
 from storage.names import checked_slug, new_id
 
 
 class LostRace(StorageBusy):
-    """Another writer came between looking and writing: look again."""
+    """Another writer changed the data between reading and writing: read again."""
 
 
 @dataclass(frozen=True)
 class PutTarget:
-    """Where scans go, and which of them are there already.
+    """The drive that scans are put into, and which of them it has already.
 
     Attributes:
-        exists: Whether the drive does; if not, `drive_id` is the id that it will get.
-        stored: The scans that are there, of those that were asked about.
+        exists: Whether the drive exists; if not, `drive_id` is its future id.
+        stored: Those of the requested scans that are stored.
     """
 
     map_id: str
@@ -53,7 +47,7 @@ class Scans(Repository):
     """The scans of each drive, in the order of their indices."""
 
     def target(self, map_slug: str, drive_slug: str, indices: Collection[int]) -> PutTarget:
-        """Return where scans of these indices go.
+        """Return the drive that scans of these indices are put into.
 
         Raises:
             MapNotFound: If there is no such map.
@@ -61,9 +55,7 @@ class Scans(Repository):
         """
         with self._database.reading() as session:
             map_id = map_named(session, map_slug).id
-            row = session.scalar(
-                select(Drive).where(Drive.map_id == map_id, Drive.slug == drive_slug)
-            )
+            row = _drive(session, map_id, drive_slug)
             if row is None:
                 slug = checked_slug(drive_slug)
                 return PutTarget(map_id, new_id(), slug, exists=False, closed=False, stored={})
@@ -75,33 +67,30 @@ class Scans(Repository):
     def add(self, target: PutTarget, records: Sequence[ScanRecord]) -> list[ScanRecord]:
         """Add scans whose chunk file is on disk, and their drive if it is new: all or nothing.
 
-        A scan without a pose or time gets the one that was expected of it.
+        A scan without a pose or time gets the one that was put before it.
 
         Returns:
             What is stored.
 
         Raises:
-            LostRace: If the target is no longer what it was: the drive was made, closed or
-                removed, the map was removed, or one of the indices was taken.
+            LostRace: If the target has changed: the drive was made, closed or removed, the map was
+                removed, or one of the scans was added.
         """
         try:
             with self._database.writing() as session:
                 self._hold(session, target)
                 if _among(session, target.drive_id, {record.index for record in records}):
                     raise LostRace(f"drive {target.drive_slug!r} got some of these scans meanwhile")
-                records = met(session, target.drive_id, records)
-                session.execute(
-                    insert(Scan), [_values(target.drive_id, record) for record in records]
-                )
+                records = with_expected(session, target.drive_id, records)
+                session.execute(insert(Scan), [_values(target.drive_id, one) for one in records])
                 return list(records)
-        except IntegrityError as error:  # databases that let two writers in at once
+        except IntegrityError as error:  # on databases with concurrent writers
             raise LostRace(f"drive {target.drive_slug!r} changed meanwhile") from error
 
     @staticmethod
     def _hold(session: Session, target: PutTarget) -> None:
         """Lock the target's drive, or make it."""
-        query = select(Drive).where(Drive.map_id == target.map_id, Drive.slug == target.drive_slug)
-        row = session.scalar(query.with_for_update())
+        row = _drive(session, target.map_id, target.drive_slug, lock=True)
         if target.exists:
             if row is None or row.id != target.drive_id or row.closed != target.closed:
                 raise LostRace(f"drive {target.drive_slug!r} was closed or removed meanwhile")
@@ -114,7 +103,6 @@ class Scans(Repository):
                 map_id=target.map_id,
                 slug=target.drive_slug,
                 created_at=datetime.now(UTC),
-                closed=False,
             )
         )
         session.flush()
@@ -123,7 +111,7 @@ class Scans(Repository):
         """Return one scan's facts.
 
         Raises:
-            ScanNotFound: If the drive has no such scan, or is no longer there.
+            ScanNotFound: If the drive has no such scan, or is gone.
         """
         with self._database.reading() as session:
             row = session.get(Scan, (drive_id, index))
@@ -144,15 +132,15 @@ class Scans(Repository):
         poses: Mapping[int, Pose | None],
         timestamps_s: Mapping[int, float],
     ) -> PosesPut:
-        """Set poses and timestamps of scans that are there: all or nothing.
+        """Set poses and timestamps of scans that are stored: all or nothing.
 
         Raises:
             MapNotFound: If there is no such map.
             DriveNotFound: If it has no such drive.
-            ScanNotFound: If one of the scans is not there; the message names the first.
+            ScanNotFound: If one of the scans is not stored; the message names the first.
         """
-        wanted = sorted({*poses, *timestamps_s})
-        scans = np.array(wanted, dtype=np.int64)
+        indices = sorted({*poses, *timestamps_s})
+        scans = np.array(indices, dtype=np.int64)
         with self._database.writing() as session:
             drive_id = drive_named(session, map_slug, drive_slug, lock=True).id
             before = stored_poses(session, drive_id, scans)
@@ -160,12 +148,12 @@ class Scans(Repository):
                 missing = np.setdiff1d(scans, before.scans)
                 raise ScanNotFound(
                     f"drive {drive_slug!r} has no scan {missing[0]}"
-                    f" ({len(missing)} of {len(wanted)} are missing)"
+                    f" ({len(missing)} of {len(indices)} are missing)"
                 )
-            posed = np.array([index in poses for index in wanted], dtype=bool)
+            posed = np.array([index in poses for index in indices], dtype=bool)
             after = ScanPoses(scans, before.poses.copy(), before.timestamps_s.copy())
-            after.poses[posed] = pose_rows([poses[index] for index in wanted if index in poses])
-            for at, index in enumerate(wanted):
+            after.poses[posed] = pose_rows([poses[index] for index in indices if index in poses])
+            for at, index in enumerate(indices):
                 after.timestamps_s[at] = timestamps_s.get(index, before.timestamps_s[at])
             update_poses(session, drive_id, before, after)
             return poses_put(before.only(posed), after.only(posed))
@@ -178,17 +166,17 @@ class Scans(Repository):
         consecutive: bool = False,
         partial: bool = False,
     ) -> PosesPut:
-        """Set poses and timestamps of scans that are there, and keep those of scans to come.
+        """Set poses and timestamps of stored scans; keep those of scans that are not stored yet.
 
         Args:
             target: The drive.
-            poses: At least one; a time that is unknown is left as it is.
-            consecutive: Whether they are of consecutive scans, one a line.
-            partial: Set them even if they cannot be those of all scans; of a closed drive those
-                of scans that it lacks are left over.
+            poses: At least one; an unknown time is left as it is.
+            consecutive: Whether they are of consecutive scans, one in each line.
+            partial: Set them even if they do not fit all scans; those of scans that a closed drive
+                lacks are left over.
 
         Raises:
-            LostRace: If the target is no longer what it was.
+            LostRace: If the target has changed.
             ScanNotFound: If the drive is closed and lacks one of the scans.
             PosesDoNotFit: If they cannot be those of the drive's scans.
         """
@@ -197,21 +185,18 @@ class Scans(Repository):
             with self._database.writing() as session:
                 self._hold(session, target)
                 before = stored_poses(session, drive_id, poses.scans)
-                there = np.isin(poses.scans, before.scans)
-                missing = poses.only(~there)
+                is_stored = np.isin(poses.scans, before.scans)
+                missing = poses.only(~is_stored)
                 if len(missing) and target.closed and not partial:
-                    raise ScanNotFound(
-                        f"drive {slug!r} is closed and has no scan {missing.scans[0]}"
-                    )
+                    raise ScanNotFound(f"drive {slug!r} is closed without scan {missing.scans[0]}")
                 if not partial:
-                    last = session.scalar(
-                        select(func.max(Scan.index)).where(Scan.drive_id == drive_id)
-                    )
+                    last_index = select(func.max(Scan.index)).where(Scan.drive_id == drive_id)
+                    last = session.scalar(last_index)
                     require_fit(slug, poses, before, last, consecutive=consecutive)
-                said = poses.only(there)
-                timed = np.isfinite(said.timestamps_s)
-                timestamps_s = np.where(timed, said.timestamps_s, before.timestamps_s)
-                after = ScanPoses(said.scans, said.poses, timestamps_s)
+                given = poses.only(is_stored)
+                timed = np.isfinite(given.timestamps_s)
+                timestamps_s = np.where(timed, given.timestamps_s, before.timestamps_s)
+                after = ScanPoses(given.scans, given.poses, timestamps_s)
                 update_poses(session, drive_id, before, after)
                 put = poses_put(before, after)
                 extra = int(np.count_nonzero(is_known(missing.poses)))
@@ -220,14 +205,14 @@ class Scans(Repository):
                     return replace(put, left_over=extra)
                 expect(session, drive_id, missing)
                 return replace(put, waiting=extra)
-        except IntegrityError as error:  # databases that let two writers in at once
+        except IntegrityError as error:  # on databases with concurrent writers
             raise LostRace(f"drive {slug!r} changed meanwhile") from error
 
     def move(self, drive_id: str, scans: Sequence[ScanRecord], chunk: str) -> set[str]:
-        """Let scans be found in another chunk file, in the order given.
+        """Set the chunk file of scans, whose rows are in the given order.
 
         Returns:
-            The chunk files that hold no scan any more.
+            The chunk files that no longer hold a scan.
 
         Raises:
             LostRace: If one of the scans is no longer where it was.
@@ -251,7 +236,7 @@ class Scans(Repository):
             return old - chunks_of(session, drive_id)
 
     def size_bytes(self) -> int:
-        """Return the size of all returns that are stored, of all drives together."""
+        """Return the total size of the stored returns of all drives."""
         with self._database.reading() as session:
             kept = select(func.sum(Scan.returns)).where(Scan.chunk != "")
             return int(session.scalar(kept) or 0) * BYTES_PER_RETURN
@@ -262,13 +247,18 @@ class Scans(Repository):
             return chunks_of(session, drive_id)
 
 
+def _drive(session: Session, map_id: str, slug: str, *, lock: bool = False) -> Drive | None:
+    query = select(Drive).where(Drive.map_id == map_id, Drive.slug == slug)
+    return session.scalar(query.with_for_update() if lock else query)
+
+
 def _among(session: Session, drive_id: str, indices: Collection[int]) -> dict[int, ScanRecord]:
-    """Return which of these indices are stored."""
-    wanted = set(indices)
+    """Return those of the scans of these indices that are stored."""
+    requested = set(indices)
     found: dict[int, ScanRecord] = {}
-    for clause in at_indices(Scan.index, sorted(wanted)):
+    for clause in at_indices(Scan.index, sorted(requested)):
         rows = session.scalars(select(Scan).where(Scan.drive_id == drive_id, clause))
-        found.update((row.index, _record(row)) for row in rows if row.index in wanted)
+        found.update((row.index, _record(row)) for row in rows if row.index in requested)
     return found
 
 
@@ -287,9 +277,13 @@ def _values(drive_id: str, record: ScanRecord) -> dict[str, object]:
 
 
 def _record(row: Scan) -> ScanRecord:
-    return record_of(
-        ScanRecord,
-        row,
-        timestamp_s=math.nan if row.timestamp_s is None else row.timestamp_s,
-        pose=None if row.pose is None else Pose(*row.pose),
+    return ScanRecord(
+        row.index,
+        row.chunk,
+        row.row,
+        row.digest,
+        row.returns,
+        row.dropped_returns,
+        math.nan if row.timestamp_s is None else row.timestamp_s,
+        None if row.pose is None else Pose(*row.pose),
     )

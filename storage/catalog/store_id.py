@@ -1,4 +1,4 @@
-"""Which data directory the catalog belongs to."""
+"""The id of the data directory that the catalog belongs to."""
 
 from collections.abc import Callable
 
@@ -16,11 +16,10 @@ class StoreIds(Repository):
     def get(self) -> str | None:
         """Return the id, `None` before the catalog's first use."""
         with self._database.reading() as session:
-            row = session.get(StoreId, _ROW)
-            return None if row is None else row.id
+            return session.scalar(select(StoreId.id))
 
     def ensure(self, make: Callable[[], str]) -> str:
-        """Return the id; a catalog without one is given what `make` returns, one caller's only."""
+        """Return the id; a catalog without one gets what `make` returns, from one caller only."""
         with self._database.writing() as session:
             if session.get_bind().dialect.name == "postgresql":  # SQLite has one writer anyway
                 session.execute(text("LOCK TABLE store IN EXCLUSIVE MODE"))

@@ -1,7 +1,7 @@
 """Checks stored files in a process of its own, within limits of time and memory.
 
-Damage may make a reader loop for ever, end its process, or ask for all memory that there is: none
-of that reaches the service or the command that asks.
+Damage may make a reader loop forever, end its process, or allocate all memory: none of that affects
+the service or the command that checks.
 """
 
 import os
@@ -19,21 +19,21 @@ from storage.files.forking import forkserver
 from storage.files.stored_file import Fault, StoredFile, fault_of
 
 _PAGE_BYTES = resource.getpagesize()
-_END_S = 5.0  # to wait for a process that was killed; one that waits for a dead disk stays
-# What content does to a reader; other ends, such as a machine out of memory, are not its fault.
+_END_S = 5.0  # to wait for a killed process; one that waits for a dead disk remains
+# Ends that content causes; others, such as a lack of memory, are not the file's fault.
 _CRASHES = {-number for number in (signal.SIGSEGV, signal.SIGBUS, signal.SIGABRT, signal.SIGFPE)}
 _GONE = "gone"
 
 
 @dataclass(frozen=True)
 class Limits:
-    """What a file may take to be checked.
+    """Limits of the check of one file.
 
     Attributes:
-        seconds: Whatever its size; to start a process is within it.
-        bytes_per_s: The least rate at which its content must come, on top.
-        memory_bytes: Whatever its size.
-        memory_ratio: Bytes of memory for each byte of the file, on top.
+        seconds: For any size; includes the start of a process.
+        bytes_per_s: Least rate of reading, for additional seconds.
+        memory_bytes: For any size.
+        memory_ratio: Additional bytes of memory for each byte of the file.
     """
 
     seconds: float = 30.0
@@ -42,11 +42,11 @@ class Limits:
     memory_ratio: float = 4.0
 
     def seconds_for(self, size_bytes: int) -> float:
-        """Return how long a file of a size may take."""
+        """Return the time limit for a file of a size."""
         return self.seconds + size_bytes / self.bytes_per_s
 
     def memory_for(self, size_bytes: int) -> int:
-        """Return how many bytes of memory a file of a size may take."""
+        """Return the memory limit for a file of a size."""
         return self.memory_bytes + int(self.memory_ratio * size_bytes)
 
 
@@ -54,12 +54,12 @@ DEFAULT = Limits()
 
 
 class Checker(Closing):
-    """Checks one file after the other in a child process; used by one thread at a time.
+    """Checks files one by one in a child process; used by one thread at a time.
 
-    A child that hangs or ends is replaced, and the file at hand is at fault.
+    A child that hangs or ends is replaced, and the current file is at fault.
 
     Args:
-        limits: For each file.
+        limits: The limits for each file.
     """
 
     def __init__(self, limits: Limits = DEFAULT) -> None:
@@ -67,10 +67,10 @@ class Checker(Closing):
         self._child: tuple[BaseProcess, Connection] | None = None
 
     def fault(self, path: Path, file: StoredFile) -> Fault | None:
-        """Return what is wrong with a file, `None` if it is what was stored.
+        """Return the fault of a file, `None` if it is what was stored.
 
         Args:
-            path: Where it is.
+            path: Its path.
             file: What it should hold.
 
         Raises:
@@ -82,15 +82,15 @@ class Checker(Closing):
             raise
         except OSError as error:
             return Fault(f"it cannot be read: {error}", certain=False)
-        if not stat.S_ISREG(found.st_mode):  # to open one could wait for ever
+        if not stat.S_ISREG(found.st_mode):  # opening another kind could block forever
             return Fault("it is no file")
         seconds = self._limits.seconds_for(found.st_size)
-        answer = self._ask(path, file, seconds, self._limits.memory_for(found.st_size))
+        answer = self._check(path, file, seconds, self._limits.memory_for(found.st_size))
         if answer == _GONE:
             raise FileNotFoundError(2, os.strerror(2), str(path))
         return answer if isinstance(answer, Fault) else None
 
-    def _ask(self, path: Path, file: StoredFile, seconds: float, memory: int) -> object:
+    def _check(self, path: Path, file: StoredFile, seconds: float, memory: int) -> object:
         process, connection = self._child = self._child or _start()
         try:
             connection.send((path, file, seconds, memory))
@@ -115,7 +115,7 @@ class Checker(Closing):
             connection.close()
             process.kill()
             process.join(_END_S)
-            with suppress(ValueError):  # it still waits for a disk
+            with suppress(ValueError):  # it waits for a disk
                 process.close()
 
 
@@ -129,8 +129,8 @@ def _start() -> tuple[BaseProcess, Connection]:
 
 
 def _answer_all(connection: Connection) -> None:
-    """Check what comes until nobody asks any more."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the asker's, who then goes
+    """Check files until the connection is closed."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent, which then ends
     os.nice(10)
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     while True:
@@ -139,7 +139,7 @@ def _answer_all(connection: Connection) -> None:
         except EOFError:
             return
         _limit(resource.RLIMIT_AS, _mapped_bytes() + memory)
-        # An endless loop ends also when nobody is left who would end it.
+        # An endless loop ends also without a parent that would kill this process.
         _limit(resource.RLIMIT_CPU, int(_cpu_s() + seconds) + 1)
         answer = _answer(path, file, memory)
         _limit(resource.RLIMIT_AS, resource.RLIM_INFINITY)
@@ -155,7 +155,7 @@ def _answer(path: Path, file: StoredFile, memory: int) -> Fault | str | None:
         return Fault(f"to read it took more than {memory // 2**20} MB of memory", certain=False)
     except OSError as error:
         return Fault(f"it cannot be read: {error}", certain=False)
-    except Exception as error:  # noqa: BLE001 - whatever damage leads to is a fault of the file
+    except Exception as error:  # noqa: BLE001 - any error that damage causes is the file's fault
         return Fault(f"it cannot be read: {type(error).__name__}: {error}")
 
 

@@ -1,4 +1,4 @@
-"""What is being written, told from what a killed process left: a lock that ends with its holder."""
+"""Locks that tell files being written from those of a killed process: they end with the holder."""
 
 import fcntl
 import os
@@ -12,7 +12,7 @@ _CATALOG = "catalog.sqlite3"
 
 @contextmanager
 def claimed(path: Path) -> Iterator[None]:
-    """Hold a file or folder, which is there, against `remove_abandoned` of other processes."""
+    """Lock an existing file or folder against `remove_abandoned` of other processes."""
     descriptor = os.open(path, os.O_RDONLY)
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX)
@@ -22,7 +22,7 @@ def claimed(path: Path) -> Iterator[None]:
 
 
 def remove_abandoned(path: Path) -> bool:
-    """Remove a file or folder if nobody holds it and it is this user's; return whether it did."""
+    """Remove a file or folder if no process holds it and it is this user's; return if it did."""
     try:
         if path.is_symlink() or path.stat().st_uid != os.geteuid():
             return False
@@ -44,9 +44,9 @@ def remove_abandoned(path: Path) -> bool:
 
 
 def abandoned_copies(folder: Path) -> list[Path]:
-    """Return the folders with a catalog's copy that backups made in a folder, also older versions.
+    """Return the folders with a catalog's copy that backups, also of older versions, made here.
 
-    Whether one is still in use, `remove_abandoned` finds out.
+    One may be in use: `remove_abandoned` checks that.
     """
     found = [*folder.glob(".tensormap-backup-*"), *folder.glob(".backup-????????")]
     return [

@@ -2,7 +2,7 @@
 
 One file holds m scans in packed, contiguous arrays:
 
-    points_m    (sum of n, 3) float32   every return of every scan, one scan after the other
+    points_m    (sum of n, 3) float32   the returns of all scans, scan by scan
     scan_start  (m + 1,)      int64     where scan `row` begins and ends in points_m
     scan_index  (m,)          int64     its index in the drive
 
@@ -40,26 +40,18 @@ def scan_digest(points_m: Float32Array) -> str:
     return hashlib.sha256(np.ascontiguousarray(points_m, dtype="<f4").data).hexdigest()
 
 
-def write_chunk(
-    path: Path, scans: Sequence[tuple[int, Scan]], digests: Sequence[str] | None = None
-) -> None:
-    """Write `(index, scan)` pairs into a new chunk file, durably, in the order given.
+def write_chunk(path: Path, scans: Sequence[tuple[int, Scan]]) -> None:
+    """Write `(index, scan)` pairs into a new chunk file, durably, in the given order.
 
-    It appears under its name only after what is on disk was read back.
-
-    Args:
-        path: Where.
-        scans: The scans.
-        digests: Those of their returns, as the catalog has them; computed by default.
+    It appears under its name only after it was read back from disk.
 
     Raises:
         StorageFull: If no space or quota is left; nothing is left behind.
         StorageReadOnly: If the folder cannot be written.
-        OSError: If the disk gives back something else, or other returns than have these digests.
+        OSError: If something else is read back than was written.
     """
     starts = np.cumsum([0, *(len(scan) for _, scan in scans)], dtype="<i8")
     indices = np.array([index for index, _ in scans], dtype="<i8")
-    digests = digests or [scan_digest(scan.points_m) for _, scan in scans]
     content = hdf5_in_memory(
         {
             "scan_start": [starts],
@@ -72,13 +64,14 @@ def write_chunk(
         write_whole(part, content)
         with reading_back():
             written = ChunkFile(part)
-            for row, digest in enumerate(digests):
-                if (found := scan_digest(written.points_m(row))) != digest:
-                    raise CorruptFile(f"row {row} has digest {found}, {digest} was written")
+            for row, (_, scan) in enumerate(scans):
+                found, expected = scan_digest(written.points_m(row)), scan_digest(scan.points_m)
+                if found != expected:
+                    raise CorruptFile(f"row {row} has digest {found}, {expected} was written")
 
 
 class ChunkFile:
-    """Where a chunk file has the returns of each scan; the file itself is not kept open.
+    """Locations of the returns of each scan in a chunk file; the file is not kept open.
 
     Raises:
         FileNotFoundError: If there is no such file.
@@ -96,7 +89,7 @@ class ChunkFile:
     def points_m(self, row: int) -> Float32Array:
         """Read the returns of one scan, `(n, 3)` metres, and nothing of the others.
 
-        To open the file as HDF5 for each scan of 60,000 returns would take three times as long.
+        Opening the file as HDF5 for each scan of 60,000 returns would take three times as long.
 
         Raises:
             FileNotFoundError: If the file is gone.
@@ -118,17 +111,16 @@ class ChunkFile:
 
 
 def _opened(file: Hdf5File) -> tuple[IntArray, int]:
-    """Return where each scan begins in a file's returns, and the address of the first return."""
-    told = file.attributes
-    kind, version = told.text("format", _MOST_WORD_BYTES), told.whole("format_version")
-    if (kind, version) != (FORMAT, FORMAT_VERSION):
+    """Return the first return of each scan, and the address of the first return."""
+    kind = file.attributes.text("format", _MOST_WORD_BYTES)
+    if (kind, file.attributes.whole("format_version")) != (FORMAT, FORMAT_VERSION):
         raise CorruptFile(f"it is no {FORMAT} of version {FORMAT_VERSION}")
     points = file.dataset("points_m", contiguous=True)
     scan_start = file.dataset("scan_start", contiguous=True)
-    plain = isinstance(points, ContiguousDataset) and isinstance(scan_start, ContiguousDataset)
-    counted = plain and scan_start.dtype == "<i8" and len(scan_start.shape) == 1
-    starts: IntArray = scan_start.read() if counted else np.empty(0, np.int64)
-    in_order = starts.size > 0 and starts[0] == 0 and bool(np.all(np.diff(starts) >= 0))
-    if not in_order or points.shape != (starts[-1], 3) or points.dtype != "<f4":
-        raise CorruptFile("it does not hold its scans one after the other")
-    return starts, points.at if isinstance(points, ContiguousDataset) else 0
+    is_typed = scan_start.dtype == "<i8" and points.dtype == "<f4"
+    if isinstance(points, ContiguousDataset) and is_typed and len(scan_start.shape) == 1:
+        starts: IntArray = scan_start.read()
+        in_order = starts.size > 0 and starts[0] == 0 and bool(np.all(np.diff(starts) >= 0))
+        if in_order and points.shape == (starts[-1], 3):
+            return starts, points.at
+    raise CorruptFile("its scans are not contiguous, one after the other")

@@ -1,4 +1,4 @@
-"""A new file, written with plain writes whose errors are seen, synced, and read back."""
+"""A new file, written with `pwrite`, fsynced and read back; every error is raised."""
 
 import errno
 import os
@@ -9,18 +9,18 @@ from pathlib import Path
 from storage.closing import Closing
 from storage.errors import CorruptFile
 
-_PIECE_BYTES = 2**20  # compared at once
+_BLOCK_BYTES = 2**20  # compared at once
 
 
 class DurableFile(Closing):
     """A file that does not exist yet, readable by this user only.
 
     Args:
-        path: Where; a file that is there is an error.
+        path: Its path; an existing file is an error.
 
     Raises:
         FileExistsError: If there is one.
-        OSError: If the disk refuses it.
+        OSError: If it cannot be made.
     """
 
     def __init__(self, path: Path) -> None:
@@ -28,10 +28,10 @@ class DurableFile(Closing):
         self._descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600)
 
     def write(self, at: int, content: bytes | bytearray | memoryview) -> None:
-        """Put bytes at a place.
+        """Write bytes at a position.
 
         Raises:
-            OSError: If the disk refuses them.
+            OSError: If they cannot be written.
         """
         left = memoryview(content).cast("B")
         while left:
@@ -41,10 +41,10 @@ class DurableFile(Closing):
             left, at = left[count:], at + count
 
     def read(self, at: int, count: int) -> bytes:
-        """Return bytes of it, fewer if it ends before.
+        """Return bytes at a position, fewer if the file ends before.
 
         Raises:
-            OSError: If the disk cannot read them.
+            OSError: If they cannot be read.
         """
         content = b""
         while more := os.pread(self._descriptor, count - len(content), at + len(content)):
@@ -52,10 +52,10 @@ class DurableFile(Closing):
         return content
 
     def truncate(self, size_bytes: int) -> None:
-        """Make it that long.
+        """Set its length.
 
         Raises:
-            OSError: If the disk refuses it.
+            OSError: If it cannot be set.
         """
         os.ftruncate(self._descriptor, size_bytes)
 
@@ -63,7 +63,7 @@ class DurableFile(Closing):
         """Wait until all is on disk.
 
         Raises:
-            OSError: If the disk refuses it.
+            OSError: If that fails.
         """
         os.fsync(self._descriptor)
 
@@ -79,22 +79,20 @@ def write_whole(path: Path, content: memoryview) -> None:
 
     Raises:
         FileExistsError: If there is a file.
-        OSError: If the disk refuses it, or gives back other bytes than were written.
+        OSError: If it cannot be written, or other bytes are read back.
     """
     with DurableFile(path) as file:
         file.write(0, content)
         file.sync()
-        for at in range(0, len(content), _PIECE_BYTES):
-            piece = content[at : at + _PIECE_BYTES]
-            if file.read(at, len(piece)) != bytes(piece):  # views are compared item by item
-                raise OSError(
-                    errno.EIO, f"other bytes came back than were written at {at}", str(path)
-                )
+        for at in range(0, len(content), _BLOCK_BYTES):
+            block = content[at : at + _BLOCK_BYTES]
+            if file.read(at, len(block)) != bytes(block):  # views are compared item by item
+                raise OSError(errno.EIO, f"other bytes were read back at {at}", str(path))
 
 
 @contextmanager
 def reading_back() -> Iterator[None]:
-    """Raise what is wrong with a file that was written just now as the disk's error that it is.
+    """Raise the fault of a file that was just written as an error of the disk.
 
     Raises:
         OSError: If the file is not what was written.

@@ -1,4 +1,4 @@
-"""Publishing files: whole under their name after rename and sync, or not there at all."""
+"""Publishing files: fsynced and renamed, so that they are whole under their name or not there."""
 
 import errno
 import os
@@ -18,17 +18,17 @@ _FAILING = {errno.EIO, errno.ENXIO, errno.ESTALE, errno.ETIMEDOUT}  # the last t
 def publish(
     path: Path, *, synced: bool = False, instead: Callable[[], Path] | None = None
 ) -> Iterator[Path]:
-    """Give a path to write beside `path`, then rename it there.
+    """Yield a temporary path in the folder of `path`, then rename it to `path`.
 
     When the block ends, the file is fsynced, renamed and its folder fsynced: after that, it
-    survives a power cut. When anything up to the rename fails, nothing is left behind and what
-    stood at `path` before still does; when only the folder's fsync fails, the new file stands there
-    but is not promised to stay. Between two writers the last rename wins.
+    survives a power failure. When anything up to the rename fails, nothing is left behind and
+    `path` is as before; when only the folder's fsync fails, the new file is there but may be lost
+    in a power failure. Of two writers the last rename wins.
 
     Args:
         path: The file.
         synced: Whether the block syncs it.
-        instead: Returns, once it is written, which file of the same folder it becomes after all.
+        instead: Returns, once it is written, another file of the same folder to rename it to.
 
     Raises:
         StorageFull: If no space or quota is left.
@@ -51,7 +51,7 @@ def publish(
             yield part
             if not synced:
                 sync(part)
-            # Readable by no more people than its folder, whatever the umask.
+            # Not more readable than its folder, whatever the umask.
             part.chmod(part.stat().st_mode & path.parent.stat().st_mode & 0o666)
             part.rename(path if instead is None else instead())
             sync(path.parent)
@@ -62,7 +62,7 @@ def publish(
 
 @contextmanager
 def named_disk_errors() -> Iterator[None]:
-    """Raise a full, read-only or failing disk under its own name; every other error passes.
+    """Raise the named error of a full, read-only or failing disk; other errors pass through.
 
     Raises:
         StorageFull: If no space or quota is left.
@@ -82,9 +82,9 @@ def named_disk_errors() -> Iterator[None]:
 
 
 def discard(path: Path) -> None:
-    """Remove a file that is of no use, if that can be done: what is left over, a start sets aside.
+    """Remove a useless file if possible; a start sets aside what is left.
 
-    Where the disk turned read-only, that is the error to tell, not that cleaning up met it too.
+    If the disk became read-only, the first error is the one to raise, not that of the removal.
     """
     with suppress(OSError):
         path.unlink(missing_ok=True)
@@ -100,9 +100,9 @@ def sync(path: Path) -> None:
 
 
 def make_folder(path: Path) -> Path:
-    """Make a folder and its parents, durably, and return it; one that is there stays.
+    """Make a folder and its parents, durably, if there is none, and return it.
 
-    It is this user's, and nobody else's.
+    Only this user has access to it.
 
     Raises:
         StorageFull: If no space or quota is left.

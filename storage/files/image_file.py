@@ -1,4 +1,4 @@
-"""A drive's images in one HDF5 file, so that a build reads raw returns once."""
+"""A drive's images in one HDF5 file, so that builds read raw returns only once."""
 
 import json
 from pathlib import Path
@@ -13,7 +13,7 @@ from core.errors import EmptyDrive
 from core.progress import NO_PROGRESS, Progress
 from core.projection.imager import Grid, Imager
 from core.projection.images import ImageSource, Skipped, project_into
-from core.projection.probe import probed_among
+from core.projection.probe import spread_evenly
 from core.revision import content_digest
 from core.scans.drive import Drive
 from storage.closing import Closing
@@ -25,10 +25,10 @@ from storage.hdf5 import Dataset, FileSource, Hdf5File
 from storage.hdf5.writer import FileWriter, hdf5_on_disk
 
 PROJECTION_VERSION = 1
-"""Counted up whenever the code makes other images of the same scans, or skips others."""
+"""Incremented whenever the code makes other images of the same scans, or skips others."""
 
 PROBE_VERSION = 2
-"""Counted up whenever the code makes other probes of the same scans; images stay what they are."""
+"""Incremented whenever the code makes other probes of the same scans; images stay the same."""
 
 _DETAIL_GRAM = "detail_gram"
 _BLOCK = 8  # images in an HDF5 chunk: 340 kB on the paper's grid
@@ -39,13 +39,13 @@ class ImageFile(Closing):
     """Images of a drive's usable scans, read block by block; an `ImageSource`.
 
     Attributes:
-        grid: The lattice of every image.
+        grid: The grid of every image.
         scans: `(n,)` position of each image's scan in the drive.
         skipped: The scans that could not be used.
-        returns: How many returns the usable scans hold together.
+        returns: Number of returns of the usable scans.
         probes: Images of disturbed scans, `None` in a file of another version of the probes.
         probed: `(p,)` position of each probe's scan in the drive.
-        standing: `(p, 3)` where each probe stands, as in `core.projection.images.Probes`.
+        standing: `(p, 3)` viewpoint of each probe, as in `core.projection.images.Probes`.
     """
 
     def __init__(self, path: Path, imager: Imager) -> None:
@@ -60,21 +60,24 @@ class ImageFile(Closing):
             raise CorruptImages(f"{path.name} holds no images: {error}") from error
 
     def _read_facts(self, file: Hdf5File, imager: Imager) -> None:
-        told = file.attributes
-        self.scans: IntArray = _sane(_typed(file, "scans", "<i8", 1).read())
-        self._images = _typed(file, "images", "<f4", 1 + len(imager.shape))
-        self.returns = told.whole("returns")
-        self.skipped = _skipped(told.text("skipped", _MOST_SKIPPED_BYTES))
-        if self._images.shape != (len(self.scans), *imager.shape):
-            raise CorruptFile(f"they have shape {self._images.shape}")
+        attributes = file.attributes
+        self.scans: IntArray = _valid(_typed(file, "scans", "<i8", 1).read())
+        images = _typed(file, "images", "<f4", 1 + len(imager.shape))
+        self.read = _Stored(images, self.grid, self._name).read
+        self.returns = attributes.whole("returns")
+        self.skipped = _skipped(attributes.text("skipped", _MOST_SKIPPED_BYTES))
+        if images.shape != (len(self.scans), *imager.shape):
+            raise CorruptFile(f"they have shape {images.shape}")
         self.probes: ImageSource | None = None
         self.probed: IntArray = np.empty(0, np.int64)
         self.standing: FloatArray = np.empty((0, 3))
-        if "probe_version" not in told or told.whole("probe_version") != PROBE_VERSION:
+        if "probe_version" not in attributes:
+            return
+        if attributes.whole("probe_version") != PROBE_VERSION:
             return
         probes = _typed(file, "probes", "<f4", 1 + len(self.grid.shape))
-        self.probed = _sane(_typed(file, "probed", "<i8", 1).read())
-        self.standing = _sane(_typed(file, "standing", "<f8", 2).read())
+        self.probed = _valid(_typed(file, "probed", "<i8", 1).read())
+        self.standing = _valid(_typed(file, "standing", "<f8", 2).read())
         self.probes = _Stored(probes, self.grid, self._name)
         if probes.shape != (len(self.probed), *self.grid.shape):
             raise CorruptFile(f"probes have shape {probes.shape}")
@@ -82,38 +85,29 @@ class ImageFile(Closing):
             raise CorruptFile(f"standing has shape {self.standing.shape}")
 
     def close(self) -> None:
-        """Let the file go."""
+        """Close the file."""
         if self._file is not None:
             self._file.close()
 
     def __len__(self) -> int:
         return len(self.scans)
 
-    def read(self, start: int, stop: int) -> Float32Array:
-        """Return those of scans `start` up to `stop`, `(stop - start, [D,] I, J)`.
-
-        Raises:
-            CorruptImages: If they cannot be read, or their checksum does not fit.
-        """
-        return _read(self._images, start, stop, self._name)
-
     def detail_gram(self, progress: Progress = NO_PROGRESS) -> FloatArray:
-        """Return what a radial basis is fitted to, `(I, I)`; reads no image if it is kept.
+        """Return the Gram matrix that a radial basis is fitted to, `(I, I)`.
 
-        Files of renderings keep it beside them; in one that was written before they did, it is
-        summed when it is asked for.
+        Files with renderings hold it; for files of versions that did not store it, it is computed.
 
         Raises:
             CorruptImages: If it cannot be read, or its checksum does not fit.
         """
         if self._file is not None and _DETAIL_GRAM in self._file.names:
             try:
-                kept: FloatArray = _sane(_typed(self._file, _DETAIL_GRAM, "<f8", 2).read())
-                if kept.shape != (self.grid.rows, self.grid.rows):
-                    raise CorruptFile(f"{_DETAIL_GRAM} has shape {kept.shape}")
+                gram: FloatArray = _valid(_typed(self._file, _DETAIL_GRAM, "<f8", 2).read())
+                if gram.shape != (self.grid.rows, self.grid.rows):
+                    raise CorruptFile(f"{_DETAIL_GRAM} has shape {gram.shape}")
             except CorruptFile as error:
                 raise CorruptImages(f"{self._name} cannot be read: {error}") from error
-            return kept
+            return gram
         return drive_gram(self, 0, len(self), progress)
 
 
@@ -128,15 +122,16 @@ class _Stored:
         return self._images.shape[0]
 
     def read(self, start: int, stop: int) -> Float32Array:
-        return _read(self._images, start, stop, self._name)
+        """Return those of scans `start` up to `stop`, `(stop - start, [D,] I, J)`.
 
-
-def _read(images: Dataset, start: int, stop: int, name: str) -> Float32Array:
-    try:
-        block: Float32Array = _sane(images.rows(start, stop))
-    except CorruptFile as error:
-        raise CorruptImages(f"{name} cannot be read: {error}") from error
-    return block
+        Raises:
+            CorruptImages: If they cannot be read, or their checksum does not fit.
+        """
+        try:
+            block: Float32Array = _valid(self._images.rows(start, stop))
+        except CorruptFile as error:
+            raise CorruptImages(f"{self._name} cannot be read: {error}") from error
+        return block
 
 
 def _typed(file: Hdf5File, name: str, dtype: str, axes: int) -> Dataset:
@@ -146,11 +141,11 @@ def _typed(file: Hdf5File, name: str, dtype: str, axes: int) -> Dataset:
     return dataset
 
 
-def _sane(numbers: NDArray[Any]) -> NDArray[Any]:
-    """Return numbers that can be an image's, or a file's about images.
+def _valid(numbers: NDArray[Any]) -> NDArray[Any]:
+    """Return numbers of images, or about images, after a check of their range.
 
-    A Fletcher checksum does not see 0 become 0xFFFF, and images are mostly zeros: of those NaN is
-    made, or a subnormal number, or a negative position.
+    A Fletcher checksum does not detect 0 changed to 0xFFFF, and images are mostly zeros, which so
+    become NaN, subnormal numbers or negative positions.
 
     Raises:
         CorruptFile: If one is not finite, or subnormal, or a position below 0.
@@ -167,11 +162,11 @@ def _sane(numbers: NDArray[Any]) -> NDArray[Any]:
 
 def _skipped(text: str) -> tuple[Skipped, ...]:
     """Return the scans that could not be used, from pairs of position and reason."""
-    told = parse_json(text, "its attribute skipped")
-    if not isinstance(told, list):
+    items = parse_json(text, "its attribute skipped")
+    if not isinstance(items, list):
         raise CorruptFile("its attribute skipped is no list")
     skipped = []
-    for item in told:
+    for item in items:
         match item:
             case [int(scan), str(reason)]:
                 skipped.append(Skipped(scan, reason))
@@ -181,19 +176,19 @@ def _skipped(text: str) -> tuple[Skipped, ...]:
 
 
 def image_file_name(imager: Imager, scans_digest: str) -> str:
-    """Return the name under which a drive's images are kept.
+    """Return the name of the file of a drive's images.
 
-    It tells the scans' content, the grid, the reducer and `PROJECTION_VERSION`: a file of that name
-    is out of date only if the code was changed without counting that up.
+    It depends on the scans' content, the grid, the reducer and `PROJECTION_VERSION`: a file of that
+    name is out of date only if the code was changed without incrementing that.
     """
     projection = content_digest({}, {"version": PROJECTION_VERSION, **imager.as_attributes()})
     return f"{imager.reducer}-{projection[:16]}-{scans_digest[:32]}.h5"
 
 
 def remove_other_versions(path: Path) -> None:
-    """Remove the images of the same projection that the drive had with fewer scans.
+    """Remove the images of the same projection of the drive with fewer scans.
 
-    Whoever reads one goes on to its end.
+    A process that reads one can read it to its end.
     """
     projection, _, _ = path.stem.rpartition("-")
     for other in path.parent.glob(f"{projection}-*.h5"):
@@ -202,10 +197,7 @@ def remove_other_versions(path: Path) -> None:
 
 
 def write_image_file(
-    path: Path,
-    drive: Drive,
-    imager: Imager,
-    progress: Progress = NO_PROGRESS,
+    path: Path, drive: Drive, imager: Imager, progress: Progress = NO_PROGRESS
 ) -> None:
     """Read and project every scan of a drive, and publish the images and probes at `path`.
 
@@ -227,14 +219,14 @@ def _write(writer: FileWriter, drive: Drive, imager: Imager, progress: Progress)
     renderings = imager.shape[0] if imager.lateral_renderings_m is not None else 1
     block = min(max(1, _BLOCK // renderings), len(scans))
     images = writer.add_rows("images", "<f4", len(scans), (block, *imager.shape))
-    most_probes = len(probed_among(scans))
+    most_probes = len(spread_evenly(scans))
     probes = writer.add_rows("probes", "<f4", most_probes, (1, *imager.grid.shape))
-    told = project_into(images, probes, drive, range(len(scans)), imager, progress)
+    result = project_into(images, probes, drive, range(len(scans)), imager, progress)
     images.end()
     probes.end()
-    writer.add("probed", told.probed.astype("<i8"))
-    writer.add("standing", told.standing.astype("<f8"))
-    writer.add("scans", told.scans.astype("<i8"))
+    writer.add("probed", result.probed.astype("<i8"))
+    writer.add("standing", result.standing.astype("<f8"))
+    writer.add("scans", result.scans.astype("<i8"))
     if imager.lateral_renderings_m is not None:
         with images.readable() as written:
             gram = drive_gram(_Stored(written, imager.grid, "images"), 0, len(images))
@@ -242,7 +234,7 @@ def _write(writer: FileWriter, drive: Drive, imager: Imager, progress: Progress)
     writer.add_attributes(
         {
             "probe_version": PROBE_VERSION,
-            "returns": told.returns,
-            "skipped": json.dumps([[item.scan, item.reason] for item in told.skipped]),
+            "returns": result.returns,
+            "skipped": json.dumps([[item.scan, item.reason] for item in result.skipped]),
         }
     )

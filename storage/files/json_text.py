@@ -1,4 +1,4 @@
-"""JSON that a file holds: valid text, of no great depth."""
+"""JSON in files: valid text, of limited depth."""
 
 import json
 from typing import Any
@@ -6,7 +6,7 @@ from typing import Any
 from storage.errors import CorruptFile
 
 MOST_JSON_BYTES = 2**22
-"""Attributes of a map take some thousand bytes; parsed, a text may take thirty times its size."""
+"""Attributes of a map take some thousand bytes; parsed JSON may take thirty times its size."""
 
 _MOST_LEVELS = 16
 
@@ -19,8 +19,8 @@ def parse_json(text: str, name: str) -> Any:  # noqa: ANN401 - JSON is of any ki
         name: What it is, for errors.
 
     Raises:
-        CorruptFile: If it is no JSON, nested deeper than 16 levels, or a text in it is no valid
-            Unicode: half a surrogate pair can be written to no file and sent in no answer.
+        CorruptFile: If it is no JSON, nested deeper than 16 levels, or a string in it is no valid
+            Unicode: half a surrogate pair cannot be encoded.
     """
     try:
         found = json.loads(text)
@@ -37,7 +37,7 @@ def parse_json(text: str, name: str) -> Any:  # noqa: ANN401 - JSON is of any ki
 
 
 def _items(value: object, name: str) -> list[object]:
-    """Return what a value holds one level deeper."""
+    """Return the items of a value, one level deeper."""
     if isinstance(value, dict):
         return [*value.keys(), *value.values()]
     if isinstance(value, list):

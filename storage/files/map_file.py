@@ -19,14 +19,7 @@ from core.parameters import MapParameters
 from storage.errors import CorruptFile
 from storage.files.durable_file import reading_back, write_whole
 from storage.files.json_text import MOST_JSON_BYTES, parse_json
-from storage.hdf5 import (
-    BytesSource,
-    ContiguousDataset,
-    Dataset,
-    FileSource,
-    Hdf5File,
-    Source,
-)
+from storage.hdf5 import BytesSource, ContiguousDataset, Dataset, FileSource, Hdf5File, Source
 from storage.hdf5.writer import hdf5_in_memory
 
 FORMAT = "tensormap"
@@ -53,16 +46,16 @@ _OF_JOINED = {"edge_scans": "<i8", "edge_of_segment": "<i8", "segment_reversed":
 def write_map(path: Path, tensor_map: TensorMap, created_at: datetime | None = None) -> None:
     """Write a revision to a new file, wait until it is on disk, and read it back.
 
-    The caller publishes it: writes beside and renames (`storage.files.files`).
+    The caller publishes it: `storage.files.files`.
 
     Args:
         path: A file that does not exist yet.
         tensor_map: The content.
-        created_at: Kept beside the digest, outside of it.
+        created_at: Stored outside of the digest.
 
     Raises:
         FileExistsError: If there is a file.
-        OSError: If the disk refuses it, or gives back something else.
+        OSError: If it cannot be written, or is read back as something else.
     """
     dtypes = {**tensor_map.parameters.encoder.dtypes, **_OF_ALL, **_OF_JOINED}
     content = hdf5_in_memory(
@@ -84,7 +77,7 @@ def read_map(path: Path) -> TensorMap:
     """Read a revision, whole or not at all.
 
     Raises:
-        CorruptFile: If the file is no map, lacks something or its content has another digest.
+        CorruptFile: If the file is no map, is incomplete or its content has another digest.
         FileNotFoundError: If there is no such file.
     """
     with _named(path.name), FileSource(path) as source:
@@ -94,31 +87,31 @@ def read_map(path: Path) -> TensorMap:
 
 
 def map_of_bytes(content: bytes, name: str) -> TensorMap:
-    """Read the revision that bytes in memory hold, whole or not at all.
+    """Read a revision from bytes in memory, whole or not at all.
 
     Args:
         content: A file's bytes.
-        name: What they are, for errors.
+        name: Their name, for errors.
 
     Raises:
-        CorruptFile: If they are no map, lack something or the content has another digest.
+        CorruptFile: If they are no map, are incomplete or the content has another digest.
     """
     with _named(name):
         return _whole(BytesSource(content))
 
 
 def read_revision(path: Path, digest: str) -> TensorMap:
-    """Read a stored revision; that its content has the digest is checked once in a process.
+    """Read a stored revision; the digest of its content is checked once in a process.
 
-    All places and checksums of the file's structure are checked every time. A file that was
-    written to since, or another one of that name, is checked as if it came for the first time.
+    All addresses and checksums of the file's structure are checked every time. A file that was
+    changed or replaced since is checked like a new one.
 
     Args:
-        path: Where it is.
-        digest: What the catalog says that it holds.
+        path: Its file.
+        digest: Its digest in the catalog.
 
     Raises:
-        CorruptFile: If the file is no map, lacks something or holds another revision.
+        CorruptFile: If the file is no map, is incomplete or holds another revision.
         FileNotFoundError: If there is no such file.
     """
     with _named(path.name), FileSource(path) as source:
@@ -133,16 +126,16 @@ def read_revision(path: Path, digest: str) -> TensorMap:
 
 
 def read_parameters(path: Path, digest: str) -> tuple[MapParameters, tuple[str, ...]]:
-    """Return what a stored revision was built with, and of which drives; no array is read.
+    """Return the parameters and the drives of a stored revision; no array is read.
 
     Raises:
-        CorruptFile: If the file is no map, or says that it holds another revision.
+        CorruptFile: If the file is no map, or has the digest of another revision.
         FileNotFoundError: If there is no such file.
     """
     with _named(path.name), FileSource(path) as source:
-        attributes, said = _head(Hdf5File(source))
-        if said != digest:
-            raise CorruptFile(f"it says it holds {said}, not revision {digest}")
+        attributes, found = _head(Hdf5File(source))
+        if found != digest:
+            raise CorruptFile(f"its digest is {found}, not that of revision {digest}")
         parameters = MapParameters.from_attributes(attributes)
         drives = attributes.get("drives")
         if not isinstance(drives, list) or not all(isinstance(name, str) for name in drives):
@@ -151,7 +144,7 @@ def read_parameters(path: Path, digest: str) -> tuple[MapParameters, tuple[str, 
 
 
 class _CheckedFiles:
-    """The files of which this process has checked the digest, those read last."""
+    """The files whose digest this process has checked, the most recent ones."""
 
     def __init__(self) -> None:
         self._identities: OrderedDict[tuple[int, ...], None] = OrderedDict()
@@ -184,7 +177,7 @@ def _whole(source: Source) -> TensorMap:
     arrays, attributes, digest = _parts(source)
     tensor_map = TensorMap.from_parts(arrays, attributes)
     if tensor_map.revision != digest:
-        raise CorruptFile(f"it says it holds {digest}, its content is {tensor_map.revision}")
+        raise CorruptFile(f"its digest is {digest}, its content is {tensor_map.revision}")
     return tensor_map
 
 
@@ -194,8 +187,7 @@ def _parts(source: Source) -> tuple[dict[str, NDArray[Any]], dict[str, Any], str
     dtypes = _dtypes(attributes)
     if not file.names.isdisjoint(_OF_JOINED):
         dtypes = {**dtypes, **_OF_JOINED}
-    odd = file.names ^ dtypes.keys()
-    if odd:
+    if odd := file.names ^ dtypes.keys():
         raise CorruptFile(f"it lacks or should not hold {', '.join(sorted(odd))}")
     datasets = {
         name: _plain(file.dataset(name, contiguous=True), dtypes[name]) for name in sorted(dtypes)
@@ -208,15 +200,15 @@ def _parts(source: Source) -> tuple[dict[str, NDArray[Any]], dict[str, Any], str
 
 
 def _head(file: Hdf5File) -> tuple[dict[str, Any], str]:
-    """Return the map's attributes, and the digest that the file says it has."""
-    told = file.attributes
-    if "format" not in told or told.text("format", _MOST_WORD_BYTES) != FORMAT:
+    """Return the map's attributes, and the digest in the file."""
+    found = file.attributes
+    if "format" not in found or found.text("format", _MOST_WORD_BYTES) != FORMAT:
         raise CorruptFile("it has no attribute format = tensormap")
-    version = told.whole("format_version")
+    version = found.whole("format_version")
     if version != FORMAT_VERSION:
         raise CorruptFile(f"its format version is {version}, {FORMAT_VERSION} is read here")
-    attributes = parse_json(told.text("attributes", MOST_JSON_BYTES), "its attribute attributes")
-    return attributes, told.text("digest", _MOST_WORD_BYTES)
+    attributes = parse_json(found.text("attributes", MOST_JSON_BYTES), "its attribute attributes")
+    return attributes, found.text("digest", _MOST_WORD_BYTES)
 
 
 def _dtypes(attributes: object) -> dict[str, str]:
@@ -227,7 +219,7 @@ def _dtypes(attributes: object) -> dict[str, str]:
 
 
 def _plain(dataset: Dataset, dtype: str) -> ContiguousDataset:
-    """Refuse an array that is not all of its numbers, one after another."""
+    """Reject an array of another kind of numbers, or one that is not contiguous."""
     name = dataset.name
     if dataset.dtype != np.dtype(dtype):
         raise CorruptFile(f"{name} holds {dataset.dtype}, wanted {dtype}")

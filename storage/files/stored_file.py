@@ -19,9 +19,9 @@ class StoredFile:
     """A file of the store.
 
     Attributes:
-        path: Under the data directory.
-        scans: Digests of the scans that the catalog finds in it, by row.
-        indices: Of these scans in their drive, by row.
+        path: Its path under the data directory.
+        scans: Digests of its scans in the catalog, by row.
+        indices: Indices of these scans in their drive, by row.
         revision: Digest of the revision that it holds, `None` if it holds none.
     """
 
@@ -37,7 +37,7 @@ class StoredFile:
 
     @property
     def kind(self) -> str:
-        """What it holds, as its folder: `revisions`, `chunks` or `images`."""
+        """Its kind, the name of its folder: `revisions`, `chunks` or `images`."""
         return PurePosixPath(self.path).parent.name
 
     @property
@@ -51,11 +51,11 @@ class StoredFile:
         return PurePosixPath(self.path).parts[3]
 
     def described(self, slugs: Mapping[str, str], good_rows: Collection[int] = ()) -> str:
-        """Return what it is to users: map and drive with the scans, or map and revision.
+        """Return a description for users: map and drive with the scans, or map and revision.
 
         Args:
-            slugs: Of maps and drives, by id.
-            good_rows: Of a file of scans: those that are left out.
+            slugs: Slugs of maps and drives, by id.
+            good_rows: Rows of a file of scans to leave out.
 
         Examples:
             >>> file = StoredFile("maps/a1/drives/b2/chunks/c3.h5", indices={0: 7, 1: 8, 2: 10})
@@ -73,13 +73,13 @@ class StoredFile:
 
 @dataclass(frozen=True)
 class Fault:
-    """What is wrong with a file.
+    """The fault of a file.
 
     Attributes:
-        what: In words.
+        what: A description.
         certain: Whether its content is at fault; else it could not be read to its end, and may be
             good.
-        good_rows: Of a file of scans: rows that hold what was put.
+        good_rows: Rows of a file of scans that are as they were put.
     """
 
     what: str
@@ -88,12 +88,12 @@ class Fault:
 
 
 def fault_of(path: Path, file: StoredFile) -> Fault | None:
-    """Read a file to its end; return what is wrong with it, `None` if it is what was stored.
+    """Read a file to its end; return its fault, `None` if it is what was stored.
 
-    A disk may keep a reader busy for ever: `storage.files.checker` calls this in its own process.
+    A failing disk may block this forever: `storage.files.checker` calls it in its own process.
 
     Args:
-        path: Where it is.
+        path: Its path.
         file: What it should hold.
 
     Raises:
@@ -116,9 +116,9 @@ def fault_of(path: Path, file: StoredFile) -> Fault | None:
 
 def _fault_of_scans(chunk: ChunkFile, scans: Mapping[int, str]) -> Fault | None:
     good, wrong, certain = [], [], True
-    for row, wanted in sorted(scans.items()):
+    for row, digest in sorted(scans.items()):
         try:
-            if scan_digest(chunk.points_m(row)) == wanted:
+            if scan_digest(chunk.points_m(row)) == digest:
                 good.append(row)
             else:
                 wrong.append(f"row {row} is not the scan that was put")
@@ -132,8 +132,8 @@ def _fault_of_scans(chunk: ChunkFile, scans: Mapping[int, str]) -> Fault | None:
 
 
 def _scans(indices: Iterable[int]) -> str:
-    """Return scans as ranges of their indices, the first ones if there are many."""
-    # Within a range without a gap, an index minus its rank is the same number.
+    """Return scans as ranges of their indices, the first ranges only if there are many."""
+    # Within a range without a gap, an index minus its rank is constant.
     ranked = enumerate(sorted(indices))
     islands = [[i for _, i in of] for _, of in groupby(ranked, lambda pair: pair[1] - pair[0])]
     shown = [f"{of[0]}-{of[-1]}" if len(of) > 1 else f"{of[0]}" for of in islands[:_MOST_RANGES]]
@@ -143,23 +143,22 @@ def _scans(indices: Iterable[int]) -> str:
 
 
 def _is_of_the_disk(error: BaseException | None) -> bool:
-    """Return whether an error of the disk caused another: the content may be good."""
+    """Return whether a disk error caused another error: the content may be good."""
     while error is not None and not isinstance(error, OSError):
         error = error.__cause__
     return error is not None
 
 
 def _read_images(path: Path) -> None:
-    """Read every number of a file of images: its checksums are then compared.
+    """Read every number of a file of images, which checks its checksums.
 
-    Which imager made them does not matter here, so that no `ImageFile` is opened.
+    No `ImageFile` is opened, because the imager is not known here.
 
     Raises:
         CorruptFile: If it cannot be read.
     """
     with Hdf5File(FileSource(path)) as file:
-        missing = {"images", "scans"} - file.names
-        if missing:
+        if missing := {"images", "scans"} - file.names:
             raise CorruptFile(f"it has no {min(missing)}")
         for name in sorted(file.names):
             dataset = file.dataset(name)

@@ -1,4 +1,4 @@
-"""What reading one scan or capture may cost: every limit of the readers, with its reason.
+"""The limits of the readers of scans and captures, each with its reason.
 
 The limits bound work, not clocks: within them the worst body that a search found takes less than
 5 s of one core and 500 MB (docs/decisions/0027-budgets-of-readers.md, `make torture`).
@@ -16,25 +16,27 @@ class Budget:
     Attributes:
         returns: Of a scan. As many as KITTI's records fill the largest body of the default
             settings; the largest spinning sensors give 16 times less (128 x 2048).
+        decoded_bytes: Of all the points of a PCD, LAS or LAZ file.
         text_returns: Of a scan as text, blank lines included; the worst numbers take 0.6 us each.
         text_bytes: Of the lines of a scan as text; 67 bytes for each of its returns.
-        unpacked_bytes: What packed points inside a format (PCD, MAT) unpack to: every return of a
-            scan with 32 bytes, which is four doubles.
+        unpacked_bytes: Of compressed points inside a format (PCD, MAT), unpacked: every return of
+            a scan with 32 bytes, which is four doubles.
         packed_points_bytes: Of a LAZ file, which is unpacked in a process of its own that needs
             a copy of it.
-        laz_cpu_s: What unpacking a LAZ file may cost.
+        laz_cpu_s: CPU time to unpack a LAZ file.
         elements: Of a MAT-file, and fields of its struct.
-        frame_packets: How many packets are kept to find one turn or frame in a capture: 10 s of
+        frame_packets: Packets that are kept to find one revolution or frame in a capture: 10 s of
             the fastest sensor.
         scan_packets: Packets of the sensor in the capture of one scan; some three minutes.
         stray_packets: Packets that a capture may have whatever its length.
-        packet_bytes: What packets of a capture have on average, at least; a capture of a sensor
-            has 500 or more, and reading a packet takes as long however short it is.
+        packet_bytes: Minimum mean length of a capture's packets; a capture of a sensor has 500 or
+            more, and the time to read a packet does not depend on its length.
         vlan_tags: Of a packet; two are in use (IEEE 802.1ad).
-        fragments: Of a datagram; more come only where packets are under 280 bytes.
+        fragments: Of a datagram; it has more only where packets are under 280 bytes.
     """
 
     returns: int = 2**22
+    decoded_bytes: int = 256 * 2**20
     text_returns: int = 2_000_000
     text_bytes: int = 128 * 2**20
     unpacked_bytes: int = 128 * 2**20
@@ -49,32 +51,19 @@ class Budget:
     fragments: int = 256
 
     def require_returns(self, returns: int) -> None:
-        """Refuse a scan of more returns than may be.
+        """Reject a scan of more returns than allowed.
 
         Raises:
             ScanTooLarge: If there are more.
         """
         if returns > self.returns:
-            raise ScanTooLarge(
-                f"the scan has {returns:.10g} returns, at most {self.returns} may be"
-            )
-
-    def require_text(self, text: memoryview) -> None:
-        """Refuse text that has more bytes than may be.
-
-        Raises:
-            ScanTooLarge: If it has more.
-        """
-        if len(text) > self.text_bytes:
-            raise ScanTooLarge(
-                f"the lines of the scan have {len(text)} bytes, at most {self.text_bytes} may be"
-            )
+            raise ScanTooLarge(f"the scan has {returns:.10g} returns, at most {self.returns}")
 
     def require_packets(self, packets: int, capture_bytes: int) -> None:
-        """Refuse a capture that consists of too many, too short packets.
+        """Reject a capture that consists of too many, too short packets.
 
         Raises:
-            MalformedScan: If there are more than may be in so many bytes.
+            MalformedScan: If there are more than allowed in so many bytes.
         """
         most = self.stray_packets + capture_bytes // self.packet_bytes
         if packets > most:

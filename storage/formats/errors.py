@@ -6,7 +6,7 @@ TensorMapError
 │   ├── TruncatedScan       fewer bytes than the header says, or no whole number of records
 │   ├── WrongDtype          numbers of another type than metres in floating point
 │   ├── MalformedScan       a header or body that cannot be parsed
-│   └── ScanTooLarge        more returns than a reader is willing to unpack
+│   └── ScanTooLarge        more returns than a reader accepts
 ├── UnknownFormat           bytes that no reader claims
 ├── UnknownDriveLayout      a folder that is laid out like no drive
 └── MalformedDrive          a file beside the scans that cannot be used
@@ -16,7 +16,7 @@ from core.errors import InvalidScan, TensorMapError
 
 
 def short(value: object) -> str:
-    """Return a value for a message, cut: a client chose it.
+    """Return an untrusted value for a message, at most 120 characters.
 
     Examples:
         >>> short("a" * 200)[:4], len(short("a" * 200))

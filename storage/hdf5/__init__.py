@@ -1,4 +1,4 @@
-"""HDF5: a strict reader, which is all that ever reads a file, and a writer over h5py.
+"""HDF5: a strict reader, the only code that reads a file, and a writer over h5py.
 
 The HDF5 library ends or stops its process on damaged bytes and on errors of the disk:
 docs/decisions/0023-strict-hdf5.md.
@@ -8,11 +8,4 @@ from storage.hdf5.dataset import ContiguousDataset, Dataset
 from storage.hdf5.file import Hdf5File
 from storage.hdf5.source import BytesSource, FileSource, Source
 
-__all__ = [
-    "BytesSource",
-    "ContiguousDataset",
-    "Dataset",
-    "FileSource",
-    "Hdf5File",
-    "Source",
-]
+__all__ = ["BytesSource", "ContiguousDataset", "Dataset", "FileSource", "Hdf5File", "Source"]

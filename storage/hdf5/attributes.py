@@ -1,7 +1,6 @@
 """Attributes of the root: texts, and single whole numbers."""
 
 import struct
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -13,26 +12,18 @@ from storage.hdf5.source import UNDEFINED, Fields, Source
 _MOST = 64
 
 
-@dataclass(frozen=True)
-class _Attribute:
-    name: str
-    kind: bytes
-    shape: bytes
-    value: bytes
-
-
 class Attributes:
     """The attributes of an object, looked up by name.
 
-    Only one that is looked up is interpreted: others may be of any kind.
+    Only an attribute that is looked up is interpreted: others may be of any kind.
 
     Raises:
-        CorruptFile: If their list is damaged, too long, or kept apart from the object.
+        CorruptFile: If their list is damaged, too long, or stored apart from the object.
     """
 
     def __init__(self, source: Source, of: Messages) -> None:
         self._source = source
-        self._found: dict[str, _Attribute] = {}
+        self._found: dict[str, tuple[bytes, bytes, bytes]] = {}  # kind, shape and value by name
         self._texts: dict[int, dict[int, bytes]] = {}
         info = of.optional(Message.ATTRIBUTE_INFO)
         if info is not None:
@@ -42,16 +33,16 @@ class Attributes:
             if info.unsigned(8) != UNDEFINED:
                 raise CorruptFile(f"{of.name} has more attributes than its header holds")
         for fields in of.of(Message.ATTRIBUTE):
-            read = _attribute(fields)
-            if read.name in self._found or len(self._found) == _MOST:
-                raise CorruptFile(f"{of.name} has attribute {read.name!r} twice, or too many")
-            self._found[read.name] = read
+            name, attribute = _attribute(fields)
+            if name in self._found or len(self._found) == _MOST:
+                raise CorruptFile(f"{of.name} has attribute {name!r} twice, or too many")
+            self._found[name] = attribute
 
     def __contains__(self, name: str) -> bool:
         return name in self._found
 
     def text(self, name: str, most_bytes: int) -> str:
-        """Return an attribute that is a text of any length in UTF-8.
+        """Return an attribute that is UTF-8 text of variable length.
 
         Raises:
             CorruptFile: If there is none, or it is no such text of at most `most_bytes`.
@@ -80,11 +71,11 @@ class Attributes:
     def _value(self, name: str) -> bytes | int | None:
         if name not in self._found:
             raise CorruptFile(f"it has no attribute {name}")
-        found = self._found[name]
-        if shape_of(Fields(found.shape, f"its attribute {name}")):
-            raise CorruptFile(f"its attribute {name} holds several values, wanted one")
-        dtype = text_or_dtype(found.kind, f"its attribute {name}")
-        value = Fields(found.value, f"its attribute {name}")
+        kind, shape, content = self._found[name]
+        value = Fields(content, f"its attribute {name}")
+        if shape_of(Fields(shape, value.name)):
+            raise CorruptFile(f"{value.name} holds several values, wanted one")
+        dtype = text_or_dtype(kind, value.name)
         if dtype is None:
             length, at, index = struct.unpack("<IQI", value.take(16))
             return self._text(at, index, length, name)
@@ -121,7 +112,8 @@ class Attributes:
         return texts
 
 
-def _attribute(fields: Fields) -> _Attribute:
+def _attribute(fields: Fields) -> tuple[str, tuple[bytes, bytes, bytes]]:
+    """Return an attribute's name, and its kind, shape and value."""
     version, flags = fields.unsigned(1), fields.unsigned(1)
     if version not in {1, 2, 3} or (version > 1 and flags):
         raise CorruptFile(f"{fields.name} has an attribute that is not read here")
@@ -130,5 +122,5 @@ def _attribute(fields: Fields) -> _Attribute:
     name, kind, shape = (
         fields.take(size + (-size % 8 if version == 1 else 0))[:size] for size in sizes
     )
-    told = Fields(name, fields.name).text(len(name), "the name of an attribute")
-    return _Attribute(told, kind, shape, fields.take(fields.left))
+    text = Fields(name, fields.name).text(len(name), "the name of an attribute")
+    return text, (kind, shape, fields.take(fields.left))

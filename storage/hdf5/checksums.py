@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 _MASK = 0xFFFFFFFF
-_ROW = 512  # 16-bit words that are added up at once
+_ROW = 512  # 16-bit words that are summed at once
 _PIECE = _ROW * 2**15  # so many words: sums of columns stay below 2**32
 
 
@@ -25,31 +25,17 @@ def lookup3(content: bytes) -> int:
     words = struct.unpack(f"<{len(padded) // 4}I", padded)
     last = len(words) - 3
     for i in range(0, last, 3):
-        a = (a + words[i]) & _MASK
-        b = (b + words[i + 1]) & _MASK
-        c = (c + words[i + 2]) & _MASK
-        a = (a - c) & _MASK ^ (c << 4 & _MASK | c >> 28)
-        c = (c + b) & _MASK
-        b = (b - a) & _MASK ^ (a << 6 & _MASK | a >> 26)
-        a = (a + c) & _MASK
-        c = (c - b) & _MASK ^ (b << 8 & _MASK | b >> 24)
-        b = (b + a) & _MASK
-        a = (a - c) & _MASK ^ (c << 16 & _MASK | c >> 16)
-        c = (c + b) & _MASK
-        b = (b - a) & _MASK ^ (a << 19 & _MASK | a >> 13)
-        a = (a + c) & _MASK
-        c = (c - b) & _MASK ^ (b << 4 & _MASK | b >> 28)
-        b = (b + a) & _MASK
-    a = (a + words[last]) & _MASK
-    b = (b + words[last + 1]) & _MASK
-    c = (c + words[last + 2]) & _MASK
-    c = ((c ^ b) - (b << 14 & _MASK | b >> 18)) & _MASK
-    a = ((a ^ c) - (c << 11 & _MASK | c >> 21)) & _MASK
-    b = ((b ^ a) - (a << 25 & _MASK | a >> 7)) & _MASK
-    c = ((c ^ b) - (b << 16 & _MASK | b >> 16)) & _MASK
-    a = ((a ^ c) - (c << 4 & _MASK | c >> 28)) & _MASK
-    b = ((b ^ a) - (a << 14 & _MASK | a >> 18)) & _MASK
-    return int(((c ^ b) - (b << 24 & _MASK | b >> 8)) & _MASK)
+        a, b, c = (a + words[i]) & _MASK, (b + words[i + 1]) & _MASK, (c + words[i + 2]) & _MASK
+        # Each step of Jenkins' `mix` and `final` is the one before with a, b and c rotated.
+        for bits in (4, 6, 8, 16, 19, 4):
+            rotated = (c << bits & _MASK) | c >> (32 - bits)
+            a, b, c = b, (c + b) & _MASK, ((a - c) & _MASK) ^ rotated
+    a, b, c = a + words[last], b + words[last + 1], c + words[last + 2]
+    a, b, c = a & _MASK, b & _MASK, c & _MASK
+    for bits in (14, 11, 25, 16, 4, 14, 24):
+        rotated = (b << bits & _MASK) | b >> (32 - bits)
+        a, b, c = b, ((c ^ b) - rotated) & _MASK, a
+    return int(b)
 
 
 def fletcher32(content: bytes | memoryview | NDArray[Any]) -> int:

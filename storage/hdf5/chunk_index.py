@@ -1,4 +1,4 @@
-"""Where the chunks of an array lie: one chunk, or a fixed array of their addresses."""
+"""Addresses of an array's chunks: one chunk, or a fixed array of addresses."""
 
 from dataclasses import dataclass
 
@@ -10,12 +10,12 @@ _CHECKSUM = 4
 
 @dataclass(frozen=True)
 class ChunkAddress:
-    """Where one chunk lies.
+    """Location of one chunk.
 
     Attributes:
         at: Its address, `UNDEFINED` if it was never written.
         size: Its bytes, the checksum included.
-        mask: Which filters were left out.
+        mask: The filters that were not applied.
     """
 
     at: int
@@ -23,72 +23,60 @@ class ChunkAddress:
     mask: int
 
 
-def read_fixed_array(source: Source, at: int, wanted: int, name: str) -> list[ChunkAddress]:
-    """Read the addresses of the first `wanted` chunks.
+def read_fixed_array(source: Source, at: int, count: int, name: str) -> list[ChunkAddress]:
+    """Read the addresses of the first `count` chunks.
 
     Args:
         source: The file.
-        at: Of the fixed array's header.
-        wanted: How many; the caller knows that the file has as many bytes.
+        at: Address of the fixed array's header.
+        count: Number of chunks; the caller has checked that the file is that long.
         name: The array, for errors.
 
     Raises:
         CorruptFile: If the index is damaged or shorter.
     """
-    header = Fields(source.read(at, 28, f"the chunk index of {name}"), f"the chunk index of {name}")
+    name = f"the chunk index of {name}"
+    header = Fields(source.read(at, 28, name), name)
     header.check_sum()
     header.expect(b"FAHD\0\x01", "its signature, version and client")
-    entry, page_bits = header.unsigned(1), header.unsigned(1)
-    count, block_at = header.unsigned(8), header.unsigned(8)
-    if not 12 < entry <= 20 or not 0 < page_bits <= 20 or count < wanted:
-        raise CorruptFile(f"{header.name} has {count} entries of {entry} bytes, wanted {wanted}")
-    pages = _Pages(source, block_at, at, entry, 1 << page_bits, count, header.name)
-    return pages.first(wanted)
+    entry_bytes, page_bits = header.unsigned(1), header.unsigned(1)
+    entries, block_at = header.unsigned(8), header.unsigned(8)
+    if not 12 < entry_bytes <= 20 or not 0 < page_bits <= 20 or entries < count:
+        raise CorruptFile(f"{name} has {entries} entries of {entry_bytes} bytes, wanted {count}")
+    page = 1 << page_bits
+    pages = -(-entries // page)
+    # A short data block is in one piece, a longer one has a bitmap of its pages, then the pages.
+    in_pages = entries > page
+    block_bytes = 14 + ((pages + 7) // 8 if in_pages else entries * entry_bytes)
+    block = _checked(source, block_at, block_bytes, name)
+    block.expect(b"FADB\0\x01", "its data's signature, version and client")
+    if block.unsigned(8) != at:
+        raise CorruptFile(f"{name}: its data belong elsewhere")
+    if not in_pages:
+        return _addresses(block, entry_bytes, count)
+    written = block.take(block.left)
+    page_at = block_at + block_bytes + _CHECKSUM
+    found: list[ChunkAddress] = []
+    for number in range(-(-count // page)):
+        of_page = min(page, count - len(found))
+        page_bytes = min(page, entries - number * page) * entry_bytes
+        if written[number // 8] >> (7 - number % 8) & 1:
+            found += _addresses(_checked(source, page_at, page_bytes, name), entry_bytes, of_page)
+        else:
+            found += [ChunkAddress(UNDEFINED, 0, 0)] * of_page
+        page_at += page_bytes + _CHECKSUM
+    return found
 
 
-class _Pages:
-    """The data block of a fixed array: in one piece if it is short, else in pages."""
+def _checked(source: Source, at: int, size: int, name: str) -> Fields:
+    """Read a piece, check the checksum that follows it, and return it without."""
+    whole = Fields(source.read(at, size + _CHECKSUM, name), name)
+    whole.check_sum()
+    return Fields(whole.content[:-_CHECKSUM], name)
 
-    def __init__(
-        self, source: Source, at: int, owner: int, entry: int, page: int, count: int, name: str
-    ) -> None:
-        self._source, self._at, self._owner = source, at, owner
-        self._entry, self._page, self._count, self._name = entry, page, count, name
 
-    def first(self, wanted: int) -> list[ChunkAddress]:
-        if self._count <= self._page:
-            block = self._checked(self._at, 14 + self._count * self._entry)
-            self._begin(block)
-            return self._entries(block, wanted)
-        pages = -(-self._count // self._page)
-        start = self._checked(self._at, 14 + (pages + 7) // 8)
-        self._begin(start)
-        written = start.take((pages + 7) // 8)
-        at = self._at + len(start.content) + _CHECKSUM
-        found: list[ChunkAddress] = []
-        for number in range(-(-wanted // self._page)):
-            here = min(self._page, wanted - len(found))
-            size = min(self._page, self._count - number * self._page) * self._entry
-            if written[number // 8] >> (7 - number % 8) & 1:
-                found += self._entries(self._checked(at, size), here)
-            else:
-                found += [ChunkAddress(UNDEFINED, 0, 0)] * here
-            at += size + _CHECKSUM
-        return found
-
-    def _checked(self, at: int, size: int) -> Fields:
-        """Read a piece, check the sum that follows it, and return it without."""
-        whole = Fields(self._source.read(at, size + _CHECKSUM, self._name), self._name)
-        whole.check_sum()
-        return Fields(whole.content[:-_CHECKSUM], self._name)
-
-    def _begin(self, block: Fields) -> None:
-        block.expect(b"FADB\0\x01", "its data's signature, version and client")
-        if block.unsigned(8) != self._owner:
-            raise CorruptFile(f"{self._name}: its data belong elsewhere")
-
-    def _entries(self, fields: Fields, wanted: int) -> list[ChunkAddress]:
-        return [
-            ChunkAddress(fields.unsigned(8), fields.unsigned(self._entry - 12), fields.unsigned(4))
-            for _ in range(wanted)
-        ]
+def _addresses(fields: Fields, entry_bytes: int, count: int) -> list[ChunkAddress]:
+    return [
+        ChunkAddress(fields.unsigned(8), fields.unsigned(entry_bytes - 12), fields.unsigned(4))
+        for _ in range(count)
+    ]

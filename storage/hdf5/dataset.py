@@ -59,10 +59,10 @@ class Dataset:
 
 @dataclass(frozen=True, eq=False)
 class ContiguousDataset(Dataset):
-    """An array whose numbers lie one after another, row-major.
+    """An array whose numbers are contiguous, row-major.
 
     Attributes:
-        at: The address of the first, 0 if there are none.
+        at: Address of the first number, 0 if there are none.
     """
 
     at: int
@@ -84,8 +84,8 @@ class ChunkedDataset(Dataset):
     """An array in chunks of whole rows, each with a Fletcher checksum.
 
     Attributes:
-        chunk_rows: How many rows a chunk has; the last is filled up.
-        chunks: Where they lie, in the order of their rows.
+        chunk_rows: Number of rows in a chunk; the last chunk is padded.
+        chunks: Their addresses, in the order of their rows.
     """
 
     chunk_rows: int
@@ -111,7 +111,7 @@ class ChunkedDataset(Dataset):
         return rows
 
     def _load(self, number: int, target: NDArray[Any]) -> None:
-        """Read a whole chunk into `target` and check its sum."""
+        """Read a whole chunk into `target` and check its checksum."""
         place, name = self.chunks[number], f"{self.name}: chunk {number}"
         if place.at == UNDEFINED:
             raise CorruptFile(f"{name} was never written")
@@ -119,8 +119,8 @@ class ChunkedDataset(Dataset):
             raise CorruptFile(f"{name} has {place.size} bytes, wanted {target.nbytes + _CHECKSUM}")
         content = target.reshape(-1).view(np.uint8)
         self.source.read_into(place.at, content.data, name)
-        told = self.source.read(place.at + target.nbytes, _CHECKSUM, name)
-        if fletcher32(content) != int.from_bytes(told, "little"):
+        checksum = self.source.read(place.at + target.nbytes, _CHECKSUM, name)
+        if fletcher32(content) != int.from_bytes(checksum, "little"):
             raise CorruptFile(f"{self.name}: the checksum of chunk {number} does not fit")
 
 
@@ -129,18 +129,17 @@ def open_dataset(source: Source, messages: Messages, *, contiguous: bool) -> Dat
 
     Args:
         source: The file.
-        messages: Of the header.
-        contiguous: Refuse chunks, before the list of them is read.
+        messages: The header's messages.
+        contiguous: Reject chunks, before the list of them is read.
 
     Raises:
-        CorruptFile: If it is none, or one that is not read here; it says why.
+        CorruptFile: If it is no array, or one that is not supported; the message says why.
     """
     name = messages.name
-    if messages.optional(Message.LAYOUT) is None:
+    if (layout := messages.optional(Message.LAYOUT)) is None:
         raise CorruptFile(f"{name} is no plain array of numbers")
     shape = shape_of(messages.one(Message.DATASPACE))
-    dtype = dtype_of(messages.one(Message.DATATYPE))
-    layout = messages.one(Message.LAYOUT)
+    dtype = dtype_of(messages.one(Message.DATATYPE).content, name)
     version, kind = layout.unsigned(1), layout.unsigned(1)
     if kind == _VIRTUAL or messages.optional(Message.EXTERNAL_FILES) is not None:
         raise CorruptFile(f"{name} keeps its numbers in another file")
@@ -165,7 +164,7 @@ def open_dataset(source: Source, messages: Messages, *, contiguous: bool) -> Dat
 
 
 def _filtered(messages: Messages) -> bool:
-    """Return whether an array has checksums; any other filter is refused."""
+    """Return whether an array has checksums; any other filter is rejected."""
     filters = messages.optional(Message.FILTERS)
     if filters is None:
         return False
@@ -197,17 +196,17 @@ def _chunked(
     kind = layout.unsigned(1)
     if item != dtype.itemsize or not lengths[0] or tuple(lengths[1:]) != shape[1:] or flags & ~2:
         raise CorruptFile(f"{name} has chunks of shape {lengths} with items of {item} bytes")
-    wanted = -(-shape[0] // lengths[0])
+    count = -(-shape[0] // lengths[0])
     size = math.prod(lengths) * item + _CHECKSUM
-    if wanted * size > source.size_bytes:
+    if count * size > source.size_bytes:
         raise CorruptFile(f"{name} has more numbers than the file")
-    if kind == 1 and flags == 2 and wanted <= 1:
+    if kind == 1 and flags == 2 and count <= 1:
         size, mask = layout.unsigned(8), layout.unsigned(4)
-        chunks = [ChunkAddress(layout.unsigned(8), size, mask)][:wanted]
+        chunks = [ChunkAddress(layout.unsigned(8), size, mask)][:count]
     elif kind == 3 and not flags:
         layout.take(1)
         at = layout.unsigned(8)
-        chunks = read_fixed_array(source, at, wanted, name) if wanted else []
+        chunks = read_fixed_array(source, at, count, name) if count else []
     else:
         raise CorruptFile(f"{name} lists its chunks in a way ({kind}) that is not read here")
     for chunk in chunks:

@@ -8,7 +8,7 @@ from storage.hdf5.attributes import Attributes
 from storage.hdf5.dataset import Dataset, open_dataset
 from storage.hdf5.links import read_links
 from storage.hdf5.object_header import read_messages
-from storage.hdf5.source import UNDEFINED, Fields, Source
+from storage.hdf5.source import UNDEFINED, Source
 
 _SIGNATURE = b"\x89HDF\r\n\x1a\n"
 
@@ -16,9 +16,9 @@ _SIGNATURE = b"\x89HDF\r\n\x1a\n"
 class Hdf5File(Closing):
     """The arrays and attributes of the root group of an HDF5 file.
 
-    It reads what `docs/reference/format.md` lists and refuses all else by name. No place is
-    believed to lie in the file before that was checked, no structure is followed without end,
-    and nothing takes more time or memory than a file of its size may, whatever its bytes are.
+    It reads what `docs/reference/format.md` lists and rejects all else by name. Every address is
+    checked to be within the file, no structure is followed without end, and time and memory are
+    bounded by the file's size, whatever its bytes are.
 
     Args:
         source: The bytes.
@@ -27,7 +27,7 @@ class Hdf5File(Closing):
         CorruptFile: If it is no such file.
 
     Attributes:
-        attributes: Those of the root.
+        attributes: The root's attributes.
     """
 
     def __init__(self, source: Source) -> None:
@@ -45,18 +45,17 @@ class Hdf5File(Closing):
         """Return the array of a name; its numbers are read on demand.
 
         Raises:
-            CorruptFile: If there is none, or one that is not read here; it says why.
+            CorruptFile: If there is none, or one that is not supported; the message says why.
         """
-        link = self._links.get(name)
-        if link is None:
+        if name not in self._links:
             raise CorruptFile(f"it has no array {name}")
-        if link.address is None:
+        if (address := self._links[name]) is None:
             raise CorruptFile(f"{name} is no plain array of numbers: it is a link elsewhere")
-        messages = read_messages(self._source, link.address, name)
+        messages = read_messages(self._source, address, name)
         return open_dataset(self._source, messages, contiguous=contiguous)
 
     def close(self) -> None:
-        """Let the file go."""
+        """Close the file."""
         self._source.close()
 
 
@@ -80,12 +79,8 @@ def _root_address(source: Source) -> int:
         base, driver, end, address = (block.unsigned(8) for _ in range(4))
     else:
         raise CorruptFile(f"its superblock is of version {version}, wanted 0, 2 or 3")
-    _require_plain(block, base, driver, end, source.size_bytes)
-    return address
-
-
-def _require_plain(block: Fields, base: int, driver: int, end: int, size: int) -> None:
     if base != 0 or driver != UNDEFINED:
         raise CorruptFile(f"{block.name} begins elsewhere or has an extension or driver")
-    if end > size:
-        raise CorruptFile(f"it is cut off: {end} bytes were written, {size} are there")
+    if end > source.size_bytes:
+        raise CorruptFile(f"it is cut off: {end} bytes were written, {source.size_bytes} are left")
+    return address

@@ -1,4 +1,4 @@
-"""The fractal heap, in which a group of many members keeps its links."""
+"""The fractal heap, in which a group of many members stores its links."""
 
 from storage.errors import CorruptFile
 from storage.hdf5.source import UNDEFINED, Fields, Source
@@ -7,7 +7,7 @@ _MOST_BYTES = 2**16  # of one direct block
 
 
 class FractalHeap:
-    """A heap of small objects in blocks of checked structure, of one level at most.
+    """A heap of small objects in blocks, of one level at most; checksums are checked.
 
     Raises:
         CorruptFile: If it is damaged, filtered, or larger than any of ours.
@@ -53,12 +53,13 @@ class FractalHeap:
         for (begin, size), address in self._blocks.items():
             if begin <= offset and offset + length <= begin + size and address != UNDEFINED:
                 return self._block(begin, size, address)[offset - begin : offset - begin + length]
-        raise CorruptFile(f"{fields.name} lies in none of its blocks")
+        raise CorruptFile(f"{fields.name} is in none of its blocks")
 
     def _list(self, at: int, rows: int, width: int, first: int, largest: int) -> None:
         if rows > 16:
             raise CorruptFile(f"{self._name} has {rows} rows of blocks")
-        block = self._source.checked(at, self._start() + rows * width * 8 + 4, self._name)
+        head_bytes = 4 + 1 + 8 + self._offset_bytes
+        block = self._source.checked(at, head_bytes + rows * width * 8 + 4, self._name)
         self._begin(block, b"FHIB", 0)
         offset = 0
         for row in range(rows):
@@ -74,16 +75,13 @@ class FractalHeap:
             return found
         block = self._source.structure(address, size, self._name)
         self._begin(block, b"FHDB", offset)
-        if self._flags & 2:
-            wanted = block.take(4)
+        if self._flags & 2:  # a checksum, which counts as zeros in itself
+            checksum = block.take(4)
             end = block.at
             blank = block.content[: end - 4] + bytes(4) + block.content[end:]
-            Fields(blank + wanted, self._name).check_sum()
+            Fields(blank + checksum, self._name).check_sum()
         self._read[address] = block.content
         return block.content
-
-    def _start(self) -> int:
-        return 4 + 1 + 8 + self._offset_bytes
 
     def _begin(self, block: Fields, signature: bytes, offset: int) -> None:
         block.expect(signature + b"\0", "a block's signature and version")

@@ -29,7 +29,7 @@ CODES: Final = {
 """How a file describes the numbers that these files hold, all little-endian."""
 
 _TEXT: Final = bytes.fromhex("1901010010000000100000000100000000000800")
-"""How a file describes text of any length in UTF-8."""
+"""How a file describes UTF-8 text of variable length."""
 
 # The same in versions 3 to 5, as newer files have it: names end with a zero, offsets take a byte.
 _NEWER_COMPLEX = bytes.fromhex("02000008000000") + b"r\0\0" + _FLOAT32 + b"i\0\4" + _FLOAT32
@@ -59,29 +59,29 @@ _CLASSES = {
 }
 
 
-def dtype_of(fields: Fields) -> np.dtype[Any]:
-    """Return the kind of number that a message describes.
+def text_or_dtype(content: bytes, name: str) -> np.dtype[Any] | None:
+    """Return the kind of number that is described, `None` for text of variable length.
 
     Raises:
-        CorruptFile: If it is none that these files hold.
+        CorruptFile: If it is no kind that these files hold.
     """
-    return _known(fields.content, fields.name)
+    return None if content[: len(_TEXT)] in _TEXTS else dtype_of(content, name)
 
 
-def text_or_dtype(content: bytes, name: str) -> np.dtype[Any] | None:
-    """Return the kind of number that is described, `None` for text of any length."""
-    return None if content[: len(_TEXT)] in _TEXTS else _known(content, name)
+def dtype_of(content: bytes, name: str) -> np.dtype[Any]:
+    """Return the kind of number that is described.
 
-
-def _known(content: bytes, name: str) -> np.dtype[Any]:
+    Raises:
+        CorruptFile: If it is no kind of number that these files hold.
+    """
     for code, dtype in _DTYPES.items():
         # In headers of version 1, messages are filled up with zeros.
         if content.startswith(code) and not any(content[len(code) :]):
             return dtype
     fields = Fields(content, name)
-    told, _, size = fields.unsigned(1), fields.take(3), fields.unsigned(4)
+    kind, _, size = fields.unsigned(1), fields.take(3), fields.unsigned(4)
     raise CorruptFile(
-        f"{name} holds {_CLASSES.get(told & 15, 'something unknown')} of {size} bytes each, of a"
+        f"{name} holds {_CLASSES.get(kind & 15, 'something unknown')} of {size} bytes each, of a"
         f" kind that is not read here; these are {', '.join(CODES)}"
     )
 

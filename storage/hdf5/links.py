@@ -1,7 +1,5 @@
 """The members of a group, in each of the ways in which HDF5 lists them."""
 
-from dataclasses import dataclass
-
 from storage.errors import CorruptFile
 from storage.hdf5.fractal_heap import FractalHeap
 from storage.hdf5.object_header import Message, Messages
@@ -11,27 +9,18 @@ _MOST_LINKS = 64
 """More than any file of ours has in its root."""
 
 _NAME = "the name of a member"
-_HARD = 0  # a link to an object of the file; others lead to another name or file
+_HARD = 0  # a link to an object of the file; others refer to another name or file
+
+_Link = tuple[str, int | None]
 
 
-@dataclass(frozen=True)
-class Link:
-    """What a name leads to.
+def read_links(source: Source, group: Messages) -> dict[str, int | None]:
+    """Return the header's address of each member of a group, by name.
 
-    Attributes:
-        name: The name.
-        address: Of the object's header, `None` if the name leads to another name or file.
-    """
-
-    name: str
-    address: int | None
-
-
-def read_links(source: Source, group: Messages) -> dict[str, Link]:
-    """Return the members of a group by name.
+    The address is `None` where the member is a link to another name or file.
 
     Raises:
-        CorruptFile: If the list is damaged, or a name comes twice.
+        CorruptFile: If the list is damaged, or a name is in it twice.
     """
     table = group.optional(Message.SYMBOL_TABLE)
     links = [_link(fields) for fields in group.of(Message.LINK)]
@@ -44,22 +33,22 @@ def read_links(source: Source, group: Messages) -> dict[str, Link]:
         links += _of_heap(source, info)
     if len(links) > _MOST_LINKS:
         raise CorruptFile(f"{group.name} has more than {_MOST_LINKS} members")
-    named = {link.name: link for link in links}
+    named = dict(links)
     if len(named) != len(links):
         raise CorruptFile(f"{group.name} has two members of one name")
     return named
 
 
-def _link(fields: Fields) -> Link:
+def _link(fields: Fields) -> _Link:
     fields.expect(b"\x01", "a link's version")
     flags = fields.unsigned(1)
     kind = fields.unsigned(1) if flags & 8 else 0
     fields.take((8 if flags & 4 else 0) + (1 if flags & 16 else 0))
     name = fields.text(fields.unsigned(1 << (flags & 3)), _NAME)
-    return Link(name, fields.unsigned(8) if kind == _HARD else None)
+    return name, fields.unsigned(8) if kind == _HARD else None
 
 
-def _of_heap(source: Source, info: Fields) -> list[Link]:
+def _of_heap(source: Source, info: Fields) -> list[_Link]:
     info.expect(b"\0", "the version of its links")
     if info.unsigned(1) & 1:
         info.take(8)
@@ -90,7 +79,7 @@ def _records(source: Source, at: int, group: str) -> list[bytes]:
     return [leaf.take(size) for _ in range(count)]
 
 
-def _of_table(source: Source, table: Fields) -> list[Link]:
+def _of_table(source: Source, table: Fields) -> list[_Link]:
     tree_at, heap_at = table.unsigned(8), table.unsigned(8)
     heap = source.structure(heap_at, 32, f"the names of {table.name}")
     heap.expect(b"HEAP\0\0\0\0", "their signature and version")
@@ -102,31 +91,27 @@ def _of_table(source: Source, table: Fields) -> list[Link]:
     if nodes > _MOST_LINKS:
         raise CorruptFile(f"{table.name} has more than {_MOST_LINKS} members")
     children = source.structure(tree_at + 24, nodes * 16, tree.name)
-    links: list[Link] = []
+    links: list[_Link] = []
     for _ in range(nodes):
         children.take(8)
         links += _of_node(source, children.unsigned(8), names, table.name)
     return links
 
 
-def _of_node(source: Source, at: int, names: bytes, group: str) -> list[Link]:
+def _of_node(source: Source, at: int, names: bytes, group: str) -> list[_Link]:
     node = source.structure(at, 8, f"a list of members of {group}")
     node.expect(b"SNOD\x01\0", "its signature and version")
     count = node.unsigned(2)
     if count > _MOST_LINKS:
         raise CorruptFile(f"{group} has more than {_MOST_LINKS} members")
     entries = source.structure(at + 8, count * 40, node.name)
-    links = []
+    links: list[_Link] = []
     for _ in range(count):
         begin, address, kind = entries.unsigned(8), entries.unsigned(8), entries.unsigned(4)
         entries.take(20)
         end = names.find(b"\0", begin)
         if begin >= len(names) or end < 0:
             raise CorruptFile(f"{group}: the name of a member is cut off")
-        links.append(
-            Link(
-                Fields(names[begin:end], group).text(end - begin, _NAME),
-                None if kind == 2 else address,
-            )
-        )
+        name = Fields(names[begin:end], group).text(end - begin, _NAME)
+        links.append((name, None if kind == 2 else address))
     return links

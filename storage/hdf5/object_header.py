@@ -13,7 +13,7 @@ _MOST_MESSAGES = 256
 
 
 class Message:
-    """What a message is about, by its number in the format's specification."""
+    """Types of messages, by their number in the format's specification."""
 
     DATASPACE = 0x01
     LINK_INFO = 0x02
@@ -27,17 +27,17 @@ class Message:
     ATTRIBUTE_INFO = 0x15
 
 
-_WITHOUT_MEANING_HERE = {
+_IGNORED = {
     0x00,  # nothing
-    0x04,  # fill values: all numbers of ours are written
+    0x04,  # fill values: we write every number
     0x05,
-    0x0A,  # when links move elsewhere
+    0x0A,  # when links are stored elsewhere
     0x0E,  # times
     0x12,
     0x13,  # sizes of B-tree nodes
-    0x16,  # how many links lead here
+    0x16,  # how many links refer to this object
 }
-_KNOWN = {value for name, value in vars(Message).items() if name.isupper()} | _WITHOUT_MEANING_HERE
+_KNOWN = {value for name, value in vars(Message).items() if name.isupper()} | _IGNORED
 _SHARED = 2
 _MESSAGE = struct.Struct("<BHB")
 
@@ -48,20 +48,20 @@ class Messages:
 
     Attributes:
         name: The object, for errors.
-        all: Pairs of number and content, those without a meaning here left out.
+        all: Pairs of type and content, without the types that are ignored.
     """
 
     name: str
     all: tuple[tuple[int, bytes], ...]
 
     def of(self, kind: int) -> Iterator[Fields]:
-        """Yield those of a kind."""
+        """Yield the messages of a type."""
         for found, content in self.all:
             if found == kind:
                 yield Fields(content, self.name)
 
     def optional(self, kind: int) -> Fields | None:
-        """Return the one of a kind, `None` if there is none.
+        """Return the message of a type, `None` if there is none.
 
         Raises:
             CorruptFile: If there are several.
@@ -72,7 +72,7 @@ class Messages:
         return found[0] if found else None
 
     def one(self, kind: int) -> Fields:
-        """Return the only one of a kind.
+        """Return the only message of a type.
 
         Raises:
             CorruptFile: If there is none, or several.
@@ -101,7 +101,7 @@ def read_messages(source: Source, at: int, name: str) -> Messages:
             raise CorruptFile(f"{name} has more than {_MOST_MESSAGES} messages")
         if kind not in _KNOWN:
             raise CorruptFile(f"{name} has a message {kind:#x}, which is not read here")
-        if kind in _WITHOUT_MEANING_HERE:
+        if kind in _IGNORED:
             continue
         if flags & _SHARED:
             raise CorruptFile(f"{name} shares its message {kind:#x} with others")
@@ -151,8 +151,8 @@ def _version_2(source: Source, at: int, start: Fields) -> Iterator[tuple[int, in
         else:
             block.take(prefix)
         tracked = 2 if flags & 4 else 0
-        while block.left >= 4 + 4 + tracked:  # what is smaller is a gap
-            kind, size, told = _MESSAGE.unpack(block.take(4))
+        while block.left >= 4 + 4 + tracked:  # less is a gap
+            kind, size, message_flags = _MESSAGE.unpack(block.take(4))
             block.take(tracked)
             if size > block.left - 4:
                 raise CorruptFile(f"{start.name}: a message is cut off")
@@ -161,7 +161,7 @@ def _version_2(source: Source, at: int, start: Fields) -> Iterator[tuple[int, in
                 place, length = _continued(content, start.name, visited + len(blocks))
                 blocks.append((place, 4, length))
             else:
-                yield kind, told, content
+                yield kind, message_flags, content
 
 
 def _continued(content: bytes, name: str, so_far: int) -> tuple[int, int]:

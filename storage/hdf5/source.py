@@ -1,4 +1,4 @@
-"""Bytes of a file, on a disk or in memory, and fields cut out of them: nothing beyond their end."""
+"""Bytes of a file, on a disk or in memory, and the fields of its structures, bounds checked."""
 
 import math
 import os
@@ -14,9 +14,9 @@ from storage.errors import CorruptFile
 from storage.hdf5.checksums import lookup3
 
 UNDEFINED = 2**64 - 1
-"""The address of what was never given a place."""
+"""The address of what was never allocated."""
 
-_STRUCTURE_BYTES = 2**19  # ours take some 10 kB; their checksums are computed in Python, 4 MB/s
+_STRUCTURE_BYTES = 2**19  # ours take 10 kB; their checksums are computed in Python, 4 MB/s
 
 
 class Fields:
@@ -34,7 +34,7 @@ class Fields:
 
     @property
     def left(self) -> int:
-        """How many bytes were not taken yet."""
+        """The number of bytes not taken yet."""
         return len(self.content) - self.at
 
     def take(self, count: int) -> bytes:
@@ -50,7 +50,7 @@ class Fields:
         return self.content[begin:end]
 
     def check_sum(self) -> None:
-        """Refuse a structure whose last four bytes are not the checksum of those before them."""
+        """Reject a structure whose last four bytes are not the checksum of those before them."""
         content = self.content
         if len(content) < 4 or lookup3(content[:-4]) != int.from_bytes(content[-4:], "little"):
             raise CorruptFile(f"the checksum of {self.name} does not fit")
@@ -63,24 +63,24 @@ class Fields:
         """Return the next bytes as UTF-8, without the zeros at their end.
 
         Raises:
-            CorruptFile: If they are none; `what` says what they should be.
+            CorruptFile: If they are no UTF-8; `what` names them.
         """
         try:
             return self.take(size).rstrip(b"\0").decode()
         except UnicodeDecodeError as error:
             raise CorruptFile(f"{self.name}: {what} is no UTF-8") from error
 
-    def expect(self, wanted: bytes, what: str) -> None:
-        """Refuse a structure whose next bytes are others than `wanted`."""
-        if (found := self.take(len(wanted))) != wanted:
-            raise CorruptFile(f"{self.name}: {what} is {found!r}, wanted {wanted!r}")
+    def expect(self, expected: bytes, what: str) -> None:
+        """Reject a structure whose next bytes are not the expected ones."""
+        if (found := self.take(len(expected))) != expected:
+            raise CorruptFile(f"{self.name}: {what} is {found!r}, wanted {expected!r}")
 
 
 class Source(Closing):
-    """A file of known size that is read at any place.
+    """A file of known size that is read at any address.
 
-    Structures of all kinds may take half a megabyte together, and text as much as the file has:
-    damage that makes structures refer to each other in a circle ends there.
+    All structures together may take half a megabyte, and all text as much as the file: damage that
+    makes structures refer to each other in a circle ends there.
     """
 
     def __init__(self, size_bytes: int) -> None:
@@ -92,7 +92,7 @@ class Source(Closing):
         """Read a structure.
 
         Raises:
-            CorruptFile: If it does not lie within the file, or too many were read.
+            CorruptFile: If it is not within the file, or too many were read.
         """
         self._structures_left -= count
         if self._structures_left < 0:
@@ -110,24 +110,22 @@ class Source(Closing):
         return fields
 
     def text(self, at: int, count: int, name: str) -> Fields:
-        """Read what holds text, all of it together no more than the file has bytes."""
+        """Read text; all of it together takes no more bytes than the file has."""
         self._text_left -= count
         if self._text_left < 0:
             raise CorruptFile("its text takes more bytes than the file has")
         return Fields(self.read(at, count, name), name)
 
     def require(self, at: int, count: int, name: str) -> None:
-        """Refuse a place that does not lie within the file."""
+        """Reject an address range that is not within the file."""
         if not (0 <= at <= self.size_bytes and 0 <= count <= self.size_bytes - at):
-            raise CorruptFile(
-                f"{name} lies at byte {at} with {count} bytes, the file has {self.size_bytes}"
-            )
+            raise CorruptFile(f"{name}: {count} bytes at {at}, the file has {self.size_bytes}")
 
     def read(self, at: int, count: int, name: str) -> bytes:
         """Return bytes of the file.
 
         Raises:
-            CorruptFile: If they do not lie within it, or cannot be read.
+            CorruptFile: If they are not within it, or cannot be read.
         """
         self.require(at, count, name)
         content = bytearray(count)
@@ -137,10 +135,10 @@ class Source(Closing):
     def array(
         self, at: int, dtype: np.dtype[Any], shape: tuple[int, ...], name: str
     ) -> NDArray[Any]:
-        """Return an array that lies in one piece; it takes no more memory than the file has bytes.
+        """Return a contiguous array; it takes no more memory than the file has bytes.
 
         Raises:
-            CorruptFile: If it does not lie within the file, or cannot be read.
+            CorruptFile: If it is not within the file, or cannot be read.
         """
         count = dtype.itemsize * math.prod(shape)
         self.require(at, count, name)
@@ -152,7 +150,7 @@ class Source(Closing):
         """Fill `target` with bytes of the file.
 
         Raises:
-            CorruptFile: If they do not lie within it, or cannot be read.
+            CorruptFile: If they are not within it, or cannot be read.
         """
         self.require(at, len(target), name)
         try:
@@ -164,7 +162,7 @@ class Source(Closing):
 
     @abstractmethod
     def _read_into(self, at: int, target: memoryview) -> int:
-        """Read bytes that lie in the file into `target`; return how many there were."""
+        """Read bytes that are within the file into `target`; return how many were read."""
 
 
 class BytesSource(Source):
@@ -183,7 +181,7 @@ class BytesSource(Source):
 
 
 class FileSource(Source):
-    """A file on a disk: read with plain reads, since a bad sector under `mmap` is a signal.
+    """A file on a disk, read with `preadv`, since a bad sector under `mmap` raises a signal.
 
     Raises:
         FileNotFoundError: If there is no such file.
@@ -203,9 +201,10 @@ class FileSource(Source):
 
     @property
     def identity(self) -> tuple[int, ...]:
-        """What is another once the file is another, or was written to."""
-        told = os.fstat(self._descriptor)
-        return told.st_dev, told.st_ino, told.st_size, told.st_mtime_ns, told.st_ctime_ns
+        """Changes when the file is replaced or written to."""
+        status = os.fstat(self._descriptor)
+        times_ns = status.st_mtime_ns, status.st_ctime_ns
+        return status.st_dev, status.st_ino, status.st_size, *times_ns
 
     def close(self) -> None:
         """Close the file."""

@@ -1,4 +1,4 @@
-"""New HDF5 files, made by h5py, which is given no file to read and sees no error of the disk."""
+"""New HDF5 files, written with h5py, which reads no existing file and sees no disk error."""
 
 import io
 import math
@@ -31,8 +31,8 @@ def hdf5_in_memory(
     """Return the bytes of a file of contiguous arrays.
 
     Args:
-        arrays: Each in pieces of its first axis, one or more.
-        attributes: Of the root.
+        arrays: Each in one or more pieces of its first axis.
+        attributes: Attributes of the root.
     """
     buffer = io.BytesIO()
     with h5py.File(buffer, "w", libver=_LIBVER) as file:
@@ -52,11 +52,11 @@ def hdf5_in_memory(
 
 @contextmanager
 def hdf5_on_disk(path: Path) -> Iterator["FileWriter"]:
-    """Give what writes a new file; at the end, wait until it is on disk, and read it back.
+    """Yield a writer of a new file; at the end, fsync the file and read it back.
 
     Raises:
         FileExistsError: If there is a file.
-        OSError: If the disk refuses it, or gives back something else.
+        OSError: If it cannot be written, or is read back as something else.
     """
     with DurableFile(path) as disk:
         quiet = _QuietFile(disk)
@@ -68,17 +68,17 @@ def hdf5_on_disk(path: Path) -> Iterator["FileWriter"]:
             if quiet.error not in {None, error}:
                 raise quiet.error from error
             raise
-        quiet.require_well()
+        quiet.raise_error()
         disk.sync()
     with reading_back():
         writer.require_same()
 
 
 class _QuietFile:
-    """A file object that keeps the first error of the disk to itself.
+    """A file object that does not raise disk errors but stores the first one.
 
-    After some writes that failed, HDF5 ends the process. So from the first error on nothing is
-    written, the library sees success, and we raise the error.
+    After some failed writes, HDF5 ends the process. So from the first error on nothing is written,
+    the library sees success, and we raise the error.
 
     Attributes:
         error: The first error.
@@ -89,18 +89,18 @@ class _QuietFile:
         self._disk = disk
         self._at = self._size = 0
 
-    def require_well(self) -> None:
-        """Raise the error, if there was one."""
+    def raise_error(self) -> None:
+        """Raise the first error, if there was one."""
         if self.error is not None:
             raise self.error
 
     def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
-        """Go to a place, counted from the beginning or the end."""
+        """Set the position, counted from the beginning or the end."""
         self._at = offset + (self._size if whence == os.SEEK_END else 0)
         return self._at
 
     def tell(self) -> int:
-        """Return the place."""
+        """Return the position."""
         return self._at
 
     def write(self, content: bytearray) -> int:
@@ -111,19 +111,19 @@ class _QuietFile:
         return len(content)
 
     def truncate(self, size: int) -> int:
-        """Make the file that long."""
+        """Set the file's length."""
         self._unless_failed(self._disk.truncate, size)
         self._size = size
         return size
 
     def read(self, count: int) -> bytes:
-        """Return bytes that were written here: the library may need some of its own again."""
+        """Return bytes that were written here: the library reads back some of its own."""
         content = self._unless_failed(self._disk.read, self._at, count) or b""
         self._at += count
         return content.ljust(count, b"\0")
 
     def flush(self) -> None:
-        """Nothing waits here."""
+        """Do nothing: nothing is buffered here."""
 
     def _unless_failed(self, call: Callable[..., bytes | None], *args: object) -> bytes | None:
         if self.error is None:
@@ -136,7 +136,7 @@ class _QuietFile:
 
 @dataclass
 class _Sum:
-    """What an array is known by: a CRC-32 of its numbers, row after row."""
+    """What identifies an array: kind, shape and a CRC-32 of its numbers, row by row."""
 
     dtype: np.dtype[Any]
     row_shape: tuple[int, ...]
@@ -144,7 +144,7 @@ class _Sum:
     crc: int = 0
 
     def add(self, rows: NDArray[Any]) -> None:
-        """Count more rows in."""
+        """Add rows to the CRC-32."""
         self.rows += len(rows)
         if rows.size:
             self.crc = zlib.crc32(np.ascontiguousarray(rows).data, self.crc)
@@ -159,22 +159,22 @@ class FileWriter:
         self._attributes: dict[str, str | int] = {}
 
     def add(self, name: str, array: NDArray[Any]) -> None:
-        """Write a small array as one chunk; nothing at all needs no checksum."""
+        """Write a small array as one chunk with a checksum; an empty one has none."""
         checked = bool(array.size)
         chunks = array.shape if checked else None
         self._file.create_dataset(name, data=array, chunks=chunks, fletcher32=checked)
-        self._quiet.require_well()
+        self._quiet.raise_error()
         self._written[name] = _Sum(array.dtype, array.shape[1:])
         self._written[name].add(array)
 
     def add_rows(self, name: str, dtype: str, most: int, chunk_shape: tuple[int, ...]) -> "Rows":
-        """Return what writes an array row by row.
+        """Return a writer of an array, row by row.
 
         Args:
-            name: Its name.
+            name: The array's name.
             dtype: The kind of its numbers.
-            most: How many rows it may become.
-            chunk_shape: Of each chunk; its rows span all axes but the first.
+            most: Maximum number of rows.
+            chunk_shape: Shape of each chunk; its rows span all axes but the first.
         """
         shape = (most, *chunk_shape[1:])
         dataset = self._file.create_dataset(
@@ -184,7 +184,7 @@ class FileWriter:
             chunks=chunk_shape,
             dtype=dtype,
             fletcher32=True,
-            # Room for a chunk: else the library reads it again for each of its rows.
+            # The cache holds a chunk: else the library reads it again for each of its rows.
             rdcc_nbytes=math.prod(chunk_shape) * np.dtype(dtype).itemsize,
         )
         self._written[name] = _Sum(np.dtype(dtype), shape[1:])
@@ -193,7 +193,7 @@ class FileWriter:
     def add_attributes(self, attributes: Mapping[str, str | int]) -> None:
         """Write attributes."""
         self._file.attrs.update(attributes)
-        self._quiet.require_well()
+        self._quiet.raise_error()
         self._attributes.update(attributes)
 
     def require_same(self) -> None:
@@ -203,26 +203,23 @@ class FileWriter:
             CorruptFile: If it cannot be read, or holds something else.
         """
         with Hdf5File(FileSource(self._path)) as file:
-            for name, wanted in self._written.items():
+            for name, written in self._written.items():
                 dataset = file.dataset(name)
-                found = _Sum(dataset.dtype, dataset.shape[1:])
+                array = _Sum(dataset.dtype, dataset.shape[1:])
                 block = max(1, _BLOCK_BYTES * dataset.shape[0] // max(1, dataset.size_bytes))
                 for start in range(0, dataset.shape[0], block):
-                    found.add(dataset.rows(start, start + block))
-                if found != wanted:
-                    raise CorruptFile(f"{name} is {found}, {wanted} was written")
+                    array.add(dataset.rows(start, start + block))
+                if array != written:
+                    raise CorruptFile(f"{name} is {array}, {written} was written")
             for name, value in self._attributes.items():
-                told: str | int = (
-                    file.attributes.text(name, len(value.encode()))
-                    if isinstance(value, str)
-                    else file.attributes.whole(name)
-                )
-                if told != value:
+                read, length = file.attributes, len(str(value).encode())
+                found = read.text(name, length) if isinstance(value, str) else read.whole(name)
+                if found != value:
                     raise CorruptFile(f"its attribute {name} is not what was written")
 
 
 class Rows:
-    """An array that is written row after row: `rows[i] = row`, with i counting up."""
+    """An array that is written row by row: `rows[i] = row`, in the order of i."""
 
     def __init__(self, path: Path, dataset: h5py.Dataset, quiet: _QuietFile, written: _Sum) -> None:
         self._path, self._dataset, self._quiet, self._written = path, dataset, quiet, written
@@ -234,30 +231,30 @@ class Rows:
         """Add the next row.
 
         Raises:
-            ValueError: If it is not the next.
-            OSError: If the disk refused what was written up to now.
+            ValueError: If it is not the next row.
+            OSError: If something before it could not be written.
         """
         if row != len(self):
-            raise ValueError(f"row {row} came, the next is {len(self)}")
+            raise ValueError(f"row {row} was given, the next is {len(self)}")
         array = np.asarray(numbers, self._written.dtype)
         self._dataset[row] = array
-        self._quiet.require_well()
+        self._quiet.raise_error()
         self._written.add(array[np.newaxis])
 
     def end(self) -> None:
-        """Cut off the rows that did not come."""
+        """Truncate the array to the rows that were written."""
         self._dataset.resize(len(self), axis=0)
-        self._quiet.require_well()
+        self._quiet.raise_error()
 
     @contextmanager
     def readable(self) -> Iterator[ChunkedDataset]:
-        """Give what was written, read without the library while it has the file open.
+        """Yield what was written, read without the library while it has the file open.
 
         Raises:
-            OSError: If the disk refuses it, or gives back something else.
+            OSError: If it cannot be written, or is read back as something else.
         """
         self._dataset.flush()
-        self._quiet.require_well()
+        self._quiet.raise_error()
         chunks: list[ChunkAddress] = []
         self._dataset.id.chunk_iter(
             lambda chunk: chunks.append(ChunkAddress(chunk.byte_offset, chunk.size, 0))

@@ -12,28 +12,26 @@ from storage.files.drive_chunks import write_chunk
 from storage.files.files import discard
 from storage.names import new_id
 
-_CHUNK_BYTES = 64 * 2**20  # held in memory while it is written; some 90 scans of 60,000 returns
+_CHUNK_BYTES = 64 * 2**20  # in memory while it is written; some 90 scans of 60,000 returns
 
 
 def compact(catalog: Catalog, drive_id: str, chunks: Path, read: Callable[[int], Scan]) -> None:
     """Rewrite the chunk files of a closed drive, `chunks`, into ones of some 64 MB.
 
-    A new file is on disk before the rows move to it in one transaction, and the old ones go after
-    that: a crash leaves each scan readable and at most a file too many. To do it again does
+    A new file is on disk before one transaction moves the rows to it, and the old ones are removed
+    after that: a crash leaves each scan readable and at most one orphan. A second call changes
     nothing.
 
     Raises:
-        LostRace: If somebody else compacts or removes the drive.
-        StorageFull: If no space is left; what is done stays done.
+        LostRace: If another writer compacts or removes the drive.
+        StorageFull: If no space is left; the groups that were moved stay moved.
     """
     records = [record for record in catalog.scans.of_drive(drive_id) if record.has_returns]
     sizes = Counter(record.chunk for record in records)
     for group in in_chunks(records):
-        if {record.chunk for record in group} == {group[0].chunk} and sizes[group[0].chunk] == len(
-            group
-        ):
-            continue
-        move_into_one(catalog, drive_id, chunks, group, read)
+        in_group = Counter(record.chunk for record in group)
+        if len(in_group) > 1 or in_group[group[0].chunk] < sizes[group[0].chunk]:
+            move_into_one(catalog, drive_id, chunks, group, read)
 
 
 def move_into_one(
@@ -43,10 +41,10 @@ def move_into_one(
     group: Sequence[ScanRecord],
     read: Callable[[int], Scan],
 ) -> None:
-    """Move scans into a new chunk file of their own, and remove those that hold none any more.
+    """Move scans into a new chunk file of their own, and remove files that no longer hold a scan.
 
     Raises:
-        LostRace: If somebody else moves one of them or removes the drive.
+        LostRace: If another writer moves one of them or removes the drive.
         StorageFull: If no space is left; nothing is changed.
     """
     name = f"{new_id()}.h5"

@@ -10,37 +10,30 @@ from pathlib import Path
 from core.errors import InvalidParameters
 from core.scans.pose import Pose
 from core.scans.scan import Scan
-from storage.catalog import Catalog, DriveRecord, PosesPut, ScanPoses, ScanRecord
+from storage.catalog import Catalog, DriveRecord, PosesPut, ScanPoses, ScanRecord, on_behalf
 from storage.catalog.scans import LostRace, PutTarget
-from storage.errors import (
-    DriveClosed,
-    ScanConflict,
-    ScanNotFound,
-    StorageBusy,
-    StorageError,
-)
+from storage.errors import DriveClosed, ScanConflict, ScanNotFound, StorageBusy, StorageError
 from storage.files.drive_chunks import scan_digest, write_chunk
 from storage.files.files import discard, make_folder
 from storage.files.stored_file import Fault, StoredFile, fault_of
 from storage.names import new_id
 from storage.retention import Retention
-from storage.store.compaction import compact, move_into_one
-from storage.store.dropping import drop_returns
+from storage.store.compaction import compact, in_chunks, move_into_one
 from storage.store.layout import Layout
 from storage.store.scan_reader import ScanReader
 from storage.store.stored_drive import StoredDrive
 
-# Each lost race is somebody else's progress; so many in a row is something else.
+# Each lost race is another writer's progress; so many in a row have another cause.
 _ATTEMPTS = 20
 _LAST_INDEX = 2**53  # beyond, JSON readers round
 
 
 @dataclass(frozen=True)
 class PutResult:
-    """What became of a scan that was put.
+    """The result of putting a scan.
 
     Attributes:
-        created: False if the same content was there already.
+        created: False if the same content was stored already.
         record: What is stored.
     """
 
@@ -63,7 +56,7 @@ class Drives:
 
     @property
     def stored_scans(self) -> int:
-        """How many new scans were stored since this store was opened."""
+        """The number of new scans stored since this store was opened."""
         return self._stored_scans
 
     def put_scan(self, map_slug: str, drive_slug: str, index: int, scan: Scan) -> PutResult:
@@ -75,9 +68,9 @@ class Drives:
     ) -> list[PutResult]:
         """Store scans, all or none; the first scan of a drive makes the drive.
 
-        When it returns, their chunk file is fsynced and their rows are committed. To put the same
-        returns at the same index again is no error and changes nothing, in a closed drive too:
-        poses and timestamps of scans that are there are set with `put_poses`.
+        When it returns, their chunk file is fsynced and their rows are committed. Putting the same
+        returns at the same index again is no error and changes nothing, also in a closed drive:
+        poses and timestamps of stored scans are set with `put_poses`.
 
         Raises:
             MapNotFound: If there is no such map.
@@ -91,12 +84,8 @@ class Drives:
         by_index = {index: (scan, scan_digest(scan.points_m)) for index, scan in scans}
         for _ in range(_ATTEMPTS):
             target = self._catalog.scans.target(map_slug, drive_slug, by_index)
-            refused = [
-                refusal
-                for index, (_, digest) in by_index.items()
-                if (refusal := _refusal(target, index, digest)) is not None
-            ]
-            if refused:
+            refusals = [_refusal(target, i, digest) for i, (_, digest) in by_index.items()]
+            if refused := [refusal for refusal in refusals if refusal is not None]:
                 raise min(refused, key=lambda refusal: isinstance(refusal, DriveClosed))
             fresh = [(index, scan) for index, scan in scans if index not in target.stored]
             name = f"{new_id()}.h5"
@@ -105,9 +94,9 @@ class Drives:
                 for row, (index, scan) in enumerate(fresh)
             ]
             try:
-                self._put_back(target, {i: scan for i, (scan, _) in by_index.items()})
+                self._restore_lost(target, dict(scans))
                 records = self._write(target, name, fresh, records)
-            except (LostRace, FileNotFoundError):  # the latter: the drive's folder was deleted
+            except (LostRace, FileNotFoundError):  # the latter: the drive was deleted
                 continue
             with self._counting:
                 self._stored_scans += len(records)
@@ -143,15 +132,15 @@ class Drives:
             write_chunk(path, scans)
             return self._catalog.scans.add(target, records)
         except StorageError:
-            # These say that nothing was committed. After any other error that is not certain, and
-            # a file too many, which the next start sets aside, is better than one too few.
+            # Nothing was committed. After any other error that is not certain, and an orphan, which
+            # the next start sets aside, is better than a row without its file.
             discard(path)
             raise
 
-    def _put_back(self, target: PutTarget, scans: Mapping[int, Scan]) -> None:
-        """Store scans anew that are put again and whose file is damaged or gone.
+    def _restore_lost(self, target: PutTarget, scans: Mapping[int, Scan]) -> None:
+        """Store scans again that are put again and whose file is damaged or gone.
 
-        What is acknowledged can be read, also what was acknowledged long ago and lost since.
+        What is acknowledged can be read, also if it was stored long ago and lost since.
         """
         folder = self._layout.chunks(target.map_id, target.drive_id)
         chunks: dict[str, dict[int, ScanRecord]] = {}
@@ -179,12 +168,12 @@ class Drives:
         poses: Mapping[int, Pose | None],
         timestamps_s: Mapping[int, float] | None = None,
     ) -> PosesPut:
-        """Set poses, and timestamps, of scans that are there: all or none; closed drives too.
+        """Set poses, and timestamps, of stored scans: all or none; also of closed drives.
 
         Raises:
             MapNotFound: If there is no such map.
             DriveNotFound: If it has no such drive.
-            ScanNotFound: If one of the scans is not there.
+            ScanNotFound: If one of the scans is not stored.
         """
         return self._catalog.scans.set_poses(map_slug, drive_slug, poses, timestamps_s or {})
 
@@ -197,15 +186,15 @@ class Drives:
         consecutive: bool = False,
         partial: bool = False,
     ) -> PosesPut:
-        """Set poses, and timestamps, of scans that are there and of those to come: all or none.
+        """Set poses, and timestamps, of stored scans and of those to come: all or none.
 
-        A scan that comes with a pose or time of its own keeps it. The drive is made if it is new.
+        A scan that is put with a pose or time later keeps its own. The drive is made if it is new.
 
         Args:
             map_slug: The map.
             drive_slug: The drive.
-            poses: At least one; a time that is unknown is left as it is.
-            consecutive: Whether they are of consecutive scans, so that their number says whether
+            poses: At least one; an unknown time is left as it is.
+            consecutive: Whether they are of consecutive scans, so that their number shows whether
                 they are this drive's.
             partial: Set them whatever their number; those of scans that a closed drive lacks are
                 left over.
@@ -225,14 +214,14 @@ class Drives:
         raise StorageBusy(f"drive {drive_slug!r} changed {_ATTEMPTS} times while poses were put")
 
     def close(self, map_slug: str, drive_slug: str) -> DriveRecord:
-        """Let a drive take no new scans, and pack its chunk files into bigger ones.
+        """Close a drive: it accepts no new scans, and its chunk files are packed into bigger ones.
 
-        To close a closed drive finishes what an interrupted closing left undone.
+        Closing a closed drive finishes an interrupted closing.
 
         Raises:
             MapNotFound: If there is no such map.
             DriveNotFound: If it has no such drive.
-            StorageFull: If no space is left to pack; the drive is closed and whole nevertheless.
+            StorageFull: If no space is left for packing; the drive is closed nevertheless.
         """
         drive = self._catalog.drives.close(map_slug, drive_slug)
         chunks = self._layout.chunks(drive.map_id, drive.id)
@@ -250,24 +239,29 @@ class Drives:
     ) -> None:
         """Drop the returns of scans that the live revision was built of.
 
+        Scans that stay in a chunk file with them move into another one first; then the rows no
+        longer name the file, and then it is removed. A crash in between leaves an orphan, which
+        the next start sets aside, and never a row without its file.
+
         Raises:
             MapNotFound: If the map is gone.
             DriveNotFound: If it has no such drive.
             LostRace: If it changed meanwhile, the drive is open, a job may need the returns, or the
-                map's policy keeps them.
-            StorageFull: If no space is left for what shares a file with them; nothing is dropped.
+                map's policy keeps them; nothing is dropped.
+            StorageFull: If no space is left for the scans that stay; nothing is dropped.
         """
         (drive,) = self._catalog.drives.of_map(map_id, [slug])
         chunks = self._layout.chunks(map_id, drive.id)
-        drop_returns(
-            self._catalog,
-            drive,
-            live_revision,
-            indices,
-            default,
-            chunks,
-            self._reader(drive).scan,
-        )
+        records = [one for one in self._catalog.scans.of_drive(drive.id) if one.has_returns]
+        dropped = {record.chunk for record in records if record.index in indices}
+        staying = [one for one in records if one.chunk in dropped and one.index not in indices]
+        with on_behalf(None):  # this drops nothing
+            for group in in_chunks(staying):
+                move_into_one(self._catalog, drive.id, chunks, group, self._reader(drive).scan)
+        for chunk in self._catalog.collector.drop_returns(
+            map_id, live_revision, drive.id, indices, default
+        ):
+            discard(chunks / chunk)
 
     def delete(self, map_slug: str, drive_slug: str) -> DriveRecord:
         """Remove a drive: its rows at once, then its files.
@@ -280,17 +274,8 @@ class Drives:
         shutil.rmtree(self._layout.drive(drive.map_id, drive.id), ignore_errors=True)
         return drive
 
-    def scan_records(self, map_slug: str, drive_slug: str) -> list[ScanRecord]:
-        """Return the facts about every scan of a drive, in the order of their indices.
-
-        Raises:
-            MapNotFound: If there is no such map.
-            DriveNotFound: If it has no such drive.
-        """
-        return self._catalog.scans.of_drive(self.get(map_slug, drive_slug).id)
-
     def images_folder(self, drive: StoredDrive) -> Path:
-        """Return the folder for what builds keep of a drive; it goes with the drive.
+        """Return the folder for what builds cache of a drive; it is removed with the drive.
 
         Raises:
             DriveNotFound: If the drive was deleted since it was opened.
@@ -306,12 +291,12 @@ class Drives:
             DriveNotFound: If it has no such drive.
             ScanNotFound: If the drive has no such scan.
             ReturnsGone: If its returns were dropped after a build.
-            CorruptFile: If what is stored is not what was put.
+            CorruptFile: If the stored scan is not the one that was put.
         """
         return self._reader(self.get(map_slug, drive_slug)).scan(index)
 
     def open(self, map_slug: str, drive_slug: str) -> StoredDrive:
-        """Return a drive as the method reads it: the scans that it has now.
+        """Return a drive with the scans that it has now, as core reads it.
 
         Raises:
             MapNotFound: If there is no such map.
@@ -320,7 +305,7 @@ class Drives:
         return self._open(self.get(map_slug, drive_slug))
 
     def open_of_map(self, map_id: str, slugs: Sequence[str] | None = None) -> Sequence[StoredDrive]:
-        """Open drives of the map of that id, whatever its slug names now; all by default.
+        """Open drives of the map of that id, whatever its slug is now; all by default.
 
         Raises:
             MapNotFound: If the map is gone.

@@ -1,4 +1,4 @@
-"""Whether a folder is a data directory, and whether a catalog belongs to it: both keep one id."""
+"""Whether a folder is a data directory, and whether a catalog belongs to it, by a common id."""
 
 from core.errors import InvalidParameters
 from storage.catalog import Catalog
@@ -11,13 +11,13 @@ _OF_FILE_SYSTEMS = {"lost+found"}
 
 
 def require_own_folder(layout: Layout) -> None:
-    """Refuse a folder of something else: it would become private, and fill with our files.
+    """Reject a folder with other content, which would become private and be filled with our files.
 
-    What is empty or not there yet may become a data directory. One of ours has a catalog, or what
-    PostgreSQL leaves in the folder: a store-id, in the oldest ones only the server's lock.
+    An empty or new folder may become a data directory. A data directory has a catalog or, where the
+    catalog is on PostgreSQL, a store-id, in the oldest ones only the server's lock.
 
     Raises:
-        InvalidParameters: If it holds something, and nothing of these; it is left as it is.
+        InvalidParameters: If it holds something, and none of these; it is left as it is.
     """
     if not layout.data_dir.exists():
         return
@@ -32,13 +32,13 @@ def require_own_folder(layout: Layout) -> None:
 
 
 def check_identity(catalog: Catalog, layout: Layout) -> None:
-    """Refuse a catalog that is not this directory's; a new one and a new directory are paired.
+    """Reject a catalog that is not this directory's; a new one and a new directory are paired.
 
     Raises:
         WrongCatalog: If the ids differ, or one is missing and not both sides are new.
     """
-    # Read in the reverse of the order in which they are made, file, catalog, map: what another
-    # process makes meanwhile cannot look like a part that is missing.
+    # Read in the reverse of the order in which they are made, file, catalog, map: so no part that
+    # another process makes meanwhile seems to be missing.
     in_use = catalog.store_id.in_use() or any(layout.maps.iterdir())
     of_catalog = catalog.store_id.get()
     if of_catalog is None and not in_use:

@@ -9,11 +9,11 @@ from storage.store.layout import Layout
 
 
 class Inventory:
-    """What should be in a data directory, as the catalog has it when it is asked.
+    """The files that should be in a data directory according to the catalog.
 
     Args:
-        catalog: What is named.
-        layout: Where it is.
+        catalog: Names the files.
+        layout: Locates them.
     """
 
     def __init__(self, catalog: Catalog, layout: Layout) -> None:
@@ -21,7 +21,7 @@ class Inventory:
         self._layout = layout
 
     def files(self) -> Iterator[StoredFile]:
-        """Yield each file, map by map; what is added meanwhile may be left out."""
+        """Yield each file, map by map; files that are added meanwhile may be left out."""
         for map_id, drives in self._drives():
             for drive_id in drives:
                 yield from self._of_drive(map_id, drive_id)
@@ -30,7 +30,7 @@ class Inventory:
                 yield StoredFile(f"{folder}/{name}", revision=digest)
 
     def paths(self) -> list[str]:
-        """Return the paths of all files, in the order of `files`, without reading their rows."""
+        """Return the paths of all files, in the order of `files`, without reading rows of scans."""
         found = []
         for map_id, drives in self._drives():
             for drive_id in drives:
@@ -44,15 +44,15 @@ class Inventory:
 
     def file(self, path: str) -> StoredFile | None:
         """Return the file of a path, `None` if nothing names it, or no longer."""
-        asked = StoredFile(path)
-        if asked.kind == "revisions":
-            digest = self._catalog.revisions.files(asked.map_id).get(asked.name)
+        named = StoredFile(path)
+        if named.kind == "revisions":
+            digest = self._catalog.revisions.files(named.map_id).get(named.name)
             return None if digest is None else StoredFile(path, revision=digest)
-        of_drive = self._of_drive(asked.map_id, asked.drive_id)
+        of_drive = self._of_drive(named.map_id, named.drive_id)
         return next((file for file in of_drive if file.path == path), None)
 
     def fault(self, file: StoredFile, checker: Checker) -> Fault | None:
-        """Return what is wrong with a file; one that is gone, and no longer named, is no fault.
+        """Return the fault of a file; one that is gone, and no longer named, has none.
 
         Raises:
             FileNotFoundError: If it is gone, and still named.
@@ -65,7 +65,7 @@ class Inventory:
             raise
 
     def described(self, file: StoredFile, fault: Fault | None = None) -> str:
-        """Return what a file is to users, without the scans that its fault leaves good."""
+        """Return a description of a file for users, without the scans that are still good."""
         good_rows = () if fault is None else fault.good_rows
         return file.described(self._catalog.drives.slugs_by_id(), good_rows)
 

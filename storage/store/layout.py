@@ -1,4 +1,4 @@
-"""Where files lie under the data directory; ids stand in paths, never a client's names.
+"""The layout of the data directory; paths are built from ids, never from a client's names.
 
 catalog.sqlite3
 store-id                                       the same as in the catalog
@@ -6,54 +6,34 @@ server.lock                                    held by the one server of this di
 maps/<map id>/drives/<drive id>/chunks/*.h5    raw scans
 maps/<map id>/drives/<drive id>/images/        what builds cache
 maps/<map id>/revisions/<digest>.<id>.h5
-orphans/<day>/maps/...                         what a start found that no row names
-damaged/<day>/maps/...                         what a repair found that is not what was stored
+orphans/<day>/maps/...                         files that no row names, found at a start
+damaged/<day>/maps/...                         damaged files, found by a repair
 """
 
-from dataclasses import dataclass
 from pathlib import Path
 
 
-@dataclass(frozen=True)
 class Layout:
-    """The paths under one data directory."""
+    """The paths under one data directory.
 
-    data_dir: Path
+    Attributes:
+        data_dir: The data directory.
+        catalog: The default catalog's file.
+        lock: The file that the server of this directory holds locked.
+        store_id: The file with the id that this directory shares with its catalog.
+        maps: The folder with one folder per map.
+        orphans: The folder of files that no row names, under their former paths.
+        damaged: The folder of damaged files that a repair moved, under their former paths.
+    """
 
-    @property
-    def catalog(self) -> Path:
-        """The default catalog's file."""
-        return self.data_dir / "catalog.sqlite3"
-
-    @property
-    def lock(self) -> Path:
-        """The file that the server of this directory holds locked."""
-        return self.data_dir / "server.lock"
-
-    @property
-    def store_id(self) -> Path:
-        """The file that says which catalog belongs to this directory."""
-        return self.data_dir / "store-id"
-
-    @property
-    def orphans(self) -> Path:
-        """Where files go that no row names, under the path that they had."""
-        return self.data_dir / "orphans"
-
-    @property
-    def damaged(self) -> Path:
-        """Where a repair puts files that are not what was stored, under the path that they had."""
-        return self.data_dir / "damaged"
-
-    @property
-    def folders(self) -> tuple[Path, ...]:
-        """All folders of ours that the data directory may have."""
-        return self.maps, self.orphans, self.damaged
-
-    @property
-    def maps(self) -> Path:
-        """The folder with one folder per map."""
-        return self.data_dir / "maps"
+    def __init__(self, data_dir: Path) -> None:
+        self.data_dir = data_dir
+        self.catalog = data_dir / "catalog.sqlite3"
+        self.lock = data_dir / "server.lock"
+        self.store_id = data_dir / "store-id"
+        self.maps = data_dir / "maps"
+        self.orphans = data_dir / "orphans"
+        self.damaged = data_dir / "damaged"
 
     def map(self, map_id: str) -> Path:
         """All that belongs to a map."""

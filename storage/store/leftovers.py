@@ -1,4 +1,4 @@
-"""What killed processes and old catalogs leave behind: found, removed, or set aside by the day."""
+"""Files of killed processes and orphans: found, and removed or moved to `orphans/`."""
 
 import logging
 import re
@@ -16,10 +16,10 @@ from storage.names import new_id
 from storage.store.layout import Layout
 
 ORPHANS_KEPT_DAYS = 30
-"""As long as revisions are retained by default: in that time it shows whether one is missed."""
+"""As long as revisions are retained by default: enough time to notice that one is missing."""
 
 _DAY = re.compile(r"\d{4}-\d{2}-\d{2}")
-_IN_USE_S = 86_400.0  # a build writes for hours, and its file changes all the time
+_IN_USE_S = 86_400.0  # a build writes for hours, and its file changes continuously
 
 _log = logging.getLogger("tensormap.storage")
 
@@ -29,10 +29,10 @@ class Leftover:
     """Something in the data directory that no row names.
 
     Attributes:
-        path: Where it is.
-        what: What it is, in words.
+        path: Its path.
+        what: A description.
         useless: Whether it can be removed; else it may be the only copy of something.
-        done: What a sweep did, in words; empty before.
+        done: What a sweep did; empty before.
     """
 
     path: Path
@@ -42,12 +42,12 @@ class Leftover:
 
 
 def leftovers(catalog: Catalog, layout: Layout, *, alone: bool) -> list[Leftover]:
-    """Return what is left over.
+    """Return the leftovers.
 
     Args:
-        catalog: What is named.
-        layout: Where.
-        alone: Whether no server runs; else what is younger than a day may be in use, and is left
+        catalog: Names the files.
+        layout: Locates them.
+        alone: Whether no server runs; else files younger than a day may be in use, and are left
             out.
     """
     found = [
@@ -55,18 +55,17 @@ def leftovers(catalog: Catalog, layout: Layout, *, alone: bool) -> list[Leftover
         *(Leftover(path, "no row names it", useless=False) for path in _unnamed(catalog, layout)),
     ]
     kept = [item for item in found if alone or _age_s(item.path) > _IN_USE_S]
-    # What is half-written first: else it is moved with the folder that it is in, and kept.
+    # Half-written files first: else they are moved with their folder, and kept.
     return sorted(kept, key=lambda item: (not item.useless, item.path))
 
 
 def sweep(catalog: Catalog, layout: Layout) -> list[Leftover]:
-    """Remove what is half-written, and move what no row names to `orphans/`; return what was done.
+    """Remove half-written files, and move what no row names to `orphans/`; return what was done.
 
-    Mostly that is what a crash left. Should the catalog be at fault, as after a partial restore,
-    nothing is lost: there it stays under the day and the path that it had, for
-    `ORPHANS_KEPT_DAYS`.
+    Usually a crash left it. Should the catalog be wrong, as after a partial restore, nothing is
+    lost: it stays there under the day and its former path, for `ORPHANS_KEPT_DAYS`.
 
-    Only safe while nobody writes: a file is there before its row.
+    Only safe while no other process writes: a file is written before its row.
     """
     swept = []
     orphans = 0
@@ -91,7 +90,7 @@ def sweep(catalog: Catalog, layout: Layout) -> list[Leftover]:
 
 
 def set_aside(path: Path, layout: Layout, folder: Path) -> Path:
-    """Move a file or folder of ours to `folder`, under today and the path that it had."""
+    """Move a file or folder to `folder`, under today's date and its former path."""
     aside = folder / _today().isoformat() / path.relative_to(layout.data_dir)
     make_folder(aside.parent)
     if aside.exists():
@@ -105,7 +104,7 @@ def _today() -> date:
 
 
 def _expire(layout: Layout) -> None:
-    """Remove the days of `orphans/` that are over; what older versions put there is today's."""
+    """Remove the expired days of `orphans/`; files of older versions count from today."""
     if not layout.orphans.is_dir():
         return
     last = _today() - timedelta(days=ORPHANS_KEPT_DAYS)

@@ -1,4 +1,4 @@
-"""Modes of the data directory: all in it is its owner's and nobody else's."""
+"""Modes of the data directory: only its owner has access."""
 
 import logging
 import os
@@ -13,16 +13,16 @@ _log = logging.getLogger("tensormap.storage")
 
 
 def make_private(layout: Layout) -> int:
-    """Take from group and others what older versions, or the operator's umask, gave them.
+    """Remove the permissions of group and others, from older versions or the operator's umask.
 
-    The folder itself comes last, once all in it is done: where it is private already nothing else
-    is looked at, so that a start does not pass over a million files each time.
+    The folder itself is the last: where it is private already no file is checked, so that a start
+    does not visit a million files each time.
 
     Args:
-        layout: Of a data directory; what is not of ours in it stays as it is.
+        layout: A data directory; files that are not ours stay as they are.
 
     Returns:
-        How many modes were changed.
+        The number of changed modes.
     """
     if not _is_open(layout.data_dir) and not _is_open(layout.maps):
         return 0
@@ -35,7 +35,7 @@ def make_private(layout: Layout) -> int:
 
 def _ours(layout: Layout) -> list[Path]:
     found = [*layout.data_dir.glob(f"{layout.catalog.name}*"), layout.store_id, layout.lock]
-    for top in layout.folders:
+    for top in (layout.maps, layout.orphans, layout.damaged):
         for folder, folders, files in os.walk(top):
             found += [Path(folder, name) for name in (*files, *folders)]
         if top != layout.maps:
@@ -48,7 +48,7 @@ def _is_open(path: Path) -> bool:
 
 
 def _close(path: Path) -> bool:
-    """Take a mode's bits of group and others; return whether it had any."""
+    """Remove the permissions of group and others; return whether there were any."""
     try:
         mode = path.lstat().st_mode
         if stat.S_ISLNK(mode) or not mode & _OTHERS:

@@ -1,4 +1,4 @@
-"""One server owns a data directory: a lock says which."""
+"""The lock of the one server that owns a data directory."""
 
 import fcntl
 import os
@@ -10,14 +10,14 @@ from storage.errors import DataDirInUse
 
 
 class ServerLock:
-    """A lock on a file that ends with the process, however that ends."""
+    """A lock on a file that is released when the process ends, however that ends."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
         self._descriptor: int | None = None
 
     def take(self) -> None:
-        """Take the lock; taking it twice is taking it once.
+        """Take the lock; a second call has no effect.
 
         Raises:
             DataDirInUse: If another process, or another store of this one, holds it.
@@ -33,14 +33,14 @@ class ServerLock:
         self._descriptor = descriptor
 
     def release(self) -> None:
-        """Give the lock back, if it is held."""
+        """Release the lock, if it is held."""
         if self._descriptor is not None:
             os.close(self._descriptor)
             self._descriptor = None
 
     @contextmanager
     def held(self) -> Iterator[None]:
-        """Hold the lock for a block, or go on holding it.
+        """Hold the lock for a block; one that is held already stays held after it.
 
         Raises:
             DataDirInUse: If another process, or another store of this one, holds it.

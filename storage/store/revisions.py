@@ -14,7 +14,7 @@ from storage.store.layout import Layout
 
 
 class Revisions:
-    """The revisions of each map, newest first; what only reads rows is the catalog's."""
+    """The revisions of each map, newest first; methods that only read rows are the catalog's."""
 
     def __init__(self, catalog: Catalog, layout: Layout) -> None:
         self._catalog = catalog
@@ -39,13 +39,12 @@ class Revisions:
     ) -> RevisionRecord:
         """Write a revision's file and add its row; the first one of a map becomes live.
 
-        A digest that the map has already keeps its record, and the file takes the place of its
-        first one.
+        A digest that the map has already keeps its record, and the file replaces its first one.
 
         Args:
-            map_id: The map; one that was made anew under the same slug is another.
-            digest: Of the revision's content, 64 hex digits.
-            write: Writes the file at the path it is given.
+            map_id: The map; a new one under the same slug has another id.
+            digest: Digest of the revision's content, 64 hex digits.
+            write: Writes the file to a path.
             facts: What the builder knows about it.
             make_live: Make it live even if it is not the first.
             if_live: The revision that must be live now, empty for none; any by default.
@@ -56,8 +55,8 @@ class Revisions:
             StorageFull: If no space is left; nothing is changed.
         """
         self._catalog.maps.get_by_id(map_id)
-        # Its own name for every file: one that is being deleted and one that is being added with
-        # the same digest cannot meet.
+        # Every file has its own name: one that is being deleted and one that is being added with
+        # the same digest cannot conflict.
         name = f"{_checked_digest(digest)}.{new_id()[:8]}.h5"
         path = make_folder(self._layout.revisions(map_id)) / name
         try:
@@ -70,11 +69,11 @@ class Revisions:
         except FileNotFoundError:  # the map's folder was removed, and its row before that
             self._catalog.maps.get_by_id(map_id)
             raise
-        except StorageError:  # nothing was committed; after any other error, who knows: see sweep
+        except StorageError:  # nothing was committed; after another error that is not certain
             discard(path)
             raise
         if record.file_name != name:
-            # The one that is there may be lost or damaged, and this one has just been read back.
+            # The first one may be lost or damaged, and this one has just been read back.
             with named_disk_errors():
                 path.replace(self.path_of(record))
                 sync(path.parent)
@@ -91,7 +90,7 @@ class Revisions:
         return self.path_of(self._catalog.revisions.get(map_slug, digest))
 
     def open(self, map_slug: str, digest: str) -> tuple[RevisionRecord, BinaryIO]:
-        """Open the file of a revision: it can be read to its end, whatever is deleted meanwhile.
+        """Open the file of a revision; it can be read to its end even if it is deleted meanwhile.
 
         Raises:
             MapNotFound: If there is no such map.
@@ -116,7 +115,7 @@ class Revisions:
     def delete(self, map_slug: str, digest: str) -> RevisionRecord:
         """Remove a revision that is not live: its row, then its file.
 
-        Who has the file open can read it to the end.
+        A process that has the file open can read it to the end.
 
         Raises:
             MapNotFound: If there is no such map.
@@ -130,18 +129,18 @@ class Revisions:
     def collect(self, map_id: str, digest: str, default: Retention) -> RevisionRecord:
         """Remove a revision that its map's policy does not keep: its row, then its file.
 
-        Who has it open, or in memory, can read it to the end.
+        A process that has it open, or in memory, can read it to the end.
 
         Raises:
             MapNotFound: If the map is gone.
-            LostRace: If it is kept after all: made live meanwhile, or the base of a job.
+            LostRace: If it is to be kept: it was made live meanwhile, or a job is based on it.
         """
         record = self._catalog.collector.collect(map_id, digest, default)
         discard(self.path_of(record))
         return record
 
     def path_of(self, record: RevisionRecord) -> Path:
-        """Return where the file of a revision is."""
+        """Return the file of a revision."""
         return self._layout.revisions(record.map_id) / record.file_name
 
 

@@ -1,4 +1,4 @@
-"""Scans of a drive, read from its chunk files and held against what was put."""
+"""Scans of a drive, read from its chunk files and checked against their digests."""
 
 from pathlib import Path
 
@@ -10,11 +10,11 @@ from storage.files.drive_chunks import ChunkFile, scan_digest
 
 
 class ScanReader:
-    """Reads the scans of a drive, those of one file in a row in the least time.
+    """Reads the scans of a drive, fastest in the order of their chunk files.
 
     Args:
-        catalog: Asked for each scan where it is now.
-        drive: Whose scans.
+        catalog: Locates each scan when it is read.
+        drive: The drive.
         chunks: The folder of its chunk files.
     """
 
@@ -30,7 +30,7 @@ class ScanReader:
         Raises:
             ScanNotFound: If the drive has no such scan, or was deleted.
             ReturnsGone: If its returns were dropped after a build.
-            CorruptFile: If what is stored is not what was put.
+            CorruptFile: If the stored scan is not the one that was put.
         """
         record = self._record(index)
         try:
@@ -39,7 +39,7 @@ class ScanReader:
             moved = self._record(index)  # or dropped meanwhile
             if moved.chunk == record.chunk:
                 raise CorruptFile(f"the file of scan {index} is gone: {record.chunk}") from error
-            points_m = self._points_m(moved)  # compaction came between
+            points_m = self._points_m(moved)  # compacted meanwhile
         digest = scan_digest(points_m)
         if digest != record.digest:
             raise CorruptFile(
@@ -63,7 +63,7 @@ class ScanReader:
         return record
 
     def _points_m(self, record: ScanRecord) -> Float32Array:
-        opened = self._open  # another thread may put another file there
+        opened = self._open  # another thread may replace it
         if opened is None or opened[0] != record.chunk:
             opened = self._open = record.chunk, ChunkFile(self._chunks / record.chunk)
         return opened[1].points_m(record.row)

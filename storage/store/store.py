@@ -24,16 +24,16 @@ _LEAST_FREE_BYTES = 2**20  # a scan of an HDL-64E has 1.5 million bytes
 class Store(Closing):
     """Maps, drives, revisions, jobs and keys of one data directory.
 
-    A write that returns is on disk, file and row: the file is written beside, fsynced and renamed
-    first, then the row that names it is committed. A crash between the two leaves a file that no
-    row names, never a row without its file. Files are never edited.
+    A write that returns is on disk, file and row: first the file is written under a temporary name,
+    fsynced and renamed, then the row that names it is committed. A crash between the two leaves a
+    file that no row names, never a row without its file. Files are never edited.
 
-    Safe from many threads. Another process opens its own store on the same directory; only the
-    server opens it with `Store.serving`. Whoever opens it brings the catalog's schema to the newest
+    Safe for many threads. Another process opens its own store on the same directory; only the
+    server opens it with `Store.serving`. Opening upgrades the catalog's schema to the newest
     version, unless a server of another version runs.
 
     Args:
-        data_dir: Where everything lies; it is made if it is not there.
+        data_dir: The data directory; it is made if it does not exist.
         catalog_url: A SQLAlchemy URL; SQLite in the data directory by default.
 
     Raises:
@@ -43,11 +43,11 @@ class Store(Closing):
     Attributes:
         maps: The maps.
         drives: Their drives and scans.
-        revisions: What was built of them, and which is live.
-        jobs: What is being built.
-        keys: Who may ask for what.
-        tokens: What was exchanged for keys.
-        audit: Who changed what.
+        revisions: Their revisions, and which is live.
+        jobs: Their builds.
+        keys: The API keys.
+        tokens: The tokens of keys.
+        audit: The log of changes.
 
     Examples:
         >>> import tempfile
@@ -92,7 +92,7 @@ class Store(Closing):
         """Open a store as its server: lock the directory, then migrate, then recover.
 
         Raises:
-            InvalidParameters: If it is a folder of something else; nothing is changed.
+            InvalidParameters: If it is a folder with other content; nothing is changed.
             DataDirInUse: If another server runs on it; nothing is changed.
             WrongCatalog: If the catalog belongs to another data directory, or to a newer version.
         """
@@ -114,7 +114,7 @@ class Store(Closing):
         return store
 
     def recover(self) -> None:
-        """Become the server of this data directory and clear up after the last one.
+        """Become the server of this data directory and clean up after the last one.
 
         Files that no row names are moved to `orphans/`, and interrupted jobs are queued again.
 
@@ -127,7 +127,7 @@ class Store(Closing):
         self.jobs.requeue_interrupted()
 
     def owned(self) -> AbstractContextManager[None]:
-        """Own the data directory for a block, as a server does, or go on owning it.
+        """Own the data directory for a block, as a server does; one that owns it keeps it.
 
         Raises:
             DataDirInUse: If another server runs on it.
@@ -135,7 +135,7 @@ class Store(Closing):
         return self._lock.held()
 
     def lacking(self) -> list[str]:
-        """Return what keeps the data directory from being written, in words; nothing if it can."""
+        """Return the reasons why the data directory cannot be written, none if it can."""
         if not os.access(self.layout.maps, os.W_OK):
             return ["the data directory cannot be written"]
         free_bytes = shutil.disk_usage(self.layout.maps).free
@@ -151,6 +151,6 @@ class Store(Closing):
         }
 
     def close(self) -> None:
-        """Close the catalog and let another server have the data directory."""
+        """Close the catalog and release the data directory."""
         self.catalog.close()
         self._lock.release()

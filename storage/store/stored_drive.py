@@ -1,4 +1,4 @@
-"""A drive in the store, as the method sees it."""
+"""A drive in the store, as core reads it."""
 
 from collections.abc import Callable, Sequence
 
@@ -13,18 +13,18 @@ from storage.catalog import DriveRecord, ScanRecord
 class StoredDrive:
     """The scans that a drive had when it was opened; satisfies `core.scans.drive.Drive`.
 
-    Position i is the i-th scan in the order of the indices: without gaps, so that the method
-    counts 0, 1, 2 where the drive has 0, 5, 6.
+    Position i is the i-th scan in the order of the indices, without gaps: positions are 0, 1, 2
+    where the drive has scans 0, 5, 6.
 
     Attributes:
-        id: The drive's id; one that was made anew under the same slug has another.
+        id: The drive's id; a new drive under the same slug has another.
         map_id: Its map's id.
         name: The drive's slug.
         scan_index: `(K,)` the index under which each scan is stored.
         timestamp_s: `(K,)` seconds, NaN where unknown.
         poses: `(K, 7)` pose rows, sensor to world, NaN where unknown.
         digests: `K` SHA-256 digests of the scans' returns.
-        closed: Whether it takes no more scans.
+        closed: Whether it accepts no more scans.
         has_returns: `(K,)` whether a scan's returns are still stored.
     """
 
@@ -49,6 +49,6 @@ class StoredDrive:
         Raises:
             ScanNotFound: If the drive was deleted meanwhile.
             ReturnsGone: If its returns were dropped after a build.
-            CorruptFile: If what is stored is not what was put.
+            CorruptFile: If the stored scan is not the one that was put.
         """
         return self._read(int(self.scan_index[index]))

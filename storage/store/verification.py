@@ -1,4 +1,4 @@
-"""Every file that the catalog names, checked against its digest; what is damaged, set aside."""
+"""Checks every file that the catalog names against its digest; a repair moves damaged ones."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -32,11 +32,11 @@ class Finding:
 
     Attributes:
         condition: Damaged or missing; unreadable if it may be good; or left over.
-        path: Under the data directory.
-        what: In words.
+        path: Path under the data directory.
+        what: A description of the fault.
         done: What a repair did, empty if nothing.
-        is_loss: Whether something that the catalog names cannot be read, nor be made anew.
-        described: What the file is to users; empty if the catalog does not name it.
+        is_loss: Whether something that the catalog names can neither be read nor made again.
+        described: A description of the file for users; empty if the catalog does not name it.
     """
 
     condition: Condition
@@ -49,11 +49,11 @@ class Finding:
 
 @dataclass(frozen=True)
 class Verification:
-    """What was found.
+    """The result of a verification.
 
     Attributes:
-        files: How many files were checked.
-        findings: What is wrong, leftovers last.
+        files: Number of files that were checked.
+        findings: The faults, leftovers last.
     """
 
     files: int
@@ -66,20 +66,19 @@ class Verification:
 
 
 def verify(store: Store, *, repair: bool = False, progress: Progress = NO_PROGRESS) -> Verification:
-    """Check every file that the catalog names, and look for what it does not name.
+    """Check every file that the catalog names, and find files that it does not name.
 
-    The service may run meanwhile. A repair owns the data directory while it works: it moves what
-    is damaged to `damaged/`, so that all that is left can be read, and sweeps as a start does.
-    It removes nothing but half-written files, old orphans, and cached images that a build makes
-    anew.
+    The service may run meanwhile. A repair owns the data directory while it runs: it moves damaged
+    files to `damaged/`, so that all others can be read, and sweeps as a start does. It removes
+    nothing but half-written files, old orphans, and cached images that a build makes again.
 
     Args:
-        store: Its files.
-        repair: Whether to set aside what is damaged, and to sweep.
-        progress: Told of every file.
+        store: The store.
+        repair: Whether to move damaged files, and to sweep.
+        progress: Reports every file.
 
     Raises:
-        DataDirInUse: If a server runs, and a repair is wanted.
+        DataDirInUse: If a server runs, and `repair` is set.
     """
     if not repair:
         return _verify(store, progress, repair=False)
@@ -89,7 +88,7 @@ def verify(store: Store, *, repair: bool = False, progress: Progress = NO_PROGRE
 
 def _verify(store: Store, progress: Progress, *, repair: bool) -> Verification:
     inventory = Inventory(store.catalog, store.layout)
-    findings = [Finding(Condition.DAMAGED, "catalog", said) for said in store.catalog.faults()]
+    findings = [Finding(Condition.DAMAGED, "catalog", what) for what in store.catalog.faults()]
     progress.start("files", len(inventory.paths()))
     checked = 0
     with Checker() as checker:
@@ -128,20 +127,20 @@ def _left_over(store: Store, *, repair: bool) -> Iterator[Finding]:
 
 
 def _repaired(store: Store, file: StoredFile, fault: Fault, finding: Finding) -> Finding:
-    """Set a damaged file aside, and what is good in it into another file."""
+    """Move a damaged file to `damaged/`, and the good scans in it into another file."""
     if not fault.certain:
         return finding
     path = store.layout.data_dir / file.path
     if file.kind == "images" and _has_all_returns(store, file.drive_id):
         discard(path)
-        return replace(finding, done="removed: a build makes it anew", is_loss=False)
+        return replace(finding, done="removed: a build makes it again", is_loss=False)
     saved = ""
     try:
         if fault.good_rows:
             _save(store, file, fault.good_rows)
             saved = f"; {len(fault.good_rows)} good scans have a new file"
         aside = set_aside(path, store.layout, store.layout.damaged)
-    except (StorageError, OSError) as error:  # as long as it is there its good rows can be read
+    except (StorageError, OSError) as error:  # until it is moved its good rows can be read
         return replace(finding, done=f"left as it is: {error}")
     return replace(finding, done=f"moved to {aside.relative_to(store.layout.data_dir)}{saved}")
 
@@ -151,7 +150,7 @@ def _has_all_returns(store: Store, drive_id: str) -> bool:
 
 
 def _save(store: Store, file: StoredFile, rows: tuple[int, ...]) -> None:
-    """Move the scans of these rows into new files; each is held against its digest once more."""
+    """Move the scans of these rows into new files; each is checked against its digest again."""
     good = set(rows)
     records = [
         record

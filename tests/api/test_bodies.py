@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from tests.support.catalog_rows import stored_scans
 from tests.support.recording import KITTI, NPY, kitti, npy, recording, upload_scan
 from tests.support.service import problem_of, running, whole_store
 
@@ -173,10 +174,10 @@ def test_a_pose_that_is_none_is_refused(client, pose):
     ],
 )
 def test_poses_that_cannot_be_set_change_nothing(client, poses, problem):
-    before = client.service.store.drives.scan_records("campus", "monday")
+    before = stored_scans(client.service.store, "campus", "monday")
     refused = client.put("/v1/maps/campus/drives/monday/poses", json={"poses": poses})
     assert problem_of(refused) == problem
-    assert client.service.store.drives.scan_records("campus", "monday") == before
+    assert stored_scans(client.service.store, "campus", "monday") == before
 
 
 def test_a_thousand_things_that_are_wrong_are_not_all_repeated(client):

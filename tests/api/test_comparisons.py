@@ -1,10 +1,10 @@
-"""What changed between two revisions, in recall on the map's own scans too."""
+"""Comparisons of two revisions, with recall on their common scans."""
 
 from typing import Any
 
 import pytest
 
-from app.revisions.comparison import MOST_ASKED
+from app.revisions.recall import MOST_ASKED
 from tests.support.campus import build
 from tests.support.recording import Recording, recording
 from tests.support.service import damage, problem_of, running, upload
@@ -29,104 +29,110 @@ def campus(tmp_path_factory):
             "paper": {"encoding": "paper", "lateral_renderings_m": None},
         }
         revisions = {
-            name: build(client, **{"drives": ["monday"], **PLAIN, **wanted})["revision"]
-            for name, wanted in builds.items()
+            name: build(client, **{"drives": ["monday"], **PLAIN, **changes})["revision"]
+            for name, changes in builds.items()
         }
         yield client, revisions
 
 
 def compared(campus, this, other=None):
     client, revisions = campus
-    asked = {} if other is None else {"with": revisions[other][:16]}
-    answer = client.get(f"{MAP}/revisions/{revisions[this]}/comparison", params=asked)
+    query = {} if other is None else {"with": revisions[other][:16]}
+    answer = client.get(f"{MAP}/revisions/{revisions[this]}/comparison", params=query)
     assert answer.status_code == 200, answer.text
     return answer.json()
 
 
-def test_a_revision_is_not_changed_from_itself(campus):
-    told = compared(campus, "plain", "plain")
-    assert told["identical"]
-    assert told["same_basis"]
-    assert told["this"] == told["other"]
-    assert told["changed_parameters"] == []
-    assert told["drives"] == [{"drive": "monday", "in_both": 48, "only_this": 0, "only_other": 0}]
-    assert (told["scans_in_both"], told["scans_only_this"], told["scans_only_other"]) == (48, 0, 0)
-    recall = told["recall"]
+def test_a_revision_is_identical_to_itself(campus):
+    found = compared(campus, "plain", "plain")
+    assert found["identical"]
+    assert found["same_basis"]
+    assert found["this"] == found["other"]
+    assert found["changed_parameters"] == []
+    assert found["drives"] == [{"drive": "monday", "in_both": 48, "only_this": 0, "only_other": 0}]
+    assert (found["scans_in_both"], found["scans_only_this"], found["scans_only_other"]) == (
+        48,
+        0,
+        0,
+    )
+    recall = found["recall"]
     assert recall["same_questions"]
     assert 30 < recall["asked"] <= MOST_ASKED
     assert recall["this"] == recall["other"] > 0.6
-    assert told["recall_unknown"] is None
+    assert found["recall_unknown"] is None
 
 
-def test_signatures_of_one_number_find_less_and_say_less(campus):
-    told = compared(campus, "tiny")  # with the live one
+def test_signatures_of_one_number_have_a_lower_recall(campus):
+    found = compared(campus, "tiny")  # with the live one
     revisions = campus[1]
-    assert told["other"]["revision"] == revisions["plain"]
-    assert not told["identical"]
-    assert not told["same_basis"]
-    assert told["changed_parameters"] == [{"name": "ranks", "this": [1, 1], "other": [5, 5]}]
-    assert told["scans_in_both"] == 48
-    assert told["recall"]["same_questions"]
-    assert told["recall"]["this"] < told["recall"]["other"] - 0.1
-    assert told["this"]["relative_error_median"] > told["other"]["relative_error_median"]
-    assert told["this"]["size_bytes"] < told["other"]["size_bytes"]
+    assert found["other"]["revision"] == revisions["plain"]
+    assert not found["identical"]
+    assert not found["same_basis"]
+    assert found["changed_parameters"] == [{"name": "ranks", "this": [1, 1], "other": [5, 5]}]
+    assert found["scans_in_both"] == 48
+    assert found["recall"]["same_questions"]
+    assert found["recall"]["this"] < found["recall"]["other"] - 0.1
+    assert found["this"]["relative_error_median"] > found["other"]["relative_error_median"]
+    assert found["this"]["size_bytes"] < found["other"]["size_bytes"]
     turned = compared(campus, "plain", "tiny")
-    assert (turned["this"], turned["other"]) == (told["other"], told["this"])
+    assert (turned["this"], turned["other"]) == (found["other"], found["this"])
     assert turned["recall"] == {
-        **told["recall"],
-        "this": told["recall"]["other"],
-        "other": told["recall"]["this"],
+        **found["recall"],
+        "this": found["recall"]["other"],
+        "other": found["recall"]["this"],
     }
-    assert compared(campus, "tiny") == told  # it depends on nothing else
+    assert compared(campus, "tiny") == found  # it depends on nothing else
 
 
 def test_the_numbers_are_those_of_the_revision_and_its_graph(campus):
-    told = compared(campus, "plain")["this"]
+    found = compared(campus, "plain")["this"]
     client, revisions = campus
     record = client.get(f"{MAP}/revisions/{revisions['plain']}").json()
     for name in ("revision", "scans", "segments", "size_bytes", "created_at"):
-        assert told[name] == record[name]
+        assert found[name] == record[name]
     graph = client.get(f"{MAP}/topology", params={"revision": revisions["plain"]}).json()
-    assert (told["nodes"], told["edges"]) == (len(graph["nodes"]), len(graph["edges"]))
-    assert told["length_m"] == pytest.approx(sum(edge["length_m"] for edge in graph["edges"]))
+    assert (found["nodes"], found["edges"]) == (len(graph["nodes"]), len(graph["edges"]))
+    assert found["length_m"] == pytest.approx(sum(edge["length_m"] for edge in graph["edges"]))
     assert (
-        told["calibrated"] == record["parameters"]["calibrated"] == (told["threshold"] is not None)
+        found["calibrated"]
+        == record["parameters"]["calibrated"]
+        == (found["threshold"] is not None)
     )
 
 
-def test_an_added_drive_is_told_and_the_scans_of_both_are_asked(campus):
-    told = compared(campus, "more", "plain")
-    assert told["same_basis"]  # it was kept
-    assert told["changed_parameters"] == []
-    assert told["drives"] == [
+def test_an_added_drive_is_listed_and_the_common_scans_are_queries(campus):
+    found = compared(campus, "more", "plain")
+    assert found["same_basis"]  # it was kept
+    assert found["changed_parameters"] == []
+    assert found["drives"] == [
         {"drive": "monday", "in_both": 48, "only_this": 0, "only_other": 0},
         {"drive": "short", "in_both": 0, "only_this": 6, "only_other": 0},
     ]
-    assert told["recall"]["asked"] == compared(campus, "plain")["recall"]["asked"]
+    assert found["recall"]["asked"] == compared(campus, "plain")["recall"]["asked"]
     assert compared(campus, "short", "plain")["recall_unknown"] == "no-scan-in-both"
 
 
-def test_maps_that_promise_other_places_are_asked_there_and_that_is_said(campus):
-    told = compared(campus, "paper", "plain")
-    assert not told["recall"]["same_questions"]
-    changed = {item["name"]: (item["this"], item["other"]) for item in told["changed_parameters"]}
+def test_maps_that_answer_other_places_have_other_queries(campus):
+    found = compared(campus, "paper", "plain")
+    assert not found["recall"]["same_questions"]
+    changed = {item["name"]: (item["this"], item["other"]) for item in found["changed_parameters"]}
     assert changed["encoding"] == ("paper", "harmonic")
     assert changed["lateral_renderings_m"] == (None, [0.0])
-    assert told["this"]["drives"] == told["other"]["drives"] == ["monday"]
+    assert found["this"]["drives"] == found["other"]["drives"] == ["monday"]
 
 
-def test_of_an_imported_revision_no_recall_is_claimed(campus):
+def test_the_recall_of_an_imported_revision_is_unknown(campus):
     client, revisions = campus
     body = client.get(f"{MAP}/revisions/{revisions['plain']}/file").content
     client.post("/v1/maps", json={"map": "elsewhere"})
     client.post("/v1/maps/elsewhere/revisions", content=body, headers=HDF5)
-    told = client.get(f"/v1/maps/elsewhere/revisions/{revisions['plain']}/comparison").json()
-    assert told["identical"]
-    assert (told["recall"], told["recall_unknown"]) == (None, "not-built-here")
-    assert told["scans_in_both"] == 48
+    found = client.get(f"/v1/maps/elsewhere/revisions/{revisions['plain']}/comparison").json()
+    assert found["identical"]
+    assert (found["recall"], found["recall_unknown"]) == (None, "not-built-here")
+    assert found["scans_in_both"] == 48
 
 
-def test_a_drive_made_anew_has_other_scans_and_gone_images_ask_nothing(tmp_path):
+def test_a_drive_created_again_has_other_scans_and_without_images_recall_is_unknown(tmp_path):
     with running(tmp_path / "data") as client:
         client.post("/v1/maps", json={"map": "campus"})
 
@@ -136,14 +142,14 @@ def test_a_drive_made_anew_has_other_scans_and_gone_images_ask_nothing(tmp_path)
 
         revisions = {"first": one(0)}
         client.delete(f"{MAP}/drives/monday")
-        told = compared((client, revisions), "first", "first")
-        assert (told["recall"], told["recall_unknown"]) == (None, "images-not-kept")
+        found = compared((client, revisions), "first", "first")
+        assert (found["recall"], found["recall_unknown"]) == (None, "images-not-kept")
         revisions["second"] = one(1)
-        told = compared((client, revisions), "second", "first")
-        assert told["drives"] == [
+        found = compared((client, revisions), "second", "first")
+        assert found["drives"] == [
             {"drive": "monday", "in_both": 0, "only_this": 8, "only_other": 8}
         ]
-        assert told["recall_unknown"] == "no-scan-in-both"
+        assert found["recall_unknown"] == "no-scan-in-both"
         store = client.service.store
         drive = store.drives.get("campus", "monday")
         for path in store.layout.images(drive.map_id, drive.id).iterdir():
@@ -153,7 +159,7 @@ def test_a_drive_made_anew_has_other_scans_and_gone_images_ask_nothing(tmp_path)
         )
 
 
-def test_a_revision_that_is_not_there_is_refused_by_name(campus):
+def test_an_unknown_revision_is_refused_with_its_problem(campus):
     client, revisions = campus
     known = f"{MAP}/revisions/{revisions['plain']}/comparison"
     refused = client.get(known, params={"with": "0" * 64})

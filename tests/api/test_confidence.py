@@ -1,4 +1,4 @@
-"""Answers that say whether they are any, and hints that narrow them, over HTTP."""
+"""Accepted and refused localizations, and priors, over HTTP."""
 
 import pytest
 
@@ -14,58 +14,60 @@ def client(tmp_path_factory):
     with running(tmp_path_factory.mktemp("trust") / "data") as client:
         client.post("/v1/maps", json={"map": "campus"})
         upload(client, "monday", recording())
-        wanted = {"segments": 2, "encoding": "harmonic", "lateral_renderings_m": [-1.5, 0, 1.5]}
-        queued = client.post("/v1/maps/campus/builds", json=wanted)
+        parameters = {"segments": 2, "encoding": "harmonic", "lateral_renderings_m": [-1.5, 0, 1.5]}
+        queued = client.post("/v1/maps/campus/builds", json=parameters)
         assert wait_for(client, queued.json()["job"])["state"] == "done"
         yield client
 
 
-def ask(client, query="", index=20):
+def localized(client, query="", index=20):
     scan = recording(noise_seed=7).scans[index]
     return localize(client, f"scan?{query}", content=kitti(scan), headers=KITTI)
 
 
-def test_an_answer_says_what_the_method_does(client):
+def test_an_answer_is_that_of_the_method(client):
     [revision] = client.get("/v1/maps/campus/revisions").json()["items"]
     assert revision["parameters"]["calibrated"]
     core = Localizer(read_map(client.service.store.revisions.path("campus", revision["revision"])))
-    answer = ask(client)
+    answer = localized(client)
     found = core.localize_scan(recording(noise_seed=7).scans[20])
     assert found.deviation is not None
     assert answer["localized"] is found.localized is True
     assert answer["reason"] is None
-    assert answer["probability"] == found.verdict.probability
+    assert answer["probability"] == found.decision.probability
     assert 0.5 <= answer["probability"] < 1.0
-    told = [answer[name] for name in ("along_std_m", "lateral_std_m", "heading_std_deg")]
+    deviations = [answer[name] for name in ("along_std_m", "lateral_std_m", "heading_std_deg")]
     deviation = found.deviation
-    assert told == [deviation.along_m, deviation.lateral_m, deviation.heading_deg]
+    assert deviations == [deviation.along_m, deviation.lateral_m, deviation.heading_deg]
     assert tuple(answer["position_covariance"].values()) == found.position_covariance_m2
 
 
 def test_a_refusal_is_an_answer_with_a_reason_and_the_candidates(client):
-    answer = ask(client, "min_probability=1&k=3")
+    answer = localized(client, "min_probability=1&k=3")
     assert answer["localized"] is False
     assert answer["reason"] in {"unknown_place", "ambiguous"}
     assert len(answer["matches"]) == 3
 
 
-def test_hints_narrow_the_search_and_a_wrong_one_is_told(client):
-    place = ask(client)["best"]["pose"]
+def test_priors_narrow_the_search_and_a_wrong_one_is_refused(client):
+    place = localized(client)["best"]["pose"]
     x_m, y_m = place["x_m"], place["y_m"]
-    right = ask(client, f"x_m={x_m}&y_m={y_m}&position_sigma_m=3")
+    right = localized(client, f"x_m={x_m}&y_m={y_m}&position_sigma_m=3")
     assert right["localized"]
-    assert right["best"]["scan_index"] == ask(client)["best"]["scan_index"]
+    assert right["best"]["scan_index"] == localized(client)["best"]["scan_index"]
     for query in (
         f"x_m={x_m + 9000}&y_m={y_m}&position_sigma_m=3",
         f"since_x_m={x_m + 9000}&since_y_m={y_m}&travelled_m=5&travelled_sigma_m=1",
     ):
-        wrong = ask(client, query)
+        wrong = localized(client, query)
         assert (wrong["localized"], wrong["reason"]) == (False, "outside_prior")
-    by_scan = ask(client, "since_drive=monday&since_scan=19&travelled_m=2&travelled_sigma_m=1")
+    by_scan = localized(
+        client, "since_drive=monday&since_scan=19&travelled_m=2&travelled_sigma_m=1"
+    )
     assert by_scan["best"]["scan_index"] == right["best"]["scan_index"]
-    heading = ask(client, f"heading_deg={place['yaw_deg']}&heading_sigma_deg=5")
+    heading = localized(client, f"heading_deg={place['yaw_deg']}&heading_sigma_deg=5")
     assert abs(heading["best"]["turn_deg"]) <= 20.0
-    assert {match["segment"] for match in ask(client, "segment=1&k=5")["matches"]} == {1}
+    assert {match["segment"] for match in localized(client, "segment=1&k=5")["matches"]} == {1}
 
 
 @pytest.mark.parametrize(
@@ -94,7 +96,7 @@ def test_hints_narrow_the_search_and_a_wrong_one_is_told(client):
         ("min_probability=nan", "invalid-request"),
     ],
 )
-def test_a_hint_that_cannot_be_is_refused_by_name(client, query, problem):
+def test_an_impossible_prior_is_refused_with_its_problem(client, query, problem):
     response = client.post(
         f"/v1/maps/campus/localizations/scan?{query}",
         content=kitti(recording().scans[0]),

@@ -11,6 +11,7 @@ from app.revisions.schemas import BasisOut
 from core.encodings.signature import pack_signatures
 from storage.errors import CorruptFile
 from storage.files.map_file import read_map
+from tests.support.catalog_rows import stored_scans
 from tests.support.recording import KITTI, kitti, recording, upload_scan
 from tests.support.service import damage, problem_of, whole_store
 
@@ -87,7 +88,7 @@ def test_a_scan_whose_file_has_changed_is_not_given_back(own):
         upload_scan(own, "campus", "tuesday", index, recording().scans[index])
     [chunk] = {
         record.chunk
-        for record in own.service.store.drives.scan_records("campus", "tuesday")
+        for record in stored_scans(own.service.store, "campus", "tuesday")
         if record.index == 5
     }
     [path] = own.service.settings.data_dir.rglob(chunk)

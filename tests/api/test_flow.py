@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from app.revisions.schemas import BasisOut
-from core.encodings.paper import PaperBasis
+from core.encodings.paper.basis import PaperBasis
 from core.encodings.signature import pack_signatures
 from core.localization.localizer import Localizer
 from core.parameters import MapParameters

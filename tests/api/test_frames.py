@@ -1,4 +1,4 @@
-"""A drive whose poses are in another world frame does not ruin a map."""
+"""Drives in another world frame, and the gate before live."""
 
 import numpy as np
 import pytest
@@ -31,18 +31,18 @@ def found(client):
 
 
 def is_found(client, scan):
-    told = client.post(
+    found = client.post(
         f"{MAP}/localizations/scan",
         content=kitti(scan),
         headers={"Content-Type": "application/vnd.tensormap.kitti"},
     ).json()
-    place = told["matches"][0]["pose"]
+    place = found["matches"][0]["pose"]
     apart_m = np.hypot(place["x_m"] - scan.pose.x_m, place["y_m"] - scan.pose.y_m)
-    return bool(told["localized"] and apart_m <= 5.0)
+    return bool(found["localized"] and apart_m <= 5.0)
 
 
-def build(client, **wanted):
-    queued = client.post(f"{MAP}/builds", json=wanted)
+def build(client, **parameters):
+    queued = client.post(f"{MAP}/builds", json=parameters)
     assert queued.status_code == 202, queued.text
     return wait_for(client, queued.json()["job"])
 
@@ -114,7 +114,7 @@ def test_a_drive_without_poses_has_no_frame_to_check(campus):
     assert job["gate"] is None
 
 
-def test_a_build_that_insists_is_done_but_not_live_if_it_finds_less(foreign):
+def test_a_build_with_unchecked_poses_is_not_live_if_its_recall_is_lower(foreign):
     was_live = live(foreign)
     job = build(foreign, **ADDED, poses="unchecked")
     assert job["state"] == "done"
@@ -131,7 +131,7 @@ def test_a_build_that_insists_is_done_but_not_live_if_it_finds_less(foreign):
 
 
 @pytest.mark.parametrize("insisting", [{"force": True}, {"max_recall_loss": 1.0}])
-def test_a_loss_of_recall_can_be_insisted_on(foreign, insisting):
+def test_a_loss_of_recall_can_be_accepted(foreign, insisting):
     job = build(foreign, **ADDED, poses="unchecked", **insisting)
     assert (job["state"], job["gate"]["live"]) == ("done", True)
     assert live(foreign) == job["revision"]
@@ -140,8 +140,8 @@ def test_a_loss_of_recall_can_be_insisted_on(foreign, insisting):
 @pytest.mark.parametrize("option", [{"force": True}, {"max_recall_loss": 1.0}])
 @pytest.mark.parametrize("live", [{}, {"make_live": False}])
 def test_an_option_of_make_live_is_refused_without_it(campus, option, live):
-    asked = {"drives": ["monday"], **option, **live}
-    answer = campus.post(f"{MAP}/builds", json=asked)
+    body = {"drives": ["monday"], **option, **live}
+    answer = campus.post(f"{MAP}/builds", json=body)
     (name,) = option
     assert (answer.status_code, answer.json()["type"]) == (422, "/problems/invalid-request")
     [fault] = answer.json()["errors"]
@@ -152,11 +152,11 @@ def test_an_option_of_make_live_is_refused_without_it(campus, option, live):
 def test_the_defaults_of_a_job_may_be_sent_again(campus):
     job = build(campus, base="live", refit=True)
     parameters = campus.get(f"/v1/jobs/{job['job']}").json()["parameters"]
-    asked = {name: parameters[name] for name in ("force", "max_recall_loss", "make_live")}
-    assert build(campus, drives=["monday"], segments=3, **asked)["state"] == "done"
+    defaults = {name: parameters[name] for name in ("force", "max_recall_loss", "make_live")}
+    assert build(campus, drives=["monday"], segments=3, **defaults)["state"] == "done"
 
 
-def test_what_is_insisted_on_once_is_not_taken_over(foreign):
+def test_unchecked_poses_are_not_inherited_by_the_next_build(foreign):
     job = build(foreign, **ADDED, poses="unchecked", force=True)
     parameters = foreign.get(f"/v1/jobs/{job['job']}").json()["parameters"]
     assert (parameters["poses"], parameters["force"]) == ("unchecked", True)
@@ -177,7 +177,7 @@ def test_the_first_build_of_a_map_is_live_and_an_unmeasured_one_gives_its_reason
     assert job["gate"]["reason"] in job["notes"]
 
 
-def test_poses_that_are_left_over_are_noted_by_a_build(campus):
+def test_unused_poses_are_noted_by_a_build(campus):
     upload(campus, "tuesday", recording(noise_seed=1))
     lines = "".join(f"1 0 0 {i} 0 1 0 0 0 0 1 0\n" for i in range(2))
     kind = {"Content-Type": "application/vnd.tensormap.poses.kitti"}

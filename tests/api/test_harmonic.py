@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from app.revisions.schemas import BasisOut
-from core.encodings.harmonic import HarmonicBasis
+from core.encodings.harmonic.basis import HarmonicBasis
 from core.encodings.signature import Packing, pack_signatures
 from core.localization.localizer import Localizer
 from storage.files.map_file import read_map

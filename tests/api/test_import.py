@@ -1,4 +1,4 @@
-"""A revision from another service: checked, rewritten, and with the same answers."""
+"""Imported revisions: checked, rewritten, with the same answers."""
 
 import errno
 import io
@@ -31,9 +31,9 @@ def changed(body, change):
 def test_an_imported_revision_answers_as_where_it_was_built(client, built, exported, empty):
     answer = empty.post(REVISIONS, content=exported, headers=HDF5)
     assert answer.status_code == 201, answer.text
-    told = answer.json()
-    assert (told["revision"], told["live"], told["job"]) == (built.live, True, None)
-    assert told["parameters"]["imported"] is True
+    found = answer.json()
+    assert (found["revision"], found["live"], found["job"]) == (built.live, True, None)
+    assert found["parameters"]["imported"] is True
     assert answer.headers["Location"] == f"{REVISIONS}/{built.live}"
     scan = kitti(recording(noise_seed=7).scans[4])
     path = "/v1/maps/campus/localizations/scan"
@@ -43,7 +43,7 @@ def test_an_imported_revision_answers_as_where_it_was_built(client, built, expor
     assert empty.get(f"{REVISIONS}/{built.live}/file").status_code == 200
 
 
-def test_a_revision_that_is_there_is_imported_once(own, built, exported):
+def test_a_revision_that_the_map_has_is_imported_once(own, built, exported):
     before = whole_store(own)
     again = own.post(REVISIONS, content=exported, headers=HDF5)
     assert again.status_code == 200
@@ -59,10 +59,10 @@ def test_an_import_is_made_live_on_request_only(own, built):
     assert live.json()["live"]
 
 
-def test_no_build_is_based_on_an_import_whose_drives_are_elsewhere(empty, built, exported):
+def test_no_build_is_based_on_an_import_without_its_drives(empty, built, exported):
     empty.post(REVISIONS, content=exported, headers=HDF5)
-    wanted = {"base": "live", "add": ["tuesday"]}
-    answer = empty.post("/v1/maps/campus/builds", json=wanted)
+    plan = {"base": "live", "add": ["tuesday"]}
+    answer = empty.post("/v1/maps/campus/builds", json=plan)
     assert problem_of(answer) == (404, "drive-not-found")
 
 
@@ -88,7 +88,7 @@ SPOILT = {
 
 
 @pytest.mark.parametrize(("spoil", "problem"), SPOILT.values(), ids=SPOILT.keys())
-def test_what_is_no_whole_map_is_refused_and_changes_nothing(empty, exported, spoil, problem):
+def test_an_invalid_map_file_is_refused_and_changes_nothing(empty, exported, spoil, problem):
     before = whole_store(empty)
     assert problem_of(empty.post(REVISIONS, content=spoil(exported), headers=HDF5)) == (
         422,
@@ -97,7 +97,7 @@ def test_what_is_no_whole_map_is_refused_and_changes_nothing(empty, exported, sp
     assert whole_store(empty) == before
 
 
-def test_a_file_that_points_at_another_is_refused(empty, exported, tmp_path):
+def test_a_file_with_a_link_to_another_is_refused(empty, exported, tmp_path):
     def link(file):
         del file["pose"]
         file["pose"] = h5py.ExternalLink(str(tmp_path / "secret.h5"), "pose")

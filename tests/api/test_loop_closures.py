@@ -26,7 +26,7 @@ def signatures_of(client, scan):
     return sent.model_dump(exclude_none=True)
 
 
-def test_stored_scans_are_judged_in_a_batch_in_their_order(client):
+def test_stored_scans_are_checked_in_a_batch_in_their_order(client):
     proposals = [{"first": stored(3), "second": stored(second)} for second in (3, 4, 25)]
     answer = client.post(CLOSURES, json={"proposals": proposals})
     assert answer.status_code == 200, answer.text
@@ -36,14 +36,14 @@ def test_stored_scans_are_judged_in_a_batch_in_their_order(client):
     assert next_one["forward_m"] == pytest.approx(1.5, abs=0.5)  # a tenth of a second on
     assert elsewhere["verdict"] == "rejected"
     scans = recording().scans
-    wanted = check_scans(scans[3], scans[25], 1.73)
-    assert elsewhere["overlap"] == wanted.overlap
-    assert elsewhere["probability"] == wanted.probability
+    expected = check_scans(scans[3], scans[25], 1.73)
+    assert elsewhere["overlap"] == expected.overlap
+    assert elsewhere["probability"] == expected.probability
     assert elsewhere["signature_distance"] is None
 
 
 def signature_closures(client, first_rows):
-    """Judge the signature of scan 3, seen with other noise, against stored scans."""
+    """Check the signature of scan 3, with other noise, against stored scans."""
     second = signatures_of(client, recording(noise_seed=7).scans[3])
     body = {"proposals": [{"first": stored(row), "second": second} for row in first_rows]}
     answer = client.post(CLOSURES, json=body)
@@ -51,14 +51,14 @@ def signature_closures(client, first_rows):
     return answer.json()["closures"]
 
 
-def test_a_signature_is_judged_by_the_calibration_of_the_map(client):
+def test_a_signature_is_compared_by_the_calibration_of_the_map(client):
     same, elsewhere = signature_closures(client, (3, 25))
     assert same["signature_distance"] < elsewhere["signature_distance"]
     assert same["probability"] > 0.9 > elsewhere["probability"]
     assert same["overlap"] is None
 
 
-def test_a_signature_is_judged_without_a_probability_where_the_map_is_too_small_for_one(empty):
+def test_a_signature_has_no_probability_in_a_map_without_calibration(empty):
     upload(empty, "monday", recording(scans=6))
     job = empty.post("/v1/maps/campus/builds", json={"segments": 1}).json()["job"]
     revision = wait_for(empty, job)["revision"]
@@ -93,12 +93,12 @@ def test_a_threshold_decides_what_is_accepted(client):
         ({"proposals": [{"first": stored(3), "second": stored(99)}]}, (404, "scan-not-found")),
     ],
 )
-def test_a_proposal_that_cannot_be_is_refused(client, change, problem):
+def test_an_impossible_proposal_is_refused(client, change, problem):
     body = {"proposals": [{"first": stored(3), "second": stored(4)}], **change}
     assert problem_of(client.post(CLOSURES, json=body)) == problem
 
 
-def test_signatures_that_cannot_be_judged_are_refused(client):
+def test_signatures_that_cannot_be_compared_are_refused(client):
     second = signatures_of(client, recording().scans[3])
 
     def answer(first, second):
@@ -112,7 +112,7 @@ def test_signatures_that_cannot_be_judged_are_refused(client):
     assert problem_of(answer(stored(3), other_segment)) == (422, "invalid-signature")
 
 
-def test_no_revision_is_needed_where_the_mount_is_told(empty):
+def test_no_revision_is_needed_if_the_sensor_height_is_given(empty):
     for index, scan in enumerate(recording().scans[:2]):
         empty.put(
             f"/v1/maps/campus/drives/monday/scans/{index}",
@@ -121,11 +121,11 @@ def test_no_revision_is_needed_where_the_mount_is_told(empty):
         )
     body = {"proposals": [{"first": stored(0), "second": stored(1)}]}
     assert problem_of(empty.post(CLOSURES, json=body)) == (409, "no-live-revision")
-    told = empty.post(CLOSURES, json={**body, "sensor_height_m": 1.73})
-    assert told.status_code == 200
+    given = empty.post(CLOSURES, json={**body, "sensor_height_m": 1.73})
+    assert given.status_code == 200
 
 
-def test_the_command_judges_pairs_of_scans(tmp_path):
+def test_the_command_checks_pairs_of_scans(tmp_path):
     for index, scan in enumerate(recording().scans[:26]):
         (tmp_path / f"{index:06}.bin").write_bytes(kitti(scan))
 

@@ -49,9 +49,9 @@ def put(client, body):
 
 
 def answers_of_read_routes(client):
-    """Return the status of every route that reads the live revision, by request."""
+    """Return the status of every route that reads the live revision, by name."""
     scan = {"content": kitti(SCAN), "headers": KITTI}
-    asked = {
+    answers = {
         "maps": client.get("/v1/maps"),
         "map": client.get(MAP),
         "revisions": client.get(f"{MAP}/revisions"),
@@ -64,17 +64,17 @@ def answers_of_read_routes(client):
         "jobs": client.get("/v1/jobs"),
         "audit": client.get("/v1/audit"),
     }
-    digest = asked["map"].json()["live_revision"]
+    digest = answers["map"].json()["live_revision"]
     if digest:
         one = f"{MAP}/revisions/{digest}"
-        asked["revision"] = client.get(one)
-        asked["file"] = client.get(f"{one}/file")
-        asked["comparison"] = client.get(f"{one}/comparison", params={"with": digest})
-    if asked["track"].status_code == 201:
-        track = f"{MAP}/tracks/{asked['track'].json()['track']}"
-        asked["observation"] = client.post(f"{track}/observations", **scan)
-        asked["observed"] = client.get(track)
-    return {name: answer.status_code for name, answer in asked.items()}
+        answers["revision"] = client.get(one)
+        answers["file"] = client.get(f"{one}/file")
+        answers["comparison"] = client.get(f"{one}/comparison", params={"with": digest})
+    if answers["track"].status_code == 201:
+        track = f"{MAP}/tracks/{answers['track'].json()['track']}"
+        answers["observation"] = client.post(f"{track}/observations", **scan)
+        answers["observed"] = client.get(track)
+    return {name: answer.status_code for name, answer in answers.items()}
 
 
 NAMES = {
@@ -194,8 +194,8 @@ def test_every_route_answers_with_whatever_map_was_let_in(tmp_path, exported, ar
         client.post("/v1/maps", json={"map": "campus"})
         answer = put(client, odd(exported, arrays, **attributes))
         assert answer.status_code == 201, answer.text
-        told = answers_of_read_routes(client)
-    assert not {name: status for name, status in told.items() if status >= 500}, told
+        statuses = answers_of_read_routes(client)
+    assert not {name: status for name, status in statuses.items() if status >= 500}, statuses
 
 
 def test_a_name_that_an_earlier_version_let_in_is_refused_by_name_and_the_rest_answers(
@@ -213,8 +213,8 @@ def test_a_name_that_an_earlier_version_let_in_is_refused_by_name_and_the_rest_a
         assert listed.status_code == 200
         assert listed.json()["items"][0]["parameters"]["drives"] == ["monday?"]
         assert problem_of(client.get("/v1/maps/old/topology")) == (500, "corrupt-file")
-        told = answers_of_read_routes(client)
-    assert set(told.values()) == {200, 201}, told
+        statuses = answers_of_read_routes(client)
+    assert set(statuses.values()) == {200, 201}, statuses
 
 
 @pytest.mark.parametrize("text", ["a\ud800", "a\0", "a\x1b[2J"])

@@ -5,6 +5,7 @@ import pytest
 
 from app.drives.pose_files import CSV, KITTI, TUM
 from core.scans.pose import Pose
+from tests.support.catalog_rows import stored_scans
 from tests.support.recording import recording, upload_scan
 from tests.support.service import pose_text, problem_of, whole_store
 
@@ -20,7 +21,7 @@ def put(client, body, kind, **params):
 
 
 def records(client):
-    return client.service.store.drives.scan_records("campus", "monday")
+    return stored_scans(client.service.store, "campus", "monday")
 
 
 def same(pose, *wanted):

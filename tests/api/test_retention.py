@@ -5,7 +5,7 @@ from datetime import timedelta
 
 import pytest
 
-from storage.catalog.models import Revision
+from storage.catalog.models import RevisionRecord
 from storage.errors import StorageUnavailable
 from storage.retention import Retention
 from storage.store import Store
@@ -116,7 +116,7 @@ def test_a_replaced_revision_stays_for_its_time_and_answers_signatures_of_it(thr
     found = localize_packed(client, signature).json()
     assert (found["revision"], found["live_revision"]) == (live, newest)
     with client.service.store.catalog._database.writing() as session:
-        row = session.get_one(Revision, (client.service.store.maps.get("campus").id, live))
+        row = session.get_one(RevisionRecord, (client.service.store.maps.get("campus").id, live))
         row.retained_from -= timedelta(days=2)
     client.service.collector.collect()
     assert listed(client) == {other, newest}

@@ -1,4 +1,4 @@
-"""Revisions: which one answers, also a signature of another one."""
+"""Revisions: which one is live, and signatures of other ones."""
 
 import pytest
 
@@ -17,13 +17,13 @@ def test_a_second_build_is_live_only_when_it_is_made_so(client, built):
 
 
 def test_a_build_with_make_live_is_live_at_once(own, built):
-    wanted = {"segments": 4, "make_live": True}
-    job = own.post("/v1/maps/campus/builds", json=wanted).json()["job"]
+    parameters = {"segments": 4, "make_live": True}
+    job = own.post("/v1/maps/campus/builds", json=parameters).json()["job"]
     revision = wait_for(own, job)["revision"]
     assert own.get("/v1/maps/campus").json()["live_revision"] == revision != built.live
 
 
-def test_live_goes_ahead_and_rolls_back(own, built):
+def test_a_newer_and_an_older_revision_can_be_made_live(own, built):
     def live_by_scan():
         answer = own.post(
             "/v1/maps/campus/localizations/scan", content=kitti(recording().scans[3]), headers=KITTI
@@ -36,7 +36,7 @@ def test_live_goes_ahead_and_rolls_back(own, built):
         assert made.headers["ETag"] == own.get("/v1/maps/campus").headers["ETag"]
 
 
-def test_who_saw_an_older_version_does_not_switch(own, built):
+def test_an_older_version_of_the_map_is_refused_in_if_match(own, built):
     seen = own.get("/v1/maps/campus").headers["ETag"]
     own.patch("/v1/maps/campus", json={"description": "changed meanwhile"})
     refused = own.put(
@@ -88,7 +88,7 @@ def test_a_signature_of_another_map_is_stale(own, built):
         (lambda body: b"", "empty-body"),
     ],
 )
-def test_a_packed_signature_that_cannot_be_is_refused_by_name(client, built, change, problem):
+def test_an_impossible_packed_signature_is_refused_with_its_problem(client, built, change, problem):
     assert problem_of(localize_packed(client, change(signed(client, built.live)))) == (
         422,
         problem,
@@ -107,14 +107,14 @@ def test_a_packed_signature_that_cannot_be_is_refused_by_name(client, built, cha
         ({"segment": 9, "values": [[1] * 5] * 5}, "unknown-segment"),
     ],
 )
-def test_a_json_signature_that_cannot_be_is_refused_by_name(client, built, body, problem):
+def test_an_impossible_json_signature_is_refused_with_its_problem(client, built, body, problem):
     if "signatures" not in body:
         body = {"revision": built.live, "signatures": [body]}
     response = client.post("/v1/maps/campus/localizations/signature", json=body)
     assert problem_of(response) == (422, problem)
 
 
-def test_what_is_wrong_with_a_json_signature_is_listed_field_by_field(client, built):
+def test_the_errors_of_a_json_signature_are_listed_by_field(client, built):
     body = {"revision": built.live, "signatures": [{"segment": -1, "values": [["a"]]}]}
     response = client.post("/v1/maps/campus/localizations/signature", json=body)
     assert [item["where"] for item in response.json()["errors"]] == [
@@ -158,7 +158,7 @@ def test_a_revision_is_downloaded(client, built):
     assert built.live[:12] in whole.headers["Content-Disposition"]
 
 
-def test_a_revision_that_is_deleted_while_it_is_sent_arrives_whole(own, built, monkeypatch):
+def test_a_revision_that_is_deleted_during_its_download_arrives_whole(own, built, monkeypatch):
     store = own.service.store
     content = store.revisions.path("campus", built.other).read_bytes()
     really_open = store.revisions.open
@@ -188,7 +188,7 @@ def test_a_revision_that_is_deleted_before_it_is_opened_is_not_found(own, built,
     assert problem_of(refused) == (404, "revision-not-found")
 
 
-def test_a_revision_whose_file_is_gone_is_a_corrupt_file(own, built):
+def test_a_revision_without_its_file_is_a_corrupt_file(own, built):
     own.service.store.revisions.path("campus", built.other).unlink()
     refused = own.get(f"/v1/maps/campus/revisions/{built.other}/file")
     assert problem_of(refused) == (500, "corrupt-file")

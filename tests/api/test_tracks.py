@@ -21,8 +21,8 @@ KEY = "correct horse battery staple"
 def fill(client, encoding):
     client.post("/v1/maps", json={"map": "campus"})
     upload(client, "monday", recording())
-    wanted = {"segments": 3, "encoding": encoding}
-    queued = client.post("/v1/maps/campus/builds", json=wanted)
+    parameters = {"segments": 3, "encoding": encoding}
+    queued = client.post("/v1/maps/campus/builds", json=parameters)
     assert wait_for(client, queued.json()["job"])["state"] == "done"
 
 
@@ -73,7 +73,7 @@ def as_json(signatures):
     return {"revision": signatures[0].revision, "signatures": shown}
 
 
-def test_a_drive_is_followed_scan_by_scan(client, track):
+def test_a_drive_is_tracked_scan_by_scan(client, track):
     answers = [observe(client, track, index, timestamp_s=0.1 * index) for index in range(16)]
     assert [a["observations"] for a in answers] == list(range(1, 17))
     assert (answers[0]["localized"], answers[0]["reason"]) == (False, "converging")
@@ -102,13 +102,13 @@ def test_scan_image_and_signatures_of_either_form_get_the_same_answer(client, ba
         },
         "json": lambda i: {"json": as_json(signatures(basis, i))},
     }
-    told = []
+    answers = []
     for way in ways.values():
         track = client.post(TRACKS).headers["Location"]
         steps = [client.post(f"{track}/observations", **way(i)).json() for i in range(5)]
-        told.append([{**step, "track": ""} for step in steps])
+        answers.append([{**step, "track": ""} for step in steps])
         client.delete(track)
-    assert told[0] == told[1] == told[2]
+    assert answers[0] == answers[1] == answers[2]
 
 
 def test_a_packed_signature_is_an_observation_too(client, basis, track):
@@ -130,7 +130,9 @@ def test_a_repeated_or_older_observation_is_refused_and_changes_nothing(client, 
     assert observe(client, track, 1, timestamp_s=1.1, sequence=5)["observations"] == 2
 
 
-def test_what_is_no_observation_is_refused_by_name_and_changes_nothing(client, basis, track):
+def test_an_invalid_observation_is_refused_with_its_problem_and_changes_nothing(
+    client, basis, track
+):
     observe(client, track, 0)
     before = client.get(track).json()
     url = f"{track}/observations"
@@ -159,7 +161,7 @@ def test_an_unknown_track_is_not_found(client, track):
     assert problem_of(client.post(TRACKS, params={"revision": "f" * 64}))[1] == "revision-not-found"
 
 
-def test_threads_that_observe_at_once_are_taken_one_after_another(client, track):
+def test_concurrent_observations_are_taken_one_at_a_time(client, track):
     threads = [threading.Thread(target=observe, args=(client, track, index)) for index in range(6)]
     for thread in threads:
         thread.start()
@@ -196,7 +198,7 @@ def test_a_stream_takes_json_and_continues_after_a_rejection(client, basis, trac
         assert stream.receive_json()["observations"] == 2
 
 
-def test_a_stream_of_no_track_is_refused_before_it_opens(client):
+def test_a_stream_of_an_unknown_track_is_refused_before_it_opens(client):
     with (
         pytest.raises(WebSocketDenialResponse) as refused,
         open_stream(client, f"{TRACKS}/none/stream"),
@@ -225,7 +227,7 @@ def test_a_stream_ends_with_its_track(client, basis, track):
         {"Origin": "http://127.0.0.1.maps.example"},
     ],
 )
-def test_a_page_from_elsewhere_cannot_open_a_stream_of_an_open_service(client, track, headers):
+def test_a_page_of_another_origin_cannot_open_a_stream_of_an_open_service(client, track, headers):
     with (
         pytest.raises(WebSocketDenialResponse) as refused,
         open_stream(client, f"{track}/stream", headers=headers),
@@ -260,7 +262,7 @@ def test_a_stream_without_the_key_is_refused_before_it_opens(tmp_path):
             assert refused.value.json()["type"] == f"/problems/{name}"
 
 
-def test_tracks_are_bounded_forgotten_when_idle_and_pinned_to_their_revision(tmp_path):
+def test_tracks_are_limited_removed_when_idle_and_pinned_to_their_revision(tmp_path):
     with running(tmp_path / "data", max_tracks=2, max_json_bytes=20_000) as client:
         fill(client, "harmonic")
         one, _ = (client.post(TRACKS).headers["Location"] for _ in range(2))

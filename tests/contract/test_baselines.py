@@ -1,18 +1,17 @@
-"""What every re-derived baseline promises, asked of each of them."""
+"""The contract of every re-derived baseline."""
 
 import numpy as np
 import pytest
 
-from core.errors import InvalidParameters
-from core.evaluation.baselines.descriptor import sent_bytes
 from core.evaluation.baselines.m2dp import M2dp
 from core.evaluation.baselines.scan_context import ScanContext
 from core.evaluation.baselines.solid import Solid
 from core.evaluation.condition import Condition
 from core.scans.scan import Scan
-from core.simulation import SimulatedDrive, SimulatedSensor
+from core.simulation import SimulatedDrive
+from core.simulation.raycast import SimulatedSensor
 
-# A baseline joins by its descriptor, the numbers in it, and whether it tells the heading.
+# By name: the baseline, the size of its descriptor, and whether it estimates relative yaw.
 BASELINES = {
     "scan context": (ScanContext(), 1200, True),
     "scan context, ring key": (ScanContext(candidates=3), 1200, True),
@@ -52,7 +51,7 @@ class TestBaselines:
         described = baseline.describe(scans[0])
         assert (described.shape, described.dtype) == (baseline.shape, np.float32)
         assert described.size == numbers
-        assert sent_bytes(baseline) == described.nbytes == 4 * numbers
+        assert described.nbytes == 4 * numbers
 
     def test_the_same_scan_gives_the_same_descriptor(self, baseline, scans):
         np.testing.assert_array_equal(baseline.describe(scans[0]), baseline.describe(scans[0]))
@@ -73,15 +72,15 @@ class TestBaselines:
             assert found.turn_deg in {None, 0.0}
 
     @pytest.mark.parametrize("yaw_deg", [90.0, 180.0, -90.0])
-    def test_a_turn_changes_no_answer_and_is_told_where_the_paper_tells_it(
+    def test_relative_yaw_changes_no_answer_and_is_estimated_where_the_paper_does(
         self, case, places, scans, yaw_deg
     ):
-        baseline, _, tells_heading = case
+        baseline, _, has_yaw = case
         for row, scan in enumerate(scans):
             found = places.nearest(baseline.describe(turned(scan, yaw_deg)))
             assert found is not None
             assert found.row == row
-            if not tells_heading:
+            if not has_yaw:
                 assert found.turn_deg is None
                 continue
             error_deg = (found.turn_deg - yaw_deg + 180.0) % 360.0 - 180.0
@@ -97,18 +96,14 @@ class TestBaselines:
         assert places.nearest(query, 0) is None
         assert places.nearest(query, len(scans) + 5) == places.nearest(query)
 
-    def test_what_is_kept_is_at_least_the_descriptors(self, baseline, places, scans):
+    def test_at_least_the_descriptors_are_stored(self, case, places, scans):
         assert len(places) == len(scans)
-        assert places.stored_bytes >= len(scans) * sent_bytes(baseline)
+        assert places.stored_bytes >= len(scans) * 4 * case[1]
 
     def test_no_place_answers_nothing(self, baseline, scans):
         nowhere = baseline.places(np.empty((0, *baseline.shape), np.float32))
         assert len(nowhere) == 0
         assert nowhere.nearest(baseline.describe(scans[0])) is None
-
-    def test_descriptors_of_another_shape_are_refused(self, baseline):
-        with pytest.raises(InvalidParameters, match="descriptors have shape"):
-            baseline.places(np.zeros((3, 7), np.float32))
 
     def test_the_configuration_is_plain_values(self, baseline):
         assert baseline.name

@@ -23,7 +23,7 @@ from storage.errors import (
 class TestKeys:
     def test_a_key_is_kept_by_its_hash_until_it_is_revoked(self, catalog):
         key = catalog.keys.add("hash", ["write", "read", "read"])
-        assert (key.secret_hash, key.scopes) == ("hash", ("read", "write"))
+        assert (key.secret_hash, key.scopes) == ("hash", ["read", "write"])
         assert catalog.keys.get(key.id) == key
         assert catalog.keys.with_hash("hash") == key
         assert catalog.keys.with_hash("other") is None
@@ -47,7 +47,7 @@ class TestKeys:
             expires_at=now + timedelta(hours=1),
         )
         assert catalog.keys.get("ab12") == key
-        assert (key.name, key.maps, key.first_run) == ("fleet", ("airport", "campus"), False)
+        assert (key.name, key.maps, key.first_run) == ("fleet", ["airport", "campus"], False)
         assert key.opens_at(now)
         assert not key.opens_at(now + timedelta(hours=1))
         assert not catalog.keys.revoke("ab12").opens_at(now)
@@ -70,7 +70,7 @@ class TestTokens:
         key = catalog.keys.add("key hash", ["localize"])
         hour = now + timedelta(hours=1)
         token = catalog.tokens.add("t1", "hash 1", "key hash", ["localize"], ["dock"], hour)
-        assert (token.scopes, token.maps, token.expires_at) == (("localize",), ("dock",), hour)
+        assert (token.scopes, token.maps, token.expires_at) == (["localize"], ["dock"], hour)
         assert catalog.tokens.with_hash("hash 1") == (token, key)
         revoked = catalog.keys.revoke(key.id)
         assert catalog.tokens.with_hash("hash 1") == (token, revoked)

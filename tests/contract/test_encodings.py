@@ -26,7 +26,7 @@ from core.parameters import MapParameters
 from core.projection.images import MemoryImages, project_drive
 from core.scans.drive import MemoryDrive
 from core.scans.trajectory import Trajectory
-from core.segmentation import cut_drives
+from core.segmentation.fixed import cut_drives
 from core.tracking.track import Observation, Track, Tracker
 from storage.files.map_file import read_map, write_map
 from tests.support.block_means import BLOCK_MEANS, BlockMeans, run_build_with_block_means

@@ -53,7 +53,7 @@ def test_each_way_to_ask_is_found():
         "parameters.encoder.per_segment",
         "build(parameters.encoding)",
         '{"encoding": parameters.encoding}',
-        "isinstance(image, HeightImage)",
+        "isinstance(grid, RingGrid)",
     ):
         assert not list(questions(code)), code
 

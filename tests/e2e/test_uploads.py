@@ -14,6 +14,7 @@ import pytest
 
 from storage.files.drive_chunks import scan_digest
 from storage.store import Store
+from tests.support.catalog_rows import stored_scans
 from tests.support.process import NO_TLS, serving
 from tests.support.recording import NPY, TAR, npy, tar
 
@@ -112,7 +113,7 @@ def test_a_thousand_scans_by_eight_clients_over_cut_connections_are_a_thousand_s
 def assert_bit_for_bit(data_dir: Path) -> None:
     """Require each scan on disk to be what was sent, each file opened once."""
     with Store(data_dir) as store:
-        records = store.drives.scan_records("campus", "monday")
+        records = stored_scans(store, "campus", "monday")
     assert [record.index for record in records] == list(range(SCANS))
     files = {path.name: path for path in data_dir.rglob("chunks/*.h5")}
     assert set(files) == {record.chunk for record in records}

@@ -1,4 +1,4 @@
-"""What holds of every calibration, and of the distances that it is asked with."""
+"""Laws of every calibration, and of the distances that it takes."""
 
 import numpy as np
 import pytest
@@ -8,8 +8,7 @@ from hypothesis import strategies as st
 from core.confidence.calibration import Calibration
 from core.confidence.logistic import fit_logistic
 from core.localization.localizer import Localizer
-from core.projection.height_image import HeightImage
-from core.projection.range_image import RangeImage
+from core.projection.imager import Image
 from tests.support.samples import sample_harmonic_map, sample_map
 
 intercepts = st.floats(-50.0, 50.0)
@@ -76,14 +75,13 @@ def made(request):
 
 
 @given(st.integers(0, 23), st.integers(0, 2**24 - 1))
-def test_distances_are_those_of_the_nearest_and_infinite_where_not_asked(made, row, asked):
+def test_distances_are_those_of_the_nearest_and_infinite_where_not_compared(made, row, mask):
     tensor_map, images = made
     image = images[row] if images.ndim == 3 else images[row, 1]
-    kind = tensor_map.parameters.image
     localizer = Localizer(tensor_map)
-    signatures = localizer.basis.encode(_image(tensor_map, kind, image))
+    signatures = localizer.basis.encode(Image(image, tensor_map.parameters.grid))
     search = tensor_map.model.search(signatures)
-    among = np.array([asked >> i & 1 for i in range(24)], dtype=bool)
+    among = np.array([mask >> i & 1 for i in range(24)], dtype=bool)
     found = search.distances(among)
     assert np.isinf(found[~among]).all()
     nearest = search.nearest(24, among)
@@ -92,16 +90,11 @@ def test_distances_are_those_of_the_nearest_and_infinite_where_not_asked(made, r
     assert (search.distances()[among] == found[among]).all()
 
 
-def _image(tensor_map, kind, cells):
-    grid = tensor_map.parameters.grid
-    return HeightImage(cells, grid) if kind == "height" else RangeImage(cells, grid)
-
-
-def test_segments_that_are_not_asked_have_no_distance(made):
+def test_segments_without_a_signature_have_no_distance(made):
     tensor_map, images = made
     if images.ndim != 3:
         pytest.skip("a harmonic map is always searched whole")
     localizer = Localizer(tensor_map)
-    signatures = localizer.basis.encode(_image(tensor_map, "range", images[3]))
+    signatures = localizer.basis.encode(Image(images[3], tensor_map.parameters.grid))
     found = tensor_map.model.search(signatures[1:2]).distances()
     assert np.isfinite(found).tolist() == [8 <= i < 16 for i in range(24)]

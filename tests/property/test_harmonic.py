@@ -6,13 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from core.encodings.distance import Distance
-from core.encodings.harmonic import (
-    HarmonicModel,
-    azimuth_factor,
-    encode,
-    energy,
-    weights,
-)
+from core.encodings.harmonic.model import HarmonicModel
+from core.encodings.harmonics import azimuth_factor, encode, energy, weights
 from core.encodings.signature import Packing, Signature, pack_signatures, unpack_signatures
 from core.encodings.tucker import leading_basis, row_gram
 
@@ -105,7 +100,7 @@ def test_the_correlation_finds_the_turn_of_a_scan_of_the_map(seed, s, measure):
 def test_pruned_is_brute_force_to_the_bit(seed, scans, renderings, k, measure, twins):
     model = model_of(seed, scans, renderings, measure=measure, twins=twins)
     search = query(model, images_of(seed + 1, 1)[0])
-    everything = search.nearest_by_brute_force(scans)
+    everything = search.ranked(np.arange(scans), *search.exact(np.arange(scans)), scans)
     assert_alike(search.nearest(k), everything[:k])
     among = np.random.default_rng(seed).random(scans) < 0.4
     wanted = everything[among[everything.rows]]

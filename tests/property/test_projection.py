@@ -84,8 +84,8 @@ def test_a_reducer_keeps_what_its_name_says(points, grid, reducer):
             project_scan(Scan(points), grid, reducer)
         return
     image = project_scan(Scan(points), grid, reducer)
-    np.testing.assert_allclose(image.ranges_m, expected, rtol=1e-6, atol=1e-30)  # of subnormals
-    assert image.ranges_m.dtype == np.float32
+    np.testing.assert_allclose(image, expected, rtol=1e-6, atol=1e-30)  # of subnormals
+    assert image.dtype == np.float32
 
 
 @given(st.integers(0, 10_000), grids, st.randoms(use_true_random=False))
@@ -95,12 +95,12 @@ def test_all_reducers_but_last_are_independent_of_order(seed, grid, random):
     random.shuffle(order)
     for reducer in (Reducer.NEAREST, Reducer.FARTHEST):
         np.testing.assert_array_equal(
-            project_scan(Scan(points), grid, reducer).ranges_m,
-            project_scan(Scan(points[order]), grid, reducer).ranges_m,
+            project_scan(Scan(points), grid, reducer),
+            project_scan(Scan(points[order]), grid, reducer),
         )
     np.testing.assert_allclose(
-        project_scan(Scan(points), grid, Reducer.MEAN).ranges_m,
-        project_scan(Scan(points[order]), grid, Reducer.MEAN).ranges_m,
+        project_scan(Scan(points), grid, Reducer.MEAN),
+        project_scan(Scan(points[order]), grid, Reducer.MEAN),
         rtol=1e-6,
     )
 
@@ -109,7 +109,7 @@ def test_all_reducers_but_last_are_independent_of_order(seed, grid, random):
 def test_nearest_mean_and_farthest_are_in_that_order_and_fill_the_same_cells(seed, grid):
     scan = Scan(sample_points(seed, returns=300))
     nearest, mean, farthest, last = (
-        project_scan(scan, grid, reducer).ranges_m
+        project_scan(scan, grid, reducer)
         for reducer in (Reducer.NEAREST, Reducer.MEAN, Reducer.FARTHEST, Reducer.LAST)
     )
     assert (nearest <= mean * (1 + 1e-6)).all()

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from core.errors import EmptyDrive, InvalidParameters
-from core.segmentation import cut_drives, cut_fixed, segment_length_for
+from core.segmentation.fixed import cut_drives, cut_fixed, segment_length_for
 
 scan_counts = st.integers(1, 5000)
 lengths = st.integers(1, 6000)

@@ -10,6 +10,7 @@ from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 
 from storage.errors import DriveClosed, DriveNotFound, ScanConflict
 from storage.store import Store
+from tests.support.catalog_rows import stored_scans
 from tests.support.small_scans import sample_scan
 
 pytestmark = pytest.mark.slow
@@ -84,7 +85,7 @@ class StoreMachine(RuleBasedStateMachine):
                 expected = sample_scan(scans[index]).points_m
                 assert drive.scan(position).points_m.tobytes() == expected.tobytes()
         kept = {path.name for path in self.store.layout.maps.rglob("*.h5")}
-        named = {r.chunk for s in self.drives for r in self.store.drives.scan_records("campus", s)}
+        named = {r.chunk for s in self.drives for r in stored_scans(self.store, "campus", s)}
         assert kept == named
 
 

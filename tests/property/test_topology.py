@@ -1,4 +1,4 @@
-"""The laws of the graph: what meets is joined, what does not is kept apart."""
+"""Laws of the graph: segments that meet are joined, others are not."""
 
 import numpy as np
 import pytest
@@ -7,17 +7,17 @@ from hypothesis import strategies as st
 
 from core.arrays import FloatArray, IntArray
 from core.scans.trajectory import Trajectory
-from core.segmentation import cut_drives
+from core.segmentation.fixed import cut_drives
 from core.segmentation.turns import cut_at_turns
 from core.topology import Topology, cut_at_meetings, join_segments, segment_ends
 
 steps_m = st.floats(0.8, 4.0)
 lengths = st.integers(12, 80)  # scans in a segment
-few = settings(max_examples=40)  # each follows a drive of hundreds of scans
+few = settings(max_examples=40)  # each has a drive of hundreds of scans
 
 
 def along(corners_m: list[tuple[float, float]], step_m: float) -> FloatArray:
-    """Return `(K, 7)` poses along a line through corners, facing the way they are driven."""
+    """Return `(K, 7)` poses along a line through corners, in the direction of travel."""
     corners = np.array(corners_m, dtype=np.float64)
     arc_m = np.cumsum([0.0, *np.linalg.norm(np.diff(corners, axis=0), axis=1)])
     at_m = np.append(np.arange(0.0, arc_m[-1], step_m), arc_m[-1])
@@ -44,8 +44,8 @@ def graph(mapped: Trajectory, length: int) -> tuple[Topology, IntArray]:
     return join_segments(mapped, cuts), cuts
 
 
-def pieces(found: Topology) -> int:
-    """Return in how many parts the graph falls."""
+def parts_of(found: Topology) -> int:
+    """Return the number of connected parts."""
     part = list(range(len(found.node_scan)))
     for first, last in found.edge_nodes.tolist():
         old, new = part[first], part[last]
@@ -67,10 +67,10 @@ def wanderings(draw: st.DrawFn) -> FloatArray:
 
 @few
 @given(wanderings(), lengths)
-def test_the_graph_of_one_drive_is_connected_and_holds_every_segment(poses, length):
+def test_the_graph_of_one_drive_is_connected_and_has_every_segment(poses, length):
     mapped = trajectory(poses)
     found, cuts = graph(mapped, length)
-    assert pieces(found) == 1
+    assert parts_of(found) == 1
     assert len(found.edge_of_segment) == len(cuts) - 1
     assert (cuts[0], cuts[-1]) == (0, len(poses))
     assert (np.diff(cuts) >= 1).all()
@@ -94,7 +94,7 @@ def test_no_street_of_a_grid_is_in_the_graph_twice(poses, length):
 
 @few
 @given(wanderings(), lengths)
-def test_cutting_where_drives_meet_is_done_once(poses, length):
+def test_a_second_cut_where_drives_meet_changes_nothing(poses, length):
     mapped = trajectory(poses)
     _, cuts = graph(mapped, length)
     assert cut_at_meetings(mapped, cuts).tolist() == cuts.tolist()
@@ -102,7 +102,7 @@ def test_cutting_where_drives_meet_is_done_once(poses, length):
 
 @few
 @given(wanderings(), lengths, st.floats(-3.0, 3.0), st.floats(-1e4, 1e4))
-def test_the_graph_is_the_same_wherever_the_world_has_its_origin(poses, length, turn, shift_m):
+def test_the_graph_does_not_depend_on_the_origin_of_the_world_frame(poses, length, turn, shift_m):
     poses[:, :2] += np.random.default_rng(0).normal(scale=0.01, size=(len(poses), 2))  # no ties
     moved = poses.copy()
     c, s = np.cos(turn), np.sin(turn)
@@ -118,7 +118,7 @@ def test_the_graph_is_the_same_wherever_the_world_has_its_origin(poses, length, 
 
 @few
 @given(wanderings(), lengths)
-def test_neither_names_nor_times_nor_headings_of_scans_decide(poses, length):
+def test_the_graph_depends_on_no_names_times_or_headings(poses, length):
     mapped = trajectory(poses)
     turned = poses.copy()
     turned[:, 3:] = [0.0, 0.0, 0.0, 1.0]
@@ -152,7 +152,7 @@ def test_there_and_back_gives_half_the_edges(step_m, length, far_m):
 def test_a_drive_that_turns_round_comes_back_along_the_same_edges(step_m, length, far_m):
     found, _ = graph(trajectory(along([(0, 0), (far_m, 0), (0, 0)], step_m)), length)
     assert 2 * found.edges == len(found.edge_of_segment)
-    # A line is thinned to steps of a metre, so that a vehicle that stands does not jitter.
+    # A line is thinned to steps of a metre, so that a stationary vehicle does not jitter.
     assert abs(found.edge_length_m.sum() - far_m) <= 2.0 * step_m + 1.0
     assert found.segment_reversed.sum() == found.edges
     assert found.segment_nodes[0, 0] == found.segment_nodes[-1, 1] == 0
@@ -229,4 +229,4 @@ def test_a_street_driven_again_adds_no_edge_however_often(drives):
     found, _ = graph(trajectory(*[loop + 0.3 * i * np.eye(7)[1] for i in range(drives)]), 40)
     assert found.edges == once.edges
     assert len(found.edge_of_segment) == drives * once.edges
-    assert pieces(found) == 1
+    assert parts_of(found) == 1

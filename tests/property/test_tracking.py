@@ -1,4 +1,4 @@
-"""The laws of the filter: probabilities stay probabilities, and a map's own drive is followed."""
+"""Laws of the filter: probabilities sum to 1, and a map's own drive is tracked."""
 
 import numpy as np
 import pytest
@@ -7,12 +7,11 @@ from hypothesis import strategies as st
 
 from core.localization.localizer import Localizer
 from core.tracking.belief import Belief
-from core.tracking.emission import own_signatures
 from core.tracking.graph import TravelGraph
 from core.tracking.motion import Motion
 from core.tracking.step import Direction
 from core.tracking.track import Observation, Track, Tracker
-from tests.support.samples import sample_harmonic_map, sample_map
+from tests.support.samples import own_signatures, sample_harmonic_map, sample_map
 
 pytestmark = pytest.mark.slow
 
@@ -23,7 +22,7 @@ TRACKERS = {
     for drives in (1, 2)
 }
 trackers = st.sampled_from(list(TRACKERS.values()))
-few = settings(max_examples=20, deadline=None)  # each follows a drive
+few = settings(max_examples=20, deadline=None)  # each tracks a drive
 seeds = st.integers(0, 2**32 - 1)
 scales = st.floats(0.05, 20.0)
 metres = st.none() | st.floats(-200.0, 200.0)
@@ -69,13 +68,13 @@ def test_an_updated_belief_sums_to_one_whatever_the_distances_are(tracker, seed)
 
 
 @given(trackers)
-def test_every_place_leads_on_with_all_that_is_at_it(tracker):
+def test_the_probabilities_of_the_next_place_sum_to_one(tracker):
     assert tracker.graph.ahead.sum(axis=0) == pytest.approx(1.0)
 
 
 @few
 @given(trackers, st.integers(0, 10), st.integers(1, 4))
-def test_the_maps_own_scans_are_followed_exactly(tracker, start, stride):
+def test_the_maps_own_scans_are_tracked_exactly(tracker, start, stride):
     rows = list(range(start, 40, stride))
     steps = feed(tracker, rows)
     for row, step in list(zip(rows, steps, strict=True))[3:]:
@@ -86,7 +85,7 @@ def test_the_maps_own_scans_are_followed_exactly(tracker, start, stride):
 
 @few
 @given(trackers, st.integers(30, 39), st.integers(1, 3))
-def test_backwards_they_are_followed_against_their_direction(tracker, start, stride):
+def test_backwards_they_are_tracked_against_their_direction(tracker, start, stride):
     rows = list(range(start, -1, -stride))
     for row, step in list(zip(rows, feed(tracker, rows), strict=True))[3:]:
         assert step.row == row
@@ -95,16 +94,16 @@ def test_backwards_they_are_followed_against_their_direction(tracker, start, str
 
 @few
 @given(trackers, st.integers(0, 39))
-def test_a_vehicle_that_stands_is_told_one_place_that_does_not_move(tracker, row):
+def test_a_stationary_vehicle_gets_one_place(tracker, row):
     steps = feed(tracker, [row] * 8)
-    assert all(step.standing for step in steps[2:])
+    assert all(step.stationary for step in steps[2:])
     assert {(step.row, step.segment) for step in steps[3:]} == {(row, row // 10)}
     assert len({step.position for step in steps[3:]}) == 1
 
 
 @few
 @given(trackers, st.lists(st.integers(0, 39), min_size=1, max_size=8))
-def test_equal_drives_are_told_equal_answers_and_tracks_do_not_disturb_each_other(tracker, rows):
+def test_equal_drives_get_equal_answers_and_tracks_are_independent(tracker, rows):
     one, other, stranger = Track(tracker), Track(tracker), Track(tracker)
     for row in rows:
         observation = Observation(own_signatures(tracker.map, row))
@@ -124,7 +123,7 @@ def test_odometry_moves_a_known_place_by_that_many_metres(tracker, seed, travell
 
 
 @given(st.integers(1, 6), st.integers(1, 3))
-def test_segments_that_meet_lead_into_each_other_both_ways(length, drives):
+def test_segments_that_meet_lead_to_each_other_in_both_directions(length, drives):
     graph = TravelGraph.of_map(
         sample_map(count=2 * length, segment_length=length, drives=drives)[0]
     )
@@ -137,7 +136,7 @@ def test_segments_that_meet_lead_into_each_other_both_ways(length, drives):
 
 
 @given(scales)
-def test_what_is_passed_at_each_pace_is_a_distribution(scale):
+def test_the_numbers_of_passed_scans_at_each_pace_are_a_distribution(scale):
     passed = Motion().passed(scale)
     assert passed.min() >= 0.0
     assert passed.sum(axis=1) == pytest.approx(1.0)

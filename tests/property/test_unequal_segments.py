@@ -17,8 +17,8 @@ from core.projection.reducer import Reducer
 from core.projection.rings import RingGrid
 from core.scans.sensor import AngularGrid
 from core.scans.trajectory import Trajectory
-from core.segmentation import cut_unequal, length_limits
 from core.segmentation.turns import turns
+from core.segmentation.unequal import cut_unequal, length_limits
 from tests.support.samples import RecordedProgress, straight_poses
 
 pytestmark = pytest.mark.slow

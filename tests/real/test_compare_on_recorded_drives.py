@@ -6,8 +6,7 @@ import pytest
 from core.evaluation.baselines.m2dp import M2dp
 from core.evaluation.baselines.scan_context import ScanContext
 from core.evaluation.baselines.solid import Solid
-from core.evaluation.compare import ComparisonProtocol, compare
-from core.evaluation.comparison import MethodUnderCondition
+from core.evaluation.compare import ComparisonProtocol, MethodUnderCondition, compare
 from core.evaluation.condition import Condition, conditions
 from core.evaluation.pairing import HeldOut
 from core.evaluation.split import Every

@@ -16,7 +16,7 @@ from core.parameters import MapParameters
 from core.projection.images import ConcatenatedImages, project_drive
 from core.scans.drive import Drive
 from core.scans.trajectory import Trajectory
-from core.segmentation import cut_drives
+from core.segmentation.fixed import cut_drives
 from core.topology import cut_at_meetings
 from tests.support.recorded_drives import Drives
 from tests.support.recording import kitti, tar

@@ -11,8 +11,8 @@ import pytest
 from core.encodings.signature import pack_signatures, unpack_signatures
 from core.evaluation.condition import Condition, conditions
 from core.evaluation.evaluate import EvaluationProtocol, evaluate
-from core.evaluation.result import ConditionResult
 from core.evaluation.split import Every
+from core.evaluation.summary import ConditionResult
 from core.localization.localizer import Localizer
 from core.mapping.build import fit_map
 from core.parameters import MapParameters

@@ -27,7 +27,7 @@ def native(data_folder: Path) -> Path:
 
 
 def range_image(scan: Scan) -> np.ndarray:
-    return project_scan(scan, AngularGrid(), Reducer.NEAREST).ranges_m
+    return project_scan(scan, AngularGrid(), Reducer.NEAREST)
 
 
 OF_ITS_OWN = {"nclt_1326652795280148.bin": NcltFormat().media_type}

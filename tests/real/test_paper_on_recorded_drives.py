@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from core.evaluation.condition import Condition
-from core.evaluation.evaluate import EvaluationProtocol, evaluate
-from core.evaluation.result import Evaluation
+from core.evaluation.evaluate import Evaluation, EvaluationProtocol, evaluate
 from core.evaluation.split import Every, Interleaved
 from core.parameters import MapParameters
 from core.projection.reducer import Reducer

@@ -8,7 +8,7 @@ from core.evaluation.evaluate import EvaluationProtocol, evaluate
 from core.evaluation.split import Every
 from core.parameters import MapParameters, Segmentation
 from core.scans.trajectory import Trajectory
-from core.segmentation import cut_drives
+from core.segmentation.fixed import cut_drives
 from core.segmentation.turns import cut_at_turns, turns
 from core.topology import cut_at_meetings, join_segments
 from tests.support.recorded_drives import Drives

@@ -1,4 +1,4 @@
-"""What catalogs are filled with."""
+"""Rows for catalogs, and the rows of a store."""
 
 import math
 
@@ -10,6 +10,11 @@ A, B, C = "a" * 64, "b" * 64, "aaaaaaaaaaaa" + "c" * 52
 
 def scan_record(index, chunk="one.h5", row=0, digest=A, pose=None, timestamp_s=math.nan):
     return ScanRecord(index, chunk, row, digest, 100, 3, timestamp_s, pose)
+
+
+def stored_scans(store, map_slug, drive_slug):
+    """Return the records of all scans of a drive, in the order of their indices."""
+    return store.catalog.scans.of_drive(store.drives.get(map_slug, drive_slug).id)
 
 
 def add_scans(catalog, map_slug, drive_slug, indices, chunk="one.h5"):

@@ -1,6 +1,5 @@
 """What schemathesis needs to reach deep code: real bodies of every media type, and real names."""
 
-import inspect
 import io
 import itertools
 import tarfile
@@ -16,7 +15,7 @@ from schemathesis.core.parameters import ParameterLocation
 from starlette.types import Receive, Scope, Send
 
 from app.drives.pose_files import CSV, KITTI, POSE_TYPES, TUM
-from app.localization.prior_schemas import hints_of
+from app.localization.prior_schemas import PriorsIn
 from app.localization.routes import IMAGE_TYPE, SIGNATURE_TYPE
 from core.encodings.signature import pack_signatures
 from core.localization.localizer import Localizer
@@ -30,7 +29,7 @@ _POSES = {
     TUM: [b"# t x y z qx qy qz qw\n12.5 1 2 3 0 0 0 1\n"],
     CSV: [b"scan,x,y,z,qx,qy,qz,qw,timestamp_s\n3,1,2,3,0,0,0,1,0.25\n"],
 }
-_HINTS = set(inspect.signature(hints_of).parameters)
+_PRIORS = set(PriorsIn.model_fields)
 
 
 class Bridge:
@@ -75,8 +74,8 @@ class KnownNames:
         if turn % 4 == 3:
             return
         if turn % 2 and not meta.is_negative_at(ParameterLocation.QUERY):
-            for hint in _HINTS & case.query.keys():  # half of one is refused: most that are drawn
-                del case.query[hint]
+            for name in _PRIORS & case.query.keys():  # most that are drawn are incomplete
+                del case.query[name]
         for place, values in (
             (ParameterLocation.PATH, case.path_parameters),
             (ParameterLocation.QUERY, case.query),

@@ -12,7 +12,8 @@ import numpy as np
 from app.drives.tar_stream import TarFeed, TarMember
 from core.scans.pose import Pose
 from core.scans.scan import Scan
-from core.simulation import SimulatedDrive, SimulatedSensor
+from core.simulation import SimulatedDrive
+from core.simulation.raycast import SimulatedSensor
 
 KITTI = {"Content-Type": "application/vnd.tensormap.kitti"}
 NPY = {"Content-Type": "application/vnd.tensormap.npy"}

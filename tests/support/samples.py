@@ -4,12 +4,13 @@ import numpy as np
 
 from core.arrays import Float32Array, FloatArray, IntArray
 from core.encodings.distance import Distance
+from core.encodings.signature import Signature
 from core.errors import InvalidScan
 from core.mapping.build import fit_map
 from core.mapping.tensormap import TensorMap
 from core.parameters import MapParameters
+from core.projection.imager import Image
 from core.projection.images import MemoryImages, Probes
-from core.projection.range_image import RangeImage
 from core.projection.reducer import Reducer
 from core.projection.rings import RingGrid
 from core.scans.drive import MemoryDrive
@@ -17,7 +18,7 @@ from core.scans.pose import Pose
 from core.scans.scan import Scan
 from core.scans.sensor import AngularGrid
 from core.scans.trajectory import Trajectory
-from core.segmentation import cut_drives
+from core.segmentation.fixed import cut_drives
 
 SMALL_GRID = AngularGrid(
     elevation_min_deg=-30.0, elevation_step_deg=10.0, rows=6, azimuth_step_deg=20.0
@@ -137,11 +138,14 @@ def sample_harmonic_map(
     ), images
 
 
-def sample_image(tensor_map: TensorMap, ranges_m: Float32Array) -> RangeImage:
-    """Return a range image on the map's grid."""
-    grid = tensor_map.parameters.grid
-    assert isinstance(grid, AngularGrid)
-    return RangeImage(ranges_m, grid)
+def own_signatures(tensor_map: TensorMap, row: int) -> tuple[Signature, ...]:
+    """Return the signatures of a query at scan `row` of the map."""
+    return next(tensor_map.model.own_queries([row], tensor_map.revision))
+
+
+def sample_image(tensor_map: TensorMap, cells: Float32Array) -> Image:
+    """Return an image on the map's grid."""
+    return Image(cells, tensor_map.parameters.grid)
 
 
 class RecordedProgress:

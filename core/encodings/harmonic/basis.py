@@ -2,12 +2,11 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
-from core.arrays import Complex64Array, Float32Array, FloatArray, frozen
+from core.arrays import Complex64Array, Float32Array, FloatArray, freeze
 from core.encodings.basis import Basis, BasisFit, signature_parameters
 from core.encodings.grams import fit_radial_basis, radial_error
 from core.encodings.harmonics import encode
@@ -21,7 +20,7 @@ if TYPE_CHECKING:
 
 
 def harmonic_basis_digest(parameters: "MapParameters", radial_basis: Float32Array) -> str:
-    """Return what names a harmonic basis: equal ones make equal signatures of every scan."""
+    """Return the digest of a harmonic basis: equal ones encode every scan equally."""
     return content_digest({"radial_basis": radial_basis}, signature_parameters(parameters))
 
 
@@ -36,7 +35,7 @@ class HarmonicBasis(Basis):
     radial_basis: Float32Array
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "radial_basis", frozen(self.radial_basis, np.float32))
+        freeze(self, radial_basis=np.float32)
         wanted = (self.parameters.grid.rows, self.parameters.ranks[0])
         if self.radial_basis.shape != wanted:
             raise InvalidMap(f"radial_basis has shape {self.radial_basis.shape}, wanted {wanted}")
@@ -51,14 +50,6 @@ class HarmonicBasis(Basis):
         """Return the basis of this U, `(I, r1)`."""
         digest = harmonic_basis_digest(parameters, radial_basis)
         return cls(revision, digest, parameters, radial_basis)
-
-    def arrays(self) -> dict[str, NDArray[Any]]:
-        """Return every array by its name."""
-        return {"radial_basis": self.radial_basis}
-
-    def as_values(self) -> dict[str, Any]:
-        """Return the basis as plain values; a float32 survives it."""
-        return {"radial_basis": self.radial_basis.tolist()}
 
     def fits(self, grams: Mapping[str, FloatArray]) -> tuple[BasisFit, ...]:
         """Compare this basis with one fitted to all of these drives, drive by drive."""

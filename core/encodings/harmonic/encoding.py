@@ -1,6 +1,7 @@
-"""The harmonic encoding as one object: one radial basis for the map, harmonics in azimuth."""
+"""The harmonic encoding: one radial basis for the map, harmonics in azimuth."""
 
 import itertools
+import struct
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -13,12 +14,11 @@ from core.encodings.basis import Basis
 from core.encodings.blocks import read_blocks
 from core.encodings.distance import Distance
 from core.encodings.grams import detail_gram, drive_gram, fit_radial_basis
-from core.encodings.harmonic import packing as packed
 from core.encodings.harmonic.basis import HarmonicBasis
 from core.encodings.harmonic.model import HarmonicModel
 from core.encodings.harmonics import encode, energy, harmonic_elements, weights
 from core.encodings.model import Model
-from core.encodings.signature import Packing, Signature
+from core.encodings.signature import HEADER_BYTES, Packing, Signature
 from core.encodings.tucker import leading_basis
 from core.errors import InvalidMap, InvalidParameters, InvalidSignature
 from core.progress import Progress
@@ -30,6 +30,10 @@ from core.scans.trajectory import Trajectory
 if TYPE_CHECKING:
     from core.parameters import MapParameters
 
+_FLOAT16, _INT8 = 3, 4  # layouts
+_SCALE = struct.Struct("<f")
+_INT8_MAX = 127
+
 
 class HarmonicEncoding(Encoding):
     """G = U^T S F: answers in any heading and lane (docs/decisions/0010-harmonic-encoding.md)."""
@@ -40,14 +44,12 @@ class HarmonicEncoding(Encoding):
     distance = Distance.NORMALISED
     lateral_renderings_m = LATERAL_RENDERINGS_M
     dtypes: ClassVar = {"radial_basis": "<f4", "signatures": "<c8", "lateral_offset_m": "<f8"}
-    layouts = packed.LAYOUTS
+    layouts: ClassVar = {_FLOAT16: "harmonic float16", _INT8: "harmonic int8"}
     packings = (Packing.INT8, Packing.FLOAT16)
     signature_dtype = np.dtype(np.complex64)
     fits_to_grams = True
     yaw_invariant = True
     sharper = 1.4
-    pack = staticmethod(packed.pack)
-    unpack = staticmethod(packed.unpack)
 
     def largest_ranks(self, grid_shape: tuple[int, int]) -> tuple[int, int]:
         """Return I and how many harmonics J columns have."""
@@ -56,7 +58,6 @@ class HarmonicEncoding(Encoding):
 
     def elements(self, parameters: "MapParameters", segments: int, scans: int) -> int:
         """Return I r1 + D + K D r1 (2 r2 - 1)."""
-        del segments
         renderings = len(parameters.lateral_renderings_m or ())
         return harmonic_elements(scans, renderings, parameters.grid.rows, parameters.ranks)
 
@@ -132,7 +133,7 @@ class HarmonicEncoding(Encoding):
         segment_start: IntArray,
         parameters: "MapParameters",
     ) -> HarmonicModel:
-        measure = parameters.distance or Distance.NORMALISED  # which parameters always name
+        measure = parameters.distance or Distance.NORMALISED  # parameters always have one
         return HarmonicModel(
             u, signatures, offsets_m, segment_start, parameters.grid.columns, measure
         )
@@ -146,7 +147,7 @@ class HarmonicEncoding(Encoding):
         parameters: "MapParameters",
         progress: Progress,
     ) -> tuple[IntArray, FloatArray]:
-        """Return the same for all cuts: the basis is shared, so they change nothing."""
+        """Return the same for all cuts: the basis is shared."""
         shape, scans, (r1s, r2s) = parameters.imager.shape, len(images), ranks
         image_rows, columns = parameters.grid.shape
         gram, squared_norm = np.zeros((image_rows, image_rows)), 0.0
@@ -180,7 +181,7 @@ class HarmonicEncoding(Encoding):
         )
 
     def read_model(self, parameters: "MapParameters", arrays: Mapping[str, NDArray[Any]]) -> Model:
-        """Return the model that `Model.arrays` gave."""
+        """Return the model of these arrays."""
         return self._model(
             arrays["radial_basis"],
             arrays["signatures"],
@@ -190,7 +191,7 @@ class HarmonicEncoding(Encoding):
         )
 
     def require_model(self, model: Model, parameters: "MapParameters") -> None:
-        """Refuse a model of another measure, or of other viewpoints, too."""
+        """Reject a model of another measure, or of other viewpoints, too."""
         super().require_model(model, parameters)
         if not isinstance(model, HarmonicModel) or model.measure != parameters.distance:
             raise InvalidMap("the model's distance is not that of the parameters")
@@ -206,7 +207,7 @@ class HarmonicEncoding(Encoding):
         return HarmonicBasis(revision, digest, parameters, u)
 
     def require_values(self, values: NDArray[Any]) -> None:
-        """Refuse a first column that is not real: it is the mean over azimuth."""
+        """Reject a first column that is not real: it is the mean over azimuth."""
         if values[:, 0].imag.any():
             raise InvalidSignature("the first column of a harmonic signature is real")
 
@@ -215,6 +216,54 @@ class HarmonicEncoding(Encoding):
         harmonics = values.shape[-1]
         # On more columns than any harmonic has, all but the first have a conjugate.
         return values.astype(np.complex128) * np.sqrt(weights(2 * harmonics, harmonics))
+
+    def pack(self, signatures: Sequence[Signature], packing: Packing) -> tuple[int, bytes]:
+        """Return the layout and the numbers: the first column, then real and imaginary parts."""
+        if len(signatures) > 1:
+            raise InvalidSignature("a harmonic signature is packed alone")
+        values = signatures[0].values
+        numbers = np.concatenate(
+            [values[:, 0].real, values[:, 1:].real.ravel(), values[:, 1:].imag.ravel()]
+        ).astype(np.float64)
+        largest = float(np.abs(numbers).max())
+        if packing == Packing.FLOAT16:
+            if largest > float(np.finfo(np.float16).max):
+                raise InvalidSignature(f"{largest:.3g} is beyond float16; int8 carries a scale")
+            return _FLOAT16, numbers.astype("<f2").tobytes()
+        # Rounded roots, not rounded numbers: most numbers are small, and places differ by these.
+        # Near 0 a step is a hundredth of an even step, at the largest number twice an even step.
+        scale = float(np.float32(largest / _INT8_MAX**2))
+        if scale == 0.0:
+            return _INT8, _SCALE.pack(0.0) + bytes(len(numbers))
+        roots = np.minimum(np.rint(np.sqrt(np.abs(numbers) / scale)), _INT8_MAX)
+        signed = np.copysign(roots, numbers).astype(np.int8)
+        return _INT8, _SCALE.pack(scale) + signed.tobytes()
+
+    def unpack(
+        self, layout: int, body: bytes, shape: tuple[int, int], revision: str
+    ) -> tuple[Signature, ...]:
+        """Read what `pack` returned."""
+        r1, r2 = shape
+        count = r1 * (2 * r2 - 1)
+        wanted = 2 * count if layout == _FLOAT16 else _SCALE.size + count
+        if len(body) != wanted:
+            raise InvalidSignature(
+                f"{HEADER_BYTES + len(body)} bytes came, wanted {HEADER_BYTES + wanted}"
+            )
+        if layout == _FLOAT16:
+            numbers: FloatArray = np.frombuffer(body, "<f2").astype(np.float64)
+        else:
+            (scale,) = _SCALE.unpack_from(body)
+            with np.errstate(invalid="ignore"):  # infinity times 0: NaN, rejected as not finite
+                roots = np.frombuffer(body, np.int8, offset=_SCALE.size).astype(np.float64)
+                numbers = scale * roots * np.abs(roots)
+        first, real, imag = np.split(numbers, [r1, r1 * r2])
+        values = np.zeros((r1, r2), np.complex64)
+        with np.errstate(over="ignore"):  # infinite then, and rejected as not finite
+            values.real[:, 0] = first
+            # Part by part: infinity times 1j would make a NaN of the other part.
+            values.real[:, 1:], values.imag[:, 1:] = real.reshape(r1, -1), imag.reshape(r1, -1)
+        return (Signature(values, None, revision),)
 
     def as_values(self, signature: Signature) -> dict[str, Any]:
         """Return `values_real` and `values_imag`, r1 rows of r2 numbers each."""
@@ -232,6 +281,9 @@ class HarmonicEncoding(Encoding):
         if len(lengths) > 1 or len(real) != len(imag):
             raise InvalidSignature("values_real and values_imag are not of one shape r1 x r2")
         found = np.zeros((len(real), lengths.pop()), np.complex64)
-        with np.errstate(over="ignore"):  # infinite then, and refused as such
+        with np.errstate(over="ignore"):  # infinite then, and rejected as not finite
             found.real, found.imag = real, imag
         return Signature(found, None, revision)
+
+
+ENCODING = HarmonicEncoding()

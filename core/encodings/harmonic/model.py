@@ -1,8 +1,8 @@
 """The model of a map in the harmonic encoding.
 
-A turn of the sensor moves the columns of an image around, which leaves S S^T as it is, and with it
-U, and multiplies harmonic m by a phase. So a signature made in any heading is compared with the
-map's in every heading, and the best one gives the relative yaw.
+Relative yaw rotates the columns of an image, which does not change S S^T, nor U, and multiplies
+harmonic m by a phase. So a signature of any heading is compared with the map's in every heading,
+and the best one is the relative yaw.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from core.arrays import Complex64Array, Float32Array, FloatArray, IntArray, frozen
+from core.arrays import Complex64Array, Float32Array, FloatArray, IntArray, freeze, frozen
 from core.encodings.distance import Distance
 from core.encodings.harmonic.basis import HarmonicBasis, harmonic_basis_digest
 from core.encodings.harmonic.search import HarmonicSearch
@@ -33,7 +33,7 @@ class HarmonicModel(Model):
     Attributes:
         radial_basis: `(I, r1)` float32, orthonormal columns; U of all segments.
         signatures: `(K, D, r1, r2)` complex64, the first column real; D renderings of each scan.
-        lateral_offset_m: `(D,)` how far to the left of the line each rendering is seen from.
+        lateral_offset_m: `(D,)` of the viewpoint of each rendering.
         segment_start: `(L + 1,)` row of each segment's first scan, and K.
         columns: J, how many azimuths an image has.
         measure: How signatures are compared.
@@ -49,13 +49,8 @@ class HarmonicModel(Model):
     measure: Distance
 
     def __post_init__(self) -> None:
-        for name, dtype in (
-            ("radial_basis", np.float32),
-            ("signatures", np.complex64),
-            ("lateral_offset_m", np.float64),
-            ("segment_start", np.int64),
-        ):
-            object.__setattr__(self, name, frozen(getattr(self, name), dtype))
+        freeze(self, radial_basis=np.float32, signatures=np.complex64)
+        freeze(self, lateral_offset_m=np.float64, segment_start=np.int64)
         if self.radial_basis.ndim != 2 or self.signatures.ndim != 4:
             raise InvalidMap("the radial basis has two axes, signatures have four")
         scans, renderings, r1, r2 = self.signatures.shape
@@ -69,7 +64,7 @@ class HarmonicModel(Model):
         self._require_rising(scans)
         require_sane({"radial_basis": self.radial_basis}, self.signatures)
         if not np.isfinite(self.lateral_offset_m).all():
-            raise InvalidMap("lateral_offset_m holds numbers that are not finite")
+            raise InvalidMap("lateral_offset_m has numbers that are not finite")
         if self.signatures[..., 0].imag.any():
             raise InvalidMap("the first column of a harmonic signature is real")
 
@@ -88,15 +83,6 @@ class HarmonicModel(Model):
         """How many numbers the basis and signatures are."""
         scans, renderings = self.signatures.shape[:2]
         return harmonic_elements(scans, renderings, self.grid_shape[0], self.ranks)
-
-    def arrays(self) -> dict[str, NDArray[Any]]:
-        """Return every array by its name in the file."""
-        return {
-            "radial_basis": self.radial_basis,
-            "signatures": self.signatures,
-            "lateral_offset_m": self.lateral_offset_m,
-            "segment_start": self.segment_start,
-        }
 
     def search(self, signatures: Sequence[Signature]) -> HarmonicSearch:
         """Compare one scan's signature with the map's in every heading.
@@ -137,27 +123,24 @@ class HarmonicModel(Model):
         self, rows: Iterable[int], named: str, segments: IntArray | None = None
     ) -> Iterator[tuple[Signature, ...]]:
         """Yield each scan's recorded signature: one for all segments."""
-        del segments
         recorded = self.recorded
         for row in rows:
             yield (Signature(recorded[row], None, named),)
 
     def basis_digests(self, parameters: "MapParameters") -> tuple[str, ...]:
-        """Return what names the one basis."""
+        """Return the digest of the one basis."""
         return (harmonic_basis_digest(parameters, self.radial_basis),)
 
     def basis(
         self, revision: str, digest: str, parameters: "MapParameters", segments: IntArray
     ) -> HarmonicBasis:
         """Return the one basis."""
-        del segments
         return HarmonicBasis(revision, digest, parameters, self.radial_basis)
 
     def select(
         self, rows: IntArray, segments: IntArray, segment_start: IntArray
     ) -> "HarmonicModel":
-        """Return the model of some scans, which stay as they are."""
-        del segments
+        """Return the model of some scans, unchanged."""
         return replace(self, signatures=self.signatures[rows], segment_start=segment_start)
 
     def joined(self, others: Sequence["HarmonicModel"], segment_start: IntArray) -> "HarmonicModel":
@@ -174,14 +157,11 @@ class HarmonicModel(Model):
     def units(self) -> Complex64Array:
         """Conjugate signatures of norm 1, weighted by sqrt(w_m), `(r2, r1, D K)`.
 
-        Harmonic by harmonic, rendering by rendering, and each row contiguous: the bound is then r2
-        products with long vectors and the greatest of D of them.
+        Ordered by harmonic, then by rendering, each row contiguous: the bound is then r2 products
+        with long vectors, and the maximum over D of them.
         """
         scaled = np.conj(self.signatures.astype(np.complex128))
         scaled *= np.sqrt(weights(self.columns, self.ranks[1]))
         scaled /= np.where(self.norms > 0, self.norms, 1.0)[..., None, None]
         r1, r2 = self.ranks
-        by_harmonic: Complex64Array = frozen(
-            scaled.transpose(3, 2, 1, 0).reshape(r2, r1, -1), np.complex64
-        )
-        return by_harmonic
+        return frozen(scaled.transpose(3, 2, 1, 0).reshape(r2, r1, -1), np.complex64)

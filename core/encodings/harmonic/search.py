@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     from core.encodings.harmonic.model import HarmonicModel
 
 _SAMPLES_A_WAVE = 12  # of the shortest wave: the parabola then errs by less than 0.1 deg
-_FIRST = 4  # scans that are searched before the bound decides on the others
-_EXACT_SCANS = 1024  # searched over headings at once: 10 MB of them
+_FIRST = 4  # scans that are searched before the bound excludes others
+_EXACT_SCANS = 1024  # searched over headings at once, in 10 MB
 _SLACK = 1e-5  # of the bound, in single precision, as a share of |g| |G|: ten times its rounding
 _ROUNDING = 1e-12  # of sums in double precision
 
@@ -26,7 +26,7 @@ class HarmonicSearch(Search):
 
     The correlation over headings s is max_s Re sum_m w_m e^(2 pi i m s / J) c_m with
     c_m = sum_r g_rm conj(G_rm), and never more than sum_m w_m |c_m|. That bound costs little and
-    leaves few renderings whose headings have to be searched; the answer is the same as if all had.
+    leaves few renderings whose headings have to be searched; the result is that of searching all.
     """
 
     def __init__(self, model: "HarmonicModel", values: ComplexArray) -> None:
@@ -34,11 +34,7 @@ class HarmonicSearch(Search):
         self._values = values
         self._weights = weights(model.columns, model.ranks[1])
         self._norm = float(np.sqrt(energy(values, model.columns)))
-
-    @property
-    def segments(self) -> tuple[int, ...]:
-        """All of them: the basis is shared."""
-        return tuple(range(self._model.segments))
+        self.segments = tuple(range(model.segments))  # all of them: the basis is shared
 
     def viewpoints(self, rows: IntArray) -> Viewpoints:
         """Return the comparison with all renderings of some scans."""
@@ -62,7 +58,7 @@ class HarmonicSearch(Search):
             distances = np.concatenate([distances, more[0]])
             yaw_deg = np.concatenate([yaw_deg, more[1]])
         in_order = np.argsort(searched)
-        return self._ranked(searched[in_order], distances[in_order], yaw_deg[in_order], k)
+        return self.ranked(searched[in_order], distances[in_order], yaw_deg[in_order], k)
 
     def distances(self, among: BoolArray | None = None) -> FloatArray:
         """Return each scan's distance, that of its nearest rendering, infinite outside `among`."""
@@ -73,14 +69,10 @@ class HarmonicSearch(Search):
             distances[block] = self.exact(block)[0].min(axis=1)
         return distances
 
-    def nearest_by_brute_force(self, k: int) -> Neighbours:
-        """Return what `nearest` does, having searched the headings of every rendering."""
-        rows = np.arange(len(self._model))
-        return self._ranked(rows, *self.exact(rows), k)
-
-    def _ranked(
+    def ranked(
         self, rows: IntArray, distances: FloatArray, yaw_deg: FloatArray, k: int
     ) -> Neighbours:
+        """Return the `k` nearest of some scans that `exact` compared."""
         by_scan = distances.min(axis=1)
         order = nearest(by_scan, k)
         rendering = distances[order].argmin(axis=1)
@@ -94,7 +86,7 @@ class HarmonicSearch(Search):
 
     @cached_property
     def _lower_bounds(self) -> FloatArray:
-        """Below which the distance of none of a scan's renderings can be, `(K,)`."""
+        """Lower bounds of the distance of every scan, the nearest of its renderings, `(K,)`."""
         model = self._model
         unit = (self._values / (self._norm or 1.0) * np.sqrt(self._weights)).astype(np.complex64)
         correlation = np.zeros(model.norms.size, np.float32)
@@ -114,7 +106,7 @@ class HarmonicSearch(Search):
     def exact(self, rows: IntArray) -> tuple[FloatArray, FloatArray]:
         """Search the headings of all renderings of some scans.
 
-        Every step is rounded by itself and the same for one scan as for all.
+        Every step rounds each scan alone: the result is the same for one scan as for all.
 
         Returns:
             Distances and relative yaws in degrees, counter-clockwise from the map's scan, `(n, D)`

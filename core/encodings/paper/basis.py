@@ -4,9 +4,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from core.arrays import Float32Array, IntArray, frozen
+from core.arrays import Float32Array, IntArray, freeze
 from core.encodings.basis import Basis, signature_parameters
 from core.encodings.signature import Signature
 from core.errors import InvalidMap
@@ -20,11 +19,11 @@ if TYPE_CHECKING:
 def paper_basis_digests(
     parameters: "MapParameters", elevation_basis: Float32Array, azimuth_basis: Float32Array
 ) -> tuple[str, ...]:
-    """Return what names the bases of the first 1, 2, ... L segments, `L` digests.
+    """Return the digests of the bases of the first 1, 2, ... L segments.
 
-    Each is made of the one before and one segment more. So who holds the bases of a map's first
-    segments holds a part of every map that continues with others: adding a drive at the end leaves
-    the digest of what was there as it was.
+    Each is computed from the one before and one segment more. So bases of a map's first segments
+    are a part of every map that continues with others: adding a drive at the end does not change
+    their digest.
 
     Args:
         parameters: Of the map.
@@ -55,23 +54,12 @@ class PaperBasis(Basis):
     azimuth_basis: Float32Array
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "segments", frozen(self.segments, np.int64))
-        object.__setattr__(self, "elevation_basis", frozen(self.elevation_basis, np.float32))
-        object.__setattr__(self, "azimuth_basis", frozen(self.azimuth_basis, np.float32))
-        (rows, columns), (r1, r2) = self.parameters.grid.shape, self.parameters.ranks
-        count = len(self.segments)
-        if self.elevation_basis.shape != (count, rows, r1):
-            raise InvalidMap(f"elevation_basis has shape {self.elevation_basis.shape}")
-        if self.azimuth_basis.shape != (count, columns, r2):
-            raise InvalidMap(f"azimuth_basis has shape {self.azimuth_basis.shape}")
-
-    def arrays(self) -> dict[str, NDArray[Any]]:
-        """Return every array by its name."""
-        return {
-            "segments": self.segments,
-            "elevation_basis": self.elevation_basis,
-            "azimuth_basis": self.azimuth_basis,
-        }
+        freeze(self, segments=np.int64, elevation_basis=np.float32, azimuth_basis=np.float32)
+        sizes = zip(self.parameters.grid.shape, self.parameters.ranks, strict=True)
+        for name, size in zip(("elevation_basis", "azimuth_basis"), sizes, strict=True):
+            shape, wanted = getattr(self, name).shape, (len(self.segments), *size)
+            if shape != wanted:
+                raise InvalidMap(f"{name} has shape {shape}, wanted {wanted}")
 
     def as_values(self) -> dict[str, Any]:
         """Return the bases segment by segment, as plain values; a float32 survives it."""

@@ -1,7 +1,7 @@
-"""The paper's encoding as one object: each segment has bases of its own."""
+"""The paper's encoding: each segment has bases of its own."""
 
 import itertools
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
@@ -11,11 +11,10 @@ from core.arrays import Float32Array, FloatArray, IntArray
 from core.encodings.base import Encoding
 from core.encodings.basis import Basis
 from core.encodings.blocks import read_blocks
-from core.encodings.paper import packing as packed
 from core.encodings.paper.basis import PaperBasis
 from core.encodings.paper.model import PaperModel
 from core.encodings.paper.sweep import sweep
-from core.encodings.signature import Signature
+from core.encodings.signature import HEADER_BYTES, Packing, Signature
 from core.encodings.tucker import Grams, leading_basis, project, relative_error, storage_elements
 from core.errors import InvalidSignature
 from core.progress import Progress
@@ -28,6 +27,8 @@ if TYPE_CHECKING:
     from core.encodings.model import Model
     from core.parameters import MapParameters
 
+_FLOAT16, _FLOAT32 = 1, 2  # layouts
+
 
 class PaperEncoding(Encoding):
     """Tucker2 models of range images, one a segment (paper, sec. 2.2)."""
@@ -36,12 +37,10 @@ class PaperEncoding(Encoding):
     reducers: ClassVar = {ImageKind.RANGE: Reducer.LAST}
     implied_by = frozenset({Reducer.LAST, Reducer.NEAREST, Reducer.FARTHEST})
     dtypes: ClassVar = {"elevation_basis": "<f4", "azimuth_basis": "<f4", "signatures": "<f4"}
-    layouts = packed.LAYOUTS
+    layouts: ClassVar = {_FLOAT16: "float16", _FLOAT32: "float32"}
     per_segment = True
     shares_basis = False
     rank_sweep = staticmethod(sweep)
-    pack = staticmethod(packed.pack)
-    unpack = staticmethod(packed.unpack)
 
     def elements(self, parameters: "MapParameters", segments: int, scans: int) -> int:
         """Return L(I r1 + J r2) + K r1 r2."""
@@ -58,12 +57,8 @@ class PaperEncoding(Encoding):
         grams: Mapping[str, FloatArray] | None = None,
     ) -> tuple["Model", FloatArray]:
         """Fit each segment's own bases, one segment after the other, in two passes each."""
-        del trajectory, kept, grams
-        segments, (rows, columns), (r1, r2) = (
-            len(segment_start) - 1,
-            parameters.grid.shape,
-            parameters.ranks,
-        )
+        segments = len(segment_start) - 1
+        (rows, columns), (r1, r2) = parameters.grid.shape, parameters.ranks
         elevation_basis = np.empty((segments, rows, r1), np.float32)
         azimuth_basis = np.empty((segments, columns, r2), np.float32)
         signatures = np.empty((len(images), r1, r2), np.float32)
@@ -89,8 +84,7 @@ class PaperEncoding(Encoding):
     def read_model(
         self, parameters: "MapParameters", arrays: Mapping[str, NDArray[Any]]
     ) -> "Model":
-        """Return the model that `Model.arrays` gave."""
-        del parameters
+        """Return the model of these arrays."""
         names = ("elevation_basis", "azimuth_basis", "signatures", "segment_start")
         return PaperModel(*(arrays[name] for name in names))
 
@@ -108,6 +102,31 @@ class PaperEncoding(Encoding):
             np.array([item["azimuth_basis"] for item in listed], dtype=np.float32),
         )
 
+    def pack(self, signatures: Sequence[Signature], packing: Packing) -> tuple[int, bytes]:
+        """Return the layout, and each signature's segment and numbers."""
+        if packing != Packing.FLOAT16:
+            raise InvalidSignature(f"only a harmonic signature is packed as {packing}")
+        largest = max(float(np.abs(s.values).max()) for s in signatures)
+        layout = _FLOAT16 if largest <= float(np.finfo(np.float16).max) else _FLOAT32
+        record = _record(layout, signatures[0].values.shape)
+        return layout, np.array([(s.segment, s.values) for s in signatures], record).tobytes()
+
+    def unpack(
+        self, layout: int, body: bytes, shape: tuple[int, int], revision: str
+    ) -> tuple[Signature, ...]:
+        """Read what `pack` returned."""
+        record = _record(layout, shape)
+        if not body or len(body) % record.itemsize:
+            raise InvalidSignature(
+                f"{HEADER_BYTES + len(body)} bytes came, wanted {HEADER_BYTES} and then"
+                f" {record.itemsize} for each signature"
+            )
+        records = np.frombuffer(body, record)
+        return tuple(
+            Signature(values, segment, revision)
+            for segment, values in zip(records["segment"].tolist(), records["values"], strict=True)
+        )
+
     def as_values(self, signature: Signature) -> dict[str, Any]:
         """Return the segment and `values`, r1 rows of r2 numbers."""
         return {"segment": signature.segment, "values": signature.values.tolist()}
@@ -121,6 +140,14 @@ class PaperEncoding(Encoding):
         rows, segment = values["values"], values["segment"]
         if len({len(row) for row in rows}) > 1:
             raise InvalidSignature(f"the rows of segment {segment} differ in length")
-        with np.errstate(over="ignore"):  # infinite then, and refused as such
+        with np.errstate(over="ignore"):  # infinite then, and rejected as not finite
             found = np.array(rows, dtype=np.float64).astype(np.float32)
         return Signature(found, segment, revision)
+
+
+def _record(layout: int, shape: tuple[int, ...]) -> np.dtype[np.void]:
+    """Return the dtype of one packed signature."""
+    return np.dtype([("segment", "<u2"), ("values", "<f2" if layout == _FLOAT16 else "<f4", shape)])
+
+
+ENCODING = PaperEncoding()

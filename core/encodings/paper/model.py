@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from core.arrays import Float32Array, FloatArray, IntArray, frozen
+from core.arrays import Float32Array, FloatArray, IntArray, freeze
 from core.encodings.model import DistanceSearch, Model, require_sane
 from core.encodings.paper.basis import PaperBasis, paper_basis_digests
 from core.encodings.signature import Signature
@@ -19,30 +19,13 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False)
-class SegmentModel:
-    """One segment's Tucker2 model, `X ~ signatures x1 u x2 v`.
-
-    Attributes:
-        u: `(I, r1)`, orthonormal columns; the elevation basis.
-        v: `(J, r2)`, orthonormal columns; the azimuth basis.
-        signatures: `(k, r1, r2)`, the core tensor; slice `i` is the signature of scan `i`.
-        first_scan: Row in the whole map of the segment's scan 0.
-    """
-
-    u: FloatArray
-    v: FloatArray
-    signatures: FloatArray
-    first_scan: int
-
-
-@dataclass(frozen=True, eq=False)
 class PaperModel(Model):
-    """All segments' models, packed.
+    """The Tucker2 models of all segments, `X ~ signatures x1 u x2 v` in each.
 
     Attributes:
-        elevation_basis: `(L, I, r1)` float32.
-        azimuth_basis: `(L, J, r2)` float32.
-        signatures: `(K, r1, r2)` float32.
+        elevation_basis: `(L, I, r1)` float32, U of each segment, orthonormal columns.
+        azimuth_basis: `(L, J, r2)` float32, V of each segment, orthonormal columns.
+        signatures: `(K, r1, r2)` float32, the slices of the core tensors.
         segment_start: `(L + 1,)` row of each segment's first scan, and K.
     """
 
@@ -54,18 +37,14 @@ class PaperModel(Model):
     segment_start: IntArray
 
     def __post_init__(self) -> None:
-        for name in ("elevation_basis", "azimuth_basis", "signatures"):
-            object.__setattr__(self, name, frozen(getattr(self, name), np.float32))
-        object.__setattr__(self, "segment_start", frozen(self.segment_start, np.int64))
+        freeze(self, elevation_basis=np.float32, azimuth_basis=np.float32)
+        freeze(self, signatures=np.float32, segment_start=np.int64)
         if any(a.ndim != 3 for a in (self.elevation_basis, self.azimuth_basis, self.signatures)):
             raise InvalidMap("bases and signatures have three axes each")
         scans, r1, r2 = self.signatures.shape
         self._require_rising(scans)
-        segments = self.segments
-        if self.elevation_basis.shape[::2] != (segments, r1) or self.azimuth_basis.shape[::2] != (
-            segments,
-            r2,
-        ):
+        shapes = self.elevation_basis.shape[::2], self.azimuth_basis.shape[::2]
+        if shapes != ((self.segments, r1), (self.segments, r2)):
             raise InvalidMap(
                 f"elevation_basis {self.elevation_basis.shape}, azimuth_basis"
                 f" {self.azimuth_basis.shape}, signatures {self.signatures.shape} and"
@@ -91,20 +70,11 @@ class PaperModel(Model):
         """How many numbers the bases and signatures are (paper, sec. 2.4)."""
         return storage_elements(self.segments, len(self), self.grid_shape, self.ranks)
 
-    def arrays(self) -> dict[str, NDArray[Any]]:
-        """Return every array by its name in the file."""
-        return {
-            "elevation_basis": self.elevation_basis,
-            "azimuth_basis": self.azimuth_basis,
-            "signatures": self.signatures,
-            "segment_start": self.segment_start,
-        }
-
     def search(self, signatures: Sequence[Signature]) -> "DistanceSearch":
         """Compare one scan's signatures with those of their segments.
 
         Raises:
-            InvalidSignature: If a segment comes twice or a signature is harmonic.
+            InvalidSignature: If a segment is repeated or a signature is harmonic.
             UnknownSegment: If the map has no such segment.
         """
         segments = [s.segment for s in signatures if s.segment is not None]
@@ -113,7 +83,7 @@ class PaperModel(Model):
                 f"the signature is {signatures[0].encoding}, this map is of the paper's encoding"
             )
         if len(set(segments)) < len(segments):
-            raise InvalidSignature(f"a segment comes twice in {segments}")
+            raise InvalidSignature(f"a segment is repeated in {segments}")
         values = np.stack([s.values for s in signatures]).astype(np.float64)
         rows, distances = self.distances(values, np.array(segments, dtype=np.int64))
         return DistanceSearch(tuple(sorted(segments)), rows, distances, len(self))
@@ -142,12 +112,12 @@ class PaperModel(Model):
     def own_queries(
         self, rows: Iterable[int], named: str, segments: IntArray | None = None
     ) -> Iterator[tuple[Signature, ...]]:
-        """Yield what each scan would send: the segment's model of it, U_l^T U G V^T V_l.
+        """Yield each scan's signatures, of the segment's model of it: U_l^T U G V^T V_l.
 
-        What the bases of its own segment leave out of the image is missing in those of segment l.
+        They lack the part of the image that the bases of its own segment leave out.
         """
-        wanted = np.arange(self.segments) if segments is None else segments
-        u, v = (b[wanted].astype(np.float64) for b in (self.elevation_basis, self.azimuth_basis))
+        queried = np.arange(self.segments) if segments is None else segments
+        u, v = (b[queried].astype(np.float64) for b in (self.elevation_basis, self.azimuth_basis))
         segment_of_scan, last = self.segment_of_scan, -1
         for row in rows:
             own = int(segment_of_scan[row])
@@ -156,14 +126,14 @@ class PaperModel(Model):
                 from_v = self.azimuth_basis[own].astype(np.float64).T @ v
                 last = own
             values = from_u @ self.signatures[row].astype(np.float64) @ from_v
-            values[wanted == own] = self.signatures[row]
+            values[queried == own] = self.signatures[row]
             yield tuple(
                 Signature(of_segment.astype(np.float32), segment, named)
-                for of_segment, segment in zip(values, wanted.tolist(), strict=True)
+                for of_segment, segment in zip(values, queried.tolist(), strict=True)
             )
 
     def basis_digests(self, parameters: "MapParameters") -> tuple[str, ...]:
-        """Return what names the bases of the first 1, 2, ... L segments, `L` digests."""
+        """Return the digests of the bases of the first 1, 2, ... L segments."""
         return paper_basis_digests(parameters, self.elevation_basis, self.azimuth_basis)
 
     def basis(
@@ -180,7 +150,7 @@ class PaperModel(Model):
         )
 
     def select(self, rows: IntArray, segments: IntArray, segment_start: IntArray) -> "PaperModel":
-        """Return the model of some segments, which stay as they are."""
+        """Return the model of some segments, unchanged."""
         return PaperModel(
             self.elevation_basis[segments],
             self.azimuth_basis[segments],
@@ -191,24 +161,6 @@ class PaperModel(Model):
     def joined(self, others: Sequence["PaperModel"], segment_start: IntArray) -> "PaperModel":
         """Return one model of this one's segments and those of others after it."""
         models = (self, *others)
-        return PaperModel(
-            np.concatenate([model.elevation_basis for model in models]),
-            np.concatenate([model.azimuth_basis for model in models]),
-            np.concatenate([model.signatures for model in models]),
-            segment_start,
-        )
-
-    def segment(self, index: int) -> SegmentModel:
-        """Return one segment's model.
-
-        Raises:
-            UnknownSegment: If the map has no such segment.
-        """
-        self.require_segments(np.array([index]))
-        start, end = self.segment_start[index : index + 2]
-        return SegmentModel(
-            self.elevation_basis[index].astype(np.float64),
-            self.azimuth_basis[index].astype(np.float64),
-            self.signatures[start:end].astype(np.float64),
-            int(start),
-        )
+        names = ("elevation_basis", "azimuth_basis", "signatures")
+        parts = {name: np.concatenate([getattr(m, name) for m in models]) for name in names}
+        return PaperModel(**parts, segment_start=segment_start)

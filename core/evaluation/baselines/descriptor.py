@@ -1,4 +1,4 @@
-"""What a baseline gives: a scan's descriptor, and the places among which it is searched for."""
+"""The descriptor of a scan in a baseline, and the search among the descriptors of places."""
 
 import math
 from abc import ABC, abstractmethod
@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from core.arrays import Float32Array, IntArray
-from core.errors import EmptyDrive, InvalidParameters, InvalidScan
-from core.evaluation.methods import Ask, Enrolled, EnrolledPlaces, Nearest
+from core.errors import EmptyDrive, InvalidScan
+from core.evaluation.methods import Enrolled, Match, Nearest
 from core.progress import NO_PROGRESS, Progress
 from core.projection.images import Skipped
 from core.scans.angles import wrapped_deg
@@ -25,8 +25,7 @@ class Places(ABC):
     """Descriptors of known places, ready to be searched.
 
     Attributes:
-        stored_bytes: What a file must hold of all places; what is derived when it is read does not
-            count.
+        stored_bytes: Size of all places in a file, without what can be derived from it.
     """
 
     def __init__(self, descriptors: Float32Array) -> None:
@@ -52,10 +51,10 @@ class Places(ABC):
 
 
 class PlaceDescriptor(ABC):
-    """A method that makes a descriptor of fixed shape of a scan; its parameters are its fields.
+    """A method with a descriptor of fixed shape for a scan; its parameters are its fields.
 
-    The descriptor is the same for the same scan whenever it is made, and independent of the order
-    of the returns but for the rounding of sums.
+    The same scan always has the same descriptor, which does not depend on the order of the returns
+    but for the rounding of sums.
     """
 
     @property
@@ -73,28 +72,16 @@ class PlaceDescriptor(ABC):
         """Return the scan's descriptor, of `shape`.
 
         Raises:
-            InvalidScan: If the scan holds nothing that can be described.
+            InvalidScan: If the scan cannot be described.
         """
 
     @abstractmethod
-    def _places(self, descriptors: Float32Array) -> Places:
+    def places(self, descriptors: Float32Array) -> Places:
         """Return places to search, of `(K, *shape)` descriptors."""
 
     def configuration(self) -> dict[str, Any]:
         """Return all parameters."""
         return asdict(self)  # type: ignore[call-overload, no-any-return]
-
-    def places(self, descriptors: Float32Array) -> Places:
-        """Return places to search, of `(K, *shape)` descriptors.
-
-        Raises:
-            InvalidParameters: If they have another shape.
-        """
-        if descriptors.shape[1:] != self.shape or descriptors.ndim != len(self.shape) + 1:
-            raise InvalidParameters(
-                f"descriptors have shape {descriptors.shape}, wanted {('K', *self.shape)}"
-            )
-        return self._places(descriptors)
 
     def enrol(self, drive: Drive, scans: IntArray, progress: Progress = NO_PROGRESS) -> Enrolled:
         """Describe the scans one by one; one that cannot be used is left out."""
@@ -104,10 +91,11 @@ class PlaceDescriptor(ABC):
         )
         places = self.places(np.stack(described))
 
-        def describe(scan: Scan) -> Ask:
+        def describe(scan: Scan) -> Match:
             return partial(places.nearest, self.describe(scan))
 
-        return EnrolledPlaces(kept, sent_bytes(self), places.stored_bytes / len(kept), describe)
+        sent_bytes = _FLOAT32_BYTES * math.prod(self.shape)
+        return Enrolled(kept, sent_bytes, places.stored_bytes / len(kept), describe)
 
 
 def enrol_each(
@@ -117,7 +105,7 @@ def enrol_each(
     enrol: Callable[[Scan], None],
     progress: Progress = NO_PROGRESS,
 ) -> IntArray:
-    """Enrol scans one by one, and return those that could be used.
+    """Enrol scans one by one and return the usable ones.
 
     Raises:
         EmptyDrive: If not one of them is usable.
@@ -137,13 +125,8 @@ def enrol_each(
     return np.array(kept, dtype=np.int64)
 
 
-def sent_bytes(descriptor: PlaceDescriptor) -> int:
-    """Return what a vehicle sends: every number of a descriptor as float32."""
-    return _FLOAT32_BYTES * math.prod(descriptor.shape)
-
-
 def turn_deg(shift: int, sectors: int) -> float:
-    """Return the turn that moves a descriptor by `shift` of its `sectors`, in -180..180 degrees.
+    """Return the relative yaw of a shift by `shift` of `sectors`, in -180..180 degrees.
 
     Examples:
         >>> turn_deg(15, 60), turn_deg(45, 60)

@@ -5,7 +5,7 @@ principal axes, projected onto p x q planes and counted there in l circles of t 
 left and right singular vectors of that `(p q, l t)` matrix are the descriptor. What the paper
 leaves open, and what is done here: a principal axis has no sign, so that each of the first two
 points to where the third moment along it is positive, and the third completes a right-handed frame;
-normals stand at azimuths k pi / p and elevations k pi / 2q, k from 0; the x axis of a plane is the
+normals have azimuths k pi / p and elevations k pi / 2q, k from 0; the x axis of a plane is the
 projection of the first principal axis, or of the second where the first is the plane's normal; all
 planes share the outer radius, the distance of the farthest return from the centroid; both singular
 vectors have no negative sum (those of a matrix of counts have one sign); and returns are thinned to
@@ -18,10 +18,11 @@ from functools import cached_property
 import numpy as np
 
 from core.arrays import Float32Array, FloatArray
-from core.errors import InvalidParameters, InvalidScan
+from core.errors import InvalidScan
 from core.evaluation.baselines.descriptor import PlaceDescriptor, Places
 from core.evaluation.baselines.voxels import voxel_means
 from core.evaluation.methods import Nearest
+from core.numbers import require_at_least
 from core.scans.scan import Scan
 
 _BLOCK = 8192  # returns that are projected at once: the intermediate arrays stay in the cache
@@ -39,6 +40,8 @@ class M2dp(PlaceDescriptor):
         voxel_m: Side of cubes that returns are thinned to; 0 keeps all of them.
     """
 
+    name = "m2dp"
+
     azimuths: int = 4
     elevations: int = 16
     circles: int = 8
@@ -46,15 +49,9 @@ class M2dp(PlaceDescriptor):
     voxel_m: float = 0.5
 
     def __post_init__(self) -> None:
-        if min(self.azimuths, self.elevations, self.circles, self.sectors) < 1:
-            raise InvalidParameters(f"{self} counts something with less than 1")
-        if not (np.isfinite(self.voxel_m) and self.voxel_m >= 0):
-            raise InvalidParameters(f"voxel_m is {self.voxel_m}, wanted metres, 0 or more")
-
-    @property
-    def name(self) -> str:
-        """`m2dp`."""
-        return "m2dp"
+        require_at_least(1, azimuths=self.azimuths, elevations=self.elevations)
+        require_at_least(1, circles=self.circles, sectors=self.sectors)
+        require_at_least(0, voxel_m=self.voxel_m)
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -114,7 +111,8 @@ class M2dp(PlaceDescriptor):
             )
         return counts.reshape(planes, cells).astype(np.float64)
 
-    def _places(self, descriptors: Float32Array) -> Places:
+    def places(self, descriptors: Float32Array) -> Places:
+        """Return places to search."""
         return M2dpPlaces(descriptors)
 
 
@@ -122,15 +120,15 @@ def _principal(points: FloatArray) -> FloatArray:
     """Return points about their centroid, along their principal axes, the longest first."""
     centred = points - points.mean(axis=0)
     _, vectors = np.linalg.eigh(centred.T @ centred)
-    first, second = vectors[:, 2], vectors[:, 1]
     first, second = (
-        axis if (np.power(centred @ axis, 3)).sum() >= 0 else -axis for axis in (first, second)
+        axis if np.power(centred @ axis, 3).sum() >= 0 else -axis
+        for axis in (vectors[:, 2], vectors[:, 1])
     )
     return np.asarray(centred @ np.stack([first, second, np.cross(first, second)], axis=1))
 
 
 class M2dpPlaces(Places):
-    """Places by the Euclidean distance of their descriptors, which tell no heading."""
+    """Places by the Euclidean distance of their descriptors, which have no heading."""
 
     def __init__(self, descriptors: Float32Array) -> None:
         super().__init__(descriptors)

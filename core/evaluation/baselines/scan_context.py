@@ -1,20 +1,22 @@
 """Scan Context (Kim and Kim, IROS 2018): the highest return of each polar cell around the sensor.
 
 Re-derived from the paper's equations 1 to 8. What it leaves open, and what is done here: heights
-are above ground, z + `sensor_height_m`, clipped at 0, so that 0 means empty as the paper says; the
+are above ground, z + `sensor_height_m`, clipped at 0, so that 0 means empty as in the paper; the
 cosine of an empty column is not defined, so that the mean is over the columns in which both
-descriptors hold something, and two that share none are at distance 1.
+descriptors are not empty; without any, the distance is 1.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from core.arrays import Complex64Array, Float32Array, FloatArray, IntArray
-from core.errors import InvalidParameters, InvalidScan
+from core.errors import InvalidScan
 from core.evaluation.baselines.descriptor import PlaceDescriptor, Places, turn_deg
 from core.evaluation.methods import Nearest
+from core.numbers import require_above, require_at_least
 from core.scans.scan import Scan
 
 
@@ -44,14 +46,9 @@ class ScanContext(PlaceDescriptor):
     candidates: int | None = None
 
     def __post_init__(self) -> None:
-        if self.rings < 1 or self.sectors < 1:
-            raise InvalidParameters(
-                f"Scan Context has {self.rings} rings and {self.sectors} sectors, wanted 1 or more"
-            )
-        if not (self.reach_m > 0 and np.isfinite([self.reach_m, self.sensor_height_m]).all()):
-            raise InvalidParameters(f"reach_m is {self.reach_m}, wanted metres above 0")
-        if self.candidates is not None and self.candidates < 1:
-            raise InvalidParameters(f"candidates is {self.candidates}, wanted 1 or more")
+        require_at_least(1, rings=self.rings, sectors=self.sectors, candidates=self.candidates)
+        require_above(0, reach_m=self.reach_m)
+        require_above(-math.inf, sensor_height_m=self.sensor_height_m)
 
     @property
     def name(self) -> str:
@@ -67,7 +64,7 @@ class ScanContext(PlaceDescriptor):
         """Return the greatest height of each ring and sector in metres, 0 where nothing is.
 
         Raises:
-            InvalidScan: If no return within reach stands above the ground.
+            InvalidScan: If no return within reach is above the ground.
         """
         x, y, z = scan.points_m.T.astype(np.float64)
         ring = np.floor(np.sqrt(x * x + y * y) * (self.rings / self.reach_m))
@@ -80,16 +77,17 @@ class ScanContext(PlaceDescriptor):
         np.maximum.at(context, cells, heights_m)
         if not context.any():
             raise InvalidScan(
-                f"none of the {len(scan)} returns stands above the ground within {self.reach_m:g} m"
+                f"none of the {len(scan)} returns is above the ground within {self.reach_m:g} m"
             )
         return context.reshape(self.shape)
 
-    def _places(self, descriptors: Float32Array) -> Places:
+    def places(self, descriptors: Float32Array) -> Places:
+        """Return places to search."""
         return ScanContextPlaces(descriptors, self.candidates)
 
 
 def ring_keys(contexts: Float32Array) -> FloatArray:
-    """Return the share of each ring's sectors that hold something, `(..., N_r)`: equation 7."""
+    """Return the share of each ring's sectors that are not empty, `(..., N_r)`: equation 7."""
     return np.asarray(np.count_nonzero(contexts, axis=-1) / contexts.shape[-1])
 
 
@@ -97,14 +95,14 @@ class ScanContextPlaces(Places):
     """Scan Contexts compared column by column, in every shift.
 
     The sum over columns j of cos(q_j, c_{j+s}) is a circular correlation of unit columns, and so is
-    the number of columns that both hold: both are done for all shifts s by Fourier transforms.
+    the number of columns that neither has empty: Fourier transforms give both for all shifts s.
     """
 
     def __init__(self, contexts: Float32Array, candidates: int | None) -> None:
         self._sectors = contexts.shape[-1]
         self._candidates = candidates
         super().__init__(contexts)
-        self._spectra, self._held = _spectra(contexts)
+        self._spectra, self._filled = _spectra(contexts)
         keys = ring_keys(contexts)
         self._tree = cKDTree(keys) if candidates is not None and len(keys) else None
         if candidates is not None:
@@ -126,9 +124,9 @@ class ScanContextPlaces(Places):
 
         In shift s sector j of the query lies on sector j + s of the place.
         """
-        spectrum, held = _spectra(descriptor[None])
+        spectrum, filled = _spectra(descriptor[None])
         products = (self._spectra[:, rows] @ np.conj(spectrum[:, 0, :, None]))[..., 0]
-        shared = self._held[:, rows] * np.conj(held)
+        shared = self._filled[:, rows] * np.conj(filled)
         cosines = np.fft.irfft(products, self._sectors, axis=0)
         columns = np.rint(np.fft.irfft(shared, self._sectors, axis=0))
         mean = np.divide(cosines, columns, out=np.zeros_like(cosines), where=columns > 0)
@@ -138,25 +136,24 @@ class ScanContextPlaces(Places):
         """Return the rows below `last` whose ring keys are nearest, rising."""
         assert self._tree is not None  # noqa: S101 - for mypy
         assert self._candidates is not None  # noqa: S101 - for mypy
-        wanted = min(self._candidates, last)
+        needed = k = min(self._candidates, last)
         key = ring_keys(descriptor)
-        asked = wanted
-        while True:  # rows that come too late are skipped, and more are asked for instead
-            found = np.atleast_1d(self._tree.query(key, k=asked)[1])
+        while True:  # until enough of the nearest rows are below `last`
+            found = np.atleast_1d(self._tree.query(key, k=k)[1])
             allowed = found[found < last]
-            if len(allowed) >= wanted or asked >= len(self):
-                return np.sort(allowed[:wanted])
-            asked = min(2 * asked, len(self))
+            if len(allowed) >= needed or k >= len(self):
+                return np.sort(allowed[:needed])
+            k = min(2 * k, len(self))
 
 
 def _spectra(contexts: Float32Array) -> tuple[Complex64Array, Complex64Array]:
-    """Return transforms over the sectors: of unit columns `(F, K, N_r)`, of which hold `(F, K)`."""
+    """Return transforms over the sectors: of unit columns `(F, K, N_r)` and of filled ones."""
     norms = np.linalg.norm(contexts, axis=-2)
-    held = norms > 0
-    unit = contexts / np.where(held, norms, 1.0)[..., None, :]
+    filled = norms > 0
+    unit = contexts / np.where(filled, norms, 1.0)[..., None, :]
     of_columns = np.fft.rfft(unit, axis=-1).transpose(2, 0, 1)
-    of_held = np.fft.rfft(held.astype(np.float64), axis=-1).T
+    of_filled = np.fft.rfft(filled.astype(np.float64), axis=-1).T
     return (
         np.ascontiguousarray(of_columns, dtype=np.complex64),
-        np.ascontiguousarray(of_held, dtype=np.complex64),
+        np.ascontiguousarray(of_filled, dtype=np.complex64),
     )

@@ -2,10 +2,10 @@
 
 Re-derived from the paper's description. Returns, thinned to one in each cube of 0.5 m, are counted
 in bins of range and elevation and in bins of azimuth and elevation. Elevations are weighted by how
-many returns they hold, scaled to 0..1: the two products with that weight are the descriptor, one
+many returns they have, scaled to 0..1: the two products with that weight are the descriptor, one
 for places, one for the heading. What the paper leaves open, and what is done here: the elevations
-are those of the sensor's grid and what lies outside them or beyond reach is left out; a return on
-the edge of two bins is in the upper one; if all elevations hold as many returns all weigh 1.
+are those of the sensor's grid, and returns outside them or beyond reach are left out; a return on
+the edge of two bins is in the upper one; if all elevations have equally many returns all weigh 1.
 """
 
 from dataclasses import dataclass
@@ -17,6 +17,7 @@ from core.errors import InvalidParameters, InvalidScan
 from core.evaluation.baselines.descriptor import PlaceDescriptor, Places, turn_deg
 from core.evaluation.baselines.voxels import voxel_means
 from core.evaluation.methods import Nearest
+from core.numbers import require_above, require_at_least
 from core.scans.scan import Scan
 
 
@@ -34,6 +35,8 @@ class Solid(PlaceDescriptor):
         voxel_m: Side of the cubes that returns are thinned to; 0 keeps all of them.
     """
 
+    name = "solid"
+
     ranges: int = 40
     azimuths: int = 60
     elevations: int = 64
@@ -43,25 +46,14 @@ class Solid(PlaceDescriptor):
     voxel_m: float = 0.5
 
     def __post_init__(self) -> None:
-        if min(self.ranges, self.azimuths, self.elevations) < 1:
-            raise InvalidParameters(
-                f"SOLiD has {self.ranges} ranges, {self.azimuths} azimuths and {self.elevations}"
-                " elevations, wanted 1 or more"
-            )
-        if not (np.isfinite(self.reach_m) and self.reach_m > 0):
-            raise InvalidParameters(f"reach_m is {self.reach_m}, wanted metres above 0")
-        if not (np.isfinite(self.voxel_m) and self.voxel_m >= 0):
-            raise InvalidParameters(f"voxel_m is {self.voxel_m}, wanted metres, 0 or more")
+        require_at_least(1, ranges=self.ranges, azimuths=self.azimuths, elevations=self.elevations)
+        require_above(0, reach_m=self.reach_m)
+        require_at_least(0, voxel_m=self.voxel_m)
         if not -90.0 <= self.elevation_min_deg < self.elevation_max_deg <= 90.0:
             raise InvalidParameters(
                 f"elevations {self.elevation_min_deg}..{self.elevation_max_deg} do not rise"
                 " within -90..90"
             )
-
-    @property
-    def name(self) -> str:
-        """`solid`."""
-        return "solid"
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -101,16 +93,12 @@ class Solid(PlaceDescriptor):
             weight = np.ones(self.elevations)
         return np.concatenate([by_range @ weight, by_azimuth @ weight]).astype(np.float32)
 
-    def _places(self, descriptors: Float32Array) -> Places:
+    def places(self, descriptors: Float32Array) -> Places:
+        """Return places to search."""
         return SolidPlaces(descriptors, self.ranges)
 
 
-def _counts(
-    first: IntArray,
-    bins: int,
-    elevation: IntArray,
-    of: Solid,
-) -> FloatArray:
+def _counts(first: IntArray, bins: int, elevation: IntArray, of: Solid) -> FloatArray:
     cells = first * of.elevations + elevation
     counts = np.bincount(cells, minlength=bins * of.elevations)
     return counts.reshape(bins, of.elevations).astype(np.float64)
@@ -129,11 +117,11 @@ class SolidPlaces(Places):
         """Return the place with the greatest cosine, and the turn to it."""
         distances = 1.0 - self._units[:last] @ _unit(descriptor[: self._ranges])
         row = int(distances.argmin())
-        asked = descriptor[self._ranges :].astype(np.float64)
-        sectors = len(asked)
+        queried = descriptor[self._ranges :].astype(np.float64)
+        sectors = len(queried)
         # Row s is the place's azimuths seen from a query that is turned by s sectors.
         shifted = self._azimuths[row][(np.arange(sectors)[:, None] + np.arange(sectors)) % sectors]
-        shift = int(np.abs(shifted - asked).sum(axis=1).argmin())
+        shift = int(np.abs(shifted - queried).sum(axis=1).argmin())
         return Nearest(row, max(0.0, float(distances[row])), turn_deg(shift, sectors))
 
 

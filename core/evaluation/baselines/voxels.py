@@ -1,4 +1,4 @@
-"""Thinning of returns: one for each cube that holds any."""
+"""Thinning of returns: one for each occupied cube."""
 
 import numpy as np
 
@@ -20,7 +20,7 @@ def voxel_means(points_m: Float32Array, side_m: float) -> FloatArray:
     if float(np.prod(sizes.astype(np.float64))) < 2.0**62:
         flat = (cubes[:, 0] * sizes[1] + cubes[:, 1]) * sizes[2] + cubes[:, 2]
         _, cube = np.unique(flat, return_inverse=True)
-    else:  # returns so far apart that cubes cannot be numbered
+    else:  # too many cubes to number them
         _, cube = np.unique(cubes, axis=0, return_inverse=True)
     cube = cube.ravel()
     counts = np.bincount(cube)

@@ -1,4 +1,4 @@
-"""Drives that are one file: a capture of a Velodyne's packets, a scan each turn."""
+"""Drives that are one file: a capture of a Velodyne's packets, a scan for each revolution."""
 
 import mmap
 from pathlib import Path
@@ -14,11 +14,11 @@ from storage.formats.scans.velodyne import Turns
 
 
 class CapturedDrive:
-    """The full turns of a capture; its packets are kept in memory, points are made when asked for.
+    """The full revolutions of a capture; packets are in memory, points are computed on demand.
 
     Attributes:
         name: A short name.
-        timestamp_s: `(K,)` when each turn began, seconds since 1970.
+        timestamp_s: `(K,)` start of each revolution, seconds since 1970.
         poses: `(K, 7)`, all unknown.
     """
 
@@ -33,10 +33,10 @@ class CapturedDrive:
         return len(self._turns)
 
     def scan(self, index: int) -> Scan:
-        """Return turn `index`, 0-based.
+        """Return the scan of revolution `index`, 0-based.
 
         Raises:
-            TooFewReturns: If fewer came back than wanted.
+            TooFewReturns: If it has fewer returns than `min_returns`.
         """
         return Scan.from_returns(
             self._turns.returns_m(index),

@@ -1,4 +1,4 @@
-"""A drive whose scans are files, read when asked for."""
+"""A drive whose scans are files, read on demand."""
 
 import re
 from collections.abc import Iterable
@@ -18,15 +18,15 @@ from storage.formats.scans.registry import is_scan_file, read_scan_file
 
 @dataclass(frozen=True, eq=False)
 class FileDrive:
-    """One scan a file; timestamps and poses are known beforehand.
+    """One scan in each file; timestamps and poses are known beforehand.
 
     Attributes:
         name: A short name.
         files: The scan files in order.
         timestamp_s: `(K,)` seconds, NaN where unknown.
         poses: `(K, 7)` pose rows, sensor to world, NaN where unknown.
-        min_returns: How many returns a scan must have.
-        media_type: What the files are, if their suffix does not tell.
+        min_returns: Least number of returns of a scan.
+        media_type: Format of the files, if not that of their suffix.
     """
 
     name: str
@@ -88,9 +88,7 @@ def open_nclt_drive(path: Path, *, min_returns: int = 1) -> FileDrive:
     Raises:
         EmptyDrive: If there are no scans.
     """
-    files = in_order(
-        file for file in (path / "velodyne_sync").glob("*.bin") if not file.name.startswith(".")
-    )
+    files = in_order((path / "velodyne_sync").glob("[!.]*.bin"))
     return FileDrive(
         path.resolve().name,
         files,

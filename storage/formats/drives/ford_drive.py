@@ -13,32 +13,32 @@ is mounted at X_vl = (2.4, -0.01, -2.3, pi, 0, pi/2), 2.3 m above the vehicle's 
                              [1 0  0]     laser y is the vehicle's x: forward
                              [0 0 -1]     laser z is up
 
-So the laser's frame is ours but for a turn about z by 90 degrees: z is up already. The points stay
-as the laser gives them (the sensor's x axis is the laser's own, in the original recordings to the
-right of the truck) and the pose is the laser's, in a world with z up, x north and y west:
+So the laser's frame is ours except for a rotation about z by 90 degrees: z is up already. The
+points keep the laser's frame (the sensor's x axis is the laser's own, in the original recordings to
+the right of the truck) and the pose is the laser's, in a world with z up, x north and y west:
 
     T_world_laser = diag(1, -1, -1, 1) T_wv T_vl
 
-A truck heading north stands at heading -90 degrees here. What depends on turns only does not
-notice; renderings from the sensor's sides are, for these recordings, renderings from ahead and
-behind, unless the points are turned first.
+A truck heading north has heading -90 degrees here. Results that depend on relative yaw only are not
+affected; virtual viewpoints at the sensor's sides are, for these recordings, ahead and behind,
+unless the points are rotated first.
 
 Verified: the numbers of X_vl, the fields and the order of the rotations, in independent public code
-for this data set; that code also takes laser y as forward and z as up. Not verified for want of an
-original recording: that X_wv is z-down, as the authors' convention has it, and `PARAM.mat`.
+for this data set; that code also takes laser y as forward and z as up. Not verified for lack of an
+original recording: that X_wv is z-down, as in the authors' convention, and `PARAM.mat`.
 """
 
 import math
-from dataclasses import dataclass
+from contextlib import suppress
 from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from core.arrays import Float32Array, FloatArray, frozen
-from core.errors import EmptyDrive, InvalidScan
-from core.scans.pose import UNKNOWN_POSE, Pose, rows_from_matrices
+from core.arrays import FloatArray, frozen
+from core.errors import EmptyDrive, InvalidPose, InvalidScan
+from core.scans.pose import Pose, pose_rows
 from core.scans.scan import Scan
 from storage.formats.drives.file_drive import in_order
 from storage.formats.errors import MalformedScan
@@ -46,12 +46,13 @@ from storage.formats.scans.ford import points_m_of, scan_matrices
 
 _LASER_ON_VEHICLE = np.array([2.4, -0.01, -2.3, math.pi, 0.0, math.pi / 2])
 _Z_DOWN_TO_Z_UP = np.diag([1.0, -1.0, -1.0, 1.0])
+_FACT_SIZES = {"timestamp_laser": 1, "X_wv": 6}
 
 
 class FordDrive:
     """A drive of `Scan*.mat` files.
 
-    Timestamps and poses are inside the files: the first to ask for them reads every file once.
+    Timestamps and poses are inside the files: their first use reads every file once.
     """
 
     def __init__(self, name: str, files: tuple[Path, ...], *, min_returns: int = 1) -> None:
@@ -85,14 +86,13 @@ class FordDrive:
     @cached_property
     def _facts(self) -> tuple[FloatArray, FloatArray]:
         timestamp_s = np.full(len(self), np.nan)
-        poses = np.full((len(self), 7), UNKNOWN_POSE)
+        poses: list[Pose | None] = [None] * len(self)
         for index, file in enumerate(self._files):
-            try:
-                record = _read(file.read_bytes())
-            except InvalidScan:  # told when the scan is read; the rest of the drive is whole
-                continue
-            timestamp_s[index], poses[index] = record.timestamp_s, record.laser_pose
-        return frozen(timestamp_s, np.float64), frozen(poses, np.float64)
+            # What is damaged raises when its scan is read; the rest of the drive is usable.
+            with suppress(InvalidScan, InvalidPose):
+                scan = read_ford_scan(file, min_returns=0)
+                timestamp_s[index], poses[index] = scan.timestamp_s, scan.pose
+        return frozen(timestamp_s, np.float64), frozen(pose_rows(poses), np.float64)
 
 
 def open_ford_drive(path: Path, *, min_returns: int = 1) -> FordDrive:
@@ -114,43 +114,27 @@ def read_ford_scan(path: Path, *, min_returns: int = 1) -> Scan:
         TooFewReturns: If fewer than `min_returns` are left.
     """
     try:
-        record = _read(path.read_bytes())
+        matrices = scan_matrices(path.read_bytes(), {"XYZ", *_FACT_SIZES})
+        facts = {}
+        for field, size in _FACT_SIZES.items():
+            values = matrices.get(field, np.full(size, np.nan)).astype(np.float64).reshape(-1)
+            if len(values) != size:
+                raise MalformedScan(f"SCAN.{field} has {len(values)} values, wanted {size}")
+            facts[field] = values
         return Scan.from_returns(
-            record.returns_m,
+            points_m_of(matrices),
             min_returns=min_returns,
-            timestamp_s=record.timestamp_s,
-            pose=Pose.from_row(record.laser_pose),
+            timestamp_s=float(facts["timestamp_laser"][0]) / 1e6,
+            pose=_laser_pose(facts["X_wv"]),
         )
     except InvalidScan as error:
         raise type(error)(f"{path.name}: {error}") from error
 
 
-@dataclass(frozen=True, eq=False)
-class _FordRecord:
-    returns_m: Float32Array
-    timestamp_s: float
-    laser_pose: FloatArray
-
-
-def _read(body: bytes) -> _FordRecord:
-    sizes = {"timestamp_laser": 1, "X_wv": 6}
-    matrices = scan_matrices(body, {"XYZ", *sizes})
-    returns_m = points_m_of(matrices)
-    facts = {}
-    for field, size in sizes.items():
-        values = matrices.get(field, np.full(size, np.nan)).astype(np.float64).reshape(-1)
-        if len(values) != size:
-            raise MalformedScan(f"SCAN.{field} has {len(values)} values, wanted {size}")
-        facts[field] = values
-    timestamp_s = float(facts["timestamp_laser"][0]) / 1e6
-    return _FordRecord(returns_m, timestamp_s, _laser_pose_row(facts["X_wv"]))
-
-
-def _laser_pose_row(vehicle_pose: FloatArray) -> FloatArray:
+def _laser_pose(vehicle_pose: FloatArray) -> Pose | None:
     if not np.isfinite(vehicle_pose).all():
-        return np.array(UNKNOWN_POSE)
-    laser_in_world = _Z_DOWN_TO_Z_UP @ _matrix(vehicle_pose) @ _matrix(_LASER_ON_VEHICLE)
-    return np.asarray(rows_from_matrices(laser_in_world[None])[0])
+        return None
+    return Pose.from_matrix(_Z_DOWN_TO_Z_UP @ _matrix(vehicle_pose) @ _matrix(_LASER_ON_VEHICLE))
 
 
 def _matrix(pose: FloatArray) -> FloatArray:

@@ -7,7 +7,7 @@ point p of the lidar at scan i is Tr p in camera i, T_i Tr p in the camera world
     Tr^-1 T_i Tr p
 
 in the lidar's frame at the first scan: x forward, y left, z up. Without `calib.txt` the poses are
-taken to be the lidar's already, and that is how a drive is written here.
+the lidar's already; drives are written so.
 """
 
 import errno
@@ -36,9 +36,7 @@ def open_kitti_drive(path: Path, *, min_returns: int = 1) -> FileDrive:
         EmptyDrive: If there are no scans.
         MalformedDrive: If times, poses or calibration do not parse or do not fit the scans.
     """
-    files = in_order(
-        file for file in (path / "velodyne").glob("*.bin") if not file.name.startswith(".")
-    )
+    files = in_order((path / "velodyne").glob("[!.]*.bin"))
     return FileDrive(
         path.resolve().name,
         files,
@@ -51,13 +49,13 @@ def open_kitti_drive(path: Path, *, min_returns: int = 1) -> FileDrive:
 def write_kitti_drive(drive: Drive, path: Path, progress: Progress = NO_PROGRESS) -> None:
     """Write a drive as a new folder, whole or not at all; `open_kitti_drive` reads it back.
 
-    Reflectances are 0. Poses are the lidar's own, so no `calib.txt` is written; what is unknown is
-    `nan`, and a file that would hold nothing else is left out.
+    Reflectances are 0. Poses are the lidar's own, so no `calib.txt` is written; unknown values are
+    `nan`, and a file that would have no other is not written.
 
     Args:
         drive: What to write.
         path: A folder that is empty or does not exist; its parent does.
-        progress: Told of each scan.
+        progress: Reports each scan.
 
     Raises:
         FileExistsError: If something is at `path` already.
@@ -65,8 +63,8 @@ def write_kitti_drive(drive: Drive, path: Path, progress: Progress = NO_PROGRESS
         StorageFull: If no space is left.
     """
     if path.exists() and not (path.is_dir() and not any(path.iterdir())):
-        raise FileExistsError(errno.EEXIST, "there is something already", str(path))
-    whole = path.resolve()  # `.` has no name to write beside
+        raise FileExistsError(errno.EEXIST, "it exists and is no empty folder", str(path))
+    whole = path.resolve()  # `.` has no name
     part = whole.with_name(f".{whole.name}.{secrets.token_hex(8)}.part")
     progress.start("writing", len(drive))
     try:
@@ -100,7 +98,7 @@ def _write_numbers(file: Path, rows: FloatArray) -> None:
 
 
 def camera_to_lidar_poses(camera_poses: FloatArray, lidar_to_camera: FloatArray) -> FloatArray:
-    """Turn poses of the camera in its own world into poses of the lidar in its own.
+    """Convert poses of the camera in its own world to poses of the lidar in its own.
 
     Args:
         camera_poses: `(n, 3, 4)` or `(n, 4, 4)`, camera to camera world; NaN where unknown.
@@ -138,8 +136,10 @@ def _poses(file: Path, calibration: Path, scans: int) -> FloatArray:
     if not file.exists():
         return np.full((scans, 7), UNKNOWN_POSE)
     matrices = _numbers(file, scans, columns=12).reshape(-1, 3, 4)
-    matrices[~np.isfinite(matrices).all(axis=(1, 2))] = np.nan  # half a pose is none
-    _refuse_what_is_no_rotation(file, matrices)
+    known = np.isfinite(matrices).all(axis=(1, 2))
+    matrices[~known] = np.nan  # also a pose that is known in part
+    for index in np.flatnonzero(known).tolist():
+        _require_rotation(file, index + 1, matrices[index])
     if not calibration.exists():
         return rows_from_matrices(matrices)
     try:
@@ -148,18 +148,9 @@ def _poses(file: Path, calibration: Path, scans: int) -> FloatArray:
         raise MalformedDrive(f"{file.name} and {calibration.name} together: {error}") from error
 
 
-def _refuse_what_is_no_rotation(file: Path, matrices: FloatArray) -> None:
+def _require_rotation(file: Path, number: int, matrix: FloatArray) -> None:
     try:
-        rows_from_matrices(matrices)
-    except InvalidPose:
-        for number, matrix in enumerate(matrices, start=1):
-            if np.isfinite(matrix).all():
-                _pose_of_line(file, number, matrix)
-
-
-def _pose_of_line(file: Path, number: int, matrix: FloatArray) -> Pose:
-    try:
-        return Pose.from_matrix(matrix)
+        Pose.from_matrix(matrix)
     except InvalidPose as error:
         raise MalformedDrive(f"{file.name}, line {number}: {error}") from error
 
@@ -170,11 +161,11 @@ def _lidar_to_camera(file: Path) -> FloatArray:
         key, _, values = line.partition(":")
         if key.strip() == "Tr":
             matrix = _line_numbers(file, number, values, columns=12).reshape(3, 4)
-            _pose_of_line(file, number, matrix)
+            _require_rotation(file, number, matrix)
             return matrix
     raise MalformedDrive(
         f"{file.name} has no line 'Tr:' of 12 numbers, lidar to camera 0; without the file the"
-        " poses are taken as the lidar's own"
+        " poses are the lidar's own"
     )
 
 

@@ -1,5 +1,6 @@
-"""Recorded drives: which layout a folder has."""
+"""Recorded drives in any of the supported layouts."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 from core.errors import EmptyDrive
@@ -12,16 +13,23 @@ from storage.formats.drives.ros_drive import is_ros_bag, open_ros_drive, split_t
 from storage.formats.errors import UnknownDriveLayout
 from storage.formats.scans.registry import SCAN_FORMATS
 
+_FOLDERS: dict[str, Callable[..., Drive]] = {
+    "velodyne": open_kitti_drive,
+    "velodyne_sync": open_nclt_drive,
+    "SCANS": open_ford_drive,
+}
+
 
 def open_drive(path: Path, *, min_returns: int = 1) -> Drive:
-    """Open a recorded drive; scans are read when asked for.
+    """Open a recorded drive; scans are read on demand.
 
     Args:
         path: A folder with `velodyne/` (KITTI odometry), `velodyne_sync/` (NCLT) or `SCANS/` (Ford
             Campus), or of scan files, in the order of their names; or a capture, `.pcap`, of which
-            each full turn is a scan; or a ROS bag, `.bag`, `.mcap`, `.db3` or what ROS 2 recorded,
-            with `#TOPIC` after it where several have clouds. Its name becomes the drive's.
-        min_returns: How many finite, non-zero returns a scan must have.
+            each full revolution is a scan; or a ROS bag, `.bag`, `.mcap`, `.db3` or a folder that
+            ROS 2 recorded, with `#TOPIC` after it where several have clouds. Its name becomes the
+            drive's.
+        min_returns: Least number of finite, non-zero returns of a scan.
 
     Raises:
         UnknownDriveLayout: If it is none of these.
@@ -34,12 +42,9 @@ def open_drive(path: Path, *, min_returns: int = 1) -> Drive:
         return open_ros_drive(bag, topic, min_returns=min_returns)
     if path.suffix.lower() == ".pcap" and path.is_file():
         return open_captured_drive(path, min_returns=min_returns)
-    if (path / "velodyne").is_dir():
-        return open_kitti_drive(path, min_returns=min_returns)
-    if (path / "velodyne_sync").is_dir():
-        return open_nclt_drive(path, min_returns=min_returns)
-    if (path / "SCANS").is_dir():
-        return open_ford_drive(path, min_returns=min_returns)
+    for folder, open_layout in _FOLDERS.items():
+        if (path / folder).is_dir():
+            return open_layout(path, min_returns=min_returns)
     suffixes = " ".join(suffix for known in SCAN_FORMATS for suffix in known.suffixes)
     wanted = (
         "velodyne/*.bin (KITTI), velodyne_sync/*.bin (NCLT), SCANS/Scan*.mat (Ford Campus) or scan"

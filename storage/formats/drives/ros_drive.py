@@ -1,7 +1,7 @@
-"""Drives that are ROS bags: the PointCloud2 messages of one topic, a scan each.
+"""Drives that are ROS bags: each PointCloud2 message of one topic is a scan.
 
-Bags of ROS 1 and ROS 2, as SQLite or MCAP; the library that reads them is an extra. Messages are
-laid out as sensor_msgs says: https://docs.ros.org/en/api/sensor_msgs/html/msg/PointCloud2.html
+Bags of ROS 1 and ROS 2, as SQLite or MCAP; the library that reads them is an extra. The layout of
+messages: https://docs.ros.org/en/api/sensor_msgs/html/msg/PointCloud2.html
 """
 
 import weakref
@@ -24,14 +24,14 @@ if TYPE_CHECKING:
     from rosbags.interfaces import Connection
 
 _SUFFIXES = frozenset({".bag", ".mcap", ".db3"})
-_METADATA = "metadata.yaml"  # in the folder that ROS 2 records
+_METADATA = "metadata.yaml"  # in the folder of a ROS 2 recording
 _CLOUD = "sensor_msgs/msg/PointCloud2"
 _FLOATS = {7: "f4", 8: "f8"}  # sensor_msgs/PointField: FLOAT32, FLOAT64
 _NANO = 1e-9
 
 
 def is_ros_bag(path: Path) -> bool:
-    """Return whether a path looks like a bag: a file by its suffix, a folder by its metadata."""
+    """Return whether a path is a bag: a file by its suffix, a folder by its metadata."""
     return (path.suffix.lower() in _SUFFIXES and path.is_file()) or (path / _METADATA).is_file()
 
 
@@ -49,12 +49,12 @@ def split_topic(path: Path) -> tuple[Path, str | None]:
 
 
 class RosDrive:
-    """The clouds of one topic; each is read when asked for, fastest one after another.
+    """The clouds of one topic, read on demand; sequential access is the fastest.
 
     Attributes:
         name: A short name.
-        timestamp_s: `(K,)` when each message was recorded, seconds since 1970.
-        poses: `(K, 7)`, all unknown: where a sensor was is in no PointCloud2.
+        timestamp_s: `(K,)` recording time of each message, seconds since 1970.
+        poses: `(K, 7)`, all unknown: PointCloud2 has no pose.
     """
 
     def __init__(
@@ -84,12 +84,12 @@ class RosDrive:
         index = range(len(self))[index]
         if index != self._next or index == 0:
             self._seek(index)
-        self._next = -1  # until the message is there
+        self._next = -1  # until the message was read
         connection, _, raw = next(self._messages)
         self._next = index + 1
         try:
             cloud = self._reader.deserialize(raw, connection.msgtype)
-        except Exception as error:  # the library raises whatever its parser meets
+        except Exception as error:  # the library raises any error of its parser
             raise MalformedScan(
                 f"message {index} of {self.name} cannot be read: {error}"
             ) from error
@@ -106,7 +106,7 @@ class RosDrive:
             next(self._messages)
 
 
-def returns_m_of(cloud: Any) -> Float32Array:  # noqa: ANN401 - its class is made of the bag's text
+def returns_m_of(cloud: Any) -> Float32Array:  # noqa: ANN401 - its class is defined in the bag
     """Return the points of a PointCloud2, `(n, 3)` metres.
 
     Raises:
@@ -115,9 +115,9 @@ def returns_m_of(cloud: Any) -> Float32Array:  # noqa: ANN401 - its class is mad
         TruncatedScan: If it has fewer bytes than its rows need.
     """
     fields = {field.name: field for field in cloud.fields}
-    missing = [axis for axis in AXES if axis not in fields]
-    if missing:
-        raise MalformedScan(f"a cloud of the fields {', '.join(fields)} has no {missing[0]}")
+    for axis in AXES:
+        if axis not in fields:
+            raise MalformedScan(f"a cloud of the fields {', '.join(fields)} has no {axis}")
     order = ">" if cloud.is_bigendian else "<"
     kinds = {axis: _FLOATS.get(fields[axis].datatype) for axis in AXES}
     for axis, kind in kinds.items():
@@ -141,21 +141,20 @@ def returns_m_of(cloud: Any) -> Float32Array:  # noqa: ANN401 - its class is mad
         )
     rows = data[: cloud.height * cloud.row_step].reshape(cloud.height, cloud.row_step)
     packed = np.ascontiguousarray(rows[:, : cloud.width * cloud.point_step])
-    points = packed.reshape(-1).view(record)
-    return coordinates(points)
+    return coordinates(packed.reshape(-1).view(record))
 
 
 def open_ros_drive(path: Path, topic: str | None = None, *, min_returns: int = 1) -> RosDrive:
-    """Open a bag; it stays open as long as the drive is used.
+    """Open a bag; it stays open as long as the drive is referenced.
 
     Args:
         path: A `.bag` of ROS 1, an `.mcap` or `.db3`, or the folder that ROS 2 recorded.
-        topic: Whose messages are the scans; not needed where one topic has clouds.
-        min_returns: How many finite, non-zero returns a scan must have.
+        topic: The topic of the scans; not needed where only one has clouds.
+        min_returns: Least number of finite, non-zero returns of a scan.
 
     Raises:
-        MalformedDrive: If the library is not there, the bag cannot be read, or it is not clear
-            which topic is meant.
+        MalformedDrive: If the library is not installed, the bag cannot be read, or several topics
+            have clouds and none is given.
         EmptyDrive: If the topic has no message.
     """
     try:
@@ -174,9 +173,10 @@ def open_ros_drive(path: Path, topic: str | None = None, *, min_returns: int = 1
         clouds = [one for one in reader.connections if one.msgtype == _CLOUD]
         for one in clouds:
             topics[one.topic] += one.msgcount
-        chosen = topic if topic is not None else next(iter(topics), None)
-        if chosen in topics and (topic is not None or len(topics) == 1):
-            of_topic = [one for one in clouds if one.topic == chosen]
+        if topic is None and len(topics) == 1:
+            [topic] = topics
+        of_topic = [one for one in clouds if one.topic == topic]
+        if of_topic:
             drive = RosDrive(path.stem, reader, of_topic, min_returns=min_returns)
         else:
             reader.close()
@@ -187,5 +187,5 @@ def open_ros_drive(path: Path, topic: str | None = None, *, min_returns: int = 1
         wanted = f"topic {topic}" if topic is not None else "one topic, or its name after a #"
         raise MalformedDrive(f"{path.name} has these topics of PointCloud2: {has}; wanted {wanted}")
     if not len(drive):
-        raise EmptyDrive(f"topic {chosen} of {path.name} has no message")
+        raise EmptyDrive(f"topic {topic} of {path.name} has no message")
     return drive

@@ -12,7 +12,7 @@ AXES = ("x", "y", "z")
 
 
 def as_float32(values: np.ndarray) -> Float32Array:
-    """Return numbers as float32; what is beyond it becomes infinite, which is no return."""
+    """Return numbers as float32; those out of range become infinite, which is no return."""
     with np.errstate(over="ignore", invalid="ignore"):
         return values.astype(np.float32)
 
@@ -23,7 +23,7 @@ def coordinates(records: np.ndarray) -> Float32Array:
 
 
 def record_of(fields: dict[str, tuple[Any, int]], size_bytes: int) -> np.dtype[np.void]:
-    """Return a record of `size_bytes`, of fields with a kind and an offset; the rest is skipped."""
+    """Return a record of `size_bytes` with fields of a kind at an offset; the rest is ignored."""
     return np.dtype(
         {
             "names": list(fields),
@@ -34,35 +34,35 @@ def record_of(fields: dict[str, tuple[Any, int]], size_bytes: int) -> np.dtype[n
     )
 
 
-def require_amount(came: int, wanted: int, message: str) -> None:
-    """Refuse a body of another length than its header claims.
+def require_amount(given: int, claimed: int, message: str) -> None:
+    """Reject a body of another length than its header claims.
 
     Raises:
-        TruncatedScan: If less came than is wanted.
-        MalformedScan: If more came.
+        TruncatedScan: If less is given than claimed.
+        MalformedScan: If more is given.
     """
-    if came < wanted:
+    if given < claimed:
         raise TruncatedScan(message)
-    if came > wanted:
+    if given > claimed:
         raise MalformedScan(message)
 
 
-def require_records(body: bytes, record_bytes: int, wanted: str) -> None:
-    """Refuse a body without a header that is no whole number of records, or too many.
+def require_records(body: bytes, record_bytes: int, layout: str) -> None:
+    """Reject a body without a header that is no whole number of records, or too many.
 
     Args:
         body: The records.
-        record_bytes: Of each.
-        wanted: Their layout in words, for the message.
+        record_bytes: Length of each.
+        layout: Their layout in words, for the message.
 
     Raises:
-        TruncatedScan: If a part of a record is left over.
+        TruncatedScan: If the last record is incomplete.
         ScanTooLarge: If there are more records than a scan may have returns.
     """
     records, left = divmod(len(body), record_bytes)
     if left:
         raise TruncatedScan(
             f"the body has {len(body)} bytes, which is {records} records of {record_bytes} and"
-            f" {left} left over; wanted {wanted}"
+            f" {left} left over; wanted {layout}"
         )
     BUDGET.require_returns(records)

@@ -1,28 +1,26 @@
-"""Points as text, `.csv`: a line a return, with or without a line of names before them."""
-
-from dataclasses import dataclass
+"""Points as text, `.csv`: a line for each return, with or without a header of names."""
 
 from core.arrays import Float32Array
 from storage.formats.errors import MalformedScan
 from storage.formats.scans.coordinates import AXES
+from storage.formats.scans.scan_format import ScanFormat
 from storage.formats.scans.text_numbers import text_columns
 
 _DELIMITERS = (",", ";", "\t", " ")
 _MAX_LINE_BYTES = 16_384
 
 
-@dataclass(frozen=True)
-class CsvFormat:
+class CsvFormat(ScanFormat):
     """CSV: the columns named x, y and z, in any order, or the first three if none is named.
 
     A column's name may have a unit after it, as `x (m)` or `x_m`. Columns end at commas,
     semicolons, tabs or spaces, whichever of them the first line has, in this order.
     """
 
-    name: str = "CSV"
-    media_type: str = "application/vnd.tensormap.csv"
-    suffixes: tuple[str, ...] = (".csv",)
-    magics: tuple[bytes, ...] = (b"x,y,z", b"X,Y,Z")
+    name = "CSV"
+    media_type = "application/vnd.tensormap.csv"
+    suffixes = (".csv",)
+    magics = (b"x,y,z", b"X,Y,Z")
 
     def read(self, body: bytes) -> Float32Array:
         r"""Return `(n, 3)` metres.

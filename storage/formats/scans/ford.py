@@ -1,14 +1,13 @@
-"""One scan of the Ford Campus data set from bytes that anybody may have sent: `Scan*.mat`.
+"""One scan of the Ford Campus data set from untrusted bytes: `Scan*.mat`.
 
-SciPy reads MATLAB's files and must not be given a stranger's: it unpacks whatever is claimed, and
-checks no element's type (1.17.1), so that a damaged byte can end the process. What a scan needs of
-the format, level 5, is small: a struct `SCAN` with matrices of real numbers.
+SciPy reads MATLAB's files, but not safely: it unpacks whatever is claimed, and checks no element's
+type (1.17.1), so that a damaged byte can end the process. What a scan needs of the format, level 5,
+is small: a struct `SCAN` with matrices of real numbers.
 """
 
 import math
 import zlib
 from collections.abc import Collection
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -16,6 +15,7 @@ from core.arrays import Float32Array
 from storage.formats.budget import BUDGET
 from storage.formats.errors import MalformedScan, ScanTooLarge, TruncatedScan
 from storage.formats.scans.coordinates import as_float32
+from storage.formats.scans.scan_format import ScanFormat
 
 _HEADER_BYTES = 128
 _MATRIX, _COMPRESSED = 14, 15
@@ -26,63 +26,50 @@ _NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f
 _INT8, _INT32, _UINT32 = 1, 5, 6
 
 
-@dataclass(frozen=True)
-class FordFormat:
-    """Ford's `.mat`; the laser's own axes are kept, x to the right of the truck.
+class FordFormat(ScanFormat):
+    """Ford's `.mat`; the laser's own axes are kept, x to the right of the truck."""
 
-    Attributes:
-        max_decoded_bytes: What the compressed elements of a file may unpack to, all together.
-    """
-
-    name: str = "Ford Campus"
-    media_type: str = "application/vnd.tensormap.ford"
-    suffixes: tuple[str, ...] = (".mat",)
-    magics: tuple[bytes, ...] = (b"MATLAB 5.0 MAT-file",)
-    max_decoded_bytes: int = BUDGET.unpacked_bytes
+    name = "Ford Campus"
+    media_type = "application/vnd.tensormap.ford"
+    suffixes = (".mat",)
+    magics = (b"MATLAB 5.0 MAT-file",)
 
     def read(self, body: bytes) -> Float32Array:
         """Return `(n, 3)` metres.
 
         Raises:
             MalformedScan: If there is no struct SCAN with numbers XYZ of shape (3, N).
-            TruncatedScan: If an element claims more bytes than came.
-            ScanTooLarge: If an element would unpack to more than `max_decoded_bytes`.
+            TruncatedScan: If an element claims more bytes than the body has.
+            ScanTooLarge: If the elements would unpack to more than allowed.
         """
-        return points_m_of(scan_matrices(body, {"XYZ"}, self.max_decoded_bytes))
+        return points_m_of(scan_matrices(body, {"XYZ"}))
 
 
-def scan_matrices(
-    body: bytes, wanted: Collection[str], max_decoded_bytes: int = BUDGET.unpacked_bytes
-) -> dict[str, np.ndarray]:
-    """Return those fields of the struct SCAN that are wanted and there, each with two axes.
-
-    Args:
-        body: The file.
-        wanted: Names of fields.
-        max_decoded_bytes: What the compressed elements of the file may unpack to, all together.
+def scan_matrices(body: bytes, fields: Collection[str]) -> dict[str, np.ndarray]:
+    """Return those of these fields that the struct SCAN has, each with two axes.
 
     Raises:
-        MalformedScan: If there is no struct SCAN, or a wanted field is no matrix of numbers.
-        TruncatedScan: If an element claims more bytes than came.
-        ScanTooLarge: If an element would unpack to more than `max_decoded_bytes`.
+        MalformedScan: If there is no struct SCAN, or one of the fields is no matrix of numbers.
+        TruncatedScan: If an element claims more bytes than the body has.
+        ScanTooLarge: If the elements would unpack to more than allowed.
     """
     if len(body) < _HEADER_BYTES:
-        raise TruncatedScan(f"{len(body)} bytes came, the header takes {_HEADER_BYTES}")
+        raise TruncatedScan(f"the body has {len(body)} bytes, the header takes {_HEADER_BYTES}")
     order = {b"IM": "<", b"MI": ">"}.get(body[126:128])
     if not body.startswith(b"MATLAB 5.0") or order is None:
         raise MalformedScan(f"the body begins with {body[:10]!r}, wanted a MATLAB 5.0 MAT-file")
     elements = _Elements(memoryview(body)[_HEADER_BYTES:], order)
-    left_bytes = max_decoded_bytes
+    left_bytes = BUDGET.unpacked_bytes
     for _ in range(BUDGET.elements):
         if not elements:
             raise MalformedScan("the file has no struct SCAN")
         kind, content = elements.take()
         if kind == _COMPRESSED:
-            unpacked = _unpacked(content, left_bytes, max_decoded_bytes)
+            unpacked = _unpacked(content, left_bytes)
             left_bytes -= len(unpacked)
             kind, content = _Elements(unpacked, order).take()
         if kind == _MATRIX:
-            found = _matrices(_Elements(content, order), wanted)
+            found = _matrices(_Elements(content, order), fields)
             if found is not None:
                 return found
     raise MalformedScan(f"the first {BUDGET.elements} elements are no struct SCAN")
@@ -92,8 +79,8 @@ def points_m_of(matrices: dict[str, np.ndarray]) -> Float32Array:
     """Return the `(n, 3)` metres of the matrix XYZ.
 
     Raises:
-        MalformedScan: If it is not there, or not of shape (3, n).
-        ScanTooLarge: If it has more returns than may be.
+        MalformedScan: If there is none, or it is not of shape (3, n).
+        ScanTooLarge: If it has more returns than allowed.
     """
     if "XYZ" not in matrices:
         raise MalformedScan("SCAN has no field XYZ")
@@ -104,19 +91,19 @@ def points_m_of(matrices: dict[str, np.ndarray]) -> Float32Array:
     return as_float32(xyz.T)
 
 
-def _unpacked(packed: memoryview, left_bytes: int, most_bytes: int) -> memoryview:
+def _unpacked(packed: memoryview, left_bytes: int) -> memoryview:
     unpacker = zlib.decompressobj()
     try:
         content = unpacker.decompress(packed, left_bytes + 1)
     except zlib.error as error:
         raise MalformedScan(f"an element does not unpack: {error}") from error
     if len(content) > left_bytes:
-        raise ScanTooLarge(f"the elements unpack to more than the {most_bytes} bytes that may be")
+        raise ScanTooLarge(f"the elements unpack to more than {BUDGET.unpacked_bytes} bytes")
     return memoryview(content)
 
 
 class _Elements:
-    """The elements of a part of a file, one after the other."""
+    """The elements of a part of a file, in their order."""
 
     def __init__(self, content: memoryview, order: str) -> None:
         self._content = content
@@ -130,7 +117,7 @@ class _Elements:
         if len(self._content) < 8:
             raise TruncatedScan(f"an element takes at least 8 bytes, {len(self._content)} are left")
         first, size = np.frombuffer(self._content[:8], dtype=f"{self.order}u4").tolist()
-        if first >> 16:  # up to four bytes stand beside their type and size
+        if first >> 16:  # up to four bytes follow their type and size directly
             kind, size, start, end = first & 0xFFFF, first >> 16, 4, 8
             if size > 4:
                 raise MalformedScan(f"a small element claims {size} bytes")
@@ -144,19 +131,19 @@ class _Elements:
         self._content = self._content[end:]
         return kind, content
 
-    def numbers(self, *wanted: int) -> np.ndarray:
+    def numbers(self, *kinds: int) -> np.ndarray:
         """Return the next element, which must be of one of these types of numbers."""
         kind, content = self.take()
-        if kind not in wanted:
-            raise MalformedScan(f"an element has type {kind}, wanted one of {wanted}")
+        if kind not in kinds:
+            raise MalformedScan(f"an element has type {kind}, wanted one of {kinds}")
         dtype = np.dtype(self.order + _NUMBERS[kind])
         if len(content) % dtype.itemsize:
             raise MalformedScan(f"{len(content)} bytes are no whole number of {dtype}")
         return np.frombuffer(content, dtype=dtype)
 
 
-def _matrices(elements: _Elements, wanted: Collection[str]) -> dict[str, np.ndarray] | None:
-    """Return the wanted fields of a variable if it is the struct SCAN."""
+def _matrices(elements: _Elements, fields: Collection[str]) -> dict[str, np.ndarray] | None:
+    """Return these fields of a variable if it is the struct SCAN."""
     kind, _, shape, name = _start(elements)
     if name != b"SCAN":
         return None
@@ -168,18 +155,16 @@ def _matrices(elements: _Elements, wanted: Collection[str]) -> dict[str, np.ndar
         raise MalformedScan("the names of SCAN's fields cannot be read")
     step = int(length[0])
     if len(names) > BUDGET.elements * step:
-        raise MalformedScan(
-            f"SCAN has {len(names) // step} fields, at most {BUDGET.elements} may be"
-        )
+        raise MalformedScan(f"SCAN has {len(names) // step} fields, at most {BUDGET.elements}")
     found: dict[str, np.ndarray] = {}
     for at in range(0, len(names), step):
         field = names[at : at + step].rstrip(b"\0").decode("latin-1")
         outer, content = elements.take()
         if outer != _MATRIX:
             raise MalformedScan(f"field {field!r} of SCAN has type {outer}, wanted a matrix")
-        if field in wanted:
+        if field in fields:
             found[field] = _numbers(_Elements(content, elements.order), field)
-            if len(found) == len(wanted):
+            if len(found) == len(fields):
                 break
     return found
 

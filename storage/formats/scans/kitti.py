@@ -1,16 +1,15 @@
 """Velodyne scans as KITTI writes them: float32 records `x y z reflectance`, no header."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from core.arrays import Float32Array
 from core.scans.scan import Scan
 from storage.formats.errors import WrongDtype
 from storage.formats.scans.coordinates import require_records
+from storage.formats.scans.scan_format import ScanFormat
 
 _RECORD_BYTES = 16
-_WANTED = "float32 little-endian x y z reflectance, 16 bytes a return, in metres"
+_LAYOUT = "float32 little-endian x y z reflectance, 16 bytes a return, in metres"
 
 _SMALLEST_M = 1e-6
 _LARGEST_M = 1e5
@@ -27,17 +26,15 @@ def kitti_body(scan: Scan) -> bytes:
     return records.tobytes()
 
 
-@dataclass(frozen=True)
-class KittiFormat:
-    """The `.bin` of KITTI's recordings; raw floats look like anything, so it is never guessed."""
+class KittiFormat(ScanFormat):
+    """The `.bin` of KITTI's recordings; it has no magic, so it is never guessed."""
 
-    name: str = "KITTI"
-    media_type: str = "application/vnd.tensormap.kitti"
-    suffixes: tuple[str, ...] = (".bin",)
-    magics: tuple[bytes, ...] = ()
+    name = "KITTI"
+    media_type = "application/vnd.tensormap.kitti"
+    suffixes = (".bin",)
 
     def read(self, body: bytes) -> Float32Array:
-        """Return `(n, 3)` metres, no-returns included.
+        """Return `(n, 3)` metres, including no-returns.
 
         Raises:
             TruncatedScan: If the length is not a whole number of records.
@@ -47,29 +44,29 @@ class KittiFormat:
             >>> KittiFormat().read(np.array([[10, 0, -1, 0.3]], "<f4").tobytes())
             array([[10.,  0., -1.]], dtype=float32)
         """
-        require_records(body, _RECORD_BYTES, _WANTED)
+        require_records(body, _RECORD_BYTES, _LAYOUT)
         returns_m = np.frombuffer(body, dtype="<f4").reshape(-1, 4)[:, :3].astype(np.float32)
-        refuse_implausible(returns_m, _WANTED)
+        require_plausible(returns_m, _LAYOUT)
         return returns_m
 
 
-def refuse_implausible(returns_m: Float32Array, wanted: str) -> None:
-    """Refuse `(n, 3)` coordinates that no lidar measures: numbers of another type, read as float32.
+def require_plausible(returns_m: Float32Array, layout: str) -> None:
+    """Reject `(n, 3)` coordinates that no lidar measures: numbers of another type, read as float32.
 
     Raises:
-        WrongDtype: If too many are tiny, huge or not finite; the message says what was `wanted`.
+        WrongDtype: If too many are tiny, huge or not finite; the message has the expected `layout`.
     """
     with np.errstate(invalid="ignore"):  # a signalling NaN is a NaN
         size_m = np.abs(returns_m)
         measured = np.count_nonzero((size_m >= _SMALLEST_M) & (size_m <= _LARGEST_M))
     if measured >= (1.0 - _IMPLAUSIBLE_SHARE) * np.count_nonzero(size_m):
-        return  # as nearly every scan does: no-returns need not be told apart for that
+        return  # nearly every scan; no-returns need not be counted for that
     # A return that is zero or not finite in all three is a no-return, which some drivers write, and
-    # says nothing about the type. One that is not finite in some only is no such thing.
-    told = np.count_nonzero(size_m[np.isfinite(size_m).any(axis=1)])
-    share = 1.0 - measured / told if told else 0.0
+    # does not show the type. One that is not finite in some coordinates only does.
+    counted = np.count_nonzero(size_m[np.isfinite(size_m).any(axis=1)])
+    share = 1.0 - measured / counted if counted else 0.0
     if share > _IMPLAUSIBLE_SHARE:
         raise WrongDtype(
             f"{share:.0%} of the coordinates are under {_SMALLEST_M:g} m, over"
-            f" {_LARGEST_M:g} m or not numbers: is this float64 or integers? Wanted {wanted}"
+            f" {_LARGEST_M:g} m or not numbers: is this float64 or integers? Wanted {layout}"
         )

@@ -1,8 +1,8 @@
 """LAZ, unpacked in a process of its own.
 
-lazrs 0.8.2 believes the sizes that stand inside compressed points: files damaged at random soon
-make it ask for 4 GB at once, which ends the process that asks, or panic. So the process that
-asks is not the service. It has limits on memory and time, and what it writes is checked.
+lazrs 0.8.2 trusts the sizes inside compressed points: files damaged at random soon make it
+allocate 4 GB at once, which ends the process, or panic. So that process is not the service. It has
+limits on memory and time, and what it writes is checked.
 """
 
 import io
@@ -27,7 +27,7 @@ def unpack(body: bytes, points: int) -> Float32Array:
     Raises:
         MalformedScan: If they cannot be unpacked within the limits.
     """
-    # -P: no module is taken from the folder that the service was started in.
+    # -P: no module is imported from the current folder.
     command = [sys.executable, "-P", "-m", "storage.formats.scans.laz"]
     try:
         done = subprocess.run(  # noqa: S603 - the command is ours
@@ -35,19 +35,19 @@ def unpack(body: bytes, points: int) -> Float32Array:
         )
     except subprocess.TimeoutExpired as error:
         raise MalformedScan(f"the points took more than {_WALL_S} s to unpack") from error
-    wanted = points * _READ_BYTES
-    if done.returncode or len(done.stdout) != wanted:
-        said = done.stderr.decode("utf-8", "replace").strip().rpartition("\n")[2][:200]
+    expected = points * _READ_BYTES
+    if done.returncode or len(done.stdout) != expected:
+        reason = done.stderr.decode("utf-8", "replace").strip().rpartition("\n")[2][:200]
         raise MalformedScan(
-            f"the compressed points cannot be unpacked: {said or 'the unpacker ended'};"
-            f" {len(done.stdout)} of {wanted} bytes came out"
+            f"the compressed points cannot be unpacked: {reason or 'the unpacker ended'};"
+            f" it wrote {len(done.stdout)} of {expected} bytes"
         )
     return np.frombuffer(done.stdout, dtype="<f4").reshape(-1, 3)
 
 
 def read_points(body: bytes, points: int) -> Float32Array:
     """Read the points of a LAS or LAZ file, at most as many as its header claims."""
-    import laspy  # takes as long to import as NumPy: not before such a file comes
+    import laspy  # takes as long to import as NumPy: only for such a file
 
     returns_m = np.empty((points, 3), np.float32)
     at = 0

@@ -1,13 +1,12 @@
 """NumPy arrays, `.npy`: the first three columns, or the fields x, y and z.
 
-The header is text that a client wrote: it is parsed as literals of a few kinds, without NumPy's
-fallbacks that warn, and what it claims is compared with what came before an array is made.
+The header is untrusted text: it is parsed as literals of a few kinds, without NumPy's fallbacks
+that warn, and what it claims is compared with the body before an array is made.
 """
 
 import ast
 import math
 import re
-from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
@@ -17,6 +16,7 @@ from core.arrays import Float32Array
 from storage.formats.budget import BUDGET
 from storage.formats.errors import MalformedScan, TruncatedScan, WrongDtype, short
 from storage.formats.scans.coordinates import AXES, as_float32, coordinates, require_amount
+from storage.formats.scans.scan_format import ScanFormat
 
 _MAGIC = b"\x93NUMPY"
 _LENGTH_BYTES = {(1, 0): 2, (2, 0): 4, (3, 0): 4}
@@ -24,23 +24,22 @@ _MAX_HEADER_BYTES = 10_000  # NumPy's own limit
 _LITERALS = re.compile(r"(?:'[^'\\]*'|\d+(?!\w)|True|False|[{}()\[\],: ])*\n?")
 _FLOAT = re.compile(r"[<>=|]?f[248]")
 _PLAIN = re.compile(r"[<>=|]?[fiubcSUV?]\d*")
-_WANTED = "float16, float32 or float64 metres"
+_FLOATS = "float16, float32 or float64 metres"
 
 
-@dataclass(frozen=True)
-class NpyFormat:
+class NpyFormat(ScanFormat):
     """An array `(n, >= 3)` of floats, or a structured one with float fields x, y and z."""
 
-    name: str = "NumPy"
-    media_type: str = "application/vnd.tensormap.npy"
-    suffixes: tuple[str, ...] = (".npy",)
-    magics: tuple[bytes, ...] = (_MAGIC,)
+    name = "NumPy"
+    media_type = "application/vnd.tensormap.npy"
+    suffixes = (".npy",)
+    magics = (_MAGIC,)
 
     def read(self, body: bytes) -> Float32Array:
-        """Return `(n, 3)` metres, no-returns included. Nothing is unpickled.
+        """Return `(n, 3)` metres, including no-returns. Nothing is unpickled.
 
         Raises:
-            MalformedScan: If the header or the shape is another.
+            MalformedScan: If the header or the shape is not as expected.
             TruncatedScan: If the array is longer than the body.
             WrongDtype: If the array does not hold floats.
 
@@ -55,10 +54,10 @@ class NpyFormat:
         dtype, shape = _dtype(header["descr"]), _shape(header["shape"])
         if dtype.names is None and (len(shape) != 2 or shape[1] < 3):
             raise MalformedScan(f"the array has shape {short(shape)}, wanted (n, 3) or wider")
-        wanted, came = math.prod(shape) * dtype.itemsize, len(body) - start
-        told = f"shape {short(shape)} of {dtype} takes {short(wanted)} bytes, {came} came"
-        require_amount(came, wanted, told)
-        if wanted == 0:
+        claimed, given = math.prod(shape) * dtype.itemsize, len(body) - start
+        claim = f"shape {short(shape)} of {dtype} takes {short(claimed)} bytes, got {given}"
+        require_amount(given, claimed, claim)
+        if claimed == 0:
             return np.empty((0, 3), np.float32)
         BUDGET.require_returns(shape[0] if dtype.names is None else math.prod(shape))
         values = np.frombuffer(body, dtype=dtype, offset=start)
@@ -78,9 +77,9 @@ def _header(body: bytes) -> tuple[dict[str, Any], int]:
     begin = 8 + _LENGTH_BYTES[version]
     length = int.from_bytes(body[8:begin], "little")
     if len(body) < begin + length:
-        raise TruncatedScan(f"the header takes {length} bytes, {max(len(body) - begin, 0)} came")
+        raise TruncatedScan(f"the header takes {length} bytes, got {max(len(body) - begin, 0)}")
     if length > _MAX_HEADER_BYTES:
-        raise MalformedScan(f"the header takes {length} bytes, at most {_MAX_HEADER_BYTES} may be")
+        raise MalformedScan(f"the header takes {length} bytes, at most {_MAX_HEADER_BYTES}")
     text = body[begin : begin + length].decode("latin-1")
     if not _LITERALS.fullmatch(text):
         raise MalformedScan(f"the header is no dictionary of literals: {short(text)}")
@@ -96,7 +95,7 @@ def _header(body: bytes) -> tuple[dict[str, Any], int]:
 def _dtype(descr: object) -> np.dtype[Any]:
     if isinstance(descr, str):
         if not _FLOAT.fullmatch(descr):
-            raise WrongDtype(f"the array holds {short(descr)}, wanted {_WANTED}")
+            raise WrongDtype(f"the array holds {short(descr)}, wanted {_FLOATS}")
         return np.dtype(descr)
     if not isinstance(descr, list):
         raise MalformedScan(f"{short(descr)} describes no array")
@@ -118,7 +117,7 @@ def _dtype(descr: object) -> np.dtype[Any]:
     for axis in AXES:
         held = dtype[axis].str if axis in names else "nothing"
         if not _FLOAT.fullmatch(held):
-            raise WrongDtype(f"field {axis} holds {held}, wanted {_WANTED}; fields: {short(names)}")
+            raise WrongDtype(f"field {axis} holds {held}, wanted {_FLOATS}; fields: {short(names)}")
     return dtype
 
 

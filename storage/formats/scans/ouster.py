@@ -1,8 +1,8 @@
-"""Ouster's sensors: a capture of their packets, `.pcap`, and the metadata that explains them.
+"""Ouster's sensors: a capture of their packets, `.pcap`, and the metadata of the sensor.
 
-The two come in one body: the metadata, a JSON object, and right behind it the capture. On disk
-they are two files, `NAME.json` beside `NAME.pcap`. Packets and the way from ranges to points are
-as the sensor's software manual has them, firmware 2.x and 3.x, and 1.x for the profile LEGACY.
+Both are in one body: the metadata, a JSON object, directly followed by the capture. On disk they
+are two files, `NAME.json` beside `NAME.pcap`. Packets and the conversion of ranges to points follow
+the sensor's software manual, firmware 2.x and 3.x, and 1.x for the profile LEGACY.
 """
 
 import itertools
@@ -18,16 +18,16 @@ from storage.formats.budget import BUDGET
 from storage.formats.errors import MalformedScan, TruncatedScan
 from storage.formats.scans.coordinates import record_of
 from storage.formats.scans.pcap import datagrams
+from storage.formats.scans.scan_format import ScanFormat
 
 _MAX_METADATA_BYTES = 2**20
-_MOST_FRAMES = 2000
 _BATCH_PACKETS = 256
 _ROWS, _COLUMNS, _PER_PACKET = {16, 32, 64, 128}, {512, 1024, 2048, 4096}, {8, 16}
 
 
 @dataclass(frozen=True)
 class _Profile:
-    """How a packet is laid out, in bytes, and which bits of a pixel are its first range."""
+    """Layout of a packet, in bytes, and the bits of a pixel's first range."""
 
     head: int
     column_head: int
@@ -47,79 +47,58 @@ _PROFILES = {
 }
 
 
-@dataclass(frozen=True)
-class OusterFormat:
+class OusterFormat(ScanFormat):
     """Metadata and capture in one body; the first whole frame is the scan, its first returns.
 
-    The points are turned into the sensor's frame, x forward, and stay at the lidar's own origin,
-    where the beams meet, which is up to 80 mm above the sensor's.
+    The points are rotated into the sensor's frame, x forward, but keep the lidar's own origin,
+    where the beams intersect, up to 80 mm above the sensor's.
     """
 
-    name: str = "Ouster capture"
-    media_type: str = "application/vnd.tensormap.ouster"
-    suffixes: tuple[str, ...] = ()
-    magics: tuple[bytes, ...] = ()
+    name = "Ouster capture"
+    media_type = "application/vnd.tensormap.ouster"
 
     def read(self, body: bytes) -> Float32Array:
         """Return `(n, 3)` metres, zero where nothing came back.
 
         Raises:
-            MalformedScan: If metadata or capture cannot be parsed, or do not fit each other.
+            MalformedScan: If metadata or capture cannot be parsed, or do not belong together.
             TruncatedScan: If the capture ends within a packet, or holds no whole frame among the
                 first packets.
         """
-        return next(ouster_frames(body, BUDGET.frame_packets))
-
-
-def ouster_frames(body: bytes, most_packets: int | None = None) -> Iterator[Float32Array]:
-    """Give the whole frames of a capture that follows its metadata.
-
-    Args:
-        body: Metadata and capture.
-        most_packets: In how many packets of the sensor, the first ones, frames are looked for.
-
-    Raises:
-        MalformedScan: If metadata or capture cannot be parsed, or do not fit each other.
-        TruncatedScan: If the capture ends within a packet, or holds no whole frame.
-    """
-    sensor, start = _read_sensor(body)
-    ranges_m = np.zeros((sensor.columns, sensor.rows))
-    seen = np.zeros(sensor.columns, dtype=bool)
-    current: int | None = None
-    best = given = 0
-    wanted = int(sensor.window.sum())
-    for frame, columns, range_m in _runs(sensor, body, start, most_packets):
-        if frame != current:
-            current = frame
-            seen[:] = False
-        ranges_m[columns] = range_m
-        seen[columns] = True
-        count = int(np.count_nonzero(seen))
-        best = max(best, count)
-        if count >= wanted and seen[sensor.window].all():
-            ranges_m[~seen] = 0.0  # of an earlier frame
-            yield sensor.points_m(ranges_m)
-            current, given = None, given + 1
-        if given >= _MOST_FRAMES:
-            return
-    if not given:
-        raise TruncatedScan(f"no frame is whole: the fullest has {best} of {wanted} columns")
+        sensor, start = _read_sensor(body)
+        ranges_m = np.zeros((sensor.columns, sensor.rows))
+        seen = np.zeros(sensor.columns, dtype=bool)
+        current: int | None = None
+        most = 0
+        needed = int(np.count_nonzero(sensor.window))
+        for frame, columns, range_m in _runs(sensor, body, start):
+            if frame != current:
+                current = frame
+                seen[:] = False
+            ranges_m[columns] = range_m
+            seen[columns] = True
+            count = int(np.count_nonzero(seen))
+            most = max(most, count)
+            if count >= needed and seen[sensor.window].all():
+                ranges_m[~seen] = 0.0  # of an earlier frame
+                return sensor.points_m(ranges_m)
+        raise TruncatedScan(f"no frame is whole: the fullest has {most} of {needed} columns")
 
 
 @dataclass(frozen=True, eq=False)
 class _Sensor:
-    """What the metadata says.
+    """The metadata.
 
     Attributes:
-        rows: Beams.
-        columns: Directions in a turn.
-        per_packet: Columns in a packet.
+        rows: Number of beams.
+        columns: Number of directions in a revolution.
+        per_packet: Number of columns in a packet.
         window: `(columns,)`, which of them the sensor sends.
-        profile: How packets are laid out.
+        profile: Layout of the packets.
         elevation: `(rows,)` radians.
         azimuth: `(rows,)` radians, each beam's own, clockwise.
-        origin_m: From the lidar's origin to where a beam begins.
-        turn: `(3, 3)`, lidar to sensor.
+        origin_m: Distance from the lidar's origin to where a beam begins.
+        rotation: `(3, 3)`, lidar to sensor.
     """
 
     rows: int
@@ -130,7 +109,7 @@ class _Sensor:
     elevation: FloatArray
     azimuth: FloatArray
     origin_m: float
-    turn: FloatArray
+    rotation: FloatArray
 
     @property
     def column_bytes(self) -> int:
@@ -161,7 +140,7 @@ class _Sensor:
         return record_of({"columns": columns, **frame}, self.packet_bytes)
 
     def points_m(self, ranges_m: FloatArray) -> Float32Array:
-        """Turn `(columns, rows)` ranges into `(n, 3)` points."""
+        """Convert `(columns, rows)` ranges to `(n, 3)` points."""
         encoder = 2.0 * np.pi * (1.0 - np.arange(self.columns) / self.columns)[:, None]
         beam_m = ranges_m - self.origin_m
         level_m = beam_m * np.cos(self.elevation)
@@ -174,22 +153,19 @@ class _Sensor:
             axis=-1,
         )
         points_m[ranges_m <= 0] = 0.0
-        return (points_m.reshape(-1, 3) @ self.turn.T).astype(np.float32)
+        return (points_m.reshape(-1, 3) @ self.rotation.T).astype(np.float32)
 
 
-def _runs(
-    sensor: _Sensor, body: bytes, start: int, most_packets: int | None
-) -> Iterator[tuple[int, IntArray, FloatArray]]:
-    """Give frame number, column numbers and ranges in metres of columns that rise in one frame."""
+def _runs(sensor: _Sensor, body: bytes, start: int) -> Iterator[tuple[int, IntArray, FloatArray]]:
+    """Yield runs of ascending columns of one frame: its number, their numbers, ranges in metres."""
     packets = (
         datagram.payload
         for datagram in datagrams(body, start)
         if len(datagram.payload) == sensor.packet_bytes
     )
     layout, profile = sensor.packet_layout, sensor.profile
-    any_came = False
-    for batch in _batches(itertools.islice(packets, most_packets)):
-        any_came = True
+    batch = b""
+    for batch in _batches(itertools.islice(packets, BUDGET.frame_packets)):
         records = np.frombuffer(batch, layout)
         columns = records["columns"].reshape(-1)
         if profile.head:
@@ -205,15 +181,14 @@ def _runs(
         ends = [0, *breaks.tolist(), len(number)]
         for first, end in itertools.pairwise(ends if len(number) else []):
             yield int(frame[first]), number[first:end], range_m[first:end]
-    if not any_came:
+    if not batch:
         raise MalformedScan(
-            f"the capture has no UDP packets of {sensor.packet_bytes} bytes, which the metadata"
-            " tells of"
+            f"the capture has no UDP packets of {sensor.packet_bytes} bytes, as in the metadata"
         )
 
 
 def _batches(payloads: Iterator[bytes]) -> Iterator[bytes]:
-    """Join payloads, some at a time."""
+    """Join payloads in batches."""
     while batch := b"".join(itertools.islice(payloads, _BATCH_PACKETS)):
         yield batch
 
@@ -238,7 +213,7 @@ def _read_sensor(body: bytes) -> tuple[_Sensor, int]:
 
 
 def _flat(metadata: dict[str, Any]) -> dict[str, Any]:
-    """Put the sections of newer metadata side by side, as older metadata has them."""
+    """Return newer metadata without its sections, as older metadata is."""
     flat = dict(metadata)
     for section in ("beam_intrinsics", "lidar_intrinsics", "lidar_data_format"):
         flat.update(metadata.get(section, {}))

@@ -24,7 +24,7 @@ _LINK_BYTES = {_ETHERNET: 14, _RAW_IP: 0, _LINUX_COOKED: 16}
 _IPV4, _VLAN = b"\x08\x00", b"\x81\x00"
 _UDP = 17
 _LARGEST_PACKET_BYTES = 2**18
-_MOST_PARTIAL = 64  # datagrams in pieces at a time
+_MOST_PARTIAL = 64  # incomplete datagrams at a time
 _COUNTED_PACKETS = 1024
 
 
@@ -44,17 +44,15 @@ class Datagram:
 
 
 def datagrams(body: Buffer, start: int = 0) -> Iterator[Datagram]:
-    """Give the UDP datagrams of a capture; those that came in pieces are put together.
-
-    Every packet is looked at once: the time is linear in the length of the capture.
+    """Yield the UDP datagrams of a capture, fragmented ones reassembled, in linear time.
 
     Args:
-        body: What holds the capture, to its end.
+        body: The capture, to its end.
         start: Where it begins.
 
     Raises:
         MalformedScan: If it is no classic pcap of Ethernet or IP packets, or has more packets
-            than may be.
+            than allowed.
         TruncatedScan: If the capture ends within a packet.
     """
     magic = body[start : start + 4]
@@ -64,11 +62,11 @@ def datagrams(body: Buffer, start: int = 0) -> Iterator[Datagram]:
         raise MalformedScan(f"the body begins with {magic!r}, which is no classic pcap")
     order, tick_s = _ORDERS[magic]
     if len(body) < start + 24:
-        raise TruncatedScan(f"a capture begins with 24 bytes, {len(body) - start} came")
+        raise TruncatedScan(f"a capture begins with 24 bytes, got {len(body) - start}")
     link = struct.unpack_from(f"{order}I", body, start + 20)[0] & 0xFFFF
     if link not in _LINK_BYTES:
         raise MalformedScan(f"the packets are of link type {link}, wanted {sorted(_LINK_BYTES)}")
-    pieces = _Pieces()
+    fragments = _Fragments()
     at = start + 24
     packets = 0
     while at < len(body):
@@ -76,7 +74,7 @@ def datagrams(body: Buffer, start: int = 0) -> Iterator[Datagram]:
         if packets % _COUNTED_PACKETS == 0:
             BUDGET.require_packets(packets, len(body))
         if at + 16 > len(body):
-            raise TruncatedScan(f"the capture ends within the head of a packet, at byte {at}")
+            raise TruncatedScan(f"the capture ends within the header of a packet, at byte {at}")
         seconds, ticks, size, _ = struct.unpack_from(f"{order}IIII", body, at)
         if size > _LARGEST_PACKET_BYTES:
             raise MalformedScan(f"the packet at byte {at} claims {size} bytes")
@@ -84,7 +82,7 @@ def datagrams(body: Buffer, start: int = 0) -> Iterator[Datagram]:
             raise TruncatedScan(f"the packet at byte {at} claims {size} bytes, the capture ends")
         packet = body[at + 16 : at + 16 + size]
         at += 16 + size
-        whole = pieces.add(_ip_packet(packet, link))
+        whole = fragments.add(_ip_packet(packet, link))
         if whole is not None and len(whole) >= 8:
             port, length = struct.unpack_from("!HH", whole, 2)
             if 8 <= length <= len(whole):
@@ -106,34 +104,34 @@ def _ip_packet(packet: bytes, link: int) -> bytes:
 
 @dataclass
 class _Partial:
-    """The pieces of one datagram that have come.
+    """The received fragments of one datagram.
 
     Attributes:
         parts: By their offset.
-        came_bytes: How long they are together.
-        total_bytes: How long the datagram is, `None` before its last piece has come.
+        received_bytes: Their total length.
+        total_bytes: The datagram's length, `None` before its last fragment.
     """
 
     parts: dict[int, bytes] = field(default_factory=dict)
-    came_bytes: int = 0
+    received_bytes: int = 0
     total_bytes: int | None = None
 
     def add(self, offset: int, content: bytes, *, more: bool) -> None:
-        """Take a piece; one that came before is replaced."""
-        self.came_bytes += len(content) - len(self.parts.get(offset, b""))
+        """Add a fragment; it replaces an earlier one at the same offset."""
+        self.received_bytes += len(content) - len(self.parts.get(offset, b""))
         self.parts[offset] = content
         if not more:
             self.total_bytes = offset + len(content)
 
     @property
     def is_over(self) -> bool:
-        """Whether as many bytes have come as are wanted, or more pieces than may be."""
+        """Whether all bytes were received, or more fragments than allowed."""
         return len(self.parts) > BUDGET.fragments or (
-            self.total_bytes is not None and self.came_bytes >= self.total_bytes
+            self.total_bytes is not None and self.received_bytes >= self.total_bytes
         )
 
     def joined(self) -> bytes | None:
-        """Return the datagram, `None` if the pieces overlap or are too many."""
+        """Return the datagram, `None` if fragments overlap or are missing."""
         whole = []
         at = 0
         for offset, content in sorted(self.parts.items()):
@@ -144,18 +142,18 @@ class _Partial:
         return b"".join(whole) if at == self.total_bytes else None
 
 
-class _Pieces:
-    """Puts fragments of IPv4 packets together; what is never completed is forgotten.
+class _Fragments:
+    """Reassembles fragmented IPv4 packets; incomplete ones are dropped, the oldest first.
 
-    A datagram is joined once, when all its bytes have come: to look after every piece whether it
-    is complete would take time in the square of their number.
+    A datagram is joined once, when all its bytes were received: to try that after every fragment
+    would take time in the square of their number.
     """
 
     def __init__(self) -> None:
         self._partial: dict[bytes, _Partial] = {}
 
     def add(self, packet: bytes) -> bytes | None:
-        """Take a packet; return a UDP datagram with its head if that completes one."""
+        """Add a packet; return the UDP datagram that it completes, with its header."""
         if len(packet) < 20 or packet[0] >> 4 != 4 or packet[9] != _UDP:
             return None
         head_bytes = (packet[0] & 0x0F) * 4

@@ -1,11 +1,13 @@
 """Point Cloud Library files, `.pcd`: ascii, binary and binary_compressed.
 
-The library for them, pypcd4, makes arrays of whatever size a header claims, wants lines that the
-format allows to be missing, lets a field's name decide how a line is split, and holds three copies
-of the points. What of it is needed here is the unpacking of LZF, by the library that it uses.
+The library for them, pypcd4, allocates whatever a header claims, requires lines that are optional
+in the format, splits lines by the names of fields, and holds three copies of the points. Only LZF
+is needed here, from the library that pypcd4 uses.
 """
 
+import itertools
 import math
+import operator
 from dataclasses import dataclass
 
 import lzf
@@ -21,6 +23,7 @@ from storage.formats.scans.coordinates import (
     record_of,
     require_amount,
 )
+from storage.formats.scans.scan_format import ScanFormat
 from storage.formats.scans.text_numbers import text_columns
 
 _SIZES = {"F": {4, 8}, "I": {1, 2, 4, 8}, "U": {1, 2, 4, 8}}
@@ -30,28 +33,22 @@ _MAX_COLUMNS = 1024  # the longest of PCL's own point types, ESFSignature640, ha
 _LZF_RATIO = 88  # LZF's longest match: 264 bytes out of 3
 
 
-@dataclass(frozen=True)
-class PcdFormat:
-    """PCD; fields but x, y and z are skipped, padding included, and so is the viewpoint.
+class PcdFormat(ScanFormat):
+    """PCD; all fields but x, y and z are skipped, padding included, and so is the viewpoint."""
 
-    Attributes:
-        max_decoded_bytes: What points may take; compressed ones may unpack to half of it.
-    """
-
-    name: str = "PCD"
-    media_type: str = "application/vnd.tensormap.pcd"
-    suffixes: tuple[str, ...] = (".pcd",)
-    magics: tuple[bytes, ...] = (b"# .PCD", b"VERSION ", b"FIELDS ")
-    max_decoded_bytes: int = 256 * 2**20
+    name = "PCD"
+    media_type = "application/vnd.tensormap.pcd"
+    suffixes = (".pcd",)
+    magics = (b"# .PCD", b"VERSION ", b"FIELDS ")
 
     def read(self, body: bytes) -> Float32Array:
-        r"""Return `(n, 3)` metres, the NaN points of organized clouds included.
+        r"""Return `(n, 3)` metres, including the NaN points of organized clouds.
 
         Raises:
             MalformedScan: If header or points cannot be parsed or do not agree.
-            TruncatedScan: If the header claims more than came.
+            TruncatedScan: If the header claims more than the body has.
             WrongDtype: If x, y or z is not a float.
-            ScanTooLarge: If the points would take more than `max_decoded_bytes`.
+            ScanTooLarge: If the points would take more than allowed.
 
         Examples:
             >>> text = "FIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nWIDTH 1\nHEIGHT 1\nDATA ascii\n"
@@ -60,16 +57,16 @@ class PcdFormat:
         """
         header, start = _read_header(body)
         points = memoryview(body)[start:]
-        if header.points * header.point_bytes > self.max_decoded_bytes:
-            came = f"{len(points)} bytes of points came"
+        if header.size_bytes > BUDGET.decoded_bytes:
             if header.claims_more_than(len(points)):
-                raise TruncatedScan(f"the header claims {header.claim}, {came}")
-            raise ScanTooLarge(
-                f"the header claims {header.claim}, at most {self.max_decoded_bytes} bytes may be"
-            )
+                raise TruncatedScan(
+                    f"the header claims {header.claim}, got {len(points)} bytes of points"
+                )
+            most = f"at most {BUDGET.decoded_bytes} bytes"
+            raise ScanTooLarge(f"the header claims {header.claim}, {most}")
         if header.encoding == "ascii":
             if body.find(b"#", start) >= 0:
-                raise MalformedScan("a '#' stands among the ascii points")
+                raise MalformedScan("there is a '#' among the ascii points")
             return _text_points(points, header)
         if header.encoding == "binary":
             return _binary_points(points, header)
@@ -78,50 +75,38 @@ class PcdFormat:
 
 @dataclass(frozen=True)
 class _Header:
-    fields: tuple[str, ...]
-    sizes: tuple[int, ...]
-    types: tuple[str, ...]
-    counts: tuple[int, ...]
+    """What the header says of the points.
+
+    Attributes:
+        record: x, y and z within a binary point.
+        offsets: Bytes before x, y and z in a point.
+        columns: Columns of x, y and z in a line of text.
+        width: Number of columns in a line.
+        points: Number of points.
+        encoding: How they are written.
+    """
+
+    record: np.dtype[np.void]
+    offsets: tuple[int, ...]
+    columns: tuple[int, ...]
+    width: int
     points: int
     encoding: str
 
     @property
-    def columns(self) -> int:
-        return sum(self.counts)
-
-    @property
-    def first_columns(self) -> tuple[int, ...]:
-        """In which columns of a line x, y and z are."""
-        return tuple(sum(self.counts[: self.fields.index(axis)]) for axis in AXES)
-
-    @property
-    def record(self) -> np.dtype[np.void]:
-        """x, y and z within a binary point."""
-        return record_of({axis: self.place(axis) for axis in AXES}, self.point_bytes)
-
-    def place(self, axis: str) -> tuple[str, int]:
-        """Return the kind of an axis' numbers, and how many bytes of a point are before it."""
-        at = self.fields.index(axis)
-        return f"<f{self.sizes[at]}", sum(self._field_bytes[:at])
-
-    @property
-    def _field_bytes(self) -> list[int]:
-        return [size * count for size, count in zip(self.sizes, self.counts, strict=True)]
-
-    @property
-    def point_bytes(self) -> int:
-        return sum(self._field_bytes)
+    def size_bytes(self) -> int:
+        return self.points * self.record.itemsize
 
     @property
     def claim(self) -> str:
-        return f"{self.points:.6g} points of {self.point_bytes} bytes ({self.encoding})"
+        return f"{self.points:.6g} points of {self.record.itemsize} bytes ({self.encoding})"
 
-    def claims_more_than(self, came_bytes: int) -> bool:
+    def claims_more_than(self, given_bytes: int) -> bool:
         """Return whether no body of that length can hold the points."""
-        if self.encoding == "ascii":  # a digit and a separator a value
-            return self.points * self.columns * 2 > came_bytes + 1
+        if self.encoding == "ascii":  # a digit and a separator for each value
+            return self.points * self.width * 2 > given_bytes + 1
         ratio = _LZF_RATIO if self.encoding == "binary_compressed" else 1
-        return self.points * self.point_bytes > came_bytes * ratio
+        return self.size_bytes > given_bytes * ratio
 
 
 def _read_header(body: bytes) -> tuple[_Header, int]:
@@ -148,7 +133,19 @@ def _read_header(body: bytes) -> tuple[_Header, int]:
     encoding = " ".join(entries["DATA"])
     if encoding not in _ENCODINGS:
         raise MalformedScan(f"DATA is {short(encoding)}, wanted one of {', '.join(_ENCODINGS)}")
-    return _Header(fields, sizes, types, counts, _points(entries), encoding), start
+    at_xyz = [fields.index(axis) for axis in AXES]
+    *columns, width = itertools.accumulate(counts, initial=0)
+    *offsets, size = itertools.accumulate(map(operator.mul, sizes, counts), initial=0)
+    formats = {axis: (f"<f{sizes[i]}", offsets[i]) for axis, i in zip(AXES, at_xyz, strict=True)}
+    header = _Header(
+        record_of(formats, size),
+        tuple(offsets[i] for i in at_xyz),
+        tuple(columns[i] for i in at_xyz),
+        width,
+        _points(entries),
+        encoding,
+    )
+    return header, start
 
 
 def _entries(body: bytes) -> tuple[dict[str, list[str]], int]:
@@ -195,24 +192,24 @@ def _integers(entries: dict[str, list[str]], key: str) -> tuple[int, ...]:
     return tuple(int(word) for word in words)
 
 
-def _agree(claim: str, wanted_bytes: int, came_bytes: int) -> None:
-    """Refuse too few bytes, and too many: then SIZE or COUNT hides part of each point."""
-    told = f"the header claims {claim}, {wanted_bytes} bytes; {came_bytes} bytes of points came"
-    require_amount(came_bytes, wanted_bytes, told)
+def _require_bytes(claim: str, claimed: int, given: int) -> None:
+    """Reject too few bytes, and too many: then SIZE or COUNT hides part of each point."""
+    message = f"the header claims {claim}, {claimed} bytes; got {given} bytes of points"
+    require_amount(given, claimed, message)
 
 
 def _text_points(points: memoryview, header: _Header) -> Float32Array:
-    returns_m = text_columns(points, header.first_columns, header.columns, None)
-    told = f"the header claims {header.claim}, {len(returns_m)} lines came"
-    require_amount(len(returns_m), header.points, told)
+    returns_m = text_columns(points, header.columns, header.width, None)
+    message = f"the header claims {header.claim}, got {len(returns_m)} lines"
+    require_amount(len(returns_m), header.points, message)
     return returns_m
 
 
 def _binary_points(points: memoryview, header: _Header) -> Float32Array:
-    wanted = header.points * header.point_bytes
-    # Some writers fill the last page with zeros.
-    padding = np.frombuffer(points[wanted:], np.uint8)
-    _agree(header.claim, wanted, len(points) if padding.any() else min(len(points), wanted))
+    # Some writers pad the last page with zeros.
+    is_padded = not np.frombuffer(points[header.size_bytes :], np.uint8).any()
+    given = min(len(points), header.size_bytes) if is_padded else len(points)
+    _require_bytes(header.claim, header.size_bytes, given)
     BUDGET.require_returns(header.points)
     return coordinates(np.frombuffer(points, header.record, count=header.points))
 
@@ -220,33 +217,26 @@ def _binary_points(points: memoryview, header: _Header) -> Float32Array:
 def _compressed_points(points: memoryview, header: _Header) -> Float32Array:
     if not header.points:
         return np.empty((0, 3), np.float32)
-    _check_compressed(points, header)
+    if len(points) < 8:
+        raise TruncatedScan(f"wanted two sizes of 4 bytes, got {len(points)} bytes")
+    packed, unpacked = (int.from_bytes(points[at : at + 4], "little") for at in (0, 4))
+    _require_bytes(f"{packed} compressed bytes", packed, len(points) - 8)
+    _require_bytes(header.claim, header.size_bytes, unpacked)
+    if unpacked > BUDGET.unpacked_bytes:
+        raise ScanTooLarge(f"the points take {unpacked} bytes, at most {BUDGET.unpacked_bytes}")
+    if unpacked > packed * _LZF_RATIO:
+        raise TruncatedScan(f"{packed} compressed bytes cannot unpack to {unpacked}")
     BUDGET.require_returns(header.points)
-    wanted = header.points * header.point_bytes
     try:
-        unpacked = lzf.decompress(bytes(points[8:]), wanted) or b""
+        content = lzf.decompress(bytes(points[8:]), unpacked) or b""
     except ValueError as error:
         raise MalformedScan(f"the points do not unpack: {error}") from error
-    if len(unpacked) != wanted:
-        raise MalformedScan(f"the points unpack to {len(unpacked)} bytes, wanted {wanted}")
+    if len(content) != unpacked:
+        raise MalformedScan(f"the points unpack to {len(content)} bytes, wanted {unpacked}")
     # Compressed points are stored field by field: all of the first, all of the second.
     returns_m = np.empty((header.points, 3), np.float32)
     for column, axis in enumerate(AXES):
-        dtype, before = header.place(axis)
-        values = np.frombuffer(unpacked, dtype, header.points, before * header.points)
+        start = header.offsets[column] * header.points
+        values = np.frombuffer(content, header.record[axis], header.points, start)
         returns_m[:, column] = as_float32(values)
     return returns_m
-
-
-def _check_compressed(points: memoryview, header: _Header) -> None:
-    if len(points) < 8:
-        raise TruncatedScan(f"two sizes of 4 bytes were wanted, {len(points)} bytes came")
-    packed, unpacked = (int.from_bytes(points[at : at + 4], "little") for at in (0, 4))
-    _agree(f"{packed} compressed bytes", packed, len(points) - 8)
-    _agree(f"{header.claim}", header.points * header.point_bytes, unpacked)
-    if unpacked > BUDGET.unpacked_bytes:
-        raise ScanTooLarge(
-            f"the points unpack to {unpacked} bytes, at most {BUDGET.unpacked_bytes} may be"
-        )
-    if unpacked > packed * _LZF_RATIO:
-        raise TruncatedScan(f"{packed} compressed bytes cannot unpack to {unpacked}")

@@ -1,10 +1,9 @@
 """Stanford polygon files, `.ply`: ASCII, and binary of both endians.
 
-The kept-up library for them is under a licence that this project cannot take, and the part that a
-scan needs is small: the fixed-size properties of the element `vertex`, which must come first.
+The maintained library for them has a licence that this project cannot use, and the part that a scan
+needs is small: the fixed-size properties of the element `vertex`, which must be the first.
 """
 
-import itertools
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +12,7 @@ from core.arrays import Float32Array
 from storage.formats.budget import BUDGET
 from storage.formats.errors import MalformedScan, WrongDtype, short
 from storage.formats.scans.coordinates import AXES, coordinates, require_amount
+from storage.formats.scans.scan_format import ScanFormat
 from storage.formats.scans.text_numbers import text_columns
 
 _TYPES = {
@@ -28,24 +28,23 @@ _TYPES = {
 _ENDIANS = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": ""}
 _MAX_HEADER_BYTES = 16_384
 _MAX_PROPERTIES = 1024
-_SOUGHT_BYTES = 2**20
+_SEARCHED_BYTES = 2**20
 
 
-@dataclass(frozen=True)
-class PlyFormat:
+class PlyFormat(ScanFormat):
     """PLY; elements but `vertex` are skipped, and so are its properties but x, y and z."""
 
-    name: str = "PLY"
-    media_type: str = "application/vnd.tensormap.ply"
-    suffixes: tuple[str, ...] = (".ply",)
-    magics: tuple[bytes, ...] = (b"ply\n", b"ply\r\n")
+    name = "PLY"
+    media_type = "application/vnd.tensormap.ply"
+    suffixes = (".ply",)
+    magics = (b"ply\n", b"ply\r\n")
 
     def read(self, body: bytes) -> Float32Array:
         r"""Return `(n, 3)` metres.
 
         Raises:
             MalformedScan: If header or vertices cannot be parsed or do not agree.
-            TruncatedScan: If the header claims more than came.
+            TruncatedScan: If the header claims more than the body has.
             WrongDtype: If x, y or z is not a float.
 
         Examples:
@@ -55,36 +54,32 @@ class PlyFormat:
             array([[10.,  0., -1.]], dtype=float32)
         """
         header, start = _read_header(body)
-        if header.encoding == "ascii":
+        vertex, vertices = header.vertex, header.vertices
+        if header.is_text:
             columns = [header.names.index(axis) for axis in AXES]
-            end = len(body) if header.is_last else _end_of_lines(body, start, header.vertices)
-            text = memoryview(body)[start:end]
-            returns_m = text_columns(text, columns, len(header.names), None)
-            told = f"the header claims {header.vertices:.6g} vertices, {len(returns_m)} came"
-            require_amount(len(returns_m), header.vertices, told)
+            end = len(body) if header.is_last else _end_of_lines(body, start, vertices)
+            returns_m = text_columns(memoryview(body)[start:end], columns, len(header.names), None)
+            message = f"the header claims {vertices:.6g} vertices, got {len(returns_m)}"
+            require_amount(len(returns_m), vertices, message)
             return returns_m
-        dtype = np.dtype(
-            [
-                (name, _ENDIANS[header.encoding] + code)
-                for name, code in zip(header.names, header.codes, strict=True)
-            ]
-        )
-        wanted, came = header.vertices * dtype.itemsize, len(body) - start
-        told = f"{header.vertices:.6g} vertices of {dtype.itemsize} bytes take {wanted:.6g}"
-        came_of_them = came if header.is_last else min(came, wanted)
-        require_amount(came_of_them, wanted, f"{told}, {came} came")
-        BUDGET.require_returns(header.vertices)
-        vertices = np.frombuffer(body, dtype=dtype, count=header.vertices, offset=start)
-        return coordinates(vertices)
+        claimed, given = vertices * vertex.itemsize, len(body) - start
+        claim = f"{vertices:.6g} vertices of {vertex.itemsize} bytes take {claimed:.6g}"
+        of_vertices = given if header.is_last else min(given, claimed)
+        require_amount(of_vertices, claimed, f"{claim}, got {given}")
+        BUDGET.require_returns(vertices)
+        return coordinates(np.frombuffer(body, dtype=vertex, count=vertices, offset=start))
 
 
 @dataclass(frozen=True)
 class _Header:
-    encoding: str
+    is_text: bool
     vertices: int
-    names: tuple[str, ...]
-    codes: tuple[str, ...]
+    vertex: np.dtype[np.void]
     is_last: bool
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return self.vertex.names or ()
 
 
 def _read_header(body: bytes) -> tuple[_Header, int]:
@@ -104,32 +99,30 @@ def _read_header(body: bytes) -> tuple[_Header, int]:
         case other:
             raise MalformedScan(f"the first element is {short(other)}, wanted element vertex N")
     end = elements[1] if len(elements) > 1 else len(lines)
-    names, codes = [], []
+    codes: dict[str, str] = {}
     for line in lines[elements[0] + 1 : end]:
         match line:
-            case ["property", kind, name] if kind in _TYPES:
-                names.append(name)
-                codes.append(_TYPES[kind])
+            case ["property", kind, name] if kind in _TYPES and name not in codes:
+                codes[name] = _TYPES[kind]
             case _:
-                raise MalformedScan(f"{short(line)} is no property of fixed size")
-    if len(set(names)) != len(names) or len(names) > _MAX_PROPERTIES:
-        raise MalformedScan(f"wanted at most {_MAX_PROPERTIES} properties, no name twice")
+                raise MalformedScan(f"{short(line)} is no property of fixed size with a new name")
+    if len(codes) > _MAX_PROPERTIES:
+        raise MalformedScan(f"wanted at most {_MAX_PROPERTIES} properties, got {len(codes)}")
     for axis in AXES:
-        code = codes[names.index(axis)] if axis in names else "nothing"
-        if code not in {"f4", "f8"}:
+        if (code := codes.get(axis, "nothing")) not in {"f4", "f8"}:
             raise WrongDtype(f"property {axis} holds {code}, wanted float or double")
-    header = _Header(encoding, int(digits), tuple(names), tuple(codes), len(elements) == 1)
-    return header, start
+    vertex = np.dtype([(name, _ENDIANS[encoding] + code) for name, code in codes.items()])
+    return _Header(encoding == "ascii", int(digits), vertex, len(elements) == 1), start
 
 
 def _lines(body: bytes) -> tuple[list[list[str]], int]:
     found: list[list[str]] = []
     start = 0
-    for _ in itertools.count():
+    while True:
         end = body.find(b"\n", start, _MAX_HEADER_BYTES)
         if end < 0:
-            came = min(len(body), _MAX_HEADER_BYTES)
-            raise MalformedScan(f"no end_header in the first {came} bytes")
+            searched = min(len(body), _MAX_HEADER_BYTES)
+            raise MalformedScan(f"no end_header in the first {searched} bytes")
         words = body[start:end].decode("latin-1").split()
         start = end + 1
         if words == ["end_header"]:
@@ -142,9 +135,9 @@ def _lines(body: bytes) -> tuple[list[list[str]], int]:
 
 
 def _end_of_lines(body: bytes, start: int, count: int) -> int:
-    """Return where `count` lines end; of more lines than there are, the end of the body."""
+    """Return where `count` lines end, or the end of the body if it has fewer."""
     while start < len(body):
-        block = np.frombuffer(body, np.uint8, min(_SOUGHT_BYTES, len(body) - start), start)
+        block = np.frombuffer(body, np.uint8, min(_SEARCHED_BYTES, len(body) - start), start)
         ends = np.flatnonzero(block == ord("\n"))
         if len(ends) >= count:
             return start + (int(ends[count - 1]) + 1 if count else 0)

@@ -1,16 +1,15 @@
 """Scans as plain records without a header: nuScenes and the North Campus recordings (NCLT).
 
-Like KITTI's, such bytes look like anything, so none is ever guessed: a Content-Type tells.
+Like KITTI's they have no magic, so none is ever guessed: the Content-Type decides.
 """
-
-from dataclasses import dataclass
 
 import numpy as np
 
 from core.arrays import Float32Array
 from storage.formats.errors import WrongDtype
 from storage.formats.scans.coordinates import require_records
-from storage.formats.scans.kitti import refuse_implausible
+from storage.formats.scans.kitti import require_plausible
+from storage.formats.scans.scan_format import ScanFormat
 
 _NUSCENES_BYTES = 20
 _NUSCENES = "float32 little-endian x y z intensity ring, 20 bytes a return, in metres"
@@ -19,19 +18,17 @@ _BLOCK_RECORDS = 2**18
 _NCLT_RECORD = np.dtype([("xyz", "<u2", 3), ("intensity", "u1"), ("laser", "u1")])
 _NCLT = "uint16 x y z, uint8 intensity and laser, 8 bytes a return"
 _NCLT_STEP_M, _NCLT_FIRST_M, _NCLT_LASERS = 0.005, -100.0, 32
-# Where the lidar stands in the vehicle's frame, which the points are in: 0.957 m above its origin.
+# Where the lidar is in the vehicle's frame, the frame of the points: 0.957 m above its origin.
 # Seen from there each laser's elevation varies by 0.1 degrees, seen from the origin by 1 to 7.
 _NCLT_LIDAR_M = np.array([0.002, -0.004, -0.957])
 
 
-@dataclass(frozen=True)
-class NuscenesFormat:
-    """The `.pcd.bin` of nuScenes; its x axis points to the right, and the points stay so."""
+class NuscenesFormat(ScanFormat):
+    """The `.pcd.bin` of nuScenes; its x axis points to the right, and is kept."""
 
-    name: str = "nuScenes"
-    media_type: str = "application/vnd.tensormap.nuscenes"
-    suffixes: tuple[str, ...] = (".pcd.bin",)
-    magics: tuple[bytes, ...] = ()
+    name = "nuScenes"
+    media_type = "application/vnd.tensormap.nuscenes"
+    suffixes = (".pcd.bin",)
 
     def read(self, body: bytes) -> Float32Array:
         """Return `(n, 3)` metres.
@@ -51,26 +48,23 @@ class NuscenesFormat:
             is_ring = (rings >= 0) & (rings < _MOST_RINGS) & (rings == np.floor(rings))
         if not is_ring.all():
             raise WrongDtype(
-                f"{int((~is_ring).sum())} of {len(rings)} records have no ring as their fifth"
+                f"{np.count_nonzero(~is_ring)} of {len(rings)} records have no ring as their fifth"
                 f" number; wanted {_NUSCENES}"
             )
         returns_m = records[:, :3].astype(np.float32)
-        refuse_implausible(returns_m, _NUSCENES)
+        require_plausible(returns_m, _NUSCENES)
         return returns_m
 
 
-@dataclass(frozen=True)
-class NcltFormat:
-    """The `velodyne_sync` files of NCLT; `.bin` too, so that only a Content-Type names them.
+class NcltFormat(ScanFormat):
+    """The `velodyne_sync` files of NCLT; `.bin` too, so that only a Content-Type selects them.
 
     The file's points are in the vehicle's frame, x forward, y right, z down, on the ground below
-    the lidar. Here they are turned to y left and z up, and moved to the lidar.
+    the lidar. Here they are rotated to y left and z up, and translated to the lidar.
     """
 
-    name: str = "NCLT"
-    media_type: str = "application/vnd.tensormap.nclt"
-    suffixes: tuple[str, ...] = ()
-    magics: tuple[bytes, ...] = ()
+    name = "NCLT"
+    media_type = "application/vnd.tensormap.nclt"
 
     def read(self, body: bytes) -> Float32Array:
         """Return `(n, 3)` metres in the lidar's frame.
@@ -86,7 +80,7 @@ class NcltFormat:
         """
         require_records(body, _NCLT_RECORD.itemsize, _NCLT)
         records = np.frombuffer(body, dtype=_NCLT_RECORD)
-        unknown = int((records["laser"] >= _NCLT_LASERS).sum())
+        unknown = np.count_nonzero(records["laser"] >= _NCLT_LASERS)
         if unknown:
             raise WrongDtype(
                 f"{unknown} of {len(records)} records name a laser beyond {_NCLT_LASERS - 1};"

@@ -2,9 +2,7 @@
 
 import math
 from pathlib import Path, PurePath
-from typing import Protocol
 
-from core.arrays import Float32Array
 from core.errors import InvalidScan
 from core.scans.pose import Pose
 from core.scans.scan import Scan
@@ -19,36 +17,10 @@ from storage.formats.scans.ouster import OusterFormat
 from storage.formats.scans.pcd import PcdFormat
 from storage.formats.scans.ply import PlyFormat
 from storage.formats.scans.records import NcltFormat, NuscenesFormat
+from storage.formats.scans.scan_format import ScanFormat
 from storage.formats.scans.velodyne import VelodyneFormat
 
 _ANY_BYTES = "application/octet-stream"
-
-
-class ScanFormat(Protocol):
-    """One way to write a scan down."""
-
-    @property
-    def name(self) -> str:
-        """What people call it."""
-
-    @property
-    def media_type(self) -> str:
-        """The Content-Type it is sent under, lower case."""
-
-    @property
-    def suffixes(self) -> tuple[str, ...]:
-        """How its files end, lower case, with the dot."""
-
-    @property
-    def magics(self) -> tuple[bytes, ...]:
-        """How its bytes may begin; none if they may begin with anything."""
-
-    def read(self, body: bytes) -> Float32Array:
-        """Return all returns, `(n, 3)` metres, those that are not finite or zero included.
-
-        Raises:
-            InvalidScan: If the bytes are something else.
-        """
 
 
 SCAN_FORMATS: tuple[ScanFormat, ...] = (
@@ -79,14 +51,14 @@ def read_scan(
 ) -> Scan:
     """Read one scan.
 
-    A media type decides; without one, or with `application/octet-stream`, the suffix does, and
-    without a suffix the magic at the beginning of the body.
+    The media type decides; without one, or with `application/octet-stream`, the suffix; without a
+    suffix, the magic at the beginning of the body.
 
     Args:
-        body: The file, whole.
+        body: The whole file.
         media_type: A Content-Type; its parameters are ignored.
         suffix: The end of the file's name, with the dot.
-        min_returns: How many finite, non-zero returns must be left.
+        min_returns: Least number of finite, non-zero returns.
         timestamp_s: Seconds, NaN where unknown.
         pose: Sensor to world, `None` where unknown.
 
@@ -103,7 +75,7 @@ def read_scan(
     """
     scan_format = _choose(body, media_type, suffix)
     if not body:
-        raise EmptyBody(f"no bytes came, wanted a {scan_format.name} scan")
+        raise EmptyBody(f"the body is empty, wanted a {scan_format.name} scan")
     returns_m = scan_format.read(body)
     BUDGET.require_returns(len(returns_m))
     return Scan.from_returns(returns_m, min_returns=min_returns, timestamp_s=timestamp_s, pose=pose)
@@ -119,8 +91,8 @@ def read_scan_file(
 ) -> Scan:
     """Read one scan file, its format by its suffix; errors name the file.
 
-    A media type decides instead where one is given: of a `.bin` that is not KITTI's. A `.pcap`
-    with a `.json` of the same name beside it is an Ouster's, whose metadata that is.
+    A media type decides instead where one is given, as for a `.bin` that is not KITTI's. A `.pcap`
+    with a `.json` of the same name beside it is an Ouster's with its metadata.
 
     Raises:
         UnknownFormat: If no reader claims the file.
@@ -144,7 +116,7 @@ def read_scan_file(
 
 
 def is_scan_file(path: Path) -> bool:
-    """Return whether the name ends as a scan file's; hidden files are none."""
+    """Return whether the name has the suffix of a scan file and is not hidden."""
     ends = {suffix for scan_format in SCAN_FORMATS for suffix in scan_format.suffixes}
     return not path.name.startswith(".") and suffix_of(path.name) in ends
 
@@ -166,28 +138,26 @@ def media_type_of(name: str) -> str:
 
 
 def suffix_of(file_name: str) -> str:
-    """Return how the name of a scan file ends, with the dot, lower case."""
-    # nuScenes' `.pcd.bin` is not KITTI's `.bin`: its records hold five floats, and read as four
-    # they would be plausible nonsense.
+    """Return the suffix of a scan file's name, with the dot, lower case."""
+    # nuScenes' `.pcd.bin` is not KITTI's `.bin`: its records have five floats, and would be
+    # plausible but wrong if read as four.
     name = file_name.lower()
     return ".pcd.bin" if name.endswith(".pcd.bin") else PurePath(name).suffix
 
 
 def _choose(body: bytes, media_type: str | None, suffix: str | None) -> ScanFormat:
-    wanted = (media_type or "").partition(";")[0].strip().lower()
-    if wanted not in {"", _ANY_BYTES}:
-        found = [known for known in SCAN_FORMATS if known.media_type == wanted]
-        what = f"media type {wanted[:80]!r}"
+    given = (media_type or "").partition(";")[0].strip().lower()
+    if given not in {"", _ANY_BYTES}:
+        found = [known for known in SCAN_FORMATS if known.media_type == given]
+        what = f"media type {given[:80]!r}"
     elif suffix:
         found = [known for known in SCAN_FORMATS if suffix.lower() in known.suffixes]
         what = f"suffix {suffix[:80]!r}"
     elif not body:
-        raise EmptyBody("no bytes came, wanted a scan")
+        raise EmptyBody("the body is empty, wanted a scan")
     else:
         found = [known for known in SCAN_FORMATS if body.startswith(known.magics)]
-        what = (
-            f"a body that begins with {body[:8]!r} and whose type is not told; set the Content-Type"
-        )
+        what = f"a body without a Content-Type that begins with {body[:8]!r}; set the Content-Type"
     if not found:
         known_types = ", ".join(
             f"{known.media_type} ({' '.join(known.suffixes) or 'no suffix'})"

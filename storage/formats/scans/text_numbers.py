@@ -12,29 +12,30 @@ from storage.formats.scans.coordinates import as_float32
 
 _BLOCK_BYTES = 2**20
 _NEWLINE, _BLANK = ord("\n"), ord(" ")
-# Whatever is no character of a number is one that no parser takes for white space or a digit.
+# Other characters are replaced by one that no parser takes for white space or a digit.
 _PLAIN = bytes(code if code in b"\t\n\v\f" or 32 <= code < 127 else ord("?") for code in range(256))
 
 
 def text_columns(
     text: memoryview, columns: Sequence[int], width: int, delimiter: str | None
 ) -> Float32Array:
-    """Read three columns of lines of numbers; empty lines are passed over.
+    """Read three columns of lines of numbers; empty lines are ignored.
 
     Args:
         text: One return a line.
         columns: Which three.
-        width: How many columns a line has.
-        delimiter: What stands between them; `None` is white space.
+        width: Number of columns of a line.
+        delimiter: The character between them; `None` is white space.
 
     Returns:
         `(n, 3)` float32; what is beyond it is infinite.
 
     Raises:
-        MalformedScan: If a line has other columns, or something that is no number in one of them.
+        MalformedScan: If a line has another number of columns, or a column is no number.
         ScanTooLarge: If there are more bytes or lines than a scan may have.
     """
-    BUDGET.require_text(text)
+    if len(text) > BUDGET.text_bytes:
+        raise ScanTooLarge(f"the lines have {len(text)} bytes, at most {BUDGET.text_bytes}")
     parts: list[Float32Array] = [np.empty((0, 3), np.float32)]
     lines = 0
     for block in blocks_of_lines(text, _BLOCK_BYTES):
@@ -59,11 +60,11 @@ def number_rows(
     Args:
         block: Lines that end in newlines.
         columns: Which columns; rows have them in this order.
-        width: How many columns every line must have.
+        width: Number of columns that every line must have.
         delimiter: One character, or `None` for white space.
 
     Raises:
-        ValueError: If a line has another width, or no number in one of the columns; it says why.
+        ValueError: If a line has another width, or a column is no number; the message says which.
     """
     if not _has_width(block, width, delimiter):
         block = b"".join(_of_width(block, width, delimiter))
@@ -79,7 +80,7 @@ def number_rows(
 
 
 def blocks_of_lines(text: memoryview, most_bytes: int) -> Iterator[bytes | None]:
-    """Give text in blocks of whole lines that end in newlines; `None` where a line is longer."""
+    """Yield text in blocks of whole lines that end in newlines; `None` where a line is longer."""
     start = 0
     while start < len(text):
         block = bytes(text[start : start + most_bytes])
@@ -103,27 +104,23 @@ def _has_width(block: bytes, width: int, delimiter: str | None) -> bool:
         inside = codes > _BLANK
         begins = inside.copy()
         begins[1:] &= ~inside[:-1]
-        wanted = width
+        expected = width
     else:
         begins = codes == ord(delimiter)
-        wanted = width - 1
+        expected = width - 1
     before = np.cumsum(begins, dtype=np.int32)[codes == _NEWLINE]
-    return bool((np.diff(before, prepend=0) == wanted).all()) and (
-        wanted > 0 or not _has_blank_line(block)
-    )
-
-
-def _has_blank_line(block: bytes) -> bool:
-    return block.startswith(b"\n") or b"\n\n" in block
+    has_blank_line = block.startswith(b"\n") or b"\n\n" in block
+    has_width = bool((np.diff(before, prepend=0) == expected).all())
+    return has_width and (expected > 0 or not has_blank_line)
 
 
 def _of_width(block: bytes, width: int, delimiter: str | None) -> Iterator[bytes]:
-    """Give the lines that are not blank, checked one by one."""
+    """Yield the lines that are not blank, each with its width checked."""
     separator = None if delimiter is None else delimiter.encode()
     for line in block.split(b"\n"):
         if not line or line.isspace():
             continue
-        came = len(line.split(separator))
-        if came != width:
-            raise ValueError(f"wanted {width} columns, {came} came: {line[:80]!r}")
+        found = len(line.split(separator))
+        if found != width:
+            raise ValueError(f"wanted {width} columns, got {found}: {line[:80]!r}")
         yield line + b"\n"

@@ -16,6 +16,7 @@ from core.scans.angles import wrapped_deg
 from storage.formats.budget import BUDGET
 from storage.formats.errors import MalformedScan, ScanTooLarge, TruncatedScan
 from storage.formats.scans.pcap import PCAP_MAGICS, Buffer, datagrams
+from storage.formats.scans.scan_format import ScanFormat
 
 _PAYLOAD_BYTES = 1206
 _BLOCK = np.dtype(
@@ -29,13 +30,13 @@ _DUAL_RETURN = 0x39
 
 @dataclass(frozen=True, eq=False)
 class _Model:
-    """What the packets of one kind of sensor mean.
+    """Geometry and timing of one sensor model.
 
     Attributes:
-        name: What people call it.
+        name: Its common name.
         elevation_deg: `(32,)`, of each return of a block.
         height_m: `(32,)`, of each laser above the sensor's centre.
-        firing: `(32,)`, when each fires, as a share of the time between blocks.
+        firing: `(32,)`, time of each firing, as a share of the time between blocks.
     """
 
     name: str
@@ -48,7 +49,7 @@ _HDL32_DEG = np.stack(
     [np.linspace(-92 / 3, -32 / 3, 16), np.linspace(-28 / 3, 32 / 3, 16)], axis=1
 ).ravel()
 _VLP16_DEG = np.stack([np.arange(-15.0, 0.0, 2.0), np.arange(1.0, 16.0, 2.0)], axis=1).ravel()
-# The VLP-16's lasers do not leave it at one height: manual, vertical correction.
+# The VLP-16's lasers have different heights: manual, vertical correction.
 _VLP16_MM = np.array(
     [11.2, -0.7, 9.7, -2.2, 8.1, -3.7, 6.6, -5.1, 5.1, -6.6, 3.7, -8.1, 2.2, -9.7, 0.7, -11.2]
 )
@@ -68,21 +69,20 @@ _MODELS = {
 }
 
 
-@dataclass(frozen=True)
-class VelodyneFormat:
-    """A capture; the first full turn in it is the scan. Of dual returns the last is taken."""
+class VelodyneFormat(ScanFormat):
+    """A capture; its first full revolution is the scan. Of dual returns the last is used."""
 
-    name: str = "Velodyne capture"
-    media_type: str = "application/vnd.tensormap.velodyne"
-    suffixes: tuple[str, ...] = (".pcap",)
-    magics: tuple[bytes, ...] = PCAP_MAGICS
+    name = "Velodyne capture"
+    media_type = "application/vnd.tensormap.velodyne"
+    suffixes = (".pcap",)
+    magics = PCAP_MAGICS
 
     def read(self, body: bytes) -> Float32Array:
         """Return `(n, 3)` metres, x forward, y left, z up.
 
         Raises:
             MalformedScan: If it is no capture, or holds no packets of an HDL-32E or VLP-16.
-            TruncatedScan: If it ends within a packet, or before the sensor turned once.
+            TruncatedScan: If it ends within a packet, or before the first full revolution.
             ScanTooLarge: If it has more packets than a scan can need.
         """
         first = Turns(body, most_packets=BUDGET.scan_packets, kept_packets=BUDGET.frame_packets)
@@ -90,20 +90,20 @@ class VelodyneFormat:
 
 
 class Turns:
-    """The full turns of a capture; what is left at its end is none.
+    """The full revolutions of a capture; an incomplete one at its end is left out.
 
     Args:
         body: The capture.
-        most_packets: How many packets of the sensor it may have.
-        kept_packets: Of how many of them, the first ones, turns are made.
+        most_packets: Maximum number of packets of the sensor.
+        kept_packets: Number of first packets that are used, all by default.
 
     Attributes:
-        time_s: `(K,)` when the first packet of each was captured, seconds since 1970.
+        time_s: `(K,)` capture time of the first packet of each, seconds since 1970.
 
     Raises:
         MalformedScan: If it is no capture, or holds no packets of an HDL-32E or VLP-16.
-        TruncatedScan: If it ends within a packet, or before the sensor turned once.
-        ScanTooLarge: If it has more packets than may be.
+        TruncatedScan: If it ends within a packet, or before the first full revolution.
+        ScanTooLarge: If it has more packets than allowed.
     """
 
     def __init__(
@@ -116,7 +116,7 @@ class Turns:
         count = int(turned_deg[-1] // 360.0)
         if not count:
             raise TruncatedScan(f"the capture ends after {turned_deg[-1]:.0f} of 360 degrees")
-        # A lost packet leaves a gap, which no firing of the block before it is spread over.
+        # A lost packet leaves a gap: the firings of the block before it are not spread over it.
         usual_deg = float(np.median(step_deg))
         spread_deg = np.where(step_deg > 2.0 * usual_deg, usual_deg, step_deg)
         self._spread_deg = np.append(spread_deg, usual_deg)
@@ -127,10 +127,10 @@ class Turns:
         return len(self.time_s)
 
     def returns_m(self, turn: int) -> Float32Array:
-        """Return the `(n, 3)` metres of a turn, zero where nothing came back.
+        """Return the `(n, 3)` metres of a revolution, zero for no-returns.
 
         Raises:
-            ScanTooLarge: If the sensor turned so slowly that it has more returns than may be.
+            ScanTooLarge: If the sensor rotated so slowly that it has too many returns.
         """
         blocks = slice(self._starts[turn], self._starts[turn + 1])
         BUDGET.require_returns((blocks.stop - blocks.start) * len(self._model.firing))
@@ -153,7 +153,7 @@ def _returns(model: _Model, azimuth_deg: FloatArray, range_m: FloatArray) -> Flo
 def _blocks(
     body: Buffer, most_packets: int | None, kept_packets: int | None
 ) -> tuple[_Model, FloatArray, np.ndarray]:
-    """Return the sensor, and the time and content of each block."""
+    """Return the sensor model, and time and content of each block."""
     payloads = bytearray()
     times_s: list[float] = []
     packets = 0

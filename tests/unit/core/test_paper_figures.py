@@ -10,7 +10,7 @@ from core.parameters import MapParameters
 from core.projection.range_image import project_scan
 from core.projection.reducer import Reducer
 from core.scans.sensor import HDL_64E, AngularGrid
-from core.segmentation import PAPER_SEGMENT_LENGTH, cut_fixed, segment_length_for
+from core.segmentation.fixed import PAPER_SEGMENT_LENGTH, cut_fixed, segment_length_for
 from core.simulation import SimulatedDrive
 
 K, RETURNS = 3800, 77_000
@@ -62,9 +62,7 @@ def test_a_signature_is_sent_in_63_bytes():
 @pytest.fixture(scope="module")
 def simulated_signatures():
     drive = SimulatedDrive(seed=4, scans=60, stops=False)
-    images = np.stack(
-        [project_scan(drive.scan(i), AngularGrid(), Reducer.LAST).ranges_m for i in range(60)]
-    )
+    images = np.stack([project_scan(drive.scan(i), AngularGrid(), Reducer.LAST) for i in range(60)])
     grams = Grams.of(images)
     return project(images, leading_basis(grams.elevation, 5), leading_basis(grams.azimuth, 5))
 

@@ -1,4 +1,4 @@
-"""Which revisions a policy lets go: a law for every history, and a few histories by hand."""
+"""Which revisions a policy does not keep: laws for every history, and some histories by hand."""
 
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from core.errors import InvalidParameters
-from storage.retention import OwnRetention, RawScans, Retention, Standing, to_collect
+from storage.retention import Candidate, OwnRetention, RawScans, Retention, to_collect
 
 NOW = datetime(2026, 1, 31, tzinfo=UTC)
 
@@ -17,16 +17,16 @@ def day(number: float) -> datetime:
     return NOW - timedelta(days=number)
 
 
-def standing(digest, created=0.0, retained=None, **facts):
-    return Standing(digest, day(created), day(created if retained is None else retained), **facts)
+def candidate(digest, created=0.0, retained=None, **facts):
+    return Candidate(digest, day(created), day(created if retained is None else retained), **facts)
 
 
 HISTORY = [
-    standing("a", 40),
-    standing("b", 30, 12),
-    standing("c", 20, 2),
-    standing("d", 10, live=True),
-    standing("e", 5),
+    candidate("a", 40),
+    candidate("b", 30, 12),
+    candidate("c", 20, 2),
+    candidate("d", 10, live=True),
+    candidate("e", 5),
 ]
 
 
@@ -54,7 +54,7 @@ def test_what_neither_its_number_nor_its_age_keeps_goes_oldest_first(count, days
 
 
 def test_what_was_live_until_now_counts_from_its_replacement():
-    rolled_back = [standing("a", 90, 0), standing("b", 80, live=True), standing("c", 70)]
+    rolled_back = [candidate("a", 90, 0), candidate("b", 80, live=True), candidate("c", 70)]
     assert to_collect(rolled_back, Retention(0, 1.0), NOW) == ()
     assert to_collect(rolled_back, Retention(0, 0.0), NOW) == ("a",)
 
@@ -72,7 +72,7 @@ ages = st.floats(0, 100)
 histories = st.lists(st.tuples(ages, ages, st.booleans()), max_size=12).flatmap(
     lambda facts: st.integers(-1, len(facts) - 1).map(
         lambda live: [
-            standing(f"{i:02}", created, min(created, retained), live=i == live, needed=needed)
+            candidate(f"{i:02}", created, min(created, retained), live=i == live, needed=needed)
             for i, (created, retained, needed) in enumerate(facts)
         ]
     )
@@ -93,22 +93,22 @@ def test_what_goes_is_old_enough_and_enough_others_stay(history, count, days):
             assert len(younger) >= count
     if history:
         assert max(history, key=lambda one: (one.created_at, one.digest)) in stays
-    # Nothing more goes when it is asked again.
+    # A second pass collects nothing.
     assert to_collect(stays, Retention(count, days), NOW) == ()
 
 
 @given(histories, st.integers(0, 11), st.floats(0, 99), st.floats(0, 1))
-def test_a_policy_that_keeps_more_lets_nothing_more_go(history, count, days, longer):
+def test_a_policy_that_keeps_more_collects_no_other(history, count, days, longer):
     gone = set(to_collect(history, Retention(count, days), NOW))
     assert set(to_collect(history, Retention(count + 1, days + longer), NOW)) <= gone
 
 
 def test_a_map_chooses_some_and_takes_the_rest_from_the_service():
     default = Retention(5, 7.0, RawScans.DROP)
-    own = OwnRetention().changed({"retained_revisions": "all", "raw_scans": RawScans.KEEP})
+    own = OwnRetention(retained_revisions="all", raw_scans=RawScans.KEEP)
     assert own.over(default) == Retention("all", 7.0, RawScans.KEEP)
-    assert OwnRetention.from_chosen(own.chosen()) == own
-    assert own.changed({"raw_scans": None}).over(default).raw_scans == RawScans.DROP
+    assert OwnRetention(**own.chosen()) == own
+    assert replace(own, raw_scans=None).over(default).raw_scans == RawScans.DROP
 
 
 @pytest.mark.parametrize(
@@ -121,7 +121,7 @@ def test_a_map_chooses_some_and_takes_the_rest_from_the_service():
         {"retained_for_days": float("inf")},
     ],
 )
-def test_nonsense_is_refused_at_birth(wrong):
+def test_values_out_of_range_are_rejected(wrong):
     with pytest.raises(InvalidParameters, match=next(iter(wrong))):
         Retention(**wrong)
     with pytest.raises(InvalidParameters):

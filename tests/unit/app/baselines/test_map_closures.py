@@ -1,4 +1,4 @@
-"""The adapter of map_closures, with a detector that answers as it is told."""
+"""The adapter of map_closures, with a fake detector."""
 
 import sys
 from pathlib import Path
@@ -19,15 +19,18 @@ class Config:
 
 
 class Detector:
+    made: "list[Detector]" = []  # noqa: RUF012
+
     def __init__(self):
-        self.kept, self.asked, self.closures = [], [], []
+        self.kept, self.queried, self.closures = [], [], []
+        self.made.append(self)
 
     def get_best_closure(self, index, points):
         assert points.dtype == np.float64
         self.kept.append(index)
 
     def get_closures(self, index, points):
-        self.asked.append(index)
+        self.queried.append(index)
         return self.closures
 
     def save_hbst_database(self, path):
@@ -60,34 +63,35 @@ def test_the_most_inliers_among_the_places_win(installed):
     drive = FaultyDrive(sample_drive(5), {1})
     places = adapter.MapClosures().enrol(drive, np.arange(5), progress)
     assert places.scans.tolist() == [0, 2, 3, 4]
-    assert (places._detector.kept, places.stored_bytes) == ([0, 1, 2, 3], 10.0)
+    detector = Detector.made[-1]
+    assert (detector.kept, places.stored_bytes) == ([0, 1, 2, 3], 10.0)
     assert (progress.stages, progress.done) == ([("map-closures", 5)], [5])
-    ask = places.describe(drive.scan(0))
-    assert ask(None) is None
-    places._detector.closures = [closure(1, 7), closure(3, 12, -30.0), closure(1_000_001, 40)]
-    found = ask(None)
+    match = places.describe(drive.scan(0))
+    assert match(None) is None
+    detector.closures = [closure(1, 7), closure(3, 12, -30.0), closure(1_000_001, 40)]
+    found = match(None)
     assert found is not None
     assert (found.row, found.distance) == (3, 1 / 13)
     assert found.turn_deg == pytest.approx(30.0)
-    earlier = ask(2)
+    earlier = match(2)
     assert earlier is not None
     assert earlier.row == 1
-    assert ask(1) is None
-    assert min(places._detector.asked) > 4
-    assert len(set(places._detector.asked)) == len(places._detector.asked)
+    assert match(1) is None
+    assert min(detector.queried) > 4
+    assert len(set(detector.queried)) == len(detector.queried)
 
 
-def test_the_configuration_tells_the_version(installed):
+def test_the_configuration_has_the_version(installed):
     configuration = adapter.MapClosures().configuration()
     assert configuration == {"version": "9.9", "density_map_resolution": 0.5}
 
 
-def test_a_drive_without_a_usable_scan_is_refused(installed):
+def test_a_drive_without_a_usable_scan_is_rejected(installed):
     with pytest.raises(EmptyDrive):
         adapter.MapClosures().enrol(FaultyDrive(sample_drive(1), {0}), np.arange(1))
 
 
-def test_without_the_package_the_method_is_left_out_or_refused_by_name(monkeypatch):
+def test_without_the_package_the_method_is_left_out_or_rejected_by_name(monkeypatch):
     monkeypatch.setattr(adapter, "is_installed", lambda: False)
     monkeypatch.setattr("app.baselines.roster.is_installed", lambda: False)
     assert default_methods() == METHODS[:-1]

@@ -94,7 +94,7 @@ def test_a_build_says_that_it_is_not_calibrated_and_what_then_is_answered(folder
     assert "000007.bin is not localized: not_calibrated" in shown
 
 
-def test_localize_takes_hints(map_file, folder):
+def test_localize_takes_priors(map_file, folder):
     scan = folder / "000007.bin"
     answer = json.loads(run("localize", map_file, scan, "-k", "3", "--segment", "0", "--json"))
     assert {match["segment"] for match in answer["matches"]} == {0}

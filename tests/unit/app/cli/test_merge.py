@@ -13,7 +13,8 @@ from core.errors import (
     InvalidParameters,
     UnknownDrive,
 )
-from core.simulation import SimulatedDrive, SimulatedSensor
+from core.simulation import SimulatedDrive
+from core.simulation.raycast import SimulatedSensor
 from storage.files.map_file import read_map
 from storage.formats.drives.kitti_drive import write_kitti_drive
 from tests.support.commands import run

@@ -8,6 +8,7 @@ from core.errors import InvalidParameters
 from storage.errors import DataDirInUse, StorageUnavailable
 from storage.files.claims import claimed
 from storage.store import Store
+from tests.support.catalog_rows import stored_scans
 from tests.support.small_scans import sample_scan
 
 pytestmark = pytest.mark.slow
@@ -35,7 +36,7 @@ def test_a_sound_store_is_one_line_and_no_failure(data):
 def test_each_finding_is_a_line_and_a_loss_is_a_failure(data):
     damaged, gone, _ = sorted(data.rglob("chunks/*.h5"))
     with Store(data) as store:
-        scans = {r.chunk: r.index for r in store.drives.scan_records("campus", "monday")}
+        scans = {r.chunk: r.index for r in stored_scans(store, "campus", "monday")}
     of_drive = "map campus, drive monday, scan"
     damaged.write_bytes(damaged.read_bytes()[:-100])
     gone.unlink()

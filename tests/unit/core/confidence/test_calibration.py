@@ -49,13 +49,13 @@ def test_a_likelihood_ratio_keeps_the_shape_and_rules_out_what_was_not_compared(
         {"threshold": np.nan},
     ],
 )
-def test_a_calibration_that_makes_no_sense_is_refused(part):
+def test_an_impossible_calibration_is_refused(part):
     with pytest.raises(InvalidParameters, match=next(iter(part))):
         replace(CALIBRATION, **part)
 
 
 @pytest.mark.parametrize(("distance", "ratio"), [(-0.1, 0.5), (np.nan, 0.5), (0.1, 1.1), (0.1, -1)])
-def test_a_distance_or_ratio_that_cannot_be_is_refused(distance, ratio):
+def test_an_impossible_distance_or_ratio_is_refused(distance, ratio):
     with pytest.raises(InvalidParameters):
         CALIBRATION.probability(distance, ratio)
 
@@ -70,7 +70,7 @@ def test_attributes_come_back_as_they_were_through_json():
     "change",
     [{"floor": "none"}, {"both": 3}, {"extra": 1}, {"threshold": 2.0}, {"alone": [1.0, None]}],
 )
-def test_attributes_that_are_no_calibration_are_an_invalid_map(change):
+def test_invalid_attributes_are_an_invalid_map(change):
     with pytest.raises(InvalidMap, match="calibration"):
         Calibration.from_attributes({**CALIBRATION.as_attributes(), **change})
 
@@ -89,7 +89,7 @@ def test_a_calibration_is_in_the_digest_and_comes_back_from_the_file(tmp_path, m
     assert again.revision == calibrated.revision
 
 
-def test_a_map_whose_calibration_is_torn_is_refused():
+def test_a_map_with_an_incomplete_calibration_is_refused():
     tensor_map, _ = sample_map()
     torn = {**tensor_map.attributes(), "calibration": {"floor": 0.1}}
     with pytest.raises(InvalidMap, match="calibration"):
@@ -124,13 +124,13 @@ def test_many_samples_recover_the_weights_they_were_drawn_from():
 
 
 @pytest.mark.parametrize(
-    ("features", "right", "said"),
+    ("features", "right", "message"),
     [
         (np.zeros((3, 1)), [True, False], "fit together"),
         (np.full((2, 1), np.inf), [True, False], "finite"),
         (np.zeros((2, 1)), [True, True], "both kinds"),
     ],
 )
-def test_samples_that_cannot_be_learned_from_are_refused(features, right, said):
-    with pytest.raises(InvalidParameters, match=said):
+def test_unusable_samples_are_refused(features, right, message):
+    with pytest.raises(InvalidParameters, match=message):
         fit_logistic(features, np.array(right), np.array([True]))

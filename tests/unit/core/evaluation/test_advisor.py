@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from core.errors import InvalidParameters
-from core.evaluation.advisor import FEWEST_JUDGED, Decision, advise, standard_error
+from core.evaluation.advisor import FEWEST_QUERIES, Decision, advise, standard_error
 from core.evaluation.sweep import SweepPoint
 
 
@@ -63,8 +63,8 @@ def test_if_all_are_equally_accurate_it_says_that_the_evidence_does_not_decide()
 
 def test_few_scans_are_never_called_a_decision() -> None:
     points = grid(lambda r1, r2: 0.2 if r1 == 2 else 1.0)
-    assert advise(points, FEWEST_JUDGED - 1).verdict == Decision.TOO_FEW
-    assert advise(points, FEWEST_JUDGED).verdict == Decision.DECIDED
+    assert advise(points, FEWEST_QUERIES - 1).verdict == Decision.TOO_FEW
+    assert advise(points, FEWEST_QUERIES).verdict == Decision.DECIDED
 
 
 def test_a_lucky_small_candidate_is_not_taken_when_larger_ranks_do_worse() -> None:

@@ -11,7 +11,7 @@ from core.evaluation.baselines.scan_context import ScanContext
 from core.evaluation.baselines.solid import Solid
 from core.evaluation.compare import ComparisonProtocol, compare
 from core.evaluation.condition import Condition, conditions
-from core.evaluation.methods import MappedPlaces, Nearest
+from core.evaluation.methods import Enrolled, MappedPlaces, Nearest
 from core.evaluation.pairing import HeldOut, LoopClosing, SecondPass
 from core.evaluation.split import Every
 from core.parameters import MapParameters
@@ -23,38 +23,29 @@ from tests.support.samples import FaultyDrive, RecordedProgress, sample_drive
 pytestmark = pytest.mark.slow
 
 
-class Places:
-    """Answers that were written down: query timestamp in tenths -> (place, distance, turn)."""
+class Fake:
+    """A method with given answers: query timestamp in tenths -> (place, distance, turn)."""
 
-    sent_bytes, stored_bytes = 7.0, 9.0
+    def __init__(self, answers, name="fake"):
+        self.name, self.answers, self.queried = name, answers, []
 
-    def __init__(self, scans, answers, asked):
-        self.scans, self._answers, self._asked = scans, answers, asked
+    def configuration(self):
+        return {"answers": len(self.answers)}
+
+    def enrol(self, drive, scans, progress=None):
+        return Enrolled(scans, 7.0, 9.0, self.describe)
 
     def describe(self, scan):
         key = round(10 * scan.timestamp_s)
         if key < 0:
             raise InvalidScan("nothing there")
 
-        def ask(before):
-            self._asked.append((key, before))
-            found = self._answers.get(key)
+        def match(before):
+            self.queried.append((key, before))
+            found = self.answers.get(key)
             return None if found is None else Nearest(*found)
 
-        return ask
-
-
-class Told:
-    """A method that answers as it is told."""
-
-    def __init__(self, answers, name="told"):
-        self.name, self._answers, self.asked = name, answers, []
-
-    def configuration(self):
-        return {"answers": len(self._answers)}
-
-    def enrol(self, drive, scans, progress=None):
-        return Places(scans, self._answers, self.asked)
+        return match
 
 
 def line(xs, name="line", step=1):
@@ -71,11 +62,11 @@ def line(xs, name="line", step=1):
 def test_figures_by_hand():
     # Places 0 and 2 at 0 m and 20 m; queries 1 at 2 m, 3 at 24 m, 5 at 90 m: nothing is near that.
     drive = line([0.0, 2.0, 20.0, 24.0, 50.0, 90.0])
-    told = Told({1: (0, 0.1), 3: (1, 0.3), 5: (2, 0.2)})
+    fake = Fake({1: (0, 0.1), 3: (1, 0.3), 5: (2, 0.2)})
     protocol = ComparisonProtocol(HeldOut(Every(2)), tolerances_m=(3.0, 5.0))
     elsewhere = line([500.0, 501.0], step=4)
-    told._answers[0], told._answers[4] = (0, 0.15), (1, 0.9)
-    [method] = compare(drive, [told], protocol, unknown_drive=elsewhere).methods
+    fake.answers[0], fake.answers[4] = (0, 0.15), (1, 0.9)
+    [method] = compare(drive, [fake], protocol, unknown_drive=elsewhere).methods
     [row] = method.conditions
     assert (method.places, method.sent_bytes, method.stored_bytes) == (3, 7.0, 9.0)
     assert (row.queries, row.refusals, row.unanswered) == (3, 0, 0)
@@ -91,8 +82,8 @@ def test_figures_by_hand():
 def test_no_answer_and_no_description_are_wrong():
     drive = line([0.0, 1.0, 2.0, 3.0, 4.0, 5.0])
     faulty = FaultyDrive(drive, {3})
-    told = Told({1: (0, 0.1)})
-    [method] = compare(faulty, [told], ComparisonProtocol(HeldOut(Every(2)))).methods
+    fake = Fake({1: (0, 0.1)})
+    [method] = compare(faulty, [fake], ComparisonProtocol(HeldOut(Every(2)))).methods
     row = method.conditions[0]
     assert (row.queries, row.refusals, row.unanswered) == (3, 1, 1)
     assert row.recall_at_1[3.0] == pytest.approx(1 / 3)
@@ -101,18 +92,18 @@ def test_no_answer_and_no_description_are_wrong():
 
 def test_the_heading_is_that_of_the_turned_vehicle():
     drive = line([0.0, 1.0, 2.0, 3.0])
-    told = Told({1: (0, 0.1, 88.0), 3: (1, 0.1, None)})
+    fake = Fake({1: (0, 0.1, 88.0), 3: (1, 0.1, None)})
     protocol = ComparisonProtocol(HeldOut(Every(2)), conditions=(Condition(yaw_deg=90.0),))
-    [method] = compare(drive, [told], protocol).methods
+    [method] = compare(drive, [fake], protocol).methods
     assert method.conditions[0].heading_error_deg_median == pytest.approx(2.0)
 
 
 def test_a_loop_is_closed_with_places_that_are_not_recent():
     drive = line([0.0, 10.0, 20.0, 1.0, 10.5])
-    told = Told({2: (0, 0.5), 3: (0, 0.1), 4: (1, 0.2)})
+    fake = Fake({2: (0, 0.5), 3: (0, 0.1), 4: (1, 0.2)})
     protocol = ComparisonProtocol(LoopClosing(recent_scans=2))
-    [method] = compare(drive, [told], protocol).methods
-    assert told.asked == [(2, 1), (3, 2), (4, 3)]
+    [method] = compare(drive, [fake], protocol).methods
+    assert fake.queried == [(2, 1), (3, 2), (4, 3)]
     row = method.conditions[0]
     assert row.queries == 3
     assert row.findable[3.0] == 2
@@ -121,17 +112,17 @@ def test_a_loop_is_closed_with_places_that_are_not_recent():
 
 def test_recent_is_told_in_seconds_too():
     drive = line([0.0] * 6)
-    told = Told({})
-    compare(drive, [told], ComparisonProtocol(LoopClosing(recent_scans=None, recent_s=0.35)))
-    assert told.asked == [(4, 1), (5, 2)]
+    fake = Fake({})
+    compare(drive, [fake], ComparisonProtocol(LoopClosing(recent_scans=None, recent_s=0.35)))
+    assert fake.queried == [(4, 1), (5, 2)]
 
 
 def test_a_second_pass_asks_another_drive_of_the_whole_map():
-    told = Told({0: (1, 0.1), 2: (0, 0.1)})
+    fake = Fake({0: (1, 0.1), 2: (0, 0.1)})
     result = compare(
-        line([0.0, 9.0]), [told], ComparisonProtocol(SecondPass(every=2)), line([8, 7, 6], "b")
+        line([0.0, 9.0]), [fake], ComparisonProtocol(SecondPass(every=2)), line([8, 7, 6], "b")
     )
-    assert told.asked == [(0, None), (2, None)]
+    assert fake.queried == [(0, None), (2, None)]
     assert result.methods[0].conditions[0].recall_at_1 == {3.0: 0.5, 5.0: 0.5, 10.0: 1.0}
     assert (result.drive, result.query_drive) == ("line", "b")
 
@@ -139,7 +130,7 @@ def test_a_second_pass_asks_another_drive_of_the_whole_map():
 @pytest.mark.parametrize(
     ("pairing", "query", "says"),
     [
-        (HeldOut(), "b", "split none"),
+        (HeldOut(), "b", "leave the split"),
         (SecondPass(), None, "wants a query drive"),
         (LoopClosing(), "b", "within one drive"),
         (LoopClosing(recent_scans=90), None, "exclude less"),
@@ -150,25 +141,25 @@ def test_a_protocol_that_does_not_fit_the_drives_is_refused(pairing, query, says
     drive = line([0.0, 1.0, 2.0])
     asked = None if query is None else line([0.0], query)
     if says is None:
-        compare(drive, [Told({})], ComparisonProtocol(pairing), asked)
+        compare(drive, [Fake({})], ComparisonProtocol(pairing), asked)
         return
     with pytest.raises(InvalidParameters, match=says):
-        compare(drive, [Told({})], ComparisonProtocol(pairing), asked)
+        compare(drive, [Fake({})], ComparisonProtocol(pairing), asked)
 
 
 def test_nonsense_is_refused():
     drive = line([0.0, 1.0, 2.0])
     with pytest.raises(InvalidParameters, match="each once"):
-        compare(drive, [Told({}), Told({})], ComparisonProtocol(HeldOut(Every(2))))
+        compare(drive, [Fake({}), Fake({})], ComparisonProtocol(HeldOut(Every(2))))
     with pytest.raises(InvalidParameters, match="without a pose"):
-        compare(sample_drive(4, poses=False), [Told({})], ComparisonProtocol(HeldOut(Every(2))))
+        compare(sample_drive(4, poses=False), [Fake({})], ComparisonProtocol(HeldOut(Every(2))))
     with pytest.raises(EmptyDrive):
-        compare(MemoryDrive("empty", []), [Told({})], ComparisonProtocol(HeldOut(Every(2))))
+        compare(MemoryDrive("empty", []), [Fake({})], ComparisonProtocol(HeldOut(Every(2))))
     with pytest.raises(InvalidParameters, match="some must be queried"):
-        compare(line([0.0]), [Told({})], ComparisonProtocol(HeldOut(Every(2))))
+        compare(line([0.0]), [Fake({})], ComparisonProtocol(HeldOut(Every(2))))
     without_time = MemoryDrive("d", [Scan(s.points_m, pose=s.pose) for s in drive])
     with pytest.raises(InvalidParameters, match="exclude by scans"):
-        compare(without_time, [Told({})], ComparisonProtocol(LoopClosing(None, 30.0)))
+        compare(without_time, [Fake({})], ComparisonProtocol(LoopClosing(None, 30.0)))
     for wrong in (
         {"tolerances_m": ()},
         {"tolerances_m": (0.0,)},

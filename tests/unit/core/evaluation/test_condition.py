@@ -70,7 +70,7 @@ def test_the_place_of_an_unknown_pose_is_unknown():
     [
         ({"yaw_deg": np.nan}, "not finite"),
         ({"lateral_m": np.inf}, "not finite"),
-        ({"noise_m": np.nan}, "not finite"),
+        ({"noise_m": np.nan}, "noise_m is nan"),
         ({"noise_m": -0.1}, "noise_m is -0.1"),
     ],
 )

@@ -80,5 +80,5 @@ def test_a_split_that_cannot_be_is_refused(text, said):
 def test_a_fraction_that_leaves_nothing_is_refused(fraction):
     with pytest.raises(InvalidParameters, match="wanted 0 < f < 1"):
         Interleaved(fraction)
-    with pytest.raises(InvalidParameters, match="the phase is -1"):
+    with pytest.raises(InvalidParameters, match="phase is -1, wanted at least 0"):
         Interleaved(0.2, -1)

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from core.encodings.harmonic import HarmonicModel
-from core.encodings.paper import PaperModel
+from core.encodings.harmonic.model import HarmonicModel
+from core.encodings.paper.model import PaperModel
 from core.encodings.paper.sweep import leading_sums
 from core.encodings.registry import encoding_names
 from core.errors import InvalidParameters
@@ -23,7 +23,7 @@ from core.mapping.pipeline import build
 from core.parameters import MapParameters
 from core.scans.drive import MemoryDrive
 from core.scans.scan import Scan
-from core.segmentation import cut_fixed
+from core.segmentation.fixed import cut_fixed
 from tests.support.recording import recording
 
 pytestmark = pytest.mark.slow
@@ -142,7 +142,7 @@ def test_the_same_scans_are_held_out_whatever_the_segments_and_few_are_spread_ev
     assert held_out.sum() == 20
     assert asked.tolist() == [1, 13, 27, 39]
     with pytest.raises(InvalidParameters, match="some must be queried"):
-        held_out_scans(drive(1), Every(2), None)
+        held_out_scans(drive(1), Every(2), 4)
 
 
 def test_without_poses_an_answer_is_right_near_the_scan_that_was_asked() -> None:

@@ -12,15 +12,16 @@ from core.mapping.build import fit_map
 from core.parameters import MapParameters
 from core.projection.images import ConcatenatedImages, project_drive
 from core.scans.trajectory import Trajectory
-from core.segmentation import cut_drives
-from core.simulation import SimulatedDrive, SimulatedSensor
+from core.segmentation.fixed import cut_drives
+from core.simulation import SimulatedDrive
+from core.simulation.raycast import SimulatedSensor
 from core.topology import cut_at_meetings
 
 pytestmark = pytest.mark.slow
 
 
 class Stages:
-    """Remembers what was told."""
+    """Stores the reported progress."""
 
     def __init__(self):
         self.stages, self.units = [], 0
@@ -80,7 +81,7 @@ def checked(images, parameters, progress=None, **places):
     return check_frames(tensor_map) if progress is None else check_frames(tensor_map, progress)
 
 
-def as_they_are(poses):
+def unchanged(poses):
     return poses
 
 
@@ -89,7 +90,7 @@ def unknown(poses):
 
 
 def moved(x_m=0.0, turn=None):
-    """Return what another survey makes of poses."""
+    """Return a function that transforms poses to another frame."""
     turn = Rotation.identity() if turn is None else turn
 
     def change(poses):
@@ -103,7 +104,7 @@ def moved(x_m=0.0, turn=None):
 
 @pytest.mark.parametrize("x_m", [0.0, 1.0, 2.0])
 def test_drives_of_one_frame_agree_although_they_drift_apart(images, parameters, x_m):
-    (check,) = checked(images, parameters, monday=as_they_are, tuesday=moved(x_m))
+    (check,) = checked(images, parameters, monday=unchanged, tuesday=moved(x_m))
     assert check.met
     assert check.note is None
     require_one_frame([check])
@@ -116,7 +117,7 @@ def test_a_frame_that_is_turned_or_moved_is_found_with_its_transform(
     images, parameters, x_m, turn_deg
 ):
     turn = Rotation.from_euler("z", turn_deg, degrees=True)
-    (check,) = checked(images, parameters, monday=as_they_are, tuesday=moved(x_m, turn))
+    (check,) = checked(images, parameters, monday=unchanged, tuesday=moved(x_m, turn))
     found = check.disagreement
     assert found is not None
     assert found.others == ("monday",)
@@ -131,20 +132,20 @@ def test_a_frame_that_is_turned_or_moved_is_found_with_its_transform(
 
 def test_axes_of_a_camera_are_found_with_their_tilt(images, parameters):
     camera = Rotation.from_matrix([[0, -1, 0], [0, 0, -1], [1, 0, 0]])
-    (check,) = checked(images, parameters, monday=as_they_are, tuesday=moved(0.0, camera))
+    (check,) = checked(images, parameters, monday=unchanged, tuesday=moved(0.0, camera))
     assert check.disagreement is not None
     assert check.disagreement.transform.tilt_deg == pytest.approx(90.0, abs=5.0)
     assert "its vertical tilted by" in str(check)
 
 
-def test_who_drives_the_other_way_in_the_other_lane_agrees_or_is_not_found(images, parameters):
-    (check,) = checked(images, parameters, monday=as_they_are, back=as_they_are)
+def test_a_drive_in_the_opposite_lane_agrees_or_is_not_matched(images, parameters):
+    (check,) = checked(images, parameters, monday=unchanged, back=unchanged)
     assert check.disagreement is None
     assert check.met == (parameters.encoding == "harmonic")  # the paper's does not match it
 
 
-def test_drives_that_never_meet_have_a_note_and_no_more(images, parameters):
-    (check,) = checked(images, parameters, monday=as_they_are, elsewhere=moved(1000.0))
+def test_drives_that_never_meet_have_a_note_only(images, parameters):
+    (check,) = checked(images, parameters, monday=unchanged, elsewhere=moved(1000.0))
     assert check.disagreement is None
     assert not check.met
     assert "could not be checked" in str(check.note)
@@ -155,7 +156,7 @@ def test_only_the_drive_in_another_frame_is_named(images, parameters):
     elsewhere, tuesday = checked(
         images,
         parameters,
-        monday=as_they_are,
+        monday=unchanged,
         elsewhere=moved(1000.0),
         tuesday=moved(500.0, turn),
     )
@@ -166,14 +167,14 @@ def test_only_the_drive_in_another_frame_is_named(images, parameters):
 
 def test_drives_without_poses_are_not_checked(images, parameters):
     progress = Stages()
-    assert not checked(images, parameters, progress, monday=as_they_are, tuesday=unknown)
-    assert not checked(images, parameters, progress, monday=unknown, tuesday=as_they_are)
+    assert not checked(images, parameters, progress, monday=unchanged, tuesday=unknown)
+    assert not checked(images, parameters, progress, monday=unknown, tuesday=unchanged)
     assert not progress.stages
 
 
 def test_checking_reports_its_progress(images, parameters):
     progress = Stages()
-    checked(images, parameters, progress, monday=as_they_are, tuesday=as_they_are)
+    checked(images, parameters, progress, monday=unchanged, tuesday=unchanged)
     ((stage, total),) = progress.stages
     assert stage == "checking frames"
     assert progress.units == total

@@ -1,4 +1,4 @@
-"""Where am I: the closest core tensor slice over all segments (paper, sec. 2.3)."""
+"""Localization: the closest core tensor slice over all segments (paper, sec. 2.3)."""
 
 import numpy as np
 import pytest
@@ -19,11 +19,11 @@ from core.localization.localizer import Localizer
 from core.mapping.build import fit_map
 from core.mapping.tensormap import TensorMap
 from core.parameters import MapParameters
+from core.projection.imager import Image
 from core.projection.images import MemoryImages, project_drive
-from core.projection.range_image import RangeImage
 from core.scans.sensor import AngularGrid
 from core.scans.trajectory import Trajectory
-from core.segmentation import cut_fixed
+from core.segmentation.fixed import cut_fixed
 from core.simulation import SimulatedDrive
 from core.topology import Topology
 from tests.support.samples import random_images, sample_drive, sample_image, sample_map
@@ -82,13 +82,10 @@ def test_the_answer_is_that_of_a_loop_over_all_slices(made, localizer, seed, k):
     found = localizer.localize_image(sample_image(tensor_map, ranges_m), k)
     model = tensor_map.model
     expected = []
-    for index in range(model.segments):
-        part = model.segment(index)
-        signature = part.u.T @ ranges_m.astype(np.float64) @ part.v
-        expected += [
-            (float(np.linalg.norm(signature - slice_)), part.first_scan + i)
-            for i, slice_ in enumerate(part.signatures)
-        ]
+    for row, segment in enumerate(model.segment_of_scan):
+        u, v = model.elevation_basis[segment], model.azimuth_basis[segment]
+        signature = u.T @ ranges_m.astype(np.float64) @ v
+        expected.append((float(np.linalg.norm(signature - model.signatures[row])), row))
     expected.sort()
     assert [match.row for match in found.matches] == [row for _, row in expected[:k]]
     np.testing.assert_allclose(
@@ -96,7 +93,7 @@ def test_the_answer_is_that_of_a_loop_over_all_slices(made, localizer, seed, k):
     )
 
 
-def test_k_beyond_the_map_answers_every_scan_once(made, localizer):
+def test_k_beyond_the_map_returns_every_scan_once(made, localizer):
     tensor_map, images = made
     found = localizer.localize_image(sample_image(tensor_map, images[3]), k=10**30)
     assert sorted(match.row for match in found.matches) == list(range(48))
@@ -172,14 +169,14 @@ def test_signatures_that_cannot_be_answered_are_refused(made, localizer):
         localizer.localize_signatures([])
     with pytest.raises(InvalidSignature, match=r"shape \(4, 3\), this map's have \(3, 4\)"):
         localizer.localize_signatures([first, changed(second, values=second.values.T)])
-    with pytest.raises(InvalidSignature, match="comes twice"):
+    with pytest.raises(InvalidSignature, match="is repeated"):
         localizer.localize_signatures([first, changed(second, segment=0)])
     with pytest.raises(UnknownSegment, match=r"no segment 6; the map has 0\.\.5"):
         localizer.localize_signatures([changed(first, segment=6)])
 
 
 def test_an_image_on_another_grid_is_refused(localizer):
-    image = RangeImage(np.ones((30, 361), np.float32), AngularGrid())
+    image = Image(np.ones((30, 361), np.float32), AngularGrid())
     with pytest.raises(SensorMismatch, match="the image is on"):
         localizer.localize_image(image)
 
@@ -188,7 +185,7 @@ def test_an_image_of_the_same_shape_but_other_angles_is_refused(made, localizer)
     grid = AngularGrid(-20.0, 10.0, 6, 20.0)
     assert grid.shape == made[0].parameters.grid.shape
     with pytest.raises(SensorMismatch):
-        localizer.localize_image(RangeImage(made[1][0], grid))
+        localizer.localize_image(Image(made[1][0], grid))
 
 
 @pytest.mark.parametrize("step_m", [0.3, 1.0, 4.0])
@@ -218,14 +215,14 @@ def test_without_poses_the_runner_up_is_at_least_50_scans_away_or_in_another_dri
         assert found.runner_up == away[0]
 
 
-def test_a_map_that_lies_within_10_m_has_no_runner_up():
+def test_a_map_within_10_m_has_no_runner_up():
     tensor_map, images = sample_map(count=8, segment_length=4)
     found = Localizer(tensor_map).localize_image(sample_image(tensor_map, images[0]))
     assert found.runner_up is None
     assert found.ratio is None
 
 
-def test_two_places_that_look_the_same_are_told_to_be_ambiguous():
+def test_two_places_with_the_same_image_are_ambiguous():
     tensor_map, images = sample_map(count=30, segment_length=30)
     twins = images.copy()
     twins[29] = twins[0]
@@ -252,15 +249,15 @@ def test_packed_signatures_find_what_the_whole_ones_do():
     projected = project_drive(drive, mapped, parameters.imager)
     trajectory = Trajectory.of_drive("d", drive.timestamp_s[mapped], drive.poses[mapped], mapped)
     localizer = Localizer(fit_map(projected.images, trajectory, cut_fixed(60, 20), parameters))
-    asked = np.arange(1, 120, 2)
+    queries = np.arange(1, 120, 2)
     same = 0
-    for index in asked.tolist():
+    for index in queries.tolist():
         signatures = localizer.basis.encode(localizer.basis.image(drive.scan(index)))
         body = pack_signatures(signatures)
         assert len(body) == 11 + 3 * 52
         packed = localizer.localize_signatures(unpack_signatures(body))
         same += packed.best.row == localizer.localize_signatures(signatures).best.row
-    assert same >= 0.99 * len(asked)
+    assert same >= 0.99 * len(queries)
 
 
 def test_a_map_whose_parts_do_not_fit_is_refused(made):
@@ -287,7 +284,7 @@ def test_a_map_whose_parts_do_not_fit_is_refused(made):
         "topology": tensor_map.topology,
         "relative_error": tensor_map.relative_error,
     }
-    for changes, said in (
+    for changes, message in (
         ({"trajectory": short}, "48 signatures and 47 scans"),
         ({"relative_error": np.zeros(5)}, "6 segments"),
         ({"relative_error": np.full(6, np.nan)}, "relative_error"),
@@ -298,5 +295,5 @@ def test_a_map_whose_parts_do_not_fit_is_refused(made):
         ({"parameters": MapParameters(grid=tensor_map.parameters.grid, ranks=(4, 3))}, "ranks"),
         ({"parameters": MapParameters(ranks=(3, 4))}, "not for the grid"),
     ):
-        with pytest.raises(InvalidMap, match=said):
+        with pytest.raises(InvalidMap, match=message):
             TensorMap(**{**parts, **changes})

@@ -1,23 +1,23 @@
-"""What is known beforehand narrows the search."""
+"""Priors narrow the search."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from core.confidence.verdict import Refusal
+from core.confidence.decision import Refusal
 from core.errors import InvalidParameters, UnknownSegment
 from core.localization.localizer import Localizer
 from core.localization.priors import (
-    HeadingHint,
-    Hints,
-    OdometryHint,
-    PositionHint,
-    Prior,
+    HeadingPrior,
+    MapPrior,
+    OdometryPrior,
+    PositionPrior,
+    Priors,
     ScanOfMap,
 )
 from core.mapping.build import fit_map
-from core.projection.height_image import HeightImage
+from core.projection.imager import Image
 from core.projection.images import MemoryImages
 from core.projection.rings import RingGrid
 from core.scans.trajectory import Trajectory
@@ -47,73 +47,75 @@ def images():
     return smooth_images(120, SMALL_GRID.shape)
 
 
-def rows_of(hints, tensor_map):
-    return np.flatnonzero(Prior(hints, tensor_map).rows).tolist()
+def rows_of(priors, tensor_map):
+    return np.flatnonzero(MapPrior(priors, tensor_map).rows).tolist()
 
 
 def test_a_position_is_a_gate_at_three_sigma_and_a_scans_reach(made):
-    rows = rows_of(Hints(position=PositionHint(50.0, 0.0, 2.0)), made)
+    rows = rows_of(Priors(position=PositionPrior(50.0, 0.0, 2.0)), made)
     assert rows == list(range(39, 62))
 
 
-def test_a_place_beyond_all_worlds_is_no_warning(made):
+def test_a_place_far_beyond_the_map_gives_no_warning(made):
     far = (1e300, -1e300)
-    assert rows_of(Hints(position=PositionHint(*far, 2.0)), made) == []
-    assert rows_of(Hints(odometry=OdometryHint(far, 10.0, 1.0)), made) == []
+    assert rows_of(Priors(position=PositionPrior(*far, 2.0)), made) == []
+    assert rows_of(Priors(odometry=OdometryPrior(far, 10.0, 1.0)), made) == []
 
 
-def test_odometry_reaches_as_far_as_was_driven_from_a_place_or_a_scan(made):
-    from_scan = Hints(odometry=OdometryHint(ScanOfMap("smooth", 20), 10.0, 1.0))
-    from_place = Hints(odometry=OdometryHint((20.0, 0.0), 10.0, 1.0))
+def test_odometry_allows_scans_within_the_distance_driven_from_a_place_or_a_scan(made):
+    from_scan = Priors(odometry=OdometryPrior(ScanOfMap("smooth", 20), 10.0, 1.0))
+    from_place = Priors(odometry=OdometryPrior((20.0, 0.0), 10.0, 1.0))
     assert rows_of(from_scan, made) == rows_of(from_place, made) == list(range(2, 39))
 
 
 def test_segments_are_those_named(made):
-    assert rows_of(Hints(segments=(1, 1)), made) == list(range(60, 120))
+    assert rows_of(Priors(segments=(1, 1)), made) == list(range(60, 120))
 
 
-def test_hints_narrow_each_other(made):
-    hints = Hints(position=PositionHint(58.0, 0.0, 1.0), segments=(1,))
-    assert rows_of(hints, made) == list(range(60, 67))
+def test_priors_are_combined(made):
+    priors = Priors(position=PositionPrior(58.0, 0.0, 1.0), segments=(1,))
+    assert rows_of(priors, made) == list(range(60, 67))
 
 
-def test_a_paper_map_answers_a_heading_by_the_scans_that_were_recorded_in_it(made):
-    assert len(rows_of(Hints(heading=HeadingHint(10.0, 2.0)), made)) == 120
-    assert rows_of(Hints(heading=HeadingHint(180.0, 10.0)), made) == []
-    assert len(rows_of(Hints(heading=HeadingHint(-355.0, 2.0)), made)) == 120
+def test_a_heading_prior_in_a_paper_map_allows_scans_recorded_in_that_heading(made):
+    assert len(rows_of(Priors(heading=HeadingPrior(10.0, 2.0)), made)) == 120
+    assert rows_of(Priors(heading=HeadingPrior(180.0, 10.0)), made) == []
+    assert len(rows_of(Priors(heading=HeadingPrior(-355.0, 2.0)), made)) == 120
 
 
-def test_a_right_hint_makes_the_answer_more_probable(made, localizer, images):
+def test_a_right_prior_makes_the_match_more_probable(made, localizer, images):
     image = sample_image(made, images[51])
     plain = localizer.localize_image(image)
-    hinted = localizer.localize_image(image, hints=Hints(position=PositionHint(52.0, 1.0, 3.0)))
-    assert plain.best.row == hinted.best.row == 51
-    assert hinted.localized
-    assert hinted.verdict.probability >= plain.verdict.probability
+    with_prior = localizer.localize_image(
+        image, priors=Priors(position=PositionPrior(52.0, 1.0, 3.0))
+    )
+    assert plain.best.row == with_prior.best.row == 51
+    assert with_prior.localized
+    assert with_prior.decision.probability >= plain.decision.probability
 
 
-def test_a_hint_of_elsewhere_is_told_and_not_believed(made, localizer, images):
+def test_a_wrong_prior_is_refused_as_outside_prior(made, localizer, images):
     image = sample_image(made, images[51])
-    for hints in (
-        Hints(position=PositionHint(100.0, 0.0, 2.0)),
-        Hints(position=PositionHint(5000.0, 0.0, 2.0)),
-        Hints(heading=HeadingHint(180.0, 2.0)),
-        Hints(odometry=OdometryHint((100.0, 0.0), 5.0, 2.0)),
-        Hints(segments=(1,)),
+    for priors in (
+        Priors(position=PositionPrior(100.0, 0.0, 2.0)),
+        Priors(position=PositionPrior(5000.0, 0.0, 2.0)),
+        Priors(heading=HeadingPrior(180.0, 2.0)),
+        Priors(odometry=OdometryPrior((100.0, 0.0), 5.0, 2.0)),
+        Priors(segments=(1,)),
     ):
-        found = localizer.localize_image(image, hints=hints)
+        found = localizer.localize_image(image, priors=priors)
         assert not found.localized
-        assert found.verdict.reason == Refusal.OUTSIDE_PRIOR
+        assert found.decision.reason == Refusal.OUTSIDE_PRIOR
 
 
-def test_what_no_hint_allows_is_shown_from_the_whole_map(made, localizer, images):
-    nowhere = Hints(position=PositionHint(5000.0, 0.0, 2.0))
-    found = localizer.localize_image(sample_image(made, images[51]), k=3, hints=nowhere)
+def test_without_a_scan_within_the_priors_matches_are_of_the_whole_map(made, localizer, images):
+    nowhere = Priors(position=PositionPrior(5000.0, 0.0, 2.0))
+    found = localizer.localize_image(sample_image(made, images[51]), k=3, priors=nowhere)
     assert found.best.row == 51
     assert len(found.matches) == 3
 
 
-def test_a_twin_nearer_to_the_hint_wins(made):
+def test_of_two_equal_places_the_one_nearer_to_the_prior_wins(made):
     """Two places look alike: the position decides, though the gate holds both."""
     _, images = sample_map(count=60, segment_length=30)
     twin = np.concatenate([images[:30], images[:30]])
@@ -122,8 +124,8 @@ def test_a_twin_nearer_to_the_hint_wins(made):
     image = sample_image(twins, twin[10] + np.float32(0.01))
     localizer = Localizer(twins)
     for place_m in (10.0, 40.0):
-        hints = Hints(position=PositionHint(place_m, 0.0, 12.0))
-        assert localizer.localize_image(image, hints=hints).best.row == int(place_m)
+        priors = Priors(position=PositionPrior(place_m, 0.0, 12.0))
+        assert localizer.localize_image(image, priors=priors).best.row == int(place_m)
 
 
 def _map_of(images, like):
@@ -133,15 +135,15 @@ def _map_of(images, like):
     return replace(built, calibration=like.calibration)
 
 
-def test_a_harmonic_map_is_held_to_the_heading_of_the_answer():
+def test_a_heading_prior_in_a_harmonic_map_is_compared_with_the_matchs_heading():
     tensor_map, images = sample_harmonic_map(count=40, segment_length=20)
     localizer = Localizer(tensor_map)
     grid = tensor_map.parameters.grid
     assert isinstance(grid, RingGrid)
-    query = HeightImage(images[7, 1], grid)
-    ahead = localizer.localize_image(query, hints=Hints(heading=HeadingHint(3.0, 2.0)))
+    query = Image(images[7, 1], grid)
+    ahead = localizer.localize_image(query, priors=Priors(heading=HeadingPrior(3.0, 2.0)))
     assert ahead.best.row == 7
-    back = localizer.localize_image(query, k=40, hints=Hints(heading=HeadingHint(180.0, 2.0)))
+    back = localizer.localize_image(query, k=40, priors=Priors(heading=HeadingPrior(180.0, 2.0)))
     assert back.best.row != 7
     for match in back.matches:
         assert match.heading_deg is not None
@@ -149,49 +151,49 @@ def test_a_harmonic_map_is_held_to_the_heading_of_the_answer():
 
 
 @pytest.mark.parametrize(
-    ("hints", "said"),
+    ("priors", "message"),
     [
-        (Hints(position=PositionHint(0.0, 0.0, 1.0)), "no poses"),
-        (Hints(heading=HeadingHint(0.0, 1.0)), "no poses"),
-        (Hints(odometry=OdometryHint((0.0, 0.0), 1.0, 1.0)), "no poses"),
+        (Priors(position=PositionPrior(0.0, 0.0, 1.0)), "no poses"),
+        (Priors(heading=HeadingPrior(0.0, 1.0)), "no poses"),
+        (Priors(odometry=OdometryPrior((0.0, 0.0), 1.0, 1.0)), "no poses"),
     ],
 )
-def test_a_hint_of_a_place_wants_a_map_with_poses(hints, said):
+def test_a_prior_of_place_needs_a_map_with_poses(priors, message):
     tensor_map, _ = sample_map(poses=False)
-    with pytest.raises(InvalidParameters, match=said):
-        Prior(hints, tensor_map)
+    with pytest.raises(InvalidParameters, match=message):
+        MapPrior(priors, tensor_map)
 
 
 def test_segments_need_no_poses():
     tensor_map, _ = sample_map(poses=False)
-    assert rows_of(Hints(segments=(2,)), tensor_map) == list(range(16, 24))
+    assert rows_of(Priors(segments=(2,)), tensor_map) == list(range(16, 24))
 
 
 @pytest.mark.parametrize("named", [ScanOfMap("smooth", 999), ScanOfMap("other", 1)])
 def test_a_fix_that_the_map_does_not_have_is_refused(made, named):
     with pytest.raises(InvalidParameters, match="no scan"):
-        Prior(Hints(odometry=OdometryHint(named, 1.0, 1.0)), made)
+        MapPrior(Priors(odometry=OdometryPrior(named, 1.0, 1.0)), made)
 
 
 def test_a_segment_that_the_map_does_not_have_is_refused(made):
     with pytest.raises(UnknownSegment):
-        Prior(Hints(segments=(7,)), made)
+        MapPrior(Priors(segments=(7,)), made)
 
 
 @pytest.mark.parametrize(
     "make",
     [
-        lambda: PositionHint(np.nan, 0.0, 1.0),
-        lambda: PositionHint(0.0, 0.0, 0.0),
-        lambda: PositionHint(0.0, 0.0, np.inf),
-        lambda: HeadingHint(np.inf, 1.0),
-        lambda: HeadingHint(0.0, -1.0),
-        lambda: OdometryHint((0.0, 0.0), -1.0, 1.0),
-        lambda: OdometryHint((0.0, np.nan), 1.0, 1.0),
-        lambda: OdometryHint((0.0, 0.0), 1.0, 0.0),
-        lambda: Hints(segments=()),
+        lambda: PositionPrior(np.nan, 0.0, 1.0),
+        lambda: PositionPrior(0.0, 0.0, 0.0),
+        lambda: PositionPrior(0.0, 0.0, np.inf),
+        lambda: HeadingPrior(np.inf, 1.0),
+        lambda: HeadingPrior(0.0, -1.0),
+        lambda: OdometryPrior((0.0, 0.0), -1.0, 1.0),
+        lambda: OdometryPrior((0.0, np.nan), 1.0, 1.0),
+        lambda: OdometryPrior((0.0, 0.0), 1.0, 0.0),
+        lambda: Priors(segments=()),
     ],
 )
-def test_a_hint_that_cannot_be_is_refused(make):
+def test_an_impossible_prior_is_refused(make):
     with pytest.raises(InvalidParameters):
         make()

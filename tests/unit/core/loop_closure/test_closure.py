@@ -1,12 +1,14 @@
 """Proposed closures: true in any direction and lane, false elsewhere, else undecided."""
 
 import functools
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from core.confidence.calibration import Calibration
 from core.encodings.signature import Signature
 from core.errors import (
     InvalidParameters,
@@ -15,7 +17,7 @@ from core.errors import (
     StaleSignature,
 )
 from core.localization.localizer import Localizer
-from core.loop_closure.birds_eye_view import align_overhead, upright_m
+from core.loop_closure.birds_eye_view import align_views, structure_m
 from core.loop_closure.closure import (
     LoopClosure,
     Verdict,
@@ -36,7 +38,7 @@ SHARES = st.floats(0.0, 1.0)
 
 @functools.cache
 def drive(*, lateral_offset_m=0.0, reverse=False):
-    """Pass the same streets of an unseen seed; a pass aside comes on another day."""
+    """Return a drive through the same streets, with other traffic if it is another pass."""
     other_day = lateral_offset_m != 0.0 or reverse
     return SimulatedDrive(
         seed=401,
@@ -54,7 +56,7 @@ def nearest(other, place_m):
 
 @pytest.mark.parametrize("row", [20, 75, 130])
 @pytest.mark.parametrize(("offset_m", "reverse"), [(2.0, False), (-3.0, False), (2.0, True)])
-def test_a_true_closure_is_told_with_heading_and_offset(row, offset_m, reverse):
+def test_a_true_closure_is_found_with_heading_and_offset(row, offset_m, reverse):
     first, second = drive(), drive(lateral_offset_m=offset_m, reverse=reverse)
     at = nearest(second, first.poses[row])
     found = check_scans(first.scan(row), second.scan(at), HEIGHT_M)
@@ -73,11 +75,11 @@ def test_a_false_closure_is_rejected(row):
     away_m = np.linalg.norm(first.poses[:, :3] - first.poses[row, :3], axis=1)
     for other in np.flatnonzero(away_m > 25.0)[::30]:
         found = check_scans(first.scan(row), first.scan(int(other)), HEIGHT_M)
-        assert found.verdict() == Verdict.REJECTED
+        assert found.decide() == Verdict.REJECTED
 
 
 @pytest.mark.parametrize(("left_m", "turn_deg"), [(0.0, 0.0), (2.0, 90.0), (-3.0, 180.0)])
-def test_a_moved_scan_tells_exactly_how_it_was_moved(left_m, turn_deg):
+def test_the_transform_of_a_moved_scan_is_exact(left_m, turn_deg):
     scan = drive().scan(60)
     moved = Scan(seen_from_beside(scan.points_m, left_m, turn_deg).astype(np.float32))
     found = check_scans(scan, moved, HEIGHT_M)
@@ -88,28 +90,29 @@ def test_a_moved_scan_tells_exactly_how_it_was_moved(left_m, turn_deg):
     assert found.probability > 0.99
 
 
-def test_the_order_of_returns_and_another_mount_change_nothing():
+def test_the_order_of_returns_and_the_sensor_height_change_nothing():
     first, second = drive().scan(60), drive(lateral_offset_m=2.0).scan(60)
     plain = check_scans(first, second, HEIGHT_M)
     shuffled = np.random.default_rng(0).permutation(second.points_m)
     again = check_scans(first, Scan(shuffled), HEIGHT_M)
     assert again.overlap == plain.overlap
     assert again.image_similarity == pytest.approx(plain.image_similarity, abs=1e-6)
-    lifted = Scan(second.points_m - np.array([0.0, 0.0, 0.5], np.float32))
-    higher = check_scans(first, lifted, HEIGHT_M, HEIGHT_M + 0.5)
+    lift_m = np.array([0.0, 0.0, 0.5], np.float32)
+    first_higher, second_higher = Scan(first.points_m - lift_m), Scan(second.points_m - lift_m)
+    higher = check_scans(first_higher, second_higher, HEIGHT_M + 0.5)
     assert higher.probability == pytest.approx(plain.probability, abs=1e-3)
 
 
-def test_scans_that_show_nothing_upright_are_refused_or_overlap_nothing():
+def test_scans_without_structure_are_refused_or_do_not_overlap():
     road = Scan(np.array([[5.0, 0.0, -HEIGHT_M], [0.0, 9.0, -HEIGHT_M]]))
     with pytest.raises(InvalidScan, match="above the ground"):
         check_scans(road, drive().scan(0), HEIGHT_M)
     kerb = Scan(np.array([[5.0, 0.0, -HEIGHT_M + 0.2]]))
-    assert len(upright_m(kerb, HEIGHT_M)) == 0
-    found = align_overhead(kerb, drive().scan(0), np.zeros(1), HEIGHT_M, HEIGHT_M)
+    assert len(structure_m(kerb, HEIGHT_M)) == 0
+    found = align_views(kerb, drive().scan(0), np.zeros(1), HEIGHT_M)
     assert found.overlap == 0.0
     far = Scan(np.array([[3e38, 0.0, 0.0], [5.0, 5.0, 0.0]]))
-    assert upright_m(far, HEIGHT_M).tolist() == [[5.0, 5.0]]
+    assert structure_m(far, HEIGHT_M).tolist() == [[5.0, 5.0]]
 
 
 @given(SHARES, SHARES, SHARES)
@@ -119,50 +122,46 @@ def test_more_evidence_is_never_less_probable(one, other, overlap):
     assert closure_probability(overlap, low) <= closure_probability(overlap, high)
 
 
-def test_the_verdict_follows_the_threshold():
+def test_the_decision_follows_the_threshold():
     likely = LoopClosure(0.97)
-    assert likely.verdict() == Verdict.UNDECIDED
-    assert likely.verdict(0.95) == Verdict.ACCEPTED
-    assert LoopClosure(0.5).verdict() == Verdict.UNDECIDED
-    assert LoopClosure(0.49).verdict() == Verdict.REJECTED
-    assert LoopClosure(None).verdict() == Verdict.UNDECIDED
+    assert likely.decide() == Verdict.UNDECIDED
+    assert likely.decide(0.95) == Verdict.ACCEPTED
+    assert LoopClosure(0.5).decide() == Verdict.UNDECIDED
+    assert LoopClosure(0.49).decide() == Verdict.REJECTED
+    assert LoopClosure(None).decide() == Verdict.UNDECIDED
     for wrong in (0.5, 1.01, float("nan")):
         with pytest.raises(InvalidParameters, match="accept_from"):
-            likely.verdict(wrong)
+            likely.decide(wrong)
     with pytest.raises(InvalidParameters, match="probability"):
         LoopClosure(1.5)
 
 
-class Ratio:
-    """A calibration that trusts distances below 0.1."""
-
-    def log_likelihood_ratio(self, distances):
-        return np.where(distances < 0.1, 6.0, -6.0)
+CALIBRATION = Calibration(0.001, (-9.0, -3.0, -2.0), (-9.0, -3.5), (-8.0, -3.0))
 
 
-def test_a_signature_is_judged_by_the_maps_calibration():
+def test_signatures_are_compared_by_the_maps_calibration():
     tensor_map, _ = sample_harmonic_map()
-    localizer = Localizer(tensor_map)
+    localizer = Localizer(replace(tensor_map, calibration=CALIBRATION))
     own = Signature(tensor_map.model.signatures[5, 1], None, tensor_map.basis_digest)
-    same = check_signatures(localizer, 5, [own], Ratio())
-    assert same.verdict() == Verdict.ACCEPTED
+    same = check_signatures(localizer, 5, [own])
+    assert same.decide() == Verdict.ACCEPTED
     assert same.turn_deg == pytest.approx(0.0, abs=1e-6)
     assert same.lateral_m == 0.0
     assert same.signature_distance == pytest.approx(0.0, abs=1e-6)
-    assert check_signatures(localizer, 20, [own], None).verdict() == Verdict.UNDECIDED
+    assert check_signatures(Localizer(tensor_map), 20, [own]).decide() == Verdict.UNDECIDED
     with pytest.raises(StaleSignature):
-        check_signatures(localizer, 5, [Signature(own.values, None, "0" * 64)], None)
+        check_signatures(localizer, 5, [Signature(own.values, None, "0" * 64)])
     for row in (-1, len(tensor_map)):
         with pytest.raises(InvalidParameters, match=f"row is {row}"):
-            check_signatures(localizer, row, [own], None)
+            check_signatures(localizer, row, [own])
 
 
 def test_a_papers_signature_is_compared_in_its_own_segment_only():
     tensor_map, images = sample_map()
     localizer = Localizer(tensor_map)
     all_of_it = localizer.basis.encode(sample_image(tensor_map, images[12]))
-    found = check_signatures(localizer, 12, all_of_it, Ratio())
+    found = check_signatures(localizer, 12, all_of_it)
     assert found.signature_distance == pytest.approx(0.0, abs=1e-3)
     assert found.turn_deg is None
     with pytest.raises(InvalidSignature, match="of segment 1, none of the signatures"):
-        check_signatures(localizer, 12, [all_of_it[0]], None)
+        check_signatures(localizer, 12, [all_of_it[0]])

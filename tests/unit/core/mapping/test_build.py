@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from core.encodings.paper import PaperModel
+from core.encodings.paper.model import PaperModel
 from core.errors import Cancelled, EmptyDrive, InvalidImage, InvalidParameters, SensorMismatch
 from core.mapping.build import fit_map
 from core.parameters import MapParameters
@@ -43,12 +43,13 @@ def built(images, cuts, progress=None):
 def test_the_bases_are_orthonormal_and_errors_are_those_of_the_models():
     images = random_images(90, SMALL_GRID.shape)
     tensor_map = built(images, [0, 40, 90])
-    for segment in range(2):
-        model = tensor_map.model.segment(segment)
-        np.testing.assert_allclose(model.u.T @ model.u, np.eye(3), atol=1e-6)
-        np.testing.assert_allclose(model.v.T @ model.v, np.eye(4), atol=1e-6)
-        own = images[model.first_scan : model.first_scan + len(model.signatures)]
-        rebuilt = np.einsum("ir,nrs,js->nij", model.u, model.signatures, model.v)
+    model = tensor_map.model
+    for segment, scans in enumerate((slice(0, 40), slice(40, 90))):
+        u, v = model.elevation_basis[segment], model.azimuth_basis[segment]
+        np.testing.assert_allclose(u.T @ u, np.eye(3), atol=1e-6)
+        np.testing.assert_allclose(v.T @ v, np.eye(4), atol=1e-6)
+        own = images[scans]
+        rebuilt = np.einsum("ir,nrs,js->nij", u, model.signatures[scans], v)
         error = np.linalg.norm(own - rebuilt) / np.linalg.norm(own)
         assert tensor_map.relative_error[segment] == pytest.approx(error, abs=1e-5)
 

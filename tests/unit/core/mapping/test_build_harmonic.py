@@ -5,7 +5,9 @@ import pytest
 from scipy.linalg import eigh
 
 from core.encodings.distance import Distance
-from core.encodings.harmonic import HarmonicBasis, HarmonicModel, azimuth_factor
+from core.encodings.harmonic.basis import HarmonicBasis
+from core.encodings.harmonic.model import HarmonicModel
+from core.encodings.harmonics import azimuth_factor
 from core.encodings.signature import Packing, Signature, pack_signatures, unpack_signatures
 from core.errors import (
     InvalidMap,
@@ -19,16 +21,15 @@ from core.localization.localizer import Localizer
 from core.mapping.build import fit_map
 from core.mapping.tensormap import TensorMap
 from core.parameters import MapParameters
-from core.projection.height_image import HeightImage
-from core.projection.imager import ImageKind
+from core.projection.imager import Image, ImageKind
 from core.projection.images import ConcatenatedImages, MemoryImages, project_drive
-from core.projection.range_image import RangeImage
 from core.projection.reducer import Reducer
 from core.projection.rings import RingGrid
 from core.scans.pose import heading_deg
 from core.scans.sensor import AngularGrid
 from core.scans.trajectory import Trajectory
-from core.simulation import SimulatedDrive, SimulatedSensor
+from core.simulation import SimulatedDrive
+from core.simulation.raycast import SimulatedSensor
 from tests.support.samples import sample_harmonic_map, straight_poses
 
 pytestmark = pytest.mark.slow
@@ -214,7 +215,7 @@ def test_every_rendering_finds_its_scan_and_tells_where_it_is_seen_from():
     for row in range(0, 20, 3):
         for rendering, left_m in enumerate((-2.0, 0.0, 2.0)):
             turned = np.roll(images[row, rendering], -5, axis=1)
-            found = localizer.localize_image(HeightImage(turned, grid))
+            found = localizer.localize_image(Image(turned, grid))
             assert found.best.row == row
             assert found.best.lateral_m == pytest.approx(left_m, abs=1e-9)
             assert found.best.relative_yaw_deg == pytest.approx(5 * 20, abs=2)
@@ -271,7 +272,7 @@ def test_without_poses_a_turn_and_an_offset_are_still_told():
     tensor_map, images = sample_harmonic_map(count=10, segment_length=5, poses=False)
     grid = tensor_map.parameters.grid
     assert isinstance(grid, RingGrid)
-    best = Localizer(tensor_map).localize_image(HeightImage(images[4, 2], grid)).best
+    best = Localizer(tensor_map).localize_image(Image(images[4, 2], grid)).best
     assert best.row == 4
     assert best.lateral_m == pytest.approx(2.0, abs=1e-9)
     assert best.relative_yaw_deg == pytest.approx(0.0, abs=2)
@@ -302,10 +303,10 @@ def test_the_basis_is_one_for_all_segments(localizer):
 def test_what_is_of_another_kind_is_refused(drive, localizer):
     angular = AngularGrid(wraps=True)
     with pytest.raises(SensorMismatch, match="a range image, the map is of height images"):
-        localizer.localize_image(RangeImage(np.ones(angular.shape, np.float32), angular))
+        localizer.localize_image(Image(np.ones(angular.shape, np.float32), angular))
     rings = RingGrid(rings=10)
     with pytest.raises(SensorMismatch, match="the image is on"):
-        localizer.localize_image(HeightImage(np.ones(rings.shape, np.float32), rings))
+        localizer.localize_image(Image(np.ones(rings.shape, np.float32), rings))
     [signature] = localizer.basis.encode(localizer.basis.image(drive.scan(0)))
     with pytest.raises(InvalidSignature, match="exactly one harmonic signature"):
         localizer.localize_signatures([signature, signature])
@@ -326,7 +327,7 @@ def test_a_paper_map_refuses_a_harmonic_signature():
     harmonic = Signature(np.ones((2, 2), np.complex64), None, tensor_map.revision)
     with pytest.raises(InvalidSignature, match="harmonic"):
         Localizer(tensor_map).localize_signatures([harmonic])
-    found = Localizer(tensor_map).localize_image(RangeImage(images[1], AngularGrid())).best
+    found = Localizer(tensor_map).localize_image(Image(images[1], AngularGrid())).best
     assert (found.relative_yaw_deg, found.lateral_m, found.heading_deg, found.estimated_pose) == (
         None,
     ) * 4

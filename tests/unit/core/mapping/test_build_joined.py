@@ -16,8 +16,9 @@ from core.mapping.tensormap import TensorMap
 from core.parameters import MapParameters, Segmentation
 from core.projection.images import MemoryImages
 from core.scans.trajectory import Trajectory
-from core.segmentation import cut_drives
-from core.simulation import SimulatedDrive, SimulatedSensor
+from core.segmentation.fixed import cut_drives
+from core.simulation import SimulatedDrive
+from core.simulation.raycast import SimulatedSensor
 from core.topology import Topology, cut_at_meetings
 from storage.errors import CorruptFile
 from storage.files.map_file import read_map, write_map

@@ -7,7 +7,7 @@ import pytest
 
 from core.confidence.calibration import MIN_PROBABILITY
 from core.confidence.spread import Deviation, Spread, fit_variance
-from core.encodings.paper import PaperEncoding
+from core.encodings.paper.encoding import PaperEncoding
 from core.errors import InvalidMap, InvalidParameters
 from core.localization.candidates import find_candidates
 from core.localization.localizer import Localizer
@@ -56,8 +56,8 @@ def test_a_place_of_the_map_is_probable_and_one_of_elsewhere_is_not(made):
     )
     assert np.mean([found.localized for found in of_known]) > 0.9
     assert np.mean([found.localized for found in of_unknown]) < 0.1
-    assert {found.verdict.reason for found in of_unknown} & {"unknown_place", "ambiguous"}
-    probable = [found.verdict.probability for found in of_known]
+    assert {found.decision.reason for found in of_unknown} & {"unknown_place", "ambiguous"}
+    probable = [found.decision.probability for found in of_known]
     assert np.median(np.array(probable, dtype=np.float64)) > 0.9
 
 
@@ -113,7 +113,7 @@ def test_a_map_built_without_probes_is_as_it_was():
     assert replace(made, calibration=None).revision == plain.revision
     found = Localizer(plain).localize_image(sample_image(plain, images.read(7, 8)[0]))
     assert found.localized
-    assert found.verdict.probability is None
+    assert found.decision.probability is None
 
 
 def test_the_share_searched_is_that_of_the_segments_that_signatures_came_for(made):

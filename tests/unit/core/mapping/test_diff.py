@@ -1,27 +1,12 @@
-"""What two maps hold, and in what they differ."""
+"""The scans of two maps, and self-recall."""
 
 import numpy as np
-import pytest
 
 from core.evaluation.self_recall import finds_own, is_findable
-from core.mapping.diff import DriveOverlap, MapFacts, changed_parameters, drive_overlaps
+from core.mapping.diff import DriveOverlap, drive_overlaps
 from core.mapping.own_place import own_place
 from core.projection.images import MemoryImages
 from tests.support.samples import SMALL_GRID, calibrated_map, sample_map, smooth_images
-
-
-def test_the_facts_of_a_map_are_its_own():
-    tensor_map = calibrated_map()
-    facts = MapFacts.of(tensor_map)
-    assert tensor_map.calibration is not None
-    assert facts.revision == tensor_map.revision
-    assert (facts.scans, facts.segments) == (len(tensor_map), tensor_map.model.segments)
-    assert facts.calibrated
-    assert facts.threshold == tensor_map.calibration.threshold
-    assert facts.length_m == pytest.approx(tensor_map.topology.edge_length_m.sum())
-    errors = tensor_map.relative_error
-    assert errors.min() <= facts.relative_error_median <= facts.relative_error_largest
-    assert facts.relative_error_largest == errors.max()
 
 
 def test_overlaps_count_every_scan_of_either_map_once():
@@ -32,21 +17,16 @@ def test_overlaps_count_every_scan_of_either_map_once():
     assert anew == (DriveOverlap(overlap.drive, 0, len(this), len(other)),)
 
 
-def test_what_is_said_the_same_is_no_change():
-    assert changed_parameters({"ranks": [5, 5]}, {"ranks": [5, 5]}) == {}
-    assert changed_parameters({}, {"image": "height"}) == {"image": (None, "height")}
-
-
-def test_what_stands_beside_is_not_asked_and_what_is_near_is_right():
+def test_the_nearest_scans_are_left_out_and_the_near_ones_are_right():
     trajectory = calibrated_map().trajectory
     row = len(trajectory) // 2
-    asked, near = own_place(trajectory, row)
+    among, near = own_place(trajectory, row)
     apart = np.linalg.norm(trajectory.poses[:, :3] - trajectory.poses[row, :3], axis=1)
-    np.testing.assert_array_equal(asked, apart >= 1.0)
+    np.testing.assert_array_equal(among, apart >= 1.0)
     np.testing.assert_array_equal(near, (apart >= 1.0) & (apart < 10.0))
 
 
-def test_a_map_finds_the_neighbour_that_a_scan_looks_like_and_no_scan_that_looks_like_another():
+def test_a_map_finds_the_neighbours_of_its_scans():
     tensor_map, images = calibrated_map(), smooth_images(120, SMALL_GRID.shape)
     source = MemoryImages(images, SMALL_GRID)
     rows = list(range(0, 120, 10))
@@ -56,7 +36,7 @@ def test_a_map_finds_the_neighbour_that_a_scan_looks_like_and_no_scan_that_looks
     assert not finds_own(tensor_map, rows, elsewhere).any()
 
 
-def test_a_scan_that_stands_alone_cannot_be_found():
+def test_a_scan_without_a_neighbour_cannot_be_found():
     alone = sample_map(6, 3, step_m=20.0)[0]
     assert not any(is_findable(alone, row) for row in range(6))
     source = MemoryImages(sample_map(6, 3)[1], SMALL_GRID)

@@ -15,7 +15,7 @@ from core.encodings.grams import (
     radial_error,
     sum_of_grams,
 )
-from core.encodings.harmonic import HarmonicBasis
+from core.encodings.harmonic.basis import HarmonicBasis
 from core.errors import (
     BasisMismatch,
     EmptyDrive,
@@ -28,10 +28,10 @@ from core.errors import (
 from core.localization.localizer import Localizer
 from core.mapping.build import fit_map
 from core.mapping.merge import merge_maps, without_drives
-from core.projection.height_image import HeightImage
+from core.projection.imager import Image
 from core.projection.images import ConcatenatedImages, MemoryImages
 from core.scans.trajectory import Trajectory
-from core.segmentation import cut_drives
+from core.segmentation.fixed import cut_drives
 from tests.support.samples import (
     RecordedProgress,
     random_images,
@@ -170,7 +170,7 @@ def test_a_kept_basis_takes_one_pass_and_a_wrong_one_is_refused():
         built([part], grams={"a": part.gram()[1:, 1:]})
     with pytest.raises(InvalidParameters, match="cannot be kept"):
         built(parts_of(12, parameters=PAPER), kept=of(u))
-    with pytest.raises(InvalidMap, match="comes twice"):
+    with pytest.raises(InvalidMap, match="is repeated"):
         built([part, part])
 
 
@@ -182,7 +182,7 @@ def test_a_signature_of_the_held_basis_is_answered_after_a_drive_was_added():
     assert after.revision != before.revision
     for part, row in ((first, 3), (second, 12 + 5)):
         cells = part.images.read(0, 100)[row - (0 if part is first else 12), 1]
-        image = HeightImage(cells, held.parameters.grid)
+        image = Image(cells, held.parameters.grid)
         found = Localizer(after).localize_signatures(held.encode(image))
         assert (found.best.row, found.revision) == (row, after.revision)
         assert found.best.distance == pytest.approx(0.0, abs=1e-6)

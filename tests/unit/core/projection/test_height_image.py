@@ -3,14 +3,11 @@
 import numpy as np
 import pytest
 
-from core.errors import InvalidImage, InvalidParameters, InvalidScan
-from core.projection.height_image import HeightImage, project_heights
-from core.projection.imager import ImageKind, Imager
-from core.projection.range_image import project_scan
-from core.projection.reducer import HEIGHT_REDUCERS, RANGE_REDUCERS, Reducer
+from core.errors import InvalidParameters, InvalidScan
+from core.projection.height_image import project_heights
+from core.projection.reducer import HEIGHT_REDUCERS, Reducer
 from core.projection.rings import RingGrid
 from core.scans.scan import Scan
-from core.scans.sensor import AngularGrid
 from tests.support.samples import sample_points
 
 HEIGHT_M = 1.73
@@ -36,18 +33,16 @@ def test_a_height_image_is_that_of_a_loop_over_the_returns(reducer, grid):
     for seed in range(5):
         points = sample_points(seed, 500)
         image = project_heights(Scan(points), grid, reducer, HEIGHT_M)
-        np.testing.assert_allclose(
-            image.heights_m, by_loop(points, grid, reducer, HEIGHT_M), rtol=1e-6
-        )
+        np.testing.assert_allclose(image, by_loop(points, grid, reducer, HEIGHT_M), rtol=1e-6)
         shuffled = Scan(np.random.default_rng(0).permutation(points))
         again = project_heights(shuffled, grid, reducer, HEIGHT_M)
-        np.testing.assert_allclose(again.heights_m, image.heights_m, rtol=1e-6)
+        np.testing.assert_allclose(again, image, rtol=1e-6)
 
 
 def test_rings_are_half_open_and_what_lies_beyond_the_last_is_left_out():
     points = np.array([[3.999, 0, 0], [4.0, 0, 0], [79.99, 0, 0], [80.0, 0, 0], [200.0, 0, 0]])
     image = project_heights(Scan(points), RingGrid(), Reducer.HIGHEST, 1.0)
-    assert np.flatnonzero(image.heights_m[:, 0]).tolist() == [0, 1, 19]
+    assert np.flatnonzero(image[:, 0]).tolist() == [0, 1, 19]
 
 
 @pytest.mark.parametrize(
@@ -57,13 +52,13 @@ def test_azimuths_are_counted_from_ahead_and_a_turn_has_no_seam(azimuth_deg, col
     phi = np.radians(azimuth_deg)
     point = [[10 * np.cos(phi), 10 * np.sin(phi), 1.0]]
     image = project_heights(Scan(np.array(point)), RingGrid(), Reducer.MEAN, 1.0)
-    assert np.argwhere(image.heights_m).tolist() == [[2, column]]
+    assert np.argwhere(image).tolist() == [[2, column]]
 
 
 def test_what_lies_below_the_ground_is_on_it():
     points = np.array([[10.0, 0.0, -5.0], [10.0, 0.0, 1.0]])
     mean = project_heights(Scan(points), RingGrid(), Reducer.MEAN, 2.0)
-    assert mean.heights_m[2, 0] == np.float32(1.5)
+    assert mean[2, 0] == np.float32(1.5)
 
 
 @pytest.mark.parametrize(
@@ -102,58 +97,3 @@ def test_equal_rings_are_one_grid_however_they_are_written():
         "rings": 20,
         "azimuth_step_deg": 1.0,
     }
-
-
-@pytest.mark.parametrize("fill", [0.0, -1.0, np.nan, np.inf])
-def test_an_image_that_cannot_be_is_refused(fill):
-    with pytest.raises(InvalidImage, match="heights_m"):
-        HeightImage(np.full((20, 360), fill, np.float32), RingGrid())
-    with pytest.raises(InvalidImage, match="shape"):
-        HeightImage(np.ones((20, 361), np.float32), RingGrid())
-
-
-def test_each_kind_of_image_has_its_own_reducers():
-    scan = Scan(sample_points(0))
-    with pytest.raises(InvalidParameters, match="highest"):
-        project_scan(scan, AngularGrid(), Reducer.HIGHEST)
-    for reducer in set(RANGE_REDUCERS) - {Reducer.MEAN}:
-        with pytest.raises(InvalidParameters, match=reducer):
-            project_heights(scan, RingGrid(), reducer, 1.73)
-        with pytest.raises(InvalidParameters, match="a height image wants mean, highest"):
-            Imager(RingGrid(), reducer)
-    assert Imager(RingGrid(), Reducer.MEAN).kind == ImageKind.HEIGHT
-
-
-# From beside
-
-
-def test_a_scan_is_rendered_from_each_place():
-    scan = Scan(sample_points(1))
-    imager = Imager(RingGrid(), Reducer.MEAN, 1.73, (-2.0, 0.0, 2.0))
-    rendered = imager.render(scan)
-    assert rendered.shape == imager.shape == (3, 20, 360)
-    np.testing.assert_array_equal(rendered[1], imager.image(scan).cells)
-    there = Scan.from_returns(scan.points_m - np.array([0.0, 2.0, 0.0], np.float32))
-    np.testing.assert_allclose(rendered[2], imager.image(there).cells, atol=1e-5)
-
-
-def test_a_query_may_be_of_a_sensor_mounted_otherwise():
-    scan = Scan(sample_points(1))
-    lower = Scan(scan.points_m - np.array([0.0, 0.0, 0.5], np.float32))
-    imager = Imager(RingGrid(), Reducer.HIGHEST, 1.73)
-    np.testing.assert_allclose(imager.image(lower, 2.23).cells, imager.image(scan).cells, atol=1e-5)
-    ranges = Imager(AngularGrid(), Reducer.MEAN, 1.73)
-    np.testing.assert_array_equal(ranges.image(scan, 9.0).cells, ranges.image(scan).cells)
-
-
-@pytest.mark.parametrize(
-    "offsets", [(), (0.0, 0.0), (1.0, -1.0), (float("nan"),), (51.0,), tuple(range(-40, 41))]
-)
-def test_renderings_that_cannot_be_are_refused(offsets):
-    with pytest.raises(InvalidParameters, match="lateral_renderings_m"):
-        Imager(RingGrid(), Reducer.MEAN, 1.73, offsets)
-
-
-def test_there_is_one_zero():
-    imager = Imager(RingGrid(), Reducer.MEAN, 1.73, (-0.0,))
-    assert str(imager.lateral_renderings_m) == "(0.0,)"

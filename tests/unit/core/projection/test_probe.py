@@ -6,7 +6,13 @@ import pytest
 from core.errors import InvalidParameters
 from core.projection.imager import Imager
 from core.projection.images import ConcatenatedImages, MemoryImages, Probes, project_drive
-from core.projection.probe import PROBES, probe_image, probe_scan, probed_among, standing_of_probe
+from core.projection.probe import (
+    PROBES,
+    displacement_of_probe,
+    probe_image,
+    probe_scan,
+    spread_evenly,
+)
 from core.projection.reducer import Reducer
 from core.projection.rings import RingGrid
 from core.scans.displacement import seen_from_beside
@@ -22,7 +28,7 @@ NOWHERE = np.full((1, 7), np.nan)
 
 def standing_alone(position, imager):
     """Return where a probe of a scan stands of which nobody knows where it was taken."""
-    return standing_of_probe(position, imager, NOWHERE, 0)
+    return displacement_of_probe(position, imager, NOWHERE, 0)
 
 
 def probe_alone(scan, position, imager):
@@ -65,7 +71,7 @@ def test_a_probe_is_moved_on_its_way_to_the_next_scan_that_is_asked_and_never_fa
     poses[:, 1] = [0.0, 0.5, 2.0, 4.0, 90.0]
 
     def ahead_m(row):
-        stands = np.array([standing_of_probe(i, ALONE, poses, row) for i in range(200)])
+        stands = np.array([displacement_of_probe(i, ALONE, poses, row) for i in range(200)])
         beside = np.array([standing_alone(i, ALONE) for i in range(200)])
         np.testing.assert_allclose(stands[:, 1:], beside[:, 1:], atol=1e-9)
         return stands[:, 0]
@@ -78,7 +84,7 @@ def test_a_probe_is_moved_on_its_way_to_the_next_scan_that_is_asked_and_never_fa
     assert (between.min(), between.max()) == pytest.approx((-1.5, 2.0), abs=0.1)
     assert ahead_m(4).min() >= -6.0
     assert np.ptp(ahead_m(4)) > 3.0
-    unknown = standing_of_probe(3, ALONE, np.vstack([poses[:1], NOWHERE]), 1)
+    unknown = displacement_of_probe(3, ALONE, np.vstack([poses[:1], NOWHERE]), 1)
     assert unknown == standing_alone(3, ALONE)
 
 
@@ -109,7 +115,7 @@ def test_a_probe_that_nothing_is_left_of_has_no_image():
 
 @pytest.mark.parametrize("count", [1, PROBES, PROBES + 1, 5000])
 def test_probes_are_spread_evenly_and_bounded(count):
-    probed = probed_among(np.arange(10, 10 + count))
+    probed = spread_evenly(np.arange(10, 10 + count))
     assert len(probed) == min(count, PROBES)
     assert (np.diff(probed) >= 1).all()
     assert probed[0] == 10
@@ -122,7 +128,7 @@ def test_a_drive_is_probed_as_it_is_projected_and_unusable_scans_are_left_out():
     drive = FaultyDrive(sample_drive(12), {3, 4})
     projected = project_drive(drive, np.arange(0, 12), ALONE)
     assert projected.probed.tolist() == projected.scans.tolist() == [0, 1, 2, *range(5, 12)]
-    stands = standing_of_probe(5, ALONE, drive.poses, 5)
+    stands = displacement_of_probe(5, ALONE, drive.poses, 5)
     expected = probe_image(drive.scan(5), 5, ALONE, stands)
     assert expected is not None
     assert (projected.probes.read(3, 4)[0] == expected.cells).all()

@@ -42,7 +42,7 @@ def with_row(row):
         ({"scan_index": [3, 3, 0, 1, 2]}, "scan_index does not rise"),
         ({"scan_index": [3, 7, 1, 0, 2]}, "scan_index does not rise"),
         ({"timestamp_s": np.arange(4.0)}, r"timestamp_s has shape \(4,\), wanted \(5,\)"),
-        ({"timestamp_s": [0, 1, np.inf, 3, 4]}, "timestamp_s holds infinite"),
+        ({"timestamp_s": [0, 1, np.inf, 3, 4]}, "timestamp_s has infinite"),
         ({"poses": straight_poses(4)}, r"poses has shape \(4, 7\), wanted \(5, 7\)"),
         ({"poses": with_row([1, 2, 3, 0, 0, 0, 0])}, "pose of row 2"),
         ({"poses": with_row([np.nan, 2, 3, 0, 0, 0, 1])}, "pose of row 2"),

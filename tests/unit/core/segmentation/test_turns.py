@@ -9,7 +9,7 @@ from core.scans.drive import MemoryDrive
 from core.scans.pose import Pose
 from core.scans.scan import Scan
 from core.scans.trajectory import Trajectory
-from core.segmentation import cut_drives
+from core.segmentation.fixed import cut_drives
 from core.segmentation.turns import cut_at_turns
 from tests.support.samples import sample_points, straight_poses
 

@@ -8,7 +8,8 @@ from core.arrays import FloatArray
 from core.errors import InvalidParameters
 from core.scans.drive import Drive
 from core.scans.pose import heading_deg
-from core.simulation import Route, SimulatedDrive
+from core.simulation import SimulatedDrive
+from core.simulation.route import Route
 
 
 @pytest.fixture(scope="module")

@@ -8,14 +8,8 @@ import pytest
 from core.arrays import FloatArray
 from core.errors import InvalidParameters, InvalidPose, TooFewReturns
 from core.scans.pose import Pose
-from core.simulation import (
-    HDL_64E_BEAMS_DEG,
-    Boxes,
-    Cylinders,
-    Scene,
-    SimulatedSensor,
-    cast,
-)
+from core.simulation.raycast import HDL_64E_BEAMS_DEG, SimulatedSensor, cast
+from core.simulation.world import Boxes, Cylinders, Scene
 
 HEIGHT_M = 1.73
 POSE = Pose(0.0, 0.0, HEIGHT_M)

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from core.errors import InvalidParameters
-from core.simulation import Boxes, Cylinders, Traffic, World, make_city
+from core.simulation.city import make_city
+from core.simulation.world import Boxes, Cylinders, Traffic, World
 
 
 def test_one_seed_is_one_city():
@@ -77,9 +78,9 @@ def test_a_solid_that_cannot_be_is_refused(make, rows):
 
 
 def test_a_negative_seed_or_an_empty_city_is_refused():
-    with pytest.raises(InvalidParameters, match="seeds"):
+    with pytest.raises(InvalidParameters, match="seed is -1"):
         make_city(-1)
-    with pytest.raises(InvalidParameters, match="seeds"):
+    with pytest.raises(InvalidParameters, match="seed is -1"):
         make_city(1, traffic_seed=-1)
     with pytest.raises(InvalidParameters, match="blocks"):
         make_city(1, blocks=(0, 1))

@@ -64,18 +64,18 @@ def test_what_is_not_there_leads_nowhere(segment):
 
 
 @pytest.mark.parametrize(
-    ("changes", "said"),
+    ("changes", "message"),
     [
         ({"edge_scans": [5, 4]}, r"edge_scans has shape \(2,\), wanted \(3,\)"),
-        ({"edge_scans": [5, 4, -1]}, "edge_scans holds negative"),
-        ({"edge_of_segment": [0, 1, 1, 0]}, "do not fit together"),
+        ({"edge_scans": [5, 4, -1]}, "edge_scans has negative"),
+        ({"edge_of_segment": [0, 1, 1, 0]}, r"segment_reversed has shape \(5,\), wanted \(4,\)"),
         ({"edge_of_segment": [0, 1, 1, 0, 0]}, "does not name every edge"),
         ({"edge_of_segment": [1, 0, 0, 1, 2]}, "in the order of segments"),
         ({"edge_of_segment": [0, 1, 1, 0, 3]}, "does not name every edge"),
         ({"segment_reversed": [0, 1, 1, 1, 0]}, "first segment of an edge runs along it backwards"),
     ],
 )
-def test_edges_and_segments_that_do_not_fit_are_refused(changes, said):
+def test_inconsistent_edges_and_segments_are_refused(changes, message):
     graph = joined()
     parts = {
         "node_scan": graph.node_scan,
@@ -85,7 +85,7 @@ def test_edges_and_segments_that_do_not_fit_are_refused(changes, said):
         "edge_of_segment": graph.edge_of_segment,
         "segment_reversed": graph.segment_reversed,
     }
-    with pytest.raises(InvalidMap, match=said):
+    with pytest.raises(InvalidMap, match=message):
         Topology(**{**parts, **{name: np.array(value) for name, value in changes.items()}})
 
 
@@ -109,7 +109,7 @@ def trajectory(**changes):
     return Trajectory(**{**parts, **changes})
 
 
-def test_nodes_stand_where_segments_meet_and_at_a_drives_last_scan():
+def test_nodes_are_where_segments_meet_and_at_a_drives_last_scan():
     graph = Topology.of_segments(trajectory(), np.array([0, 2, 4, 5]))
     assert graph.node_scan.tolist() == [0, 1, 2, 4, 4]
     assert graph.edge_nodes.tolist() == [[0, 1], [2, 3], [3, 4]]
@@ -124,7 +124,7 @@ def test_without_poses_no_edge_has_a_length():
 
 
 @pytest.mark.parametrize(
-    ("parts", "said"),
+    ("parts", "message"),
     [
         (([0, 4], [[0, 2]], [1.0]), "names a node that does not exist"),
         (([0, 4], [[-1, 1]], [1.0]), "names a node that does not exist"),
@@ -135,6 +135,6 @@ def test_without_poses_no_edge_has_a_length():
         (([0, 4], [[0, 1]], [np.inf]), "infinite"),
     ],
 )
-def test_a_graph_that_cannot_be_is_refused(parts, said):
-    with pytest.raises(InvalidMap, match=said):
+def test_an_impossible_graph_is_refused(parts, message):
+    with pytest.raises(InvalidMap, match=message):
         Topology(*parts)

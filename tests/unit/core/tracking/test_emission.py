@@ -1,10 +1,10 @@
-"""What a map's own distances say about a query from elsewhere."""
+"""Distances between a map's own scans."""
 
 import numpy as np
 import pytest
 
-from core.tracking.emission import DistanceSpread, own_signatures
-from tests.support.samples import sample_harmonic_map
+from core.tracking.emission import DistanceSpread
+from tests.support.samples import own_signatures, sample_harmonic_map
 
 
 def test_without_poses_all_scans_of_other_drives_are_elsewhere():

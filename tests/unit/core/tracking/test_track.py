@@ -1,4 +1,4 @@
-"""Tracks: order, limits of what is told, and what a map without poses can say."""
+"""Tracks: the order of observations, uncertain places, and maps without poses."""
 
 import numpy as np
 import pytest
@@ -9,13 +9,13 @@ from core.encodings.signature import Signature
 from core.errors import InvalidParameters, InvalidSignature, StaleObservation, StaleSignature
 from core.localization.localizer import Localizer
 from core.tracking.belief import Belief
-from core.tracking.emission import Emission, own_signatures
+from core.tracking.emission import Emission
 from core.tracking.graph import TravelGraph
 from core.tracking.motion import Motion
-from core.tracking.standing import change
+from core.tracking.stationary import change
 from core.tracking.step import Doubt
 from core.tracking.track import Observation, Track, Tracker
-from tests.support.samples import sample_harmonic_map, sample_map
+from tests.support.samples import own_signatures, sample_harmonic_map, sample_map
 
 
 @pytest.fixture(scope="module", params=[sample_map, sample_harmonic_map])
@@ -23,8 +23,8 @@ def tracker(request):
     return Tracker(Localizer(request.param(count=40, segment_length=10)[0]))
 
 
-def observed(tracker, row, **told):
-    return Observation(own_signatures(tracker.map, row), **told)
+def observed(tracker, row, **given):
+    return Observation(own_signatures(tracker.map, row), **given)
 
 
 def test_the_first_observations_are_not_yet_a_fix(tracker):
@@ -56,14 +56,14 @@ def test_an_observation_that_is_not_newer_is_refused_and_changes_nothing(tracker
 
 
 @pytest.mark.parametrize(
-    "told", [{"timestamp_s": np.nan}, {"travelled_m": np.inf}, {"sequence": -1}]
+    "given", [{"timestamp_s": np.nan}, {"travelled_m": np.inf}, {"sequence": -1}]
 )
-def test_an_observation_refuses_nonsense(tracker, told):
+def test_an_observation_refuses_impossible_values(tracker, given):
     with pytest.raises(InvalidParameters):
-        observed(tracker, 0, **told)
+        observed(tracker, 0, **given)
 
 
-def test_without_poses_scans_are_told_and_no_metres_are_claimed():
+def test_without_poses_a_scan_is_returned_and_no_metres():
     tracker = Tracker(Localizer(sample_harmonic_map(count=30, segment_length=10, poses=False)[0]))
     track = Track(tracker)
     steps = [track.observe(observed(tracker, row, travelled_m=1.0)) for row in range(6)]
@@ -71,7 +71,7 @@ def test_without_poses_scans_are_told_and_no_metres_are_claimed():
     assert (steps[-1].row, steps[-1].pose, steps[-1].along_sigma_m) == (5, None, None)
 
 
-def test_a_vehicle_that_is_carried_off_is_found_again(tracker):
+def test_a_vehicle_that_is_moved_elsewhere_is_localized_again(tracker):
     track = Track(tracker)
     for row in range(8):
         track.observe(observed(tracker, row))
@@ -97,7 +97,7 @@ def test_a_signature_from_elsewhere_is_an_unknown_place():
     assert step.reason == Doubt.UNKNOWN_PLACE
 
 
-def test_odometry_tells_a_stop_from_a_drive_where_scans_do_not(tracker):
+def test_odometry_distinguishes_a_stop_from_motion(tracker):
     track = Track(tracker)
     for row in range(10):
         track.observe(observed(tracker, row, travelled_m=1.0))
@@ -107,7 +107,7 @@ def test_odometry_tells_a_stop_from_a_drive_where_scans_do_not(tracker):
     assert int(belief.of_scan.argmax()) == 13
 
 
-def test_a_segment_that_meets_two_others_leads_to_both():
+def test_a_position_is_in_the_segment_between_two_cuts():
     graph = TravelGraph.of_map(sample_map(count=30, segment_length=10)[0])
     assert graph.segment_at(9.4) == 0
     assert graph.segment_at(9.6) == 1
@@ -115,20 +115,20 @@ def test_a_segment_that_meets_two_others_leads_to_both():
     assert graph.segment_at(99.0) == 2
 
 
-def test_cuts_that_do_not_lie_between_segments_are_refused():
+def test_cuts_that_are_not_between_segments_are_refused():
     mapped, _ = sample_map(count=30, segment_length=10)
     with pytest.raises(InvalidParameters, match="cut lies between"):
         TravelGraph.of_map(mapped, np.array([-0.5, 12.0, 19.5, 29.5]))
 
 
-def test_signatures_of_one_scan_have_not_changed_and_those_of_another_have(tracker):
+def test_the_change_is_zero_for_one_scan_and_larger_for_another(tracker):
     here, there = own_signatures(tracker.map, 3), own_signatures(tracker.map, 4)
     assert change(here, here) == pytest.approx(0.0, abs=1e-7)
     assert (change(here, there) or 0.0) > 0.01
     assert change(here, ()) is None
 
 
-def test_where_nothing_was_compared_nothing_is_told(tracker):
+def test_without_a_compared_scan_all_places_are_equally_likely(tracker):
     likelihood = Emission.of_map(tracker.map).likelihood(np.full(40, np.inf))
     assert (likelihood == 1.0).all()
 
@@ -143,26 +143,26 @@ def test_where_nothing_was_compared_nothing_is_told(tracker):
         {"spread": 0.0},
     ],
 )
-def test_a_motion_refuses_nonsense(wrong):
+def test_a_motion_refuses_impossible_values(wrong):
     with pytest.raises(InvalidParameters):
         Motion(**wrong)
 
 
-def test_a_belief_refuses_what_does_not_sum_to_one():
-    with pytest.raises(InvalidParameters, match="sum to 1"):
+def test_a_belief_that_does_not_sum_to_one_is_refused():
+    with pytest.raises(InvalidParameters, match=r"sum to 2\.1"):
         Belief(np.full((4, 2), 0.2), 0.5)
     with pytest.raises(InvalidParameters):
         Belief(np.array([[2.0, -1.0]]), 0.0)
 
 
-# Tracks that a service keeps
+# Tracks of a service
 
 
-def test_tracks_of_one_revision_share_what_is_learnt_of_it_and_are_forgotten_when_idle(tracker):
+def test_tracks_of_one_revision_share_its_tracker_and_are_removed_when_idle(tracker):
     now = [0.0]
     tracks = Tracks(limit=2, idle_s=60.0, per_key=2, clock=lambda: now[0])
     one, two = (tracks.create("m", key, tracker.localizer) for key in "ab")
-    assert one.track._tracker is two.track._tracker
+    assert one._tracker is two._tracker
     with pytest.raises(TooManyTracks):
         tracks.create("m", "a", tracker.localizer)
     now[0] = 50.0
@@ -170,14 +170,14 @@ def test_tracks_of_one_revision_share_what_is_learnt_of_it_and_are_forgotten_whe
     with pytest.raises(TrackNotFound):
         tracks.get("another map", one.id)
     now[0] = 100.0
-    with pytest.raises(TrackNotFound, match="forgotten 60 s"):
+    with pytest.raises(TrackNotFound, match="removed 60 s"):
         tracks.get("m", two.id)
     assert len(tracks) == 1
     tracks.delete("m", one.id)
     assert len(tracks) == 0
 
 
-def test_a_key_keeps_as_many_tracks_as_it_may_and_others_still_can(tracker):
+def test_a_key_at_its_limit_of_tracks_does_not_stop_others(tracker):
     tracks = Tracks(limit=5, idle_s=60.0, per_key=3)
     for _ in range(3):
         tracks.create("m", "greedy", tracker.localizer)
@@ -187,7 +187,7 @@ def test_a_key_keeps_as_many_tracks_as_it_may_and_others_still_can(tracker):
     assert len(tracks) == 4
 
 
-def test_a_key_below_its_share_takes_the_room_of_what_the_greediest_used_longest_ago(tracker):
+def test_a_key_below_its_share_replaces_the_longest_idle_track_of_the_key_with_most(tracker):
     now = [0.0]
     tracks = Tracks(limit=6, idle_s=60.0, per_key=6, clock=lambda: now[0])
     modest = [tracks.create("m", "modest", tracker.localizer) for _ in range(2)]

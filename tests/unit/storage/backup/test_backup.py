@@ -22,6 +22,7 @@ from storage.errors import CorruptFile
 from storage.files.claims import claimed
 from storage.files.map_file import write_map
 from storage.store import Store
+from tests.support.catalog_rows import stored_scans
 from tests.support.samples import sample_map
 
 pytestmark = pytest.mark.slow
@@ -118,7 +119,7 @@ def test_a_backup_under_load_holds_every_scan_that_was_acknowledged_before_it(st
                 assert not restored.layout.orphans.exists()
                 held = set()
                 for drive in restored.drives.list("campus").items:
-                    for record in restored.drives.scan_records("campus", drive.slug):
+                    for record in stored_scans(restored, "campus", drive.slug):
                         restored.drives.read_scan("campus", drive.slug, record.index)
                         if drive.slug == "drive-2":
                             held.add(record.index)
@@ -178,7 +179,7 @@ def test_a_backup_goes_on_without_a_file_that_is_gone_and_a_restore_says_what_it
     filled, tmp_path
 ):
     put(filled, range(3), drive="tuesday")
-    gone = {record.chunk for record in filled.drives.scan_records("campus", "monday")[:2]}
+    gone = {record.chunk for record in stored_scans(filled, "campus", "monday")[:2]}
     for path in filled.layout.maps.rglob("chunks/*.h5"):
         if path.name in gone:
             path.unlink()

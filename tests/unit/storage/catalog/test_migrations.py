@@ -85,5 +85,5 @@ def test_a_key_of_the_first_release_still_opens(tmp_path):
     key = catalog.keys.with_hash("hash")
     catalog.close()
     assert key is not None
-    assert (key.id, key.scopes, key.maps, key.first_run) == ("ab12", ("admin",), None, True)
+    assert (key.id, key.scopes, key.maps, key.first_run) == ("ab12", ["admin"], None, True)
     assert key.opens_at(datetime.now(UTC))

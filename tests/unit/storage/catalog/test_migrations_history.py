@@ -12,7 +12,7 @@ from sqlalchemy import create_engine, event, text
 from core.scans.pose import Pose
 from storage.catalog import Catalog, JobState
 from storage.catalog.migrations import alembic_config
-from storage.catalog.models import Revision
+from storage.catalog.models import RevisionRecord
 from storage.errors import WrongCatalog
 from storage.retention import OwnRetention
 from storage.store import Store
@@ -110,17 +110,17 @@ def test_a_catalog_of_an_earlier_release_is_upgraded_and_answers(database_url, s
         assert (revision.encoding, revision.parameters) == ("paper", {"ranks": [5, 5]})
         assert (revision.drive_ids, found.retention) == ({}, OwnRetention())
         with catalog._database.reading() as session:  # retained from the upgrade on
-            retained_from = session.get_one(Revision, (M, DIGEST)).retained_from
+            retained_from = session.get_one(RevisionRecord, (M, DIGEST)).retained_from
         assert retained_from is not None
         assert retained_from > revision.created_at + timedelta(days=1)
         job = catalog.jobs.get(J)
-        assert (job.state, job.revision, job.notes) == (JobState.DONE, DIGEST, ())
+        assert (job.state, job.revision, job.notes) == (JobState.DONE, DIGEST, [])
         assert job.key_id is None
         [key] = catalog.keys.list().items
         assert (key.id, key.secret_hash, key.scopes, key.revoked_at) == (
             K,
             "hash",
-            ("admin",),
+            ["admin"],
             None,
         )
         catalog.close()

@@ -113,7 +113,7 @@ def test_the_projection_makes_what_its_version_made():
     cells = 1 + np.arange(np.prod(SMALL_GRID.shape)).reshape(SMALL_GRID.shape)
     scan = sample_drive(1).scan(0)
     sums = {
-        reducer.value: float((project_scan(scan, SMALL_GRID, reducer).ranges_m * cells).sum())
+        reducer.value: float((project_scan(scan, SMALL_GRID, reducer) * cells).sum())
         for reducer in RANGE_REDUCERS
     }
     assert image_file.PROJECTION_VERSION == 1

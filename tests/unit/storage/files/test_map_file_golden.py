@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from core.localization.localizer import Localizer
-from core.projection.height_image import HeightImage
-from core.projection.range_image import RangeImage
+from core.projection.imager import Image
 from core.projection.rings import RingGrid
 from core.scans.sensor import AngularGrid
 from storage.files.map_file import read_map
@@ -53,7 +52,7 @@ def test_a_released_map_still_answers():
     localizer, grid = Localizer(tensor_map), tensor_map.parameters.grid
     assert isinstance(grid, AngularGrid)
     for row in range(6):
-        image = RangeImage(ranges_m[row], grid)
+        image = Image(ranges_m[row], grid)
         assert localizer.localize_image(image).best.row == row
 
 
@@ -63,5 +62,5 @@ def test_a_released_harmonic_map_still_answers():
     localizer, grid = Localizer(tensor_map), tensor_map.parameters.grid
     assert isinstance(grid, RingGrid)
     for row in range(6):
-        best = localizer.localize_image(HeightImage(heights_m[row, 0], grid)).best
+        best = localizer.localize_image(Image(heights_m[row, 0], grid)).best
         assert (best.row, best.lateral_m) == (row, -1.5)

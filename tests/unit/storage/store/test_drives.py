@@ -28,6 +28,7 @@ from storage.errors import (
 )
 from storage.files.drive_chunks import scan_digest
 from storage.store import Store
+from tests.support.catalog_rows import stored_scans
 from tests.support.small_scans import sample_scan
 
 pytestmark = pytest.mark.slow
@@ -174,7 +175,7 @@ class TestRaces:
         with ThreadPoolExecutor(8) as pool:
             list(pool.map(put_and_delete, range(60)))
         put_many(store, [99])
-        present = [record.index for record in store.drives.scan_records("campus", "monday")]
+        present = [record.index for record in stored_scans(store, "campus", "monday")]
         assert_stored(store, present)
         assert len(files(store)) == len(present)
 

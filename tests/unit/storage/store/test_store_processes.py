@@ -9,6 +9,7 @@ import pytest
 
 from storage.catalog import JobState, RevisionFacts
 from storage.store import Store
+from tests.support.catalog_rows import stored_scans
 from tests.support.small_scans import sample_scan
 
 pytestmark = pytest.mark.slow
@@ -52,7 +53,7 @@ def test_what_a_killed_process_acknowledged_is_there_bit_for_bit(tmp_path):
         )
     with Store(tmp_path) as store:
         store.recover()
-        present = [record.index for record in store.drives.scan_records("campus", "monday")]
+        present = [record.index for record in stored_scans(store, "campus", "monday")]
         assert set(acknowledged) <= set(present)
         for index in present:  # a row that was committed but not yet acknowledged is whole too
             scan = store.drives.read_scan("campus", "monday", index)

@@ -18,6 +18,7 @@ from storage.files.map_file import write_map
 from storage.store import Store
 from storage.store.leftovers import ORPHANS_KEPT_DAYS
 from storage.store.verification import Condition, verify
+from tests.support.catalog_rows import stored_scans
 from tests.support.samples import sample_map
 from tests.support.small_scans import sample_scan
 
@@ -53,7 +54,7 @@ def flip(path, at):
 
 def packed(store):
     """Return the file that has all scans of monday."""
-    [name] = {record.chunk for record in store.drives.scan_records("campus", "monday")}
+    [name] = {record.chunk for record in stored_scans(store, "campus", "monday")}
     return next(store.layout.maps.rglob(name))
 
 
@@ -137,7 +138,7 @@ def test_damaged_images_go_where_a_build_makes_them_anew_and_are_kept_where_it_c
     shutil.copytree(filled.layout.data_dir, copied)
     found = verify(filled, repair=True)
     assert found.is_whole
-    assert found.findings[0].done == "removed: a build makes it anew"
+    assert found.findings[0].done == "removed: a build makes it again"
     assert not path.exists()
     assert verify(filled).findings == ()
     with Store(copied) as store:

@@ -11,7 +11,7 @@ from core.errors import InvalidScan
 from storage.formats.budget import BUDGET
 from storage.formats.drives.layouts import open_drive
 from storage.formats.errors import EmptyBody, MalformedScan, ScanTooLarge, TruncatedScan
-from storage.formats.scans.ouster import OusterFormat, ouster_frames
+from storage.formats.scans.ouster import OusterFormat
 from storage.formats.scans.registry import FORMAT_NAMES, read_scan, read_scan_file
 from storage.formats.scans.velodyne import Turns, VelodyneFormat
 from tests.support.captures import hdl32, ouster, ouster_body, ouster_metadata, pcap, udp
@@ -91,7 +91,7 @@ class TestOuster:
 
     @pytest.mark.parametrize("fragment_bytes", [None, 1480])
     def test_a_sphere_is_a_sphere_in_pieces_too(self, fragment_bytes: int | None) -> None:
-        (points,) = ouster_frames(self.body(fragment_bytes))
+        points = OusterFormat().read(self.body(fragment_bytes))
         assert points.shape == (512 * 16, 3)
         np.testing.assert_allclose(np.linalg.norm(points, axis=1), 10.0, rtol=1e-6)
         # Column 0 is behind the lidar's x axis turned round: behind the sensor.
@@ -99,7 +99,7 @@ class TestOuster:
         assert points[512 // 4 * 16, 1] > 9  # clockwise: from behind to the left
 
     def test_beams_begin_beside_the_origin(self) -> None:
-        (points,) = ouster_frames(self.body(lidar_origin_to_beam_origin_mm=100.0))
+        points = OusterFormat().read(self.body(lidar_origin_to_beam_origin_mm=100.0))
         level_m = np.hypot(points[:16, 0], points[:16, 1])
         elevation = np.radians(np.linspace(15, -15, 16))
         np.testing.assert_allclose(level_m, 9.9 * np.cos(elevation) + 0.1, rtol=1e-6)

@@ -44,7 +44,7 @@ def test_a_folder_that_holds_something_is_left_alone(tmp_path: Path) -> None:
     (tmp_path / "mine.txt").write_text("mine")
     drive = SimulatedDrive(scans=2)
     for taken in (tmp_path, tmp_path / "mine.txt"):
-        with pytest.raises(FileExistsError, match="something already"):
+        with pytest.raises(FileExistsError, match="no empty folder"):
             write_kitti_drive(drive, taken)
     assert [file.name for file in tmp_path.iterdir()] == ["mine.txt"]
 

@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
+from storage.formats.budget import Budget
 from storage.formats.errors import MalformedScan, ScanTooLarge, TruncatedScan
+from storage.formats.scans import ford
 from storage.formats.scans.ford import FordFormat
 
 POINTS = np.random.default_rng(0).normal(scale=20.0, size=(300, 3)).astype(np.float32)
@@ -47,11 +49,12 @@ class TestFord:
         with pytest.raises(MalformedScan):
             FordFormat().read(mat(variables))
 
-    def test_a_bomb_is_not_unpacked(self) -> None:
+    def test_a_bomb_is_not_unpacked(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setattr(ford, "BUDGET", Budget(unpacked_bytes=2**20))
         packed = zlib.compress(bytes(2**22))
         body = mat({"SCAN": 1})[:128] + struct.pack("<II", 15, len(packed)) + packed
         with pytest.raises(ScanTooLarge):
-            FordFormat(max_decoded_bytes=2**20).read(body)
+            FordFormat().read(body)
 
     def test_each_element_is_compared_with_what_came(self) -> None:
         whole = mat({"SCAN": {"XYZ": POINTS.T.astype(np.float64)}})

@@ -73,7 +73,7 @@ def test_a_header_that_claims_terabytes_is_refused_without_taking_them() -> None
     body = with_header("{'descr': '<f4', 'fortran_order': False, 'shape': (10000000000000, 3)}\n")
     tracemalloc.start()
     try:
-        with pytest.raises(TruncatedScan, match="takes 120000000000000 bytes, 0 came"):
+        with pytest.raises(TruncatedScan, match="takes 120000000000000 bytes, got 0"):
             NpyFormat().read(body)
         assert tracemalloc.get_traced_memory()[1] < 1_000_000
     finally:
@@ -117,9 +117,9 @@ def test_an_integer_too_long_to_print_is_still_an_error_of_ours() -> None:
 
 
 def test_a_cut_or_longer_body_says_both_lengths() -> None:
-    with pytest.raises(TruncatedScan, match="takes 72 bytes, 62 came"):
+    with pytest.raises(TruncatedScan, match="takes 72 bytes, got 62"):
         NpyFormat().read(npy(POINTS)[:-10])
-    with pytest.raises(MalformedScan, match="takes 72 bytes, 73 came"):
+    with pytest.raises(MalformedScan, match="takes 72 bytes, got 73"):
         NpyFormat().read(npy(POINTS) + b"!")
     with pytest.raises(TruncatedScan, match="header takes"):
         NpyFormat().read(npy(POINTS)[:40])

@@ -1,10 +1,10 @@
-"""Why an answer is refused."""
+"""Accepted and refused matches."""
 
 import numpy as np
 import pytest
 
 from core.confidence.calibration import Calibration
-from core.confidence.verdict import Refusal, judge
+from core.confidence.decision import Refusal, decide
 from core.errors import InvalidParameters
 
 CALIBRATION = Calibration(
@@ -25,25 +25,25 @@ CALIBRATION = Calibration(
         (0.06, None, 500, None),
     ],
 )
-def test_a_reason_is_named(distance, ratio, cells, reason):
-    verdict = judge(CALIBRATION, distance, ratio, occupied_cells=cells)
-    assert verdict.reason == reason
-    assert verdict.localized == (reason is None)
-    assert verdict.probability == CALIBRATION.probability(distance, ratio)
+def test_a_refusal_has_its_reason(distance, ratio, cells, reason):
+    decision = decide(CALIBRATION, distance, ratio, occupied_cells=cells)
+    assert decision.reason == reason
+    assert decision.localized == (reason is None)
+    assert decision.probability == CALIBRATION.probability(distance, ratio)
 
 
-def test_a_query_can_ask_for_more_or_for_less():
-    assert judge(CALIBRATION, 0.02, 0.3, min_probability=0.999).reason is not None
-    assert judge(CALIBRATION, 0.5, 1.0, min_probability=0.0).localized
+def test_a_query_can_set_the_minimum_probability():
+    assert decide(CALIBRATION, 0.02, 0.3, min_probability=0.999).reason is not None
+    assert decide(CALIBRATION, 0.5, 1.0, min_probability=0.0).localized
     with pytest.raises(InvalidParameters, match="min_probability"):
-        judge(CALIBRATION, 0.5, 1.0, min_probability=1.5)
+        decide(CALIBRATION, 0.5, 1.0, min_probability=1.5)
 
 
-def test_a_map_that_cannot_tell_refuses_only_who_asks_for_a_probability():
-    assert judge(None, 0.5, 1.0).localized
-    assert judge(None, 0.5, 1.0).probability is None
-    assert judge(None, 0.5, 1.0, min_probability=0.0).localized
-    assert judge(None, 0.1, 0.1, min_probability=0.5).reason == Refusal.NOT_CALIBRATED
+def test_without_calibration_only_a_minimum_probability_is_refused():
+    assert decide(None, 0.5, 1.0).localized
+    assert decide(None, 0.5, 1.0).probability is None
+    assert decide(None, 0.5, 1.0, min_probability=0.0).localized
+    assert decide(None, 0.1, 0.1, min_probability=0.5).reason == Refusal.NOT_CALIBRATED
 
 
 def test_a_smaller_share_is_more_probable_but_not_more_than_a_single_scan():

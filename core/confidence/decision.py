@@ -1,4 +1,4 @@
-"""Whether an answer is one, and if not, why not."""
+"""The decision whether a match is accepted, and the reason of a refusal."""
 
 from dataclasses import dataclass
 from enum import StrEnum
@@ -11,24 +11,24 @@ class Refusal(StrEnum):
     """Why a query was not localized."""
 
     UNKNOWN_PLACE = "unknown_place"
-    """Nothing in the map is near enough: the place is not mapped, or looks different now."""
+    """No scan of the map is near enough: the place is not mapped, or has changed."""
     AMBIGUOUS = "ambiguous"
     """The match is near enough, but another place is nearly as near."""
     TOO_FEW_RETURNS = "too_few_returns"
-    """The image is too empty to show a place; a vehicle beside a lorry, a sensor half covered."""
+    """The image has too few occupied cells, as beside a lorry or with a half-covered sensor."""
     OUTSIDE_PRIOR = "outside_prior"
-    """What the hints allow does not fit, or there is nothing; elsewhere fits far better."""
+    """No scan is within the priors, or a scan outside of them matches far better."""
     NOT_CALIBRATED = "not_calibrated"
-    """A probability was asked for, and the map cannot tell any."""
+    """A minimum probability was requested of a map without calibration."""
 
 
 @dataclass(frozen=True)
-class Verdict:
-    """What may be thought of an answer.
+class Decision:
+    """Whether the best match is accepted.
 
     Attributes:
         probability: That the best match is right, `None` of a map without calibration.
-        reason: Why it is refused, `None` if it is not.
+        reason: Why it is refused, `None` if it is accepted.
     """
 
     probability: float | None
@@ -36,11 +36,11 @@ class Verdict:
 
     @property
     def localized(self) -> bool:
-        """Whether the answer is one."""
+        """Whether the match is accepted."""
         return self.reason is None
 
 
-def judge(
+def decide(
     calibration: Calibration | None,
     distance: float,
     ratio: float | None,
@@ -48,19 +48,19 @@ def judge(
     share: float = 1.0,
     min_probability: float | None = None,
     occupied_cells: int | None = None,
-) -> Verdict:
-    """Judge the best match of a query.
+) -> Decision:
+    """Accept or refuse the best match of a query.
 
-    A map without calibration cannot tell: it refuses nothing, as it says with a probability of
-    `None`, unless a probability is asked for.
+    Without a calibration there is no probability, and a match is refused only if `min_probability`
+    is above 0.
 
     Args:
         calibration: Of the map.
         distance: Of the best match.
         ratio: To the runner-up's, at most 1, `None` without one.
-        share: Of the map's scans, how many came into question.
-        min_probability: Below it the answer is a refusal; the calibration's threshold by default.
-        occupied_cells: Of the query's image, `None` where only a signature came.
+        share: Of the map's scans that were searched.
+        min_probability: Least probability to accept; the calibration's threshold by default.
+        occupied_cells: Of the query's image, `None` if the query is a signature.
 
     Raises:
         InvalidParameters: If `min_probability` is not within 0..1.
@@ -68,12 +68,12 @@ def judge(
     if min_probability is not None and not 0.0 <= min_probability <= 1.0:
         raise InvalidParameters(f"min_probability is {min_probability}, wanted 0..1")
     if calibration is None:
-        return Verdict(None, Refusal.NOT_CALIBRATED if min_probability else None)
-    wanted = calibration.threshold if min_probability is None else min_probability
+        return Decision(None, Refusal.NOT_CALIBRATED if min_probability else None)
+    least = calibration.threshold if min_probability is None else min_probability
     probability = calibration.probability(distance, ratio, share)
     if occupied_cells is not None and occupied_cells < calibration.least_cells:
-        return Verdict(probability, Refusal.TOO_FEW_RETURNS)
-    if probability >= wanted:
-        return Verdict(probability, None)
-    near = calibration.probability(distance, None, share) >= wanted
-    return Verdict(probability, Refusal.AMBIGUOUS if near else Refusal.UNKNOWN_PLACE)
+        return Decision(probability, Refusal.TOO_FEW_RETURNS)
+    if probability >= least:
+        return Decision(probability, None)
+    near = calibration.probability(distance, None, share) >= least
+    return Decision(probability, Refusal.AMBIGUOUS if near else Refusal.UNKNOWN_PLACE)

@@ -1,0 +1,145 @@
+"""Recall of two maps on the scans that both have."""
+
+from collections.abc import Mapping
+from contextlib import ExitStack
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+
+from app.drives.stored_images import images_path
+from app.http.client import require_client
+from core.arrays import FloatArray
+from core.evaluation.self_recall import finds_own, is_findable
+from core.mapping.diff import drive_overlaps
+from core.mapping.tensormap import TensorMap
+from core.projection.images import ImageSource
+from core.projection.probe import spread_evenly
+from storage.errors import CorruptImages, DriveNotFound
+from storage.files.image_file import ImageFile
+from storage.store import Store, StoredDrive
+
+MOST_ASKED = 200
+"""Most queries, evenly spread: some seconds on maps of thousands of scans."""
+_ASKED_AT_ONCE = 10  # between two checks whether the client is still connected
+
+
+class NoRecall(StrEnum):
+    """Why recall is not known."""
+
+    NOT_BUILT_HERE = "not-built-here"
+    NO_SCAN_IN_BOTH = "no-scan-in-both"
+    IMAGES_NOT_KEPT = "images-not-kept"
+    NOTHING_TO_FIND = "nothing-to-find"
+
+
+@dataclass(frozen=True)
+class Recall:
+    """Self-recall of two maps on their common scans.
+
+    Attributes:
+        asked: How many scans were queries.
+        this: Share that the first map finds, 0..1.
+        other: Share that the second one finds.
+        same_questions: Whether both had queries from the same places in the same headings. Maps
+            with other renderings answer other places, and are queried there.
+    """
+
+    asked: int
+    this: float
+    other: float
+    same_questions: bool
+
+
+@dataclass(frozen=True, eq=False)
+class _Query:
+    """A scan of a map, and its probe."""
+
+    row: int
+    images: ImageSource
+    position: int
+    standing: FloatArray
+
+
+def measure_recall(
+    store: Store,
+    map_id: str,
+    this: tuple[Mapping[str, str], TensorMap],
+    other: tuple[Mapping[str, str], TensorMap],
+) -> Recall | NoRecall:
+    """Return the recall of two maps on their common scans; one need not be published yet.
+
+    Args:
+        store: With the images of their drives.
+        map_id: Of the map.
+        this: Ids of the first one's drives by slug, and its content.
+        other: The same of the second one.
+
+    Raises:
+        MapNotFound: If the map is gone.
+    """
+    (drive_ids, tensor_map), (other_ids, other_map) = this, other
+    if not (drive_ids and other_ids):
+        return NoRecall.NOT_BUILT_HERE
+    shared = [name for name, drive_id in drive_ids.items() if other_ids.get(name) == drive_id]
+    overlaps = drive_overlaps(tensor_map, other_map)
+    if not any(drive.in_both for drive in overlaps if drive.drive in shared):
+        return NoRecall.NO_SCAN_IN_BOTH
+    pairs: list[tuple[_Query, _Query]] = []
+    with ExitStack() as stack:
+        for name in shared:
+            try:
+                (drive,) = store.drives.open_of_map(map_id, [name])
+            except DriveNotFound:
+                continue
+            if drive.id == drive_ids[name]:
+                mine = _queries(store, drive, tensor_map, stack)
+                theirs = _queries(store, drive, other_map, stack)
+                pairs += [(mine[scan], theirs[scan]) for scan in sorted(mine.keys() & theirs)]
+        if not pairs:
+            return NoRecall.IMAGES_NOT_KEPT
+        chosen = [pairs[i] for i in spread_evenly(np.arange(len(pairs)), MOST_ASKED)]
+        findable = [
+            (mine, theirs)
+            for mine, theirs in chosen
+            if is_findable(tensor_map, mine.row) and is_findable(other_map, theirs.row)
+        ]
+        if not findable:
+            return NoRecall.NOTHING_TO_FIND
+        return Recall(
+            len(findable),
+            _share_found(tensor_map, [mine for mine, _ in findable]),
+            _share_found(other_map, [theirs for _, theirs in findable]),
+            all(np.array_equal(mine.standing, theirs.standing) for mine, theirs in findable),
+        )
+
+
+def _share_found(tensor_map: TensorMap, queries: list[_Query]) -> float:
+    found = []
+    for at in range(0, len(queries), _ASKED_AT_ONCE):
+        require_client()
+        batch = queries[at : at + _ASKED_AT_ONCE]
+        probes = [(query.images, query.position) for query in batch]
+        found.append(finds_own(tensor_map, [query.row for query in batch], probes))
+    return float(np.concatenate(found).mean())
+
+
+def _queries(
+    store: Store, drive: StoredDrive, tensor_map: TensorMap, stack: ExitStack
+) -> dict[int, _Query]:
+    """Return the probes of a drive's scans that a map has, by index; none if they are not kept."""
+    path = images_path(store, drive, tensor_map.parameters)
+    if not path.exists():
+        return {}
+    try:
+        images = stack.enter_context(ImageFile(path, tensor_map.parameters.imager))
+    except CorruptImages:
+        return {}
+    if images.probes is None:
+        return {}
+    found: dict[int, _Query] = {}
+    for position, index in enumerate(drive.scan_index[images.probed].tolist()):
+        row = tensor_map.trajectory.row_of(drive.name, index)
+        if row is not None:
+            found[index] = _Query(row, images.probes, position, images.standing[position])
+    return found

@@ -1,0 +1,25 @@
+"""Checks of parameters that are numbers."""
+
+import math
+
+from core.errors import InvalidParameters
+
+
+def require_at_least(least: float, **numbers: float | None) -> None:
+    """Raise `InvalidParameters` unless each number is finite and at least `least`, or `None`.
+
+    Examples:
+        >>> require_at_least(1, segments=0)
+        Traceback (most recent call last):
+        core.errors.InvalidParameters: segments is 0, wanted at least 1
+    """
+    for name, number in numbers.items():
+        if number is not None and not least <= number < math.inf:
+            raise InvalidParameters(f"{name} is {number}, wanted at least {least}")
+
+
+def require_above(bound: float, **numbers: float | None) -> None:
+    """Raise `InvalidParameters` unless each number is finite and above `bound`, or `None`."""
+    for name, number in numbers.items():
+        if number is not None and not bound < number < math.inf:
+            raise InvalidParameters(f"{name} is {number}, wanted above {bound}")

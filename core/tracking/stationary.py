@@ -1,0 +1,104 @@
+"""Detection of a stationary vehicle from its signatures alone."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from core.arrays import BoolArray, FloatArray
+from core.encodings.registry import encoding_named
+from core.encodings.signature import Signature
+from core.mapping.tensormap import TensorMap
+
+_MOVING_QUANTILE = 0.75  # of the map's own changes: its vehicle drove at least half of the time
+_SHARE = 0.4  # of that: the vehicle moved by less than half the distance between scans of the map
+_STATIONARY_RATE = 0.9  # of detections of a stationary vehicle that are right
+_MOVING_RATE = 0.7  # likewise of a moving one: a slow one seems to be stationary
+_FIRM = 2  # small changes in a row before a vehicle counts as stationary
+
+
+def change(before: Sequence[Signature], after: Sequence[Signature]) -> float | None:
+    """Return the change of signatures, 1 - <g, h> / (|g| |h|), without a search over headings.
+
+    `None` if they have no segment in common or one is zero.
+    """
+    earlier = {s.segment: s.values for s in before}
+    product = one = other = 0.0
+    for signature in after:
+        if (values := earlier.get(signature.segment)) is None:
+            continue
+        encoding = encoding_named(signature.encoding)
+        g, h = encoding.weighted(values), encoding.weighted(signature.values)
+        product += float(np.vdot(g, h).real)
+        one += float(np.vdot(g, g).real)
+        other += float(np.vdot(h, h).real)
+    if one <= 0.0 or other <= 0.0:
+        return None
+    return max(0.0, 1.0 - product / float(np.sqrt(one * other)))
+
+
+def changes_of_map(tensor_map: TensorMap) -> FloatArray:
+    """Return the change from each scan of the map to the next, `(K - 1,)`.
+
+    NaN from one drive to the next and, where signatures are per segment, to the next segment.
+    """
+    model, encoder = tensor_map.model, tensor_map.parameters.encoder
+    stored = encoder.weighted(model.recorded)
+    apart = model.segment_of_scan if encoder.per_segment else tensor_map.trajectory.drive_of_scan
+    product = (stored[:-1].conj() * stored[1:]).sum(axis=(1, 2)).real
+    norms = np.sqrt((np.abs(stored) ** 2).sum(axis=(1, 2)))
+    norms = norms[:-1] * norms[1:]
+    comparable = (norms > 0.0) & (np.diff(apart) == 0)
+    cosines = np.divide(product, norms, out=np.full(len(norms), np.nan), where=comparable)
+    return np.asarray(np.maximum(0.0, 1.0 - cosines))
+
+
+@dataclass(frozen=True, eq=False)
+class StationaryModel:
+    """The changes of signatures of a stationary vehicle, from those between the map's scans.
+
+    Attributes:
+        threshold: A smaller change counts as stationary.
+        stopped: `(K,)` at which scans the mapping vehicle itself was stationary.
+    """
+
+    threshold: float
+    stopped: BoolArray
+
+    @classmethod
+    def of_map(cls, tensor_map: TensorMap) -> "StationaryModel":
+        """Return the model from consecutive scans of a map."""
+        changes = changes_of_map(tensor_map)
+        known = changes[np.isfinite(changes)]
+        threshold = _SHARE * float(np.quantile(known, _MOVING_QUANTILE)) if len(known) else 0.0
+        small = np.concatenate([[False], np.nan_to_num(changes, nan=np.inf) < threshold, [False]])
+        return cls(threshold, np.asarray(small[1:] | small[:-1]))
+
+    def likelihood(self, pace: FloatArray, *, stationary: bool) -> FloatArray:
+        """Return the likelihood of that detection at each place and pace, `(2K, P)`.
+
+        A vehicle is stationary where it passes no scan of the map, or only scans at which the
+        mapping vehicle was stationary.
+        """
+        still = np.repeat(self.stopped, 2)[:, None] | (pace == 0.0)
+        if stationary:
+            return np.where(still, _STATIONARY_RATE, 1.0 - _STATIONARY_RATE)
+        return np.where(still, 1.0 - _MOVING_RATE, _MOVING_RATE)
+
+
+class StationaryDetector:
+    """Detects a stationary vehicle: its signature stays near that of the place where it stopped."""
+
+    def __init__(self, model: StationaryModel) -> None:
+        self._model = model
+        self._anchor: tuple[Signature, ...] = ()
+        self._still = 0
+
+    def update(self, signatures: Sequence[Signature]) -> bool:
+        """Take the next observation's signatures, and return whether the vehicle is stationary."""
+        changed = change(self._anchor, signatures) if self._anchor else None
+        if changed is not None and changed < self._model.threshold:
+            self._still += 1
+        else:
+            self._anchor, self._still = tuple(signatures), 0
+        return self._still >= _FIRM
