@@ -19,10 +19,10 @@ _STOP_S = 15.0
 
 
 def free_port(first: int = 8000, tries: int = 100) -> int:
-    """Return `first`, or the next port that is free.
+    """Return the first free port from `first`.
 
     Raises:
-        DemoFailed: If none of `tries` ports is.
+        DemoFailed: If none of `tries` ports is free.
     """
     for port in range(first, first + tries):
         try:
@@ -35,16 +35,16 @@ def free_port(first: int = 8000, tries: int = 100) -> int:
 
 @contextmanager
 def running_server(data_dir: Path, port: int) -> Iterator[str]:
-    """Run the service on loopback while the block runs; yields its URL.
+    """Run the service on loopback while the block runs, and yield its URL.
 
     Raises:
-        DemoFailed: If it ends or does not answer; the message has what it wrote.
+        DemoFailed: If it ends or does not answer; the message has its output.
     """
     url = f"http://127.0.0.1:{port}"
     log = data_dir / "server.log"
     data_dir.mkdir(parents=True, exist_ok=True)
     command = [sys.executable, "-m", "app.cli", "serve", "--port", str(port)]
-    # The demonstration is open to this machine, whatever is configured for the real service.
+    # Settings of a real service do not apply to the demonstration.
     environment = {k: v for k, v in os.environ.items() if not k.startswith("TENSORMAP_")}
     with log.open("wb") as sink:
         process = subprocess.Popen(  # noqa: S603 - our own interpreter and arguments

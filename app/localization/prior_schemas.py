@@ -77,7 +77,7 @@ class PriorsIn(BaseModel):
         )
 
     def _prior_of(self, *names: str) -> tuple[float, ...]:
-        """Return the numbers of one prior, empty if none came."""
+        """Return the numbers of one prior, empty if none is given."""
         given = tuple(v for name in names if (v := getattr(self, name)) is not None)
         if given and len(given) < len(names):
             missing = ", ".join(name for name in names if getattr(self, name) is None)

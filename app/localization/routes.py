@@ -122,7 +122,7 @@ def localize_signature(
     query: Annotated[LocalizeQuery, Query()],
     content_type: ContentType = None,
 ) -> LocalizationOut:
-    """Localize by signatures made with this map's bases.
+    """Localize signatures made with this map's bases.
 
     They name a basis, and the live revision answers if it has that basis, else the newest retained
     one that has it; or they name the revision that answers. Only the segments of the signatures
@@ -148,15 +148,15 @@ def read_image(body: bytes, grid: Grid) -> Image:
     """Read an image of a map's grid.
 
     Raises:
-        EmptyBody: If no bytes came.
+        EmptyBody: If the body is empty.
         InvalidImage: If their number is not that of the grid.
     """
     size = 4 * grid.rows * grid.columns
     if not body:
-        raise EmptyBody(f"no bytes came, wanted {size}")
+        raise EmptyBody(f"the body is empty, wanted {size} bytes")
     if len(body) != size:
         raise core.InvalidImage(
-            f"{len(body)} bytes came, wanted {size}: {grid.rows} x {grid.columns} float32"
+            f"the body has {len(body)} bytes, wanted {size}: {grid.rows} x {grid.columns} float32"
         )
     return Image(np.frombuffer(body, "<f4").reshape(grid.shape), grid)
 
@@ -165,13 +165,13 @@ def read_signatures(body: bytes, content_type: str | None) -> tuple[Signature, .
     """Read one scan's signatures, packed or as JSON.
 
     Raises:
-        EmptyBody: If no bytes came.
+        EmptyBody: If the body is empty.
         UnsupportedBody: If they are of another type.
         InvalidSignature: If they are packed wrongly.
         RequestValidationError: If the JSON does not fit its schema.
     """
     if not body:
-        raise EmptyBody("no bytes came, wanted signatures")
+        raise EmptyBody("the body is empty, wanted signatures")
     kind = media_type(content_type)
     if kind == SIGNATURE_TYPE:
         return unpack_signatures(body)

@@ -30,6 +30,8 @@ SIGNATURE_TAGS = {"paper", "harmonic", _OTHER}
 
 # Bounds as in the packed form; validation of a list stops at its first error.
 _Row = Annotated[list[Number], Field(max_length=255, fail_fast=True)]
+_Rows = Annotated[list[_Row], Field(min_length=1, max_length=255, fail_fast=True)]
+_Digest = Annotated[str, Field(pattern="^[0-9a-f]{16,64}$")]
 
 
 class SegmentSignatureIn(BaseModel):
@@ -38,9 +40,7 @@ class SegmentSignatureIn(BaseModel):
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
 
     segment: int = Field(ge=0, le=0xFFFF)
-    values: list[_Row] = Field(
-        min_length=1, max_length=255, fail_fast=True, description="r1 rows of r2 numbers."
-    )
+    values: _Rows = Field(description="r1 rows of r2 numbers.")
 
     _integers = field_validator("segment", mode="before")(integers)
 
@@ -50,17 +50,9 @@ class HarmonicSignatureIn(BaseModel):
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
 
-    values_real: list[_Row] = Field(
-        min_length=1,
-        max_length=255,
-        fail_fast=True,
-        description="Real parts, r1 rows of r2 numbers.",
-    )
-    values_imag: list[_Row] = Field(
-        min_length=1,
-        max_length=255,
-        fail_fast=True,
-        description="Imaginary parts, of the same shape; the first column is 0.",
+    values_real: _Rows = Field(description="Real parts, r1 rows of r2 numbers.")
+    values_imag: _Rows = Field(
+        description="Imaginary parts, of the same shape; the first column is 0."
     )
 
 
@@ -117,12 +109,12 @@ class SignaturesIn(BaseModel):
         },
     )
 
-    basis: Annotated[str, Field(pattern="^[0-9a-f]{16,64}$")] | None = Field(
+    basis: _Digest | None = Field(
         None,
-        description="Digest of the basis that made them, or at least 16 first digits: any revision"
+        description="Digest of their basis, or at least 16 first digits: any revision"
         " that has it answers, the live one first.",
     )
-    revision: Annotated[str, Field(pattern="^[0-9a-f]{16,64}$")] | None = Field(
+    revision: _Digest | None = Field(
         None, description="Instead: digest of the revision that answers."
     )
     signatures: list[SignatureIn] = Field(min_length=1, max_length=0x10000, fail_fast=True)
@@ -130,7 +122,7 @@ class SignaturesIn(BaseModel):
     @model_validator(mode="after")
     def _one_name(self) -> "SignaturesIn":
         if (self.basis is None) == (self.revision is None):
-            raise ValueError("give the basis that made the signatures, or else a revision")
+            raise ValueError("give the signatures' basis or a revision, not both")
         return self
 
     @property

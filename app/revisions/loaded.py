@@ -152,4 +152,4 @@ class LoadedRevisions:
             return read_revision(self._store.revisions.path(map_slug, digest), digest)
         except FileNotFoundError as error:
             self._store.revisions.get(map_slug, digest)  # it may have been deleted meanwhile
-            raise CorruptFile(f"the file of revision {digest} is gone") from error
+            raise CorruptFile(f"the file of revision {digest} is missing") from error

@@ -87,7 +87,11 @@ class Tracks:
         """
         with self._lock:
             self._to_evict(key_id)  # before a tracker is made, which takes long
-        tracker = self._tracker(map_id, localizer)
+        revision = (map_id, localizer.map.revision)
+        with self._preparing:
+            tracker = self._trackers.get(revision)
+            if tracker is None:
+                tracker = self._trackers[revision] = Tracker(localizer)
         with self._lock:
             if (evicted := self._to_evict(key_id)) is not None:
                 del self._tracks[evicted.id]
@@ -121,14 +125,6 @@ class Tracks:
         self.get(map_id, track_id)
         with self._lock:
             self._tracks.pop(track_id, None)
-
-    def _tracker(self, map_id: str, localizer: Localizer) -> Tracker:
-        key = (map_id, localizer.map.revision)
-        with self._preparing:
-            tracker = self._trackers.get(key)
-            if tracker is None:
-                tracker = self._trackers[key] = Tracker(localizer)
-            return tracker
 
     def _to_evict(self, key_id: str) -> LiveTrack | None:
         """Return the track to remove for a new one of this key, `None` if there is room."""

@@ -15,6 +15,14 @@ class Attributes:
         """Return plain values for a file's attributes: lists for tuples, dicts for dataclasses."""
         return asdict(self, dict_factory=_with_lists)
 
+    def _set_numbers(self, name: str, count: int, least: float, most: float) -> None:
+        values = tuple(float(value) for value in getattr(self, name))
+        object.__setattr__(self, name, values)
+        if len(values) != count or not all(least <= value <= most for value in values):
+            raise InvalidParameters(
+                f"{name} is {values}, wanted {count} numbers {least:g}..{most:g}"
+            )
+
     @classmethod
     def from_attributes(cls, attributes: Mapping[str, Any]) -> Self:
         """Read the values of `as_attributes`.

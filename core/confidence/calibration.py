@@ -49,15 +49,10 @@ class Calibration(Attributes):
     spread: Spread | None = None
 
     def __post_init__(self) -> None:
-        for name, length in (("both", 3), ("alone", 2), ("likelihood", 2)):
-            values = tuple(float(value) for value in getattr(self, name))
-            object.__setattr__(self, name, values)
-            if len(values) != length or not all(abs(value) <= _LARGEST for value in values):
-                raise InvalidParameters(
-                    f"{name} is {values}, wanted {length} numbers within {_LARGEST:g}"
-                )
-            if any(slope > 0.0 for slope in values[1:]):
-                raise InvalidParameters(f"{name} is {values}: wanted slopes of at most 0")
+        for name, count in (("both", 3), ("alone", 2), ("likelihood", 2)):
+            self._set_numbers(name, count, -_LARGEST, _LARGEST)
+            if max(values := getattr(self, name)[1:]) > 0.0:
+                raise InvalidParameters(f"slopes of {name} are {values}, wanted at most 0")
         object.__setattr__(self, "floor", float(self.floor))
         object.__setattr__(self, "threshold", float(self.threshold))
         if not (math.isfinite(self.floor) and self.floor > 0.0):

@@ -82,10 +82,7 @@ class Spread(Attributes):
         if not _LEAST_TYPICAL <= self.typical < math.inf:
             raise InvalidParameters(f"typical is {self.typical}, wanted {_LEAST_TYPICAL:g} or more")
         for name in ("along_m", "lateral_m", "heading_deg"):
-            values = tuple(float(value) for value in getattr(self, name))
-            object.__setattr__(self, name, values)
-            if len(values) != 2 or not all(0.0 <= value <= _LARGEST for value in values):
-                raise InvalidParameters(f"{name} is {values}, wanted two numbers 0..{_LARGEST:g}")
+            self._set_numbers(name, 2, 0.0, _LARGEST)
 
     def deviation(self, distance: float, spread_m: float) -> Deviation:
         """Return the standard deviations of an answer.

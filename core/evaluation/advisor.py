@@ -52,7 +52,7 @@ class Axis:
         return bool(self.worse)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Advice(Plain):
     """A recommendation and its reasons.
 
@@ -72,16 +72,16 @@ class Advice(Plain):
     """
 
     verdict: Decision
-    recommended: SweepPoint | None
-    best: SweepPoint | None
-    standard_error: float | None
+    recommended: SweepPoint | None = None
+    best: SweepPoint | None = None
+    standard_error: float | None = None
     judged: int
     fitting: int
-    tied: int
+    tied: int = 0
     max_bytes_per_scan: float | None
     smallest_bytes_per_scan: float
-    axes: tuple[Axis, ...]
-    reasons: tuple[str, ...]
+    axes: tuple[Axis, ...] = ()
+    reasons: tuple[str, ...] = ()
 
 
 def standard_error(share: float, judged: int) -> float:
@@ -125,16 +125,10 @@ def advise(
     fitting = [p for p in candidates if p.bytes_per_scan <= budget]
     advice = Advice(
         verdict=Decision.NOTHING_FITS,
-        recommended=None,
-        best=None,
-        standard_error=None,
         judged=judged,
         fitting=len(fitting),
-        tied=0,
         max_bytes_per_scan=max_bytes_per_scan,
         smallest_bytes_per_scan=smallest,
-        axes=(),
-        reasons=(),
     )
     if not fitting:
         return replace(advice, reasons=_reasons(advice, ()))

@@ -5,23 +5,23 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from core.arrays import IntArray
+from core.arrays import BoolArray, IntArray
 from core.errors import InvalidParameters
 from core.evaluation.advisor import advise
 from core.evaluation.condition import Condition
 from core.evaluation.criterion import Criterion, counted
 from core.evaluation.motion import motion_surrogate
-from core.evaluation.query_images import QueryImages, held_out_scans
-from core.evaluation.query_set import QuerySet, require_scans
+from core.evaluation.query_set import QuerySet, hold_out, require_scans
 from core.evaluation.split import Interleaved, Split
 from core.evaluation.study import Answers, CurvePoint, EncodingStudy, Study
-from core.evaluation.sweep import SweepGrid, sweep
+from core.evaluation.sweep import QueryImages, SweepGrid, sweep
 from core.localization.localizer import Localizer
 from core.mapping.pipeline import build
 from core.numbers import require_above, require_at_least
 from core.parameters import MapParameters
 from core.progress import NO_PROGRESS, Progress
 from core.projection.images import Skipped
+from core.projection.probe import spread_evenly
 from core.scans.drive import Drive
 from core.scans.scan import Scan
 from core.segmentation.fixed import cut_fixed
@@ -85,6 +85,19 @@ def segment_lengths_for(scans: int) -> tuple[int, ...]:
     """
     lengths = {max(10, 5 * round(scans / segments / 5)) for segments in (20, 12, 8, 5, 2)}
     return tuple(sorted(lengths))
+
+
+def held_out_scans(drive: Drive, split: Split, most: int) -> tuple[BoolArray, IntArray]:
+    """Return which scans are not mapped, `(K,)`, and which of those are queries, rising.
+
+    The drive is split as a whole: the same scans are held out with any segments. At most `most` of
+    them are queries, spread evenly.
+
+    Raises:
+        InvalidParameters: If nothing is held out or nothing is left to map.
+    """
+    held_out = hold_out(split, np.array([0, len(drive)]))
+    return held_out, spread_evenly(np.flatnonzero(held_out), most)
 
 
 def study_drive(drive: Drive, protocol: StudyProtocol, progress: Progress = NO_PROGRESS) -> Study:

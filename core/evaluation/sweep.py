@@ -5,12 +5,15 @@ from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
+from core.arrays import BoolArray, Float32Array, frozen
 from core.errors import InvalidParameters
 from core.evaluation.criterion import Criterion, counted
 from core.evaluation.plain import Plain
-from core.evaluation.query_images import QueryImages
-from core.mapping.pipeline import rows_of_cuts
+from core.evaluation.query_set import QuerySet
+from core.mapping.pipeline import DriveImages, project_scans, rows_of_cuts
+from core.parameters import MapParameters
 from core.progress import NO_PROGRESS, Progress
+from core.scans.scan import Scan
 from core.segmentation.fixed import cut_fixed
 
 BYTES_A_NUMBER = 4  # a map file has float32, or pairs of it
@@ -48,6 +51,57 @@ class SweepGrid:
             tuple(r for r in self.r1 if r <= rows),
             tuple(r for r in self.r2 if r <= columns),
             self.segment_lengths,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class QueryImages:
+    """A drive's mapped images and those of its queries, made alike.
+
+    Attributes:
+        parameters: How images are made; the ranks are not used here.
+        mapped: The mapped scans' images.
+        queries: The scans that are queried, usable under every condition.
+        cells: `(C, n, I, J)` float32, their images under each of the C conditions.
+        refused: Scans that had no image under some condition.
+    """
+
+    parameters: MapParameters
+    mapped: DriveImages
+    queries: QuerySet
+    cells: Float32Array
+    refused: tuple[int, ...]
+
+    @classmethod
+    def of_drive(
+        cls,
+        held_out: BoolArray,
+        queries: QuerySet,
+        parameters: MapParameters,
+        progress: Progress = NO_PROGRESS,
+    ) -> "QueryImages":
+        """Read and project a drive once.
+
+        Raises:
+            EmptyDrive: If no mapped scan is usable.
+            InvalidParameters: If no query is.
+        """
+        mapped = project_scans(queries.drive, np.flatnonzero(~held_out), parameters, progress)
+
+        def image(_: int, scan: Scan) -> Float32Array:
+            return parameters.imager.image(scan).cells
+
+        (images,) = queries.answers([image], "querying", progress)
+        usable = np.all([[cells is not None for cells in row] for row in images], axis=0)
+        if not usable.any():
+            raise InvalidParameters(f"not one of the {len(queries)} held-out scans is usable")
+        cells = [[row[i] for i in np.flatnonzero(usable).tolist()] for row in images]
+        return cls(
+            parameters,
+            mapped,
+            replace(queries, scans=queries.scans[usable]),
+            frozen(np.array(cells), np.float32),
+            tuple(queries.scans[~usable].tolist()),
         )
 
 

@@ -122,7 +122,7 @@ def check_frames(tensor_map: TensorMap, progress: Progress = NO_PROGRESS) -> tup
         progress: Receives every scan that is matched.
 
     Returns:
-        A check for each drive that has poses and comes after another that has.
+        A check for each drive with poses but the first.
     """
     trajectory = tensor_map.trajectory
     pairs = list(_pairs(trajectory))
@@ -251,28 +251,22 @@ def _disagreement(trajectory: Trajectory, matches: _Matches) -> Disagreement | N
         return None
     if (stretch & matches.agrees).sum() > _FEW_AS_CLAIMED * len(support):
         return None
-    return _evidence(trajectory, matches, support, int(stretch.sum()), found.transform)
-
-
-def _evidence(
-    trajectory: Trajectory,
-    matches: _Matches,
-    support: IntArray,
-    matched: int,
-    transform: RigidTransform,
-) -> Disagreement:
     apart_m = np.linalg.norm((matches.points_m - matches.matched_m)[support], axis=1)
-    found = matches.found[support]
-    drives = [trajectory.drives[drive] for drive in trajectory.drive_of_scan[found].tolist()]
+    rows = matches.found[support]
+    drives = [trajectory.drives[drive] for drive in trajectory.drive_of_scan[rows].tolist()]
     scans = zip(
         trajectory.scan_index[matches.rows[support]].tolist(),
         drives,
-        trajectory.scan_index[found].tolist(),
+        trajectory.scan_index[rows].tolist(),
         apart_m.tolist(),
         strict=True,
     )
     return Disagreement(
-        tuple(dict.fromkeys(drives)), tuple(scans), matched, float(np.median(apart_m)), transform
+        others=tuple(dict.fromkeys(drives)),
+        scans=tuple(scans),
+        matched=int(stretch.sum()),
+        apart_m=float(np.median(apart_m)),
+        transform=found.transform,
     )
 
 

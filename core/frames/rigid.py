@@ -130,30 +130,17 @@ def find_consensus(
         most = agrees[agrees.sum(axis=1).argmax()]
         if most.sum() > best.sum():
             best = most
-    return _refitted(points_m, matched_m, yaw_deg, tolerance_m, best, level=level)
-
-
-def _refitted(
-    points_m: FloatArray,
-    matched_m: FloatArray,
-    turn_deg: FloatArray | None,
-    tolerance_m: float,
-    agrees: BoolArray,
-    *,
-    level: bool,
-) -> Consensus | None:
-    """Fit to the matches that agree, until these do not change."""
     found = None
     for _ in range(_REFITS):
-        if agrees.sum() < 3:
+        if best.sum() < 3:
             return None
-        transform = RigidTransform.fit(points_m[agrees], matched_m[agrees], level=level)
+        transform = RigidTransform.fit(points_m[best], matched_m[best], level=level)
         off_m = np.linalg.norm(transform.apply(points_m) - matched_m, axis=1)
-        agree = (off_m <= tolerance_m) & _same_yaw(transform.rotation[None], turn_deg)[0]
+        agree = (off_m <= tolerance_m) & _same_yaw(transform.rotation[None], yaw_deg)[0]
         found = Consensus(transform, agree)
-        if np.array_equal(agree, agrees):
+        if np.array_equal(agree, best):
             break
-        agrees = agree
+        best = agree
     return found
 
 
@@ -163,10 +150,7 @@ def _of_pairs(
     """Return rotations about the vertical, and the pair of points that each aligns."""
     first, second = np.triu_indices(len(points_m), 1)
     way, other_way = points_m[second] - points_m[first], matched_m[second] - matched_m[first]
-    length, other_length = np.linalg.norm(way, axis=1), np.linalg.norm(other_way, axis=1)
-    fits = np.flatnonzero(
-        (length > _BASELINE_M) & (np.abs(length - other_length) < 2.0 * tolerance_m)
-    )
+    fits = np.flatnonzero(_same_length(way, other_way, tolerance_m))
     if len(fits) > _HYPOTHESES:
         fits = rng.choice(fits, _HYPOTHESES, replace=False)
     first, second, way, other_way = first[fits], second[fits], way[fits], other_way[fits]
@@ -186,13 +170,19 @@ def _of_triples(
     points, others = points_m[triples], matched_m[triples]
     fits = np.ones(len(triples), np.bool_)
     for one, two in combinations(range(3), 2):
-        length = np.linalg.norm(points[:, one] - points[:, two], axis=1)
-        other_length = np.linalg.norm(others[:, one] - others[:, two], axis=1)
-        fits &= (length > _BASELINE_M) & (np.abs(length - other_length) < 2.0 * tolerance_m)
+        way, other_way = points[:, one] - points[:, two], others[:, one] - others[:, two]
+        fits &= _same_length(way, other_way, tolerance_m)
     points, others = points[fits], others[fits]
     at_m, to_m = points.mean(axis=1), others.mean(axis=1)
     product = np.einsum("hki,hkj->hij", others - to_m[:, None], points - at_m[:, None])
     return _proper(product), at_m, to_m
+
+
+def _same_length(way: FloatArray, other_way: FloatArray, tolerance_m: float) -> BoolArray:
+    """Return which `(n, 3)` vectors are long enough, and as long as the other ones."""
+    length, other_length = np.linalg.norm(way, axis=1), np.linalg.norm(other_way, axis=1)
+    fits = (length > _BASELINE_M) & (np.abs(length - other_length) < 2.0 * tolerance_m)
+    return np.asarray(fits)
 
 
 def _proper(product: FloatArray) -> FloatArray:

@@ -131,7 +131,7 @@ class Localizer:
         Raises:
             StaleSignature: If one names neither this revision nor a basis that it has.
             UnknownSegment: If the map, or the basis that it names, has no such segment.
-            InvalidSignature: If there is none, a segment comes twice, the shape is not r1 x r2 or
+            InvalidSignature: If there is none, a segment is repeated, the shape is not r1 x r2 or
                 they are of another encoding.
             InvalidParameters: As `localize_scan`.
         """

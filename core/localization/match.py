@@ -1,12 +1,12 @@
-"""A match: a scan of the map, and where the query was made relative to it."""
+"""A match: a scan of the map, and the query's pose relative to it."""
 
 import math
 from dataclasses import dataclass
 
 import numpy as np
 
-from core.arrays import FloatArray, IntArray
-from core.encodings.model import Neighbours, Search, Viewpoints
+from core.arrays import IntArray
+from core.encodings.model import Neighbours, Search
 from core.mapping.tensormap import TensorMap
 from core.scans.angles import wrapped_deg
 from core.scans.displacement import left_of_m, places_beside_m, pose_beside
@@ -21,10 +21,10 @@ _SAME_YAW_DEG = 20.0  # a rendering with another relative yaw is similar to the 
 
 @dataclass(frozen=True)
 class Match:
-    """A scan of the map, and where the query was made relative to it.
+    """A scan of the map, and the query's pose relative to it.
 
     Attributes:
-        segment: The segment it lies on.
+        segment: Its segment.
         fraction: How far along the segment, 0 at its start and 1 at its end.
         along_m: The same in metres, `None` where a pose on the way is unknown.
         drive: The drive it was recorded in.
@@ -36,8 +36,8 @@ class Match:
         pose: Where it was recorded, `None` where unknown.
         relative_yaw_deg: Of the query, counter-clockwise, -180..180; `None` where the encoding
             does not give it, as the paper's.
-        lateral_m: How far to the left of the scan the query was made, `None` likewise.
-        estimated_pose: Where the query was made: `pose` displaced and turned; `None` likewise.
+        lateral_m: Lateral offset of the query, positive to the left of the scan; `None` likewise.
+        estimated_pose: Of the query: `pose` displaced and turned; `None` likewise.
     """
 
     segment: int
@@ -117,7 +117,10 @@ def _refined(
         aside_deg = wrapped_deg(seen.relative_yaw_deg + headings_deg[:, None] - yaw_deg)
     else:
         aside_deg = wrapped_deg(seen.relative_yaw_deg - yaw_deg)
-    weights = _weights(seen, distance, aside_deg)
+    nearest = max(distance, float(np.finfo(np.float32).tiny))
+    weights = (nearest / np.maximum(seen.distances, nearest)) ** _SHARPNESS
+    weights *= np.abs(aside_deg) <= _SAME_YAW_DEG
+    weights /= weights.sum()
     if yaw_deg is not None:
         yaw_deg += float(np.sum(weights * aside_deg))
         yaw_deg = wrapped_deg(yaw_deg)
@@ -127,14 +130,6 @@ def _refined(
     estimated = pose_beside(poses[row], 0.0, yaw_deg or 0.0)
     estimated[:3] = np.einsum("kd,kdx->x", weights, seen_from_m)
     return yaw_deg, left_of_m(poses[row], estimated), Pose.from_row(estimated)
-
-
-def _weights(seen: Viewpoints, distance: float, aside_deg: FloatArray) -> FloatArray:
-    """Return each viewpoint's weight, `(n, D)`; they sum to 1."""
-    nearest = max(distance, float(np.finfo(np.float32).tiny))
-    weights = (nearest / np.maximum(seen.distances, nearest)) ** _SHARPNESS
-    weights *= np.abs(aside_deg) <= _SAME_YAW_DEG
-    return np.asarray(weights / weights.sum())
 
 
 def _rows_beside(trajectory: Trajectory, row: int) -> IntArray:

@@ -16,7 +16,7 @@ from core.scans.angles import wrapped_deg
 from core.scans.pose import heading_deg
 
 _GATE = 3.0  # standard deviations
-_REACH_M = 5.0  # a query so near to a scan matches it: half a gap between scans, and a lane
+_REACH_M = 5.0  # most between a query and its scan: half a gap between scans, and a lane
 _HEADING_SLACK_DEG = 5.0  # error of a path's heading between two scans, and of the relative yaw
 _FIRST = 32  # scans of the first search, if matches are then filtered by heading
 

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import KDTree
 
-from core.arrays import BoolArray, FloatArray, IntArray
+from core.arrays import BoolArray, FloatArray
 from core.scans.trajectory import Trajectory
 from core.topology.lines import SAMPLE_M, Line, driven_lines
 
@@ -278,31 +278,26 @@ def _without_gaps(stretches: list[Stretch]) -> tuple[list[Stretch], list[Meeting
 
 def _crossings(lines: tuple[Line, ...], first_time: list[BoolArray]) -> Iterator[Meeting]:
     """Yield the places where streets cross on one level, in order."""
-    pieces = [
-        np.stack([np.full(len(at), number), at], axis=1)
-        for number, first in enumerate(first_time)
-        for at in [np.flatnonzero(first[:-1] & first[1:])]
-    ]
-    if not pieces:
+    pieces = [np.flatnonzero(first[:-1] & first[1:]) for first in first_time]
+    of_line = np.repeat(np.arange(len(lines)), [len(at) for at in pieces]).tolist()
+    if len(of_line) < 2:
         return
-    piece: IntArray = np.concatenate(pieces)
-    if len(piece) < 2:
-        return
-    begin = np.stack([lines[line].sample_m[at] for line, at in piece.tolist()])
-    step = np.stack([lines[line].sample_m[at + 1] for line, at in piece.tolist()]) - begin
+    begin = np.concatenate([line.sample_m[at] for line, at in zip(lines, pieces, strict=True)])
+    end = np.concatenate([line.sample_m[at + 1] for line, at in zip(lines, pieces, strict=True)])
+    arc_m = np.concatenate([line.sample_arc_m[at] for line, at in zip(lines, pieces, strict=True)])
+    step = end - begin
     middle_m = (begin + step / 2.0)[:, :2]
     pairs = np.sort(KDTree(middle_m).query_pairs(SAMPLE_M, output_type="ndarray"), axis=1)
     for first, second in pairs[np.lexsort(pairs.T[::-1])].tolist():
-        (line, at), (other, other_at) = piece[first].tolist(), piece[second].tolist()
-        at_m, other_m = lines[line].sample_arc_m[at], lines[other].sample_arc_m[other_at]
-        if line == other and other_m - at_m < AGAIN_M:
+        if of_line[first] == of_line[second] and arc_m[second] - arc_m[first] < AGAIN_M:
             continue
         share = _where_crossing(begin[first], step[first], begin[second], step[second])
         if share is not None:
-            yield Meeting(
-                Place(line, float(at_m + share[0] * np.linalg.norm(step[first]))),
-                Place(other, float(other_m + share[1] * np.linalg.norm(step[second]))),
-            )
+            places = [
+                Place(of_line[at], float(arc_m[at] + part * np.linalg.norm(step[at])))
+                for at, part in zip((first, second), share, strict=True)
+            ]
+            yield Meeting(*places)
 
 
 def _where_crossing(

@@ -27,7 +27,7 @@ class TravelGraph:
             drive begins, or at the drive's last scan.
         ahead: `(2K, 2K)`, the probability of a place (row) one scan after another (column);
             columns sum to 1.
-        step_m: `(2K,)` metres to the next scan ahead, NaN where unknown, 0 where nothing is ahead.
+        step_m: `(2K,)` metres to the next scan ahead, NaN where unknown, 0 where there is none.
         along_m: `(K,)` metres along the map's drives, without a jump between them; NaN unknown.
     """
 
@@ -72,7 +72,7 @@ class TravelGraph:
         cuts: FloatArray = np.asarray(starts - 0.5 if cut_position is None else cut_position)
         if cuts.shape != starts.shape or (cuts > starts).any() or (cuts < starts - 1).any():
             raise InvalidParameters(
-                "a cut lies between the last scan before it and the first after"
+                "each cut must be between the last scan before it and the first one after it"
             )
         places = 2 * len(tensor_map)
         one, two = _links(tensor_map).T
@@ -101,19 +101,16 @@ def _links(tensor_map: TensorMap) -> NDArray[np.int64]:
     within[starts[1:] - 1] = False
     rows = np.flatnonzero(within)
     links = [np.stack([2 * rows, 2 * rows + 2], 1), np.stack([2 * rows + 3, 2 * rows + 1], 1)]
-    met: list[tuple[int, int]] = []
-    for segment in range(len(starts) - 1):
+    # The places where each segment is left: against it, and along it.
+    ends = np.stack([2 * starts[:-1] + 1, 2 * starts[1:] - 2], axis=1).tolist()
+    joints: list[tuple[int, int]] = []
+    for segment in range(len(ends)):
         for forward in (True, False):
-            leaving = _end_place(starts, segment, forward=forward)
+            leaving = ends[segment][forward]
             entered = [
                 # The place where a segment is entered is its end in the other direction, reversed.
-                _end_place(starts, entry.segment, forward=not entry.forward) ^ 1
+                ends[entry.segment][not entry.forward] ^ 1
                 for entry in tensor_map.topology.neighbours(segment, forward=forward)
             ]
-            met += [(leaving, place) for place in entered or [leaving]]
-    return np.concatenate([*links, np.array(met, dtype=np.int64).reshape(-1, 2)])
-
-
-def _end_place(starts: IntArray, segment: int, *, forward: bool) -> int:
-    """Return the place at which a segment is left."""
-    return 2 * int(starts[segment + 1] - 1) if forward else 2 * int(starts[segment]) + 1
+            joints += [(leaving, place) for place in entered or [leaving]]
+    return np.concatenate([*links, np.array(joints, dtype=np.int64).reshape(-1, 2)])

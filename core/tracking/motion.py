@@ -56,7 +56,7 @@ class Motion:
             if not 0.0 < getattr(self, name) < 1.0:
                 raise InvalidParameters(f"{name} is {getattr(self, name)}, wanted 0..1")
         if self.keeps + self.drifts + self.stops >= 1.0:
-            raise InvalidParameters("keeps, drifts and stops leave nothing for other paces")
+            raise InvalidParameters("keeps, drifts and stops sum to 1 or more, wanted less")
         if min(self.spread, self.metres_spread, self.metres_floor) <= 0.0:
             raise InvalidParameters("spreads are above 0")
 

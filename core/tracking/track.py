@@ -35,7 +35,7 @@ class Observation:
 
     Attributes:
         signatures: Of one scan.
-        timestamp_s: When it was made, by the vehicle's own clock; rises if given.
+        timestamp_s: Its time by the vehicle's own clock; rises if given.
         sequence: Its number; rises if given.
         travelled_m: Odometry since the last observation, negative backwards.
 

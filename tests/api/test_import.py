@@ -1,4 +1,4 @@
-"""Imported revisions: checked, rewritten, with the same answers."""
+"""A revision from another service: checked, rewritten, and with the same answers."""
 
 import errno
 import io

@@ -1,4 +1,4 @@
-"""Revisions: which one is live, and signatures of other ones."""
+"""Revisions: which one answers, also a signature of another one."""
 
 import pytest
 

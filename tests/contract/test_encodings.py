@@ -94,7 +94,7 @@ class TestEncodings:
         assert MapParameters.from_attributes(parameters.as_attributes()) == parameters
         assert parameters.encoder is encoding_named(name)
 
-    def test_ranks_beyond_the_grid_are_refused_and_the_largest_are_not(self, name):
+    def test_ranks_beyond_the_grid_are_rejected_and_the_largest_are_not(self, name):
         grid = parameters_of(name).grid
         r1, r2 = encoding_named(name).largest_ranks(grid.shape)
         MapParameters.for_sensor(encoding=name, ranks=(r1, r2))
@@ -102,7 +102,7 @@ class TestEncodings:
             with pytest.raises(InvalidParameters, match=r"r[12] is \d+, wanted 1\.\."):
                 MapParameters.for_sensor(encoding=name, ranks=ranks)
 
-    def test_parameters_that_it_does_not_have_are_refused(self, name):
+    def test_parameters_that_it_does_not_have_are_rejected(self, name):
         encoding = encoding_named(name)
         for option, value in (("distance", "plain"), ("lateral_renderings_m", [0.0])):
             if getattr(encoding, option) is None:
@@ -126,7 +126,7 @@ class TestEncodings:
         assert again.basis_digests == built.basis_digests
         assert again.parameters == built.parameters
 
-    def test_a_model_of_other_parameters_is_refused(self, name, built):
+    def test_a_model_of_other_parameters_is_rejected(self, name, built):
         ranked = MapParameters.for_sensor(encoding=name, ranks=(2, 4))
         others = [MapParameters.for_sensor(encoding=other, ranks=(3, 4)) for other in ENCODINGS]
         for parameters in (ranked, *(p for p in others if p.encoding != name)):
@@ -218,7 +218,7 @@ class TestEncodings:
         assert without_drives(merged, ["a"]).revision == second.revision
         assert set(first.basis_digests) <= set(merged.basis_digests)
 
-    def test_a_basis_is_kept_where_segments_share_one_and_refused_elsewhere(self, name):
+    def test_a_basis_is_kept_where_segments_share_one_and_rejected_elsewhere(self, name):
         parameters = parameters_of(name)
         first = part(parameters, "a", 12, 1)
         assert first.basis().serves(parameters) is encoding_named(name).shares_basis
@@ -232,7 +232,7 @@ class TestEncodings:
         with pytest.raises(InvalidParameters, match="cannot be kept"):
             part(parameters, "b", 7, 2, kept=other.basis())
 
-    def test_signatures_of_another_basis_or_encoding_are_refused(self, name, built, drive):
+    def test_signatures_of_another_basis_or_encoding_are_rejected(self, name, built, drive):
         localizer = Localizer(built)
         own = localizer.basis.encode(localizer.basis.image(drive.scan(0)))
         stale = [Signature(s.values, s.segment, "f" * 64, s.encoding) for s in own]
@@ -270,8 +270,8 @@ class TestEncodings:
         with running(tmp_path / "data") as client:
             client.post("/v1/maps", json={"map": "campus"})
             upload(client, "monday", recording())
-            asked = {"encoding": name, "segments": 2}
-            queued = client.post("/v1/maps/campus/builds", json=asked)
+            body = {"encoding": name, "segments": 2}
+            queued = client.post("/v1/maps/campus/builds", json=body)
             assert queued.status_code == 202, queued.text
             job = wait_for(client, queued.json()["job"])
             assert (job["state"], job["error"]) == ("done", None)
@@ -305,20 +305,20 @@ class TestEncodings:
         {"encoding": None, "segment": 0, "values": [[1.0]]},
     ],
 )
-def test_what_is_no_signature_of_a_registered_encoding_is_refused(item):
+def test_invalid_signatures_of_a_registered_encoding_are_rejected(item):
     with pytest.raises(ValidationError):
         SignaturesIn.model_validate({"basis": "0f" * 32, "signatures": [item]})
 
 
 @pytest.mark.parametrize("means", [5, [[]], [[1.0], [1.0, 2.0]], [["x"]], [[float("nan")]]])
-def test_a_registered_encoding_refuses_values_that_are_no_signature(means):
+def test_a_registered_encoding_rejects_values_that_are_no_signature(means):
     item = {"encoding": BLOCK_MEANS.name, "means": means}
     sent = SignaturesIn.model_validate({"basis": "0f" * 32, "signatures": [item]})
     with pytest.raises(InvalidSignature):
         sent.to_core()
 
 
-def test_an_unknown_encoding_is_refused_and_the_known_are_listed():
+def test_an_unknown_encoding_is_rejected_and_the_known_are_listed():
     with pytest.raises(InvalidParameters, match="is 'fourier', wanted paper, harmonic, block-mea"):
         encoding_named("fourier")
     with pytest.raises(InvalidSignature, match=r"layout 99 is unknown, wanted 1 \(float16\), 2"):

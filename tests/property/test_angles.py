@@ -25,8 +25,8 @@ def pairs(count):
 @example(np.array([[3.4e38, -3.4e38, 1e-45, -1e-45], [3.4e38, 3.4e38, 1e-45, -2e-45]]), 1.0)
 def test_azimuths_are_rounded_as_arctan2_is(coordinates, step_deg):
     x, y = coordinates
-    wanted = np.rint(np.degrees(np.arctan2(y, x)) / step_deg)
-    assert azimuth_steps(x, y, step_deg).tolist() == wanted.tolist()
+    expected = np.rint(np.degrees(np.arctan2(y, x)) / step_deg)
+    assert azimuth_steps(x, y, step_deg).tolist() == expected.tolist()
 
 
 @given(pairs(40), steps_deg, st.sampled_from([0.0, 0.5, -0.5, 0.3]))
@@ -36,8 +36,8 @@ def test_elevations_are_rounded_as_arctan_is(coordinates, step_deg, first_step):
     somewhere = (across > 0.0) | (up != 0.0)
     across, up = across[somewhere], up[somewhere]
     with np.errstate(divide="ignore"):
-        wanted = np.rint(np.degrees(np.arctan(up / across)) / step_deg - first_step)
-    assert elevation_steps(across, up, step_deg, first_step).tolist() == wanted.tolist()
+        expected = np.rint(np.degrees(np.arctan(up / across)) / step_deg - first_step)
+    assert elevation_steps(across, up, step_deg, first_step).tolist() == expected.tolist()
 
 
 @pytest.mark.parametrize("step_deg", STEPS_DEG)

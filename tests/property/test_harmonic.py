@@ -103,13 +103,13 @@ def test_pruned_is_brute_force_to_the_bit(seed, scans, renderings, k, measure, t
     everything = search.ranked(np.arange(scans), *search.exact(np.arange(scans)), scans)
     assert_alike(search.nearest(k), everything[:k])
     among = np.random.default_rng(seed).random(scans) < 0.4
-    wanted = everything[among[everything.rows]]
-    assert_alike(search.nearest(k, among), wanted[:k])
+    expected = everything[among[everything.rows]]
+    assert_alike(search.nearest(k, among), expected[:k])
 
 
-def assert_alike(found, wanted):
+def assert_alike(found, expected):
     for name in ("rows", "distances", "relative_yaw_deg", "lateral_m"):
-        np.testing.assert_array_equal(getattr(found, name), getattr(wanted, name))
+        np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
 
 
 @given(seeds, measures)
@@ -149,7 +149,7 @@ def test_a_signature_of_nothing_is_near_to_nothing():
     assert found.distances.tolist() == [1.0] * 5
 
 
-def test_one_harmonic_tells_no_turn():
+def test_one_harmonic_has_no_relative_yaw():
     model = model_of(0, 5, 2, r2=1)
     found = query(model, images_of(0, 1)[0]).nearest(1)
     assert np.isnan(found.relative_yaw_deg).all()
@@ -172,7 +172,7 @@ def _random_signature(seed, r1, r2, scale):
 
 
 @given(harmonic_signatures)
-def test_float16_comes_back_to_one_part_in_2048(signature):
+def test_float16_is_exact_to_one_part_in_2048(signature):
     r1, r2 = signature.values.shape
     body = pack_signatures([signature], Packing.FLOAT16)
     assert len(body) == 11 + 2 * r1 * (2 * r2 - 1)

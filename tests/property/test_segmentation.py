@@ -47,7 +47,7 @@ def test_drives_never_share_a_segment(drive_lengths, length):
 
 
 @given(scan_counts, st.integers(1, 6000))
-def test_l_segments_are_asked_for_and_never_more_come(scans, segments):
+def test_there_are_never_more_than_the_l_requested_segments(scans, segments):
     length = segment_length_for(scans, segments=segments)
     assert length == max(1, -(-scans // segments))
     assert len(cut_fixed(scans, length)) - 1 <= segments
@@ -63,7 +63,7 @@ def test_a_length_beyond_the_drive_makes_one_segment(length):
     assert cut_fixed(3800, segment_length_for(3800, segment_length=length)).tolist() == [0, 3800]
 
 
-def test_nonsense_is_refused():
+def test_invalid_values_are_rejected():
     with pytest.raises(EmptyDrive):
         cut_fixed(0, 5)
     for length in (0, -3):

@@ -51,7 +51,7 @@ def test_one_signature_of_5_by_5_is_63_bytes():
 
 
 @given(st.binary(max_size=200))
-def test_any_bytes_are_a_signature_or_refused(body):
+def test_any_bytes_are_a_signature_or_rejected(body):
     try:
         signatures = unpack_signatures(body)
     except InvalidSignature:
@@ -60,7 +60,7 @@ def test_any_bytes_are_a_signature_or_refused(body):
 
 
 @given(st.sampled_from([1, 2]), st.integers(1, 3), st.integers(1, 3), st.integers(1, 3), st.data())
-def test_any_values_under_a_true_header_are_finite_or_refused(layout, r1, r2, count, data):
+def test_any_values_under_a_true_header_are_finite_or_rejected(layout, r1, r2, count, data):
     size = count * (2 + 2 * layout * r1 * r2)
     body = data.draw(st.binary(min_size=size, max_size=size))
     try:
@@ -73,24 +73,24 @@ def test_any_values_under_a_true_header_are_finite_or_refused(layout, r1, r2, co
 
 
 @given(st.integers(0, 62))
-def test_a_truncated_body_is_refused(length):
+def test_a_truncated_body_is_rejected(length):
     with pytest.raises(InvalidSignature, match=f"{length} bytes came"):
         unpack_signatures(pack_signatures([sample()])[:length])
 
 
 @pytest.mark.parametrize(
-    ("byte", "value", "said"),
+    ("byte", "value", "message"),
     [(0, 5, "layout 5"), (0, 0, "layout 0"), (9, 0, "0 x 5"), (10, 0, "5 x 0")],
 )
-def test_a_header_that_cannot_be_is_refused(byte, value, said):
+def test_an_invalid_header_is_rejected(byte, value, message):
     body = bytearray(pack_signatures([sample()]))
     body[byte] = value
-    with pytest.raises(InvalidSignature, match=said):
+    with pytest.raises(InvalidSignature, match=message):
         unpack_signatures(bytes(body))
 
 
 @pytest.mark.parametrize(
-    ("signatures", "said"),
+    ("signatures", "message"),
     [
         ([], "no signature"),
         ([sample(), sample(revision="f" * 64)], "several revisions"),
@@ -102,13 +102,13 @@ def test_a_header_that_cannot_be_is_refused(byte, value, said):
         ([sample(revision="")], "revision"),
     ],
 )
-def test_what_cannot_be_packed_is_refused(signatures, said):
-    with pytest.raises(InvalidSignature, match=said):
+def test_what_cannot_be_packed_is_rejected(signatures, message):
+    with pytest.raises(InvalidSignature, match=message):
         pack_signatures(signatures)
 
 
 @pytest.mark.parametrize(
-    ("changes", "said"),
+    ("changes", "message"),
     [
         ({"values": np.ones(5)}, r"shape \(5,\), wanted \(r1, r2\)"),
         ({"values": np.ones((0, 5))}, r"shape \(0, 5\)"),
@@ -119,8 +119,8 @@ def test_what_cannot_be_packed_is_refused(signatures, said):
         ({"segment": 10**30}, "segment is 10000"),
     ],
 )
-def test_a_signature_that_cannot_be_is_refused(changes, said):
-    with pytest.raises(InvalidSignature, match=said):
+def test_an_invalid_signature_is_rejected(changes, message):
+    with pytest.raises(InvalidSignature, match=message):
         sample(**changes)
 
 

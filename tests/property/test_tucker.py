@@ -188,6 +188,6 @@ def test_images_of_nothing_have_no_error():
 
 
 @pytest.mark.parametrize("rank", [-1, 0, 4, 10**9])
-def test_a_rank_beyond_the_matrix_is_refused(rank):
+def test_a_rank_beyond_the_matrix_is_rejected(rank):
     with pytest.raises(InvalidParameters, match=rf"the rank is {rank}, wanted 1\.\.3"):
         leading_basis(np.eye(3), rank)

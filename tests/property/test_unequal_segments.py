@@ -150,7 +150,7 @@ def test_a_bend_a_standing_vehicle_and_one_that_looks_around_are_no_turns():
 
 
 @given(st.floats(60.0, 170.0), st.floats(-3.0, 3.0), st.sampled_from([0.5, 1.0, 2.5]))
-def test_a_corner_is_one_turn_whichever_way_it_goes(degrees, heading, step_m):
+def test_a_corner_is_one_turn_in_either_direction(degrees, heading, step_m):
     half = np.arange(0.0, 80.0, step_m)
     poses = np.zeros((2 * len(half), 7))
     poses[:, 6] = 1.0
@@ -161,7 +161,7 @@ def test_a_corner_is_one_turn_whichever_way_it_goes(degrees, heading, step_m):
     assert np.linalg.norm(poses[row, :2]) <= 4.0 + step_m
 
 
-def test_progress_is_told_of_every_image_and_images_must_be_as_many_as_scans():
+def test_progress_receives_every_image_and_images_must_be_as_many_as_scans():
     progress = RecordedProgress()
     images = MemoryImages(surroundings(130, [40], 6, (6, 19)), GRID)
     mapped = trajectory(straight_poses(70), straight_poses(60))

@@ -1,4 +1,4 @@
-"""A short simulated drive, rendered once a session, and its bodies as a vehicle sends them."""
+"""A short simulated drive, rendered once a session, and its request bodies."""
 
 import functools
 import io
@@ -32,7 +32,7 @@ class Recording:
         return len(self.scans)
 
     def pose(self, index: int) -> Pose:
-        """Return where scan `index` was taken."""
+        """Return the pose of scan `index`."""
         pose = self.scans[index].pose
         assert pose is not None
         return pose

@@ -149,7 +149,7 @@ def sample_image(tensor_map: TensorMap, cells: Float32Array) -> Image:
 
 
 class RecordedProgress:
-    """Writes down what it is told."""
+    """Records stages and units."""
 
     def __init__(self) -> None:
         self.stages: list[tuple[str, int]] = []

@@ -24,7 +24,7 @@ def folders(tmp_path_factory):
     return folder
 
 
-def test_every_method_is_asked_and_the_figures_are_written(folders, tmp_path):
+def test_every_method_is_queried_and_the_figures_are_written(folders, tmp_path):
     out = tmp_path / "figures.json"
     printed = run("compare",
         folders / "monday", "--methods", OURS, "--split", "every:2", "--segments", "2",
@@ -57,7 +57,7 @@ def test_a_second_pass_finds_itself(folders, tmp_path):
         assert method["conditions"][0]["recall_at_1"] == {"0.5": 1.0}
 
 
-def test_loops_are_asked_among_earlier_scans(folders, tmp_path):
+def test_loops_are_searched_among_earlier_scans(folders, tmp_path):
     out = tmp_path / "figures.json"
     options = ["--methods", "solid,harmonic", "--json", out]
     run("compare", folders / "monday", "--loop", "--recent-scans", "5", *options)
@@ -75,7 +75,7 @@ def test_loops_are_asked_among_earlier_scans(folders, tmp_path):
     [
         (["--methods", "orb"], "no method 'orb'; known are paper, harmonic"),
         (["--methods", "solid,solid"], "each once"),
-        (["--loop", "--split", "every:2"], "of one drive, whole"),
+        (["--loop", "--split", "every:2"], "of one whole drive"),
         (["--loop", "--recent-scans", "3", "--recent-s", "2"], "one of them"),
         (["--loop"], "exclude less"),
         (["--recent-s", "2"], "are of --loop"),
@@ -90,7 +90,7 @@ def test_wrong_input_is_named(folders, options, says):
         run("compare", folders / "monday", "--methods", "solid", *options)
 
 
-def test_a_list_that_is_none_and_a_place_that_cannot_be_written_are_refused(folders, tmp_path):
+def test_a_list_that_is_none_and_a_path_that_cannot_be_written_are_rejected(folders, tmp_path):
     for options in (["--yaw-deg", "north"], ["--json", tmp_path / "no" / "such.json"]):
         with pytest.raises(SystemExit):
             run("compare", folders / "monday", *options)

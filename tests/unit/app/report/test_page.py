@@ -132,8 +132,8 @@ def test_it_needs_no_network_and_runs_no_script(page) -> None:
 def test_it_holds_every_figure_of_the_paper_for_each_encoding(page) -> None:
     ids = set(Page(page).ids)
     of_each = ("trade-off", "sweep", "size", "answers", "relative-error", "confusion")
-    wanted = {f"{encoding}-{figure}" for encoding in encoding_names() for figure in of_each}
-    assert wanted | {"disturbances", "nodes", "advice", "made"} <= ids
+    expected = {f"{encoding}-{figure}" for encoding in encoding_names() for figure in of_each}
+    assert expected | {"disturbances", "nodes", "advice", "made"} <= ids
     # By encoding: 1 trade-off, 2 accuracies, 4 of size, 4 of answers, 1 error, 1 matrix.
     assert page.count('<div role="img"') == 2 * (1 + 2 + 4 + 4 + 1 + 1) + 3 + 2
 
@@ -161,7 +161,7 @@ def test_the_tables_hold_the_numbers_of_the_study(study, page) -> None:
     assert page.count("<table>") == 3 + 1 + 2 * 4
 
 
-def test_a_study_tells_what_the_recommended_map_answered(study) -> None:
+def test_a_study_has_the_answers_of_the_recommended_map(study) -> None:
     for of in study.encodings:
         point = of.sweep.at(of.parameters.ranks, of.segment_length)
         assert of.recommended
@@ -198,11 +198,11 @@ def test_figures_can_be_of_a_chosen_setting_and_the_same_study_is_the_same_page(
 
 def test_the_command_writes_a_page_and_numbers_of_a_drive_without_poses(folder, tmp_path) -> None:
     out, numbers = tmp_path / "report.html", tmp_path / "report.json"
-    said = run(
+    message = run(
         "report", folder, "-o", out, "--json", numbers, "--quick", "--encoding", "paper",
         "--k", "10,15", "--r1", "3,5", "--ranks", "5,5",
     ).stdout  # fmt: skip
-    assert "does not decide" in said
+    assert "does not decide" in message
     page = out.read_text()
     assert "has no poses: there is no map to draw" in page
     assert "harmonic-sweep" not in Page(page).ids
@@ -218,9 +218,7 @@ def test_the_command_writes_a_page_and_numbers_of_a_drive_without_poses(folder, 
 
 
 @pytest.mark.parametrize("options", [["--r1", "3,x"], ["--k", "0"], ["--max-bytes-per-scan", "0"]])
-def test_options_that_make_no_sense_are_refused_and_nothing_is_written(
-    folder, tmp_path, options
-) -> None:
+def test_invalid_options_are_rejected_and_nothing_is_written(folder, tmp_path, options) -> None:
     out = tmp_path / "report.html"
     assert run("report", folder, "-o", out, *options).exit_code == 2
     assert not out.exists()
@@ -242,7 +240,7 @@ def test_segments_of_a_drive_are_at_least_ten_scans_and_multiples_of_five() -> N
         assert all(k >= 10 and k % 5 == 0 for k in lengths)
 
 
-def test_a_drive_that_stands_is_judged_by_all_of_its_scans() -> None:
+def test_all_scans_of_a_stationary_drive_count() -> None:
     scan = recording().scans[0]
     drive = MemoryDrive("d", [Scan(scan.points_m, i / 10, scan.pose) for i in range(20)])
     found = study_drive(drive, protocol(["harmonic"]))
@@ -254,13 +252,13 @@ def test_a_drive_that_stands_is_judged_by_all_of_its_scans() -> None:
 
 
 def test_the_machine_is_named_wherever_it_can_be(tmp_path) -> None:
-    told = tmp_path / "cpuinfo"
-    told.write_text("processor : 0\nmodel name : Engine 9\n")
-    assert machine(told) == "Engine 9"
+    reported = tmp_path / "cpuinfo"
+    reported.write_text("processor : 0\nmodel name : Engine 9\n")
+    assert machine(reported) == "Engine 9"
     assert machine(tmp_path / "absent")
     assert commit() is None or re.match(r"[0-9a-f]{12}|v", commit() or "")
 
 
-def test_a_table_whose_rows_do_not_fit_is_refused() -> None:
+def test_a_table_whose_rows_do_not_fit_is_rejected() -> None:
     with pytest.raises(InvalidParameters, match="does not fit"):
         Table("t", ("a", "b"), (("1",),))

@@ -33,7 +33,7 @@ def grid(accuracy, **options):
     return [point(r1, r2, accuracy(r1, r2), **options) for r1 in RANKS for r2 in RANKS]
 
 
-def test_it_takes_the_smallest_of_those_that_cannot_be_told_from_the_best() -> None:
+def test_it_recommends_the_smallest_of_those_that_do_not_differ_from_the_best() -> None:
     points = grid(lambda r1, r2: {4: 0.6, 8: 0.8, 16: 0.97, 32: 0.975, 64: 0.98}[r1 * r2])
     advice = advise(points, judged=100)
     assert advice.verdict == Decision.DECIDED
@@ -138,11 +138,11 @@ def test_a_standard_error_is_never_zero_and_falls_with_evidence(judged, data) ->
 
 
 @pytest.mark.parametrize("budget", [0.0, -1.0, float("nan")])
-def test_a_budget_that_is_none_is_refused(budget) -> None:
+def test_a_budget_of_nothing_is_rejected(budget) -> None:
     with pytest.raises(InvalidParameters, match="max_bytes_per_scan"):
         advise([point(2, 2, 1.0)], 10, budget)
 
 
-def test_nothing_to_choose_from_is_refused() -> None:
+def test_nothing_to_choose_from_is_rejected() -> None:
     with pytest.raises(InvalidParameters, match="no candidate"):
         advise([], 10)

@@ -110,14 +110,14 @@ def test_a_loop_is_closed_with_places_that_are_not_recent():
     assert (row.recall_at_1[3.0], row.max_f1[3.0]) == (1.0, 1.0)
 
 
-def test_recent_is_told_in_seconds_too():
+def test_recent_may_be_given_in_seconds_too():
     drive = line([0.0] * 6)
     fake = Fake({})
     compare(drive, [fake], ComparisonProtocol(LoopClosing(recent_scans=None, recent_s=0.35)))
     assert fake.queried == [(4, 1), (5, 2)]
 
 
-def test_a_second_pass_asks_another_drive_of_the_whole_map():
+def test_a_second_pass_queries_the_whole_map_with_another_drive():
     fake = Fake({0: (1, 0.1), 2: (0, 0.1)})
     result = compare(
         line([0.0, 9.0]), [fake], ComparisonProtocol(SecondPass(every=2)), line([8, 7, 6], "b")
@@ -137,7 +137,7 @@ def test_a_second_pass_asks_another_drive_of_the_whole_map():
         (HeldOut(Every(90)), None, None),
     ],
 )
-def test_a_protocol_that_does_not_fit_the_drives_is_refused(pairing, query, says):
+def test_a_protocol_that_does_not_fit_the_drives_is_rejected(pairing, query, says):
     drive = line([0.0, 1.0, 2.0])
     asked = None if query is None else line([0.0], query)
     if says is None:
@@ -147,7 +147,7 @@ def test_a_protocol_that_does_not_fit_the_drives_is_refused(pairing, query, says
         compare(drive, [Fake({})], ComparisonProtocol(pairing), asked)
 
 
-def test_nonsense_is_refused():
+def test_invalid_values_are_rejected():
     drive = line([0.0, 1.0, 2.0])
     with pytest.raises(InvalidParameters, match="each once"):
         compare(drive, [Fake({}), Fake({})], ComparisonProtocol(HeldOut(Every(2))))
@@ -208,19 +208,19 @@ class TestMethods:
         assert found.row < 2
         assert enrolled.describe(sample_drive(9).scan(7))(0) is None
 
-    def test_bytes_are_told(self, method):
+    def test_bytes_are_reported(self, method):
         enrolled = method.enrol(sample_drive(8), np.arange(8))
         assert enrolled.sent_bytes is not None
         assert enrolled.stored_bytes is not None
         assert 0 < enrolled.sent_bytes <= 4800
         assert enrolled.stored_bytes > 0
 
-    def test_a_drive_without_a_usable_scan_is_refused(self, method):
+    def test_a_drive_without_a_usable_scan_is_rejected(self, method):
         with pytest.raises(EmptyDrive, match="no usable scan"):
             method.enrol(FaultyDrive(sample_drive(2), {0, 1}), np.arange(2))
 
 
-def test_the_whole_is_plain_values_and_tells_its_progress():
+def test_the_whole_is_plain_values_and_reports_its_progress():
     progress = RecordedProgress()
     protocol = ComparisonProtocol(
         HeldOut(Every(2), 6), conditions=conditions((0, 90), (0,), (0.01,)), unknown_every=2
@@ -236,8 +236,8 @@ def test_the_whole_is_plain_values_and_tells_its_progress():
     row = written["methods"][2]["conditions"][1]
     assert (row["yaw_deg"], row["noise_m"], row["queries"]) == (90.0, 0.01, 6)
     assert set(row["recall_at_1"]) == {"3", "5", "10"}
-    assert ("asking", 6 * 2 * 6) in progress.stages
-    assert ("asking elsewhere", 3 * 2 * 6) in progress.stages
+    assert ("querying", 6 * 2 * 6) in progress.stages
+    assert ("querying unknown places", 3 * 2 * 6) in progress.stages
     assert progress.done == [total for _, total in progress.stages]
 
 

@@ -52,7 +52,7 @@ def test_the_returns_stay_where_they_are_in_the_world(yaw_deg, lateral_m):
     np.testing.assert_allclose(again, in_world, atol=1e-4)
 
 
-def test_noise_has_the_spread_asked_for_and_is_reproducible():
+def test_noise_has_the_given_spread_and_is_reproducible():
     points = np.tile([[10.0, 20.0, 1.0]], (20_000, 1))
     noisy = applied(Condition(noise_m=0.5), points, seed=7)
     np.testing.assert_array_equal(noisy, applied(Condition(noise_m=0.5), points, seed=7))
@@ -66,7 +66,7 @@ def test_the_place_of_an_unknown_pose_is_unknown():
 
 
 @pytest.mark.parametrize(
-    ("wrong", "said"),
+    ("wrong", "message"),
     [
         ({"yaw_deg": np.nan}, "not finite"),
         ({"lateral_m": np.inf}, "not finite"),
@@ -74,8 +74,8 @@ def test_the_place_of_an_unknown_pose_is_unknown():
         ({"noise_m": -0.1}, "noise_m is -0.1"),
     ],
 )
-def test_a_condition_that_cannot_be_is_refused(wrong, said):
-    with pytest.raises(InvalidParameters, match=said):
+def test_an_invalid_condition_is_rejected(wrong, message):
+    with pytest.raises(InvalidParameters, match=message):
         Condition(**wrong)
 
 

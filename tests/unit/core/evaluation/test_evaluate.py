@@ -94,7 +94,7 @@ def without_times(result):
     return {name: value for name, value in result.as_dict().items() if name != "ms_per_query"}
 
 
-def test_a_conditions_figures_do_not_depend_on_what_else_is_asked(drive, found):
+def test_a_conditions_figures_do_not_depend_on_other_conditions(drive, found):
     alone = evaluate(drive, EvaluationProtocol(segments=4, conditions=(Condition(noise_m=2.0),)))
     assert without_times(alone.conditions[0]) == without_times(found.conditions[2])
 
@@ -125,7 +125,7 @@ def test_a_drive_without_poses_has_no_figures_in_metres():
     json.dumps(found.as_dict(), allow_nan=False)
 
 
-def test_scans_that_cannot_be_used_are_skipped_in_the_map_and_refused_as_queries():
+def test_scans_that_cannot_be_used_are_skipped_in_the_map_and_rejected_as_queries():
     drive = FaultyDrive(sample_drive(40), {2, 3, 7, 11})  # 2 and 7 are queries, j mod 5 == 2
     found = evaluate(drive, EvaluationProtocol(SMALL, segments=4))
     assert [item.scan for item in found.skipped] == [3, 11]
@@ -133,7 +133,7 @@ def test_scans_that_cannot_be_used_are_skipped_in_the_map_and_refused_as_queries
     assert (found.conditions[0].queries, found.conditions[0].refusals) == (8, 2)
 
 
-def test_queries_that_a_condition_leaves_without_returns_are_refused():
+def test_queries_that_a_condition_leaves_without_returns_are_rejected():
     far = (Condition(), Condition(lateral_m=1e39))
     found = evaluate(sample_drive(40), EvaluationProtocol(SMALL, segments=4, conditions=far))
     assert [result.refusals for result in found.conditions] == [0, 8]
@@ -144,7 +144,7 @@ def test_queries_that_a_condition_leaves_without_returns_are_refused():
     json.dumps(found.as_dict(), allow_nan=False)
 
 
-def test_a_second_drive_is_asked_against_the_whole_of_the_first():
+def test_a_second_drive_queries_the_whole_of_the_first():
     drive = sample_drive(40)
     found = evaluate(drive, EvaluationProtocol(SMALL, segments=4), sample_drive(30, name="second"))
     (result,) = found.conditions
@@ -163,7 +163,7 @@ def test_a_querys_true_segment_is_that_of_the_nearest_map_scan():
     assert all(error.segment == error.scan // 10 for error in result.errors)
 
 
-def test_a_second_drive_without_poses_cannot_be_judged():
+def test_a_second_drive_without_poses_has_no_accuracy():
     drive, other = sample_drive(40), sample_drive(10, poses=False)
     (result,) = evaluate(drive, EvaluationProtocol(SMALL, segments=4), other).conditions
     assert result.segment_accuracy is None
@@ -173,12 +173,12 @@ def test_a_second_drive_without_poses_cannot_be_judged():
     assert result.refusals == 0
 
 
-def test_a_split_that_empties_a_segment_is_refused():
+def test_a_split_that_empties_a_segment_is_rejected():
     with pytest.raises(InvalidParameters, match="segment 1 is left without a map scan"):
         evaluate(sample_drive(6), EvaluationProtocol(SMALL, segment_length=1, split=Every(2)))
 
 
-def test_a_split_that_holds_nothing_out_is_refused_before_the_work():
+def test_a_split_that_holds_nothing_out_is_rejected_before_the_work():
     progress = RecordedProgress()
     with pytest.raises(InvalidParameters, match="some must be queried"):
         evaluate(
@@ -187,7 +187,7 @@ def test_a_split_that_holds_nothing_out_is_refused_before_the_work():
     assert progress.stages == []
 
 
-def test_a_drive_of_nothing_is_refused():
+def test_an_empty_drive_is_rejected():
     empty = MemoryDrive("empty", [])
     with pytest.raises(EmptyDrive, match="drive empty has no scan"):
         evaluate(empty, EvaluationProtocol(SMALL))
@@ -195,7 +195,7 @@ def test_a_drive_of_nothing_is_refused():
         evaluate(sample_drive(6), EvaluationProtocol(SMALL), empty)
 
 
-def test_progress_tells_every_stage_and_can_stop_it():
+def test_progress_receives_every_stage_and_can_stop_it():
     progress = RecordedProgress()
     drive = FaultyDrive(sample_drive(40), {2, 3})
     two = (Condition(), Condition(yaw_deg=10.0))
@@ -221,7 +221,7 @@ def test_progress_tells_every_stage_and_can_stop_it():
 
 
 @pytest.mark.parametrize(
-    ("wrong", "said"),
+    ("wrong", "message"),
     [
         ({"tolerances_m": ()}, "tolerances_m"),
         ({"tolerances_m": (0.0,)}, "tolerances_m"),
@@ -231,12 +231,12 @@ def test_progress_tells_every_stage_and_can_stop_it():
         ({"conditions": ()}, "conditions"),
     ],
 )
-def test_a_protocol_that_cannot_be_is_refused(wrong, said):
-    with pytest.raises(InvalidParameters, match=said):
+def test_an_invalid_protocol_is_rejected(wrong, message):
+    with pytest.raises(InvalidParameters, match=message):
         EvaluationProtocol(**wrong)
 
 
-def test_the_harmonic_encoding_tells_heading_and_offset_and_says_what_it_was_built_with(drive):
+def test_the_harmonic_encoding_estimates_heading_and_offset_and_lists_its_parameters(drive):
     parameters = MapParameters.for_sensor(
         encoding="harmonic", lateral_renderings_m=(-2.0, 0.0, 2.0)
     )
@@ -254,13 +254,13 @@ def test_the_harmonic_encoding_tells_heading_and_offset_and_says_what_it_was_bui
         assert row["position_error_m_median"] <= 2.0
 
 
-def test_the_papers_encoding_tells_neither(found):
+def test_the_papers_encoding_estimates_neither(found):
     assert (found.image, found.distance, found.lateral_renderings_m) == ("range", None, None)
     for row in found.conditions:
         assert (row.heading_error_deg_median, row.lateral_error_m_median) == (None, None)
 
 
-def test_unknown_places_are_asked_and_the_probabilities_judged(drive):
+def test_unknown_places_are_queried_and_the_probabilities_checked(drive):
     elsewhere = in_memory(SimulatedDrive(seed=8, scans=20))
     protocol = EvaluationProtocol(MapParameters.for_sensor(encoding="harmonic"), segments=4)
     found = evaluate(drive, protocol, unknown=[elsewhere])
@@ -283,13 +283,13 @@ def test_without_poses_no_probability_is_judged(drive):
     assert found.conditions[0].reliability is None
 
 
-def test_an_unknown_drive_without_a_scan_is_refused(drive):
+def test_an_unknown_drive_without_a_scan_is_rejected(drive):
     with pytest.raises(EmptyDrive):
         evaluate(drive, EvaluationProtocol(segments=4), unknown=[MemoryDrive("none", [])])
 
 
 @pytest.mark.parametrize("encoding", encoding_names())
-def test_unequal_segments_are_cut_over_all_scans_and_told(encoding):
+def test_unequal_segments_are_cut_over_all_scans_and_reported(encoding):
     parameters = MapParameters.for_sensor(
         encoding=encoding, ranks=(2, 2), segmentation=Segmentation.UNEQUAL
     )

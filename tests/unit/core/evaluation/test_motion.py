@@ -16,12 +16,12 @@ def at(x_m):
     return rows
 
 
-def test_a_vehicle_stands_that_moved_less_than_5_cm_in_a_tenth_of_a_second():
+def test_a_vehicle_that_moved_less_than_5_cm_in_a_tenth_of_a_second_is_stationary():
     poses = at([0.0, 0.04, 0.10, 0.14])
     assert is_standing(poses, np.arange(4) / 10).tolist() == [True, True, False, True]
 
 
-def test_the_first_scan_stands_if_the_second_has_not_moved():
+def test_the_first_scan_is_stationary_if_the_second_has_not_moved():
     assert is_standing(at([0.0, 1.0, 1.0]), np.arange(3) / 10).tolist() == [False, False, True]
     assert is_standing(at([0.0, 0.0, 1.0]), np.arange(3) / 10).tolist() == [True, True, False]
     assert is_standing(at([0.0]), np.zeros(1)).tolist() == [False]
@@ -39,7 +39,7 @@ def test_an_unknown_or_impossible_time_counts_as_a_tenth_of_a_second(times):
     assert not is_standing(at([0.0, 0.06]), np.array(times))[1]
 
 
-def test_nothing_shows_that_a_vehicle_of_unknown_pose_stands():
+def test_a_vehicle_of_unknown_pose_counts_as_moving():
     poses = at([0.0, 0.0, 0.0, 0.0])
     poses[1] = np.nan
     assert is_standing(poses, np.arange(4) / 10).tolist() == [False, False, False, True]

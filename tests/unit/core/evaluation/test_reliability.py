@@ -38,7 +38,7 @@ def test_weights_count_samples_more_or_less():
 
 
 @pytest.mark.parametrize("probability", [[], [1.5], [-0.1], [np.nan]])
-def test_what_is_no_probability_is_refused(probability):
+def test_numbers_that_are_no_probability_are_rejected(probability):
     with pytest.raises(InvalidParameters, match="probability"):
         expected_calibration_error(np.array(probability), np.ones(len(probability), bool))
 

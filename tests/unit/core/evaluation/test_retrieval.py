@@ -37,10 +37,10 @@ def test_what_was_not_answered_is_missed():
     assert (len(nothing.thresholds), nothing.max_f1, nothing.average_precision) == (0, 0.0, 0.0)
 
 
-def test_nonsense_is_refused():
-    with pytest.raises(InvalidParameters, match="not NaN"):
+def test_invalid_values_are_rejected():
+    with pytest.raises(InvalidParameters, match="a score is NaN"):
         precision_recall(np.array([np.nan]), np.array([True]), 1)
-    with pytest.raises(InvalidParameters, match="not NaN"):
+    with pytest.raises(InvalidParameters, match="a score is NaN"):
         precision_recall(np.array([1.0]), np.array([True, False]), 2)
     with pytest.raises(InvalidParameters, match="only 0 findable"):
         precision_recall(np.array([1.0]), np.array([True]), 0)

@@ -31,7 +31,7 @@ def test_the_phases_of_80_to_20_hold_out_every_scan_once():
 
 
 @pytest.mark.parametrize("n", [2, 3, 7])
-def test_every_nth_scan_of_the_drive_is_mapped_and_the_others_asked(n):
+def test_every_nth_scan_of_the_drive_is_mapped_and_the_others_are_queries(n):
     held_out = Every(n).held_out(np.array([0, 10, 23]))
     np.testing.assert_array_equal(held_out, np.arange(23) % n != 0)
 
@@ -52,7 +52,7 @@ def test_a_split_is_read_and_written_in_one_form(text, split):
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         ("", "the split is ''"),
         ("interleaved", "wanted interleaved:FRACTION"),
@@ -71,13 +71,13 @@ def test_a_split_is_read_and_written_in_one_form(text, split):
         ("random:0.2", "the split is"),
     ],
 )
-def test_a_split_that_cannot_be_is_refused(text, said):
-    with pytest.raises(InvalidParameters, match=said):
+def test_an_invalid_split_is_rejected(text, message):
+    with pytest.raises(InvalidParameters, match=message):
         parse_split(text)
 
 
 @pytest.mark.parametrize("fraction", [0.0, 1.0, -0.1, np.nan])
-def test_a_fraction_that_leaves_nothing_is_refused(fraction):
+def test_a_fraction_without_queries_or_map_is_rejected(fraction):
     with pytest.raises(InvalidParameters, match="wanted 0 < f < 1"):
         Interleaved(fraction)
     with pytest.raises(InvalidParameters, match="phase is -1, wanted at least 0"):

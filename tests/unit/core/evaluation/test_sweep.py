@@ -8,17 +8,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from core.encodings.harmonic.model import HarmonicModel
+from core.encodings.paper.encoding import leading_sums
 from core.encodings.paper.model import PaperModel
-from core.encodings.paper.sweep import leading_sums
 from core.encodings.registry import encoding_names
 from core.errors import InvalidParameters
 from core.evaluation.condition import Condition
 from core.evaluation.criterion import Criterion
 from core.evaluation.evaluate import EvaluationProtocol, evaluate
-from core.evaluation.query_images import QueryImages, held_out_scans
 from core.evaluation.query_set import QuerySet
 from core.evaluation.split import Every, Interleaved
-from core.evaluation.sweep import SweepGrid, sweep
+from core.evaluation.study_drive import held_out_scans
+from core.evaluation.sweep import QueryImages, SweepGrid, sweep
 from core.mapping.pipeline import build
 from core.parameters import MapParameters
 from core.scans.drive import MemoryDrive
@@ -48,8 +48,8 @@ def parameters(encoding, ranks=(5, 5)):
 @functools.cache
 def images_of(encoding, recorded=None, split=None, most=None):
     recorded = recorded or drive()
-    held_out, asked = held_out_scans(recorded, split or Interleaved(), most)
-    queries = QuerySet(recorded, asked, CONDITIONS, 0)
+    held_out, queried = held_out_scans(recorded, split or Interleaved(), most or 10**6)
+    queries = QuerySet(recorded, queried, CONDITIONS, 0)
     return QueryImages.of_drive(held_out, queries, parameters(encoding))
 
 
@@ -89,16 +89,16 @@ def test_signatures_of_small_ranks_are_the_leading_block_of_those_of_large_ones(
 def test_a_candidate_has_the_figures_that_evaluate_finds(encoding, ranks, k) -> None:
     found = swept(encoding).at(ranks, k)
     assert found is not None
-    wanted = evaluate(
+    expected = evaluate(
         drive(),
         EvaluationProtocol(parameters(encoding, ranks), segment_length=k, conditions=CONDITIONS),
     )
-    assert found.segments == wanted.segments
-    assert found.elements == wanted.compression.elements
-    assert found.bytes_per_scan == pytest.approx(4 * found.elements / wanted.map_scans)
-    assert found.segment_accuracy == wanted.conditions[0].segment_accuracy
-    assert found.accuracy == tuple(row.recall_at_1[3.0] for row in wanted.conditions)
-    assert min(wanted.relative_error) <= found.relative_error <= max(wanted.relative_error)
+    assert found.segments == expected.segments
+    assert found.elements == expected.compression.elements
+    assert found.bytes_per_scan == pytest.approx(4 * found.elements / expected.map_scans)
+    assert found.segment_accuracy == expected.conditions[0].segment_accuracy
+    assert found.accuracy == tuple(row.recall_at_1[3.0] for row in expected.conditions)
+    assert min(expected.relative_error) <= found.relative_error <= max(expected.relative_error)
 
 
 @pytest.mark.parametrize("encoding", encoding_names())
@@ -137,15 +137,15 @@ def test_leading_sums_are_sums_over_leading_blocks(rows, columns, data) -> None:
             )
 
 
-def test_the_same_scans_are_held_out_whatever_the_segments_and_few_are_spread_evenly() -> None:
-    held_out, asked = held_out_scans(drive(), Every(2), 4)
+def test_the_same_scans_are_held_out_with_any_segments_and_few_are_spread_evenly() -> None:
+    held_out, queried = held_out_scans(drive(), Every(2), 4)
     assert held_out.sum() == 20
-    assert asked.tolist() == [1, 13, 27, 39]
+    assert queried.tolist() == [1, 13, 27, 39]
     with pytest.raises(InvalidParameters, match="some must be queried"):
         held_out_scans(drive(1), Every(2), 4)
 
 
-def test_without_poses_an_answer_is_right_near_the_scan_that_was_asked() -> None:
+def test_without_poses_an_answer_is_right_near_the_query() -> None:
     unknown = MemoryDrive("d", [Scan(scan.points_m) for scan in recording(scans=40).scans])
     by_index = criterion(unknown, tolerance_scans=2)
     assert not by_index.by_place
@@ -156,7 +156,7 @@ def test_without_poses_an_answer_is_right_near_the_scan_that_was_asked() -> None
     assert all(0.0 <= p.mean_accuracy <= 1.0 for p in found.points)
 
 
-def test_scans_that_cannot_be_asked_are_told_and_not_counted() -> None:
+def test_scans_that_cannot_be_queried_are_reported_and_not_counted() -> None:
     scans = list(recording(scans=40).scans)
     scans[2] = Scan(np.array([[0.0, 0.0, 50.0]] * 5), pose=scans[2].pose)  # straight up
     of = images_of("paper", MemoryDrive("d", scans))
@@ -164,12 +164,12 @@ def test_scans_that_cannot_be_asked_are_told_and_not_counted() -> None:
     assert len(of.queries) == 7
 
 
-def test_a_segment_without_a_map_scan_is_refused() -> None:
+def test_a_segment_without_a_map_scan_is_rejected() -> None:
     with pytest.raises(InvalidParameters, match="segment 1 is left"):
         sweep(images_of("paper", split=Every(2)), criterion(), SweepGrid((2,), (2,), (1,)))
 
 
 @pytest.mark.parametrize("wrong", [(), (0,), (-1, 3)])
-def test_a_grid_without_whole_numbers_above_0_is_refused(wrong) -> None:
+def test_a_grid_without_whole_numbers_above_0_is_rejected(wrong) -> None:
     with pytest.raises(InvalidParameters, match="r2"):
         SweepGrid((2,), wrong, (10,))

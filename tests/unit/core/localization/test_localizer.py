@@ -289,7 +289,7 @@ def test_a_map_whose_parts_do_not_fit_is_refused(made):
         ({"relative_error": np.zeros(5)}, "6 segments"),
         ({"relative_error": np.full(6, np.nan)}, "relative_error"),
         ({"relative_error": np.full(6, -0.1)}, "relative_error"),
-        ({"topology": turned_round}, "do not lie between its edge's nodes"),
+        ({"topology": turned_round}, "are not between its edge's nodes"),
         ({"trajectory": cut_elsewhere}, "runs from one drive into the next"),
         ({"topology": node_beyond}, "node_scan names a scan that does not exist"),
         ({"parameters": MapParameters(grid=tensor_map.parameters.grid, ranks=(4, 3))}, "ranks"),

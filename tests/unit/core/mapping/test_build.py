@@ -100,7 +100,7 @@ def test_equal_input_is_an_equal_revision_however_it_is_read(tmp_path):
     assert built(images, cuts).revision != revision
 
 
-def test_a_revision_is_64_hexadecimal_digits_and_tells_every_difference():
+def test_a_revision_is_64_hexadecimal_digits_and_changes_with_every_difference():
     images = random_images(20, SMALL_GRID.shape)
     source, cuts = MemoryImages(images, SMALL_GRID), np.array([0, 10, 20])
     plain = fit_map(source, trajectory_of(20), cuts, PARAMETERS)
@@ -147,7 +147,7 @@ def test_a_drive_built_alone_has_the_models_it_has_among_others():
     assert together.topology.node_scan.tolist() == [0, 8, 16, 23, 24, 32, 40, 47]
 
 
-def test_images_on_another_grid_are_refused():
+def test_images_on_another_grid_are_rejected():
     with pytest.raises(SensorMismatch, match="the images are on"):
         fit_map(
             MemoryImages(random_images(4, (30, 361)), AngularGrid()),
@@ -158,19 +158,19 @@ def test_images_on_another_grid_are_refused():
 
 
 @pytest.mark.parametrize("cuts", [[0, 9], [0, 11], [1, 10], [0, 5, 5, 10], [0, 7, 3, 10], [10], []])
-def test_cuts_that_do_not_cover_the_images_are_refused(cuts):
+def test_cuts_that_do_not_cover_the_images_are_rejected(cuts):
     with pytest.raises(InvalidParameters, match="the cuts"):
         built(random_images(10, SMALL_GRID.shape), np.array(cuts, dtype=np.int64))
 
 
-def test_a_segment_over_two_drives_is_refused():
+def test_a_segment_over_two_drives_is_rejected():
     joined = Trajectory.concatenate([trajectory_of(5), trajectory_of(5, "drive-1")])
     source = MemoryImages(random_images(10, SMALL_GRID.shape), SMALL_GRID)
     with pytest.raises(InvalidParameters, match="drive"):
         fit_map(source, joined, np.array([0, 7, 10]), PARAMETERS)
 
 
-def test_a_source_that_reads_short_is_refused():
+def test_a_source_that_reads_short_is_rejected():
     class Short(_Fortran):
         def read(self, start, stop):
             return super().read(start, stop)[1:]
@@ -223,7 +223,7 @@ def test_projecting_a_drive_skips_what_cannot_be_used_and_says_why():
     assert (progress.stages, progress.done) == ([("projecting", 7)], [7])
 
 
-def test_a_drive_without_a_usable_scan_is_refused_with_the_first_reason():
+def test_a_drive_without_a_usable_scan_is_rejected_with_the_first_reason():
     drive = FaultyDrive(sample_drive(3), {0, 1, 2})
     with pytest.raises(EmptyDrive, match="drive drive has no usable scan: scan 0: scan 0 is torn"):
         project_drive(drive, np.arange(3), Imager(SMALL_GRID, Reducer.LAST))

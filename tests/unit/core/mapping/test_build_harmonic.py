@@ -87,15 +87,15 @@ def test_range_images_are_on_the_sensors_grid_without_a_seam():
         {"encoding": PAPER, "lateral_renderings_m": [0.0]},
     ],
 )
-def test_what_does_not_go_together_is_refused(options):
+def test_parts_that_do_not_fit_are_rejected(options):
     with pytest.raises(InvalidParameters):
         MapParameters.for_sensor(**options)
 
 
-def test_a_grid_with_a_seam_is_refused():
+def test_a_grid_with_a_seam_is_rejected():
     with pytest.raises(InvalidParameters, match="wraps"):
         MapParameters(HARMONIC, grid=AngularGrid())
-    with pytest.raises(InvalidParameters, match="wants distance"):
+    with pytest.raises(InvalidParameters, match="needs distance"):
         MapParameters(HARMONIC, grid=AngularGrid(wraps=True))
 
 
@@ -132,8 +132,8 @@ def test_one_basis_is_the_best_for_the_detail_in_all_renderings_of_all_segments(
     )
     assert (model.radial_basis[np.abs(model.radial_basis).argmax(axis=0), range(3)] > 0).all()
     factor = azimuth_factor(images.shape[-1], 4)
-    wanted = np.einsum("ir,kdij,jm->kdrm", model.radial_basis, images, factor, optimize=True)
-    np.testing.assert_allclose(model.signatures, wanted, rtol=1e-4, atol=1e-4)
+    expected = np.einsum("ir,kdij,jm->kdrm", model.radial_basis, images, factor, optimize=True)
+    np.testing.assert_allclose(model.signatures, expected, rtol=1e-4, atol=1e-4)
 
 
 def test_the_relative_error_is_what_the_reconstruction_misses():
@@ -172,7 +172,7 @@ def test_the_elements_are_those_of_the_arrays():
     assert tensor_map.elements == 6 * 3 + 3 + 10 * 3 * 3 * 7
 
 
-def test_a_map_whose_parts_do_not_fit_is_refused():
+def test_a_map_whose_parts_do_not_fit_is_rejected():
     tensor_map, _ = sample_harmonic_map(count=10, segment_length=5)
     model = tensor_map.model
     assert isinstance(model, HarmonicModel)
@@ -194,8 +194,8 @@ def test_a_map_whose_parts_do_not_fit_is_refused():
     other = HarmonicModel(**{**vars_of(model), "lateral_offset_m": np.array([-1.0, 0.0, 1.0])})
     plain = HarmonicModel(**{**vars_of(model), "measure": Distance.PLAIN})
     parts = (tensor_map.trajectory, tensor_map.topology, tensor_map.relative_error)
-    for wrong, said in ((other, "lateral_offset_m"), (plain, "distance")):
-        with pytest.raises(InvalidMap, match=said):
+    for wrong, message in ((other, "lateral_offset_m"), (plain, "distance")):
+        with pytest.raises(InvalidMap, match=message):
             TensorMap(tensor_map.parameters, wrong, *parts)
 
 
@@ -207,7 +207,7 @@ def vars_of(model):
 # Answering
 
 
-def test_every_rendering_finds_its_scan_and_tells_where_it_is_seen_from():
+def test_every_rendering_finds_its_scan_and_its_viewpoint():
     tensor_map, images = sample_harmonic_map(count=20, segment_length=10)
     localizer = Localizer(tensor_map)
     grid = tensor_map.parameters.grid
@@ -224,7 +224,7 @@ def test_every_rendering_finds_its_scan_and_tells_where_it_is_seen_from():
 
 @pytest.mark.parametrize("lateral_m", [-3.0, 0.0, 1.5])
 @pytest.mark.parametrize("yaw_deg", [0.0, 35.0, -120.0, 180.0])
-def test_a_vehicle_beside_the_line_and_turned_is_found_where_it_stands(
+def test_a_vehicle_with_an_offset_and_relative_yaw_is_found_at_its_place(
     drive, localizer, lateral_m, yaw_deg
 ):
     condition = Condition(yaw_deg=yaw_deg, lateral_m=lateral_m)
@@ -268,7 +268,7 @@ def test_every_choice_finds_a_turned_neighbour(drive, options):
     assert np.median(turns) < 3
 
 
-def test_without_poses_a_turn_and_an_offset_are_still_told():
+def test_without_poses_relative_yaw_and_offset_are_still_estimated():
     tensor_map, images = sample_harmonic_map(count=10, segment_length=5, poses=False)
     grid = tensor_map.parameters.grid
     assert isinstance(grid, RingGrid)
@@ -300,7 +300,7 @@ def test_the_basis_is_one_for_all_segments(localizer):
     np.testing.assert_array_equal(basis.radial_basis, localizer.map.model.radial_basis)
 
 
-def test_what_is_of_another_kind_is_refused(drive, localizer):
+def test_values_of_another_kind_are_rejected(drive, localizer):
     angular = AngularGrid(wraps=True)
     with pytest.raises(SensorMismatch, match="a range image, the map is of height images"):
         localizer.localize_image(Image(np.ones(angular.shape, np.float32), angular))
@@ -317,7 +317,7 @@ def test_what_is_of_another_kind_is_refused(drive, localizer):
         localizer.localize_signatures([Signature(signature.values, None, "f" * 64)])
 
 
-def test_a_paper_map_refuses_a_harmonic_signature():
+def test_a_paper_map_rejects_a_harmonic_signature():
     parameters = MapParameters(ranks=(2, 2))
     images = np.random.default_rng(0).random((3, 30, 361), dtype=np.float32)
     trajectory = Trajectory.of_drive("d", np.arange(3.0), straight_poses(3), np.arange(3))
@@ -334,19 +334,19 @@ def test_a_paper_map_refuses_a_harmonic_signature():
 
 
 @pytest.mark.parametrize(
-    ("values", "segment", "said"),
+    ("values", "segment", "message"),
     [
         (np.ones((2, 2), np.complex64), 0, "complex"),
         (np.full((2, 2), 1j), None, "first column"),
         (np.full((2, 2), np.inf), None, "not finite"),
     ],
 )
-def test_a_harmonic_signature_that_cannot_be_is_refused(values, segment, said):
-    with pytest.raises(InvalidSignature, match=said):
+def test_an_invalid_harmonic_signature_is_rejected(values, segment, message):
+    with pytest.raises(InvalidSignature, match=message):
         Signature(values, segment, "f" * 64)
 
 
-def test_what_cannot_be_packed_or_unpacked_is_refused():
+def test_signatures_that_cannot_be_packed_or_unpacked_are_rejected():
     one = Signature(np.ones((2, 2), np.complex64), None, "f" * 64)
     with pytest.raises(InvalidSignature, match="alone"):
         pack_signatures([one, one])

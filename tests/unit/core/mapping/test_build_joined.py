@@ -67,7 +67,7 @@ def test_fraction_and_metres_are_those_of_the_segment(there_and_back):
         assert best.along_m == pytest.approx(1.5 * (row - first))
 
 
-def test_a_joined_map_comes_back_from_its_file_to_the_bit(there_and_back, tmp_path):
+def test_a_joined_map_is_read_from_its_file_to_the_bit(there_and_back, tmp_path):
     tensor_map, _ = there_and_back
     write_map(tmp_path / "map.h5", tensor_map)
     again = read_map(tmp_path / "map.h5")
@@ -107,7 +107,7 @@ def test_other_lengths_or_directions_have_another_digest(there_and_back, tmp_pat
         read_map(tmp_path / "map.h5")
 
 
-def test_nodes_that_are_no_ends_of_their_segments_are_refused(there_and_back):
+def test_nodes_that_are_no_ends_of_their_segments_are_rejected(there_and_back):
     tensor_map, _ = there_and_back
     graph = tensor_map.topology
     for nodes in (graph.node_scan + 1, np.zeros_like(graph.node_scan) + 5, graph.node_scan[::-1]):
@@ -115,7 +115,7 @@ def test_nodes_that_are_no_ends_of_their_segments_are_refused(there_and_back):
             nodes, graph.edge_nodes, graph.edge_length_m, graph.edge_scans,
             graph.edge_of_segment, graph.segment_reversed,
         )  # fmt: skip
-        with pytest.raises(InvalidMap, match="first segment end that came there"):
+        with pytest.raises(InvalidMap, match="first segment end at its place"):
             TensorMap(
                 tensor_map.parameters, tensor_map.model, tensor_map.trajectory, moved,
                 tensor_map.relative_error,

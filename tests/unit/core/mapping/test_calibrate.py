@@ -36,7 +36,7 @@ def test_a_map_is_calibrated_when_it_is_built_and_the_same_every_time(made):
     assert calibrate(made, noisy_probes(smooth_images(120, SMALL_GRID.shape))) == made.calibration
 
 
-def test_calibrating_tells_its_progress():
+def test_calibrating_reports_its_progress():
     progress = RecordedProgress()
     images = smooth_images(40, SMALL_GRID.shape)
     tensor_map = calibrated_map(40)
@@ -73,7 +73,7 @@ def test_sharper_odds_change_probabilities_and_no_decision(made, monkeypatch):
         assert abs(after - 0.5) >= abs(before - 0.5)
 
 
-def test_a_standard_deviation_is_told_where_poses_are_known(made):
+def test_a_standard_deviation_is_returned_where_poses_are_known(made):
     found = Localizer(made).localize_image(
         sample_image(made, smooth_images(120, SMALL_GRID.shape)[51])
     )
@@ -152,7 +152,7 @@ def test_a_covariance_has_the_deviations_as_its_axes():
 @pytest.mark.parametrize(
     "part", [{"typical": 0.0}, {"along_m": (1.0,)}, {"lateral_m": (-1.0, 0.0)}]
 )
-def test_a_spread_that_makes_no_sense_is_refused(part):
+def test_an_invalid_spread_is_rejected(part):
     with pytest.raises(InvalidParameters, match=next(iter(part))):
         replace(SPREAD, **part)
 

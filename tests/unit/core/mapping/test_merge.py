@@ -140,7 +140,7 @@ def test_leaving_a_drive_out_is_the_build_without_it(parameters):
     assert without_drives(whole, []) is whole
 
 
-def test_what_cannot_be_left_out_or_merged_is_refused():
+def test_drives_that_cannot_be_left_out_or_merged_are_rejected():
     one, two = built(parts_of(12)), built([Part("b", 12, 5)])
     with pytest.raises(UnknownDrive, match="no drive 'z', it has a"):
         without_drives(one, ["z"])
@@ -156,7 +156,7 @@ def test_what_cannot_be_left_out_or_merged_is_refused():
         merge_maps([])
 
 
-def test_a_kept_basis_takes_one_pass_and_a_wrong_one_is_refused():
+def test_a_kept_basis_takes_one_pass_and_a_wrong_one_is_rejected():
     [part] = parts_of(40)
     u = built([part]).model.radial_basis
     progress = RecordedProgress()
@@ -221,7 +221,7 @@ def test_a_basis_is_named_by_what_signatures_depend_on_and_by_nothing_else():
         type(held)(held.revision, held.digest, held.parameters, flipped)
 
 
-def test_a_kept_basis_tells_how_well_it_fits_what_it_was_not_fitted_to():
+def test_a_kept_basis_reports_its_fit_to_other_drives():
     grid = HARMONIC.grid
     low, high = np.zeros((2, 9, 3, *grid.shape), np.float32)
     low[..., :3, :], high[..., 3:, :] = 1.0, 1.0

@@ -14,5 +14,5 @@ from tests.support.samples import sample_map
 def test_parts_of_another_kind_are_no_map(name: str, dtype: str) -> None:
     made = sample_map(count=6, segment_length=3)[0]
     arrays = made.arrays() | {name: made.arrays()[name].astype(dtype)}
-    with pytest.raises(InvalidMap, match=f"{name} holds"):
+    with pytest.raises(InvalidMap, match=f"{name} has dtype"):
         TensorMap.from_parts(arrays, made.attributes())

@@ -62,20 +62,20 @@ def test_what_lies_below_the_ground_is_on_it():
 
 
 @pytest.mark.parametrize(
-    ("points", "said"),
+    ("points", "message"),
     [
         ([[100.0, 0.0, 0.0]], "within 80 m"),
         ([[10.0, 0.0, -3.0]], "above the ground"),
         ([[1e38, 1e38, 0.0]], "within 80 m"),
     ],
 )
-def test_a_scan_without_a_height_is_refused(points, said):
-    with pytest.raises(InvalidScan, match=said):
+def test_a_scan_without_a_height_is_rejected(points, message):
+    with pytest.raises(InvalidScan, match=message):
         project_heights(Scan(np.array(points)), RingGrid(), Reducer.MEAN, 1.73)
 
 
 @pytest.mark.parametrize(
-    ("changes", "said"),
+    ("changes", "message"),
     [
         ({"ring_m": 0.0}, "ring_m"),
         ({"ring_m": float("nan")}, "ring_m"),
@@ -85,8 +85,8 @@ def test_a_scan_without_a_height_is_refused(points, said):
         ({"azimuth_step_deg": 7.0}, "does not divide 180"),
     ],
 )
-def test_rings_that_cannot_be_are_refused(changes, said):
-    with pytest.raises(InvalidParameters, match=said):
+def test_invalid_rings_are_rejected(changes, message):
+    with pytest.raises(InvalidParameters, match=message):
         RingGrid(**changes)
 
 

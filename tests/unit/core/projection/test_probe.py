@@ -42,7 +42,7 @@ def test_a_probe_is_the_same_however_often_it_is_made():
     assert not np.array_equal(one.points_m, probe_alone(scan, 8, RENDERED).points_m)
 
 
-def test_a_probe_stands_where_it_says_but_for_noise():
+def test_a_probe_is_at_its_displacement_but_for_noise():
     above_cars = np.array([[30.0, 2.0, 20.0], [-20.0, 15.0, 20.0]])
     for imager, most_m in ((RENDERED, 0.5), (ALONE, 0.05)):
         for position in range(20):
@@ -54,7 +54,7 @@ def test_a_probe_stands_where_it_says_but_for_noise():
             assert off_m.std() < 1.05 * most_m
 
 
-def test_renderings_are_asked_from_their_reach_in_any_heading_and_the_papers_map_as_it_was_driven():
+def test_probes_of_renderings_have_any_heading_and_those_of_the_papers_map_are_as_driven():
     rendered = np.array([standing_alone(i, RENDERED) for i in range(400)])
     alone = np.array([standing_alone(i, ALONE) for i in range(400)])
     assert -3.5 <= rendered[:, 1].min() < -3.0
@@ -65,7 +65,7 @@ def test_renderings_are_asked_from_their_reach_in_any_heading_and_the_papers_map
     assert np.std(alone[:, 2]) == pytest.approx(2.0, rel=0.2)
 
 
-def test_a_probe_is_moved_on_its_way_to_the_next_scan_that_is_asked_and_never_far():
+def test_a_probe_is_moved_towards_the_next_searched_scan_and_never_far():
     poses = np.zeros((5, 7))
     poses[:, 5] = poses[:, 6] = np.sqrt(0.5)  # all look along y
     poses[:, 1] = [0.0, 0.5, 2.0, 4.0, 90.0]
@@ -151,7 +151,7 @@ def test_probes_of_several_drives_follow_each_other():
     ("rows", "standing"),
     [([0], np.zeros((2, 3))), ([1, 0], np.zeros((2, 3))), ([0, 1], np.full((2, 3), np.nan))],
 )
-def test_probes_that_do_not_fit_together_are_refused(rows, standing):
+def test_probes_that_do_not_fit_together_are_rejected(rows, standing):
     images = MemoryImages(random_images(2, SMALL_GRID.shape), SMALL_GRID)
     with pytest.raises(InvalidParameters):
         Probes(np.array(rows), standing, images)

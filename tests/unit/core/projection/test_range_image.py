@@ -87,7 +87,7 @@ def test_returns_outside_the_grid_are_left_out():
     assert np.count_nonzero(image) == 1
 
 
-def test_a_scan_wholly_outside_the_grid_is_refused_and_told_why():
+def test_a_scan_wholly_outside_the_grid_is_rejected_with_the_reason():
     with pytest.raises(InvalidScan, match=r"none of the 1 returns .* -25\.\.4 deg"):
         project_scan(Scan(np.array([[0.0, 0.0, 5.0]])), AngularGrid(), Reducer.LAST)
 
@@ -147,14 +147,14 @@ def test_beams_stand_where_the_datasheets_say():
     }
 
 
-def test_a_sensor_is_named_in_any_case_and_an_unknown_one_is_told_the_others():
+def test_a_sensor_is_named_in_any_case_and_an_unknown_one_lists_the_others():
     assert sensor_named("HDL-64E") is SENSORS["hdl-64e"]
     with pytest.raises(InvalidParameters, match="no sensor 'radar'; known are hdl-32e"):
         sensor_named("radar")
 
 
 @pytest.mark.parametrize(
-    ("wrong", "said"),
+    ("wrong", "message"),
     [
         ({"elevation_step_deg": 0.0}, r"elevation_step_deg is 0.0, wanted 0.001..90"),
         ({"elevation_step_deg": np.nan}, "elevation_step_deg is nan"),
@@ -172,8 +172,8 @@ def test_a_sensor_is_named_in_any_case_and_an_unknown_one_is_told_the_others():
         ({"rows": 117}, "highest elevation is 91"),
     ],
 )
-def test_a_grid_that_cannot_be_is_refused_by_name(wrong, said):
-    with pytest.raises(InvalidParameters, match=said):
+def test_an_invalid_grid_is_rejected_by_name(wrong, message):
+    with pytest.raises(InvalidParameters, match=message):
         AngularGrid(**wrong)
 
 

@@ -31,9 +31,9 @@ def test_a_cell_keeps_what_it_would_of_all_returns_at_once_in_their_order(return
     points_m = np.random.default_rng(0).uniform(-50, 50, (returns, 3)).astype(np.float32)
     reduced = reduce_returns(points_m, cells_and_heights, (6, 10), reducer)
     cells, values = cells_and_heights(points_m.T.astype(np.float64))
-    wanted = np.zeros(60, np.float32)
+    expected = np.zeros(60, np.float32)
     for cell in np.unique(cells).tolist():
-        wanted[cell] = RULES[reducer](values[cells == cell])
-    assert reduced.cells.ravel().tolist() == wanted.tolist()
+        expected[cell] = RULES[reducer](values[cells == cell])
+    assert reduced.cells.ravel().tolist() == expected.tolist()
     assert reduced.cells.dtype == np.float32
     assert (reduced.inside, reduced.largest) == (len(cells), values.max(initial=0.0))

@@ -26,7 +26,7 @@ def with_row(row):
 
 
 @pytest.mark.parametrize(
-    ("wrong", "said"),
+    ("wrong", "message"),
     [
         ({"drive_start": [0, 5]}, "does not cut 5 scans into 2 drives"),
         ({"drive_start": [1, 2, 5]}, "does not cut"),
@@ -44,13 +44,13 @@ def with_row(row):
         ({"timestamp_s": np.arange(4.0)}, r"timestamp_s has shape \(4,\), wanted \(5,\)"),
         ({"timestamp_s": [0, 1, np.inf, 3, 4]}, "timestamp_s has infinite"),
         ({"poses": straight_poses(4)}, r"poses has shape \(4, 7\), wanted \(5, 7\)"),
-        ({"poses": with_row([1, 2, 3, 0, 0, 0, 0])}, "pose of row 2"),
-        ({"poses": with_row([np.nan, 2, 3, 0, 0, 0, 1])}, "pose of row 2"),
-        ({"poses": with_row([np.inf, 2, 3, 0, 0, 0, 1])}, "pose of row 2"),
+        ({"poses": with_row([1, 2, 3, 0, 0, 0, 0])}, "row 2 is no pose"),
+        ({"poses": with_row([np.nan, 2, 3, 0, 0, 0, 1])}, "row 2 is no pose"),
+        ({"poses": with_row([np.inf, 2, 3, 0, 0, 0, 1])}, "row 2 is no pose"),
     ],
 )
-def test_a_trajectory_that_cannot_be_is_refused(wrong, said):
-    with pytest.raises(InvalidMap, match=said):
+def test_an_invalid_trajectory_is_rejected(wrong, message):
+    with pytest.raises(InvalidMap, match=message):
         trajectory(**wrong)
 
 
@@ -61,7 +61,7 @@ def test_a_trajectory_needs_a_scan():
         Trajectory.concatenate([])
 
 
-def test_a_trajectory_tells_the_drive_of_each_scan():
+def test_a_trajectory_has_the_drive_of_each_scan():
     assert trajectory().drive_of_scan.tolist() == [0, 0, 1, 1, 1]
     assert len(trajectory()) == 5
     assert trajectory(poses=with_row([np.nan] * 7)).known.tolist() == [

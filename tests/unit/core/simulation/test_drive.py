@@ -49,7 +49,7 @@ def test_another_seed_is_another_drive(drive):
     assert not np.array_equal(drive.scan(0).points_m, other.scan(0).points_m)
 
 
-def test_a_scan_is_the_same_whatever_was_asked_before(drive):
+def test_a_scan_does_not_depend_on_scans_read_before(drive):
     there = [drive.scan(index).points_m for index in (3, 4, 5)]
     back = [drive.scan(index).points_m for index in (5, 4, 3)]
     for one, other in zip(there, reversed(back), strict=True):
@@ -128,7 +128,7 @@ def test_other_noise_is_the_same_world_seen_again(drive):
 
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("offset_m", [-3.0, 0.0, 3.0])
-def test_a_vehicle_up_to_3_m_aside_drives_through_nothing_that_stands(seed, offset_m):
+def test_a_vehicle_up_to_3_m_aside_drives_through_no_solid(seed, offset_m):
     drive = SimulatedDrive(seed=seed, lateral_offset_m=offset_m)
     half_vehicle_m = 0.9
     for x, y in drive.poses[::3, :2].tolist():
@@ -156,7 +156,7 @@ def test_a_scan_that_is_not_there_is_an_index_error(drive):
         ("loop_m", 0.0),
     ],
 )
-def test_a_drive_that_cannot_be_is_refused_by_name(name, value):
+def test_an_invalid_drive_is_rejected_by_name(name, value):
     with pytest.raises(InvalidParameters, match=name):
         SimulatedDrive(**{name: value})
 
@@ -176,7 +176,7 @@ def test_a_route_is_continuous_in_place_and_heading():
     assert np.abs(off_deg).max() < 0.2
 
 
-def test_a_route_whose_arcs_do_not_fit_is_refused():
+def test_a_route_whose_arcs_do_not_fit_is_rejected():
     with pytest.raises(InvalidParameters, match="do not fit"):
         Route.around([(0, 0), (15, 0), (15, 80), (0, 80)], turn_radius_m=10.0)
     with pytest.raises(InvalidParameters, match="three corners"):

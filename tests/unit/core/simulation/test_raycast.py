@@ -156,7 +156,7 @@ def slow_ranges(rows: FloatArray, pose: Pose, sensor: SimulatedSensor) -> FloatA
     return np.array(found)
 
 
-def test_nothing_comes_back_from_beyond_the_maximum_range():
+def test_there_is_no_return_beyond_the_maximum_range():
     scene = Scene(Boxes([box(119.0, 121.0, 30.0)]))
     assert len(seen_ahead(scene, beam_deg=0.0)) == 1
     assert len(seen_ahead(Scene(Boxes([box(121.0, 123.0, 30.0)])), beam_deg=0.0)) == 0
@@ -207,7 +207,7 @@ def test_the_beams_are_those_of_the_manual():
     np.testing.assert_allclose(np.diff(beams[31:]), -0.5)
 
 
-def test_a_scan_in_which_nothing_comes_back_is_refused():
+def test_a_scan_without_a_return_is_rejected():
     sensor = SimulatedSensor(beams_deg=(1.0,), firings=4)
     with pytest.raises(TooFewReturns):
         cast(Scene(), POSE, sensor, np.random.default_rng(0))
@@ -216,7 +216,7 @@ def test_a_scan_in_which_nothing_comes_back_is_refused():
 @pytest.mark.parametrize(
     "pose", [Pose(0.0, 0.0, 1.0, 0.1, 0.0, 0.0, math.sqrt(0.99)), Pose(0.0, 0.0, 0.0)]
 )
-def test_a_tilted_or_buried_sensor_is_refused(pose):
+def test_a_tilted_or_buried_sensor_is_rejected(pose):
     with pytest.raises(InvalidPose, match="upright above the ground"):
         cast(Scene(), pose, SimulatedSensor(), np.random.default_rng(0))
 
@@ -233,6 +233,6 @@ def test_a_tilted_or_buried_sensor_is_refused(pose):
         ("dropout", 1.0),
     ],
 )
-def test_a_sensor_that_cannot_be_is_refused_by_name(name, value):
+def test_an_invalid_sensor_is_rejected_by_name(name, value):
     with pytest.raises(InvalidParameters, match=name):
         SimulatedSensor(**{name: value})

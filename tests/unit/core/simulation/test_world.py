@@ -45,7 +45,7 @@ def test_moving_cars_give_way():
     assert len(world.at(1.0, around_m=(13.0, 0.0), give_way_m=1.0).boxes) == 1
 
 
-def test_no_house_stands_in_a_street_that_is_driven():
+def test_no_house_is_in_a_street_that_is_driven():
     for seed in range(5):
         world = make_city(seed)
         xs, ys = world.street_x_m, world.street_y_m
@@ -72,12 +72,12 @@ def test_the_distance_to_a_box_is_to_its_nearest_side_or_corner():
         (Traffic, [[0.0, 0.0, 0.0, 0.0, 0.0, 5.0, 4.5, 1.8, 1.5]]),
     ],
 )
-def test_a_solid_that_cannot_be_is_refused(make, rows):
+def test_an_invalid_solid_is_rejected(make, rows):
     with pytest.raises(InvalidParameters, match="a solid"):
         make(rows)
 
 
-def test_a_negative_seed_or_an_empty_city_is_refused():
+def test_a_negative_seed_or_an_empty_city_is_rejected():
     with pytest.raises(InvalidParameters, match="seed is -1"):
         make_city(-1)
     with pytest.raises(InvalidParameters, match="seed is -1"):

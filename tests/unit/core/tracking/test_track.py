@@ -117,7 +117,7 @@ def test_a_position_is_in_the_segment_between_two_cuts():
 
 def test_cuts_that_are_not_between_segments_are_refused():
     mapped, _ = sample_map(count=30, segment_length=10)
-    with pytest.raises(InvalidParameters, match="cut lies between"):
+    with pytest.raises(InvalidParameters, match="cut must be between"):
         TravelGraph.of_map(mapped, np.array([-0.5, 12.0, 19.5, 29.5]))
 
 

@@ -47,8 +47,8 @@ def test_whole_arrays_count_what_loops_count(seed):
     points = cloud(seed)
     described = M2dp(4, 5, 6, 7, voxel_m=0.0).describe(Scan(points))
     # A return in single precision may fall on the other side of an edge.
-    wanted = naive(points.astype(np.float32).astype(float), 4, 5, 6, 7)
-    np.testing.assert_allclose(described, wanted, atol=5e-3)
+    expected = naive(points.astype(np.float32).astype(float), 4, 5, 6, 7)
+    np.testing.assert_allclose(described, expected, atol=5e-3)
 
 
 def test_both_parts_have_norm_one_and_no_negative_number():
@@ -71,11 +71,11 @@ def test_returns_at_one_place_are_none():
 
 
 @pytest.mark.parametrize("wrong", [{"azimuths": 0}, {"sectors": 0}, {"voxel_m": np.nan}])
-def test_nonsense_is_refused(wrong):
+def test_invalid_values_are_rejected(wrong):
     with pytest.raises(InvalidParameters):
         M2dp(**wrong)
 
 
-def test_cubes_that_cannot_be_numbered_are_still_told_apart():
+def test_cubes_that_cannot_be_numbered_are_still_distinguished():
     far = np.array([[1e9, 0, 0], [1e9, 0, 0], [-1e9, 1e9, -1e9], [0.1, 0.1, 1e9]], np.float32)
     assert len(voxel_means(far, 0.001)) == 3

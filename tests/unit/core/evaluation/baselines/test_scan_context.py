@@ -33,8 +33,8 @@ def contexts(seed, count, rings=4, sectors=9, empty=0.6):
 def test_all_shifts_at_once_are_the_equations_one_by_one(seed, empty):
     query, *places = contexts(seed, 6, empty=empty)
     found = ScanContextPlaces(np.stack(places), None).distances(query, slice(None))
-    wanted = [[naive_distance(query, place, shift) for shift in range(9)] for place in places]
-    np.testing.assert_allclose(found, wanted, atol=2e-6)
+    expected = [[naive_distance(query, place, shift) for shift in range(9)] for place in places]
+    np.testing.assert_allclose(found, expected, atol=2e-6)
 
 
 @given(seed=st.integers(0, 10_000), before=st.integers(1, 30), candidates=st.integers(1, 30))
@@ -91,6 +91,6 @@ def test_ring_keys_are_the_share_of_sectors_that_hold_something():
         {"candidates": 0},
     ],
 )
-def test_nonsense_is_refused(wrong):
+def test_invalid_values_are_rejected(wrong):
     with pytest.raises(InvalidParameters):
         ScanContext(**wrong)

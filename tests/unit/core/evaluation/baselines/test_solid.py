@@ -25,8 +25,8 @@ def test_counts_are_weighted_by_how_many_returns_an_elevation_holds():
     # Elevations hold 1, 4 and 2 returns: the weights are 0, 1 and 1/3.
     # Ranges hold (1, 3, 0) and (0, 1, 2); azimuths (1, 0, 0), (0, 2, 0), (0, 2, 0), (0, 0, 2).
     described = SMALL.describe(Scan(np.array(returns)))
-    wanted = [3.0, 1.0 + 2.0 / 3.0, 0.0, 2.0, 2.0, 2.0 / 3.0]
-    np.testing.assert_allclose(described, wanted, rtol=1e-6)
+    expected = [3.0, 1.0 + 2.0 / 3.0, 0.0, 2.0, 2.0, 2.0 / 3.0]
+    np.testing.assert_allclose(described, expected, rtol=1e-6)
 
 
 def test_elevations_that_hold_as_many_all_count():
@@ -67,6 +67,6 @@ def test_nothing_within_the_elevations_is_no_place():
         {"elevation_max_deg": 91.0},
     ],
 )
-def test_nonsense_is_refused(wrong):
+def test_invalid_values_are_rejected(wrong):
     with pytest.raises(InvalidParameters):
         Solid(**wrong)

@@ -1,4 +1,4 @@
-"""Nothing outside of `core.encodings` asks which encoding it has: read from the syntax trees."""
+"""Code outside of `core.encodings` does not check which encoding it has, by its syntax tree."""
 
 import ast
 from pathlib import Path
@@ -6,34 +6,34 @@ from pathlib import Path
 ROOT = Path(__file__).parents[2]
 
 MAY_NAME = {
-    # The wire's forms of a signature, and which of them came.
+    # The forms of a signature on the wire.
     "app/localization/schemas.py": {"paper", "harmonic"},
     # The default of the class whose defaults are the paper's.
     "core/parameters.py": {"paper"},
     # An example of a request.
     "app/builds/parameters.py": {"harmonic"},
 }
-"""Modules that name an encoding, and why; no other one does."""
+"""Modules that may name an encoding, and why."""
 
 OTHER_ENCODINGS = "storage/formats/scans/"  # text or binary, as PCD and PLY call them
 OURS = ("core.encodings.paper", "core.encodings.harmonic")
 CLASSES = {"Encoding", "Model", "Basis", "Search"}
 
 
-def test_nothing_outside_of_the_encodings_asks_which_one_it_has():
-    asked = [
+def test_nothing_outside_of_the_encodings_checks_which_one_it_has():
+    found = [
         f"{name}:{line}: {what}"
         for room in ("app", "core", "storage")
         for path in sorted((ROOT / room).rglob("*.py"))
         if not (name := path.relative_to(ROOT).as_posix()).startswith(
             ("core/encodings/", OTHER_ENCODINGS)
         )
-        for line, what in questions(path.read_text(), MAY_NAME.get(name, set()))
+        for line, what in checks(path.read_text(), MAY_NAME.get(name, set()))
     ]
-    assert asked == []
+    assert found == []
 
 
-def test_each_way_to_ask_is_found():
+def test_each_check_of_the_encoding_is_found():
     for code in (
         'name = "harmonic"',
         "from core.encodings.paper import PaperModel",
@@ -48,24 +48,24 @@ def test_each_way_to_ask_is_found():
         "match parameters.encoding:\n  case other: pass",
         "match model:\n  case Model(): pass",
     ):
-        assert list(questions(code)), code
+        assert list(checks(code)), code
     for code in (
         "parameters.encoder.per_segment",
         "build(parameters.encoding)",
         '{"encoding": parameters.encoding}',
         "isinstance(grid, RingGrid)",
     ):
-        assert not list(questions(code)), code
+        assert not list(checks(code)), code
 
 
-def questions(code, may_name=frozenset()):
+def checks(code, may_name=frozenset()):
     """Yield the lines that name an encoding, or choose by one, and how."""
     for node in ast.walk(ast.parse(code)):
-        for what in _question(node, may_name):
+        for what in _checks_of(node, may_name):
             yield getattr(node, "lineno", 0), what
 
 
-def _question(node, may_name):
+def _checks_of(node, may_name):
     match node:
         case ast.Constant(value="paper" | "harmonic" as named) if named not in may_name:
             yield f"names {named}"
@@ -83,7 +83,7 @@ def _question(node, may_name):
             yield from _chooses([key])
         case ast.Call(func=ast.Name(id="isinstance" | "issubclass"), args=[_, kinds]):
             if _names(kinds) & CLASSES:
-                yield "asks for a class of an encoding"
+                yield "checks for a class of an encoding"
         case ast.Match(subject=subject, cases=cases):
             yield from _chooses([subject])
             if any(_names(case.pattern) & CLASSES for case in cases):
