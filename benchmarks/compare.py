@@ -15,8 +15,8 @@ from typing import Any
 
 from threadpoolctl import threadpool_limits
 
-from app.baselines.roster import METHODS, default_methods, methods_named
 from app.provenance import commit, machine, provenance
+from baselines.roster import METHODS, default_methods, methods_named
 from benchmarks.accuracy import print_table
 from core.arrays import IntArray
 from core.evaluation.compare import (

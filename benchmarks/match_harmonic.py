@@ -13,13 +13,13 @@ from functools import partial
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from baselines.scan_context import ScanContext
 from benchmarks.maps import localizer_of
 from benchmarks.timing import machine, medians_s
 from core.arrays import IntArray
 from core.encodings.harmonic.model import HarmonicModel
 from core.encodings.model import Neighbours
 from core.encodings.signature import Signature
-from core.evaluation.baselines.scan_context import ScanContext
 from core.parameters import MapParameters
 from core.simulation import SimulatedDrive
 from core.simulation.raycast import SimulatedSensor

@@ -21,7 +21,7 @@ import numpy as np
 import pytest
 
 ROOT = Path(__file__).parents[2]
-PACKAGES = ("app", "core", "storage")
+PACKAGES = ("app", "baselines", "core", "storage")
 
 
 @dataclass(frozen=True)
