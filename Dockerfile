@@ -7,6 +7,7 @@ COPY pyproject.toml README.md LICENSE constraints.txt ./
 COPY core core
 COPY storage storage
 COPY app app
+COPY baselines baselines
 RUN python -m pip wheel --no-cache-dir --no-deps --wheel-dir /wheel . \
  && python -m venv /opt/tensormap \
  && /opt/tensormap/bin/pip install --no-cache-dir "$(echo /wheel/*.whl)[postgresql]"

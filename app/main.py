@@ -112,7 +112,6 @@ def create_app(settings: Settings | None = None) -> FastAPI:
         lifespan=lifespan,
         separate_input_output_schemas=False,
     )
-    app.state.settings = chosen
     add_handlers(app)
     app.add_middleware(Admission)
     app.add_middleware(AuditTrail)

@@ -2,6 +2,7 @@
 
 import platform
 import subprocess
+from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -22,6 +23,18 @@ def provenance() -> dict[str, Any]:
         "numpy": np.__version__,
         "scipy": scipy.__version__,
         "threads": 1,
+    }
+
+
+def of_report() -> dict[str, str]:
+    """Return what the figures of a report depend on besides the drive and the configuration."""
+    of = provenance()
+    return {
+        "made": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
+        "version": of["tensormap"],
+        "commit": of["commit"] or "unknown: not run from a checkout",
+        "machine": f"{of['machine']}, {platform.system()} {platform.machine()}",
+        "python": f"Python {of['python']}, NumPy {of['numpy']}",
     }
 
 

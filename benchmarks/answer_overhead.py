@@ -9,16 +9,11 @@ import sys
 
 import numpy as np
 
+from benchmarks.maps import random_paper_map
 from benchmarks.timing import machine, medians_s
-from core.encodings.paper.model import PaperModel
 from core.localization.localizer import Localizer
-from core.mapping.tensormap import TensorMap
-from core.parameters import MapParameters
 from core.projection.imager import Image
 from core.scans.sensor import AngularGrid
-from core.scans.trajectory import Trajectory
-from core.segmentation.fixed import cut_fixed
-from core.topology import join_segments
 
 BAR = 1.5
 SEGMENTS, SCANS_A_SEGMENT = 400, 20
@@ -27,7 +22,7 @@ RUNS = 31
 
 def main() -> int:
     """Print the times; return 1 if an answer takes longer than the bar."""
-    localizer = Localizer(_map())
+    localizer = Localizer(random_paper_map(SEGMENTS, SCANS_A_SEGMENT, poses=True))
     model, basis = localizer.map.model, localizer.basis
     grid = AngularGrid()
     cells = np.random.default_rng(1).uniform(2.0, 60.0, grid.shape).astype(np.float32)
@@ -51,30 +46,6 @@ def main() -> int:
         f" {1e3 * compared_s:.2f} ms compare them; {machine()}"
     )
     return int(ratio > BAR)
-
-
-def _map() -> TensorMap:
-    """Return a paper map of random orthonormal bases; what it answers does not matter here."""
-    parameters = MapParameters()
-    scans = SEGMENTS * SCANS_A_SEGMENT
-    rng = np.random.default_rng(0)
-    (rows, columns), (r1, r2) = parameters.grid.shape, parameters.ranks
-    u, v = (
-        np.linalg.qr(rng.normal(size=(SEGMENTS, n, r)))[0] for n, r in ((rows, r1), (columns, r2))
-    )
-    poses = np.zeros((scans, 7))
-    poses[:, 0], poses[:, 6] = np.arange(scans), 1.0
-    trajectory = Trajectory.of_drive(
-        "d", np.arange(scans, dtype=np.float64), poses, np.arange(scans)
-    )
-    cuts = cut_fixed(scans, SCANS_A_SEGMENT)
-    return TensorMap(
-        parameters,
-        PaperModel(u, v, rng.normal(size=(scans, r1, r2)).astype(np.float32), cuts),
-        trajectory,
-        join_segments(trajectory, cuts),
-        np.full(SEGMENTS, 0.5),
-    )
 
 
 if __name__ == "__main__":

@@ -15,8 +15,8 @@ from typing import Any
 
 from threadpoolctl import threadpool_limits
 
-from app.baselines.roster import METHODS, default_methods, methods_named
 from app.provenance import commit, machine, provenance
+from baselines.roster import METHODS, default_methods, methods_named
 from benchmarks.accuracy import print_table
 from core.arrays import IntArray
 from core.evaluation.compare import (
@@ -164,9 +164,9 @@ def _cities() -> None:
                 reverse=reverse,
                 traffic_seed=seed + 1000,
             )
-            asked = _in_memory(second, ASKED_EVERY)
+            queried = _in_memory(second, ASKED_EVERY)
             unknown = None if number else other
-            result = compare(city, methods, ComparisonProtocol(SecondPass()), asked, unknown)
+            result = compare(city, methods, ComparisonProtocol(SecondPass()), queried, unknown)
             found.append(result)
             rows.append(
                 [
@@ -194,14 +194,14 @@ def _loops() -> None:
         drive = _in_memory(SimulatedDrive(seed=seed, scans=SCANS))
         methods = _methods(drive, METHODS[:-1])
         found.append(compare(drive, methods, ComparisonProtocol(LoopClosing(recent_scans=50))))
-    asked = [result.methods[0].conditions[0] for result in found]
-    of = ", ".join(f"{row.findable[3.0]} of {row.queries}" for row in asked)
+    queried = [result.methods[0].conditions[0] for result in found]
+    of = ", ".join(f"{row.findable[3.0]} of {row.queries}" for row in queried)
     print(f"Findable within 3 m: {of} queries.\n")
     _print_means(found, 3.0)
 
 
 class _Once:
-    """A method that enrols one drive once, however often it is asked to."""
+    """A method that enrols one drive once and keeps the result."""
 
     def __init__(self, method: Method) -> None:
         self._method = method

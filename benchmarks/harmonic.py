@@ -150,8 +150,8 @@ def _packed(drive: MemoryDrive) -> None:
     ways: tuple[Packing | None, ...] = (None, Packing.FLOAT16, Packing.INT8)
     hits = np.zeros((len(CONDITIONS), len(ways)))
     size = [0] * len(ways)
-    asked = range(1, len(drive), 2)
-    for scan_index in asked:
+    queried = range(1, len(drive), 2)
+    for scan_index in queried:
         scan = drive.scan(scan_index)
         for row, condition in enumerate(CONDITIONS):
             disturbed = condition.apply(scan, np.random.default_rng([0, scan_index]))
@@ -165,10 +165,10 @@ def _packed(drive: MemoryDrive) -> None:
                 place = localizer.map.trajectory.poses[best.row, :3]
                 hits[row, column] += np.linalg.norm(place - drive.poses[scan_index, :3]) <= 3.0
     rows = [
-        [_described(condition), *(f"{share:.3f}" for share in of_it / len(asked))]
+        [_described(condition), *(f"{share:.3f}" for share in of_it / len(queried))]
         for condition, of_it in zip(CONDITIONS, hits, strict=True)
     ]
-    rows.append(["all", *(f"{share:.4f}" for share in hits.mean(axis=0) / len(asked))])
+    rows.append(["all", *(f"{share:.4f}" for share in hits.mean(axis=0) / len(queried))])
     print_table(
         ["query", "complex64", *(f"{w}, {n} bytes" for w, n in zip(ways, size, strict=True) if w)],
         rows,
@@ -190,16 +190,16 @@ def _cities() -> None:
         localizers.append(_localizer(mapped, harmonic(), rows_of_map, all_detail=True))
         for offset_m in OFFSETS_M:
             for reverse in (False, True):
-                asked = _second_pass(seed, offset_m, reverse=reverse)
+                queried = _second_pass(seed, offset_m, reverse=reverse)
                 found = [
-                    [localizer.localize_scan(scan).best for scan in asked]
+                    [localizer.localize_scan(scan).best for scan in queried]
                     for localizer in localizers
                 ]
                 rows.append(
                     [
                         f"{seed}, {offset_m:g} m{', against' if reverse else ''}",
-                        *(f"{_recall(of_it, asked.poses, within_m=5.0):.3f}" for of_it in found),
-                        *_errors_of_default(found[1], asked.poses),
+                        *(f"{_recall(of_it, queried.poses, within_m=5.0):.3f}" for of_it in found),
+                        *_errors_of_default(found[1], queried.poses),
                     ]
                 )
     print_table(

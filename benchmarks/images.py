@@ -1,4 +1,4 @@
-"""Range images that cost next to nothing to make, as many as wanted."""
+"""Any number of range images that are cheap to compute."""
 
 import numpy as np
 

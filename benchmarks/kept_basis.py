@@ -82,16 +82,16 @@ def main(folder: Path) -> None:
 def _recall(drive: Drive, parameters: MapParameters, u: Float32Array) -> list[float]:
     rows = np.arange(0, len(drive), 2)
     localizer = localizer_of(drive, rows, parameters, kept=HarmonicBasis.of(parameters, u))
-    asked = range(1, len(drive), 2)
+    queried = range(1, len(drive), 2)
     hits = np.zeros(len(ASIDE_M))
-    for index in asked:
+    for index in queried:
         points_m = drive.scan(index).points_m
         for column, aside_m in enumerate(ASIDE_M):
             scan = Scan(seen_from_beside(points_m, aside_m).astype(np.float32))
             best = localizer.localize_scan(scan).best
             place_m = localizer.map.trajectory.poses[best.row, :3]
             hits[column] += np.linalg.norm(place_m - drive.poses[index, :3]) <= WITHIN_M
-    return [float(share) for share in hits / len(asked)]
+    return [float(share) for share in hits / len(queried)]
 
 
 if __name__ == "__main__":

@@ -49,7 +49,7 @@ def main() -> int:
 
 
 def _url(service: subprocess.Popen[str]) -> str:
-    assert service.stdout is not None  # noqa: S101 - it was asked for
+    assert service.stdout is not None  # noqa: S101 - it was requested
     for line in service.stdout:
         for word in line.split():
             if word.startswith("http://127.0.0.1:"):
@@ -73,37 +73,38 @@ def _switch(url: str) -> int:
     done = threading.Event()
 
     def keep_asking(number: int) -> Counter[str]:
-        told: Counter[str] = Counter()
+        counts: Counter[str] = Counter()
         with httpx2.Client(base_url=url, timeout=60) as own:
             while not done.is_set():
                 answer = _ask(own, "scan", _body(scan))
                 of = answer["revision"]
                 true = of == answer["live_revision"] and answer["matches"] == alone["scan", of]
-                told["scan" if true else "untrue"] += 1
-                wanted = revisions[(number + told.total()) % 2]
-                answer = _ask(own, "signature", signatures[wanted])
+                counts["scan" if true else "untrue"] += 1
+                expected = revisions[(number + counts.total()) % 2]
+                answer = _ask(own, "signature", signatures[expected])
                 true = (
-                    answer["revision"] == wanted and answer["matches"] == alone["signature", wanted]
+                    answer["revision"] == expected
+                    and answer["matches"] == alone["signature", expected]
                 )
-                told["signature" if true else "untrue"] += 1
-        return told
+                counts["signature" if true else "untrue"] += 1
+        return counts
 
     begun = time.perf_counter()
     with ThreadPoolExecutor(CLIENTS) as pool:
         asking = [pool.submit(keep_asking, number) for number in range(CLIENTS)]
         try:
             for switch in range(SWITCHES):
-                wanted = {"revision": revisions[switch % 2]}
-                client.put(f"{MAP}/live", json=wanted).raise_for_status()
+                body = {"revision": revisions[switch % 2]}
+                client.put(f"{MAP}/live", json=body).raise_for_status()
         finally:
             done.set()
-        told = sum((one.result() for one in asking), Counter())
+        counts = sum((one.result() for one in asking), Counter())
     seconds = time.perf_counter() - begun
     print(
-        f"{SWITCHES} switches in {seconds:.0f} s: {told['scan']} answers to scans,"
-        f" {told['signature']} to signatures, {told['untrue']} of them untrue; {machine()}"
+        f"{SWITCHES} switches in {seconds:.0f} s: {counts['scan']} answers to scans,"
+        f" {counts['signature']} to signatures, {counts['untrue']} of them untrue; {machine()}"
     )
-    return int(told["untrue"] > 0)
+    return int(counts["untrue"] > 0)
 
 
 def _mapped(client: httpx2.Client) -> Scan:
@@ -113,8 +114,8 @@ def _mapped(client: httpx2.Client) -> Scan:
     for index in range(SCANS):
         path = f"{MAP}/drives/monday/scans/{index}"
         client.put(path, content=_body(drive.scan(index)), headers=KITTI).raise_for_status()
-    for wanted in ({"segments": 3}, {"segments": 2, "reducer": "mean"}):
-        job = client.post(f"{MAP}/builds", json=wanted).raise_for_status().json()
+    for body in ({"segments": 3}, {"segments": 2, "reducer": "mean"}):
+        job = client.post(f"{MAP}/builds", json=body).raise_for_status().json()
         while job["state"] in {"queued", "running"}:
             time.sleep(0.1)
             job = client.get(f"/v1/jobs/{job['job']}").json()
@@ -132,8 +133,8 @@ def _body(scan: Scan) -> bytes:
 def _ask(client: httpx2.Client, kind: str, body: bytes) -> dict[str, Any]:
     headers = KITTI if kind == "scan" else PACKED
     answer = client.post(f"{MAP}/localizations/{kind}", content=body, headers=headers)
-    told: dict[str, Any] = answer.raise_for_status().json()
-    return told
+    content: dict[str, Any] = answer.raise_for_status().json()
+    return content
 
 
 if __name__ == "__main__":

@@ -84,9 +84,9 @@ def main(folder: Path, part: str = "") -> int:
         f" commit {commit()} on {machine()}.\n"
     )
     if part == "fit":
-        _fit([judged for seed in FIT_SEEDS for judged in _city(seed, FIT_ASKED_EVERY)])
+        _fit([checked for seed in FIT_SEEDS for checked in _city(seed, FIT_ASKED_EVERY)])
         return 0
-    found = [judged for seed in SEEDS for judged in _city(seed, ASKED_EVERY)]
+    found = [checked for seed in SEEDS for checked in _city(seed, ASKED_EVERY)]
     for name, first in RECORDED.items():
         found += _recorded(open_drive(folder / name, min_returns=100), name, first)
     return _report(found)
@@ -104,9 +104,9 @@ def _city(seed: int, asked_every: int) -> Iterator[Judged]:
             reverse=reverse,
             traffic_seed=seed + 1000,
         )
-        asked = _in_memory(second, asked_every)
-        for row in range(len(asked)):
-            scan = asked.scan(row)
+        queried = _in_memory(second, asked_every)
+        for row in range(len(queried)):
+            scan = queried.scan(row)
             yield from _proposed(f"city {seed}", mapped, localizer, scan, TRUE_WITHIN_M, row)
 
 
@@ -120,19 +120,19 @@ def _recorded(drive: Drive, name: str, first: int) -> Iterator[Judged]:
 
 
 def _proposed(
-    drive: str, mapped: MemoryDrive, localizer: Localizer, asked: Scan, within_m: float, row: int
+    drive: str, mapped: MemoryDrive, localizer: Localizer, queried: Scan, within_m: float, row: int
 ) -> Iterator[Judged]:
     """Yield the nearest place, and the likest ones that are elsewhere, for each disturbance."""
-    if asked.pose is None:
+    if queried.pose is None:
         return
-    place = np.array(asked.pose.as_tuple())
+    place = np.array(queried.pose.as_tuple())
     apart_m = np.linalg.norm(mapped.poses[:, :3] - place[:3], axis=1)
     nearest = int(apart_m.argmin())
     if apart_m[nearest] > within_m:
         return
     elsewhere = apart_m > FALSE_BEYOND_M
     for disturbance in DISTURBANCES:
-        scan = _disturbed(asked, disturbance, np.random.default_rng([len(mapped), row]))
+        scan = _disturbed(queried, disturbance, np.random.default_rng([len(mapped), row]))
         signatures = localizer.basis.encode(localizer.basis.image(scan))
         search = localizer.map.model.search(signatures)
         likest = search.nearest(FALSE_FOR_EACH_TRUE, elsewhere).rows.tolist()
@@ -180,22 +180,24 @@ def _localizer(drive: MemoryDrive) -> Localizer:
     return localizer_of(drive, np.arange(len(drive)), parameters)
 
 
-def _evidence(judged: list[Judged]) -> FloatArray:
-    return np.array([[j.closure.image_similarity or 0.0, j.closure.overlap or 0.0] for j in judged])
+def _evidence(checked: list[Judged]) -> FloatArray:
+    return np.array(
+        [[j.closure.image_similarity or 0.0, j.closure.overlap or 0.0] for j in checked]
+    )
 
 
-def _fit(judged: list[Judged]) -> None:
+def _fit(checked: list[Judged]) -> None:
     """Fit the curve by Newton's method; true and false closures weigh the same.
 
     Simulated cities divide them without an error, so nothing in them says how steep the curve is:
     a ridge does, which weighs as much as one pair of scans of which only so many are independent.
     """
-    features = _evidence(judged)
+    features = _evidence(checked)
     middle, scale = features.mean(axis=0), features.std(axis=0)
     design = np.column_stack([np.ones(len(features)), (features - middle) / scale])
-    truth = np.array([j.is_true for j in judged], dtype=np.float64)
+    truth = np.array([j.is_true for j in checked], dtype=np.float64)
     weight = np.where(truth > 0, 0.5 / truth.mean(), 0.5 / (1.0 - truth.mean()))
-    ridge = np.diag([0.0, 1.0, 1.0]) * len(judged) / INDEPENDENT
+    ridge = np.diag([0.0, 1.0, 1.0]) * len(checked) / INDEPENDENT
     beta = np.zeros(3)
     for _ in range(50):
         odds = 1.0 / (1.0 + np.exp(-design @ beta))

@@ -13,13 +13,13 @@ from functools import partial
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from baselines.scan_context import ScanContext
 from benchmarks.maps import localizer_of
 from benchmarks.timing import machine, medians_s
 from core.arrays import IntArray
 from core.encodings.harmonic.model import HarmonicModel
 from core.encodings.model import Neighbours
 from core.encodings.signature import Signature
-from core.evaluation.baselines.scan_context import ScanContext
 from core.parameters import MapParameters
 from core.simulation import SimulatedDrive
 from core.simulation.raycast import SimulatedSensor
@@ -41,16 +41,16 @@ def main() -> int:
     tensor_map = localizer.map
     model = tensor_map.model
     assert isinstance(model, HarmonicModel)  # noqa: S101 - for the reader and mypy
-    asked = [
+    queried = [
         localizer.basis.encode(localizer.basis.image(drive.scan(index)))
         for index in range(1, 2 * SCANS, 2 * SCANS // 8)
     ]
-    for signatures in asked:
+    for signatures in queried:
         # Else the comparison is void.
         assert _pruned(model, signatures) == _brute(model, signatures)  # noqa: S101
     pruned_ms, brute_ms = _in_turn_ms(
-        [partial(_pruned, model, signatures) for signatures in asked],
-        [partial(_brute, model, signatures) for signatures in asked],
+        [partial(_pruned, model, signatures) for signatures in queried],
+        [partial(_brute, model, signatures) for signatures in queried],
     )
     ours, other = float(np.median(pruned_ms)), float(np.median(brute_ms))
     print(
@@ -70,11 +70,11 @@ def _in_turn_ms(
     Queries follow queries, as in a service; the other search moves a hundred times as much memory,
     and what comes right after it is timed with its dust in the caches.
     """
-    times: list[list[list[float]]] = [[[] for _ in asked] for asked in (ours, others)]
+    times: list[list[list[float]]] = [[[] for _ in queried] for queried in (ours, others)]
     for _ in range(ROUNDS):
-        for asked, of_kind in zip((ours, others), times, strict=True):
-            asked[0]()  # not counted
-            for query, of_query in zip(asked, of_kind, strict=True):
+        for queried, of_kind in zip((ours, others), times, strict=True):
+            queried[0]()  # not counted
+            for query, of_query in zip(queried, of_kind, strict=True):
                 begun = time.perf_counter()
                 query()
                 of_query.append(1e3 * (time.perf_counter() - begun))

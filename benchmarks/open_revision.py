@@ -13,15 +13,9 @@ from collections.abc import Callable
 from pathlib import Path
 
 import h5py
-import numpy as np
 
+from benchmarks.maps import random_paper_map
 from benchmarks.timing import machine
-from core.encodings.paper.model import PaperModel
-from core.mapping.tensormap import TensorMap
-from core.parameters import MapParameters
-from core.scans.trajectory import Trajectory
-from core.segmentation.fixed import cut_fixed
-from core.topology import Topology
 from storage.files.map_file import read_map, read_revision, write_map
 
 BAR_MS = 10.0
@@ -31,7 +25,7 @@ RUNS = 31
 
 def main() -> int:
     """Print the times; return 1 if opening takes as long as the bar."""
-    tensor_map = _map()
+    tensor_map = random_paper_map(SEGMENTS, SCANS_A_SEGMENT, poses=False)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, "map.h5")
         write_map(path, tensor_map)
@@ -61,29 +55,6 @@ def _median_s(function: Callable[[], object]) -> float:
         function()
         times.append(time.process_time() - begun)
     return statistics.median(times)
-
-
-def _map() -> TensorMap:
-    """Return a paper map of random orthonormal bases; what it answers does not matter here."""
-    parameters = MapParameters()
-    scans = SEGMENTS * SCANS_A_SEGMENT
-    rng = np.random.default_rng(0)
-    (rows, columns), (r1, r2) = parameters.grid.shape, parameters.ranks
-    u, v = (
-        np.linalg.qr(rng.normal(size=(SEGMENTS, n, r)))[0] for n, r in ((rows, r1), (columns, r2))
-    )
-    poses = np.full((scans, 7), np.nan)
-    trajectory = Trajectory.of_drive(
-        "d", np.arange(scans, dtype=np.float64), poses, np.arange(scans)
-    )
-    cuts = cut_fixed(scans, SCANS_A_SEGMENT)
-    return TensorMap(
-        parameters,
-        PaperModel(u, v, rng.normal(size=(scans, r1, r2)).astype(np.float32), cuts),
-        trajectory,
-        Topology.of_segments(trajectory, cuts),
-        np.full(SEGMENTS, 0.5),
-    )
 
 
 if __name__ == "__main__":

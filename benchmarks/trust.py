@@ -82,9 +82,9 @@ def _recorded(folder: Path, parameters: MapParameters, bars: list[str]) -> list[
         open_drive(folder / name, min_returns=100) for name in ("kitti00", "kit_muehlburger")
     )
     localizer = _localizer(drive, np.arange(0, len(drive), 2), parameters)
-    asked = [_ask(localizer, drive, i) for i in range(1, len(drive), 2)]
+    queried = [_ask(localizer, drive, i) for i in range(1, len(drive), 2)]
     unknown = [localizer.localize_scan(other.scan(i)) for i in range(len(other))]
-    return _row("`kitti00`, odd scans", "`kit_muehlburger`", asked, unknown, bars, city=False)
+    return _row("`kitti00`, odd scans", "`kit_muehlburger`", queried, unknown, bars, city=False)
 
 
 def _cities(parameters: MapParameters, bars: list[str]) -> list[list[str]]:
@@ -100,7 +100,7 @@ def _cities(parameters: MapParameters, bars: list[str]) -> list[list[str]]:
         mapped = MemoryDrive(city.name, list(city))
         localizer = _localizer(mapped, np.arange(CITY_SCANS), parameters)
         promised = passes[seed] if parameters.distance is not None else passes[seed][:1]
-        asked = [_ask(localizer, drive, i) for drive in promised for i in range(len(drive))]
+        queried = [_ask(localizer, drive, i) for drive in promised for i in range(len(drive))]
         unknown = [
             localizer.localize_scan(drive.scan(i))
             for other in SEEDS
@@ -109,15 +109,15 @@ def _cities(parameters: MapParameters, bars: list[str]) -> list[list[str]]:
             for i in range(0, len(drive), 2)
         ]
         others = ", ".join(str(other) for other in SEEDS if other != seed)
-        rows.append(_row(f"city {seed}", f"cities {others}", asked, unknown, bars, city=True))
+        rows.append(_row(f"city {seed}", f"cities {others}", queried, unknown, bars, city=True))
         even = _localizer(mapped, np.arange(0, CITY_SCANS, 2), parameters)
-        asked = [_ask(even, mapped, i) for i in range(1, CITY_SCANS, 2)]
+        queried = [_ask(even, mapped, i) for i in range(1, CITY_SCANS, 2)]
         unknown = [
             even.localize_scan(scan) for other in SEEDS if other != seed for scan in firsts[other]
         ]
         # As on the recorded drive: the same pass, so the other cars are the same too.
         name = f"city {seed}, odd scans"
-        rows.append(_row(name, f"cities {others}", asked, unknown, bars, city=True))
+        rows.append(_row(name, f"cities {others}", queried, unknown, bars, city=True))
     return rows
 
 
@@ -143,19 +143,19 @@ def _ask(localizer: Localizer, drive: Drive, index: int) -> tuple[Localization, 
 def _row(
     positives: str,
     negatives: str,
-    asked: Sequence[tuple[Localization, FloatArray]],
+    queried: Sequence[tuple[Localization, FloatArray]],
     unknown: Sequence[Localization],
     bars: list[str],
     *,
     city: bool,
 ) -> list[str]:
-    right = [_is_right(found, pose) for found, pose in asked]
-    known = [_judged(f, right=is_right) for (f, _), is_right in zip(asked, right, strict=True)]
+    right = [_is_right(found, pose) for found, pose in queried]
+    known = [_judged(f, right=is_right) for (f, _), is_right in zip(queried, right, strict=True)]
     elsewhere = [_judged(found, right=False) for found in unknown]
     of_all = reliability(known, elsewhere)
-    of_right = reliability([judged for judged in known if judged.right], elsewhere)
+    of_right = reliability([checked for checked in known if checked.right], elsewhere)
     bars += _missed(positives, of_all, city=city)
-    within = _coverage([pair for pair, is_right in zip(asked, right, strict=True) if is_right])
+    within = _coverage([pair for pair, is_right in zip(queried, right, strict=True) if is_right])
     return [
         positives,
         negatives,
@@ -193,10 +193,10 @@ def _judged(found: Localization, *, right: bool) -> Outcome:
     return Outcome(found.decision.probability, found.localized, right)
 
 
-def _coverage(asked: Sequence[tuple[Localization, FloatArray]]) -> list[str]:
+def _coverage(queried: Sequence[tuple[Localization, FloatArray]]) -> list[str]:
     """Return the shares of errors within one and two standard deviations, 68 and 95 % if normal."""
     errors: list[tuple[float, float, float]] = []
-    for found, row in asked:
+    for found, row in queried:
         best, deviation = found.best, found.deviation
         place = best.pose if best.estimated_pose is None else best.estimated_pose
         if deviation is None or place is None or best.pose is None:

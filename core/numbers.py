@@ -23,3 +23,10 @@ def require_above(bound: float, **numbers: float | None) -> None:
     for name, number in numbers.items():
         if number is not None and not bound < number < math.inf:
             raise InvalidParameters(f"{name} is {number}, wanted above {bound}")
+
+
+def require_finite(**numbers: float | None) -> None:
+    """Raise `InvalidParameters` unless each number is finite, or `None`."""
+    for name, number in numbers.items():
+        if number is not None and not math.isfinite(number):
+            raise InvalidParameters(f"{name} is {number}, wanted a finite number")

@@ -1,15 +1,15 @@
-"""What is closed at the end of a `with` block."""
+"""Base of classes that a `with` block closes."""
 
 from abc import ABC, abstractmethod
 from typing import Self
 
 
 class Closing(ABC):
-    """Base of what holds a file, a process or a connection: a `with` block closes it."""
+    """Holds a file, a process or a connection, which a `with` block closes."""
 
     @abstractmethod
     def close(self) -> None:
-        """Let go of what is held; to do so twice is no error."""
+        """Release what is held; a second call is no error."""
 
     def __enter__(self) -> Self:
         return self

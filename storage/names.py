@@ -13,7 +13,7 @@ def checked_slug(slug: str) -> str:
     """Return `slug` if it is one.
 
     Lower case only, so that no two maps differ by case alone; no slash, space or percent sign, so
-    that it stands in a URL as it is. It never stands in a path: those are built from ids.
+    that URLs need no escaping. Paths of files are built from ids, never from slugs.
 
     Raises:
         InvalidSlug: If it is not 1 to 64 of a-z, 0-9, `.`, `_`, `-`, beginning with a-z or 0-9.

@@ -24,7 +24,7 @@ class RawScans(StrEnum):
 class Retention:
     """What is kept; by default everything.
 
-    A revision goes when neither its number nor its age keeps it.
+    A revision is removed when neither its number nor its age keeps it.
 
     Attributes:
         retained_revisions: How many are kept besides the live and the newest one, or `all`.

@@ -3,10 +3,10 @@
 from pathlib import Path
 from typing import Annotated
 
-from app.baselines.roster import METHODS, default_methods, methods_named
 from app.cli import evaluation, options
 from app.cli.console import figure, progress_bar, say
 from app.provenance import provenance
+from baselines.roster import METHODS, default_methods, methods_named
 from core.errors import InvalidParameters
 from core.evaluation.compare import (
     Comparison,

@@ -5,15 +5,8 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+from rich import progress
 from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    TaskID,
-    TextColumn,
-    TimeRemainingColumn,
-)
 
 _FILE_COLUMNS = 160  # a file or pipe has no width; Rich's 80 would cut figures off
 
@@ -37,9 +30,9 @@ def figure(value: float | str | None, form: str) -> str:
 class BarProgress:
     """A `core.progress.Progress` that draws one bar a stage."""
 
-    def __init__(self, bars: Progress) -> None:
+    def __init__(self, bars: progress.Progress) -> None:
         self._bars = bars
-        self._task: TaskID | None = None
+        self._task: progress.TaskID | None = None
 
     def start(self, stage: str, total: int) -> None:
         """Begin a new bar; the one before is full."""
@@ -66,12 +59,12 @@ class BarProgress:
 def progress_bar() -> Iterator[BarProgress]:
     """Show progress while the block runs."""
     columns = (
-        TextColumn("{task.description:>12}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeRemainingColumn(),
+        progress.TextColumn("{task.description:>12}"),
+        progress.BarColumn(),
+        progress.MofNCompleteColumn(),
+        progress.TimeRemainingColumn(),
     )
-    with Progress(*columns, console=Console(stderr=True)) as bars:
+    with progress.Progress(*columns, console=Console(stderr=True)) as bars:
         bar = BarProgress(bars)
         yield bar
         bar.finish()

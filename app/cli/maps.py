@@ -22,7 +22,6 @@ from core.encodings.registry import encoding_with
 from core.encodings.signature import Packing, pack_signatures
 from core.errors import InvalidParameters, InvalidScan
 from core.localization.localizer import Localization, Localizer
-from core.mapping.tensormap import TensorMap
 from core.parameters import Segmentation
 from core.scans.pose import path_length_m
 from core.scans.sensor import HDL_64E
@@ -64,9 +63,8 @@ def build(
     poses: options.PosesOption = PoseCheck.CHECKED,
 ) -> None:
     """Build a map of one or more recorded drives."""
-    from app.builds.pipelines import (
-        build_drives,  # here: it brings the store, which no other one needs
-    )
+    # Here: it imports the store, which the other commands do not need.
+    from app.builds.pipelines import build_drives
 
     options.require_folder(output_file)
     try:
@@ -141,7 +139,7 @@ def localize(
     ] = None,
     min_probability: Annotated[
         float | None,
-        typer.Option(min=0, max=1, help="Refuse what is less probable. [the map's threshold]"),
+        typer.Option(min=0, max=1, help="Reject answers below it. [the map's threshold]"),
     ] = None,
     x_m: Annotated[float | None, _prior(help="Where the vehicle is about.")] = None,
     y_m: Annotated[float | None, _prior(help=None)] = None,
@@ -162,7 +160,7 @@ def localize(
     format_name: options.FormatOption = None,
     as_json: Annotated[bool, typer.Option("--json", help="One JSON answer a line.")] = False,
 ) -> None:
-    """Localize scans in a map; one that cannot be used is told, the others are answered.
+    """Localize scans in a map; unusable ones are reported, the others are answered.
 
     The priors apply to all scans. A scan that is not localized is no error: its answer has the
     reason.
@@ -228,18 +226,13 @@ def _show_answers(answers: list[tuple[Path, Localization]], *, as_json: bool) ->
                 ),
                 f"{match.distance:.4f}" if turns else f"{match.distance:.1f}",
                 figure(found.ratio, ".2f"),
-                _trust(found),
+                figure(found.decision.probability, ".2f") + ("" if found.localized else " no"),
             )
     if answers and not as_json:
         output().print(table)
         for path, found in answers:
             if not found.localized:
                 say(f"{path.name} is not localized: {found.decision.reason}")
-
-
-def _trust(found: Localization) -> str:
-    shown = figure(found.decision.probability, ".2f")
-    return shown if found.localized else f"{shown} no"
 
 
 def signature(
@@ -278,7 +271,7 @@ def inspect(
     map_file: options.MapArgument,
     as_json: Annotated[bool, typer.Option("--json", help="As JSON.")] = False,
 ) -> None:
-    """Show what a map holds; its digest is checked."""
+    """Show the contents of a map; its digest is checked."""
     tensor_map = read_map(map_file)
     facts = {
         "revision": tensor_map.revision,
@@ -308,18 +301,14 @@ def inspect(
         first, last = edge["nodes"]
         for of_it in edge["segments"]:
             nodes = (last, first) if of_it["reversed"] else (first, last)
-            row = of_it["segment"], of_it["scans"]
-            length_m = path_length_m(tensor_map.trajectory.poses[slice(*_rows(tensor_map, row[0]))])
+            first_scan, last_scan = tensor_map.segment_ends[of_it["segment"]]
+            length_m = path_length_m(tensor_map.trajectory.poses[first_scan : last_scan + 1])
             table.add_row(
                 str(edge["edge"]),
                 f"{nodes[0]} - {nodes[1]}",
-                *map(str, row),
+                str(of_it["segment"]),
+                str(of_it["scans"]),
                 "-" if math.isnan(length_m) else f"{length_m:.1f}",
                 f"{of_it['relative_error']:.3f}",
             )
     output().print(table)
-
-
-def _rows(tensor_map: TensorMap, segment: int) -> tuple[int, int]:
-    first, last = tensor_map.segment_ends[segment].tolist()
-    return first, last + 1

@@ -8,9 +8,9 @@ from typing import Annotated, Any
 
 import typer
 
+from app import provenance
 from app.cli import evaluation, options
 from app.cli.console import progress_bar, say
-from app.report.provenance import provenance
 from core.encodings.registry import encoding_names
 from core.evaluation.study import Study
 from core.evaluation.study_drive import StudyProtocol, study_drive
@@ -102,7 +102,7 @@ def report(
 
     with progress_bar() as progress:
         study = study_drive(recorded, protocol, progress)
-        made = provenance()
+        made = provenance.of_report()
         page = render_report(study, made, progress)
     with publish(out) as part:
         part.write_text(page, encoding="utf-8")

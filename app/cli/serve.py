@@ -34,12 +34,7 @@ def serve(
     """Start the service; `TENSORMAP_*` variables have the other settings."""
     import uvicorn  # here, not above: other commands must not wait for the whole service
 
-    from app.http.connections import (
-        BoundedServer,
-        close_unread,
-        connection_options,
-        within_descriptors,
-    )
+    from app.http import connections
     from app.http.logs import configure_logging
     from app.main import create_app
     from app.process import private_files
@@ -50,7 +45,7 @@ def serve(
     configure_logging(settings.log_format, settings.log_level)
     for name in unknown_variables(os.environ):
         _log.warning("%s is set and is no setting of TensorMap: is it misspelt?", name)
-    settings = within_descriptors(settings)
+    settings = connections.within_descriptors(settings)
     config = uvicorn.Config(
         create_app(settings),
         host=settings.host,
@@ -64,10 +59,10 @@ def serve(
         forwarded_allow_ips=list(settings.trusted_proxies),
         ws_max_size=settings.max_json_bytes,
         timeout_graceful_shutdown=_GRACE_S,
-        **connection_options(settings),
+        **connections.connection_options(settings),
     )
     with _listen(settings.host, settings.port) as listening:
-        close_unread(listening)
+        connections.close_unread(listening)
         # An error at start is one line here; from inside Uvicorn it would be a traceback.
         Store.serving(settings.data_dir, settings.catalog_url).close()
         # After its shutdown Uvicorn raises the signal that stopped it again: by default the process
@@ -75,7 +70,7 @@ def serve(
         signal.signal(signal.SIGTERM, lambda _number, _frame: sys.exit(0))
         # Uvicorn, given a socket, names no URL.
         typer.echo(f"TensorMap at {_url(listening)}", err=True)
-        BoundedServer(config).run(sockets=[listening])
+        connections.BoundedServer(config).run(sockets=[listening])
 
 
 def _settings(**chosen: Any) -> Settings:  # noqa: ANN401 - each setting checks its own type

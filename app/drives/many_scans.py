@@ -10,8 +10,8 @@ from tempfile import SpooledTemporaryFile
 
 from starlette.requests import ClientDisconnect
 
+from app.drives.schemas import SetAsideOut, UploadOut, index_ranges
 from app.drives.tar_stream import TarFeed, TarMember
-from app.drives.upload_schemas import SetAsideOut, UploadOut, index_ranges
 from app.http.client import require_client
 from app.http.errors import BodyTooLarge, MalformedBody, MalformedUpload
 from app.http.problems import problem_type

@@ -12,8 +12,7 @@ from app.access.scopes import Scope, needs
 from app.drives.many_scans import ScanUpload
 from app.drives.pose_files import CSV, POSE_TYPES, read_poses
 from app.drives.pose_schemas import PosesIn
-from app.drives.schemas import DriveOut, DriveWithPosesOut, PosesPutOut
-from app.drives.upload_schemas import PresentOut, UploadOut
+from app.drives.schemas import DriveOut, DriveWithPosesOut, PosesPutOut, PresentOut, UploadOut
 from app.http import errors
 from app.http.bodies.bodies import AsItComes, Body, ContentType, described_body, media_type
 from app.http.bodies.incoming import Incoming

@@ -3,7 +3,6 @@
 import asyncio
 from collections import Counter, OrderedDict, deque
 from collections.abc import Callable
-from contextlib import suppress
 from typing import Any, TypeVar
 
 from anyio import CapacityLimiter, to_thread
@@ -90,10 +89,12 @@ class Pool:
             if client.left.is_set():
                 raise ClientDisconnect
         except BaseException:
-            if turn.done() and not turn.cancelled():  # its turn came at the same time
+            if turn.done():  # its turn came at the same time
                 self._leave(key)
             else:
-                self._discard(key, turn)
+                self._waiting[key].remove(turn)
+                if not self._waiting[key]:
+                    del self._waiting[key]
             raise
         finally:
             left.cancel()
@@ -116,32 +117,20 @@ class Pool:
             )
 
     def _leave(self, key: str) -> None:
+        """Start the next call: a key that had its turn goes behind the others."""
         self._running[key] -= 1
         if not self._running[key]:
             del self._running[key]
-        self._start_next()
-
-    def _start_next(self) -> None:
-        """Start the next call: a key that had its turn goes behind the others."""
-        for key in list(self._waiting):
-            if not self._has_room(key):
-                continue
-            turns = self._waiting[key]
-            turn = turns.popleft()
-            if turns:
-                self._waiting.move_to_end(key)
-            else:
-                del self._waiting[key]
-            self._running[key] += 1
-            turn.set_result(None)
+        waiting = next(filter(self._has_room, self._waiting), None)
+        if waiting is None:
             return
-
-    def _discard(self, key: str, turn: asyncio.Future[None]) -> None:
-        turns = self._waiting.get(key, deque())
-        with suppress(ValueError):
-            turns.remove(turn)
-        if not turns:
-            self._waiting.pop(key, None)
+        turns = self._waiting[waiting]
+        self._running[waiting] += 1
+        turns.popleft().set_result(None)
+        if turns:
+            self._waiting.move_to_end(waiting)
+        else:
+            del self._waiting[waiting]
 
 
 class Pools:

@@ -13,6 +13,7 @@ from core.arrays import FloatArray
 from core.confidence.attributes import Attributes
 from core.confidence.spread import Spread
 from core.errors import InvalidParameters
+from core.numbers import require_above
 
 MIN_PROBABILITY = 0.5
 """Default threshold: a match that is more likely wrong than right is refused."""
@@ -55,8 +56,7 @@ class Calibration(Attributes):
                 raise InvalidParameters(f"slopes of {name} are {values}, wanted at most 0")
         object.__setattr__(self, "floor", float(self.floor))
         object.__setattr__(self, "threshold", float(self.threshold))
-        if not (math.isfinite(self.floor) and self.floor > 0.0):
-            raise InvalidParameters(f"floor is {self.floor}, wanted above 0")
+        require_above(0, floor=self.floor)
         if not 0.0 <= self.threshold <= 1.0:
             raise InvalidParameters(f"threshold is {self.threshold}, wanted 0..1")
         object.__setattr__(self, "least_cells", operator.index(self.least_cells))

@@ -8,7 +8,7 @@ import numpy as np
 
 from core.arrays import FloatArray
 from core.confidence.attributes import Attributes
-from core.errors import InvalidParameters
+from core.numbers import require_at_least
 
 # Deviations and their squares stay finite: a distance over the least typical one is below 1e110.
 _LEAST_TYPICAL, _LARGEST = 1e-30, 1e12
@@ -79,8 +79,7 @@ class Spread(Attributes):
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "typical", float(self.typical))
-        if not _LEAST_TYPICAL <= self.typical < math.inf:
-            raise InvalidParameters(f"typical is {self.typical}, wanted {_LEAST_TYPICAL:g} or more")
+        require_at_least(_LEAST_TYPICAL, typical=self.typical)
         for name in ("along_m", "lateral_m", "heading_deg"):
             self._set_numbers(name, 2, 0.0, _LARGEST)
 

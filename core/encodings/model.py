@@ -171,11 +171,6 @@ class Model(ABC):
         """`(I, J)`, the shape of an image."""
 
     @property
-    @abstractmethod
-    def elements(self) -> int:
-        """How many numbers the bases and signatures are (paper, sec. 2.4)."""
-
-    @property
     def recorded(self) -> NDArray[Any]:
         """Signatures of the scans as they were recorded, `(K, r1, r2)`."""
         return self.signatures

@@ -46,11 +46,6 @@ class Axis:
     tied: tuple[int, ...]
     worse: tuple[int, ...]
 
-    @property
-    def decided(self) -> bool:
-        """Whether some value was ruled out."""
-        return bool(self.worse)
-
 
 @dataclass(frozen=True, kw_only=True)
 class Advice(Plain):

@@ -36,16 +36,12 @@ class Criterion:
         require_above(0, tolerance_m=self.tolerance_m)
         require_at_least(0, tolerance_scans=self.tolerance_scans)
 
-    @property
-    def by_place(self) -> bool:
-        """Whether every scan's place is known."""
-        return bool(is_known(self.poses).all())
-
     def __str__(self) -> str:
         near = f"within {self.tolerance_scans} scans of the query"
-        if self.by_place:
+        known = is_known(self.poses)
+        if known.all():
             return f"the matched scan was recorded within {self.tolerance_m:g} m"
-        if is_known(self.poses).any():
+        if known.any():
             return f"the matched scan was recorded within {self.tolerance_m:g} m, or is {near}"
         return f"the matched scan is {near}"
 

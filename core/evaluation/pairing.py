@@ -1,7 +1,6 @@
 """Which scans are places, which are queries, and what each query may be compared with."""
 
 from dataclasses import dataclass, field
-from typing import Protocol
 
 import numpy as np
 
@@ -29,17 +28,6 @@ class Paired:
     places: IntArray
     queries: IntArray
     first_excluded: IntArray
-
-
-class Pairing(Protocol):
-    """A protocol of comparison."""
-
-    def pair(self, drive: Drive, query_drive: Drive | None) -> Paired:
-        """Choose places and queries.
-
-        Raises:
-            InvalidParameters: If there is no query, or the protocol does not fit the drives.
-        """
 
 
 @dataclass(frozen=True)
@@ -135,3 +123,7 @@ class LoopClosing:
             f"{self.recent_s:g} s" if self.recent_scans is None else f"{self.recent_scans} scans"
         )
         return f"loop closing, with places at least {recent} before"
+
+
+Pairing = HeldOut | SecondPass | LoopClosing
+"""A protocol of comparison; `pair` rejects drives that do not fit it with `InvalidParameters`."""

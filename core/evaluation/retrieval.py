@@ -19,12 +19,10 @@ class PrecisionRecall:
     """Precision and recall at every threshold that is some answer's score, falling.
 
     Attributes:
-        thresholds: `(n,)`.
         precision: `(n,)`.
         recall: `(n,)`, never falling.
     """
 
-    thresholds: FloatArray
     precision: FloatArray
     recall: FloatArray
 
@@ -78,9 +76,7 @@ def precision_recall(scores: FloatArray, right: BoolArray, findable: int) -> Pre
     last_of_equals = np.append(falling[1:] != falling[:-1], True)[: len(falling)]
     found = np.cumsum(true[answered][order])[last_of_equals]
     accepted = np.arange(1, len(falling) + 1)[last_of_equals]
-    return PrecisionRecall(
-        falling[last_of_equals], found / np.maximum(accepted, 1), found / max(findable, 1)
-    )
+    return PrecisionRecall(found / np.maximum(accepted, 1), found / max(findable, 1))
 
 
 def auroc(positives: FloatArray, negatives: FloatArray) -> float | None:

@@ -2,20 +2,12 @@
 
 import re
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
 from core.arrays import BoolArray, FloatArray, IntArray
 from core.errors import InvalidParameters
 from core.numbers import require_at_least
-
-
-class Split(Protocol):
-    """A rule that holds scans out."""
-
-    def held_out(self, segment_start: IntArray) -> BoolArray:
-        """Return which scans of a drive cut at `segment_start` (L + 1,) are queries, `(K,)`."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +34,7 @@ class Interleaved:
         require_at_least(0, phase=self.phase)
 
     def held_out(self, segment_start: IntArray) -> BoolArray:
-        """Return which scans are queries, `(K,)`."""
+        """Return which scans of a drive cut at `segment_start` (L + 1,) are queries, `(K,)`."""
         lengths = np.diff(segment_start)
         j = np.arange(lengths.sum()) - np.repeat(segment_start[:-1], lengths) + self.phase
         quota: FloatArray = np.floor(np.stack([j, j + 1]) * self.fraction + 0.5)
@@ -72,6 +64,10 @@ class Every:
 
     def __str__(self) -> str:
         return f"every:{self.n}"
+
+
+Split = Interleaved | Every
+"""Which scans of a drive are held out."""
 
 
 def parse_split(text: str) -> Split:

@@ -159,8 +159,8 @@ class Sweep(Plain):
 
     def at(self, ranks: tuple[int, int], segment_length: int) -> SweepPoint | None:
         """Return a candidate, `None` if it was not tried."""
-        wanted = (ranks, segment_length)
-        return next((p for p in self.points if (p.ranks, p.segment_length) == wanted), None)
+        tried = {(point.ranks, point.segment_length): point for point in self.points}
+        return tried.get((ranks, segment_length))
 
 
 def sweep(

@@ -19,6 +19,7 @@ from core.localization.candidates import deviation_of, find_candidates
 from core.localization.match import Match, match_at
 from core.localization.priors import NO_PRIORS, MapPrior, Priors
 from core.mapping.tensormap import TensorMap
+from core.numbers import require_at_least
 from core.projection.imager import Image
 from core.scans.scan import Scan
 
@@ -145,8 +146,7 @@ class Localizer:
         min_probability: float | None,
         occupied_cells: int | None,
     ) -> Localization:
-        if k < 1:
-            raise InvalidParameters(f"k is {k}, wanted at least 1")
+        require_at_least(1, k=k)
         prior = None if priors == NO_PRIORS else MapPrior(priors, self.map)
         candidates = find_candidates(self.map, search, k, prior)
         decision = candidates.decide(self.map.calibration, min_probability, occupied_cells)

@@ -3,7 +3,6 @@
 A prior removes scans beyond three standard deviations, and weights the others by their probability.
 """
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,6 +11,7 @@ from core.arrays import BoolArray, FloatArray
 from core.encodings.model import Neighbours, Search
 from core.errors import InvalidParameters
 from core.mapping.tensormap import TensorMap
+from core.numbers import require_above, require_at_least, require_finite
 from core.scans.angles import wrapped_deg
 from core.scans.pose import heading_deg
 
@@ -19,16 +19,6 @@ _GATE = 3.0  # standard deviations
 _REACH_M = 5.0  # most between a query and its scan: half a gap between scans, and a lane
 _HEADING_SLACK_DEG = 5.0  # error of a path's heading between two scans, and of the relative yaw
 _FIRST = 32  # scans of the first search, if matches are then filtered by heading
-
-
-def _require_sigma(name: str, value: float) -> None:
-    if not (math.isfinite(value) and value > 0.0):
-        raise InvalidParameters(f"{name} is {value}, wanted above 0")
-
-
-def _require_finite(name: str, value: float) -> None:
-    if not math.isfinite(value):
-        raise InvalidParameters(f"{name} is {value}, wanted a finite number")
 
 
 @dataclass(frozen=True)
@@ -46,9 +36,8 @@ class PositionPrior:
     sigma_m: float
 
     def __post_init__(self) -> None:
-        _require_finite("x_m", self.x_m)
-        _require_finite("y_m", self.y_m)
-        _require_sigma("position_sigma_m", self.sigma_m)
+        require_finite(x_m=self.x_m, y_m=self.y_m)
+        require_above(0, position_sigma_m=self.sigma_m)
 
 
 @dataclass(frozen=True)
@@ -64,8 +53,8 @@ class HeadingPrior:
     sigma_deg: float
 
     def __post_init__(self) -> None:
-        _require_finite("heading_deg", self.heading_deg)
-        _require_sigma("heading_sigma_deg", self.sigma_deg)
+        require_finite(heading_deg=self.heading_deg)
+        require_above(0, heading_sigma_deg=self.sigma_deg)
 
     @property
     def gate_deg(self) -> float:
@@ -103,12 +92,10 @@ class OdometryPrior:
     sigma_m: float
 
     def __post_init__(self) -> None:
-        if not (math.isfinite(self.travelled_m) and self.travelled_m >= 0.0):
-            raise InvalidParameters(f"travelled_m is {self.travelled_m}, wanted at least 0")
-        _require_sigma("travelled_sigma_m", self.sigma_m)
+        require_at_least(0, travelled_m=self.travelled_m)
+        require_above(0, travelled_sigma_m=self.sigma_m)
         if not isinstance(self.since, ScanOfMap):
-            for name, value in zip(("since_x_m", "since_y_m"), self.since, strict=True):
-                _require_finite(name, value)
+            require_finite(since_x_m=self.since[0], since_y_m=self.since[1])
 
 
 @dataclass(frozen=True)

@@ -44,7 +44,7 @@ class DriveImages(ImageSource, Protocol):
 
     @property
     def returns(self) -> int:
-        """How many returns they hold together."""
+        """How many returns they have together."""
 
     @property
     def skipped(self) -> tuple[Skipped, ...]:
@@ -52,18 +52,18 @@ class DriveImages(ImageSource, Protocol):
 
     @property
     def probed(self) -> IntArray:
-        """`(p,)` positions of the scans of which a probe was made, rising."""
+        """`(p,)` positions of the scans that have a probe, rising."""
 
     @property
     def standing(self) -> FloatArray:
-        """`(p, 3)` where the probes stand, as in `Probes`."""
+        """`(p, 3)` displacements of the probes, as in `Probes`."""
 
     @property
     def probes(self) -> ImageSource | None:
-        """The images of the probes; `None` if they can no longer be made."""
+        """The images of the probes; `None` if they are not available."""
 
     def detail_gram(self, progress: Progress = NO_PROGRESS) -> FloatArray:
-        """Return what `core.encodings.grams.drive_gram` gives for these images, `(I, I)`."""
+        """Return `core.encodings.grams.drive_gram` of these images, `(I, I)`."""
 
 
 ImagesOf = Callable[[Drive], DriveImages]
@@ -82,7 +82,7 @@ class Build:
 
     Attributes:
         tensor_map: The map.
-        returns: How many returns its scans held together.
+        returns: How many returns its scans had together.
         skipped: Scans that could not be used, by drive.
         fits: How well a basis that was kept fits each drive; none if it was fitted.
         segment_length: k that drives were cut with, `None` if the cuts were given.
@@ -114,9 +114,9 @@ def build_map(
     kept: Basis | None = None,
     progress: Progress = NO_PROGRESS,
 ) -> TensorMap:
-    """Build the map of one or more drives; the same drives and parameters give the same digest.
+    """Build the map of one or more drives; equal drives and parameters have equal digests.
 
-    Images are held in memory, 43 kB a scan (and rendering) on the paper's grid.
+    Images are in memory, 43 kB a scan (and rendering) on the paper's grid.
 
     Args:
         drives: One, or several of different names in one world frame.
@@ -124,7 +124,7 @@ def build_map(
             those of `tensormap build`.
         segment_length: k; 760 scans by default.
         segments: L instead: k = ceil(K / L) of the longest drive's K usable scans.
-        kept: The basis of another map to keep; signatures that were made with it stay good.
+        kept: The basis of another map to keep; its signatures stay valid.
         progress: Receives every stage; may raise `Cancelled`.
 
     Raises:
@@ -168,8 +168,8 @@ def build(
         segments: L instead: k = ceil(K / L) of the longest drive's K usable scans.
         segment_start: `(L + 1,)` positions in the only drive where segments begin, and its length:
             instead of cuts over usable scans, at turns and where drives meet.
-        kept: The basis of another map to keep; signatures that were made with it stay good.
-        calibrated: Whether the map's probes are asked for its calibration.
+        kept: The basis of another map to keep; its signatures stay valid.
+        calibrated: Whether the map is calibrated with its probes.
         progress: Receives every stage; may raise `Cancelled`.
 
     Raises:
@@ -222,7 +222,7 @@ def project_scans(
     """Project some scans of a drive into memory, and probes of them.
 
     Raises:
-        EmptyDrive: If not one of them is usable; the message gives the first reason.
+        EmptyDrive: If not one of them is usable; the message has the first reason.
     """
     return _InMemory(**vars(project_drive(drive, scans, parameters.imager, progress)))
 

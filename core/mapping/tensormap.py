@@ -113,7 +113,7 @@ class TensorMap:
     @property
     def elements(self) -> int:
         """How many numbers the bases and signatures are (paper, sec. 2.4)."""
-        return self.model.elements
+        return self.parameters.encoder.elements(self.parameters, self.model.segments, len(self))
 
     def basis(self, segments: Sequence[int] | IntArray | None = None) -> Basis:
         """Return the basis with which a vehicle encodes scans, for all or some segments.

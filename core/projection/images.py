@@ -220,7 +220,7 @@ def project_into(
         progress: Receives each scan.
 
     Raises:
-        EmptyDrive: If not one of them is usable; the message gives the first reason.
+        EmptyDrive: If not one of them is usable; the message has the first reason.
     """
     progress.start("projecting", len(scans))
     kept: list[int] = []
@@ -262,7 +262,7 @@ def project_drive(
     """Project scans of a drive into memory, 43 kB an image on the paper's grid.
 
     Raises:
-        EmptyDrive: If not one of them is usable; the message gives the first reason.
+        EmptyDrive: If not one of them is usable; the message has the first reason.
     """
     cells = np.empty((len(scans), *imager.shape), np.float32)
     probe_cells = np.empty((len(spread_evenly(scans)), *imager.grid.shape), np.float32)

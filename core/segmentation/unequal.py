@@ -1,13 +1,12 @@
 """Segments grown while one model explains the scans: the paper's future work.
 
-A segment grows block by block and its Gram matrices with it, so that nothing but them is held.
-Every block is asked how badly the model of what came before explains it, as compared with how
-badly it explains its own scans. Where that ratio is high the surroundings change, and there the
-segment ends; so it does where the drive turns.
+A segment grows block by block, and only its Gram matrices are in memory. For every block the
+error of the model of the scans before it is divided by that model's error on its own scans. Where
+the ratio is high the surroundings change, and the segment ends; it also ends where the drive turns.
 
-What explains is the paper's model in the paper's encoding: both bases of the segment. In the
-harmonic encoding a map has one U and fixed azimuths, and no segment has a model of its own; there
-it is the radial basis that the segment would have, which a turn of the vehicle leaves as it is.
+In the paper's encoding the model is the paper's: both bases of the segment. In the harmonic
+encoding a map has one U and fixed azimuths; there the model is the radial basis that the segment
+would have, which does not depend on yaw.
 """
 
 import itertools
@@ -30,7 +29,7 @@ from core.scans.trajectory import Trajectory
 from core.segmentation.turns import turns
 
 SURPRISE = 1.45
-"""Error of a block over that of the scans before it, from which on the model explains no more:
+"""Ratio of the errors of a block and of the scans before it, above which a segment ends:
 docs/decisions/0013-unequal-segments-and-topology.md."""
 
 
@@ -65,8 +64,8 @@ def cut_unequal(
             counts.
         trajectory: Of all drives. Turns are known by poses only.
         segment_length: k.
-        parameters: Encoding and ranks: what explains.
-        progress: Told of every image; may raise `Cancelled`.
+        parameters: Encoding and ranks of the model.
+        progress: Receives every image; may raise `Cancelled`.
 
     Raises:
         InvalidParameters: If the length is below 1, or images and trajectory do not fit together.
@@ -93,13 +92,13 @@ def _cut_drive(
     block_scans = max(1, min(BLOCK_SCANS, shortest // 4))
     cuts = [start]
     while end - start > longest or end - start >= 2 * shortest:
-        # What is left behind a cut is no segment unless it has its shortest length.
+        # The rest behind a cut must have the shortest length of a segment.
         first, last = start + shortest, min(start + longest, end - shortest)
         corner = corners[(corners >= first) & (corners <= last)]
         last = int(corner[0]) if len(corner) else last
         cut = _first_surprise(reader, start, first, last, block_scans)
         if cut is None and not len(corner) and end - start <= longest:
-            break  # one model explains what is left
+            break  # one model fits the rest
         start = last if cut is None else cut
         cuts.append(start)
     reader.skip_to(end)
@@ -109,7 +108,7 @@ def _cut_drive(
 def _first_surprise(
     reader: "_Reader", start: int, first: int, last: int, block_scans: int
 ) -> int | None:
-    """Grow a segment from `start`; return where, from `first` up to `last`, a model ends."""
+    """Grow a segment from `start`; return where, from `first` up to `last`, it ends."""
     grown = reader.grams(start, first)
     at = first
     while at < last:
@@ -159,7 +158,7 @@ class _Reader:
         self._encoder = parameters.encoder
         offsets = parameters.lateral_renderings_m
         self._rendering = None if offsets is None else int(np.abs(offsets).argmin())
-        self._told = 0
+        self._reported = 0
 
     def grams(self, start: int, stop: int) -> _Explained:
         """Return the Gram matrices of scans `start` up to `stop`."""
@@ -171,10 +170,10 @@ class _Reader:
         return total if total is not None else self._of(self._images.read(start, start))
 
     def skip_to(self, row: int) -> None:
-        """Tell how far the work is."""
-        if row > self._told:
-            self._progress.advance(row - self._told)
-            self._told = row
+        """Report progress up to a row."""
+        if row > self._reported:
+            self._progress.advance(row - self._reported)
+            self._reported = row
 
     def _of(self, block: NDArray[Any]) -> _Explained:
         images = block if self._rendering is None else block[:, self._rendering]

@@ -11,7 +11,7 @@ from core.arrays import BoolArray, FloatArray, IntArray
 from core.scans.pose import path_length_m
 from core.scans.trajectory import Trajectory
 from core.topology.graph import Topology, segment_ends
-from core.topology.streets import Place, Streets, Stretch, find_streets
+from core.topology.streets import Meeting, Place, Streets, Stretch, find_streets
 
 CUT_M = 10.0
 """A cut this near to a meeting place is used for it."""
@@ -38,9 +38,8 @@ def cut_at_meetings(trajectory: Trajectory, segment_start: IntArray) -> IntArray
         for end in (0, -1):
             cuts.add(Place(stretch.street, float(stretch.street_arc_m[end])))
             cuts.add(Place(stretch.line, float(stretch.arc_m[end])))
-    for meeting in streets.meetings:
-        cuts.add(meeting.first)
-        cuts.add(meeting.second)
+    for place in itertools.chain.from_iterable(streets.meetings):
+        cuts.add(place)
     for stretch in streets.stretches:
         cuts.copy(stretch)
     return np.array(sorted(cuts.rows), dtype=np.int64)
@@ -135,7 +134,7 @@ class _Nodes:
         for pairs in self.beside:
             self._links += pairs.items()
         for meeting in streets.meetings:
-            self._link_places(meeting.first, meeting.second)
+            self._link(meeting)
 
     def _on_line(self, number: int, from_m: float, to_m: float) -> tuple[IntArray, FloatArray]:
         """Return the nodes on a part of a line, and their arc lengths."""
@@ -161,9 +160,9 @@ class _Nodes:
             if apart_m[i, j] <= NODE_M and apart_m[:, j].argmin() == i:
                 yield int(own[i]), int(street[j])
 
-    def _link_places(self, first: Place, second: Place) -> None:
+    def _link(self, meeting: Meeting) -> None:
         found = []
-        for place in (first, second):
+        for place in meeting:
             nodes, arc_m = self._on_line(place.line, place.arc_m - NODE_M, place.arc_m + NODE_M)
             if not len(nodes):
                 return

@@ -44,12 +44,8 @@ class Place:
     arc_m: float
 
 
-@dataclass(frozen=True)
-class Meeting:
-    """One place on two lines."""
-
-    first: Place
-    second: Place
+Meeting = tuple[Place, Place]
+"""One place on two lines."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -272,7 +268,7 @@ def _without_gaps(stretches: list[Stretch]) -> tuple[list[Stretch], list[Meeting
         street_arc_m = np.concatenate([stretch.street_arc_m[:1], stretch.street_arc_m])
         joined.append(replace(stretch, arc_m=arc_m, street_arc_m=street_arc_m))
         end = Place(before.street, float(before.street_arc_m[-1]))
-        meetings.append(Meeting(end, Place(stretch.street, float(street_arc_m[0]))))
+        meetings.append((end, Place(stretch.street, float(street_arc_m[0]))))
     return joined, meetings
 
 
@@ -293,11 +289,11 @@ def _crossings(lines: tuple[Line, ...], first_time: list[BoolArray]) -> Iterator
             continue
         share = _where_crossing(begin[first], step[first], begin[second], step[second])
         if share is not None:
-            places = [
+            one, other = (
                 Place(of_line[at], float(arc_m[at] + part * np.linalg.norm(step[at])))
                 for at, part in zip((first, second), share, strict=True)
-            ]
-            yield Meeting(*places)
+            )
+            yield one, other
 
 
 def _where_crossing(

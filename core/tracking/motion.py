@@ -10,6 +10,7 @@ import numpy as np
 
 from core.arrays import FloatArray, frozen
 from core.errors import InvalidParameters
+from core.numbers import require_above
 from core.tracking.graph import TravelGraph
 
 MAX_STEPS = 24
@@ -57,8 +58,8 @@ class Motion:
                 raise InvalidParameters(f"{name} is {getattr(self, name)}, wanted 0..1")
         if self.keeps + self.drifts + self.stops >= 1.0:
             raise InvalidParameters("keeps, drifts and stops sum to 1 or more, wanted less")
-        if min(self.spread, self.metres_spread, self.metres_floor) <= 0.0:
-            raise InvalidParameters("spreads are above 0")
+        require_above(0, spread=self.spread, metres_spread=self.metres_spread)
+        require_above(0, metres_floor=self.metres_floor)
 
     def pace_change(self) -> FloatArray:
         """Return the probabilities of one pace after another, `(P, P)`, rows sum to 1."""

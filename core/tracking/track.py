@@ -9,9 +9,10 @@ from scipy.spatial.transform import Rotation, Slerp
 from core.arrays import FloatArray
 from core.encodings.model import Neighbours, Search
 from core.encodings.signature import Signature
-from core.errors import InvalidParameters, StaleObservation
+from core.errors import StaleObservation
 from core.localization.localizer import Localizer
 from core.localization.match import Match, match_at
+from core.numbers import require_at_least, require_finite
 from core.scans.displacement import pose_beside
 from core.scans.pose import Pose
 from core.tracking.belief import Belief
@@ -49,12 +50,8 @@ class Observation:
     travelled_m: float | None = None
 
     def __post_init__(self) -> None:
-        for name in ("timestamp_s", "travelled_m"):
-            value = getattr(self, name)
-            if value is not None and not math.isfinite(value):
-                raise InvalidParameters(f"{name} is {value}, wanted a finite number")
-        if self.sequence is not None and self.sequence < 0:
-            raise InvalidParameters(f"sequence is {self.sequence}, wanted 0 or more")
+        require_finite(timestamp_s=self.timestamp_s, travelled_m=self.travelled_m)
+        require_at_least(0, sequence=self.sequence)
 
 
 class Tracker:

@@ -155,7 +155,7 @@ def map_named(session: Session, slug: str, *, lock: bool = False, shared: bool =
 
 
 def map_of_id(session: Session, map_id: str, *, lock: bool = False) -> Map:
-    """Return the row of a map by its id, locked if asked for, or raise `MapNotFound`."""
+    """Return the row of a map by its id, locked with `lock`, or raise `MapNotFound`."""
     row = session.get(Map, map_id, with_for_update=lock)
     if row is None:
         raise MapNotFound(f"the map with id {map_id[:80]!r} is gone")

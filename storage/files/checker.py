@@ -138,9 +138,11 @@ def _answer_all(connection: Connection) -> None:
             path, file, seconds, memory = connection.recv()
         except EOFError:
             return
-        _limit(resource.RLIMIT_AS, _mapped_bytes() + memory)
+        mapped = int(Path("/proc/self/statm").read_text().split()[0]) * _PAGE_BYTES
+        _limit(resource.RLIMIT_AS, mapped + memory)
         # An endless loop ends also without a parent that would kill this process.
-        _limit(resource.RLIMIT_CPU, int(_cpu_s() + seconds) + 1)
+        used = resource.getrusage(resource.RUSAGE_SELF)
+        _limit(resource.RLIMIT_CPU, int(used.ru_utime + used.ru_stime + seconds) + 1)
         answer = _answer(path, file, memory)
         _limit(resource.RLIMIT_AS, resource.RLIM_INFINITY)
         connection.send(answer)
@@ -164,12 +166,3 @@ def _limit(which: int, soft: int) -> None:
     if hard != resource.RLIM_INFINITY:
         soft = hard if soft == resource.RLIM_INFINITY else min(soft, hard)
     resource.setrlimit(which, (soft, hard))
-
-
-def _mapped_bytes() -> int:
-    return int(Path("/proc/self/statm").read_text().split()[0]) * _PAGE_BYTES
-
-
-def _cpu_s() -> float:
-    used = resource.getrusage(resource.RUSAGE_SELF)
-    return used.ru_utime + used.ru_stime

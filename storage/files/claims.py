@@ -1,4 +1,4 @@
-"""Locks that tell files being written from those of a killed process: they end with the holder."""
+"""Locks on files being written, released when the process ends: an unlocked one is abandoned."""
 
 import fcntl
 import os

@@ -112,7 +112,7 @@ class Drives:
     ) -> list[ScanConflict | DriveClosed | None]:
         """Return why each of some scans cannot be put as the drive is now, `None` if it can.
 
-        An index may come more than once.
+        An index may occur several times.
         """
         target = self._catalog.scans.target(map_slug, drive_slug, {index for index, _ in scans})
         return [_refusal(target, index, scan_digest(scan.points_m)) for index, scan in scans]

@@ -127,7 +127,7 @@ def test_errors_of_a_proposal_are_those_of_its_own_kind(client):
         assert refusal(client.post("/v1/maps/campus/loop-closures", json=body))[0] == lacks
 
 
-# What the description says of it
+# How it is described
 
 
 @pytest.fixture(scope="module")

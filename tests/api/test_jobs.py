@@ -30,7 +30,7 @@ def build(client, **wanted):
 
 @pytest.fixture
 def standing(empty, monkeypatch):
-    """A service whose workers stand still, with one scan."""
+    """A service whose workers never end, with one scan."""
     monkeypatch.setattr(runner_module, "run_build", stand_still)
     upload_scan(empty, "campus", "monday", 0, recording().scans[0])
     return empty

@@ -39,7 +39,7 @@ def test_a_key_beyond_its_limit_gets_a_time_to_retry_and_others_do_not(limited):
     assert refused.headers["RateLimit-Policy"] == '"requests";q=5;w=5000'
     assert refused.headers["RateLimit"].startswith('"requests";r=0;t=')
     assert limited.get("/v1/maps", headers=other).status_code == 200
-    # What a proxy or an orchestrator asks is no key's.
+    # Requests of a proxy or an orchestrator have no key.
     assert all(limited.get("/livez").status_code == 200 for _ in range(10))
     assert "RateLimit" not in limited.get("/livez").headers
 

@@ -16,7 +16,7 @@ def client(guarded):
 
 @pytest.fixture(scope="module")
 def of_dock(client):
-    """Return who may do all with map `dock`, and nothing with another."""
+    """Return the head of a key that may do all with map `dock`, and nothing with another."""
     return holder(client, READ, WRITE, LOCALIZE, maps=["dock", "new"])
 
 

@@ -118,7 +118,7 @@ def refuse_to_start(_worker):
 
 
 def settled(client, key, value):
-    """Return the metrics once one has a value: a build is counted after its job says done."""
+    """Return the metrics once one has a value: a build is counted after its job is done."""
     for _ in range(500):
         found = metrics_of(client)
         if found.get(key) == value:

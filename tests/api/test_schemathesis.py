@@ -30,7 +30,7 @@ EXAMPLES = int(os.environ.get("TENSORMAP_SCHEMATHESIS_EXAMPLES", EVERY_DAY))
 SPARES = 12
 
 OF_MEANING = {
-    # Which bytes are a scan, an image, a map or an archive only their reader tells.
+    # Only their readers know which bytes are a scan, an image, a map or an archive.
     *("empty-body", "truncated-scan", "wrong-dtype", "malformed-scan", "too-few-returns"),
     *("invalid-scan", "scan-too-large", "unknown-format", "invalid-image", "invalid-map"),
     "malformed-upload",
@@ -40,7 +40,7 @@ OF_MEANING = {
     # Not of this map, or no longer.
     *("unknown-segment", "sensor-mismatch", "empty-drive", "map-changed"),
 }
-"""Problems of a request that is as its schema says."""
+"""Problems of a request that matches its schema."""
 
 OPERATIONS = sorted(
     f"{method.upper()} {path}"
@@ -64,7 +64,7 @@ def api(built):
             "max-examples": EXAMPLES,
             "deterministic": True,
             "database": "none",
-            # The key is put into each request; what comes without it is a check's to ask.
+            # The key is put into each request, except those of the check without a key.
             "with-security-parameters": False,
         },
     }
@@ -84,7 +84,7 @@ def api(built):
 
 
 def is_refused_for_its_meaning(response):
-    """Whether a request was as its schema says, and is refused for what no schema can say."""
+    """Whether a request matched its schema, and is rejected for what no schema describes."""
     if response.headers["content-type"] != ["application/problem+json"]:
         return False
     problem = response.json()
@@ -109,7 +109,7 @@ def service(request, tmp_path, built):
 
 
 def names_of(client, built, deletes):
-    """Return the names of what is there, by where they stand in requests."""
+    """Return the existing names, by their place in requests."""
 
     def make(path, **body):
         made = client.post(path, json=body)

@@ -55,7 +55,7 @@ class TestMaps:
         with pytest.raises(MapExists):
             catalog.maps.update("other", new_slug="campus")
 
-    def test_a_name_that_is_no_slug_is_refused(self, catalog):
+    def test_a_name_that_is_no_slug_is_rejected(self, catalog):
         with pytest.raises(InvalidSlug):
             catalog.maps.create("../etc")
         catalog.maps.create("campus")
@@ -75,7 +75,7 @@ class TestMaps:
         assert (renamed.slug, renamed.version) == ("yard", 3)
         assert catalog.maps.get("yard") == renamed
 
-    def test_a_change_of_another_version_is_refused(self, catalog):
+    def test_a_change_of_another_version_is_rejected(self, catalog):
         catalog.maps.create("campus")
         catalog.maps.update("campus", description="new", if_version=1)
         with pytest.raises(MapChanged, match="version 2, not 1"):
@@ -131,7 +131,7 @@ class TestMaps:
         assert catalog.maps.update("campus", description="a\0b").description == "a\ufffdb"
         assert catalog.maps.get("campus").description == "a\ufffdb"
 
-    def test_an_empty_page_is_refused(self, catalog):
+    def test_an_empty_page_is_rejected(self, catalog):
         with pytest.raises(InvalidParameters):
             catalog.maps.list(limit=0)
 
@@ -146,7 +146,7 @@ class TestDrivesAndScans:
         assert drive.id == target.drive_id
         assert (drive.scans, drive.returns, drive.size_bytes, drive.closed) == (1, 100, 1200, False)
 
-    def test_ranges_and_gaps_are_told(self, catalog):
+    def test_a_drive_has_ranges_and_gaps(self, catalog):
         catalog.maps.create("campus")
         add_scans(catalog, "campus", "monday", [9, 2, 3, 0, 4, 8])
         drive = catalog.drives.get("campus", "monday")
@@ -174,13 +174,13 @@ class TestDrivesAndScans:
         assert catalog.scans.of_drive(target.drive_id) == [record]
         assert catalog.scans.get(target.drive_id, 2**40) == record
 
-    def test_an_unknown_timestamp_comes_back_unknown(self, catalog):
+    def test_an_unknown_timestamp_is_read_back_as_unknown(self, catalog):
         catalog.maps.create("campus")
         target = add_scans(catalog, "campus", "monday", [0])
         assert math.isnan(catalog.scans.get(target.drive_id, 0).timestamp_s)
         assert catalog.scans.get(target.drive_id, 0).pose is None
 
-    def test_a_target_tells_which_scans_are_there(self, catalog):
+    def test_a_target_has_the_scans_that_are_stored(self, catalog):
         catalog.maps.create("campus")
         add_scans(catalog, "campus", "monday", [1, 2, 3])
         target = catalog.scans.target("campus", "monday", [0, 2, 3])
@@ -235,10 +235,10 @@ class TestDrivesAndScans:
         poses = np.tile([0.0, 2.0, 3.0, 0.0, 0.0, 0.0, 1.0], (len(scans), 1))
         poses[:, 0] = scans / 7
         poses[1] = np.nan
-        wanted = ScanPoses(scans, poses, np.where(scans % 3, np.nan, scans / 10))
+        given = ScanPoses(scans, poses, np.where(scans % 3, np.nan, scans / 10))
         for replaced in (0, 2000):
             target = catalog.scans.target("campus", "monday", ())
-            put = catalog.scans.expect_poses(target, wanted)
+            put = catalog.scans.expect_poses(target, given)
             assert (put.set, put.replaced, put.forgotten, put.waiting) == (2000, replaced, 0, 3999)
             poses[2:, 1] += 1.0
             poses[0, 1] += 1.0
@@ -306,14 +306,14 @@ class TestOpening:
             catalog.maps.create(f"map-{number}")
             catalog.close()
 
-    def test_a_store_is_given_one_id_by_whoever_asks_first(self, database_url, catalog):
+    def test_a_store_gets_one_id_from_the_first_caller(self, database_url, catalog):
         other = Catalog(database_url)
         ids = iter("abcdefgh")
         with ThreadPoolExecutor(4) as pool:
-            asked = [
+            futures = [
                 pool.submit(c.store_id.ensure, lambda: next(ids)) for c in [catalog, other] * 4
             ]
-        assert {future.result() for future in asked} == {"a"}
+        assert {future.result() for future in futures} == {"a"}
         assert next(ids) == "b"
         other.close()
 

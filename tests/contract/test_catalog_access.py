@@ -109,13 +109,20 @@ def tamper(catalog, statement):
 
 
 class TestAudit:
-    def test_what_is_done_on_behalf_of_somebody_is_written_down_with_it(self, catalog):
+    def test_a_change_on_behalf_of_an_act_is_logged_with_it(self, catalog):
         before = datetime.now(UTC)
         catalog.maps.create("nobodys")
         changed_by(catalog, "ab12", "campus")
         [entry] = catalog.audit.list().items
-        told = (entry.seq, entry.key_id, entry.action, entry.subject, entry.map_slug, entry.outcome)
-        assert told == (1, "ab12", "create_map", "/v1/maps", "campus", "done")
+        kept = (
+            entry.seq,
+            entry.key_id,
+            entry.action,
+            entry.subject,
+            entry.map_slug,
+            entry.outcome,
+        )
+        assert kept == (1, "ab12", "create_map", "/v1/maps", "campus", "done")
         assert before <= entry.at <= datetime.now(UTC)
         assert catalog.audit.verify().state == AuditState(1, entry.hash)
 
@@ -184,7 +191,7 @@ class TestAudit:
         assert found.state.seq == good
         assert fault in found.fault
 
-    def test_a_log_that_was_written_anew_is_known_by_a_state_kept_elsewhere(self, catalog):
+    def test_a_rewritten_log_is_detected_by_a_state_stored_elsewhere(self, catalog):
         for slug in ("one", "two", "three"):
             changed_by(catalog, "ab12", slug)
         known = catalog.audit.verify().state

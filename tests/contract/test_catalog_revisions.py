@@ -64,7 +64,7 @@ class TestRevisions:
         catalog.revisions.add(campus, C, "c.h5", 10, FACTS, make_live=True, if_live=A)
         assert catalog.revisions.live("campus").digest == C
 
-    def test_making_live_refuses_a_map_that_changed(self, catalog):
+    def test_making_live_rejects_a_map_that_changed(self, catalog):
         catalog.revisions.add(catalog.maps.get("campus").id, A, "a.h5", 10, FACTS)
         with pytest.raises(MapChanged):
             catalog.revisions.set_live("campus", A, if_version=1)
@@ -234,7 +234,7 @@ class TestJobs:
         again = catalog.jobs.create("campus", {}, request=request, key_id="a", most_queued=1)
         assert again == made
 
-    def test_a_request_makes_one_job_however_often_it_comes(self, catalog):
+    def test_a_repeated_request_makes_one_job(self, catalog):
         request = RequestKey("retry-1", A)
         assert catalog.jobs.made_by("campus", request) is None
         with ThreadPoolExecutor(4) as pool:
@@ -292,13 +292,13 @@ class TestJobs:
         with pytest.raises(JobNotFound):
             catalog.jobs.finish("0" * 32, A)
 
-    def test_a_waiting_job_is_cancelled_a_running_one_asked_and_an_ended_one_left(self, catalog):
+    def test_cancelling_ends_a_queued_job_and_requests_the_end_of_a_running_one(self, catalog):
         running, waiting = catalog.jobs.create("campus", {}), catalog.jobs.create("campus", {})
         catalog.jobs.claim()
         assert catalog.jobs.request_cancel(waiting.id).state is JobState.CANCELLED
         assert catalog.jobs.claim() is None
-        asked = catalog.jobs.request_cancel(running.id)
-        assert (asked.state, asked.cancel_requested) == (JobState.RUNNING, True)
+        cancelling = catalog.jobs.request_cancel(running.id)
+        assert (cancelling.state, cancelling.cancel_requested) == (JobState.RUNNING, True)
         assert catalog.jobs.progress(running.id, "x", 1, 2).cancel_requested
         ended = catalog.jobs.cancelled(running.id)
         assert ended.state is JobState.CANCELLED

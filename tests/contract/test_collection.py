@@ -130,12 +130,12 @@ def test_returns_are_forgotten_and_the_facts_about_their_scans_stay(catalog):
     put(catalog, [2, 3], "two.h5")
     add(catalog, A, drive_ids={"monday": drive_id})
     assert catalog.revisions.live("campus").drive_ids == {"monday": drive_id}
-    asked = map_id(catalog), A, drive_id
+    target = map_id(catalog), A, drive_id
     with pytest.raises(LostRace):  # it is open
-        catalog.collector.drop_returns(*asked, {0}, DROP)
+        catalog.collector.drop_returns(*target, {0}, DROP)
     catalog.drives.close("campus", "monday")
-    assert catalog.collector.drop_returns(*asked, {0, 1, 2}, DROP) == {"one.h5"}
-    assert catalog.collector.drop_returns(*asked, set(), DROP) == set()
+    assert catalog.collector.drop_returns(*target, {0, 1, 2}, DROP) == {"one.h5"}
+    assert catalog.collector.drop_returns(*target, set(), DROP) == set()
     drive = catalog.drives.get("campus", "monday")
     assert (drive.scans, drive.returns, drive.dropped_scans) == (4, 400, 3)
     assert drive.size_bytes == catalog.scans.size_bytes() == 1200
@@ -143,26 +143,26 @@ def test_returns_are_forgotten_and_the_facts_about_their_scans_stay(catalog):
     records = catalog.scans.of_drive(drive_id)
     assert [record.has_returns for record in records] == [False, False, False, True]
     assert {record.digest for record in records} == {A}
-    assert catalog.collector.drop_returns(*asked, {3}, DROP) == {"two.h5"}
+    assert catalog.collector.drop_returns(*target, {3}, DROP) == {"two.h5"}
 
 
 def test_returns_stay_while_a_job_may_need_them_or_another_revision_is_live(catalog):
     drive_id = put(catalog, [0], "one.h5")
     catalog.drives.close("campus", "monday")
     add(catalog, A, B)
-    asked = drive_id, {0}
+    target = drive_id, {0}
     job = catalog.jobs.create("campus", {})
     assert catalog.collector.has_open_job(map_id(catalog))
     with pytest.raises(LostRace):
-        catalog.collector.drop_returns(map_id(catalog), A, *asked, DROP)
+        catalog.collector.drop_returns(map_id(catalog), A, *target, DROP)
     catalog.jobs.request_cancel(job.id)
     assert not catalog.collector.has_open_job(map_id(catalog))
     with pytest.raises(LostRace):
-        catalog.collector.drop_returns(map_id(catalog), B, *asked, DROP)
+        catalog.collector.drop_returns(map_id(catalog), B, *target, DROP)
     with pytest.raises(LostRace):
         catalog.collector.drop_returns(map_id(catalog), A, "0" * 32, {0}, DROP)
     assert catalog.scans.get(drive_id, 0).has_returns
-    assert catalog.collector.drop_returns(map_id(catalog), A, *asked, DROP) == {"one.h5"}
+    assert catalog.collector.drop_returns(map_id(catalog), A, *target, DROP) == {"one.h5"}
 
 
 def test_the_policy_that_counts_is_the_one_of_the_moment_of_removal(catalog):

@@ -23,7 +23,7 @@ CLASSES = {"Encoding", "Model", "Basis", "Search"}
 def test_nothing_outside_of_the_encodings_checks_which_one_it_has():
     found = [
         f"{name}:{line}: {what}"
-        for room in ("app", "core", "storage")
+        for room in ("app", "baselines", "core", "storage")
         for path in sorted((ROOT / room).rglob("*.py"))
         if not (name := path.relative_to(ROOT).as_posix()).startswith(
             ("core/encodings/", OTHER_ENCODINGS)

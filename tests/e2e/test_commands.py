@@ -106,7 +106,7 @@ def test_the_demonstration_ends_by_itself_with_once(drive: Path) -> None:
         (["evaluate", "{drive}", "--ranks", "21,5"], 1, "r1 is 21, wanted 1..20"),
         (["evaluate", "{drive}", "--split", "half"], 1, "every:N"),
         (["evaluate", "{drive}", "--yaw-deg", "0,east"], 2, "'0,east'"),
-        (["evaluate", "{drive}", "--noise-m", "-1"], 1, "wanted 0 or more"),
+        (["evaluate", "{drive}", "--noise-m", "-1"], 1, "wanted at least 0"),
         (["evaluate", "{drive}", "--sensor", "eyes"], 1, "hdl-64e"),
         (["evaluate", "{drive}", "--query-drive", "{drive}", "--split", "every:2"], 1, "--split"),
         (["evaluate", "{folder}/nowhere"], 1, "is no folder"),

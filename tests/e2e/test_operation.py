@@ -71,7 +71,7 @@ def test_the_service_stops_with_requests_answered_and_its_build_queued(tmp_path,
             half = len(body) // 2
             yield body[:half]
             server.process.send_signal(signal.SIGTERM)
-            time.sleep(1.0)  # the service is told to end while it reads this
+            time.sleep(1.0)  # the service is stopped while it reads this
             yield body[half:]
 
         server.client.post("/v1/maps", json={"map": "campus"})

@@ -25,7 +25,7 @@ def server(tmp_path_factory):
 
 
 def put_until_it_ends(server, acknowledged, enough):
-    """Put scan after scan, and note those whose answer came."""
+    """Put scan after scan, and note those that were acknowledged."""
     drive = recording()
     try:
         for index in range(10**6):

@@ -36,6 +36,6 @@ def test_a_trusted_proxy_passes_on_each_clients_address(tmp_path):
         url = server.client.base_url
         assert answers(url, ADDRESSES) == [401, 401, 401, 401]
         assert answers(url, ADDRESSES[:1] * 2) == [401, 429]
-        # What a client says of itself stands before what the proxy adds.
+        # The client's own value precedes the one that the proxy adds.
         assert answers(url, [f"198.51.100.7, {ADDRESSES[0]}"]) == [429]
     assert '"client": "192.0.2.3"' in (tmp_path / "log").read_text()

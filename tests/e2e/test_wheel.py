@@ -21,7 +21,7 @@ import numpy as np
 import pytest
 
 ROOT = Path(__file__).parents[2]
-PACKAGES = ("app", "core", "storage")
+PACKAGES = ("app", "baselines", "core", "storage")
 
 
 @dataclass(frozen=True)
@@ -75,7 +75,7 @@ def _bin() -> str:
 
 @contextmanager
 def serving(installed: Installed, folder: Path, data: str) -> Iterator[str]:
-    """Run the installed service on a free port; yields the address it says."""
+    """Run the installed service on a free port; yields the address that it prints."""
     process = subprocess.Popen(
         [installed.command, "serve", "--port", "0", "--data", data],
         cwd=folder,

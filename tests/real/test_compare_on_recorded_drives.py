@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from core.evaluation.baselines.m2dp import M2dp
-from core.evaluation.baselines.scan_context import ScanContext
-from core.evaluation.baselines.solid import Solid
+from baselines.m2dp import M2dp
+from baselines.scan_context import ScanContext
+from baselines.solid import Solid
 from core.evaluation.compare import ComparisonProtocol, MethodUnderCondition, compare
 from core.evaluation.condition import Condition, conditions
 from core.evaluation.pairing import HeldOut

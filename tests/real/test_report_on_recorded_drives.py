@@ -2,8 +2,8 @@
 
 import pytest
 
+from app.provenance import of_report
 from app.report.page import render_report
-from app.report.provenance import provenance
 from core.encodings.registry import encoding_names
 from core.evaluation.advisor import Decision
 from core.evaluation.evaluate import EvaluationProtocol, evaluate
@@ -52,7 +52,7 @@ def test_the_advice_is_decided_and_says_what_a_turn_and_noise_do(study: Study) -
 
 
 def test_the_page_shows_the_driven_line(study: Study) -> None:
-    page = render_report(study, provenance())
+    page = render_report(study, of_report())
     assert "250 scans, 443 m" in page
     assert 'id="nodes"' in page
     assert "176 m by 270 m" in page

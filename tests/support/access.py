@@ -73,7 +73,7 @@ def make(client, *scopes, **limits):
 
 
 def holder(client, *scopes, **limits):
-    """Return the head of a request by whoever holds a new key."""
+    """Return the head of a request with a new key."""
     return bearer(make(client, *scopes, **limits)["secret"])
 
 

@@ -78,10 +78,6 @@ class BlockMeansModel(Model):
     def grid_shape(self):
         return self.shape
 
-    @property
-    def elements(self):
-        return self.signatures.size
-
     def arrays(self):
         return {"signatures": self.signatures, "segment_start": self.segment_start}
 

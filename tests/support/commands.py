@@ -11,7 +11,7 @@ from app.cli.main import cli
 
 ROOT = Path(__file__).parents[2]
 PROGRAM = (sys.executable, "-m", "app.cli")
-"""Words that stand in for `tensormap`, which only an installed service has."""
+"""Words that replace `tensormap`, which only an installed service has."""
 
 _RUN_S = 120.0
 

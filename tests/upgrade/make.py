@@ -22,7 +22,7 @@ from tests.support.service import running, upload, wait_for
 
 ADMIN_KEY = "correct horse battery staple"
 ADMIN = {"Authorization": f"Bearer {ADMIN_KEY}"}
-ASKED = (
+PATHS = (
     "/v1/maps",
     "/v1/maps/campus",
     "/v1/maps/campus/drives",
@@ -55,7 +55,7 @@ def small(scans: int, noise_seed: int = 0) -> Recording:
 
 
 def query() -> bytes:
-    """Return the body that the map is asked with."""
+    """Return the body that the map is paths with."""
     return kitti(small(10).scans[6])
 
 
@@ -71,12 +71,12 @@ def make(data: Path) -> dict[str, object]:
         upload(client, "wednesday", small(6), slug="depot")
         upload(client, "thursday", small(3), slug="yard")
         jobs = []
-        for slug, wanted in (
+        for slug, parameters in (
             ("campus", {"encoding": "paper", "segment_length": 5, "drives": ["monday"]}),
             ("campus", {"encoding": "harmonic", "segment_length": 5, "drives": ["monday"]}),
             ("depot", {"encoding": "paper", "segment_length": 3}),
         ):
-            job = client.post(f"/v1/maps/{slug}/builds", json=wanted).json()["job"]
+            job = client.post(f"/v1/maps/{slug}/builds", json=parameters).json()["job"]
             jobs.append(job)
             assert wait_for(client, job)["state"] == "done"
         client.patch("/v1/maps/depot/drives/wednesday", json={"closed": True})
@@ -89,8 +89,8 @@ def make(data: Path) -> dict[str, object]:
             for name in ("fleet", "lost")
         ]
         client.delete(f"/v1/keys/{made[1]['key']}")
-        asked = (*ASKED, *(f"/v1/jobs/{job}" for job in jobs))
-        answers = {path: client.get(path).json() for path in asked}
+        paths = (*PATHS, *(f"/v1/jobs/{job}" for job in jobs))
+        answers = {path: client.get(path).json() for path in paths}
         downloads = {path: digest_of(client.get(path).content) for path in DOWNLOADS}
         found = client.post(
             "/v1/maps/campus/localizations/scan", content=query(), headers=KITTI
@@ -120,11 +120,11 @@ def pack(output: Path) -> None:
     """Make the directory and pack it, with the answers beside it."""
     with tempfile.TemporaryDirectory() as folder:
         data = Path(folder, "data")
-        told = make(data)
+        recorded = make(data)
         stray = data / "orphans" / "maps" / "stray.h5"  # what an earlier start set aside
         stray.parent.mkdir(parents=True)
         stray.write_bytes(b"named by no row")
-        Path(folder, "answers.json").write_text(json.dumps(told))
+        Path(folder, "answers.json").write_text(json.dumps(recorded))
         with tarfile.open(output, "w:xz") as tar:
             for name in ("answers.json", "data"):
                 tar.add(Path(folder, name), name, filter=_plain)

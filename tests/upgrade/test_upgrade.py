@@ -42,29 +42,29 @@ def holds(now, before):
     return now == before
 
 
-def test_it_starts_answers_as_before_and_goes_on(released):
-    data, told = released
+def test_it_starts_answers_as_before_and_can_be_written(released):
+    data, recorded = released
     with running(data, admin_key=ADMIN_KEY) as client:
         assert client.get("/readyz").json()["ready"]
         client.headers.update(ADMIN)
-        for path, before in told["answers"].items():
+        for path, before in recorded["answers"].items():
             now = client.get(path).json()
             if path.startswith("/v1/audit"):  # what the start did is added
                 now["items"] = now["items"][: len(before["items"])]
             assert holds(now, before), path
-        for path, before in told["downloads"].items():
+        for path, before in recorded["downloads"].items():
             assert digest_of(client.get(path).content) == before, path
-        asked = "/v1/maps/campus/localizations/scan"
-        fleet = {**KITTI, **bearer(told["secret"])}
-        best = client.post(asked, content=query(), headers=fleet).json()["best"]
-        assert [best["drive"], best["scan_index"]] == told["best"]
-        lost = {**KITTI, **bearer(told["revoked"])}
-        assert problem_of(client.post(asked, content=query(), headers=lost)) == (401, "key-refused")
-        assert wait_for(client, told["waiting"])["state"] == "done"
-        wanted = {"encoding": "paper", "segment_length": 5, "drives": ["monday"]}
-        built = wait_for(client, client.post("/v1/maps/campus/builds", json=wanted).json()["job"])
+        url = "/v1/maps/campus/localizations/scan"
+        fleet = {**KITTI, **bearer(recorded["secret"])}
+        best = client.post(url, content=query(), headers=fleet).json()["best"]
+        assert [best["drive"], best["scan_index"]] == recorded["best"]
+        lost = {**KITTI, **bearer(recorded["revoked"])}
+        assert problem_of(client.post(url, content=query(), headers=lost)) == (401, "key-refused")
+        assert wait_for(client, recorded["waiting"])["state"] == "done"
+        params = {"encoding": "paper", "segment_length": 5, "drives": ["monday"]}
+        built = wait_for(client, client.post("/v1/maps/campus/builds", json=params).json()["job"])
         revisions = [
-            item["revision"] for item in told["answers"]["/v1/maps/campus/revisions"]["items"]
+            item["revision"] for item in recorded["answers"]["/v1/maps/campus/revisions"]["items"]
         ]
         assert built["revision"] in revisions  # of the same images, to the bit
         depot = {"encoding": "paper", "segment_length": 2}
@@ -73,12 +73,12 @@ def test_it_starts_answers_as_before_and_goes_on(released):
 
 
 def test_it_verifies_before_and_after_its_first_start(released):
-    data, told = released
+    data, recorded = released
     result = CliRunner().invoke(cli, ["verify", "--data", str(data)])
     assert (result.exit_code, "0 damaged or missing" in result.output) == (0, True), result.output
     with Store.serving(data) as store:
         assert verify(store).findings == ()
-        assert store.audit.verify(AuditState(*told["audit"])).fault is None
+        assert store.audit.verify(AuditState(*recorded["audit"])).fault is None
         assert not [path for path in data.rglob("*") if path.stat().st_mode & 0o077]
         [stray] = data.rglob("stray.h5")
         assert stray.read_bytes() == b"named by no row"

@@ -17,7 +17,7 @@ from core.arrays import Complex64Array, Float32Array, FloatArray, IntArray, free
 from core.encodings.distance import Distance
 from core.encodings.harmonic.basis import HarmonicBasis, harmonic_basis_digest
 from core.encodings.harmonic.search import HarmonicSearch
-from core.encodings.harmonics import energy, harmonic_elements, weights
+from core.encodings.harmonics import energy, weights
 from core.encodings.model import Model, require_sane
 from core.encodings.signature import Signature
 from core.errors import InvalidMap, InvalidSignature
@@ -77,12 +77,6 @@ class HarmonicModel(Model):
     def grid_shape(self) -> tuple[int, int]:
         """`(I, J)`, the shape of an image."""
         return self.radial_basis.shape[0], self.columns
-
-    @property
-    def elements(self) -> int:
-        """How many numbers the basis and signatures are."""
-        scans, renderings = self.signatures.shape[:2]
-        return harmonic_elements(scans, renderings, self.grid_shape[0], self.ranks)
 
     def search(self, signatures: Sequence[Signature]) -> HarmonicSearch:
         """Compare one scan's signature with the map's in every heading.

@@ -11,7 +11,6 @@ from core.arrays import Float32Array, FloatArray, IntArray, freeze
 from core.encodings.model import DistanceSearch, Model, require_sane
 from core.encodings.paper.basis import PaperBasis, paper_basis_digests
 from core.encodings.signature import Signature
-from core.encodings.tucker import storage_elements
 from core.errors import InvalidMap, InvalidSignature
 
 if TYPE_CHECKING:
@@ -64,11 +63,6 @@ class PaperModel(Model):
     def grid_shape(self) -> tuple[int, int]:
         """`(I, J)`, the shape of an image."""
         return self.elevation_basis.shape[1], self.azimuth_basis.shape[1]
-
-    @property
-    def elements(self) -> int:
-        """How many numbers the bases and signatures are (paper, sec. 2.4)."""
-        return storage_elements(self.segments, len(self), self.grid_shape, self.ranks)
 
     def search(self, signatures: Sequence[Signature]) -> "DistanceSearch":
         """Compare one scan's signatures with those of their segments.

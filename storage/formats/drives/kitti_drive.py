@@ -138,10 +138,14 @@ def _poses(file: Path, calibration: Path, scans: int) -> FloatArray:
     matrices = _numbers(file, scans, columns=12).reshape(-1, 3, 4)
     known = np.isfinite(matrices).all(axis=(1, 2))
     matrices[~known] = np.nan  # also a pose that is known in part
-    for index in np.flatnonzero(known).tolist():
-        _require_rotation(file, index + 1, matrices[index])
+    try:
+        rows = rows_from_matrices(matrices)
+    except InvalidPose:  # one by one, which takes a hundred times as long, only to name the line
+        for index in np.flatnonzero(known).tolist():
+            _require_rotation(file, index + 1, matrices[index])
+        raise
     if not calibration.exists():
-        return rows_from_matrices(matrices)
+        return rows
     try:
         return rows_from_matrices(camera_to_lidar_poses(matrices, _lidar_to_camera(calibration)))
     except InvalidPose as error:  # each is nearly a rotation, their product is not

@@ -46,15 +46,15 @@ def open_drive(path: Path, *, min_returns: int = 1) -> Drive:
         if (path / folder).is_dir():
             return open_layout(path, min_returns=min_returns)
     suffixes = " ".join(suffix for known in SCAN_FORMATS for suffix in known.suffixes)
-    wanted = (
+    layouts = (
         "velodyne/*.bin (KITTI), velodyne_sync/*.bin (NCLT), SCANS/Scan*.mat (Ford Campus) or scan"
         f" files ({suffixes})"
     )
     if not path.is_dir():
         raise UnknownDriveLayout(
-            f"{path} is no folder, no .pcap and no ROS bag; wanted a folder with {wanted}"
+            f"{path} is no folder, no .pcap and no ROS bag; wanted a folder with {layouts}"
         )
     try:
         return open_scan_folder(path, min_returns=min_returns)
     except EmptyDrive as error:
-        raise UnknownDriveLayout(f"{path} has none of {wanted}") from error
+        raise UnknownDriveLayout(f"{path} has none of {layouts}") from error

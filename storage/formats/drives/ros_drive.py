@@ -184,8 +184,8 @@ def open_ros_drive(path: Path, topic: str | None = None, *, min_returns: int = 1
         raise MalformedDrive(f"{path.name} cannot be read as a bag: {error}") from error
     if drive is None:
         has = ", ".join(f"{name} ({count})" for name, count in sorted(topics.items())) or "none"
-        wanted = f"topic {topic}" if topic is not None else "one topic, or its name after a #"
-        raise MalformedDrive(f"{path.name} has these topics of PointCloud2: {has}; wanted {wanted}")
+        choice = f"topic {topic}" if topic is not None else "one topic, or its name after a #"
+        raise MalformedDrive(f"{path.name} has these topics of PointCloud2: {has}; wanted {choice}")
     if not len(drive):
         raise EmptyDrive(f"topic {topic} of {path.name} has no message")
     return drive

@@ -58,7 +58,7 @@ class OusterFormat(ScanFormat):
     media_type = "application/vnd.tensormap.ouster"
 
     def read(self, body: bytes) -> Float32Array:
-        """Return `(n, 3)` metres, zero where nothing came back.
+        """Return `(n, 3)` metres, zero for no-returns.
 
         Raises:
             MalformedScan: If metadata or capture cannot be parsed, or do not belong together.

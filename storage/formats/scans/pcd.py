@@ -75,7 +75,7 @@ class PcdFormat(ScanFormat):
 
 @dataclass(frozen=True)
 class _Header:
-    """What the header says of the points.
+    """The header's description of the points.
 
     Attributes:
         record: x, y and z within a binary point.

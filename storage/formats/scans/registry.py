@@ -132,8 +132,8 @@ def media_type_of(name: str) -> str:
         'application/vnd.tensormap.nclt'
     """
     if name not in FORMAT_NAMES:
-        wanted = ", ".join(FORMAT_NAMES)
-        raise UnknownFormat(f"there is no format {name[:80]!r}; wanted one of {wanted}")
+        names = ", ".join(FORMAT_NAMES)
+        raise UnknownFormat(f"there is no format {name[:80]!r}; wanted one of {names}")
     return FORMAT_NAMES[name]
 
 

@@ -14,7 +14,7 @@ from app.systemd import notify, supervised
 
 @pytest.fixture
 def manager():
-    """A socket as systemd makes one, and what the environment says of it."""
+    """A socket as systemd makes one, and its environment variables."""
     with (
         tempfile.TemporaryDirectory() as folder,  # a socket's path has at most 108 bytes
         socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as listening,

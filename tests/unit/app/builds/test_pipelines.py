@@ -171,7 +171,7 @@ def damage(store):
 
 
 def test_a_job_is_done_at_the_moment_its_revision_is_published(store):
-    """A worker killed after it published, or asked to stop then, leaves no job that denies it."""
+    """A worker killed or cancelled after it published leaves a job that is done."""
     job = store.jobs.create("campus", {})
     store.jobs.claim()
     store.jobs.request_cancel(job.id)

@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from app.baselines.roster import METHODS
+from baselines.roster import METHODS
 from core.errors import InvalidParameters, TensorMapError
 from storage.formats.drives.kitti_drive import write_kitti_drive
 from tests.support.commands import run

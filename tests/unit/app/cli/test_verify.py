@@ -110,7 +110,7 @@ def test_an_incomplete_backup_names_its_file_and_fails(data, tmp_path):
     next(data.rglob("chunks/*.h5")).unlink()
     second = CliRunner().invoke(cli, backup)
     assert (second.exit_code, second.stdout.partition(":")[0]) == (1, str(beside))
-    assert f"incomplete: it is in {beside}, and {whole} is what it was" in second.stderr
+    assert f"incomplete: it is in {beside}, and {whole} is unchanged" in second.stderr
 
 
 def test_a_repair_is_its_owners(data, monkeypatch):

@@ -13,7 +13,7 @@ from app.http.pools import Pool
 
 
 class Gate:
-    """Work that waits until it is let go, and notes who began."""
+    """Work that waits until it is released, and records which calls began."""
 
     def __init__(self):
         self.began: list[str] = []

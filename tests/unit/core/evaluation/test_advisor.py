@@ -57,7 +57,7 @@ def test_if_all_are_equally_accurate_it_says_that_the_evidence_does_not_decide()
     assert advice.verdict == Decision.SIZE_ONLY
     assert advice.recommended is not None
     assert advice.recommended.ranks == (2, 2)
-    assert not any(axis.decided for axis in advice.axes)
+    assert not any(axis.worse for axis in advice.axes)
     assert any("does not decide" in reason for reason in advice.reasons)
 
 
@@ -109,7 +109,7 @@ def test_of_equally_large_and_accurate_ones_longer_segments_are_taken() -> None:
     short, long = (point(2, 2, 0.9, k=k, elements=50) for k in (50, 100))
     advice = advise([short, long], judged=100)
     assert advice.recommended == long
-    assert [axis.name for axis in advice.axes if axis.decided] == []
+    assert [axis.name for axis in advice.axes if axis.worse] == []
 
 
 @given(

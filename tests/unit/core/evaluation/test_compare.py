@@ -5,10 +5,10 @@ import json
 import numpy as np
 import pytest
 
+from baselines.m2dp import M2dp
+from baselines.scan_context import ScanContext
+from baselines.solid import Solid
 from core.errors import EmptyDrive, InvalidParameters, InvalidScan
-from core.evaluation.baselines.m2dp import M2dp
-from core.evaluation.baselines.scan_context import ScanContext
-from core.evaluation.baselines.solid import Solid
 from core.evaluation.compare import ComparisonProtocol, compare
 from core.evaluation.condition import Condition, conditions
 from core.evaluation.methods import Enrolled, MappedPlaces, Nearest

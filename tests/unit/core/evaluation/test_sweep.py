@@ -148,7 +148,6 @@ def test_the_same_scans_are_held_out_with_any_segments_and_few_are_spread_evenly
 def test_without_poses_an_answer_is_right_near_the_query() -> None:
     unknown = MemoryDrive("d", [Scan(scan.points_m) for scan in recording(scans=40).scans])
     by_index = criterion(unknown, tolerance_scans=2)
-    assert not by_index.by_place
     assert "2 scans" in str(by_index)
     assert by_index.right(np.array([5, 5]), np.array([7, 8])).tolist() == [True, False]
     found = sweep(images_of("paper", unknown), by_index, GRID)

@@ -1,4 +1,4 @@
-"""A database that fails is told by name."""
+"""A database that fails is raised by name."""
 
 import shutil
 import sqlite3
@@ -38,7 +38,7 @@ FAULTS = [
 
 @pytest.mark.parametrize("fault", FAULTS, ids=lambda fault: type(fault).__name__)
 @pytest.mark.parametrize("side", ["reading", "writing"])
-def test_whatever_the_database_says_has_a_name(store, fault, side):
+def test_every_error_of_the_database_has_a_name(store, fault, side):
     with pytest.raises(StorageUnavailable) as named, getattr(store.catalog._database, side)():
         raise fault
     assert named.value.__cause__ is fault
@@ -51,7 +51,7 @@ def test_two_writers_that_met_are_left_to_who_wrote(store):
         raise met
 
 
-def test_a_database_that_is_damaged_under_the_service_is_told_by_name(tmp_path, store):
+def test_a_database_that_is_damaged_while_it_is_open_raises_a_named_error(tmp_path, store):
     for number in range(300):
         store.maps.create(f"map-{number}")
     data_dir = store.layout.data_dir
@@ -81,7 +81,7 @@ def test_a_database_that_is_damaged_under_the_service_is_told_by_name(tmp_path, 
         ("57P01", StorageUnavailable),
     ],
 )
-def test_what_postgresql_says_has_the_same_names(store, state, kind):
+def test_errors_of_postgresql_have_the_same_names(store, state, kind):
     class Said(Exception):
         sqlstate = state
 
@@ -91,7 +91,7 @@ def test_what_postgresql_says_has_the_same_names(store, state, kind):
 
 
 @pytest.mark.parametrize(
-    ("url", "said"),
+    ("url", "message"),
     [
         ("nonsense:secret", "TENSORMAP_CATALOG_URL"),
         ("mysql+pymysql://user:secret@127.0.0.1/maps", "wanted sqlite or postgresql"),
@@ -99,10 +99,10 @@ def test_what_postgresql_says_has_the_same_names(store, state, kind):
         ("postgresql+asyncpg2://user:secret@127.0.0.1:1/maps", "asyncpg2"),
     ],
 )
-def test_a_url_that_leads_to_no_catalog_is_told_without_its_password(url, said):
-    with pytest.raises(StorageUnavailable, match=said) as told:
+def test_an_error_about_the_catalogs_url_does_not_contain_its_password(url, message):
+    with pytest.raises(StorageUnavailable, match=message) as raised:
         Catalog(url)
-    assert "secret" not in str(told.value)
+    assert "secret" not in str(raised.value)
 
 
 def test_a_fault_that_sqlite_does_not_tell_in_utf_8_is_named_too(tmp_path):

@@ -39,11 +39,11 @@ def test_opening_leaves_logging_alone_and_the_database_durable(tmp_path):
     catalog = Catalog(f"sqlite:///{tmp_path / 'catalog.sqlite3'}")
     assert before == (root.level, list(root.handlers), logging.getLogger("alembic").level)
     with catalog._database.engine.connect() as connection:
-        asked = {
+        settings = {
             name: connection.exec_driver_sql(f"PRAGMA {name}").scalar()
             for name in ("journal_mode", "synchronous", "foreign_keys", "busy_timeout")
         }
-    assert asked == {
+    assert settings == {
         "journal_mode": "wal",
         "synchronous": 2,
         "foreign_keys": 1,
@@ -65,7 +65,7 @@ def test_a_migration_that_fails_leaves_the_database_as_it_was(tmp_path):
     assert tables == ["jobs"]
 
 
-def test_a_catalog_that_cannot_be_opened_says_so_under_a_name(tmp_path):
+def test_a_catalog_that_cannot_be_opened_raises_a_named_error(tmp_path):
     with pytest.raises(StorageReadOnly, match="unable to open"):
         Catalog(f"sqlite:///{tmp_path / 'nowhere' / 'catalog.sqlite3'}")
 

@@ -87,8 +87,8 @@ def write_first_release(url, schema="0001"):
         for table, row in ROWS.items():
             names = ", ".join(f'"{name}"' for name in row)
             values = ", ".join(f":{name}" for name in row)
-            told = {name: f"{v}{zone}" if v == AT else v for name, v in row.items()}
-            connection.execute(text(f"INSERT INTO {table} ({names}) VALUES ({values})"), told)
+            converted = {name: f"{v}{zone}" if v == AT else v for name, v in row.items()}
+            connection.execute(text(f"INSERT INTO {table} ({names}) VALUES ({values})"), converted)
     engine.dispose()
 
 
@@ -153,7 +153,7 @@ def test_a_store_of_the_first_release_is_opened_and_served(tmp_path):
         assert store.maps.get("campus").live_revision == DIGEST
 
 
-def test_a_catalog_of_a_later_release_is_refused_and_stays_as_it_is(tmp_path):
+def test_a_catalog_of_a_later_release_is_rejected_and_stays_as_it_is(tmp_path):
     path = tmp_path / "catalog.sqlite3"
     Catalog(f"sqlite:///{path}").close()
     with sqlite3.connect(path) as connection:

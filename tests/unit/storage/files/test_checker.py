@@ -94,7 +94,7 @@ def test_a_reader_that_hangs_is_a_fault_and_the_next_is_read(path):
         assert checker.fault(path, StoredFile(CHUNK, DIGESTS)) is None
 
 
-def test_a_damaged_row_is_told_and_which_ones_are_good(checker, path):
+def test_a_damaged_row_is_reported_with_the_good_rows(checker, path):
     content = bytearray(path.read_bytes())
     at = content.index(SCANS[1][1].points_m.tobytes()) + 100
     content[at] ^= 1

@@ -29,7 +29,7 @@ def test_scans_come_back_bit_for_bit(tmp_path, scans):
         assert scan_digest(back) == scan_digest(scan.points_m)
 
 
-def test_the_file_is_packed_contiguous_and_says_what_it_is(tmp_path, scans):
+def test_the_file_is_packed_and_contiguous_and_has_its_format(tmp_path, scans):
     write_chunk(tmp_path / "a.h5", scans)
     with h5py.File(tmp_path / "a.h5") as file:
         assert dict(file.attrs) == {"format": "tensormap-drive-chunk", "format_version": 1}
@@ -113,7 +113,7 @@ def test_a_truncated_file_is_corrupt(tmp_path, scans):
         ChunkFile(tmp_path / "a.h5").points_m(2)
 
 
-def test_a_chunk_of_a_later_version_is_refused(tmp_path, scans):
+def test_a_chunk_of_a_later_version_is_rejected(tmp_path, scans):
     write_chunk(tmp_path / "a.h5", scans)
     with h5py.File(tmp_path / "a.h5", "r+") as file:
         file.attrs["format_version"] = 2
@@ -121,6 +121,6 @@ def test_a_chunk_of_a_later_version_is_refused(tmp_path, scans):
         ChunkFile(tmp_path / "a.h5").points_m(0)
 
 
-def test_a_file_that_is_gone_is_told_from_a_corrupt_one(tmp_path):
+def test_a_missing_file_is_not_a_corrupt_one(tmp_path):
     with pytest.raises(FileNotFoundError):
         ChunkFile(tmp_path / "a.h5").points_m(0)

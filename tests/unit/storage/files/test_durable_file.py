@@ -110,16 +110,14 @@ def each_failing(disk, write, path):
 
 @pytest.mark.parametrize("name", ["pwrite", "fsync", "open", "ftruncate"])
 @pytest.mark.parametrize("number", [errno.EIO, errno.ENOSPC])
-def test_whichever_call_fails_is_told_and_leaves_nothing(
-    written, tmp_path, monkeypatch, name, number
-):
+def test_each_failing_call_raises_and_leaves_no_file(written, tmp_path, monkeypatch, name, number):
     write, _, _ = written
     disk = Disk(monkeypatch, name, refuse(number))
     path = tmp_path / "a.h5"
     ends = list(each_failing(disk, write, path))
     assert ends or name == "ftruncate"  # done to images only
     for call, error in ends[: -1 if name == "fsync" else None]:  # the last one is the folder's
-        assert error is not None, f"{name} {call} failed and nobody said so"
+        assert error is not None, f"{name} {call} failed without an error"
         assert not path.exists() or name in {"fsync", "open"}
     assert not list(tmp_path.glob(".*.part"))
 

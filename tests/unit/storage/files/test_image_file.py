@@ -79,7 +79,7 @@ def test_a_truncated_file_is_corrupt(path):
 
 
 @pytest.mark.parametrize("name", ["images", "scans"])
-def test_one_bit_that_changed_is_refused(path, name):
+def test_one_bit_that_changed_is_rejected(path, name):
     with h5py.File(path, "r") as file:
         at = file[name].id.get_chunk_info(0).byte_offset
     content = bytearray(path.read_bytes())
@@ -90,7 +90,7 @@ def test_one_bit_that_changed_is_refused(path, name):
 
 
 @pytest.mark.parametrize("zeros", [b"\0\0\0\0", b"\0\0"], ids=["NaN", "subnormal"])
-def test_zeros_that_became_ones_are_refused_though_the_checksum_is_the_same(path, zeros):
+def test_zeros_changed_to_ones_are_rejected_though_the_checksum_is_the_same(path, zeros):
     with h5py.File(path, "r") as file:
         first = file["images"].id.get_chunk_info(0)
         image = file["images"][0]
@@ -102,7 +102,7 @@ def test_zeros_that_became_ones_are_refused_though_the_checksum_is_the_same(path
         images.read(0, 1)
 
 
-def test_the_name_tells_the_version_of_the_projection(monkeypatch):
+def test_the_name_depends_on_the_version_of_the_projection(monkeypatch):
     name = image_file_name(LAST, "ab" * 32)
     monkeypatch.setattr(image_file, "PROJECTION_VERSION", image_file.PROJECTION_VERSION + 1)
     assert image_file_name(LAST, "ab" * 32) != name
@@ -122,7 +122,7 @@ def test_the_projection_makes_what_its_version_made():
     )
 
 
-def test_the_name_tells_everything_the_images_depend_on():
+def test_the_name_depends_on_all_that_the_images_depend_on():
     names = {
         image_file_name(Imager(grid, reducer), digest * 32)
         for grid in (SMALL_GRID, AngularGrid(), AngularGrid(wraps=True))
@@ -199,7 +199,7 @@ def test_the_sum_that_is_kept_is_that_of_the_images_and_reads_none(renderings, m
         assert images.detail_gram().tobytes() == kept.tobytes()
 
 
-def test_a_sum_that_is_not_what_was_written_is_refused(renderings):
+def test_a_sum_that_is_not_what_was_written_is_rejected(renderings):
     path, imager = renderings
     with h5py.File(path, "r") as file:
         at = file["detail_gram"].id.get_chunk_info(0).byte_offset

@@ -31,7 +31,7 @@ def of_either(request, tmp_path):
     return tmp_path / "map.h5", made
 
 
-def test_a_map_comes_back_to_the_bit(of_either):
+def test_a_map_is_read_back_bit_by_bit(of_either):
     path, tensor_map = of_either
     again = read_map(path)
     assert again.revision == tensor_map.revision
@@ -44,7 +44,7 @@ def test_a_map_comes_back_to_the_bit(of_either):
 
 
 @pytest.mark.parametrize("poses", [True, False])
-def test_a_map_with_or_without_poses_comes_back(tmp_path, poses):
+def test_a_map_with_or_without_poses_is_read_back(tmp_path, poses):
     made, _ = sample_map(count=6, segment_length=3, poses=poses)
     write_map(tmp_path / "map.h5", made)
     assert read_map(tmp_path / "map.h5").revision == made.revision
@@ -103,7 +103,7 @@ def test_a_folder_is_corrupt(tmp_path):
         read_map(tmp_path)
 
 
-def test_a_flipped_byte_anywhere_is_refused_or_without_effect(path, tensor_map):
+def test_a_flipped_byte_anywhere_is_rejected_or_without_effect(path, tensor_map):
     content = path.read_bytes()
     rng = np.random.default_rng(0)
     places = rng.integers(0, len(content), size=150)
@@ -116,7 +116,7 @@ def test_a_flipped_byte_anywhere_is_refused_or_without_effect(path, tensor_map):
     assert refused > 50
 
 
-def test_a_flipped_byte_in_any_array_is_refused(of_either):
+def test_a_flipped_byte_in_any_array_is_rejected(of_either):
     path, tensor_map = of_either
     content = path.read_bytes()
     with h5py.File(path) as file:
@@ -168,7 +168,7 @@ def test_an_array_of_another_kind_is_corrupt_and_named(path, tensor_map, name):
 
 
 @pytest.mark.parametrize("name", ARRAYS)
-def test_an_array_of_another_shape_is_refused(path, tensor_map, name):
+def test_an_array_of_another_shape_is_rejected(path, tensor_map, name):
     array = tensor_map.arrays()[name]
     for other in (array[:0], array[:-1], array[None], array.ravel()[0], np.repeat(array, 2, -1)):
         replaced(path, name, other)
@@ -176,7 +176,7 @@ def test_an_array_of_another_shape_is_refused(path, tensor_map, name):
 
 
 @pytest.mark.parametrize("name", ARRAYS)
-def test_an_array_of_nonsense_is_refused(path, tensor_map, name):
+def test_an_array_of_nonsense_is_rejected(path, tensor_map, name):
     array = tensor_map.arrays()[name]
     fills = [-1, 10**15] if array.dtype.kind == "i" else [np.nan, np.inf, -1.0, 1e38]
     for fill in fills:
@@ -237,16 +237,16 @@ def test_a_virtual_array_is_corrupt(path, tmp_path, tensor_map):
 
 
 @pytest.mark.parametrize(
-    ("options", "said"),
+    ("options", "message"),
     [
         ({"chunks": True}, "chunked"),
         ({"compression": "gzip"}, "filtered"),
         ({"fletcher32": True}, "filtered"),
     ],
 )
-def test_chunked_or_filtered_arrays_are_corrupt(path, tensor_map, options, said):
+def test_chunked_or_filtered_arrays_are_corrupt(path, tensor_map, options, message):
     replaced(path, "signatures", tensor_map.arrays()["signatures"], **options)
-    with pytest.raises(CorruptFile, match=f"signatures is {said}"):
+    with pytest.raises(CorruptFile, match=f"signatures is {message}"):
         read_map(path)
 
 
@@ -297,7 +297,7 @@ def test_a_missing_attribute_is_corrupt(path, name):
         '{"ranks": 1e999}',
     ],
 )
-def test_hostile_attributes_are_refused(path, text):
+def test_hostile_attributes_are_rejected(path, text):
     with h5py.File(path, "r+") as file:
         file.attrs["attributes"] = text
     with pytest.raises((CorruptFile, InvalidMap)):
@@ -334,7 +334,7 @@ def test_hostile_attributes_are_refused(path, text):
         ("unknown", 1),
     ],
 )
-def test_an_attribute_that_cannot_be_is_refused(path, tensor_map, name, value):
+def test_an_attribute_that_cannot_be_is_rejected(path, tensor_map, name, value):
     attributes = tensor_map.attributes()
     if isinstance(value, dict):
         value = {**attributes["grid"], **value}
@@ -348,6 +348,6 @@ def test_another_digest_than_the_contents_is_corrupt_and_both_are_named(path, te
     with h5py.File(path, "r+") as file:
         file.attrs["digest"] = "0" * 64
     with pytest.raises(
-        CorruptFile, match=f"holds {'0' * 64}, its content is {tensor_map.revision}"
+        CorruptFile, match=f"digest is {'0' * 64}, its content is {tensor_map.revision}"
     ):
         read_map(path)

@@ -23,7 +23,7 @@ ARRAYS = list(sample_harmonic_map(count=3, segment_length=3)[0].arrays())
 
 
 @pytest.mark.parametrize("name", ARRAYS)
-def test_an_array_of_a_harmonic_map_that_cannot_be_is_refused(path, tensor_map, name):
+def test_an_array_of_a_harmonic_map_that_cannot_be_is_rejected(path, tensor_map, name):
     array = tensor_map.arrays()[name]
     kinds = [
         np.abs(array).astype(np.float16),
@@ -44,7 +44,7 @@ def test_an_array_of_a_harmonic_map_that_cannot_be_is_refused(path, tensor_map, 
 
 
 @pytest.mark.parametrize("fill", [np.nan, np.inf, 1j, 1e38])
-def test_harmonic_signatures_of_nonsense_are_refused(path, tensor_map, fill):
+def test_harmonic_signatures_of_nonsense_are_rejected(path, tensor_map, fill):
     replaced(path, "signatures", np.full_like(tensor_map.arrays()["signatures"], fill))
     assert whole_or_refused(path, "") is True
 
@@ -78,7 +78,7 @@ def test_an_array_of_the_other_encoding_is_corrupt(path, name):
         ("ranks", [3, 11]),
     ],
 )
-def test_an_attribute_of_a_harmonic_map_that_cannot_be_is_refused(path, tensor_map, name, value):
+def test_an_attribute_of_a_harmonic_map_that_cannot_be_is_rejected(path, tensor_map, name, value):
     with h5py.File(path, "r+") as file:
         file.attrs["attributes"] = json.dumps({**tensor_map.attributes(), name: value})
     with pytest.raises((CorruptFile, InvalidMap)):

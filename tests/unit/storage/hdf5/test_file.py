@@ -50,7 +50,7 @@ def read_in_a_child(path):
 
 
 @pytest.mark.parametrize("bit", [1, 2, 3])
-def test_a_text_of_another_size_in_the_global_heap_is_refused_in_time(tmp_path, bit):
+def test_a_text_of_another_size_in_the_global_heap_is_rejected_in_time(tmp_path, bit):
     """HDF5 2.0.0 never ends on it: the collection's next object begins nowhere."""
     older = bytearray((Path(golden.__file__).parent / "map-v1.h5").read_bytes())
     older[older.index(b"GCOL") + 16 + 9] ^= 1 << bit  # the size of the first text
@@ -103,7 +103,7 @@ def test_chunks_of_an_array_without_numbers_are_not_counted():
     assert Hdf5File(BytesSource(buffer.getvalue())).dataset("a").read().shape == shape
 
 
-def test_chunks_of_less_than_whole_rows_are_refused():
+def test_chunks_of_less_than_whole_rows_are_rejected():
     buffer = io.BytesIO()
     with h5py.File(buffer, "w", libver="v110") as file:
         file.create_dataset("a", data=np.eye(4), chunks=(1, 2), fletcher32=True)
@@ -112,7 +112,7 @@ def test_chunks_of_less_than_whole_rows_are_refused():
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "message"),
     [
         (lambda f: f.create_dataset("a", data=np.zeros(9), compression="gzip"), "filtered"),
         (lambda f: f.create_dataset("a", data=np.zeros(9), chunks=(2,)), "chunked"),
@@ -129,16 +129,16 @@ def test_chunks_of_less_than_whole_rows_are_refused():
     ],
 )
 @pytest.mark.parametrize("libver", [None, "v110"])
-def test_what_these_files_never_hold_is_refused_by_name(change, said, libver):
+def test_what_these_files_never_hold_is_rejected_by_name(change, message, libver):
     buffer = io.BytesIO()
     with h5py.File(buffer, "w", libver=libver) as file:
         change(file)
-    with pytest.raises(CorruptFile, match=said):
+    with pytest.raises(CorruptFile, match=message):
         Hdf5File(BytesSource(buffer.getvalue())).dataset("a")
 
 
 @pytest.mark.parametrize("value", [np.array([1, 2]), 1.5, np.bytes_(b"text"), h5py.Empty("i8")])
-def test_an_attribute_of_another_kind_is_refused_when_it_is_looked_up_only(value):
+def test_an_attribute_of_another_kind_is_rejected_when_it_is_looked_up_only(value):
     buffer = io.BytesIO()
     with h5py.File(buffer, "w") as file:
         file.attrs["odd"], file.attrs["plain"] = value, 1
@@ -149,7 +149,7 @@ def test_an_attribute_of_another_kind_is_refused_when_it_is_looked_up_only(value
             look("odd")
 
 
-def test_a_text_that_is_no_utf_8_or_too_long_is_refused():
+def test_a_text_that_is_no_utf_8_or_too_long_is_rejected():
     buffer = io.BytesIO()
     with h5py.File(buffer, "w") as file:
         file.attrs["a"] = "ä" * 10
@@ -173,7 +173,7 @@ def test_a_text_that_is_no_utf_8_or_too_long_is_refused():
         "{",
     ],
 )
-def test_json_of_half_a_surrogate_pair_or_too_deep_is_refused(text):
+def test_json_of_half_a_surrogate_pair_or_too_deep_is_rejected(text):
     with pytest.raises(CorruptFile):
         parse_json(text, "it")
 
@@ -194,20 +194,20 @@ def test_a_file_that_becomes_shorter_while_it_is_read_is_corrupt(tmp_path):
             file.dataset("pose").read()
 
 
-def test_the_digest_of_a_revision_is_computed_once_and_anew_after_a_change(tmp_path, monkeypatch):
+def test_the_digest_of_a_revision_is_computed_once_and_again_after_a_change(tmp_path, monkeypatch):
     path = tmp_path / "a.h5"
     write_map(path, MAP)
-    asked = []
+    computed = []
 
     def counted(*parts):
-        asked.append(parts)
+        computed.append(parts)
         return content_digest(*parts)
 
     monkeypatch.setattr("core.mapping.tensormap.content_digest", counted)
     monkeypatch.setattr("storage.files.map_file._checked", _CheckedFiles())
     for _ in range(3):
         assert read_revision(path, MAP.revision).revision == MAP.revision
-    assert len(asked) == 1
+    assert len(computed) == 1
     monkeypatch.undo()
     content = bytearray(path.read_bytes())
     content[content.index(MAP.trajectory.poses.tobytes()) + 3] ^= 1
@@ -216,7 +216,7 @@ def test_the_digest_of_a_revision_is_computed_once_and_anew_after_a_change(tmp_p
         read_revision(path, MAP.revision)
 
 
-def test_a_whole_file_of_another_revision_is_refused(tmp_path):
+def test_a_whole_file_of_another_revision_is_rejected(tmp_path):
     write_map(tmp_path / "a.h5", MAP)
     for _ in range(2):
         with pytest.raises(CorruptFile, match=f"holds {MAP.revision}"):

@@ -58,7 +58,7 @@ def test_the_library_reads_nothing_while_it_writes_not_even_rows_of_a_chunk_too_
         for row in range(7000):
             many[row] = large[:2]
         many.end()
-        writer.add_attributes({"told": "x" * 100_000})
+        writer.add_attributes({"text": "x" * 100_000})
     assert not read
 
 

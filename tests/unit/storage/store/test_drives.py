@@ -63,7 +63,7 @@ class TestPutting:
         assert again.record == first.record
         assert files(store) == before
 
-    def test_other_content_is_refused_naming_both_digests(self, store):
+    def test_other_content_is_rejected_naming_both_digests(self, store):
         store.drives.put_scan("campus", "monday", 3, sample_scan(3))
         before = files(store)
         with pytest.raises(ScanConflict) as refused:
@@ -73,7 +73,7 @@ class TestPutting:
         assert files(store) == before
         assert_stored(store, [3])
 
-    def test_a_scan_comes_back_with_all_that_it_had(self, store):
+    def test_a_scan_is_read_back_with_all_its_facts(self, store):
         put = dataclasses.replace(
             sample_scan(1),
             timestamp_s=1317617735.25,
@@ -110,7 +110,7 @@ class TestPutting:
             store.drives.get("campus", "monday")
 
     @pytest.mark.parametrize("indices", [[-1], [2**53], [4, 4]])
-    def test_indices_that_cannot_be_are_refused(self, store, indices):
+    def test_indices_that_cannot_be_are_rejected(self, store, indices):
         with pytest.raises(InvalidParameters):
             store.drives.put_scans("campus", "monday", [(i, sample_scan(1)) for i in indices])
         assert files(store) == []

@@ -60,7 +60,7 @@ def lose_both(folder):
     "harm", [move_the_catalog_away, take_that_of_another, lose_the_file, lose_both]
 )
 @pytest.mark.parametrize("open_store", [Store, Store.serving])
-def test_a_catalog_of_another_store_is_refused_and_nothing_is_touched(stopped, harm, open_store):
+def test_a_catalog_of_another_store_is_rejected_and_nothing_is_touched(stopped, harm, open_store):
     harm(stopped)
     before = everything(stopped)
     for _ in range(2):
@@ -69,7 +69,7 @@ def test_a_catalog_of_another_store_is_refused_and_nothing_is_touched(stopped, h
     assert everything(stopped) == before
 
 
-def test_a_catalog_url_that_points_elsewhere_is_refused(stopped, tmp_path):
+def test_a_catalog_url_that_points_elsewhere_is_rejected(stopped, tmp_path):
     before = everything(stopped)
     with pytest.raises(WrongCatalog):
         Store.serving(stopped, f"sqlite:///{tmp_path / 'elsewhere.sqlite3'}")
@@ -153,7 +153,7 @@ def test_a_catalog_is_not_migrated_under_a_running_server(tmp_path, open_store):
         assert _schema(tmp_path) == before
 
 
-def test_a_catalog_of_a_newer_version_is_refused(stopped):
+def test_a_catalog_of_a_newer_version_is_rejected(stopped):
     with sqlite3.connect(stopped / "catalog.sqlite3") as connection:
         connection.execute("UPDATE alembic_version SET version_num = '9999'")
     connection.close()
@@ -162,7 +162,7 @@ def test_a_catalog_of_a_newer_version_is_refused(stopped):
             open_store(stopped)
 
 
-def test_a_server_that_was_refused_leaves_the_folder_free(stopped):
+def test_a_server_that_was_rejected_leaves_the_folder_free(stopped):
     (stopped / "store-id").rename(stopped / "kept")
     with pytest.raises(WrongCatalog):
         Store.serving(stopped)

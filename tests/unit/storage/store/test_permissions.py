@@ -47,7 +47,7 @@ def test_files_folders_and_the_catalog_are_private(tmp_path):
         assert open_to_others(tmp_path / "data") == {}
 
 
-def test_a_data_directory_of_an_older_version_becomes_private_at_its_start(tmp_path):
+def test_a_data_directory_of_an_older_version_becomes_private_at_a_start(tmp_path):
     data = tmp_path / "data"
     with Store.serving(data) as store:
         filled(store)

@@ -27,15 +27,15 @@ def put_for_ever(data_dir, first, acknowledged):
 
 def put_until_killed(data_dir, first, acknowledgements):
     """Start a process that puts scans, kill it in the middle, return what it acknowledged."""
-    told, telling = Pipe(duplex=False)
+    found, telling = Pipe(duplex=False)
     process = PROCESSES.Process(target=put_for_ever, args=(data_dir, first, telling))
     process.start()
     telling.close()
-    acknowledged = [told.recv() for _ in range(acknowledgements)]
+    acknowledged = [found.recv() for _ in range(acknowledgements)]
     process.kill()
     with suppress(EOFError, OSError):  # nothing more, or half a message
         while True:
-            acknowledged.append(told.recv())
+            acknowledged.append(found.recv())
     process.join()
     assert process.exitcode == -signal.SIGKILL
     return acknowledged

@@ -126,7 +126,7 @@ def test_a_revision_that_was_lost_or_damaged_is_put_back_by_adding_it_again(fill
     assert verify(filled).findings == ()
 
 
-def test_damaged_images_go_where_a_build_makes_them_anew_and_are_kept_where_it_cannot(filled):
+def test_damaged_images_are_removed_if_a_build_can_make_them_again_and_else_kept(filled):
     [path] = filled.layout.maps.rglob("images/*.h5")
     with h5py.File(path, "r+") as file:
         at = file["images"].id.get_chunk_info(0).byte_offset
@@ -157,7 +157,7 @@ def drop_all_returns(store):
             row.chunk, row.row = "", 0
 
 
-def test_what_is_missing_is_told_and_what_is_left_over_is_no_loss(filled):
+def test_a_missing_file_is_reported_and_a_leftover_is_no_loss(filled):
     chunk = next(filled.layout.maps.rglob("chunks/*.h5"))
     shutil.move(chunk, chunk.with_name("0" * 32 + ".h5"))
     part = chunk.with_name(".x.h5.0123.part")

@@ -103,7 +103,7 @@ def test_many_bodies_together_stay_out_of_memory(tmp_path):
             assert b"".join(spool.pieces()) == CHUNK * 8
             spool.clear()
         again = await filled(room, "a", 100)
-        assert again._file is None  # what was lent came back
+        assert again._file is None  # the shared memory was returned
         again.clear()
 
     asyncio.run(run())

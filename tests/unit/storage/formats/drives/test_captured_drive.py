@@ -71,11 +71,11 @@ class TestVelodyne:
             (pcap([]) + b"\xff" * 16, MalformedScan),
         ],
     )
-    def test_what_is_no_turn_is_refused(self, body: bytes, error: type[InvalidScan]) -> None:
+    def test_what_is_no_turn_is_rejected(self, body: bytes, error: type[InvalidScan]) -> None:
         with pytest.raises(error):
             VelodyneFormat().read(body)
 
-    def test_more_packets_than_a_scan_needs_are_refused(self) -> None:
+    def test_more_packets_than_a_scan_needs_are_rejected(self) -> None:
         with pytest.raises(ScanTooLarge, match="more than 3 packets"):
             Turns(velodyne(hdl32(turns=1.2)), most_packets=3)
 
@@ -111,7 +111,7 @@ class TestOuster:
         scan = read_scan_file(tmp_path / "a.pcap", min_returns=1)
         assert len(scan) == 512 * 16
 
-    def test_packets_of_another_layout_are_refused(self) -> None:
+    def test_packets_of_another_layout_are_rejected(self) -> None:
         layout = ouster_metadata()["data_format"] | {"pixels_per_column": 32}
         angles: dict[str, Any] = dict.fromkeys(
             ("beam_altitude_angles", "beam_azimuth_angles"), [0.0] * 32
@@ -133,12 +133,12 @@ class TestOuster:
             {"data_format": ouster_metadata()["data_format"] | {"column_window": [0, 512]}},
         ],
     )
-    def test_metadata_that_make_no_sense_are_refused(self, changed: dict[str, Any]) -> None:
+    def test_metadata_that_make_no_sense_are_rejected(self, changed: dict[str, Any]) -> None:
         with pytest.raises(MalformedScan, match="metadata"):
             OusterFormat().read(self.body(**changed))
 
     @pytest.mark.parametrize("body", [b"{", b"[" * 100_000, b"7", b"\xff" * 40, b"{}"])
-    def test_what_is_no_metadata_is_refused(self, body: bytes) -> None:
+    def test_what_is_no_metadata_is_rejected(self, body: bytes) -> None:
         with pytest.raises(MalformedScan):
             read_scan(body, media_type=OusterFormat().media_type, min_returns=1)
 
@@ -161,13 +161,13 @@ class TestOuster:
         np.testing.assert_array_equal(OusterFormat().read(body), OusterFormat().read(self.body()))
 
 
-def test_a_capture_without_a_byte_is_refused(tmp_path: Path) -> None:
+def test_a_capture_without_a_byte_is_rejected(tmp_path: Path) -> None:
     (tmp_path / "a.pcap").touch()
     with pytest.raises(EmptyBody, match=r"a\.pcap is empty"):
         open_drive(tmp_path / "a.pcap")
 
 
-def test_a_sensor_that_turns_too_slowly_gives_no_scan_of_any_size() -> None:
+def test_a_scan_of_a_sensor_that_rotates_too_slowly_is_rejected() -> None:
     frames = [f for p in hdl32(turns=0.01) for f in udp(p, 2368)]
     body = pcap(frames)[:24] + pcap(frames)[24:] * (BUDGET.scan_packets + 1)
     with pytest.raises(ScanTooLarge, match="more than 200000 packets"):

@@ -192,7 +192,7 @@ class TestFolder:
         assert [float(drive.scan(i).points_m[0, 0]) for i in range(len(drive))] == [1, 9, 10]
         assert drive.poses.shape == (3, 7)
 
-    def test_scans_are_read_only_when_asked_for(self, tmp_path: Path) -> None:
+    def test_scans_are_read_on_demand(self, tmp_path: Path) -> None:
         (tmp_path / "0.npy").write_bytes(b"no array")
         drive = open_drive(tmp_path)
         with pytest.raises(MalformedScan, match=r"0\.npy"):

@@ -118,7 +118,7 @@ def test_one_of_several_topics_is_named_after_the_bag(tmp_path):
         open_drive(tmp_path / "bag#/top")
 
 
-def test_a_bag_without_clouds_says_so(tmp_path):
+def test_a_bag_without_clouds_is_rejected(tmp_path):
     bag = record_bag(tmp_path / "bag", [], topics=())
     with pytest.raises(MalformedDrive, match="PointCloud2: none"):
         open_drive(bag)
@@ -128,14 +128,14 @@ def test_a_bag_without_clouds_says_so(tmp_path):
 
 
 @pytest.mark.parametrize("suffix", [".bag", ".mcap", ".db3"])
-def test_a_file_that_is_no_bag_says_so(tmp_path, suffix):
+def test_a_file_that_is_no_bag_is_rejected(tmp_path, suffix):
     path = tmp_path / f"broken{suffix}"
     path.write_bytes(b"\0nothing of the kind" * 40)
     with pytest.raises(MalformedDrive, match=f"broken{suffix} cannot be read as a bag"):
         open_drive(path)
 
 
-def test_a_bag_cut_short_says_so_and_never_gives_other_scans(bags, tmp_path):
+def test_a_truncated_bag_raises_and_never_returns_other_scans(bags, tmp_path):
     body = bags["mcap file"].read_bytes()
     for share in range(1, 20):
         path = tmp_path / f"{share}.mcap"
@@ -156,7 +156,7 @@ def test_either_byte_order_and_width_is_read(tmp_path, format_):
 
 
 @pytest.mark.parametrize(
-    ("changed", "error", "said"),
+    ("changed", "error", "message"),
     [
         ({"fields": []}, MalformedScan, "no x"),
         ({"point_step": 8}, MalformedScan, "8 bytes"),
@@ -166,20 +166,20 @@ def test_either_byte_order_and_width_is_read(tmp_path, format_):
         ({"height": 0, "width": 0}, TooFewReturns, "0"),
     ],
 )
-def test_a_cloud_that_does_not_fit_itself_is_refused(tmp_path, changed, error, said):
+def test_a_cloud_that_does_not_fit_itself_is_rejected(tmp_path, changed, error, message):
     drive = open_drive(record_bag(tmp_path / "bag", [cloud(DRIVE[0], **changed)]))
-    with pytest.raises(error, match=said):
+    with pytest.raises(error, match=message):
         drive.scan(0)
 
 
-def test_coordinates_that_are_integers_are_refused(tmp_path):
+def test_coordinates_that_are_integers_are_rejected(tmp_path):
     record = np.dtype([("x", "<i4"), ("y", "<f4"), ("z", "<f4")])
     drive = open_drive(record_bag(tmp_path / "bag", [cloud(DRIVE[0], record=record)]))
     with pytest.raises(WrongDtype, match="datatype 5"):
         drive.scan(0)
 
 
-def test_without_the_library_it_is_told_what_to_install(bags, monkeypatch):
+def test_without_the_library_the_error_has_what_to_install(bags, monkeypatch):
     monkeypatch.setitem(sys.modules, "rosbags.highlevel", None)
     with pytest.raises(MalformedDrive, match=r"pip install .\.\[ros\]"):
         open_drive(bags["mcap"])

@@ -47,13 +47,13 @@ class TestCsv:
             bytes(100),
         ],
     )
-    def test_what_has_no_three_columns_of_numbers_is_refused(self, body: bytes) -> None:
+    def test_what_has_no_three_columns_of_numbers_is_rejected(self, body: bytes) -> None:
         with pytest.raises(MalformedScan):
             CsvFormat().read(body)
 
 
 @pytest.mark.parametrize("line", [b"\n", b"1,2,3\n"])
-def test_a_text_has_at_most_as_many_lines_as_the_budget_says(
+def test_the_number_of_lines_is_bounded_by_the_budget(
     line: bytes, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(text_numbers, "BUDGET", BUDGET.__class__(text_returns=100))
@@ -70,7 +70,7 @@ def test_blank_lines_line_ends_of_all_kinds_and_blocks_do_not_change_what_is_rea
 
 
 @pytest.mark.parametrize("bad", ["1,2", "1,2,3,4", "1,2,x", "1,,3", "1,2,0x3", "1,2,3\u00b2"])
-def test_a_line_that_is_wrong_among_many_is_refused(bad: str) -> None:
+def test_a_line_that_is_wrong_among_many_is_rejected(bad: str) -> None:
     lines = ["1,2,3"] * 500
     lines[321] = bad
     with pytest.raises(MalformedScan):

@@ -26,7 +26,7 @@ def mat(variables: dict[str, object], *, compress: bool = False) -> bytes:
 class TestFord:
     @pytest.mark.parametrize("compress", [False, True])
     @pytest.mark.parametrize("dtype", [np.float64, np.float32])
-    def test_points_are_read_whatever_stands_around_them(
+    def test_points_are_read_among_any_other_fields(
         self, compress: bool, dtype: type[np.floating]
     ) -> None:
         scan = {"X_wv": np.zeros((6, 1)), "XYZ": POINTS.T.astype(dtype), "note": "hello"}
@@ -45,7 +45,7 @@ class TestFord:
             {"SCAN": {"XYZ": {"a": 1}}},
         ],
     )
-    def test_what_has_no_points_is_refused(self, variables: dict[str, object]) -> None:
+    def test_what_has_no_points_is_rejected(self, variables: dict[str, object]) -> None:
         with pytest.raises(MalformedScan):
             FordFormat().read(mat(variables))
 
@@ -56,14 +56,14 @@ class TestFord:
         with pytest.raises(ScanTooLarge):
             FordFormat().read(body)
 
-    def test_each_element_is_compared_with_what_came(self) -> None:
+    def test_the_size_of_each_element_is_compared_with_the_body(self) -> None:
         whole = mat({"SCAN": {"XYZ": POINTS.T.astype(np.float64)}})
         for end in range(0, len(whole) - 8, 97):
             with pytest.raises((TruncatedScan, MalformedScan)):
                 FordFormat().read(whole[:end])
 
 
-def test_a_mat_file_of_empty_elements_is_refused_after_a_thousand() -> None:
+def test_a_mat_file_of_empty_elements_is_rejected_after_a_thousand() -> None:
     head = b"MATLAB 5.0 MAT-file".ljust(124) + b"\0\1IM"
     with pytest.raises(MalformedScan, match="first 1000 elements"):
         FordFormat().read(head + struct.pack("<II", 9, 0) * 2000)

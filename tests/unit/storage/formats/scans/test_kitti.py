@@ -43,7 +43,7 @@ def test_a_scan_of_nothing_but_no_returns_has_too_few_returns() -> None:
         read(np.full((400, 4), np.nan, "<f4").tobytes())
 
 
-def test_a_cut_file_says_how_long_it_is_and_how_long_a_record() -> None:
+def test_the_error_for_a_truncated_file_has_its_length_and_that_of_a_record() -> None:
     with pytest.raises(TruncatedScan, match=r"6393 bytes.* records of 16 and 9 left over"):
         read(street().tobytes()[:-7])
 
@@ -60,7 +60,9 @@ def test_a_cut_file_says_how_long_it_is_and_how_long_a_record() -> None:
         ("text", b"12.345 6.789 -1.234\n" * 400),
     ],
 )
-def test_numbers_of_another_type_are_refused_naming_the_type_wanted(what: str, body: bytes) -> None:
+def test_numbers_of_another_type_are_rejected_with_the_expected_type(
+    what: str, body: bytes
+) -> None:
     with pytest.raises(WrongDtype, match="float32 little-endian x y z reflectance"):
         read(body)
 
@@ -72,24 +74,24 @@ def test_a_few_odd_values_do_not_make_a_scan_of_another_type() -> None:
 
 
 @pytest.mark.parametrize("seed", range(40))
-def test_a_scan_is_refused_where_more_than_a_quarter_of_what_tells_is_implausible(seed) -> None:
+def test_a_scan_with_more_than_a_quarter_of_implausible_coordinates_is_rejected(seed) -> None:
     """A no-return tells nothing, nor does a zero beside what is measured."""
     random = np.random.default_rng(seed)
     kinds = np.array([0.0, 5.0, -30.0, 1e-9, 1e9, np.nan, np.inf], np.float32)
     share = random.dirichlet([2.0, 4.0, 4.0, 0.4, 0.4, 0.4, 0.4])
     returns_m = random.choice(kinds, size=(20, 3), p=share).astype(np.float32)
-    told = implausible = 0
+    found = implausible = 0
     for row in returns_m.tolist():
         for one in row if np.isfinite(row).any() else ():
-            told += one != 0.0
+            found += one != 0.0
             implausible += one != 0.0 and not 1e-6 <= abs(one) <= 1e5
-    if implausible > 0.25 * told:
-        with pytest.raises(WrongDtype, match=f"^{implausible / told:.0%} of the coordinates"):
+    if implausible > 0.25 * found:
+        with pytest.raises(WrongDtype, match=f"^{implausible / found:.0%} of the coordinates"):
             require_plausible(returns_m, "metres")
     else:
         require_plausible(returns_m, "metres")
 
 
-def test_a_scan_has_at_most_as_many_returns_as_the_budget_says() -> None:
+def test_the_number_of_returns_is_bounded_by_the_budget() -> None:
     with pytest.raises(ScanTooLarge, match=r"4194305 returns, at most 4194304"):
         KittiFormat().read(bytes(16 * (2**22 + 1)))

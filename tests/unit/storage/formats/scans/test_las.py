@@ -57,7 +57,7 @@ class TestLas:
             (b"LASX" + las(compress=False)[4:], MalformedScan),
         ],
     )
-    def test_a_header_that_lies_is_refused(self, body: bytes, error: type[InvalidScan]) -> None:
+    def test_a_wrong_header_is_rejected(self, body: bytes, error: type[InvalidScan]) -> None:
         with pytest.raises(error):
             LasFormat().read(body)
 

@@ -34,7 +34,7 @@ def test_floats_of_every_size_and_order_give_the_same_points(
     np.testing.assert_array_equal(NpyFormat().read(npy(wide)), POINTS.astype(np.float32))
 
 
-def test_a_structured_array_gives_its_fields_x_y_z_in_that_order() -> None:
+def test_of_a_structured_array_the_fields_x_y_z_are_read_in_that_order() -> None:
     cloud = np.zeros((1, 3), [("intensity", "u1"), ("z", "<f8"), ("y", "<f4"), ("x", "<f4")])
     cloud["x"], cloud["y"], cloud["z"] = POINTS.T
     np.testing.assert_array_equal(NpyFormat().read(npy(cloud)), POINTS.astype(np.float32))
@@ -46,17 +46,17 @@ def test_doubles_beyond_float32_are_no_returns() -> None:
 
 
 @pytest.mark.parametrize("dtype", ["i4", "u1", "c8", "?", "f16", "S4", "M8[s]"])
-def test_arrays_of_anything_but_floats_are_refused(dtype: str) -> None:
+def test_arrays_of_anything_but_floats_are_rejected(dtype: str) -> None:
     with pytest.raises(WrongDtype, match="wanted float16, float32 or float64 metres"):
         NpyFormat().read(npy(np.zeros((3, 3), dtype)))
 
 
-def test_an_array_of_objects_is_refused_unread() -> None:
+def test_an_array_of_objects_is_rejected_unread() -> None:
     with pytest.raises(WrongDtype):
         NpyFormat().read(npy(np.full((3, 3), None, dtype=object), allow_pickle=True))
 
 
-def test_a_structured_array_without_float_axes_is_refused_naming_the_field() -> None:
+def test_a_structured_array_without_float_axes_is_rejected_naming_the_field() -> None:
     with pytest.raises(WrongDtype, match="field y holds <i4"):
         NpyFormat().read(npy(np.zeros(3, [("x", "<f4"), ("y", "<i4"), ("z", "<f4")])))
     with pytest.raises(WrongDtype, match="field z holds nothing"):
@@ -64,12 +64,12 @@ def test_a_structured_array_without_float_axes_is_refused_naming_the_field() -> 
 
 
 @pytest.mark.parametrize("shape", [(3,), (3, 2), (3, 4, 4), ()])
-def test_a_shape_other_than_rows_of_three_or_more_is_refused(shape: tuple[int, ...]) -> None:
+def test_a_shape_other_than_rows_of_three_or_more_is_rejected(shape: tuple[int, ...]) -> None:
     with pytest.raises(MalformedScan, match="wanted"):
         NpyFormat().read(npy(np.ones(shape)))
 
 
-def test_a_header_that_claims_terabytes_is_refused_without_taking_them() -> None:
+def test_a_header_that_claims_terabytes_is_rejected_without_taking_them() -> None:
     body = with_header("{'descr': '<f4', 'fortran_order': False, 'shape': (10000000000000, 3)}\n")
     tracemalloc.start()
     try:
@@ -116,7 +116,7 @@ def test_an_integer_too_long_to_print_is_still_an_error_of_ours() -> None:
         NpyFormat().read(with_header(header, b"\0" * 64))
 
 
-def test_a_cut_or_longer_body_says_both_lengths() -> None:
+def test_the_error_for_a_body_of_another_length_has_both_lengths() -> None:
     with pytest.raises(TruncatedScan, match="takes 72 bytes, got 62"):
         NpyFormat().read(npy(POINTS)[:-10])
     with pytest.raises(MalformedScan, match="takes 72 bytes, got 73"):

@@ -40,7 +40,7 @@ def test_fragments_that_overlap_or_are_too_many_are_no_datagram() -> None:
     assert not list(captures.datagrams(pcap(many[: BUDGET.fragments + 1])))
 
 
-def test_a_capture_of_little_but_heads_of_packets_is_refused() -> None:
+def test_a_capture_of_little_but_heads_of_packets_is_rejected() -> None:
     record = struct.pack("<IIII", 1, 0, 0, 0)
     with pytest.raises(MalformedScan, match="must average 256 bytes"):
         list(captures.datagrams(pcap([]) + record * 20_000))

@@ -40,7 +40,7 @@ def read(body: bytes) -> np.ndarray:
 
 
 @pytest.mark.parametrize("encoding", list(Encoding)[:3])
-def test_every_encoding_gives_the_same_points(encoding: Encoding) -> None:
+def test_the_points_of_every_encoding_are_the_same(encoding: Encoding) -> None:
     file = BytesIO()
     PointCloud.from_xyzi_points(np.column_stack([POINTS, POINTS[:, 0]])).save(file, encoding)
     np.testing.assert_allclose(read(file.getvalue()), POINTS, rtol=0, atol=1e-6)
@@ -77,8 +77,8 @@ def lzf_literal(data: bytes) -> bytes:
 def test_the_nan_points_of_an_organized_cloud_are_kept_for_counting() -> None:
     organized = POINTS.copy()
     organized[::3] = np.nan
-    came = read(header(WIDTH="20", HEIGHT="10") + organized.tobytes())
-    np.testing.assert_array_equal(came, organized)
+    read_back = read(header(WIDTH="20", HEIGHT="10") + organized.tobytes())
+    np.testing.assert_array_equal(read_back, organized)
 
 
 def test_text_may_hold_tabs_trailing_spaces_windows_line_ends_and_integers() -> None:
@@ -88,7 +88,7 @@ def test_text_may_hold_tabs_trailing_spaces_windows_line_ends_and_integers() -> 
     np.testing.assert_array_equal(read(body), [[1.5, -2, 3], [np.nan] * 3])
 
 
-def test_lines_that_the_format_lets_a_writer_leave_out_may_be_missing() -> None:
+def test_optional_lines_of_the_header_may_be_missing() -> None:
     body = header(VERSION=None, COUNT=None, VIEWPOINT=None, POINTS=None) + POINTS.tobytes()
     np.testing.assert_array_equal(read(body), POINTS)
 
@@ -113,7 +113,7 @@ def test_a_cloud_of_no_points_is_empty() -> None:
         ),
     ],
 )
-def test_a_header_that_claims_more_than_came_is_refused_without_taking_it(
+def test_a_header_that_claims_more_than_the_body_is_rejected_without_allocation(
     lines: dict[str, str | None], body: bytes
 ) -> None:
     tracemalloc.start()
@@ -167,7 +167,7 @@ def test_integer_axes_are_of_the_wrong_type() -> None:
         read(header(TYPE="I F F") + POINTS.tobytes())
 
 
-def test_fewer_bytes_or_more_than_the_header_says_are_named() -> None:
+def test_the_error_for_fewer_or_more_bytes_than_the_header_claims_has_both_numbers() -> None:
     with pytest.raises(TruncatedScan, match=r"2400 bytes; got 2390 bytes of points"):
         read(header() + POINTS.tobytes()[:-10])
     with pytest.raises(MalformedScan, match=r"2400 bytes; got 2401 bytes of points"):

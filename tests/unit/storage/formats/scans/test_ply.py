@@ -53,7 +53,7 @@ class TestPly:
             ("not\nformat ascii 1.0\nend_header\n", b"", MalformedScan),
         ],
     )
-    def test_a_header_that_lies_is_refused(
+    def test_a_wrong_header_is_rejected(
         self, head: str, rest: bytes, error: type[InvalidScan]
     ) -> None:
         with pytest.raises(error):

@@ -31,6 +31,6 @@ class TestRecords:
             NuscenesFormat().read(body)
 
     @pytest.mark.parametrize("known", [NuscenesFormat(), NcltFormat()])
-    def test_a_part_of_a_record_is_refused(self, known: NuscenesFormat | NcltFormat) -> None:
+    def test_a_part_of_a_record_is_rejected(self, known: NuscenesFormat | NcltFormat) -> None:
         with pytest.raises(TruncatedScan):
             known.read(bytes(39))

@@ -37,15 +37,15 @@ def test_without_a_type_the_magic_decides(media_type: str | None) -> None:
 
 
 @pytest.mark.parametrize(
-    "asked",
+    "given",
     [{}, {"media_type": "text/csv"}, {"suffix": ".xyz"}, {"suffix": ".pcapng"}],
 )
-def test_what_no_reader_claims_is_answered_with_all_media_types(asked: dict[str, str]) -> None:
+def test_what_no_reader_claims_is_answered_with_all_media_types(given: dict[str, str]) -> None:
     with pytest.raises(UnknownFormat) as caught:
         read_scan(
             ROWS.tobytes(),
-            media_type=asked.get("media_type"),
-            suffix=asked.get("suffix"),
+            media_type=given.get("media_type"),
+            suffix=given.get("suffix"),
             min_returns=1,
         )
     assert all(known.media_type in str(caught.value) for known in SCAN_FORMATS)
@@ -62,7 +62,7 @@ def test_no_bytes_are_an_empty_body(media_type: str | None) -> None:
         read_scan(b"", media_type=media_type, min_returns=1)
 
 
-def test_fewer_returns_than_asked_for_are_refused() -> None:
+def test_fewer_returns_than_min_returns_are_rejected() -> None:
     with pytest.raises(TooFewReturns, match="1 of 2"):
         read_scan(ROWS.tobytes(), suffix=".bin", min_returns=2)
 
@@ -97,7 +97,7 @@ def test_a_signalling_nan_is_a_no_return_like_any_other() -> None:
     assert (len(scan), scan.dropped_returns) == (1, 1)
 
 
-def test_names_media_types_and_suffixes_are_nobody_elses() -> None:
+def test_names_media_types_and_suffixes_are_unique() -> None:
     for words in (
         [known.name for known in SCAN_FORMATS],
         [known.media_type for known in SCAN_FORMATS],

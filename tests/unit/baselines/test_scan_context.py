@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from baselines.scan_context import ScanContext, ScanContextPlaces, ring_keys
 from core.errors import InvalidParameters, InvalidScan
-from core.evaluation.baselines.scan_context import ScanContext, ScanContextPlaces, ring_keys
 from core.scans.scan import Scan
 
 

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from baselines.m2dp import M2dp
+from baselines.voxels import voxel_means
 from core.errors import InvalidParameters, InvalidScan
-from core.evaluation.baselines.m2dp import M2dp
-from core.evaluation.baselines.voxels import voxel_means
 from core.evaluation.condition import Condition
 from core.scans.scan import Scan
 

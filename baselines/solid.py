@@ -12,10 +12,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from baselines.descriptor import PlaceDescriptor, Places, turn_deg
+from baselines.voxels import voxel_means
 from core.arrays import Float32Array, FloatArray, IntArray
 from core.errors import InvalidParameters, InvalidScan
-from core.evaluation.baselines.descriptor import PlaceDescriptor, Places, turn_deg
-from core.evaluation.baselines.voxels import voxel_means
 from core.evaluation.methods import Nearest
 from core.numbers import require_above, require_at_least
 from core.scans.scan import Scan

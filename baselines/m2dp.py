@@ -17,10 +17,10 @@ from functools import cached_property
 
 import numpy as np
 
+from baselines.descriptor import PlaceDescriptor, Places
+from baselines.voxels import voxel_means
 from core.arrays import Float32Array, FloatArray
 from core.errors import InvalidScan
-from core.evaluation.baselines.descriptor import PlaceDescriptor, Places
-from core.evaluation.baselines.voxels import voxel_means
 from core.evaluation.methods import Nearest
 from core.numbers import require_at_least
 from core.scans.scan import Scan

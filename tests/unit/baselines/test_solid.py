@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from baselines.solid import Solid
 from core.errors import InvalidParameters, InvalidScan
-from core.evaluation.baselines.solid import Solid
 from core.scans.scan import Scan
 
 # Two ranges of 10 m, four azimuths of a quarter turn, three elevations of 10 degrees.

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
+from baselines.descriptor import PlaceDescriptor, Places, turn_deg
 from core.arrays import Complex64Array, Float32Array, FloatArray, IntArray
 from core.errors import InvalidScan
-from core.evaluation.baselines.descriptor import PlaceDescriptor, Places, turn_deg
 from core.evaluation.methods import Nearest
 from core.numbers import require_above, require_at_least
 from core.scans.scan import Scan

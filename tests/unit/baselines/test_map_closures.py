@@ -7,8 +7,8 @@ from types import ModuleType, SimpleNamespace
 import numpy as np
 import pytest
 
-from app.baselines import map_closures as adapter
-from app.baselines.roster import METHODS, default_methods, methods_named
+from baselines import map_closures as adapter
+from baselines.roster import METHODS, default_methods, methods_named
 from core.errors import EmptyDrive, InvalidParameters
 from tests.support.samples import FaultyDrive, RecordedProgress, sample_drive
 
@@ -93,11 +93,11 @@ def test_a_drive_without_a_usable_scan_is_rejected(installed):
 
 def test_without_the_package_the_method_is_left_out_or_rejected_by_name(monkeypatch):
     monkeypatch.setattr(adapter, "is_installed", lambda: False)
-    monkeypatch.setattr("app.baselines.roster.is_installed", lambda: False)
+    monkeypatch.setattr("baselines.roster.is_installed", lambda: False)
     assert default_methods() == METHODS[:-1]
     with pytest.raises(InvalidParameters, match="pip install --no-deps map_closures"):
         methods_named(["map-closures"], sensor="hdl-64e", sensor_height_m=1.73, segment_length=9)
-    monkeypatch.setattr("app.baselines.roster.is_installed", lambda: True)
+    monkeypatch.setattr("baselines.roster.is_installed", lambda: True)
     assert default_methods() == METHODS
 
 

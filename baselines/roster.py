@@ -3,12 +3,12 @@
 from collections.abc import Callable, Sequence
 from functools import partial
 
-from app.baselines.map_closures import MapClosures, is_installed
+from baselines.m2dp import M2dp
+from baselines.map_closures import MapClosures, is_installed
+from baselines.scan_context import ScanContext
+from baselines.solid import Solid
 from core.encodings.registry import encoding_names
 from core.errors import InvalidParameters
-from core.evaluation.baselines.m2dp import M2dp
-from core.evaluation.baselines.scan_context import ScanContext
-from core.evaluation.baselines.solid import Solid
 from core.evaluation.methods import MappedPlaces, Method
 from core.parameters import MapParameters
 from core.scans.sensor import sensor_named

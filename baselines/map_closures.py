@@ -14,9 +14,9 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from baselines.descriptor import enrol_each
 from core.arrays import FloatArray, IntArray
 from core.errors import InvalidParameters
-from core.evaluation.baselines.descriptor import enrol_each
 from core.evaluation.methods import Enrolled, Match, Nearest
 from core.progress import NO_PROGRESS, Progress
 from core.scans.drive import Drive

@@ -1,1 +1,0 @@
-"""Other methods of place recognition that the comparison can run."""

@@ -1,0 +1,1 @@
+"""Other methods of place recognition, made from their papers, for `tensormap compare`."""

@@ -1,1 +1,0 @@
-"""Other methods of place recognition, implemented from their papers to compare with."""
