@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from app.baselines.roster import default_methods, methods_named
+from baselines.roster import default_methods, methods_named
 from benchmarks.accuracy import commit, print_table
 from benchmarks.timing import machine
 from core.evaluation.compare import ComparisonProtocol, compare
