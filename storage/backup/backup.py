@@ -236,11 +236,9 @@ def _copy_catalog(catalog: Path, copy: Path) -> None:
             closing(sqlite3.connect(copy)) as target,
         ):
             source.backup(target)
-            [(result,), *_] = target.execute("PRAGMA integrity_check")
-    except (sqlite3.Error, UnicodeDecodeError) as error:
+    except sqlite3.Error as error:
         raise StorageUnavailable(f"the catalog cannot be copied: {error}") from error
-    if result != "ok":
-        raise CorruptFile(f"the catalog is damaged: {result}")
+    require_sound(copy)
 
 
 def _query(catalog: Path, statement: str) -> list[Any]:
@@ -250,7 +248,7 @@ def _query(catalog: Path, statement: str) -> list[Any]:
         with closing(sqlite3.connect(uri, uri=True)) as connection:
             return connection.execute(statement).fetchall()
     except (sqlite3.Error, UnicodeDecodeError) as error:
-        raise CorruptFile(f"the backup's catalog cannot be read: {error}") from error
+        raise CorruptFile(f"the copy of the catalog cannot be read: {error}") from error
 
 
 def named_files(catalog: Path) -> list[StoredFile]:
@@ -289,7 +287,7 @@ def require_sound(catalog: Path) -> None:
     """Raise `CorruptFile` if a copy of a catalog is damaged."""
     [(result,), *_] = _query(catalog, "PRAGMA integrity_check")
     if result != "ok":
-        raise CorruptFile(f"the backup's catalog is damaged: {result}")
+        raise CorruptFile(f"the copy of the catalog is damaged: {result}")
 
 
 def _add(tar: tarfile.TarFile, name: str, source: BinaryIO) -> dict[str, object]:

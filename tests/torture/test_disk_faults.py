@@ -100,7 +100,8 @@ class Attacked:
             write.require_kept()
         write.require_usable()
         assert self._stored_before() == self._before, "what was stored before has changed"
-        self.kept.append(write)
+        if not isinstance(write, Backup):  # a file of its own, which no kill of a service loses
+            self.kept.append(write)
 
     def explained(
         self, kind: type[Write], fault: Fault, first: int, told: str | None, wrong: Exception

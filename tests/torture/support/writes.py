@@ -306,16 +306,20 @@ class Backup(Import):
         assert not left, f"the backup leaves {left}"
         if ended.returncode == 0:
             return None
-        assert not self.file.exists(), ended.stderr
+        if self.file.exists():  # the last sync failed: only a power failure could lose it
+            self._require_whole()
         return "storage-unavailable"  # a command names it in words only
 
     def require_kept(self) -> None:
+        self._require_whole()
+        super().require_kept()
+
+    def _require_whole(self) -> None:
         new = self.folder / "restored"
         ended = self.service.command("restore", self.file, "--data", new)
         assert ended.returncode == 0, ended.stderr
         assert sum(1 for _ in new.rglob("revisions/*.h5")) > 0
         shutil.rmtree(new)
-        super().require_kept()
 
 
 WRITES: tuple[type[Write], ...] = (
