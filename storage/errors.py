@@ -1,7 +1,7 @@
 """The storage branch of the error tree.
 
 StorageError                 a TensorMapError
-├── NotFound                 what was asked for is not stored
+├── NotFound                 the requested object is not stored
 │   ├── MapNotFound
 │   ├── DriveNotFound
 │   ├── ScanNotFound
@@ -40,7 +40,7 @@ class StorageError(TensorMapError):
 
 
 class NotFound(StorageError):
-    """What was asked for is not stored."""
+    """The requested object is not stored."""
 
 
 class MapNotFound(NotFound):
@@ -68,7 +68,7 @@ class KeyNotFound(NotFound):
 
 
 class Conflict(StorageError):
-    """What is stored does not allow what was asked for."""
+    """What is stored does not allow the request."""
 
 
 class MapExists(Conflict):
@@ -92,7 +92,7 @@ class DriveClosed(Conflict):
 
 
 class ReturnsGone(Conflict):
-    """The returns of a scan were dropped after a build, as the map's policy asks."""
+    """The returns of a scan were dropped after a build, by the map's retention policy."""
 
 
 class NoLiveRevision(Conflict):

@@ -65,7 +65,7 @@ def commands_table() -> Iterator[str]:
 
 
 def formats_table() -> Iterator[str]:
-    yield "| format | `Content-Type` | files | told by its first bytes |"
+    yield "| format | `Content-Type` | files | detected by its first bytes |"
     yield "|---|---|---|---|"
     for known in SCAN_FORMATS:
         suffixes = " ".join(f"`{suffix}`" for suffix in known.suffixes)

@@ -1,4 +1,4 @@
-"""By which key of a request a job was asked for, so that to ask again does not make another."""
+"""The idempotency key of a job's request, so that a repeated request creates no second job."""
 
 import sqlalchemy as sa
 from alembic import op

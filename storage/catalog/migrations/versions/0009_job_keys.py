@@ -1,4 +1,4 @@
-"""Which key asked for a job, so that keys share the queue; of earlier jobs nobody knows."""
+"""The key that requested a job, so that keys share the queue; unknown for earlier jobs."""
 
 import sqlalchemy as sa
 from alembic import op
