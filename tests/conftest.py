@@ -11,7 +11,7 @@ from app.process import one_blas_thread
 from tests.support.postgresql import Cluster, cluster, reason_to_skip
 
 DATABASES = ["sqlite", "postgresql"]
-"""What the catalog can stand on."""
+"""The databases that the catalog supports."""
 
 one_blas_thread()  # as every command and service does for itself
 # The machine is shared, and no example is timed.

@@ -1,4 +1,4 @@
-"""Tests lie where a reader looks for them, and none stands on another."""
+"""Tests lie where a reader expects them, and none imports another."""
 
 import ast
 from collections.abc import Iterator

@@ -1,4 +1,4 @@
-"""A catalog on every database that it can stand on."""
+"""A catalog on every database that it supports."""
 
 import pytest
 

@@ -41,7 +41,7 @@ def places(baseline, scans):
     return baseline.places(np.stack([baseline.describe(scan) for scan in scans]))
 
 
-def turned(scan: Scan, yaw_deg: float) -> Scan:
+def with_yaw(scan: Scan, yaw_deg: float) -> Scan:
     return Condition(yaw_deg=yaw_deg).apply(scan, np.random.default_rng(0))
 
 
@@ -77,7 +77,7 @@ class TestBaselines:
     ):
         baseline, _, has_yaw = case
         for row, scan in enumerate(scans):
-            found = places.nearest(baseline.describe(turned(scan, yaw_deg)))
+            found = places.nearest(baseline.describe(with_yaw(scan, yaw_deg)))
             assert found is not None
             assert found.row == row
             if not has_yaw:

@@ -1,4 +1,4 @@
-"""What the catalog promises of maps, drives and itself, on every database that it can stand on."""
+"""What the catalog promises of maps, drives and itself, on every database that it supports."""
 
 import math
 from concurrent.futures import ThreadPoolExecutor
@@ -317,7 +317,7 @@ class TestOpening:
         assert next(ids) == "b"
         other.close()
 
-    def test_the_schema_is_what_the_models_say(self, catalog):
+    def test_the_schema_is_that_of_the_models(self, catalog):
         with catalog._database.engine.connect() as connection:
             context = MigrationContext.configure(connection, opts={"compare_server_default": True})
             assert compare_metadata(context, Base.metadata) == []

@@ -139,7 +139,7 @@ class TestAudit:
             catalog.maps.create("dock")
         assert len(catalog.audit.list().items) == 1
 
-    def test_a_refusal_is_added_by_itself(self, catalog):
+    def test_a_rejected_act_is_added_on_its_own(self, catalog):
         act = Act("ab12", "delete_map", "/v1/maps/campus", "campus")
         with on_behalf(act):
             catalog.audit.append(act, "403")

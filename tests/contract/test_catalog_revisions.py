@@ -160,9 +160,9 @@ class TestRevisions:
             catalog.revisions.list("campus", after="f" * 64)
 
     def test_an_unknown_map_has_no_revisions(self, catalog):
-        for ask in (catalog.revisions.list, catalog.revisions.live):
+        for call in (catalog.revisions.list, catalog.revisions.live):
             with pytest.raises(MapNotFound):
-                ask("nowhere")
+                call("nowhere")
 
 
 class TestJobs:
@@ -249,12 +249,12 @@ class TestJobs:
 
     def test_a_request_key_is_of_one_request(self, catalog):
         catalog.jobs.create("campus", {}, request=RequestKey("retry-1", A))
-        for ask in (
+        for call in (
             lambda: catalog.jobs.made_by("campus", RequestKey("retry-1", B)),
             lambda: catalog.jobs.create("campus", {}, request=RequestKey("retry-1", B)),
         ):
             with pytest.raises(RequestKeyReused, match="'retry-1'"):
-                ask()
+                call()
         assert len(catalog.jobs.list().items) == 1
 
     def test_a_job_of_a_map_that_is_being_deleted_is_queued_before_or_not_at_all(self, catalog):

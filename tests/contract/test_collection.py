@@ -1,4 +1,4 @@
-"""What the catalog promises of retention, on every database that it can stand on."""
+"""What the catalog promises of retention, on every database that it supports."""
 
 import math
 from dataclasses import replace
@@ -57,7 +57,7 @@ def test_a_map_keeps_what_it_chose_until_it_chooses_otherwise(catalog):
     assert catalog.maps.get("campus").description == ""
 
 
-def test_what_is_replaced_is_retained_from_then_on(catalog):
+def test_the_retention_of_a_replaced_revision_begins_when_it_is_replaced(catalog):
     add(catalog, A, B, C)
     later = datetime.now(UTC) + timedelta(days=10)
     assert catalog.collector.collectable(map_id(catalog), Retention(), later) == ()

@@ -38,7 +38,7 @@ def test_each_check_of_the_encoding_is_found():
         'name = "harmonic"',
         "from core.encodings.paper import PaperModel",
         "import core.encodings.harmonic.model as h",
-        "if parameters.encoding == wanted: pass",
+        "if parameters.encoding == expected: pass",
         "if encoding is other: pass",
         "{parameters.encoding: 1}",
         "rows[parameters.encoding]",

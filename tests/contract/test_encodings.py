@@ -82,7 +82,7 @@ def built(name, drive, registered):
 
 
 class TestEncodings:
-    """Each promise is asked of every encoding."""
+    """Each promise is checked for every encoding."""
 
     def test_its_name_and_layouts_lead_to_it(self, name):
         encoding = encoding_named(name)

@@ -1,4 +1,4 @@
-"""Rounded angles against the functions of double precision that they stand for."""
+"""Rounded angles against the functions of double precision that they replace."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""A file of which one bit flipped is read as it was, or refused by name, in bounded work.
+"""A file with one flipped bit is read as it was, or rejected with a named error, in bounded work.
 
 `python -m tests.support.bit_flips` does the same to every single bit.
 """
@@ -16,7 +16,7 @@ SEED = 20261122
 
 
 @pytest.mark.parametrize("name", KINDS)
-def test_one_flipped_bit_is_without_effect_or_refused(tmp_path, monkeypatch, name):
+def test_one_flipped_bit_is_without_effect_or_rejected(tmp_path, monkeypatch, name):
     path, kind = tmp_path / "file.h5", KINDS[name]
     kind.make(path)
     size, read = path.stat().st_size, [0]
@@ -29,7 +29,7 @@ def test_one_flipped_bit_is_without_effect_or_refused(tmp_path, monkeypatch, nam
     bits = np.random.default_rng(SEED).integers(0, 8 * size, FLIPS).tolist()
     ended = flipped(kind, path, bits, require_bounded)
     assert ended["refused"] > FLIPS // 20
-    if "chunk" not in name:  # of returns the digest is in the catalog, and `ScanReader` asks it
+    if "chunk" not in name:  # the digest of returns is in the catalog, where `ScanReader` checks it
         assert not ended["other content"], ended
 
 

@@ -1,4 +1,4 @@
-"""The algebra of the harmonic encoding: turns are phases, the bound is one, the norm is energy."""
+"""The algebra of the harmonic encoding: yaw is a phase, the bound is one, the norm is energy."""
 
 import numpy as np
 import pytest
@@ -21,7 +21,7 @@ measures = st.sampled_from(list(Distance))
 
 
 def images_of(seed, count, columns=COLUMNS):
-    """Return images with one thing that stands out in each, so that a heading can be told."""
+    """Return images with one bright cell in each, so that the relative yaw is unique."""
     rng = np.random.default_rng(seed)
     images = rng.uniform(0.0, 1.0, size=(count, ROWS, columns))
     images[np.arange(count), rng.integers(0, ROWS, count), rng.integers(0, columns, count)] = 9.0
@@ -73,17 +73,17 @@ def test_the_harmonics_are_orthonormal_and_all_of_them_keep_all_the_energy(colum
 
 
 @given(seeds, st.integers(-COLUMNS, COLUMNS))
-def test_a_turn_by_s_columns_multiplies_harmonic_m_by_a_phase(seed, s):
+def test_a_yaw_of_s_columns_multiplies_harmonic_m_by_a_phase(seed, s):
     [image] = images_of(seed, 1)
     u = leading_basis(row_gram(image[None]), 3)
-    turned = np.roll(image, -s, axis=1)  # counter-clockwise: what stood at s now stands ahead
-    np.testing.assert_allclose(row_gram(turned[None]), row_gram(image[None]), rtol=1e-12)
+    rolled = np.roll(image, -s, axis=1)  # counter-clockwise: column s is now ahead
+    np.testing.assert_allclose(row_gram(rolled[None]), row_gram(image[None]), rtol=1e-12)
     phases = np.exp(2j * np.pi * np.arange(5) * s / COLUMNS)
-    np.testing.assert_allclose(encode(turned, u, 5), encode(image, u, 5) * phases, atol=1e-9)
+    np.testing.assert_allclose(encode(rolled, u, 5), encode(image, u, 5) * phases, atol=1e-9)
 
 
 @given(seeds, st.integers(-COLUMNS // 2 + 1, COLUMNS // 2), measures)
-def test_the_correlation_finds_the_turn_of_a_scan_of_the_map(seed, s, measure):
+def test_the_correlation_finds_the_relative_yaw_of_a_scan_of_the_map(seed, s, measure):
     images = images_of(seed, 8)
     u = leading_basis(row_gram(images), 3).astype(np.float32)
     signatures = encode(images, u, 5)[:, None].astype(np.complex64)
@@ -121,16 +121,16 @@ def test_no_rendering_is_nearer_than_its_bound(seed, measure):
 
 
 @given(seeds)
-def test_the_best_correlation_over_headings_is_that_of_a_fine_grid_of_turns(seed):
+def test_the_best_correlation_over_yaws_is_that_of_a_fine_grid_of_yaws(seed):
     model = model_of(seed, 6, 1, measure=Distance.PLAIN)
     image = images_of(seed + 1, 1)[0]
     g = encode(image, model.radial_basis, 5)
     m, w = np.arange(5), weights(COLUMNS, 5)
-    turns = np.exp(2j * np.pi * np.outer(np.arange(3600) / 3600, m))
+    yaws = np.exp(2j * np.pi * np.outer(np.arange(3600) / 3600, m))
     distances, _ = query(model, image).exact(np.arange(6))
     for row in range(6):
         G = model.signatures[row, 0].astype(np.complex128)
-        best = (turns @ (w * (g * G.conj()).sum(axis=0))).real.max()
+        best = (yaws @ (w * (g * G.conj()).sum(axis=0))).real.max()
         both = float(energy(g, COLUMNS)) + float(energy(G, COLUMNS))
         assert distances[row, 0] == pytest.approx(both - 2 * best, rel=1e-3, abs=1e-3 * both)
 

@@ -1,4 +1,4 @@
-"""Every reducer against a loop that says what it means (paper, sec. 2.1)."""
+"""Every reducer against a loop that defines it (paper, sec. 2.1)."""
 
 import math
 from collections.abc import Callable
@@ -32,16 +32,16 @@ reducers = st.sampled_from(list(RANGE_REDUCERS))
 
 
 def cell_of(point, grid):
-    """Say where a return falls, one at a time; `None` outside the grid, or too near to tell."""
+    """Return the cell of one return, whether it is in the grid, and whether it is near an edge."""
     x, y, z = (float(value) for value in point)
     elevation = math.degrees(math.atan2(z, math.hypot(x, y)))
     azimuth = math.degrees(math.atan2(y, x))
-    steps = (elevation - grid.elevation_min_deg) / grid.elevation_step_deg
-    turn = azimuth / grid.azimuth_step_deg
-    row, column = round(steps), round(turn) + round(180 / grid.azimuth_step_deg)
+    row_steps = (elevation - grid.elevation_min_deg) / grid.elevation_step_deg
+    column_steps = azimuth / grid.azimuth_step_deg
+    row, column = round(row_steps), round(column_steps) + round(180 / grid.azimuth_step_deg)
     if grid.wraps:
         column %= grid.columns
-    on_edge = any(abs(value % 1.0 - 0.5) < 1e-9 for value in (steps, turn))
+    on_edge = any(abs(value % 1.0 - 0.5) < 1e-9 for value in (row_steps, column_steps))
     return (row, column), 0 <= row < grid.rows, on_edge
 
 
@@ -76,7 +76,7 @@ def usable(points, grid):
 
 
 @given(clouds, grids, reducers)
-def test_a_reducer_keeps_what_its_name_says(points, grid, reducer):
+def test_a_reducer_keeps_what_its_name_means(points, grid, reducer):
     points = usable(points, grid)
     expected, outside = slowly_projected(points, grid, reducer)
     if outside == len(points):

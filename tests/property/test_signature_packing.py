@@ -1,4 +1,4 @@
-"""What goes over the road comes back, and nothing else is taken for it."""
+"""A packed signature is unpacked as it was, and any other bytes are rejected."""
 
 import numpy as np
 import pytest
@@ -102,7 +102,7 @@ def test_an_invalid_header_is_rejected(byte, value, message):
         ([sample(revision="")], "revision"),
     ],
 )
-def test_what_cannot_be_packed_is_rejected(signatures, message):
+def test_a_signature_that_cannot_be_packed_is_rejected(signatures, message):
     with pytest.raises(InvalidSignature, match=message):
         pack_signatures(signatures)
 

@@ -58,9 +58,9 @@ def wanderings(draw: st.DrawFn) -> FloatArray:
     """Draw a drive through a grid of streets 60 m apart, which crosses and repeats itself."""
     column, row = 0, 0
     corners = [(0.0, 0.0)]
-    for turn in draw(st.lists(st.sampled_from("NESW"), min_size=1, max_size=14)):
-        column += {"E": 1, "W": -1}.get(turn, 0)
-        row += {"N": 1, "S": -1}.get(turn, 0)
+    for direction in draw(st.lists(st.sampled_from("NESW"), min_size=1, max_size=14)):
+        column += {"E": 1, "W": -1}.get(direction, 0)
+        row += {"N": 1, "S": -1}.get(direction, 0)
         corners.append((60.0 * column, 60.0 * row))
     return along(corners, draw(steps_m))
 
@@ -102,10 +102,10 @@ def test_a_second_cut_where_drives_meet_changes_nothing(poses, length):
 
 @few
 @given(wanderings(), lengths, st.floats(-3.0, 3.0), st.floats(-1e4, 1e4))
-def test_the_graph_does_not_depend_on_the_origin_of_the_world_frame(poses, length, turn, shift_m):
+def test_the_graph_does_not_depend_on_the_origin_of_the_world_frame(poses, length, angle, shift_m):
     poses[:, :2] += np.random.default_rng(0).normal(scale=0.01, size=(len(poses), 2))  # no ties
     moved = poses.copy()
-    c, s = np.cos(turn), np.sin(turn)
+    c, s = np.cos(angle), np.sin(angle)
     moved[:, :2] = poses[:, :2] @ np.array([[c, s], [-s, c]]) + shift_m
     (here, cuts), (there, moved_cuts) = graph(trajectory(poses), length), graph(
         trajectory(moved), length
@@ -120,9 +120,11 @@ def test_the_graph_does_not_depend_on_the_origin_of_the_world_frame(poses, lengt
 @given(wanderings(), lengths)
 def test_the_graph_depends_on_no_names_times_or_headings(poses, length):
     mapped = trajectory(poses)
-    turned = poses.copy()
-    turned[:, 3:] = [0.0, 0.0, 0.0, 1.0]
-    other = Trajectory.of_drive("x", np.full(len(poses), np.nan), turned, np.arange(len(poses)) * 3)
+    same_heading = poses.copy()
+    same_heading[:, 3:] = [0.0, 0.0, 0.0, 1.0]
+    other = Trajectory.of_drive(
+        "x", np.full(len(poses), np.nan), same_heading, np.arange(len(poses)) * 3
+    )
     (here, cuts), (there, other_cuts) = graph(mapped, length), graph(other, length)
     assert cuts.tolist() == other_cuts.tolist()
     for name, array in here.arrays().items():

@@ -123,12 +123,12 @@ def corner(scans: int, at: int, step_m: float) -> FloatArray:
     return poses
 
 
-def test_a_segment_ends_where_the_drive_turns_where_poses_tell():
+def test_a_segment_ends_at_a_turn_if_poses_are_known():
     images = MemoryImages(surroundings(120, [], 5, (6, 19)), GRID)
     mapped = trajectory(corner(120, 47, 1.5))
     assert abs(turns(mapped) - 47).max() <= 2
     assert abs(cut_unequal(images, mapped, 60, PAPER) - [0, 47, 120]).max() <= 2
-    # Poses do not tell; one model explains both streets.
+    # Without poses, one model explains both streets.
     unknown = trajectory(np.full((120, 7), np.nan))
     assert cut_unequal(images, unknown, 60, PAPER).tolist() == [0, 120]
     # Too near to the beginning for a segment of at least 30.
@@ -136,17 +136,17 @@ def test_a_segment_ends_where_the_drive_turns_where_poses_tell():
     assert cut_unequal(images, early, 60, PAPER).tolist() == [0, 120]
 
 
-def test_a_bend_a_standing_vehicle_and_one_that_looks_around_are_no_turns():
+def test_a_bend_a_stationary_vehicle_and_yaw_without_a_bend_are_no_turns():
     angle = np.linspace(0.0, np.pi / 2, 150)
     bend = straight_poses(150)
     bend[:, 0], bend[:, 1] = 100.0 * np.sin(angle), 100.0 * (1.0 - np.cos(angle))
     assert not len(turns(trajectory(bend)))
-    looking = straight_poses(100)
-    looking[:, 5], looking[:, 6] = np.sin(np.arange(100) / 9.0), np.cos(np.arange(100) / 9.0)
-    assert not len(turns(trajectory(looking)))
-    standing = np.repeat(straight_poses(1), 60, axis=0)
-    standing[:, :2] += np.random.default_rng(0).uniform(-0.3, 0.3, (60, 2))
-    assert not len(turns(trajectory(standing)))
+    yawing = straight_poses(100)
+    yawing[:, 5], yawing[:, 6] = np.sin(np.arange(100) / 9.0), np.cos(np.arange(100) / 9.0)
+    assert not len(turns(trajectory(yawing)))
+    stationary = np.repeat(straight_poses(1), 60, axis=0)
+    stationary[:, :2] += np.random.default_rng(0).uniform(-0.3, 0.3, (60, 2))
+    assert not len(turns(trajectory(stationary)))
 
 
 @given(st.floats(60.0, 170.0), st.floats(-3.0, 3.0), st.sampled_from([0.5, 1.0, 2.5]))

@@ -6,8 +6,8 @@ from core.errors import TensorMapError
 from storage.files.map_file import read_map
 
 
-def whole_or_refused(path, revision):
-    """Read; return whether it was refused. Any other exception, and any other map, is a failure."""
+def whole_or_rejected(path, revision):
+    """Read; return whether it was rejected. Any other exception or map is a failure."""
     try:
         again = read_map(path)
     except TensorMapError:

@@ -32,7 +32,7 @@ def released(request, tmp_path):
 
 
 def holds(now, before):
-    """Return whether an answer says all that it said before; it may say more."""
+    """Return whether a response has all that it had before; it may have more."""
     if isinstance(before, dict):
         return isinstance(now, dict) and all(
             name in now and holds(now[name], value) for name, value in before.items()

@@ -59,7 +59,7 @@ def test_an_allocator_that_the_operator_set_up_is_left_as_it_is() -> None:
     assert page_faults(KEEP, MALLOC_TRIM_THRESHOLD_="1048576") > FEW_PAGES
 
 
-def test_what_is_there_when_a_service_starts_is_left_out_of_collections() -> None:
+def test_objects_from_before_the_start_are_left_out_of_garbage_collections() -> None:
     before = gc.get_threshold()
     loaded: list[list[int]] = [[]]
     try:

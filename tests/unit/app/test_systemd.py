@@ -17,47 +17,47 @@ def manager():
     """A socket as systemd makes one, and its environment variables."""
     with (
         tempfile.TemporaryDirectory() as folder,  # a socket's path has at most 108 bytes
-        socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as listening,
+        socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as receiver,
     ):
         address = Path(folder) / "notify"
-        listening.bind(str(address))
-        listening.setblocking(False)
-        yield listening, {"NOTIFY_SOCKET": str(address), "WATCHDOG_USEC": "40000"}
+        receiver.bind(str(address))
+        receiver.setblocking(False)
+        yield receiver, {"NOTIFY_SOCKET": str(address), "WATCHDOG_USEC": "40000"}
 
 
-def heard(listening):
+def received(receiver):
     messages = []
     while True:
         try:
-            messages.append(listening.recv(100).decode())
+            messages.append(receiver.recv(100).decode())
         except BlockingIOError:
             return messages
 
 
-def test_a_manager_hears_of_the_start_of_each_turn_and_of_the_end(manager):
-    listening, environment = manager
+def test_a_manager_is_notified_of_the_start_of_each_interval_and_of_the_end(manager):
+    receiver, environment = manager
 
     async def serve():
         async with supervised(environment):
             messages: list[str] = []
             while len(messages) < 4:
-                messages += heard(listening)
+                messages += received(receiver)
                 await asyncio.sleep(0.01)
             return messages
 
     assert asyncio.run(serve())[:4] == ["READY=1", *["WATCHDOG=1"] * 3]
-    assert heard(listening)[-1] == "STOPPING=1"
+    assert received(receiver)[-1] == "STOPPING=1"
 
 
 def test_a_blocked_loop_sends_nothing(manager):
-    listening, environment = manager
+    receiver, environment = manager
 
     async def serve():
         async with supervised(environment):
             await asyncio.sleep(0.05)
-            heard(listening)
-            time.sleep(0.2)  # ten times as long as the manager hears of us
-            return heard(listening)
+            received(receiver)
+            time.sleep(0.2)  # ten times the interval between notifications
+            return received(receiver)
 
     assert asyncio.run(serve()) == []
 
@@ -66,17 +66,17 @@ def test_a_blocked_loop_sends_nothing(manager):
     "odd",
     [{"WATCHDOG_USEC": "soon"}, {"WATCHDOG_USEC": ""}, {"WATCHDOG_PID": str(os.getpid() + 1)}],
 )
-def test_where_no_watchdog_is_wanted_of_this_process_none_is_sent(manager, odd):
-    listening, environment = manager
+def test_without_a_valid_watchdog_of_this_process_no_watchdog_message_is_sent(manager, odd):
+    receiver, environment = manager
 
     async def serve():
         async with supervised({**environment, **odd}):
             await asyncio.sleep(0.05)
 
     asyncio.run(serve())
-    assert heard(listening) == ["READY=1", "STOPPING=1"]
+    assert received(receiver) == ["READY=1", "STOPPING=1"]
 
 
 @pytest.mark.parametrize("address", ["", "relative", "/nobody/listens/here", "@nobody"])
-def test_nobody_who_listens_is_no_fault(address):
+def test_a_missing_receiver_raises_no_error(address):
     notify("READY=1", {"NOTIFY_SOCKET": address})

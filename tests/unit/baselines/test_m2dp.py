@@ -58,7 +58,7 @@ def test_both_parts_have_norm_one_and_no_negative_number():
     assert described.min() >= -1e-6
 
 
-def test_a_shifted_and_turned_cloud_is_the_same_place():
+def test_a_shifted_and_rotated_cloud_is_the_same_place():
     scan = Scan(cloud())
     moved = Condition(yaw_deg=137.0, lateral_m=4.0).apply(scan, np.random.default_rng(0))
     method = M2dp(voxel_m=0.0)

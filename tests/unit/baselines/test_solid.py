@@ -48,7 +48,7 @@ def test_places_are_compared_by_the_cosine_of_their_ranges():
     assert found is not None
     assert found.row == 1
     assert found.distance == pytest.approx(1.0 - 5.0 / np.sqrt(2.0 * 13.0))
-    # What the query sees at its azimuth 2 the place saw at 1: it is turned by -90 degrees.
+    # What the query sees at its azimuth 2 the place saw at 1: its relative yaw is -90 degrees.
     assert found.turn_deg == -90.0
 
 

@@ -17,7 +17,7 @@ def test_a_slug_is_taken(slug):
     "slug",
     ["", "A", ".", "..", "../x", "a/b", "a b", "a%2f", "-a", "_a", "ä", "a\n", "a\0", "x" * 65],
 )
-def test_what_could_be_a_path_or_a_header_is_no_slug(slug):
+def test_a_name_that_could_be_a_path_or_a_header_is_no_slug(slug):
     with pytest.raises(InvalidSlug):
         checked_slug(slug)
 

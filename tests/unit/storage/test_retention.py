@@ -59,7 +59,7 @@ def test_what_was_live_until_now_counts_from_its_replacement():
     assert to_collect(rolled_back, Retention(0, 0.0), NOW) == ("a",)
 
 
-def test_what_a_job_needs_stays():
+def test_revisions_that_a_job_needs_stay():
     history = [replace(one, needed=one.digest == "b") for one in HISTORY]
     assert to_collect(history, Retention(0, 0.0), NOW) == ("a", "c")
 

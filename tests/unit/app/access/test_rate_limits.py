@@ -57,9 +57,9 @@ def test_what_is_left_and_when_to_retry_is_reported(clock):
     }
     limits.take("fleet")
     limits.take("fleet")
-    with pytest.raises(TooManyRequests, match="wait 2 s") as refused:
+    with pytest.raises(TooManyRequests, match="wait 2 s") as rejected:
         limits.take("fleet")
-    assert refused.value.headers == {
+    assert rejected.value.headers == {
         "Retry-After": "2",
         "RateLimit-Policy": '"requests";q=3;w=6',
         "RateLimit": '"requests";r=0;t=6',
@@ -74,9 +74,9 @@ def test_a_bucket_of_bytes_takes_many_at_once_or_none(clock):
         "RateLimit-Policy": '"bytes";q=1000;qu="content-bytes";w=100',
         "RateLimit": '"bytes";r=400;t=60',
     }
-    refused = r"1000 bytes of request bodies a day .* wait 20 s"
+    rejected = r"1000 bytes of request bodies a day .* wait 20 s"
     for check_only in (False, True):
-        with pytest.raises(TooManyRequests, match=refused):
+        with pytest.raises(TooManyRequests, match=rejected):
             limits.take("fleet", 600, check_only=check_only)
     assert limits.take("fleet", 400, check_only=True) == limits.take("fleet", 0)
     with pytest.raises(TooManyRequests, match="wait 60 s"):  # never fits, whatever the wait
@@ -113,6 +113,6 @@ def test_a_sender_that_waits_as_long_as_reported_is_allowed(rate, burst):
         limits.take("fleet")
     try:
         limits.take("fleet")
-    except TooManyRequests as refused:
-        clock.now_s += int(refused.headers["Retry-After"])
+    except TooManyRequests as rejected:
+        clock.now_s += int(rejected.headers["Retry-After"])
     assert takes(limits, "fleet")

@@ -45,10 +45,10 @@ def test_a_plan_names_the_drives_the_basis_and_every_parameter(store, map_id):
 def test_to_plan_reads_no_array_of_the_live_map(store, map_id, monkeypatch):
     build_revision(store, map_id, plan_build(store, map_id, BuildParameters(segments=2)))
 
-    def refused(*_):
+    def fail(*_):
         raise AssertionError("an array is read")
 
-    monkeypatch.setattr(ContiguousDataset, "rows", refused)
+    monkeypatch.setattr(ContiguousDataset, "rows", fail)
     assert (
         plan_build(store, map_id, BuildParameters(base="live", refit=True)).basis_kept_from is None
     )
@@ -61,13 +61,13 @@ def test_a_plan_is_the_same_after_it_was_stored(store, map_id):
     assert Plan.model_validate(store.jobs.get(job.id).plan) == plan
 
 
-def test_what_comes_after_it_was_planned_is_not_built(store, map_id):
+def test_scans_added_after_the_plan_are_not_built(store, map_id):
     plan = plan_build(store, map_id, BuildParameters(segments=2))
     put(store, "tuesday")
     assert build_revision(store, map_id, plan).parameters["drives"] == ["monday"]
 
 
-def test_what_is_gone_since_it_was_planned_fails_the_build_by_name(store, map_id):
+def test_a_build_fails_with_the_name_of_what_was_deleted_after_the_plan(store, map_id):
     first = build_revision(store, map_id, plan_build(store, map_id, BuildParameters(segments=2)))
     plan = plan_build(store, map_id, BuildParameters(segments=3))
     expected = BuildParameters(segments=3, refit=True, make_live=True, force=True)

@@ -71,7 +71,7 @@ def test_loops_are_searched_among_earlier_scans(folders, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("options", "says"),
+    ("options", "message"),
     [
         (["--methods", "orb"], "no method 'orb'; known are paper, harmonic"),
         (["--methods", "solid,solid"], "each once"),
@@ -85,12 +85,12 @@ def test_loops_are_searched_among_earlier_scans(folders, tmp_path):
         (["--tolerance-m", "0"], "metres above 0"),
     ],
 )
-def test_wrong_input_is_named(folders, options, says):
-    with pytest.raises(InvalidParameters, match=says):
+def test_invalid_input_is_rejected_with_a_message(folders, options, message):
+    with pytest.raises(InvalidParameters, match=message):
         run("compare", folders / "monday", "--methods", "solid", *options)
 
 
-def test_a_list_that_is_none_and_a_path_that_cannot_be_written_are_rejected(folders, tmp_path):
+def test_an_invalid_list_and_a_path_that_cannot_be_written_are_rejected(folders, tmp_path):
     for options in (["--yaw-deg", "north"], ["--json", tmp_path / "no" / "such.json"]):
         with pytest.raises(SystemExit):
             run("compare", folders / "monday", *options)

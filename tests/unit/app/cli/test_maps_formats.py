@@ -48,7 +48,7 @@ def test_a_folder_of_text_is_built_and_a_scan_in_other_records_localized(folder,
         run("localize", out, tmp_path / "5.bin", "--format", "ncl")
 
 
-def test_a_capture_is_built_turn_by_turn(tmp_path):
+def test_a_capture_is_built_with_one_scan_per_revolution(tmp_path):
     frames = [frame for payload in hdl32(turns=3.2) for frame in udp(payload, 2368)]
     (tmp_path / "monday.pcap").write_bytes(pcap(frames))
     run("build", tmp_path / "monday.pcap", "-o", tmp_path / "map.h5", "--segments", "1")

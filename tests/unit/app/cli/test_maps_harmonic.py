@@ -42,7 +42,7 @@ def test_inspect_shows_what_it_was_built_with(map_file):
     assert "harmonic" in run("inspect", map_file)
 
 
-def test_localize_tells_turn_and_offset(map_file, folder):
+def test_localize_returns_relative_yaw_and_lateral_offset(map_file, folder):
     scan = folder / "000007.bin"
     answer = json.loads(run("localize", map_file, scan, "--json"))
     best = answer["best"]
@@ -66,12 +66,12 @@ def test_a_signature_is_printed_and_packed(map_file, folder, tmp_path, options, 
     np.testing.assert_allclose(signature.values.real, shown["values_real"], atol=largest / 200)
 
 
-def test_a_segment_is_nothing_that_a_harmonic_signature_has(map_file, folder):
+def test_a_segment_of_a_harmonic_signature_is_rejected(map_file, folder):
     with pytest.raises(InvalidParameters, match="leave --segment out"):
         run("signature", map_file, folder / "000003.bin", "--segment", "0")
 
 
-def test_options_of_the_other_encoding_are_refused(folder, tmp_path):
+def test_options_of_the_other_encoding_are_rejected(folder, tmp_path):
     out = tmp_path / "map.h5"
     with pytest.raises(InvalidParameters, match="distance"):
         run("build", folder, "-o", out, "--encoding", "paper", "--distance", "plain")
@@ -82,14 +82,14 @@ def test_a_reducer_that_only_the_papers_encoding_has_chooses_it(folder, tmp_path
     assert json.loads(run("inspect", tmp_path / "map.h5", "--json"))["encoding"] == "paper"
 
 
-def test_a_build_says_that_it_is_not_calibrated_and_what_then_is_answered(folder, tmp_path):
+def test_a_build_reports_that_it_is_not_calibrated_and_then_has_no_probability(folder, tmp_path):
     path = tmp_path / "map.h5"
     assert "not calibrated" in run("build", folder, "-o", path, "--segments", "2")
     scan = folder / "000007.bin"
     answer = json.loads(run("localize", path, scan, "--json"))
     assert (answer["localized"], answer["probability"]) == (True, None)
-    wanting = json.loads(run("localize", path, scan, "--min-probability", "0.5", "--json"))
-    assert (wanting["localized"], wanting["reason"]) == (False, "not_calibrated")
+    required = json.loads(run("localize", path, scan, "--min-probability", "0.5", "--json"))
+    assert (required["localized"], required["reason"]) == (False, "not_calibrated")
     shown = run("localize", path, scan, "--min-probability", "0.5")
     assert "000007.bin is not localized: not_calibrated" in shown
 

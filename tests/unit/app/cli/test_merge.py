@@ -46,8 +46,8 @@ def maps(folders, tmp_path_factory):
 
 
 def test_merged_files_are_the_map_of_both_drives(maps, folders, tmp_path):
-    told = run("merge", *maps, "-o", tmp_path / "both.h5")
-    assert "monday, tuesday: 20 scans" in told
+    message = run("merge", *maps, "-o", tmp_path / "both.h5")
+    assert "monday, tuesday: 20 scans" in message
     run("build", *folders, "-o", tmp_path / "whole.h5", *HARMONIC, "--keep-basis", maps[0])
     merged = read_map(tmp_path / "both.h5")
     whole = read_map(tmp_path / "whole.h5")
@@ -92,7 +92,7 @@ def test_drives_in_different_world_frames_are_neither_built_nor_merged(frames, t
     assert "96 scans" in run("build", *frames, "-o", out, *HARMONIC, "--poses", "unchecked")
 
 
-def test_files_that_cannot_be_merged_are_refused_and_nothing_is_written(maps, folders, tmp_path):
+def test_files_that_cannot_be_merged_are_rejected_and_nothing_is_written(maps, folders, tmp_path):
     out = tmp_path / "out.h5"
     run("build", folders[1], "-o", tmp_path / "other.h5", *HARMONIC)
     with pytest.raises(BasisMismatch, match="build it with the first one's basis"):

@@ -58,7 +58,7 @@ def test_each_finding_is_a_line_and_a_loss_is_a_failure(data):
     assert (status, printed.count("missing: ")) == (1, 2)
 
 
-def test_what_is_left_over_alone_is_no_failure(data):
+def test_leftover_files_alone_are_no_failure(data):
     (data / "maps" / "stray").touch()
     assert ran(data)[0] == 0
     assert ran(data, "--repair")[0] == 0
@@ -67,7 +67,7 @@ def test_what_is_left_over_alone_is_no_failure(data):
     assert kept.is_file()
 
 
-def test_what_a_repair_could_not_remove_is_reported_as_left(data):
+def test_files_that_a_repair_could_not_remove_are_reported(data):
     part = data / "maps" / ".x.1.part"
     part.touch()
     with claimed(part):  # as by a process that still writes it
@@ -79,7 +79,7 @@ def test_what_a_repair_could_not_remove_is_reported_as_left(data):
     assert not part.exists()
 
 
-def test_a_folder_that_is_no_data_directory_stays_what_it_is(tmp_path):
+def test_a_folder_that_is_no_data_directory_is_not_changed(tmp_path):
     status, _, error = ran(tmp_path)
     assert (status, type(error)) == (1, StorageUnavailable)
     assert list(tmp_path.iterdir()) == []
@@ -113,7 +113,7 @@ def test_an_incomplete_backup_names_its_file_and_fails(data, tmp_path):
     assert f"incomplete: it is in {beside}, and {whole} is unchanged" in second.stderr
 
 
-def test_a_repair_is_its_owners(data, monkeypatch):
+def test_a_repair_by_another_user_is_rejected(data, monkeypatch):
     monkeypatch.setattr("os.geteuid", lambda: data.stat().st_uid + 1)
     _, _, error = ran(data, "--repair")
     assert isinstance(error, InvalidParameters)

@@ -36,12 +36,12 @@ def test_poses_that_are_left_out_are_unknown() -> None:
     np.testing.assert_array_equal(found.poses, [[1, 2, 3, 0, 0, 0, 1], [nan] * 7])
 
 
-def test_a_pose_beyond_every_frame_of_the_earth_is_refused_in_a_file_too() -> None:
+def test_a_pose_beyond_every_frame_of_the_earth_is_rejected_in_a_file_too() -> None:
     with pytest.raises(InvalidPose, match="line 2: a pose is 1e"):
         read_poses(b"1 1 1 1 0 0 0 1\n2 1e9 1 1 0 0 0 1\n", TUM)
 
 
 @pytest.mark.parametrize("lines", [b"", b"\n", b" \n\n"])
-def test_a_table_without_a_line_is_refused(lines: bytes) -> None:
+def test_a_table_without_a_line_is_rejected(lines: bytes) -> None:
     with pytest.raises(InvalidPose, match="no line with a pose"):
         read_poses(b"scan,x,y,z,qx,qy,qz,qw\n" + lines, CSV)

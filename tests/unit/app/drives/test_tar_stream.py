@@ -10,7 +10,7 @@ def headers_only(count: int) -> bytes:
     return tar([(f"{index}.bin", b"") for index in range(100)])[: 512 * 100] * (count // 100)
 
 
-def test_a_tar_stream_of_headers_is_refused_and_one_of_small_files_is_read() -> None:
+def test_a_tar_stream_of_headers_is_rejected_and_one_of_small_files_is_read() -> None:
     def files(body: bytes) -> int:
         return sum(1 for _ in tar_members(body, 2**20))
 

@@ -77,14 +77,14 @@ def test_keys_that_wait_take_turns():
     asyncio.run(run())
 
 
-def test_more_than_may_wait_is_refused_first_the_key_that_has_most():
+def test_above_the_limit_of_waiting_requests_the_key_with_most_is_rejected_first():
     async def run():
         pool, gate = Pool("tests", threads=1, per_key=1, queue=4), Gate()
         tasks = [asyncio.create_task(pool.run("a", gate.work("a"))) for _ in range(3)]
         await settled(lambda: pool.waiting == 2)
-        with pytest.raises(TooManyRequests) as refused:
+        with pytest.raises(TooManyRequests) as rejected:
             await pool.run("a", gate.work("a"))
-        assert refused.value.headers["Retry-After"] == "2"
+        assert rejected.value.headers["Retry-After"] == "2"
         tasks += [asyncio.create_task(pool.run("b", gate.work("b"))) for _ in range(2)]
         await settled(lambda: pool.waiting == 4)
         with pytest.raises(ServiceBusy) as busy:
@@ -98,7 +98,7 @@ def test_more_than_may_wait_is_refused_first_the_key_that_has_most():
     asyncio.run(run())
 
 
-def test_who_leaves_while_it_waits_is_forgotten_and_the_next_one_is_served():
+def test_a_client_that_disconnects_while_it_waits_is_removed_and_the_next_one_is_served():
     async def run():
         pool, gate, client = Pool("tests", threads=1, per_key=1, queue=10), Gate(), Client()
         first = asyncio.create_task(pool.run("a", gate.work("a")))
@@ -122,7 +122,7 @@ def test_who_leaves_while_it_waits_is_forgotten_and_the_next_one_is_served():
     asyncio.run(run())
 
 
-def test_what_fails_gives_its_thread_back():
+def test_failing_work_returns_its_thread():
     async def run():
         pool = Pool("tests", threads=1, per_key=1, queue=1)
 

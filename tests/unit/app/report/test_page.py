@@ -1,4 +1,4 @@
-"""`tensormap report`: one page that parses, holds every figure and asks nothing of a network."""
+"""`tensormap report`: one page that parses, holds every figure and needs no network."""
 
 import json
 import re
@@ -179,11 +179,11 @@ def test_a_study_has_the_answers_of_the_recommended_map(study) -> None:
             assert undisturbed.right == of.answers.right[moving].sum()
 
 
-def test_a_harmonic_map_is_not_lost_in_a_turn(study) -> None:
+def test_a_harmonic_map_is_more_accurate_at_90_degrees_of_relative_yaw(study) -> None:
     by_encoding = {of.parameters.encoding: of.curve("yaw_deg") for of in study.encodings}
-    turned = by_encoding["harmonic"][-1]
-    assert turned.condition.yaw_deg == 90.0
-    assert turned.right > by_encoding["paper"][-1].right
+    at_90_deg = by_encoding["harmonic"][-1]
+    assert at_90_deg.condition.yaw_deg == 90.0
+    assert at_90_deg.right > by_encoding["paper"][-1].right
 
 
 def test_figures_can_be_of_a_chosen_setting_and_the_same_study_is_the_same_page(chosen) -> None:
@@ -224,7 +224,7 @@ def test_invalid_options_are_rejected_and_nothing_is_written(folder, tmp_path, o
     assert not out.exists()
 
 
-def test_without_what_draws_it_says_how_to_install_it_before_it_works(
+def test_without_matplotlib_and_jinja2_the_error_has_what_to_install(
     folder, tmp_path, monkeypatch
 ) -> None:
     monkeypatch.setattr(command, "find_spec", lambda name: None)
@@ -259,6 +259,6 @@ def test_the_machine_is_named_wherever_it_can_be(tmp_path) -> None:
     assert commit() is None or re.match(r"[0-9a-f]{12}|v", commit() or "")
 
 
-def test_a_table_whose_rows_do_not_fit_is_rejected() -> None:
+def test_a_table_whose_rows_do_not_have_its_columns_is_rejected() -> None:
     with pytest.raises(InvalidParameters, match="does not fit"):
         Table("t", ("a", "b"), (("1",),))

@@ -49,13 +49,13 @@ def test_a_likelihood_ratio_keeps_the_shape_and_rules_out_what_was_not_compared(
         {"threshold": np.nan},
     ],
 )
-def test_an_impossible_calibration_is_refused(part):
+def test_an_impossible_calibration_is_rejected(part):
     with pytest.raises(InvalidParameters, match=next(iter(part))):
         replace(CALIBRATION, **part)
 
 
 @pytest.mark.parametrize(("distance", "ratio"), [(-0.1, 0.5), (np.nan, 0.5), (0.1, 1.1), (0.1, -1)])
-def test_an_impossible_distance_or_ratio_is_refused(distance, ratio):
+def test_an_impossible_distance_or_ratio_is_rejected(distance, ratio):
     with pytest.raises(InvalidParameters):
         CALIBRATION.probability(distance, ratio)
 
@@ -89,7 +89,7 @@ def test_a_calibration_is_in_the_digest_and_comes_back_from_the_file(tmp_path, m
     assert again.revision == calibrated.revision
 
 
-def test_a_map_with_an_incomplete_calibration_is_refused():
+def test_a_map_with_an_incomplete_calibration_is_rejected():
     tensor_map, _ = sample_map()
     torn = {**tensor_map.attributes(), "calibration": {"floor": 0.1}}
     with pytest.raises(InvalidMap, match="calibration"):
@@ -131,6 +131,6 @@ def test_many_samples_recover_the_weights_they_were_drawn_from():
         (np.zeros((2, 1)), [True, True], "both kinds"),
     ],
 )
-def test_unusable_samples_are_refused(features, right, message):
+def test_unusable_samples_are_rejected(features, right, message):
     with pytest.raises(InvalidParameters, match=message):
         fit_logistic(features, np.array(right), np.array([True]))

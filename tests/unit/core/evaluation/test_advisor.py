@@ -52,7 +52,7 @@ def test_more_evidence_pays_for_a_larger_map() -> None:
     assert (few.ranks, many.ranks) == ((2, 2), (8, 8))
 
 
-def test_if_all_are_equally_accurate_it_says_that_the_evidence_does_not_decide() -> None:
+def test_if_all_are_equally_accurate_the_reason_is_that_the_evidence_does_not_decide() -> None:
     advice = advise(grid(lambda r1, r2: 1.0), judged=100)
     assert advice.verdict == Decision.SIZE_ONLY
     assert advice.recommended is not None
@@ -61,7 +61,7 @@ def test_if_all_are_equally_accurate_it_says_that_the_evidence_does_not_decide()
     assert any("does not decide" in reason for reason in advice.reasons)
 
 
-def test_few_scans_are_never_called_a_decision() -> None:
+def test_too_few_scans_never_give_a_decision() -> None:
     points = grid(lambda r1, r2: 0.2 if r1 == 2 else 1.0)
     assert advise(points, FEWEST_QUERIES - 1).verdict == Decision.TOO_FEW
     assert advise(points, FEWEST_QUERIES).verdict == Decision.DECIDED
@@ -76,7 +76,7 @@ def test_a_lucky_small_candidate_is_not_taken_when_larger_ranks_do_worse() -> No
     assert advice.recommended.ranks == (4, 4)
 
 
-def test_the_best_is_taken_where_nothing_confirms_anything() -> None:
+def test_the_best_is_taken_where_no_other_candidate_confirms_it() -> None:
     alone = grid(lambda r1, r2: 1.0 if (r1, r2) == (4, 4) else 0.5)
     assert advise(alone, judged=100).recommended == point(4, 4, 1.0)
 
@@ -92,7 +92,7 @@ def test_a_budget_leaves_out_what_is_larger() -> None:
     assert small.ranks == (4, 4)
 
 
-def test_a_budget_that_nothing_fits_is_named_with_the_smallest_there_is() -> None:
+def test_a_budget_that_is_too_small_is_reported_with_the_smallest_candidate() -> None:
     advice = advise(grid(lambda r1, r2: 1.0), judged=100, max_bytes_per_scan=1.0)
     assert (advice.verdict, advice.recommended) == (Decision.NOTHING_FITS, None)
     assert f"{advice.smallest_bytes_per_scan:.0f}" in advice.reasons[0]
@@ -118,10 +118,10 @@ def test_of_equally_large_and_accurate_ones_longer_segments_are_taken() -> None:
     ),
     st.integers(1, 500),
 )
-def test_the_advice_is_never_more_than_one_standard_error_below_the_best(drawn, judged) -> None:
+def test_the_advice_is_never_more_than_one_standard_error_below_the_best(drawn, queries) -> None:
     accuracy = {(r1, r2): hits / 50 for r1, r2, hits in drawn}
     points = [point(r1, r2, share) for (r1, r2), share in accuracy.items()]
-    advice = advise(points, judged)
+    advice = advise(points, queries)
     assert advice.recommended is not None
     assert advice.best is not None
     assert advice.standard_error is not None
@@ -132,9 +132,9 @@ def test_the_advice_is_never_more_than_one_standard_error_below_the_best(drawn, 
 
 
 @given(st.integers(1, 300), st.data())
-def test_a_standard_error_is_never_zero_and_falls_with_evidence(judged, data) -> None:
-    share = data.draw(st.integers(0, judged)) / judged
-    assert 0 < standard_error(share, 10 * judged) < standard_error(share, judged) < 0.5
+def test_a_standard_error_is_never_zero_and_falls_with_evidence(queries, data) -> None:
+    share = data.draw(st.integers(0, queries)) / queries
+    assert 0 < standard_error(share, 10 * queries) < standard_error(share, queries) < 0.5
 
 
 @pytest.mark.parametrize("budget", [0.0, -1.0, float("nan")])
@@ -143,6 +143,6 @@ def test_a_budget_of_nothing_is_rejected(budget) -> None:
         advise([point(2, 2, 1.0)], 10, budget)
 
 
-def test_nothing_to_choose_from_is_rejected() -> None:
+def test_an_empty_list_of_candidates_is_rejected() -> None:
     with pytest.raises(InvalidParameters, match="no candidate"):
         advise([], 10)

@@ -24,7 +24,7 @@ pytestmark = pytest.mark.slow
 
 
 class Fake:
-    """A method with given answers: query timestamp in tenths -> (place, distance, turn)."""
+    """A method with given answers: query timestamp in tenths -> (place, distance, relative yaw)."""
 
     def __init__(self, answers, name="fake"):
         self.name, self.answers, self.queried = name, answers, []
@@ -90,7 +90,7 @@ def test_no_answer_and_no_description_are_wrong():
     assert row.max_f1[3.0] == pytest.approx(0.5)
 
 
-def test_the_heading_is_that_of_the_turned_vehicle():
+def test_the_heading_includes_the_yaw_of_the_condition():
     drive = line([0.0, 1.0, 2.0, 3.0])
     fake = Fake({1: (0, 0.1, 88.0), 3: (1, 0.1, None)})
     protocol = ComparisonProtocol(HeldOut(Every(2)), conditions=(Condition(yaw_deg=90.0),))
@@ -128,7 +128,7 @@ def test_a_second_pass_queries_the_whole_map_with_another_drive():
 
 
 @pytest.mark.parametrize(
-    ("pairing", "query", "says"),
+    ("pairing", "query", "message"),
     [
         (HeldOut(), "b", "leave the split"),
         (SecondPass(), None, "wants a query drive"),
@@ -137,14 +137,14 @@ def test_a_second_pass_queries_the_whole_map_with_another_drive():
         (HeldOut(Every(90)), None, None),
     ],
 )
-def test_a_protocol_that_does_not_fit_the_drives_is_rejected(pairing, query, says):
+def test_a_protocol_that_does_not_fit_the_drives_is_rejected(pairing, query, message):
     drive = line([0.0, 1.0, 2.0])
-    asked = None if query is None else line([0.0], query)
-    if says is None:
-        compare(drive, [Fake({})], ComparisonProtocol(pairing), asked)
+    query_drive = None if query is None else line([0.0], query)
+    if message is None:
+        compare(drive, [Fake({})], ComparisonProtocol(pairing), query_drive)
         return
-    with pytest.raises(InvalidParameters, match=says):
-        compare(drive, [Fake({})], ComparisonProtocol(pairing), asked)
+    with pytest.raises(InvalidParameters, match=message):
+        compare(drive, [Fake({})], ComparisonProtocol(pairing), query_drive)
 
 
 def test_invalid_values_are_rejected():
@@ -241,16 +241,16 @@ def test_the_whole_is_plain_values_and_reports_its_progress():
     assert progress.done == [total for _, total in progress.stages]
 
 
-def test_ours_are_found_as_evaluate_finds_them():
+def test_our_encodings_have_the_recall_that_evaluate_reports():
     """The same held-out scans of the same map, the same recall."""
     from core.evaluation.evaluate import EvaluationProtocol, evaluate
 
     drive = sample_drive(16)
-    asked = conditions((0,), (0, 1), (0,))
+    disturbed = conditions((0,), (0, 1), (0,))
     evaluated = evaluate(
-        drive, EvaluationProtocol(segment_length=4, split=Every(2), conditions=asked)
+        drive, EvaluationProtocol(segment_length=4, split=Every(2), conditions=disturbed)
     )
-    protocol = ComparisonProtocol(HeldOut(Every(2), 4), conditions=asked)
+    protocol = ComparisonProtocol(HeldOut(Every(2), 4), conditions=disturbed)
     [compared] = compare(drive, [MappedPlaces(MapParameters(), 4)], protocol).methods
     for one, other in zip(evaluated.conditions, compared.conditions, strict=True):
         assert one.recall_at_1 == other.recall_at_1

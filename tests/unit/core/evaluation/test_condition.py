@@ -27,12 +27,12 @@ def test_a_vehicle_farther_left_sees_its_returns_farther_right():
     np.testing.assert_allclose(moved, [[10.0, -2.0, 1.0]])
 
 
-def test_a_vehicle_turned_left_sees_its_returns_turned_right():
-    turned = applied(Condition(yaw_deg=90.0), [[10.0, 0.0, 1.0]])
-    np.testing.assert_allclose(turned, [[0.0, -10.0, 1.0]], atol=1e-5)
+def test_yaw_to_the_left_rotates_the_returns_to_the_right():
+    rotated = applied(Condition(yaw_deg=90.0), [[10.0, 0.0, 1.0]])
+    np.testing.assert_allclose(rotated, [[0.0, -10.0, 1.0]], atol=1e-5)
 
 
-def test_the_vehicle_is_displaced_first_and_turned_there():
+def test_the_lateral_offset_comes_before_the_yaw():
     # p' = Rz(-30) (p - (0, 2, 0)), p = (10, 5, 1): by hand.
     c, s = np.sqrt(3.0) / 2.0, 0.5
     expected = [[c * 10.0 + s * 3.0, -s * 10.0 + c * 3.0, 1.0]]
@@ -46,9 +46,9 @@ def test_the_returns_stay_where_they_are_in_the_world(yaw_deg, lateral_m):
     points = sample_points(3)
     recorded = Rotation.from_euler("z", 40.0, degrees=True)
     pose = np.concatenate([[100.0, 50.0, 2.0], recorded.as_quat()])
-    standing = Rotation.from_euler("z", 40.0 + yaw_deg, degrees=True)
+    query_rotation = Rotation.from_euler("z", 40.0 + yaw_deg, degrees=True)
     in_world = recorded.apply(points) + pose[:3]
-    again = standing.apply(applied(condition, points)) + condition.pose(pose)[:3]
+    again = query_rotation.apply(applied(condition, points)) + condition.pose(pose)[:3]
     np.testing.assert_allclose(again, in_world, atol=1e-4)
 
 

@@ -1,4 +1,4 @@
-"""Each disturbance does what its definition says, and nothing else."""
+"""Each disturbance does what its definition requires, and nothing else."""
 
 import numpy as np
 import pytest
@@ -95,7 +95,7 @@ def test_a_ray_straight_to_the_side_meets_a_truck_at_its_near_side():
 
 
 @pytest.mark.parametrize(("text", "axis"), [("pitch:3", 1), ("roll:5", 0)])
-def test_a_tilt_turns_about_its_axis_to_either_side(around, text, axis):
+def test_a_tilt_rotates_about_its_axis_to_either_side(around, text, axis):
     degrees = float(text.partition(":")[2])
     signs = set()
     for seed in range(10):
@@ -103,13 +103,13 @@ def test_a_tilt_turns_about_its_axis_to_either_side(around, text, axis):
         np.testing.assert_allclose(ranges_m(left), ranges_m(around))
         np.testing.assert_allclose(left[:, axis], around[:, axis])
         others = [i for i in range(3) if i != axis]
-        turned = np.degrees(
+        rotated_deg = np.degrees(
             np.angle(
                 (left[:, others] @ [1, 1j]) / (around[:, others] @ [1, 1j]),
             )
         )
-        assert np.abs(np.abs(turned) - degrees).max() < 1e-6
-        signs.add(np.sign(turned[0]))
+        assert np.abs(np.abs(rotated_deg) - degrees).max() < 1e-6
+        signs.add(np.sign(rotated_deg[0]))
     assert signs == {-1.0, 1.0}
 
 
@@ -143,11 +143,11 @@ def test_beams_keep_what_is_nearest_to_them(around):
     assert apart.max() <= 0.25
 
 
-def test_skew_moves_what_is_behind_by_half_of_a_turn_and_nothing_ahead():
+def test_skew_moves_returns_behind_by_half_a_scan_and_none_ahead():
     points = np.array([[20.0, 0.0, 0.0], [-20.0, 1e-9, 0.0], [-20.0, -1e-9, 0.0]])
     left = disturbed("skew:15", points)
     np.testing.assert_allclose(left[0], points[0], atol=1e-9)
-    assert left[1, 0] == pytest.approx(-20.75, abs=0.02)  # seen at the end: the vehicle went on
+    assert left[1, 0] == pytest.approx(-20.75, abs=0.02)  # seen at the end: the vehicle moved ahead
     assert left[2, 0] == pytest.approx(-19.25, abs=0.02)  # seen at the beginning
     assert np.degrees(np.arctan2(left[1, 1], -left[1, 0])) == pytest.approx(1.5, abs=0.01)
 
@@ -172,6 +172,6 @@ def test_combinations_are_read_from_left_to_right():
         ("beams:vlp-17", "there is no sensor 'vlp-17'"),
     ],
 )
-def test_what_is_no_disturbance_is_rejected_by_name(text, message):
+def test_an_invalid_disturbance_is_rejected_by_name(text, message):
     with pytest.raises(InvalidParameters, match=message):
         parse_disturbance(text)

@@ -58,8 +58,8 @@ def test_the_figures_add_up(found, drive):
     assert found.compression.tensor_ratio == pytest.approx(
         48 * 30 * 361 / (4 * 5 * (30 + 361) + 48 * 25)
     )
-    standing = is_standing(drive.poses, drive.timestamp_s)
-    assert found.standing_scans == standing[np.arange(60) % 15 % 5 == 2].sum()
+    stationary = is_standing(drive.poses, drive.timestamp_s)
+    assert found.standing_scans == stationary[np.arange(60) % 15 % 5 == 2].sum()
     for result in found.conditions:
         assert result.refusals == 0
         assert result.errors_moving + result.errors_stationary == len(result.errors)
@@ -71,15 +71,15 @@ def test_the_figures_add_up(found, drive):
         for error in result.errors:
             assert error.segment == error.scan // 15 != error.matched_segment
             assert error.matched_scan // 15 == error.matched_segment
-            assert error.standing == standing[error.scan]
+            assert error.standing == stationary[error.scan]
             assert error.motion_surrogate >= 0
 
 
-def test_as_driven_a_neighbour_is_found_and_turned_round_it_is_not(found):
-    as_driven, turned, _ = found.conditions
+def test_a_neighbour_is_found_as_driven_and_not_at_180_degrees(found):
+    as_driven, at_180_deg, _ = found.conditions
     assert as_driven.recall_at_1[3.0] > 0.9
     assert as_driven.position_error_m_median < 3.0
-    assert turned.segment_accuracy < as_driven.segment_accuracy
+    assert at_180_deg.segment_accuracy < as_driven.segment_accuracy
 
 
 def test_an_evaluation_is_plain_json(found):
@@ -277,7 +277,7 @@ def test_unknown_places_are_queried_and_the_probabilities_checked(drive):
     assert written["unknown_drives"] == [elsewhere.name]
 
 
-def test_without_poses_no_probability_is_judged(drive):
+def test_without_poses_no_probability_is_checked(drive):
     blind = in_memory(drive, poses=False)
     found = evaluate(blind, EvaluationProtocol(segments=4))
     assert found.conditions[0].reliability is None

@@ -1,4 +1,4 @@
-"""Standing vehicles, and the surrogate of motion (paper, sec. 3)."""
+"""Stationary vehicles, and the surrogate of motion (paper, sec. 3)."""
 
 import json
 
@@ -28,9 +28,9 @@ def test_the_first_scan_is_stationary_if_the_second_has_not_moved():
     assert is_standing(at([]), np.zeros(0)).tolist() == []
 
 
-@pytest.mark.parametrize(("period_s", "standing"), [(0.1, False), (0.5, True), (0.05, False)])
-def test_the_rule_scales_with_the_time_between_scans(period_s, standing):
-    assert is_standing(at([0.0, 0.2]), np.array([0.0, period_s]))[1] == standing
+@pytest.mark.parametrize(("period_s", "stationary"), [(0.1, False), (0.5, True), (0.05, False)])
+def test_the_rule_scales_with_the_time_between_scans(period_s, stationary):
+    assert is_standing(at([0.0, 0.2]), np.array([0.0, period_s]))[1] == stationary
 
 
 @pytest.mark.parametrize("times", [[0.0, np.nan], [np.nan, np.nan], [5.0, 5.0], [5.0, 1.0]])
@@ -48,13 +48,13 @@ def test_a_vehicle_of_unknown_pose_counts_as_moving():
 def test_the_surrogate_is_the_norm_of_the_change_in_six_numbers():
     poses = at([0.0, 3.0, 3.0])
     poses[1:, 3:] = Rotation.from_euler("z", 4.0, degrees=False).as_quat()
-    turned = 2 * np.pi - 4.0
-    expected = np.hypot(3.0, turned)
+    angle_change = 2 * np.pi - 4.0
+    expected = np.hypot(3.0, angle_change)
     np.testing.assert_allclose(motion_surrogate(poses), [expected, expected, 0.0], atol=1e-12)
 
 
 @pytest.mark.parametrize("axis", ["x", "z"])
-def test_the_surrogate_takes_the_short_way_round_half_a_turn(axis):
+def test_the_surrogate_takes_the_short_way_round_180_degrees(axis):
     poses = at([0.0, 0.0])
     poses[0, 3:] = Rotation.from_euler(axis, 179.0, degrees=True).as_quat()
     poses[1, 3:] = Rotation.from_euler(axis, -179.0, degrees=True).as_quat()

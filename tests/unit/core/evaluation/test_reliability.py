@@ -64,7 +64,7 @@ def test_refusals_are_counted_among_right_wrong_and_unknown():
     assert found.ece_mixed == pytest.approx(gaps)
 
 
-def test_without_unknown_places_only_the_known_are_judged():
+def test_without_unknown_places_only_the_known_are_counted():
     found = reliability([Outcome(0.9, localized=True, right=True)], [])
     assert found.auroc is None
     assert found.ece_mixed is None

@@ -28,7 +28,7 @@ def test_equal_scores_are_accepted_together():
     assert (curve.precision.tolist(), curve.recall.tolist()) == ([0.5], [1.0])
 
 
-def test_what_was_not_answered_is_missed():
+def test_an_unanswered_query_counts_as_missed():
     scores = np.array([-1.0, -np.inf])
     curve = precision_recall(scores, np.array([True, False]), findable=2)
     assert curve.max_f1 == pytest.approx(2 / 3)

@@ -89,14 +89,14 @@ def unknown(poses):
     return np.full_like(poses, np.nan)
 
 
-def moved(x_m=0.0, turn=None):
+def moved(x_m=0.0, rotation=None):
     """Return a function that transforms poses to another frame."""
-    turn = Rotation.identity() if turn is None else turn
+    rotation = Rotation.identity() if rotation is None else rotation
 
     def change(poses):
         rows = poses.copy()
-        rows[:, :3] = turn.apply(rows[:, :3]) + np.array([x_m, 0.0, 0.0])
-        rows[:, 3:] = (turn * Rotation.from_quat(rows[:, 3:])).as_quat()
+        rows[:, :3] = rotation.apply(rows[:, :3]) + np.array([x_m, 0.0, 0.0])
+        rows[:, 3:] = (rotation * Rotation.from_quat(rows[:, 3:])).as_quat()
         return rows
 
     return change
@@ -113,16 +113,16 @@ def test_drives_of_one_frame_agree_although_they_drift_apart(images, parameters,
 @pytest.mark.parametrize(
     ("x_m", "turn_deg"), [(500.0, 30.0), (20.0, 0.0), (0.0, 180.0), (1e6, -90.0)]
 )
-def test_a_frame_that_is_turned_or_moved_is_found_with_its_transform(
+def test_a_frame_that_is_rotated_or_moved_is_found_with_its_transform(
     images, parameters, x_m, turn_deg
 ):
-    turn = Rotation.from_euler("z", turn_deg, degrees=True)
-    (check,) = checked(images, parameters, monday=unchanged, tuesday=moved(x_m, turn))
+    rotation = Rotation.from_euler("z", turn_deg, degrees=True)
+    (check,) = checked(images, parameters, monday=unchanged, tuesday=moved(x_m, rotation))
     found = check.disagreement
     assert found is not None
     assert found.others == ("monday",)
     own = images["tuesday"][0].poses[:, :3].copy()
-    as_given = moved(x_m, turn)(images["tuesday"][0].poses)[:, :3]
+    as_given = moved(x_m, rotation)(images["tuesday"][0].poses)[:, :3]
     rows = [scan for scan, *_ in found.scans]
     off_m = np.linalg.norm(found.transform.apply(as_given) - own, axis=1)[rows]
     assert off_m.max() < 3.0
@@ -152,13 +152,13 @@ def test_drives_that_never_meet_have_a_note_only(images, parameters):
 
 
 def test_only_the_drive_in_another_frame_is_named(images, parameters):
-    turn = Rotation.from_euler("z", 30.0, degrees=True)
+    rotation = Rotation.from_euler("z", 30.0, degrees=True)
     elsewhere, tuesday = checked(
         images,
         parameters,
         monday=unchanged,
         elsewhere=moved(1000.0),
-        tuesday=moved(500.0, turn),
+        tuesday=moved(500.0, rotation),
     )
     assert elsewhere.disagreement is None
     assert tuesday.disagreement is not None
@@ -184,8 +184,8 @@ def test_checking_reports_its_progress(images, parameters):
 def test_a_consensus_is_found_among_mostly_wrong_matches(level):
     rng = np.random.default_rng(1)
     points = rng.uniform(0.0, 300.0, (100, 3)) * [1.0, 1.0, 0.02]
-    turn = Rotation.from_euler("z", 40.0, degrees=True)
-    matched = turn.apply(points) + np.array([500.0, -20.0, 1.0])
+    rotation = Rotation.from_euler("z", 40.0, degrees=True)
+    matched = rotation.apply(points) + np.array([500.0, -20.0, 1.0])
     matched += rng.normal(scale=0.5, size=(100, 3))
     wrong = np.arange(100) >= 40
     matched[wrong] = rng.uniform(0.0, 300.0, (60, 3))

@@ -102,7 +102,7 @@ def test_k_beyond_the_map_returns_every_scan_once(made, localizer):
 
 
 @pytest.mark.parametrize("k", [0, -1])
-def test_k_below_one_is_refused(made, localizer, k):
+def test_k_below_one_is_rejected(made, localizer, k):
     with pytest.raises(InvalidParameters, match=f"k is {k}"):
         localizer.localize_image(sample_image(made[0], made[1][0]), k)
 
@@ -149,7 +149,7 @@ def changed(signature, **changes):
 
 
 @pytest.mark.parametrize("revision", ["", "f" * 64, "{own:.15}", "{own}0", "{own:.63}g", "{other}"])
-def test_a_signature_of_another_revision_is_refused_and_names_this_one(made, localizer, revision):
+def test_a_signature_of_another_revision_is_rejected_and_names_this_one(made, localizer, revision):
     other, _ = sample_map(seed=9)
     text = revision.format(own=made[0].revision, other=other.revision)
     signature = changed(signatures_of(localizer, made[1][0])[0], revision=text)
@@ -163,7 +163,7 @@ def test_the_first_digits_of_a_revision_name_it(made, localizer, digits):
     assert localizer.localize_signatures([signature]).revision == made[0].revision
 
 
-def test_signatures_that_cannot_be_answered_are_refused(made, localizer):
+def test_signatures_that_cannot_be_answered_are_rejected(made, localizer):
     first, second, *_ = signatures_of(localizer, made[1][0])
     with pytest.raises(InvalidSignature, match="no signature"):
         localizer.localize_signatures([])
@@ -175,13 +175,13 @@ def test_signatures_that_cannot_be_answered_are_refused(made, localizer):
         localizer.localize_signatures([changed(first, segment=6)])
 
 
-def test_an_image_on_another_grid_is_refused(localizer):
+def test_an_image_on_another_grid_is_rejected(localizer):
     image = Image(np.ones((30, 361), np.float32), AngularGrid())
     with pytest.raises(SensorMismatch, match="the image is on"):
         localizer.localize_image(image)
 
 
-def test_an_image_of_the_same_shape_but_other_angles_is_refused(made, localizer):
+def test_an_image_of_the_same_shape_but_other_angles_is_rejected(made, localizer):
     grid = AngularGrid(-20.0, 10.0, 6, 20.0)
     assert grid.shape == made[0].parameters.grid.shape
     with pytest.raises(SensorMismatch):
@@ -260,7 +260,7 @@ def test_packed_signatures_find_what_the_whole_ones_do():
     assert same >= 0.99 * len(queries)
 
 
-def test_a_map_whose_parts_do_not_fit_is_refused(made):
+def test_a_map_whose_parts_do_not_fit_is_rejected(made):
     tensor_map, _ = made
     short = tensor_map.trajectory.select(np.arange(47))
     node_beyond = Topology(

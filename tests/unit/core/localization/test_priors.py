@@ -170,12 +170,12 @@ def test_segments_need_no_poses():
 
 
 @pytest.mark.parametrize("named", [ScanOfMap("smooth", 999), ScanOfMap("other", 1)])
-def test_a_fix_that_the_map_does_not_have_is_refused(made, named):
+def test_a_fix_that_the_map_does_not_have_is_rejected(made, named):
     with pytest.raises(InvalidParameters, match="no scan"):
         MapPrior(Priors(odometry=OdometryPrior(named, 1.0, 1.0)), made)
 
 
-def test_a_segment_that_the_map_does_not_have_is_refused(made):
+def test_a_segment_that_the_map_does_not_have_is_rejected(made):
     with pytest.raises(UnknownSegment):
         MapPrior(Priors(segments=(7,)), made)
 
@@ -194,6 +194,6 @@ def test_a_segment_that_the_map_does_not_have_is_refused(made):
         lambda: Priors(segments=()),
     ],
 )
-def test_an_impossible_prior_is_refused(make):
+def test_an_impossible_prior_is_rejected(make):
     with pytest.raises(InvalidParameters):
         make()

@@ -64,8 +64,8 @@ def test_a_true_closure_is_found_with_heading_and_offset(row, offset_m, reverse)
     assert found.probability > 0.95  # 0.99 accepts: a few true ones are left undecided
     assert found.turn_deg is not None
     assert found.lateral_m is not None
-    turned = 180.0 if reverse else 0.0
-    assert abs((found.turn_deg - turned + 180.0) % 360.0 - 180.0) <= 3.0
+    expected_deg = 180.0 if reverse else 0.0
+    assert abs((found.turn_deg - expected_deg + 180.0) % 360.0 - 180.0) <= 3.0
     assert found.lateral_m == pytest.approx(left_of_m(first.poses[row], second.poses[at]), abs=0.75)
 
 
@@ -103,10 +103,10 @@ def test_the_order_of_returns_and_the_sensor_height_change_nothing():
     assert higher.probability == pytest.approx(plain.probability, abs=1e-3)
 
 
-def test_scans_without_structure_are_refused_or_do_not_overlap():
-    road = Scan(np.array([[5.0, 0.0, -HEIGHT_M], [0.0, 9.0, -HEIGHT_M]]))
+def test_scans_without_structure_are_rejected_or_do_not_overlap():
+    flat = Scan(np.array([[5.0, 0.0, -HEIGHT_M], [0.0, 9.0, -HEIGHT_M]]))
     with pytest.raises(InvalidScan, match="above the ground"):
-        check_scans(road, drive().scan(0), HEIGHT_M)
+        check_scans(flat, drive().scan(0), HEIGHT_M)
     kerb = Scan(np.array([[5.0, 0.0, -HEIGHT_M + 0.2]]))
     assert len(structure_m(kerb, HEIGHT_M)) == 0
     found = align_views(kerb, drive().scan(0), np.zeros(1), HEIGHT_M)

@@ -209,7 +209,7 @@ def test_images_are_joined_on_one_grid_only():
         MemoryImages(random_images(1, SMALL_GRID.shape), AngularGrid())
 
 
-def test_projecting_a_drive_skips_what_cannot_be_used_and_says_why():
+def test_projecting_a_drive_skips_unusable_scans_and_reports_why():
     drive = FaultyDrive(sample_drive(8), {2, 5})
     progress = RecordedProgress()
     projected = project_drive(drive, np.arange(1, 8), Imager(SMALL_GRID, Reducer.MEAN), progress)

@@ -214,8 +214,8 @@ def test_every_rendering_finds_its_scan_and_its_viewpoint():
     assert isinstance(grid, RingGrid)
     for row in range(0, 20, 3):
         for rendering, left_m in enumerate((-2.0, 0.0, 2.0)):
-            turned = np.roll(images[row, rendering], -5, axis=1)
-            found = localizer.localize_image(Image(turned, grid))
+            rolled = np.roll(images[row, rendering], -5, axis=1)
+            found = localizer.localize_image(Image(rolled, grid))
             assert found.best.row == row
             assert found.best.lateral_m == pytest.approx(left_m, abs=1e-9)
             assert found.best.relative_yaw_deg == pytest.approx(5 * 20, abs=2)
@@ -240,8 +240,8 @@ def test_a_vehicle_with_an_offset_and_relative_yaw_is_found_at_its_place(
         error = (heading_deg(estimate[None]) - heading_deg(truth[None]) + 180) % 360 - 180
         assert abs(error) < 0.6
         assert best.heading_deg == pytest.approx(heading_deg(estimate[None])[0])
-        turn = (best.relative_yaw_deg - yaw_deg + 180) % 360 - 180
-        assert abs(turn) < 0.6
+        yaw_error = (best.relative_yaw_deg - yaw_deg + 180) % 360 - 180
+        assert abs(yaw_error) < 0.6
 
 
 @pytest.mark.parametrize(
@@ -253,19 +253,19 @@ def test_a_vehicle_with_an_offset_and_relative_yaw_is_found_at_its_place(
         {"ranks": (3, 7)},
     ],
 )
-def test_every_choice_finds_a_turned_neighbour(drive, options):
+def test_every_choice_finds_a_neighbour_with_relative_yaw(drive, options):
     localizer = Localizer(map_of(drive, **options))
     condition = Condition(yaw_deg=75.0)
-    near, turns = [], []
+    near, heading_errors_deg = [], []
     for index in range(1, 60, 4):
         scan = condition.apply(drive.scan(index), np.random.default_rng(0))
         best = localizer.localize_scan(scan).best
         near.append(abs(best.scan_index - index) <= 2)
         assert best.heading_deg is not None
         truth = heading_deg(condition.pose(drive.poses[index])[None])[0]
-        turns.append(abs((best.heading_deg - truth + 180) % 360 - 180))
+        heading_errors_deg.append(abs((best.heading_deg - truth + 180) % 360 - 180))
     assert np.mean(near) >= 0.9
-    assert np.median(turns) < 3
+    assert np.median(heading_errors_deg) < 3
 
 
 def test_without_poses_relative_yaw_and_offset_are_still_estimated():

@@ -48,7 +48,7 @@ def test_rings_are_half_open_and_what_lies_beyond_the_last_is_left_out():
 @pytest.mark.parametrize(
     ("azimuth_deg", "column"), [(0, 0), (-0.4, 0), (1, 1), (-1, 359), (180, 180), (-179.9, 180)]
 )
-def test_azimuths_are_counted_from_ahead_and_a_turn_has_no_seam(azimuth_deg, column):
+def test_azimuths_are_counted_from_ahead_and_the_image_has_no_seam(azimuth_deg, column):
     phi = np.radians(azimuth_deg)
     point = [[10 * np.cos(phi), 10 * np.sin(phi), 1.0]]
     image = project_heights(Scan(np.array(point)), RingGrid(), Reducer.MEAN, 1.0)

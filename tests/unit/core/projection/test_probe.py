@@ -26,13 +26,13 @@ RENDERED = Imager(RingGrid(), Reducer.MEAN, 1.73, (-3.0, 0.0, 3.0))
 NOWHERE = np.full((1, 7), np.nan)
 
 
-def standing_alone(position, imager):
-    """Return where a probe of a scan stands of which nobody knows where it was taken."""
+def displacement_alone(position, imager):
+    """Return the displacement of a probe of a scan whose pose is unknown."""
     return displacement_of_probe(position, imager, NOWHERE, 0)
 
 
 def probe_alone(scan, position, imager):
-    return probe_scan(scan, position, imager, standing_alone(position, imager))
+    return probe_scan(scan, position, imager, displacement_alone(position, imager))
 
 
 def test_a_probe_is_the_same_however_often_it_is_made():
@@ -46,7 +46,7 @@ def test_a_probe_is_at_its_displacement_but_for_noise():
     above_cars = np.array([[30.0, 2.0, 20.0], [-20.0, 15.0, 20.0]])
     for imager, most_m in ((RENDERED, 0.5), (ALONE, 0.05)):
         for position in range(20):
-            _, left_m, turn_deg = standing_alone(position, imager)
+            _, left_m, turn_deg = displacement_alone(position, imager)
             seen = seen_from_beside(np.repeat(above_cars, 500, axis=0), left_m, turn_deg)
             probe = probe_alone(Scan(np.repeat(above_cars, 500, axis=0)), position, imager)
             off_m = probe.points_m - seen
@@ -55,8 +55,8 @@ def test_a_probe_is_at_its_displacement_but_for_noise():
 
 
 def test_probes_of_renderings_have_any_heading_and_those_of_the_papers_map_are_as_driven():
-    rendered = np.array([standing_alone(i, RENDERED) for i in range(400)])
-    alone = np.array([standing_alone(i, ALONE) for i in range(400)])
+    rendered = np.array([displacement_alone(i, RENDERED) for i in range(400)])
+    alone = np.array([displacement_alone(i, ALONE) for i in range(400)])
     assert -3.5 <= rendered[:, 1].min() < -3.0
     assert 3.0 < rendered[:, 1].max() <= 3.5
     assert rendered[:, 2].min() < -170.0
@@ -71,10 +71,10 @@ def test_a_probe_is_moved_towards_the_next_searched_scan_and_never_far():
     poses[:, 1] = [0.0, 0.5, 2.0, 4.0, 90.0]
 
     def ahead_m(row):
-        stands = np.array([displacement_of_probe(i, ALONE, poses, row) for i in range(200)])
-        beside = np.array([standing_alone(i, ALONE) for i in range(200)])
-        np.testing.assert_allclose(stands[:, 1:], beside[:, 1:], atol=1e-9)
-        return stands[:, 0]
+        displaced = np.array([displacement_of_probe(i, ALONE, poses, row) for i in range(200)])
+        beside = np.array([displacement_alone(i, ALONE) for i in range(200)])
+        np.testing.assert_allclose(displaced[:, 1:], beside[:, 1:], atol=1e-9)
+        return displaced[:, 0]
 
     first = ahead_m(0)
     assert 0.5 <= first.min() < 0.6  # the second scan is left out with it
@@ -85,7 +85,7 @@ def test_a_probe_is_moved_towards_the_next_searched_scan_and_never_far():
     assert ahead_m(4).min() >= -6.0
     assert np.ptp(ahead_m(4)) > 3.0
     unknown = displacement_of_probe(3, ALONE, np.vstack([poses[:1], NOWHERE]), 1)
-    assert unknown == standing_alone(3, ALONE)
+    assert unknown == displacement_alone(3, ALONE)
 
 
 def test_a_car_hides_what_is_behind_it_and_nothing_else():
@@ -93,7 +93,7 @@ def test_a_car_hides_what_is_behind_it_and_nothing_else():
     low = np.column_stack([15 * np.cos(azimuth), 15 * np.sin(azimuth), np.full(720, -1.6)])
     shortened = 0
     for position in range(30):
-        _, left_m, turn_deg = standing_alone(position, RENDERED)
+        _, left_m, turn_deg = displacement_alone(position, RENDERED)
         seen = seen_from_beside(low, left_m, turn_deg)
         probe = probe_alone(Scan(low.astype(np.float32)), position, RENDERED).points_m
         moved = np.hypot(*seen.T[:2]) - np.hypot(*probe.T[:2]) > 3.0
@@ -101,15 +101,15 @@ def test_a_car_hides_what_is_behind_it_and_nothing_else():
         # What is hidden is now in front, in the same direction from where it was recorded.
         back = seen_from_beside(probe, 0.0, -turn_deg) + np.array([0.0, left_m, 0.0])
         assert (np.hypot(*back[moved, :2].T) < 14.0).all()
-        turned = np.arctan2(back[moved, 1], back[moved, 0]) - np.arctan2(*low[moved, 1::-1].T)
-        assert (np.abs((turned + np.pi) % (2 * np.pi) - np.pi) < 0.6).all()  # noise, near by
+        rotation = np.arctan2(back[moved, 1], back[moved, 0]) - np.arctan2(*low[moved, 1::-1].T)
+        assert (np.abs((rotation + np.pi) % (2 * np.pi) - np.pi) < 0.6).all()  # noise, near by
     assert 10 <= shortened < 30
 
 
-def test_a_probe_that_nothing_is_left_of_has_no_image():
+def test_a_probe_without_returns_has_no_image():
     far = Scan(np.array([[79.99, 0.0, 1.0]]))
     assert any(
-        probe_image(far, i, RENDERED, standing_alone(i, RENDERED)) is None for i in range(20)
+        probe_image(far, i, RENDERED, displacement_alone(i, RENDERED)) is None for i in range(20)
     )
 
 
@@ -128,13 +128,13 @@ def test_a_drive_is_probed_as_it_is_projected_and_unusable_scans_are_left_out():
     drive = FaultyDrive(sample_drive(12), {3, 4})
     projected = project_drive(drive, np.arange(0, 12), ALONE)
     assert projected.probed.tolist() == projected.scans.tolist() == [0, 1, 2, *range(5, 12)]
-    stands = displacement_of_probe(5, ALONE, drive.poses, 5)
-    expected = probe_image(drive.scan(5), 5, ALONE, stands)
+    displacement = displacement_of_probe(5, ALONE, drive.poses, 5)
+    expected = probe_image(drive.scan(5), 5, ALONE, displacement)
     assert expected is not None
     assert (projected.probes.read(3, 4)[0] == expected.cells).all()
     probes = projected.probes_of_map()
     assert probes.rows.tolist() == list(range(10))
-    assert probes.standing[3].tolist() == list(stands)
+    assert probes.standing[3].tolist() == list(displacement)
 
 
 def test_probes_of_several_drives_follow_each_other():
@@ -148,10 +148,10 @@ def test_probes_of_several_drives_follow_each_other():
 
 
 @pytest.mark.parametrize(
-    ("rows", "standing"),
+    ("rows", "displacements"),
     [([0], np.zeros((2, 3))), ([1, 0], np.zeros((2, 3))), ([0, 1], np.full((2, 3), np.nan))],
 )
-def test_probes_that_do_not_fit_together_are_rejected(rows, standing):
+def test_probes_that_do_not_fit_together_are_rejected(rows, displacements):
     images = MemoryImages(random_images(2, SMALL_GRID.shape), SMALL_GRID)
     with pytest.raises(InvalidParameters):
-        Probes(np.array(rows), standing, images)
+        Probes(np.array(rows), displacements, images)

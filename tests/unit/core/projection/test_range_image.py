@@ -133,7 +133,7 @@ def test_each_azimuth_of_a_grid_lands_in_its_own_column(step_deg):
         assert cells == [(25, j) for j in list(inner)[:40]]
 
 
-def test_beams_stand_where_the_datasheets_say():
+def test_beams_have_the_elevations_of_the_datasheets():
     assert SENSORS["vlp-16"].grid.elevations_deg.tolist() == list(range(-15, 16, 2))
     hdl_32e = SENSORS["hdl-32e"].grid.elevations_deg
     assert hdl_32e[[0, -1]].round(2).tolist() == [-30.67, 10.67]

@@ -23,8 +23,8 @@ def test_returns_seen_from_beside_lie_where_they_did(left_m, turn_deg, yaw_deg):
         atol=1e-9,
     )
     assert left_of_m(recorded, there) == pytest.approx(left_m, abs=1e-9)
-    turned = heading_deg(there[None])[0] - yaw_deg - turn_deg
-    assert (turned + 180) % 360 - 180 == pytest.approx(0, abs=1e-6)
+    rotation = heading_deg(there[None])[0] - yaw_deg - turn_deg
+    assert (rotation + 180) % 360 - 180 == pytest.approx(0, abs=1e-6)
 
 
 @given(
@@ -36,9 +36,9 @@ def test_a_pose_beside_is_what_rotations_make_of_it(numbers, left_m, ahead_m, tu
     at_m, recorded = np.array([3.0, -2.0, 1.0]), Rotation.from_quat(numbers)
     row = np.concatenate([at_m, recorded.as_quat()])
     there = pose_beside(row, left_m, turn_deg, ahead_m)
-    turned = recorded * Rotation.from_euler("z", turn_deg, degrees=True)
+    rotation = recorded * Rotation.from_euler("z", turn_deg, degrees=True)
     np.testing.assert_allclose(there[:3], at_m + recorded.apply([ahead_m, left_m, 0]), atol=1e-12)
-    assert (turned.inv() * Rotation.from_quat(there[3:])).magnitude() < 1e-7
+    assert (rotation.inv() * Rotation.from_quat(there[3:])).magnitude() < 1e-7
     assert there[6] >= 0.0
     beside_m = places_beside_m(row[None], np.array([left_m]))[0, 0]
     np.testing.assert_allclose(beside_m, pose_beside(row, left_m)[:3], atol=1e-12)

@@ -1,4 +1,4 @@
-"""Scans hold returns that can be, and say what was wanted."""
+"""Scans hold possible returns only, and errors have what was expected."""
 
 import math
 

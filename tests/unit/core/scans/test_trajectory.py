@@ -1,4 +1,4 @@
-"""Trajectories of one or more drives: what is refused, joined and selected."""
+"""Trajectories of one or more drives: what is rejected, joined and selected."""
 
 import numpy as np
 import pytest

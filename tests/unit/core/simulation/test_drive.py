@@ -21,7 +21,7 @@ def steps_m(drive: SimulatedDrive) -> FloatArray:
     return np.asarray(np.linalg.norm(np.diff(drive.poses[:, :2], axis=0), axis=1))
 
 
-def turned_deg(drive: SimulatedDrive) -> FloatArray:
+def heading_change_deg(drive: SimulatedDrive) -> FloatArray:
     return np.asarray((np.diff(heading_deg(drive.poses)) + 180.0) % 360.0 - 180.0)
 
 
@@ -65,7 +65,7 @@ def test_a_scan_has_about_60_000_returns(drive):
 def test_a_drive_turns_stops_and_closes_a_loop(seed):
     drive = SimulatedDrive(seed=seed)
     assert (steps_m(drive) == 0.0).sum() >= 8
-    assert np.abs(turned_deg(drive)).sum() > 4 * 85.0
+    assert np.abs(heading_change_deg(drive)).sum() > 4 * 85.0
     assert drive.along_m[-1] > drive.route.length_m
     away_m = np.linalg.norm(drive.poses[:, :2] - drive.poses[0, :2], axis=1)
     assert away_m.max() > 50.0
@@ -78,11 +78,11 @@ def test_a_longer_drive_closes_a_longer_loop_that_turns_both_ways(scans):
     assert drive.along_m[-1] > drive.route.length_m
     assert drive.route.length_m > scans * 0.7
     if scans == 1500:
-        assert turned_deg(drive).min() < -1.0
-        assert turned_deg(drive).max() > 1.0
+        assert heading_change_deg(drive).min() < -1.0
+        assert heading_change_deg(drive).max() > 1.0
 
 
-def test_without_stops_the_vehicle_never_stands():
+def test_without_stops_the_vehicle_is_never_stationary():
     assert steps_m(SimulatedDrive(seed=1, stops=False)).min() > 0.5
 
 
@@ -90,7 +90,7 @@ def test_the_vehicle_advances_a_tenth_of_its_speed_a_scan_and_slows_in_turns():
     drive = SimulatedDrive(seed=1, stops=False, speed_m_s=12.0)
     step_m = np.diff(drive.along_m)
     assert step_m.max() == pytest.approx(1.2)
-    straight = np.abs(turned_deg(drive)) < 1e-9
+    straight = np.abs(heading_change_deg(drive)) < 1e-9
     np.testing.assert_allclose(step_m[straight], 1.2)
     assert step_m[~straight].min() < 1.0
 
@@ -106,11 +106,11 @@ def test_a_lateral_offset_lies_exactly_to_the_left_of_the_heading(offset_m, reve
     np.testing.assert_array_equal(beside.poses[:, 2:], line.poses[:, 2:])
 
 
-def test_a_reversed_drive_sees_the_same_places_turned_by_180_degrees(drive):
+def test_a_reversed_drive_has_the_same_places_at_180_degrees_of_relative_yaw(drive):
     reverse = SimulatedDrive(seed=1, reverse=True)
     np.testing.assert_allclose(reverse.poses[::-1, :3], drive.poses[:, :3], atol=1e-9)
-    turned = np.abs(heading_deg(reverse.poses)[::-1] - heading_deg(drive.poses))
-    np.testing.assert_allclose(turned, 180.0, atol=1e-9)
+    difference_deg = np.abs(heading_deg(reverse.poses)[::-1] - heading_deg(drive.poses))
+    np.testing.assert_allclose(difference_deg, 180.0, atol=1e-9)
 
 
 def test_other_traffic_is_the_same_line_with_other_cars(drive):
@@ -169,8 +169,8 @@ def test_a_route_is_continuous_in_place_and_heading():
     step_m = np.diff(along_m)[0]
     moved_m = np.hypot(np.diff(x_m), np.diff(y_m))
     np.testing.assert_allclose(moved_m, step_m, rtol=1e-3)
-    turned = (np.diff(heading) + 180.0) % 360.0 - 180.0
-    assert np.abs(turned).max() <= np.degrees(step_m / 10.0) + 1e-6
+    change_deg = (np.diff(heading) + 180.0) % 360.0 - 180.0
+    assert np.abs(change_deg).max() <= np.degrees(step_m / 10.0) + 1e-6
     direction = np.degrees(np.arctan2(np.diff(y_m), np.diff(x_m)))
     off_deg = (direction - heading[:-1] + 180.0) % 360.0 - 180.0
     assert np.abs(off_deg).max() < 0.2

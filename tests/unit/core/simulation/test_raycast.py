@@ -104,8 +104,8 @@ def test_an_oblique_wall_is_seen_where_the_ray_meets_it():
 
 def test_points_are_in_the_sensors_own_frame():
     scene = Scene(Boxes([[5.0, 17.0, 0.0, 6.0, 2.0, 0.0, 5.0]]))
-    turned = Pose(5.0, 6.0, HEIGHT_M, 0.0, 0.0, math.sin(math.pi / 4), math.cos(math.pi / 4))
-    point = seen_ahead(scene, beam_deg=0.0, pose=turned)  # at (5, 6), looking along +y
+    facing_y = Pose(5.0, 6.0, HEIGHT_M, 0.0, 0.0, math.sin(math.pi / 4), math.cos(math.pi / 4))
+    point = seen_ahead(scene, beam_deg=0.0, pose=facing_y)  # at (5, 6), looking along +y
     assert_seen(point, 10.0, 0.0)
 
 

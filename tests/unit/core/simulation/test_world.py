@@ -28,7 +28,7 @@ def test_other_traffic_leaves_streets_houses_and_trees_where_they_were():
     assert not np.array_equal(one.moving.rows, other.moving.rows)
 
 
-def test_moving_cars_move_at_their_speed_and_parked_ones_stand():
+def test_moving_cars_move_at_their_speed_and_parked_ones_do_not():
     world = make_city(2)
     built = len(world.buildings) + len(world.parked)
     now, later = (world.at(time_s).boxes.rows for time_s in (3.0, 3.1))
@@ -55,10 +55,10 @@ def test_no_house_is_in_a_street_that_is_driven():
 
 
 def test_the_distance_to_a_box_is_to_its_nearest_side_or_corner():
-    turned = Boxes([[10.0, 0.0, 90.0, 8.0, 2.0, 0.0, 3.0]])
-    np.testing.assert_allclose(turned.distance_m(0.0, 0.0), [9.0])
-    np.testing.assert_allclose(turned.distance_m(6.0, 8.0), [5.0])
-    np.testing.assert_allclose(turned.distance_m(10.5, 3.5), [0.0], atol=1e-12)
+    rotated = Boxes([[10.0, 0.0, 90.0, 8.0, 2.0, 0.0, 3.0]])
+    np.testing.assert_allclose(rotated.distance_m(0.0, 0.0), [9.0])
+    np.testing.assert_allclose(rotated.distance_m(6.0, 8.0), [5.0])
+    np.testing.assert_allclose(rotated.distance_m(10.5, 3.5), [0.0], atol=1e-12)
 
 
 @pytest.mark.parametrize(

@@ -56,7 +56,7 @@ def test_a_round_leads_into_itself_again():
 
 
 @pytest.mark.parametrize("segment", [-1, 5])
-def test_what_is_not_there_leads_nowhere(segment):
+def test_an_unknown_segment_or_node_is_an_index_error(segment):
     with pytest.raises(IndexError, match=f"segment {segment} of a map of 5"):
         joined().neighbours(segment)
     with pytest.raises(IndexError, match="node 4 of a graph of 4"):
@@ -75,7 +75,7 @@ def test_what_is_not_there_leads_nowhere(segment):
         ({"segment_reversed": [0, 1, 1, 1, 0]}, "first segment of an edge runs along it backwards"),
     ],
 )
-def test_inconsistent_edges_and_segments_are_refused(changes, message):
+def test_inconsistent_edges_and_segments_are_rejected(changes, message):
     graph = joined()
     parts = {
         "node_scan": graph.node_scan,
@@ -135,6 +135,6 @@ def test_without_poses_no_edge_has_a_length():
         (([0, 4], [[0, 1]], [np.inf]), "infinite"),
     ],
 )
-def test_an_impossible_graph_is_refused(parts, message):
+def test_an_impossible_graph_is_rejected(parts, message):
     with pytest.raises(InvalidMap, match=message):
         Topology(*parts)

@@ -38,7 +38,7 @@ def test_the_first_observations_are_not_yet_a_fix(tracker):
 
 
 @pytest.mark.parametrize("name", ["timestamp_s", "sequence"])
-def test_an_observation_that_is_not_newer_is_refused_and_changes_nothing(tracker, name):
+def test_an_observation_that_is_not_newer_is_rejected_and_changes_nothing(tracker, name):
     track = Track(tracker)
     track.observe(observed(tracker, 3, **{name: 5}))
     belief = track.belief
@@ -58,7 +58,7 @@ def test_an_observation_that_is_not_newer_is_refused_and_changes_nothing(tracker
 @pytest.mark.parametrize(
     "given", [{"timestamp_s": np.nan}, {"travelled_m": np.inf}, {"sequence": -1}]
 )
-def test_an_observation_refuses_impossible_values(tracker, given):
+def test_an_observation_rejects_impossible_values(tracker, given):
     with pytest.raises(InvalidParameters):
         observed(tracker, 0, **given)
 
@@ -115,7 +115,7 @@ def test_a_position_is_in_the_segment_between_two_cuts():
     assert graph.segment_at(99.0) == 2
 
 
-def test_cuts_that_are_not_between_segments_are_refused():
+def test_cuts_that_are_not_between_segments_are_rejected():
     mapped, _ = sample_map(count=30, segment_length=10)
     with pytest.raises(InvalidParameters, match="cut must be between"):
         TravelGraph.of_map(mapped, np.array([-0.5, 12.0, 19.5, 29.5]))
@@ -143,12 +143,12 @@ def test_without_a_compared_scan_all_places_are_equally_likely(tracker):
         {"spread": 0.0},
     ],
 )
-def test_a_motion_refuses_impossible_values(wrong):
+def test_a_motion_rejects_impossible_values(wrong):
     with pytest.raises(InvalidParameters):
         Motion(**wrong)
 
 
-def test_a_belief_that_does_not_sum_to_one_is_refused():
+def test_a_belief_that_does_not_sum_to_one_is_rejected():
     with pytest.raises(InvalidParameters, match=r"sum to 2\.1"):
         Belief(np.full((4, 2), 0.2), 0.5)
     with pytest.raises(InvalidParameters):

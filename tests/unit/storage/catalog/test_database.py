@@ -45,10 +45,10 @@ def test_every_error_of_the_database_has_a_name(store, fault, side):
     assert str(getattr(fault, "orig", None) or fault) in str(named.value)
 
 
-def test_two_writers_that_met_are_left_to_who_wrote(store):
-    met = IntegrityError("INSERT", {}, Exception("unique"))
+def test_a_conflict_of_two_writers_is_raised_to_the_caller(store):
+    conflict = IntegrityError("INSERT", {}, Exception("unique"))
     with pytest.raises(IntegrityError), store.catalog._database.writing():
-        raise met
+        raise conflict
 
 
 def test_a_database_that_is_damaged_while_it_is_open_raises_a_named_error(tmp_path, store):
@@ -82,11 +82,11 @@ def test_a_database_that_is_damaged_while_it_is_open_raises_a_named_error(tmp_pa
     ],
 )
 def test_errors_of_postgresql_have_the_same_names(store, state, kind):
-    class Said(Exception):
+    class DriverError(Exception):
         sqlstate = state
 
     with pytest.raises(kind) as named, store.catalog._database.writing():
-        raise OperationalError("SELECT 1", {}, Said("so"))
+        raise OperationalError("SELECT 1", {}, DriverError("so"))
     assert type(named.value) is kind
 
 
@@ -105,7 +105,7 @@ def test_an_error_about_the_catalogs_url_does_not_contain_its_password(url, mess
     assert "secret" not in str(raised.value)
 
 
-def test_a_fault_that_sqlite_does_not_tell_in_utf_8_is_named_too(tmp_path):
+def test_an_error_of_sqlite_that_is_not_utf_8_is_named_too(tmp_path):
     with Store(tmp_path) as store:
         store.maps.create("campus")
     path = tmp_path / "catalog.sqlite3"

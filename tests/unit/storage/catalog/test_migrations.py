@@ -17,7 +17,7 @@ from storage.catalog.models import Base
 from storage.errors import StorageReadOnly, StorageUnavailable
 
 
-def test_the_migrations_make_what_the_models_say(tmp_path):
+def test_the_migrations_make_the_schema_of_the_models(tmp_path):
     catalog = Catalog(f"sqlite:///{tmp_path / 'catalog.sqlite3'}")
     with catalog._database.engine.connect() as connection:
         context = MigrationContext.configure(connection, opts={"compare_server_default": True})

@@ -1,4 +1,4 @@
-"""Whatever a damaged file does to its reader, whoever has it checked goes on, within limits."""
+"""A damaged file may crash or block its reader; the checking process continues, within limits."""
 
 import errno
 import os
@@ -33,48 +33,48 @@ def checker():
         yield made
 
 
-class Endless:
+class EndlessLoop:
     def items(self):
         while True:
             pass
 
 
-class Crashing:
+class SegmentationFault:
     def items(self):
         os.kill(os.getpid(), signal.SIGSEGV)
         time.sleep(60)
 
 
-class Ended:
+class Killed:
     def items(self):
         os.kill(os.getpid(), signal.SIGKILL)  # as a machine out of memory does
         time.sleep(60)
 
 
-class Greedy:
+class MemoryExhausted:
     def items(self):
         return bytearray(2**40)
 
 
-class Odd:
+class Recursion:
     def items(self):
         raise RecursionError("too deep")
 
 
-def test_what_was_stored_has_no_fault(checker, path):
+def test_a_stored_file_has_no_fault(checker, path):
     assert checker.fault(path, StoredFile(CHUNK, DIGESTS)) is None
 
 
 @pytest.mark.parametrize(
     ("scans", "what", "certain"),
     [
-        (Crashing(), "ended with exit code -11", True),
-        (Ended(), "ended with exit code -9", False),
-        (Greedy(), "MB of memory", False),
-        (Odd(), "RecursionError: too deep", True),
+        (SegmentationFault(), "ended with exit code -11", True),
+        (Killed(), "ended with exit code -9", False),
+        (MemoryExhausted(), "MB of memory", False),
+        (Recursion(), "RecursionError: too deep", True),
     ],
 )
-def test_a_reader_that_crashes_or_wants_all_memory_is_a_fault_and_the_next_is_read(
+def test_a_reader_that_crashes_or_takes_all_memory_is_a_fault_and_the_next_is_read(
     checker, path, scans, what, certain
 ):
     fault = checker.fault(path, StoredFile(CHUNK, scans))
@@ -85,7 +85,7 @@ def test_a_reader_that_crashes_or_wants_all_memory_is_a_fault_and_the_next_is_re
 
 
 def test_a_reader_that_hangs_is_a_fault_and_the_next_is_read(path):
-    endless: Any = Endless()
+    endless: Any = EndlessLoop()
     with Checker(SOON) as checker:
         fault = checker.fault(path, StoredFile(CHUNK, endless))
         assert fault is not None
@@ -111,7 +111,7 @@ def test_a_file_that_is_gone_is_no_damage(checker, path):
         checker.fault(path, StoredFile(CHUNK, DIGESTS))
 
 
-def test_what_is_no_file_is_not_opened(checker, path):
+def test_a_path_that_is_no_file_is_not_opened(checker, path):
     path.unlink()
     os.mkfifo(path)  # to open it would wait for a writer
     fault = checker.fault(path, StoredFile(CHUNK, DIGESTS))

@@ -63,7 +63,7 @@ WRITERS = {
 
 @pytest.fixture(params=WRITERS)
 def written(request, tmp_path):
-    """How a kind of file is written, and what a whole one says."""
+    """How a kind of file is written and read, and the content of a whole one."""
     write, read = WRITERS[request.param]
     write(tmp_path / "whole.h5")
     whole = read(tmp_path / "whole.h5")
@@ -85,7 +85,7 @@ class Disk:
         monkeypatch.setattr(os, name, call)
 
 
-def refuse(number):
+def raise_error(number):
     def fail(_inner, *_args):
         raise OSError(number, os.strerror(number))
 
@@ -112,7 +112,7 @@ def each_failing(disk, write, path):
 @pytest.mark.parametrize("number", [errno.EIO, errno.ENOSPC])
 def test_each_failing_call_raises_and_leaves_no_file(written, tmp_path, monkeypatch, name, number):
     write, _, _ = written
-    disk = Disk(monkeypatch, name, refuse(number))
+    disk = Disk(monkeypatch, name, raise_error(number))
     path = tmp_path / "a.h5"
     ends = list(each_failing(disk, write, path))
     assert ends or name == "ftruncate"  # done to images only

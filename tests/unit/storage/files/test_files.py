@@ -30,7 +30,7 @@ def test_a_file_appears_whole_when_the_block_ends(tmp_path):
     assert (tmp_path / "a.h5").read_bytes() == b"new"
 
 
-def test_an_error_in_the_block_leaves_what_was_there(tmp_path):
+def test_an_error_in_the_block_leaves_the_earlier_file(tmp_path):
     (tmp_path / "a.h5").write_bytes(b"old")
     with pytest.raises(ZeroDivisionError), publish(tmp_path / "a.h5") as part:  # noqa: PT012  # half-written
         part.write_bytes(b"half")

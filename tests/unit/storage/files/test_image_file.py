@@ -1,4 +1,4 @@
-"""Image files: whole or refused by name."""
+"""Image files: read whole or rejected with a named error."""
 
 import h5py
 import numpy as np

@@ -14,7 +14,7 @@ from core.parameters import MapParameters
 from core.scans.sensor import AngularGrid
 from storage.errors import CorruptFile
 from storage.files.map_file import read_map, write_map
-from tests.support.map_files import replaced, whole_or_refused
+from tests.support.map_files import replaced, whole_or_rejected
 from tests.support.samples import sample_harmonic_map, sample_map
 
 
@@ -92,7 +92,7 @@ def test_no_file_is_not_found(tmp_path):
 
 
 @pytest.mark.parametrize("content", [b"", b"\x00" * 4096, b"no HDF5 at all", b"\x89HDF\r\n\x1a\n"])
-def test_what_is_not_hdf5_is_corrupt(tmp_path, content):
+def test_a_file_that_is_not_hdf5_is_corrupt(tmp_path, content):
     (tmp_path / "map.h5").write_bytes(content)
     with pytest.raises(CorruptFile, match="cannot be read as a map"):
         read_map(tmp_path / "map.h5")
@@ -107,13 +107,13 @@ def test_a_flipped_byte_anywhere_is_rejected_or_without_effect(path, tensor_map)
     content = path.read_bytes()
     rng = np.random.default_rng(0)
     places = rng.integers(0, len(content), size=150)
-    refused = 0
+    rejected = 0
     for place, bit in zip(places.tolist(), rng.integers(1, 256, size=150).tolist(), strict=True):
         damaged = bytearray(content)
         damaged[place] ^= bit
         path.write_bytes(damaged)
-        refused += whole_or_refused(path, tensor_map.revision)
-    assert refused > 50
+        rejected += whole_or_rejected(path, tensor_map.revision)
+    assert rejected > 50
 
 
 def test_a_flipped_byte_in_any_array_is_rejected(of_either):
@@ -130,7 +130,7 @@ def test_a_flipped_byte_in_any_array_is_rejected(of_either):
             damaged = bytearray(content)
             damaged[place] ^= 1 << int(rng.integers(8))
             path.write_bytes(damaged)
-            assert whole_or_refused(path, tensor_map.revision), f"{name}, byte {place}"
+            assert whole_or_rejected(path, tensor_map.revision), f"{name}, byte {place}"
 
 
 def test_a_truncated_file_is_corrupt(path):
@@ -172,16 +172,16 @@ def test_an_array_of_another_shape_is_rejected(path, tensor_map, name):
     array = tensor_map.arrays()[name]
     for other in (array[:0], array[:-1], array[None], array.ravel()[0], np.repeat(array, 2, -1)):
         replaced(path, name, other)
-        assert whole_or_refused(path, "") is True
+        assert whole_or_rejected(path, "") is True
 
 
 @pytest.mark.parametrize("name", ARRAYS)
-def test_an_array_of_nonsense_is_rejected(path, tensor_map, name):
+def test_an_array_of_invalid_values_is_rejected(path, tensor_map, name):
     array = tensor_map.arrays()[name]
     fills = [-1, 10**15] if array.dtype.kind == "i" else [np.nan, np.inf, -1.0, 1e38]
     for fill in fills:
         replaced(path, name, np.full_like(array, fill))
-        assert whole_or_refused(path, "") is True
+        assert whole_or_rejected(path, "") is True
 
 
 def test_an_array_the_format_does_not_know_is_corrupt(path):

@@ -10,7 +10,7 @@ from core.errors import InvalidMap
 from core.scans.sensor import AngularGrid
 from storage.errors import CorruptFile
 from storage.files.map_file import read_map
-from tests.support.map_files import replaced, whole_or_refused
+from tests.support.map_files import replaced, whole_or_rejected
 from tests.support.samples import sample_harmonic_map
 
 
@@ -37,16 +37,16 @@ def test_an_array_of_a_harmonic_map_that_cannot_be_is_rejected(path, tensor_map,
             read_map(path)
     for other in (array[:0], array[:-1], array[None], np.repeat(array, 2, -1)):
         replaced(path, name, other)
-        assert whole_or_refused(path, "") is True
+        assert whole_or_rejected(path, "") is True
     replaced(path, name, None)
     with pytest.raises(CorruptFile, match=name):
         read_map(path)
 
 
 @pytest.mark.parametrize("fill", [np.nan, np.inf, 1j, 1e38])
-def test_harmonic_signatures_of_nonsense_are_rejected(path, tensor_map, fill):
+def test_invalid_harmonic_signatures_are_rejected(path, tensor_map, fill):
     replaced(path, "signatures", np.full_like(tensor_map.arrays()["signatures"], fill))
-    assert whole_or_refused(path, "") is True
+    assert whole_or_rejected(path, "") is True
 
 
 @pytest.mark.parametrize("name", ["azimuth_basis", "elevation_basis"])

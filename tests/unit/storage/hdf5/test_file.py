@@ -1,4 +1,4 @@
-"""Hostile and damaged HDF5: each structure is bounded, checked, and refused by name."""
+"""Hostile and damaged HDF5: each structure is bounded, checked, and rejected with a named error."""
 
 import io
 import subprocess
@@ -129,7 +129,7 @@ def test_chunks_of_less_than_whole_rows_are_rejected():
     ],
 )
 @pytest.mark.parametrize("libver", [None, "v110"])
-def test_what_these_files_never_hold_is_rejected_by_name(change, message, libver):
+def test_structures_that_these_files_never_have_are_rejected_by_name(change, message, libver):
     buffer = io.BytesIO()
     with h5py.File(buffer, "w", libver=libver) as file:
         change(file)

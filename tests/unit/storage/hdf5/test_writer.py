@@ -95,14 +95,14 @@ def put_rows(writer, put):
         put.append(row)
 
 
-def test_what_goes_wrong_later_does_not_hide_the_error_of_the_disk(tmp_path, monkeypatch):
+def test_later_errors_do_not_hide_the_error_of_the_disk(tmp_path, monkeypatch):
     Refusing(monkeypatch, takes=0)
     with pytest.raises(OSError, match="no space") as caught, hdf5_on_disk(tmp_path / "a.h5"):
         raise RuntimeError("Unable to synchronously close file")
     assert caught.value.errno == errno.ENOSPC
 
 
-def test_what_goes_wrong_on_a_good_disk_passes(tmp_path):
+def test_an_error_that_is_not_of_the_disk_is_raised_unchanged(tmp_path):
     with pytest.raises(RuntimeError, match="otherwise"), hdf5_on_disk(tmp_path / "a.h5"):
         raise RuntimeError("otherwise")
 

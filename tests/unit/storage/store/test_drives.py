@@ -66,10 +66,10 @@ class TestPutting:
     def test_other_content_is_rejected_naming_both_digests(self, store):
         store.drives.put_scan("campus", "monday", 3, sample_scan(3))
         before = files(store)
-        with pytest.raises(ScanConflict) as refused:
+        with pytest.raises(ScanConflict) as rejected:
             store.drives.put_scan("campus", "monday", 3, sample_scan(4))
         for seed in (3, 4):
-            assert scan_digest(sample_scan(seed).points_m) in str(refused.value)
+            assert scan_digest(sample_scan(seed).points_m) in str(rejected.value)
         assert files(store) == before
         assert_stored(store, [3])
 
@@ -104,7 +104,7 @@ class TestPutting:
         assert store.drives.get("campus", "monday").scans == 1
         assert len(files(store)) == 1
 
-    def test_nothing_to_put_is_nothing_stored(self, store):
+    def test_an_empty_put_stores_nothing(self, store):
         assert store.drives.put_scans("campus", "monday", []) == []
         with pytest.raises(DriveNotFound):
             store.drives.get("campus", "monday")
@@ -217,7 +217,7 @@ class TestAFullOrReadOnlyDisk:
         database = store.catalog._database
         with database.engine.connect() as connection:
             pages = connection.exec_driver_sql("PRAGMA page_count").scalar()
-        # SQLite itself then says that the database is full, as it does for the disk.
+        # SQLite itself then reports that the database is full, as it does for the disk.
         with database.reading() as session:
             session.connection().exec_driver_sql(f"PRAGMA max_page_count = {pages}")
         with pytest.raises(StorageFull):
@@ -322,7 +322,7 @@ class TestClosing:
 
 
 class TestStarting:
-    def test_what_no_row_names_is_swept_and_the_rest_stays(self, store):
+    def test_files_without_a_catalog_row_are_removed_and_the_rest_stays(self, store):
         put_many(store, [0, 1])
         (store.layout.maps / ("0" * 32) / "drives").mkdir(parents=True)
         chunks = next(store.layout.maps.rglob("*.h5")).parent

@@ -1,4 +1,4 @@
-"""A store and a catalog that do not belong together: refused, and nothing is lost."""
+"""A store and a catalog that do not belong together: rejected, and nothing is lost."""
 
 import logging
 import multiprocessing
@@ -98,7 +98,7 @@ def test_many_that_open_a_new_folder_at_once_agree(tmp_path):
         store.close()
 
 
-def test_what_an_older_catalog_does_not_name_is_kept_aside(stopped, caplog):
+def test_files_that_an_older_catalog_does_not_have_are_moved_aside(stopped, caplog):
     older = stopped.parent / "older.sqlite3"
     shutil.copy(stopped / "catalog.sqlite3", older)
     with Store(stopped) as store:

@@ -1,4 +1,4 @@
-"""What is stored is its owner's and nobody else's, whatever the umask and whoever began it."""
+"""Stored files are private to their owner, with any umask and after any command."""
 
 import os
 import stat
@@ -15,7 +15,7 @@ from tests.support.small_scans import sample_scan
 
 
 @pytest.fixture(autouse=True)
-def _careless_umask():
+def _permissive_umask():
     before = os.umask(0)
     yield
     os.umask(before)
@@ -59,7 +59,7 @@ def test_a_data_directory_of_an_older_version_becomes_private_at_a_start(tmp_pat
         assert store.drives.read_scan("campus", "monday", 0).points_m.size
 
 
-def test_what_a_link_leads_to_stays_as_it_is(tmp_path):
+def test_the_target_of_a_link_is_not_changed(tmp_path):
     data, elsewhere = tmp_path / "data", tmp_path / "elsewhere"
     Store.serving(data).close()
     elsewhere.touch(0o644)

@@ -80,7 +80,7 @@ def test_a_deleted_revision_is_gone_and_the_live_one_stays(store):
     assert store.revisions.path("campus", A).exists()
 
 
-def test_a_digest_that_is_none_is_rejected(store):
+def test_an_invalid_digest_is_rejected(store):
     with pytest.raises(ValueError, match="SHA-256"):
         store.revisions.add(store.maps.get("campus").id, "../x", write, FACTS)
 

@@ -18,7 +18,7 @@ PROCESSES = get_context("forkserver")
 
 
 def put_for_ever(data_dir, first, acknowledged):
-    """Put scan after scan, and tell of each that is stored."""
+    """Put scan after scan, and send the index of each that is stored."""
     with Store(data_dir) as store:
         for index in itertools.count(first):
             store.drives.put_scan("campus", "monday", index, sample_scan(index))
@@ -27,15 +27,15 @@ def put_for_ever(data_dir, first, acknowledged):
 
 def put_until_killed(data_dir, first, acknowledgements):
     """Start a process that puts scans, kill it in the middle, return what it acknowledged."""
-    found, telling = Pipe(duplex=False)
-    process = PROCESSES.Process(target=put_for_ever, args=(data_dir, first, telling))
+    received, sender = Pipe(duplex=False)
+    process = PROCESSES.Process(target=put_for_ever, args=(data_dir, first, sender))
     process.start()
-    telling.close()
-    acknowledged = [found.recv() for _ in range(acknowledgements)]
+    sender.close()
+    acknowledged = [received.recv() for _ in range(acknowledgements)]
     process.kill()
     with suppress(EOFError, OSError):  # nothing more, or half a message
         while True:
-            acknowledged.append(found.recv())
+            acknowledged.append(received.recv())
     process.join()
     assert process.exitcode == -signal.SIGKILL
     return acknowledged

@@ -34,7 +34,7 @@ class TestPackedBodies:
         block = np.random.default_rng(0).bytes(16 * 2**10)
         assert unpacked(PACK[encoding](block) * 2000, encoding) == 2000 * len(block)
 
-    def test_a_body_that_unpacks_to_200_times_its_size_is_refused_once_it_is_large(
+    def test_a_body_that_unpacks_to_200_times_its_size_is_rejected_once_it_is_large(
         self, encoding: str
     ) -> None:
         assert unpacked(PACK[encoding](bytes(16 * 2**20)), encoding) == 16 * 2**20

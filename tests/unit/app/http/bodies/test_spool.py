@@ -33,7 +33,7 @@ async def filled(room, key, chunks):
 
 
 @pytest.mark.parametrize("chunks", [0, 1, 3, 100, 200])
-def test_a_spool_gives_back_what_it_was_given_again_and_again(tmp_path, chunks):
+def test_a_spool_returns_its_content_any_number_of_times(tmp_path, chunks):
     async def run():
         spool = await filled(room_in(tmp_path), "a", chunks)
         assert len(spool) == chunks * len(CHUNK)
@@ -64,7 +64,7 @@ class Filling:
         return getattr(self._file, name)
 
 
-def test_what_a_full_disk_did_not_take_comes_once(tmp_path):
+def test_a_full_disk_causes_no_repeated_bytes(tmp_path):
     async def run():
         spool = await filled(room_in(tmp_path), "a", 200)
         await spool.write(b"x" * 2**20)
@@ -126,7 +126,7 @@ def test_a_key_takes_three_quarters_of_the_room_and_gives_it_back(tmp_path):
     asyncio.run(run())
 
 
-def test_a_key_has_so_many_bodies_and_no_more(tmp_path):
+def test_a_key_has_a_limited_number_of_bodies(tmp_path):
     room = room_in(tmp_path, bodies_per_key=2)
     with (
         room.spool("a"),
@@ -162,12 +162,12 @@ async def taken(pace, sender):
         await pace.next(sender.receive)
 
 
-def test_a_body_that_is_idle_is_refused():
+def test_a_body_that_is_idle_is_rejected():
     with pytest.raises(SlowBody, match=r"nothing of the body arrived for 0\.05 s"):
         asyncio.run(taken(paced(body_idle_s=0.05), Sender((0, 10), (60, 10))))
 
 
-def test_a_body_that_trickles_is_refused_however_fast_it_began():
+def test_a_body_that_becomes_too_slow_is_rejected_however_fast_it_began():
     pace = paced(body_bytes_per_s=10_000.0, body_grace_s=0.05)
     trickle = [(0.01, 1)] * 1_000
     with pytest.raises(SlowBody, match="slower than 10000 bytes a second"):
@@ -202,7 +202,7 @@ HOSTILE = {
 
 
 @pytest.mark.parametrize("body", HOSTILE.values(), ids=HOSTILE)
-def test_json_that_would_cost_much_is_refused_before_it_is_parsed(body, monkeypatch):
+def test_json_that_would_cost_much_is_rejected_before_it_is_parsed(body, monkeypatch):
     monkeypatch.setattr(json, "loads", lambda _: pytest.fail("it was parsed"))
     with pytest.raises(InvalidRequest, match=r"at most|deep"):
         read_json(body, MapIn)
@@ -223,6 +223,6 @@ def test_the_largest_poses_that_the_api_describes_are_within_the_bounds():
 
 
 @pytest.mark.parametrize("body", [b"", b"{", b"\xff", b"[" * 900, b"1" * 1_000, b'"\\ud800'])
-def test_what_is_no_json_is_named(body):
+def test_a_body_that_is_not_json_is_rejected(body):
     with pytest.raises(RequestValidationError):
         read_json(body, MapIn)

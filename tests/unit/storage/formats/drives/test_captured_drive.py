@@ -29,14 +29,14 @@ class TestVelodyne:
         assert elevation.min() == pytest.approx(-30.67, abs=0.01)
         assert elevation.max() == pytest.approx(10.67, abs=0.01)
 
-    def test_a_scan_is_one_turn_from_where_the_capture_begins(self) -> None:
+    def test_a_scan_is_one_revolution_from_where_the_capture_begins(self) -> None:
         points = VelodyneFormat().read(velodyne(hdl32(turns=1.2, first_deg=300.0)))
         assert len(points) == 180 * 32
         # 300 degrees clockwise from ahead is 60 degrees to the left.
         first = np.degrees(np.arctan2(points[0, 1], points[0, 0]))
         assert first == pytest.approx(60.0, abs=1e-3)
 
-    def test_later_firings_of_a_block_stand_further_on(self) -> None:
+    def test_later_firings_of_a_block_have_larger_azimuths(self) -> None:
         points = VelodyneFormat().read(velodyne(hdl32(turns=1.2)))
         azimuth = -np.degrees(np.arctan2(points[:32, 1], points[:32, 0]))
         np.testing.assert_allclose(azimuth, np.arange(32) * 2.0 * 1.152 / 46.08, atol=1e-4)
@@ -46,7 +46,7 @@ class TestVelodyne:
         scan = velodyne(hdl32(turns=1.2, range_m=0.0), order=order)
         assert not VelodyneFormat().read(scan).any()
 
-    def test_a_capture_is_a_drive_of_its_full_turns(self, tmp_path: Path) -> None:
+    def test_a_capture_is_a_drive_of_its_full_revolutions(self, tmp_path: Path) -> None:
         (tmp_path / "monday.pcap").write_bytes(velodyne(hdl32(turns=3.5)))
         drive = open_drive(tmp_path / "monday.pcap")
         assert (drive.name, len(drive)) == ("monday", 3)
@@ -71,7 +71,9 @@ class TestVelodyne:
             (pcap([]) + b"\xff" * 16, MalformedScan),
         ],
     )
-    def test_what_is_no_turn_is_rejected(self, body: bytes, error: type[InvalidScan]) -> None:
+    def test_what_is_no_full_revolution_is_rejected(
+        self, body: bytes, error: type[InvalidScan]
+    ) -> None:
         with pytest.raises(error):
             VelodyneFormat().read(body)
 
@@ -94,7 +96,7 @@ class TestOuster:
         points = OusterFormat().read(self.body(fragment_bytes))
         assert points.shape == (512 * 16, 3)
         np.testing.assert_allclose(np.linalg.norm(points, axis=1), 10.0, rtol=1e-6)
-        # Column 0 is behind the lidar's x axis turned round: behind the sensor.
+        # Column 0 is opposite to the lidar's x axis: behind the sensor.
         np.testing.assert_allclose(points[0, :2], [-10 * np.cos(np.radians(15)), 0.0], atol=1e-5)
         assert points[512 // 4 * 16, 1] > 9  # clockwise: from behind to the left
 
@@ -138,7 +140,7 @@ class TestOuster:
             OusterFormat().read(self.body(**changed))
 
     @pytest.mark.parametrize("body", [b"{", b"[" * 100_000, b"7", b"\xff" * 40, b"{}"])
-    def test_what_is_no_metadata_is_rejected(self, body: bytes) -> None:
+    def test_invalid_metadata_are_rejected(self, body: bytes) -> None:
         with pytest.raises(MalformedScan):
             read_scan(body, media_type=OusterFormat().media_type, min_returns=1)
 

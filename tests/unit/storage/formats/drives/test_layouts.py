@@ -63,8 +63,8 @@ class TestKitti:
         assert drive.scan(1).pose is None
 
     def test_camera_poses_become_the_lidars_in_a_world_with_z_up(self, tmp_path: Path) -> None:
-        # By hand. Scan 1: the camera is 4 m further along its z and 1 m along its x, unturned;
-        # the lidar therefore 4 m forward and 1 m right. Scan 2: camera at the origin, turned left
+        # By hand. Scan 1: the camera is 4 m further along its z and 1 m along its x, not rotated;
+        # the lidar therefore 4 m forward and 1 m right. Scan 2: camera at the origin, rotated left
         # by 90 degrees, about -y: its z looks along -x of the world. The lidar sits 0.3 m behind
         # the camera, so from (0, 0) it goes to (0.3, -0.3): the camera stays at (0.3, 0).
         poses = f"{IDENTITY}\n1 0 0 1 0 1 0 0 0 0 1 4\n0 0 -1 0 0 1 0 0 1 0 0 0\n"
@@ -198,9 +198,7 @@ class TestFolder:
         with pytest.raises(MalformedScan, match=r"0\.npy"):
             drive.scan(0)
 
-    def test_a_folder_of_nothing_known_is_answered_with_what_was_looked_for(
-        self, tmp_path: Path
-    ) -> None:
+    def test_the_error_for_an_unknown_folder_lists_the_expected_files(self, tmp_path: Path) -> None:
         (tmp_path / "a.xyz").write_text("1 2 3")
         for path in (tmp_path, tmp_path / "absent", tmp_path / "a.xyz"):
             with pytest.raises(UnknownDriveLayout, match=r"velodyne/.*SCANS/.*\.npy"):

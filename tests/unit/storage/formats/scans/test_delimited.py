@@ -1,4 +1,4 @@
-"""Columns of numbers as text: what is found, limits, and what is refused."""
+"""Columns of numbers as text: what is found, limits, and what is rejected."""
 
 import numpy as np
 import pytest

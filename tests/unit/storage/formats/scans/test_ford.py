@@ -45,7 +45,7 @@ class TestFord:
             {"SCAN": {"XYZ": {"a": 1}}},
         ],
     )
-    def test_what_has_no_points_is_rejected(self, variables: dict[str, object]) -> None:
+    def test_a_file_without_points_is_rejected(self, variables: dict[str, object]) -> None:
         with pytest.raises(MalformedScan):
             FordFormat().read(mat(variables))
 

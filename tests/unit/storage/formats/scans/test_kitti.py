@@ -1,4 +1,4 @@
-"""KITTI's `.bin`: raw floats, so only the values tell what they are."""
+"""KITTI's `.bin`: raw floats, recognized by their values only."""
 
 import numpy as np
 import pytest
@@ -75,7 +75,7 @@ def test_a_few_odd_values_do_not_make_a_scan_of_another_type() -> None:
 
 @pytest.mark.parametrize("seed", range(40))
 def test_a_scan_with_more_than_a_quarter_of_implausible_coordinates_is_rejected(seed) -> None:
-    """A no-return tells nothing, nor does a zero beside what is measured."""
+    """No-returns do not count, nor do single coordinates of zero."""
     random = np.random.default_rng(seed)
     kinds = np.array([0.0, 5.0, -30.0, 1e-9, 1e9, np.nan, np.inf], np.float32)
     share = random.dirichlet([2.0, 4.0, 4.0, 0.4, 0.4, 0.4, 0.4])

@@ -61,10 +61,12 @@ class TestLas:
         with pytest.raises(error):
             LasFormat().read(body)
 
-    def test_compressed_points_that_ask_for_gigabytes_end_no_process_but_their_own(self) -> None:
+    def test_compressed_points_that_claim_gigabytes_end_only_the_process_that_reads_them(
+        self,
+    ) -> None:
         whole = las(compress=True, version="1.4", point_format=6)
         points_at = struct.unpack_from("<I", whole, 96)[0]
-        # The sizes of the layers stand behind the first point.
+        # The sizes of the layers follow the first point.
         sizes_at = points_at + 8 + 30 + 4
         lying = whole[:sizes_at] + b"\xff" * 36 + whole[sizes_at + 36 :]
         for body in (lying, whole[: points_at + 20]):

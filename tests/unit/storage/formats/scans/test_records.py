@@ -10,7 +10,7 @@ POINTS = np.random.default_rng(0).normal(scale=20.0, size=(300, 3)).astype(np.fl
 
 
 class TestRecords:
-    def test_nclt_points_are_turned_up_and_moved_to_the_lidar(self) -> None:
+    def test_nclt_points_are_rotated_to_z_up_and_moved_to_the_lidar(self) -> None:
         # The vehicle's origin, and a point 1 m ahead of it, to its right and below it.
         raw = np.array([[20000, 20000, 20000], [20200, 20200, 20200]], "<u2")
         body = b"".join(row.tobytes() + b"\x07\x05" for row in raw)

@@ -40,7 +40,7 @@ def test_without_a_type_the_magic_decides(media_type: str | None) -> None:
     "given",
     [{}, {"media_type": "text/csv"}, {"suffix": ".xyz"}, {"suffix": ".pcapng"}],
 )
-def test_what_no_reader_claims_is_answered_with_all_media_types(given: dict[str, str]) -> None:
+def test_the_error_for_an_unknown_format_lists_all_media_types(given: dict[str, str]) -> None:
     with pytest.raises(UnknownFormat) as caught:
         read_scan(
             ROWS.tobytes(),
