@@ -38,7 +38,7 @@ from storage.formats.drives.layouts import open_drive
 
 SEEDS = (101, 102, 103)
 SCANS = 300
-ASKED_EVERY = 10  # of a second pass: its neighbours, 0.1 s apart, say little more
+QUERY_EVERY = 10  # of a second pass: its neighbours, 0.1 s apart, add little
 SEGMENTS = 5
 PASSES = ((2.0, False), (2.0, True), (3.0, False), (3.0, True))
 
@@ -114,10 +114,10 @@ def _methods(drive: Drive, names: Sequence[str]) -> tuple[Method, ...]:
 def _kitti00(folder: Path) -> None:
     print("## `kitti00`, as driven\n")
     print("Recorded, 250 scans of an HDL-64E: even scans are places, odd ones queries. Unknown")
-    print(f"places: `kit_muehlburger`, every {ASKED_EVERY}th scan.\n")
+    print(f"places: `kit_muehlburger`, every {QUERY_EVERY}th scan.\n")
     drive = open_drive(folder / "kitti00", min_returns=100)
     unknown = open_drive(folder / "kit_muehlburger", min_returns=100)
-    protocol = ComparisonProtocol(HALF, unknown_every=ASKED_EVERY)
+    protocol = ComparisonProtocol(HALF, unknown_every=QUERY_EVERY)
     every = _methods(drive, default_methods())
     _print_means([compare(drive, every, protocol, unknown_drive=unknown)], 3.0)
 
@@ -149,12 +149,12 @@ def _cities() -> None:
     )
     print(
         'in its direction and in the opposite one ("against"), among other parked cars;'
-        f" every {ASKED_EVERY}th scan is a query.\n"
+        f" every {QUERY_EVERY}th scan is a query.\n"
     )
     rows, found = [], []
     for seed in SEEDS:
         city = _in_memory(SimulatedDrive(seed=seed, scans=SCANS))
-        other = _in_memory(SimulatedDrive(seed=seed + 100, scans=SCANS), ASKED_EVERY)
+        other = _in_memory(SimulatedDrive(seed=seed + 100, scans=SCANS), QUERY_EVERY)
         methods = [_Once(one) for one in _methods(city, METHODS[:-1])]
         for number, (offset_m, reverse) in enumerate(PASSES):
             second = SimulatedDrive(
@@ -164,7 +164,7 @@ def _cities() -> None:
                 reverse=reverse,
                 traffic_seed=seed + 1000,
             )
-            queried = _in_memory(second, ASKED_EVERY)
+            queried = _in_memory(second, QUERY_EVERY)
             unknown = None if number else other
             result = compare(city, methods, ComparisonProtocol(SecondPass()), queried, unknown)
             found.append(result)

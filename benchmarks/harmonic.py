@@ -39,7 +39,7 @@ from storage.formats.drives.layouts import open_drive
 SEEDS = (101, 102, 103)
 OFFSETS_M = (2.0, -2.0, 3.0, -3.0)
 CITY_SCANS = 300
-ASKED_EVERY = 5  # of a second pass: its neighbours, 0.1 s apart, say little more
+QUERY_EVERY = 5  # of a second pass: its neighbours, 0.1 s apart, add little
 
 CONDITIONS: tuple[Condition, ...] = (
     *conditions((0, 10, 90, 180), (0,), (0,)),
@@ -102,8 +102,8 @@ def _evaluate(drive: Drive, parameters: MapParameters) -> Evaluation:
 
 def _recorded(drive: Drive) -> None:
     print("\n## `kitti00`\n")
-    print("Recall@1 within 3 m, even scans mapped, odd ones asked, five segments, 5x5. A setting")
-    print("differs from the default (heights, `highest`, `normalised`, renderings) as it says.\n")
+    print("Recall@1 within 3 m, even scans mapped, odd ones queried, five segments, 5x5. A setting")
+    print("differs from the default (heights, `highest`, `normalised`, renderings) as it states.\n")
     found = {name: _evaluate(drive, parameters) for name, parameters in SETTINGS.items()}
     of_default = found["**default**"]
     rows = []
@@ -177,7 +177,7 @@ def _packed(drive: MemoryDrive) -> None:
 
 def _cities() -> None:
     print("## Simulated cities\n")
-    print(f"Recall@1 within 5 m: {CITY_SCANS} scans mapped, a second pass asked that truly drives")
+    print(f"Recall@1 within 5 m: {CITY_SCANS} scans mapped, queried with a second pass that drives")
     print("beside the mapped line, in its direction and against it, other cars parked.\n")
     print("`all detail`: U fitted to the images as they are, broad waves included.\n")
     names = ("paper, `last`", "**default**", "without renderings", "`plain`", "`mean`")
@@ -231,14 +231,14 @@ def _recall(matches: Sequence[Match], poses: FloatArray, *, within_m: float) -> 
 
 
 def _errors_of_default(matches: Sequence[Match], poses: FloatArray) -> tuple[str, str]:
-    turns = np.array([m.heading_deg for m in matches]) - heading_deg(poses)
+    yaw_errors_deg = np.array([m.heading_deg for m in matches]) - heading_deg(poses)
     beside = [
         m.lateral_m - left_of_m(np.array(m.pose.as_tuple()), pose)
         for m, pose in zip(matches, poses, strict=True)
         if m.pose is not None and m.lateral_m is not None
     ]
-    turn = np.median(np.abs((turns + 180.0) % 360.0 - 180.0))
-    return f"{turn:.2f}", f"{np.median(np.abs(beside)):.2f}"
+    yaw_error_deg = np.median(np.abs((yaw_errors_deg + 180.0) % 360.0 - 180.0))
+    return f"{yaw_error_deg:.2f}", f"{np.median(np.abs(beside)):.2f}"
 
 
 def _second_pass(seed: int, offset_m: float, *, reverse: bool) -> MemoryDrive:
@@ -249,7 +249,7 @@ def _second_pass(seed: int, offset_m: float, *, reverse: bool) -> MemoryDrive:
         reverse=reverse,
         traffic_seed=seed + 1000,
     )
-    scans = [drive.scan(i) for i in range(0, len(drive), ASKED_EVERY)]
+    scans = [drive.scan(i) for i in range(0, len(drive), QUERY_EVERY)]
     return MemoryDrive(drive.name, scans)
 
 

@@ -68,7 +68,7 @@ def main(folder: Path) -> None:
             ratios.append("" if name == kept_from else f"{fit.kept_error / fit.refitted_error:.3f}")
         rows.append([kept_from, *ratios])
     print_table(["kept from", *drives], rows)
-    print(f"Recall@1 within {WITHIN_M:g} m on `kitti00`, even scans mapped, odd ones asked:\n")
+    print(f"Recall@1 within {WITHIN_M:g} m on `kitti00`, even scans mapped, odd ones queried:\n")
     recorded = drives["`kitti00`"]
     print_table(
         ["U of", *(f"d = {aside_m:g} m" for aside_m in ASIDE_M)],

@@ -1,9 +1,10 @@
-"""A thousand switches of the live revision while eight clients ask.
+"""A thousand switches of the live revision while eight clients query.
 
     python -m benchmarks.live_switches
 
 A real service on a free port of this machine. Bar: no request fails, every answer is the one that
-the revision it names gives alone, and an answer to a scan is of the revision that it says is live.
+the revision it names gives alone, and an answer to a scan is of the revision that it reports as
+live.
 """
 
 import os
@@ -68,20 +69,20 @@ def _switch(url: str) -> int:
         client.put(f"{MAP}/live", json={"revision": revision}).raise_for_status()
         basis = BasisOut.model_validate(client.get(f"{MAP}/basis").json()).to_core()
         signatures[revision] = pack_signatures(basis.encode(basis.image(scan)))
-        alone["scan", revision] = _ask(client, "scan", _body(scan))["matches"]
-        alone["signature", revision] = _ask(client, "signature", signatures[revision])["matches"]
+        alone["scan", revision] = _query(client, "scan", _body(scan))["matches"]
+        alone["signature", revision] = _query(client, "signature", signatures[revision])["matches"]
     done = threading.Event()
 
-    def keep_asking(number: int) -> Counter[str]:
+    def keep_querying(number: int) -> Counter[str]:
         counts: Counter[str] = Counter()
         with httpx2.Client(base_url=url, timeout=60) as own:
             while not done.is_set():
-                answer = _ask(own, "scan", _body(scan))
+                answer = _query(own, "scan", _body(scan))
                 of = answer["revision"]
                 true = of == answer["live_revision"] and answer["matches"] == alone["scan", of]
                 counts["scan" if true else "untrue"] += 1
                 expected = revisions[(number + counts.total()) % 2]
-                answer = _ask(own, "signature", signatures[expected])
+                answer = _query(own, "signature", signatures[expected])
                 true = (
                     answer["revision"] == expected
                     and answer["matches"] == alone["signature", expected]
@@ -91,14 +92,14 @@ def _switch(url: str) -> int:
 
     begun = time.perf_counter()
     with ThreadPoolExecutor(CLIENTS) as pool:
-        asking = [pool.submit(keep_asking, number) for number in range(CLIENTS)]
+        querying = [pool.submit(keep_querying, number) for number in range(CLIENTS)]
         try:
             for switch in range(SWITCHES):
                 body = {"revision": revisions[switch % 2]}
                 client.put(f"{MAP}/live", json=body).raise_for_status()
         finally:
             done.set()
-        counts = sum((one.result() for one in asking), Counter())
+        counts = sum((one.result() for one in querying), Counter())
     seconds = time.perf_counter() - begun
     print(
         f"{SWITCHES} switches in {seconds:.0f} s: {counts['scan']} answers to scans,"
@@ -108,7 +109,7 @@ def _switch(url: str) -> int:
 
 
 def _mapped(client: httpx2.Client) -> Scan:
-    """Make a map of two revisions, and return a scan to ask with."""
+    """Make a map of two revisions, and return a scan to query with."""
     drive = SimulatedDrive(seed=1, scans=SCANS, sensor=SimulatedSensor(firings=180))
     client.post("/v1/maps", json={"map": "campus"}).raise_for_status()
     for index in range(SCANS):
@@ -130,7 +131,7 @@ def _body(scan: Scan) -> bytes:
     return bytes(np.pad(scan.points_m, ((0, 0), (0, 1))).astype("<f4").tobytes())
 
 
-def _ask(client: httpx2.Client, kind: str, body: bytes) -> dict[str, Any]:
+def _query(client: httpx2.Client, kind: str, body: bytes) -> dict[str, Any]:
     headers = KITTI if kind == "scan" else PACKED
     answer = client.post(f"{MAP}/localizations/{kind}", content=body, headers=headers)
     content: dict[str, Any] = answer.raise_for_status().json()

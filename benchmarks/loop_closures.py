@@ -6,7 +6,7 @@ DRIVES is a folder of drives in the KITTI odometry layout that holds `kitti00` a
 `kit_muehlburger`. `fit` prints the
 coefficients of the logistic curve in core/loop_closure/closure.py, from cities of other seeds.
 Without it,
-the curve is judged on cities on whose seeds nothing was chosen, and on the recorded drives; the
+the curve is checked on cities on whose seeds nothing was chosen, and on the recorded drives; the
 command fails if a bar is missed.
 """
 
@@ -38,32 +38,32 @@ PASSES: tuple[tuple[float, bool], ...] = tuple(
 )
 SCANS = 300
 MAPPED_EVERY = 2
-ASKED_EVERY = 25
-FIT_ASKED_EVERY = 50
+QUERY_EVERY = 25
+FIT_QUERY_EVERY = 50
 INDEPENDENT = 128
-"""Pairs that the curve is fitted as if it had: those of one street say much the same."""
-STOOD_SCANS = 190  # the first ones of kit_muehlburger
+"""Pairs that the curve is fitted as if it had: those of one street are much the same evidence."""
+STATIONARY_SCANS = 190  # the first ones of kit_muehlburger
 FALSE_FOR_EACH_TRUE = 3
 TRUE_WITHIN_M = 5.0
 FALSE_BEYOND_M = 10.0
 SENSOR_HEIGHT_M = 1.73
 WORST_AUROC = 0.98
 WORST_PRECISION = 0.99
-RECORDED = {"kitti00": 0, "kit_muehlburger": STOOD_SCANS}  # and the first scan that is used
+RECORDED = {"kitti00": 0, "kit_muehlburger": STATIONARY_SCANS}  # and the first scan that is used
 DISTURBANCES = ("as scanned", "a third hidden", "one return in four")
 
 
 @dataclass(frozen=True)
-class Judged:
+class Checked:
     """A proposed closure, what it is and what was found.
 
     Attributes:
         drive: Name of the city or recorded drive.
         disturbance: Of the second scan.
-        is_true: Whether the scans stand at one place.
+        is_true: Whether the scans were taken at one place.
         similarity: Of their signatures, one minus the normalised distance.
-        closure: What the check says.
-        turn_error_deg: Of the turn; NaN of a false closure.
+        closure: The result of the check.
+        yaw_error_deg: Of the relative yaw; NaN of a false closure.
         place_error_m: Of the displacement; NaN likewise.
     """
 
@@ -72,7 +72,7 @@ class Judged:
     is_true: bool
     similarity: float
     closure: LoopClosure
-    turn_error_deg: float
+    yaw_error_deg: float
     place_error_m: float
 
 
@@ -84,15 +84,15 @@ def main(folder: Path, part: str = "") -> int:
         f" commit {commit()} on {machine()}.\n"
     )
     if part == "fit":
-        _fit([checked for seed in FIT_SEEDS for checked in _city(seed, FIT_ASKED_EVERY)])
+        _fit([checked for seed in FIT_SEEDS for checked in _city(seed, FIT_QUERY_EVERY)])
         return 0
-    found = [checked for seed in SEEDS for checked in _city(seed, ASKED_EVERY)]
+    found = [checked for seed in SEEDS for checked in _city(seed, QUERY_EVERY)]
     for name, first in RECORDED.items():
         found += _recorded(open_drive(folder / name, min_returns=100), name, first)
     return _report(found)
 
 
-def _city(seed: int, asked_every: int) -> Iterator[Judged]:
+def _city(seed: int, query_every: int) -> Iterator[Checked]:
     """Propose closures between a drive and second passes beside it, either way, other cars."""
     mapped = _in_memory(SimulatedDrive(seed=seed, scans=SCANS), MAPPED_EVERY)
     localizer = _localizer(mapped)
@@ -104,13 +104,13 @@ def _city(seed: int, asked_every: int) -> Iterator[Judged]:
             reverse=reverse,
             traffic_seed=seed + 1000,
         )
-        queried = _in_memory(second, asked_every)
+        queried = _in_memory(second, query_every)
         for row in range(len(queried)):
             scan = queried.scan(row)
             yield from _proposed(f"city {seed}", mapped, localizer, scan, TRUE_WITHIN_M, row)
 
 
-def _recorded(drive: Drive, name: str, first: int) -> Iterator[Judged]:
+def _recorded(drive: Drive, name: str, first: int) -> Iterator[Checked]:
     """Propose closures between the even scans and every tenth odd one, but the first."""
     scans = [drive.scan(row) for row in range(first, len(drive), 2)]
     mapped = MemoryDrive(drive.name, scans)
@@ -121,7 +121,7 @@ def _recorded(drive: Drive, name: str, first: int) -> Iterator[Judged]:
 
 def _proposed(
     drive: str, mapped: MemoryDrive, localizer: Localizer, queried: Scan, within_m: float, row: int
-) -> Iterator[Judged]:
+) -> Iterator[Checked]:
     """Yield the nearest place, and the likest ones that are elsewhere, for each disturbance."""
     if queried.pose is None:
         return
@@ -141,7 +141,7 @@ def _proposed(
             errors = np.nan, np.nan
             if candidate == nearest:
                 errors = _errors(mapped.poses[candidate], place, closure)
-            yield Judged(
+            yield Checked(
                 drive,
                 disturbance,
                 candidate == nearest,
@@ -153,7 +153,7 @@ def _proposed(
 
 def _disturbed(scan: Scan, disturbance: str, rng: np.random.Generator) -> Scan:
     points_m = scan.points_m
-    if disturbance == "a third hidden":  # by a lorry, say
+    if disturbance == "a third hidden":  # by a lorry, for example
         azimuth_deg = np.degrees(np.arctan2(points_m[:, 1], points_m[:, 0]))
         points_m = points_m[(azimuth_deg - rng.uniform(0.0, 360.0)) % 360.0 > 120.0]
     elif disturbance == "one return in four":
@@ -180,16 +180,16 @@ def _localizer(drive: MemoryDrive) -> Localizer:
     return localizer_of(drive, np.arange(len(drive)), parameters)
 
 
-def _evidence(checked: list[Judged]) -> FloatArray:
+def _evidence(checked: list[Checked]) -> FloatArray:
     return np.array(
         [[j.closure.image_similarity or 0.0, j.closure.overlap or 0.0] for j in checked]
     )
 
 
-def _fit(checked: list[Judged]) -> None:
+def _fit(checked: list[Checked]) -> None:
     """Fit the curve by Newton's method; true and false closures weigh the same.
 
-    Simulated cities divide them without an error, so nothing in them says how steep the curve is:
+    Simulated cities divide them without an error, so they do not show how steep the curve is:
     a ridge does, which weighs as much as one pair of scans of which only so many are independent.
     """
     features = _evidence(checked)
@@ -213,7 +213,7 @@ def _fit(checked: list[Judged]) -> None:
     )
 
 
-def _report(found: list[Judged]) -> int:
+def _report(found: list[Checked]) -> int:
     missed = 0
     rows = []
     for name, of_it in _groups(found):
@@ -237,7 +237,7 @@ def _report(found: list[Judged]) -> int:
                 f"{accepted[truth].mean():.3f}",
                 f"{rejected[~truth].mean():.3f}",
                 f"{np.mean((p - truth) ** 2):.4f}",
-                f"{np.nanmedian([j.turn_error_deg for j in of_it]):.2f}",
+                f"{np.nanmedian([j.yaw_error_deg for j in of_it]):.2f}",
                 f"{np.nanmedian([j.place_error_m for j in of_it]):.2f}",
             ]
         )
@@ -263,7 +263,7 @@ def _report(found: list[Judged]) -> int:
     return 1 if missed else 0
 
 
-def _groups(found: list[Judged]) -> Iterator[tuple[str, list[Judged]]]:
+def _groups(found: list[Checked]) -> Iterator[tuple[str, list[Checked]]]:
     for drive in dict.fromkeys(j.drive for j in found):
         for disturbance in DISTURBANCES:
             of_it = [j for j in found if (j.drive, j.disturbance) == (drive, disturbance)]

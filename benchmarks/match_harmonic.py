@@ -84,12 +84,12 @@ def _in_turn_ms(
 
 def _scan_context(drive: SimulatedDrive, mapped: IntArray) -> None:
     """Print how long Scan Context takes among the same scans, 4,800 bytes each."""
-    peers = (ScanContext(), ScanContext(candidates=10))
-    contexts = np.stack([peers[0].describe(drive.scan(index)) for index in mapped.tolist()])
-    brute, by_key = (peer.places(contexts) for peer in peers)
+    methods = (ScanContext(), ScanContext(candidates=10))
+    contexts = np.stack([methods[0].describe(drive.scan(index)) for index in mapped.tolist()])
+    brute, by_key = (method.places(contexts) for method in methods)
     brute_ms, key_ms = [], []
     for index in range(1, 2 * SCANS, 2 * SCANS // 8):
-        query = peers[0].describe(drive.scan(index))
+        query = methods[0].describe(drive.scan(index))
         times_s = medians_s(partial(brute.nearest, query), partial(by_key.nearest, query), runs=5)
         brute_ms.append(1e3 * times_s[0])
         key_ms.append(1e3 * times_s[1])

@@ -2,7 +2,7 @@
 
 Bar: under 10 ms of this process's time when the digest was checked before in this process, as for
 a query that finds the revision no longer in memory. The time with the digest, and h5py's for the
-arrays alone, stand beside.
+arrays alone, are beside.
 """
 
 import statistics

@@ -5,7 +5,7 @@
 DRIVES is a folder of drives in the KITTI odometry layout that holds `kitti00` and
 `kit_muehlburger`. The simulated cities have seeds on which nothing was chosen. For every drive the
 unequal segments of a k come first; the equal ones are as many, so that both maps hold the same
-number of elements. Even scans are mapped, odd ones asked.
+number of elements. Even scans are mapped, odd ones queried.
 """
 
 import sys

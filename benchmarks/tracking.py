@@ -26,8 +26,8 @@ from storage.formats.drives.layouts import open_drive
 SEEDS = (301, 302, 303)
 LENGTHS = (50, 100, 167)
 CITY_SCANS, CITY_LOOP_M = 300, 480.0  # longer than the drive: no street is passed twice
-ASKED_EVERY = 2
-RECALL_BAR, RECOVERY_BAR = 0.98, 30  # share within 10 m of what is told; observations
+QUERY_EVERY = 2
+RECALL_BAR, RECOVERY_BAR = 0.98, 30  # share within 10 m of what is reported; observations
 
 
 def main(folder: Path, only: str = "") -> int:
@@ -46,9 +46,9 @@ def main(folder: Path, only: str = "") -> int:
 
 def _recorded(drive: Drive) -> list[str]:
     print("### `kit_muehlburger`\n")
-    print("Held-out scans as one drive: wrong segments told, standing + moving, of how many were")
-    print("told, of how many observations; how many were not told and would have been wrong; in")
-    print("brackets wrong segments of single localizations.\n")
+    print("Held-out scans as one drive: wrong segments reported, stationary + moving, of how many")
+    print("were reported, of how many observations; how many were not reported and would have been")
+    print("wrong; in brackets wrong segments of single localizations.\n")
     missed = []
     rows = []
     for encoding in ("harmonic", "paper"):
@@ -79,14 +79,16 @@ def _recorded(drive: Drive) -> list[str]:
 
 def _cities() -> list[str]:
     print("### Simulated cities\n")
-    print("A second pass with stops, other cars, every second scan asked; the next seed's city")
-    print("as one that is not mapped. Of what was told: wrong segments, recall, position error.\n")
+    print("A second pass with stops, other cars, every second scan queried; the next seed's city")
+    print(
+        "as one that is not mapped. Of what was reported: wrong segments, recall, position error.\n"
+    )
     rows, missed = [], []
     for seed in SEEDS:
         passes = {
-            "2 m left": _Pass(seed, ASKED_EVERY, lateral_offset_m=2.0, traffic_seed=seed + 1000),
+            "2 m left": _Pass(seed, QUERY_EVERY, lateral_offset_m=2.0, traffic_seed=seed + 1000),
             "2 m left, against": _Pass(
-                seed, ASKED_EVERY, lateral_offset_m=2.0, reverse=True, traffic_seed=seed + 2000
+                seed, QUERY_EVERY, lateral_offset_m=2.0, reverse=True, traffic_seed=seed + 2000
             ),
         }
         for name, query in passes.items():
@@ -97,7 +99,7 @@ def _cities() -> list[str]:
                 missed.append(f"{seed}, {name}: recall within 10 m is {recall}")
             if any(scans is None for scans in track.recovery):
                 missed.append(f"{seed}, {name}: kidnapped and lost, {track.recovery}")
-        other = _tracked(_Pass(seed), _Pass(_next(seed), ASKED_EVERY)).tracks[0]
+        other = _tracked(_Pass(seed), _Pass(_next(seed), QUERY_EVERY)).tracks[0]
         rows.append([f"{seed}, another city", *_cells(other)])
         if other.localized:
             missed.append(f"{seed}: another city was localized {other.localized} times")
@@ -144,7 +146,7 @@ def _figure(value: float | None) -> str:
 
 
 class _Pass:
-    """A simulated drive of which only some scans are asked; cast when they are."""
+    """A simulated drive of which only some scans are queried; cast when they are."""
 
     def __init__(self, seed: int, every: int = 1, **options: Any) -> None:  # noqa: ANN401
         self._drive = SimulatedDrive(seed=seed, scans=CITY_SCANS, loop_m=CITY_LOOP_M, **options)

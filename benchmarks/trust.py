@@ -30,7 +30,7 @@ from storage.formats.drives.layouts import open_drive
 
 SEEDS = (601, 602, 603)
 CITY_SCANS = 300
-ASKED_EVERY = 10
+QUERY_EVERY = 10
 # Left of the line in metres, and whether against its direction.
 PASSES = ((0.0, False), (1.0, True), (2.0, False), (-3.0, True), (-1.5, False), (3.0, False))
 LEAST_AUROC, MOST_ECE = 0.98, 0.05
@@ -82,7 +82,7 @@ def _recorded(folder: Path, parameters: MapParameters, bars: list[str]) -> list[
         open_drive(folder / name, min_returns=100) for name in ("kitti00", "kit_muehlburger")
     )
     localizer = _localizer(drive, np.arange(0, len(drive), 2), parameters)
-    queried = [_ask(localizer, drive, i) for i in range(1, len(drive), 2)]
+    queried = [_localized(localizer, drive, i) for i in range(1, len(drive), 2)]
     unknown = [localizer.localize_scan(other.scan(i)) for i in range(len(other))]
     return _row("`kitti00`, odd scans", "`kit_muehlburger`", queried, unknown, bars, city=False)
 
@@ -100,7 +100,7 @@ def _cities(parameters: MapParameters, bars: list[str]) -> list[list[str]]:
         mapped = MemoryDrive(city.name, list(city))
         localizer = _localizer(mapped, np.arange(CITY_SCANS), parameters)
         promised = passes[seed] if parameters.distance is not None else passes[seed][:1]
-        queried = [_ask(localizer, drive, i) for drive in promised for i in range(len(drive))]
+        queried = [_localized(localizer, drive, i) for drive in promised for i in range(len(drive))]
         unknown = [
             localizer.localize_scan(drive.scan(i))
             for other in SEEDS
@@ -111,7 +111,7 @@ def _cities(parameters: MapParameters, bars: list[str]) -> list[list[str]]:
         others = ", ".join(str(other) for other in SEEDS if other != seed)
         rows.append(_row(f"city {seed}", f"cities {others}", queried, unknown, bars, city=True))
         even = _localizer(mapped, np.arange(0, CITY_SCANS, 2), parameters)
-        queried = [_ask(even, mapped, i) for i in range(1, CITY_SCANS, 2)]
+        queried = [_localized(even, mapped, i) for i in range(1, CITY_SCANS, 2)]
         unknown = [
             even.localize_scan(scan) for other in SEEDS if other != seed for scan in firsts[other]
         ]
@@ -129,14 +129,14 @@ def _second_pass(seed: int, offset_m: float, reverse: bool) -> MemoryDrive:  # n
         reverse=reverse,
         traffic_seed=seed + 1000,
     )
-    return MemoryDrive(drive.name, [drive.scan(i) for i in range(0, len(drive), ASKED_EVERY)])
+    return MemoryDrive(drive.name, [drive.scan(i) for i in range(0, len(drive), QUERY_EVERY)])
 
 
 def _localizer(drive: Drive, rows: IntArray, parameters: MapParameters) -> Localizer:
     return localizer_of(drive, rows, parameters, segments=5, calibrated=True)
 
 
-def _ask(localizer: Localizer, drive: Drive, index: int) -> tuple[Localization, FloatArray]:
+def _localized(localizer: Localizer, drive: Drive, index: int) -> tuple[Localization, FloatArray]:
     return localizer.localize_scan(drive.scan(index)), drive.poses[index]
 
 
@@ -150,8 +150,8 @@ def _row(
     city: bool,
 ) -> list[str]:
     right = [_is_right(found, pose) for found, pose in queried]
-    known = [_judged(f, right=is_right) for (f, _), is_right in zip(queried, right, strict=True)]
-    elsewhere = [_judged(found, right=False) for found in unknown]
+    known = [_outcome(f, right=is_right) for (f, _), is_right in zip(queried, right, strict=True)]
+    elsewhere = [_outcome(found, right=False) for found in unknown]
     of_all = reliability(known, elsewhere)
     of_right = reliability([checked for checked in known if checked.right], elsewhere)
     bars += _missed(positives, of_all, city=city)
@@ -176,9 +176,9 @@ def _row(
 def _missed(name: str, found: Reliability, *, city: bool) -> list[str]:
     missed = []
     if found.auroc is None or found.auroc < LEAST_AUROC:
-        missed.append(f"{name}: AUROC {_figure(found.auroc)}, wanted {LEAST_AUROC}")
+        missed.append(f"{name}: AUROC {_figure(found.auroc)}, required {LEAST_AUROC}")
     if city and (found.ece_mixed is None or found.ece_mixed > MOST_ECE):
-        missed.append(f"{name}: ECE {_figure(found.ece_mixed)}, wanted {MOST_ECE}")
+        missed.append(f"{name}: ECE {_figure(found.ece_mixed)}, required {MOST_ECE}")
     return missed
 
 
@@ -188,7 +188,7 @@ def _is_right(found: Localization, pose: FloatArray) -> bool:
     return bool(np.linalg.norm(place[:3] - pose[:3]) < AWAY_M)
 
 
-def _judged(found: Localization, *, right: bool) -> Outcome:
+def _outcome(found: Localization, *, right: bool) -> Outcome:
     assert found.decision.probability is not None  # noqa: S101 - these maps are calibrated
     return Outcome(found.decision.probability, found.localized, right)
 

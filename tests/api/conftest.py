@@ -36,7 +36,7 @@ def built(shared):
 
 
 def written(data_dir):
-    """Tell when each file that copies share was last written."""
+    """Return when each file that copies share was last written."""
     files = list(data_dir.rglob("*.h5"))
     assert len(files) == 6, files
     return {file: file.stat().st_mtime_ns for file in files}

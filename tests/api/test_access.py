@@ -79,12 +79,12 @@ def test_without_keys_a_name_that_a_foreign_page_chose_is_refused(client, host):
 
 
 @pytest.mark.parametrize("host", ["", "[", "[::1", "a b", "@", "127.0.0.1@maps.example", "x:99999"])
-def test_a_host_that_is_none_is_no_fault_of_ours(client, host):
+def test_an_invalid_host_is_not_an_internal_error(client, host):
     assert client.get("/v1/maps", headers={"Host": host}).status_code in {200, 421}
 
 
 def test_without_keys_another_address_of_this_machine_is_refused(tmp_path):
-    # As if `uvicorn --host 0.0.0.0` listened where the settings say loopback.
+    # As if `uvicorn --host 0.0.0.0` listened although the settings name loopback.
     app = create_app(Settings(data_dir=tmp_path))
     with Client(app, base_url="http://192.0.2.7") as client:
         forged = client.get("/v1/maps", headers={"Host": "localhost"})

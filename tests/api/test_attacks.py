@@ -201,13 +201,13 @@ def test_requests_of_one_client_change_no_answer_to_another(own, built):
     )
     body = kitti(recording().scans[5])
 
-    def ask(number):
+    def query(number):
         slug = ("campus", "dock")[number % 2]
         path = f"/v1/maps/{slug}/localizations/scan"
         return slug, own.post(path, content=body, headers=KITTI).json()["revision"]
 
     with ThreadPoolExecutor(8) as pool:
-        answers = set(pool.map(ask, range(40)))
+        answers = set(pool.map(query, range(40)))
     assert answers == {("campus", built.live), ("dock", built.other)}
     track = own.post("/v1/maps/campus/tracks").json()["track"]
     assert problem_of(own.get(f"/v1/maps/dock/tracks/{track}")) == (404, "track-not-found")

@@ -156,7 +156,7 @@ def test_a_closed_drive_takes_no_new_scan_and_keeps_the_old_ones(own):
 @pytest.mark.parametrize(
     "pose", ["", "1,2,3", "0,0,0,0,0,0,2", "0,0,0,0,0,0,nan", "a,0,0,0,0,0,1", "1e999,0,0,0,0,0,1"]
 )
-def test_a_pose_that_is_none_is_refused(client, pose):
+def test_an_invalid_pose_is_rejected(client, pose):
     refused = upload_scan(client, "campus", "monday", 900, SCAN, params={"pose": pose})
     assert problem_of(refused) == (422, "invalid-pose")
 
@@ -198,7 +198,7 @@ def test_a_thousand_things_that_are_wrong_are_not_all_repeated(client):
         (np.zeros((30, 361), "<f4").tobytes(), (422, "invalid-image")),
     ],
 )
-def test_an_image_that_is_none_is_refused(client, body, why):
+def test_an_invalid_image_is_rejected(client, body, why):
     headers = {"Content-Type": "application/vnd.tensormap.image"}
     refused = client.post("/v1/maps/campus/localizations/image", content=body, headers=headers)
     assert problem_of(refused) == why
@@ -212,7 +212,7 @@ def test_a_query_of_another_type_is_rejected_with_the_expected_one(client, kind)
 
 
 @pytest.mark.parametrize("headers", [{}, {"Content-Type": "text/plain"}])
-def test_json_that_does_not_say_so_is_refused_as_a_foreign_page_would_send_it(client, headers):
+def test_json_without_its_media_type_is_rejected_as_from_a_foreign_page(client, headers):
     refused = client.post("/v1/maps", content=b'{"map": "forged"}', headers=headers)
     assert problem_of(refused) == (415, "unsupported-body")
     assert "application/json" in refused.json()["detail"]
@@ -235,7 +235,7 @@ def test_json_that_cannot_be_read_is_refused(client, body):
         ("POST", "/campus/builds", '{"sensor": "?"}', "invalid-parameters"),
     ],
 )
-def test_half_a_character_is_refused(client, method, path, body, problem):
+def test_half_a_surrogate_pair_is_rejected(client, method, path, body, problem):
     half = body.replace("?", "\\ud800")
     headers = {"Content-Type": "application/json"}
     refused = client.request(method, f"/v1/maps{path}", content=half, headers=headers)

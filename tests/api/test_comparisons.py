@@ -74,9 +74,9 @@ def test_signatures_of_one_number_have_a_lower_recall(campus):
     assert found["recall"]["this"] < found["recall"]["other"] - 0.1
     assert found["this"]["relative_error_median"] > found["other"]["relative_error_median"]
     assert found["this"]["size_bytes"] < found["other"]["size_bytes"]
-    turned = compared(campus, "plain", "tiny")
-    assert (turned["this"], turned["other"]) == (found["other"], found["this"])
-    assert turned["recall"] == {
+    swapped = compared(campus, "plain", "tiny")
+    assert (swapped["this"], swapped["other"]) == (found["other"], found["this"])
+    assert swapped["recall"] == {
         **found["recall"],
         "this": found["recall"]["other"],
         "other": found["recall"]["this"],

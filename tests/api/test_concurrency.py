@@ -50,7 +50,7 @@ def test_while_live_changes_every_answer_is_of_one_revision(own, built):
 
     done = threading.Event()
 
-    def keep_asking(number):
+    def keep_querying(number):
         answers = []
         while not done.is_set():
             answers.append(("scan", None, by_scan()))
@@ -59,13 +59,13 @@ def test_while_live_changes_every_answer_is_of_one_revision(own, built):
         return answers
 
     with ThreadPoolExecutor(4) as pool:
-        asking = [pool.submit(keep_asking, number) for number in range(4)]
+        querying = [pool.submit(keep_querying, number) for number in range(4)]
         for switch in range(100):
             revision = (built.other, built.live)[switch % 2]
             switched = own.put("/v1/maps/campus/live", json={"revision": revision})
             assert switched.json()["live_revision"] == revision
         done.set()
-        answers = [answer for client in asking for answer in client.result()]
+        answers = [answer for client in querying for answer in client.result()]
     for kind, expected, response in answers:
         assert response.status_code == 200, response.text
         answer = response.json()

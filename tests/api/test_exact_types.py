@@ -47,7 +47,7 @@ def test_an_integer_may_be_written_with_a_point(own):
 
 
 @pytest.mark.parametrize("moment", ["0.5", "1700000000", "2030-01-01", "2030-01-01T00:00:00", ""])
-def test_a_moment_is_written_out_with_its_zone(client, moment):
+def test_a_time_is_returned_with_its_time_zone(client, moment):
     for name in ("since", "until"):
         assert refusal(client.get("/v1/audit", params={name: moment}))[0] == f"query/{name}"
     body = {"name": "fleet", "scopes": ["admin"], "expires_at": moment}
@@ -55,7 +55,7 @@ def test_a_moment_is_written_out_with_its_zone(client, moment):
 
 
 @pytest.mark.parametrize("moment", ["0001-01-01T00:00:00+14:00", "9999-12-31T23:59:59-14:00"])
-def test_a_moment_that_is_none_in_utc_is_the_clients_fault(client, moment):
+def test_a_time_outside_the_calendar_in_utc_is_a_client_error(client, moment):
     what = "wanted a moment that is in the years 1 to 9999 in UTC too"
     for name in ("since", "until"):
         refused = client.get("/v1/audit", params={name: moment})
@@ -65,7 +65,7 @@ def test_a_moment_that_is_none_in_utc_is_the_clients_fault(client, moment):
 
 
 @pytest.mark.parametrize("moment", ["0001-01-01T00:00:00Z", "9999-12-31T23:59:59.999999Z"])
-def test_the_first_and_the_last_moment_of_the_calendar_are_moments(client, moment):
+def test_the_first_and_the_last_time_of_the_calendar_are_accepted(client, moment):
     assert client.get("/v1/audit", params={"since": moment}).status_code == 200
 
 
@@ -76,18 +76,18 @@ def test_a_key_may_last_until_the_end_of_the_calendar(guarded):
     assert made.json()["expires_at"] == "9999-12-31T09:59:59Z"
 
 
-def test_a_number_is_no_moment(client):
+def test_a_number_is_not_a_time(client):
     body = {"name": "fleet", "scopes": ["admin"], "expires_at": 4102444800}
     assert refusal(client.post("/v1/keys", json=body))[0] == "body/expires_at"
 
 
 @pytest.mark.parametrize("moment", ["2030-01-01T00:00:00Z", "2030-01-01t02:00:00.25+02:00"])
-def test_a_moment_may_be_of_any_zone(client, moment):
+def test_a_time_may_have_any_time_zone(client, moment):
     assert client.get("/v1/audit", params={"until": moment}).status_code == 200
 
 
 @pytest.mark.parametrize(
-    ("path", "wanted"),
+    ("path", "body"),
     [
         ("keys", {"name": "fleet", "scopes": ["localize", "localize"]}),
         ("keys", {"name": "fleet", "scopes": ["localize"], "maps": ["campus", "campus"]}),
@@ -95,8 +95,8 @@ def test_a_moment_may_be_of_any_zone(client, moment):
         ("tokens", {"maps": ["campus", "campus"]}),
     ],
 )
-def test_a_set_has_nothing_twice(client, path, wanted):
-    where, what = refusal(client.post(f"/v1/{path}", json=wanted))
+def test_a_repeated_item_of_a_set_is_rejected(client, path, body):
+    where, what = refusal(client.post(f"/v1/{path}", json=body))
     assert where in {"body/scopes", "body/maps"}
     assert what == "an item comes twice"
 
@@ -105,7 +105,7 @@ def test_a_set_has_nothing_twice(client, path, wanted):
     "etag",
     ["1", "1_0", '"1_0"', '"+1"', '""', '"one"', 'W/""', '"1', '"' + "9" * 19 + '"', "null", ""],
 )
-def test_what_is_no_etag_changes_nothing(client, etag):
+def test_an_invalid_etag_changes_nothing(client, etag):
     before = client.get("/v1/maps/campus").json()
     headers = {"If-Match": etag}
     for refused in (

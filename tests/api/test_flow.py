@@ -76,19 +76,19 @@ def test_scan_image_and_signature_of_one_place_agree_with_each_other_and_with_th
             localize(client, "signature?k=3", json=as_json(signatures)),
         ]
         assert answers[0] == answers[1] == answers[2]
-        wanted = core.localize_scan(scan, k=3)
+        expected = core.localize_scan(scan, k=3)
         assert [m["scan_index"] for m in answers[0]["matches"]] == [
-            m.scan_index for m in wanted.matches
+            m.scan_index for m in expected.matches
         ]
-        assert answers[0]["best"]["distance"] == wanted.best.distance
-        assert answers[0]["ratio"] == wanted.ratio
+        assert answers[0]["best"]["distance"] == expected.best.distance
+        assert answers[0]["ratio"] == expected.ratio
         assert answers[0]["revision"] == answers[0]["live_revision"] == built.live
         assert answers[0]["segments_searched"] == [0, 1, 2]
 
         body = pack_signatures(signatures)
         assert len(body) == 11 + 3 * (2 + 2 * 25)
         packed = localize(client, "signature", content=body, headers=PACKED)
-        assert packed["best"]["scan_index"] == wanted.best.scan_index  # float16 moved it nowhere
+        assert packed["best"]["scan_index"] == expected.best.scan_index  # float16 moved it nowhere
 
 
 def test_one_signature_searches_its_own_segment_only(client):
@@ -150,7 +150,7 @@ def test_a_segment_that_the_map_lacks_is_refused(client, segment):
 
 
 @pytest.mark.parametrize("segment", ["-1", "99999999999999999999999999", "one"])
-def test_what_is_no_segment_is_refused(client, segment):
+def test_an_invalid_segment_is_rejected(client, segment):
     response = client.get(f"/v1/maps/campus/basis?segment={segment}")
     assert problem_of(response) == (422, "invalid-request")
 

@@ -1,4 +1,4 @@
-"""A harmonic map over HTTP: the same routes, and an answer that tells heading and offset."""
+"""A harmonic map over HTTP: the same routes, and an answer with heading and lateral offset."""
 
 import io
 
@@ -21,8 +21,8 @@ def client(tmp_path_factory):
     with running(tmp_path_factory.mktemp("harmonic") / "data") as client:
         client.post("/v1/maps", json={"map": "campus"})
         upload(client, "monday", recording())
-        wanted = {"segments": 2, "encoding": "harmonic", "lateral_renderings_m": [-1.5, 0, 1.5]}
-        queued = client.post("/v1/maps/campus/builds", json=wanted)
+        parameters = {"segments": 2, "encoding": "harmonic", "lateral_renderings_m": [-1.5, 0, 1.5]}
+        queued = client.post("/v1/maps/campus/builds", json=parameters)
         assert wait_for(client, queued.json()["job"])["state"] == "done"
         yield client
 
@@ -44,7 +44,7 @@ def as_json(signature):
     }
 
 
-def test_the_revision_tells_what_it_was_built_with(client):
+def test_the_revision_reports_its_build_parameters(client):
     [revision] = client.get("/v1/maps/campus/revisions").json()["items"]
     assert revision["encoding"] == "harmonic"
     chosen = {name: revision["parameters"][name] for name in ("reducer", "image", "distance")}
@@ -65,16 +65,16 @@ def test_scan_image_and_signature_agree_with_each_other_and_with_the_method(clie
             localize(client, "signature?k=3", json=as_json(signature)),
         ]
         assert answers[0] == answers[1] == answers[2]
-        wanted = core.localize_scan(scan, k=3)
+        expected = core.localize_scan(scan, k=3)
         best = answers[0]["best"]
         assert (best["scan_index"], best["distance"]) == (
-            wanted.best.scan_index,
-            wanted.best.distance,
+            expected.best.scan_index,
+            expected.best.distance,
         )
         assert (best["turn_deg"], best["lateral_m"], best["heading_deg"]) == (
-            wanted.best.relative_yaw_deg,
-            wanted.best.lateral_m,
-            wanted.best.heading_deg,
+            expected.best.relative_yaw_deg,
+            expected.best.lateral_m,
+            expected.best.heading_deg,
         )
         assert best["estimated_pose"]["yaw_deg"] == best["heading_deg"]
         assert answers[0]["segments_searched"] == [0, 1]
@@ -85,10 +85,10 @@ def test_scan_image_and_signature_agree_with_each_other_and_with_the_method(clie
             assert abs(packed["best"]["scan_index"] - best["scan_index"]) <= 1
 
 
-def test_a_vehicle_that_is_turned_gets_its_heading(client):
+def test_a_query_with_relative_yaw_gets_its_heading(client):
     scan = recording().scans[20]
-    turned = np.stack([scan.points_m[:, 1], -scan.points_m[:, 0], scan.points_m[:, 2]], axis=1)
-    body = np.pad(turned, ((0, 0), (0, 1))).astype("<f4").tobytes()
+    rotated = np.stack([scan.points_m[:, 1], -scan.points_m[:, 0], scan.points_m[:, 2]], axis=1)
+    body = np.pad(rotated, ((0, 0), (0, 1))).astype("<f4").tobytes()
     best = localize(client, "scan", content=body, headers=KITTI)["best"]
     assert (best["scan_index"], best["lateral_m"]) == (20, 0.0)
     assert best["turn_deg"] == pytest.approx(90.0, abs=0.5)
@@ -96,18 +96,18 @@ def test_a_vehicle_that_is_turned_gets_its_heading(client):
     assert best["heading_deg"] == pytest.approx(expected, abs=0.5)
 
 
-def test_a_sensor_mounted_otherwise_says_so(client):
+def test_the_sensor_height_can_be_given_with_a_query(client):
     scan = recording().scans[20]
     lower = scan.points_m - np.array([0.0, 0.0, 0.6], np.float32)
     body = np.pad(lower, ((0, 0), (0, 1))).astype("<f4").tobytes()
-    told = localize(client, "scan?sensor_height_m=2.33", content=body, headers=KITTI)["best"]
-    untold = localize(client, "scan", content=body, headers=KITTI)["best"]
-    assert told["scan_index"] == 20
-    assert told["distance"] < 0.1 * untold["distance"]
+    with_height = localize(client, "scan?sensor_height_m=2.33", content=body, headers=KITTI)["best"]
+    without_height = localize(client, "scan", content=body, headers=KITTI)["best"]
+    assert with_height["scan_index"] == 20
+    assert with_height["distance"] < 0.1 * without_height["distance"]
 
 
 @pytest.mark.parametrize("height", ["0", "-1", "100", "nan", "high"])
-def test_a_height_that_cannot_be_is_refused(client, height):
+def test_an_impossible_sensor_height_is_rejected(client, height):
     response = client.post(
         f"/v1/maps/campus/localizations/scan?sensor_height_m={height}",
         content=kitti(recording().scans[0]),
@@ -144,7 +144,7 @@ def test_images_of_another_kind_or_grid_are_refused_by_name(client):
     assert localize(client, "image?image=height", content=image, headers=IMAGE)
 
 
-def test_signatures_that_cannot_be_are_refused_by_name(client, basis):
+def test_impossible_signatures_are_rejected_by_name(client, basis):
     [signature] = basis.encode(basis.image(recording().scans[0]))
     good = as_json(signature)
     item = good["signatures"][0]
@@ -178,7 +178,7 @@ def test_a_signature_packed_for_another_encoding_is_refused(client, basis):
 
 
 @pytest.mark.parametrize(
-    "wanted",
+    "parameters",
     [
         {"encoding": "harmonic", "ranks": [5, 182]},
         {"encoding": "harmonic", "reducer": "last"},
@@ -189,28 +189,28 @@ def test_a_signature_packed_for_another_encoding_is_refused(client, basis):
         {"encoding": "paper", "lateral_renderings_m": [0]},
     ],
 )
-def test_a_build_whose_options_do_not_go_together_is_refused_at_once(client, wanted):
-    response = client.post("/v1/maps/campus/builds", json=wanted)
+def test_a_build_whose_options_do_not_go_together_is_refused_at_once(client, parameters):
+    response = client.post("/v1/maps/campus/builds", json=parameters)
     assert problem_of(response) == (422, "invalid-parameters")
 
 
 @pytest.mark.parametrize(
-    "wanted",
+    "parameters",
     [
         {"image": "range", "reducer": "nearest", "distance": "plain", "lateral_renderings_m": [0]},
         {"image": "height", "reducer": "highest", "ranks": [4, 7]},
     ],
 )
-def test_every_choice_is_built_and_answers(empty, wanted):
+def test_every_choice_is_built_and_answers(empty, parameters):
     upload(empty, "monday", recording())
-    queued = empty.post("/v1/maps/campus/builds", json={"encoding": "harmonic", **wanted})
+    queued = empty.post("/v1/maps/campus/builds", json={"encoding": "harmonic", **parameters})
     assert wait_for(empty, queued.json()["job"])["state"] == "done"
     scan = recording().scans[11]
     assert localize(empty, "scan", content=kitti(scan), headers=KITTI)["best"]["scan_index"] == 11
     basis = BasisOut.model_validate(empty.get("/v1/maps/campus/basis").json()).to_core()
     image = basis.image(scan)
     body = image.cells.astype("<f4").tobytes()
-    kind = wanted["image"]
+    kind = parameters["image"]
     found = localize(empty, f"image?image={kind}", content=body, headers=IMAGE)
     assert found["best"]["scan_index"] == 11
     packed = pack_signatures(basis.encode(image))

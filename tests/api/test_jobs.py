@@ -19,25 +19,25 @@ from storage.errors import JobNotFound, StorageBusy, StorageUnavailable
 from storage.store import Store
 from tests.support.recording import recording, upload_scan
 from tests.support.service import problem_of, running, wait_for, whole_store
-from tests.support.workers import fall_over, find_no_catalog, stand_still, take_memory
+from tests.support.workers import fall_over, find_no_catalog, never_end, take_memory
 
 
-def build(client, **wanted):
-    response = client.post("/v1/maps/campus/builds", json=wanted)
+def build(client, **parameters):
+    response = client.post("/v1/maps/campus/builds", json=parameters)
     assert response.status_code == 202, response.text
     return response.json()["job"]
 
 
 @pytest.fixture
-def standing(empty, monkeypatch):
+def stuck(empty, monkeypatch):
     """A service whose workers never end, with one scan."""
-    monkeypatch.setattr(runner_module, "run_build", stand_still)
+    monkeypatch.setattr(runner_module, "run_build", never_end)
     upload_scan(empty, "campus", "monday", 0, recording().scans[0])
     return empty
 
 
 @pytest.mark.parametrize(
-    ("wanted", "problem"),
+    ("parameters", "problem"),
     [
         ({"drives": ["nowhere"]}, (404, "drive-not-found")),
         ({"drives": []}, (422, "invalid-request")),
@@ -52,9 +52,9 @@ def standing(empty, monkeypatch):
         ({"colour": "red"}, (422, "invalid-request")),
     ],
 )
-def test_a_build_that_cannot_be_is_refused_before_it_is_queued(client, wanted, problem):
+def test_an_impossible_build_is_rejected_before_it_is_queued(client, parameters, problem):
     before = client.get("/v1/jobs").json()
-    refused = client.post("/v1/maps/campus/builds", json=wanted)
+    refused = client.post("/v1/maps/campus/builds", json=parameters)
     assert problem_of(refused) == problem
     assert client.get("/v1/jobs").json() == before
 
@@ -79,31 +79,31 @@ def test_a_build_that_fails_has_a_reason_and_publishes_nothing(empty):
     assert (maps, drives, revisions) == before[:3]
 
 
-def test_a_worker_that_is_killed_fails_its_job_and_the_next_one_is_done(standing, monkeypatch):
-    job = build(standing)
-    wait_for(standing, job, {"running"})
+def test_a_worker_that_is_killed_fails_its_job_and_the_next_one_is_done(stuck, monkeypatch):
+    job = build(stuck)
+    wait_for(stuck, job, {"running"})
     os.kill(_one_worker(), signal.SIGKILL)
-    failed = wait_for(standing, job)
+    failed = wait_for(stuck, job)
     assert (failed["state"], failed["error"]["type"]) == ("failed", "/problems/worker-died")
     assert "-9" in failed["error"]["detail"]
 
     monkeypatch.setattr(runner_module, "run_build", fall_over)
-    fallen = wait_for(standing, build(standing))
+    fallen = wait_for(stuck, build(stuck))
     assert "exit code 3" in fallen["error"]["detail"]
 
     monkeypatch.undo()
-    assert wait_for(standing, build(standing))["state"] == "done"
-    assert standing.get("/readyz").json() == {"ready": True, "missing": []}
+    assert wait_for(stuck, build(stuck))["state"] == "done"
+    assert stuck.get("/readyz").json() == {"ready": True, "missing": []}
 
 
-def test_a_worker_that_cannot_write_down_its_end_reports_it(standing, monkeypatch):
+def test_a_worker_that_cannot_write_down_its_end_reports_it(stuck, monkeypatch):
     monkeypatch.setattr(runner_module, "run_build", find_no_catalog)
-    failed = wait_for(standing, build(standing))
+    failed = wait_for(stuck, build(stuck))
     assert (failed["state"], failed["error"]["type"]) == ("failed", "/problems/storage-read-only")
 
 
-def test_an_end_that_the_catalog_does_not_take_is_written_down_later(standing, monkeypatch):
-    jobs, refusals = standing.service.store.jobs, iter([True, True])
+def test_an_end_that_the_catalog_does_not_take_is_written_down_later(stuck, monkeypatch):
+    jobs, refusals = stuck.service.store.jobs, iter([True, True])
     fail = jobs.fail
 
     def refuse_twice(*arguments):
@@ -113,13 +113,13 @@ def test_an_end_that_the_catalog_does_not_take_is_written_down_later(standing, m
 
     monkeypatch.setattr(jobs, "fail", refuse_twice)
     monkeypatch.setattr(runner_module, "run_build", fall_over)
-    failed = wait_for(standing, build(standing))
+    failed = wait_for(stuck, build(stuck))
     assert (failed["state"], failed["error"]["type"]) == ("failed", "/problems/worker-died")
     assert next(refusals, None) is None
 
 
 def test_a_build_without_progress_is_ended_and_fails_by_name(tmp_path, monkeypatch):
-    monkeypatch.setattr(runner_module, "run_build", stand_still)
+    monkeypatch.setattr(runner_module, "run_build", never_end)
     with running(tmp_path, build_stall_s=0.5) as client:
         client.post("/v1/maps", json={"map": "campus"})
         upload_scan(client, "campus", "monday", 0, recording().scans[0])
@@ -132,7 +132,7 @@ def test_a_build_without_progress_is_ended_and_fails_by_name(tmp_path, monkeypat
 
 
 def test_a_build_with_progress_is_not_ended_however_long_it_takes(tmp_path, monkeypatch):
-    monkeypatch.setattr(runner_module, "run_build", stand_still)
+    monkeypatch.setattr(runner_module, "run_build", never_end)
     with running(tmp_path, build_stall_s=0.8) as client:
         client.post("/v1/maps", json={"map": "campus"})
         upload_scan(client, "campus", "monday", 0, recording().scans[0])
@@ -145,7 +145,7 @@ def test_a_build_with_progress_is_not_ended_however_long_it_takes(tmp_path, monk
         assert wait_for(client, job)["error"]["detail"].endswith("after 11 of 12 units")
 
 
-def test_a_build_that_wants_too_much_memory_fails_by_name(tmp_path, monkeypatch):
+def test_a_build_that_needs_too_much_memory_fails_by_name(tmp_path, monkeypatch):
     monkeypatch.setattr(runner_module, "run_build", take_memory)
     with running(tmp_path, build_memory_bytes=2**30) as client:
         client.post("/v1/maps", json={"map": "campus"})
@@ -195,79 +195,79 @@ def test_a_worker_that_cannot_be_ended_fails_its_job_and_the_next_one_is_done(
         assert wait_for(client, build(client, segments=1))["state"] == "done"
 
 
-def test_a_worker_that_cannot_be_started_fails_its_job_and_not_the_service(standing, monkeypatch):
+def test_a_worker_that_cannot_be_started_fails_its_job_and_not_the_service(stuck, monkeypatch):
     monkeypatch.setattr(runner_module, "run_build", lambda *_: None)  # cannot be pickled
 
     def refuse(*_args, **_kwargs):
         raise OSError("no more processes")
 
-    monkeypatch.setattr(standing.service.runner._context, "Process", refuse, raising=False)
-    job = wait_for(standing, build(standing))
+    monkeypatch.setattr(stuck.service.runner._context, "Process", refuse, raising=False)
+    job = wait_for(stuck, build(stuck))
     assert (job["state"], job["error"]["type"]) == ("failed", "/problems/worker-died")
-    assert standing.get("/readyz").status_code == 200
+    assert stuck.get("/readyz").status_code == 200
 
 
-def test_a_waiting_and_a_running_build_are_cancelled(standing):
-    first, second = build(standing), build(standing)
-    wait_for(standing, first, {"running"})
-    assert standing.get(f"/v1/jobs/{second}").json()["state"] == "queued"
+def test_a_waiting_and_a_running_build_are_cancelled(stuck):
+    first, second = build(stuck), build(stuck)
+    wait_for(stuck, first, {"running"})
+    assert stuck.get(f"/v1/jobs/{second}").json()["state"] == "queued"
     for job in (second, first):
-        assert standing.delete(f"/v1/jobs/{job}").status_code == 200
-        assert wait_for(standing, job)["state"] == "cancelled"
+        assert stuck.delete(f"/v1/jobs/{job}").status_code == 200
+        assert wait_for(stuck, job)["state"] == "cancelled"
     assert not _workers()
-    again = standing.delete(f"/v1/jobs/{first}")
+    again = stuck.delete(f"/v1/jobs/{first}")
     assert again.json()["state"] == "cancelled"  # one that ended stays as it is
 
 
-def test_a_repeated_request_with_its_idempotency_key_is_the_same_job(standing):
-    def ask(**wanted):
+def test_a_repeated_request_with_its_idempotency_key_is_the_same_job(stuck):
+    def post_build(**parameters):
         headers = {"Idempotency-Key": "5a7e-first"}
-        return standing.post("/v1/maps/campus/builds", json=wanted, headers=headers)
+        return stuck.post("/v1/maps/campus/builds", json=parameters, headers=headers)
 
-    first = ask(segments=1)
-    wait_for(standing, first.json()["job"], {"running"})
-    again = ask(segments=1)
+    first = post_build(segments=1)
+    wait_for(stuck, first.json()["job"], {"running"})
+    again = post_build(segments=1)
     assert (again.status_code, again.headers["Location"]) == (202, first.headers["Location"])
     assert (again.json()["job"], again.json()["state"]) == (first.json()["job"], "running")
-    assert problem_of(ask(segments=2)) == (409, "request-key-reused")
+    assert problem_of(post_build(segments=2)) == (409, "request-key-reused")
     # What it was made of may be gone since: it was made.
-    assert standing.delete("/v1/maps/campus/drives/monday").status_code == 204
-    assert ask(segments=1).json()["job"] == first.json()["job"]
-    assert len(standing.get("/v1/jobs").json()["items"]) == 1
+    assert stuck.delete("/v1/maps/campus/drives/monday").status_code == 204
+    assert post_build(segments=1).json()["job"] == first.json()["job"]
+    assert len(stuck.get("/v1/jobs").json()["items"]) == 1
 
 
 @pytest.mark.parametrize("key", ["", "x" * 256, "two words", "ä"])
-def test_a_key_that_no_header_should_hold_is_refused(standing, key):
+def test_a_key_that_no_header_should_hold_is_refused(stuck, key):
     headers = {"Idempotency-Key": key.encode("latin-1")}
-    refused = standing.post("/v1/maps/campus/builds", json={}, headers=headers)
+    refused = stuck.post("/v1/maps/campus/builds", json={}, headers=headers)
     assert problem_of(refused) == (422, "invalid-request")
-    assert standing.get("/v1/jobs").json()["items"] == []
+    assert stuck.get("/v1/jobs").json()["items"] == []
 
 
-def test_the_jobs_of_a_map_are_listed_newest_first(standing):
-    standing.post("/v1/maps", json={"map": "other"})
-    jobs = [build(standing) for _ in range(3)]
-    listed = standing.get("/v1/jobs", params={"map": "campus", "limit": 2}).json()
+def test_the_jobs_of_a_map_are_listed_newest_first(stuck):
+    stuck.post("/v1/maps", json={"map": "other"})
+    jobs = [build(stuck) for _ in range(3)]
+    listed = stuck.get("/v1/jobs", params={"map": "campus", "limit": 2}).json()
     assert [item["job"] for item in listed["items"]] == [jobs[2], jobs[1]]
-    rest = standing.get("/v1/jobs", params={"map": "campus", "after": listed["next_after"]}).json()
+    rest = stuck.get("/v1/jobs", params={"map": "campus", "after": listed["next_after"]}).json()
     assert [item["job"] for item in rest["items"]] == [jobs[0]]
-    assert standing.get("/v1/jobs", params={"map": "other"}).json()["items"] == []
-    assert problem_of(standing.get("/v1/jobs", params={"map": "x"})) == (404, "map-not-found")
+    assert stuck.get("/v1/jobs", params={"map": "other"}).json()["items"] == []
+    assert problem_of(stuck.get("/v1/jobs", params={"map": "x"})) == (404, "map-not-found")
 
 
-def test_the_job_of_a_map_that_is_removed_goes_with_it(standing):
-    job = build(standing)
-    wait_for(standing, job, {"running"})
-    standing.delete("/v1/maps/campus")
-    assert problem_of(standing.get(f"/v1/jobs/{job}")) == (404, "job-not-found")
+def test_the_job_of_a_map_that_is_removed_goes_with_it(stuck):
+    job = build(stuck)
+    wait_for(stuck, job, {"running"})
+    stuck.delete("/v1/maps/campus")
+    assert problem_of(stuck.get(f"/v1/jobs/{job}")) == (404, "job-not-found")
     deadline = time.monotonic() + 30
     while _workers():
-        assert time.monotonic() < deadline, "the worker goes on without its map"
+        assert time.monotonic() < deadline, "the worker continues without its map"
         time.sleep(0.02)
 
 
 def test_a_stopped_service_leaves_no_worker_and_the_next_one_continues(tmp_path, monkeypatch):
-    monkeypatch.setattr(runner_module, "run_build", stand_still)
+    monkeypatch.setattr(runner_module, "run_build", never_end)
     with running(tmp_path) as client:
         client.post("/v1/maps", json={"map": "campus"})
         upload_scan(client, "campus", "monday", 0, recording().scans[0])

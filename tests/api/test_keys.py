@@ -20,7 +20,7 @@ from tests.support.access import (
 )
 from tests.support.process import until
 from tests.support.service import copy_of, problem_of, running
-from tests.support.workers import stand_still
+from tests.support.workers import never_end
 
 
 @pytest.fixture(scope="module")
@@ -75,7 +75,7 @@ def test_the_right_id_with_another_secret_opens_nothing(client):
         "null",
     ],
 )
-def test_what_is_no_key_is_refused(client, sent):
+def test_an_invalid_key_is_rejected(client, sent):
     refused = client.get("/v1/maps", headers={"Authorization": f"Bearer {sent}".encode("latin-1")})
     assert problem_of(refused) == (401, "key-refused")
 
@@ -131,7 +131,7 @@ def test_a_stream_ends_when_its_key_is_revoked(client):
 
 
 def test_the_events_of_a_job_end_when_the_key_is_revoked(tmp_path, built, monkeypatch):
-    monkeypatch.setattr("app.builds.runner.run_build", stand_still)
+    monkeypatch.setattr("app.builds.runner.run_build", never_end)
     with running(copy_of(built.data_dir, tmp_path / "data"), admin_key=ADMIN_KEY) as client:
         made = make(client, WRITE)
         headers = bearer(made["secret"])
@@ -140,22 +140,22 @@ def test_the_events_of_a_job_end_when_the_key_is_revoked(tmp_path, built, monkey
 
         begun = threading.Event()
 
-        def noting(**told):
+        def noting(**event):
             begun.set()
-            return format_sse_event(**told)
+            return format_sse_event(**event)
 
         monkeypatch.setattr("app.builds.job_events.format_sse_event", noting)
 
-        def revoke_when_it_is_told():
+        def revoke_when_it_runs():
             assert begun.wait(60)
             until(lambda: store.jobs.get(job).state == "running", "it does not run")
             store.keys.revoke(made["key"])
 
-        revoking = threading.Thread(target=revoke_when_it_is_told)
+        revoking = threading.Thread(target=revoke_when_it_runs)
         revoking.start()
-        told = client.get(f"/v1/jobs/{job}/events", headers=headers)
+        response = client.get(f"/v1/jobs/{job}/events", headers=headers)
         revoking.join()
-        assert told.status_code == 200
+        assert response.status_code == 200
         assert store.jobs.get(job).state == "running"
 
 
@@ -163,7 +163,7 @@ def test_the_events_of_a_job_end_when_the_key_is_revoked(tmp_path, built, monkey
 
 
 @pytest.mark.parametrize(
-    ("wanted", "problem"),
+    ("body", "problem"),
     [
         ({"scopes": ["admin"], "maps": ["campus"]}, "invalid-parameters"),
         ({"scopes": ["localize"], "expires_at": "2001-01-01T00:00:00Z"}, "invalid-parameters"),
@@ -176,9 +176,9 @@ def test_the_events_of_a_job_end_when_the_key_is_revoked(tmp_path, built, monkey
         ({"scopes": ["localize"], "secret": "mine"}, "invalid-request"),
     ],
 )
-def test_a_key_that_makes_no_sense_is_refused(client, wanted, problem):
+def test_an_invalid_key_request_is_rejected(client, body, problem):
     before = client.get("/v1/keys?limit=1000", headers=ADMIN).json()
-    refused = client.post("/v1/keys", json={"name": "x", **wanted}, headers=ADMIN)
+    refused = client.post("/v1/keys", json={"name": "x", **body}, headers=ADMIN)
     assert problem_of(refused) == (422, problem)
     assert client.get("/v1/keys?limit=1000", headers=ADMIN).json() == before
 

@@ -44,7 +44,7 @@ def test_a_key_beyond_its_limit_gets_a_time_to_retry_and_others_do_not(limited):
     assert "RateLimit" not in limited.get("/livez").headers
 
 
-def test_who_guesses_keys_is_slowed_down_by_address_and_holders_there_are_not(limited):
+def test_an_address_that_guesses_keys_is_slowed_down_and_key_holders_there_are_not(limited):
     held = bearer(make(limited, "maps:read")["secret"])
     guesses = [limited.get("/v1/maps", headers=bearer(f"guess {n}")) for n in range(7)]
     assert [guess.status_code for guess in guesses] == [401] * 5 + [429] * 2
@@ -91,7 +91,7 @@ def put_scan(client, key, index, body):
     return client.put(path, content=body, headers={**KITTI, **key})
 
 
-def test_a_key_sends_so_many_bytes_a_day_and_no_more(metered):
+def test_the_bytes_of_a_key_per_day_are_limited(metered):
     one, other = (bearer(make(metered, "maps:write")["secret"]) for _ in range(2))
     scan = kitti(recording().scans[0])[:4800]
     assert put_scan(metered, one, 0, scan).status_code == 201
@@ -103,7 +103,7 @@ def test_a_key_sends_so_many_bytes_a_day_and_no_more(metered):
     assert 37_000 < int(refused.headers["Retry-After"]) <= 38_016  # for 4,400 of them
     assert put_scan(metered, other, 2, scan).status_code == 201
     drive = metered.get("/v1/maps/campus/drives/monday", headers=one)
-    assert (drive.status_code, drive.json()["scans"]) == (200, 3)  # asking sends nothing
+    assert (drive.status_code, drive.json()["scans"]) == (200, 3)  # a GET sends no bytes
 
 
 def test_bytes_that_were_not_announced_count_as_they_come(metered):
@@ -115,7 +115,7 @@ def test_bytes_that_were_not_announced_count_as_they_come(metered):
     assert drives.json()["items"] == []
 
 
-def test_a_body_that_no_wait_makes_fit_is_too_large(metered):
+def test_a_body_larger_than_the_limit_per_day_is_too_large(metered):
     one = bearer(make(metered, "maps:write")["secret"])
     refused = put_scan(metered, one, 0, bytes(16_000))
     assert problem_of(refused) == (413, "body-too-large")
@@ -155,7 +155,7 @@ def test_pages_of_an_allowed_origin_may_send_requests_with_a_key_and_without_coo
         assert refused.headers["Access-Control-Allow-Origin"] == SITE
 
 
-def test_the_pages_of_other_sites_may_not(tmp_path):
+def test_pages_of_other_origins_may_not_send_requests(tmp_path):
     others = (
         "https://maps.example.evil.example",
         "https://evil.example",
@@ -209,7 +209,7 @@ def test_without_keys_a_page_elsewhere_changes_nothing(tmp_path):
         "file://",
     ],
 )
-def test_what_is_no_origin_is_refused_at_the_start(given):
+def test_an_invalid_origin_is_rejected_at_the_start(given):
     with pytest.raises(ValueError, match="wanted origins"):
         Settings(allowed_origins=given)
 

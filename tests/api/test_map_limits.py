@@ -4,7 +4,7 @@ import re
 
 import pytest
 
-from tests.support.access import ADMIN, LOCALIZE, OPENED_BY, READ, WRITE, ask, holder
+from tests.support.access import ADMIN, LOCALIZE, OPENED_BY, READ, WRITE, holder, send
 from tests.support.recording import KITTI, kitti, recording
 from tests.support.service import problem_of
 
@@ -21,16 +21,16 @@ def of_dock(client):
 
 
 @pytest.mark.parametrize("route", [route for route in OPENED_BY if "{map}" in route])
-def test_for_a_key_of_other_maps_a_map_is_not_there(client, of_dock, route):
+def test_a_map_is_not_found_with_a_key_of_other_maps(client, of_dock, route):
     method, _, path = route.partition(" ")
     given = {"map": "campus", "drive": "monday", "index": "0"}
     requested = re.sub(r"\{(\w+)\}", lambda part: given.get(part[1], "x" * 12), path)
-    there = ask(client, method, requested, of_dock)
+    there = send(client, method, requested, of_dock)
     assert there == (404, "map-not-found")
-    assert ask(client, method, requested.replace("campus", "nowhere"), of_dock) == there
+    assert send(client, method, requested.replace("campus", "nowhere"), of_dock) == there
 
 
-def test_what_is_hidden_reads_as_what_is_not_there(client, of_dock):
+def test_a_hidden_map_gets_the_same_answer_as_a_missing_one(client, of_dock):
     hidden, missing = (
         client.get(f"/v1/maps/{slug}", headers=headers).json()
         for slug, headers in (("campus", of_dock), ("nowhere", ADMIN))
@@ -48,7 +48,7 @@ def test_lists_show_only_the_maps_of_the_key(client, of_dock):
     assert problem_of(refused) == (404, "map-not-found")
 
 
-def test_a_job_of_another_map_is_not_there(client, of_dock):
+def test_a_job_of_another_map_is_not_found(client, of_dock):
     job, _ = client.get("/v1/jobs", headers=ADMIN).json()["items"]
     of_campus = holder(client, READ, WRITE, maps=["campus"])
     path = f"/v1/jobs/{job['job']}"

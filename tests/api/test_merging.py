@@ -164,7 +164,7 @@ def test_old_drives_are_left_out_when_an_age_is_given(campus, encoding):
 
 
 @pytest.mark.parametrize(
-    ("wanted", "problem"),
+    ("parameters", "problem"),
     [
         ({"add": ["alpha"]}, (422, "invalid-request")),
         ({"remove": ["monday"]}, (422, "invalid-request")),
@@ -182,9 +182,9 @@ def test_old_drives_are_left_out_when_an_age_is_given(campus, encoding):
         ({"base": "live", "add": ["alpha"], "segments": 2}, (422, "invalid-parameters")),
     ],
 )
-def test_a_change_that_cannot_be_is_refused_and_changes_nothing(settled, wanted, problem):
+def test_an_impossible_change_is_rejected_and_changes_nothing(settled, parameters, problem):
     before = whole_store(settled)
-    assert problem_of(settled.post(BUILDS, json=wanted)) == problem
+    assert problem_of(settled.post(BUILDS, json=parameters)) == problem
     assert whole_store(settled) == before
 
 

@@ -124,4 +124,4 @@ def settled(client, key, value):
         if found.get(key) == value:
             return found
         client.get("/livez")
-    pytest.fail(f"{key} is {found.get(key)}, wanted {value}")
+    pytest.fail(f"{key} is {found.get(key)}, expected {value}")

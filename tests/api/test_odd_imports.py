@@ -123,7 +123,7 @@ ODD = {
     "a sensor without height": ({}, {"sensor_height_m": 0.0}),
     "ranks without end": ({}, {"ranks": [10**30, 5]}),
     "a grid without end": ({}, {"grid": {"rings": 10**9}}),
-    "an attribute that nobody knows": ({}, {"more": "\ud800"}),
+    "an unknown attribute": ({}, {"more": "\ud800"}),
     "a calibration of its own": ({}, {"calibration": {"floor": -1}}),
     "a calibration beyond sense": (
         {},
@@ -143,7 +143,7 @@ ODD = {
 
 
 @pytest.mark.parametrize(("arrays", "attributes"), ODD.values(), ids=ODD.keys())
-def test_a_map_that_cannot_be_is_refused_and_nothing_is_stored(
+def test_an_impossible_map_is_rejected_and_nothing_is_stored(
     open_service, exported, arrays, attributes
 ):
     before = whole_store(open_service)
@@ -219,11 +219,11 @@ def test_a_name_that_an_earlier_version_let_in_is_refused_by_name_and_the_rest_a
 
 @pytest.mark.parametrize("text", ["a\ud800", "a\0", "a\x1b[2J"])
 def test_texts_that_cannot_be_shown_are_refused_wherever_they_come_in(open_service, text):
-    wanted = {
+    bodies = {
         "/v1/maps": {"map": "other", "description": text},
         "/v1/keys": {"name": text, "scopes": ["maps:read"]},
     }
-    for path, body in wanted.items():
+    for path, body in bodies.items():
         content = json.dumps(body).encode()
         answer = open_service.post(
             path, content=content, headers={"Content-Type": "application/json"}

@@ -24,8 +24,8 @@ def records(client):
     return stored_scans(client.service.store, "campus", "monday")
 
 
-def same(pose, *wanted):
-    np.testing.assert_allclose(pose.as_tuple(), wanted, atol=1e-12)
+def same(pose, *expected):
+    np.testing.assert_allclose(pose.as_tuple(), expected, atol=1e-12)
 
 
 @pytest.mark.parametrize("when", ["before", "after", "between"])
@@ -33,19 +33,19 @@ def test_kittis_poses_are_those_of_scans_that_are_in_and_to_come(empty, when):
     early = {"before": 0, "between": 1, "after": 3}[when]
     for index in range(early):
         upload_scan(empty, "campus", "monday", index, SCANS[index])
-    told = put(empty, KITTI_LINES, KITTI)
-    assert (told.status_code, told.json()["scans"]) == (200, early)
+    answer = put(empty, KITTI_LINES, KITTI)
+    assert (answer.status_code, answer.json()["scans"]) == (200, early)
     stored = [upload_scan(empty, "campus", "monday", i, SCANS[i]).json() for i in range(early, 3)]
     assert [item["has_pose"] for item in stored] == [True, False, True][early:]
-    turned, unknown, ahead = records(empty)
-    same(turned.pose, 1, 2, 3, 0, 0, HALF, HALF)
+    rotated, unknown, ahead = records(empty)
+    same(rotated.pose, 1, 2, 3, 0, 0, HALF, HALF)
     assert unknown.pose is None
     same(ahead.pose, 4, 5, 6, 0, 0, 0, 1)
 
 
 def test_tums_lines_have_times_and_begin_at_the_given_scan(empty):
     upload_scan(empty, "campus", "monday", 2, SCANS[2])
-    body = "# t x y z qx qy qz qw\n10.5 1 2 3 0 0 0 1\n\n11.5 4 5 6 0 0 1 0 # turned\n"
+    body = "# t x y z qx qy qz qw\n10.5 1 2 3 0 0 0 1\n\n11.5 4 5 6 0 0 1 0 # rotated\n"
     put(empty, body, TUM, first=2)
     upload_scan(empty, "campus", "monday", 3, SCANS[3])
     second, third = records(empty)
@@ -78,8 +78,8 @@ def test_a_scan_keeps_its_own_pose_and_a_later_file_that_of_an_earlier_one(empty
 
 
 def test_a_drive_that_has_only_poses_is_empty_and_a_build_reports_that(empty):
-    told = put(empty, KITTI_LINES, KITTI).json()
-    assert (told["scans"], told["present"]) == (0, [])
+    answer = put(empty, KITTI_LINES, KITTI).json()
+    assert (answer["scans"], answer["present"]) == (0, [])
     assert empty.get(f"{DRIVE}/scans").json()["present"] == []
     assert empty.delete(DRIVE).status_code == 204
 
@@ -132,10 +132,14 @@ def posed(empty):
 
 def test_an_upload_of_poses_answers_how_many_were_set_and_how_many_wait(empty):
     upload_scan(empty, "campus", "monday", 0, SCANS[0])
-    told = put(empty, lines(3), KITTI).json()
+    answer = put(empty, lines(3), KITTI).json()
     counts = {"set": 1, "replaced": 0, "forgotten": 0, "waiting": 2, "left_over": 0}
-    assert told["poses"] == counts
-    assert (told["scans_with_pose"], told["poses_waiting"], told["poses_left_over"]) == (1, 2, 0)
+    assert answer["poses"] == counts
+    assert (answer["scans_with_pose"], answer["poses_waiting"], answer["poses_left_over"]) == (
+        1,
+        2,
+        0,
+    )
     upload_scan(empty, "campus", "monday", 1, SCANS[1])
     drive = empty.get(DRIVE).json()
     assert (drive["scans_with_pose"], drive["poses_waiting"]) == (2, 1)
@@ -151,9 +155,9 @@ def test_poses_of_another_drive_do_not_replace_good_ones(posed, count):
     assert f"{count} lines" in refused.json()["detail"]
     assert "partial=true" in refused.json()["detail"]
     assert records(posed) == before
-    told = put(posed, lines(count, first_m=50.0), KITTI, partial=True).json()["poses"]
-    assert told["set"] == told["replaced"] == min(count, 3)
-    assert told["waiting"] == max(0, count - 3)
+    answer = put(posed, lines(count, first_m=50.0), KITTI, partial=True).json()["poses"]
+    assert answer["set"] == answer["replaced"] == min(count, 3)
+    assert answer["waiting"] == max(0, count - 3)
 
 
 def test_too_few_poses_are_refused_also_where_there_were_none(empty):
@@ -182,9 +186,9 @@ def test_the_same_poses_and_better_ones_of_all_scans_are_set(posed):
 def test_poses_of_scans_that_a_closed_drive_lacks_are_left_over(posed):
     posed.patch(DRIVE, json={"closed": True})
     assert problem_of(put(posed, lines(9), KITTI)) == (404, "scan-not-found")
-    told = put(posed, lines(9), KITTI, partial=True).json()
-    assert (told["poses"]["set"], told["poses"]["left_over"]) == (3, 6)
-    assert told["poses_left_over"] == 0
+    answer = put(posed, lines(9), KITTI, partial=True).json()
+    assert (answer["poses"]["set"], answer["poses"]["left_over"]) == (3, 6)
+    assert answer["poses_left_over"] == 0
 
 
 @pytest.mark.parametrize("closed", [False, True])
@@ -192,17 +196,17 @@ def test_poses_that_wait_are_removed_by_lines_that_are_unknown(posed, closed):
     assert put(posed, lines(5), KITTI).json()["poses"]["waiting"] == 2
     if closed:
         assert posed.patch(DRIVE, json={"closed": True}).json()["poses_left_over"] == 2
-    told = put(posed, f"{'nan ' * 12}\n" * 2, KITTI, first=3, partial=closed).json()
-    assert (told["poses_waiting"], told["poses_left_over"]) == (0, 0)
-    assert told["scans_with_pose"] == 3
+    answer = put(posed, f"{'nan ' * 12}\n" * 2, KITTI, first=3, partial=closed).json()
+    assert (answer["poses_waiting"], answer["poses_left_over"]) == (0, 0)
+    assert answer["scans_with_pose"] == 3
 
 
 def test_poses_as_json_are_counted_too(posed):
     own = {"scan": 1, "pose": [9, 9, 9, 0, 0, 0, 1]}
-    told = posed.put(f"{DRIVE}/poses", json={"poses": [own, {"scan": 2, "pose": None}]}).json()
+    answer = posed.put(f"{DRIVE}/poses", json={"poses": [own, {"scan": 2, "pose": None}]}).json()
     counts = {"set": 1, "replaced": 1, "forgotten": 1, "waiting": 0, "left_over": 0}
-    assert told["poses"] == counts
-    assert told["scans_with_pose"] == 2
+    assert answer["poses"] == counts
+    assert answer["scans_with_pose"] == 2
 
 
 def test_times_that_fall_are_refused(posed):

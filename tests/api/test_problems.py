@@ -44,7 +44,7 @@ def test_every_problem_is_explained(client, kind):
     assert page["status"] == STATUS[kind]
 
 
-def test_a_problem_that_is_none_is_not_found(client):
+def test_an_unknown_problem_is_not_found(client):
     assert problem_of(client.get("/problems/nonsense")) == (404, "no-such-route")
 
 

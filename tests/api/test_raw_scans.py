@@ -76,7 +76,7 @@ def test_a_scan_that_is_sent_again_is_known_by_its_digest(mapped):
     assert problem_of(mapped.get(f"{DRIVE}/scans/3")) == (409, "returns-gone")
 
 
-def test_builds_on_the_images_go_on_and_others_are_refused_by_name(mapped):
+def test_builds_on_the_images_continue_and_others_are_refused_by_name(mapped):
     keep(mapped, raw_scans="drop")
     added = build(mapped, base="live", add=["tuesday"], make_live=True)
     shown = mapped.get(f"{MAP}/revisions/{added['revision']}").json()

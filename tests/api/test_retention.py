@@ -62,14 +62,14 @@ def test_a_policy_is_changed_in_parts_and_only_of_the_version_that_was_seen(own)
     assert changed.headers["ETag"] == own.get(MAP).headers["ETag"] != seen
     refused = own.patch(MAP, json={"retention": NOTHING}, headers={"If-Match": seen})
     assert problem_of(refused) == (412, "map-changed")
-    told = keep(own, raw_scans="drop")
-    assert told["retention"] == {
+    answer = keep(own, raw_scans="drop")
+    assert answer["retention"] == {
         "retained_revisions": 2,
         "retained_for_days": None,
         "raw_scans": "drop",
     }
-    assert told["retention_in_force"] == {**DEFAULT, "retained_revisions": 2, "raw_scans": "drop"}
-    assert told["description"] == own.get("/v1/maps").json()["items"][0]["description"]
+    assert answer["retention_in_force"] == {**DEFAULT, "retained_revisions": 2, "raw_scans": "drop"}
+    assert answer["description"] == own.get("/v1/maps").json()["items"][0]["description"]
     assert keep(own, retained_revisions=None, raw_scans=None)["retention_in_force"] == DEFAULT
     assert ("everyone", "update_map", "retention raw_scans=drop") in acts(own)
 
@@ -86,7 +86,7 @@ def test_a_policy_is_changed_in_parts_and_only_of_the_version_that_was_seen(own)
         {"retention": None},
     ],
 )
-def test_a_policy_that_is_none_is_refused_and_nothing_changes(client, wrong):
+def test_an_invalid_policy_is_rejected_and_nothing_changes(client, wrong):
     before = client.get(MAP).json()
     assert problem_of(client.patch(MAP, json=wrong)) == (422, "invalid-request")
     assert client.get(MAP).json() == before
@@ -195,11 +195,11 @@ def test_no_query_fails_while_revisions_replace_each_other_and_are_not_retained(
         thread.start()
     first = own.get(f"{MAP}/revisions/{built.live}/file").content
     try:
-        for turn in range(12):
+        for number in range(12):
             imported = own.post(
                 f"{MAP}/revisions",
                 params={"make_live": True},
-                content=(body, first)[turn % 2],
+                content=(body, first)[number % 2],
                 headers={"Content-Type": "application/vnd.tensormap.map+hdf5"},
             )
             assert imported.status_code in {200, 201}

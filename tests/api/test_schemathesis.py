@@ -1,8 +1,8 @@
 """Every operation of the OpenAPI document, under all the checks of schemathesis.
 
 Every operation runs on its own copy of a service that has a built map, with an administrator's key.
-All checks are on. Two have nothing to say here: `object_level_authorization` compares several
-sign-ups of one service, which has none (test_scopes.py asks for every pair of route and scope), and
+All checks are on. Two do not apply here: `object_level_authorization` compares several
+sign-ups of one service, which has none (test_scopes.py requests every pair of route and scope), and
 `max_response_time` is off by its own default, a limit on a machine that others use too.
 """
 
@@ -34,7 +34,7 @@ OF_MEANING = {
     *("empty-body", "truncated-scan", "wrong-dtype", "malformed-scan", "too-few-returns"),
     *("invalid-scan", "scan-too-large", "unknown-format", "invalid-image", "invalid-map"),
     "malformed-upload",
-    # Numbers that belong together: a hint's, a quaternion's, a signature's rows, ranks and a grid;
+    # Numbers that belong together: a prior's, a quaternion's, a signature's rows, ranks and a grid;
     # and cursors, which are made by the list that they are for.
     *("invalid-parameters", "invalid-pose", "invalid-signature"),
     # Not of this map, or no longer.
@@ -151,13 +151,13 @@ def test_an_operation_is_as_it_is_described(operation, api, service):
     build_operation_test(
         config=api.config,
         operation=api[path][method],
-        test_func=ask,
+        test_func=call,
         given_kwargs={},
         feedback=NO_FEEDBACK,
     )()
 
 
-def ask(case):
+def call(case):
     known.put_into(case)
     if (
         case.meta.generation.mode.is_positive

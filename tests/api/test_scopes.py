@@ -18,9 +18,9 @@ from tests.support.access import (
     OPENED_BY,
     READ,
     WRITE,
-    ask,
     bearer,
     holder,
+    send,
 )
 from tests.support.service import Client, problem_of
 
@@ -65,7 +65,7 @@ def test_no_route_is_without_a_line_in_the_table():
 def test_a_route_opens_for_its_scopes_and_for_no_other(client, holders, route, scope):
     method, _, path = route.partition(" ")
     requested = re.sub(r"\{(\w+)\}", lambda part: PARTS.get(part[1], "x" * 12), path)
-    status, problem = ask(client, method, requested, holders[scope])
+    status, problem = send(client, method, requested, holders[scope])
     if scope is Scope.ADMIN or scope in OPENED_BY[route]:
         assert status not in {401, 403}, problem
     else:
@@ -90,11 +90,11 @@ def test_a_route_that_declares_no_scope_is_the_administrators(tmp_path):
 
     @router.get("/forgotten")
     def forgotten() -> str:
-        return "told"
+        return "content"
 
     app.include_router(router)
     with Client(app) as client:
-        assert client.get("/v1/forgotten", headers=ADMIN).json() == "told"
+        assert client.get("/v1/forgotten", headers=ADMIN).json() == "content"
         everything_else = holder(client, READ, WRITE, LOCALIZE)
         refused = client.get("/v1/forgotten", headers=everything_else)
         assert problem_of(refused) == (403, "scope-missing")
@@ -122,7 +122,7 @@ def test_nothing_is_read_of_a_request_without_a_key(client):
     assert problem_of(client.get("/v1/nothing", headers=ADMIN)) == (404, "no-such-route")
 
 
-def test_while_keys_cannot_be_looked_up_nobody_gets_in(client, monkeypatch, caplog):
+def test_no_request_is_accepted_while_keys_cannot_be_looked_up(client, monkeypatch, caplog):
     def fail(*_):
         raise StorageUnavailable("the catalog is away")
 
@@ -133,13 +133,13 @@ def test_while_keys_cannot_be_looked_up_nobody_gets_in(client, monkeypatch, capl
     assert "cannot be checked" in caplog.text
 
 
-def test_a_route_that_nobody_guards_is_closed(tmp_path):
+def test_a_route_without_a_guard_is_closed(tmp_path):
     app = create_app(Settings(data_dir=tmp_path, admin_key=ADMIN_KEY))
     router = APIRouter(prefix="/v2", dependencies=[Depends(require_access)])
 
     @router.get("/maps", dependencies=[needs(READ)])
     def maps() -> str:
-        return "told"
+        return "content"
 
     app.include_router(router)
     with Client(app) as client:

@@ -9,20 +9,20 @@ from tests.support.service import problem_of, upload, wait_for
 
 
 def driven_back(there: Recording) -> Recording:
-    """Return the same places the other way, the vehicle turned round."""
-    turned = []
+    """Return the same places in the opposite order, the heading reversed."""
+    reversed_scans = []
     for scan in there.scans[::-1]:
         assert scan.pose is not None
         x, y, z, _, _, qz, qw = scan.pose.as_tuple()
         pose = Pose(x, y, z, 0.0, 0.0, qw, -qz)
-        turned.append(
+        reversed_scans.append(
             Scan(scan.points_m * np.array([-1, -1, 1], np.float32), scan.timestamp_s, pose)
         )
-    return Recording(tuple(turned))
+    return Recording(tuple(reversed_scans))
 
 
-def build(client, **wanted):
-    job = client.post("/v1/maps/campus/builds", json=wanted).json()["job"]
+def build(client, **parameters):
+    job = client.post("/v1/maps/campus/builds", json=parameters).json()["job"]
     ended = wait_for(client, job)
     assert ended["state"] == "done", ended
     return client.get("/v1/maps/campus/topology", params={"revision": ended["revision"]}).json()

@@ -18,8 +18,8 @@ def client(tmp_path_factory):
         yield client
 
 
-def exchange(client, headers, **wanted):
-    exchanged = client.post("/v1/tokens", json=wanted, headers=headers)
+def exchange(client, headers, **body):
+    exchanged = client.post("/v1/tokens", json=body, headers=headers)
     assert exchanged.status_code == 201, exchanged.text
     return exchanged.json()
 
@@ -58,7 +58,7 @@ def test_a_token_may_be_narrower_than_its_key(client):
 
 
 @pytest.mark.parametrize(
-    ("wanted", "problem"),
+    ("body", "problem"),
     [
         ({"scopes": ["maps:write"]}, (403, "scope-missing")),
         ({"scopes": ["localize", "maps:write"]}, (403, "scope-missing")),
@@ -74,9 +74,9 @@ def test_a_token_may_be_narrower_than_its_key(client):
         ({"key": "other"}, (422, "invalid-request")),
     ],
 )
-def test_a_token_is_never_wider_than_its_key_nor_longer_than_an_hour(client, wanted, problem):
+def test_a_token_is_never_wider_than_its_key_nor_longer_than_an_hour(client, body, problem):
     key = holder(client, "localize", maps=["campus"])
-    assert problem_of(client.post("/v1/tokens", json=wanted, headers=key)) == problem
+    assert problem_of(client.post("/v1/tokens", json=body, headers=key)) == problem
 
 
 def test_a_token_never_administers_not_even_an_administrators(client):

@@ -237,7 +237,7 @@ def test_a_page_of_another_origin_cannot_open_a_stream_of_an_open_service(client
     assert refused.value.json()["type"] == "/problems/host-not-allowed"
 
 
-def test_a_page_of_this_machine_can(client, track):
+def test_a_page_of_this_machine_can_open_a_stream(client, track):
     headers = {"Origin": "http://localhost:8000"}
     with open_stream(client, f"{track}/stream", headers=headers):
         pass

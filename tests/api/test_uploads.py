@@ -176,7 +176,7 @@ def header(name=b"000000.npy", size=b"00000000010\0", kind=b"0"):
         header(kind=b"5"),
     ],
 )
-def test_what_is_no_archive_is_refused_and_changes_nothing(empty, body):
+def test_an_invalid_archive_is_rejected_and_changes_nothing(empty, body):
     before = whole_store(empty)
     refused = empty.post(f"{DRIVE}/scans", content=body, headers=TAR)
     assert problem_of(refused) == (422, "malformed-upload")
@@ -208,7 +208,7 @@ def test_an_upload_has_a_limit_of_its_own(tmp_path):
         assert problem_of(refused) == (413, "body-too-large")
 
 
-def test_what_is_not_there_or_not_meant_is_refused_before_the_body_is_read(empty):
+def test_a_missing_drive_or_wrong_type_is_rejected_before_the_body_is_read(empty):
     def post(path, **options):
         return problem_of(empty.post(path, content=tar(npy_files([0])), **options))
 
@@ -297,12 +297,12 @@ def test_a_body_with_the_right_digest_is_accepted(empty, algorithm):
 
 
 @pytest.mark.parametrize(
-    "told",
+    "content_digest",
     [digest(b"another")["Content-Digest"], "sha-256=:A:", "sha-256", "sha-256=:====:", "x"],
 )
-def test_a_body_that_is_not_is_refused_and_changes_nothing(empty, told):
+def test_a_body_with_another_digest_is_rejected_and_changes_nothing(empty, content_digest):
     before = whole_store(empty)
-    headers = {"Content-Digest": told}
+    headers = {"Content-Digest": content_digest}
     put = empty.put(f"{DRIVE}/scans/0", content=kitti(SCANS[0]), headers={**KITTI, **headers})
     post = empty.post(f"{DRIVE}/scans", content=tar(npy_files([1, 2])), headers={**TAR, **headers})
     poses = empty.put(f"{DRIVE}/poses", json={"poses": [{"scan": 0}]}, headers=headers)
@@ -311,7 +311,7 @@ def test_a_body_that_is_not_is_refused_and_changes_nothing(empty, told):
     assert whole_store(empty) == before
 
 
-def test_a_digest_that_we_do_not_know_is_passed_over(empty):
+def test_a_digest_of_an_unknown_algorithm_is_ignored(empty):
     headers = {**KITTI, "Content-Digest": "md5=:AAAA:"}
     put = empty.put(f"{DRIVE}/scans/0", content=kitti(SCANS[0]), headers=headers)
     assert put.status_code == 201

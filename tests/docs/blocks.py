@@ -2,7 +2,7 @@
 
 `sh` is run by bash and `python` in one namespace a document, in order, in an empty folder where
 `.venv/bin/tensormap` is this repository's command; one that begins with `tensormap serve` is the
-service, which runs until the document ends. The free port stands in for the documents' 8000. A
+service, which runs until the document ends. The free port replaces the documents' 8000. A
 block `text output` is what the block before writes; other languages are only read.
 """
 
@@ -81,7 +81,7 @@ class Runner:
     def __init__(self, folder: Path) -> None:
         self._folder = folder
         self._port = _free_port()
-        self._said = ""
+        self._output = ""
         self._namespace: dict[str, object] = {"__name__": "document"}
         self._server: subprocess.Popen[bytes] | None = None
         command = folder / ".venv/bin/tensormap"
@@ -101,13 +101,13 @@ class Runner:
         if block.serves:
             self._serve(text)
         elif block.language == "sh":
-            self._said = self._sh(text, block.where)
+            self._output = self._sh(text, block.where)
         elif block.language == "python":
-            self._said = self._python(text, block.where)
+            self._output = self._python(text, block.where)
         elif (block.language, block.info) == ("text", "output"):
             expected = f"{text}\n"
-            assert doctest.OutputChecker().check_output(expected, self._said, _LENIENT), (
-                f"{block.where}: wanted\n{expected}\ngot\n{self._said}"
+            assert doctest.OutputChecker().check_output(expected, self._output, _LENIENT), (
+                f"{block.where}: expected\n{expected}\ngot\n{self._output}"
             )
 
     def _sh(self, text: str, where: str) -> str:

@@ -101,8 +101,8 @@ def with_table(name: str) -> tuple[str, str]:
 
 if __name__ == "__main__":
     for name, (path, _) in TABLES.items():
-        found, wanted = with_table(name)
+        found, expected = with_table(name)
         if "--check" in sys.argv:
-            sys.exit(f"{path} is out of date") if found != wanted else None
+            sys.exit(f"{path} is out of date") if found != expected else None
         else:
-            path.write_text(wanted)
+            path.write_text(expected)

@@ -99,7 +99,7 @@ def test_the_demonstration_ends_by_itself_with_once(drive: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("words", "status", "said"),
+    ("words", "status", "message"),
     [
         (["evaluate", "{drive}", "--segments", "2", "--segment-length", "9"], 1, "not both"),
         (["evaluate", "{drive}", "--ranks", "5"], 2, "r1,r2"),
@@ -128,7 +128,7 @@ def test_the_demonstration_ends_by_itself_with_once(drive: Path) -> None:
 def test_an_invalid_option_is_reported_in_a_line(
     words: list[str],
     status: int,
-    said: str,
+    message: str,
     drive: Path,
     map_file: Path,
     tmp_path: Path,
@@ -142,7 +142,7 @@ def test_an_invalid_option_is_reported_in_a_line(
         main()
     answer = capsys.readouterr()
     assert ended.value.code == status
-    assert said in " ".join(f"{answer.out}{answer.err}".split())
+    assert message in " ".join(f"{answer.out}{answer.err}".split())
 
 
 def test_a_catalog_elsewhere_is_not_backed_up_as_if_it_were_here(

@@ -99,7 +99,7 @@ def test_the_service_stops_with_requests_answered_and_its_build_queued(tmp_path,
         assert wait_for(server.client, job)["state"] == "done"
 
 
-def test_a_service_manager_hears_of_it_and_its_files_are_private(tmp_path, temporary):
+def test_a_service_manager_is_notified_and_the_files_are_private(tmp_path, temporary):
     data, address = tmp_path / "data", temporary / "notify"
     shells = ["sh", "-c", 'umask 022 && exec "$0" "$@"']
     manager_sets = ["env", f"NOTIFY_SOCKET={address}", "WATCHDOG_USEC=2000000"]

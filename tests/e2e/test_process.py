@@ -93,7 +93,7 @@ def test_a_body_beyond_the_limit_gets_an_answer_and_is_not_cut_off(server, decla
     assert problem_of(refused) == (413, "body-too-large")
 
 
-def test_a_client_that_goes_away_in_the_middle_is_no_fault_of_ours(server):
+def test_a_client_that_disconnects_during_a_request_is_not_an_internal_error(server):
     request = (
         b"PUT /v1/maps/campus/drives/monday/scans/1 HTTP/1.1\r\nHost: 127.0.0.1\r\n"
         b"Content-Type: application/vnd.tensormap.kitti\r\nContent-Length: 1000000\r\n\r\n"

@@ -13,7 +13,7 @@ LIMITED = {
 
 
 def answers(url, addresses):
-    """Ask without a key, each time in the name of another address."""
+    """Send requests without a key, each with another forwarded address."""
     with httpx2.Client(base_url=url, verify=NO_TLS, timeout=60) as client:
         return [
             problem_of(client.get("/v1/maps", headers={"X-Forwarded-For": address}))[0]

@@ -65,7 +65,7 @@ def test_uploads_that_stop_block_nothing_and_what_was_received_is_stored(server)
 
 
 @pytest.mark.parametrize("path", ["drives/none/poses", "loop-closures", "drives/x/scans/0"])
-def test_every_kind_of_body_is_waited_for_so_long_and_no_longer(server, path):
+def test_every_kind_of_body_has_a_time_limit(server, path):
     method = "POST" if path == "loop-closures" else "PUT"
     with connected(server) as connection:
         connection.sendall(

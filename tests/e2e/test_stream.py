@@ -55,7 +55,7 @@ def test_a_message_beyond_the_limit_closes_the_stream(url):
         with pytest.raises(ConnectionClosedError):
             send_and_wait(os.urandom(5 * 2**20))
         # It is closed as soon as the length is known: what is still on its way then may cost the
-        # client the frame that says why.
+        # client the frame with the reason.
         assert stream.close_code in {1009, 1006}
 
 

@@ -80,17 +80,17 @@ class Fleet:
                 answer = client.request(method, path, content=body, headers=headers)
                 assert answer.status_code in {200, 201}, answer.text
                 if method == "POST":
-                    told = answer.json()
-                    assert told["files_set_aside"] == 0, told
-                    assert told["scans_stored"] + told["scans_present"] == len(batch)
+                    result = answer.json()
+                    assert result["files_set_aside"] == 0, result
+                    assert result["scans_stored"] + result["scans_present"] == len(batch)
 
     @staticmethod
-    def missing(client: httpx2.Client, wanted: list[int]) -> list[int]:
-        told = client.get(f"{DRIVE}/scans")
-        if told.status_code == 404:
-            return wanted
-        present = [(r["first"], r["last"]) for r in told.json()["present"]]
-        return [i for i in wanted if not any(first <= i <= last for first, last in present)]
+    def missing(client: httpx2.Client, expected: list[int]) -> list[int]:
+        response = client.get(f"{DRIVE}/scans")
+        if response.status_code == 404:
+            return expected
+        present = [(r["first"], r["last"]) for r in response.json()["present"]]
+        return [i for i in expected if not any(first <= i <= last for first, last in present)]
 
 
 def test_a_thousand_scans_by_eight_clients_over_cut_connections_are_a_thousand_scans(server):
@@ -99,9 +99,9 @@ def test_a_thousand_scans_by_eight_clients_over_cut_connections_are_a_thousand_s
         for done in [clients.submit(fleet.drive, number) for number in range(CLIENTS)]:
             done.result()
     assert fleet.cuts > 10
-    told = server.client.get(f"{DRIVE}/scans").json()
-    assert (told["scans"], told["present"]) == (SCANS, [{"first": 0, "last": SCANS - 1}])
-    assert told["gaps"] == []
+    listed = server.client.get(f"{DRIVE}/scans").json()
+    assert (listed["scans"], listed["present"]) == (SCANS, [{"first": 0, "last": SCANS - 1}])
+    assert listed["gaps"] == []
     log = server.log.read_text()
     assert "Traceback" not in log, log[-3000:]
     server.end(signal.SIGTERM)

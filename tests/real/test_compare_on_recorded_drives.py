@@ -44,7 +44,7 @@ def test_scan_context_is_as_good_as_it_was_measured(
     assert row.recall_at_1[3.0] == pytest.approx(recall, abs=0.02)
 
 
-def test_scan_context_tells_the_heading_to_half_a_sector(
+def test_scan_context_finds_the_relative_yaw_to_half_a_sector(
     scan_context: dict[Condition, MethodUnderCondition],
 ) -> None:
     for condition in (DRIVEN, TURNED):
@@ -53,7 +53,7 @@ def test_scan_context_tells_the_heading_to_half_a_sector(
         assert error_deg <= 3.0
 
 
-def test_the_other_peers_find_most_places_and_know_another_drive(drives: Drives) -> None:
+def test_the_other_baselines_find_most_places_and_reject_another_drive(drives: Drives) -> None:
     others = [Solid(), M2dp()]
     protocol = ComparisonProtocol(HeldOut(Every(2)), tolerances_m=(5.0,), unknown_every=25)
     result = compare(

@@ -48,8 +48,8 @@ def upload(client: Client, name: str, drive: Drive, scans: range, poses: FloatAr
     assert client.put(f"{MAP}/drives/{name}/poses", json={"poses": placed}).status_code == 200
 
 
-def build(client: Client, **wanted: Any) -> Any:
-    return wait_for(client, client.post(f"{MAP}/builds", json=wanted).json()["job"])
+def build(client: Client, **parameters: Any) -> Any:
+    return wait_for(client, client.post(f"{MAP}/builds", json=parameters).json()["job"])
 
 
 def localized(client: Client, drive: Drive, scans: range) -> int:
@@ -69,15 +69,15 @@ def test_odd_scans_of_kitti00_in_another_frame_do_not_reach_the_map_of_the_even_
     drives: Drives, tmp_path: Path, turn_deg: float, x_m: float
 ) -> None:
     kitti00 = drives.open("kitti00")
-    even, odd, asked = range(0, 120, 2), range(1, 120, 2), range(1, 120, 6)
+    even, odd, queried = range(0, 120, 2), range(1, 120, 2), range(1, 120, 6)
     with running(tmp_path / "data") as client:
         client.post("/v1/maps", json={"map": "campus"})
         upload(client, "a", kitti00, even, kitti00.poses[list(even)])
         assert build(client, segments=3)["state"] == "done"
-        before = localized(client, kitti00, asked)
+        before = localized(client, kitti00, queried)
         upload(client, "b", kitti00, odd, moved(kitti00.poses[list(odd)], turn_deg, x_m))
         job = build(client, base="live", add=["b"], make_live=True)
-        after = localized(client, kitti00, asked)
+        after = localized(client, kitti00, queried)
         assert (before, after, job["state"]) == (20, 20, "failed")
         assert job["error"]["type"] == "/problems/frames-disagree"
         placed = [
@@ -86,7 +86,7 @@ def test_odd_scans_of_kitti00_in_another_frame_do_not_reach_the_map_of_the_even_
         client.put(f"{MAP}/drives/b/poses", json={"poses": placed})
         job = build(client, base="live", add=["b"], make_live=True)
         assert (job["state"], job["notes"], job["gate"]["live"]) == ("done", [], True)
-        assert localized(client, kitti00, asked) >= 19
+        assert localized(client, kitti00, queried) >= 19
 
 
 Part = tuple[str, range, Callable[[FloatArray], FloatArray]]
@@ -140,8 +140,8 @@ def test_passes_of_one_street_in_opposite_directions_are_in_one_frame_or_not(
     halves = range(93), range(93, 186)
     passes = [("nclt_turn", half, as_they_are) for half in halves]
     assert checked(drives, "harmonic", *passes).met
-    turned: Part = ("nclt_turn", halves[1], lambda poses: moved(poses, 30.0, 500.0))
-    found = checked(drives, "harmonic", passes[0], turned).disagreement
+    rotated: Part = ("nclt_turn", halves[1], lambda poses: moved(poses, 30.0, 500.0))
+    found = checked(drives, "harmonic", passes[0], rotated).disagreement
     assert found is not None
     assert found.transform.yaw_deg == pytest.approx(-30.0, abs=3.0)
 

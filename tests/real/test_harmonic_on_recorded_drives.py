@@ -53,7 +53,7 @@ def test_a_place_is_recalled_whatever_the_heading_lane_and_noise(
 
 
 @pytest.mark.parametrize("condition", BESIDE, ids=str)
-def test_the_answer_tells_how_far_beside_the_line_the_vehicle_is(
+def test_the_answer_contains_the_lateral_offset_of_the_vehicle(
     found: dict[Condition, ConditionResult], condition: Condition
 ) -> None:
     error_m = found[condition].lateral_error_m_median
@@ -86,9 +86,11 @@ def test_evaluate_writes_what_it_found(drives: Drives, tmp_path: Path) -> None:
     command = [sys.executable, "-m", "app.cli", "evaluate", str(drives.path("kitti_drive0001"))]
     options = ["--encoding", "harmonic", "--split", "every:2", "--segments", "3"]
     chosen = ["--reducer", "highest", "--distance", "plain", "--lateral-renderings=-2,0,2"]
-    asked = ["--yaw-deg=-45", "--lateral-m=0,-2", "--json", str(out)]
+    disturbed = ["--yaw-deg=-45", "--lateral-m=0,-2", "--json", str(out)]
     root = Path(__file__).parents[2]
-    subprocess.run([*command, *options, *chosen, *asked], check=True, cwd=root, capture_output=True)
+    subprocess.run(
+        [*command, *options, *chosen, *disturbed], check=True, cwd=root, capture_output=True
+    )
     written = json.loads(out.read_text())
     assert (written["encoding"], written["image"], written["reducer"]) == (
         "harmonic",

@@ -31,7 +31,7 @@ def range_image(scan: Scan) -> np.ndarray:
 
 
 OF_ITS_OWN = {"nclt_1326652795280148.bin": NcltFormat().media_type}
-"""Files whose suffix does not tell what they are."""
+"""Files whose suffix does not identify their format."""
 
 
 @pytest.mark.parametrize(
@@ -72,32 +72,34 @@ def test_every_file_is_read_by_the_test_above(native: Path) -> None:
 
 def test_one_scan_gives_one_range_image_in_every_format(native: Path) -> None:
     kitti = read_scan_file(native / "derived_kit300_kitti.bin", min_returns=1000)
-    wanted = range_image(kitti)
+    expected = range_image(kitti)
     others = sorted(set(native.glob("derived_kit300*")) - {native / "derived_kit300_kitti.bin"})
     assert len(others) == 5
     scans = [read_scan_file(file, min_returns=1000) for file in others]
     scans.append(read_ford_scan(native / "derived_kit300_fordlayout.mat", min_returns=1000))
     for scan in scans:
         came = range_image(scan)
-        np.testing.assert_array_equal(came > 0, wanted > 0)
+        np.testing.assert_array_equal(came > 0, expected > 0)
         # The files have millimetres.
-        np.testing.assert_allclose(came, wanted, rtol=0, atol=1e-3)
+        np.testing.assert_allclose(came, expected, rtol=0, atol=1e-3)
 
 
 @pytest.mark.parametrize(
-    ("name", "turns"),
+    ("name", "revolutions"),
     [("sample_velodyne_hdl32.pcap", 2), ("sample_velodyne_vlp16_gps.pcap", 3)],
 )
-def test_a_capture_opens_as_a_drive_of_its_turns(native: Path, name: str, turns: int) -> None:
+def test_a_capture_opens_as_a_drive_of_its_revolutions(
+    native: Path, name: str, revolutions: int
+) -> None:
     drive = open_drive(native / name)
-    assert len(drive) == turns
+    assert len(drive) == revolutions
     assert np.diff(drive.timestamp_s) == pytest.approx(0.1, abs=0.02)  # 10 Hz
     first, second = (range_image(drive.scan(index)) for index in range(2))
     both = (first > 0) & (second > 0)
     assert np.median(np.abs(first - second)[both]) < 0.1  # a tenth of a second later
 
 
-def test_the_ground_lies_below_and_flat_where_frames_were_turned(native: Path) -> None:
+def test_the_ground_is_below_and_flat_where_frames_were_rotated(native: Path) -> None:
     for name in ("nclt_1326652795280148.bin", "sample_velodyne_hdl32.pcap"):
         scan = read_scan_file(native / name, min_returns=1000, media_type=OF_ITS_OWN.get(name))
         near = scan.points_m[np.hypot(*scan.points_m[:, :2].T) < 8]

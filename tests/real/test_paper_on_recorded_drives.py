@@ -25,12 +25,12 @@ def test_no_segment_is_missed_while_the_car_moves(drives: Drives, segment_length
     assert found.refusals == 0
     assert found.queries in {99, 100}
     assert found.errors_moving == 0
-    # A prototype had 6, 3 and 2, every one of them while the car stands.
+    # A prototype had 6, 3 and 2, every one of them while the car is stationary.
     assert len(found.errors) <= {50: 6, 100: 3, 167: 2}[segment_length]
     assert found.errors_stationary == len(found.errors)
 
 
-def test_the_motion_surrogate_tells_standing_from_moving(drives: Drives) -> None:
+def test_the_motion_surrogate_separates_stationary_from_moving(drives: Drives) -> None:
     found = evaluate(drives.open("kit_muehlburger"), EvaluationProtocol(segment_length=100))
     assert found.motion_surrogate_median_standing is not None
     assert found.motion_surrogate_median_moving is not None
@@ -48,7 +48,7 @@ def kitti00(drives: Drives, reducer: Reducer, *conditions: Condition) -> Evaluat
 
 
 @pytest.mark.parametrize(("reducer", "bar"), [(Reducer.LAST, 0.91), (Reducer.NEAREST, 0.93)])
-def test_a_second_look_at_every_place_is_recalled(
+def test_places_are_recalled_from_held_out_scans(
     drives: Drives, reducer: Reducer, bar: float
 ) -> None:
     found = kitti00(drives, reducer)

@@ -32,16 +32,16 @@ def study(drives: Drives) -> Study:
 
 def test_the_sweep_agrees_with_evaluate(study: Study, drives: Drives) -> None:
     protocol = EvaluationProtocol(MapParameters.for_sensor(encoding="paper"), segment_length=50)
-    wanted = evaluate(drives.open("kitti00"), protocol)
+    expected = evaluate(drives.open("kitti00"), protocol)
     found = study.encodings[0].sweep.at((5, 5), 50)
     assert found is not None
-    row = wanted.conditions[0]
+    row = expected.conditions[0]
     assert found.segment_accuracy == row.segment_accuracy
     assert found.accuracy[0] == row.recall_at_1[3.0]
-    assert found.elements == wanted.compression.elements
+    assert found.elements == expected.compression.elements
 
 
-def test_the_advice_is_decided_and_says_what_a_turn_and_noise_do(study: Study) -> None:
+def test_the_advice_is_decided_and_reports_the_effect_of_yaw_and_noise(study: Study) -> None:
     paper, harmonic = study.encodings
     for of in (paper, harmonic):
         assert of.advice.verdict == Decision.DECIDED

@@ -49,8 +49,8 @@ def test_a_recorded_drive_driven_back_beside_itself_adds_no_edge(drives: Drives,
     both = Trajectory.concatenate([alone, back])
     once = join_segments(alone, cut_drives(alone.drive_start, 50))
     found = join_segments(both, cut_at_meetings(both, cut_drives(both.drive_start, 50)))
-    # Of kit_muehlburger's first 188 scans, taken standing, the graph of one drive has segments
-    # that the vehicle does not come by again.
+    # Of kit_muehlburger's first 188 scans, taken while stationary, the graph of one drive has
+    # segments that the vehicle does not come by again.
     assert found.edges <= once.edges + 1
     assert np.isclose(found.edge_length_m.sum(), once.edge_length_m.sum(), rtol=0.03)
 

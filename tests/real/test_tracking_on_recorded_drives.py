@@ -1,4 +1,4 @@
-"""Tracking on a recorded drive: no wrong segment is told, standing or moving."""
+"""Tracking on a recorded drive: no wrong segment is reported, stationary or moving."""
 
 import pytest
 
@@ -11,7 +11,7 @@ pytestmark = pytest.mark.real_data
 
 
 @pytest.mark.parametrize(("segment_length", "phase"), [(50, 1), (50, 2), (100, 3), (167, 1)])
-def test_no_wrong_segment_is_told(drives: Drives, segment_length: int, phase: int) -> None:
+def test_no_wrong_segment_is_reported(drives: Drives, segment_length: int, phase: int) -> None:
     protocol = EvaluationProtocol(
         MapParameters.for_sensor(encoding="harmonic"),
         segment_length=segment_length,

@@ -1,4 +1,4 @@
-"""Known places are told from unknown ones on recorded drives."""
+"""Known places are separated from unknown ones on recorded drives."""
 
 import pytest
 
@@ -10,7 +10,7 @@ from tests.support.recorded_drives import Drives
 pytestmark = pytest.mark.real_data
 
 
-def test_scans_of_another_town_are_told_from_those_of_the_map(drives: Drives) -> None:
+def test_scans_of_another_town_are_separated_from_those_of_the_map(drives: Drives) -> None:
     parameters = MapParameters.for_sensor(encoding="harmonic")
     found = evaluate(
         drives.open("kitti00"),

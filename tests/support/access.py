@@ -66,8 +66,8 @@ ADMIN = bearer(ADMIN_KEY)
 
 
 def make(client, *scopes, **limits):
-    wanted = {"name": "a test's", "scopes": list(scopes), **limits}
-    made = client.post("/v1/keys", json=wanted, headers=ADMIN)
+    body = {"name": "a test's", "scopes": list(scopes), **limits}
+    made = client.post("/v1/keys", json=body, headers=ADMIN)
     assert made.status_code == 201, made.text
     return made.json()
 
@@ -77,7 +77,7 @@ def holder(client, *scopes, **limits):
     return bearer(make(client, *scopes, **limits)["secret"])
 
 
-def ask(client, method, path, headers):
+def send(client, method, path, headers):
     if method != "WS":
         response = client.request(method, path, headers=headers)
         name = problem_of(response)[1] if response.status_code >= 400 else None

@@ -45,7 +45,7 @@ class Kind:
 
     Attributes:
         make: Writes a small one at a path.
-        read: Returns what tells its content, read from a path.
+        read: Returns a digest of its content, read from a path.
     """
 
     make: Callable[[Path], object]
@@ -80,8 +80,8 @@ def _read_images(path: Path) -> str:
         ]
         if images.probes is not None:
             parts.append(images.probes.read(0, len(images.probes)))
-        told = [images.returns, len(images.skipped)]
-    return hashlib.sha256(repr(told).encode() + b"".join(p.tobytes() for p in parts)).hexdigest()
+        counts = [images.returns, len(images.skipped)]
+    return hashlib.sha256(repr(counts).encode() + b"".join(p.tobytes() for p in parts)).hexdigest()
 
 
 def _drive() -> FaultyDrive:

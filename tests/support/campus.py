@@ -12,9 +12,9 @@ PACKED = {"Content-Type": "application/vnd.tensormap.signature"}
 NPZ = {"Accept": "application/vnd.tensormap.basis+npz"}
 
 
-def build(client, **wanted):
+def build(client, **parameters):
     """Build a revision and return its job, which is done."""
-    queued = client.post(BUILDS, json=wanted)
+    queued = client.post(BUILDS, json=parameters)
     assert queued.status_code == 202, queued.text
     job = wait_for(client, queued.json()["job"])
     assert job["state"] == "done", job

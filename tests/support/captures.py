@@ -49,7 +49,7 @@ def hdl32(
 
 
 def ouster_metadata(**changed: Any) -> dict[str, Any]:
-    """Return what a sensor of 16 beams and 512 columns says of itself."""
+    """Return the metadata of a sensor of 16 beams and 512 columns."""
     return {
         "beam_altitude_angles": np.linspace(15, -15, 16).tolist(),
         "beam_azimuth_angles": [0.0] * 16,

@@ -33,7 +33,7 @@ _PRIORS = set(PriorsIn.model_fields)
 
 
 class Bridge:
-    """The application that schemathesis asks; it leads to the service that runs now.
+    """The application that schemathesis calls; it leads to the service that runs now.
 
     Attributes:
         app: That service.
@@ -42,7 +42,7 @@ class Bridge:
     app: FastAPI
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass a request on; when the service begins and ends is not the caller's to say."""
+        """Pass a request on; the caller does not decide when the service begins and ends."""
         if scope["type"] != "lifespan":
             await self.app(scope, receive, send)
             return
@@ -106,7 +106,7 @@ def without_long_lists(schema: Any, longest: int = 20) -> Any:
 
 
 def register_bodies(localizer: Callable[[], Localizer], map_file: Callable[[], bytes]) -> None:
-    """Tell schemathesis what bytes are of our media types.
+    """Give schemathesis valid bytes of our media types.
 
     Some are good, some were good before they were cut or changed, and some never were.
 
@@ -124,7 +124,7 @@ def register_bodies(localizer: Callable[[], Localizer], map_file: Callable[[], b
     }
     for scan_format in SCAN_FORMATS:
         _register(scan_format.media_type, partial(scan_bodies.get, scan_format.media_type))
-    # Its bytes tell what it is.
+    # Its first bytes identify its format.
     _register("application/octet-stream", lambda: scan_bodies["application/vnd.tensormap.npy"])
     _register(_TAR, lambda: [_tar(kitti(scans[3]))])
     for media_type in POSE_TYPES:

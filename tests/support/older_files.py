@@ -9,7 +9,7 @@ import numpy as np
 
 
 def copied_map(path: Path, tensor_map) -> Path:
-    """Write a map as somebody's copy looks, made dataset by dataset with h5py."""
+    """Write a map as an older copy looks, made dataset by dataset with h5py."""
     with h5py.File(path, "x") as file:
         for name, array in tensor_map.arrays().items():
             file.create_dataset(name, data=array)

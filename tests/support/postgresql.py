@@ -59,7 +59,7 @@ def reason_to_skip() -> str | None:
         except KeyError:
             return "PostgreSQL does not run as root, and there is no user postgres"
     try:
-        import psycopg  # noqa: F401 - it is only asked for
+        import psycopg  # noqa: F401 - only whether it is installed
     except ImportError:
         return "psycopg is not installed: the extra postgresql"
     return None
@@ -140,7 +140,7 @@ def cluster() -> Iterator[Cluster]:
 
     def run(program: str, *words: str) -> None:
         # A file, not a pipe: the server keeps what it inherits, and a pipe would never end.
-        with (folder / "said").open("a") as said:
+        with (folder / "output").open("a") as output:
             done = subprocess.run(
                 [str(binaries / program), *words],
                 user=user,
@@ -148,11 +148,11 @@ def cluster() -> Iterator[Cluster]:
                 extra_groups=None if user is None else [],
                 cwd=folder,
                 stdin=subprocess.DEVNULL,
-                stdout=said,
+                stdout=output,
                 stderr=subprocess.STDOUT,
                 timeout=_START_S,
             )
-        assert done.returncode == 0, (folder / "said").read_text()
+        assert done.returncode == 0, (folder / "output").read_text()
 
     try:
         run("initdb", *_INITDB, "-D", str(data))

@@ -87,16 +87,16 @@ def serving(
             stderr=subprocess.STDOUT,
         )
 
-    def said() -> str:
+    def output() -> str:
         return log.read_bytes()[start:].decode(errors="replace")
 
     try:
-        until(lambda: _ANNOUNCED in said() or process.poll() is not None, "the service is silent")
-        assert process.poll() is None, said()
-        url = said().split(_ANNOUNCED)[1].split()[0]
+        until(lambda: _ANNOUNCED in output() or process.poll() is not None, "the service is silent")
+        assert process.poll() is None, output()
+        url = output().split(_ANNOUNCED)[1].split()[0]
         with httpx2.Client(base_url=url, timeout=60, verify=NO_TLS) as client:
             until(lambda: _is_ready(client) or process.poll() is not None, "it is never ready")
-            assert process.poll() is None, said()
+            assert process.poll() is None, output()
             yield Server(process, int(url.rpartition(":")[2]), client, log)
     finally:
         if process.poll() is None:

@@ -48,15 +48,17 @@ class Client(TestClient):
         operation = self._operation(response.request)
         if operation is None or b'"/problems/no-such-route"' in response.content:
             return
-        told = operation["responses"].get(str(response.status_code))
-        asked = f"{response.request.method} {response.request.url.path}"
-        assert told is not None, f"{asked} answered {response.status_code}: {response.text[:300]}"
+        documented = operation["responses"].get(str(response.status_code))
+        request = f"{response.request.method} {response.request.url.path}"
+        assert documented is not None, (
+            f"{request} answered {response.status_code}: {response.text[:300]}"
+        )
         kind = response.headers.get("content-type", "").partition(";")[0]
         if response.content:
-            assert kind in told["content"], f"{asked} answered {kind}"
+            assert kind in documented["content"], f"{request} answered {kind}"
         if kind == PROBLEM:
             name = response.json()["type"].removeprefix("/problems/")
-            assert name in told["content"][PROBLEM]["examples"], f"{asked} ended in {name}"
+            assert name in documented["content"][PROBLEM]["examples"], f"{request} ended in {name}"
 
     def _operation(self, request):
         raw = request.url.raw_path.decode().partition("?")[0]
@@ -160,12 +162,12 @@ def wait_for(client, job: str, states: set[str] | frozenset[str] = frozenset(END
         if answer["state"] in states:
             return answer
         assert answer["state"] not in ENDED, answer
-        time.sleep(0.1)  # asking takes a tenth of that, from a build on the same cores
+        time.sleep(0.1)  # a request takes a tenth of that, from a build on the same cores
     raise AssertionError(f"job {job} is still {answer['state']}")
 
 
 def whole_store(client: Client) -> tuple[Any, ...]:
-    """Return everything that a store holds: what its lists say, and the names of its files."""
+    """Return everything that a store holds: its lists, and the names of its files."""
     maps = client.get("/v1/maps").json()["items"]
     drives = [client.get(f"/v1/maps/{m['map']}/drives").json() for m in maps]
     revisions = [client.get(f"/v1/maps/{m['map']}/revisions").json() for m in maps]

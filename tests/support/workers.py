@@ -5,7 +5,7 @@ import time
 from typing import Any
 
 
-def stand_still(*_: object) -> None:
+def never_end(*_: object) -> None:
     """Be a worker that never ends."""
     time.sleep(600)
 
@@ -16,7 +16,7 @@ def fall_over(*_: object) -> None:
 
 
 def take_memory(*arguments: Any) -> None:
-    """Be a worker whose build wants 64 GB."""
+    """Be a worker whose build allocates 64 GB."""
     import numpy as np
 
     from app.builds import worker

@@ -1,4 +1,4 @@
-"""Attacks on the service: only where they are asked for by the name of their folder.
+"""Attacks on the service: only where they are selected by the name of their folder.
 
 `make torture` runs them long, `.ci/run` four minutes of them; see CONTRIBUTING.md.
 """
@@ -13,13 +13,13 @@ from tests.torture.support.sizes import SEED, TREE
 HERE = Path(__file__).parent
 
 
-def _are_asked_for(config: pytest.Config) -> bool:
+def _are_selected(config: pytest.Config) -> bool:
     return any(HERE.name in word for word in config.args)
 
 
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
     """Leave all this out unless a word of the command line names it; `make test` does not."""
-    return None if _are_asked_for(config) else True
+    return None if _are_selected(config) else True
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -30,7 +30,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 def pytest_report_header() -> str:
-    """Say what is attacked, and what repeats this run."""
+    """Report what is attacked, and what repeats this run."""
     return f"torture of {TREE}: TENSORMAP_TORTURE_SEED={SEED} repeats this run"
 
 
@@ -38,7 +38,7 @@ def pytest_terminal_summary(
     terminalreporter: pytest.TerminalReporter, config: pytest.Config
 ) -> None:
     """Give the figures of what passed, and the seed once more: a run is read from its end."""
-    if not _are_asked_for(config):
+    if not _are_selected(config):
         return
     for report in terminalreporter.stats.get("passed", ()):
         for line in report.capstdout.splitlines():

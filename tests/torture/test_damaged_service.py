@@ -1,4 +1,4 @@
-"""A service that is sent damaged maps, or whose own files are damaged, goes on with the others."""
+"""A service that is sent damaged maps, or whose own files are damaged, serves the others."""
 
 import os
 import sqlite3
@@ -36,7 +36,7 @@ def answered(service: Tortured, method: str, path: str, **options) -> str:
         with service.client(timeout=_HANGS_S) as client:
             answer = client.request(method, path, **options)
     except httpx2.TransportError as error:
-        how = "hangs" if service.is_alive else f"ended: {service.said()}"
+        how = "hangs" if service.is_alive else f"ended: {service.crash_report()}"
         if service.is_alive:
             service.kill()
         service.start()
@@ -61,9 +61,9 @@ def test_damaged_maps_are_refused_by_name_and_others_are_answered_meanwhile(serv
     with watching(service) as watch:
         for name, body in hostile_bodies():
             path = "/v1/maps/target/revisions"
-            told = answered(service, "POST", path, content=body, headers=HDF5)
-            if told not in {"200", "201", "invalid-map", "empty-body"}:
-                wrong.append(f"{name}: {told}")
+            outcome = answered(service, "POST", path, content=body, headers=HDF5)
+            if outcome not in {"200", "201", "invalid-map", "empty-body"}:
+                wrong.append(f"{name}: {outcome}")
     assert not wrong, f"{len(wrong)}:\n" + "\n".join(wrong[:10])
     watch.require()
     with service.client() as client:
@@ -74,7 +74,7 @@ def test_damaged_maps_are_refused_by_name_and_others_are_answered_meanwhile(serv
 
 
 class Damaged:
-    """Maps whose files are damaged one by one, and what then asks for them."""
+    """Maps whose files are damaged one by one, and the requests that then read them."""
 
     def __init__(self, service: Tortured, kind: str, number: int) -> None:
         self.service, self.kind = service, kind
@@ -100,8 +100,8 @@ class Damaged:
 
     def build(self, ranks: list[int]) -> str:
         with self.service.client() as client:
-            wanted = {"segments": 1, "ranks": ranks}
-            answer = client.post(f"/v1/maps/{self.map}/builds", json=wanted)
+            parameters = {"segments": 1, "ranks": ranks}
+            answer = client.post(f"/v1/maps/{self.map}/builds", json=parameters)
             if not answer.is_success:
                 return named(answer)
             job = ended_job(client, answer.json()["job"])
@@ -119,7 +119,7 @@ class Damaged:
             path.write_bytes(content)
             path.chmod(mode)
 
-    def ask(self) -> str:
+    def query(self) -> str:
         base = f"/v1/maps/{self.map}"
         if self.kind == "revision":
             return answered(self.service, "GET", f"{base}/topology")
@@ -136,7 +136,7 @@ _ANSWERS = {
 
 
 @pytest.mark.parametrize("kind", _ANSWERS)
-def test_damaged_files_of_ones_own_fail_by_name_and_the_rest_serves(service, kind):
+def test_damaged_files_of_the_service_fail_by_name_and_the_others_are_served(service, kind):
     wrong = []
     count = _STORED if kind != "images" else max(3, _STORED // 5)
     sound = map_file(1)[1]
@@ -149,9 +149,9 @@ def test_damaged_files_of_ones_own_fail_by_name_and_the_rest_serves(service, kin
             one = Damaged(service, kind, number)
             one.make()
             one.harm(before)
-            told = one.ask()
-            if told not in _ANSWERS[kind]:
-                wrong.append(f"{kind} {number}: {told}")
+            outcome = one.query()
+            if outcome not in _ANSWERS[kind]:
+                wrong.append(f"{kind} {number}: {outcome}")
     assert not wrong, f"{len(wrong)} of {count}:\n" + "\n".join(wrong[:10])
     watch.require()
     with service.client() as client:
@@ -205,5 +205,5 @@ def test_a_query_of_a_damaged_live_revision_does_not_stop_others(service):
 def _of(service: Tortured, slug: str, path: Path) -> bool:
     """Return whether a revision's file is of a map: its folder is named by an id."""
     with closing(sqlite3.connect(service.data_dir / "catalog.sqlite3")) as catalog:
-        wanted = "SELECT 1 FROM maps WHERE slug = ? AND id = ?"
-        return bool(catalog.execute(wanted, (slug, path.parents[1].name)).fetchone())
+        statement = "SELECT 1 FROM maps WHERE slug = ? AND id = ?"
+        return bool(catalog.execute(statement, (slug, path.parents[1].name)).fetchone())

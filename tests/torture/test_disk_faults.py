@@ -1,7 +1,7 @@
 """Every write, sync and rename of every kind of write fails once, and from then on.
 
-The service goes on answering. What it acknowledged under the fault is read back bit for bit, what
-it refused has a name, and asked for again it succeeds; nothing that was stored before has changed.
+The service continues to answer. What it acknowledged under the fault is read back bit for bit, what
+it refused has a name and succeeds when requested again; what was stored before is unchanged.
 """
 
 import hashlib
@@ -57,7 +57,7 @@ class Attacked:
         self._before = self._stored_before()
 
     def new(self, kind: type[Write]) -> Write:
-        """Prepare a write that nobody has asked for yet."""
+        """Prepare a write that is not requested yet."""
         self._number += 1
         write = kind(self.service, self.client, self._number)
         write.lift, write.variables = self.faults.lift, self.faults.environment
@@ -73,28 +73,28 @@ class Attacked:
 
     def struck(self, kind: type[Write], fault: Fault, first: int) -> str | None:
         """Let a write meet a fault; return what is wrong, `None` if all is well."""
-        told: str | None = "?"
+        outcome: str | None = "?"
         try:
             write = self.new(kind)
         except httpx2.TransportError as wrong:
             return self.explained(kind, fault, 0, "of the fault before this one", wrong)
         try:
             with self.faults.failing(fault, first):
-                told = write.attempt()
-            self.require_well(write, told, fault)
+                outcome = write.attempt()
+            self.require_well(write, outcome, fault)
         except _WRONG as wrong:
-            return self.explained(kind, fault, first, told, wrong)
+            return self.explained(kind, fault, first, outcome, wrong)
         return None
 
-    def require_well(self, write: Write, told: str | None, fault: Fault) -> None:
+    def require_well(self, write: Write, outcome: str | None, fault: Fault) -> None:
         assert self.service.is_alive
         with self.service.client(None) as client:
             assert client.get("/livez").status_code == 200
-        if told is None:
+        if outcome is None:
             write.require_kept()
         else:
-            assert told in _REFUSED, f"it was refused as {told!r}"
-            assert not fault.halve, f"a short write was refused as {told!r}"
+            assert outcome in _REFUSED, f"it was refused as {outcome!r}"
+            assert not fault.halve, f"a short write was refused as {outcome!r}"
             again = write.attempt()
             assert again is None, f"without a fault it was refused as {again!r}"
             write.require_kept()
@@ -104,13 +104,15 @@ class Attacked:
             self.kept.append(write)
 
     def explained(
-        self, kind: type[Write], fault: Fault, first: int, told: str | None, wrong: Exception
+        self, kind: type[Write], fault: Fault, first: int, outcome: str | None, wrong: Exception
     ) -> str:
         where = f"{kind.__name__}, {fault.name}, {self.faults.called(first)}"
         if isinstance(wrong, httpx2.TransportError):
             time.sleep(_ENDING_S)  # a crash takes a moment
-        met = f"{self.faults.failed} calls failed, answer {told or 'success'}"
-        ended = "" if self.service.is_alive else f"; THE SERVICE ENDED: {self.service.said()}"
+        met = f"{self.faults.failed} calls failed, answer {outcome or 'success'}"
+        ended = (
+            "" if self.service.is_alive else f"; THE SERVICE ENDED: {self.service.crash_report()}"
+        )
         if not self.service.is_alive:
             self.restart()
         first_line = str(wrong).strip().partition("\n")[0] or repr(wrong)
@@ -169,9 +171,9 @@ def numbers(kind: type[Write], fault: Fault, calls: int) -> Iterator[int]:
 def shown(wrong: list[str], struck: int) -> str:
     """Return what is wrong, an example of each kind of it first."""
     examples: dict[str, str] = {}
-    for said in wrong:
-        examples.setdefault(said.partition("): ")[2][:60], said)
-    others = [said for said in wrong if said not in examples.values()]
+    for problem in wrong:
+        examples.setdefault(problem.partition("): ")[2][:60], problem)
+    others = [problem for problem in wrong if problem not in examples.values()]
     lines = [*examples.values(), *others[:_SHOWN]]
     return f"{len(wrong)} of {struck} faults:\n" + "\n".join(lines)
 
@@ -184,9 +186,9 @@ def test_a_fault_of_the_disk_loses_nothing_that_was_acknowledged(attacked, kind)
     struck = 0
     for fault in FAULTS:
         for number in numbers(kind, fault, calls):
-            said = attacked.struck(kind, fault, number)
-            if said is not None:
-                wrong.append(said)
+            problem = attacked.struck(kind, fault, number)
+            if problem is not None:
+                wrong.append(problem)
             if attacked.faults.failed:
                 struck += 1
             elif number > calls + _UNSTEADY:
@@ -202,13 +204,13 @@ def test_write_errors_now_and_then_do_not_end_the_service(attacked):
         chosen = chance("intermittent", number)
         kind = chosen.choice([Import, Build] * 4 + [k for k in WRITES if k is not Backup])
         fault, share = chosen.choice(FAULTS[:2]), chosen.choice([0.02, 0.1, 0.3])
-        told: str | None = "?"
+        outcome: str | None = "?"
         try:
             write = attacked.new(kind)
             with attacked.faults.failing_often(fault, share, number):
-                told = write.attempt()
-            attacked.require_well(write, told, fault)
+                outcome = write.attempt()
+            attacked.require_well(write, outcome, fault)
         except _WRONG as error:
-            wrong.append(attacked.explained(kind, fault, 0, told, error))
+            wrong.append(attacked.explained(kind, fault, 0, outcome, error))
     assert not wrong, shown(wrong, _INTERMITTENT)
     attacked.require_kept()

@@ -138,7 +138,7 @@ _LARGE = {BuildParameters, KeyIn, LoopClosuresIn, PosesIn, SignaturesIn}
 
 
 def places(model: type[BaseModel]) -> Iterator[tuple[str, Callable[[bytes], bytes]]]:
-    """Yield where a value may stand: as the whole body, or in a field that the API describes."""
+    """Yield where a value may be: as the whole body, or in a field that the API describes."""
     yield "body", lambda value: value
     yield "unknown", lambda value: b'{"unknown":' + value + b"}"
     for name in model.model_fields if model in _LARGE else ():

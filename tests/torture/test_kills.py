@@ -136,8 +136,8 @@ def test_what_was_acknowledged_is_there_after_every_kill(service):
     campaign.require_all(again=None)
     require_verified(service)
     ledger = campaign.ledger
-    told = {kind: kinds.count(kind) for kind in sorted(set(kinds))}
-    print(f"{_KILLS} kills {told}: {ledger.acknowledged} acknowledged, {ledger.unanswered} not")
+    counts = {kind: kinds.count(kind) for kind in sorted(set(kinds))}
+    print(f"{_KILLS} kills {counts}: {ledger.acknowledged} acknowledged, {ledger.unanswered} not")
     assert ledger.acknowledged > _KILLS
     assert_nothing_left_half_written(service.data_dir)
 

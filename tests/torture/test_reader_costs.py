@@ -23,15 +23,15 @@ ARCHIVE_BYTES = 32 * 2**20
 
 def cost_of(kind: str, name: str, size: int) -> dict[str, Any]:
     """Make a body and read it; return its bytes, CPU seconds, megabytes and outcome."""
-    return _told("tests.torture.worst_bodies", kind, name, str(size))
+    return _measured("tests.torture.worst_bodies", kind, name, str(size))
 
 
 def cost_over_http(name: str) -> dict[str, Any]:
     """Send a body to a service; return the same, of all that the service does."""
-    return _told("tests.torture.worst_requests", name)
+    return _measured("tests.torture.worst_requests", name)
 
 
-def _told(module: str, *words: str) -> dict[str, Any]:
+def _measured(module: str, *words: str) -> dict[str, Any]:
     name = words[-1] if len(words) == 1 else words[1]
     done = subprocess.run(
         [sys.executable, "-m", module, *words],
@@ -40,19 +40,19 @@ def _told(module: str, *words: str) -> dict[str, Any]:
         check=True,
         timeout=600,
     )
-    told: dict[str, Any] = json.loads(done.stdout)
+    costs: dict[str, Any] = json.loads(done.stdout)
     print(
-        f"| {name} | {told['bytes'] / 2**20:.1f} | {told['cpu_s']:.2f} | {told['mb']}"
-        f" | {told['outcome']} |"
+        f"| {name} | {costs['bytes'] / 2**20:.1f} | {costs['cpu_s']:.2f} | {costs['mb']}"
+        f" | {costs['outcome']} |"
     )
-    return told
+    return costs
 
 
 @pytest.mark.parametrize("name", SINGLE)
 def test_the_worst_single_body_is_within_the_budget(name: str) -> None:
-    told = cost_of("single", name, UNPACKED)
-    assert told["cpu_s"] <= MOST_CPU_S, told
-    assert told["mb"] <= MOST_MB, told
+    costs = cost_of("single", name, UNPACKED)
+    assert costs["cpu_s"] <= MOST_CPU_S, costs
+    assert costs["mb"] <= MOST_MB, costs
 
 
 @pytest.mark.parametrize("name", ARCHIVES)
@@ -68,9 +68,9 @@ def test_a_byte_of_the_worst_archive_costs_what_three_of_a_well_formed_one_do(na
 
 @pytest.mark.parametrize("name", worst_requests.REQUESTS)
 def test_poses_are_read_compared_and_stored_within_the_budget(name: str) -> None:
-    told = cost_over_http(name)
-    assert told["cpu_s"] <= MOST_CPU_S, told
-    assert told["mb"] <= MOST_MB, told
+    costs = cost_over_http(name)
+    assert costs["cpu_s"] <= MOST_CPU_S, costs
+    assert costs["mb"] <= MOST_MB, costs
 
 
 @pytest.mark.parametrize("name", worst_requests.ARCHIVES)

@@ -1,6 +1,6 @@
 """Hours of ordinary use in minutes: memory, threads and descriptors stay flat, and nothing fails.
 
-`make soak` takes ten minutes, or `TENSORMAP_SOAK_S`. Less than a few minutes says little about
+`make soak` takes ten minutes, or `TENSORMAP_SOAK_S`. Less than a few minutes shows little about
 memory, which is why `.ci/run` leaves it out.
 """
 
@@ -42,14 +42,14 @@ class User:
         self._round = 0
         with service.client() as admin:
             admin.post("/v1/maps", json={"map": self.map}).raise_for_status()
-            wanted = {"name": self.map, "scopes": ["maps:read", "maps:write", "localize"]}
-            made = admin.post("/v1/keys", json=wanted).raise_for_status().json()
+            body = {"name": self.map, "scopes": ["maps:read", "maps:write", "localize"]}
+            made = admin.post("/v1/keys", json=body).raise_for_status().json()
             policy = {"retention": {"retained_revisions": 1, "retained_for_days": 0}}
             admin.patch(f"/v1/maps/{self.map}", json=policy).raise_for_status()
         self.client = service.client(made["secret"])
         path = f"/v1/maps/{self.map}/drives/monday/scans"
         form = {"format": "kitti"}
-        self._ask("POST", path, content=driven_tar(_SCANS), headers=TAR, params=form)
+        self._send("POST", path, content=driven_tar(_SCANS), headers=TAR, params=form)
         self._build()
 
     def use_until(self, stop: threading.Event) -> None:
@@ -65,7 +65,7 @@ class User:
         finally:
             self.client.close()
 
-    def _ask(self, method: str, path: str, **body: object) -> httpx2.Response:
+    def _send(self, method: str, path: str, **body: object) -> httpx2.Response:
         answer = self.client.request(method, path, **body)  # type: ignore[arg-type]
         self.statuses[f"{answer.status_code // 100}xx"] += 1
         assert answer.status_code < 500, f"{method} {path}: {answer.text[:300]}"
@@ -74,50 +74,52 @@ class User:
     def _localize(self) -> None:
         body = kitti(driven(self._chance.randrange(_SCANS)))
         path = f"/v1/maps/{self.map}/localizations/scan"
-        assert self._ask("POST", path, content=body, headers=KITTI).is_success
+        assert self._send("POST", path, content=body, headers=KITTI).is_success
 
     def _put(self) -> None:
         drive = f"drive-{self._round % _KEPT}"
         path = f"/v1/maps/{self.map}/drives/{drive}"
-        self._ask("DELETE", path)
-        self._ask("PUT", f"{path}/scans/0", content=noise(self.map, self._round), headers=NPY)
+        self._send("DELETE", path)
+        self._send("PUT", f"{path}/scans/0", content=noise(self.map, self._round), headers=NPY)
         body = noise_tar({index: (self.map, self._round, index) for index in range(1, 6)})
-        assert self._ask("POST", f"{path}/scans", content=body, headers=TAR).is_success
+        assert self._send("POST", f"{path}/scans", content=body, headers=TAR).is_success
         poses = [{"scan": 0, "pose": [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]}]
-        self._ask("PUT", f"{path}/poses", json={"poses": poses})
-        self._ask("PATCH", path, json={"closed": True})
+        self._send("PUT", f"{path}/poses", json={"poses": poses})
+        self._send("PATCH", path, json={"closed": True})
 
     def _look(self) -> None:
         for path in ("", "/drives", "/revisions", "/topology", "/basis"):
-            self._ask("GET", f"/v1/maps/{self.map}{path}")
-        self._ask("GET", "/v1/jobs")
+            self._send("GET", f"/v1/maps/{self.map}{path}")
+        self._send("GET", "/v1/jobs")
 
     def _track(self) -> None:
         path = f"/v1/maps/{self.map}/tracks"
-        track = self._ask("POST", path).json()["track"]
+        track = self._send("POST", path).json()["track"]
         for index in range(3):
             body = kitti(driven(index))
-            self._ask("POST", f"{path}/{track}/observations", content=body, headers=KITTI)
-        self._ask("DELETE", f"{path}/{track}")
+            self._send("POST", f"{path}/{track}/observations", content=body, headers=KITTI)
+        self._send("DELETE", f"{path}/{track}")
 
     def _import(self) -> None:
         _, body = map_file(self._round % 4, harmonic=self._round % 2 == 1)
         path = f"/v1/maps/{self.map}/revisions"
-        told = self._ask("POST", path, content=body, headers=HDF5).json()
-        self._ask("GET", f"{path}/{told['revision']}/file")
+        imported = self._send("POST", path, content=body, headers=HDF5).json()
+        self._send("GET", f"{path}/{imported['revision']}/file")
 
     def _refused(self) -> None:
-        self._ask("PUT", f"/v1/maps/{self.map}/drives/x/scans/0", content=b"\0" * 1000, headers=NPY)
-        self._ask("POST", f"/v1/maps/{self.map}/revisions", content=b"\0" * 1000, headers=HDF5)
-        self._ask("POST", f"/v1/maps/{self.map}/builds", json={"no": "such"})
+        self._send(
+            "PUT", f"/v1/maps/{self.map}/drives/x/scans/0", content=b"\0" * 1000, headers=NPY
+        )
+        self._send("POST", f"/v1/maps/{self.map}/revisions", content=b"\0" * 1000, headers=HDF5)
+        self._send("POST", f"/v1/maps/{self.map}/builds", json={"no": "such"})
 
     def _build(self) -> None:
-        wanted = {
+        parameters = {
             "segments": 1,
             "drives": ["monday"],
             "sensor_height_m": 1.7 + self._round % 50 / 1000,
         }
-        answer = self._ask("POST", f"/v1/maps/{self.map}/builds", json=wanted)
+        answer = self._send("POST", f"/v1/maps/{self.map}/builds", json=parameters)
         if answer.is_success:
             assert ended_job(self.client, answer.json()["job"])["state"] == "done"
 
@@ -165,7 +167,7 @@ class Meter:
         return slope * float(times[-1] - times[0])
 
 
-def test_a_service_in_use_stays_as_large_as_it_is(tmp_path: Path) -> None:
+def test_a_service_in_use_does_not_grow(tmp_path: Path) -> None:
     with tortured(tmp_path, build_workers="1") as service:
         users = [User(service, number) for number in range(_CLIENTS)]
         stop = threading.Event()

@@ -20,7 +20,7 @@ import pytest
 
 from tests.support.recording import recording
 from tests.support.service import upload, wait_for
-from tests.torture.support.load import Answers, Request, as_json, ask_again_and_again
+from tests.torture.support.load import Answers, Request, as_json, send_repeatedly
 from tests.torture.support.service import Tortured, tortured
 from tests.torture.support.sizes import seconds, size
 from tests.torture.support.starving import greedy
@@ -39,7 +39,7 @@ WEBSOCKETS = size("websockets", 1500)
 TRACKS, BUILDS = size("tracks", 520), size("builds", 60)
 OTHER_LOG_BYTES = 10**5  # all but the lines of requests and streams, one each
 BODY_BYTES = 4 * 2**20 - 2**10
-SOFT_DESCRIPTORS = 1024  # what a Linux system gives a program that does not ask for more
+SOFT_DESCRIPTORS = 1024  # what a Linux system gives a program that does not request more
 WIDE_SCOPES = ("maps:read", "maps:write", "localize")
 
 
@@ -95,7 +95,7 @@ class Table:
 
     Attributes:
         port: Of the service.
-        fix: What another key asks.
+        fix: What another key requests.
         rows: The answers to it, and of `/livez`.
         bars: Seconds that 99 of 100 answers may take, of each phase.
     """
@@ -108,14 +108,14 @@ class Table:
     def measure(
         self, phase: str, *, p99_s: float = P99_S, until: "Future[str] | None" = None
     ) -> None:
-        """Ask for `SECONDS` or as long as something is not done, and until there is a p99."""
+        """Send requests for `SECONDS` or until something is done, and until there is a p99."""
         self.bars[phase] = p99_s
         began = time.monotonic()
-        self._ask(phase, SECONDS if until is None else 1.0)
+        self._send(phase, SECONDS if until is None else 1.0)
         while not (until is None or until.done()) or (
             self._fewest(phase) < FEWEST_ANSWERS and time.monotonic() < began + MOST_S
         ):
-            self._ask(phase, 1.0)
+            self._send(phase, 1.0)
         for row, answers in self.rows.items():
             if row.startswith(phase):
                 print(f"{row}: {answers} (load {os.getloadavg()[0]:.1f})")
@@ -123,22 +123,22 @@ class Table:
     def _fewest(self, phase: str) -> int:
         return min(len(found.seconds) for row, found in self.rows.items() if row.startswith(phase))
 
-    def _ask(self, phase: str, for_s: float) -> None:
+    def _send(self, phase: str, for_s: float) -> None:
         alive = Request("GET", "/livez")
-        asked = {
+        requests = {
             f"{phase}: fixes, one connection": (self.fix, True),
             f"{phase}: fixes, new connections": (self.fix, False),
             f"{phase}: /livez, new connections": (alive, False),
         }
 
         async def answered() -> list[Answers]:
-            asking = (
-                ask_again_and_again(self.port, [request], seconds=for_s, kept=kept)
-                for request, kept in asked.values()
+            sending = (
+                send_repeatedly(self.port, [request], seconds=for_s, kept=kept)
+                for request, kept in requests.values()
             )
-            return list(await asyncio.gather(*asking))
+            return list(await asyncio.gather(*sending))
 
-        for row, answers in zip(asked, asyncio.run(answered()), strict=True):
+        for row, answers in zip(requests, asyncio.run(answered()), strict=True):
             self.rows.setdefault(row, Answers()).extend(answers)
 
     def require(self) -> None:
@@ -166,7 +166,7 @@ def test_a_fix_of_another_key_is_answered_in_time_whatever_one_key_holds_open(se
         table.measure(f"{UPLOADS} uploads, {CLOSURES} closures, {IDLE} idle connections")
         attack.begin("websockets", count=WEBSOCKETS, track=begun.json()["track"])
         opened = waiting.submit(attack.wait)
-        burst = f"and {WEBSOCKETS} WebSockets asked for"
+        burst = f"and {WEBSOCKETS} WebSockets requested"
         table.measure(burst, p99_s=BURST_P99_S, until=opened)
         table.measure("and those that were accepted")
         attack.hold("bodies", count=BODIES, length=BODY_BYTES)
@@ -184,9 +184,9 @@ def test_tracks_and_builds_of_another_key_do_not_wait_for_those_of_a_greedy_one(
         client_of(service) as other,
     ):
         tracks = Counter(greedy_client.post(f"{MAP}/tracks").status_code for _ in range(TRACKS))
-        asked = {"segments": 3}
+        parameters = {"segments": 3}
         builds = Counter(
-            greedy_client.post(f"{MAP}/builds", json=asked).status_code for _ in range(BUILDS)
+            greedy_client.post(f"{MAP}/builds", json=parameters).status_code for _ in range(BUILDS)
         )
         theirs = other.post(f"{MAP}/tracks").status_code
         done = wait_for(other, build(other), {"running", "done"})

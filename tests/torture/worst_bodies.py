@@ -236,7 +236,7 @@ SINGLE: dict[str, tuple[Read, Make]] = {
         _scan("velodyne"),
         lambda size: _captured([bytes(12) + b"\x81\0\0\0" * 65_000], size),
     ),
-    "velodyne: a sensor that stands": (
+    "velodyne: a sensor that does not rotate": (
         _scan("velodyne"),
         lambda size: _captured(udp(hdl32(turns=0.01)[0], 2368), size),
     ),
@@ -339,9 +339,9 @@ def _main(kind: str, name: str, size: int) -> None:
         except TensorMapError as error:
             return f"{type(error).__name__}: {error}"[:120]
 
-    told = cost_of(attempt)
-    told["mb"] += len(body) // 2**20
-    json.dump({"bytes": len(body), **told}, sys.stdout)
+    costs = cost_of(attempt)
+    costs["mb"] += len(body) // 2**20
+    json.dump({"bytes": len(body), **costs}, sys.stdout)
 
 
 if __name__ == "__main__":

@@ -54,10 +54,10 @@ def _json(step: int) -> bytes:
 
 
 def _put(client: Client, body: bytes, kind: str) -> str:
-    told = client.put(
+    response = client.put(
         f"{_DRIVE}/poses", content=body, headers={"Content-Type": kind}, params={"partial": "true"}
     )
-    return str(told.status_code) if told.is_success else str(told.json()["type"])
+    return str(response.status_code) if response.is_success else str(response.json()["type"])
 
 
 def _stored(step: int, count: int) -> Callable[[Client], None]:
@@ -162,10 +162,10 @@ ARCHIVES: dict[str, tuple[Callable[[], bytes], str]] = {
 def _post(client: Client, body: bytes) -> str:
     plain = body[:100].rstrip(b"\0").endswith(b".bin")
     params = {"format": "kitti"} if plain else {}
-    told = client.post(f"{_DRIVE}/scans", content=body, headers=TAR, params=params)
-    if not told.is_success:
-        return str(told.json()["type"])
-    answer = told.json()
+    response = client.post(f"{_DRIVE}/scans", content=body, headers=TAR, params=params)
+    if not response.is_success:
+        return str(response.json()["type"])
+    answer = response.json()
     return f"{answer['scans_stored']} stored, {answer['files_set_aside']} set aside"
 
 
@@ -188,8 +188,8 @@ def _main(name: str) -> None:
         client.post("/v1/maps", json={"map": "campus"})
         before(client)
         body = make()
-        told = cost_of(lambda: send(client, body))
-        json.dump({"bytes": len(body), **told}, sys.stdout)
+        costs = cost_of(lambda: send(client, body))
+        json.dump({"bytes": len(body), **costs}, sys.stdout)
 
 
 if __name__ == "__main__":

@@ -25,7 +25,7 @@ class Fared:
 
     Attributes:
         number: Which one.
-        how: What the child said: a result or the name of an error; `hung`, or `died of signal n`.
+        how: The child's report, a result or the name of an error; `hung`, or `died of signal n`.
         cpu_s: Processor time that it took.
         memory_bytes: The most that the child ever held.
     """
@@ -40,7 +40,7 @@ def fared(module: str, words: list[str], first: int, last: int) -> Iterator[Fare
     """Yield how each number fared in `python -m module words first last`.
 
     The readers are those of the tree that is attacked. A child that hangs or dies is followed by
-    another one, which goes on behind that number.
+    another one, which continues after that number.
     """
     while first < last:
         for one in _of_one_child(module, words, first, last):
@@ -85,12 +85,12 @@ def _watched(child: subprocess.Popen[bytes], first: int, last: int) -> Iterator[
         came = os.read(child.stdout.fileno(), 65536)
         if not came:
             status = child.wait(30)
-            said = child.stderr.read().decode(errors="replace")
-            assert number >= 0, said[-3000:]
+            errors = child.stderr.read().decode(errors="replace")
+            assert number >= 0, errors[-3000:]
             how = (
                 f"died of {signal.Signals(-status).name}" if status < 0 else f"ended with {status}"
             )
-            yield Fared(number, f"{how}: {said[-600:]}", 0.0, 0)
+            yield Fared(number, f"{how}: {errors[-600:]}", 0.0, 0)
             return
         *lines, rest = (rest + came).split(b"\n")
         for line in lines:

@@ -1,6 +1,6 @@
 /* Fails chosen writes of a process, for tests/torture.
  *
- * Preloaded, it stands before glibc's calls that change files. Those on files under the folder
+ * Preloaded, it takes the place of glibc's calls that change files. Those on files under the folder
  * TENSORMAP_FAULTS_UNDER are counted in the file TENSORMAP_FAULTS, which every process of a service
  * maps: a call whose number lies in first..last fails with the error given there, or writes half,
  * all of them or a share.

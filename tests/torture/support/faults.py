@@ -1,4 +1,4 @@
-"""Disk faults: writes, syncs and renames of a running service that fail when they are told to.
+"""Disk faults: writes, syncs and renames of a running service that fail on command.
 
 `faults.c`, preloaded into every process of the service, counts such calls on files of one folder in
 a file that the tests map too. It is built where a C compiler is.

@@ -1,4 +1,4 @@
-"""What a service has acknowledged, written down by those who asked: it holds that after a kill."""
+"""What a service has acknowledged, written down by its clients, to compare with after a kill."""
 
 import json
 import threading
@@ -17,7 +17,7 @@ Thing = tuple[str, ...]
 
 
 class Refused(Exception):
-    """The service answered, and said no: nothing was changed."""
+    """The service answered with a refusal: nothing was changed."""
 
 
 @dataclass
@@ -27,7 +27,7 @@ class _Known:
 
 
 class Ledger:
-    """What was acknowledged, and what was asked for without an answer: that may be there or not."""
+    """What was acknowledged, and what was requested without an answer: that may be there or not."""
 
     def __init__(self) -> None:
         self._known: dict[Thing, _Known] = {}
@@ -39,7 +39,7 @@ class Ledger:
     def writing(self, things: Mapping[Thing, str | None]) -> Iterator[None]:
         """Note what a request is to change; when the block ends, it is acknowledged.
 
-        A block that raises `Refused` changes nothing; after any other error nobody knows.
+        A block that raises `Refused` changes nothing; after any other error it is unknown.
         """
         with self._lock:
             for thing, value in things.items():
@@ -61,7 +61,7 @@ class Ledger:
                 self._known[thing] = _Known(value)
 
     def note(self, thing: Thing, value: str | None) -> None:
-        """Note what an answer said."""
+        """Note the content of an answer."""
         with self._lock:
             self._known[thing] = _Known(value)
 
@@ -78,7 +78,7 @@ class Ledger:
             return {known.value} | known.maybe
 
     def things(self, *, unsettled: bool = False) -> list[Thing]:
-        """Return all that was ever written, or what nobody knows of."""
+        """Return all that was ever written, or whose state is unknown."""
         with self._lock:
             return [t for t, known in self._known.items() if known.maybe or not unsettled]
 

@@ -117,7 +117,7 @@ class Load:
 
         async def one() -> None:
             began = time.perf_counter()
-            status, _ = await asked(self._port, request)
+            status, _ = await answer_to(self._port, request)
             self.answers.add(status, time.perf_counter() - began)
             if status in {429, 503}:
                 await asyncio.sleep(1)
@@ -136,7 +136,7 @@ class Load:
         self._tasks += [asyncio.create_task(keep()) for _ in range(count)]
 
 
-async def asked(port: int, request: Request) -> tuple[int, bytes]:
+async def answer_to(port: int, request: Request) -> tuple[int, bytes]:
     """Send a request on a connection of its own and return its status and body."""
     reader, writer = await asyncio.open_connection(_HOST, port)
     try:
@@ -146,10 +146,10 @@ async def asked(port: int, request: Request) -> tuple[int, bytes]:
         writer.close()
 
 
-async def ask_again_and_again(
+async def send_repeatedly(
     port: int, requests: Sequence[Request], *, seconds: float, kept: bool, timeout_s: float = 20.0
 ) -> Answers:
-    """Ask one request after another, and return how long each answer took.
+    """Send one request after another, and return how long each answer took.
 
     Args:
         port: Of the service.
@@ -181,7 +181,7 @@ async def ask_again_and_again(
 
 
 async def read_answer(reader: asyncio.StreamReader) -> tuple[int, bytes]:
-    """Return the status and body of an answer that says how long it is."""
+    """Return the status and body of an answer that gives its length."""
     head = (await reader.readuntil(b"\r\n\r\n")).decode("latin-1")
     first, *lines = head.split("\r\n")
     fields = dict(line.lower().split(": ", 1) for line in lines if ": " in line)

@@ -1,8 +1,8 @@
 """Reads damaged files with our readers, in a process that a parent watches.
 
 `python -m tests.torture.support.reading SUBJECT FOLDER FIRST LAST` reads the files of these numbers
-in `FOLDER/given` or, without that folder, made anew from the seed, and says before and after each
-one how it fared.
+in `FOLDER/given` or, without that folder, made anew from the seed, and reports before and after
+each one how it fared.
 """
 
 import abc
@@ -32,7 +32,7 @@ from tests.support.samples import (
 from tests.torture.support.damage import damaged
 from tests.torture.support.sizes import chance
 
-_MEMORY_BYTES = 2 * 2**30  # beyond, allocating fails: a reader that asks for more is refused
+_MEMORY_BYTES = 2 * 2**30  # beyond, allocating fails: a reader that allocates more is refused
 
 
 class Subject(abc.ABC):

@@ -67,7 +67,7 @@ class Tortured:
         Args:
             ready: Whether to wait; a kill may come before that.
         """
-        said_before = self.log.stat().st_size if self.log.exists() else 0
+        logged_before = self.log.stat().st_size if self.log.exists() else 0
         with self.log.open("ab") as log:
             self._process = subprocess.Popen(
                 [
@@ -81,19 +81,21 @@ class Tortured:
                 stderr=subprocess.STDOUT,
             )
         if ready:
-            self._find_port(said_before)
+            self._find_port(logged_before)
             with self.client(None) as client:
                 until(lambda: _is_ready(client), "the service does not answer")
 
-    def _find_port(self, said_before: int) -> None:
+    def _find_port(self, logged_before: int) -> None:
         deadline = time.monotonic() + _START_S
         begins = "TensorMap at "
-        while begins not in (said := self.log.read_bytes()[said_before:].decode(errors="replace")):
-            assert self.is_alive, said[-3000:]
+        while begins not in (
+            output := self.log.read_bytes()[logged_before:].decode(errors="replace")
+        ):
+            assert self.is_alive, output[-3000:]
             assert time.monotonic() < deadline, "no start"
             time.sleep(0.02)
-        while "\n" not in (rest := said.split(begins)[1]):
-            said = self.log.read_bytes()[said_before:].decode(errors="replace")
+        while "\n" not in (rest := output.split(begins)[1]):
+            output = self.log.read_bytes()[logged_before:].decode(errors="replace")
         self.port = int(rest.split()[0].rpartition(":")[2])
 
     @property
@@ -147,7 +149,7 @@ class Tortured:
         """Return whether the service's release has a command."""
         return self.command(command, "--help").returncode == 0
 
-    def said(self) -> str:
+    def crash_report(self) -> str:
         """Return how a process of it crashed last, or the end of its log."""
         log = self.log.read_bytes()[-100_000:].decode(errors="replace")
         _, crash, stack = log.rpartition("Fatal Python error")
@@ -193,8 +195,8 @@ def environment_of(**more: str) -> dict[str, str]:
 
 def named(response: httpx2.Response) -> str:
     """Return the name of a problem; anything else that is no success is a failure."""
-    said = response.text[:300]
-    assert response.headers.get("content-type") == PROBLEM, f"{response.status_code}: {said}"
+    excerpt = response.text[:300]
+    assert response.headers.get("content-type") == PROBLEM, f"{response.status_code}: {excerpt}"
     name: str = response.json()["type"].removeprefix("/problems/")
     return name
 

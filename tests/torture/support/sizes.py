@@ -20,7 +20,7 @@ TREE = Path(os.environ.get(f"{_PREFIX}TREE") or Path(__file__).parents[3])
 
 
 def size(name: str, default: int) -> int:
-    """Return how many of something are wanted: `TENSORMAP_TORTURE_<NAME>`, or the default."""
+    """Return how many of something to run: `TENSORMAP_TORTURE_<NAME>`, or the default."""
     return int(os.environ.get(f"{_PREFIX}{name.upper()}") or default)
 
 

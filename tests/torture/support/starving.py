@@ -27,22 +27,22 @@ class Greedy:
     def __init__(self, process: "subprocess.Popen[str]") -> None:
         self._process = process
 
-    def begin(self, step: str, **wanted: Any) -> None:
-        """Tell it to hold open more, and do not wait for that."""
+    def begin(self, step: str, **parameters: Any) -> None:
+        """Have it hold open more, and do not wait for that."""
         assert self._process.stdin is not None
-        self._process.stdin.write(json.dumps([step, wanted]) + "\n")
+        self._process.stdin.write(json.dumps([step, parameters]) + "\n")
         self._process.stdin.flush()
 
     def wait(self) -> str:
-        """Return what it says of the step that it was told, once it is under way."""
+        """Return what it reports of its current step, once that is under way."""
         assert self._process.stdout is not None
-        said = self._process.stdout.readline()
-        assert said, "what makes the load has failed"
-        return said.strip()
+        line = self._process.stdout.readline()
+        assert line, "what makes the load has failed"
+        return line.strip()
 
-    def hold(self, step: str, **wanted: Any) -> None:
+    def hold(self, step: str, **parameters: Any) -> None:
         """Have it hold open more."""
-        self.begin(step, **wanted)
+        self.begin(step, **parameters)
         self.wait()
 
 
@@ -66,7 +66,7 @@ def greedy(port: int, of_map: str, headers: Mapping[str, str]) -> Iterator[Greed
         try:
             held = Greedy(process)
             yield held
-            held.begin("told")
+            held.begin("count_requests")
             print(held.wait())
         finally:
             process.kill()
@@ -79,11 +79,11 @@ class _Steps:
         self._port, self._map, self._headers = port, of_map, headers
         self._load, self._stack = load, stack
         self._json = {**headers, "Content-Type": "application/json"}
-        self._told: dict[str, Any] = {}
+        self._answered: dict[str, Any] = {}
 
     async def idle(self, count: int) -> None:
         crowd = idle_connections(self._port, count)
-        self._told["idle connections"] = await self._stack.enter_async_context(crowd)
+        self._answered["idle connections"] = await self._stack.enter_async_context(crowd)
 
     async def uploads(self, count: int) -> None:
         headers = {**self._headers, "Content-Type": "application/x-tar"}
@@ -102,13 +102,13 @@ class _Steps:
     async def websockets(self, count: int, track: str) -> None:
         path = f"{self._map}/tracks/{track}/stream"
         crowd = open_websockets(self._port, path, self._headers, count)
-        self._told["WebSockets"] = await self._stack.enter_async_context(crowd)
+        self._answered["WebSockets"] = await self._stack.enter_async_context(crowd)
 
-    async def told(self) -> None:
-        self._told["requests"] = Counter(self._load.answers.statuses)
+    async def count_requests(self) -> None:
+        self._answered["requests"] = Counter(self._load.answers.statuses)
 
     def __str__(self) -> str:
-        return ", ".join(f"{name}: {told}" for name, told in self._told.items())
+        return ", ".join(f"{name}: {answered}" for name, answered in self._answered.items())
 
 
 async def _main(port: int, of_map: str, headers: dict[str, str]) -> None:
@@ -116,8 +116,8 @@ async def _main(port: int, of_map: str, headers: dict[str, str]) -> None:
     async with Load(port) as load, AsyncExitStack() as stack:
         steps = _Steps(port, of_map, headers, load, stack)
         while line := await loop.run_in_executor(None, sys.stdin.readline):
-            step, wanted = json.loads(line)
-            await getattr(steps, step)(**wanted)
+            step, parameters = json.loads(line)
+            await getattr(steps, step)(**parameters)
             print(steps, flush=True)
 
 

@@ -53,26 +53,26 @@ class Watch:
     Attributes:
         grown_bytes: The most that the serving process grew by.
         longest_s: The longest that `/livez` took, on a connection kept open.
-        asked: How often it was asked.
+        requests: How often it was requested.
         faults: What was no answer.
     """
 
     grown_bytes: int = 0
     longest_s: float = 0.0
-    asked: int = 0
+    requests: int = 0
     faults: list[str] = field(default_factory=list)
 
     def require(self, *, longest_s: float = 1.0, grown_bytes: int = 200 * 2**20) -> None:
         """Require that it answered in time, every time, and did not grow by more than that."""
         assert not self.faults, self.faults[:3]
-        assert self.asked, "/livez was never asked"
+        assert self.requests, "/livez was never requested"
         assert self.longest_s < longest_s, f"/livez took {self.longest_s:.2f} s"
         assert self.grown_bytes < grown_bytes, f"it grew by {self.grown_bytes / 2**20:.0f} MB"
 
 
 @contextmanager
 def watching(service: Tortured, *, every_s: float = _EVERY_S) -> Iterator[Watch]:
-    """Ask for `/livez`, and look at the memory of the process that serves, until the block ends."""
+    """Request `/livez`, and look at the memory of the process that serves, until the block ends."""
     watch = Watch()
     done = threading.Event()
     before = used_by(service.pid)
@@ -89,7 +89,7 @@ def watching(service: Tortured, *, every_s: float = _EVERY_S) -> Iterator[Watch]
                 except httpx2.TransportError as error:
                     watch.faults.append(f"/livez: {error!r}")
                 watch.longest_s = max(watch.longest_s, time.monotonic() - began)
-                watch.asked += 1
+                watch.requests += 1
                 now = used_by(service.pid)
                 if now is not None:
                     grown = now.memory_bytes - before.memory_bytes

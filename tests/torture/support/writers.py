@@ -84,7 +84,7 @@ class Writer:
                     self.faults.append(f"{step}: {error}")
                     return
 
-    def _ask(self, method: str, path: str, **body: Any) -> httpx2.Response:
+    def _send(self, method: str, path: str, **body: Any) -> httpx2.Response:
         answer = self._client.request(method, path, **body)
         if answer.is_success:
             return answer
@@ -110,16 +110,16 @@ class Writer:
         [index] = self._new_indices(1)
         path = f"/v1/maps/{self.map}/drives/{self._name}/scans/{index}"
         with self._ledger.writing(dict([self._scan(index)])):
-            self._ask("PUT", path, content=noise(self.map, self._name, str(index)), headers=NPY)
+            self._send("PUT", path, content=noise(self.map, self._name, str(index)), headers=NPY)
 
     def _put_tar(self) -> None:
         indices = self._new_indices(self._chance.randint(2, 8))
         body = noise_tar({i: (self.map, self._name, str(i)) for i in indices})
         with self._ledger.writing(dict(map(self._scan, indices))):
-            told = self._ask(
+            result = self._send(
                 "POST", f"/v1/maps/{self.map}/drives/{self._name}/scans", content=body, headers=TAR
             ).json()
-            assert told["scans_stored"] == len(indices), told
+            assert result["scans_stored"] == len(indices), result
 
     def _put_poses(self) -> None:
         there = [i for i in self._indices[self._name] if self._ledger.value(self._scan(i)[0])]
@@ -129,10 +129,10 @@ class Writer:
         poses = {
             i: [self._chance.randint(0, 999) / 8, float(i), 0.0, 0.0, 0.0, 0.0, 1.0] for i in chosen
         }
-        wanted = {"poses": [{"scan": scan, "pose": pose} for scan, pose in poses.items()]}
+        body = {"poses": [{"scan": scan, "pose": pose} for scan, pose in poses.items()]}
         things = {("pose", self.map, self._name, str(i)): json.dumps(p) for i, p in poses.items()}
         with self._ledger.writing(things):  # type: ignore[arg-type]
-            self._ask("PUT", f"/v1/maps/{self.map}/drives/{self._name}/poses", json=wanted)
+            self._send("PUT", f"/v1/maps/{self.map}/drives/{self._name}/poses", json=body)
 
     def _close(self) -> None:
         if not self._indices[self._name]:
@@ -140,7 +140,7 @@ class Writer:
         path = f"/v1/maps/{self.map}/drives/{self._name}"
         try:
             with self._ledger.writing({("closed", self.map, self._name): "closed"}):
-                self._ask("PATCH", path, json={"closed": True})
+                self._send("PATCH", path, json={"closed": True})
         finally:
             self._drive += 1  # perhaps it is closed
 
@@ -150,7 +150,7 @@ class Writer:
             return
         things = [t for t in self._ledger.things() if t[1:3] == (self.map, gone)]
         with self._ledger.writing(dict.fromkeys(things)):
-            self._ask("DELETE", f"/v1/maps/{self.map}/drives/{gone}")
+            self._send("DELETE", f"/v1/maps/{self.map}/drives/{gone}")
 
     def _import_revision(self) -> None:
         number = self._chance.randrange(_REVISIONS)
@@ -159,21 +159,21 @@ class Writer:
         if self._ledger.value(("live", self.map)) is None:
             things["live", self.map] = digest
         with self._ledger.writing(things):
-            self._ask("POST", f"/v1/maps/{self.map}/revisions", content=body, headers=HDF5)
+            self._send("POST", f"/v1/maps/{self.map}/revisions", content=body, headers=HDF5)
 
     def _make_live(self) -> None:
         digest = self._known_revision()
         if digest is None:
             return
         with self._ledger.writing({("live", self.map): digest}):
-            self._ask("PUT", f"/v1/maps/{self.map}/live", json={"revision": digest})
+            self._send("PUT", f"/v1/maps/{self.map}/live", json={"revision": digest})
 
     def _delete_revision(self) -> None:
         digest = self._known_revision()
         if digest is None:
             return
         with self._ledger.writing({("revision", self.map, digest): None}):
-            self._ask("DELETE", f"/v1/maps/{self.map}/revisions/{digest}")  # not if it is live
+            self._send("DELETE", f"/v1/maps/{self.map}/revisions/{digest}")  # not if it is live
 
     def _known_revision(self) -> str | None:
         things = [t for t in self._ledger.things() if t[:2] == ("revision", self.map)]
@@ -181,8 +181,8 @@ class Writer:
         return self._chance.choice(there) if there else None
 
     def _make_key(self) -> None:
-        wanted = {"name": self.map, "scopes": ["maps:read"]}
-        made = self._ask("POST", "/v1/keys", json=wanted).json()
+        body = {"name": self.map, "scopes": ["maps:read"]}
+        made = self._send("POST", "/v1/keys", json=body).json()
         self._ledger.note(("key", made["key"], made["secret"]), "opens")
 
     def _revoke_key(self) -> None:
@@ -191,10 +191,10 @@ class Writer:
             return
         thing = self._chance.choice(mine)
         with self._ledger.writing({thing: None}):
-            self._ask("DELETE", f"/v1/keys/{thing[1]}")
+            self._send("DELETE", f"/v1/keys/{thing[1]}")
 
     def _build(self) -> None:
         self._built_anew += 1
-        wanted = {"segments": 1, "sensor_height_m": 1.5 + self._built_anew / 1000}
-        answer = self._ask("POST", f"/v1/maps/{self.built}/builds", json=wanted)
+        parameters = {"segments": 1, "sensor_height_m": 1.5 + self._built_anew / 1000}
+        answer = self._send("POST", f"/v1/maps/{self.built}/builds", json=parameters)
         self.jobs.append(answer.json()["job"])

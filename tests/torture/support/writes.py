@@ -1,4 +1,4 @@
-"""Every kind of write that a client or an operator asks for, and how to see that it was kept."""
+"""Every kind of write that a client or an operator requests, and how to see that it was kept."""
 
 import abc
 import json
@@ -58,7 +58,7 @@ class Write(abc.ABC):
 
     @abc.abstractmethod
     def attempt(self) -> str | None:
-        """Ask for it; return `None` if it was acknowledged, else the name of what was answered."""
+        """Request it; return `None` if it was acknowledged, else the name of the refusal."""
 
     @abc.abstractmethod
     def require_kept(self) -> None:
@@ -68,13 +68,13 @@ class Write(abc.ABC):
         """Require what else it is for to be possible."""
 
     def must(self, method: str, path: str, **body: Any) -> httpx2.Response:
-        """Ask for something that has to succeed."""
+        """Send a request that has to succeed."""
         answer = self.client.request(method, path, **body)
         assert answer.is_success, f"{method} {path}: {answer.status_code} {answer.text[:300]}"
         return answer
 
-    def asked(self, method: str, path: str, **body: Any) -> str | None:
-        """Ask for something that may be refused by name."""
+    def refusal_of(self, method: str, path: str, **body: Any) -> str | None:
+        """Send a request; return the name of its refusal, `None` if it succeeded."""
         answer = self.client.request(method, path, **body)
         return None if answer.is_success else named(answer)
 
@@ -84,7 +84,7 @@ class PutScan(Write):
 
     def attempt(self) -> str | None:
         path = f"/v1/maps/{self.map}/drives/monday/scans/0"
-        return self.asked("PUT", path, content=noise(self.map), headers=NPY)
+        return self.refusal_of("PUT", path, content=noise(self.map), headers=NPY)
 
     def require_kept(self) -> None:
         got = self.must("GET", f"/v1/maps/{self.map}/drives/monday/scans/0")
@@ -100,8 +100,8 @@ class PostTar(Write):
         answer = self.client.post(path, content=noise_tar(scans), headers=TAR)
         if not answer.is_success:
             return named(answer)
-        told = answer.json()
-        assert told["scans_stored"] + told["scans_present"] == _SCANS, told
+        result = answer.json()
+        assert result["scans_stored"] + result["scans_present"] == _SCANS, result
         return None
 
     def require_kept(self) -> None:
@@ -121,7 +121,7 @@ class SetPoses(PostTar):
     def attempt(self) -> str | None:
         poses = [{"scan": scan, "pose": pose} for scan, pose in self.poses.items()]
         path = f"/v1/maps/{self.map}/drives/monday/poses"
-        return self.asked("PUT", path, json={"poses": poses})
+        return self.refusal_of("PUT", path, json={"poses": poses})
 
     def require_kept(self) -> None:
         super().require_kept()
@@ -139,7 +139,7 @@ class CloseDrive(Write):
 
     def attempt(self) -> str | None:
         path = f"/v1/maps/{self.map}/drives/monday"
-        return self.asked("PATCH", path, json={"closed": True})
+        return self.refusal_of("PATCH", path, json={"closed": True})
 
     def require_kept(self) -> None:
         assert self.must("GET", f"/v1/maps/{self.map}/drives/monday").json()["closed"]
@@ -155,7 +155,7 @@ class Import(Write):
 
     def attempt(self) -> str | None:
         path = f"/v1/maps/{self.map}/revisions"
-        return self.asked("POST", path, content=self.body, headers=HDF5)
+        return self.refusal_of("POST", path, content=self.body, headers=HDF5)
 
     def require_kept(self) -> None:
         live = self.must("GET", f"/v1/maps/{self.map}").json()["live_revision"]
@@ -175,8 +175,8 @@ class Build(Write):
         self.must("POST", path, content=driven_tar(_SCANS), headers=TAR, params={"format": "kitti"})
 
     def attempt(self) -> str | None:
-        wanted = {"segments": 1, "encoding": self.encoding}
-        answer = self.client.post(f"/v1/maps/{self.map}/builds", json=wanted)
+        parameters = {"segments": 1, "encoding": self.encoding}
+        answer = self.client.post(f"/v1/maps/{self.map}/builds", json=parameters)
         if not answer.is_success:
             return named(answer)
         job = ended_job(self.client, answer.json()["job"], lift=self.lift)
@@ -191,8 +191,8 @@ class Build(Write):
     def require_usable(self) -> None:
         images = list(self.service.data_dir.glob("maps/*/drives/*/images/*.h5"))
         assert images
-        wanted = {"segments": 1, "encoding": self.encoding, "ranks": [3, 3]}  # of the same images
-        answer = self.must("POST", f"/v1/maps/{self.map}/builds", json=wanted)
+        of_the_same_images = {"segments": 1, "encoding": self.encoding, "ranks": [3, 3]}
+        answer = self.must("POST", f"/v1/maps/{self.map}/builds", json=of_the_same_images)
         job = ended_job(self.client, answer.json()["job"])
         assert job["state"] == "done", job
 
@@ -209,7 +209,7 @@ class MakeLive(Write):
         self.digest = map_file(1)[0]
 
     def attempt(self) -> str | None:
-        return self.asked("PUT", f"/v1/maps/{self.map}/live", json={"revision": self.digest})
+        return self.refusal_of("PUT", f"/v1/maps/{self.map}/live", json={"revision": self.digest})
 
     def require_kept(self) -> None:
         live = self.must("GET", f"/v1/maps/{self.map}").json()["live_revision"]
@@ -225,8 +225,9 @@ class MakeMap(Write):
         pass
 
     def attempt(self) -> str | None:
-        told = self.asked("POST", "/v1/maps", json={"map": self.map})
-        return None if told == "map-exists" else told  # the first attempt's, whose answer failed
+        refusal = self.refusal_of("POST", "/v1/maps", json={"map": self.map})
+        # It exists if the first attempt made it and its answer failed.
+        return None if refusal == "map-exists" else refusal
 
     def require_kept(self) -> None:
         self.must("GET", f"/v1/maps/{self.map}")
@@ -239,8 +240,8 @@ class MakeKey(Write):
         pass
 
     def attempt(self) -> str | None:
-        wanted = {"name": self.map, "scopes": ["maps:read"]}
-        answer = self.client.post("/v1/keys", json=wanted)
+        body = {"name": self.map, "scopes": ["maps:read"]}
+        answer = self.client.post("/v1/keys", json=body)
         if not answer.is_success:
             return named(answer)
         self.secret = answer.json()["secret"]
@@ -261,9 +262,9 @@ class Collect(MakeLive):
 
     def attempt(self) -> str | None:
         policy = {"retained_revisions": 0, "retained_for_days": 0}
-        told = self.asked("PATCH", f"/v1/maps/{self.map}", json={"retention": policy})
+        refusal = self.refusal_of("PATCH", f"/v1/maps/{self.map}", json={"retention": policy})
         time.sleep(_COLLECTING_S)  # under the same fault
-        return told
+        return refusal
 
     def require_kept(self) -> None:
         deadline = time.monotonic() + 10  # the live one and the newest one stay
@@ -351,8 +352,8 @@ def ended_job(
             lift()
         answer = client.get(f"/v1/jobs/{job}")
         if answer.is_success and answer.json()["state"] in _ENDED:
-            told: dict[str, Any] = answer.json()
-            return told
+            ended: dict[str, Any] = answer.json()
+            return ended
         if not answer.is_success:
             assert named(answer).startswith("storage-"), answer.text
         time.sleep(0.05)
@@ -361,8 +362,8 @@ def ended_job(
 
 def poses_of(data_dir: Path, of_map: str, drive: str) -> dict[int, list[float] | None]:
     """Return the poses that a catalog holds; no route gives them back."""
-    wanted = """SELECT scan_index, pose FROM scans JOIN drives ON drives.id = scans.drive_id
+    statement = """SELECT scan_index, pose FROM scans JOIN drives ON drives.id = scans.drive_id
                 JOIN maps ON maps.id = drives.map_id WHERE maps.slug = ? AND drives.slug = ?"""
     with closing(sqlite3.connect(f"file:{data_dir}/catalog.sqlite3?mode=ro", uri=True)) as catalog:
-        rows = catalog.execute(wanted, (of_map, drive)).fetchall()
+        rows = catalog.execute(statement, (of_map, drive)).fetchall()
     return {index: None if pose is None else json.loads(pose) for index, pose in rows}
