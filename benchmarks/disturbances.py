@@ -1,4 +1,4 @@
-"""Recall@1 of all methods under disturbances: the table of docs/reference/disturbances.md.
+"""Recall@1 of all methods under disturbances, the mean of five seeds.
 
     python -m benchmarks.disturbances DRIVES [NAME ...]
 
