@@ -14,7 +14,7 @@ from app.drives.pose_files import CSV, POSE_TYPES, read_poses
 from app.drives.pose_schemas import PosesIn
 from app.drives.schemas import DriveOut, DriveWithPosesOut, PosesPutOut, PresentOut, UploadOut
 from app.http import errors
-from app.http.bodies.bodies import AsItComes, Body, ContentType, described_body, media_type
+from app.http.bodies.bodies import AsItComes, Body, ContentType, described_body, required_type
 from app.http.bodies.incoming import Incoming
 from app.http.bodies.json_body import read_json
 from app.http.bodies.spool import Spool
@@ -32,7 +32,7 @@ writing = pooled_router(tags=["drives"], dependencies=[needs(Scope.MAPS_WRITE)])
 
 _TAR, _JSON = "application/x-tar", "application/json"
 _BATCH_BYTES = 4 * 2**20
-_TYPES = {"", "application/octet-stream", _TAR, "application/tar"}
+_TYPES = (_TAR, "application/tar", "application/octet-stream", "")
 
 FormatName = Annotated[
     str | None,
@@ -97,10 +97,7 @@ async def post_scans(
     With a `Content-Digest` nothing is stored before the whole body was received and its digest is
     right; a packed body is unpacked when it is complete, or as far as it was received.
     """
-    if media_type(content_type) not in _TYPES:
-        raise errors.UnsupportedBody(
-            f"Content-Type is {(content_type or '')[:80]!r}, wanted {_TAR}"
-        )
+    required_type(content_type, *_TYPES)
     scan_type = None if format_name is None else media_type_of(format_name)
     # A missing map is reported before a body is read.
     await running.pools.short.run(
@@ -150,7 +147,7 @@ def put_poses(
     have itself. A file whose lines count scans is rejected if it has fewer than the drive has
     scans, or if it has more and would replace other poses: it is another drive's, or cut off.
     """
-    kind = media_type(content_type)
+    kind = required_type(content_type, _JSON, *POSE_TYPES)
     drives = running.store.drives
     if kind in POSE_TYPES:
         put = drives.expect_poses(
@@ -160,12 +157,9 @@ def put_poses(
             consecutive=kind != CSV,
             partial=bool(partial),
         )
-    elif kind == _JSON:
+    else:
         poses, timestamps_s = read_json(body, PosesIn).to_core()
         put = drives.put_poses(map_slug, drive_slug, poses, timestamps_s)
-    else:
-        known = ", ".join((_JSON, *POSE_TYPES))
-        raise errors.UnsupportedBody(f"Content-Type is {kind[:80]!r}, wanted one of {known}")
     drive = DriveOut.from_record(drives.get(map_slug, drive_slug))
     return DriveWithPosesOut(**dict(drive), poses=PosesPutOut.of(put))
 

@@ -9,7 +9,7 @@ from fastapi.exceptions import RequestValidationError
 from app.access.scopes import Scope, needs
 from app.drives.routes import BAD_SCAN
 from app.http import errors
-from app.http.bodies.bodies import SCAN_TYPES, Body, ContentType, described_body, media_type
+from app.http.bodies.bodies import SCAN_TYPES, Body, ContentType, described_body, required_type
 from app.http.bodies.json_body import read_json
 from app.http.pooled_route import heavy, pooled_router
 from app.http.problems import problems
@@ -98,10 +98,7 @@ def localize_image(
         raise core.SensorMismatch(
             f"the image is a {query.image} image, the map is of {mapped} images"
         )
-    if media_type(content_type) != IMAGE_TYPE:
-        raise errors.UnsupportedBody(
-            f"Content-Type is {(content_type or '')[:80]!r}, wanted {IMAGE_TYPE}"
-        )
+    required_type(content_type, IMAGE_TYPE)
     image = read_image(body, answering.localizer.map.parameters.grid)
     found = answering.localizer.localize_image(image, query.k, priors, query.min_probability)
     running.metrics.localized("image", found.decision.reason)
@@ -172,13 +169,8 @@ def read_signatures(body: bytes, content_type: str | None) -> tuple[Signature, .
     """
     if not body:
         raise EmptyBody("the body is empty, wanted signatures")
-    kind = media_type(content_type)
-    if kind == SIGNATURE_TYPE:
+    if required_type(content_type, "application/json", SIGNATURE_TYPE) == SIGNATURE_TYPE:
         return unpack_signatures(body)
-    if kind != "application/json":
-        raise errors.UnsupportedBody(
-            f"Content-Type is {kind[:80]!r}, wanted application/json or {SIGNATURE_TYPE}"
-        )
     try:
         return read_json(body, SignaturesIn).to_core()
     except RequestValidationError as error:

@@ -12,7 +12,7 @@ from pydantic import Field
 from app.access.scopes import Scope, needs
 from app.access.trail import note
 from app.http import errors
-from app.http.bodies.bodies import Body, ContentType, Json, described_body, media_type
+from app.http.bodies.bodies import Body, ContentType, Json, described_body, required_type
 from app.http.open_file import OpenFileResponse
 from app.http.pages import After, Limit, PageOut, page_out
 from app.http.pooled_route import heavy, pooled_router
@@ -98,10 +98,7 @@ def import_a_revision(
     It has the same digest and gives the same answers. No build can be based on it, as the scans of
     its drives are not stored.
     """
-    if media_type(content_type) != _HDF5:
-        raise errors.UnsupportedBody(
-            f"Content-Type is {(content_type or '')[:80]!r}, wanted {_HDF5}"
-        )
+    required_type(content_type, _HDF5)
     if not body:
         raise EmptyBody("the body is empty, wanted a map's file")
     record, added = import_revision(running.store, map_slug, body, make_live=bool(make_live))

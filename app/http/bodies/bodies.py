@@ -160,6 +160,19 @@ def media_type(content_type: str | None) -> str:
     return (content_type or "").partition(";")[0].strip().lower()
 
 
+def required_type(content_type: str | None, *accepted: str) -> str:
+    """Return the media type of a body.
+
+    Raises:
+        UnsupportedBody: If it is none of those.
+    """
+    kind = media_type(content_type)
+    if kind not in accepted:
+        wanted = " or ".join(filter(None, accepted))
+        raise UnsupportedBody(f"Content-Type is {kind[:80]!r}, wanted {wanted}")
+    return kind
+
+
 def described_body(
     binary: Mapping[str, str], json: type[BaseModel] | None = None
 ) -> dict[str, Any]:
