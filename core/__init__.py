@@ -25,8 +25,11 @@ if TYPE_CHECKING:
     from core.mapping.pipeline import build_map as build_map
     from core.mapping.tensormap import TensorMap as TensorMap
     from core.parameters import MapParameters as MapParameters
+    from core.scans.accumulation import accumulate as accumulate
     from core.scans.drive import Drive as Drive
     from core.scans.drive import MemoryDrive as MemoryDrive
+    from core.scans.mounting import Mounting as Mounting
+    from core.scans.mounting import vehicle_drive as vehicle_drive
     from core.scans.pose import Pose as Pose
     from core.scans.scan import Scan as Scan
     from core.tracking.track import Observation as Observation
@@ -47,7 +50,9 @@ _MODULE_OF = {
         ("core.mapping.pipeline", "build_map"),
         ("core.mapping.tensormap", "TensorMap"),
         ("core.parameters", "MapParameters"),
+        ("core.scans.accumulation", "accumulate"),
         ("core.scans.drive", "Drive MemoryDrive"),
+        ("core.scans.mounting", "Mounting vehicle_drive"),
         ("core.scans.pose", "Pose"),
         ("core.scans.scan", "Scan"),
         ("core.tracking.track", "Observation Track Tracker"),

@@ -13,7 +13,7 @@ from core.mapping.pipeline import build, project_scans
 from core.mapping.tensormap import TensorMap
 from core.parameters import MapParameters
 from core.progress import NO_PROGRESS, Progress
-from core.scans.drive import Drive
+from core.scans.drive import Drive, scan_index_of
 from core.scans.scan import Scan
 from core.segmentation.fixed import cut_fixed
 
@@ -113,7 +113,7 @@ class MappedPlaces:
             calibrated=False,
             progress=progress,
         ).tensor_map
-        kept = tensor_map.trajectory.scan_index
+        kept = np.searchsorted(scan_index_of(drive), tensor_map.trajectory.scan_index)
         basis = tensor_map.basis()
         first = basis.encode(basis.image(drive.scan(int(kept[0]))))
         stored = sum(array.nbytes for array in tensor_map.model.arrays().values())

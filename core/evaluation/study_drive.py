@@ -169,9 +169,10 @@ def _study_encoding(
         progress=progress,
     )
     localizer = Localizer(made.tensor_map)
+    scans = images.mapped.scans
 
     def localize(_: int, scan: Scan) -> int:
-        return localizer.localize_scan(scan).best.scan_index
+        return int(scans[localizer.localize_scan(scan).best.row])
 
     disturbed = replace(images.queries, conditions=_disturbances(protocol))
     (matched,) = disturbed.answers([localize], "localizing", progress)

@@ -16,6 +16,7 @@ from core.evaluation.reliability import Outcome, Reliability, reliability
 from core.localization.localizer import Localization
 from core.mapping.tensormap import TensorMap
 from core.scans.displacement import left_of_m
+from core.scans.drive import scan_index_of
 from core.scans.pose import heading_deg
 
 
@@ -125,9 +126,10 @@ def summarize(
         if match.estimated_pose is not None:
             estimated[row] = match.estimated_pose.as_tuple()
     segment = queries.segment[rows]
+    scans = scan_index_of(queries.drive)[queries.scans]
     errors = tuple(
         SegmentError(
-            scan=int(queries.scans[row]),
+            scan=int(scans[row]),
             matched_scan=match.scan_index,
             segment=int(queries.segment[row]),
             matched_segment=match.segment,

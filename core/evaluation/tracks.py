@@ -15,6 +15,7 @@ from core.evaluation.metrics import apart_m, median, rate, share_within
 from core.evaluation.plain import Plain
 from core.evaluation.query_set import LocatedQueries
 from core.progress import NO_PROGRESS, Progress
+from core.scans.drive import scan_index_of
 from core.scans.scan import Scan
 from core.tracking.step import TrackStep
 from core.tracking.track import Observation, Track, Tracker
@@ -204,10 +205,11 @@ def _tracked(
 def _wrong(
     tracker: Tracker, queries: LocatedQueries, steps: Sequence[TrackStep]
 ) -> tuple[TrackError, ...]:
+    scans = scan_index_of(queries.drive)[queries.scans]
     return tuple(
         TrackError(
             observation=index,
-            scan=int(queries.scans[index]),
+            scan=int(scans[index]),
             segment=int(queries.segment[index]),
             told_segment=step.segment,
             told_scan=int(tracker.map.trajectory.scan_index[step.row]),

@@ -27,7 +27,7 @@ from core.projection.images import (
     Skipped,
     project_drive,
 )
-from core.scans.drive import Drive, IndexedDrive
+from core.scans.drive import Drive, scan_index_of
 from core.scans.trajectory import Trajectory
 from core.segmentation.fixed import cut_drives, cut_fixed, segment_length_for
 from core.segmentation.turns import cut_at_turns
@@ -229,7 +229,7 @@ def project_scans(
 
 def trajectory_of(drive: Drive, scans: IntArray) -> Trajectory:
     """Return the trajectory of the scans at these positions of a drive."""
-    index = drive.scan_index[scans] if isinstance(drive, IndexedDrive) else scans
+    index = scan_index_of(drive)[scans]
     return Trajectory.of_drive(drive.name, drive.timestamp_s[scans], drive.poses[scans], index)
 
 

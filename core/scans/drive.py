@@ -49,6 +49,12 @@ class IndexedDrive(Drive, Protocol):
         """`(K,)` the number of each scan, rising."""
 
 
+def scan_index_of(drive: Drive) -> IntArray:
+    """Return the number of each scan of a drive, `(K,)`: its own, or counted from 0."""
+    index = drive.scan_index if isinstance(drive, IndexedDrive) else np.arange(len(drive))
+    return frozen(index, np.int64)
+
+
 class MemoryDrive:
     """A drive in memory."""
 

@@ -15,6 +15,7 @@ from core.evaluation.methods import Enrolled, MappedPlaces, Nearest
 from core.evaluation.pairing import HeldOut, LoopClosing, SecondPass
 from core.evaluation.split import Every
 from core.parameters import MapParameters
+from core.scans.accumulation import AccumulatedDrive
 from core.scans.drive import MemoryDrive
 from core.scans.pose import Pose
 from core.scans.scan import Scan
@@ -254,3 +255,14 @@ def test_our_encodings_have_the_recall_that_evaluate_reports():
     [compared] = compare(drive, [MappedPlaces(MapParameters(), 4)], protocol).methods
     for one, other in zip(evaluated.conditions, compared.conditions, strict=True):
         assert one.recall_at_1 == other.recall_at_1
+
+
+def test_a_drive_with_numbers_of_its_own_finds_itself():
+    """Places are positions in the drive, whatever its scans are numbered."""
+    drive = AccumulatedDrive(sample_drive(24, returns=150), 2)
+    method = MappedPlaces(MapParameters.for_sensor(), 24)
+    enrolled = method.enrol(drive, np.arange(len(drive)))
+    assert enrolled.scans.tolist() == list(range(12))
+    found = enrolled.describe(drive.scan(7))(None)
+    assert found is not None
+    assert found.row == 7

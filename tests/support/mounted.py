@@ -1,0 +1,71 @@
+"""A simulated drive past the places of `recording`, by a sensor that is mounted askew."""
+
+import functools
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from core.arrays import FloatArray
+from core.scans.angles import wrapped_deg
+from core.scans.drive import MemoryDrive
+from core.scans.mounting import Mounting
+from core.scans.pose import Pose
+from core.scans.scan import Scan
+from core.simulation import SimulatedDrive
+from core.simulation.raycast import SimulatedSensor, cast
+
+ASKEW = Mounting(1.1, -0.4, 1.9, 3.0, -6.0, 120.0)
+
+
+@functools.cache
+def vehicle_poses(scans: int = 48) -> FloatArray:
+    """Return the vehicle's pose rows, on the ground."""
+    rows = _city().poses[:scans].copy()
+    rows[:, 2] = 0.0
+    return rows
+
+
+@functools.cache
+def mounted_recording(
+    mounting: Mounting = ASKEW, *, scans: int = 48, name: str = "askew", sparse: bool = False
+) -> MemoryDrive:
+    """Return the drive as the sensor records it, with the sensor's poses.
+
+    Args:
+        mounting: Of the sensor.
+        scans: How many.
+        name: Of the drive.
+        sparse: Whether each scan has a fifth of the returns in a quarter of the revolution, another
+            one each time.
+    """
+    city = _city()
+    rows = mounting.sensor_poses(vehicle_poses(scans))
+    heading = Rotation.from_euler("z", mounting.yaw_deg, degrees=True)
+    tilt = Rotation.from_euler("xy", [mounting.roll_deg, mounting.pitch_deg], degrees=True)
+    recorded = []
+    for index, (row, vehicle) in enumerate(zip(rows, vehicle_poses(scans), strict=True)):
+        # The simulator's sensor is upright; a tilted one has the same returns in other axes.
+        upright = Rotation.from_quat(vehicle[3:]) * heading
+        time_s = float(city.timestamp_s[index])
+        rng = np.random.default_rng([11, index])
+        scan = cast(
+            city.world.at(time_s, around_m=(vehicle[0], vehicle[1]), give_way_m=1.5),
+            Pose(*row[:3].tolist(), *upright.as_quat().tolist()),
+            city.sensor,
+            rng,
+            timestamp_s=time_s,
+        )
+        points_m = tilt.inv().apply(scan.points_m.astype(np.float64))
+        if sparse:
+            azimuth_deg = np.degrees(np.arctan2(points_m[:, 1], points_m[:, 0]))
+            seen = np.abs(wrapped_deg(azimuth_deg - 137.0 * index)) < 45.0
+            points_m = points_m[seen & (rng.random(len(points_m)) < 0.2)]
+        recorded.append(Scan.from_returns(points_m, timestamp_s=time_s, pose=Pose(*row.tolist())))
+    return MemoryDrive(name, recorded)
+
+
+@functools.cache
+def _city() -> SimulatedDrive:
+    return SimulatedDrive(
+        seed=1, scans=48, stops=False, noise_seed=11, sensor=SimulatedSensor(firings=180)
+    )
