@@ -2,16 +2,22 @@
 
 from collections import defaultdict
 from collections.abc import Sequence
+from dataclasses import asdict
+from datetime import UTC, datetime
 
 from sqlalchemy import case, delete, func, select
+from sqlalchemy.exc import IntegrityError
 from sqlalchemy.orm import Session
 
+from core.scans.accumulation import require_count
+from core.scans.mounting import Mounting
 from storage.catalog.database import Repository
 from storage.catalog.maps import map_named, map_of_id
 from storage.catalog.models import Drive, ExpectedPose, Map, Scan
 from storage.catalog.pages import DEFAULT_LIMIT, one_more, page_of
 from storage.catalog.records import DriveRecord, IndexRange, Page
-from storage.errors import DriveNotFound
+from storage.errors import DriveNotFound, ReturnsGone
+from storage.names import checked_slug, new_id
 
 
 class Drives(Repository):
@@ -75,6 +81,55 @@ class Drives(Repository):
             if session.get(Drive, drive_id) is None:
                 raise DriveNotFound(f"the drive with id {drive_id} is gone")
 
+    def put(
+        self, map_slug: str, slug: str, mounting: Mounting | None, accumulate: int
+    ) -> tuple[DriveRecord, bool]:
+        """Set how builds read a drive, which is made if it is new.
+
+        Args:
+            map_slug: The map.
+            slug: The drive.
+            mounting: Of its sensor, `None` for none.
+            accumulate: How many consecutive scans become one.
+
+        Returns:
+            The drive, and whether it is new.
+
+        Raises:
+            MapNotFound: If there is no such map.
+            InvalidSlug: If the drive is new, and its name is no slug.
+            InvalidParameters: If `accumulate` is out of range.
+            ReturnsGone: If that is a change, and returns that builds would need were dropped.
+        """
+        require_count(accumulate)
+        try:
+            return self._put(map_slug, slug, mounting, accumulate)
+        except IntegrityError:  # on databases with concurrent writers: another one made it
+            return self._put(map_slug, slug, mounting, accumulate)
+
+    def _put(
+        self, map_slug: str, slug: str, mounting: Mounting | None, accumulate: int
+    ) -> tuple[DriveRecord, bool]:
+        values = None if mounting is None else asdict(mounting)
+        with self._database.writing() as session:
+            map_id = map_named(session, map_slug).id
+            query = select(Drive).where(Drive.map_id == map_id, Drive.slug == slug)
+            row = session.scalar(query.with_for_update())
+            is_new = row is None
+            if row is None:
+                row = Drive(
+                    id=new_id(),
+                    map_id=map_id,
+                    slug=checked_slug(slug),
+                    created_at=datetime.now(UTC),
+                )
+                session.add(row)
+            elif (row.mounting, row.accumulate) != (values, accumulate):
+                _require_returns(session, row)
+            row.mounting, row.accumulate = values, accumulate
+            session.flush()
+            return _records(session, [row])[0], is_new
+
     def close(self, map_slug: str, slug: str) -> DriveRecord:
         """Close a drive: it accepts no more scans; a closed one stays closed.
 
@@ -127,6 +182,17 @@ def drive_named(session: Session, map_slug: str, slug: str, *, lock: bool = Fals
     if row is None:
         raise DriveNotFound(f"map {map_slug!r} has no drive {slug[:80]!r}")
     return row
+
+
+def _require_returns(session: Session, row: Drive) -> None:
+    of_drive = select(func.count()).where(Scan.drive_id == row.id)
+    dropped = session.scalar(of_drive.where(Scan.chunk == "")) or 0
+    if dropped:
+        raise ReturnsGone(
+            f"the returns of {dropped} of {session.scalar(of_drive)} scans of drive {row.slug!r}"
+            " were dropped after a build: its images cannot be made for another mounting, upload it"
+            " again under another name"
+        )
 
 
 def _records(session: Session, rows: Sequence[Drive]) -> list[DriveRecord]:
@@ -189,4 +255,6 @@ def _record(row: Drive, islands: Sequence[Sequence[int]], expected_poses: int) -
         present=tuple(map(IndexRange, firsts, lasts)),
         posed_scans=posed_scans,
         expected_poses=expected_poses,
+        mounting=None if row.mounting is None else Mounting(**row.mounting),
+        accumulate=row.accumulate,
     )

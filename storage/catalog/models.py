@@ -96,7 +96,12 @@ class Map(Base):
 
 
 class Drive(Base):
-    """A recording that belongs to a map."""
+    """A recording that belongs to a map.
+
+    Attributes:
+        mounting: The fields of its `core.scans.mounting.Mounting`, `None` without one.
+        accumulate: How many consecutive scans become one of a map.
+    """
 
     __tablename__ = "drives"
     __table_args__ = (UniqueConstraint("map_id", "slug"),)
@@ -106,6 +111,8 @@ class Drive(Base):
     slug: Mapped[str] = mapped_column(Slug)
     created_at: Mapped[datetime]
     closed: Mapped[bool] = mapped_column(default=False)
+    mounting: Mapped[dict[str, float] | None] = mapped_column(JSON(none_as_null=True), default=None)
+    accumulate: Mapped[int] = mapped_column(server_default="1", default=1)
 
 
 class Scan(Base):

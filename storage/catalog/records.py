@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from datetime import datetime
 from typing import Any, Generic, TypeVar
 
+from core.scans.mounting import Mounting
 from core.scans.pose import Pose
 from storage.retention import OwnRetention
 
@@ -65,6 +66,8 @@ class DriveRecord:
         present: The indices of its scans, as ranges in ascending order.
         posed_scans: Number of scans with a pose.
         expected_poses: Number of poses of scans that are not stored yet.
+        mounting: Of its sensor, `None` if the vehicle's frame is the sensor's.
+        accumulate: How many consecutive scans become one of a map.
     """
 
     id: str
@@ -79,6 +82,8 @@ class DriveRecord:
     present: tuple[IndexRange, ...]
     posed_scans: int = 0
     expected_poses: int = 0
+    mounting: Mounting | None = None
+    accumulate: int = 1
 
     @property
     def gaps(self) -> tuple[IndexRange, ...]:

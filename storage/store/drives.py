@@ -42,7 +42,7 @@ class PutResult:
 
 
 class Drives:
-    """The drives of each map, in the order of their slugs; `get` and `list` are the catalog's."""
+    """The drives of each map, in the order of their slugs; `get` and `put` are the catalog's."""
 
     def __init__(self, catalog: Catalog, layout: Layout) -> None:
         self._catalog = catalog
@@ -52,6 +52,7 @@ class Drives:
         self.get = catalog.drives.get
         self.list = catalog.drives.list
         self.slugs = catalog.drives.slugs
+        self.put = catalog.drives.put
         self.of_map = catalog.drives.of_map
 
     @property

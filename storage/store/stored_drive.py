@@ -25,6 +25,8 @@ class StoredDrive:
         poses: `(K, 7)` pose rows, sensor to world, NaN where unknown.
         digests: `K` SHA-256 digests of the scans' returns.
         closed: Whether it accepts no more scans.
+        mounting: Of its sensor, `None` if the vehicle's frame is the sensor's.
+        accumulate: How many consecutive scans become one of a map.
         has_returns: `(K,)` whether a scan's returns are still stored.
     """
 
@@ -37,6 +39,7 @@ class StoredDrive:
         self.poses: FloatArray = frozen(pose_rows([r.pose for r in records]), np.float64)
         self.digests = tuple(record.digest for record in records)
         self.closed = drive.closed
+        self.mounting, self.accumulate = drive.mounting, drive.accumulate
         self.has_returns: BoolArray = frozen([r.has_returns for r in records], np.bool_)
         self._read = read
 

@@ -10,6 +10,7 @@ from alembic.autogenerate import compare_metadata
 from alembic.migration import MigrationContext
 
 from core.errors import InvalidParameters
+from core.scans.mounting import Mounting
 from core.scans.pose import Pose
 from storage.catalog import (
     Catalog,
@@ -145,6 +146,33 @@ class TestDrivesAndScans:
         drive = catalog.drives.get("campus", "monday")
         assert drive.id == target.drive_id
         assert (drive.scans, drive.returns, drive.size_bytes, drive.closed) == (1, 100, 1200, False)
+
+    def test_a_drive_has_the_mounting_that_was_put(self, catalog):
+        catalog.maps.create("campus")
+        mounting = Mounting(1.2, -0.4, 1.9, yaw_deg=90.0)
+        made, is_new = catalog.drives.put("campus", "monday", mounting, 5)
+        assert (made.mounting, made.accumulate, made.scans, is_new) == (mounting, 5, 0, True)
+        assert catalog.drives.get("campus", "monday") == made
+        add_scans(catalog, "campus", "monday", [3])
+        changed, is_new = catalog.drives.put("campus", "monday", None, 1)
+        assert (changed.id, changed.mounting, changed.scans, is_new) == (made.id, None, 1, False)
+        with pytest.raises(InvalidParameters, match="accumulate is 0"):
+            catalog.drives.put("campus", "monday", None, 0)
+        with pytest.raises(InvalidSlug):
+            catalog.drives.put("campus", "../etc", None, 1)
+        with pytest.raises(MapNotFound):
+            catalog.drives.put("yard", "monday", None, 1)
+
+    def test_of_many_that_make_one_drive_at_once_one_does(self, catalog):
+        catalog.maps.create("campus")
+
+        def put(count):
+            return catalog.drives.put("campus", "monday", None, count)
+
+        with ThreadPoolExecutor(6) as pool:
+            made = list(pool.map(put, range(1, 13)))
+        assert [is_new for _, is_new in made].count(True) == 1
+        assert len({drive.id for drive, _ in made}) == 1
 
     def test_a_drive_has_ranges_and_gaps(self, catalog):
         catalog.maps.create("campus")

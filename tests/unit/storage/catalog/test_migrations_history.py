@@ -104,6 +104,7 @@ def test_a_catalog_of_an_earlier_release_is_upgraded_and_answers(database_url, s
         assert catalog.store_id.get() == S
         drive = catalog.drives.get("campus", "monday")
         assert (drive.scans, drive.returns, drive.closed) == (1, 120, False)
+        assert (drive.mounting, drive.accumulate) == (None, 1)
         scan = catalog.scans.get(D, 7)
         assert (scan.digest, scan.timestamp_s, scan.pose) == (DIGEST, 12.5, Pose(*POSE))
         revision = catalog.revisions.live("campus")
