@@ -1,5 +1,6 @@
 """`tensormap compare`: our encodings and other methods on the same scans."""
 
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -68,6 +69,9 @@ def compare(
     segments: options.SegmentsOption = None,
     sensor: options.SensorOption = HDL_64E.name,
     sensor_height_m: options.SensorHeightOption = None,
+    mounting: options.MountingOption = None,
+    query_mounting: options.QueryMountingOption = None,
+    accumulate: options.AccumulateOption = 1,
     yaw_deg: evaluation.YawOption = "0",
     lateral_m: evaluation.LateralOption = "0",
     noise_m: evaluation.NoiseOption = "0",
@@ -79,12 +83,16 @@ def compare(
     """Run other methods of place recognition on the same scans, beside ours."""
     if json_out is not None:
         options.require_folder(json_out)
-    mapped = evaluation.opened(drive)
+    recording = Recording(
+        sensor_named(sensor),
+        options.height_m(sensor, options.given_height_m(sensor_height_m, mounting)),
+    )
+    of_map = partial(options.open_mapped, sensor_height_m=recording.height_m, accumulate=accumulate)
+    mapped = of_map(drive, mounting)
     length = segment_length_for(
         max(1, len(mapped)), segment_length=segment_length, segments=segments
     )
     names = default_methods() if methods is None else tuple(methods.split(","))
-    recording = Recording(sensor_named(sensor), options.height_m(sensor, sensor_height_m))
     chosen = methods_named(
         names, sensor=sensor, sensor_height_m=recording.height_m, segment_length=length
     )
@@ -114,8 +122,8 @@ def compare(
             mapped,
             chosen,
             protocol,
-            None if query_drive is None else evaluation.opened(query_drive),
-            None if unknown is None else evaluation.opened(unknown),
+            None if query_drive is None else of_map(query_drive, query_mounting or mounting),
+            None if unknown is None else of_map(unknown, query_mounting or mounting),
             progress,
         )
     _show(result)

@@ -1,5 +1,6 @@
 """`tensormap evaluate`: how well a map of a drive answers."""
 
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -42,6 +43,9 @@ def evaluate(
     lateral_renderings: options.LateralRenderingsOption = None,
     sensor: options.SensorOption = HDL_64E.name,
     sensor_height_m: options.SensorHeightOption = None,
+    mounting: options.MountingOption = None,
+    query_mounting: options.QueryMountingOption = None,
+    accumulate: options.AccumulateOption = 1,
     split: evaluation.SplitOption = None,
     yaw_deg: evaluation.YawOption = "0",
     lateral_m: evaluation.LateralOption = "0",
@@ -62,13 +66,14 @@ def evaluate(
         options.require_folder(json_out)
     if query_drive is not None and split is not None:
         raise InvalidParameters("with --query-drive all of DRIVE is mapped: leave --split out")
+    height_m = options.given_height_m(sensor_height_m, mounting)
     protocol = EvaluationProtocol(
         parameters=MapParameters.for_sensor(
             sensor,
             encoding=encoding or encoding_with(reducer),
             ranks=options.ranks(ranks_text),
             reducer=reducer,
-            sensor_height_m=sensor_height_m,
+            sensor_height_m=height_m,
             image=image,
             distance=distance,
             lateral_renderings_m=(
@@ -90,10 +95,15 @@ def evaluate(
         track=track,
     )
     if protocol.parameters.image == ImageKind.HEIGHT:
-        options.height_m(sensor, sensor_height_m)  # notes one that is assumed
-    mapped = evaluation.opened(drive)
-    queried = None if query_drive is None else evaluation.opened(query_drive)
-    elsewhere = [evaluation.opened(path) for path in unknown or ()]
+        options.height_m(sensor, height_m)  # notes one that is assumed
+    of_map = partial(
+        options.open_mapped,
+        sensor_height_m=protocol.parameters.sensor_height_m,
+        accumulate=accumulate,
+    )
+    mapped = of_map(drive, mounting)
+    queried = None if query_drive is None else of_map(query_drive, query_mounting or mounting)
+    elsewhere = [of_map(path, query_mounting or mounting) for path in unknown or ()]
     with progress_bar() as progress:
         result = evaluate_drive(mapped, protocol, queried, progress, elsewhere)
     _show(result)

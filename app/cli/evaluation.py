@@ -12,12 +12,10 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from app.cli.console import figure, output
-from app.cli.options import MIN_RETURNS, checked, numbers
+from app.cli.options import checked, numbers
 from core.evaluation.disturbances import DISTURBANCES, parse_disturbances
 from core.evaluation.split import Interleaved, Split, parse_split
-from core.scans.drive import Drive
 from storage.files.files import publish
-from storage.formats.drives.layouts import open_drive
 
 protocol_option: Any = partial(typer.Option, rich_help_panel="Protocol")
 """An option of how a command evaluates."""
@@ -59,11 +57,6 @@ JsonOption = Annotated[
 def split_of(text: str | None) -> Split:
     """Return the split of the option, the paper's by default."""
     return Interleaved() if text is None else parse_split(text)
-
-
-def opened(path: Path) -> Drive:
-    """Open a recorded drive as the service would read it."""
-    return open_drive(path, min_returns=MIN_RETURNS)
 
 
 def show_table(

@@ -8,14 +8,13 @@ import typer
 from rich.table import Table
 
 from app.cli.console import output, progress_bar
-from app.cli.options import MIN_RETURNS, DriveArgument
+from app.cli.options import DriveArgument, MountingOption, open_mapped
 from app.loop_closures.schemas import LoopClosureOut
 from core.errors import InvalidParameters
 from core.loop_closure.closure import ACCEPT_FROM, check_scans
 from core.scans.drive import Drive
 from core.scans.scan import Scan
 from core.scans.sensor import HDL_64E_ON_KITTI_HEIGHT_M
-from storage.formats.drives.layouts import open_drive
 
 
 def loop_closure(
@@ -30,6 +29,7 @@ def loop_closure(
     sensor_height_m: Annotated[
         float, typer.Option(min=0.01, max=99.99, help="Sensor above ground, in metres.")
     ] = HDL_64E_ON_KITTI_HEIGHT_M,
+    mounting: MountingOption = None,
     accept_from: Annotated[
         float, typer.Option(min=0.501, max=1.0, help="The least probability to accept.")
     ] = ACCEPT_FROM,
@@ -37,10 +37,10 @@ def loop_closure(
 ) -> None:
     """Check proposed loop closures by the returns of both scans."""
     proposed = [_pair(text) for text in pairs]
-    recorded = open_drive(drive, min_returns=MIN_RETURNS)
+    recorded = open_mapped(drive, mounting, sensor_height_m)
     other = recorded
     if second_drive is not None:
-        other = open_drive(second_drive, min_returns=MIN_RETURNS)
+        other = open_mapped(second_drive, mounting, sensor_height_m)
     table = Table("first", "second", "verdict", "probability", "turn deg", "ahead m", "left m")
     with progress_bar() as progress:
         progress.start("checking", len(proposed))

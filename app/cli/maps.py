@@ -3,6 +3,7 @@
 import json
 import math
 import sys
+from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
@@ -23,11 +24,13 @@ from core.encodings.signature import Packing, pack_signatures
 from core.errors import InvalidParameters, InvalidScan
 from core.localization.localizer import Localization, Localizer
 from core.parameters import Segmentation
+from core.scans.drive import scan_index_of
+from core.scans.mounting import Mounting
 from core.scans.pose import path_length_m
+from core.scans.scan import Scan
 from core.scans.sensor import HDL_64E
 from storage.files.files import publish
 from storage.files.map_file import read_map, write_map
-from storage.formats.drives.layouts import open_drive
 from storage.formats.errors import UnknownFormat
 from storage.formats.scans.registry import media_type_of, read_scan_file
 
@@ -51,6 +54,8 @@ def build(
     lateral_renderings: options.LateralRenderingsOption = None,
     sensor: options.SensorOption = HDL_64E.name,
     sensor_height_m: options.SensorHeightOption = None,
+    mounting: options.MountingOption = None,
+    accumulate: options.AccumulateOption = 1,
     keep_basis: Annotated[
         Path | None,
         typer.Option(
@@ -76,7 +81,7 @@ def build(
             segments=segments,
             reducer=reducer,
             sensor=sensor,
-            sensor_height_m=sensor_height_m,
+            sensor_height_m=options.given_height_m(sensor_height_m, mounting),
             poses=poses,
             image=image,
             distance=distance,
@@ -87,7 +92,8 @@ def build(
     except ValidationError as error:
         raise InvalidParameters(error.errors()[0]["msg"]) from None
     kept = None if keep_basis is None else _basis_of(keep_basis, parameters)
-    recorded = [open_drive(drive, min_returns=options.MIN_RETURNS) for drive in drives]
+    height_m = parameters.map_parameters().sensor_height_m
+    recorded = [options.open_mapped(drive, mounting, height_m, accumulate) for drive in drives]
     twice = {drive.name for drive in recorded if [d.name for d in recorded].count(drive.name) > 1}
     if twice:
         raise InvalidParameters(f"two of the drives are called {min(twice)!r}: rename a folder")
@@ -129,7 +135,9 @@ def _basis_of(map_file: Path, parameters: BuildParameters) -> Basis:
 
 def localize(
     map_file: options.MapArgument,
-    scans: Annotated[list[Path], typer.Argument(help="Scan files.", metavar="SCAN...")],
+    scans: Annotated[
+        list[Path], typer.Argument(help="Scan files, or folders of drives.", metavar="SCAN...")
+    ],
     k: Annotated[int, typer.Option("-k", min=1, help="How many nearest scans to answer.")] = 1,
     sensor_height_m: Annotated[
         float | None,
@@ -137,6 +145,8 @@ def localize(
             min=0.01, max=99.99, help="Of these scans' sensor, if mounted otherwise than the map's."
         ),
     ] = None,
+    mounting: options.MountingOption = None,
+    accumulate: options.AccumulateOption = 1,
     min_probability: Annotated[
         float | None,
         typer.Option(min=0, max=1, help="Reject answers below it. [the map's threshold]"),
@@ -179,17 +189,24 @@ def localize(
         since_y_m=since_y_m,
         segment=segment,
     ).to_core()
+    if mounting is not None and sensor_height_m is not None:
+        raise InvalidParameters("--mounting has a height too: leave --sensor-height-m out")
     media_type = None if format_name is None else media_type_of(format_name)
     localizer = Localizer(read_map(map_file))
-    answers: list[tuple[Path, Localization]] = []
+    height_m = localizer.map.parameters.sensor_height_m
+    queries = [
+        query
+        for path in scans
+        for query in _queries(path, media_type, mounting, height_m, accumulate)
+    ]
+    answers: list[tuple[str, Localization]] = []
     unusable: list[str] = []
     with progress_bar() as progress:
-        progress.start("localizing", len(scans))
-        for path in scans:
+        progress.start("localizing", len(queries))
+        for name, read in queries:
             try:
-                scan = read_scan_file(path, min_returns=options.MIN_RETURNS, media_type=media_type)
-                found = localizer.localize_scan(scan, k, sensor_height_m, priors, min_probability)
-                answers.append((path, found))
+                found = localizer.localize_scan(read(), k, sensor_height_m, priors, min_probability)
+                answers.append((name, found))
             except (InvalidScan, UnknownFormat) as error:
                 unusable.append(str(error))
             progress.advance()
@@ -200,12 +217,37 @@ def localize(
         raise typer.Exit(1)
 
 
-def _show_answers(answers: list[tuple[Path, Localization]], *, as_json: bool) -> None:
+def _queries(
+    path: Path,
+    media_type: str | None,
+    mounting: Mounting | None,
+    sensor_height_m: float,
+    accumulate: int,
+) -> Iterator[tuple[str, Callable[[], Scan]]]:
+    """Yield the name of a scan file, or of each scan of a drive, and what reads it."""
+    if path.is_dir():
+        drive = options.open_mapped(path, mounting, sensor_height_m, accumulate)
+        for position, index in enumerate(scan_index_of(drive).tolist()):
+            yield f"{drive.name} {index}", partial(drive.scan, position)
+        return
+    if accumulate != 1:
+        raise InvalidParameters(f"{path} has no poses: --accumulate wants the folder of a drive")
+    yield path.name, partial(_read, path, media_type, mounting, sensor_height_m)
+
+
+def _read(
+    path: Path, media_type: str | None, mounting: Mounting | None, sensor_height_m: float
+) -> Scan:
+    scan = read_scan_file(path, min_returns=options.MIN_RETURNS, media_type=media_type)
+    return scan if mounting is None else mounting.mount(scan, sensor_height_m)
+
+
+def _show_answers(answers: list[tuple[str, Localization]], *, as_json: bool) -> None:
     turns = any(found.best.lateral_m is not None for _, found in answers)
     table = Table("scan", "segment", "along", "map scan", "x m", "y m")
     for heading in (*(("turn deg", "left m") if turns else ()), "distance", "ratio", "probable"):
         table.add_column(heading)
-    for path, found in answers:
+    for name, found in answers:
         if as_json:
             answer = LocalizationOut.from_core(found, found.revision)
             sys.stdout.write(f"{answer.model_dump_json()}\n")
@@ -213,7 +255,7 @@ def _show_answers(answers: list[tuple[Path, Localization]], *, as_json: bool) ->
         for match in found.matches:
             place = match.pose if match.estimated_pose is None else match.estimated_pose
             table.add_row(
-                path.name,
+                name,
                 str(match.segment),
                 f"{match.fraction:.3f}",
                 f"{match.drive} {match.scan_index}",
@@ -230,9 +272,9 @@ def _show_answers(answers: list[tuple[Path, Localization]], *, as_json: bool) ->
             )
     if answers and not as_json:
         output().print(table)
-        for path, found in answers:
+        for name, found in answers:
             if not found.localized:
-                say(f"{path.name} is not localized: {found.decision.reason}")
+                say(f"{name} is not localized: {found.decision.reason}")
 
 
 def signature(
@@ -248,6 +290,7 @@ def signature(
     packing: Annotated[
         Packing | None, typer.Option(help="How numbers are packed. [float16; harmonic: int8]")
     ] = None,
+    mounting: options.MountingOption = None,
     format_name: options.FormatOption = None,
 ) -> None:
     """Print a scan's signatures as JSON, ready to post."""
@@ -259,7 +302,7 @@ def signature(
         )
     basis = tensor_map.basis(segments)
     media_type = None if format_name is None else media_type_of(format_name)
-    read = read_scan_file(scan, min_returns=options.MIN_RETURNS, media_type=media_type)
+    read = _read(scan, media_type, mounting, tensor_map.parameters.sensor_height_m)
     signatures = basis.encode(basis.image(read))
     if packed is not None:
         packed.write_bytes(pack_signatures(signatures, packing))

@@ -10,10 +10,15 @@ import typer
 from app.builds.parameters import PoseCheck
 from core.encodings.distance import Distance
 from core.encodings.registry import encoding_names
+from core.errors import InvalidParameters
 from core.parameters import Segmentation
 from core.projection.imager import ImageKind
 from core.projection.reducer import Reducer
+from core.scans.accumulation import MOST_SCANS
+from core.scans.drive import Drive
+from core.scans.mounting import Mounting, vehicle_drive
 from core.scans.sensor import HDL_64E, SENSORS, sensor_named
+from storage.formats.drives.layouts import open_drive
 from storage.formats.scans.registry import FORMAT_NAMES
 
 MIN_RETURNS = 100
@@ -96,6 +101,66 @@ SensorHeightOption = Annotated[
     float | None,
     _build(help=f"Sensor above ground, in metres. [{HDL_64E.height_m}: {HDL_64E.name} on a car]"),
 ]
+
+
+def mounting(text: str) -> Mounting:
+    """Read `x,y,z,roll,pitch,yaw`.
+
+    Raises:
+        typer.BadParameter: If it is something else.
+
+    Examples:
+        >>> mounting("1.2,0,1.9,0,5,0").z_m
+        1.9
+    """
+    try:
+        return Mounting.from_text(text)
+    except InvalidParameters as error:
+        raise typer.BadParameter(str(error)) from None
+
+
+_mounting: Any = partial(typer.Option, parser=mounting, metavar="X,Y,Z,ROLL,PITCH,YAW")
+
+MountingOption = Annotated[
+    Mounting | None,
+    _mounting(
+        help="Of the sensor in the vehicle's frame, metres and degrees; Z is above the ground."
+    ),
+]
+QueryMountingOption = Annotated[
+    Mounting | None,
+    _mounting(
+        help="Of DRIVE2's and DRIVE3's sensor, if it is another.", rich_help_panel="Protocol"
+    ),
+]
+AccumulateOption = Annotated[
+    int,
+    typer.Option(
+        min=1,
+        max=MOST_SCANS,
+        help="So many consecutive scans of a drive with poses become one.",
+    ),
+]
+
+
+def open_mapped(
+    path: Path, mounting: Mounting | None, sensor_height_m: float, accumulate: int = 1
+) -> Drive:
+    """Open a recorded drive as the service would build a map of it.
+
+    Args:
+        path: Of the drive.
+        mounting: Of its sensor.
+        sensor_height_m: Of the map.
+        accumulate: How many consecutive scans become one.
+    """
+    recorded = open_drive(path, min_returns=MIN_RETURNS)
+    return vehicle_drive(recorded, mounting, sensor_height_m, accumulate)
+
+
+def given_height_m(sensor_height_m: float | None, mounting: Mounting | None) -> float | None:
+    """Return the height above ground as given, or that of the mounting."""
+    return mounting.z_m if sensor_height_m is None and mounting is not None else sensor_height_m
 
 
 def height_m(sensor: str, given_m: float | None) -> float:

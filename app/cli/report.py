@@ -97,7 +97,7 @@ def report(
             yaw_deg=(0.0, 10.0, 180.0),
         )
     protocol = replace(protocol, r1=_sizes(r1) or protocol.r1, r2=_sizes(r2) or protocol.r2)
-    recorded = evaluation.opened(drive)
+    recorded = options.open_mapped(drive, None, above_ground_m)
     from app.report.page import render_report  # here: it needs the extra, and a second to load
 
     with progress_bar() as progress:

@@ -1,0 +1,123 @@
+"""Mounted and accumulated scans in the commands, in process."""
+
+import json
+
+import numpy as np
+import pytest
+
+from core import MapParameters, MemoryDrive, build_map
+from core.errors import InvalidParameters
+from core.scans.mounting import vehicle_drive
+from storage.files.map_file import read_map
+from storage.formats.drives.kitti_drive import write_kitti_drive
+from storage.formats.drives.layouts import open_drive
+from tests.support.commands import run
+from tests.support.mounted import ASKEW, mounted_recording, vehicle_poses
+from tests.support.recording import recording
+
+pytestmark = pytest.mark.slow
+
+TEXT = str(ASKEW)
+AS_MOUNTED = ("--mounting", TEXT)
+
+
+@pytest.fixture(scope="module")
+def folders(tmp_path_factory):
+    """A drive of the mounted sensor, whole and sparse, and one of a level sensor."""
+    folder = tmp_path_factory.mktemp("drives")
+    for drive in (
+        mounted_recording(),
+        mounted_recording(name="sparse", sparse=True),
+        MemoryDrive("level", recording().scans),
+    ):
+        write_kitti_drive(drive, folder / drive.name)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def map_file(folders):
+    path = folders / "askew.h5"
+    run("build", folders / "askew", "-o", path, "--segments", "2", *AS_MOUNTED)
+    return path
+
+
+def answers(*words):
+    return [json.loads(line) for line in run("localize", *words, "--json").splitlines()]
+
+
+def off_m(answer, index):
+    pose = answer["best"]["estimated_pose"]
+    return np.hypot(*(vehicle_poses()[index, :2] - (pose["x_m"], pose["y_m"])))
+
+
+def test_a_map_is_built_of_the_vehicles_drive_at_the_mountings_height(folders, map_file):
+    built = read_map(map_file)
+    parameters = MapParameters.for_sensor(sensor_height_m=ASKEW.z_m)
+    drive = vehicle_drive(open_drive(folders / "askew", min_returns=100), ASKEW, ASKEW.z_m)
+    assert built.revision == build_map(drive, parameters, segments=2).revision
+    np.testing.assert_allclose(built.trajectory.poses, vehicle_poses(), atol=1e-6)
+
+
+def test_accumulated_scans_are_one_scan_of_a_map(folders, tmp_path):
+    out = tmp_path / "map.h5"
+    options = ("--segments", "2", "--accumulate", "5", *AS_MOUNTED)
+    run("build", folders / "sparse", "-o", out, *options)
+    assert read_map(out).trajectory.scan_index.tolist() == [*range(4, 48, 5), 47]
+
+
+def test_scan_files_of_a_mounted_sensor_are_localized(folders, map_file):
+    scan = folders / "askew" / "velodyne" / "000020.bin"
+    [found] = answers(map_file, scan, *AS_MOUNTED)
+    assert found["best"]["scan_index"] == 20
+    assert off_m(found, 20) < 0.5
+    [level] = answers(map_file, folders / "level" / "velodyne" / "000020.bin",
+                      "--mounting", "0,0,1.73")  # fmt: skip
+    assert off_m(level, 20) < 2.0
+
+
+def test_a_drive_is_localized_scan_by_scan_or_several_at_a_time(folders, map_file, monkeypatch):
+    found = answers(map_file, folders / "sparse", "--accumulate", "8", *AS_MOUNTED)
+    assert len(found) == 6
+    assert np.median([off_m(a, i) for a, i in zip(found, range(7, 48, 8), strict=True)]) < 2.0
+    assert len(answers(map_file, folders / "level")) == 48
+    monkeypatch.setenv("COLUMNS", "160")
+    assert "level 47" in run("localize", map_file, folders / "level")
+
+
+def test_a_signature_is_of_the_mounted_scan(folders, map_file):
+    scan = folders / "askew" / "velodyne" / "000020.bin"
+    [shown] = json.loads(run("signature", map_file, scan, *AS_MOUNTED))["signatures"]
+    stored = read_map(map_file).model.signatures[20]
+    viewpoint = stored[len(stored) // 2]
+    np.testing.assert_allclose(shown["values_real"], viewpoint.real, rtol=1e-4, atol=1e-3)
+
+
+def test_loop_closures_are_between_vehicles(folders):
+    words = ("loop-closure", folders / "askew", "10,11", "--sensor-height-m", "1.9", "--json")
+    found = json.loads(run(*words, *AS_MOUNTED))
+    assert found["forward_m"] == pytest.approx(1.5, abs=0.5)
+    assert found["lateral_m"] == pytest.approx(0.0, abs=0.5)
+
+
+@pytest.mark.parametrize("command", ["evaluate", "compare"])
+def test_drives_of_two_mountings_are_evaluated_in_the_vehicles_frame(folders, tmp_path, command):
+    out = tmp_path / "figures.json"
+    methods = ("--methods", "harmonic") if command == "compare" else ()
+    options = (*AS_MOUNTED, "--query-mounting", "0,0,1.73", "--accumulate", "2", *methods)
+    run(command, folders / "askew", "--query-drive", folders / "level", *options, "--json", out)
+    figures = json.loads(out.read_text())
+    of_it = figures["methods"][0] if command == "compare" else figures
+    [condition] = of_it["conditions"]
+    assert condition["queries"] == 24
+    assert condition["heading_error_deg_median"] < 3.0
+    assert condition["recall_at_1"]["3"] > 0.9
+
+
+def test_options_that_do_not_fit_are_refused(folders, map_file):
+    scan = folders / "askew" / "velodyne" / "000020.bin"
+    with pytest.raises(InvalidParameters, match="wants the folder of a drive"):
+        run("localize", map_file, scan, "--accumulate", "2")
+    with pytest.raises(InvalidParameters, match="leave --sensor-height-m out"):
+        run("localize", map_file, scan, "--sensor-height-m", "2", *AS_MOUNTED)
+    with pytest.raises(SystemExit):
+        run("localize", map_file, scan, "--mounting", "1,2")
