@@ -3,13 +3,15 @@
 import logging
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 from app.builds.live_gate import pass_gate
 from app.builds.parameters import BuildParameters, PoseCheck
 from app.builds.plans import Plan, unreadable_basis
+from app.drives.mapped_drives import mapped_drive
 from app.drives.stored_images import images_path, open_images
 from core.encodings.basis import Basis
 from core.frames.agreement import FrameCheck, check_frames, require_one_frame
@@ -75,10 +77,11 @@ def build_revision(
     kept = _kept_basis(store, map_id, plan)
     map_parameters = plan.parameters.map_parameters()
     stored = {drive.name: drive for drive in drives}
+    mapped = [mapped_drive(drive, map_parameters.sensor_height_m) for drive in drives]
 
     def build_stored() -> Built:
         return _build(
-            drives,
+            mapped,
             lambda drive: open_images(store, stored[drive.name], map_parameters, progress),
             plan.parameters,
             progress,
@@ -153,6 +156,7 @@ def _publish(
             "returns": built.returns,
             "calibrated": tensor_map.calibration is not None,
             "skipped": {name: len(skipped) for name, skipped in built.skipped.items() if skipped},
+            **_setups(drives),
         },
         job_id=job_id,
         bases=tensor_map.basis_digests,
@@ -183,6 +187,15 @@ def _publish(
         except LostRace as error:
             _log.info("%s: the build is compared with that one", error)
     raise StorageBusy(f"another revision became live {_ATTEMPTS} times while one was compared")
+
+
+def _setups(drives: Sequence[StoredDrive]) -> dict[str, Any]:
+    """Return the drives' mountings, and how many of their scans became one, where they have any."""
+    found = {
+        "mountings": {d.name: asdict(d.mounting) for d in drives if d.mounting is not None},
+        "accumulate": {d.name: d.accumulate for d in drives if d.accumulate != 1},
+    }
+    return {name: of_drives for name, of_drives in found.items() if of_drives}
 
 
 def build_drives(

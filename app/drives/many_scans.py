@@ -149,8 +149,8 @@ class ScanUpload:
             for member in self._feed.take(piece):
                 require_client()
                 try:
-                    index = _index(member)
-                    scan = _scan(member, self._media_type, self._min_returns)
+                    index = member_index(member)
+                    scan = member_scan(member, self._media_type, self._min_returns)
                 except (InvalidScan, UnknownFormat) as error:
                     self._refuse(member.name, error)
                 else:
@@ -191,7 +191,12 @@ class ScanUpload:
         )
 
 
-def _index(member: TarMember) -> int:
+def member_index(member: TarMember) -> int:
+    """Return the index that a file's name is.
+
+    Raises:
+        UnknownFormat: If it is none.
+    """
     name = PurePosixPath(member.name).name
     found = _NAME.fullmatch(name)
     if found is None or int(found[1]) >= _LAST_INDEX:
@@ -199,7 +204,13 @@ def _index(member: TarMember) -> int:
     return int(found[1])
 
 
-def _scan(member: TarMember, media_type: str | None, min_returns: int) -> Scan:
+def member_scan(member: TarMember, media_type: str | None, min_returns: int) -> Scan:
+    """Read a file of a tar stream, its format by `media_type` or else by its suffix.
+
+    Raises:
+        UnknownFormat: If that names no format, or several.
+        InvalidScan: If it cannot be used; a subclass says why.
+    """
     if member.content is None:
         raise ScanTooLarge(member.reason)
     suffix = suffix_of(member.name)

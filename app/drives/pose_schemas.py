@@ -21,7 +21,7 @@ PoseQuery = Annotated[
 
 
 class PoseOut(Shown):
-    """Where a scan of the map was taken: sensor to world."""
+    """Where a scan of the map was taken: sensor, or the vehicle of a mounted one, to world."""
 
     x_m: float
     y_m: float
@@ -30,7 +30,7 @@ class PoseOut(Shown):
     qy: float
     qz: float
     qw: float
-    yaw_deg: float = Field(description="Heading of the sensor's x axis, counter-clockwise.")
+    yaw_deg: float = Field(description="Heading of its x axis, counter-clockwise.")
 
     @classmethod
     def from_core(cls, pose: Pose) -> "PoseOut":

@@ -8,8 +8,9 @@ import numpy as np
 from fastapi import Path, Query, Response, status
 
 from app.access.scopes import Scope, needs
+from app.access.trail import note
 from app.drives.pose_schemas import PoseQuery, pose_from_query
-from app.drives.schemas import DriveOut, DrivePatch, ScanOut
+from app.drives.schemas import DriveIn, DriveOut, DrivePatch, ScanOut
 from app.http import errors
 from app.http.bodies.bodies import SCAN_TYPES, Body, ContentType, Json, described_body
 from app.http.pages import After, Limit, PageOut, page_out
@@ -67,6 +68,42 @@ def list_drives(
 def get_drive(map_slug: MapSlug, drive_slug: DriveSlug, running: Running) -> DriveOut:
     """Show a drive: which scans are stored, and which are missing."""
     return DriveOut.from_record(running.store.drives.get(map_slug, drive_slug))
+
+
+@writing.put(
+    "/maps/{map}/drives/{drive}",
+    status_code=status.HTTP_201_CREATED,
+    responses={
+        200: {"model": DriveOut, "description": "The drive was there and is changed."},
+        **problems(
+            stored.MapNotFound,
+            stored.InvalidSlug,
+            stored.ReturnsGone,
+            *errors.JSON_BODY,
+            *errors.WRITING,
+        ),
+    },
+)
+def put_drive(
+    map_slug: MapSlug,
+    drive_slug: DriveSlug,
+    sent: Json[DriveIn],
+    running: Running,
+    response: Response,
+) -> DriveOut:
+    """Set how builds read a drive, its sensor's mounting above all; a new drive is created.
+
+    Revisions that were built before stay as they are. Once returns of its scans were dropped after
+    a build, it can no longer be changed.
+    """
+    mounting = None if sent.mounting is None else sent.mounting.to_core()
+    note(f"mounting {mounting or 'none'}, accumulate {sent.accumulate}")
+    put, is_new = running.store.drives.put(map_slug, drive_slug, mounting, sent.accumulate)
+    if is_new:
+        response.headers["Location"] = f"/v1/maps/{map_slug}/drives/{drive_slug}"
+    else:
+        response.status_code = status.HTTP_200_OK
+    return DriveOut.from_record(put)
 
 
 @writing.patch(

@@ -5,9 +5,12 @@ from collections.abc import Iterable
 from datetime import datetime
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, field_validator
 
+from app.drives.mounting_schemas import MountingIn, MountingOut
+from app.http.exact_types import integers
 from app.http.shown import Shown
+from core.scans.accumulation import MOST_SCANS
 from storage.catalog import DriveRecord, ScanRecord
 
 
@@ -38,6 +41,10 @@ class DriveOut(Shown):
     )
     present: list[IndexRangeOut] = Field(description="The indices that are stored.")
     gaps: list[IndexRangeOut] = Field(description="The indices that are missing in between.")
+    mounting: MountingOut | None = Field(
+        description="Of its sensor; null if the vehicle's frame is the sensor's."
+    )
+    accumulate: int = Field(description="How many consecutive scans become one of a map.")
 
     @classmethod
     def from_record(cls, record: DriveRecord) -> "DriveOut":
@@ -68,6 +75,33 @@ class DriveWithPosesOut(DriveOut):
     """A drive, and what poses that were put changed."""
 
     poses: PosesPutOut
+
+
+class DriveIn(BaseModel):
+    """How builds read a drive."""
+
+    model_config = ConfigDict(
+        extra="forbid",
+        json_schema_extra={
+            "example": {"mounting": {"x_m": 1.2, "y_m": 0.0, "z_m": 1.9, "pitch_deg": 5.0}},
+            "examples": [{"accumulate": 5}],
+        },
+    )
+
+    mounting: MountingIn | None = Field(
+        None,
+        description="Of its sensor: the map's poses, and answers, are then the vehicle's. The poses"
+        " of the drive's scans stay the sensor's.",
+    )
+    accumulate: int = Field(
+        1,
+        ge=1,
+        le=MOST_SCANS,
+        description="How many consecutive scans become one of a map, in the frame of the last; they"
+        " need poses. For sensors with few returns a scan.",
+    )
+
+    _integers = field_validator("accumulate", mode="before")(integers)
 
 
 class DrivePatch(BaseModel):

@@ -1,10 +1,10 @@
 """The images of a stored drive: kept beside it, or projected from its returns."""
 
-import hashlib
 import logging
 from collections.abc import Sequence
 from pathlib import Path
 
+from app.drives.mapped_drives import mapped_digest, mapped_drive
 from core.parameters import MapParameters
 from core.progress import NO_PROGRESS, Progress
 from storage.errors import CorruptImages, NotFound, ReturnsGone
@@ -25,8 +25,7 @@ def images_path(store: Store, drive: StoredDrive, parameters: MapParameters) -> 
     Raises:
         DriveNotFound: If the drive was deleted since it was opened.
     """
-    digest = hashlib.sha256("\n".join(drive.digests).encode()).hexdigest()
-    name = image_file_name(parameters.imager, digest)
+    name = image_file_name(parameters.imager, mapped_digest(drive, parameters.sensor_height_m))
     return store.drives.images_folder(drive) / name
 
 
@@ -79,7 +78,8 @@ def open_images(
         _log.warning("drive %s: its returns were dropped, and there are no probes", drive.name)
         return kept
     try:
-        write_image_file(path, drive, parameters.imager, progress)
+        mapped = mapped_drive(drive, parameters.sensor_height_m)
+        write_image_file(path, mapped, parameters.imager, progress)
     except (FileNotFoundError, NotFound):  # their map or drive was deleted
         if kept is not None:
             _log.warning("drive %s: its returns are gone, and there are no probes", drive.name)

@@ -44,7 +44,7 @@ class SlowBody(AppError):
 
 
 class MalformedUpload(AppError):
-    """A body of many scans that is no tar stream, or incomplete; earlier scans are stored."""
+    """A body of many scans that is no tar stream, or incomplete; an upload keeps earlier scans."""
 
 
 class KeyNeeded(AppError):

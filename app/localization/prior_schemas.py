@@ -4,6 +4,7 @@ from typing import Annotated
 
 from pydantic import BaseModel, Field
 
+from app.localization.sensor_schemas import SensorIn
 from core.errors import InvalidParameters
 from core.localization.priors import (
     HeadingPrior,
@@ -98,25 +99,13 @@ class LocalizeQuery(PriorsIn):
     )
 
 
-class SensorHeightIn(BaseModel):
-    """The height of the query's sensor."""
-
-    sensor_height_m: float | None = Field(
-        None,
-        gt=0,
-        lt=100,
-        description="Height of the query's sensor above ground, metres, if it is not the map's;"
-        " only maps of height images depend on it.",
-    )
-
-
 class _SensorQuery(LocalizeQuery):
     sensor: str | None = Field(
         None, description="The query's sensor; refused if it is not the map's."
     )
 
 
-class ScanQuery(_SensorQuery, SensorHeightIn):
+class ScanQuery(_SensorQuery, SensorIn):
     """Query parameters of the localization of a scan."""
 
 

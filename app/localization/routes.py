@@ -7,13 +7,13 @@ from fastapi import Query
 from fastapi.exceptions import RequestValidationError
 
 from app.access.scopes import Scope, needs
-from app.drives.routes import BAD_SCAN
 from app.http import errors
-from app.http.bodies.bodies import SCAN_TYPES, Body, ContentType, described_body, required_type
+from app.http.bodies.bodies import Body, ContentType, described_body, required_type
 from app.http.bodies.json_body import read_json
 from app.http.pooled_route import heavy, pooled_router
 from app.http.problems import problems
 from app.localization.prior_schemas import ImageQuery, LocalizeQuery, ScanQuery
+from app.localization.scan_queries import BAD_SCAN_QUERY, SCAN_QUERY_TYPES, read_query
 from app.localization.schemas import SIGNATURE_TAGS, LocalizationOut, SignaturesIn
 from app.revisions.loaded import Answering
 from app.service import MapSlug, Running
@@ -22,7 +22,6 @@ from core.encodings.signature import Signature, unpack_signatures
 from core.projection.imager import Grid, Image
 from storage.errors import CorruptFile, MapNotFound, NoLiveRevision
 from storage.formats.errors import EmptyBody
-from storage.formats.scans.registry import read_scan
 
 router = pooled_router(
     tags=["localizations"],
@@ -47,8 +46,8 @@ SIGNATURE_TYPES = {SIGNATURE_TYPE: "Packed: docs/reference/signature.md."}
 
 @router.post(
     "/scan",
-    openapi_extra=described_body(SCAN_TYPES),
-    responses=problems(*_ANSWERING, core.SensorMismatch, *BAD_SCAN),
+    openapi_extra=described_body(SCAN_QUERY_TYPES),
+    responses=problems(*_ANSWERING, core.SensorMismatch, *BAD_SCAN_QUERY),
 )
 @heavy
 def localize_scan(
@@ -58,11 +57,12 @@ def localize_scan(
     query: Annotated[ScanQuery, Query()],
     content_type: ContentType = None,
 ) -> LocalizationOut:
-    """Localize a scan in the live revision."""
+    """Localize a scan, or several that become one, in the live revision."""
     priors = query.to_core()
     answering = running.revisions.live(map_slug)
     _require_sensor(answering, query.sensor)
-    scan = read_scan(body, media_type=content_type, min_returns=running.settings.min_returns)
+    mapped = answering.localizer.map.parameters
+    scan = read_query(body, content_type, query, running.settings, mapped.sensor_height_m)
     found = answering.localizer.localize_scan(
         scan, query.k, query.sensor_height_m, priors, query.min_probability
     )

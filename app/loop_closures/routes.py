@@ -1,6 +1,10 @@
 """Checks of proposed loop closures."""
 
+from collections.abc import Callable
+from functools import cache, partial
+
 from app.access.scopes import Scope, needs
+from app.drives.mapped_drives import mapped_scan
 from app.http.bodies.bodies import Json
 from app.http.client import require_client
 from app.http.errors import JSON_BODY, READING
@@ -17,6 +21,7 @@ from app.service import MapSlug, Running, Service
 from core.errors import InvalidScan, InvalidSignature, StaleSignature, UnknownSegment
 from core.loop_closure.closure import LoopClosure, check_scans, check_signatures
 from storage import errors as stored
+from storage.store import StoredDrive
 
 router = pooled_router(tags=["loop closures"])
 
@@ -46,28 +51,33 @@ def check_loop_closures(
     """Check proposed closures before they are used to correct a map.
 
     Two stored scans are compared by their returns in every heading: reliable, and independent of
-    the map's encoding. A scan of which only signatures came is compared by these, which is far less
+    the map's encoding. They are those of builds: accumulated and in the vehicle's frame where their
+    drive is. A scan of which only signatures came is compared by these, which is far less
     reliable.
     """
     height_m = body.sensor_height_m
     if height_m is None and any(isinstance(p.second, StoredScanIn) for p in body.proposals):
         height_m = running.revisions.live(map_slug).localizer.map.parameters.sensor_height_m
+    opened = cache(partial(running.store.drives.open, map_slug))
     closures = []
     for proposal in body.proposals:
         require_client()
-        found = _check(running, map_slug, proposal, height_m or 0.0)
+        found = _check(running, map_slug, proposal, height_m or 0.0, opened)
         closures.append(LoopClosureOut.from_core(found, body.accept_from))
     return LoopClosuresOut(closures=closures)
 
 
 def _check(
-    running: Service, map_slug: str, proposal: ProposalIn, sensor_height_m: float
+    running: Service,
+    map_slug: str,
+    proposal: ProposalIn,
+    sensor_height_m: float,
+    opened: Callable[[str], StoredDrive],
 ) -> LoopClosure:
     drive, index = proposal.first.drive, proposal.first.scan_index
     if isinstance(second := proposal.second, StoredScanIn):
-        drives = running.store.drives
-        first_scan = drives.read_scan(map_slug, drive, index)
-        second_scan = drives.read_scan(map_slug, second.drive, second.scan_index)
+        first_scan = mapped_scan(opened(drive), index, sensor_height_m)
+        second_scan = mapped_scan(opened(second.drive), second.scan_index, sensor_height_m)
         return check_scans(first_scan, second_scan, sensor_height_m)
     signatures = second.to_core()
     localizer = running.revisions.of_signature(map_slug, second.named).localizer

@@ -75,7 +75,8 @@ class LoopClosuresIn(BaseModel):
         None,
         gt=0,
         lt=100,
-        description="Of the drives' sensor above ground; that of the live revision by default.",
+        description="Of the drives' sensor above ground, where they have no mounting; that of the"
+        " live revision by default.",
     )
 
 

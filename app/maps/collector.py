@@ -137,11 +137,16 @@ class GarbageCollector:
 
 
 def _mapped(tensor_map: TensorMap, drive: StoredDrive) -> frozenset[int]:
-    """Return the indices of the drive's scans that are in the map and have their returns."""
+    """Return the indices of the drive's scans that are in the map and have their returns.
+
+    Where several become one, all of them are.
+    """
     trajectory = tensor_map.trajectory
     of_drive = trajectory.drive_of_scan == trajectory.drives.index(drive.name)
-    stored = drive.scan_index[drive.has_returns]
-    return frozenset(np.intersect1d(trajectory.scan_index[of_drive], stored).tolist())
+    named = np.isin(drive.scan_index, trajectory.scan_index[of_drive])
+    becomes = np.arange(len(drive)) // drive.accumulate
+    mapped = np.isin(becomes, becomes[named])
+    return frozenset(drive.scan_index[mapped & drive.has_returns].tolist())
 
 
 def _act(action: str, of_map: MapRecord, detail: str) -> Act:

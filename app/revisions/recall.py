@@ -7,6 +7,7 @@ from enum import StrEnum
 
 import numpy as np
 
+from app.drives.mapped_drives import mapped_drive
 from app.drives.stored_images import images_path
 from app.http.client import require_client
 from core.arrays import FloatArray
@@ -15,6 +16,7 @@ from core.mapping.diff import drive_overlaps
 from core.mapping.tensormap import TensorMap
 from core.projection.images import ImageSource
 from core.projection.probe import spread_evenly
+from core.scans.drive import scan_index_of
 from storage.errors import CorruptImages, DriveNotFound
 from storage.files.image_file import ImageFile
 from storage.store import Store, StoredDrive
@@ -138,7 +140,8 @@ def _queries(
     if images.probes is None:
         return {}
     found: dict[int, _Query] = {}
-    for position, index in enumerate(drive.scan_index[images.probed].tolist()):
+    mapped = mapped_drive(drive, tensor_map.parameters.sensor_height_m)
+    for position, index in enumerate(scan_index_of(mapped)[images.probed].tolist()):
         row = tensor_map.trajectory.row_of(drive.name, index)
         if row is not None:
             found[index] = _Query(row, images.probes, position, images.standing[position])

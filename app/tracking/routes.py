@@ -7,9 +7,8 @@ from fastapi import Path, Query, Response
 
 from app.access.dependency import CurrentCaller
 from app.access.scopes import Scope, needs
-from app.drives.routes import BAD_SCAN
 from app.http import errors
-from app.http.bodies.bodies import SCAN_TYPES, Body, ContentType, described_body, media_type
+from app.http.bodies.bodies import Body, ContentType, described_body, media_type
 from app.http.pooled_route import pooled_router
 from app.http.problems import problems
 from app.localization.routes import (
@@ -19,6 +18,7 @@ from app.localization.routes import (
     read_image,
     read_signatures,
 )
+from app.localization.scan_queries import BAD_SCAN_QUERY, SCAN_QUERY_TYPES, read_query
 from app.localization.schemas import SignaturesIn
 from app.service import MapSlug, Running, Service
 from app.tracking.schemas import ObservationQuery, TrackOut, TrackStepOut
@@ -28,7 +28,6 @@ from core.encodings.signature import Signature
 from core.localization.localizer import Localizer
 from storage import errors as stored
 from storage.formats.errors import EmptyBody
-from storage.formats.scans.registry import read_scan
 
 router = pooled_router(
     tags=["tracks"], prefix="/maps/{map}/tracks", dependencies=[needs(Scope.LOCALIZE)]
@@ -37,7 +36,7 @@ router = pooled_router(
 TrackId = Annotated[str, Path(alias="track", description="The track's name.")]
 
 _OBSERVATION_TYPES = {
-    **SCAN_TYPES,
+    **SCAN_QUERY_TYPES,
     **SIGNATURE_TYPES,
     IMAGE_TYPE: "An image on the map's grid, as localizations take it.",
 }
@@ -109,12 +108,11 @@ def delete_track(map_slug: MapSlug, track_id: TrackId, running: Running) -> None
         core.UnknownSegment,
         core.InvalidSignature,
         core.InvalidImage,
-        core.InvalidParameters,
         errors.InvalidRequest,
         core.SensorMismatch,
         EmptyBody,
         *errors.ANY_BODY,
-        *BAD_SCAN,
+        *BAD_SCAN_QUERY,
         *errors.READING,
     ),
 )
@@ -126,9 +124,9 @@ def observe(
     query: Annotated[ObservationQuery, Query()],
     content_type: ContentType = None,
 ) -> TrackStepOut:
-    """Take the next observation: a scan, an image or signatures."""
+    """Take the next observation: a scan, several that become one, an image or signatures."""
     found, live = track_of(running, map_slug, track_id)
-    signatures = _signatures(found.localizer, body, content_type, running, query.sensor_height_m)
+    signatures = _signatures(found.localizer, body, content_type, running, query)
     step = found.observe(query.to_core(signatures))
     running.metrics.localized("track", step.reason)
     return TrackStepOut.from_core(found.id, step, live)
@@ -150,12 +148,13 @@ def _signatures(
     body: bytes,
     content_type: str | None,
     running: Service,
-    sensor_height_m: float | None,
+    query: ObservationQuery,
 ) -> tuple[Signature, ...]:
     kind = media_type(content_type)
     if kind in {"application/json", SIGNATURE_TYPE}:
         return read_signatures(body, content_type)
     if kind == IMAGE_TYPE:
         return localizer.basis.encode(read_image(body, localizer.map.parameters.grid))
-    scan = read_scan(body, media_type=content_type, min_returns=running.settings.min_returns)
-    return localizer.basis.encode(localizer.basis.image(scan, sensor_height_m))
+    height_m = localizer.map.parameters.sensor_height_m
+    scan = read_query(body, content_type, query, running.settings, height_m)
+    return localizer.basis.encode(localizer.basis.image(scan, query.sensor_height_m))

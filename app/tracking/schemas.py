@@ -7,8 +7,8 @@ from pydantic import Field, field_validator
 from app.drives.pose_schemas import PoseOut
 from app.http.exact_types import Number, integers
 from app.http.shown import Shown
-from app.localization.prior_schemas import SensorHeightIn
 from app.localization.schemas import SignaturesIn
+from app.localization.sensor_schemas import SensorIn
 from app.tracking.tracks import LiveTrack
 from core.encodings.signature import Signature
 from core.tracking.step import Direction, Doubt, TrackStep
@@ -37,7 +37,7 @@ class ObservationIn(SignaturesIn):
         return Observation(self.to_core(), self.timestamp_s, self.sequence, self.travelled_m)
 
 
-class ObservationQuery(SensorHeightIn):
+class ObservationQuery(SensorIn):
     """Query parameters of an observation."""
 
     timestamp_s: float | None = Field(

@@ -17,6 +17,7 @@ OPENED_BY = {
     "DELETE /v1/maps/{map}": {WRITE},
     "GET /v1/maps/{map}/drives": {READ, WRITE},
     "GET /v1/maps/{map}/drives/{drive}": {READ, WRITE},
+    "PUT /v1/maps/{map}/drives/{drive}": {WRITE},
     "PATCH /v1/maps/{map}/drives/{drive}": {WRITE},
     "DELETE /v1/maps/{map}/drives/{drive}": {WRITE},
     "GET /v1/maps/{map}/drives/{drive}/scans": {READ, WRITE},

@@ -19,7 +19,7 @@ import lzf
 import numpy as np
 import zstandard
 
-from app.drives.many_scans import _scan as read_member
+from app.drives.many_scans import member_scan as read_member
 from app.drives.pose_files import CSV, KITTI, MOST_LINES, TUM, read_poses
 from app.http.bodies.content_encoding import decoder_of
 from core.errors import TensorMapError

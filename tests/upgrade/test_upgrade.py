@@ -67,6 +67,12 @@ def test_it_starts_answers_as_before_and_can_be_written(released):
             item["revision"] for item in recorded["answers"]["/v1/maps/campus/revisions"]["items"]
         ]
         assert built["revision"] in revisions  # of the same images, to the bit
+        tuesday = "/v1/maps/campus/drives/tuesday"
+        assert client.get(tuesday).json()["mounting"] is None
+        client.put(tuesday, json={"mounting": {"x_m": 1.0, "y_m": 0.0, "z_m": 1.73}})
+        mounted = {**params, "drives": ["monday", "tuesday"]}
+        job = client.post("/v1/maps/campus/builds", json=mounted).json()["job"]
+        assert wait_for(client, job)["state"] == "done"
         depot = {"encoding": "paper", "segment_length": 2}
         job = client.post("/v1/maps/depot/builds", json=depot).json()["job"]
         assert wait_for(client, job)["state"] == "done"  # of images alone: its returns are gone

@@ -1,0 +1,126 @@
+"""Queries by returns: one scan, or consecutive ones with odometry, of a sensor that is mounted."""
+
+from collections.abc import Iterator
+from itertools import chain
+from pathlib import PurePosixPath
+
+import numpy as np
+
+from app.drives.many_scans import member_index, member_scan
+from app.drives.pose_files import CSV, POSE_TYPES, read_poses
+from app.drives.routes import BAD_SCAN
+from app.drives.tar_stream import TarFeed, TarMember
+from app.http.bodies.bodies import SCAN_TYPES, media_type
+from app.http.client import require_client
+from app.http.errors import MalformedUpload
+from app.localization.sensor_schemas import SensorIn
+from app.settings import Settings
+from core.arrays import FloatArray
+from core.errors import InvalidParameters, InvalidPose, InvalidScan, TooFewReturns
+from core.scans.accumulation import MOST_SCANS, accumulate, require_few_returns
+from core.scans.scan import Scan
+from storage.formats.errors import EmptyBody
+from storage.formats.scans.registry import media_type_of, read_scan
+
+TAR = "application/x-tar"
+BAD_SCAN_QUERY = (*BAD_SCAN, InvalidPose, InvalidParameters, MalformedUpload)
+"""Errors of every route that takes a query by returns."""
+_POSES = {f"poses.{kind.rpartition('.')[2]}": kind for kind in POSE_TYPES}
+_WANTED = "wanted one of " + ", ".join(_POSES)
+SCAN_QUERY_TYPES = {
+    **SCAN_TYPES,
+    TAR: f"Up to {MOST_SCANS} consecutive scans that become one, in the frame of the last: files"
+    " named by their index, as `000012.pcd`, and the vehicle's odometry, one of "
+    + ", ".join(_POSES),
+}
+
+
+def read_query(
+    body: bytes,
+    content_type: str | None,
+    sensor: SensorIn,
+    settings: Settings,
+    sensor_height_m: float,
+) -> Scan:
+    """Return the scan of a query in the vehicle's frame.
+
+    Args:
+        body: A scan file, or a tar of several with the vehicle's odometry.
+        content_type: Of the body.
+        sensor: Of the query.
+        settings: Their `min_returns` applies to the whole query.
+        sensor_height_m: Of the map.
+
+    Raises:
+        InvalidScan: If the scans cannot be used, or cannot become one.
+        InvalidPose: If the odometry cannot be used, or does not fit the scans.
+        InvalidParameters: If the mounting cannot be used.
+        EmptyBody: If there is no body.
+        UnknownFormat: If a scan is of no known format.
+        MalformedUpload: If several are no tar, or one that breaks off.
+    """
+    mounting = sensor.to_mounting()
+    if media_type(content_type) == TAR:
+        scans, poses = _read_tar(body, sensor.format_name, settings)
+        scan = accumulate(scans, poses if mounting is None else mounting.sensor_poses(poses))
+        if len(scan) < settings.min_returns:
+            raise TooFewReturns(
+                f"{len(scan)} returns of {len(scans)} scans are finite and non-zero, at least"
+                f" {settings.min_returns} are wanted"
+            )
+    else:
+        scan = read_scan(body, media_type=content_type, min_returns=settings.min_returns)
+    return scan if mounting is None else mounting.mount(scan, sensor_height_m)
+
+
+def _read_tar(
+    body: bytes, format_name: str | None, settings: Settings
+) -> tuple[list[Scan], FloatArray]:
+    """Return scans in the order of their indices, and the vehicle's `(n, 7)` pose rows."""
+    if not body:
+        raise EmptyBody("the body is empty, wanted a tar of scans and their poses")
+    scan_type = None if format_name is None else media_type_of(format_name)
+    scans: dict[int, Scan] = {}
+    poses: dict[str, bytes] = {}
+    returns = 0
+    for member in _members(body, settings):
+        require_client()
+        name = PurePosixPath(member.name).name
+        if name in _POSES:
+            if name in poses:
+                raise InvalidPose(f"{name} comes twice in the tar")
+            poses[name] = member.content or b""
+            continue
+        if len(scans) == MOST_SCANS:
+            raise InvalidScan(f"the tar has more than {MOST_SCANS} scans, which cannot become one")
+        index = member_index(member)
+        if index in scans:
+            raise InvalidScan(f"scan {index} comes twice in the tar")
+        scans[index] = scan = member_scan(member, scan_type, min_returns=1)
+        returns += len(scan) + scan.dropped_returns  # these take as long to read
+        require_few_returns(returns)
+    if not scans:
+        raise MalformedUpload("the tar has no file, wanted scans named by their index")
+    if len(poses) != 1:
+        came = " and ".join(sorted(poses)) or "none"
+        raise InvalidPose(f"of files with poses the tar has {came}, {_WANTED}")
+    [(name, content)] = poses.items()
+    return [scans[index] for index in sorted(scans)], _rows(name, content, sorted(scans))
+
+
+def _members(body: bytes, settings: Settings) -> Iterator[TarMember]:
+    feed = TarFeed(settings.max_body_bytes)
+    return chain(feed.take(body), feed.take(b""))
+
+
+def _rows(name: str, content: bytes, scans: list[int]) -> FloatArray:
+    """Return the pose rows of scans: those of a CSV name them, other lines are in their order."""
+    found = read_poses(content, _POSES[name])
+    if _POSES[name] != CSV:
+        if len(found) != len(scans):
+            raise InvalidPose(f"{name} has {len(found)} lines, wanted one of each of {len(scans)}")
+        return found.poses
+    missing = np.setdiff1d(scans, found.scans)
+    if len(missing):
+        raise InvalidPose(f"{name} has no line of scan {missing[0]}")
+    return np.asarray(found.poses[np.searchsorted(found.scans, scans)])

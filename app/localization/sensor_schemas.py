@@ -1,0 +1,56 @@
+"""Query parameters of scans: the sensor of the query, and how it is mounted."""
+
+from pydantic import BaseModel, Field, field_validator
+
+from core.errors import InvalidParameters
+from core.scans.mounting import Mounting
+from storage.formats.scans.registry import FORMAT_NAMES
+
+
+class SensorIn(BaseModel):
+    """How the query's sensor is mounted, and what its files are."""
+
+    sensor_height_m: float | None = Field(
+        None,
+        gt=0,
+        lt=100,
+        description="Height of the query's sensor above ground, metres, if it is not the map's;"
+        " only maps of height images depend on it.",
+    )
+    mounting: str | None = Field(
+        None,
+        max_length=200,
+        description="Of the query's sensor in the vehicle's frame, x,y,z,roll,pitch,yaw, metres and"
+        " degrees; z is its height above ground. The answer is then the vehicle's pose. Without it"
+        " the vehicle's frame is the sensor's.",
+        examples=["1.2,0,1.9,0,5,0"],
+    )
+    format_name: str | None = Field(
+        None,
+        alias="format",
+        description="Format of the scans of a tar, the last word of a media type, as `kitti`; by"
+        " default that of their suffixes, except `.bin`.",
+        json_schema_extra={"enum": list(FORMAT_NAMES)},
+    )
+
+    @field_validator("format_name")
+    @classmethod
+    def _known(cls, name: str | None) -> str | None:
+        if name is not None and name not in FORMAT_NAMES:
+            raise ValueError(f"wanted one of {', '.join(FORMAT_NAMES)}")
+        return name
+
+    def to_mounting(self) -> Mounting | None:
+        """Return the mounting, `None` if the vehicle's frame is the sensor's.
+
+        Raises:
+            InvalidParameters: If it is none, or the height is given twice.
+        """
+        if self.mounting is None:
+            return None
+        if self.sensor_height_m is not None:
+            raise InvalidParameters(
+                f"sensor_height_m is {self.sensor_height_m:g} and the mounting has a height too:"
+                " give one of them"
+            )
+        return Mounting.from_text(self.mounting)

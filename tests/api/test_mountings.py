@@ -1,0 +1,320 @@
+"""Mountings of sensors and accumulated scans over HTTP."""
+
+import numpy as np
+import pytest
+
+from app.drives.mapped_drives import mapped_digest
+from core import MapParameters, build_map
+from core.loop_closure.closure import check_scans
+from core.scans.mounting import Mounting, vehicle_drive
+from core.scans.scan import Scan
+from tests.support.campus import MAP, build, keep, localize
+from tests.support.mounted import ASKEW, mounted_recording, vehicle_poses
+from tests.support.recording import KITTI, TAR, Recording, kitti, recording, tar
+from tests.support.service import problem_of, running, upload
+
+DRIVES = f"{MAP}/drives"
+TEXT = "1.1,-0.4,1.9,3,-6,120"
+ONE_TUM = ("poses.tum", b"0 0 0 0 0 0 0 1")
+SENT = {"x_m": 1.1, "y_m": -0.4, "z_m": 1.9, "roll_deg": 3.0, "pitch_deg": -6.0, "yaw_deg": 120.0}
+
+
+def recorded(**options):
+    return Recording(tuple(mounted_recording(**options)))
+
+
+def csv(scans, rows=None):
+    """Return the odometry of scans as `poses.csv`."""
+    rows = vehicle_poses() if rows is None else rows
+    lines = [",".join(map(str, [scan, *rows[scan].tolist()])) for scan in scans]
+    return "poses.csv", "\n".join(["scan,x,y,z,qx,qy,qz,qw", *lines]).encode()
+
+
+def several(scans, *poses, sparse=True):
+    """Return a query of several scans of the mounted sensor."""
+    drive = mounted_recording(sparse=sparse)
+    files = [(f"{index:06}.bin", kitti(drive.scan(index))) for index in scans]
+    return tar([*files, *poses])
+
+
+def few(scans, returns):
+    """Return a query of scans of so few returns each, with poses."""
+    files = [(f"{i}.bin", kitti(Scan(np.full((returns, 3), 9.0)))) for i in range(scans)]
+    return tar([*files, csv(range(min(scans, 48)))])
+
+
+def far():
+    """Return poses a kilometre apart."""
+    rows = vehicle_poses().copy()
+    rows[:, 0] = 1000.0 * np.arange(len(rows))
+    return rows
+
+
+@pytest.fixture(scope="module")
+def client(tmp_path_factory):
+    """A service whose map is of a mounted sensor."""
+    with running(tmp_path_factory.mktemp("mounted") / "data") as client:
+        client.post("/v1/maps", json={"map": "campus"})
+        client.put(f"{DRIVES}/askew", json={"mounting": SENT})
+        upload(client, "askew", recorded())
+        build(client, segments=2)
+        yield client
+
+
+def near(pose, index, within_m=2.0):
+    x_m, y_m = vehicle_poses()[index, :2]
+    return np.hypot(pose["x_m"] - x_m, pose["y_m"] - y_m) < within_m
+
+
+class TestDrives:
+    def test_a_drive_is_made_with_its_mounting_and_shows_it(self, empty):
+        made = empty.put(f"{DRIVES}/monday", json={"mounting": SENT, "accumulate": 4})
+        assert (made.status_code, made.headers["Location"]) == (201, f"{DRIVES}/monday")
+        assert (made.json()["mounting"], made.json()["accumulate"]) == (SENT, 4)
+        assert empty.get(f"{DRIVES}/monday").json() == made.json()
+        assert empty.get(DRIVES).json()["items"] == [made.json()]
+        upload(empty, "monday", recording(scans=3))
+        assert empty.get(f"{DRIVES}/monday").json()["scans"] == 3
+
+    def test_a_mounting_is_replaced_and_removed(self, empty):
+        upload(empty, "monday", recording(scans=3))
+        drive = empty.get(f"{DRIVES}/monday").json()
+        assert (drive["mounting"], drive["accumulate"]) == (None, 1)
+        put = empty.put(f"{DRIVES}/monday", json={"mounting": {"x_m": 1, "y_m": 0, "z_m": 2}})
+        assert put.status_code == 200
+        assert put.json()["mounting"] == {**dict.fromkeys(SENT, 0.0), "x_m": 1.0, "z_m": 2.0}
+        assert empty.put(f"{DRIVES}/monday", json={}).json() == drive
+
+    @pytest.mark.parametrize(
+        "body",
+        [
+            {"mounting": {**SENT, "z_m": 0}},
+            {"mounting": {**SENT, "x_m": 51}},
+            {"mounting": {**SENT, "yaw_deg": 361}},
+            {"mounting": {"z_m": 1.7}},
+            {"mounting": TEXT},
+            {"accumulate": 0},
+            {"accumulate": 65},
+            {"accumulate": True},
+            {"pose": [0, 0, 0]},
+        ],
+    )
+    def test_what_is_no_mounting_is_rejected_and_makes_no_drive(self, empty, body):
+        answer = empty.put(f"{DRIVES}/monday", json=body)
+        assert problem_of(answer) == (422, "invalid-request")
+        assert empty.get(DRIVES).json()["items"] == []
+
+    def test_a_map_or_name_that_cannot_be_is_rejected(self, empty):
+        assert problem_of(empty.put("/v1/maps/no/drives/a", json={})) == (404, "map-not-found")
+        assert problem_of(empty.put(f"{DRIVES}/A", json={})) == (422, "invalid-slug")
+
+    def test_once_returns_are_dropped_it_can_no_longer_change(self, empty):
+        upload(empty, "monday", recording(scans=12))
+        empty.put(f"{DRIVES}/monday", json={"mounting": SENT, "accumulate": 2})
+        built = build(empty, segments=1)
+        empty.patch(f"{DRIVES}/monday", json={"closed": True})
+        keep(empty, raw_scans="drop")
+        drive = empty.get(f"{DRIVES}/monday").json()
+        assert drive["scans_without_returns"] == 12  # also those that are not the last of two
+        answer = empty.put(f"{DRIVES}/monday", json={"accumulate": 2})
+        assert problem_of(answer) == (409, "returns-gone")
+        assert "12 of 12 scans" in answer.json()["detail"]
+        same = empty.put(f"{DRIVES}/monday", json={"mounting": SENT, "accumulate": 2})
+        assert same.json() == drive
+        assert build(empty, segments=1)["revision"] == built["revision"]  # of the kept images
+
+
+class TestBuilds:
+    def test_a_mounting_makes_other_images_and_the_same_one_the_same(self, empty):
+        upload(empty, "askew", Recording(recorded().scans[:20]))
+        found = []
+        setups: list[dict[str, object]] = [{}, {"mounting": SENT}, {"accumulate": 4}, {}]
+        for setup in setups:
+            empty.put(f"{DRIVES}/askew", json=setup)
+            job = build(empty, segments=1, refit=True)
+            facts = empty.get(f"{MAP}/revisions/{job['revision']}").json()
+            named = {k: facts["parameters"].get(k) for k in ("mountings", "accumulate")}
+            found.append((job["revision"], facts["scans"], named))
+        revisions = [revision for revision, _, _ in found]
+        assert len(set(revisions)) == 3
+        assert revisions[0] == revisions[3]
+        assert [scans for _, scans, _ in found] == [20, 20, 5, 20]
+        assert [facts for _, _, facts in found][:3] == [
+            {"mountings": None, "accumulate": None},
+            {"mountings": {"askew": SENT}, "accumulate": None},
+            {"mountings": None, "accumulate": {"askew": 4}},
+        ]
+
+    def test_service_and_core_build_one_map(self, empty):
+        empty.put(f"{DRIVES}/askew", json={"mounting": SENT, "accumulate": 3})
+        upload(empty, "askew", recorded(sparse=True))
+        parameters = MapParameters.for_sensor()
+        drive = vehicle_drive(mounted_recording(sparse=True), ASKEW, 1.73, 3)
+        built = build(empty, segments=2)
+        assert built["revision"] == build_map(drive, parameters, segments=2).revision
+
+    def test_images_depend_on_all_that_they_are_made_of(self, empty):
+        upload(empty, "monday", recording(scans=4))
+        store = empty.service.store
+
+        def digest(height_m=1.73, **setup):
+            empty.put(f"{DRIVES}/monday", json=setup)
+            return mapped_digest(store.drives.open("campus", "monday"), height_m)
+
+        plain = digest()
+        assert digest(2.0) == plain
+        mounted = digest(mounting=SENT)
+        others = {
+            digest(2.0, mounting=SENT),
+            digest(mounting={**SENT, "x_m": 1.1000000001}),
+            digest(accumulate=2),
+            digest(accumulate=3),
+        }
+        assert len({plain, mounted, *others}) == 6
+        before = digest(accumulate=2)
+        empty.put(f"{DRIVES}/monday/poses", json={"poses": [{"scan": 1, "pose": None}]})
+        assert digest(accumulate=2) != before
+        assert digest() == plain
+
+    def test_scans_without_poses_do_not_become_one(self, empty):
+        empty.put(f"{DRIVES}/monday", json={"accumulate": 2})
+        files = [(f"{i:06}.bin", kitti(recording().scans[i])) for i in range(4)]
+        empty.post(
+            f"{DRIVES}/monday/scans", content=tar(files), headers=TAR, params={"format": "kitti"}
+        )
+        job = empty.post(f"{MAP}/builds", json={}).json()["job"]
+        ended = empty.get(f"/v1/jobs/{job}").json()
+        while ended["state"] in ("queued", "running"):
+            ended = empty.get(f"/v1/jobs/{job}").json()
+        assert ended["error"]["type"] == "/problems/empty-drive"
+        assert "has no pose" in ended["error"]["detail"]
+
+
+class TestQueries:
+    def test_the_answer_is_the_vehicles_pose(self, client):
+        content = kitti(mounted_recording().scan(20))
+        found = localize(client, "scan", content=content, headers=KITTI, params={"mounting": TEXT})
+        assert found["best"]["scan_index"] == 20
+        assert found["best"]["pose"]["z_m"] == pytest.approx(0.0, abs=1e-9)
+        assert near(found["best"]["pose"], 20, 1e-6)
+        assert found["best"]["turn_deg"] == pytest.approx(0.0, abs=0.5)
+
+    def test_another_sensor_of_the_fleet_is_answered_too(self, client):
+        content = kitti(recording().scans[20])
+        found = localize(
+            client, "scan", content=content, headers=KITTI, params={"mounting": "0,0,1.73"}
+        )
+        assert near(found["best"]["estimated_pose"], 20)
+
+    def test_several_scans_with_odometry_are_one_query(self, client):
+        scans = range(13, 21)
+        body = several(scans, csv(scans))
+        found = localize(
+            client, "scan", content=body, headers=TAR, params={"mounting": TEXT, "format": "kitti"}
+        )
+        assert near(found["best"]["estimated_pose"], 20)
+
+    def test_odometry_comes_in_every_format_of_poses(self, client):
+        scans = range(16, 21)
+        rows = vehicle_poses()[16:21]
+        tum = "\n".join(" ".join(map(str, [t, *row])) for t, row in enumerate(rows.tolist()))
+        options = {"headers": TAR, "params": {"mounting": TEXT, "format": "kitti"}}
+        by_csv, by_tum = (
+            localize(client, "scan", content=several(scans, poses), **options)
+            for poses in (csv(range(21)), ("some/poses.tum", tum.encode()))
+        )
+        assert by_csv["matches"] == by_tum["matches"]
+
+    def test_a_mounting_and_a_height_exclude_each_other(self, client):
+        content = kitti(recording().scans[20])
+        for params in (
+            {"mounting": TEXT, "sensor_height_m": 1.9},
+            {"mounting": "1,2"},
+            {"mounting": "0,0,-1"},
+        ):
+            answer = client.post(
+                f"{MAP}/localizations/scan", content=content, headers=KITTI, params=params
+            )
+            assert problem_of(answer) == (422, "invalid-parameters")
+
+    @pytest.mark.parametrize(
+        ("body", "problem", "detail"),
+        [
+            (lambda: b"", "empty-body", "wanted a tar"),
+            (lambda: b"x" * 512, "malformed-upload", "checksum"),
+            (lambda: tar([]), "malformed-upload", "has no file"),
+            (lambda: several([1, 2]), "invalid-pose", "has none, wanted one of poses.kitti"),
+            (lambda: several([1, 2], csv([1])), "invalid-pose", "no line of scan 2"),
+            (lambda: several([1], csv([1]), ("poses.tum", b"")), "invalid-pose", "poses.csv and"),
+            (lambda: several([1], csv([1]), csv([1])), "invalid-pose", "poses.csv comes twice"),
+            (lambda: several([1, 2], ONE_TUM), "invalid-pose", "has 1 lines"),
+            (lambda: several([1, 2], ("poses.csv", b"a,b")), "invalid-pose", "line 1"),
+            (lambda: several([1, 1], csv([1])), "invalid-scan", "scan 1 comes twice"),
+            (lambda: several([1, 2], csv([1, 2], far())), "invalid-scan", "wanted at most 100"),
+            (lambda: tar([("a.bin", b"x")]), "unknown-format", "is no index"),
+            (lambda: tar([("1.bin", b"x")]), "truncated-scan", ""),
+            (lambda: few(65, 1), "invalid-scan", "more than 64 scans"),
+            (lambda: few(3, 33), "too-few-returns", "99 returns of 3 scans"),
+        ],
+    )
+    def test_scans_that_cannot_become_one_are_rejected(self, client, body, problem, detail):
+        answer = client.post(
+            f"{MAP}/localizations/scan", content=body(), headers=TAR, params={"format": "kitti"}
+        )
+        assert problem_of(answer) == (422 if problem != "unknown-format" else 415, problem)
+        assert detail in answer.json()["detail"]
+
+    def test_a_format_that_is_not_known_is_rejected(self, client):
+        content = kitti(recording().scans[20])
+        answer = client.post(
+            f"{MAP}/localizations/scan", content=content, headers=KITTI, params={"format": "gif"}
+        )
+        assert problem_of(answer) == (422, "invalid-request")
+
+    def test_few_returns_of_each_are_enough_together(self, client):
+        answer = client.post(
+            f"{MAP}/localizations/scan",
+            content=few(4, 33),
+            headers=TAR,
+            params={"format": "kitti", "mounting": "0,0,1.73"},
+        )
+        assert answer.status_code == 200, answer.text
+
+    def test_a_track_takes_mounted_and_accumulated_observations(self, client):
+        track = client.post(f"{MAP}/tracks").headers["Location"]
+        params = {"mounting": TEXT, "format": "kitti"}
+        for last in range(15, 40, 4):
+            scans = range(last - 7, last + 1)
+            answer = client.post(
+                f"{track}/observations",
+                content=several(scans, csv(scans)),
+                headers=TAR,
+                params=params,
+            )
+            assert answer.status_code == 200, answer.text
+        step = answer.json()
+        assert step["localized"]
+        assert near(step["pose"], last, 3.0)
+        answer = client.post(
+            f"{track}/observations", content=several([1]), headers=TAR, params=params
+        )
+        assert problem_of(answer) == (422, "invalid-pose")
+
+
+def test_stored_scans_are_compared_as_the_vehicle_sees_them(client):
+    first, second = (ASKEW.mount(mounted_recording().scan(i), 1.73) for i in (10, 11))
+    expected = check_scans(first, second, 1.73)
+    stored = [{"drive": "askew", "scan_index": index} for index in (10, 11)]
+    body = {"proposals": [{"first": stored[0], "second": stored[1]}]}
+    [found] = client.post(f"{MAP}/loop-closures", json=body).json()["closures"]
+    assert found["verdict"] == "accepted"
+    assert found["overlap"] == pytest.approx(expected.overlap)
+    assert found["forward_m"] == pytest.approx(1.5, abs=0.5)  # the vehicle's step, ahead
+    assert found["lateral_m"] == pytest.approx(0.0, abs=0.5)
+
+
+def test_a_change_is_in_the_audit_log(empty):
+    empty.put(f"{DRIVES}/monday", json={"mounting": SENT, "accumulate": 2})
+    entry = empty.get("/v1/audit").json()["items"][-1]
+    assert entry["action"] == "put_drive"
+    assert entry["detail"] == f"mounting {Mounting.from_text(TEXT)}, accumulate 2"
