@@ -16,13 +16,20 @@ from storage.formats.drives.ros_drive import is_ros_bag, open_ros_drive, split_t
 from storage.formats.errors import UnknownDriveLayout
 from storage.formats.scans.registry import SCAN_FORMATS
 
-_FOLDERS: dict[str, Callable[..., Drive]] = {
-    "velodyne": open_kitti_drive,
-    "velodyne_sync": open_nclt_drive,
-    "SCANS": open_ford_drive,
-    **dict.fromkeys(FOLDERS, open_mulran_drive),
-    SCANS: open_helipr_drive,
+_FOLDERS: dict[str, tuple[str, Callable[..., Drive]]] = {
+    "velodyne": ("KITTI", open_kitti_drive),
+    "velodyne_sync": ("NCLT", open_nclt_drive),
+    "SCANS": ("Ford Campus", open_ford_drive),
+    **dict.fromkeys(FOLDERS, ("MulRan", open_mulran_drive)),
+    SCANS: ("HeLiPR", open_helipr_drive),
 }
+
+
+def layout_of(path: Path) -> str:
+    """Return the name of a folder's layout, such as `KITTI`; empty if it has none."""
+    if path.is_dir() and sensor_of(path) is not None:
+        return "HeLiPR"
+    return next((name for folder, (name, _) in _FOLDERS.items() if (path / folder).is_dir()), "")
 
 
 def open_drive(path: Path, *, min_returns: int = 1) -> Drive:
@@ -50,7 +57,7 @@ def open_drive(path: Path, *, min_returns: int = 1) -> Drive:
         return open_captured_drive(path, min_returns=min_returns)
     if path.is_dir() and sensor_of(path) is not None:
         return open_helipr_drive(path, min_returns=min_returns)
-    for folder, open_layout in _FOLDERS.items():
+    for folder, (_, open_layout) in _FOLDERS.items():
         if (path / folder).is_dir():
             return open_layout(path, min_returns=min_returns)
     suffixes = " ".join(suffix for known in SCAN_FORMATS for suffix in known.suffixes)
