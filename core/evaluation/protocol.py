@@ -41,11 +41,8 @@ class FirstScans:
 
     def split(self, drive: SelectedScans) -> tuple[SelectedScans, SelectedScans]:
         """Return what is mapped, and what queries it."""
-        scans = np.arange(len(drive))
-        return (
-            drive.only(scans < self.mapped),
-            drive.only(scans >= self.mapped + self.left_out),
-        )
+        first = drive.scans < self.mapped
+        return drive.only(first), drive.only(drive.scans >= self.mapped + self.left_out)
 
     def __str__(self) -> str:
         return f"scans below {self.mapped} mapped, those from {self.mapped + self.left_out} query"

@@ -36,12 +36,17 @@ _COLUMNS = 13
 def open_mulran_drive(path: Path, *, min_returns: int = 1) -> FileDrive:
     """Open a drive of `sensor_data/Ouster/*.bin` or `Ouster/*.bin`; `global_pose.csv` is optional.
 
+    Args:
+        path: The folder of the sequence, or its `sensor_data`.
+        min_returns: Least number of returns of a scan.
+
     Raises:
         EmptyDrive: If there are no scans.
         MalformedDrive: If a scan is not named by its time, or the poses do not parse or are of
             another drive.
     """
     path = path.resolve()
+    path = path.parent if path.name == "sensor_data" else path
     folder = next(path / folder for folder in FOLDERS if (path / folder).is_dir())
     file = path / "global_pose.csv"
     poses = _read(file) if file.exists() else None

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from core.arrays import FloatArray, freeze
 from core.errors import EmptyDrive, InvalidPose
-from core.scans.pose import rows_from_matrices
+from core.scans.pose import first_invalid, rows_from_matrices
 from storage.formats.drives.file_drive import FileDrive, in_order
 from storage.formats.drives.text_rows import line_numbers, lines_of
 from storage.formats.errors import MalformedDrive
@@ -35,6 +35,12 @@ class TimedPoses:
         freeze(self, time_s=np.float64, rows=np.float64)
         if not len(self.time_s):
             raise MalformedDrive(f"{self.name} has no pose")
+        wrong = first_invalid(self.rows)
+        if wrong is not None:
+            raise MalformedDrive(
+                f"{self.name}: the pose at {self.time_s[wrong]:.3f} s is"
+                f" {self.rows[wrong].tolist()}, wanted x y z in metres and a unit quaternion"
+            )
 
     def at(self, time_s: FloatArray) -> FloatArray:
         """Return the poses at other times, `(k, 7)`: interpolated, the rotation along its arc.

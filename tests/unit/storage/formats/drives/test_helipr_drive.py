@@ -76,6 +76,9 @@ def test_a_wrong_folder_says_what_was_wanted_and_what_came(tmp_path: Path) -> No
     with pytest.raises(EmptyDrive, match=r"LiDAR/Avia has no scan files \*\.bin"):
         open_drive(tmp_path / "empty")
     (folder / "LiDAR_GT").mkdir()
+    (folder / "LiDAR_GT" / "Avia_gt.txt").write_text("1000000000 1 2 3 0 0 0 0\n")
+    with pytest.raises(MalformedDrive, match=r"Avia_gt\.txt: the pose at 1\.000 s is .*wanted x y"):
+        open_drive(folder / "LiDAR" / "Avia")
     (folder / "LiDAR_GT" / "Avia_gt.txt").write_text("1 2 3\n")
     with pytest.raises(MalformedDrive, match=r"Avia_gt\.txt, line 1: 3 values, wanted 8"):
         open_drive(folder / "LiDAR" / "Avia")

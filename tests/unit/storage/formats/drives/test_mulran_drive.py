@@ -60,7 +60,8 @@ def test_poses_are_the_ousters_between_those_of_the_file(tmp_path: Path) -> None
 def test_a_vehicle_that_turns_takes_the_sensor_with_it(tmp_path: Path) -> None:
     folder = mulran(tmp_path / "DCC01", count=1)
     (folder / "global_pose.csv").write_text(line(FIRST_NS, 0.0, "0 -1 0 1 0 0 0 0 1"))
-    [pose] = open_drive(folder).poses
+    [pose] = open_drive(folder / "sensor_data").poses  # the same drive
+    assert open_drive(folder / "sensor_data").name == "DCC01"
     np.testing.assert_allclose(pose[:3], [0.021, 4_000_001.7042, 21.8047], atol=1e-6)
 
 
