@@ -109,7 +109,8 @@ def evaluate(
     with progress_bar() as progress:
         result = evaluate_drive(mapped, evaluated, queried, progress, elsewhere)
     _show(result)
-    evaluation.write_figures(json_out, result.as_dict())
+    made = {} if preset is None else {"protocol": str(preset)}
+    evaluation.write_figures(json_out, made | result.as_dict())
 
 
 def _prepared(preset: FieldProtocol, mapped: Drive, queried: Drive | None) -> tuple[Drive, Drive]:

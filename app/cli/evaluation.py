@@ -111,14 +111,26 @@ def chosen_protocol(
         )
     layout = layout_of(path)
     preset = field_protocol(name, drive, layout)
-    if layout == KITTI and len(drive) == KITTI_SCANS.get(drive.name):
-        found, known = revisits(drive), KNOWN_REVISITS[drive.name]
-        verdict = "agrees" if found.agrees_with(known) else "are these the poses of the sequence?"
-        say(
-            f"revisits of every third scan, within 3 m after more than 30 s: {found}; known of"
-            f" KITTI {drive.name}: {known}; {verdict}"
-        )
+    if layout == KITTI and drive.name in KITTI_SCANS:
+        _show_revisits(drive)
     return preset
+
+
+def _show_revisits(drive: Drive) -> None:
+    """Print how often a sequence of KITTI comes back, beside the known number."""
+    whole = KITTI_SCANS[drive.name]
+    if len(drive) != whole:
+        say(
+            f"KITTI {drive.name} has {whole} scans, this drive {len(drive)}: its revisits are not"
+            " compared with the known ones"
+        )
+        return
+    found, known = revisits(drive), KNOWN_REVISITS[drive.name]
+    verdict = "agrees" if found.agrees_with(known) else "are these the poses of the sequence?"
+    say(
+        f"revisits of every third scan, within 3 m after more than 30 s: {found}; known of KITTI"
+        f" {drive.name}: {known}; {verdict}"
+    )
 
 
 def show_table(

@@ -1,6 +1,7 @@
 """`--protocol` of the commands of evaluation, in process."""
 
 import json
+import shutil
 
 import numpy as np
 import pytest
@@ -52,6 +53,7 @@ def test_ring_thins_both_drives_and_prints_the_number_of_queries(folders, tmp_pa
     evaluated = tmp_path / "evaluated.json"
     printed = run("evaluate", *words, "--segments", "1", "--json", evaluated)
     figures = json.loads(evaluated.read_text())
+    assert figures["protocol"] == written["protocol"]
     assert figures["map_scans"] == written["methods"][0]["places"]
     assert list(figures["conditions"][0]["recall_at_1"]) == ["25"]
     assert f"{row['queries']} have a place within 25 m and count" in " ".join(printed.split())
@@ -62,6 +64,13 @@ def test_loops_are_compared_and_not_evaluated(folders):
         run("evaluate", folders / "monday", "--protocol", "logg3d")
     with pytest.raises(InvalidParameters, match=r"monday is too short for loop closing"):
         run("compare", folders / "monday", "--protocol", "scancontext", "--methods", "harmonic")
+
+
+def test_a_part_of_a_sequence_of_kitti_is_not_checked_by_its_revisits(folders, tmp_path):
+    shutil.copytree(folders / "monday", tmp_path / "08")
+    result = CliRunner().invoke(cli, ["evaluate", str(tmp_path / "08"), "--protocol", "solid"])
+    assert isinstance(result.exception, InvalidParameters)
+    assert "has 4071 scans, this drive 24: its revisits are not" in " ".join(result.stdout.split())
 
 
 @pytest.mark.parametrize(
