@@ -1,8 +1,11 @@
 """`tensormap compare`: our encodings and other methods on the same scans."""
 
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Annotated
+
+import typer
 
 from app.cli import evaluation, options
 from app.cli.console import figure, progress_bar, say
@@ -19,12 +22,21 @@ from core.evaluation.compare import compare as compare_methods
 from core.evaluation.condition import conditions
 from core.evaluation.disturbances import Recording
 from core.evaluation.pairing import RECENT_SCANS, HeldOut, LoopClosing, Pairing, SecondPass
+from core.evaluation.retrieval import Counting
+from core.scans.drive import Drive
 from core.scans.sensor import HDL_64E, sensor_named
 from core.segmentation.fixed import segment_length_for
 
+_FIXED = (
+    "loop", "recent_scans", "recent_s", "split", "query_every", "tolerance_m",
+)  # fmt: skip
+"""By a published protocol."""
+
 
 def compare(
+    context: typer.Context,
     drive: options.DriveArgument,
+    protocol: evaluation.FieldProtocolOption = None,
     query_drive: Annotated[
         Path | None,
         evaluation.protocol_option(
@@ -89,6 +101,13 @@ def compare(
     )
     of_map = partial(options.open_mapped, sensor_height_m=recording.height_m, accumulate=accumulate)
     mapped = of_map(drive, mounting)
+    of_queries = query_mounting or mounting
+    queried: Drive | None = None
+    preset = evaluation.chosen_protocol(context, protocol, drive, mapped, _FIXED)
+    if preset is not None:
+        queried = None if query_drive is None else of_map(query_drive, of_queries)
+        prepared = preset.prepare(mapped, queried)
+        mapped, queried = prepared.mapped, prepared.queried
     length = segment_length_for(
         max(1, len(mapped)), segment_length=segment_length, segments=segments
     )
@@ -96,8 +115,10 @@ def compare(
     chosen = methods_named(
         names, sensor=sensor, sensor_height_m=recording.height_m, segment_length=length
     )
-    protocol = ComparisonProtocol(
-        pairing=_pairing(
+    if preset is not None:
+        pairing = preset.pairing
+    else:
+        pairing = _pairing(
             loop=loop,
             recent_scans=recent_scans,
             recent_s=recent_s,
@@ -105,27 +126,33 @@ def compare(
             second_pass=query_drive is not None,
             every=query_every,
             segment_length=length,
-        ),
+        )
+        queried = None if query_drive is None else of_map(query_drive, of_queries)
+    compared = ComparisonProtocol(
+        pairing=pairing,
         conditions=conditions(
             options.numbers(yaw_deg),
             options.numbers(lateral_m),
             options.numbers(noise_m),
             disturb.split(","),
         ),
-        tolerances_m=options.numbers(tolerance_m),
+        tolerances_m=options.numbers(tolerance_m) if preset is None else preset.tolerances_m,
         unknown_every=query_every,
         seed=seed,
         recording=recording,
+        counting=Counting() if preset is None else preset.counting,
     )
     with progress_bar() as progress:
         result = compare_methods(
             mapped,
             chosen,
-            protocol,
-            None if query_drive is None else of_map(query_drive, query_mounting or mounting),
-            None if unknown is None else of_map(unknown, query_mounting or mounting),
+            compared,
+            queried,
+            None if unknown is None else of_map(unknown, of_queries),
             progress,
         )
+    if preset is not None:
+        result = replace(result, protocol=str(preset))
     _show(result)
     made = {"provenance": provenance(), "data": str(drive)}
     evaluation.write_figures(json_out, made | result.as_dict())

@@ -1,8 +1,11 @@
 """`tensormap evaluate`: how well a map of a drive answers."""
 
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Annotated
+
+import typer
 
 from app.cli import evaluation, options
 from app.cli.console import figure, progress_bar, say
@@ -11,13 +14,17 @@ from core.errors import InvalidParameters
 from core.evaluation.condition import conditions
 from core.evaluation.evaluate import Evaluation, EvaluationProtocol
 from core.evaluation.evaluate import evaluate as evaluate_drive
+from core.evaluation.protocol import FieldProtocol, findable
 from core.parameters import MapParameters, Segmentation
 from core.projection.imager import ImageKind
+from core.scans.drive import Drive
 from core.scans.sensor import HDL_64E
 
 
 def evaluate(
+    context: typer.Context,
     drive: options.DriveArgument,
+    protocol: evaluation.FieldProtocolOption = None,
     query_drive: Annotated[
         Path | None,
         evaluation.protocol_option(
@@ -67,7 +74,7 @@ def evaluate(
     if query_drive is not None and split is not None:
         raise InvalidParameters("with --query-drive all of DRIVE is mapped: leave --split out")
     height_m = options.given_height_m(sensor_height_m, mounting)
-    protocol = EvaluationProtocol(
+    evaluated = EvaluationProtocol(
         parameters=MapParameters.for_sensor(
             sensor,
             encoding=encoding or encoding_with(reducer),
@@ -94,20 +101,42 @@ def evaluate(
         seed=seed,
         track=track,
     )
-    if protocol.parameters.image == ImageKind.HEIGHT:
+    if evaluated.parameters.image == ImageKind.HEIGHT:
         options.height_m(sensor, height_m)  # notes one that is assumed
     of_map = partial(
         options.open_mapped,
-        sensor_height_m=protocol.parameters.sensor_height_m,
+        sensor_height_m=evaluated.parameters.sensor_height_m,
         accumulate=accumulate,
     )
     mapped = of_map(drive, mounting)
     queried = None if query_drive is None else of_map(query_drive, query_mounting or mounting)
+    preset = evaluation.chosen_protocol(context, protocol, drive, mapped, ("split", "tolerance_m"))
+    if preset is not None:
+        mapped, queried = _prepared(preset, mapped, queried)
+        within_m = preset.tolerances_m
+        evaluated = replace(evaluated, tolerances_m=tuple(m for m in within_m if m >= within_m[0]))
     elsewhere = [of_map(path, query_mounting or mounting) for path in unknown or ()]
     with progress_bar() as progress:
-        result = evaluate_drive(mapped, protocol, queried, progress, elsewhere)
+        result = evaluate_drive(mapped, evaluated, queried, progress, elsewhere)
     _show(result)
-    evaluation.write_figures(json_out, result.as_dict())
+    made = {} if preset is None else {"protocol": str(preset)}
+    evaluation.write_figures(json_out, made | result.as_dict())
+
+
+def _prepared(preset: FieldProtocol, mapped: Drive, queried: Drive | None) -> tuple[Drive, Drive]:
+    """Return what is mapped and the queries that recall counts, and print how many there are."""
+    prepared = preset.prepare(mapped, queried)
+    if prepared.queried is None:
+        raise InvalidParameters(
+            f"{preset.name} closes loops, each query among the places before it, which a map that"
+            f" is built once does not: use `tensormap compare --protocol {preset.name}`"
+        )
+    counted = findable(prepared.mapped, prepared.queried, preset.tolerances_m[0])
+    say(
+        f"{preset}\n{len(prepared.mapped)} places, {len(prepared.queried)} queries, of which"
+        f" {len(counted)} have a place within {preset.tolerances_m[0]:g} m and count"
+    )
+    return prepared.mapped, counted
 
 
 def _show(result: Evaluation) -> None:

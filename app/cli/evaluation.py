@@ -11,11 +11,22 @@ import typer
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from app.cli.console import figure, output
+from app.cli.console import figure, output, say
 from app.cli.options import checked, numbers
+from core.errors import InvalidParameters
 from core.evaluation.disturbances import DISTURBANCES, parse_disturbances
+from core.evaluation.protocol import (
+    FIELD_PROTOCOLS,
+    KITTI,
+    KITTI_SCANS,
+    FieldProtocol,
+    field_protocol,
+)
+from core.evaluation.revisits import KNOWN_REVISITS, revisits
 from core.evaluation.split import Interleaved, Split, parse_split
+from core.scans.drive import Drive
 from storage.files.files import publish
+from storage.formats.drives.layouts import layout_of
 
 protocol_option: Any = partial(typer.Option, rich_help_panel="Protocol")
 """An option of how a command evaluates."""
@@ -49,6 +60,13 @@ SeedOption = Annotated[int, protocol_option(min=0, help="Of noise and disturbanc
 SplitOption = Annotated[
     str | None, protocol_option(help="interleaved:F[:PHASE] or every:N. [interleaved:0.2]")
 ]
+FieldProtocolOption = Annotated[
+    str | None,
+    protocol_option(
+        metavar="|".join(FIELD_PROTOCOLS),
+        help="A published protocol; it chooses map, queries, exclusion and tolerance.",
+    ),
+]
 JsonOption = Annotated[
     Path | None, typer.Option("--json", metavar="OUT", help="Write the figures here.")
 ]
@@ -57,6 +75,57 @@ JsonOption = Annotated[
 def split_of(text: str | None) -> Split:
     """Return the split of the option, the paper's by default."""
     return Interleaved() if text is None else parse_split(text)
+
+
+def chosen_protocol(
+    context: typer.Context, name: str | None, path: Path, drive: Drive, fixed: Sequence[str]
+) -> FieldProtocol | None:
+    """Return the preset of `--protocol`, `None` without it; its check of the poses is printed.
+
+    Args:
+        context: Of the command.
+        name: Of the preset.
+        path: Of the drive.
+        drive: What is mapped.
+        fixed: Parameters of the command that a preset fixes.
+
+    Raises:
+        InvalidParameters: If one of those is given too, or the preset has no rules for the drive.
+    """
+    if name is None:
+        return None
+    given = [
+        f"--{parameter.replace('_', '-')}"
+        for parameter in fixed
+        if getattr(context.get_parameter_source(parameter), "name", "") == "COMMANDLINE"
+    ]
+    if given:
+        raise InvalidParameters(
+            f"--protocol {name} chooses map, queries, exclusion and tolerance: leave out"
+            f" {', '.join(given)}"
+        )
+    layout = layout_of(path)
+    preset = field_protocol(name, drive, layout)
+    if layout == KITTI and drive.name in KITTI_SCANS:
+        _show_revisits(drive)
+    return preset
+
+
+def _show_revisits(drive: Drive) -> None:
+    """Print how often a sequence of KITTI comes back, beside the known number."""
+    whole = KITTI_SCANS[drive.name]
+    if len(drive) != whole:
+        say(
+            f"KITTI {drive.name} has {whole} scans, this drive {len(drive)}: its revisits are not"
+            " compared with the known ones"
+        )
+        return
+    found, known = revisits(drive), KNOWN_REVISITS[drive.name]
+    verdict = "agrees" if found.agrees_with(known) else "are these the poses of the sequence?"
+    say(
+        f"revisits of every third scan, within 3 m after more than 30 s: {found}; known of KITTI"
+        f" {drive.name}: {known}; {verdict}"
+    )
 
 
 def show_table(

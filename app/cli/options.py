@@ -29,16 +29,16 @@ _build: Any = partial(typer.Option, rich_help_panel="Map")
 DriveArgument = Annotated[
     Path,
     typer.Argument(
-        help="Folder of a drive: KITTI odometry, NCLT or Ford Campus layout, or scan files; or a"
-        " Velodyne .pcap.",
+        help="Folder of a drive: KITTI odometry, NCLT, MulRan, HeLiPR or Ford Campus layout, or"
+        " scan files; or a Velodyne .pcap.",
         metavar="DRIVE",
     ),
 ]
 DrivesArgument = Annotated[
     list[Path],
     typer.Argument(
-        help="Folders of drives: KITTI odometry, NCLT or Ford Campus layout, or scan files; or"
-        " Velodyne .pcap files.",
+        help="Folders of drives: KITTI odometry, NCLT, MulRan, HeLiPR or Ford Campus layout, or"
+        " scan files; or Velodyne .pcap files.",
         metavar="DRIVE...",
     ),
 ]

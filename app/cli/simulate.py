@@ -6,7 +6,9 @@ from typing import Annotated
 import typer
 
 from app.cli.console import progress_bar, say
+from core.scans.sensor import SENSORS, sensor_named
 from core.simulation import SimulatedDrive
+from core.simulation.raycast import SimulatedSensor
 from storage.formats.drives.kitti_drive import write_kitti_drive
 
 
@@ -24,6 +26,10 @@ def simulate(
     ] = 0.0,
     reverse: Annotated[bool, typer.Option("--reverse", help="Drive the other way.")] = False,
     stops: Annotated[bool, typer.Option("--stops", help="Stop at junctions for a while.")] = False,
+    sensor: Annotated[
+        str | None,
+        typer.Option(help=f"One of {', '.join(sorted(SENSORS))}. [an HDL-64E with 1,000 azimuths]"),
+    ] = None,
 ) -> None:
     """Drive through a simulated city and write the scans in KITTI odometry layout.
 
@@ -37,6 +43,7 @@ def simulate(
         lateral_offset_m=lateral_m,
         reverse=reverse,
         stops=stops,
+        sensor=None if sensor is None else SimulatedSensor.of(sensor_named(sensor)),
     )
     with progress_bar() as progress:
         write_kitti_drive(drive, folder, progress)

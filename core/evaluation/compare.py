@@ -18,7 +18,7 @@ from core.evaluation.metrics import apart_m, heading_error_deg, median
 from core.evaluation.pairing import HeldOut, Paired, Pairing
 from core.evaluation.plain import Plain
 from core.evaluation.query_set import QueryProtocol, QuerySet
-from core.evaluation.retrieval import auroc, precision_recall
+from core.evaluation.retrieval import Counting, auroc, precision_recall
 from core.numbers import require_at_least
 from core.progress import NO_PROGRESS, Progress
 from core.scans.drive import Drive
@@ -34,11 +34,13 @@ class ComparisonProtocol(QueryProtocol):
         pairing: Which scans are places, and which are queries.
         unknown_every: Query with every N-th scan of the unknown drive.
         recording: The sensor that recorded the queries.
+        counting: How precision and recall count.
     """
 
     pairing: Pairing = field(default_factory=HeldOut)
     unknown_every: int = 1
     recording: Recording = KITTI_RECORDING
+    counting: Counting = field(default_factory=Counting)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -223,7 +225,7 @@ def compare(
                         drive.poses,
                         queries,
                         nearest_m,
-                        protocol.tolerances_m,
+                        protocol,
                     )
                     for column, condition in enumerate(protocol.conditions)
                 ),
@@ -269,22 +271,29 @@ def _summarize(
     places: FloatArray,
     queries: FloatArray,
     nearest_m: FloatArray,
-    tolerances_m: Sequence[float],
+    protocol: ComparisonProtocol,
 ) -> MethodUnderCondition:
     given = [answer or _REFUSED for answer in answers]
     answered = np.array([answer.scan for answer in given])
     scores = _scores(answers)
     distance_m = np.where(answered >= 0, apart_m(places[answered], queries), math.inf)
     findable, recall, f1, precision = {}, {}, {}, {}
-    for metres in tolerances_m:
-        right = distance_m <= metres
-        count = int((nearest_m <= metres).sum())
-        curve = precision_recall(scores, right, count)
+    counting = protocol.counting
+    for metres in protocol.tolerances_m:
+        right, has_place = distance_m <= metres, nearest_m <= metres
+        count = int(has_place.sum())
+        curve = precision_recall(
+            scores,
+            right,
+            count,
+            ignored=~right & (distance_m <= (counting.wrong_beyond_m or metres)),
+            rejectable=has_place if counting.of_rejected else None,
+        )
         findable[metres] = count
         recall[metres] = float(right.sum() / count) if count else None
         f1[metres] = curve.max_f1 if count else None
         precision[metres] = curve.average_precision if count else None
-    widest_m = max(tolerances_m)
+    widest_m = max(protocol.tolerances_m)
     error_deg = heading_error_deg(
         np.array([answer.turn_deg for answer in given]),
         heading_deg(queries) + condition.yaw_deg - heading_deg(places)[answered],

@@ -205,21 +205,56 @@ def _reach(
 
 
 def _beams(
-    points_m: FloatArray, kept: float | str, recording: Recording, _: np.random.Generator
+    points_m: FloatArray, kept: float | str, recording: Recording, rng: np.random.Generator
 ) -> FloatArray:
-    own_deg = np.array(recording.sensor.beams_deg)
+    own_deg = recording.sensor.beams_deg
     if isinstance(kept, str):
-        kept_deg = np.array(sensor_named(kept).beams_deg)
-    else:
-        kept_deg = np.linspace(own_deg[0], own_deg[-1], min(int(kept), len(own_deg)))
+        return _as_sensor(points_m, sensor_named(kept), recording.sensor, rng)
+    return _near_beams(
+        points_m, np.linspace(own_deg[0], own_deg[-1], min(int(kept), len(own_deg))), own_deg
+    )
+
+
+def _as_sensor(
+    points_m: FloatArray, sensor: Sensor, own: Sensor, rng: np.random.Generator
+) -> FloatArray:
+    """Return the returns that another sensor would have had too; none is added.
+
+    One whose pattern does not repeat keeps a share at random: that of its own rays and of those
+    that recorded the scan, in the part of its field of view that both have.
+    """
+    if sensor.fov_deg < 360.0:
+        points_m = points_m[_within_deg(points_m, 0.0, sensor.fov_deg)]
+    kept_deg, own_deg = sensor.beams_deg, own.beams_deg
+    if sensor.repeats:
+        return _near_beams(points_m, kept_deg, own_deg)
+    lowest_deg, highest_deg = kept_deg[0], kept_deg[-1]
+    elevation_deg = _elevation_deg(points_m)
+    points_m = points_m[(elevation_deg >= lowest_deg) & (elevation_deg <= highest_deg)]
+    both_deg = max(0.0, min(highest_deg, own_deg[-1]) - max(lowest_deg, own_deg[0]))
+    in_both = np.count_nonzero((own_deg >= lowest_deg) & (own_deg <= highest_deg))
+    wanted = sensor.rays_per_scan / sensor.fov_deg * both_deg / (highest_deg - lowest_deg)
+    recorded = in_both * own.azimuths / 360.0  # of one degree of azimuth, as are those wanted
+    if wanted >= recorded:
+        return points_m
+    kept: BoolArray = rng.random(len(points_m)) < wanted / recorded
+    return points_m[kept]
+
+
+def _near_beams(points_m: FloatArray, kept_deg: FloatArray, own_deg: FloatArray) -> FloatArray:
+    """Return the returns within half a step of the recording sensor from one of the beams."""
     half_step_deg = float(np.median(np.diff(own_deg))) / 2.0
-    elevation_deg = np.degrees(np.arctan2(points_m[:, 2], np.hypot(*points_m[:, :2].T)))
+    elevation_deg = _elevation_deg(points_m)
     above = np.searchsorted(kept_deg, elevation_deg).clip(1, len(kept_deg) - 1)
     off_deg = np.minimum(
         np.abs(elevation_deg - kept_deg[above - 1]), np.abs(elevation_deg - kept_deg[above])
     )
     near: BoolArray = off_deg <= half_step_deg
     return points_m[near]
+
+
+def _elevation_deg(points_m: FloatArray) -> FloatArray:
+    return np.degrees(np.arctan2(points_m[:, 2], np.hypot(*points_m[:, :2].T)))
 
 
 def _drop(points_m: FloatArray, share: float, _: Recording, rng: np.random.Generator) -> FloatArray:
@@ -284,7 +319,7 @@ DISTURBANCES: Mapping[str, _Kind] = {
     "reach": _Kind("0.1 to 1000 metres", "returns farther away are lost", 0.1, 1000.0, _reach),
     "beams": _Kind(
         f"2 to 1024 beams or one of {', '.join(sorted(SENSORS))}",
-        "only the returns nearest to these beams stay",
+        "only what these beams, or that sensor, would have seen stays",
         2.0,
         1024.0,
         _beams,

@@ -14,6 +14,21 @@ from core.arrays import BoolArray, FloatArray
 from core.errors import InvalidParameters
 
 
+@dataclass(frozen=True)
+class Counting:
+    """What precision and recall count where a published script counts otherwise.
+
+    Attributes:
+        wrong_beyond_m: An answer between the tolerance and so many metres is neither right nor
+            wrong; `None` if every other answer is wrong.
+        of_rejected: Whether recall is the share among right answers and rejected findable queries,
+            so that a findable query with an accepted wrong answer leaves the denominator.
+    """
+
+    wrong_beyond_m: float | None = None
+    of_rejected: bool = False
+
+
 @dataclass(frozen=True, eq=False)
 class PrecisionRecall:
     """Precision and recall at every threshold that is some answer's score, falling.
@@ -45,13 +60,23 @@ class PrecisionRecall:
         return float(np.sum(np.diff(self.recall, prepend=0.0) * self.precision))
 
 
-def precision_recall(scores: FloatArray, right: BoolArray, findable: int) -> PrecisionRecall:
+def precision_recall(
+    scores: FloatArray,
+    right: BoolArray,
+    findable: int,
+    *,
+    ignored: BoolArray | None = None,
+    rejectable: BoolArray | None = None,
+) -> PrecisionRecall:
     """Return the curve of a set of queries.
 
     Args:
         scores: `(n,)`, greater is more certain; minus infinity where there is no answer.
         right: `(n,)` whether the answer is right.
         findable: How many of all queries are findable, at least as many as are right.
+        ignored: `(n,)` which answers precision does not count.
+        rejectable: `(n,)` which queries are findable, if recall is of the right answers and those
+            of them that are rejected; see `Counting`.
 
     Raises:
         InvalidParameters: If shapes differ, a score is NaN, or fewer are findable than right.
@@ -75,8 +100,13 @@ def precision_recall(scores: FloatArray, right: BoolArray, findable: int) -> Pre
     falling = scores[answered][order]
     last_of_equals = np.append(falling[1:] != falling[:-1], True)[: len(falling)]
     found = np.cumsum(true[answered][order])[last_of_equals]
-    accepted = np.arange(1, len(falling) + 1)[last_of_equals]
-    return PrecisionRecall(found / np.maximum(accepted, 1), found / max(findable, 1))
+    counted = np.ones(len(falling), bool) if ignored is None else ~ignored[answered][order]
+    accepted = np.cumsum(counted)[last_of_equals]
+    wanted: FloatArray | int = findable
+    if rejectable is not None:
+        kept = np.cumsum(rejectable[answered][order])[last_of_equals]
+        wanted = found + rejectable.sum() - kept
+    return PrecisionRecall(found / np.maximum(accepted, 1), found / np.maximum(wanted, 1))
 
 
 def auroc(positives: FloatArray, negatives: FloatArray) -> float | None:

@@ -1,7 +1,7 @@
 """From a scene to a scan: a spinning sensor's rays against upright solids."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -11,9 +11,10 @@ from core.arrays import BoolArray, FloatArray, IntArray
 from core.errors import InvalidParameters, InvalidPose
 from core.numbers import require_above, require_at_least
 from core.scans.angles import wrapped_deg
+from core.scans.beams import HDL_64E_BEAMS_DEG
 from core.scans.pose import Pose
 from core.scans.scan import Scan
-from core.scans.sensor import HDL_64E_BEAMS_DEG
+from core.scans.sensor import Sensor
 from core.simulation.world import Boxes, Cylinders, Scene
 
 _LEVEL = 1e-12  # slope given to a beam, or component to a ray, of exactly 0, to divide by it
@@ -32,6 +33,9 @@ class SimulatedSensor:
         ground_range_m: Of returns from the ground; 50 m is the HDL-64E's datasheet range on
             pavement.
         dropout: Share of the returns that are lost at random.
+        fov_deg: Horizontal field of view, around the front.
+        repeats: Whether each scan has these beams. If not, each has one at random in each of as
+            many equal parts between the lowest and the highest.
     """
 
     beams_deg: tuple[float, ...] = HDL_64E_BEAMS_DEG
@@ -40,6 +44,8 @@ class SimulatedSensor:
     max_range_m: float = 120.0
     ground_range_m: float = 50.0
     dropout: float = 0.03
+    fov_deg: float = 360.0
+    repeats: bool = True
 
     def __post_init__(self) -> None:
         if not self.beams_deg or not all(-90.0 < beam < 90.0 for beam in self.beams_deg):
@@ -49,6 +55,26 @@ class SimulatedSensor:
         require_above(0, max_range_m=self.max_range_m, ground_range_m=self.ground_range_m)
         if not 0.0 <= self.dropout < 1.0:
             raise InvalidParameters(f"dropout is {self.dropout}, wanted 0 <= dropout < 1")
+        if not 0.0 < self.fov_deg <= 360.0:
+            raise InvalidParameters(f"fov_deg is {self.fov_deg}, wanted 0 < fov_deg <= 360")
+
+    @classmethod
+    def of(cls, sensor: Sensor) -> "SimulatedSensor":
+        """Return a sensor of the catalogue; noise, range and dropout stay those of the HDL-64E."""
+        return cls(
+            tuple(sensor.beams_deg.tolist()),
+            sensor.azimuths,
+            fov_deg=sensor.fov_deg,
+            repeats=sensor.repeats,
+        )
+
+    def in_one_scan(self, rng: np.random.Generator) -> "SimulatedSensor":
+        """Return the sensor with the beams of one scan."""
+        if self.repeats:
+            return self
+        edges = np.linspace(min(self.beams_deg), max(self.beams_deg), len(self.beams_deg) + 1)
+        beams = edges[:-1] + rng.random(len(self.beams_deg)) * np.diff(edges)
+        return replace(self, beams_deg=tuple(beams.tolist()), repeats=True)
 
     @property
     def azimuth_step_deg(self) -> float:
@@ -103,10 +129,12 @@ def cast(
     """
     if max(abs(pose.qx), abs(pose.qy)) > _UPRIGHT or pose.z_m <= 0.0:
         raise InvalidPose(f"the pose is {pose.as_tuple()}, wanted upright above the ground")
+    sensor = sensor.in_one_scan(rng)
     across_m = _nearest(scene, pose, sensor)
     slopes = sensor.slopes
     stretch = np.sqrt(1.0 + slopes**2)
     returned = across_m * stretch <= sensor.max_range_m
+    returned &= (np.abs(sensor.azimuths_deg) <= sensor.fov_deg / 2.0)[:, None]
     if sensor.dropout:
         # float32: float64 is slower, a byte too coarse.
         returned &= rng.random(across_m.shape, dtype=np.float32) >= sensor.dropout

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
@@ -188,6 +188,7 @@ class TestEncodings:
 
     @settings(max_examples=50, deadline=None)
     @given(body=st.binary(max_size=80))
+    @example(body=b"\x01\x7c" * 10)  # signalling NaNs, as float16
     def test_damaged_bytes_are_no_signature(self, name, body):
         layout = min(encoding_named(name).layouts)
         try:

@@ -17,6 +17,7 @@ from app.http.errors import STATUS
 from app.http.problems import problem_name
 from app.main import create_app
 from app.settings import Settings
+from core.scans.sensor import SENSORS
 from storage.formats.scans.registry import SCAN_FORMATS
 
 ROOT = Path(__file__).parents[2]
@@ -73,11 +74,24 @@ def formats_table() -> Iterator[str]:
         yield f"| {known.name} | `{known.media_type}` | {suffixes} | {answer} |"
 
 
+def sensors_table() -> Iterator[str]:
+    yield "| sensor | beams | elevation, deg | azimuth, deg | rays in 0.1 s | source |"
+    yield "|---|---|---|---|---|---|"
+    for sensor in SENSORS.values():
+        beams = len(sensor.beams_deg) if sensor.repeats else ""
+        lowest, highest = sensor.beams_deg[[0, -1]]
+        yield (
+            f"| `{sensor.name}` | {beams} | {lowest:.4g} to {highest:.4g} | {sensor.fov_deg:g} |"
+            f" {sensor.rays_per_scan} | {sensor.source} |"
+        )
+
+
 TABLES: dict[str, tuple[Path, Callable[[], Iterator[str]]]] = {
     "settings": (ROOT / "docs/how-to/run-the-service.md", settings_table),
     "routes": (ROOT / "docs/reference/http-api.md", routes_table),
     "problems": (ROOT / "docs/reference/http-api.md", problems_table),
     "formats": (ROOT / "docs/reference/formats.md", formats_table),
+    "sensors": (ROOT / "docs/reference/sensors.md", sensors_table),
     "commands": (ROOT / "docs/reference/cli.md", commands_table),
 }
 

@@ -14,7 +14,8 @@ import numpy as np
 import zstandard
 from pypcd4.pypcd4 import Encoding
 
-from storage.formats.scans.registry import FORMAT_NAMES
+from storage.formats.scans.helipr import HeliprFormat
+from storage.formats.scans.registry import FORMAT_NAMES, SCAN_FORMATS
 from tests.support import scan_files as scans
 from tests.support.captures import hdl32, ouster, ouster_body, ouster_metadata, pcap, udp
 
@@ -44,6 +45,12 @@ def _frames(payloads: list[bytes], fragment_bytes: int | None) -> list[bytes]:
 def _nclt(points: np.ndarray) -> bytes:
     records = np.zeros(len(points), [("xyz", "<u2", 3), ("i", "u1"), ("laser", "u1")])
     records["xyz"] = ((points + 100.0) / 0.005).clip(0, 65535)
+    return records.tobytes()
+
+
+def _helipr(kind: HeliprFormat) -> bytes:
+    records = np.zeros(len(CLOUD), [("xyz", "<f4", 3), *kind.besides])
+    records["xyz"] = CLOUD
     return records.tobytes()
 
 
@@ -83,6 +90,11 @@ def samples() -> dict[str, list[bytes]]:
         "las": [scans.las(CLOUD)],
         "nuscenes": [scans.nuscenes(CLOUD)],
         "nclt": [_nclt(CLOUD)],
+        **{
+            kind.media_type.rpartition(".")[2]: [_helipr(kind)]
+            for kind in SCAN_FORMATS
+            if isinstance(kind, HeliprFormat)
+        },
         "ford": [scans.ford(CLOUD, compress=False), scans.ford(CLOUD, compress=True)],
         "velodyne": [pcap(_frames(turn, None)), pcap(_frames(turn, 400), order=">")],
         "ouster": [

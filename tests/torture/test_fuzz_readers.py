@@ -141,7 +141,7 @@ def test_a_damaged_packed_signature_is_a_signature_or_refused() -> None:
 
 
 # Not Ford's folders, which only commands read: SciPy's reader of `.mat` files may end the process.
-@pytest.mark.parametrize("kind", ["capture", "kitti", "scans", "nclt"])
+@pytest.mark.parametrize("kind", ["capture", "kitti", "scans", "nclt", "mulran", "helipr"])
 def test_a_damaged_drive_is_a_drive_or_refused(kind: str, tmp_path) -> None:
     chance = chance_of(kind)
 
@@ -170,6 +170,8 @@ def _drive(kind, chance, folder):
         path = folder / "a.pcap"
         path.write_bytes(damaged(chance.choice(WHOLE["velodyne"]), chance))
         return path
+    if kind in {"mulran", "helipr"}:
+        return _timed_drive(kind, chance, folder)
     scans = folder / _FOLDERS[kind]
     scans.mkdir(exist_ok=True)
     name = chance.choice(["kitti", "npy", "pcd", "ply", "csv"]) if kind == "scans" else kind
@@ -187,6 +189,22 @@ def _drive(kind, chance, folder):
         ("calib.txt", b"P0: 1\nTr: " + line),
     ):
         (folder / beside).write_bytes(body if chance.random() < 0.5 else damaged(body, chance))
+    return folder
+
+
+def _timed_drive(kind, chance, folder):
+    """Scans named by nanoseconds, and poses at times around them."""
+    scans, truth, name, rows = {
+        "mulran": ("Ouster", "global_pose.csv", "kitti", b"%d,1,0,0,5,0,1,0,6,0,0,1,7\n"),
+        "helipr": ("LiDAR/Avia", "LiDAR_GT/Avia_gt.txt", "helipr-avia", b"%d 5 6 7 0 0 0 1\n"),
+    }[kind]
+    for file in (folder / scans, (folder / truth).parent):
+        file.mkdir(parents=True, exist_ok=True)
+    for at_ns in (10**18, 10**18 + 10**8):
+        body = damaged(chance.choice(WHOLE[name]), chance)
+        (folder / scans / f"{at_ns}.bin").write_bytes(body)
+    lines = b"".join(rows % (10**18 + step * 9 * 10**7) for step in range(-1, 3))
+    (folder / truth).write_bytes(lines if chance.random() < 0.3 else damaged(lines, chance))
     return folder
 
 

@@ -259,7 +259,8 @@ class HarmonicEncoding(Encoding):
                 numbers = scale * roots * np.abs(roots)
         first, real, imag = np.split(numbers, [r1, r1 * r2])
         values = np.zeros((r1, r2), np.complex64)
-        with np.errstate(over="ignore"):  # infinite then, and rejected as not finite
+        # Beyond float32 is infinite, and a signalling NaN is a NaN: both are rejected.
+        with np.errstate(over="ignore", invalid="ignore"):
             values.real[:, 0] = first
             # Part by part: infinity times 1j would make a NaN of the other part.
             values.real[:, 1:], values.imag[:, 1:] = real.reshape(r1, -1), imag.reshape(r1, -1)

@@ -12,7 +12,6 @@ from core.errors import EmptyDrive
 from core.scans.pose import UNKNOWN_POSE, Pose
 from core.scans.scan import Scan
 from storage.formats.errors import MalformedDrive
-from storage.formats.scans.records import NcltFormat
 from storage.formats.scans.registry import is_scan_file, read_scan_file
 
 
@@ -79,23 +78,6 @@ def open_scan_folder(path: Path, *, min_returns: int = 1) -> FileDrive:
         np.full(len(files), np.nan),
         np.full((len(files), 7), UNKNOWN_POSE),
         min_returns,
-    )
-
-
-def open_nclt_drive(path: Path, *, min_returns: int = 1) -> FileDrive:
-    """Open a drive of NCLT: `velodyne_sync/*.bin`, named by microseconds; poses are unknown.
-
-    Raises:
-        EmptyDrive: If there are no scans.
-    """
-    files = in_order((path / "velodyne_sync").glob("[!.]*.bin"))
-    return FileDrive(
-        path.resolve().name,
-        files,
-        np.array([float(f.stem) / 1e6 if f.stem.isdecimal() else np.nan for f in files]),
-        np.full((len(files), 7), UNKNOWN_POSE),
-        min_returns,
-        NcltFormat().media_type,
     )
 
 

@@ -25,6 +25,7 @@ from core.scans.drive import Drive
 from core.scans.pose import UNKNOWN_POSE, Pose, is_known, rows_from_matrices
 from storage.files.files import named_disk_errors
 from storage.formats.drives.file_drive import FileDrive, in_order
+from storage.formats.drives.text_rows import line_numbers, lines_of
 from storage.formats.errors import MalformedDrive
 from storage.formats.scans.kitti import kitti_body
 
@@ -161,10 +162,10 @@ def _require_rotation(file: Path, number: int, matrix: FloatArray) -> None:
 
 def _lidar_to_camera(file: Path) -> FloatArray:
     """Return the `Tr` of a calibration, `(3, 4)`."""
-    for number, line in enumerate(_lines(file), start=1):
+    for number, line in enumerate(lines_of(file), start=1):
         key, _, values = line.partition(":")
         if key.strip() == "Tr":
-            matrix = _line_numbers(file, number, values, columns=12).reshape(3, 4)
+            matrix = line_numbers(file, number, values, columns=12).reshape(3, 4)
             _require_rotation(file, number, matrix)
             return matrix
     raise MalformedDrive(
@@ -175,24 +176,8 @@ def _lidar_to_camera(file: Path) -> FloatArray:
 
 def _numbers(file: Path, scans: int, columns: int) -> FloatArray:
     """Return the numbers of a text file with a line a scan, `(scans, columns)`."""
-    lines = _lines(file)
-    rows = [_line_numbers(file, number, line, columns) for number, line in enumerate(lines, 1)]
+    lines = lines_of(file)
+    rows = [line_numbers(file, number, line, columns) for number, line in enumerate(lines, 1)]
     if len(rows) != scans:
         raise MalformedDrive(f"{file.name} ends at line {len(rows)}, there are {scans} scans")
     return np.array(rows, dtype=np.float64).reshape(scans, columns)
-
-
-def _line_numbers(file: Path, number: int, line: str, columns: int) -> FloatArray:
-    words = line.split()
-    if len(words) != columns:
-        raise MalformedDrive(
-            f"{file.name}, line {number}: {len(words)} values, wanted {columns}: {line[:80]!r}"
-        )
-    try:
-        return np.array([float(word) for word in words])
-    except ValueError as error:
-        raise MalformedDrive(f"{file.name}, line {number}: {error}") from error
-
-
-def _lines(file: Path) -> list[str]:
-    return file.read_text(encoding="utf-8", errors="replace").rstrip().splitlines()

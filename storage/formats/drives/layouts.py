@@ -6,26 +6,39 @@ from pathlib import Path
 from core.errors import EmptyDrive
 from core.scans.drive import Drive
 from storage.formats.drives.captured_drive import open_captured_drive
-from storage.formats.drives.file_drive import open_nclt_drive, open_scan_folder
+from storage.formats.drives.file_drive import open_scan_folder
 from storage.formats.drives.ford_drive import open_ford_drive
+from storage.formats.drives.helipr_drive import SCANS, open_helipr_drive, sensor_of
 from storage.formats.drives.kitti_drive import open_kitti_drive
+from storage.formats.drives.mulran_drive import FOLDERS, open_mulran_drive
+from storage.formats.drives.nclt_drive import open_nclt_drive
 from storage.formats.drives.ros_drive import is_ros_bag, open_ros_drive, split_topic
 from storage.formats.errors import UnknownDriveLayout
 from storage.formats.scans.registry import SCAN_FORMATS
 
-_FOLDERS: dict[str, Callable[..., Drive]] = {
-    "velodyne": open_kitti_drive,
-    "velodyne_sync": open_nclt_drive,
-    "SCANS": open_ford_drive,
+_FOLDERS: dict[str, tuple[str, Callable[..., Drive]]] = {
+    "velodyne": ("KITTI", open_kitti_drive),
+    "velodyne_sync": ("NCLT", open_nclt_drive),
+    "SCANS": ("Ford Campus", open_ford_drive),
+    **dict.fromkeys(FOLDERS, ("MulRan", open_mulran_drive)),
+    SCANS: ("HeLiPR", open_helipr_drive),
 }
+
+
+def layout_of(path: Path) -> str:
+    """Return the name of a folder's layout, such as `KITTI`; empty if it has none."""
+    if path.is_dir() and sensor_of(path) is not None:
+        return "HeLiPR"
+    return next((name for folder, (name, _) in _FOLDERS.items() if (path / folder).is_dir()), "")
 
 
 def open_drive(path: Path, *, min_returns: int = 1) -> Drive:
     """Open a recorded drive; scans are read on demand.
 
     Args:
-        path: A folder with `velodyne/` (KITTI odometry), `velodyne_sync/` (NCLT) or `SCANS/` (Ford
-            Campus), or of scan files, in the order of their names; or a capture, `.pcap`, of which
+        path: A folder with `velodyne/` (KITTI odometry), `velodyne_sync/` (NCLT), `SCANS/` (Ford
+            Campus), `sensor_data/Ouster/` (MulRan) or `LiDAR/` (HeLiPR; also the folder of a sensor
+            in it), or of scan files, in the order of their names; or a capture, `.pcap`, of which
             each full revolution is a scan; or a ROS bag, `.bag`, `.mcap`, `.db3` or a folder that
             ROS 2 recorded, with `#TOPIC` after it where several have clouds. Its name becomes the
             drive's.
@@ -42,13 +55,16 @@ def open_drive(path: Path, *, min_returns: int = 1) -> Drive:
         return open_ros_drive(bag, topic, min_returns=min_returns)
     if path.suffix.lower() == ".pcap" and path.is_file():
         return open_captured_drive(path, min_returns=min_returns)
-    for folder, open_layout in _FOLDERS.items():
+    if path.is_dir() and sensor_of(path) is not None:
+        return open_helipr_drive(path, min_returns=min_returns)
+    for folder, (_, open_layout) in _FOLDERS.items():
         if (path / folder).is_dir():
             return open_layout(path, min_returns=min_returns)
     suffixes = " ".join(suffix for known in SCAN_FORMATS for suffix in known.suffixes)
     layouts = (
-        "velodyne/*.bin (KITTI), velodyne_sync/*.bin (NCLT), SCANS/Scan*.mat (Ford Campus) or scan"
-        f" files ({suffixes})"
+        "velodyne/*.bin (KITTI), velodyne_sync/*.bin (NCLT), SCANS/Scan*.mat (Ford Campus),"
+        " sensor_data/Ouster/*.bin (MulRan), LiDAR/<Sensor>/*.bin (HeLiPR) or scan files"
+        f" ({suffixes})"
     )
     if not path.is_dir():
         raise UnknownDriveLayout(

@@ -20,7 +20,7 @@ _NCLT = "uint16 x y z, uint8 intensity and laser, 8 bytes a return"
 _NCLT_STEP_M, _NCLT_FIRST_M, _NCLT_LASERS = 0.005, -100.0, 32
 # Where the lidar is in the vehicle's frame, the frame of the points: 0.957 m above its origin.
 # Seen from there each laser's elevation varies by 0.1 degrees, seen from the origin by 1 to 7.
-_NCLT_LIDAR_M = np.array([0.002, -0.004, -0.957])
+NCLT_LIDAR_M = np.array([0.002, -0.004, -0.957])
 
 
 class NuscenesFormat(ScanFormat):
@@ -90,5 +90,5 @@ class NcltFormat(ScanFormat):
         for start in range(0, len(records), _BLOCK_RECORDS):  # doubles take six times the file
             part = slice(start, start + _BLOCK_RECORDS)
             on_vehicle_m = records["xyz"][part] * _NCLT_STEP_M + _NCLT_FIRST_M
-            returns_m[part] = (on_vehicle_m - _NCLT_LIDAR_M) * [1.0, -1.0, -1.0]
+            returns_m[part] = (on_vehicle_m - NCLT_LIDAR_M) * [1.0, -1.0, -1.0]
         return returns_m

@@ -10,6 +10,13 @@ from storage.formats.budget import BUDGET
 from storage.formats.errors import EmptyBody, UnknownFormat
 from storage.formats.scans.delimited import CsvFormat
 from storage.formats.scans.ford import FordFormat
+from storage.formats.scans.helipr import (
+    AevaEarlyFormat,
+    AevaFormat,
+    AviaFormat,
+    HeliprOusterFormat,
+    HeliprVelodyneFormat,
+)
 from storage.formats.scans.kitti import KittiFormat
 from storage.formats.scans.las import LasFormat
 from storage.formats.scans.npy import NpyFormat
@@ -32,6 +39,11 @@ SCAN_FORMATS: tuple[ScanFormat, ...] = (
     LasFormat(),
     NuscenesFormat(),
     NcltFormat(),
+    HeliprOusterFormat(),
+    HeliprVelodyneFormat(),
+    AviaFormat(),
+    AevaFormat(),
+    AevaEarlyFormat(),
     FordFormat(),
     VelodyneFormat(),
     OusterFormat(),

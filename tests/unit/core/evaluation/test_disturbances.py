@@ -143,6 +143,41 @@ def test_beams_keep_what_is_nearest_to_them(around):
     assert apart.max() <= 0.25
 
 
+def test_beams_of_a_narrow_sensor_keep_what_it_would_have_had_in_its_field_of_view(around):
+    left = disturbed("beams:avia", around)
+    assert 34.0 < np.abs(azimuth_deg(left)).max() <= 35.2
+    # Of 64 x 2083 rays around and all its beams inside 77.2 degrees; the Avia's 24,000 points are
+    # spread over 70.4 x 77.2 degrees, of which the HDL-64E covers 26.3.
+    in_view = (np.abs(azimuth_deg(around)) <= 35.2).sum()
+    recorded = 64 * 2083 * 70.4 / 360.0
+    assert len(left) == pytest.approx(in_view * 24_000 * (26.33 / 77.2) / recorded, rel=0.1)
+    again, other = disturbed("beams:avia", around), disturbed("beams:avia", around, seed=1)
+    assert left.tobytes() == again.tobytes()
+    assert left.tobytes() != other.tobytes()  # the pattern does not repeat
+
+
+def test_beams_of_a_sensor_that_looks_up_keep_what_both_see(around):
+    left = disturbed("beams:mid-360", around)
+    elevation = np.degrees(np.arcsin(left[:, 2] / ranges_m(left)))
+    assert -7.001 < elevation.min() < -6.0
+    assert np.abs(azimuth_deg(left)).max() > 175.0
+    seen = np.degrees(np.arcsin(around[:, 2] / ranges_m(around))) >= -7.0
+    # 20,000 points over 59 degrees, 9 of them shared; 28 of the 64 beams are above -7 degrees.
+    share = 20_000 * (9.0 / 59.0) / (28 * 2083)
+    assert len(left) == pytest.approx(seen.sum() * share, rel=0.2)
+
+
+def test_a_denser_sensor_adds_nothing(around):
+    hap = Recording(sensor_named("hap"), HEIGHT_M)
+    at = parse_disturbance("beams:horizon")
+    within = around[np.abs(np.degrees(np.arcsin(around[:, 2] / ranges_m(around)))) <= 12.5]
+    front = within[np.abs(azimuth_deg(within)) <= 81.7 / 2]
+    vlp_16 = Recording(sensor_named("vlp-16"), HEIGHT_M)
+    assert len(at.apply(within, vlp_16, np.random.default_rng(0))) == len(front)
+    fewer = at.apply(within, hap, np.random.default_rng(0))
+    assert len(fewer) == pytest.approx(len(front) * 11.7 / 15.07, rel=0.05)
+
+
 def test_skew_moves_returns_behind_by_half_a_scan_and_none_ahead():
     points = np.array([[20.0, 0.0, 0.0], [-20.0, 1e-9, 0.0], [-20.0, -1e-9, 0.0]])
     left = disturbed("skew:15", points)

@@ -5,10 +5,11 @@ import math
 import numpy as np
 import pytest
 
-from core.arrays import FloatArray
+from core.arrays import Float32Array, FloatArray
 from core.errors import InvalidParameters, InvalidPose, TooFewReturns
+from core.scans.beams import HDL_64E_BEAMS_DEG
 from core.scans.pose import Pose
-from core.scans.sensor import HDL_64E_BEAMS_DEG
+from core.scans.sensor import SENSORS, sensor_named
 from core.simulation.raycast import SimulatedSensor, cast
 from core.simulation.world import Boxes, Cylinders, Scene
 
@@ -232,8 +233,42 @@ def test_a_tilted_or_buried_sensor_is_rejected(pose):
         ("max_range_m", 0.0),
         ("ground_range_m", math.nan),
         ("dropout", 1.0),
+        ("fov_deg", 361.0),
     ],
 )
 def test_an_invalid_sensor_is_rejected_by_name(name, value):
     with pytest.raises(InvalidParameters, match=name):
         SimulatedSensor(**{name: value})
+
+
+def angles_deg(points_m: Float32Array) -> tuple[FloatArray, FloatArray]:
+    x, y, z = points_m.astype(np.float64).T
+    return np.degrees(np.arctan2(y, x)), np.degrees(np.arctan2(z, np.hypot(x, y)))
+
+
+@pytest.mark.parametrize("name", sorted(SENSORS))
+def test_a_sensor_of_the_catalogue_has_its_rays_and_its_field_of_view(name):
+    sensor = sensor_named(name)
+    simulated = SimulatedSensor.of(sensor)
+    walls = Scene(Boxes([[0.0, y, 0.0, 60.0, 1.0, 0.0, 90.0] for y in (-9.5, 9.5)]
+                        + [[x, 0.0, 0.0, 1.0, 60.0, 0.0, 90.0] for x in (-9.5, 9.5)]))  # fmt: skip
+    points = cast(walls, POSE, simulated, np.random.default_rng(0)).points_m
+    assert len(points) == pytest.approx(0.97 * sensor.rays_per_scan, rel=0.02)
+    azimuth, elevation = angles_deg(points)
+    assert np.abs(azimuth).max() == pytest.approx(sensor.fov_deg / 2.0, abs=0.6)
+    limits = sensor.beams_deg[[0, -1]]
+    np.testing.assert_allclose([elevation.min(), elevation.max()], limits, atol=1.1)
+
+
+def test_a_pattern_that_does_not_repeat_has_other_elevations_in_each_scan():
+    wall = Scene(Boxes([[9.5, 0.0, 0.0, 1.0, 60.0, 0.0, 90.0]]))
+    lines = []
+    for name in ("avia", "hdl-64e"):
+        scans = [
+            cast(wall, POSE, SimulatedSensor.of(sensor_named(name)), np.random.default_rng(seed))
+            for seed in (0, 1)
+        ]
+        first, second = (set(angles_deg(scan.points_m)[1].round(3).tolist()) for scan in scans)
+        lines.append(len(first & second) / len(first))
+    assert lines[0] < 0.1
+    assert lines[1] > 0.9

@@ -1,0 +1,69 @@
+"""Some scans of a drive, as a drive."""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from core.arrays import BoolArray, FloatArray, IntArray
+from core.scans.drive import Drive
+from core.scans.pose import Pose
+from core.scans.scan import Scan
+
+
+@dataclass(frozen=True, eq=False)
+class SelectedScans:
+    """Some scans of a drive, as a drive.
+
+    Attributes:
+        drive: The drive.
+        scans: `(n,)` their positions in it, rising.
+        planar: Whether heights are dropped: z is 0 in all poses.
+    """
+
+    drive: Drive
+    scans: IntArray
+    planar: bool = False
+
+    @property
+    def name(self) -> str:
+        """The drive's name."""
+        return self.drive.name
+
+    @property
+    def timestamp_s(self) -> FloatArray:
+        """`(n,)` seconds, NaN where unknown."""
+        return np.asarray(self.drive.timestamp_s[self.scans])
+
+    @cached_property
+    def poses(self) -> FloatArray:
+        """`(n, 7)` pose rows."""
+        rows = np.array(self.drive.poses[self.scans])
+        if self.planar:
+            rows[:, 2] = 0.0
+        return rows
+
+    def __len__(self) -> int:
+        return len(self.scans)
+
+    def scan(self, index: int) -> Scan:
+        """Read scan `index`, 0-based.
+
+        Raises:
+            InvalidScan: If the recorded scan cannot be used.
+        """
+        scan = self.drive.scan(int(self.scans[index]))
+        return replace(scan, pose=Pose.from_row(self.poses[index])) if self.planar else scan
+
+    def only(self, which: BoolArray | IntArray) -> "SelectedScans":
+        """Return some of these scans."""
+        return SelectedScans(self.drive, self.scans[which], self.planar)
+
+    def apart(self, metres: float) -> "SelectedScans":
+        """Return the first scan and then each that is so far from the last one returned."""
+        positions = self.poses[:, :3]
+        kept: list[int] = []
+        for scan, position in enumerate(positions):
+            if not kept or np.linalg.norm(position - positions[kept[-1]]) >= metres:
+                kept.append(scan)
+        return self.only(np.array(kept, dtype=np.int64))

@@ -1,0 +1,30 @@
+"""Text files of numbers, a row a line; an error names the file and the line."""
+
+from pathlib import Path
+
+import numpy as np
+
+from core.arrays import FloatArray
+from storage.formats.errors import MalformedDrive
+
+
+def lines_of(file: Path) -> list[str]:
+    """Return the lines of a text file, without blank ones at its end."""
+    return file.read_text(encoding="utf-8", errors="replace").rstrip().splitlines()
+
+
+def line_numbers(file: Path, number: int, line: str, columns: int) -> FloatArray:
+    """Return the numbers of one line, separated by blanks, `(columns,)`.
+
+    Raises:
+        MalformedDrive: If they are more, fewer or no numbers.
+    """
+    words = line.split()
+    if len(words) != columns:
+        raise MalformedDrive(
+            f"{file.name}, line {number}: {len(words)} values, wanted {columns}: {line[:80]!r}"
+        )
+    try:
+        return np.array([float(word) for word in words])
+    except ValueError as error:
+        raise MalformedDrive(f"{file.name}, line {number}: {error}") from error
