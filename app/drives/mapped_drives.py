@@ -1,14 +1,16 @@
 """Stored drives and scans as maps are built of them: accumulated, and in the vehicle's frame."""
 
 import hashlib
+from functools import cache, partial
 
 import numpy as np
 
+from core.scans.accumulation import accumulated_scan
 from core.scans.drive import Drive
-from core.scans.mounting import vehicle_drive, vehicle_scan
+from core.scans.mounting import vehicle_drive
 from core.scans.scan import Scan
 from storage.errors import ScanNotFound
-from storage.store import StoredDrive
+from storage.store import Store, StoredDrive
 
 
 def mapped_drive(drive: StoredDrive, sensor_height_m: float) -> Drive:
@@ -16,19 +18,44 @@ def mapped_drive(drive: StoredDrive, sensor_height_m: float) -> Drive:
     return vehicle_drive(drive, drive.mounting, sensor_height_m, drive.accumulate)
 
 
-def mapped_scan(drive: StoredDrive, index: int, sensor_height_m: float) -> Scan:
-    """Return the scan of an index likewise, with those stored before it that become one.
+class MappedScans:
+    """Single scans of a map's drives, likewise; each drive is looked up once.
 
-    Raises:
-        ScanNotFound: If the drive has no such scan, or was deleted.
-        ReturnsGone: If the returns of one were dropped after a build.
-        CorruptFile: If a stored scan is not the one that was put.
-        InvalidScan: If they cannot become one.
+    Args:
+        store: Of the drives.
+        map_slug: The map.
+        sensor_height_m: Of its images.
     """
-    position = int(np.searchsorted(drive.scan_index, index))
-    if position == len(drive) or drive.scan_index[position] != index:
-        raise ScanNotFound(f"drive {drive.name!r} has no scan {index}")
-    return vehicle_scan(drive, position, drive.mounting, sensor_height_m, drive.accumulate)
+
+    def __init__(self, store: Store, map_slug: str, sensor_height_m: float) -> None:
+        self._get = cache(partial(store.drives.get, map_slug))
+        self._open = cache(partial(store.drives.open, map_slug))  # reads the facts of all its scans
+        self._read = partial(store.drives.read_scan, map_slug)
+        self._sensor_height_m = sensor_height_m
+
+    def scan(self, drive_slug: str, index: int) -> Scan:
+        """Read a scan, and those stored before it that become one with it.
+
+        Raises:
+            MapNotFound: If there is no such map.
+            DriveNotFound: If it has no such drive.
+            ScanNotFound: If the drive has no such scan.
+            ReturnsGone: If the returns of one were dropped after a build.
+            CorruptFile: If a stored scan is not the one that was put.
+            InvalidScan: If they cannot become one.
+        """
+        record = self._get(drive_slug)
+        if record.accumulate == 1:
+            scan = self._read(drive_slug, index)
+        else:
+            drive = self._open(drive_slug)
+            position = int(np.searchsorted(drive.scan_index, index))
+            if position == len(drive) or drive.scan_index[position] != index:
+                raise ScanNotFound(f"drive {drive_slug!r} has no scan {index}")
+            scan = accumulated_scan(drive, position, record.accumulate)
+        return (
+            scan if record.mounting is None else record.mounting.mount(scan, self._sensor_height_m)
+        )
 
 
 def mapped_digest(drive: StoredDrive, sensor_height_m: float) -> str:

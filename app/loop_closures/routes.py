@@ -1,10 +1,7 @@
 """Checks of proposed loop closures."""
 
-from collections.abc import Callable
-from functools import cache, partial
-
 from app.access.scopes import Scope, needs
-from app.drives.mapped_drives import mapped_scan
+from app.drives.mapped_drives import MappedScans
 from app.http.bodies.bodies import Json
 from app.http.client import require_client
 from app.http.errors import JSON_BODY, READING
@@ -21,7 +18,6 @@ from app.service import MapSlug, Running, Service
 from core.errors import InvalidScan, InvalidSignature, StaleSignature, UnknownSegment
 from core.loop_closure.closure import LoopClosure, check_scans, check_signatures
 from storage import errors as stored
-from storage.store import StoredDrive
 
 router = pooled_router(tags=["loop closures"])
 
@@ -58,11 +54,11 @@ def check_loop_closures(
     height_m = body.sensor_height_m
     if height_m is None and any(isinstance(p.second, StoredScanIn) for p in body.proposals):
         height_m = running.revisions.live(map_slug).localizer.map.parameters.sensor_height_m
-    opened = cache(partial(running.store.drives.open, map_slug))
+    stored_scans = MappedScans(running.store, map_slug, height_m or 0.0)
     closures = []
     for proposal in body.proposals:
         require_client()
-        found = _check(running, map_slug, proposal, height_m or 0.0, opened)
+        found = _check(running, map_slug, proposal, height_m or 0.0, stored_scans)
         closures.append(LoopClosureOut.from_core(found, body.accept_from))
     return LoopClosuresOut(closures=closures)
 
@@ -72,12 +68,12 @@ def _check(
     map_slug: str,
     proposal: ProposalIn,
     sensor_height_m: float,
-    opened: Callable[[str], StoredDrive],
+    stored_scans: MappedScans,
 ) -> LoopClosure:
     drive, index = proposal.first.drive, proposal.first.scan_index
     if isinstance(second := proposal.second, StoredScanIn):
-        first_scan = mapped_scan(opened(drive), index, sensor_height_m)
-        second_scan = mapped_scan(opened(second.drive), second.scan_index, sensor_height_m)
+        first_scan = stored_scans.scan(drive, index)
+        second_scan = stored_scans.scan(second.drive, second.scan_index)
         return check_scans(first_scan, second_scan, sensor_height_m)
     signatures = second.to_core()
     localizer = running.revisions.of_signature(map_slug, second.named).localizer

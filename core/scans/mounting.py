@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from core.arrays import FloatArray, IntArray, frozen
 from core.errors import InvalidParameters
-from core.scans.accumulation import AccumulatedDrive, accumulated_scan
+from core.scans.accumulation import AccumulatedDrive
 from core.scans.drive import Drive, scan_index_of
 from core.scans.pose import Pose, is_known, pose_rows
 from core.scans.scan import Scan
@@ -187,15 +187,3 @@ def vehicle_drive(
     if accumulate != 1:
         drive = AccumulatedDrive(drive, accumulate)
     return drive if mounting is None else MountedDrive(drive, mounting, above_ground_m)
-
-
-def vehicle_scan(
-    drive: Drive, position: int, mounting: Mounting | None, above_ground_m: float, accumulate: int
-) -> Scan:
-    """Return one scan of a recorded drive likewise, with those before it that become one.
-
-    Raises:
-        InvalidScan: If one of them cannot be used.
-    """
-    scan = accumulated_scan(drive, position, accumulate)
-    return scan if mounting is None else mounting.mount(scan, above_ground_m)

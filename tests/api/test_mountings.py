@@ -6,6 +6,7 @@ import pytest
 from app.drives.mapped_drives import mapped_digest
 from core import MapParameters, build_map
 from core.loop_closure.closure import check_scans
+from core.scans.accumulation import accumulated_scan
 from core.scans.mounting import Mounting, vehicle_drive
 from core.scans.scan import Scan
 from tests.support.campus import MAP, build, keep, localize
@@ -311,6 +312,24 @@ def test_stored_scans_are_compared_as_the_vehicle_sees_them(client):
     assert found["overlap"] == pytest.approx(expected.overlap)
     assert found["forward_m"] == pytest.approx(1.5, abs=0.5)  # the vehicle's step, ahead
     assert found["lateral_m"] == pytest.approx(0.0, abs=0.5)
+
+
+def test_accumulated_scans_are_compared_with_those_before_them(empty):
+    upload(empty, "askew", recorded(scans=14, sparse=True))
+    empty.put(f"{DRIVES}/askew", json={"mounting": SENT, "accumulate": 6})
+    drive = mounted_recording(scans=14, sparse=True)
+    first, second = (ASKEW.mount(accumulated_scan(drive, i, 6), 1.73) for i in (10, 11))
+    expected = check_scans(first, second, 1.73)
+
+    def check(index):
+        stored = [{"drive": "askew", "scan_index": i} for i in (10, index)]
+        body = {"proposals": [{"first": stored[0], "second": stored[1]}], "sensor_height_m": 1.73}
+        return empty.post(f"{MAP}/loop-closures", json=body)
+
+    [found] = check(11).json()["closures"]
+    assert found["overlap"] == pytest.approx(expected.overlap)
+    assert found["image_similarity"] == pytest.approx(expected.image_similarity)
+    assert problem_of(check(14)) == (404, "scan-not-found")
 
 
 def test_a_change_is_in_the_audit_log(empty):

@@ -5,7 +5,7 @@ import pytest
 
 from core.errors import InvalidParameters
 from core.scans.drive import IndexedDrive
-from core.scans.mounting import MountedDrive, Mounting, vehicle_drive, vehicle_scan
+from core.scans.mounting import MountedDrive, Mounting, vehicle_drive
 from core.scans.pose import Pose
 from core.scans.scan import Scan
 from tests.support.samples import sample_drive, sample_points, straight_poses
@@ -98,10 +98,8 @@ def test_a_mounted_drive_has_the_scans_and_poses_of_the_vehicle():
     np.testing.assert_array_equal(scan.points_m, ROOF.mount(drive.scan(2), 1.73).points_m)
     assert scan.pose is not None
     np.testing.assert_allclose(scan.pose.as_tuple(), mounted.poses[2])
-    np.testing.assert_array_equal(vehicle_scan(drive, 2, ROOF, 1.73, 1).points_m, scan.points_m)
 
 
 def test_a_drive_without_a_mounting_is_itself():
     drive = sample_drive(3)
     assert vehicle_drive(drive, None, 1.73) is drive
-    assert vehicle_scan(drive, 1, None, 1.73, 1) is drive.scan(1)
