@@ -22,7 +22,11 @@ import zstandard
 from app.drives.many_scans import member_scan as read_member
 from app.drives.pose_files import CSV, KITTI, MOST_LINES, TUM, read_poses
 from app.http.bodies.content_encoding import decoder_of
+from app.localization.scan_queries import TAR, read_query
+from app.localization.sensor_schemas import SensorIn
+from app.settings import Settings
 from core.errors import TensorMapError
+from core.scans.accumulation import MOST_SCANS
 from storage.formats.scans.registry import FORMAT_NAMES, read_scan
 from tests.support.captures import hdl32, ouster, ouster_metadata, udp
 from tests.support.recording import tar, tar_members
@@ -151,6 +155,20 @@ def _kitti(size: int) -> bytes:
     return struct.pack("<4f", 10, 1, 1, 0) * min(size // 16, 2**22)
 
 
+def _query(size: int) -> bytes:
+    """Return as many scans as become one, together with as many returns as may be."""
+    scan = _kitti(size // MOST_SCANS - 4096)
+    lines = b"".join(b"%d,0,0,0,0,0,0,1\n" % index for index in range(MOST_SCANS))
+    return tar(
+        [*((f"{index}.bin", scan) for index in range(MOST_SCANS)), ("poses.csv", _TABLE + lines)]
+    )
+
+
+def _query_read(body: bytes) -> object:
+    sensor = SensorIn(mounting="1,0,2,1,2,3", format="kitti")
+    return read_query(body, TAR, sensor, Settings(), 1.73)
+
+
 def _npy(size: int) -> bytes:
     file = io.BytesIO()
     np.save(file, np.full((3, min(size // 24, 2**22)), 7.0).T)
@@ -171,6 +189,7 @@ def _archive(files: int, content: bytes, size: int, suffix: str = "bin") -> byte
 SINGLE: dict[str, tuple[Read, Make]] = {
     "kitti: all returns": (_scan("kitti"), _kitti),
     "kitti: more than may be": (_scan("kitti"), bytes),
+    "several scans of one query": (_query_read, lambda _: _query(SENT)),
     "nclt: all returns": (_scan("nclt"), lambda size: bytes(min(size, 8 * 2**22))),
     "nuscenes: all returns": (_scan("nuscenes"), lambda size: bytes(min(size // 20, 2**22) * 20)),
     "npy: doubles in columns": (_scan("npy"), _npy),
