@@ -1,0 +1,257 @@
+"""The ground below a sensor, and scans rotated level above it.
+
+Both are specified to the operation, so that a client in C or JavaScript gives the same bytes:
+docs/reference/signature.md. All arithmetic is float64 on the float32 coordinates, each operation
+rounded by itself (no fused multiply-add); sums are added one by one, in the order of the cells.
+
+1. **Lowest returns.** The square of 48 m around the sensor has 24 x 24 cells of 2 m: a return is
+   in cell (floor(x / 2), floor(y / 2)). The four cells at the sensor are the vehicle's own; cells
+   whose middle is 24 m away or more are left out. Each cell gives its lowest return; of equally
+   low ones that with the smallest x, then the smallest y. Cells are ordered by x, then by y.
+2. **Consensus.** Candidates are the slopes (i / 50, j / 50), i * i + j * j <= 100, ordered by
+   i * i + j * j, then i, then j, each with windows of three bins of 0.05 m. The plausible depths
+   of the ground below a sensor of height h are from max(0.4 h, h - 1.5) to min(2.2 h, h + 1.5).
+   A cell's bin is floor((z - (i / 50 * x + j / 50 * y) + deepest) * 20), from 0 to ceil((deepest -
+   shallowest) * 20) - 1. A window scores 4 for each cell in it, -6 for each cell in the ten bins
+   below it (nothing is below the ground) and -(i * i + j * j). The highest score wins, of equal
+   ones the first candidate and its lowest window; its plane is in the window's middle.
+3. **Least squares.** Four times: the cells at most 0.3, 0.2, 0.15 and 0.15 m above or below the
+   plane give the next plane. 50 square metres are added to the diagonal of the normal equations of
+   the slopes: with little support the plane stays near to level.
+4. **Support.** There is no plane where any of these fails: 20 cells agree; along their narrow side
+   they spread by 2 m (standard deviation); the depth is plausible; the slope is at most 0.22; of
+   all cells a share of 0.15 agrees, and more where the depth is not the height that was given: a
+   share of 0.15 + c * (off - 0.05), off = |depth - h| / h above 0.05, c = 1.5 where the plane is
+   higher and 0.3 where it is deeper: banks and cars are above the ground, nothing is below it.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from core.arrays import BoolArray, Float32Array, FloatArray, IntArray
+from core.numbers import require_above
+from core.scans.scan import Scan
+
+_CELL_M = 2.0
+_HALF = 12  # cells from the sensor to the edge
+_SIDE = 2 * _HALF + 2  # with one cell more on each side, for what is farther away
+_SLOPES, _SLOPES_PER_UNIT = 10, 50.0
+_BINS_PER_M, _WINDOW, _BELOW = 20.0, 3, 10
+_IN, _UNDER = 4, 6
+_TOLERANCES_M = (0.3, 0.2, 0.15, 0.15)
+_RIDGE_M2 = 50.0
+_LEAST_CELLS, _LEAST_SPREAD_M, _STEEPEST = 20, 2.0, 0.22
+_LEAST_SHARE, _SHARE_IF_HIGHER, _SHARE_IF_DEEPER, _SURE_OF_HEIGHT = 0.15, 1.5, 0.3, 0.05
+_BLOCK = 8192  # returns; as many as a projection takes at once
+
+
+@dataclass(frozen=True)
+class GroundPlane:
+    """The ground in the sensor's frame, z = slope_x * x + slope_y * y + offset_m."""
+
+    slope_x: float
+    slope_y: float
+    offset_m: float
+
+    @property
+    def normal(self) -> tuple[float, float, float]:
+        """Upwards, of length 1."""
+        length = math.sqrt(1.0 + self.slope_x * self.slope_x + self.slope_y * self.slope_y)
+        return -self.slope_x / length, -self.slope_y / length, 1.0 / length
+
+    @property
+    def depth_m(self) -> float:
+        """How far the plane is below the sensor."""
+        return -self.offset_m * self.normal[2]
+
+
+def level(scan: Scan, sensor_height_m: float) -> Scan:
+    """Return a scan as a level sensor of that height would see it.
+
+    The smallest rotation that brings the ground's normal to +z, and then a move up or down that
+    brings the ground to -`sensor_height_m`. A return that becomes zero or infinite is dropped. The
+    pose stays that of the recording.
+
+    Args:
+        scan: The returns, sensor at the origin.
+        sensor_height_m: The sensor's height above ground, about.
+
+    Returns:
+        The levelled scan; `scan` itself where no ground is found.
+
+    Raises:
+        InvalidParameters: If `sensor_height_m` is not above 0.
+
+    Examples:
+        >>> x, y = np.mgrid[-20.0:21.0, -20.0:21.0].reshape(2, -1)
+        >>> tilted = Scan(np.stack([x, y, 0.05 * x - 2.0], axis=1))
+        >>> levelled = level(tilted, sensor_height_m=1.8)
+        >>> float(np.abs(levelled.points_m[:, 2] + 1.8).max()) < 0.01
+        True
+    """
+    plane = ground_plane(scan.points_m, sensor_height_m)
+    if plane is None:
+        return scan
+    levelled_m = _levelled(scan.points_m, plane, sensor_height_m)
+    levelled = Scan.from_returns(
+        levelled_m, min_returns=0, timestamp_s=scan.timestamp_s, pose=scan.pose
+    )
+    if not levelled.dropped_returns and not scan.dropped_returns:
+        return levelled
+    return Scan(
+        levelled.points_m,
+        scan.timestamp_s,
+        scan.pose,
+        scan.dropped_returns + levelled.dropped_returns,
+    )
+
+
+def ground_plane(points_m: Float32Array, sensor_height_m: float) -> GroundPlane | None:
+    """Return the ground around a sensor, `None` where too little of it is seen.
+
+    Args:
+        points_m: `(n, 3)`, finite, sensor at the origin; their order does not matter.
+        sensor_height_m: The sensor's height above ground, about.
+
+    Raises:
+        InvalidParameters: If `sensor_height_m` is not above 0.
+    """
+    require_above(0, sensor_height_m=sensor_height_m)
+    cells = _lowest_returns(points_m)
+    if cells.shape[1] < _LEAST_CELLS:
+        return None
+    plane = _consensus(cells, sensor_height_m)
+    spread_m = 0.0
+    for tolerance_m in _TOLERANCES_M:
+        agrees = _agreeing(cells, plane, tolerance_m)
+        if np.count_nonzero(agrees) < _LEAST_CELLS:
+            return None
+        plane, spread_m = _least_squares(*cells[:, agrees])
+    share = np.count_nonzero(agrees) / cells.shape[1]
+    off = (plane.depth_m - sensor_height_m) / sensor_height_m
+    by_depth = _SHARE_IF_DEEPER if off > 0.0 else _SHARE_IF_HIGHER
+    shallowest_m, deepest_m = _plausible_m(sensor_height_m)
+    supported = (
+        spread_m >= _LEAST_SPREAD_M
+        and shallowest_m <= plane.depth_m <= deepest_m
+        and plane.slope_x * plane.slope_x + plane.slope_y * plane.slope_y <= _STEEPEST * _STEEPEST
+        and share >= _LEAST_SHARE + by_depth * max(0.0, abs(off) - _SURE_OF_HEIGHT)
+    )
+    return plane if supported else None
+
+
+def _lowest_returns(points_m: Float32Array) -> FloatArray:
+    """Return the lowest return of each cell, `(3, c)`."""
+    x, y, z = points_m.T
+    cell = _steps(x) * _SIDE + _steps(y)
+    lowest_m = np.full(_SIDE * _SIDE, np.inf, dtype=np.float32)
+    np.minimum.at(lowest_m, cell, z)
+    lowest_m[~_USED] = np.nan  # equal to nothing
+    at = np.flatnonzero(z == lowest_m[cell])
+    cell, found = cell[at], points_m[at].T.astype(np.float64)
+    order = np.lexsort((found[1], found[0], cell))
+    cell, found = cell[order], found[:, order]
+    return found[:, np.flatnonzero(np.diff(cell, prepend=-1))]
+
+
+def _steps(metres: Float32Array) -> IntArray:
+    """Return the row or column of cells that a coordinate is in, from 0 to `_SIDE` - 1."""
+    whole_m: IntArray = np.clip(np.floor(metres), -2 * _HALF - 1, 2 * _HALF).astype(np.int64)
+    return (whole_m >> 1) + (_HALF + 1)
+
+
+def _used() -> BoolArray:
+    """Return which cells are neither the vehicle's own nor too far away, flat."""
+    middle_m = (np.arange(_SIDE) - _HALF - 0.5) * _CELL_M
+    x, y = np.meshgrid(middle_m, middle_m, indexing="ij")
+    reach_m = _HALF * _CELL_M
+    own = (np.abs(x) < _CELL_M) & (np.abs(y) < _CELL_M)
+    return np.asarray((~own & (x * x + y * y < reach_m * reach_m)).ravel())
+
+
+def _candidates() -> IntArray:
+    """Return the slopes, `(3, s)`: i, j and i * i + j * j."""
+    i, j = np.mgrid[-_SLOPES : _SLOPES + 1, -_SLOPES : _SLOPES + 1].reshape(2, -1)
+    steep = i * i + j * j
+    order = np.argsort(steep, kind="stable")
+    return np.asarray(np.stack([i, j, steep])[:, order[steep[order] <= _SLOPES * _SLOPES]])
+
+
+_USED = _used()
+_CANDIDATES = _candidates()
+
+
+def _plausible_m(sensor_height_m: float) -> tuple[float, float]:
+    return (
+        max(0.4 * sensor_height_m, sensor_height_m - 1.5),
+        min(2.2 * sensor_height_m, sensor_height_m + 1.5),
+    )
+
+
+def _consensus(cells: FloatArray, sensor_height_m: float) -> GroundPlane:
+    """Return the candidate with the highest score."""
+    x, y, z = cells
+    i, j, steep = _CANDIDATES
+    shallowest_m, deepest_m = _plausible_m(sensor_height_m)
+    bins = max(math.ceil((deepest_m - shallowest_m) * _BINS_PER_M), _WINDOW)
+    slope_x, slope_y = i / _SLOPES_PER_UNIT, j / _SLOPES_PER_UNIT
+    off_m = z - (slope_x[:, None] * x + slope_y[:, None] * y)
+    at = np.floor((off_m + deepest_m) * _BINS_PER_M)
+    width = bins + 2  # one bin more on each side, for what is in none
+    at = np.clip(at, -1, bins).astype(np.int64) + (np.arange(len(i)) * width + 1)[:, None]
+    counts = np.bincount(at.ravel(), minlength=len(i) * width).reshape(-1, width)
+    counts[:, 0] = 0
+    up_to = np.zeros((len(i), _BELOW + width), dtype=np.int64)
+    up_to[:, _BELOW:] = np.cumsum(counts, axis=1)
+    windows = bins - _WINDOW + 1
+    below, through = up_to[:, _BELOW : _BELOW + windows], up_to[:, _BELOW + _WINDOW :][:, :windows]
+    score = _IN * (through - below) - _UNDER * (below - up_to[:, :windows]) - steep[:, None]
+    best, window = divmod(int(np.argmax(score)), windows)
+    middle_m = (window + _WINDOW / 2.0) / _BINS_PER_M - deepest_m
+    return GroundPlane(float(slope_x[best]), float(slope_y[best]), middle_m)
+
+
+def _agreeing(cells: FloatArray, plane: GroundPlane, tolerance_m: float) -> BoolArray:
+    x, y, z = cells
+    off_m = z - (plane.slope_x * x + plane.slope_y * y + plane.offset_m)
+    return np.asarray(np.abs(off_m) <= tolerance_m)
+
+
+def _least_squares(x: FloatArray, y: FloatArray, z: FloatArray) -> tuple[GroundPlane, float]:
+    """Return the plane through some cells, and the smaller of their standard deviations."""
+    count = len(x)
+    middle_x, middle_y, middle_z = _sum(x) / count, _sum(y) / count, _sum(z) / count
+    x, y, z = x - middle_x, y - middle_y, z - middle_z
+    xx, xy, yy, xz, yz = _sum(x * x), _sum(x * y), _sum(y * y), _sum(x * z), _sum(y * z)
+    half, apart = (xx + yy) / 2.0, (xx - yy) / 2.0
+    narrow = half - math.sqrt(apart * apart + xy * xy)
+    xx, yy = xx + _RIDGE_M2, yy + _RIDGE_M2
+    determinant = xx * yy - xy * xy
+    slope_x = (yy * xz - xy * yz) / determinant
+    slope_y = (xx * yz - xy * xz) / determinant
+    offset_m = middle_z - (slope_x * middle_x + slope_y * middle_y)
+    return GroundPlane(slope_x, slope_y, offset_m), math.sqrt(max(narrow, 0.0) / count)
+
+
+def _sum(values: FloatArray) -> float:
+    """Return the sum, added one by one: `np.sum` adds in an order of its own."""
+    return float(np.add.accumulate(values)[-1])
+
+
+def _levelled(points_m: Float32Array, plane: GroundPlane, sensor_height_m: float) -> Float32Array:
+    """Return `(n, 3)` returns above a level plane, infinite where beyond float32."""
+    nx, ny, nz = plane.normal
+    up_m = plane.depth_m - sensor_height_m
+    across = 1.0 + nz
+    xx, xy, yy = 1.0 - nx * nx / across, -(nx * ny) / across, 1.0 - ny * ny / across
+    levelled = np.empty_like(points_m, order="C")
+    for start in range(0, len(points_m), _BLOCK):
+        x, y, z = points_m[start : start + _BLOCK].T.astype(np.float64, order="C")
+        out = levelled[start : start + _BLOCK]
+        with np.errstate(over="ignore"):
+            out[:, 0] = xx * x + xy * y - nx * z
+            out[:, 1] = xy * x + yy * y - ny * z
+            out[:, 2] = nx * x + ny * y + nz * z + up_m
+    return levelled
