@@ -21,7 +21,7 @@ rounded by itself (no fused multiply-add); sums are added one by one, in the ord
 4. **Support.** There is no plane where any of these fails: 20 cells agree; along their narrow side
    they spread by 2 m (standard deviation); the depth is plausible; the slope is at most 0.22; of
    all cells a share of 0.15 agrees, and more where the depth is not the height that was given: a
-   share of 0.15 + c * (off - 0.05), off = |depth - h| / h above 0.05, c = 1.5 where the plane is
+   share of 0.15 + c * (off - 0.05), off = |depth - h| / h above 0.05, c = 2.5 where the plane is
    higher and 0.3 where it is deeper: banks and cars are above the ground, nothing is below it.
 """
 
@@ -43,7 +43,7 @@ _IN, _UNDER = 4, 6
 _TOLERANCES_M = (0.3, 0.2, 0.15, 0.15)
 _RIDGE_M2 = 50.0
 _LEAST_CELLS, _LEAST_SPREAD_M, _STEEPEST = 20, 2.0, 0.22
-_LEAST_SHARE, _SHARE_IF_HIGHER, _SHARE_IF_DEEPER, _SURE_OF_HEIGHT = 0.15, 1.5, 0.3, 0.05
+_LEAST_SHARE, _SHARE_IF_HIGHER, _SHARE_IF_DEEPER, _SURE_OF_HEIGHT = 0.15, 2.5, 0.3, 0.05
 _BLOCK = 8192  # returns; as many as a projection takes at once
 
 
