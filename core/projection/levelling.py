@@ -18,15 +18,17 @@ rounded by itself (no fused multiply-add); sums are added one by one, in the ord
 3. **Least squares.** Four times: the cells at most 0.3, 0.2, 0.15 and 0.15 m above or below the
    plane give the next plane. 50 square metres are added to the diagonal of the normal equations of
    the slopes: with little support the plane stays near to level.
-4. **Support.** There is no plane where any of these fails: 20 cells agree; along their narrow side
-   they spread by 2 m (standard deviation); the depth is plausible; the slope is at most 0.22; of
-   all cells a share of 0.15 agrees, and more where the depth is not the height that was given: a
-   share of 0.15 + c * (off - 0.05), off = |depth - h| / h above 0.05, c = 2.5 where the plane is
-   higher and 0.3 where it is deeper: banks and cars are above the ground, nothing is below it.
+4. **Support.** The cells at most 0.15 m from the last plane support it. There is no plane where one
+   of these fails: 20 cells; their spread along their narrow side, the root of the smaller
+   eigenvalue of the covariance of x and y, is 2 m; the depth is plausible; the slope is at most
+   0.22; they are a share of all cells of 0.15 + 1.5 * max(0, (h - depth) / h - 0.05) +
+   10 * max(0, roughness - 0.05) + under. The roughness is the root of the mean of their squared
+   distances in metres; under is the share of all cells that are deeper than 0.15 m below the
+   plane. Banks, hedges and cars are rougher than ground, and above it; nothing is below it.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -43,7 +45,9 @@ _IN, _UNDER = 4, 6
 _TOLERANCES_M = (0.3, 0.2, 0.15, 0.15)
 _RIDGE_M2 = 50.0
 _LEAST_CELLS, _LEAST_SPREAD_M, _STEEPEST = 20, 2.0, 0.22
-_LEAST_SHARE, _SHARE_IF_HIGHER, _SHARE_IF_DEEPER, _SURE_OF_HEIGHT = 0.15, 2.5, 0.3, 0.05
+_LEAST_SHARE = 0.15
+_SHARE_BY_HIGHER, _SURE_OF_HEIGHT = 1.5, 0.05
+_SHARE_BY_ROUGH, _SMOOTH_M = 10.0, 0.05
 _BLOCK = 8192  # returns; as many as a projection takes at once
 
 
@@ -94,18 +98,14 @@ def level(scan: Scan, sensor_height_m: float) -> Scan:
     plane = ground_plane(scan.points_m, sensor_height_m)
     if plane is None:
         return scan
-    levelled_m = _levelled(scan.points_m, plane, sensor_height_m)
     levelled = Scan.from_returns(
-        levelled_m, min_returns=0, timestamp_s=scan.timestamp_s, pose=scan.pose
+        _levelled(scan.points_m, plane, sensor_height_m),
+        min_returns=0,
+        timestamp_s=scan.timestamp_s,
+        pose=scan.pose,
     )
-    if not levelled.dropped_returns and not scan.dropped_returns:
-        return levelled
-    return Scan(
-        levelled.points_m,
-        scan.timestamp_s,
-        scan.pose,
-        scan.dropped_returns + levelled.dropped_returns,
-    )
+    dropped = scan.dropped_returns + levelled.dropped_returns
+    return replace(levelled, dropped_returns=dropped) if scan.dropped_returns else levelled
 
 
 def ground_plane(points_m: Float32Array, sensor_height_m: float) -> GroundPlane | None:
@@ -123,23 +123,36 @@ def ground_plane(points_m: Float32Array, sensor_height_m: float) -> GroundPlane 
     if cells.shape[1] < _LEAST_CELLS:
         return None
     plane = _consensus(cells, sensor_height_m)
-    spread_m = 0.0
     for tolerance_m in _TOLERANCES_M:
-        agrees = _agreeing(cells, plane, tolerance_m)
-        if np.count_nonzero(agrees) < _LEAST_CELLS:
+        agree = np.abs(_above_m(plane, cells)) <= tolerance_m
+        if np.count_nonzero(agree) < _LEAST_CELLS:
             return None
-        plane, spread_m = _least_squares(*cells[:, agrees])
-    share = np.count_nonzero(agrees) / cells.shape[1]
-    off = (plane.depth_m - sensor_height_m) / sensor_height_m
-    by_depth = _SHARE_IF_DEEPER if off > 0.0 else _SHARE_IF_HIGHER
+        plane = _least_squares(*cells[:, agree])
+    return plane if _is_supported(plane, cells, sensor_height_m) else None
+
+
+def _is_supported(plane: GroundPlane, cells: FloatArray, sensor_height_m: float) -> bool:
+    """Return whether enough of the ground is seen to trust a plane."""
+    above_m = _above_m(plane, cells)
+    agree = np.abs(above_m) <= _TOLERANCES_M[-1]
+    count = np.count_nonzero(agree)
     shallowest_m, deepest_m = _plausible_m(sensor_height_m)
-    supported = (
-        spread_m >= _LEAST_SPREAD_M
-        and shallowest_m <= plane.depth_m <= deepest_m
-        and plane.slope_x * plane.slope_x + plane.slope_y * plane.slope_y <= _STEEPEST * _STEEPEST
-        and share >= _LEAST_SHARE + by_depth * max(0.0, abs(off) - _SURE_OF_HEIGHT)
+    if (
+        count < _LEAST_CELLS
+        or not shallowest_m <= plane.depth_m <= deepest_m
+        or plane.slope_x * plane.slope_x + plane.slope_y * plane.slope_y > _STEEPEST * _STEEPEST
+        or _narrow_side_m(*cells[:2, agree]) < _LEAST_SPREAD_M
+    ):
+        return False
+    higher = (sensor_height_m - plane.depth_m) / sensor_height_m
+    rough_m = math.sqrt(_sum(above_m[agree] * above_m[agree]) / count)
+    least_share = (
+        _LEAST_SHARE
+        + _SHARE_BY_HIGHER * max(0.0, higher - _SURE_OF_HEIGHT)
+        + _SHARE_BY_ROUGH * max(0.0, rough_m - _SMOOTH_M)
+        + np.count_nonzero(above_m < -_TOLERANCES_M[-1]) / len(above_m)
     )
-    return plane if supported else None
+    return bool(count / len(above_m) >= least_share)
 
 
 def _lowest_returns(points_m: Float32Array) -> FloatArray:
@@ -213,26 +226,32 @@ def _consensus(cells: FloatArray, sensor_height_m: float) -> GroundPlane:
     return GroundPlane(float(slope_x[best]), float(slope_y[best]), middle_m)
 
 
-def _agreeing(cells: FloatArray, plane: GroundPlane, tolerance_m: float) -> BoolArray:
+def _above_m(plane: GroundPlane, cells: FloatArray) -> FloatArray:
+    """Return how far each cell's return is above a plane, vertically."""
     x, y, z = cells
-    off_m = z - (plane.slope_x * x + plane.slope_y * y + plane.offset_m)
-    return np.asarray(np.abs(off_m) <= tolerance_m)
+    return np.asarray(z - (plane.slope_x * x + plane.slope_y * y + plane.offset_m))
 
 
-def _least_squares(x: FloatArray, y: FloatArray, z: FloatArray) -> tuple[GroundPlane, float]:
-    """Return the plane through some cells, and the smaller of their standard deviations."""
+def _least_squares(x: FloatArray, y: FloatArray, z: FloatArray) -> GroundPlane:
+    """Return the plane through some cells, a little nearer to level."""
     count = len(x)
     middle_x, middle_y, middle_z = _sum(x) / count, _sum(y) / count, _sum(z) / count
     x, y, z = x - middle_x, y - middle_y, z - middle_z
-    xx, xy, yy, xz, yz = _sum(x * x), _sum(x * y), _sum(y * y), _sum(x * z), _sum(y * z)
-    half, apart = (xx + yy) / 2.0, (xx - yy) / 2.0
-    narrow = half - math.sqrt(apart * apart + xy * xy)
-    xx, yy = xx + _RIDGE_M2, yy + _RIDGE_M2
+    xx, xy, yy = _sum(x * x) + _RIDGE_M2, _sum(x * y), _sum(y * y) + _RIDGE_M2
+    xz, yz = _sum(x * z), _sum(y * z)
     determinant = xx * yy - xy * xy
     slope_x = (yy * xz - xy * yz) / determinant
     slope_y = (xx * yz - xy * xz) / determinant
-    offset_m = middle_z - (slope_x * middle_x + slope_y * middle_y)
-    return GroundPlane(slope_x, slope_y, offset_m), math.sqrt(max(narrow, 0.0) / count)
+    return GroundPlane(slope_x, slope_y, middle_z - (slope_x * middle_x + slope_y * middle_y))
+
+
+def _narrow_side_m(x: FloatArray, y: FloatArray) -> float:
+    """Return the standard deviation of places along the direction in which it is least."""
+    count = len(x)
+    x, y = x - _sum(x) / count, y - _sum(y) / count
+    xx, xy, yy = _sum(x * x), _sum(x * y), _sum(y * y)
+    half, apart = (xx + yy) / 2.0, (xx - yy) / 2.0
+    return math.sqrt(max(half - math.sqrt(apart * apart + xy * xy), 0.0) / count)
 
 
 def _sum(values: FloatArray) -> float:
