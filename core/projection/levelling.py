@@ -1,74 +1,23 @@
-"""The ground below a sensor, and scans rotated level above it.
+"""Scans rotated level above the ground, as far as it is seen.
 
-Both are specified to the operation, so that a client in C or JavaScript gives the same bytes:
-docs/reference/signature.md. All arithmetic is float64 on the float32 coordinates, each operation
-rounded by itself (no fused multiply-add); sums are added one by one, in the order of the cells.
+With a plane of the normal n = (nx, ny, nz), depth below the sensor and c = 1 + nz, a return becomes
 
-1. **Lowest returns.** The square of 48 m around the sensor has 24 x 24 cells of 2 m: a return is
-   in cell (floor(x / 2), floor(y / 2)). The four cells at the sensor are the vehicle's own; cells
-   whose middle is 24 m away or more are left out. Each cell gives its lowest return; of equally
-   low ones that with the smallest x, then the smallest y. Cells are ordered by x, then by y.
-2. **Consensus.** Candidates are the slopes (i / 50, j / 50), i * i + j * j <= 100, ordered by
-   i * i + j * j, then i, then j, each with windows of three bins of 0.05 m. The plausible depths
-   of the ground below a sensor of height h are from max(0.4 h, h - 1.5) to min(2.2 h, h + 1.5).
-   A cell's bin is floor((z - (i / 50 * x + j / 50 * y) + deepest) * 20), from 0 to ceil((deepest -
-   shallowest) * 20) - 1. A window scores 4 for each cell in it, -6 for each cell in the ten bins
-   below it (nothing is below the ground) and -(i * i + j * j). The highest score wins, of equal
-   ones the first candidate and its lowest window; its plane is in the window's middle.
-3. **Least squares.** Four times: the cells at most 0.3, 0.2, 0.15 and 0.15 m above or below the
-   plane give the next plane. 50 square metres are added to the diagonal of the normal equations of
-   the slopes: with little support the plane stays near to level.
-4. **Support.** The cells at most 0.15 m from the last plane support it. There is no plane where one
-   of these fails: 20 cells; their spread along their narrow side, the root of the smaller
-   eigenvalue of the covariance of x and y, is 2 m; the depth is plausible; the slope is at most
-   0.22; they are a share of all cells of 0.15 + 1.5 * max(0, (h - depth) / h - 0.05) +
-   10 * max(0, roughness - 0.05) + under. The roughness is the root of the mean of their squared
-   distances in metres; under is the share of all cells that are deeper than 0.15 m below the
-   plane. Banks, hedges and cars are rougher than ground, and above it; nothing is below it.
+    x' = (1 - nx * nx / c) * x + (-(nx * ny) / c) * y - nx * z
+    y' = (-(nx * ny) / c) * x + (1 - ny * ny / c) * y - ny * z
+    z' = nx * x + ny * y + nz * z + (depth - height)
+
+in float64, from left to right, each operation rounded by itself, and is then rounded to float32.
 """
 
-import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
-from core.arrays import BoolArray, Float32Array, FloatArray, IntArray
-from core.numbers import require_above
+from core.arrays import Float32Array
+from core.projection.ground import GroundPlane, blocks, ground_plane
 from core.scans.scan import Scan
 
-_CELL_M = 2.0
-_HALF = 12  # cells from the sensor to the edge
-_SIDE = 2 * _HALF + 2  # with one cell more on each side, for what is farther away
-_SLOPES, _SLOPES_PER_UNIT = 10, 50.0
-_BINS_PER_M, _WINDOW, _BELOW = 20.0, 3, 10
-_IN, _UNDER = 4, 6
-_TOLERANCES_M = (0.3, 0.2, 0.15, 0.15)
-_RIDGE_M2 = 50.0
-_LEAST_CELLS, _LEAST_SPREAD_M, _STEEPEST = 20, 2.0, 0.22
-_LEAST_SHARE = 0.15
-_SHARE_BY_HIGHER, _SURE_OF_HEIGHT = 1.5, 0.05
-_SHARE_BY_ROUGH, _SMOOTH_M = 10.0, 0.05
-_BLOCK = 8192  # returns; as many as a projection takes at once
-
-
-@dataclass(frozen=True)
-class GroundPlane:
-    """The ground in the sensor's frame, z = slope_x * x + slope_y * y + offset_m."""
-
-    slope_x: float
-    slope_y: float
-    offset_m: float
-
-    @property
-    def normal(self) -> tuple[float, float, float]:
-        """Upwards, of length 1."""
-        length = math.sqrt(1.0 + self.slope_x * self.slope_x + self.slope_y * self.slope_y)
-        return -self.slope_x / length, -self.slope_y / length, 1.0 / length
-
-    @property
-    def depth_m(self) -> float:
-        """How far the plane is below the sensor."""
-        return -self.offset_m * self.normal[2]
+__all__ = ["GroundPlane", "ground_plane", "level"]
 
 
 def level(scan: Scan, sensor_height_m: float) -> Scan:
@@ -108,157 +57,6 @@ def level(scan: Scan, sensor_height_m: float) -> Scan:
     return replace(levelled, dropped_returns=dropped) if scan.dropped_returns else levelled
 
 
-def ground_plane(points_m: Float32Array, sensor_height_m: float) -> GroundPlane | None:
-    """Return the ground around a sensor, `None` where too little of it is seen.
-
-    Args:
-        points_m: `(n, 3)`, finite, sensor at the origin; their order does not matter.
-        sensor_height_m: The sensor's height above ground, about.
-
-    Raises:
-        InvalidParameters: If `sensor_height_m` is not above 0.
-    """
-    require_above(0, sensor_height_m=sensor_height_m)
-    cells = _lowest_returns(points_m)
-    if cells.shape[1] < _LEAST_CELLS:
-        return None
-    plane = _consensus(cells, sensor_height_m)
-    for tolerance_m in _TOLERANCES_M:
-        agree = np.abs(_above_m(plane, cells)) <= tolerance_m
-        if np.count_nonzero(agree) < _LEAST_CELLS:
-            return None
-        plane = _least_squares(*cells[:, agree])
-    return plane if _is_supported(plane, cells, sensor_height_m) else None
-
-
-def _is_supported(plane: GroundPlane, cells: FloatArray, sensor_height_m: float) -> bool:
-    """Return whether enough of the ground is seen to trust a plane."""
-    above_m = _above_m(plane, cells)
-    agree = np.abs(above_m) <= _TOLERANCES_M[-1]
-    count = np.count_nonzero(agree)
-    shallowest_m, deepest_m = _plausible_m(sensor_height_m)
-    if (
-        count < _LEAST_CELLS
-        or not shallowest_m <= plane.depth_m <= deepest_m
-        or plane.slope_x * plane.slope_x + plane.slope_y * plane.slope_y > _STEEPEST * _STEEPEST
-        or _narrow_side_m(*cells[:2, agree]) < _LEAST_SPREAD_M
-    ):
-        return False
-    higher = (sensor_height_m - plane.depth_m) / sensor_height_m
-    rough_m = math.sqrt(_sum(above_m[agree] * above_m[agree]) / count)
-    least_share = (
-        _LEAST_SHARE
-        + _SHARE_BY_HIGHER * max(0.0, higher - _SURE_OF_HEIGHT)
-        + _SHARE_BY_ROUGH * max(0.0, rough_m - _SMOOTH_M)
-        + np.count_nonzero(above_m < -_TOLERANCES_M[-1]) / len(above_m)
-    )
-    return bool(count / len(above_m) >= least_share)
-
-
-def _lowest_returns(points_m: Float32Array) -> FloatArray:
-    """Return the lowest return of each cell, `(3, c)`."""
-    x, y, z = points_m.T
-    cell = _steps(x) * _SIDE + _steps(y)
-    lowest_m = np.full(_SIDE * _SIDE, np.inf, dtype=np.float32)
-    np.minimum.at(lowest_m, cell, z)
-    lowest_m[~_USED] = np.nan  # equal to nothing
-    at = np.flatnonzero(z == lowest_m[cell])
-    cell, found = cell[at], points_m[at].T.astype(np.float64)
-    order = np.lexsort((found[1], found[0], cell))
-    cell, found = cell[order], found[:, order]
-    return found[:, np.flatnonzero(np.diff(cell, prepend=-1))]
-
-
-def _steps(metres: Float32Array) -> IntArray:
-    """Return the row or column of cells that a coordinate is in, from 0 to `_SIDE` - 1."""
-    whole_m: IntArray = np.clip(np.floor(metres), -2 * _HALF - 1, 2 * _HALF).astype(np.int64)
-    return (whole_m >> 1) + (_HALF + 1)
-
-
-def _used() -> BoolArray:
-    """Return which cells are neither the vehicle's own nor too far away, flat."""
-    middle_m = (np.arange(_SIDE) - _HALF - 0.5) * _CELL_M
-    x, y = np.meshgrid(middle_m, middle_m, indexing="ij")
-    reach_m = _HALF * _CELL_M
-    own = (np.abs(x) < _CELL_M) & (np.abs(y) < _CELL_M)
-    return np.asarray((~own & (x * x + y * y < reach_m * reach_m)).ravel())
-
-
-def _candidates() -> IntArray:
-    """Return the slopes, `(3, s)`: i, j and i * i + j * j."""
-    i, j = np.mgrid[-_SLOPES : _SLOPES + 1, -_SLOPES : _SLOPES + 1].reshape(2, -1)
-    steep = i * i + j * j
-    order = np.argsort(steep, kind="stable")
-    return np.asarray(np.stack([i, j, steep])[:, order[steep[order] <= _SLOPES * _SLOPES]])
-
-
-_USED = _used()
-_CANDIDATES = _candidates()
-
-
-def _plausible_m(sensor_height_m: float) -> tuple[float, float]:
-    return (
-        max(0.4 * sensor_height_m, sensor_height_m - 1.5),
-        min(2.2 * sensor_height_m, sensor_height_m + 1.5),
-    )
-
-
-def _consensus(cells: FloatArray, sensor_height_m: float) -> GroundPlane:
-    """Return the candidate with the highest score."""
-    x, y, z = cells
-    i, j, steep = _CANDIDATES
-    shallowest_m, deepest_m = _plausible_m(sensor_height_m)
-    bins = max(math.ceil((deepest_m - shallowest_m) * _BINS_PER_M), _WINDOW)
-    slope_x, slope_y = i / _SLOPES_PER_UNIT, j / _SLOPES_PER_UNIT
-    off_m = z - (slope_x[:, None] * x + slope_y[:, None] * y)
-    at = np.floor((off_m + deepest_m) * _BINS_PER_M)
-    width = bins + 2  # one bin more on each side, for what is in none
-    at = np.clip(at, -1, bins).astype(np.int64) + (np.arange(len(i)) * width + 1)[:, None]
-    counts = np.bincount(at.ravel(), minlength=len(i) * width).reshape(-1, width)
-    counts[:, 0] = 0
-    up_to = np.zeros((len(i), _BELOW + width), dtype=np.int64)
-    up_to[:, _BELOW:] = np.cumsum(counts, axis=1)
-    windows = bins - _WINDOW + 1
-    below, through = up_to[:, _BELOW : _BELOW + windows], up_to[:, _BELOW + _WINDOW :][:, :windows]
-    score = _IN * (through - below) - _UNDER * (below - up_to[:, :windows]) - steep[:, None]
-    best, window = divmod(int(np.argmax(score)), windows)
-    middle_m = (window + _WINDOW / 2.0) / _BINS_PER_M - deepest_m
-    return GroundPlane(float(slope_x[best]), float(slope_y[best]), middle_m)
-
-
-def _above_m(plane: GroundPlane, cells: FloatArray) -> FloatArray:
-    """Return how far each cell's return is above a plane, vertically."""
-    x, y, z = cells
-    return np.asarray(z - (plane.slope_x * x + plane.slope_y * y + plane.offset_m))
-
-
-def _least_squares(x: FloatArray, y: FloatArray, z: FloatArray) -> GroundPlane:
-    """Return the plane through some cells, a little nearer to level."""
-    count = len(x)
-    middle_x, middle_y, middle_z = _sum(x) / count, _sum(y) / count, _sum(z) / count
-    x, y, z = x - middle_x, y - middle_y, z - middle_z
-    xx, xy, yy = _sum(x * x) + _RIDGE_M2, _sum(x * y), _sum(y * y) + _RIDGE_M2
-    xz, yz = _sum(x * z), _sum(y * z)
-    determinant = xx * yy - xy * xy
-    slope_x = (yy * xz - xy * yz) / determinant
-    slope_y = (xx * yz - xy * xz) / determinant
-    return GroundPlane(slope_x, slope_y, middle_z - (slope_x * middle_x + slope_y * middle_y))
-
-
-def _narrow_side_m(x: FloatArray, y: FloatArray) -> float:
-    """Return the standard deviation of places along the direction in which it is least."""
-    count = len(x)
-    x, y = x - _sum(x) / count, y - _sum(y) / count
-    xx, xy, yy = _sum(x * x), _sum(x * y), _sum(y * y)
-    half, apart = (xx + yy) / 2.0, (xx - yy) / 2.0
-    return math.sqrt(max(half - math.sqrt(apart * apart + xy * xy), 0.0) / count)
-
-
-def _sum(values: FloatArray) -> float:
-    """Return the sum, added one by one: `np.sum` adds in an order of its own."""
-    return float(np.add.accumulate(values)[-1])
-
-
 def _levelled(points_m: Float32Array, plane: GroundPlane, sensor_height_m: float) -> Float32Array:
     """Return `(n, 3)` returns above a level plane, infinite where beyond float32."""
     nx, ny, nz = plane.normal
@@ -266,9 +64,9 @@ def _levelled(points_m: Float32Array, plane: GroundPlane, sensor_height_m: float
     across = 1.0 + nz
     xx, xy, yy = 1.0 - nx * nx / across, -(nx * ny) / across, 1.0 - ny * ny / across
     levelled = np.empty_like(points_m, order="C")
-    for start in range(0, len(points_m), _BLOCK):
-        x, y, z = points_m[start : start + _BLOCK].T.astype(np.float64, order="C")
-        out = levelled[start : start + _BLOCK]
+    for block in blocks(points_m):
+        x, y, z = points_m[block].T.astype(np.float64, order="C")
+        out = levelled[block]
         with np.errstate(over="ignore"):
             out[:, 0] = xx * x + xy * y - nx * z
             out[:, 1] = xy * x + yy * y - ny * z
