@@ -28,7 +28,7 @@ def plane_by_loop(points_m, height):
 
 
 def lowest(points_m):
-    cells = {}
+    cells: dict[tuple[int, int], tuple[float, ...]] = {}
     for x, y, z in points_m.tolist():
         i, j = math.floor(x / 2.0), math.floor(y / 2.0)
         if i in (-1, 0) and j in (-1, 0):
