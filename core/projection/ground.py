@@ -8,16 +8,19 @@ rounded by itself (no fused multiply-add); sums are added one by one, in the ord
    in cell (floor(x / 2), floor(y / 2)). The four cells at the sensor are the vehicle's own; cells
    whose middle is 24 m away or more are left out. Each cell gives its lowest return; of equally
    low ones that with the smallest x, then the smallest y. Cells are ordered by x, then by y.
-2. **Consensus.** Candidates are the slopes (i / 50, j / 50), i * i + j * j <= 100, ordered by
-   i * i + j * j, then i, then j, each with windows of three bins of 0.05 m. The plausible depths
+2. **Consensus.** Candidates are the slopes (a, b) = (i / 50, j / 50), i * i + j * j <= 100, ordered
+   by i * i + j * j, then i, then j, each with windows of three bins of 0.05 m. The plausible depths
    of the ground below a sensor of height h are from max(0.4 h, h - 1.5) to min(2.2 h, h + 1.5).
-   A cell's bin is floor((z - (i / 50 * x + j / 50 * y) + deepest) * 20), from 0 to ceil((deepest -
-   shallowest) * 20) - 1. A window scores 4 for each cell in it, -6 for each cell in the ten bins
-   below it (nothing is below the ground) and -(i * i + j * j). The highest score wins, of equal
-   ones the first candidate and its lowest window; its plane is in the window's middle.
-3. **Least squares.** Four times: the cells at most 0.3, 0.2, 0.15 and 0.15 m above or below the
-   plane give the next plane. 50 square metres are added to the diagonal of the normal equations of
-   the slopes: with little support the plane stays near to level.
+   A cell's bin is floor((z - (a * x + b * y) + deepest) * 20), from 0 to ceil((deepest -
+   shallowest) * 20) - 1, at least 2. A window from bin k scores 4 for each cell in it, -6 for each
+   in the ten bins below it (nothing is below the ground) and -(i * i + j * j). The highest score
+   wins, of equal ones the first candidate and its lowest window; the plane is in the window's
+   middle, z = a * x + b * y + ((k + 1.5) / 20 - deepest).
+3. **Least squares.** Four times: the cells with |z - (a * x + b * y + offset)| of at most 0.3, 0.2,
+   0.15 and 0.15 m, 20 or more, give the next plane. With x, y and z minus their means, the sums
+   xx + 50, xy, yy + 50, xz, yz and D = xx * yy - xy * xy it is a = (yy * xz - xy * yz) / D,
+   b = (xx * yz - xy * xz) / D, offset = mean z - (a * mean x + b * mean y). The 50 square metres
+   keep it near to level where it has little support.
 4. **Support.** The cells at most 0.15 m from the last plane support it. There is no plane where one
    of these fails: 20 cells; their spread along their narrow side, the root of the smaller
    eigenvalue of the covariance of x and y, is 2 m; the depth is plausible; the slope is at most

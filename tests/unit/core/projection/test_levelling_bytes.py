@@ -39,7 +39,7 @@ def lowest(points_m):
 
 
 def consensus(cells, shallowest, deepest):
-    bins = math.ceil((deepest - shallowest) * 20.0)
+    bins = max(3, math.ceil((deepest - shallowest) * 20.0))
     slopes = [(i, j) for i in range(-10, 11) for j in range(-10, 11) if i * i + j * j <= 100]
     best = (-math.inf, (0.0, 0.0, 0.0))
     for i, j in sorted(slopes, key=lambda slope: slope[0] ** 2 + slope[1] ** 2):
@@ -136,15 +136,16 @@ def generated(seed, noise_m, share=1.0):
     return (np.round(points_m * 64) / 64).astype(np.float32)
 
 
-@pytest.mark.parametrize("seed", range(10))
-def test_a_scan_is_levelled_as_the_specification_reads_to_the_byte(seed):
+@pytest.mark.parametrize("height_m", [0.05, 0.95, HEIGHT_M, 2.4])
+@pytest.mark.parametrize("seed", range(4))
+def test_a_scan_is_levelled_as_the_specification_reads_to_the_byte(seed, height_m):
     points_m = generated(seed, noise_m=0.1, share=1.0 if seed % 2 else 0.4)
-    expected = plane_by_loop(points_m, HEIGHT_M)
+    points_m[:, 2] *= np.float32(height_m / HEIGHT_M)
+    expected = plane_by_loop(points_m, height_m)
     assert expected is not None
-    plane = ground_plane(points_m, HEIGHT_M)
-    assert plane == GroundPlane(*expected)
-    levelled_m = level(Scan(points_m), HEIGHT_M).points_m
-    assert levelled_m.tobytes() == levelled_by_loop(points_m, expected, HEIGHT_M).tobytes()
+    assert ground_plane(points_m, height_m) == GroundPlane(*expected)
+    levelled_m = level(Scan(points_m), height_m).points_m
+    assert levelled_m.tobytes() == levelled_by_loop(points_m, expected, height_m).tobytes()
 
 
 def test_the_scans_without_ground_are_those_of_the_specification():
