@@ -148,14 +148,68 @@ def test_a_scan_is_levelled_as_the_specification_reads_to_the_byte(seed, height_
     assert levelled_m.tobytes() == levelled_by_loop(points_m, expected, height_m).tobytes()
 
 
-def test_the_scans_without_ground_are_those_of_the_specification():
-    without = set()
+def at_a_limit(kind, height_m, rng):
+    """Return a few returns of a scan that is around one of the limits."""
+    xy = rng.uniform(-22, 22, (160, 2))
+    others, lift_m = rng.random(len(xy)), rng.uniform(0.5, 3.0, len(xy))
+    slope_x, slope_y, depth_m, noise_m = 0.0, 0.0, height_m, 0.02
+    match kind:
+        case "cells":
+            xy, others, lift_m = (values[: rng.integers(18, 26)] for values in (xy, others, lift_m))
+        case "spread":
+            xy[:, 1] *= rng.uniform(0.1, 0.3)
+        case "slope":
+            slope_x, slope_y = rng.uniform(0.19, 0.24), rng.uniform(-0.08, 0.08)
+        case "shallowest":
+            depth_m = max(0.4 * height_m, height_m - 1.5) + rng.uniform(-0.06, 0.06)
+        case "deepest":
+            depth_m = min(2.2 * height_m, height_m + 1.5) + rng.uniform(-0.06, 0.06)
+        case "roughness":
+            noise_m = rng.uniform(0.08, 0.25)
+        case "height":
+            depth_m, noise_m = height_m * rng.uniform(0.75, 0.9), 0.05
+        case "bank":
+            noise_m = rng.uniform(0.02, 0.2)
+    z = slope_x * xy[:, 0] + slope_y * xy[:, 1] - depth_m + rng.normal(0, noise_m, len(xy))
+    match kind:
+        case "share":
+            z += np.where(others < rng.uniform(0.7, 0.95), lift_m, 0.0)
+        case "roughness" | "height":
+            z += np.where(others < rng.uniform(0.3, 0.95), lift_m, 0.0)
+        case "below":
+            z -= np.where(others < rng.uniform(0.1, 0.35), lift_m, 0.0)
+            z += np.where(others > 0.6, lift_m, 0.0)
+        case "bank":
+            z += np.maximum(0.0, xy[:, 1] + rng.uniform(-6, 6)) * rng.uniform(0.1, 0.3)
+    return np.column_stack([xy, z]).astype(np.float32)
+
+
+@pytest.mark.parametrize(
+    ("kind", "height_m"),
+    [
+        ("cells", 4.0),
+        ("spread", 4.0),
+        ("slope", 4.0),
+        ("shallowest", 1.0),
+        ("shallowest", 4.0),
+        ("deepest", 1.0),
+        ("deepest", 4.0),
+        ("roughness", 4.0),
+        ("height", 4.0),
+        ("share", 4.0),
+        ("below", 4.0),
+        ("bank", 4.0),
+    ],
+)
+def test_at_its_limits_a_plane_is_found_where_the_specification_finds_one(kind, height_m):
+    found = set()
     for seed in range(12):
-        points_m = generated(seed, noise_m=0.5, share=0.3)
-        is_missing = plane_by_loop(points_m, HEIGHT_M) is None
-        assert (ground_plane(points_m, HEIGHT_M) is None) == is_missing
-        without.add(is_missing)
-    assert without == {False, True}
+        points_m = at_a_limit(kind, height_m, np.random.default_rng(seed))
+        expected = plane_by_loop(points_m, height_m)
+        plane = ground_plane(points_m, height_m)
+        assert plane == (None if expected is None else GroundPlane(*expected))
+        found.add(plane is not None)
+    assert found == {False, True}
 
 
 def test_one_scan_gives_the_numbers_of_the_reference():
