@@ -50,7 +50,7 @@ def consensus(cells, shallowest, deepest):
             if 0 <= at < bins:
                 counts[at] += 1
         for k in range(bins - 2):
-            score = 4 * sum(counts[k : k + 3]) - 6 * sum(counts[max(0, k - 10) : k])
+            score = 4 * sum(counts[k : k + 3]) - 6 * sum(counts[max(0, k - 10) : max(0, k - 1)])
             if score - i * i - j * j > best[0]:
                 best = (score - i * i - j * j, (a, b, (k + 1.5) / 20.0 - deepest))
     return best[1]
@@ -159,6 +159,7 @@ def at_a_limit(kind, height_m, rng):
         case "spread":
             xy[:, 1] *= rng.uniform(0.1, 0.3)
         case "slope":
+            xy *= 0.5
             slope_x, slope_y = rng.uniform(0.19, 0.24), rng.uniform(-0.08, 0.08)
         case "shallowest":
             depth_m = max(0.4 * height_m, height_m - 1.5) + rng.uniform(-0.06, 0.06)
