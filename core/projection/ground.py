@@ -24,7 +24,7 @@ rounded by itself (no fused multiply-add); sums are added one by one, in the ord
 4. **Support.** The cells at most 0.15 m from the last plane support it. There is no plane where one
    of these fails: 20 cells; their spread along their narrow side, the root of the smaller
    eigenvalue of the covariance of x and y, is 2 m; the depth is plausible; the slope is at most
-   0.22; they are a share of all cells of 0.15 + 1.5 * max(0, (h - depth) / h - 0.05) +
+   0.22; they are a share of all cells of 0.15 + 2.5 * max(0, (h - depth) / h - 0.05) +
    10 * max(0, roughness - 0.05) + under. The roughness is the root of the mean of their squared
    distances in metres; under is the share of all cells that are deeper than 0.15 m below the
    plane. Banks, hedges and cars are rougher than ground, and above it; nothing is below it.
@@ -49,7 +49,7 @@ _TOLERANCES_M = (0.3, 0.2, 0.15, 0.15)
 _RIDGE_M2 = 50.0
 _LEAST_CELLS, _LEAST_SPREAD_M, _STEEPEST = 20, 2.0, 0.22
 _LEAST_SHARE = 0.15
-_SHARE_BY_HIGHER, _SURE_OF_HEIGHT = 1.5, 0.05
+_SHARE_BY_HIGHER, _SURE_OF_HEIGHT = 2.5, 0.05
 _SHARE_BY_ROUGH, _SMOOTH_M = 10.0, 0.05
 
 

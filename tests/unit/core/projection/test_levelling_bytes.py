@@ -101,7 +101,7 @@ def supported(plane, cells, height, shallowest, deepest):
     xy = total(p * q for p, q in zip(x, y, strict=True))
     narrow = (xx + yy) / 2.0 - math.sqrt(((xx - yy) / 2.0) * ((xx - yy) / 2.0) + xy * xy)
     rough = math.sqrt(total(above(plane, cell) * above(plane, cell) for cell in agree) / len(agree))
-    share = 0.15 + 1.5 * max(0.0, (height - depth) / height - 0.05)
+    share = 0.15 + 2.5 * max(0.0, (height - depth) / height - 0.05)
     share = share + 10.0 * max(0.0, rough - 0.05)
     share = share + sum(above(plane, cell) < -0.15 for cell in cells) / len(cells)
     return (
