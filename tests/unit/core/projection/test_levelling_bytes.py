@@ -162,7 +162,7 @@ def at_a_limit(kind, height_m, rng):
             xy *= 0.5
             slope_x, slope_y = rng.uniform(0.19, 0.24), rng.uniform(-0.08, 0.08)
         case "shallowest":
-            depth_m = max(0.4 * height_m, height_m - 1.5) + rng.uniform(-0.06, 0.06)
+            depth_m = height_m - 1.5 + rng.uniform(-0.06, 0.06)
         case "deepest":
             depth_m = min(2.2 * height_m, height_m + 1.5) + rng.uniform(-0.06, 0.06)
         case "roughness":
@@ -191,7 +191,6 @@ def at_a_limit(kind, height_m, rng):
         ("cells", 4.0),
         ("spread", 4.0),
         ("slope", 4.0),
-        ("shallowest", 1.0),
         ("shallowest", 4.0),
         ("deepest", 1.0),
         ("deepest", 4.0),
