@@ -1,0 +1,74 @@
+"""Scans rotated level above the ground, as far as it is seen.
+
+With a plane of the normal n = (nx, ny, nz), depth below the sensor and c = 1 + nz, a return becomes
+
+    x' = (1 - nx * nx / c) * x + (-(nx * ny) / c) * y - nx * z
+    y' = (-(nx * ny) / c) * x + (1 - ny * ny / c) * y - ny * z
+    z' = nx * x + ny * y + nz * z + (depth - height)
+
+in float64, from left to right, each operation rounded by itself, and is then rounded to float32.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from core.arrays import Float32Array
+from core.projection.ground import GroundPlane, blocks, ground_plane
+from core.scans.scan import Scan
+
+__all__ = ["GroundPlane", "ground_plane", "level"]
+
+
+def level(scan: Scan, sensor_height_m: float) -> Scan:
+    """Return a scan as a level sensor of that height would see it.
+
+    The smallest rotation that brings the ground's normal to +z, and then a move up or down that
+    brings the ground to -`sensor_height_m`. A return that becomes zero or infinite is dropped. The
+    pose stays that of the recording.
+
+    Args:
+        scan: The returns, sensor at the origin.
+        sensor_height_m: The sensor's height above ground, about.
+
+    Returns:
+        The levelled scan; `scan` itself where no ground is found.
+
+    Raises:
+        InvalidParameters: If `sensor_height_m` is not above 0.
+
+    Examples:
+        >>> x, y = np.mgrid[-20.0:21.0, -20.0:21.0].reshape(2, -1)
+        >>> tilted = Scan(np.stack([x, y, 0.05 * x - 2.0], axis=1))
+        >>> levelled = level(tilted, sensor_height_m=1.8)
+        >>> float(np.abs(levelled.points_m[:, 2] + 1.8).max()) < 0.01
+        True
+    """
+    plane = ground_plane(scan.points_m, sensor_height_m)
+    if plane is None:
+        return scan
+    levelled = Scan.from_returns(
+        _levelled(scan.points_m, plane, sensor_height_m),
+        min_returns=0,
+        timestamp_s=scan.timestamp_s,
+        pose=scan.pose,
+    )
+    dropped = scan.dropped_returns + levelled.dropped_returns
+    return replace(levelled, dropped_returns=dropped) if scan.dropped_returns else levelled
+
+
+def _levelled(points_m: Float32Array, plane: GroundPlane, sensor_height_m: float) -> Float32Array:
+    """Return `(n, 3)` returns above a level plane, infinite where beyond float32."""
+    nx, ny, nz = plane.normal
+    up_m = plane.depth_m - sensor_height_m
+    across = 1.0 + nz
+    xx, xy, yy = 1.0 - nx * nx / across, -(nx * ny) / across, 1.0 - ny * ny / across
+    levelled = np.empty_like(points_m, order="C")
+    for block in blocks(points_m):
+        x, y, z = points_m[block].T.astype(np.float64, order="C")
+        out = levelled[block]
+        with np.errstate(over="ignore"):
+            out[:, 0] = xx * x + xy * y - nx * z
+            out[:, 1] = xy * x + yy * y - ny * z
+            out[:, 2] = nx * x + ny * y + nz * z + up_m
+    return levelled
