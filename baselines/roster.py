@@ -7,10 +7,11 @@ from baselines.m2dp import M2dp
 from baselines.map_closures import MapClosures, is_installed
 from baselines.scan_context import ScanContext
 from baselines.solid import Solid
-from core.encodings.registry import encoding_names
+from core.encodings.registry import encoding_named, encoding_names
 from core.errors import InvalidParameters
 from core.evaluation.methods import MappedPlaces, Method
 from core.parameters import MapParameters
+from core.projection.imager import Views
 from core.scans.sensor import sensor_named
 
 METHODS = (
@@ -30,9 +31,24 @@ def default_methods() -> tuple[str, ...]:
 
 
 def methods_named(
-    names: Sequence[str], *, sensor: str, sensor_height_m: float, segment_length: int
+    names: Sequence[str],
+    *,
+    sensor: str,
+    sensor_height_m: float,
+    segment_length: int,
+    ranks: tuple[int, int] = (5, 5),
+    views: Views | None = None,
 ) -> tuple[Method, ...]:
     """Return the methods of these names, each with its defaults for this sensor.
+
+    Args:
+        names: Of methods.
+        sensor: That recorded the drives.
+        sensor_height_m: Of it above ground.
+        segment_length: k of our maps.
+        ranks: `(r1, r2)` of our signatures.
+        views: Which ones our maps answer, in encodings that can answer them; their default if
+            `None`.
 
     Raises:
         InvalidParameters: If a name is unknown, the sensor is, or a package is not installed.
@@ -41,7 +57,11 @@ def methods_named(
 
     def mapped(encoding: str) -> Method:
         parameters = MapParameters.for_sensor(
-            sensor, encoding=encoding, sensor_height_m=sensor_height_m
+            sensor,
+            encoding=encoding,
+            ranks=ranks,
+            sensor_height_m=sensor_height_m,
+            views=views if encoding_named(encoding).masks else None,
         )
         return MappedPlaces(parameters, segment_length)
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from core.encodings.distance import Distance
 from core.encodings.registry import DEFAULT_ENCODING, encoding_named
 from core.errors import InvalidMap, InvalidParameters
-from core.projection.imager import Grid, ImageKind, Imager, grid_from_attributes
+from core.projection.imager import Grid, ImageKind, Imager, Views, grid_from_attributes
 from core.projection.reducer import Reducer
 from core.projection.rings import RingGrid
 from core.scans.sensor import HDL_64E, HDL_64E_ON_KITTI_HEIGHT_M, sensor_named
@@ -47,6 +47,7 @@ class MapParameters:
         lateral_renderings_m: From where, metres to the left, the map's scans are also rendered;
             `None` in an encoding without virtual viewpoints.
         segmentation: How drives were cut into segments. Queries do not depend on it.
+        views: Which views the map answers; `any` in an encoding that can mask signatures only.
     """
 
     encoding: str = "paper"
@@ -58,12 +59,14 @@ class MapParameters:
     distance: Distance | None = None
     lateral_renderings_m: tuple[float, ...] | None = None
     segmentation: Segmentation = Segmentation.FIXED
+    views: Views = Views.FULL
 
     def __post_init__(self) -> None:
         # 2 and 2.0 metres are one choice, and must be one digest; a list of ranks is no tuple.
         object.__setattr__(self, "ranks", tuple(map(operator.index, self.ranks)))
         object.__setattr__(self, "reducer", Reducer(self.reducer))
         object.__setattr__(self, "segmentation", Segmentation(self.segmentation))
+        object.__setattr__(self, "views", Views(self.views))
         object.__setattr__(self, "sensor_height_m", float(self.sensor_height_m))
         flaw = flaw_in(self.sensor, _LONGEST_SENSOR)
         if flaw is not None:
@@ -88,7 +91,9 @@ class MapParameters:
     @property
     def imager(self) -> Imager:
         """How scans become images."""
-        return Imager(self.grid, self.reducer, self.sensor_height_m, self.lateral_renderings_m)
+        return Imager(
+            self.grid, self.reducer, self.sensor_height_m, self.lateral_renderings_m, self.views
+        )
 
     @property
     def image(self) -> ImageKind:
@@ -108,6 +113,7 @@ class MapParameters:
         distance: Distance | None = None,
         lateral_renderings_m: Sequence[float] | None = None,
         segmentation: Segmentation = Segmentation.FIXED,
+        views: Views | None = None,
     ) -> "MapParameters":
         """Return parameters for a known sensor; what is not given is the encoding's default.
 
@@ -136,6 +142,7 @@ class MapParameters:
             encoder.distance if distance is None else distance,
             offsets_m,
             segmentation,
+            Views.FULL if views is None else views,
         )
 
     def as_attributes(self) -> dict[str, Any]:
@@ -155,6 +162,8 @@ class MapParameters:
             attributes["lateral_renderings_m"] = list(self.lateral_renderings_m)
         if self.segmentation != Segmentation.FIXED:  # which is what files do not name
             attributes["segmentation"] = self.segmentation.value
+        if self.views != Views.FULL:
+            attributes["views"] = self.views.value
         return attributes
 
     @classmethod
@@ -177,6 +186,7 @@ class MapParameters:
                 distance,
                 None if offsets_m is None else tuple(map(float, offsets_m)),
                 Segmentation(attributes.get("segmentation", Segmentation.FIXED)),
+                Views(attributes.get("views", Views.FULL)),
             )
         except (KeyError, TypeError, ValueError, OverflowError, InvalidParameters) as error:
             raise InvalidMap(f"the map's parameters cannot be read: {error!r}") from error

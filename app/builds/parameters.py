@@ -13,7 +13,7 @@ from core.encodings.distance import Distance
 from core.encodings.registry import DEFAULT_ENCODING
 from core.errors import InvalidParameters
 from core.parameters import MapParameters, Segmentation
-from core.projection.imager import LATERAL_RENDERINGS_M, ImageKind
+from core.projection.imager import LATERAL_RENDERINGS_M, ImageKind, Views
 from core.projection.reducer import Reducer
 from core.scans.sensor import HDL_64E, SENSORS, sensor_named
 from core.segmentation.fixed import PAPER_SEGMENT_LENGTH
@@ -27,6 +27,7 @@ _OF_MAP = (
     "image",
     "distance",
     "lateral_renderings_m",
+    "views",
     "sensor",
     "sensor_height_m",
 )
@@ -127,6 +128,12 @@ class BuildParameters(BaseModel):
         description="From where a harmonic map's scans are rendered, metres to the left, rising;"
         f" {list(LATERAL_RENDERINGS_M)} by default, [0] for none.",
     )
+    views: Views | None = Field(
+        None,
+        description="`any`: scans are levelled, and queries say which sectors are hidden from them;"
+        " `full`: queries are level and see all around. By default as the live revision of the"
+        " same encoding and image, else `full`. `any` wants harmonic maps of heights.",
+    )
     sensor: str = Field(HDL_64E.name, description=f"One of {', '.join(sorted(SENSORS))}.")
     sensor_height_m: Number | None = Field(
         None,
@@ -199,7 +206,9 @@ class BuildParameters(BaseModel):
         Raises:
             InvalidParameters: If one is given that differs from that of the revision.
         """
-        taken = {name: value for name, value in of_base.items() if name in _OF_BASE}
+        # Records of releases that knew full views only do not name them.
+        taken = {"views": Views.FULL.value}
+        taken |= {name: value for name, value in of_base.items() if name in _OF_BASE}
         given = self.model_dump(mode="json", exclude_unset=True, exclude_none=True)
         for name in sorted(given.keys() & _OF_BASE):
             if given[name] != taken.get(name):

@@ -1,14 +1,16 @@
 """Plans of builds: which drives in which order, and whose basis."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from datetime import UTC, datetime, timedelta
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from app.builds.parameters import BuildParameters
 from core.encodings.basis import make_same_signatures
 from core.errors import EmptyDrive, InvalidParameters, UnknownDrive
 from core.parameters import MapParameters
+from core.projection.imager import Views
 from storage.catalog import DriveRecord, RevisionRecord
 from storage.errors import CorruptFile, DriveNotFound, NoLiveRevision
 from storage.files.map_file import read_parameters
@@ -29,6 +31,14 @@ class Plan(BaseModel):
         " revision."
     )
     notes: list[str] = Field(description="Notes on these choices for the client.")
+
+    @field_validator("parameters", mode="before")
+    @classmethod
+    def _of_an_earlier_release(cls, parameters: object) -> object:
+        """Take plans that were stored when full views were the only ones as they were meant."""
+        if isinstance(parameters, Mapping):
+            return {"views": Views.FULL.value, **parameters}
+        return parameters
 
 
 _Based = tuple[RevisionRecord, MapParameters, tuple[str, ...]]
@@ -57,7 +67,8 @@ def plan_build(store: Store, map_id: str, parameters: BuildParameters) -> Plan:
     notes: list[str] = []
     if parameters.base is None:
         base = None
-        of_map = parameters.map_parameters()  # rejects what does not fit, before anything is read
+        parameters = _with_views_of_live(store, map_id, parameters)
+        of_map = parameters.map_parameters()  # rejects what does not fit, before a drive is read
         if not names:
             names, notes = _all_with_scans(store, map_id)
     else:
@@ -86,6 +97,25 @@ def plan_build(store: Store, map_id: str, parameters: BuildParameters) -> Plan:
         parameters=parameters.resolved(),
         notes=[*notes, *parameters.assumptions],
     )
+
+
+def _with_views_of_live(store: Store, map_id: str, parameters: BuildParameters) -> BuildParameters:
+    """Return parameters whose default views are those of the live revision of the same images.
+
+    Its vehicles keep their basis, and drives whose returns were dropped have images of such views.
+    """
+    if parameters.views is not None:
+        return parameters
+    with suppress(CorruptFile):
+        live = _live(store, map_id)
+        wanted = parameters.map_parameters()
+        if live is not None and (live[1].encoding, live[1].image, live[1].distance) == (
+            wanted.encoding,
+            wanted.image,
+            wanted.distance,
+        ):
+            return parameters.model_copy(update={"views": live[1].views})
+    return parameters
 
 
 def unreadable_basis(error: CorruptFile) -> CorruptFile:

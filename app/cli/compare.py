@@ -77,6 +77,8 @@ def compare(
         str | None,
         evaluation.protocol_option(help=f"Some of {','.join(METHODS)}. [all that are installed]"),
     ] = None,
+    ranks_text: options.RanksOption = "5,5",
+    views: options.ViewsOption = None,
     segment_length: options.SegmentLengthOption = None,
     segments: options.SegmentsOption = None,
     sensor: options.SensorOption = HDL_64E.name,
@@ -113,7 +115,12 @@ def compare(
     )
     names = default_methods() if methods is None else tuple(methods.split(","))
     chosen = methods_named(
-        names, sensor=sensor, sensor_height_m=recording.height_m, segment_length=length
+        names,
+        sensor=sensor,
+        sensor_height_m=recording.height_m,
+        segment_length=length,
+        ranks=options.ranks(ranks_text),
+        views=views,
     )
     if preset is not None:
         pairing = preset.pairing

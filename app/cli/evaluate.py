@@ -42,6 +42,7 @@ def evaluate(
     encoding: options.EncodingOption = None,
     ranks_text: options.RanksOption = "5,5",
     segmentation: options.SegmentationOption = Segmentation.FIXED,
+    views: options.ViewsOption = None,
     segment_length: options.SegmentLengthOption = None,
     segments: options.SegmentsOption = None,
     reducer: options.ReducerOption = None,
@@ -87,6 +88,7 @@ def evaluate(
                 None if lateral_renderings is None else options.numbers(lateral_renderings)
             ),
             segmentation=segmentation,
+            views=views,
         ),
         segment_length=segment_length,
         segments=segments,

@@ -12,7 +12,7 @@ from core.encodings.distance import Distance
 from core.encodings.registry import encoding_names
 from core.errors import InvalidParameters
 from core.parameters import Segmentation
-from core.projection.imager import ImageKind
+from core.projection.imager import ImageKind, Views
 from core.projection.reducer import Reducer
 from core.scans.accumulation import MOST_SCANS
 from core.scans.drive import Drive
@@ -80,6 +80,13 @@ ImageOption = Annotated[
 DistanceOption = Annotated[
     Distance | None,
     _build(help="How harmonic signatures are compared. [normalised]"),
+]
+ViewsOption = Annotated[
+    Views | None,
+    _build(
+        help="`any`: scans are levelled, and queries may see a part of their place; `full`: they"
+        " are level and see all around. [full]"
+    ),
 ]
 LateralRenderingsOption = Annotated[
     str | None,

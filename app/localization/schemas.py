@@ -23,6 +23,7 @@ from core.confidence.decision import Refusal
 from core.encodings.registry import encoding_named, encoding_names
 from core.encodings.signature import Signature
 from core.localization.localizer import Localization
+from core.projection.visibility import SECTORS
 
 _OTHER = "other"
 SIGNATURE_TAGS = {"paper", "harmonic", _OTHER}
@@ -54,6 +55,14 @@ class HarmonicSignatureIn(BaseModel):
     values_imag: _Rows = Field(
         description="Imaginary parts, of the same shape; the first column is 0."
     )
+    hidden: list[int] = Field(
+        [],
+        max_length=SECTORS,
+        description="Sectors of 6 degrees that the scan did not see, rising; sector 0 begins where"
+        " the image does. The values are those of the others.",
+    )
+
+    _integers = field_validator("hidden", mode="before")(integers)
 
 
 def _of_registered(item: dict[str, Any]) -> dict[str, Any]:

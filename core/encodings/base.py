@@ -13,9 +13,9 @@ from core.encodings.distance import Distance
 from core.encodings.model import Model
 from core.encodings.signature import Packing, Signature
 from core.encodings.tucker import row_gram
-from core.errors import InvalidMap, InvalidParameters
+from core.errors import InvalidMap, InvalidParameters, InvalidSignature
 from core.progress import Progress
-from core.projection.imager import ImageKind
+from core.projection.imager import ImageKind, Views
 from core.projection.images import ImageSource
 from core.projection.reducer import Reducer
 from core.scans.trajectory import Trajectory
@@ -37,13 +37,14 @@ class Encoding(ABC):
         distance: The default of that parameter, `None` if it has one measure only.
         lateral_renderings_m: The default viewpoints of renderings, `None` without renderings.
         implied_by: Reducers that select this encoding where none is named.
-        dtypes: Of its own arrays in a map file, by name, without `segment_start`.
+        dtypes: Of its own arrays in every map file, by name, without `segment_start`.
         layouts: Names of its layouts of packed signatures.
         packings: How its signatures can be packed, the default first.
         signature_dtype: Of a signature's values.
         per_segment: Whether a signature is made with the bases of one segment.
         shares_basis: Whether all segments share one basis, which other drives' maps can keep.
         fits_to_grams: Whether it is fitted to the detail in each drive's images (`drive_gram`).
+        masks: Whether a signature can say which sectors are hidden from its scan.
         yaw_invariant: Whether a scan matches at any relative yaw of the query.
         sharper: How much sharper the scans of one drive are separated than a calibration's probes,
             which are disturbed in several ways at once. Measured on simulated cities.
@@ -62,6 +63,7 @@ class Encoding(ABC):
     per_segment: ClassVar[bool] = False
     shares_basis: ClassVar[bool] = True
     fits_to_grams: ClassVar[bool] = False
+    masks: ClassVar[bool] = False
     yaw_invariant: ClassVar[bool] = False
     sharper: ClassVar[float] = 1.0
 
@@ -96,6 +98,8 @@ class Encoding(ABC):
             raise InvalidParameters(
                 f"a {self.name} map's grid wraps: relative yaw must not have a seam"
             )
+        if parameters.views != Views.FULL:
+            self.require_any_views(parameters)
         for name in ("distance", "lateral_renderings_m"):
             default, given = getattr(self, name), getattr(parameters, name)
             if default is None and given is not None:
@@ -106,6 +110,23 @@ class Encoding(ABC):
         for rank, size, name in zip(parameters.ranks, most, ("r1", "r2"), strict=True):
             if not 1 <= rank <= size:
                 raise InvalidParameters(f"{name} is {rank}, wanted 1..{size} on this grid")
+
+    def kept_ranks(self, parameters: "MapParameters") -> tuple[int, int]:
+        """Return the shape of a map's signatures: what queries can be compared with."""
+        return parameters.ranks
+
+    def require_shape(self, shape: tuple[int, ...], parameters: "MapParameters") -> None:
+        """Raise `InvalidSignature` unless a query's values may have this shape."""
+        if shape != parameters.ranks:
+            raise InvalidSignature(
+                f"the signature has shape {shape}, this map's have {parameters.ranks}"
+            )
+
+    def require_any_views(self, parameters: "MapParameters") -> None:
+        """Raise `InvalidParameters` unless partial views can be compared in a map of these."""
+        raise InvalidParameters(
+            f"views is {parameters.views}; the {self.name} encoding compares full views only"
+        )
 
     @abstractmethod
     def elements(self, parameters: "MapParameters", segments: int, scans: int) -> int:
@@ -152,7 +173,7 @@ class Encoding(ABC):
         Unequal segments grow while that model explains them. By default the row space, which
         relative yaw does not change.
         """
-        return (row_gram(images),)
+        return (row_gram(np.maximum(images, 0.0)),)
 
     def rank_sweep(
         self,
@@ -183,6 +204,11 @@ class Encoding(ABC):
 
     # --- Files and wire
 
+    def arrays_of(self, attributes: Mapping[str, Any]) -> Mapping[str, str]:
+        """Return the dtype of each own array in the file of a map of these attributes."""
+        del attributes
+        return self.dtypes
+
     @abstractmethod
     def read_model(self, parameters: "MapParameters", arrays: Mapping[str, NDArray[Any]]) -> Model:
         """Return the model of the arrays that `Model.arrays` returned.
@@ -196,8 +222,9 @@ class Encoding(ABC):
         """Raise `InvalidMap` unless the model is of this encoding and these parameters."""
         if model.encoding != self.name:
             raise InvalidMap(f"the model is not of the encoding {self.name}")
-        if model.ranks != parameters.ranks:
-            raise InvalidMap(f"signatures are {model.ranks}, ranks {parameters.ranks}")
+        kept = self.kept_ranks(parameters)
+        if model.ranks != kept:
+            raise InvalidMap(f"signatures are {model.ranks}, by the ranks {kept} are wanted")
         if model.grid_shape != parameters.grid.shape:
             raise InvalidMap(f"bases are for {model.grid_shape}, not for the grid")
 

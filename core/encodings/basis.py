@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from core.arrays import FloatArray, arrays_of
 from core.encodings.signature import Signature
 from core.errors import SensorMismatch
-from core.projection.imager import Image
+from core.projection.imager import Image, Views
 from core.scans.scan import Scan
 
 if TYPE_CHECKING:
@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 _OF_SIGNATURES = ("encoding", "image", "ranks", "reducer", "sensor", "grid", "sensor_height_m")
 """The parameters that a signature depends on; how signatures are compared is none of them."""
 
+_OF_ANY_VIEWS = ("encoding", "image", "reducer", "grid", "views")
+
 _MUCH_WORSE = 1.02
 """Of the error that a refitted basis leaves: docs/decisions/0014-merging-and-basis-identity.md."""
 
@@ -26,7 +28,11 @@ _MUCH_WORSE = 1.02
 def signature_parameters(parameters: "MapParameters") -> dict[str, Any]:
     """Return the parameters that a signature depends on, as plain values."""
     attributes = {**parameters.as_attributes(), "image": parameters.image.value}
-    return {name: attributes[name] for name in _OF_SIGNATURES}
+    if parameters.views == Views.FULL:
+        return {name: attributes[name] for name in _OF_SIGNATURES}
+    # Levelled scans of any sensor at any height are images alike, and harmonics are sent as needed.
+    of_any = {name: attributes[name] for name in _OF_ANY_VIEWS}
+    return {**of_any, "radial_rank": parameters.ranks[0]}
 
 
 def make_same_signatures(one: "MapParameters", other: "MapParameters") -> bool:

@@ -63,7 +63,7 @@ def drive_gram(
         block = images.read(first, min(first + BLOCK_SCANS, end))
         if block.shape[-2:] != (rows, columns):
             raise InvalidImage(f"the images read {block.shape}, the grid is {rows} x {columns}")
-        gram += detail_gram(block.reshape(-1, rows, columns))
+        gram += detail_gram(np.maximum(block, 0.0).reshape(-1, rows, columns))
         progress.advance(len(block))
     return gram
 

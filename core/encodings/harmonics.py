@@ -1,11 +1,16 @@
 """Circular harmonics in azimuth, the columns of a harmonic signature."""
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import scipy.fft
 from numpy.typing import NDArray
 
 from core.arrays import ComplexArray, Float32Array, FloatArray
+from core.projection.imager import Views
+
+if TYPE_CHECKING:
+    from core.parameters import MapParameters
 
 
 def azimuth_factor(columns: int, r2: int) -> ComplexArray:
@@ -36,6 +41,18 @@ def weights(columns: int, r2: int) -> FloatArray:
     return np.where((harmonic == 0) | (2 * harmonic == columns), 1.0, 2.0)
 
 
+ANY_VIEW_HARMONICS = 12
+"""That a map of any views keeps: what a mask mixes into those that are sent."""
+
+
+def kept_harmonics(parameters: "MapParameters") -> int:
+    """Return how many harmonics of each rendering a map keeps, at least those that are sent."""
+    sent = parameters.ranks[1]
+    if parameters.views == Views.FULL:
+        return sent
+    return max(sent, min(ANY_VIEW_HARMONICS, parameters.grid.columns // 2))
+
+
 def harmonic_elements(scans: int, renderings: int, rows: int, ranks: tuple[int, int]) -> int:
     """Return I r1 + D + K D r1 (2 r2 - 1): a complex number is two, the first column real.
 
@@ -54,6 +71,42 @@ def encode(
     factor = azimuth_factor(images.shape[-1], r2)
     radial = u.astype(np.float64).T @ images.astype(np.float64)
     return np.asarray(radial @ factor.real + 1j * (radial @ factor.imag))
+
+
+def two_sided(signatures: ComplexArray) -> ComplexArray:
+    """Return `(..., r2)` harmonics with those of negative numbers before them, `(..., 2 r2 - 1)`.
+
+    Examples:
+        >>> two_sided(np.array([1.0, 2.0 + 3.0j])).tolist()
+        [(2-3j), (1+0j), (2+3j)]
+    """
+    return np.concatenate([signatures[..., :0:-1].conj(), signatures], axis=-1)
+
+
+def as_real(waves: NDArray[np.complexfloating[Any, Any]]) -> Float32Array:
+    """Return the real parts of `(m, n)` waves and the imaginary ones but the first: `(2 m - 1, n)`.
+
+    Examples:
+        >>> as_real(np.array([[1.0 + 0.0j], [2.0 + 3.0j]])).T.tolist()
+        [[1.0, 2.0, 3.0]]
+    """
+    return np.concatenate([waves.real, waves.imag[1:]]).astype(np.float32)
+
+
+def circular_energy(signatures: NDArray[np.complexfloating[Any, Any]]) -> ComplexArray:
+    """Return where on the circle the energy of `(..., r1, r2)` signatures is, `(..., 2 r2 - 1)`.
+
+    As harmonics E_d = sum_k sum_r G_r(k+d) conj(G_rk), from d = 0 on: E_0 is |G|^2.
+
+    Examples:
+        >>> circular_energy(np.array([[3.0 + 0.0j]])).tolist()
+        [(9+0j)]
+    """
+    harmonics = 2 * signatures.shape[-1] - 1
+    samples = 4 * harmonics
+    waves = scipy.fft.irfft(signatures, samples, axis=-1)
+    squared = np.square(waves).sum(axis=-2)
+    return np.asarray(scipy.fft.rfft(squared, axis=-1)[..., :harmonics] * samples)
 
 
 def energy(signatures: NDArray[np.complexfloating[Any, Any]], columns: int) -> FloatArray:

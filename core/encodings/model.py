@@ -199,8 +199,13 @@ class Model(ABC):
         """
 
     @abstractmethod
-    def search_values(self, values: NDArray[Any]) -> Search:
-        """Compare an image that the basis of all segments projected, without checks."""
+    def search_values(self, values: NDArray[Any], hidden: Sequence[int] = ()) -> Search:
+        """Compare an image that the basis of all segments projected, without checks.
+
+        Args:
+            values: As `Basis.project` returns them.
+            hidden: The image's hidden sectors; only in an encoding that masks.
+        """
 
     @abstractmethod
     def own_queries(

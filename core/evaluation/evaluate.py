@@ -68,6 +68,7 @@ class Evaluation(Plain):
         split: How the queries were held out, `None` with a query drive.
         distance: How harmonic signatures are compared, `None` in the paper's encoding.
         lateral_renderings_m: From where the map's scans were rendered, `None` likewise.
+        views: Which views the map answers.
         map_scans: How many scans the map has.
         standing_scans: Queries recorded while stationary, `None` without poses.
         motion_surrogate_median_standing: Median norm of the 6-DOF change of those queries.
@@ -92,6 +93,7 @@ class Evaluation(Plain):
     image: str
     distance: str | None
     lateral_renderings_m: tuple[float, ...] | None
+    views: str
     sensor: str
     sensor_height_m: float
     seed: int
@@ -185,6 +187,7 @@ def evaluate(
         image=parameters.image,
         distance=parameters.distance,
         lateral_renderings_m=parameters.lateral_renderings_m,
+        views=parameters.views,
         sensor=parameters.sensor,
         sensor_height_m=parameters.sensor_height_m,
         seed=protocol.seed,

@@ -48,7 +48,8 @@ def finds_own(
     for query, (row, (images, position)) in enumerate(zip(rows, probes, strict=True)):
         among, near = own_place(tensor_map.trajectory, row)
         if near.any():
-            values = basis.project(image_of(tensor_map, images, position))
-            found = tensor_map.model.search_values(values).nearest(1, among)
+            image = image_of(tensor_map, images, position)
+            search = tensor_map.model.search_values(basis.project(image), image.hidden)
+            found = search.nearest(1, among)
             right[query] = near[found.rows[0]]
     return right

@@ -114,9 +114,8 @@ class Localizer:
             InvalidParameters: As `localize_scan`.
             UnknownSegment: Likewise.
         """
-        cells = int(np.count_nonzero(image.cells))
-        search = self.map.model.search_values(self.basis.project(image))
-        return self._localize(search, k, priors, min_probability, cells)
+        search = self.map.model.search_values(self.basis.project(image), image.hidden)
+        return self._localize(search, k, priors, min_probability, image.occupied_cells)
 
     def localize_signatures(
         self,
@@ -197,10 +196,7 @@ class Localizer:
         if not signatures:
             raise InvalidSignature("no signatures came, wanted at least one")
         for shape in {signature.values.shape for signature in signatures}:
-            if shape != self.map.parameters.ranks:
-                raise InvalidSignature(
-                    f"the signature has shape {shape}, this map's have {self.map.parameters.ranks}"
-                )
+            self.map.parameters.encoder.require_shape(shape, self.map.parameters)
         for named in {signature.revision for signature in signatures}:
             held, segments = self._segments_of(named), self.map.model.segments
             if not held:

@@ -27,6 +27,7 @@ _WHOLE = {
     "edge_scans",
     "edge_of_segment",
     "segment_reversed",
+    "hidden_sectors",
 }
 
 
@@ -167,7 +168,7 @@ class TensorMap:
         """
         try:
             parameters = MapParameters.from_attributes(dict(attributes))
-            dtypes = parameters.encoder.dtypes
+            dtypes = parameters.encoder.arrays_of(attributes)
             a = {name: _numbers(name, arrays[name], dtypes.get(name, "")) for name in arrays}
             tensor_map = cls(
                 parameters,

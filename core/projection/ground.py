@@ -9,13 +9,13 @@ rounded by itself (no fused multiply-add); sums are added one by one, in the ord
    whose middle is 24 m away or more are left out. Each cell gives its lowest return; of equally
    low ones that with the smallest x, then the smallest y. Cells are ordered by x, then by y.
 2. **Consensus.** Candidates are the slopes (a, b) = (i / 50, j / 50), i * i + j * j <= 100, ordered
-   by i * i + j * j, then i, then j, each with windows of three bins of 0.05 m. The plausible depths
+   by i * i + j * j, then i, then j, each with windows of four bins of 0.05 m. The plausible depths
    of the ground below a sensor of height h are from max(0.4 h, h - 1.5) to min(2.2 h, h + 1.5).
    A cell's bin is floor((z - (a * x + b * y) + deepest) * 20), from 0 to ceil((deepest -
-   shallowest) * 20) - 1, at least 2. A window from bin k scores 4 for each cell in it, -6 for each
+   shallowest) * 20) - 1, at least 3. A window from bin k scores 4 for each cell in it, -6 for each
    in the bins k - 10 to k - 2 (nothing is below the ground; slopes between the candidates need a
    bin of play) and -(i * i + j * j). The highest score wins, of equal ones the first candidate and
-   its lowest window; the plane is in its middle, z = a * x + b * y + ((k + 1.5) / 20 - deepest).
+   its lowest window; the plane is in its middle, z = a * x + b * y + ((k + 2) / 20 - deepest).
 3. **Least squares.** Four times: the cells with |z - (a * x + b * y + offset)| of at most 0.3, 0.2,
    0.15 and 0.15 m, 20 or more, give the next plane. With x, y and z minus their means, the sums
    xx + 50, xy, yy + 50, xz, yz and D = xx * yy - xy * xy it is a = (yy * xz - xy * yz) / D,
@@ -43,7 +43,7 @@ _CELL_M = 2.0
 _HALF = 12  # cells from the sensor to the edge
 _SIDE = 2 * _HALF + 2  # with one cell more on each side, for what is farther away
 _SLOPES, _SLOPES_PER_UNIT = 10, 50.0
-_BINS_PER_M, _WINDOW, _GAP, _BELOW = 20.0, 3, 1, 10
+_BINS_PER_M, _WINDOW, _GAP, _BELOW = 20.0, 4, 1, 10
 _IN, _UNDER = 4, 6
 _TOLERANCES_M = (0.3, 0.2, 0.15, 0.15)
 _RIDGE_M2 = 50.0

@@ -3,16 +3,19 @@
 import itertools
 from dataclasses import dataclass
 from enum import StrEnum
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from core.arrays import Float32Array, freeze
-from core.errors import InvalidImage, InvalidParameters
+from core.errors import InvalidImage, InvalidParameters, InvalidScan
 from core.projection.height_image import project_heights
+from core.projection.levelling import level
 from core.projection.range_image import project_scan
 from core.projection.reducer import HEIGHT_REDUCERS, RANGE_REDUCERS, Reducer
 from core.projection.rings import RingGrid
+from core.projection.visibility import HIDDEN, hidden_sectors, hide, visible_sectors
 from core.scans.displacement import seen_from_beside
 from core.scans.scan import Scan
 from core.scans.sensor import AngularGrid
@@ -24,6 +27,15 @@ LATERAL_RENDERINGS_M = (-3.0, -1.5, 0.0, 1.5, 3.0)
 
 _MAX_LATERAL_M = 50.0
 _MAX_RENDERINGS = 64
+
+
+class Views(StrEnum):
+    """Which views of places a map answers (docs/decisions/0030-any-view.md)."""
+
+    FULL = "full"
+    """Level scans that see all around, as those of the map."""
+    ANY = "any"
+    """Tilted ones too, and those from which a part of the place is hidden."""
 
 
 class ImageKind(StrEnum):
@@ -38,7 +50,8 @@ class Image:
     """A scan on a grid: a range image, the paper's matrix S, or a height image.
 
     Attributes:
-        cells: `(I, J)` float32 metres, finite, 0 where nothing is; not all 0.
+        cells: `(I, J)` float32 metres, finite, 0 where nothing is; one is above 0. In every row of
+            a column of a height image that is hidden from the scan they are -1.
         grid: The lattice; an angular one has ranges, one of rings heights.
     """
 
@@ -50,15 +63,33 @@ class Image:
         if shape != self.grid.shape:
             raise InvalidImage(f"the {self.kind} image has shape {shape}, wanted {self.grid.shape}")
         freeze(self, cells=np.float32)
-        if not np.isfinite(self.cells).all() or (self.cells < 0).any():
+        hidden = (self.cells[0] == HIDDEN) & (self.kind == ImageKind.HEIGHT)
+        if not np.isfinite(self.cells).all() or (self.cells[:, ~hidden] < 0).any():
             raise InvalidImage(f"the {self.kind} image has cells that are negative or not finite")
-        if not self.cells.any():
-            raise InvalidImage(f"the {self.kind} image is empty: every cell is 0")
+        if (self.cells[:, hidden] != HIDDEN).any():
+            raise InvalidImage(f"the {self.kind} image has columns that are hidden in some rows")
+        if not (self.cells > 0).any():
+            raise InvalidImage(f"the {self.kind} image is empty: no cell is above 0")
 
     @property
     def kind(self) -> ImageKind:
         """The quantity in the cells."""
         return _kind_on(self.grid)
+
+    @property
+    def seen(self) -> Float32Array:
+        """The cells, 0 in hidden columns."""
+        return np.maximum(self.cells, 0.0)
+
+    @property
+    def occupied_cells(self) -> int:
+        """How many cells have something in them."""
+        return int(np.count_nonzero(self.seen))
+
+    @cached_property
+    def hidden(self) -> tuple[int, ...]:
+        """The sectors that the scan did not see, rising."""
+        return hidden_sectors(self.cells)
 
 
 @dataclass(frozen=True)
@@ -71,12 +102,14 @@ class Imager:
         sensor_height_m: Height of the sensor above ground; only height images depend on it.
         lateral_renderings_m: `D` viewpoints, metres to the left, from which a scan of the map is
             rendered; `None` for the recorded one only.
+        views: Which scans it expects; with `any` they are levelled, and hidden columns marked.
     """
 
     grid: Grid
     reducer: Reducer
     sensor_height_m: float = 0.0
     lateral_renderings_m: tuple[float, ...] | None = None
+    views: Views = Views.FULL
 
     def __post_init__(self) -> None:
         allowed = HEIGHT_REDUCERS if self.kind == ImageKind.HEIGHT else RANGE_REDUCERS
@@ -124,10 +157,7 @@ class Imager:
         Raises:
             InvalidScan: If no return falls inside the grid, or all on the ground.
         """
-        if isinstance(self.grid, AngularGrid):
-            return Image(project_scan(scan, self.grid, self.reducer), self.grid)
-        height_m = self.sensor_height_m if sensor_height_m is None else sensor_height_m
-        return Image(project_heights(scan, self.grid, self.reducer, height_m), self.grid)
+        return self._image(self._levelled(scan, sensor_height_m), sensor_height_m)
 
     def render(self, scan: Scan) -> Float32Array:
         """Return the image or renderings of a scan of the map, of `shape`.
@@ -137,12 +167,31 @@ class Imager:
         """
         if self.lateral_renderings_m is None:
             return self.image(scan).cells
+        levelled = self._levelled(scan, None)
         return np.stack(
             [
-                self.image(_beside(scan, left_m) if left_m else scan).cells
+                self._image(_beside(levelled, left_m) if left_m else levelled, None).cells
                 for left_m in self.lateral_renderings_m
             ]
         )
+
+    def _levelled(self, scan: Scan, sensor_height_m: float | None) -> Scan:
+        return scan if self.views == Views.FULL else level(scan, self._height_m(sensor_height_m))
+
+    def _height_m(self, given_m: float | None) -> float:
+        return self.sensor_height_m if given_m is None else given_m
+
+    def _image(self, levelled: Scan, sensor_height_m: float | None) -> Image:
+        if isinstance(self.grid, AngularGrid):
+            return Image(project_scan(levelled, self.grid, self.reducer), self.grid)
+        height_m = self._height_m(sensor_height_m)
+        cells = project_heights(levelled, self.grid, self.reducer, height_m)
+        if self.views == Views.FULL:
+            return Image(cells, self.grid)
+        cells = hide(cells, visible_sectors(levelled.points_m, self.grid.columns))
+        if not (cells > 0).any():
+            raise InvalidScan(f"none of the {len(levelled)} returns is above ground where it sees")
+        return Image(cells, self.grid)
 
     def as_attributes(self) -> dict[str, Any]:
         """Return the parameters of a rendering, as plain values."""
@@ -154,6 +203,8 @@ class Imager:
             attributes["sensor_height_m"] = self.sensor_height_m
         if self.lateral_renderings_m is not None:
             attributes["lateral_renderings_m"] = list(self.lateral_renderings_m)
+        if self.views != Views.FULL:  # which is what the names of older files do not say
+            attributes["views"] = self.views.value
         return attributes
 
 

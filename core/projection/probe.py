@@ -5,7 +5,8 @@ from scipy.spatial.transform import Rotation
 
 from core.arrays import BoolArray, FloatArray, IntArray
 from core.errors import InvalidScan
-from core.projection.imager import Image, Imager
+from core.projection.imager import Image, Imager, Views
+from core.scans.angles import wrapped_deg
 from core.scans.displacement import seen_from_beside
 from core.scans.scan import Scan
 
@@ -24,6 +25,8 @@ _CARS = 4  # that hide something, at most
 _CAR_AHEAD_M = (3.0, 12.0)  # horizontal distance of its near side
 _CAR_ACROSS_M = (1.8, 4.5)  # from behind, from the side
 _CAR_TOP_M = 1.5  # above the ground
+_PARTIAL = 0.5  # of the probes of a map of any views
+_HIDDEN_DEG = (30.0, 240.0)
 _ALONE_M = 0.5  # how far beside the line, in a map without renderings
 _PAST_M = 0.5  # beyond the outermost rendering
 _TOWARDS = (0.25, 1.0)  # how much of the way to the next scan that is searched
@@ -57,7 +60,8 @@ def probe_scan(scan: Scan, position: int, imager: Imager, displacement: Displace
     """Disturb a scan, always in the same way for the same position.
 
     Up to four cars hide what is behind them, the vehicle is displaced, and returns have noise of
-    up to 0.5 m (5 cm in a map without renderings).
+    up to 0.5 m (5 cm in a map without renderings). In a map of any views half of the probes lose a
+    sector.
 
     Args:
         scan: As recorded.
@@ -76,6 +80,10 @@ def probe_scan(scan: Scan, position: int, imager: Imager, displacement: Displace
     points = seen_from_beside(points, left_m, turn_deg, ahead_m)
     most_m = _ALONE_NOISE_M if imager.lateral_renderings_m is None else _NOISE_M
     points += rng.normal(scale=rng.uniform(0.0, most_m), size=points.shape)
+    if imager.views == Views.ANY and rng.random() < _PARTIAL:
+        azimuth_deg = np.degrees(np.arctan2(points[:, 1], points[:, 0]))
+        off_deg = np.abs(wrapped_deg(azimuth_deg - rng.uniform(-180.0, 180.0)))
+        points = points[off_deg > rng.uniform(*_HIDDEN_DEG) / 2.0]
     return Scan.from_returns(points)
 
 

@@ -16,6 +16,7 @@ from core.encodings.registry import encoding_named, encoding_names
 from core.errors import TensorMapError
 from core.mapping.tensormap import TensorMap
 from core.parameters import MapParameters
+from core.projection.imager import Views
 from storage.errors import CorruptFile
 from storage.files.durable_file import reading_back, write_whole
 from storage.files.json_text import MOST_JSON_BYTES, parse_json
@@ -23,7 +24,8 @@ from storage.hdf5 import BytesSource, ContiguousDataset, Dataset, FileSource, Hd
 from storage.hdf5.writer import hdf5_in_memory
 
 FORMAT = "tensormap"
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
+"""Of maps of any views; others have version 1, which older releases can read."""
 
 _MOST_WORD_BYTES = 256  # of an attribute that is a word or a digest
 _REMEMBERED = 4096  # files whose digest was checked
@@ -57,13 +59,15 @@ def write_map(path: Path, tensor_map: TensorMap, created_at: datetime | None = N
         FileExistsError: If there is a file.
         OSError: If it cannot be written, or is read back as something else.
     """
-    dtypes = {**tensor_map.parameters.encoder.dtypes, **_OF_ALL, **_OF_JOINED}
+    attributes = tensor_map.attributes()
+    parameters = tensor_map.parameters
+    dtypes = {**parameters.encoder.arrays_of(attributes), **_OF_ALL, **_OF_JOINED}
     content = hdf5_in_memory(
         {name: [np.asarray(array, dtypes[name])] for name, array in tensor_map.arrays().items()},
         {
             "format": FORMAT,
-            "format_version": FORMAT_VERSION,
-            "attributes": json.dumps(tensor_map.attributes(), sort_keys=True),
+            "format_version": 1 if parameters.views == Views.FULL else FORMAT_VERSION,
+            "attributes": json.dumps(attributes, sort_keys=True),
             "digest": tensor_map.revision,
             "created_at": (created_at or datetime.now(UTC)).isoformat(),
         },
@@ -205,17 +209,19 @@ def _head(file: Hdf5File) -> tuple[dict[str, Any], str]:
     if "format" not in found or found.text("format", _MOST_WORD_BYTES) != FORMAT:
         raise CorruptFile("it has no attribute format = tensormap")
     version = found.whole("format_version")
-    if version != FORMAT_VERSION:
-        raise CorruptFile(f"its format version is {version}, {FORMAT_VERSION} is read here")
+    if not 1 <= version <= FORMAT_VERSION:
+        raise CorruptFile(f"its format version is {version}, 1 to {FORMAT_VERSION} are read here")
     attributes = parse_json(found.text("attributes", MOST_JSON_BYTES), "its attribute attributes")
     return attributes, found.text("digest", _MOST_WORD_BYTES)
 
 
 def _dtypes(attributes: object) -> dict[str, str]:
-    name = attributes.get("encoding") if isinstance(attributes, dict) else None
+    if not isinstance(attributes, dict):
+        raise CorruptFile(f"its attributes are {attributes!r:.80}, wanted names and values")
+    name = attributes.get("encoding")
     if not isinstance(name, str) or name not in encoding_names():
         raise CorruptFile(f"its encoding is {name!r:.80}, wanted {', '.join(encoding_names())}")
-    return {**encoding_named(name).dtypes, **_OF_ALL}
+    return {**encoding_named(name).arrays_of(attributes), **_OF_ALL}
 
 
 def _plain(dataset: Dataset, dtype: str) -> ContiguousDataset:

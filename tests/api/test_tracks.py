@@ -67,7 +67,11 @@ def as_json(signatures):
     shown = [
         {"segment": s.segment, "values": s.values.tolist()}
         if s.segment is not None
-        else {"values_real": s.values.real.tolist(), "values_imag": s.values.imag.tolist()}
+        else {
+            "values_real": s.values.real.tolist(),
+            "values_imag": s.values.imag.tolist(),
+            "hidden": list(s.hidden),
+        }
         for s in signatures
     ]
     return {"revision": signatures[0].revision, "signatures": shown}

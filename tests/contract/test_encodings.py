@@ -112,7 +112,8 @@ class TestEncodings:
                 assert getattr(parameters_of(name, **{option: value}), option) is not None
 
     def test_its_arrays_are_those_that_a_file_holds(self, name, built):
-        dtypes = {**encoding_named(name).dtypes, "segment_start": "<i8"}
+        own = encoding_named(name).arrays_of(built.attributes())
+        dtypes = {**own, "segment_start": "<i8"}
         arrays = built.model.arrays()
         assert {key: array.dtype.str for key, array in arrays.items()} == dtypes
         assert built.elements == encoding_named(name).elements(
@@ -159,7 +160,8 @@ class TestEncodings:
         assert set(search.nearest(5, among).rows.tolist()) <= set(np.flatnonzero(among).tolist())
         assert np.isinf(search.distances(among)[~among]).all()
         assert len(search.nearest(5, np.zeros(len(built), bool))) == 0
-        by_values = built.model.search_values(basis.project(basis.image(drive.scan(3))))
+        image = basis.image(drive.scan(3))
+        by_values = built.model.search_values(basis.project(image), image.hidden)
         assert by_values.segments == search.segments
         np.testing.assert_array_equal(by_values.distances(), distances)
 

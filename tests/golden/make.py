@@ -4,6 +4,7 @@ A released file is never made again: a new release adds its own.
 """
 
 import sys
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from core.encodings.distance import Distance
 from core.mapping.build import fit_map
 from core.mapping.tensormap import TensorMap
 from core.parameters import MapParameters
+from core.projection.imager import Views
 from core.projection.images import MemoryImages
 from core.projection.reducer import Reducer
 from core.projection.rings import RingGrid
@@ -65,10 +67,30 @@ def golden_harmonic_map() -> TensorMap:
     )
 
 
+def golden_map_of_any_views() -> TensorMap:
+    """Return the same drives in a map of any views; a column of every third scan is hidden."""
+    paper = golden_map()
+    parameters = replace(
+        golden_harmonic_map().parameters,
+        grid=RingGrid(ring_m=10.0, rings=4, azimuth_step_deg=6.0),
+        views=Views.ANY,
+    )
+    heights_m = np.random.default_rng(4).uniform(0.0, 5.0, size=(6, *parameters.imager.shape))
+    heights_m[::3, :, :, 7] = -1.0
+    return fit_map(
+        MemoryImages(heights_m.astype(np.float32), parameters.grid),
+        paper.trajectory,
+        paper.model.segment_start,
+        parameters,
+    )
+
+
 def make(folder: Path) -> None:
     """Write this release's golden files."""
     write_map(folder / "map-v1.h5", golden_map(), datetime(2026, 1, 1, tzinfo=UTC))
     write_map(folder / "harmonic-v1.h5", golden_harmonic_map(), datetime(2026, 1, 1, tzinfo=UTC))
+    any_views = golden_map_of_any_views()
+    write_map(folder / "harmonic-v2.h5", any_views, datetime(2026, 11, 23, tzinfo=UTC))
 
 
 if __name__ == "__main__":

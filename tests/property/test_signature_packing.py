@@ -80,7 +80,7 @@ def test_a_truncated_body_is_rejected(length):
 
 @pytest.mark.parametrize(
     ("byte", "value", "message"),
-    [(0, 5, "layout 5"), (0, 0, "layout 0"), (9, 0, "0 x 5"), (10, 0, "5 x 0")],
+    [(0, 7, "layout 7"), (0, 0, "layout 0"), (9, 0, "0 x 5"), (10, 0, "5 x 0")],
 )
 def test_an_invalid_header_is_rejected(byte, value, message):
     body = bytearray(pack_signatures([sample()]))

@@ -86,7 +86,7 @@ class BlockMeansModel(Model):
             raise InvalidSignature(f"wanted one signature of the {NAME} encoding")
         return self.search_values(signatures[0].values)
 
-    def search_values(self, values):
+    def search_values(self, values, hidden=()):
         apart = np.linalg.norm(self.signatures - values.astype(float), axis=(1, 2))
         rows = np.arange(len(self))
         return DistanceSearch(tuple(range(self.segments)), rows, apart, len(self))

@@ -60,11 +60,11 @@ class HarmonicBasis(Basis):
         )
 
     def project(self, image: Image) -> Complex64Array:
-        """Return U^T S F, `(r1, r2)`."""
+        """Return U^T S F, `(r1, r2)`, S being 0 where it is hidden."""
         self.require_grid(image)
-        values = encode(image.cells, self.radial_basis, self.parameters.ranks[1])
+        values = encode(image.seen, self.radial_basis, self.parameters.ranks[1])
         return values.astype(np.complex64)
 
     def encode(self, image: Image) -> tuple[Signature, ...]:
         """Return the image's one signature, good for all segments."""
-        return (Signature(self.project(image), None, self.digest),)
+        return (Signature(self.project(image), None, self.digest, hidden=image.hidden),)

@@ -3,6 +3,7 @@
 import itertools
 import struct
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
@@ -16,21 +17,31 @@ from core.encodings.distance import Distance
 from core.encodings.grams import detail_gram, drive_gram, fit_radial_basis
 from core.encodings.harmonic.basis import HarmonicBasis
 from core.encodings.harmonic.model import HarmonicModel
-from core.encodings.harmonics import encode, energy, harmonic_elements, weights
+from core.encodings.harmonics import (
+    encode,
+    energy,
+    harmonic_elements,
+    kept_harmonics,
+    weights,
+)
 from core.encodings.model import Model
 from core.encodings.signature import HEADER_BYTES, Packing, Signature
 from core.encodings.tucker import leading_basis
 from core.errors import InvalidMap, InvalidParameters, InvalidSignature
 from core.progress import Progress
-from core.projection.imager import LATERAL_RENDERINGS_M, ImageKind
+from core.projection.imager import LATERAL_RENDERINGS_M, ImageKind, Views
 from core.projection.images import ImageSource
 from core.projection.reducer import Reducer
+from core.projection.visibility import bits_of_hidden, hidden_sectors
 from core.scans.trajectory import Trajectory
 
 if TYPE_CHECKING:
     from core.parameters import MapParameters
 
 _FLOAT16, _INT8 = 3, 4  # layouts
+_MASKED_INT8, _MASKED_FLOAT16 = 5, 6  # with the sectors that are hidden
+_MASK_BYTES = 8
+_HIDDEN = "hidden_sectors"
 _SCALE = struct.Struct("<f")
 _INT8_MAX = 127
 
@@ -44,10 +55,16 @@ class HarmonicEncoding(Encoding):
     distance = Distance.NORMALISED
     lateral_renderings_m = LATERAL_RENDERINGS_M
     dtypes: ClassVar = {"radial_basis": "<f4", "signatures": "<c8", "lateral_offset_m": "<f8"}
-    layouts: ClassVar = {_FLOAT16: "harmonic float16", _INT8: "harmonic int8"}
+    layouts: ClassVar = {
+        _FLOAT16: "harmonic float16",
+        _INT8: "harmonic int8",
+        _MASKED_INT8: "harmonic int8, partly hidden",
+        _MASKED_FLOAT16: "harmonic float16, partly hidden",
+    }
     packings = (Packing.INT8, Packing.FLOAT16)
     signature_dtype = np.dtype(np.complex64)
     fits_to_grams = True
+    masks = True
     yaw_invariant = True
     sharper = 1.4
 
@@ -56,10 +73,32 @@ class HarmonicEncoding(Encoding):
         rows, columns = grid_shape
         return rows, columns // 2 + 1
 
+    def require_any_views(self, parameters: "MapParameters") -> None:
+        """Reject range images, whose heights are not known, and the plain distance."""
+        if parameters.image != ImageKind.HEIGHT or parameters.distance != Distance.NORMALISED:
+            raise InvalidParameters(
+                f"views is {parameters.views}, which wants height images and the normalised"
+                f" distance; they are {parameters.image} and {parameters.distance}"
+            )
+
+    def kept_ranks(self, parameters: "MapParameters") -> tuple[int, int]:
+        """Return r1 and how many harmonics are kept."""
+        return parameters.ranks[0], kept_harmonics(parameters)
+
+    def require_shape(self, shape: tuple[int, ...], parameters: "MapParameters") -> None:
+        """Reject values of another r1 and, unless a map is of any views, of another r2."""
+        r1, kept = self.kept_ranks(parameters)
+        if parameters.views == Views.FULL:
+            super().require_shape(shape, parameters)
+        elif shape[0] != r1 or shape[1] > kept:
+            raise InvalidSignature(
+                f"the signature has shape {shape}, wanted r1 = {r1} and r2 up to {kept}"
+            )
+
     def elements(self, parameters: "MapParameters", segments: int, scans: int) -> int:
-        """Return I r1 + D + K D r1 (2 r2 - 1)."""
-        renderings = len(parameters.lateral_renderings_m or ())
-        return harmonic_elements(scans, renderings, parameters.grid.rows, parameters.ranks)
+        """Return I r1 + D + K D r1 (2 r2 - 1), r2 being how many harmonics are kept."""
+        renderings, rows = len(parameters.lateral_renderings_m or ()), parameters.grid.rows
+        return harmonic_elements(scans, renderings, rows, self.kept_ranks(parameters))
 
     def fit(
         self,
@@ -83,21 +122,28 @@ class HarmonicEncoding(Encoding):
             u = kept.radial_basis
         else:
             u = self._fit_basis(images, trajectory, parameters, progress, grams)
-        columns, (r1, r2) = parameters.grid.columns, parameters.ranks
+        columns, (r1, r2) = parameters.grid.columns, self.kept_ranks(parameters)
         shape = parameters.imager.shape
         signatures = np.empty((len(images), shape[0], r1, r2), np.complex64)
+        hidden = (
+            None if parameters.views == Views.FULL else np.zeros(signatures.shape[:2], np.int64)
+        )
         errors = np.zeros(len(segment_start) - 1)
         for segment, (start, end) in enumerate(itertools.pairwise(segment_start.tolist())):
             covered = whole = 0.0
             for first, block in read_blocks(images, start, end, shape, progress):
-                encoded = encode(block, u, r2)
-                signatures[first : first + len(block)] = encoded
+                seen = np.maximum(block, 0.0)
+                encoded = encode(seen, u, r2)
+                rows = slice(first, first + len(block))
+                signatures[rows] = encoded
+                if hidden is not None:
+                    hidden[rows] = bits_of_hidden(block)
                 covered += float(energy(encoded, columns).sum())
-                whole += float(np.square(block, dtype=np.float64).sum())
+                whole += float(np.square(seen, dtype=np.float64).sum())
             if whole > 0.0:
                 errors[segment] = np.sqrt(max(0.0, 1.0 - covered / whole))
         offsets = np.array(parameters.lateral_renderings_m)
-        return self._model(u, signatures, offsets, segment_start, parameters), errors
+        return self._model(u, signatures, offsets, segment_start, parameters, hidden), errors
 
     @staticmethod
     def _fit_basis(
@@ -132,10 +178,11 @@ class HarmonicEncoding(Encoding):
         offsets_m: FloatArray,
         segment_start: IntArray,
         parameters: "MapParameters",
+        hidden: IntArray | None,
     ) -> HarmonicModel:
         measure = parameters.distance or Distance.NORMALISED  # parameters always have one
         return HarmonicModel(
-            u, signatures, offsets_m, segment_start, parameters.grid.columns, measure
+            u, signatures, offsets_m, segment_start, parameters.grid.columns, measure, hidden
         )
 
     def rank_sweep(
@@ -153,32 +200,44 @@ class HarmonicEncoding(Encoding):
         gram, squared_norm = np.zeros((image_rows, image_rows)), 0.0
         progress.start("summing", 2 * scans)
         for _, block in read_blocks(images, 0, scans, shape, progress):
-            gram += detail_gram(block.reshape(-1, image_rows, columns))
-            squared_norm += float(np.square(block, dtype=np.float64).sum())
+            seen = np.maximum(block, 0.0)
+            gram += detail_gram(seen.reshape(-1, image_rows, columns))
+            squared_norm += float(np.square(seen, dtype=np.float64).sum())
         u = leading_basis(gram, r1s[-1]).astype(np.float32)
-        stored = np.concatenate(
-            [
-                encode(block, u, r2s[-1]).astype(np.complex64)
-                for _, block in read_blocks(images, 0, scans, shape, progress)
-            ]
-        )
-        encoded = encode(queries, u, r2s[-1]).astype(np.complex64)
+        most = replace(parameters, ranks=(r1s[-1], r2s[-1]))
+        encoded_blocks, hidden_blocks = [], []
+        for _, block in read_blocks(images, 0, scans, shape, progress):
+            seen = np.maximum(block, 0.0)
+            encoded_blocks.append(encode(seen, u, kept_harmonics(most)).astype(np.complex64))
+            hidden_blocks.append(bits_of_hidden(block))
+        stored, hidden = np.concatenate(encoded_blocks), np.concatenate(hidden_blocks)
+        encoded = encode(np.maximum(queries, 0.0), u, r2s[-1]).astype(np.complex64)
+        hidden_of_query = [hidden_sectors(cells) for cells in queries]
         rows = np.zeros((len(queries), len(r1s), len(r2s)), dtype=np.int64)
         errors = np.zeros((len(r1s), len(r2s)))
         offsets_m = np.array(parameters.lateral_renderings_m)
         progress.start("sweeping", rows.size)
         for (a, r1), (b, r2) in itertools.product(enumerate(r1s), enumerate(r2s)):
-            leading = stored[..., :r1, :r2]
-            model = self._model(u[:, :r1], leading, offsets_m, np.array([0, scans]), parameters)
-            covered = float(energy(leading, columns).sum())
+            tried = replace(parameters, ranks=(r1, r2))
+            kept = stored[..., :r1, : kept_harmonics(tried)]
+            of_map = None if tried.views == Views.FULL else hidden
+            start = np.array([0, scans])
+            model = self._model(u[:, :r1], kept, offsets_m, start, tried, of_map)
+            covered = float(energy(kept, columns).sum())
             errors[a, b] = np.sqrt(max(0.0, 1.0 - covered / squared_norm))
             for q, values in enumerate(encoded[:, :r1, :r2]):
-                rows[q, a, b] = model.search([Signature(values, None, "")]).nearest(1).rows[0]
+                rows[q, a, b] = model.search_values(values, hidden_of_query[q]).nearest(1).rows[0]
                 progress.advance()
         count = len(cuts)
         return np.broadcast_to(rows, (count, *rows.shape)), np.broadcast_to(
             errors, (count, *errors.shape)
         )
+
+    def arrays_of(self, attributes: Mapping[str, Any]) -> Mapping[str, str]:
+        """Return them, and that of the hidden sectors in a map of any views."""
+        if attributes.get("views") != Views.ANY:
+            return self.dtypes
+        return {**self.dtypes, _HIDDEN: "<i8"}
 
     def read_model(self, parameters: "MapParameters", arrays: Mapping[str, NDArray[Any]]) -> Model:
         """Return the model of these arrays."""
@@ -188,6 +247,7 @@ class HarmonicEncoding(Encoding):
             arrays["lateral_offset_m"],
             arrays["segment_start"],
             parameters,
+            None if parameters.views == Views.FULL else arrays[_HIDDEN],
         )
 
     def require_model(self, model: Model, parameters: "MapParameters") -> None:
@@ -218,26 +278,24 @@ class HarmonicEncoding(Encoding):
         return values.astype(np.complex128) * np.sqrt(weights(2 * harmonics, harmonics))
 
     def pack(self, signatures: Sequence[Signature], packing: Packing) -> tuple[int, bytes]:
-        """Return the layout and the numbers: the first column, then real and imaginary parts."""
+        """Return the layout and the numbers: the first column, then real and imaginary parts.
+
+        Before them the hidden sectors, if there are any: bit s of a number of 8 bytes.
+        """
         if len(signatures) > 1:
             raise InvalidSignature("a harmonic signature is packed alone")
-        values = signatures[0].values
+        (signature,) = signatures
+        values = signature.values
         numbers = np.concatenate(
             [values[:, 0].real, values[:, 1:].real.ravel(), values[:, 1:].imag.ravel()]
         ).astype(np.float64)
-        largest = float(np.abs(numbers).max())
-        if packing == Packing.FLOAT16:
-            if largest > float(np.finfo(np.float16).max):
-                raise InvalidSignature(f"{largest:.3g} is beyond float16; int8 carries a scale")
-            return _FLOAT16, numbers.astype("<f2").tobytes()
-        # Rounded roots, not rounded numbers: most numbers are small, and places differ by these.
-        # Near 0 a step is a hundredth of an even step, at the largest number twice an even step.
-        scale = float(np.float32(largest / _INT8_MAX**2))
-        if scale == 0.0:
-            return _INT8, _SCALE.pack(0.0) + bytes(len(numbers))
-        roots = np.minimum(np.rint(np.sqrt(np.abs(numbers) / scale)), _INT8_MAX)
-        signed = np.copysign(roots, numbers).astype(np.int8)
-        return _INT8, _SCALE.pack(scale) + signed.tobytes()
+        as_float16 = packing == Packing.FLOAT16
+        packed = _as_float16(numbers) if as_float16 else _as_int8(numbers)
+        if not signature.hidden:
+            return _FLOAT16 if as_float16 else _INT8, packed
+        mask = sum(1 << sector for sector in signature.hidden)
+        layout = _MASKED_FLOAT16 if as_float16 else _MASKED_INT8
+        return layout, mask.to_bytes(_MASK_BYTES, "little") + packed
 
     def unpack(
         self, layout: int, body: bytes, shape: tuple[int, int], revision: str
@@ -245,12 +303,16 @@ class HarmonicEncoding(Encoding):
         """Read what `pack` returned."""
         r1, r2 = shape
         count = r1 * (2 * r2 - 1)
-        wanted = 2 * count if layout == _FLOAT16 else _SCALE.size + count
+        as_float16 = layout in {_FLOAT16, _MASKED_FLOAT16}
+        mask_bytes = _MASK_BYTES if layout in {_MASKED_INT8, _MASKED_FLOAT16} else 0
+        wanted = mask_bytes + (2 * count if as_float16 else _SCALE.size + count)
         if len(body) != wanted:
             raise InvalidSignature(
                 f"{HEADER_BYTES + len(body)} bytes came, wanted {HEADER_BYTES + wanted}"
             )
-        if layout == _FLOAT16:
+        mask, body = int.from_bytes(body[:mask_bytes], "little"), body[mask_bytes:]
+        hidden = tuple(sector for sector in range(8 * mask_bytes) if mask >> sector & 1)
+        if as_float16:
             numbers: FloatArray = np.frombuffer(body, "<f2").astype(np.float64)
         else:
             (scale,) = _SCALE.unpack_from(body)
@@ -264,12 +326,16 @@ class HarmonicEncoding(Encoding):
             values.real[:, 0] = first
             # Part by part: infinity times 1j would make a NaN of the other part.
             values.real[:, 1:], values.imag[:, 1:] = real.reshape(r1, -1), imag.reshape(r1, -1)
-        return (Signature(values, None, revision),)
+        return (Signature(values, None, revision, hidden=hidden),)
 
     def as_values(self, signature: Signature) -> dict[str, Any]:
-        """Return `values_real` and `values_imag`, r1 rows of r2 numbers each."""
+        """Return `values_real` and `values_imag`, r1 rows of r2 numbers each.
+
+        And `hidden`, if sectors are.
+        """
         values = signature.values
-        return {"values_real": values.real.tolist(), "values_imag": values.imag.tolist()}
+        parts = {"values_real": values.real.tolist(), "values_imag": values.imag.tolist()}
+        return parts | ({"hidden": list(signature.hidden)} if signature.hidden else {})
 
     def from_values(self, values: Mapping[str, Any], revision: str) -> Signature:
         """Return the signature of these parts.
@@ -284,7 +350,24 @@ class HarmonicEncoding(Encoding):
         found = np.zeros((len(real), lengths.pop()), np.complex64)
         with np.errstate(over="ignore"):  # infinite then, and rejected as not finite
             found.real, found.imag = real, imag
-        return Signature(found, None, revision)
+        return Signature(found, None, revision, hidden=tuple(values.get("hidden", ())))
+
+
+def _as_float16(numbers: FloatArray) -> bytes:
+    largest = float(np.abs(numbers).max())
+    if largest > float(np.finfo(np.float16).max):
+        raise InvalidSignature(f"{largest:.3g} is beyond float16; int8 carries a scale")
+    return numbers.astype("<f2").tobytes()
+
+
+def _as_int8(numbers: FloatArray) -> bytes:
+    # Rounded roots, not rounded numbers: most numbers are small, and places differ by these.
+    # Near 0 a step is a hundredth of an even step, at the largest number twice an even step.
+    scale = float(np.float32(float(np.abs(numbers).max()) / _INT8_MAX**2))
+    if scale == 0.0:
+        return _SCALE.pack(0.0) + bytes(len(numbers))
+    roots = np.minimum(np.rint(np.sqrt(np.abs(numbers) / scale)), _INT8_MAX)
+    return _SCALE.pack(scale) + np.copysign(roots, numbers).astype(np.int8).tobytes()
 
 
 ENCODING = HarmonicEncoding()

@@ -11,16 +11,27 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
+import scipy.fft
 from numpy.typing import NDArray
 
-from core.arrays import Complex64Array, Float32Array, FloatArray, IntArray, freeze, frozen
+from core.arrays import (
+    Complex64Array,
+    ComplexArray,
+    Float32Array,
+    FloatArray,
+    IntArray,
+    freeze,
+    frozen,
+)
 from core.encodings.distance import Distance
 from core.encodings.harmonic.basis import HarmonicBasis, harmonic_basis_digest
+from core.encodings.harmonic.masked_search import MaskedSearch
 from core.encodings.harmonic.search import HarmonicSearch
-from core.encodings.harmonics import energy, weights
+from core.encodings.harmonics import as_real, circular_energy, energy, weights
 from core.encodings.model import Model, require_sane
 from core.encodings.signature import Signature
 from core.errors import InvalidMap, InvalidSignature
+from core.projection.visibility import SECTORS, seen_of_bits
 
 if TYPE_CHECKING:
     from core.parameters import MapParameters
@@ -37,6 +48,8 @@ class HarmonicModel(Model):
         segment_start: `(L + 1,)` row of each segment's first scan, and K.
         columns: J, how many azimuths an image has.
         measure: How signatures are compared.
+        hidden_sectors: `(K, D)` of a map of any views: bit s of each number is 1 if the rendering
+            does not see sector s; `None` of a map of full views.
     """
 
     encoding: ClassVar[str] = "harmonic"
@@ -47,6 +60,7 @@ class HarmonicModel(Model):
     segment_start: IntArray
     columns: int
     measure: Distance
+    hidden_sectors: IntArray | None = None
 
     def __post_init__(self) -> None:
         freeze(self, radial_basis=np.float32, signatures=np.complex64)
@@ -67,6 +81,15 @@ class HarmonicModel(Model):
             raise InvalidMap("lateral_offset_m has numbers that are not finite")
         if self.signatures[..., 0].imag.any():
             raise InvalidMap("the first column of a harmonic signature is real")
+        if self.hidden_sectors is not None:
+            freeze(self, hidden_sectors=np.int64)
+            if self.hidden_sectors.shape != (scans, renderings):
+                raise InvalidMap(
+                    f"hidden_sectors has shape {self.hidden_sectors.shape}, wanted"
+                    f" {(scans, renderings)}"
+                )
+            if (self.hidden_sectors >> SECTORS).any():  # a negative number has bits beyond too
+                raise InvalidMap(f"hidden_sectors has bits of others than {SECTORS} sectors")
 
     @property
     def ranks(self) -> tuple[int, int]:
@@ -88,11 +111,23 @@ class HarmonicModel(Model):
             raise InvalidSignature(
                 "a harmonic map expects exactly one harmonic signature, without a segment"
             )
-        return self.search_values(signatures[0].values)
+        return self.search_values(signatures[0].values, signatures[0].hidden)
 
-    def search_values(self, values: NDArray[Any]) -> HarmonicSearch:
-        """Compare an image's values, `(r1, r2)`."""
-        return HarmonicSearch(self, values.astype(np.complex128))
+    def search_values(self, values: NDArray[Any], hidden: Sequence[int] = ()) -> HarmonicSearch:
+        """Compare an image's values, `(r1, r2)`; in a map of any views r2 can be lower than kept.
+
+        Raises:
+            InvalidSignature: If sectors are hidden, and this is a map of full views.
+        """
+        query = values.astype(np.complex128)
+        if self.hidden_sectors is not None:
+            return MaskedSearch(self, query, hidden)
+        if hidden:
+            raise InvalidSignature(
+                f"{len(hidden)} sectors are hidden; this map answers full views only, one built"
+                " with views = any answers partial ones"
+            )
+        return HarmonicSearch(self, query)
 
     @property
     def recorded(self) -> Complex64Array:
@@ -135,17 +170,50 @@ class HarmonicModel(Model):
         self, rows: IntArray, segments: IntArray, segment_start: IntArray
     ) -> "HarmonicModel":
         """Return the model of some scans, unchanged."""
-        return replace(self, signatures=self.signatures[rows], segment_start=segment_start)
+        hidden = None if self.hidden_sectors is None else self.hidden_sectors[rows]
+        return replace(
+            self,
+            signatures=self.signatures[rows],
+            segment_start=segment_start,
+            hidden_sectors=hidden,
+        )
 
     def joined(self, others: Sequence["HarmonicModel"], segment_start: IntArray) -> "HarmonicModel":
         """Return one model of this one's scans and those of others of the same basis."""
         signatures = np.concatenate([model.signatures for model in (self, *others)])
-        return replace(self, signatures=signatures, segment_start=segment_start)
+        hidden = [m.hidden_sectors for m in (self, *others) if m.hidden_sectors is not None]
+        return replace(
+            self,
+            signatures=signatures,
+            segment_start=segment_start,
+            hidden_sectors=np.concatenate(hidden) if hidden else None,
+        )
 
     @cached_property
     def norms(self) -> FloatArray:
         """|G| of every rendering, `(K, D)`."""
         return np.sqrt(energy(self.signatures, self.columns))
+
+    @cached_property
+    def unit_energies(self) -> Float32Array:
+        """Where on the circle the energy of each rendering is, `(4 r2 - 3, D K)`; E_0 = 1."""
+        found = circular_energy(self.signatures)
+        found /= np.where(found[..., :1].real > 0, found[..., :1].real, 1.0)
+        return self._by_harmonic(found)
+
+    @cached_property
+    def seen_harmonics(self) -> Float32Array:
+        """The same of 1 in the columns that each rendering sees and 0 elsewhere."""
+        distinct, which = np.unique(np.asarray(self.hidden_sectors), return_inverse=True)
+        seen = scipy.fft.rfft(seen_of_bits(distinct, self.columns).astype(np.float64), axis=-1)
+        harmonics = seen[:, : 2 * self.ranks[1] - 1] / self.columns
+        return self._by_harmonic(harmonics[which.reshape(self.norms.shape)])
+
+    @staticmethod
+    def _by_harmonic(of_renderings: ComplexArray) -> Float32Array:
+        """Return `(K, D, n)` waves as `as_real`, renderings in the order of `units`."""
+        count = of_renderings.shape[-1]
+        return frozen(as_real(of_renderings.transpose(2, 1, 0).reshape(count, -1)), np.float32)
 
     @cached_property
     def units(self) -> Complex64Array:

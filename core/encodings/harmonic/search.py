@@ -120,23 +120,15 @@ class HarmonicSearch(Search):
         c_imag = (g.imag * real - g.real * imag).sum(axis=2)
         at_most = (np.sqrt(c_real * c_real + c_imag * c_imag) * self._weights).sum(axis=-1)
         # irfft sums conjugate pairs by itself: w = 2, and half of that where there is no pair.
-        r2 = model.ranks[1]
-        pairs = np.where(np.arange(r2) > 0, self._weights / 2.0, 1.0)
-        samples = max(8, 1 << (_SAMPLES_A_WAVE * r2 - 1).bit_length())
+        pairs = np.where(np.arange(model.ranks[1]) > 0, self._weights / 2.0, 1.0)
+        samples = self._samples_of_headings
         correlation = np.fft.irfft((c_real + 1j * c_imag) * pairs, samples, axis=-1) * samples
-        peak = correlation.argmax(axis=-1)
-        # Indices by hand: `take_along_axis` costs as much as all the rest for a few scans.
-        waves = correlation.reshape(-1)
-        begin = np.arange(0, len(waves), samples).reshape(peak.shape)
-        before, at, after = (waves[begin + (peak + step) % samples] for step in (-1, 0, 1))
-        curvature = 2.0 * at - before - after
-        curved = curvature > 0.0
-        slope = after - before
-        safe = np.where(curved, curvature, 1.0)
-        offset = np.where(curved, 0.5 * slope / safe, 0.0)
-        best = np.where(curved, at + slope * slope / (8.0 * safe), at)
-        yaw_deg = -(peak + offset) * (360.0 / samples)
-        return self._distance(np.minimum(best, at_most), rows), wrapped_deg(yaw_deg)
+        best, yaw_deg = peaks(correlation)
+        return self._distance(np.minimum(best, at_most), rows), yaw_deg
+
+    @property
+    def _samples_of_headings(self) -> int:
+        return max(8, 1 << (_SAMPLES_A_WAVE * self._model.ranks[1] - 1).bit_length())
 
     def _distance(self, correlation: FloatArray, rows: IntArray) -> FloatArray:
         norms = self._model.norms[rows]
@@ -148,3 +140,24 @@ class HarmonicSearch(Search):
 
     def _plain(self, correlation: FloatArray, norms: FloatArray) -> FloatArray:
         return np.maximum(self._norm * self._norm + norms * norms - 2.0 * correlation, 0.0)
+
+
+def peaks(waves: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the largest value over headings, between samples, and the relative yaw in degrees.
+
+    Args:
+        waves: `(n, D, samples)` of evenly spaced headings.
+    """
+    samples = waves.shape[-1]
+    peak = waves.argmax(axis=-1)
+    # Indices by hand: `take_along_axis` costs as much as all the rest for a few scans.
+    flat = waves.reshape(-1)
+    begin = np.arange(0, len(flat), samples).reshape(peak.shape)
+    before, at, after = (flat[begin + (peak + step) % samples] for step in (-1, 0, 1))
+    curvature = 2.0 * at - before - after
+    curved = curvature > 0.0
+    slope = after - before
+    safe = np.where(curved, curvature, 1.0)
+    offset = np.where(curved, 0.5 * slope / safe, 0.0)
+    best = np.where(curved, at + slope * slope / (8.0 * safe), at)
+    return best, wrapped_deg(-(peak + offset) * (360.0 / samples))

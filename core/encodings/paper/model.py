@@ -82,8 +82,9 @@ class PaperModel(Model):
         rows, distances = self.distances(values, np.array(segments, dtype=np.int64))
         return DistanceSearch(tuple(sorted(segments)), rows, distances, len(self))
 
-    def search_values(self, values: NDArray[Any]) -> DistanceSearch:
+    def search_values(self, values: NDArray[Any], hidden: Sequence[int] = ()) -> DistanceSearch:
         """Compare an image's values in the bases of all segments, `(L, r1, r2)`."""
+        del hidden  # images of such maps have no hidden columns
         segments = np.arange(self.segments)
         rows, distances = self.distances(values.astype(np.float64), segments)
         return DistanceSearch(tuple(segments.tolist()), rows, distances, len(self))

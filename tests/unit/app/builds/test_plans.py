@@ -5,6 +5,8 @@ import pytest
 from app.builds.parameters import BuildParameters
 from app.builds.pipelines import build_revision
 from app.builds.plans import Plan, plan_build
+from core.errors import InvalidParameters
+from core.projection.imager import Views
 from storage.errors import DriveNotFound, RevisionNotFound
 from storage.hdf5.dataset import ContiguousDataset
 from storage.store import Store
@@ -103,3 +105,25 @@ def test_a_build_on_a_base_takes_its_height_over_and_notes_nothing(store, map_id
     put(store, "alpha")
     again = plan_build(store, map_id, BuildParameters(base="live", add=["alpha"]))
     assert (again.parameters.sensor_height_m, again.notes) == (1.73, [])
+
+
+def test_a_map_keeps_the_views_of_its_live_revision_unless_others_are_requested(store, map_id):
+    assert plan_build(store, map_id, BuildParameters()).parameters.views == Views.FULL
+    partial = plan_build(store, map_id, BuildParameters(views=Views.ANY))
+    live = build_revision(store, map_id, partial).digest
+    again = plan_build(store, map_id, BuildParameters())
+    assert (again.parameters.views, again.basis_kept_from) == (Views.ANY, live)
+    for others in ({"views": Views.FULL}, {"image": "range"}, {"encoding": "paper"}):
+        changed = plan_build(store, map_id, BuildParameters(**others))
+        assert (changed.parameters.views, changed.basis_kept_from) == (Views.FULL, None)
+    put(store, "alpha")
+    on_base = plan_build(store, map_id, BuildParameters(base="live", add=["alpha"]))
+    assert on_base.parameters.views == Views.ANY
+    with pytest.raises(InvalidParameters, match="views is full, that of base"):
+        plan_build(store, map_id, BuildParameters(base="live", add=["alpha"], views=Views.FULL))
+
+
+def test_a_plan_of_a_release_that_knew_full_views_only_is_one_of_full_views(store, map_id):
+    stored = plan_build(store, map_id, BuildParameters()).model_dump(mode="json")
+    del stored["parameters"]["views"]
+    assert Plan.model_validate(stored).parameters.views == Views.FULL

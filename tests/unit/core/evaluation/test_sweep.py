@@ -76,7 +76,8 @@ def test_signatures_of_small_ranks_are_the_leading_block_of_those_of_large_ones(
         ).tensor_map.model
         for ranks in ((3, 4), (5, 8))
     )
-    block = large.signatures[..., :3, :4]
+    kept = small.signatures.shape[-1]
+    block = large.signatures[..., :3, :kept]
     np.testing.assert_allclose(block, small.signatures, atol=1e-3 * np.abs(block).max())
     if isinstance(small, PaperModel) and isinstance(large, PaperModel):
         np.testing.assert_allclose(large.azimuth_basis[..., :4], small.azimuth_basis, atol=1e-5)

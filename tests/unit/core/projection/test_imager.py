@@ -18,7 +18,7 @@ from tests.support.samples import sample_points
     [
         (lambda cells: cells[:, :300], r"shape \(\d+, 300\), wanted \(\d+, 36\d\)"),
         (lambda cells: cells * 0, "empty"),
-        (lambda cells: -cells, "negative"),
+        (lambda cells: cells - 1.5, "negative"),
         (lambda cells: cells * np.nan, "not finite"),
         (lambda cells: cells.astype(np.float64) * 1e300, "not finite"),
     ],
@@ -26,6 +26,22 @@ from tests.support.samples import sample_points
 def test_cells_that_are_no_image_are_rejected(grid, kind, change, reason):
     with pytest.raises(InvalidImage, match=f"the {kind} image .*{reason}"):
         Image(change(np.ones(grid.shape, np.float32)), grid)
+
+
+def test_a_column_of_heights_is_hidden_as_a_whole_and_none_of_ranges_is():
+    cells = np.ones((20, 360), np.float32)
+    cells[:, 6:12] = -1.0
+    assert Image(cells, RingGrid()).hidden == (1,)
+    cells[5, 7] = 0.0
+    with pytest.raises(InvalidImage, match="hidden in some rows"):
+        Image(cells, RingGrid())
+    with pytest.raises(InvalidImage, match="empty: no cell is above 0"):
+        Image(np.full((20, 360), -1.0, np.float32), RingGrid())
+    with pytest.raises(InvalidImage, match="negative"):
+        Image(
+            np.where(np.arange(361) == 7, np.float32(-1.0), np.ones((30, 361), np.float32)),
+            AngularGrid(),
+        )
 
 
 def test_an_image_is_read_only():

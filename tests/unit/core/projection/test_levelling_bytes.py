@@ -39,7 +39,7 @@ def lowest(points_m):
 
 
 def consensus(cells, shallowest, deepest):
-    bins = max(3, math.ceil((deepest - shallowest) * 20.0))
+    bins = max(4, math.ceil((deepest - shallowest) * 20.0))
     slopes = [(i, j) for i in range(-10, 11) for j in range(-10, 11) if i * i + j * j <= 100]
     best = (-math.inf, (0.0, 0.0, 0.0))
     for i, j in sorted(slopes, key=lambda slope: slope[0] ** 2 + slope[1] ** 2):
@@ -49,10 +49,10 @@ def consensus(cells, shallowest, deepest):
             at = math.floor((z - (a * x + b * y) + deepest) * 20.0)
             if 0 <= at < bins:
                 counts[at] += 1
-        for k in range(bins - 2):
-            score = 4 * sum(counts[k : k + 3]) - 6 * sum(counts[max(0, k - 10) : max(0, k - 1)])
+        for k in range(bins - 3):
+            score = 4 * sum(counts[k : k + 4]) - 6 * sum(counts[max(0, k - 10) : max(0, k - 1)])
             if score - i * i - j * j > best[0]:
-                best = (score - i * i - j * j, (a, b, (k + 1.5) / 20.0 - deepest))
+                best = (score - i * i - j * j, (a, b, (k + 2.0) / 20.0 - deepest))
     return best[1]
 
 

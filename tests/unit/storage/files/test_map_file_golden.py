@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 
@@ -11,15 +12,21 @@ from core.projection.rings import RingGrid
 from core.scans.sensor import AngularGrid
 from storage.files.map_file import read_map
 from tests import golden
-from tests.golden.make import golden_harmonic_map, golden_map
+from tests.golden.make import golden_harmonic_map, golden_map, golden_map_of_any_views
 
 FOLDER = Path(golden.__file__).parent
 
 RELEASED = {
     "map-v1.h5": "88c7c859161582505ada0c7eb33147ff88eaadab915a5ad414975b2cd813e9db",
     "harmonic-v1.h5": "1816d48cfae92fe00cb73253f623f52c6fc6d287615bfc16c426f9414c60f9ba",
+    "harmonic-v2.h5": "46c59b668d3b85e250eba311221e971bb4edfd68d3abb0e9d05c75ebf49cb52f",
 }
-MADE = {"map-v1.h5": golden_map, "harmonic-v1.h5": golden_harmonic_map}
+MADE = {
+    "map-v1.h5": golden_map,
+    "harmonic-v1.h5": golden_harmonic_map,
+    "harmonic-v2.h5": golden_map_of_any_views,
+}
+SHAPES = {"map-v1.h5": (4, 9), "harmonic-v1.h5": (4, 8), "harmonic-v2.h5": (4, 60)}
 
 
 @pytest.mark.parametrize(("name", "digest"), RELEASED.items())
@@ -30,7 +37,7 @@ def test_a_released_file_is_read_with_the_revision_it_had(name, digest):
     assert tensor_map.trajectory.scan_index.tolist() == [0, 1, 3, 0, 1, 2]
     assert tensor_map.topology.edge_nodes.tolist() == [[0, 1], [1, 2], [3, 4]]
     assert tensor_map.topology.edge_length_m[:2].tolist() == [2.0, 0.0]
-    assert tensor_map.parameters.grid.shape == {"map-v1.h5": (4, 9)}.get(name, (4, 8))
+    assert tensor_map.parameters.grid.shape == SHAPES[name]
 
 
 def test_every_golden_file_is_tested():
@@ -64,3 +71,22 @@ def test_a_released_harmonic_map_still_answers():
     for row in range(6):
         best = localizer.localize_image(Image(heights_m[row, 0], grid)).best
         assert (best.row, best.lateral_m) == (row, -1.5)
+
+
+def test_a_map_of_any_views_has_version_2_and_others_have_1():
+    versions = {"map-v1.h5": 1, "harmonic-v1.h5": 1, "harmonic-v2.h5": 2}
+    for name, version in versions.items():
+        with h5py.File(FOLDER / name) as file:
+            assert file.attrs["format_version"] == version
+
+
+def test_a_released_map_of_any_views_still_answers_a_part_of_a_place():
+    tensor_map = read_map(FOLDER / "harmonic-v2.h5")
+    heights_m = np.random.default_rng(4).uniform(0.0, 5.0, size=(6, 2, 4, 60)).astype(np.float32)
+    heights_m[..., 7] = -1.0
+    heights_m[..., 20:40] = -1.0
+    localizer, grid = Localizer(tensor_map), tensor_map.parameters.grid
+    for row in range(6):
+        image = Image(heights_m[row, 1], grid)
+        assert image.hidden == (7, *range(20, 40))
+        assert localizer.localize_image(image).best.row == row

@@ -1,0 +1,175 @@
+"""One harmonic signature of a scan that saw a part of its place, compared with every rendering.
+
+Let w be 1 in the columns that the scan saw and 0 elsewhere. Its signature q is of the image times
+w. What that scan would have seen of a rendering M in heading t is w M(t), so their likeness is
+
+    score(t) = <q, T M(t)> / (|q| |T M(t)|), T_mk = W_(m - k), W_n the harmonics of w,
+
+cut to the harmonics of q: at most 1, and that of the whole images where w is 1 everywhere.
+<q, T M(t)> is the correlation of M with one other signature, T* q. |T M(t)|^2 differs between
+headings: it is a sum of waves whose coefficients are sums along the diagonals of M* M, each product
+weighted with T* T. They are computed for the scans that a cheaper denominator prefers: |w M(t)|,
+the correlation of w with where on the circle the energy of M is.
+
+A rendering does not see everything either, and only the part of q should count that it sees. How
+much of q's energy that is, its share, is known from few harmonics and so not exactly: the score is
+divided by 1 - r2 / 48 (1 - share), which trusts it the more the more harmonics there are
+(docs/decisions/0030-any-view.md).
+"""
+
+from collections.abc import Sequence
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+import scipy.fft
+
+from core.arrays import BoolArray, ComplexArray, Float32Array, FloatArray, IntArray
+from core.encodings.harmonic.search import HarmonicSearch, peaks
+from core.encodings.harmonics import as_real, circular_energy, two_sided
+from core.encodings.model import Neighbours, nearest
+from core.projection.visibility import sector_of_column
+
+if TYPE_CHECKING:
+    from core.encodings.harmonic.model import HarmonicModel
+
+_ESTIMATED_SAMPLES = 64  # headings of an estimate: six a wave of twelve harmonics
+_EXACT_SAMPLES = 128  # between which the peak is found by a parabola
+_EXACT_SCANS = 24  # that are compared exactly: the best are among these estimates
+_EXACT_DISTANCES = 1024  # scans: 0.1 s
+_LEAST_SEEN = 0.02  # of a rendering's energy: with less to compare, everything is alike
+_TRUSTING_HARMONICS = 48  # with as many the share of the query's energy would be trusted
+
+
+class MaskedSearch(HarmonicSearch):
+    """One harmonic signature with hidden sectors, compared with every rendering of every scan.
+
+    The nearest scans are found among the best estimates and compared exactly.
+    """
+
+    def __init__(self, model: "HarmonicModel", values: ComplexArray, hidden: Sequence[int]) -> None:
+        super().__init__(model, values)
+        columns, kept, sent = model.columns, model.ranks[1], values.shape[1]
+        seen = ~np.isin(sector_of_column(columns), hidden)
+        self._mask = np.fft.fft(seen) / columns
+        sent_harmonics = np.arange(1 - sent, sent)
+        toeplitz = self._mask[(sent_harmonics[:, None] - np.arange(1 - kept, kept)) % columns]
+        self._spread = (two_sided(values) @ toeplitz.conj())[:, kept - 1 :]
+        self._gram = toeplitz.conj().T @ toeplitz
+        # Of the query's energy, as of a map's: where on the circle it is, and 1 in all.
+        found = circular_energy(values)[: 2 * kept - 1]
+        self._unit_energy = found / (found[0].real or 1.0)
+
+    def nearest(self, k: int, among: BoolArray | None = None) -> Neighbours:
+        """Return the `k` nearest scans, each by its nearest rendering, nearest first."""
+        rows = self._preferred(k, among)
+        if not len(rows):
+            return Neighbours.of_distances(np.empty(0, np.int64), np.empty(0))
+        return self.ranked(rows, *self.exact(rows), k)
+
+    def distances(self, among: BoolArray | None = None) -> FloatArray:
+        """Return each scan's distance, that of its nearest rendering, infinite outside `among`.
+
+        Of many scans all are estimates: exact ones among them would be nearer or farther than
+        others by more than scans differ.
+        """
+        distances = np.full(len(self._model), np.inf)
+        rows = np.arange(len(distances)) if among is None else np.flatnonzero(among)
+        if len(rows) > _EXACT_DISTANCES:
+            distances[rows] = self._estimates[rows]
+            return distances
+        for start in range(0, len(rows), _EXACT_SCANS):
+            block = rows[start : start + _EXACT_SCANS]
+            distances[block] = self.exact(block)[0].min(axis=1)
+        return distances
+
+    def _preferred(self, k: int, among: BoolArray | None) -> IntArray:
+        """Return the rows with the nearest estimates, rising."""
+        rows = np.arange(len(self._model)) if among is None else np.flatnonzero(among)
+        return np.sort(rows[nearest(self._estimates[rows], max(k, _EXACT_SCANS))])
+
+    @cached_property
+    def _seen_by_map(self) -> Float32Array:
+        """What the renderings see, in as many harmonics as the energy of the query has."""
+        real, imag = np.split(self._model.seen_harmonics, [2 * self._model.ranks[1] - 1])
+        count = len(self._unit_energy)
+        return np.concatenate([real[:count], imag[: count - 1]])
+
+    @cached_property
+    def _estimates(self) -> FloatArray:
+        """Estimated distance of every scan, the nearest of its renderings, `(K,)`."""
+        model = self._model
+        pairs = np.sqrt(self._weights)
+        query = (self._spread / (self._norm or 1.0) / pairs).astype(np.complex64)
+        waves = np.stack([q @ units for q, units in zip(query.T, model.units, strict=True)])
+        score = _in_headings(np.ones(len(waves))) @ as_real(waves.conj())
+        count = len(model.unit_energies) // 2 + 1
+        seen = _in_headings(self._mask[:count]) @ model.unit_energies
+        np.maximum(seen, np.float32(_LEAST_SEEN), out=seen)
+        score /= np.sqrt(seen, out=seen)
+        shares = (
+            _in_headings(self._unit_energy) @ model.seen_harmonics[: 2 * len(self._unit_energy) - 1]
+        )
+        score /= self._part_seen(shares)
+        best = score.max(axis=0).reshape(len(model.lateral_offset_m), -1).max(axis=0)
+        estimates: FloatArray = np.maximum(1.0 - best.astype(np.float64), 0.0)
+        return estimates
+
+    def exact(self, rows: IntArray) -> tuple[FloatArray, FloatArray]:
+        """Compare all renderings of some scans in all headings.
+
+        Returns:
+            Distances and relative yaws in degrees, counter-clockwise from the map's scan, `(n, D)`
+            each.
+        """
+        model, samples = self._model, _EXACT_SAMPLES
+        stored = model.signatures[rows].astype(np.complex128)
+        waves = (self._spread * stored.conj()).sum(axis=2)
+        whole = two_sided(stored)
+        products = (whole.conj().swapaxes(-1, -2) @ whole) * self._gram
+        seen = scipy.fft.irfft(_diagonal_sums(products), samples, axis=-1) * samples
+        floor = _LEAST_SEEN * np.square(model.norms[rows])[..., None]
+        denominator = self._norm * np.sqrt(np.maximum(seen, floor))
+        by_map = self._seen_by_map.reshape(len(self._seen_by_map), -1, len(model))[..., rows]
+        shares = np.einsum("tm,mdn->ndt", _in_headings(self._unit_energy, samples), by_map)
+        denominator *= self._part_seen(shares)
+        correlation = scipy.fft.irfft(waves, samples, axis=-1) * samples
+        score = np.divide(
+            correlation, denominator, out=np.zeros_like(denominator), where=denominator > 0
+        )
+        best, yaw_deg = peaks(score)
+        return np.maximum(1.0 - best, 0.0), yaw_deg
+
+    def _part_seen(self, shares: Float32Array) -> Float32Array:
+        trust = np.float32(self._values.shape[1] / _TRUSTING_HARMONICS)
+        return np.asarray(np.float32(1.0) - trust * (np.float32(1.0) - shares))
+
+
+def _in_headings(
+    waves: ComplexArray | FloatArray, samples: int = _ESTIMATED_SAMPLES
+) -> Float32Array:
+    """Return the matrix from `as_real` of x to sum_d w_d conj(x_d) e^(i d t) in each heading t.
+
+    Args:
+        waves: `(m,)` w_d, from d = 0 on; those below 0 are their conjugates.
+        samples: Evenly spaced headings, from 0 on.
+    """
+    harmonic = np.arange(len(waves))
+    pairs = np.where(harmonic > 0, 2.0, 1.0)
+    turned = pairs * waves * np.exp(2j * np.pi / samples * np.outer(np.arange(samples), harmonic))
+    return np.concatenate([turned.real, turned.imag[:, 1:]], axis=1).astype(np.float32)
+
+
+def _diagonal_sums(matrices: ComplexArray) -> ComplexArray:
+    """Return sum over i of `(..., n, n)` a_(i + d)i, from d = 0 on, `(..., n)`.
+
+    Examples:
+        >>> _diagonal_sums(np.arange(4.0).reshape(2, 2)).tolist()
+        [3.0, 2.0]
+    """
+    n = matrices.shape[-1]
+    # In rows one number longer than they are, each row is one column further than the last.
+    skewed = np.zeros((*matrices.shape[:-1], 2 * n), matrices.dtype)
+    skewed[..., :n] = matrices[..., ::-1]
+    flat = skewed.reshape(*matrices.shape[:-2], -1)[..., : n * (2 * n - 1)]
+    return np.asarray(flat.reshape(*matrices.shape[:-1], 2 * n - 1).sum(axis=-2)[..., n - 1 :])

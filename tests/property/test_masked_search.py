@@ -1,0 +1,134 @@
+"""A signature of a part of a place is compared with what its scan would have seen of a map."""
+
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+
+from core.encodings.distance import Distance
+from core.encodings.harmonic.model import HarmonicModel
+from core.encodings.harmonics import azimuth_factor, encode, energy
+from core.encodings.signature import Packing, Signature, pack_signatures, unpack_signatures
+from core.errors import InvalidSignature
+from core.projection.visibility import (
+    SECTORS,
+    bits_of_hidden,
+    hidden_sectors,
+    hide,
+    sector_of_column,
+)
+
+COLUMNS, SENT, KEPT = 120, 5, 12
+U = np.linalg.qr(np.random.default_rng(1).normal(size=(8, 4)))[0].astype(np.float32)
+
+
+def some_hidden(most=45):
+    return st.sets(st.integers(0, SECTORS - 1), max_size=most).map(lambda s: tuple(sorted(s)))
+
+
+def a_map(seed, hidden_of_map=None, scans=9):
+    rng = np.random.default_rng(seed)
+    images = np.maximum(rng.normal(size=(scans, 3, 8, COLUMNS)).cumsum(axis=-1), 0.0)
+    signatures = encode(images, U, KEPT).astype(np.complex64)
+    hidden = np.zeros((scans, 3), np.int64) if hidden_of_map is None else hidden_of_map
+    offsets_m, start = np.array([-2.0, 0.0, 2.0]), np.array([0, scans])
+    return HarmonicModel(U, signatures, offsets_m, start, COLUMNS, Distance.NORMALISED, hidden)
+
+
+def as_columns(signatures):
+    """Return what kept harmonics say of the columns, `(..., r1, J)`."""
+    factor = azimuth_factor(COLUMNS, KEPT).conj()
+    pairs = np.where(np.arange(KEPT) > 0, 2.0, 1.0)
+    return np.real(signatures.astype(np.complex128) * pairs @ factor.T)
+
+
+def seen(columns, hidden, turned=0):
+    """Return the sent harmonics of what a scan sees of columns that are turned."""
+    visible = ~np.isin(sector_of_column(COLUMNS), hidden)
+    return encode(np.roll(columns, turned, axis=-1) * visible, np.eye(4), SENT)
+
+
+@settings(max_examples=30, deadline=None)
+@given(seed=st.integers(0, 1000), hidden=some_hidden(), turned=st.integers(0, COLUMNS - 1))
+def test_the_distance_is_that_of_the_definition(seed, hidden, turned):
+    model = a_map(seed)
+    query = seen(as_columns(model.signatures[4, 1]), hidden, turned)
+    assume(energy(query, COLUMNS) > 1e-3)
+    distances, _ = model.search_values(query, hidden).exact(np.arange(len(model)))
+    pairs = np.where(np.arange(SENT) > 0, 2.0, 1.0)
+    for row, rendering in ((4, 1), (7, 0)):
+        columns = as_columns(model.signatures[row, rendering])
+        turns = (np.arange(COLUMNS) - np.arange(COLUMNS)[:, None]) % COLUMNS
+        others = seen(columns[:, turns].transpose(1, 0, 2), hidden)
+        both = np.sqrt(energy(query, COLUMNS) * energy(others, COLUMNS))
+        scores = np.real(query * others.conj() * pairs).sum(axis=(1, 2)) / np.maximum(both, 1e-9)
+        # Between the headings that were tried a peak can be a little higher.
+        assert 1.0 - distances[row, rendering] == pytest.approx(scores.max(), abs=0.03)
+    assert distances[4, 1] < 1e-4
+    if len(hidden) < 30:
+        found = model.search_values(query, hidden).nearest(1)
+        assert (found.rows[0], found.lateral_m[0]) == (4, 0.0)
+        expected = turned * 360.0 / COLUMNS
+        assert abs((found.relative_yaw_deg[0] + expected + 180.0) % 360.0 - 180.0) < 1.0
+
+
+@settings(max_examples=20, deadline=None)
+@given(seed=st.integers(0, 1000), sent=st.integers(2, KEPT))
+def test_where_nothing_is_hidden_it_is_the_distance_of_full_views(seed, sent):
+    model = a_map(seed)
+    query = encode(np.random.default_rng(seed).random((4, COLUMNS)), np.eye(4), sent)
+    start, offsets_m = model.segment_start, model.lateral_offset_m
+    cut = model.signatures[..., :sent]
+    full = HarmonicModel(U, cut, offsets_m, start, COLUMNS, Distance.NORMALISED)
+    rows = np.arange(len(model))
+    masked, _ = model.search_values(query).exact(rows)
+    np.testing.assert_allclose(masked, full.search_values(query).exact(rows)[0], atol=2e-3)
+
+
+def test_what_a_rendering_does_not_see_counts_less_against_it():
+    bits = np.zeros((9, 3), np.int64)
+    bits[4, 1] = (1 << 30) - 1  # half of the circle
+    model = a_map(3, bits)
+    whole = as_columns(model.signatures[4, 1]).copy()
+    whole[:, : COLUMNS // 2] += 3.0  # where the rendering is blind, the query has something
+    query = encode(whole, np.eye(4), SENT)
+    blind = model.search_values(query).exact(np.array([4]))[0][0, 1]
+    sighted = a_map(3).search_values(query).exact(np.array([4]))[0][0, 1]
+    assert blind < sighted
+
+
+@given(hidden=some_hidden(SECTORS - 1), packing=st.sampled_from(Packing))
+def test_hidden_sectors_survive_the_wire_in_eight_bytes(hidden, packing):
+    values = np.random.default_rng(0).normal(size=(5, 8)).astype(np.complex64)
+    values.imag[:, 0] = 0.0
+    signature = Signature(values, None, "0f" * 32, hidden=hidden)
+    packed = pack_signatures([signature], packing)
+    plain = pack_signatures([Signature(values, None, "0f" * 32)], packing)
+    assert len(packed) - len(plain) == (8 if hidden else 0)
+    assert packing == Packing.FLOAT16 or len(packed) <= 100
+    [again] = unpack_signatures(packed)
+    assert again.hidden == hidden
+
+
+@pytest.mark.parametrize("hidden", [range(SECTORS), (60,), (-1,), (3, 3), (4, 3)])
+def test_hidden_sectors_that_cannot_be_are_rejected(hidden):
+    with pytest.raises(InvalidSignature, match="sectors"):
+        Signature(np.eye(5, dtype=np.complex64), None, "0f" * 32, hidden=tuple(hidden))
+
+
+def test_a_map_of_full_views_rejects_a_signature_of_a_part():
+    model = a_map(1)
+    full = HarmonicModel(
+        U, model.signatures, model.lateral_offset_m, model.segment_start, COLUMNS, model.measure
+    )
+    query = Signature(model.signatures[0, 0], None, "0f" * 32, hidden=(1, 2))
+    with pytest.raises(InvalidSignature, match=r"2 sectors are hidden.* views = any"):
+        full.search([query])
+
+
+@given(hidden=some_hidden(SECTORS), columns=st.sampled_from([60, 72, 360, 720]))
+def test_marked_columns_name_their_sectors_again(hidden, columns):
+    visible = ~np.isin(np.arange(SECTORS), hidden)
+    cells = hide(np.ones((3, columns), np.float32), visible)
+    assert hidden_sectors(cells) == hidden
+    assert int(bits_of_hidden(cells)) == sum(1 << sector for sector in hidden)

@@ -1,0 +1,81 @@
+"""Tilted scans, and scans from which a part of the place is hidden."""
+
+import numpy as np
+import pytest
+
+from core.encodings.signature import Signature
+from core.errors import InvalidParameters, InvalidSignature
+from core.evaluation.condition import Condition
+from core.localization.localizer import Localizer
+from core.mapping.pipeline import build
+from core.parameters import MapParameters
+from core.projection.imager import ImageKind, Views
+from core.scans.drive import MemoryDrive
+from core.simulation import SimulatedDrive
+
+RECORDED = SimulatedDrive(seed=911, scans=80)
+MAPPED, ASKED = range(0, 80, 2), range(1, 80, 4)
+
+
+@pytest.fixture(scope="module")
+def maps():
+    drive = MemoryDrive("monday", [RECORDED.scan(i) for i in MAPPED])
+    return {
+        views: build(
+            [drive], MapParameters.for_sensor(views=views), segments=2, calibrated=False
+        ).tensor_map
+        for views in Views
+    }
+
+
+def right(tensor_map, disturb):
+    """Return how many answers are within 4 m of where the query was recorded."""
+    localizer, count = Localizer(tensor_map), 0
+    for index in ASKED:
+        scan = RECORDED.scan(index)
+        query = Condition(disturb=disturb).apply(scan, np.random.default_rng(index))
+        best = localizer.localize_scan(query).best.pose
+        assert best is not None
+        assert scan.pose is not None
+        count += np.hypot(best.x_m - scan.pose.x_m, best.y_m - scan.pose.y_m) < 4.0
+    return count
+
+
+@pytest.mark.parametrize("disturb", ["hidden:120", "fov:180", "truck:2", "roll:10"])
+def test_a_map_of_any_views_answers_them_and_one_of_full_views_often_does_not(maps, disturb):
+    assert right(maps[Views.ANY], disturb) >= 0.9 * len(ASKED)
+    assert right(maps[Views.ANY], disturb) > right(maps[Views.FULL], disturb)
+
+
+def test_a_vehicle_may_send_more_or_fewer_harmonics_than_the_ranks_say(maps):
+    tensor_map = maps[Views.ANY]
+    localizer, row = Localizer(tensor_map), 20
+    kept = tensor_map.model.recorded[row]
+    assert kept.shape == (5, 12)
+    for harmonics in (3, 5, 8, 12):
+        signature = Signature(kept[:, :harmonics], None, tensor_map.basis_digest)
+        assert localizer.localize_signatures([signature]).best.row == row
+    with pytest.raises(InvalidSignature, match=r"shape \(4, 5\), wanted r1 = 5 and r2 up to 12"):
+        localizer.localize_signatures([Signature(kept[:4, :5], None, tensor_map.basis_digest)])
+
+
+def test_sensors_at_any_height_share_a_basis_of_any_views(maps):
+    basis = maps[Views.ANY].basis()
+    higher = MapParameters.for_sensor("os1-64", sensor_height_m=2.5, views=Views.ANY)
+    assert basis.serves(higher)
+    assert not maps[Views.FULL].basis().serves(MapParameters.for_sensor(sensor_height_m=2.5))
+    assert not basis.serves(MapParameters.for_sensor(views=Views.FULL))
+    assert not basis.serves(MapParameters.for_sensor(ranks=(4, 5), views=Views.ANY))
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"encoding": "paper"}, "compares full views only"),
+        ({"image": ImageKind.RANGE}, "wants height images"),
+        ({"distance": "plain"}, "the normalised distance"),
+    ],
+)
+def test_any_views_of_what_cannot_compare_them_are_rejected(options, message):
+    with pytest.raises(InvalidParameters, match=message):
+        MapParameters.for_sensor(views=Views.ANY, **options)
