@@ -1,23 +1,35 @@
-"""Bird's-eye views of the structure around a sensor, and their alignment."""
+"""Bird's-eye views of the structure around a sensor, and their alignment.
+
+Two views are compared only in the cells that both scans could see: in each sector of azimuth, those
+up to its farthest return. What a truck or a wall hides from one scan is no evidence.
+"""
 
 from dataclasses import dataclass
+from operator import attrgetter
 
 import numpy as np
 from scipy import fft
 from scipy.ndimage import gaussian_filter
 
-from core.arrays import Float32Array, FloatArray
+from core.arrays import Complex64Array, Float32Array, FloatArray, IntArray
+from core.projection.angles import azimuth_steps
+from core.projection.visibility import SECTORS
 from core.scans.scan import Scan
 
 CELL_M = 0.5
 """Side of a cell: about the difference of a wall's place between two scans."""
 _REACH_M = 40.0  # walls of a street; farther away a spinning sensor's returns are sparse
 _CELLS = round(2 * _REACH_M / CELL_M)
-_PADDED = 192  # cells of the transforms: a shift by up to 32 cells does not wrap around
+_PADDED = 180  # cells of the transforms: a shift by up to 20 cells does not wrap around
 _MOST_CELLS = 10  # of a shift, along each axis: 5 m, the most between two scans of one place
+_SHIFTS = np.arange(-_MOST_CELLS, _MOST_CELLS + 1)
+_SECTOR_DEG = 360 // SECTORS
+_BEYOND_M = 1.0  # the farthest return of a sector is in a cell that is seen
+_LEAST_COMMON = 0.3  # of a view: what fewer cells agree on may be by chance
 _LOWEST_M, _HIGHEST_M = 0.5, 8.0  # above ground: without the road and the crowns of trees
 _APART_M = 0.2  # returns that are nearer to each other count once
 _LEAST = 1e-6
+_AROUND_DEG = (-2.0, -1.0, 1.0, 2.0)  # of a heading: columns of an image are a degree wide
 _BLUR_CELLS = 0.8  # a wall on the border of two cells may be in either
 
 
@@ -26,9 +38,9 @@ class Alignment:
     """The pose of a second view relative to a first one.
 
     Attributes:
-        overlap: 0..1 in the best alignment: the cosine of the two views above the median over all
-            shifts, as a share of the most that is possible. So the overlap by chance, which is
-            greater in dense surroundings, is subtracted.
+        overlap: 0..1 in the best alignment: the cosine of the two views, where both scans see,
+            above the median over all shifts, as a share of the most that is possible. So the
+            overlap by chance, which is greater in dense surroundings, is subtracted.
         turn_deg: Relative yaw of the second sensor, counter-clockwise.
         forward_m: Its distance ahead of the first.
         lateral_m: Its distance to the left of the first.
@@ -75,38 +87,100 @@ def birds_eye_view(places_m: FloatArray, turn_deg: float = 0.0) -> Float32Array:
     return blurred
 
 
+def farthest_m(scan: Scan) -> FloatArray:
+    """Return the horizontal distance of the farthest return in each sector of azimuth, `(60,)`.
+
+    Sector 0 begins half a degree to the right of the front, as in images; 0 where no return is.
+    """
+    x, y = scan.points_m[:, :2].T.astype(np.float64)
+    sector = azimuth_steps(x, y, 1.0) % 360 // _SECTOR_DEG
+    found = np.zeros(SECTORS)
+    np.maximum.at(found, sector, x * x + y * y)
+    return np.sqrt(found)
+
+
+def seen_cells(reach_m: FloatArray, turn_deg: float = 0.0) -> Float32Array:
+    """Return which cells around the sensor a scan could see, `(160, 160)`, 0 or 1.
+
+    Args:
+        reach_m: `(60,)`, from `farthest_m`.
+        turn_deg: By which the scan is rotated, counter-clockwise.
+    """
+    of_degree_m = np.roll(np.repeat(reach_m + _BEYOND_M, _SECTOR_DEG), round(turn_deg))
+    seen: Float32Array = (of_degree_m[_CELL_DEG] >= _CELL_FROM_M).astype(np.float32)
+    return seen
+
+
+def _cells_polar() -> tuple[IntArray, FloatArray]:
+    """Return the azimuth, whole degrees from 0 to 359, and the distance of each cell's middle."""
+    middle_m = (np.arange(_CELLS) + 0.5) * CELL_M - _REACH_M
+    x, y = np.meshgrid(middle_m, middle_m, indexing="ij")
+    return np.rint(np.degrees(np.arctan2(y, x))).astype(np.int64) % 360, np.hypot(x, y)
+
+
+_CELL_DEG, _CELL_FROM_M = _cells_polar()
+
+
+def _to_shifts() -> tuple[Complex64Array, Complex64Array]:
+    """Return the inverse transform to the shifts alone, for its rows and its columns.
+
+    It takes a third of the time of one to all shifts.
+    """
+    turns = 2j * np.pi / _PADDED
+    rows = np.exp(turns * np.outer(_SHIFTS, np.arange(_PADDED)))
+    columns = np.exp(turns * np.outer(np.arange(_PADDED // 2 + 1), _SHIFTS))
+    columns[1:-1] *= 2.0  # the other half of a real signal's spectrum
+    return rows.astype(np.complex64), (columns / _PADDED**2).astype(np.complex64)
+
+
+_ROWS, _COLUMNS = _to_shifts()
+
+
+def _spectra(view: Float32Array, seen: Float32Array) -> Complex64Array:
+    """Return the transforms of a view, its squares and the seen cells, `(3, 180, 91)`."""
+    stacked = np.stack([view, view * view, seen])
+    return np.asarray(fft.rfft2(stacked, (_PADDED, _PADDED)))
+
+
 def align_views(
     first: Scan, second: Scan, turns_deg: FloatArray, sensor_height_m: float
 ) -> Alignment:
-    """Return the best alignment of two scans over some headings and all shifts within 5 m.
+    """Return the best alignment of two scans near some headings, over all shifts within 5 m.
 
     Args:
         first: The scan that the answer is relative to.
         second: The other one.
-        turns_deg: `(n,)` headings of the second relative to the first.
+        turns_deg: `(n,)` headings of the second relative to the first, whole degrees; around the
+            best of them, others up to 2 degrees away are tried too.
         sensor_height_m: Of both sensors above ground.
     """
-    fixed = birds_eye_view(structure_m(first, sensor_height_m))
-    places_m = structure_m(second, sensor_height_m)
-    spectrum = fft.rfft2(fixed, (_PADDED, _PADDED))
-    shifts = np.arange(-_MOST_CELLS, _MOST_CELLS + 1)
-    best = Alignment(0.0, float(turns_deg[0]), 0.0, 0.0)
-    for turn_deg in turns_deg.tolist():
-        view = birds_eye_view(places_m, turn_deg)
-        norm = float(np.linalg.norm(fixed) * np.linalg.norm(view))
-        if norm == 0.0:
-            continue
-        turned = fft.rfft2(view, (_PADDED, _PADDED))
-        product = fft.irfft2(spectrum * np.conj(turned), (_PADDED, _PADDED))
-        near = product[np.ix_(shifts % _PADDED, shifts % _PADDED)]
+    seen = seen_cells(farthest_m(first))
+    fixed = birds_eye_view(structure_m(first, sensor_height_m)) * seen
+    fixed_spectra = _spectra(fixed, seen)
+    places_m, reach_m = structure_m(second, sensor_height_m), farthest_m(second)
+
+    def aligned(turn_deg: float) -> Alignment:
+        seen = seen_cells(reach_m, turn_deg)
+        view = birds_eye_view(places_m, turn_deg) * seen
+        if not (fixed.any() and view.any()):
+            return Alignment(0.0, turn_deg, 0.0, 0.0)
+        # What both have in common, and each one's squares where the other sees.
+        spectra = np.conj(_spectra(view, seen)[[0, 2, 1]])
+        product, of_fixed, of_view = (_ROWS @ (fixed_spectra * spectra) @ _COLUMNS).real
+        least_fixed, least_view = (_LEAST_COMMON * np.vdot(of, of) for of in (fixed, view))
+        near = product / np.sqrt(
+            np.maximum(of_fixed, least_fixed) * np.maximum(of_view, least_view)
+        )
         row, column = np.unravel_index(near.argmax(), near.shape)
-        by_chance = float(np.median(near)) / norm
-        overlap = (float(near[row, column]) / norm - by_chance) / max(1.0 - by_chance, _LEAST)
-        if overlap > best.overlap:
-            best = Alignment(
-                min(1.0, overlap),
-                turn_deg,
-                float(shifts[row]) * CELL_M,
-                float(shifts[column]) * CELL_M,
-            )
-    return best
+        by_chance = float(np.median(near))
+        overlap = (float(near[row, column]) - by_chance) / max(1.0 - by_chance, _LEAST)
+        return Alignment(
+            min(1.0, max(0.0, overlap)),
+            turn_deg,
+            float(_SHIFTS[row]) * CELL_M,
+            float(_SHIFTS[column]) * CELL_M,
+        )
+
+    best = max(map(aligned, turns_deg.tolist()), key=attrgetter("overlap"))
+    around = [aligned(best.turn_deg + off_deg) for off_deg in _AROUND_DEG]
+    return max(best, *around, key=attrgetter("overlap"))

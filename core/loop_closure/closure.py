@@ -5,17 +5,20 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
+from scipy.ndimage import gaussian_filter1d
 from scipy.special import expit
 
-from core.arrays import Float32Array, FloatArray
+from core.arrays import BoolArray, ComplexArray, FloatArray
 from core.encodings.signature import Signature
 from core.errors import InvalidParameters
 from core.localization.localizer import Localizer
 from core.loop_closure.birds_eye_view import align_views
 from core.projection.height_image import project_heights
 from core.projection.imager import LATERAL_RENDERINGS_M
+from core.projection.levelling import level
 from core.projection.reducer import Reducer
 from core.projection.rings import RingGrid
+from core.projection.visibility import sector_of_column, visible_sectors
 from core.scans.angles import wrapped_deg
 from core.scans.displacement import seen_from_beside
 from core.scans.scan import Scan
@@ -25,12 +28,13 @@ ACCEPT_FROM = 0.99
 
 _GRID = RingGrid()
 _LEAST = 1e-6
+_BLUR_COLUMNS = 1.0  # a sparse scan leaves gaps
+_LEAST_COMMON = 0.3  # of an image: what fewer columns agree on may be by chance
 _PEAKS = 3  # headings that are compared: opposite directions of a street are similar
 _APART_DEG = 10.0  # between them
-_AROUND_DEG = np.arange(-2.0, 3.0)  # of each: columns of an image are a degree wide
 
 # Of a logistic curve, fitted to simulated drives: docs/decisions/0015-loop-closures.md.
-_INTERCEPT, _OF_SIMILARITY, _OF_OVERLAP = -7.0, 8.8, 10.6
+_INTERCEPT, _OF_SIMILARITY, _OF_OVERLAP = -7.6, 7.6, 10.8
 
 
 class Verdict(StrEnum):
@@ -91,9 +95,10 @@ class LoopClosure:
 def check_scans(first: Scan, second: Scan, sensor_height_m: float) -> LoopClosure:
     """Check a closure by both scans' returns.
 
-    Their height images are compared in every heading, from virtual viewpoints too; then their
-    bird's-eye views in the best headings, with all shifts within 5 m. The result depends on no map,
-    encoding or sensor, but on the sensors' height.
+    Both are levelled. Their height images are compared in every heading, from virtual viewpoints
+    too; then their bird's-eye views in the best headings, with all shifts within 5 m; both only
+    where the two scans see. The result depends on no map, encoding or sensor, but on the sensors'
+    height.
 
     Args:
         first: The scan that the answer is relative to.
@@ -103,6 +108,7 @@ def check_scans(first: Scan, second: Scan, sensor_height_m: float) -> LoopClosur
     Raises:
         InvalidScan: If one has no return above the ground within 80 m.
     """
+    first, second = level(first, sensor_height_m), level(second, sensor_height_m)
     similarity, turns_deg = _similarity(first, second, sensor_height_m)
     found = align_views(first, second, turns_deg, sensor_height_m)
     return LoopClosure(
@@ -164,17 +170,14 @@ def _similarity(first: Scan, second: Scan, sensor_height_m: float) -> tuple[floa
     The similarity is the cosine above the median over all headings, as a share of the most that is
     possible.
     """
-    query = _heights(second, sensor_height_m)
-    spectrum = np.fft.rfft(query, axis=1)
-    norm = float(np.linalg.norm(query))
+    seen = _seen(first)
+    query = _view(second, _seen(second), sensor_height_m)
     best, correlation = -1.0, np.zeros(_GRID.columns)
     for left_m in LATERAL_RENDERINGS_M:
         aside = first
         if left_m:
             aside = Scan(seen_from_beside(first.points_m, left_m).astype(np.float32))
-        view = _heights(aside, sensor_height_m)
-        product = (spectrum * np.conj(np.fft.rfft(view, axis=1))).sum(axis=0)
-        cosines = np.fft.irfft(product, _GRID.columns) / (norm * float(np.linalg.norm(view)))
+        cosines = _cosines(_view(aside, seen, sensor_height_m), query)
         by_chance = float(np.median(cosines))
         above = (float(cosines.max()) - by_chance) / max(1.0 - by_chance, _LEAST)
         if above > best:
@@ -182,12 +185,55 @@ def _similarity(first: Scan, second: Scan, sensor_height_m: float) -> tuple[floa
     return min(1.0, best), _headings(correlation)
 
 
-def _heights(scan: Scan, sensor_height_m: float) -> Float32Array:
-    return project_heights(scan, _GRID, Reducer.MEAN, sensor_height_m)
+def _seen(scan: Scan) -> BoolArray:
+    """Return which columns of an image a scan sees, `(J,)`."""
+    visible = visible_sectors(scan.points_m, _GRID.columns)
+    return np.asarray(visible[sector_of_column(_GRID.columns)])
+
+
+@dataclass(frozen=True)
+class _View:
+    """A height image where its scan sees, as transforms over the azimuths.
+
+    Attributes:
+        rings: Of each ring's heights.
+        squares: Of the sum of the squared heights of each column.
+        seen: Of which columns are seen.
+        least: The smallest sum of squares that a comparison counts.
+    """
+
+    rings: ComplexArray
+    squares: ComplexArray
+    seen: ComplexArray
+    least: float
+
+
+def _view(scan: Scan, seen: BoolArray, sensor_height_m: float) -> _View:
+    heights = project_heights(scan, _GRID, Reducer.MEAN, sensor_height_m).astype(np.float64)
+    heights = gaussian_filter1d(heights * seen, _BLUR_COLUMNS, axis=1, mode="wrap") * seen
+    squares = (heights * heights).sum(axis=0)
+    return _View(
+        np.fft.rfft(heights, axis=1),
+        np.fft.rfft(squares),
+        np.fft.rfft(seen),
+        max(_LEAST_COMMON * float(squares.sum()), _LEAST),
+    )
+
+
+def _cosines(first: _View, second: _View) -> FloatArray:
+    """Return the cosine of two views where both see, over all headings, `(J,)`."""
+    products = [
+        (np.conj(first.rings) * second.rings).sum(axis=0),
+        np.conj(first.squares) * second.seen,
+        np.conj(first.seen) * second.squares,
+    ]
+    product, of_first, of_second = np.fft.irfft(products, _GRID.columns)
+    common = np.maximum(of_first, first.least) * np.maximum(of_second, second.least)
+    return np.asarray(product / np.sqrt(common))
 
 
 def _headings(correlation: FloatArray) -> FloatArray:
-    """Return the headings at the highest peaks, and those around them, `(n,)` degrees."""
+    """Return the headings at the highest peaks, `(3,)` degrees."""
     step_deg = 360.0 / len(correlation)
     left = correlation.copy()
     turns: list[float] = []
@@ -196,4 +242,4 @@ def _headings(correlation: FloatArray) -> FloatArray:
         turns.append(turn_deg)
         away = np.abs(wrapped_deg(-step_deg * np.arange(len(left), dtype=np.float64) - turn_deg))
         left[away < _APART_DEG] = -np.inf
-    return np.asarray(np.add.outer(turns, _AROUND_DEG)).ravel()
+    return np.array(turns)

@@ -16,8 +16,9 @@ from core.errors import (
     InvalidSignature,
     StaleSignature,
 )
+from core.evaluation.disturbances import Recording, parse_disturbances
 from core.localization.localizer import Localizer
-from core.loop_closure.birds_eye_view import align_views, structure_m
+from core.loop_closure.birds_eye_view import align_views, farthest_m, seen_cells, structure_m
 from core.loop_closure.closure import (
     LoopClosure,
     Verdict,
@@ -27,7 +28,9 @@ from core.loop_closure.closure import (
 )
 from core.scans.displacement import left_of_m, seen_from_beside
 from core.scans.scan import Scan
+from core.scans.sensor import sensor_named
 from core.simulation import SimulatedDrive
+from core.simulation.raycast import SimulatedSensor
 from tests.support.samples import sample_harmonic_map, sample_image, sample_map
 
 pytestmark = pytest.mark.slow
@@ -37,7 +40,7 @@ SHARES = st.floats(0.0, 1.0)
 
 
 @functools.cache
-def drive(*, lateral_offset_m=0.0, reverse=False):
+def drive(*, lateral_offset_m=0.0, reverse=False, sensor="hdl-64e"):
     """Return a drive through the same streets, with other traffic if it is another pass."""
     other_day = lateral_offset_m != 0.0 or reverse
     return SimulatedDrive(
@@ -47,6 +50,9 @@ def drive(*, lateral_offset_m=0.0, reverse=False):
         lateral_offset_m=lateral_offset_m,
         reverse=reverse,
         traffic_seed=1401 if other_day else None,
+        sensor=SimulatedSensor()
+        if sensor == "hdl-64e"
+        else SimulatedSensor.of(sensor_named(sensor)),
     )
 
 
@@ -67,6 +73,48 @@ def test_a_true_closure_is_found_with_heading_and_offset(row, offset_m, reverse)
     expected_deg = 180.0 if reverse else 0.0
     assert abs((found.turn_deg - expected_deg + 180.0) % 360.0 - 180.0) <= 3.0
     assert found.lateral_m == pytest.approx(left_of_m(first.poses[row], second.poses[at]), abs=0.75)
+
+
+@pytest.mark.parametrize("row", [20, 75, 130])
+@pytest.mark.parametrize("named", ["hdl-32e", "vlp-16"])
+def test_a_sparse_tilted_partly_hidden_revisit_in_the_opposite_direction_is_found(row, named):
+    recording = Recording(sensor_named(named), HEIGHT_M)
+    first = drive(sensor=named)
+    second = drive(sensor=named, lateral_offset_m=2.0, reverse=True)
+    at = nearest(second, first.poses[row])
+    rng = np.random.default_rng(row)
+    (disturbances,) = parse_disturbances("drop:0.7+hidden:90+pitch:3+roll:2")
+
+    def disturbed(points_m):
+        for each in disturbances:
+            points_m = each.apply(points_m, recording, rng)
+        return Scan(points_m.astype(np.float32))
+
+    seen = disturbed(second.scan(at).points_m.astype(np.float64))
+    found = check_scans(first.scan(row), seen, HEIGHT_M)
+    assert found.probability is not None
+    assert found.probability > 0.8
+    assert found.turn_deg is not None
+    assert abs(found.turn_deg) >= 177.0
+    away_m = np.linalg.norm(first.poses[:, :3] - second.poses[at, :3], axis=1)
+    for other in np.flatnonzero(away_m > 25.0)[::30]:
+        elsewhere = check_scans(first.scan(int(other)), seen, HEIGHT_M)
+        assert elsewhere.decide() == Verdict.REJECTED
+
+
+def test_what_only_one_scan_could_see_does_not_count():
+    scan = drive().scan(60)
+    azimuth_deg = np.degrees(np.arctan2(scan.points_m[:, 1], scan.points_m[:, 0]))
+    half = Scan(scan.points_m[np.abs(azimuth_deg) < 90.0])
+    assert farthest_m(half)[20:40].max() == 0.0
+    assert seen_cells(farthest_m(half))[:70].max() == 0.0
+    assert seen_cells(farthest_m(half), turn_deg=180.0)[90:].max() == 0.0
+    found = check_scans(scan, half, HEIGHT_M)
+    assert found.turn_deg == pytest.approx(0.0, abs=1.0)
+    assert found.overlap is not None
+    assert found.overlap > 0.95
+    assert found.image_similarity is not None
+    assert found.image_similarity > 0.95
 
 
 @pytest.mark.parametrize("row", [20, 75, 130])
