@@ -34,7 +34,7 @@ _PEAKS = 3  # headings that are compared: opposite directions of a street are si
 _APART_DEG = 10.0  # between them
 
 # Of a logistic curve, fitted to simulated drives: docs/decisions/0015-loop-closures.md.
-_INTERCEPT, _OF_SIMILARITY, _OF_OVERLAP = -7.6, 7.6, 10.8
+_INTERCEPT, _OF_SIMILARITY, _OF_OVERLAP = -8.1, 9.5, 10.8
 
 
 class Verdict(StrEnum):
