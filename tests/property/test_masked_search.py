@@ -97,6 +97,19 @@ def test_what_a_rendering_does_not_see_counts_less_against_it():
     assert blind < sighted
 
 
+@pytest.mark.parametrize("seed", range(5))
+def test_estimates_count_what_a_rendering_does_not_see_as_exact_scores_do(seed):
+    sighted, blind = a_map(seed), a_map(seed, np.full((9, 3), (1 << 45) - 1))
+    narrow = tuple(range(20, SECTORS))  # so that much of the query is where the map is blind
+    query = seen(as_columns(sighted.signatures[4, 1]), narrow)
+    others, ratios = np.array([0, 1, 2, 3, 5, 6, 7, 8]), []
+    for search in (model.search_values(query, narrow) for model in (sighted, blind)):
+        exact = 1.0 - search.exact(others)[0].min(axis=1)
+        ratios.append(exact / (1.0 - search._estimates[others]))
+    off = np.median(np.abs(ratios[0] / ratios[1] - 1.0))
+    assert off < 0.004
+
+
 @given(hidden=some_hidden(SECTORS - 1), packing=st.sampled_from(Packing))
 def test_hidden_sectors_survive_the_wire_in_eight_bytes(hidden, packing):
     values = np.random.default_rng(0).normal(size=(5, 8)).astype(np.complex64)

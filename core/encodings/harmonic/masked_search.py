@@ -107,10 +107,7 @@ class MaskedSearch(HarmonicSearch):
         seen = _in_headings(self._mask[:count]) @ model.unit_energies
         np.maximum(seen, np.float32(_LEAST_SEEN), out=seen)
         score /= np.sqrt(seen, out=seen)
-        shares = (
-            _in_headings(self._unit_energy) @ model.seen_harmonics[: 2 * len(self._unit_energy) - 1]
-        )
-        score /= self._part_seen(shares)
+        score /= self._part_seen(_in_headings(self._unit_energy) @ self._seen_by_map)
         best = score.max(axis=0).reshape(len(model.lateral_offset_m), -1).max(axis=0)
         estimates: FloatArray = np.maximum(1.0 - best.astype(np.float64), 0.0)
         return estimates
