@@ -1,6 +1,7 @@
-"""Limits of connections: their number, and the time for a request's head.
+"""Limits of connections: their number, and the time and size of a request's head.
 
-Uvicorn limits neither. This module goes between its protocol, of either parser, and the loop.
+Uvicorn limits none of these with its compiled parser. This module goes between its protocol and the
+loop.
 """
 
 import asyncio
@@ -11,20 +12,15 @@ import socket
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import uvicorn
-from uvicorn.protocols.http.auto import AutoHTTPProtocol
+from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
 
 from app.http.errors import TooManyConnections
 from app.http.problems import problem_response
 from app.process import collect_seldom
 from app.settings import Settings
-
-if TYPE_CHECKING:
-    from uvicorn.protocols.http.h11_impl import H11Protocol as UvicornProtocol
-else:
-    UvicornProtocol = object
 
 _log = logging.getLogger("tensormap.connections")
 
@@ -32,6 +28,8 @@ _MOST_BY_DEFAULT = 4096  # more take memory (some 20 KB each), not descriptors
 _SPARE_DESCRIPTORS = 512  # for files, the catalog's pool, builds, and connections being accepted
 _BACKLOG = 2048  # connections that wait to be accepted; Uvicorn's own default
 _ACCEPTED_AT_ONCE = 64  # before the loop does anything else; each takes a descriptor
+_HEAD_BYTES = 64 * 2**10  # of a head, or between two parts of a body
+_PIPELINED = 32  # requests that wait for the answer to the one before, on one connection
 _UNREAD_S = 120  # that a peer may receive nothing of an answer
 _LOGGED_EVERY_S = 10.0
 
@@ -75,9 +73,8 @@ def connection_options(settings: Settings) -> dict[str, Any]:
     """
     slots = ConnectionSlots(settings.max_connections)
     limits = {"slots": slots, "head_s": settings.request_head_s}
-    # Which protocol Uvicorn uses depends on the installed parser.
-    protocol = type("BoundedProtocol", (BoundedConnection, AutoHTTPProtocol), limits)
-    return {"http": protocol, "backlog": _ACCEPTED_AT_ONCE}
+    protocol = type("BoundedProtocol", (BoundedConnection,), limits)
+    return {"loop": "uvloop", "http": protocol, "backlog": _ACCEPTED_AT_ONCE}
 
 
 def close_unread(listening: socket.socket) -> None:
@@ -157,8 +154,8 @@ class ConnectionSlots:
         self._refused = self._closed = 0
 
 
-class BoundedConnection(UvicornProtocol):
-    """A connection with limits; `connection_options` adds Uvicorn's protocol as a base.
+class BoundedConnection(HttpToolsProtocol):
+    """A connection with limits; `connection_options` makes a class of them.
 
     Attributes:
         slots: Those of the server.
@@ -169,6 +166,7 @@ class BoundedConnection(UvicornProtocol):
     slots: ConnectionSlots
     head_s: float
     _late: asyncio.TimerHandle | None = None
+    _unread_bytes = 0  # of a head that is incomplete, or of what is between two parts of a body
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """Accept the connection, or answer 503 and close it."""
@@ -187,13 +185,32 @@ class BoundedConnection(UvicornProtocol):
 
     def data_received(self, data: bytes) -> None:
         """Update whether the connection is in use."""
+        self._unread_bytes += len(data)
         super().data_received(data)
+        if self._unread_bytes > _HEAD_BYTES and not self.transport.is_closing():
+            self.send_400_response(f"the head is longer than {_HEAD_BYTES} bytes")
         if self.transport.is_closing() or self.transport.get_protocol() is not self:
             self._leave()  # rejected, or a WebSocket from now on
         elif self._is_busy():
             self._leave()
         elif self._late is None and (self.cycle is None or not self.cycle.more_body):
             self._expect_head()
+
+    def on_headers_complete(self) -> None:
+        """Begin a request; the parser leaves these checks to us."""
+        self._unread_bytes = 0
+        hosts = sum(name == b"host" for name, _ in self.headers)
+        # RFC 9112: a second one could be meant for whoever is behind or before us.
+        if hosts > 1 or (hosts == 0 and self.parser.get_http_version() == "1.1"):
+            raise ValueError(f"{hosts} Host fields, wanted one")  # answered with 400
+        if len(self.pipeline) >= _PIPELINED:
+            raise ValueError(f"more than {_PIPELINED} requests at once")
+        super().on_headers_complete()
+
+    def on_body(self, body: bytes) -> None:
+        """Receive a part of a body."""
+        self._unread_bytes = 0
+        super().on_body(body)
 
     def on_response_complete(self) -> None:
         """Keep the connection for another request, unless that was received already."""

@@ -137,6 +137,41 @@ def test_a_kept_connection_sends_many_requests(server):
             time.sleep(0.6)
 
 
+@pytest.mark.parametrize(
+    "head",
+    [
+        b"GET /livez HTTP/1.1\r\nHost: 127.0.0.1\r\nX-Long: " + b"x" * 2**17,
+        b"GET /" + b"x" * 2**17,
+        b"GET /livez HTTP/1.1\r\nHost: 127.0.0.1\r\nHost: maps.example\r\n\r\n",
+        b"GET /livez HTTP/1.1\r\n\r\n",
+        b"GET /livez HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n" * 100,
+        b"POST /v1/maps HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Length: 3\r\n"
+        b"Transfer-Encoding: chunked\r\n\r\n0\r\n\r\n",
+    ],
+    ids=["long field", "long path", "two hosts", "no host", "many at once", "two lengths"],
+)
+def test_a_head_that_only_an_attacker_sends_is_refused(server, opened, head):
+    made = opened(head)
+    received = b""
+    with suppress(ConnectionResetError):
+        while part := made.recv(65536):
+            received += part
+    assert b"HTTP/1.1 400" in received
+
+
+def test_trailers_without_an_end_are_refused(server, opened):
+    made = opened(
+        b"POST /v1/maps HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Type: application/json\r\n"
+        b"Transfer-Encoding: chunked\r\n\r\n2\r\n{}\r\n0\r\nX-Trailer: "
+    )
+    received = b""
+    with suppress(ConnectionError):
+        made.sendall(b"x" * 2**18)
+        while part := made.recv(65536):
+            received += part
+    assert b"HTTP/1.1 201" not in received
+
+
 def test_full_of_connections_the_log_stays_short(server):
     log = server.log.read_text()
     assert "as many as may be" in log

@@ -1,0 +1,162 @@
+"""Load on a service over plain sockets, and the CPU time of the process that bears it.
+
+The client does as little as possible, so that on the other core it is faster than the service.
+"""
+
+import os
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+_TICKS_PER_S = os.sysconf("SC_CLK_TCK")
+_START_S = 60.0
+
+
+class Connection:
+    """One kept connection; each request is answered before the next is sent."""
+
+    def __init__(self, port: int) -> None:
+        self._socket = socket.create_connection(("127.0.0.1", port), timeout=60)
+        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+
+    def ask(self, request: bytes) -> bytes:
+        """Return the body of the answer; one that is no success ends the benchmark."""
+        self._socket.sendall(request)
+        received = b""
+        while b"\r\n\r\n" not in received:
+            received += self._more()
+        head, _, body = received.partition(b"\r\n\r\n")
+        fields = head.lower().split(b"\r\n")
+        length = next((int(f[15:]) for f in fields if f.startswith(b"content-length:")), 0)
+        while len(body) < length:
+            body += self._more()
+        if head[9:10] != b"2":
+            raise SystemExit(f"{request[:80]!r} was answered with {head[:40]!r} {body[:300]!r}")
+        return body
+
+    def _more(self) -> bytes:
+        received = self._socket.recv(2**18)
+        if not received:
+            raise SystemExit("the service closed a connection")
+        return received
+
+    def close(self) -> None:
+        """Close the connection."""
+        self._socket.close()
+
+
+def request(
+    method: str, path: str, body: bytes = b"", headers: Mapping[str, str] | None = None
+) -> bytes:
+    """Return a request as it is sent."""
+    fields = {"Host": "127.0.0.1", "Content-Length": str(len(body)), **(headers or {})}
+    head = "".join(f"{name}: {value}\r\n" for name, value in fields.items())
+    return f"{method} {path} HTTP/1.1\r\n{head}\r\n".encode() + body
+
+
+def cpu_s(pid: int) -> float:
+    """Return the CPU seconds of a process and of its threads."""
+    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / _TICKS_PER_S
+
+
+def rss_mb(pid: int) -> float:
+    """Return the resident memory of a process."""
+    pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
+
+
+def cpu_ms_each(pid: int, port: int, requests: Sequence[bytes], count: int) -> float:
+    """Return the CPU milliseconds of a process for each of `count` requests on one connection."""
+    connection = Connection(port)
+    for number in range(max(20, count // 10)):  # caches are filled
+        connection.ask(requests[number % len(requests)])
+    begun = cpu_s(pid)
+    for number in range(count):
+        connection.ask(requests[number % len(requests)])
+    spent = cpu_s(pid) - begun
+    connection.close()
+    return 1e3 * spent / count
+
+
+def wall_ms(port: int, requests: Sequence[bytes]) -> list[float]:
+    """Return how long the answer to each request took, one after another."""
+    connection, times = Connection(port), []
+    for one in requests:
+        begun = time.perf_counter()
+        connection.ask(one)
+        times.append(1e3 * (time.perf_counter() - begun))
+    connection.close()
+    return times
+
+
+def most_per_s(port: int, requests: Sequence[bytes], clients: int, seconds: float) -> float:
+    """Return how many requests a second are answered to several clients at once."""
+    ends = time.perf_counter() + seconds
+    answered = [0] * clients
+
+    def keep_asking(client: int) -> None:
+        connection = Connection(port)
+        while time.perf_counter() < ends:
+            connection.ask(requests[(client + answered[client]) % len(requests)])
+            answered[client] += 1
+        connection.close()
+
+    threads = [threading.Thread(target=keep_asking, args=(n,)) for n in range(clients)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    return sum(answered) / seconds
+
+
+@contextmanager
+def server(arguments: Sequence[str], **environment: str) -> Iterator[tuple[int, int]]:
+    """Run a server in a process of its own; yield its process id and its port.
+
+    Args:
+        arguments: Of Python; the server prints its URL.
+        environment: Variables besides those of this process.
+    """
+    with subprocess.Popen(
+        [sys.executable, *arguments],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        env={**os.environ, **environment},
+    ) as process:
+        try:
+            yield process.pid, _port(process)
+        finally:
+            process.terminate()
+            with suppress(subprocess.TimeoutExpired):
+                process.wait(20)
+            process.kill()
+
+
+def _port(process: subprocess.Popen[bytes]) -> int:
+    assert process.stderr is not None  # noqa: S101 - it was requested
+    for line in process.stderr:
+        if b"http://127.0.0.1:" in line:
+            # What it logs later must not fill the pipe.
+            threading.Thread(target=process.stderr.read, daemon=True).start()
+            port = int(line.split(b"http://127.0.0.1:")[1].split()[0].rstrip(b"/"))
+            _await_ready(port)
+            return port
+    raise SystemExit("the server did not start")
+
+
+def _await_ready(port: int) -> None:
+    ends = time.perf_counter() + _START_S
+    while time.perf_counter() < ends:
+        with suppress(OSError):
+            connection = Connection(port)
+            connection.ask(request("GET", "/readyz"))
+            connection.close()
+            return
+        time.sleep(0.02)
+    raise SystemExit("the server was not ready in time")
