@@ -2,6 +2,7 @@
 
 import logging
 from http import HTTPStatus
+from typing import TYPE_CHECKING
 
 from anyio import to_thread
 from starlette.requests import HTTPConnection
@@ -11,10 +12,24 @@ from app.http.bodies.bodies import prepared_body
 from app.http.context import context_of
 from app.http.problems import problem_response
 from core.errors import TensorMapError
+from storage.catalog import NotKept
+
+if TYPE_CHECKING:  # the service has this module's routes
+    from app.service import Service
 
 _BEHIND_THE_KEY = ("/v1", "/metrics")
 
 _log = logging.getLogger("tensormap.access")
+
+
+async def _admit(service: "Service", connection: HTTPConnection) -> None:
+    """Check the key: at once if it is kept in memory, else in a thread."""
+    try:
+        with service.store.catalog.kept_only():
+            service.access.admit(connection)
+    except NotKept:
+        # Threads of its own: a key is looked up at once, also if all others are busy.
+        await to_thread.run_sync(service.access.admit, connection, limiter=service.pools.admission)
 
 
 class Admission:
@@ -35,10 +50,7 @@ class Admission:
         service = scope["app"].state.service
         try:
             if scope["path"].startswith(_BEHIND_THE_KEY):
-                # Threads of its own: a key is looked up at once, also if all others are busy.
-                await to_thread.run_sync(
-                    service.access.admit, HTTPConnection(scope), limiter=service.pools.admission
-                )
+                await _admit(service, HTTPConnection(scope))
             context_of(scope).body = prepared_body(scope, receive)
         except TensorMapError as error:
             response = problem_response(error)

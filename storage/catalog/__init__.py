@@ -6,6 +6,7 @@ Every public method is one transaction and returns records that are detached fro
 from storage.catalog.acts import Act, on_behalf
 from storage.catalog.audit import AuditCheck, AuditState
 from storage.catalog.catalog import Catalog
+from storage.catalog.kept import NotKept
 from storage.catalog.models import (
     AuditRecord,
     JobRecord,
@@ -38,6 +39,7 @@ __all__ = [
     "JobState",
     "KeyRecord",
     "MapRecord",
+    "NotKept",
     "Page",
     "PosesPut",
     "RequestKey",

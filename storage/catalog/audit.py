@@ -56,7 +56,7 @@ class Audit(Repository):
 
     def append(self, act: Act, outcome: str) -> None:
         """Add an entry about an act that changed nothing, such as a rejected one."""
-        with on_behalf(None), self._database.writing() as session:
+        with on_behalf(None), self._database.writing(announced=False) as session:
             append(session, act, outcome)
 
     def list(

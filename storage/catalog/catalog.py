@@ -42,6 +42,17 @@ class Catalog:
         self.tokens = Tokens(self._database)
         self.audit = Audit(self._database)
 
+    def watch(self) -> None:
+        """Keep in memory what answers read, until the catalog changes; for a process that answers.
+
+        What another process changes is seen at once on SQLite, and within a second on PostgreSQL.
+        """
+        self._database.watch()
+
+    def kept_only(self) -> AbstractContextManager[None]:
+        """Raise `NotKept` within the block, in this thread, where a query would be needed."""
+        return self._database.kept.only()
+
     def faults(self) -> list[str]:
         """Return descriptions of the faults of the database itself, none if it is sound.
 

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import AbstractContextManager, closing, contextmanager, nullcontext
 from typing import Any
 
-from sqlalchemy import Connection, Engine, create_engine, event, make_url
+from sqlalchemy import Connection, Engine, create_engine, event, make_url, text
 from sqlalchemy.exc import (
     ArgumentError,
     DBAPIError,
@@ -19,6 +19,8 @@ from sqlalchemy.orm import Session, sessionmaker
 
 from storage.catalog import audit_chain
 from storage.catalog.acts import current_act
+from storage.catalog.changes import CHANNEL, changes_of
+from storage.catalog.kept import Kept
 from storage.catalog.migrations import is_newest, upgrade
 from storage.errors import (
     StorageBusy,
@@ -62,6 +64,7 @@ class Database:
 
     def __init__(self, url: str, migrating: AbstractContextManager[object]) -> None:
         self.engine = _engine(url)
+        self.kept = Kept()
         self._reading_engine = self.engine
         self._writer: AbstractContextManager[object] = nullcontext()
         if self.engine.dialect.name == "postgresql":
@@ -89,15 +92,19 @@ class Database:
     @contextmanager
     def reading(self) -> Iterator[Session]:
         """Yield a session on one consistent snapshot."""
+        self.kept.require_query()
         with _named_errors(), Session(self._reading_engine) as session:
             yield session
 
     @contextmanager
-    def writing(self) -> Iterator[Session]:
+    def writing(self, *, announced: bool = True) -> Iterator[Session]:
         """Yield a session that commits when the block ends and rolls back when it raises.
 
         On SQLite no other writer can write between its reads and its writes. A change on behalf of
         an `Act` is in the audit log with the same commit.
+
+        Args:
+            announced: Whether it may change what `kept` has: not what is frequent and of no answer.
 
         Raises:
             StorageBusy: If another process held the database for too long.
@@ -105,13 +112,22 @@ class Database:
             StorageReadOnly: If the database cannot be written.
             StorageUnavailable: If the database fails or cannot be reached.
         """
+        self.kept.require_query()
         act = current_act()
         with _named_errors(), self._writer, self._new_writer.begin() as session:
             yield session
             if act is not None and not act.recorded:
                 audit_chain.append(session, act, audit_chain.DONE)
+            if announced and self.engine.dialect.name == "postgresql":
+                session.execute(text(f"NOTIFY {CHANNEL}"))
+        if announced:
+            self.kept.changed()
         if act is not None:
             act.recorded = True
+
+    def watch(self) -> None:
+        """Keep in memory what answers read, until the catalog changes."""
+        self.kept.watch(changes_of(self.engine))
 
     def faults(self) -> list[str]:
         """Return what is wrong with a SQLite database, in words."""
@@ -128,6 +144,7 @@ class Database:
 
     def close(self) -> None:
         """Close the idle connections."""
+        self.kept.close()
         self.engine.dispose()
 
 

@@ -64,7 +64,7 @@ class Jobs(Repository):
             created_at=datetime.now(UTC),
         )
         try:
-            with self._database.writing() as session:
+            with self._database.writing(announced=False) as session:
                 job.map_id = map_named(session, map_slug, shared=True).id
                 if most_queued is not None:
                     _require_room(session, key_id, most_queued)
@@ -99,7 +99,7 @@ class Jobs(Repository):
 
         Keys take turns, and so do the maps of a key. No two callers get the same job.
         """
-        with self._database.writing() as session:
+        with self._database.writing(announced=False) as session:
             job = _next_job(session)
             if job is not None:
                 job.state = JobState.RUNNING
@@ -160,7 +160,7 @@ class Jobs(Repository):
             JobNotFound: If there is none of that id.
             JobNotRunning: If it is not running.
         """
-        with self._database.writing() as session:
+        with self._database.writing(announced=False) as session:
             job = _running(session, job_id)
             if stage != job.stage:
                 job.stage_started_at = datetime.now(UTC)
@@ -174,7 +174,7 @@ class Jobs(Repository):
             JobNotFound: If there is none of that id.
             JobNotRunning: If it is not running.
         """
-        with self._database.writing() as session:
+        with self._database.writing(announced=False) as session:
             job = _found(session, job_id, lock=True)
             if (job.state, job.revision) != (JobState.DONE, revision):
                 _end(_running(session, job_id), JobState.DONE).revision = revision
@@ -187,7 +187,7 @@ class Jobs(Repository):
             JobNotFound: If there is none of that id.
             JobNotRunning: If it is not running.
         """
-        with self._database.writing() as session:
+        with self._database.writing(announced=False) as session:
             job = _end(_running(session, job_id), JobState.FAILED)
             job.error_type, job.error_detail = error_type, error_detail
             return job
@@ -199,7 +199,7 @@ class Jobs(Repository):
             JobNotFound: If there is none of that id.
             JobNotRunning: If it is not running.
         """
-        with self._database.writing() as session:
+        with self._database.writing(announced=False) as session:
             return _end(_running(session, job_id), JobState.CANCELLED)
 
     def request_cancel(self, job_id: str) -> JobRecord:
@@ -208,7 +208,7 @@ class Jobs(Repository):
         Raises:
             JobNotFound: If there is none of that id.
         """
-        with self._database.writing() as session:
+        with self._database.writing(announced=False) as session:
             job = _found(session, job_id, lock=True)
             if job.state == JobState.QUEUED:
                 _end(job, JobState.CANCELLED)
@@ -222,7 +222,7 @@ class Jobs(Repository):
         A job that was to be cancelled is cancelled instead. Only the server calls it, at its start,
         before a worker runs.
         """
-        with self._database.writing() as session:
+        with self._database.writing(announced=False) as session:
             query = select(JobRecord).where(JobRecord.state == JobState.RUNNING)
             jobs = session.scalars(query).all()
             for job in jobs:

@@ -64,13 +64,21 @@ class Keys(Repository):
 
     def with_hash(self, secret_hash: str) -> KeyRecord | None:
         """Return the key of that hash, also a revoked one; `None` if there is none."""
-        with self._database.reading() as session:
-            return session.scalar(select(KeyRecord).where(KeyRecord.secret_hash == secret_hash))
+
+        def read() -> KeyRecord | None:
+            with self._database.reading() as session:
+                return session.scalar(select(KeyRecord).where(KeyRecord.secret_hash == secret_hash))
+
+        return self._database.kept.get(("key", secret_hash), read)
 
     def ever_made(self) -> bool:
         """Return whether there is any key, revoked ones included."""
-        with self._database.reading() as session:
-            return session.scalar(select(KeyRecord.id).limit(1)) is not None
+
+        def read() -> bool:
+            with self._database.reading() as session:
+                return session.scalar(select(KeyRecord.id).limit(1)) is not None
+
+        return self._database.kept.get(("keys",), read)
 
     def list(self, after: str = "", limit: int = DEFAULT_LIMIT) -> Page[KeyRecord]:
         """Return the keys that were made after key `after`, revoked ones included.

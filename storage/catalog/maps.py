@@ -48,9 +48,13 @@ class Maps(Repository):
         Raises:
             MapNotFound: If there is none of that slug.
         """
-        with self._database.reading() as session:
-            row = map_named(session, slug)
-            return _record(row, _live(session, row))
+
+        def read() -> MapRecord:
+            with self._database.reading() as session:
+                row = map_named(session, slug)
+                return _record(row, _live(session, row))
+
+        return self._database.kept.get(("map", slug), read)
 
     def get_by_id(self, map_id: str) -> MapRecord:
         """Return a map by its id, whatever its slug is now.

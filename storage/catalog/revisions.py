@@ -82,8 +82,12 @@ class Revisions(Repository):
             RevisionNotFound: If the map has no such revision, or the prefix is shorter than that.
             AmbiguousRevision: If the map has several.
         """
-        with self._database.reading() as session:
-            return _found(session, map_named(session, map_slug), digest)
+
+        def read() -> RevisionRecord:
+            with self._database.reading() as session:
+                return _found(session, map_named(session, map_slug), digest)
+
+        return self._database.kept.get(("revision", map_slug, digest), read)
 
     def of_map(self, map_id: str, digest: str) -> RevisionRecord:
         """Return a revision of the map of that id, whatever its slug is now; otherwise as `get`.
@@ -108,7 +112,13 @@ class Revisions(Repository):
         Raises:
             MapNotFound: If there is no such map.
         """
-        prefix = basis.lower()
+
+        def read() -> RevisionRecord | None:
+            return self._with_basis(map_slug, basis.lower())
+
+        return self._database.kept.get(("basis", map_slug, basis), read)
+
+    def _with_basis(self, map_slug: str, prefix: str) -> RevisionRecord | None:
         with self._database.reading() as session:
             of_map = map_named(session, map_slug)
             if len(prefix) < _SHORTEST_PREFIX:

@@ -77,7 +77,7 @@ class Scans(Repository):
                 removed, or one of the scans was added.
         """
         try:
-            with self._database.writing() as session:
+            with self._database.writing(announced=False) as session:
                 self._hold(session, target)
                 if _among(session, target.drive_id, {record.index for record in records}):
                     raise LostRace(f"drive {target.drive_slug!r} got some of these scans meanwhile")
@@ -141,7 +141,7 @@ class Scans(Repository):
         """
         indices = sorted({*poses, *timestamps_s})
         scans = np.array(indices, dtype=np.int64)
-        with self._database.writing() as session:
+        with self._database.writing(announced=False) as session:
             drive_id = drive_named(session, map_slug, drive_slug, lock=True).id
             before = stored_poses(session, drive_id, scans)
             if len(before) < len(scans):
@@ -182,7 +182,7 @@ class Scans(Repository):
         """
         slug, drive_id = target.drive_slug, target.drive_id
         try:
-            with self._database.writing() as session:
+            with self._database.writing(announced=False) as session:
                 self._hold(session, target)
                 before = stored_poses(session, drive_id, poses.scans)
                 is_stored = np.isin(poses.scans, before.scans)
@@ -218,7 +218,7 @@ class Scans(Repository):
             LostRace: If one of the scans is no longer where it was.
         """
         old = {scan.chunk for scan in scans}
-        with self._database.writing() as session:
+        with self._database.writing(announced=False) as session:
             if session.get(Drive, drive_id, with_for_update=True) is None:
                 raise LostRace("the drive was removed meanwhile")
             stored = _among(session, drive_id, {scan.index for scan in scans})

@@ -47,6 +47,10 @@ class Tokens(Repository):
             .outerjoin(KeyRecord, KeyRecord.secret_hash == TokenRecord.key_hash)
             .where(TokenRecord.secret_hash == secret_hash)
         )
-        with self._database.reading() as session:
-            found = session.execute(query).one_or_none()
-            return None if found is None else (found[0], found[1])
+
+        def read() -> tuple[TokenRecord, KeyRecord | None] | None:
+            with self._database.reading() as session:
+                found = session.execute(query).one_or_none()
+                return None if found is None else (found[0], found[1])
+
+        return self._database.kept.get(("token", secret_hash), read)

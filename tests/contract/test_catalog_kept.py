@@ -1,0 +1,119 @@
+"""What the catalog keeps in memory, and when it is read again."""
+
+import subprocess
+import sys
+import time
+
+import pytest
+
+from storage.catalog import Catalog, NotKept
+from storage.errors import MapNotFound
+
+SECRET_HASH = "0f" * 32
+SEEN_S = 1.0
+# A process that revokes the key whose id it is given.
+REVOKE = """
+import sys
+from storage.catalog import Catalog
+catalog = Catalog(sys.argv[1])
+catalog.keys.revoke(sys.argv[2])
+catalog.close()
+"""
+
+
+def watch(catalog):
+    """Make a map, and return when what was read of it is kept."""
+    catalog.watch()
+    catalog.maps.create("campus")
+    ends_s = time.monotonic() + 30
+    while time.monotonic() < ends_s:
+        catalog.maps.get("campus")
+        try:
+            with catalog.kept_only():
+                catalog.maps.get("campus")
+        except NotKept:
+            time.sleep(0.05)  # PostgreSQL's channel is being opened
+        else:
+            return
+    raise AssertionError("nothing is ever kept")
+
+
+@pytest.fixture
+def watched(catalog):
+    """A catalog that keeps what it reads."""
+    watch(catalog)
+    return catalog
+
+
+def test_without_watching_nothing_is_kept(catalog):
+    catalog.maps.create("campus")
+    catalog.maps.get("campus")
+    with pytest.raises(NotKept), catalog.kept_only():
+        catalog.maps.get("campus")
+    assert catalog.maps.get("campus").slug == "campus"  # the block has ended
+
+
+def test_what_was_read_is_not_read_again(watched):
+    key = watched.keys.add(SECRET_HASH, ["localize"])
+    for _ in range(2):
+        assert watched.keys.with_hash(SECRET_HASH).id == key.id
+        assert watched.keys.ever_made()
+        watched.maps.get("campus")
+    with watched.kept_only():
+        assert watched.keys.with_hash(SECRET_HASH).id == key.id
+        assert watched.keys.ever_made()
+        assert watched.maps.get("campus").slug == "campus"
+
+
+def test_a_change_of_this_process_holds_at_once(watched):
+    key = watched.keys.add(SECRET_HASH, ["localize"])
+    for _ in range(20):
+        assert watched.keys.with_hash(SECRET_HASH).revoked_at is None
+        watched.maps.update("campus", description="a")
+        assert watched.maps.get("campus").description == "a"
+        watched.maps.update("campus", description="b")
+        assert watched.maps.get("campus").description == "b"
+    watched.keys.revoke(key.id)
+    assert watched.keys.with_hash(SECRET_HASH).revoked_at is not None
+    watched.maps.delete("campus")
+    with pytest.raises(MapNotFound):
+        watched.maps.get("campus")
+
+
+def test_what_is_not_there_is_read_each_time(watched):
+    assert watched.keys.with_hash(SECRET_HASH) is None
+    with pytest.raises(NotKept), watched.kept_only():
+        watched.keys.with_hash(SECRET_HASH)
+
+
+def test_a_key_that_another_process_revokes_is_seen_within_a_second(watched, database_url):
+    key = watched.keys.add(SECRET_HASH, ["localize"])
+    assert watched.keys.with_hash(SECRET_HASH).revoked_at is None
+    command = [sys.executable, "-c", REVOKE, database_url, key.id]
+    subprocess.run(command, check=True, timeout=60)
+    ended_s = time.monotonic()  # the commit was before
+    while watched.keys.with_hash(SECRET_HASH).revoked_at is None:
+        assert time.monotonic() - ended_s < 5 * SEEN_S  # tests run beside it
+        time.sleep(0.02)
+
+
+def test_what_is_kept_expires_a_second_after_postgresqls_channel_is_lost(postgresql):
+    url = postgresql.new_database()
+    name = url.partition("?")[0].rpartition("/")[2]
+    catalog = Catalog(url)
+    watch(catalog)
+    postgresql.run(f"ALTER DATABASE {name} ALLOW_CONNECTIONS false", database="postgres")
+    postgresql.run(
+        "SELECT pg_terminate_backend(pid) FROM pg_stat_activity"
+        f" WHERE datname = '{name}' AND query NOT LIKE '%pg_terminate%'",
+        database="postgres",
+    )
+    time.sleep(SEEN_S)
+    with pytest.raises(NotKept), catalog.kept_only():
+        catalog.maps.get("campus")
+    postgresql.run(f"ALTER DATABASE {name} ALLOW_CONNECTIONS true", database="postgres")
+    other = Catalog(url)
+    other.maps.update("campus", description="changed meanwhile")
+    other.close()
+    assert catalog.maps.get("campus").description == "changed meanwhile"
+    catalog.close()
