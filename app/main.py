@@ -2,19 +2,16 @@
 
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
-from functools import cache
 from importlib.metadata import version
 
-from fastapi import APIRouter, Depends, FastAPI
+from fastapi import FastAPI
 from fastapi_offline import FastAPIOffline
 from starlette.concurrency import run_in_threadpool
 from starlette.middleware.cors import CORSMiddleware
-from starlette.routing import BaseRoute
 
 from app.access import audit_routes, key_routes
 from app.access.access import Access, make_first_key
 from app.access.admission import Admission
-from app.access.dependency import require_access
 from app.access.trail import AuditTrail
 from app.builds import job_routes
 from app.builds import routes as builds
@@ -25,12 +22,12 @@ from app.drives import upload_routes
 from app.http import health_routes
 from app.http.bodies.spool import SpoolRoom
 from app.http.bodies.unread import UnreadBody
-from app.http.errors import KEY
 from app.http.metrics import Metrics
 from app.http.observing import RequestObserver
 from app.http.openapi import complete_openapi
 from app.http.pools import Pools
-from app.http.problems import add_handlers, problems
+from app.http.problems import add_handlers
+from app.http.route_index import RouteIndex
 from app.http.streams import Streams
 from app.localization import routes as localizations
 from app.loop_closures import routes as loop_closures
@@ -51,7 +48,7 @@ from storage.store import Store
 
 _DESCRIPTION = """Stores LiDAR topological maps and answers *where am I?* from one scan, or from a
 signature of some 60 bytes. Post scans to a drive, build, localize."""
-_API = (
+_ROUTERS = (
     maps.reading,
     maps.writing,
     drives.reading,
@@ -69,8 +66,10 @@ _API = (
     key_routes.keys,
     key_routes.tokens,
     audit_routes.router,
+    # FastAPI's dependencies for keys are of requests: a stream checks its caller itself.
+    stream_routes.router,
+    health_routes.router,  # health checks are unauthenticated
 )
-"""The routers under /v1, all behind the key; each or its routes declare the scope they need."""
 _HEADERS_OF_PAGES = (
     "Authorization",
     "Content-Digest",
@@ -127,23 +126,10 @@ def create_app(settings: Settings | None = None) -> FastAPI:
             max_age=600,
         )
     app.add_middleware(RequestObserver, metrics=metrics)  # the last one added is the outermost
-    app.router.routes.extend(_routes())
+    routes = [route for router in _ROUTERS for route in router.routes]
+    app.router.routes[:] = [RouteIndex(routes), *app.router.routes, *routes]
     complete_openapi(app)
     return app
-
-
-@cache
-def _routes() -> tuple[BaseRoute, ...]:
-    """Return the routes, the same in every application: making them takes long."""
-    router = APIRouter()
-    api = APIRouter(prefix="/v1", dependencies=[Depends(require_access)], responses=problems(*KEY))
-    for part in _API:
-        api.include_router(part)
-    router.include_router(api)
-    # FastAPI's dependencies for keys are of requests: a stream checks its caller itself.
-    router.include_router(stream_routes.router, prefix="/v1")
-    router.include_router(health_routes.router)  # health checks are unauthenticated
-    return tuple(router.routes)
 
 
 def _start(settings: Settings, metrics: Metrics, pools: Pools) -> Service:
@@ -156,6 +142,7 @@ def _start(settings: Settings, metrics: Metrics, pools: Pools) -> Service:
     if made is not None:
         # The only place where a key is shown: its hash alone is stored.
         print(f"Administrator key, shown this once: {made}", flush=True)  # noqa: T201
+    store.catalog.watch()
     access = Access(store, settings)
     collector = GarbageCollector(settings, store)
 

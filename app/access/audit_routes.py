@@ -6,17 +6,17 @@ from typing import Annotated
 from fastapi import Query
 from pydantic import Field
 
+from app.access.api_router import api_router
 from app.access.scopes import Scope, needs
 from app.http.errors import READING, InvalidRequest
 from app.http.exact_types import Moment
 from app.http.pages import Limit, PageOut, page_out
-from app.http.pooled_route import pooled_router
 from app.http.problems import problems
 from app.http.shown import Shown
 from app.service import Running
 from storage.catalog import AuditRecord
 
-router = pooled_router(tags=["access"], dependencies=[needs(Scope.ADMIN)])
+router = api_router(tags=["access"], dependencies=(needs(Scope.ADMIN),))
 
 AfterEntry = Annotated[
     int,

@@ -6,6 +6,7 @@ from typing import Annotated
 
 from fastapi import Path, Response, status
 
+from app.access.api_router import api_router
 from app.access.caller import Caller
 from app.access.dependency import CurrentCaller
 from app.access.key_schemas import KeyIn, KeyMade, KeyOut, TokenIn, TokenMade
@@ -15,15 +16,14 @@ from app.access.trail import note
 from app.http import errors
 from app.http.bodies.bodies import Json
 from app.http.pages import After, Limit, PageOut, page_out
-from app.http.pooled_route import pooled_router
 from app.http.problems import problems
 from app.service import Running
 from core.errors import InvalidParameters
 from storage.errors import InvalidSlug, KeyNotFound
 from storage.names import checked_slug
 
-keys = pooled_router(tags=["access"], dependencies=[needs(Scope.ADMIN)])
-tokens = pooled_router(tags=["access"], dependencies=[needs(*ANY_SCOPE)])
+keys = api_router(tags=["access"], dependencies=(needs(Scope.ADMIN),))
+tokens = api_router(tags=["access"], dependencies=(needs(*ANY_SCOPE),))
 
 KeyId = Annotated[str, Path(alias="key", description="The key's id.")]
 

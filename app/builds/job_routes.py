@@ -9,6 +9,7 @@ from starlette.responses import StreamingResponse
 from starlette.types import Receive, Send
 from starlette.types import Scope as ASGIScope
 
+from app.access.api_router import api_router
 from app.access.caller import Caller
 from app.access.dependency import CurrentCaller
 from app.access.scopes import Scope, needs
@@ -16,15 +17,14 @@ from app.builds.job_events import event_id
 from app.builds.job_schemas import JobOut
 from app.http.errors import READING, WRITING, InvalidRequest, TooManyStreams, TooManyStreamsOfKey
 from app.http.pages import After, Limit, PageOut, page_out
-from app.http.pooled_route import pooled_router
 from app.http.problems import problems
 from app.service import Running, Service
 from core.errors import InvalidParameters
 from storage.catalog import JobRecord
 from storage.errors import JobNotFound, MapNotFound
 
-reading = pooled_router(tags=["builds"], dependencies=[needs(Scope.MAPS_READ, Scope.MAPS_WRITE)])
-writing = pooled_router(tags=["builds"], dependencies=[needs(Scope.MAPS_WRITE)])
+reading = api_router(tags=["builds"], dependencies=(needs(Scope.MAPS_READ, Scope.MAPS_WRITE),))
+writing = api_router(tags=["builds"], dependencies=(needs(Scope.MAPS_WRITE),))
 
 _EVENTS = "text/event-stream"
 _EVENT = {

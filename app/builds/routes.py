@@ -6,6 +6,7 @@ from typing import Annotated
 from fastapi import Header, Response, status
 from fastapi.exceptions import RequestValidationError
 
+from app.access.api_router import api_router
 from app.access.dependency import CurrentCaller
 from app.access.scopes import Scope, needs
 from app.builds.job_schemas import JobOut
@@ -14,14 +15,13 @@ from app.builds.plans import plan_build
 from app.drives.stored_images import require_images
 from app.http.bodies.bodies import Json
 from app.http.errors import JSON_BODY, REVISION, WRITING
-from app.http.pooled_route import pooled_router
 from app.http.problems import problems
 from app.service import MapSlug, Running
 from core.errors import EmptyDrive, InvalidParameters, UnknownDrive
 from storage import errors as stored
 from storage.catalog import RequestKey
 
-router = pooled_router(tags=["builds"], dependencies=[needs(Scope.MAPS_WRITE)])
+router = api_router(tags=["builds"], dependencies=(needs(Scope.MAPS_WRITE),))
 
 IdempotencyKey = Annotated[
     str | None,

@@ -7,6 +7,7 @@ from typing import Annotated
 import numpy as np
 from fastapi import Path, Query, Response, status
 
+from app.access.api_router import api_router
 from app.access.scopes import Scope, needs
 from app.access.trail import note
 from app.drives.pose_schemas import PoseQuery, pose_from_query
@@ -14,7 +15,7 @@ from app.drives.schemas import DriveIn, DriveOut, DrivePatch, ScanOut
 from app.http import errors
 from app.http.bodies.bodies import SCAN_TYPES, Body, ContentType, Json, described_body
 from app.http.pages import After, Limit, PageOut, page_out
-from app.http.pooled_route import heavy, pooled_router
+from app.http.pooled_route import heavy
 from app.http.problems import problems
 from app.service import DriveSlug, MapSlug, Running
 from core.errors import InvalidPose, InvalidScan, TooFewReturns
@@ -22,9 +23,9 @@ from storage import errors as stored
 from storage.formats import errors as formats
 from storage.formats.scans.registry import read_scan
 
-scans = pooled_router(tags=["drives"], dependencies=[needs(Scope.MAPS_READ)])
-reading = pooled_router(tags=["drives"], dependencies=[needs(Scope.MAPS_READ, Scope.MAPS_WRITE)])
-writing = pooled_router(tags=["drives"], dependencies=[needs(Scope.MAPS_WRITE)])
+scans = api_router(tags=["drives"], dependencies=(needs(Scope.MAPS_READ),))
+reading = api_router(tags=["drives"], dependencies=(needs(Scope.MAPS_READ, Scope.MAPS_WRITE),))
+writing = api_router(tags=["drives"], dependencies=(needs(Scope.MAPS_WRITE),))
 
 _DRIVE = (stored.MapNotFound, stored.DriveNotFound)
 BAD_SCAN = (

@@ -8,6 +8,7 @@ from typing import Annotated
 from fastapi import Query, Request
 from starlette.requests import ClientDisconnect
 
+from app.access.api_router import api_router
 from app.access.scopes import Scope, needs
 from app.drives.many_scans import ScanUpload
 from app.drives.pose_files import CSV, POSE_TYPES, read_poses
@@ -19,7 +20,7 @@ from app.http.bodies.incoming import Incoming
 from app.http.bodies.json_body import read_json
 from app.http.bodies.spool import Spool
 from app.http.context import context_of
-from app.http.pooled_route import pooled_router, run_heavy
+from app.http.pooled_route import run_heavy
 from app.http.problems import problems
 from app.service import DriveSlug, MapSlug, Running
 from core.errors import InvalidPose, TensorMapError
@@ -27,8 +28,8 @@ from storage.errors import DriveNotFound, InvalidSlug, MapNotFound, PosesDoNotFi
 from storage.formats.errors import UnknownFormat
 from storage.formats.scans.registry import FORMAT_NAMES, media_type_of
 
-reading = pooled_router(tags=["drives"], dependencies=[needs(Scope.MAPS_READ, Scope.MAPS_WRITE)])
-writing = pooled_router(tags=["drives"], dependencies=[needs(Scope.MAPS_WRITE)])
+reading = api_router(tags=["drives"], dependencies=(needs(Scope.MAPS_READ, Scope.MAPS_WRITE),))
+writing = api_router(tags=["drives"], dependencies=(needs(Scope.MAPS_WRITE),))
 
 _TAR, _JSON = "application/x-tar", "application/json"
 _BATCH_BYTES = 4 * 2**20

@@ -114,10 +114,5 @@ def _complete_head(message: Message, context: RequestContext) -> None:
 
 def _template(scope: Scope) -> str:
     """Return the template of the route that answered, `(none)` if none did."""
-    template = getattr(scope.get("route"), "path", None)
-    if template is None:
-        return "(none)"
-    # The route's path is relative to its router. None of our path parameters matches a slash, so
-    # that the rest of the path is the routers' prefix.
-    parts, own = scope["path"].split("/"), template.split("/")
-    return "/".join(parts[: max(len(parts) - len(own) + 1, 1)] + own[1:])
+    template: str = getattr(scope.get("route"), "path", "(none)")
+    return template

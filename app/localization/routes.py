@@ -6,11 +6,12 @@ import numpy as np
 from fastapi import Query
 from fastapi.exceptions import RequestValidationError
 
+from app.access.api_router import api_router
 from app.access.scopes import Scope, needs
 from app.http import errors
 from app.http.bodies.bodies import Body, ContentType, described_body, required_type
 from app.http.bodies.json_body import read_json
-from app.http.pooled_route import heavy, pooled_router
+from app.http.pooled_route import heavy
 from app.http.problems import problems
 from app.localization.prior_schemas import ImageQuery, LocalizeQuery, ScanQuery
 from app.localization.scan_queries import BAD_SCAN_QUERY, SCAN_QUERY_TYPES, read_query
@@ -23,10 +24,10 @@ from core.projection.imager import Grid, Image
 from storage.errors import CorruptFile, MapNotFound, NoLiveRevision
 from storage.formats.errors import EmptyBody
 
-router = pooled_router(
+router = api_router(
     tags=["localizations"],
     prefix="/maps/{map}/localizations",
-    dependencies=[needs(Scope.LOCALIZE)],
+    dependencies=(needs(Scope.LOCALIZE),),
 )
 
 _ANSWERING = (

@@ -1,11 +1,12 @@
 """Checks of proposed loop closures."""
 
+from app.access.api_router import api_router
 from app.access.scopes import Scope, needs
 from app.drives.mapped_drives import MappedScans
 from app.http.bodies.bodies import Json
 from app.http.client import require_client
 from app.http.errors import JSON_BODY, READING
-from app.http.pooled_route import heavy, pooled_router
+from app.http.pooled_route import heavy
 from app.http.problems import problems
 from app.loop_closures.schemas import (
     LoopClosureOut,
@@ -19,7 +20,7 @@ from core.errors import InvalidScan, InvalidSignature, StaleSignature, UnknownSe
 from core.loop_closure.closure import LoopClosure, check_scans, check_signatures
 from storage import errors as stored
 
-router = pooled_router(tags=["loop closures"])
+router = api_router(tags=["loop closures"])
 
 
 @router.post(

@@ -5,21 +5,21 @@ from typing import Annotated
 
 from fastapi import Header, Response, status
 
+from app.access.api_router import api_router
 from app.access.dependency import CurrentCaller
 from app.access.scopes import Scope, needs
 from app.access.trail import note
 from app.http import errors
 from app.http.bodies.bodies import Json
 from app.http.pages import After, Limit, PageOut, page_out
-from app.http.pooled_route import pooled_router
 from app.http.problems import problems
 from app.maps.schemas import MapIn, MapOut, MapPatch
 from app.service import MapSlug, Running, Service
 from storage.catalog import MapRecord
 from storage.errors import InvalidSlug, MapChanged, MapExists, MapNotFound
 
-reading = pooled_router(tags=["maps"], dependencies=[needs(Scope.MAPS_READ)])
-writing = pooled_router(tags=["maps"], dependencies=[needs(Scope.MAPS_WRITE)])
+reading = api_router(tags=["maps"], dependencies=(needs(Scope.MAPS_READ),))
+writing = api_router(tags=["maps"], dependencies=(needs(Scope.MAPS_WRITE),))
 
 _ETAG = re.compile(r'\s*(?:\*|(?:W/)?"([0-9]{1,18})")\s*')
 IfMatch = Annotated[

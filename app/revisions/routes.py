@@ -9,13 +9,14 @@ from fastapi import Header, Path, Query, Response, status
 from fastapi.responses import FileResponse
 from pydantic import Field
 
+from app.access.api_router import api_router
 from app.access.scopes import Scope, needs
 from app.access.trail import note
 from app.http import errors
 from app.http.bodies.bodies import Body, ContentType, Json, described_body, required_type
 from app.http.open_file import OpenFileResponse
 from app.http.pages import After, Limit, PageOut, page_out
-from app.http.pooled_route import heavy, pooled_router
+from app.http.pooled_route import heavy
 from app.http.problems import problems
 from app.maps.routes import IfMatch, shown_map, version_seen
 from app.maps.schemas import MapOut
@@ -29,7 +30,7 @@ from core.errors import InvalidMap, InvalidParameters, UnknownSegment
 from storage import errors as stored
 from storage.formats.errors import EmptyBody
 
-router = pooled_router(tags=["revisions"])
+router = api_router(tags=["revisions"])
 
 RevisionId = Annotated[
     str, Path(alias="revision", description="Digest of a revision, or at least 12 first digits.")

@@ -5,11 +5,11 @@ from typing import Annotated
 
 from fastapi import Path, Query, Response
 
+from app.access.api_router import api_router
 from app.access.dependency import CurrentCaller
 from app.access.scopes import Scope, needs
 from app.http import errors
 from app.http.bodies.bodies import Body, ContentType, described_body, media_type
-from app.http.pooled_route import pooled_router
 from app.http.problems import problems
 from app.localization.routes import (
     IMAGE_TYPE,
@@ -29,8 +29,8 @@ from core.localization.localizer import Localizer
 from storage import errors as stored
 from storage.formats.errors import EmptyBody
 
-router = pooled_router(
-    tags=["tracks"], prefix="/maps/{map}/tracks", dependencies=[needs(Scope.LOCALIZE)]
+router = api_router(
+    tags=["tracks"], prefix="/maps/{map}/tracks", dependencies=(needs(Scope.LOCALIZE),)
 )
 
 TrackId = Annotated[str, Path(alias="track", description="The track's name.")]

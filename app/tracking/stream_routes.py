@@ -24,7 +24,7 @@ from core.errors import TensorMapError
 from core.tracking.track import Observation
 from storage.errors import MapNotFound
 
-router = APIRouter(tags=["tracks"])
+router = APIRouter(tags=["tracks"], prefix="/v1")
 
 _ENDING = (
     errors.TrackNotFound,
