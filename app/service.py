@@ -9,6 +9,7 @@ from app.access.access import Access
 from app.builds.job_events import JobEvents
 from app.builds.runner import JobRunner
 from app.http.bodies.spool import SpoolRoom
+from app.http.direct import known
 from app.http.metrics import Metrics
 from app.http.pools import Pools
 from app.http.streams import Streams
@@ -62,6 +63,7 @@ async def running_service(request: Request) -> Service:
     return service
 
 
+known(running_service, running_service)
 Running = Annotated[Service, Depends(running_service)]
 _SLUG = {"pattern": SLUG_PATTERN}  # described only: another name is not found, or invalid
 MapSlug = Annotated[

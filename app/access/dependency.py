@@ -10,6 +10,7 @@ from app.access.caller import Caller
 from app.access.scopes import Scope, bearer_scheme, needed_by
 from app.access.trail import sign
 from app.http.context import context_of
+from app.http.direct import known
 from app.http.errors import KeyNeeded
 
 
@@ -50,4 +51,10 @@ async def _caller_of(request: Request) -> Caller:
     return caller
 
 
+async def _checked(request: Request) -> None:
+    await require_access(request, None)
+
+
+known(require_access, _checked)
+known(_caller_of, _caller_of)
 CurrentCaller = Annotated[Caller, Depends(_caller_of)]

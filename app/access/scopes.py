@@ -7,6 +7,8 @@ from fastapi import Depends, Security
 from fastapi.params import Security as SecurityDependency
 from fastapi.security import HTTPAuthorizationCredentials, HTTPBearer
 
+from app.http.direct import known
+
 bearer_scheme = HTTPBearer(
     auto_error=False,
     description="A key of this service, or a token that was exchanged for one.",
@@ -47,3 +49,6 @@ async def _declare(
     _: Annotated[HTTPAuthorizationCredentials | None, Depends(bearer_scheme)],
 ) -> None:
     """Do nothing: FastAPI documents it in the route's description."""
+
+
+known(_declare)

@@ -2,22 +2,26 @@
 
 A plain function under `@router.get(...)` runs in the short pool, with `@heavy` below that in the
 heavy one. Its body is received before, on the event loop: a thread is taken only when it is
-complete. A request with a large or compressed body is heavy work in any case.
+complete. A request with a large or compressed body is heavy work in any case. The thread writes the
+JSON of the answer too.
 """
 
 import asyncio
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Coroutine
 from functools import partial
+from http import HTTPStatus
 from typing import Annotated, Any, TypeVar
 
-from fastapi import APIRouter, Depends, Request
-from fastapi.routing import APIRoute
+from fastapi import APIRouter, Depends, Request, Response
+from fastapi.routing import APIRoute, serialize_response
 from pydantic import BaseModel
 
 from app.http.bodies.bodies import BodyReader, Received, described_body, incoming_of
+from app.http.bodies.incoming import Incoming
 from app.http.client import Client
 from app.http.context import context_of
+from app.http.direct import Solver, Unsolvable, known
 from app.http.pools import Pools
 
 T = TypeVar("T")
@@ -45,8 +49,52 @@ class PooledRoute(APIRoute):
         if not inspect.iscoroutinefunction(endpoint):
             if (model := _json_of(endpoint)) is not None:
                 options["openapi_extra"] = described_body({}, model)
-            endpoint = _pooled(endpoint)
+            endpoint = _pooled(endpoint, self._answer)
         super().__init__(path, endpoint, **options)
+
+    def get_route_handler(self) -> Callable[[Request], Coroutine[Any, Any, Response]]:
+        """Return what answers a request: without FastAPI's solver if the parameters allow it."""
+        general = super().get_route_handler()
+        try:
+            solver = Solver(self.dependant)
+        except Unsolvable:
+            return general
+        function = self.dependant.call
+        assert function is not None  # noqa: S101 - a route has one
+
+        async def direct(request: Request) -> Response:
+            try:
+                given = await solver.solve(request, request.scope["fastapi_inner_astack"])
+            except Unsolvable:
+                return await general(request)
+            found = self._answer(await function(**given), given)
+            if isinstance(found, Response):
+                return found
+            content = await serialize_response(
+                field=self.response_field, response_content=found, dump_json=True
+            )
+            return self._response(content, given)
+
+        return direct
+
+    def _answer(self, found: Any, given: dict[str, Any]) -> Any:  # noqa: ANN401
+        """Return the response with a model, or with nothing; others as they are."""
+        if found is None and self.status_code == HTTPStatus.NO_CONTENT:
+            return self._response(b"", given)
+        if not isinstance(found, BaseModel) or type(found) is not self.response_model:
+            return found
+        # It was validated when it was made.
+        return self._response(found.__pydantic_serializer__.to_json(found, by_alias=True), given)
+
+    def _response(self, content: bytes, given: dict[str, Any]) -> Response:
+        """Return a response with the head that the function asked for."""
+        asked = next((value for value in given.values() if type(value) is Response), None)
+        status = (asked and asked.status_code) or self.status_code or HTTPStatus.OK
+        kind = "application/json" if content else None
+        response = Response(content, status, media_type=kind)
+        if asked is not None:
+            response.headers.raw.extend(asked.headers.raw)
+        return response
 
 
 def _json_of(function: Callable[..., Any]) -> type[BaseModel] | None:
@@ -59,14 +107,16 @@ def _json_of(function: Callable[..., Any]) -> type[BaseModel] | None:
     return None
 
 
-def _pooled(function: Callable[..., Any]) -> Callable[..., Any]:
+def _pooled(
+    function: Callable[..., Any], answer: Callable[[Any, dict[str, Any]], Any]
+) -> Callable[..., Any]:
     """Return the function as FastAPI calls it: with the request, on the event loop."""
     is_heavy = getattr(function, _MARK, False)
 
     async def in_pool(**given: Any) -> Any:  # noqa: ANN401 - what the function takes and returns
         request: Request = given.pop(_REQUEST)
         bodies = [value for value in given.values() if isinstance(value, Received)]
-        work = partial(_call, function, given)
+        work = partial(_call, function, given, answer)
         pools: Pools = request.app.state.service.pools
         pool = pools.of_body(sum(map(len, bodies)))
         if is_heavy or pool is pools.heavy or any(body.packed for body in bodies):
@@ -87,6 +137,14 @@ def _pooled(function: Callable[..., Any]) -> Callable[..., Any]:
 
 async def _itself(request: Request) -> Request:
     return request
+
+
+async def _incoming(request: Request) -> Incoming:
+    return incoming_of(request)
+
+
+known(_itself, _itself)
+known(incoming_of, _incoming)
 
 
 async def run_heavy(request: Request, work: Callable[[], T], *, begun: bool = False) -> T:
@@ -117,8 +175,13 @@ async def run_heavy(request: Request, work: Callable[[], T], *, begun: bool = Fa
             task.cancel()
 
 
-def _call(function: Callable[..., Any], given: dict[str, Any]) -> Any:  # noqa: ANN401
-    """Call a route's function with its body opened; in a thread."""
-    return function(
+def _call(
+    function: Callable[..., Any],
+    given: dict[str, Any],
+    answer: Callable[[Any, dict[str, Any]], Any],
+) -> Any:  # noqa: ANN401
+    """Call a route's function with its body opened, and write its answer; in a thread."""
+    found = function(
         **{name: v.open() if isinstance(v, Received) else v for name, v in given.items()}
     )
+    return answer(found, given)

@@ -1,0 +1,115 @@
+"""The parameters of a route without FastAPI's solver, which takes longer than most answers.
+
+FastAPI walks the tree of dependencies on each request. Here it is walked once; what is not as
+simple as our routes are is left to FastAPI, and so is every error.
+"""
+
+from collections.abc import Awaitable, Callable
+from contextlib import AsyncExitStack, asynccontextmanager
+from typing import Any
+
+from fastapi import Request, Response
+from fastapi.dependencies.models import Dependant
+from fastapi.dependencies.utils import request_params_to_args
+from starlette.datastructures import QueryParams
+
+from app.http.bodies.bodies import BodyReader
+
+_Read = Callable[[Request], Awaitable[Any]]
+
+_known: dict[Callable[..., Any], _Read | None] = {}
+
+
+def known(dependency: Callable[..., Any], read: _Read | None = None) -> None:
+    """Note what a dependency returns for a request; without `read` it only declares something."""
+    _known[dependency] = read
+
+
+class Unsolvable(Exception):
+    """FastAPI has to solve the parameters of this route, or of this request."""
+
+
+class Solver:
+    """Reads the parameters of one route.
+
+    Args:
+        dependant: The route's, as FastAPI found it.
+
+    Raises:
+        Unsolvable: If the route has parameters of other kinds.
+    """
+
+    def __init__(self, dependant: Dependant) -> None:
+        if dependant.cookie_params or dependant.body_params or dependant.request_param_name:
+            raise Unsolvable
+        self._params = [
+            (fields, source)
+            for fields, source in (
+                (dependant.path_params, "path_params"),
+                (dependant.query_params, "query_params"),
+                (dependant.header_params, "headers"),
+            )
+            if fields
+        ]
+        self._response_name = dependant.response_param_name
+        self._checks: list[_Read] = []
+        self._read: dict[str, _Read] = {}
+        self._bodies: dict[str, Callable[[Request], Any]] = {}
+        for dependency in dependant.dependencies:
+            call, name = dependency.call, dependency.name
+            if isinstance(call, BodyReader) and name is not None:
+                self._bodies[name] = asynccontextmanager(call.__call__)
+            elif call is None or call not in _known:
+                raise Unsolvable
+            elif (read := _known[call]) is None:
+                continue
+            elif name is None:
+                self._checks.append(read)
+            else:
+                self._read[name] = read
+        self._without_query = {} if not dependant.query_params else self._defaults(dependant)
+
+    @staticmethod
+    def _defaults(dependant: Dependant) -> dict[str, Any] | None:
+        """Return the parameters of an empty query, `None` if one is required."""
+        values, errors = request_params_to_args(dependant.query_params, QueryParams())
+        return None if errors else values
+
+    async def solve(self, request: Request, stack: AsyncExitStack) -> dict[str, Any]:
+        """Return the parameters of a request.
+
+        Args:
+            request: The request.
+            stack: Of what is released after the answer.
+
+        Raises:
+            Unsolvable: If one is invalid; nothing of the body is read.
+        """
+        for check in self._checks:
+            await check(request)
+        values: dict[str, Any] = {}
+        for fields, source in self._params:
+            if source == "query_params" and not request.scope["query_string"]:
+                if self._without_query is None:
+                    raise Unsolvable
+                values |= self._without_query
+                continue
+            found, errors = request_params_to_args(fields, getattr(request, source))
+            if errors:
+                raise Unsolvable
+            values |= found
+        for name, read in self._read.items():
+            values[name] = await read(request)
+        if self._response_name is not None:
+            values[self._response_name] = empty_response()
+        for name, reader in self._bodies.items():
+            values[name] = await stack.enter_async_context(reader(request))
+        return values
+
+
+def empty_response() -> Response:
+    """Return what a route may set the status and the head of its answer in."""
+    response = Response()
+    del response.headers["content-length"]
+    response.status_code = None  # type: ignore[assignment] - that of the route
+    return response
