@@ -2,8 +2,9 @@
 
 from typing import Annotated
 
-from pydantic import BaseModel, Field
+from pydantic import AfterValidator, BaseModel, Field
 
+from app.localization.answers import included
 from app.localization.sensor_schemas import SensorIn
 from core.errors import InvalidParameters
 from core.localization.priors import (
@@ -86,8 +87,13 @@ class PriorsIn(BaseModel):
         return given
 
 
-class LocalizeQuery(PriorsIn):
-    """Query parameters of every localization."""
+def _checked(fields: str) -> str:
+    included(fields)
+    return fields
+
+
+class AnswerQuery(BaseModel):
+    """Query parameters of what to answer."""
 
     k: int = Field(1, ge=1, le=1000, description="How many matches to return.")
     min_probability: float | None = Field(
@@ -97,6 +103,16 @@ class LocalizeQuery(PriorsIn):
         description="Least probability to accept; the map's own threshold by default, 0 to refuse"
         " nothing for its probability.",
     )
+    fields: Annotated[str, AfterValidator(_checked)] | None = Field(
+        None,
+        max_length=1000,
+        description="The fields to answer with, separated by commas, as"
+        " `localized,best.estimated_pose`; all without it.",
+    )
+
+
+class LocalizeQuery(AnswerQuery, PriorsIn):
+    """Query parameters of every localization."""
 
 
 class _SensorQuery(LocalizeQuery):

@@ -25,6 +25,8 @@ from core.encodings.signature import Signature
 from core.localization.localizer import Localization
 from core.projection.visibility import SECTORS
 
+MOST_QUERIES = 1000
+"""Of one batch."""
 _OTHER = "other"
 SIGNATURE_TAGS = {"paper", "harmonic", _OTHER}
 """Forms of a signature; pydantic's errors name them between an item and its fields."""
@@ -163,6 +165,14 @@ class SignaturesIn(BaseModel):
         return tuple(signatures)
 
 
+class BatchIn(BaseModel):
+    """Several queries by signatures, of one scan each."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    queries: list[SignaturesIn] = Field(min_length=1, max_length=MOST_QUERIES, fail_fast=True)
+
+
 class MatchOut(Shown):
     """A scan of the map, and where the query is relative to it."""
 
@@ -256,3 +266,9 @@ class LocalizationOut(Shown):
             position_covariance=found.position_covariance_m2,
             segments_searched=found.segments,
         )
+
+
+class BatchOut(BaseModel):
+    """The answers to several queries."""
+
+    items: list[LocalizationOut] = Field(description="In the order of the queries.")

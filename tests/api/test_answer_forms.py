@@ -1,0 +1,168 @@
+"""Answers to many queries at once, with some fields only, or packed."""
+
+import json
+import math
+import struct
+
+import pytest
+
+from app.localization.answers import FIX_BYTES, FIX_TYPE, PART_TYPE
+from app.localization.routes import BATCH_TYPE
+from app.revisions.schemas import BasisOut
+from core.encodings.signature import pack_signatures
+from tests.support.campus import PACKED
+from tests.support.recording import KITTI, kitti, recording
+from tests.support.service import problem_of, running, upload, wait_for
+
+MAP = "/v1/maps/campus"
+ONE, BATCH = f"{MAP}/localizations/signature", f"{MAP}/localizations/batch"
+MANY = {"Content-Type": BATCH_TYPE}
+AS_PACKED = {"Accept": FIX_TYPE}
+
+
+@pytest.fixture(scope="module", params=["harmonic", "paper"])
+def client(tmp_path_factory, request):
+    """A service with a calibrated map."""
+    with running(tmp_path_factory.mktemp("forms") / "data") as client:
+        client.post("/v1/maps", json={"map": "campus"})
+        upload(client, "monday", recording())
+        wanted = {"segments": 2, "encoding": request.param}
+        queued = client.post(f"{MAP}/builds", json=wanted)
+        assert wait_for(client, queued.json()["job"])["state"] == "done"
+        yield client
+
+
+@pytest.fixture(scope="module")
+def queries(client):
+    """Packed signatures of some scans."""
+    basis = BasisOut.model_validate(client.get(f"{MAP}/basis").json()).to_core()
+    scans = recording(noise_seed=7, scans=4).scans
+    return [pack_signatures(basis.encode(basis.image(scan))) for scan in scans]
+
+
+def batch_of(queries):
+    return b"".join(len(query).to_bytes(2, "little") + query for query in queries)
+
+
+def alone(client, query, **params):
+    answer = client.post(ONE, content=query, headers=PACKED, params=params)
+    assert answer.status_code == 200, answer.text
+    return answer.json()
+
+
+def test_a_batch_is_answered_as_its_queries_are_alone(client, queries):
+    answer = client.post(BATCH, content=batch_of(queries), headers=MANY, params={"k": 3})
+    assert answer.json()["items"] == [alone(client, query, k=3) for query in queries]
+
+
+def test_a_batch_of_json_is_answered_likewise(client, queries):
+    basis = BasisOut.model_validate(client.get(f"{MAP}/basis").json()).to_core()
+    [signature, *_] = basis.encode(basis.image(recording(noise_seed=7, scans=4).scans[2]))
+    values = signature.values
+    shape = (
+        {"segment": signature.segment, "values": values.tolist()}
+        if signature.segment is not None
+        else {"values_real": values.real.tolist(), "values_imag": values.imag.tolist()}
+    )
+    query = {"basis": signature.revision, "signatures": [shape]}
+    answer = client.post(BATCH, json={"queries": [query, query]}).json()["items"]
+    assert answer == [client.post(ONE, json=query).json()] * 2
+
+
+@pytest.mark.parametrize("cut", [1, 40, 61])
+def test_a_batch_that_ends_early_is_refused_whole(client, queries, cut):
+    body = batch_of(queries[:1])[:-cut]
+    refused = client.post(BATCH, content=body, headers=MANY)
+    assert problem_of(refused) == (422, "invalid-signature")
+
+
+def test_one_wrong_query_refuses_its_batch(client, queries):
+    stale = bytearray(queries[1])
+    stale[1:9] = bytes(8)
+    body = batch_of([queries[0], bytes(stale)])
+    refused = client.post(BATCH, content=body, headers=MANY)
+    assert problem_of(refused) == (409, "stale-signature")
+
+
+def test_a_batch_has_bounds(client, queries):
+    many = client.post(BATCH, content=batch_of(queries[:1] * 1001), headers=MANY)
+    assert problem_of(many) == (422, "invalid-signature")
+    params = {"k": 1000}
+    much = client.post(BATCH, content=batch_of(queries[:1] * 11), headers=MANY, params=params)
+    assert problem_of(much) == (422, "invalid-parameters")
+    assert problem_of(client.post(BATCH, content=b"", headers=MANY)) == (422, "empty-body")
+    assert problem_of(client.post(BATCH, json={"queries": []})) == (422, "invalid-request")
+
+
+def test_an_answer_has_the_fields_that_were_asked_for(client, queries):
+    whole = alone(client, queries[1])
+    params = {"fields": "localized,best.drive,best.scan_index,matches.distance"}
+    part = client.post(ONE, content=queries[1], headers=PACKED, params=params)
+    expected = {
+        "localized": whole["localized"],
+        "best": {name: whole["best"][name] for name in ("drive", "scan_index")},
+        "matches": [{"distance": match["distance"]} for match in whole["matches"]],
+    }
+    assert part.headers["content-type"] == PART_TYPE
+    assert json.loads(part.content) == expected
+    batch = client.post(BATCH, content=batch_of(queries[1:2]), headers=MANY, params=params)
+    assert json.loads(batch.content) == {"items": [expected]}
+
+
+@pytest.mark.parametrize("fields", ["", "place", "best.place", "localized.best", "best,matches.0"])
+def test_an_unknown_field_is_refused_before_the_query_is_read(client, fields):
+    refused = client.post(ONE, content=b"nothing", headers=PACKED, params={"fields": fields})
+    assert problem_of(refused) == (422, "invalid-request")
+    assert refused.json()["errors"][0]["where"] == "query/fields"
+
+
+def test_a_packed_answer_is_the_answer(client, queries):
+    packed = client.post(BATCH, content=batch_of(queries), headers={**MANY, **AS_PACKED})
+    assert packed.headers["content-type"] == FIX_TYPE
+    assert len(packed.content) == FIX_BYTES * len(queries)
+    assert FIX_BYTES <= 64
+    for number, query in enumerate(queries):
+        content = packed.content[number * FIX_BYTES : (number + 1) * FIX_BYTES]
+        one = client.post(ONE, content=query, headers={**PACKED, **AS_PACKED})
+        assert one.content == content
+        _require_same(struct.unpack("<BBHHI8s5f3e2d", content), alone(client, query))
+
+
+def _require_same(values, answer):
+    layout, flags, segment, drive, scan, revision, *numbers = values
+    best = answer["best"]
+    pose = best["estimated_pose"] or best["pose"]
+    assert layout == 1
+    assert bool(flags & 1) == answer["localized"]
+    assert bool(flags & 2) == (answer["revision"] == answer["live_revision"])
+    assert bool(flags & 4) == (best["estimated_pose"] is not None)
+    reasons = [None, "unknown_place", "ambiguous", "too_few_returns", "outside_prior"]
+    assert reasons[flags >> 4] == answer["reason"]
+    assert (segment, drive, scan) == (best["segment"], 0, best["scan_index"])
+    assert answer["revision"].startswith(revision.hex())
+    expected = [
+        answer["probability"],
+        best["distance"],
+        answer["ratio"],
+        pose["z_m"],
+        pose["yaw_deg"],
+        answer["along_std_m"],
+        answer["lateral_std_m"],
+        answer["heading_std_deg"],
+        pose["x_m"],
+        pose["y_m"],
+    ]
+    for name, value, number in zip(range(10), expected, numbers, strict=True):
+        if value is None:
+            assert math.isnan(number), name
+        else:
+            assert number == pytest.approx(value, rel=1e-3, abs=1e-4), name
+
+
+def test_a_scan_is_answered_in_these_forms_too(client):
+    body = kitti(recording(noise_seed=7, scans=4).scans[1])
+    path, kind = f"{MAP}/localizations/scan", KITTI
+    packed = client.post(path, content=body, headers={**kind, **AS_PACKED})
+    assert len(packed.content) == FIX_BYTES
+    part = client.post(path, content=body, headers=kind, params={"fields": "best.scan_index"})
+    assert json.loads(part.content) == {"best": {"scan_index": 1}}
