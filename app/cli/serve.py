@@ -1,5 +1,6 @@
 """`tensormap serve`: the service in the foreground."""
 
+import gc
 import logging
 import os
 import signal
@@ -61,6 +62,7 @@ def serve(
         timeout_graceful_shutdown=_GRACE_S,
         **connections.connection_options(settings),
     )
+    gc.enable()
     with _listen(settings.host, settings.port) as listening:
         connections.close_unread(listening)
         # An error at start is one line here; from inside Uvicorn it would be a traceback.

@@ -1,4 +1,7 @@
-"""New HDF5 files, written with h5py, which reads no existing file and sees no disk error."""
+"""New HDF5 files, written with h5py, which reads no existing file and sees no disk error.
+
+It is imported where a file is made: a process that only reads does without its 12 MB.
+"""
 
 import io
 import math
@@ -8,9 +11,8 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import h5py
 import numpy as np
 from numpy.typing import NDArray
 
@@ -20,6 +22,9 @@ from storage.hdf5.chunk_index import ChunkAddress
 from storage.hdf5.dataset import ChunkedDataset
 from storage.hdf5.file import Hdf5File
 from storage.hdf5.source import FileSource
+
+if TYPE_CHECKING:
+    import h5py
 
 _LIBVER = "v110"  # checksums of all structures, and a fixed array that lists the chunks
 _BLOCK_BYTES = 2**22  # read back at once
@@ -34,6 +39,8 @@ def hdf5_in_memory(
         arrays: Each in one or more pieces of its first axis.
         attributes: Attributes of the root.
     """
+    import h5py
+
     buffer = io.BytesIO()
     with h5py.File(buffer, "w", libver=_LIBVER) as file:
         for name, (first, *others) in arrays.items():
@@ -58,6 +65,8 @@ def hdf5_on_disk(path: Path) -> Iterator["FileWriter"]:
         FileExistsError: If there is a file.
         OSError: If it cannot be written, or is read back as something else.
     """
+    import h5py
+
     with DurableFile(path) as disk:
         quiet = _QuietFile(disk)
         try:
@@ -153,7 +162,7 @@ class _Sum:
 class FileWriter:
     """Adds arrays with checksums, and attributes, to the root of a new file."""
 
-    def __init__(self, path: Path, file: h5py.File, quiet: _QuietFile) -> None:
+    def __init__(self, path: Path, file: "h5py.File", quiet: _QuietFile) -> None:
         self._path, self._file, self._quiet = path, file, quiet
         self._written: dict[str, _Sum] = {}
         self._attributes: dict[str, str | int] = {}
@@ -221,7 +230,7 @@ class FileWriter:
 class Rows:
     """An array that is written row by row: `rows[i] = row`, in the order of i."""
 
-    def __init__(self, path: Path, dataset: h5py.Dataset, quiet: _QuietFile, written: _Sum) -> None:
+    def __init__(self, path: Path, dataset: "h5py.Dataset", quiet: _QuietFile, written: _Sum) -> None:
         self._path, self._dataset, self._quiet, self._written = path, dataset, quiet, written
 
     def __len__(self) -> int:
