@@ -4,11 +4,15 @@ A plain function under `@router.get(...)` runs in the short pool, with `@heavy` 
 heavy one. Its body is received before, on the event loop: a thread is taken only when it is
 complete. A request with a large or compressed body is heavy work in any case. The thread writes the
 JSON of the answer too.
+
+With `@light` a function is called on the event loop if all that it reads of the catalog is kept in
+memory: a thread would take longer than it.
 """
 
 import asyncio
 import inspect
 from collections.abc import Callable, Coroutine
+from contextlib import suppress
 from functools import partial
 from http import HTTPStatus
 from typing import Annotated, Any, TypeVar
@@ -23,17 +27,27 @@ from app.http.client import Client
 from app.http.context import context_of
 from app.http.direct import Solver, Unsolvable, known
 from app.http.pools import Pools
+from storage.catalog import NotKept
 
 T = TypeVar("T")
 F = TypeVar("F", bound=Callable[..., Any])
 
-_MARK = "tensormap_heavy"
+_MARK, _LIGHT = "tensormap_heavy", "tensormap_light"
 _REQUEST = "pooled_request"
 
 
 def heavy(function: F) -> F:
     """Run a route's function in the heavy pool; declared below the route."""
     setattr(function, _MARK, True)
+    return function
+
+
+def light(function: F) -> F:
+    """Run a route's function without a thread if it needs no query; declared below the route.
+
+    It takes far less than a millisecond then, and until its first query it changes nothing.
+    """
+    setattr(function, _LIGHT, True)
     return function
 
 
@@ -111,13 +125,17 @@ def _pooled(
     function: Callable[..., Any], answer: Callable[[Any, dict[str, Any]], Any]
 ) -> Callable[..., Any]:
     """Return the function as FastAPI calls it: with the request, on the event loop."""
-    is_heavy = getattr(function, _MARK, False)
+    is_heavy, is_light = getattr(function, _MARK, False), getattr(function, _LIGHT, False)
 
     async def in_pool(**given: Any) -> Any:  # noqa: ANN401 - what the function takes and returns
         request: Request = given.pop(_REQUEST)
         bodies = [value for value in given.values() if isinstance(value, Received)]
         work = partial(_call, function, given, answer)
-        pools: Pools = request.app.state.service.pools
+        service = request.app.state.service
+        if is_light:
+            with suppress(NotKept), service.store.catalog.kept_only():
+                return work()
+        pools: Pools = service.pools
         pool = pools.of_body(sum(map(len, bodies)))
         if is_heavy or pool is pools.heavy or any(body.packed for body in bodies):
             return await run_heavy(request, work)

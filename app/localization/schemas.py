@@ -254,10 +254,14 @@ class LocalizationOut(Shown):
     @classmethod
     def from_core(cls, found: Localization, live_revision: str) -> "LocalizationOut":
         """Return the model of a localization."""
-        deviation, yaw_known = found.deviation, found.best.heading_deg is not None
+        # One match, and its headings, is shown once: it is the best of the k, too.
+        matches = [MatchOut.model_validate(match) for match in found.matches]
+        deviation, yaw_known = found.deviation, matches[0].heading_deg is not None
         return cls.of(
             found,
             live_revision=live_revision,
+            best=matches[0],
+            matches=matches,
             reason=found.decision.reason,
             probability=found.decision.probability,
             along_std_m=deviation and deviation.along_m,

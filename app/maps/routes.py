@@ -12,6 +12,7 @@ from app.access.trail import note
 from app.http import errors
 from app.http.bodies.bodies import Json
 from app.http.pages import After, Limit, PageOut, page_out
+from app.http.pooled_route import light
 from app.http.problems import problems
 from app.maps.schemas import MapIn, MapOut, MapPatch
 from app.service import MapSlug, Running, Service
@@ -58,6 +59,7 @@ def list_maps(
 
 
 @reading.get("/maps/{map}", responses=problems(MapNotFound, *errors.READING))
+@light
 def get_map(map_slug: MapSlug, running: Running, response: Response) -> MapOut:
     """Show a map."""
     record = running.store.maps.get(map_slug)

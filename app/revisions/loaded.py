@@ -100,6 +100,19 @@ class LoadedRevisions:
             StaleSignature: If no retained revision has that name or basis; names the live one.
             CorruptFile: If its file is damaged.
         """
+
+        def names() -> tuple[str, str, str]:
+            answering = self._of_signature(map_slug, revision)
+            of_map, live = self._live(map_slug)
+            return of_map.id, answering.localizer.map.revision, live
+
+        map_id, digest, live = self._store.catalog.kept(("of signature", map_slug, revision), names)
+        try:
+            return Answering(self._get(map_slug, map_id, digest), live)
+        except RevisionNotFound:  # removed meanwhile
+            return self._of_signature(map_slug, revision)
+
+    def _of_signature(self, map_slug: str, revision: str) -> Answering:
         _, live = self._live(map_slug)
         stale = StaleSignature(
             f"map {map_slug!r} has no revision or basis {revision[:64] or '(none)'!r}, or no"

@@ -10,6 +10,7 @@ from app.access.dependency import CurrentCaller
 from app.access.scopes import Scope, needs
 from app.http import errors
 from app.http.bodies.bodies import Body, ContentType, described_body, media_type
+from app.http.pooled_route import light
 from app.http.problems import problems
 from app.localization.routes import (
     IMAGE_TYPE,
@@ -81,6 +82,7 @@ def create_track(
     "/{track}",
     responses=problems(stored.MapNotFound, errors.TrackNotFound, *errors.READING),
 )
+@light
 def get_track(map_slug: MapSlug, track_id: TrackId, running: Running) -> TrackOut:
     """Return a track and its last answer."""
     found, live = track_of(running, map_slug, track_id)
@@ -92,6 +94,7 @@ def get_track(map_slug: MapSlug, track_id: TrackId, running: Running) -> TrackOu
     status_code=HTTPStatus.NO_CONTENT,
     responses=problems(stored.MapNotFound, errors.TrackNotFound, *errors.READING),
 )
+@light
 def delete_track(map_slug: MapSlug, track_id: TrackId, running: Running) -> None:
     """Remove a track."""
     running.tracks.delete(running.store.maps.get(map_slug).id, track_id)

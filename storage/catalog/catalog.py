@@ -1,6 +1,8 @@
 """One catalog: its database and a repository for each noun."""
 
+from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
+from typing import TypeVar
 
 from storage.catalog.audit import Audit
 from storage.catalog.collection import Collector
@@ -13,6 +15,8 @@ from storage.catalog.revisions import Revisions
 from storage.catalog.scans import Scans
 from storage.catalog.store_id import StoreIds
 from storage.catalog.tokens import Tokens
+
+T = TypeVar("T")
 
 _ALLOWED = nullcontext()
 
@@ -48,6 +52,10 @@ class Catalog:
         What another process changes is seen at once on SQLite, and within a second on PostgreSQL.
         """
         self._database.watch()
+
+    def kept(self, name: tuple[str, ...], read: Callable[[], T]) -> T:
+        """Return what `read` makes of the catalog; it is kept by that name until a change."""
+        return self._database.kept.get(name, read)
 
     def kept_only(self) -> AbstractContextManager[None]:
         """Raise `NotKept` within the block, in this thread, where a query would be needed."""

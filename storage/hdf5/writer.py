@@ -230,7 +230,9 @@ class FileWriter:
 class Rows:
     """An array that is written row by row: `rows[i] = row`, in the order of i."""
 
-    def __init__(self, path: Path, dataset: "h5py.Dataset", quiet: _QuietFile, written: _Sum) -> None:
+    def __init__(
+        self, path: Path, dataset: "h5py.Dataset", quiet: _QuietFile, written: _Sum
+    ) -> None:
         self._path, self._dataset, self._quiet, self._written = path, dataset, quiet, written
 
     def __len__(self) -> int:
