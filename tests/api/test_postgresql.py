@@ -1,6 +1,10 @@
 """The service on a PostgreSQL catalog, from the first scan to an answer."""
 
+import time
+
+from storage.catalog import Catalog
 from tests.support.postgresql import Cluster
+from tests.support.process import until
 from tests.support.recording import KITTI, kitti, recording
 from tests.support.service import problem_of, running, upload, wait_for
 
@@ -74,3 +78,22 @@ def localize(client, index):
 def upload_again(client):
     body = kitti(recording(scans=12).scans[0])
     return client.put("/v1/maps/campus/drives/monday/scans/0", content=body, headers=KITTI)
+
+
+def test_a_key_that_another_process_revokes_is_refused(postgresql: Cluster, tmp_path) -> None:
+    url, admin = postgresql.new_database(), "an-administrators-key"
+    with running(tmp_path / "data", catalog_url=url, admin_key=admin) as client:
+        client.headers["Authorization"] = f"Bearer {admin}"
+        client.post("/v1/maps", json={"map": "campus"})
+        made = client.post("/v1/keys", json={"name": "vehicle", "scopes": ["maps:read"]}).json()
+        headers = {"Authorization": f"Bearer {made['secret']}"}
+        ends_s = time.monotonic() + 2.0  # meanwhile the service begins to listen for changes
+        while time.monotonic() < ends_s:
+            assert client.get("/v1/maps/campus", headers=headers).status_code == 200
+        other = Catalog(url)
+        other.keys.revoke(made["key"])
+        other.close()
+        until(
+            lambda: client.get("/v1/maps/campus", headers=headers).status_code == 401,
+            "the key is still taken",
+        )
