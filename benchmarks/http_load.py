@@ -127,7 +127,7 @@ def server(arguments: Sequence[str], **environment: str) -> Iterator[tuple[int, 
         [sys.executable, *arguments],
         stdout=subprocess.DEVNULL,
         stderr=subprocess.PIPE,
-        env={**os.environ, **environment},
+        env={**_as_installed(), **environment},
     ) as process:
         try:
             yield process.pid, _port(process)
@@ -136,6 +136,11 @@ def server(arguments: Sequence[str], **environment: str) -> Iterator[tuple[int, 
             with suppress(subprocess.TimeoutExpired):
                 process.wait(20)
             process.kill()
+
+
+def _as_installed() -> dict[str, str]:
+    """Return the environment in which modules are compiled once, as those of a wheel."""
+    return {k: v for k, v in os.environ.items() if k != "PYTHONDONTWRITEBYTECODE"}
 
 
 def _port(process: subprocess.Popen[bytes]) -> int:

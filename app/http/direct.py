@@ -111,5 +111,5 @@ def empty_response() -> Response:
     """Return what a route may set the status and the head of its answer in."""
     response = Response()
     del response.headers["content-length"]
-    response.status_code = None  # type: ignore[assignment] - that of the route
+    response.status_code = None  # type: ignore[assignment]  # that of the route
     return response

@@ -18,7 +18,7 @@ class RouteIndex(BaseRoute):
         self._routes: dict[tuple[str, int], list[APIRoute]] = {}
         for route in routes:
             if isinstance(route, APIRoute):
-                for method in route.methods:
+                for method in route.methods or ():
                     key = method, route.path.count("/")
                     self._routes.setdefault(key, []).append(route)
 

@@ -80,7 +80,8 @@ class Form:
         """Return the answer to one query."""
         if self.packed:
             return Response(pack(found, by), media_type=FIX_TYPE)
-        return self._part(LocalizationOut.from_core(found, by.live_revision), self.fields)
+        whole = LocalizationOut.from_core(found, by.live_revision)
+        return whole if self.fields is None else _part(whole, self.fields)
 
     def many(self, found: Sequence[tuple[Localization, Answering]]) -> BatchOut | Response:
         """Return the answers to several queries, in their order."""
@@ -88,12 +89,11 @@ class Form:
             return Response(b"".join(pack(*one) for one in found), media_type=FIX_TYPE)
         items = [LocalizationOut.from_core(one, by.live_revision) for one, by in found]
         whole = BatchOut(items=items)
-        return self._part(whole, self.fields and {"items": {"__all__": self.fields}})
+        return whole if self.fields is None else _part(whole, {"items": {"__all__": self.fields}})
 
-    def _part(self, whole: Any, include: dict[str, Any] | None) -> Any:  # noqa: ANN401 - as it came
-        if include is None:
-            return whole
-        return Response(whole.model_dump_json(include=include), media_type=PART_TYPE)
+
+def _part(whole: BaseModel, include: dict[str, Any]) -> Response:
+    return Response(whole.model_dump_json(include=include), media_type=PART_TYPE)
 
 
 def included(fields: str) -> dict[str, Any]:
@@ -108,7 +108,8 @@ def included(fields: str) -> dict[str, Any]:
     """
     include: dict[str, Any] = {}
     for field in fields.split(","):
-        names, model, at = field.strip().split("."), LocalizationOut, include
+        names, at = field.strip().split("."), include
+        model: type[BaseModel] | None = LocalizationOut
         for depth, name in enumerate(names):
             if model is None or name not in model.model_fields:
                 raise ValueError(f"an answer has no field {field[:80]!r}")

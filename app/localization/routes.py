@@ -182,11 +182,12 @@ def localize_batch(
 
     Each is answered as `/signature` answers it alone.
     """
-    queries, found = read_batch(body, content_type), []
+    queries = read_batch(body, content_type)
     if len(queries) * query.k > _MOST_MATCHES:
         raise core.InvalidParameters(
             f"k is {query.k} for {len(queries)} queries, wanted at most {_MOST_MATCHES} matches"
         )
+    found = []
     for signatures in queries:
         require_client()
         answering = running.revisions.of_signature(map_slug, signatures[0].revision)
@@ -251,7 +252,8 @@ def read_batch(body: bytes, content_type: str | None) -> list[tuple[Signature, .
         raise EmptyBody("the body is empty, wanted signatures")
     if required_type(content_type, "application/json", BATCH_TYPE) != BATCH_TYPE:
         return [query.to_core() for query in _read_json(body, BatchIn).queries]
-    queries, start = [], 0
+    queries: list[tuple[Signature, ...]] = []
+    start = 0
     while start < len(body):
         length = int.from_bytes(body[start : start + _LENGTH_BYTES], "little")
         start += _LENGTH_BYTES

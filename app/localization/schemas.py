@@ -168,7 +168,19 @@ class SignaturesIn(BaseModel):
 class BatchIn(BaseModel):
     """Several queries by signatures, of one scan each."""
 
-    model_config = ConfigDict(extra="forbid")
+    model_config = ConfigDict(
+        extra="forbid",
+        json_schema_extra={
+            "example": {
+                "queries": [
+                    {
+                        "basis": "0f" * 32,
+                        "signatures": [{"segment": 3, "values": [[950.1, -3.2], [12.5, 60.8]]}],
+                    }
+                ]
+            }
+        },
+    )
 
     queries: list[SignaturesIn] = Field(min_length=1, max_length=MOST_QUERIES, fail_fast=True)
 

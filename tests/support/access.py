@@ -42,6 +42,7 @@ OPENED_BY = {
     "POST /v1/maps/{map}/localizations/scan": {LOCALIZE},
     "POST /v1/maps/{map}/localizations/image": {LOCALIZE},
     "POST /v1/maps/{map}/localizations/signature": {LOCALIZE},
+    "POST /v1/maps/{map}/localizations/batch": {LOCALIZE},
     "POST /v1/maps/{map}/loop-closures": {LOCALIZE},
     "POST /v1/maps/{map}/tracks": {LOCALIZE},
     "GET /v1/maps/{map}/tracks/{track}": {LOCALIZE},

@@ -16,7 +16,7 @@ from starlette.types import Receive, Scope, Send
 
 from app.drives.pose_files import CSV, KITTI, POSE_TYPES, TUM
 from app.localization.prior_schemas import PriorsIn
-from app.localization.routes import IMAGE_TYPE, SIGNATURE_TYPE
+from app.localization.routes import BATCH_TYPE, IMAGE_TYPE, SIGNATURE_TYPE
 from core.encodings.signature import pack_signatures
 from core.localization.localizer import Localizer
 from storage.formats.scans.registry import SCAN_FORMATS
@@ -139,7 +139,11 @@ def register_bodies(localizer: Callable[[], Localizer], map_file: Callable[[], b
         return [pack_signatures(basis.encode(basis.image(scans[5], None)))]
 
     _register(IMAGE_TYPE, image)
+    def batch() -> list[bytes]:
+        return [b"".join(len(one).to_bytes(2, "little") + one for one in signatures() * 2)]
+
     _register(SIGNATURE_TYPE, signatures)
+    _register(BATCH_TYPE, batch)
     _register(_HDF5, lambda: [map_file()])
 
 
