@@ -9,6 +9,7 @@ from contextlib import AsyncExitStack, asynccontextmanager
 from typing import Any
 
 from fastapi import Request, Response
+from fastapi._compat import ModelField
 from fastapi.dependencies.models import Dependant
 from fastapi.dependencies.utils import request_params_to_args
 from starlette.datastructures import QueryParams
@@ -42,15 +43,17 @@ class Solver:
     def __init__(self, dependant: Dependant) -> None:
         if dependant.cookie_params or dependant.body_params or dependant.request_param_name:
             raise Unsolvable
-        self._params = [
-            (fields, source)
-            for fields, source in (
-                (dependant.path_params, "path_params"),
-                (dependant.query_params, "query_params"),
-                (dependant.header_params, "headers"),
-            )
-            if fields
-        ]
+        self._texts: list[tuple[str, str, str]] = []
+        self._params: list[tuple[list[ModelField], str]] = []
+        for fields, source in (
+            (dependant.path_params, "path_params"),
+            (dependant.query_params, "query_params"),
+            (dependant.header_params, "headers"),
+        ):
+            texts = [field for field in fields if source != "query_params" and _is_text(field)]
+            self._texts += [(field.name, source, field.alias) for field in texts]
+            if others := [field for field in fields if field not in texts]:
+                self._params.append((others, source))
         self._response_name = dependant.response_param_name
         self._checks: list[_Read] = []
         self._read: dict[str, _Read] = {}
@@ -87,7 +90,9 @@ class Solver:
         """
         for check in self._checks:
             await check(request)
-        values: dict[str, Any] = {}
+        values: dict[str, Any] = {
+            name: getattr(request, source).get(alias) for name, source, alias in self._texts
+        }
         for fields, source in self._params:
             if source == "query_params" and not request.scope["query_string"]:
                 if self._without_query is None:
@@ -105,6 +110,13 @@ class Solver:
         for name, reader in self._bodies.items():
             values[name] = await stack.enter_async_context(reader(request))
         return values
+
+
+def _is_text(field: ModelField) -> bool:
+    """Return whether a parameter is any text, or none by default: there is nothing to validate."""
+    info = field.field_info
+    optional = info.annotation == str | None and info.default is None and not info.is_required()
+    return not info.metadata and (optional or (info.annotation is str and info.is_required()))
 
 
 def empty_response() -> Response:

@@ -17,15 +17,15 @@ _MOST_CHARACTERS = 200  # of a path in a log line
 _STOPPED = "the service is being stopped: send this again, what was stored of it stays"
 _RESTARTED_S = 5
 _NO_ANSWER = 499  # as proxies log a client that left; it is never sent
-_FOR_BROWSERS = {
+_FOR_BROWSERS = (
     # Uploaded content is never run as a page or a script.
-    "X-Content-Type-Options": "nosniff",
+    (b"x-content-type-options", b"nosniff"),
     # No page of another site embeds ours, or loads an answer as an image or a script.
-    "Content-Security-Policy": "frame-ancestors 'none'",
-    "Cross-Origin-Resource-Policy": "same-origin",
+    (b"content-security-policy", b"frame-ancestors 'none'"),
+    (b"cross-origin-resource-policy", b"same-origin"),
     # Paths have the names of maps.
-    "Referrer-Policy": "no-referrer",
-}
+    (b"referrer-policy", b"no-referrer"),
+)
 
 _log = logging.getLogger("tensormap.requests")
 
@@ -104,8 +104,8 @@ def _complete_head(message: Message, context: RequestContext) -> None:
     headers[HEADER] = context.request_id
     if message["type"] != "http.response.start":  # of a stream
         return
-    for name, value in _FOR_BROWSERS.items():
-        headers.setdefault(name, value)
+    given = {name for name, _ in headers.raw}
+    headers.raw.extend(field for field in _FOR_BROWSERS if field[0] not in given)
     left = list(context.allowances.values())
     if left and "RateLimit" not in headers:  # a rejection has that of the limit that was reached
         for name in left[0]:

@@ -23,7 +23,9 @@ from core.confidence.decision import Refusal
 from core.encodings.registry import encoding_named, encoding_names
 from core.encodings.signature import Signature
 from core.localization.localizer import Localization
+from core.localization.match import Match
 from core.projection.visibility import SECTORS
+from core.scans.pose import Pose
 
 MOST_QUERIES = 1000
 """Of one batch."""
@@ -265,23 +267,51 @@ class LocalizationOut(Shown):
 
     @classmethod
     def from_core(cls, found: Localization, live_revision: str) -> "LocalizationOut":
-        """Return the model of a localization."""
-        # One match, and its headings, is shown once: it is the best of the k, too.
-        matches = [MatchOut.model_validate(match) for match in found.matches]
-        deviation, yaw_known = found.deviation, matches[0].heading_deg is not None
-        return cls.of(
-            found,
-            live_revision=live_revision,
-            best=matches[0],
-            matches=matches,
-            reason=found.decision.reason,
-            probability=found.decision.probability,
-            along_std_m=deviation and deviation.along_m,
-            lateral_std_m=deviation and deviation.lateral_m,
-            heading_std_deg=deviation.heading_deg if deviation and yaw_known else None,
-            position_covariance=found.position_covariance_m2,
-            segments_searched=found.segments,
+        """Return the model of a localization.
+
+        Of plain values: each heading is computed once, and pydantic validates all in one call.
+        """
+        deviation, decision = found.deviation, found.decision
+        matches = [_match(match) for match in found.matches]
+        best = matches[0]
+        pose = best["pose"]
+        return cls.model_validate(
+            {
+                "revision": found.revision,
+                "live_revision": live_revision,
+                "localized": decision.localized,
+                "reason": decision.reason,
+                "probability": decision.probability,
+                "along_std_m": deviation and deviation.along_m,
+                "lateral_std_m": deviation and deviation.lateral_m,
+                "heading_std_deg": deviation.heading_deg
+                if deviation and best["heading_deg"] is not None
+                else None,
+                "position_covariance": deviation
+                and pose
+                and deviation.covariance_m2(pose["yaw_deg"]),
+                "best": best,
+                "matches": matches,
+                "runner_up": None if found.runner_up is None else _match(found.runner_up),
+                "ratio": found.ratio,
+                "segments_searched": found.segments,
+            }
         )
+
+
+def _match(match: Match) -> dict[str, Any]:
+    estimated = _pose(match.estimated_pose)
+    yaw_known = match.relative_yaw_deg is not None
+    return {
+        **vars(match),
+        "pose": _pose(match.pose),
+        "estimated_pose": estimated,
+        "heading_deg": estimated["yaw_deg"] if estimated and yaw_known else None,
+    }
+
+
+def _pose(pose: Pose | None) -> dict[str, float] | None:
+    return None if pose is None else {**vars(pose), "yaw_deg": pose.yaw_deg}
 
 
 class BatchOut(BaseModel):

@@ -139,6 +139,7 @@ def register_bodies(localizer: Callable[[], Localizer], map_file: Callable[[], b
         return [pack_signatures(basis.encode(basis.image(scans[5], None)))]
 
     _register(IMAGE_TYPE, image)
+
     def batch() -> list[bytes]:
         return [b"".join(len(one).to_bytes(2, "little") + one for one in signatures() * 2)]
 
