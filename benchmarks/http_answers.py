@@ -4,8 +4,8 @@
 
 The service, and beside it a server that only reads bodies (`benchmarks.http_floor`), are processes
 of their own; load comes from this one. `match` is what core needs for the answer, in this process,
-and `search` the part of it that finds the nearest scan. With an argument each row takes a tenth of
-the requests. Fails if a bar is missed.
+and `search` the part of it that finds the nearest scan. With an argument each row takes
+three rounds. Fails if a bar is missed.
 """
 
 import hashlib
@@ -39,7 +39,7 @@ from benchmarks.http_load import (
 )
 from benchmarks.maps import localizer_of
 from benchmarks.timing import machine
-from core.encodings.signature import pack_signatures, unpack_signatures
+from core.encodings.signature import Signature, pack_signatures, unpack_signatures
 from core.localization.localizer import Localizer
 from core.parameters import MapParameters
 from core.scans.scan import Scan
@@ -50,7 +50,7 @@ from storage.files.map_file import read_map, write_map
 from storage.formats.scans.registry import read_scan
 
 SCANS, QUERIES, RETURNS = 3800, 32, 60_000
-BATCH = 32
+ROUNDS, EACH = 20, 40  # of each row, and requests in one
 FIXES_PER_S_BAR, CLIENTS = 300, 8
 READY_S_BAR, READY_MB_BAR, HELP_S_BAR = 1.5, 130, 0.5
 KITTI = "application/vnd.tensormap.kitti"
@@ -99,7 +99,7 @@ def main(*, quick: bool) -> int:
         ):
             ready = cpu_s(service[0]), rss_mb(service[0])
             key = _set_up(service[1])
-            measured = _Measured(service, floor, key, localizer, bodies, 100 if quick else 1000)
+            measured = _Measured(service, floor, key, localizer, bodies, 3 if quick else ROUNDS)
             for rows_of in (
                 measured.fix,
                 measured.track,
@@ -131,10 +131,9 @@ class _Measured:
         key: str,
         localizer: Localizer,
         bodies: Sequence[bytes],
-        count: int,
+        rounds: int,
     ) -> None:
-        self._service, self._floor, self._count = service, floor, count
-        self._few = max(count // 5, 20)  # of what takes many milliseconds
+        self._service, self._floor, self._rounds = service, floor, rounds
         self._headers = {"Authorization": f"Bearer {key}"}
         self._localizer, self._bodies = localizer, bodies
         self._fixes = self._requests("localizations/signature")
@@ -144,9 +143,9 @@ class _Measured:
         shorter = self._requests("localizations/signature", Accept="application/vnd.tensormap.fix")
         rows = []
         for requests in (self._fixes, shorter):
-            floor, m, search = self._floored(), self._match_ms(), self._search_ms()
-            ms = cpu_ms_each(*self._service, requests, self._count)
-            floor, m = (floor + self._floored()) / 2, (m + self._match_ms()) / 2
+            ms, floor, m, search = self._in_turn(
+                self._asked(requests), self._floored(), self._matched(), self._searched()
+            )
             size = len(self._once(requests[0]))
             beside = f"floor {floor:.2f}, match {m:.2f}, its search {search:.2f}"
             name = f"fix by {len(self._bodies[0])} bytes, answer of {size}"
@@ -155,44 +154,44 @@ class _Measured:
 
     def track(self) -> list[Row]:
         requests = self._requests(f"tracks/{self._new_track()}/observations")
-        floor, m = self._floored(), self._track_ms()
-        ms = cpu_ms_each(*self._service, requests, self._few)
-        m = (m + self._track_ms()) / 2
+        ms, floor, m = self._in_turn(self._asked(requests), self._floored(), self._tracked())
         beside = f"floor {floor:.2f}, match {m:.2f}"
         return [Row("observation of a track", ms, 2 * floor + 1.5 * m, beside)]
 
     def stream(self) -> list[Row]:
         path = f"{MAP}/tracks/{self._new_track()}/stream"
-        m = self._track_ms()
-        ms = self._streamed(self._service, path, self._headers, self._few)
-        m = (m + self._track_ms()) / 2
-        floor = self._streamed(self._floor, "/echo", {}, self._count)
+        ms, floor, m = self._in_turn(
+            partial(self._streamed, self._service, path, self._headers, EACH),
+            partial(self._streamed, self._floor, "/echo", {}, 3 * EACH),
+            self._tracked(),
+        )
         beside = f"echo {floor:.2f}, match {m:.2f}"
         return [Row("the same over WebSocket", ms, floor + 1.5 * m, beside)]
 
     def batch(self) -> list[Row]:
-        body = b"".join(len(b).to_bytes(2, "little") + b for b in self._bodies[:BATCH])
+        body = b"".join(len(b).to_bytes(2, "little") + b for b in self._bodies)
         fields = {**self._headers, "Content-Type": MANY}
         one = request("POST", f"{MAP}/localizations/batch", body, fields)
-        m = self._match_ms()
-        ms = cpu_ms_each(*self._service, [one], max(self._count // BATCH, 10)) / BATCH
-        m = (m + self._match_ms()) / 2
-        return [Row("each of a batch", ms, 1.3 * m, f"match {m:.2f}; {BATCH} in one")]
+        ms, m = self._in_turn(self._asked([one], 2), self._matched())
+        beside = f"match {m:.2f}; {QUERIES} in one"
+        return [Row("each of a batch", ms / QUERIES, 1.3 * m, beside)]
 
     def scan(self, scan: bytes) -> list[Row]:
         headers = {**self._headers, "Content-Type": KITTI}
         requests = [request("POST", f"{MAP}/localizations/scan", scan, headers)]
-        ms = cpu_ms_each(*self._service, requests, self._few)
-        floor = self._floored([scan])
         points = read_scan(scan, media_type=KITTI, min_returns=100)
-        m = _own_ms([lambda: self._localizer.localize_scan(points)], runs=9)
-        parse_ms = _own_ms([lambda: read_scan(scan, media_type=KITTI, min_returns=100)], runs=9)
+        ms, floor, m, parse_ms = self._in_turn(
+            self._asked(requests),
+            self._floored([scan]),
+            partial(_own_ms, [lambda: self._localizer.localize_scan(points)] * 5),
+            partial(_own_ms, [lambda: read_scan(scan, media_type=KITTI, min_returns=100)] * 5),
+        )
         beside = f"floor {floor:.2f}, projection and match {m:.2f}; parsing {parse_ms:.2f}"
         return [Row(f"fix by a scan of {len(points)} returns", ms, floor + 2 * m, beside)]
 
     def put(self, scan: bytes, folder: Path) -> list[Row]:
         headers = {"Authorization": f"Bearer {ADMIN}", "Content-Type": KITTI}
-        count = max(self._count // 20, 10)
+        count = EACH * self._rounds // 2
         path = f"{MAP}/drives/d{time.time_ns()}/scans"
         requests = [request("PUT", f"{path}/{i}", scan, headers) for i in range(count)]
         begun = cpu_s(self._service[0])
@@ -205,9 +204,9 @@ class _Measured:
 
     def map(self) -> list[Row]:
         get = [request("GET", MAP, headers={"Authorization": f"Bearer {ADMIN}"})]
-        ms = cpu_ms_each(*self._service, get, self._count)
-        live = cpu_ms_each(*self._service, [request("GET", "/livez")], self._count)
-        return [Row("`GET` of a map", ms, 2 * live, f"`/livez` {live:.2f}")]
+        live = [request("GET", "/livez")]
+        ms, live_ms = self._in_turn(self._asked(get, 10 * EACH), self._asked(live, 10 * EACH))
+        return [Row("`GET` of a map", ms, 2 * live_ms, f"`/livez` {live_ms:.2f}")]
 
     def rate(self, seconds: float) -> list[Row]:
         every = os.sched_getaffinity(0)
@@ -225,23 +224,38 @@ class _Measured:
         fields = {**self._headers, "Content-Type": PACKED, **headers}
         return [request("POST", f"{MAP}/{path}", body, fields) for body in self._bodies]
 
-    def _floored(self, bodies: Sequence[bytes] = ()) -> float:
+    def _in_turn(self, *measures: Callable[[], float]) -> list[float]:
+        """Return the means of some measures that are taken in turn: load of others is of all."""
+        rounds = [[measure() for measure in measures] for _ in range(self._rounds)]
+        return [statistics.mean(of_one) for of_one in zip(*rounds, strict=True)]
+
+    def _asked(self, requests: Sequence[bytes], count: int = EACH) -> Callable[[], float]:
+        return partial(cpu_ms_each, *self._service, requests, count)
+
+    def _floored(self, bodies: Sequence[bytes] = ()) -> Callable[[], float]:
         headers = {**self._headers, "Content-Type": PACKED}
-        sent = bodies or self._bodies
-        requests = [request("POST", "/floor", body, headers) for body in sent]
-        return cpu_ms_each(*self._floor, requests, self._few if bodies else 3 * self._count)
+        requests = [request("POST", "/floor", body, headers) for body in bodies or self._bodies]
+        return partial(cpu_ms_each, *self._floor, requests, EACH if bodies else 10 * EACH)
 
-    def _match_ms(self) -> float:
-        localize = self._localizer.localize_signatures
-        return _own_ms(
-            [partial(lambda b: localize(unpack_signatures(b)), body) for body in self._bodies]
-        )
+    def _matched(self) -> Callable[[], float]:
+        def localize(body: bytes) -> None:
+            self._localizer.localize_signatures(unpack_signatures(body))
 
-    def _search_ms(self) -> float:
-        model = self._localizer.map.model
-        return _own_ms(
-            [partial(lambda s: model.search(s).nearest(1), one) for one in self._signatures]
-        )
+        return partial(_own_ms, [partial(localize, body) for body in self._bodies])
+
+    def _searched(self) -> Callable[[], float]:
+        def search(signatures: Sequence[Signature]) -> None:
+            self._localizer.map.model.search(signatures).nearest(1)
+
+        return partial(_own_ms, [partial(search, one) for one in self._signatures])
+
+    def _tracked(self) -> Callable[[], float]:
+        track = Track(Tracker(self._localizer))
+
+        def observe(body: bytes) -> None:
+            track.observe(Observation(unpack_signatures(body)))
+
+        return partial(_own_ms, [partial(observe, body) for body in self._bodies])
 
     def _once(self, asked: bytes) -> bytes:
         connection = Connection(self._service[1])
@@ -252,15 +266,6 @@ class _Measured:
     def _new_track(self) -> str:
         made = self._once(request("POST", f"{MAP}/tracks", headers=self._headers))
         return str(json.loads(made)["track"])
-
-    def _track_ms(self) -> float:
-        track = Track(Tracker(self._localizer))
-        return _own_ms(
-            [
-                partial(lambda b: track.observe(Observation(unpack_signatures(b))), body)
-                for body in self._bodies
-            ]
-        )
 
     def _streamed(
         self, of: tuple[int, int], path: str, headers: dict[str, str], count: int
@@ -328,16 +333,13 @@ def _set_up(port: int) -> str:
     return str(json.loads(made)["secret"])
 
 
-def _own_ms(functions: Sequence[Callable[[], object]], runs: int = 7) -> float:
-    """Return the CPU milliseconds of one of these in this process, the median of rounds."""
-    rounds = []
-    for run in range(runs + 1):
-        begun = time.process_time()
-        for function in functions:
-            function()
-        if run:
-            rounds.append(1e3 * (time.process_time() - begun) / len(functions))
-    return statistics.median(rounds)
+def _own_ms(functions: Sequence[Callable[[], object]]) -> float:
+    """Return the CPU milliseconds of one of these in this process."""
+    functions[0]()  # not counted
+    begun = time.process_time()
+    for function in functions:
+        function()
+    return 1e3 * (time.process_time() - begun) / len(functions)
 
 
 def _plain_put_ms(scan: bytes, folder: Path, count: int) -> tuple[float, float]:
