@@ -24,6 +24,8 @@ _MOMENT = "%Y-%m-%dT%H:%M:%SZ"
 class Access:
     """The keys of the service; each request looks its key up, so that revoking works at once.
 
+    The catalog keeps the record in memory until anything in it changes.
+
     While no key was ever made, and the settings have none, everyone on this machine has access.
 
     Args:
