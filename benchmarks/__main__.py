@@ -8,6 +8,7 @@ _ALL = (
     "localize",
     "match_harmonic",
     "answer_overhead",
+    "http_answers",
     "build_memory",
     "open_revision",
 )

@@ -50,7 +50,7 @@ from storage.files.map_file import read_map, write_map
 from storage.formats.scans.registry import read_scan
 
 SCANS, QUERIES, RETURNS = 3800, 32, 60_000
-ROUNDS, EACH = 20, 40  # of each row, and requests in one
+ROUNDS, EACH = 8, 40  # of each row, and requests in one
 FIXES_PER_S_BAR, CLIENTS = 300, 8
 READY_S_BAR, READY_MB_BAR, HELP_S_BAR = 1.5, 130, 0.5
 KITTI = "application/vnd.tensormap.kitti"
