@@ -19,7 +19,7 @@ from storage.catalog import JobRecord
 from storage.errors import JobNotFound
 from storage.store import Store
 
-IMPORTED_LATE = ("scipy.optimize", "sqlalchemy.dialects.sqlite")
+IMPORTED_LATE = ("h5py", "scipy.optimize", "sqlalchemy.dialects.sqlite")
 """Modules that every build needs; their importers import them only when they are used."""
 
 _REPORT_EVERY_S = 0.2
