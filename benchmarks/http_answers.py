@@ -49,6 +49,7 @@ from core.tracking.track import Observation, Track, Tracker
 from storage.files.map_file import read_map, write_map
 from storage.formats.scans.registry import read_scan
 
+PARAMETERS = MapParameters.for_sensor(encoding="harmonic")
 SCANS, QUERIES, RETURNS = 3800, 32, 60_000
 ROUNDS, EACH = 8, 40  # of each row, and requests in one
 FIXES_PER_S_BAR, CLIENTS = 300, 8
@@ -289,8 +290,7 @@ def _map_and_queries() -> tuple[Localizer, list[bytes], bytes]:
     if path.exists():
         localizer = Localizer(read_map(path))
     else:
-        parameters = MapParameters.for_sensor(encoding="harmonic")
-        localizer = localizer_of(drive, np.arange(SCANS), parameters, segments=5, calibrated=True)
+        localizer = localizer_of(drive, np.arange(SCANS), PARAMETERS, segments=5, calibrated=True)
         write_map(path, localizer.map)
     basis, query = (
         localizer.basis,
@@ -316,7 +316,8 @@ def _body(scan: Scan) -> bytes:
 
 def _map_path() -> Path:
     """Return where the map is kept, for the next run."""
-    return Path(tempfile.gettempdir(), f"tensormap-benchmark-{SCANS}.h5")
+    named = hashlib.sha256(repr((PARAMETERS, SCANS)).encode()).hexdigest()[:12]
+    return Path(tempfile.gettempdir(), f"tensormap-benchmark-{named}.h5")
 
 
 def _set_up(port: int) -> str:
