@@ -53,16 +53,18 @@ class Neighbours:
 
 @dataclass(frozen=True, eq=False)
 class Viewpoints:
-    """The comparison of a query with every virtual viewpoint of some scans.
+    """A query, and what it would be from every virtual viewpoint of some scans.
+
+    As real numbers, whose inner products are those that the encoding compares.
 
     Attributes:
-        distances: `(n, D)`.
-        relative_yaw_deg: `(n, D)` of the query, counter-clockwise, -180..180.
-        lateral_m: `(D,)` how far to the left of the scans each viewpoint is.
+        query: `(d,)`.
+        renderings: `(h, n, D, d)` in each of h headings.
+        lateral_m: `(D,)` how far to the left of the scans each viewpoint is, rising.
     """
 
-    distances: FloatArray
-    relative_yaw_deg: FloatArray
+    query: FloatArray
+    renderings: FloatArray
     lateral_m: FloatArray
 
 
@@ -94,10 +96,14 @@ class Search(ABC):
             among: `(K,)` which rows are compared; all of them without it.
         """
 
-    def viewpoints(self, rows: IntArray) -> Viewpoints | None:
-        """Return the comparison with all viewpoints of some scans, `None` if they have only one.
+    def viewpoints(self, rows: IntArray, relative_yaw_deg: FloatArray) -> Viewpoints | None:
+        """Return all renderings of some scans, `None` if they have only one.
 
-        It refines the pose of a match, between viewpoints and scans.
+        Between them the pose of a query is estimated.
+
+        Args:
+            rows: `(n,)`.
+            relative_yaw_deg: `(h, n)` of the query to each scan, counter-clockwise.
         """
         return None
 

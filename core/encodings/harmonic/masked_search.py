@@ -54,6 +54,7 @@ class MaskedSearch(HarmonicSearch):
         self._mask = np.fft.fft(seen) / columns
         sent_harmonics = np.arange(1 - sent, sent)
         toeplitz = self._mask[(sent_harmonics[:, None] - np.arange(1 - kept, kept)) % columns]
+        self._toeplitz = toeplitz[sent - 1 :]
         self._spread = (two_sided(values) @ toeplitz.conj())[:, kept - 1 :]
         self._gram = toeplitz.conj().T @ toeplitz
         # Of the query's energy, as of a map's: where on the circle it is, and 1 in all.
@@ -136,6 +137,9 @@ class MaskedSearch(HarmonicSearch):
         )
         best, yaw_deg = peaks(score)
         return np.maximum(1.0 - best, 0.0), yaw_deg
+
+    def _seen(self, renderings: ComplexArray) -> ComplexArray:
+        return np.asarray(two_sided(renderings) @ self._toeplitz.T)
 
     def _part_seen(self, shares: Float32Array) -> Float32Array:
         trust = np.float32(self._values.shape[1] / _TRUSTING_HARMONICS)

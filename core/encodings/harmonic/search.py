@@ -36,9 +36,24 @@ class HarmonicSearch(Search):
         self._norm = float(np.sqrt(energy(values, model.columns)))
         self.segments = tuple(range(model.segments))  # all of them: the basis is shared
 
-    def viewpoints(self, rows: IntArray) -> Viewpoints:
-        """Return the comparison with all renderings of some scans."""
-        return Viewpoints(*self.exact(rows), self._model.lateral_offset_m)
+    def viewpoints(self, rows: IntArray, relative_yaw_deg: FloatArray) -> Viewpoints:
+        """Return the renderings of some scans as the query would see them in some headings."""
+        model = self._model
+        turned = np.exp(1j * np.radians(relative_yaw_deg)[..., None] * np.arange(model.ranks[1]))
+        seen = self._seen(model.signatures[rows].astype(np.complex128) * turned[:, :, None, None])
+        return Viewpoints(
+            self._as_numbers(self._values), self._as_numbers(seen), model.lateral_offset_m
+        )
+
+    def _seen(self, renderings: ComplexArray) -> ComplexArray:
+        """Return what the query's scan would have seen of `(..., r1, r2)` renderings."""
+        return renderings
+
+    def _as_numbers(self, signatures: ComplexArray) -> FloatArray:
+        """Return r1 (2 r2 - 1) real numbers of the same norm for each signature."""
+        weighted = signatures * np.sqrt(self._weights[: signatures.shape[-1]])
+        parts = np.concatenate([weighted.real, weighted.imag[..., 1:]], axis=-1)
+        return parts.reshape(*parts.shape[:-2], -1)
 
     def nearest(self, k: int, among: BoolArray | None = None) -> Neighbours:
         """Return the `k` nearest scans, each by its nearest rendering, nearest first."""
