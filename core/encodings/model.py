@@ -59,12 +59,14 @@ class Viewpoints:
 
     Attributes:
         query: `(d,)`.
-        renderings: `(h, n, D, d)` in each of h headings.
+        renderings: `(3, n, D, d)` in the heading of the query, and `step_deg` before and after it.
+        step_deg: So little that a parabola gives the headings between.
         lateral_m: `(D,)` how far to the left of the scans each viewpoint is, rising.
     """
 
     query: FloatArray
     renderings: FloatArray
+    step_deg: float
     lateral_m: FloatArray
 
 
@@ -103,7 +105,7 @@ class Search(ABC):
 
         Args:
             rows: `(n,)`.
-            relative_yaw_deg: `(h, n)` of the query to each scan, counter-clockwise.
+            relative_yaw_deg: `(n,)` of the query to each scan, counter-clockwise.
         """
         return None
 

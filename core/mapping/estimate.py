@@ -23,8 +23,7 @@ from core.scans.trajectory import Trajectory
 
 _SAME_PLACE_M = 10.0  # after an interruption a drive continues elsewhere
 _STEPS_ALONG, _STEPS_ACROSS = 8, 4  # of the lattice, between two scans and between two viewpoints
-_STEP_DEG = 4.0  # between headings: the shortest wave of a signature is 30 degrees and longer
-_MOST_STEPS = 1.5  # to the heading: the best rendering's is within a few degrees
+_MOST_STEPS = 1.5  # of heading: the best rendering's is within a few degrees
 _ROUNDS = 2  # of place and heading in turn; more change nothing
 _LEAST_LEFT = 1e-9  # of the query's energy; an equal scan leaves only rounding
 
@@ -65,8 +64,7 @@ def estimate(
     rows = _rows_beside(trajectory, row, among) if known else np.array([row])
     # Poses bring the scans into one heading.
     turn_deg = heading_deg(poses[rows]) - heading_deg(poses[[row]]) if known else np.zeros(1)
-    steps_deg = _STEP_DEG * np.array([-1.0, 0.0, 1.0])[:, None]
-    seen = search.viewpoints(rows, (yaw_deg or 0.0) + steps_deg - turn_deg)
+    seen = search.viewpoints(rows, (yaw_deg or 0.0) - turn_deg)
     if seen is None:
         return Estimate()
     along = _along(len(rows))
@@ -80,7 +78,7 @@ def estimate(
         of_rendering = along.T @ likely @ across
         step = _best_step(_cosine(np.einsum("nd,hndx->hx", of_rendering, units), query))
     if yaw_deg is not None:
-        yaw_deg = wrapped_deg(yaw_deg + step * _STEP_DEG)
+        yaw_deg = wrapped_deg(yaw_deg + step * seen.step_deg)
     if not known:
         return Estimate(yaw_deg, float(likely.sum(axis=0) @ lateral_m), None)
     on_line_m, left_m = places_beside_m(poses[rows], np.array([0.0, 1.0])).transpose(1, 0, 2)
@@ -143,11 +141,9 @@ def _between(places: int, steps: int) -> FloatArray:
 
 
 def _at(step: float, headings: FloatArray) -> FloatArray:
-    """Return what is between three headings by a parabola, `step` of -1..1 from the middle one."""
-    return (
-        np.tensordot([step * (step - 1.0), 2.0 - 2.0 * step**2, step * (step + 1.0)], headings, 1)
-        / 2.0
-    )
+    """Return what is `step` steps from the middle of three headings, by a parabola."""
+    weights = [step * (step - 1.0) / 2.0, 1.0 - step * step, step * (step + 1.0) / 2.0]
+    return np.tensordot(weights, headings, 1)
 
 
 def _cosine(renderings: FloatArray, query: FloatArray) -> FloatArray:

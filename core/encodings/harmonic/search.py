@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from core.encodings.harmonic.model import HarmonicModel
 
 _SAMPLES_A_WAVE = 12  # of the shortest wave: the parabola then errs by less than 0.1 deg
+_MOST_STEP_DEG = 4.0  # between headings of an estimate: of few harmonics, those of a mask count
 _FIRST = 4  # scans that are searched before the bound excludes others
 _EXACT_SCANS = 1024  # searched over headings at once, in 10 MB
 _SLACK = 1e-5  # of the bound, in single precision, as a share of |g| |G|: ten times its rounding
@@ -37,12 +38,17 @@ class HarmonicSearch(Search):
         self.segments = tuple(range(model.segments))  # all of them: the basis is shared
 
     def viewpoints(self, rows: IntArray, relative_yaw_deg: FloatArray) -> Viewpoints:
-        """Return the renderings of some scans as the query would see them in some headings."""
-        model = self._model
-        turned = np.exp(1j * np.radians(relative_yaw_deg)[..., None] * np.arange(model.ranks[1]))
+        """Return the renderings of some scans as the query would see them."""
+        model, harmonic = self._model, np.arange(self._model.ranks[1])
+        step_deg = min(_MOST_STEP_DEG, 360.0 / (_SAMPLES_A_WAVE * max(1, len(harmonic) - 1)))
+        headings_deg = relative_yaw_deg + step_deg * np.array([[-1.0], [0.0], [1.0]])
+        turned = np.exp(1j * np.radians(headings_deg)[..., None] * harmonic)
         seen = self._seen(model.signatures[rows].astype(np.complex128) * turned[:, :, None, None])
         return Viewpoints(
-            self._as_numbers(self._values), self._as_numbers(seen), model.lateral_offset_m
+            self._as_numbers(self._values),
+            self._as_numbers(seen),
+            step_deg,
+            model.lateral_offset_m,
         )
 
     def _seen(self, renderings: ComplexArray) -> ComplexArray:

@@ -35,7 +35,7 @@ class _Field(Search):
 
     def viewpoints(self, rows, relative_yaw_deg):
         self.asked.append(rows.tolist())
-        off_deg = relative_yaw_deg - self.turn_deg
+        off_deg = relative_yaw_deg - self.turn_deg + np.array([[-4.0], [0.0], [4.0]])
         seen = [
             [
                 [self.at(4.0 * row, left_m, off) for left_m in OFFSETS_M]
@@ -43,7 +43,7 @@ class _Field(Search):
             ]
             for offs in off_deg
         ]
-        return Viewpoints(self.query, np.array(seen), OFFSETS_M)
+        return Viewpoints(self.query, np.array(seen), 4.0, OFFSETS_M)
 
 
 def _path(scans, gap_m=4.0, drives=1):
