@@ -13,6 +13,7 @@ from core.arrays import BoolArray, FloatArray, IntArray, arrays_of, frozen
 from core.encodings.basis import Basis
 from core.encodings.signature import Signature
 from core.errors import InvalidMap, UnknownSegment
+from core.projection.visibility import FULL_VIEW, View
 
 if TYPE_CHECKING:
     from core.parameters import MapParameters
@@ -207,12 +208,12 @@ class Model(ABC):
         """
 
     @abstractmethod
-    def search_values(self, values: NDArray[Any], hidden: Sequence[int] = ()) -> Search:
+    def search_values(self, values: NDArray[Any], view: View = FULL_VIEW) -> Search:
         """Compare an image that the basis of all segments projected, without checks.
 
         Args:
             values: As `Basis.project` returns them.
-            hidden: The image's hidden sectors; only in an encoding that masks.
+            view: What the image shows; full but in an encoding that masks.
         """
 
     @abstractmethod

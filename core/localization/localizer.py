@@ -114,7 +114,7 @@ class Localizer:
             InvalidParameters: As `localize_scan`.
             UnknownSegment: Likewise.
         """
-        search = self.map.model.search_values(self.basis.project(image), image.hidden)
+        search = self.map.model.search_values(self.basis.project(image), self.basis.view(image))
         return self._localize(search, k, priors, min_probability, image.occupied_cells)
 
     def localize_signatures(

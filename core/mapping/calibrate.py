@@ -81,7 +81,7 @@ def calibrate(
     for probe in used:
         row = int(probes.rows[probe])
         image = image_of(tensor_map, probes.images, probe)
-        search = tensor_map.model.search_values(basis.project(image), image.hidden)
+        search = tensor_map.model.search_values(basis.project(image), basis.view(image))
         least_cells = min(least_cells, image.occupied_cells)
         beside, here = own_place(trajectory, row)
         elsewhere = away_from(trajectory, row, _ELSEWHERE_M, _ELSEWHERE_SCANS)
