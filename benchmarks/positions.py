@@ -4,11 +4,10 @@
 
 DRIVES is a folder of drives in the KITTI odometry layout that holds `kitti00`. Each second scan is
 mapped, 3.6 m apart, or each third one, and the others are queries; with each third one they are not
-disturbed, only displaced. The simulated cities, on whose
-seeds nothing was chosen, are passed again at another speed, on another day: queries are anywhere
-between scans that are 3.2 to 3.6 m apart. It returns 1 if a bar is missed: with each second scan of
-`kitti00` mapped the median error is at most 1 m, and otherwise at most 0.6 times the median
-distance of the nearest scan.
+disturbed, only displaced. The simulated cities, on whose seeds nothing was chosen, are passed again
+at another speed, on another day: queries are anywhere between scans that are 3.2 to 3.6 m apart. It
+returns 1 if a bar is missed: with each second scan of `kitti00` mapped the median error is at most
+1 m, and otherwise at most 0.6 times the median distance of the nearest scan.
 """
 
 import sys

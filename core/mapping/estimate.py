@@ -76,7 +76,7 @@ def estimate(
     for _ in range(_ROUNDS):
         likely = _likelihood(across @ np.tensordot(along, _at(step, units), 1), query)
         of_rendering = along.T @ likely @ across
-        step = _best_step(_cosine(np.einsum("nd,hndx->hx", of_rendering, units), query))
+        step = _best_step(_cosine(np.einsum("sv,hsvx->hx", of_rendering, units), query))
     if yaw_deg is not None:
         yaw_deg = wrapped_deg(yaw_deg + step * seen.step_deg)
     if not known:
