@@ -36,7 +36,7 @@ def methods_named(
     sensor: str,
     sensor_height_m: float,
     segment_length: int,
-    ranks: tuple[int, int] = (5, 5),
+    ranks: tuple[int, int] | None = None,
     views: Views | None = None,
 ) -> tuple[Method, ...]:
     """Return the methods of these names, each with its defaults for this sensor.
@@ -46,7 +46,7 @@ def methods_named(
         sensor: That recorded the drives.
         sensor_height_m: Of it above ground.
         segment_length: k of our maps.
-        ranks: `(r1, r2)` of our signatures.
+        ranks: `(r1, r2)` of our signatures; those of the encoding if `None`.
         views: Which ones our maps answer, in encodings that can answer them; their default if
             `None`.
 

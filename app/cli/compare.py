@@ -77,7 +77,7 @@ def compare(
         str | None,
         evaluation.protocol_option(help=f"Some of {','.join(METHODS)}. [all that are installed]"),
     ] = None,
-    ranks_text: options.RanksOption = "5,5",
+    ranks_text: options.RanksOption = None,
     views: options.ViewsOption = None,
     segment_length: options.SegmentLengthOption = None,
     segments: options.SegmentsOption = None,

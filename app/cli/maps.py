@@ -44,7 +44,7 @@ def build(
         Path, typer.Option("-o", "--output", metavar="MAP.h5", help="The map file to write.")
     ],
     encoding: options.EncodingOption = None,
-    ranks_text: options.RanksOption = "5,5",
+    ranks_text: options.RanksOption = None,
     segmentation: options.SegmentationOption = Segmentation.FIXED,
     views: options.ViewsOption = None,
     segment_length: options.SegmentLengthOption = None,
