@@ -292,6 +292,14 @@ def signature(
     packing: Annotated[
         Packing | None, typer.Option(help="How numbers are packed. [float16; harmonic: int8]")
     ] = None,
+    ranks_text: Annotated[
+        str | None,
+        typer.Option(
+            "--ranks",
+            help="r1,r2 to send, if not the map's; for maps of any views.",
+            callback=options.checked(options.ranks),
+        ),
+    ] = None,
     mounting: options.MountingOption = None,
     format_name: options.FormatOption = None,
 ) -> None:
@@ -302,7 +310,9 @@ def signature(
             f"a {tensor_map.parameters.encoding} signature is one for all segments: leave --segment"
             " out"
         )
-    basis = tensor_map.basis(segments)
+    basis, ranks = tensor_map.basis(segments), options.ranks(ranks_text)
+    if ranks is not None:
+        basis = basis.sending(ranks)
     media_type = None if format_name is None else media_type_of(format_name)
     read = _read(scan, media_type, mounting, tensor_map.parameters.sensor_height_m)
     signatures = basis.encode(basis.image(read))
@@ -325,6 +335,7 @@ def inspect(
         "scans": len(tensor_map),
         "segments": tensor_map.model.segments,
         "segmentation": tensor_map.parameters.segmentation.value,
+        "views": tensor_map.parameters.views.value,
         "elements": tensor_map.elements,
         "size_bytes": map_file.stat().st_size,
         "arrays": {
@@ -337,7 +348,7 @@ def inspect(
     if as_json:
         sys.stdout.write(f"{json.dumps(facts, indent=2)}\n")
         return
-    for name in (*_FACTS, "scans", "segmentation"):
+    for name in (*_FACTS, "views", "scans", "segmentation"):
         say(f"{name:>12}  {facts[name]}")
     edges = facts["edges"]
     say(f"{'graph':>12}  {facts['nodes']} nodes, {len(edges)} edges")

@@ -13,7 +13,6 @@ from core.errors import StaleObservation
 from core.localization.localizer import Localizer
 from core.localization.match import Match, match_at
 from core.numbers import require_at_least, require_finite
-from core.scans.displacement import pose_beside
 from core.scans.pose import Pose
 from core.tracking.belief import Belief
 from core.tracking.emission import Emission
@@ -255,7 +254,9 @@ def _sigma_m(along_m: FloatArray, place: Place) -> float | None:
 
 
 def _pose(poses: FloatArray, position: float, match: Match) -> Pose | None:
-    """Return the pose at a position between rows, displaced and turned as the match is."""
+    """Return the estimated pose, or that at a position between rows where none is estimated."""
+    if match.estimated_pose is not None:
+        return match.estimated_pose
     low = min(max(math.floor(position), 0), match.row)
     high = min(low + 1, len(poses) - 1)
     pair = poses[[low, high]]
@@ -266,6 +267,4 @@ def _pose(poses: FloatArray, position: float, match: Match) -> Pose | None:
     between = np.concatenate(
         [(1.0 - share) * pair[0, :3] + share * pair[1, :3], rotation.as_quat(canonical=True)]
     )
-    return Pose.from_row(
-        pose_beside(between, match.lateral_m or 0.0, match.relative_yaw_deg or 0.0)
-    )
+    return Pose.from_row(between)

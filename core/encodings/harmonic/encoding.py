@@ -280,6 +280,8 @@ class HarmonicEncoding(Encoding):
         super().require_model(model, parameters)
         if not isinstance(model, HarmonicModel) or model.measure != parameters.distance:
             raise InvalidMap("the model's distance is not that of the parameters")
+        if model.sent_ranks != parameters.ranks:
+            raise InvalidMap(f"queries are {model.sent_ranks}, by the ranks {parameters.ranks}")
         offsets = tuple(model.lateral_offset_m.tolist())
         if offsets != parameters.lateral_renderings_m:
             raise InvalidMap(f"lateral_offset_m is {offsets}, not that of the parameters")

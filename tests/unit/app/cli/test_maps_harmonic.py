@@ -68,6 +68,18 @@ def test_a_signature_is_printed_and_packed(map_file, folder, tmp_path, options, 
     )  # half a step
 
 
+def test_a_vehicle_may_send_other_ranks_up_to_those_kept(map_file, folder, tmp_path):
+    packed, scan = tmp_path / "packed", folder / "000003.bin"
+    run("signature", map_file, scan, "--packed", packed, "--ranks", "5,5")
+    assert packed.stat().st_size == 66
+    with pytest.raises(InvalidParameters, match="ranks are 11 x 5, this map takes up to 10 x 12"):
+        run("signature", map_file, scan, "--ranks", "11,5")
+    whole = tmp_path / "whole.h5"
+    run("build", folder, "-o", whole, "--views", "full")
+    with pytest.raises(InvalidParameters, match="ranks are 6 x 7, this map takes 5 x 5"):
+        run("signature", whole, scan, "--ranks", "6,7")
+
+
 def test_a_segment_of_a_harmonic_signature_is_rejected(map_file, folder):
     with pytest.raises(InvalidParameters, match="leave --segment out"):
         run("signature", map_file, folder / "000003.bin", "--segment", "0")
