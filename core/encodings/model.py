@@ -13,6 +13,7 @@ from core.arrays import BoolArray, FloatArray, IntArray, arrays_of, frozen
 from core.encodings.basis import Basis
 from core.encodings.signature import Signature
 from core.errors import InvalidMap, UnknownSegment
+from core.projection.imager import Image
 
 if TYPE_CHECKING:
     from core.parameters import MapParameters
@@ -71,9 +72,11 @@ class Search(ABC):
 
     Attributes:
         segments: The segments that are searched, rising.
+        verified: Whether distances are of images too, and not of signatures alone.
     """
 
     segments: tuple[int, ...]
+    verified: ClassVar[bool] = False
 
     @abstractmethod
     def nearest(self, k: int, among: BoolArray | None = None) -> Neighbours:
@@ -206,6 +209,18 @@ class Model(ABC):
             values: As `Basis.project` returns them.
             hidden: The image's hidden sectors; only in an encoding that masks.
         """
+
+    def search_image(self, image: Image, basis: Basis) -> Search:
+        """Compare an image, by all that the map has for that: at least by its signatures.
+
+        Args:
+            image: Of the map's kind and grid.
+            basis: Of all segments.
+
+        Raises:
+            SensorMismatch: If the image is of another kind or on another grid.
+        """
+        return self.search_values(basis.project(image), image.hidden)
 
     @abstractmethod
     def own_queries(

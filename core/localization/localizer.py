@@ -114,7 +114,7 @@ class Localizer:
             InvalidParameters: As `localize_scan`.
             UnknownSegment: Likewise.
         """
-        search = self.map.model.search_values(self.basis.project(image), image.hidden)
+        search = self.map.model.search_image(image, self.basis)
         return self._localize(search, k, priors, min_probability, image.occupied_cells)
 
     def localize_signatures(
@@ -148,7 +148,9 @@ class Localizer:
         require_at_least(1, k=k)
         prior = None if priors == NO_PRIORS else MapPrior(priors, self.map)
         candidates = find_candidates(self.map, search, k, prior)
-        decision = candidates.decide(self.map.calibration, min_probability, occupied_cells)
+        decision = candidates.decide(
+            self.map.calibration_of(search), min_probability, occupied_cells
+        )
         return Localization(
             self.map.revision,
             tuple(
