@@ -14,6 +14,7 @@ from core.encodings.basis import Basis
 from core.encodings.signature import Signature
 from core.errors import InvalidMap, UnknownSegment
 from core.projection.imager import Image
+from core.projection.probe import Displacement
 
 if TYPE_CHECKING:
     from core.parameters import MapParameters
@@ -101,6 +102,13 @@ class Search(ABC):
         """Return the comparison with all viewpoints of some scans, `None` if they have only one.
 
         It refines the pose of a match, between viewpoints and scans.
+        """
+        return None
+
+    def displacement(self, row: int) -> Displacement | None:
+        """Return how far the query is ahead of a scan and to its left, and its relative yaw.
+
+        `None` of a search that does not compare images.
         """
         return None
 

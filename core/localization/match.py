@@ -65,7 +65,8 @@ def match_at(tensor_map: TensorMap, search: Search, found: Neighbours, position:
     """Return a neighbour of a search as a match, with a sub-scan pose where there are viewpoints.
 
     Renderings are 1.5 m apart and scans a metre or two; the pose is the mean of the similar ones,
-    weighted by (d_best / d)^8. Without poses only the matched scan's renderings are averaged.
+    weighted by (d_best / d)^8. Without poses only the matched scan's renderings are averaged. Of
+    a search that compares images it is where they are most alike.
 
     Args:
         tensor_map: The map.
@@ -77,9 +78,15 @@ def match_at(tensor_map: TensorMap, search: Search, found: Neighbours, position:
     trajectory = tensor_map.trajectory
     segment = int(np.searchsorted(tensor_map.model.segment_start, row, "right")) - 1
     first, last = tensor_map.segment_ends[segment].tolist()
-    yaw_deg, lateral_m, pose = _refined(
-        search, trajectory, row, distance, _known(found.relative_yaw_deg[position])
-    )
+    placed = search.displacement(row)
+    if placed is None:
+        yaw_deg, lateral_m, pose = _refined(
+            search, trajectory, row, distance, _known(found.relative_yaw_deg[position])
+        )
+    else:
+        ahead_m, lateral_m, yaw_deg = placed
+        # Of an unknown pose it is unknown.
+        pose = Pose.from_row(pose_beside(trajectory.poses[row], lateral_m, yaw_deg, ahead_m))
     return Match(
         segment=segment,
         fraction=(row - first) / max(1, last - first),

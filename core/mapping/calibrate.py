@@ -165,9 +165,11 @@ def _error(
     near = close_along_m(tensor_map.trajectory, int(found.rows[0]))
     if near is None or not np.isfinite(true).all():
         return []
-    estimated = pose_beside(
-        matched, *np.nan_to_num([found.lateral_m[0], found.relative_yaw_deg[0]]).tolist()
-    )
+    placed = search.displacement(int(found.rows[0]))
+    if placed is None:
+        placed = 0.0, *np.nan_to_num([found.lateral_m[0], found.relative_yaw_deg[0]]).tolist()
+    along_of_scan_m, beside_m, yaw_deg = placed
+    estimated = pose_beside(matched, beside_m, yaw_deg, along_of_scan_m)
     rows, along_m = near
     kept = among[rows]
     compared = np.zeros(len(poses), dtype=bool)

@@ -5,23 +5,29 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from core.arrays import ComplexArray, Float32Array, FloatArray, IntArray
+from core.arrays import BoolArray, ComplexArray, Float32Array, FloatArray, IntArray
 from core.encodings.harmonic.masked_search import MaskedSearch
 from core.encodings.harmonic.small_query import SmallQuery
+from core.projection.probe import Displacement
 from core.projection.visibility import SECTORS
+from core.scans.angles import wrapped_deg
 
 if TYPE_CHECKING:
     from core.encodings.harmonic.model import HarmonicModel
 
-_OF_SIGNATURE = 2.0  # the weight of its distance; that of the images counts once
 _SECTOR_DEG = 360.0 / SECTORS
 _BESIDE = np.array([-1, 0, 1])  # sectors around the heading that the signature found
+_BLOCK = 64  # scans that are compared at once, in 20 MB
+_LATTICE_M = np.stack(np.meshgrid([-1.0, 0.0, 1.0], [-1.0, 0.0, 1.0], indexing="ij"), -1)
+_LATTICE_M = _LATTICE_M.reshape(9, 2)  # ahead, left
+_HERE, _ALONG, _ACROSS = 4, [1, 4, 7], [3, 4, 5]  # in it
+_MOST_STEPS = 8
 
 
 class VerifiedSearch(MaskedSearch):
     """An image, compared by its signature first, and the best candidates cell by cell.
 
-    A distance is a third of the images', 1 - correlation, and two thirds of the signatures'.
+    A distance is the mean of the signatures' and the images', which is 1 - correlation.
     """
 
     verified = True
@@ -46,4 +52,55 @@ class VerifiedSearch(MaskedSearch):
         correlation = self._query.correlation(views, model.seen_on_line(rows))
         best = np.take_along_axis(correlation, turned[:, None], axis=2).max(axis=2)
         of_images = np.maximum(1.0 - best.astype(np.float64), 0.0)
-        return (of_images + _OF_SIGNATURE * distances) / (1.0 + _OF_SIGNATURE), yaw_deg
+        return 0.5 * (of_images + distances), yaw_deg
+
+    def distances(self, among: BoolArray | None = None) -> FloatArray:
+        """Return each scan's distance, infinite outside `among`: all are compared cell by cell."""
+        distances = np.full(len(self._model), np.inf)
+        rows = np.arange(len(distances)) if among is None else np.flatnonzero(among)
+        for start in range(0, len(rows), _BLOCK):
+            block = rows[start : start + _BLOCK]
+            distances[block] = self.exact(block)[0].min(axis=1)
+        return distances
+
+    def displacement(self, row: int) -> Displacement:
+        """Return where the query is relative to a scan: where their images are most alike.
+
+        From the nearest viewpoint in steps of a metre to the place whose neighbours are all less
+        alike; between them, and between headings, by parabolas.
+        """
+        rows = np.array([row])
+        distances, yaw_deg = self.exact(rows)
+        nearest = int(distances.argmin())
+        sector = int(np.rint(yaw_deg[0, nearest] / _SECTOR_DEG))
+        ahead_m, left_m = 0.0, float(self._model.lateral_offset_m[nearest])
+        for _ in range(_MOST_STEPS):
+            alike = self._alike(rows, ahead_m, left_m)
+            by_place = alike[:, (sector + _BESIDE) % SECTORS].max(axis=1)
+            best = int(by_place.argmax())
+            if best == _HERE:
+                break
+            ahead_m += float(_LATTICE_M[best, 0])
+            left_m += float(_LATTICE_M[best, 1])
+        heading = sector + int(_BESIDE[alike[_HERE, (sector + _BESIDE) % SECTORS].argmax()])
+        between = _vertex(alike[_HERE, (heading + _BESIDE) % SECTORS])
+        ahead_m += _vertex(by_place[_ALONG])
+        left_m += _vertex(by_place[_ACROSS])
+        return ahead_m, left_m, wrapped_deg((heading + between) * _SECTOR_DEG)
+
+    def _alike(self, rows: IntArray, ahead_m: float, left_m: float) -> Float32Array:
+        """Return the correlation with a scan seen from nine places, `(9, 60)`."""
+        model = self._model
+        left_m -= model.recorded_lateral_m
+        places = model.displaced(ahead_m + _LATTICE_M[:, 0], left_m + _LATTICE_M[:, 1])
+        views = places.of(model.small_images(rows))
+        return np.asarray(self._query.correlation(views, model.seen_on_line(rows))[0])
+
+
+def _vertex(values: Float32Array) -> float:
+    """Return where the parabola through values at -1, 0 and 1 is highest, within half a step."""
+    before, here, after = values.astype(np.float64).tolist()
+    curvature = 2.0 * here - before - after
+    if curvature <= 0.0:
+        return 0.0
+    return float(np.clip(0.5 * (after - before) / curvature, -0.5, 0.5))
