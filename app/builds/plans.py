@@ -37,7 +37,7 @@ class Plan(BaseModel):
     def _of_an_earlier_release(cls, parameters: object) -> object:
         """Take plans that were stored when full views were the only ones as they were meant."""
         if isinstance(parameters, Mapping):
-            return {"views": Views.FULL.value, **parameters}
+            return {"views": Views.FULL.value, "verification_images": False, **parameters}
         return parameters
 
 
@@ -114,7 +114,10 @@ def _with_views_of_live(store: Store, map_id: str, parameters: BuildParameters) 
             wanted.image,
             wanted.distance,
         ):
-            return parameters.model_copy(update={"views": live[1].views})
+            taken: dict[str, object] = {"views": live[1].views}
+            if parameters.verification_images is None:
+                taken["verification_images"] = live[1].verification_images
+            return parameters.model_copy(update=taken)
     return parameters
 
 

@@ -10,7 +10,7 @@ import typer
 from app.cli import evaluation, options
 from app.cli.console import figure, progress_bar, say
 from app.provenance import provenance
-from baselines.roster import METHODS, default_methods, methods_named
+from baselines.roster import BY_SCAN, METHODS, default_methods, methods_named
 from core.errors import InvalidParameters
 from core.evaluation.compare import (
     Comparison,
@@ -75,7 +75,10 @@ def compare(
     ] = 1,
     methods: Annotated[
         str | None,
-        evaluation.protocol_option(help=f"Some of {','.join(METHODS)}. [all that are installed]"),
+        evaluation.protocol_option(
+            help=f"Some of {','.join(METHODS)}; of any views {','.join(BY_SCAN)} too."
+            " [all that are installed]"
+        ),
     ] = None,
     ranks_text: options.RanksOption = "5,5",
     views: options.ViewsOption = None,
@@ -113,7 +116,7 @@ def compare(
     length = segment_length_for(
         max(1, len(mapped)), segment_length=segment_length, segments=segments
     )
-    names = default_methods() if methods is None else tuple(methods.split(","))
+    names = default_methods(views) if methods is None else tuple(methods.split(","))
     chosen = methods_named(
         names,
         sensor=sensor,
