@@ -16,6 +16,16 @@ _STEPS_A_ROOT_METRE = 64.0  # square roots: low cells differ as much as high one
 _MOST = 255
 
 
+def sector_starts(columns: int) -> IntArray:
+    """Return the first of J columns in each sector, `(60,)`; below 60, one is in several.
+
+    Examples:
+        >>> sector_starts(360)[:3].tolist(), sector_starts(40)[:4].tolist()
+        ([0, 6, 12], [0, 1, 2, 2])
+    """
+    return np.minimum(-(-np.arange(SECTORS) * columns // SECTORS), columns - 1)
+
+
 def small_image(cells: Float32Array) -> NDArray[np.uint8]:
     """Return 64 times the square root of the greatest height in each sector, `(..., I, 60)`.
 
@@ -28,9 +38,8 @@ def small_image(cells: Float32Array) -> NDArray[np.uint8]:
         >>> small_image(cells)[0, [0, 1, 2, 59]].tolist()
         [64, 128, 0, 255]
     """
-    columns = cells.shape[-1]
-    first = np.minimum(-(-np.arange(SECTORS) * columns // SECTORS), columns - 1)
-    highest = np.maximum.reduceat(np.maximum(cells, 0.0), first, axis=-1)
+    starts = sector_starts(cells.shape[-1])
+    highest = np.maximum.reduceat(np.maximum(cells, 0.0), starts, axis=-1)
     roots = _STEPS_A_ROOT_METRE * np.sqrt(highest, dtype=np.float64)
     return np.minimum(np.rint(roots), _MOST).astype(np.uint8)
 

@@ -3,8 +3,8 @@
 import numpy as np
 
 from core.arrays import BoolArray, Float32Array
-from core.projection.small_image import small_image
-from core.projection.visibility import SECTORS, bits_of_hidden, seen_of_bits
+from core.projection.small_image import sector_starts, small_image
+from core.projection.visibility import SECTORS
 
 _LEAST_VARIANCE = 1.0  # of a cell: a step of a byte
 _LEAST_CELLS = 1.0
@@ -22,7 +22,7 @@ class SmallQuery:
 
     def __init__(self, cells: Float32Array) -> None:
         self._rings = 1 + int(np.flatnonzero((cells > 0).any(axis=1))[-1])
-        seen = seen_of_bits(bits_of_hidden(cells), SECTORS)
+        seen = np.minimum.reduceat(cells[0] >= 0, sector_starts(cells.shape[-1]))
         small = small_image(cells[: self._rings]) * seen
         sector = np.arange(SECTORS)
         turned = (sector - sector[:, None]) % SECTORS  # row s: turned by s sectors

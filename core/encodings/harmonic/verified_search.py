@@ -67,40 +67,46 @@ class VerifiedSearch(MaskedSearch):
         """Return where the query is relative to a scan: where their images are most alike.
 
         From the nearest viewpoint in steps of a metre to the place whose neighbours are all less
-        alike; between them, and between headings, by parabolas.
+        alike; between places, and between headings, by the triangle through three of them.
         """
-        rows = np.array([row])
-        distances, yaw_deg = self.exact(rows)
+        distances, yaw_deg = self.exact(np.array([row]))
         nearest = int(distances.argmin())
-        sector = int(np.rint(yaw_deg[0, nearest] / _SECTOR_DEG))
+        sectors = int(np.rint(yaw_deg[0, nearest] / _SECTOR_DEG)) + _BESIDE
         ahead_m, left_m = 0.0, float(self._model.lateral_offset_m[nearest])
         for _ in range(_MOST_STEPS):
-            alike = self._alike(rows, ahead_m, left_m)
-            by_place = alike[:, (sector + _BESIDE) % SECTORS].max(axis=1)
+            alike = self._alike(row, ahead_m, left_m)
+            by_place = alike[:, sectors % SECTORS].max(axis=1)
             best = int(by_place.argmax())
             if best == _HERE:
                 break
             ahead_m += float(_LATTICE_M[best, 0])
             left_m += float(_LATTICE_M[best, 1])
-        heading = sector + int(_BESIDE[alike[_HERE, (sector + _BESIDE) % SECTORS].argmax()])
-        between = _vertex(alike[_HERE, (heading + _BESIDE) % SECTORS])
-        ahead_m += _vertex(by_place[_ALONG])
-        left_m += _vertex(by_place[_ACROSS])
-        return ahead_m, left_m, wrapped_deg((heading + between) * _SECTOR_DEG)
+        sector = int(sectors[alike[best, sectors % SECTORS].argmax()])
+        between = _peak(alike[best, (sector + _BESIDE) % SECTORS])
+        if best == _HERE:
+            ahead_m += _peak(by_place[_ALONG])
+            left_m += _peak(by_place[_ACROSS])
+        return ahead_m, left_m, wrapped_deg((sector + between) * _SECTOR_DEG)
 
-    def _alike(self, rows: IntArray, ahead_m: float, left_m: float) -> Float32Array:
+    def _alike(self, row: int, ahead_m: float, left_m: float) -> Float32Array:
         """Return the correlation with a scan seen from nine places, `(9, 60)`."""
-        model = self._model
+        model, rows = self._model, np.array([row])
         left_m -= model.recorded_lateral_m
         places = model.displaced(ahead_m + _LATTICE_M[:, 0], left_m + _LATTICE_M[:, 1])
         views = places.of(model.small_images(rows))
         return np.asarray(self._query.correlation(views, model.seen_on_line(rows))[0])
 
 
-def _vertex(values: Float32Array) -> float:
-    """Return where the parabola through values at -1, 0 and 1 is highest, within half a step."""
+def _peak(values: Float32Array) -> float:
+    """Return where values at -1, 0 and 1 are highest, within half a step.
+
+    Cells are means over boxes, whose correlation falls to both sides as a triangle; a parabola
+    would be too near to 0.
+
+    Examples:
+        >>> _peak(np.array([0.4, 0.9, 0.6], np.float32))
+        0.2...
+    """
     before, here, after = values.astype(np.float64).tolist()
-    curvature = 2.0 * here - before - after
-    if curvature <= 0.0:
-        return 0.0
-    return float(np.clip(0.5 * (after - before) / curvature, -0.5, 0.5))
+    drop = here - min(before, after)
+    return float(np.clip(0.5 * (after - before) / drop, -0.5, 0.5)) if drop > 0.0 else 0.0

@@ -1,5 +1,7 @@
 """Files of released versions stay readable, to the bit."""
 
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import h5py
@@ -7,6 +9,7 @@ import numpy as np
 import pytest
 
 from core.localization.localizer import Localizer
+from core.mapping.tensormap import TensorMap
 from core.projection.imager import Image
 from core.projection.rings import RingGrid
 from core.scans.sensor import AngularGrid
@@ -20,13 +23,20 @@ RELEASED = {
     "map-v1.h5": "88c7c859161582505ada0c7eb33147ff88eaadab915a5ad414975b2cd813e9db",
     "harmonic-v1.h5": "1816d48cfae92fe00cb73253f623f52c6fc6d287615bfc16c426f9414c60f9ba",
     "harmonic-v2.h5": "46c59b668d3b85e250eba311221e971bb4edfd68d3abb0e9d05c75ebf49cb52f",
+    "harmonic-v2-images.h5": "b327cf2bfd0a385e675b176f0b5eb89855a98165c99bf1ad9ea9dfacee680825",
 }
-MADE = {
+MADE: dict[str, Callable[[], TensorMap]] = {
     "map-v1.h5": golden_map,
     "harmonic-v1.h5": golden_harmonic_map,
     "harmonic-v2.h5": golden_map_of_any_views,
+    "harmonic-v2-images.h5": partial(golden_map_of_any_views, verification_images=True),
 }
-SHAPES = {"map-v1.h5": (4, 9), "harmonic-v1.h5": (4, 8), "harmonic-v2.h5": (4, 60)}
+SHAPES = {
+    "map-v1.h5": (4, 9),
+    "harmonic-v1.h5": (4, 8),
+    "harmonic-v2.h5": (4, 60),
+    "harmonic-v2-images.h5": (4, 60),
+}
 
 
 @pytest.mark.parametrize(("name", "digest"), RELEASED.items())
@@ -74,14 +84,15 @@ def test_a_released_harmonic_map_still_answers():
 
 
 def test_a_map_of_any_views_has_version_2_and_others_have_1():
-    versions = {"map-v1.h5": 1, "harmonic-v1.h5": 1, "harmonic-v2.h5": 2}
-    for name, version in versions.items():
+    for name in RELEASED:
+        version = 1 + name.startswith("harmonic-v2")
         with h5py.File(FOLDER / name) as file:
             assert file.attrs["format_version"] == version
 
 
-def test_a_released_map_of_any_views_still_answers_a_part_of_a_place():
-    tensor_map = read_map(FOLDER / "harmonic-v2.h5")
+@pytest.mark.parametrize("name", ["harmonic-v2.h5", "harmonic-v2-images.h5"])
+def test_a_released_map_of_any_views_still_answers_a_part_of_a_place(name):
+    tensor_map = read_map(FOLDER / name)
     heights_m = np.random.default_rng(4).uniform(0.0, 5.0, size=(6, 2, 4, 60)).astype(np.float32)
     heights_m[..., 7] = -1.0
     heights_m[..., 20:40] = -1.0
