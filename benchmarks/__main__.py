@@ -7,6 +7,7 @@ _ALL = (
     "fit_segment",
     "localize",
     "match_harmonic",
+    "match_scan",
     "answer_overhead",
     "build_memory",
     "open_revision",

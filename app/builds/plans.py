@@ -108,7 +108,8 @@ def _with_views_of_live(store: Store, map_id: str, parameters: BuildParameters) 
         return parameters
     with suppress(CorruptFile):
         live = _live(store, map_id)
-        wanted = parameters.map_parameters()
+        # Images that are requested need the views that are to be taken.
+        wanted = parameters.model_copy(update={"verification_images": None}).map_parameters()
         if live is not None and (live[1].encoding, live[1].image, live[1].distance) == (
             wanted.encoding,
             wanted.image,

@@ -5,9 +5,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from core.arrays import IntArray
+from core.arrays import FloatArray, IntArray
 from core.encodings.model import Neighbours, Search
 from core.mapping.tensormap import TensorMap
+from core.projection.probe import Displacement
 from core.scans.angles import wrapped_deg
 from core.scans.displacement import left_of_m, places_beside_m, pose_beside
 from core.scans.pose import Pose, heading_deg, path_length_m
@@ -84,9 +85,8 @@ def match_at(tensor_map: TensorMap, search: Search, found: Neighbours, position:
             search, trajectory, row, distance, _known(found.relative_yaw_deg[position])
         )
     else:
-        ahead_m, lateral_m, yaw_deg = placed
-        # Of an unknown pose it is unknown.
-        pose = Pose.from_row(pose_beside(trajectory.poses[row], lateral_m, yaw_deg, ahead_m))
+        _, lateral_m, yaw_deg = placed
+        pose = pose_at(trajectory.poses[row], placed)
     return Match(
         segment=segment,
         fraction=(row - first) / max(1, last - first),
@@ -101,6 +101,12 @@ def match_at(tensor_map: TensorMap, search: Search, found: Neighbours, position:
         lateral_m=lateral_m,
         estimated_pose=pose,
     )
+
+
+def pose_at(recorded: FloatArray, placed: Displacement) -> Pose | None:
+    """Return the pose so far from a recorded one, `(7,)`; of an unknown one it is unknown."""
+    ahead_m, left_m, yaw_deg = placed
+    return Pose.from_row(pose_beside(recorded, left_m, yaw_deg, ahead_m))
 
 
 def _known(value: float) -> float | None:

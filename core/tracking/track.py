@@ -11,8 +11,9 @@ from core.encodings.model import Neighbours, Search
 from core.encodings.signature import Signature
 from core.errors import StaleObservation
 from core.localization.localizer import Localizer
-from core.localization.match import Match, match_at
+from core.localization.match import Match, match_at, pose_at
 from core.numbers import require_at_least, require_finite
+from core.projection.imager import Image
 from core.scans.displacement import pose_beside
 from core.scans.pose import Pose
 from core.tracking.belief import Belief
@@ -39,6 +40,8 @@ class Observation:
         timestamp_s: Its time by the vehicle's own clock; rises if given.
         sequence: Its number; rises if given.
         travelled_m: Odometry since the last observation, negative backwards.
+        image: Of the same scan, if there is one: in a map with verification images the vehicle's
+            pose is where they are most alike.
 
     Raises:
         InvalidParameters: If a number is not finite or below its range.
@@ -48,6 +51,7 @@ class Observation:
     timestamp_s: float | None = None
     sequence: int | None = None
     travelled_m: float | None = None
+    image: Image | None = None
 
     def __post_init__(self) -> None:
         require_finite(timestamp_s=self.timestamp_s, travelled_m=self.travelled_m)
@@ -151,9 +155,12 @@ class Track:
             StaleSignature: If a signature was made with another revision's bases.
             UnknownSegment: If the map has no such segment.
             InvalidSignature: If the signatures are not of this map or not of one scan.
+            SensorMismatch: If the image is of another kind or grid.
         """
         self._order.require_newer(observation)
-        search = self._tracker.localizer.search(observation.signatures)
+        localizer, image = self._tracker.localizer, observation.image
+        search = localizer.search(observation.signatures)
+        seen = search if image is None else localizer.search_image(image)
         distances = search.distances()
         belief = self._belief
         if self._observations:
@@ -171,10 +178,10 @@ class Track:
         self._order.keep(observation)
         self._observations += 1
         self._belief = belief
-        self.last = self._step(search, stationary=stationary)
+        self.last = self._step(search, seen, stationary=stationary)
         return self.last
 
-    def _step(self, search: Search, *, stationary: bool) -> TrackStep:
+    def _step(self, search: Search, seen: Search, *, stationary: bool) -> TrackStep:
         tracker = self._tracker
         place = Place.most_likely(self._belief, tracker.map)
         position = self._held(place) if stationary else place.position
@@ -187,6 +194,7 @@ class Track:
         if not len(found):
             found = Neighbours.of_distances(np.array([row]), np.array([np.inf]))
         match = match_at(tracker.map, search, found)
+        poses, placed = tracker.map.trajectory.poses, seen.displacement(row)
         reason = self._doubt(place)
         segment = tracker.graph.segment_at(position)
         return TrackStep(
@@ -204,7 +212,7 @@ class Track:
             stationary=stationary,
             along_sigma_m=_sigma_m(tracker.graph.along_m, place),
             along_sigma_scans=place.sigma,
-            pose=_pose(tracker.map.trajectory.poses, position, match),
+            pose=_pose(poses, position, match) if placed is None else pose_at(poses[row], placed),
         )
 
     def _held(self, place: Place) -> float:

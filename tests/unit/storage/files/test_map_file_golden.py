@@ -13,6 +13,7 @@ from core.mapping.tensormap import TensorMap
 from core.projection.imager import Image
 from core.projection.rings import RingGrid
 from core.scans.sensor import AngularGrid
+from storage.errors import CorruptFile
 from storage.files.map_file import read_map
 from tests import golden
 from tests.golden.make import golden_harmonic_map, golden_map, golden_map_of_any_views
@@ -101,3 +102,25 @@ def test_a_released_map_of_any_views_still_answers_a_part_of_a_place(name):
         image = Image(heights_m[row, 1], grid)
         assert image.hidden == (7, *range(20, 40))
         assert localizer.localize_image(image).best.row == row
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        (lambda images: images + np.uint8(1), "its digest is"),
+        (lambda images: images.astype(np.int8), "verification_images holds int8"),
+        (lambda images: images.astype(np.float32), "verification_images holds float32"),
+        (lambda images: images[:, :, :59], "its digest is|verification_images has shape"),
+        (lambda images: None, "it lacks or should not hold verification_images"),
+    ],
+)
+def test_verification_images_that_were_changed_are_rejected(tmp_path, changed, message):
+    path = tmp_path / "map.h5"
+    path.write_bytes((FOLDER / "harmonic-v2-images.h5").read_bytes())
+    with h5py.File(path, "r+") as file:
+        images = changed(file["verification_images"][()])
+        del file["verification_images"]
+        if images is not None:
+            file["verification_images"] = images
+    with pytest.raises(CorruptFile, match=message):
+        read_map(path)
