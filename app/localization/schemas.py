@@ -23,7 +23,7 @@ from core.confidence.decision import Refusal
 from core.encodings.registry import encoding_named, encoding_names
 from core.encodings.signature import Signature
 from core.localization.localizer import Localization
-from core.projection.visibility import SECTORS
+from core.projection.visibility import MOST_RINGS, SECTORS
 
 _OTHER = "other"
 SIGNATURE_TAGS = {"paper", "harmonic", _OTHER}
@@ -62,7 +62,15 @@ class HarmonicSignatureIn(BaseModel):
         " the image does. The values are those of the others.",
     )
 
-    _integers = field_validator("hidden", mode="before")(integers)
+    rings: int | None = Field(
+        None,
+        ge=1,
+        le=MOST_RINGS,
+        description="How many rings of the image are within the scan's reach, if not all. The"
+        " values are those of these rings.",
+    )
+
+    _integers = field_validator("hidden", "rings", mode="before")(integers)
 
 
 def _of_registered(item: dict[str, Any]) -> dict[str, Any]:

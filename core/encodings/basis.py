@@ -11,6 +11,7 @@ from core.arrays import FloatArray, arrays_of
 from core.encodings.signature import Signature
 from core.errors import SensorMismatch
 from core.projection.imager import Image, Views
+from core.projection.visibility import FULL_VIEW, View
 from core.scans.scan import Scan
 
 if TYPE_CHECKING:
@@ -30,9 +31,9 @@ def signature_parameters(parameters: "MapParameters") -> dict[str, Any]:
     attributes = {**parameters.as_attributes(), "image": parameters.image.value}
     if parameters.views == Views.FULL:
         return {name: attributes[name] for name in _OF_SIGNATURES}
-    # Levelled scans of any sensor at any height are images alike, and harmonics are sent as needed.
+    # Levelled scans of any sensor at any height are images alike, and ranks are sent as needed.
     of_any = {name: attributes[name] for name in _OF_ANY_VIEWS}
-    return {**of_any, "radial_rank": parameters.ranks[0]}
+    return {**of_any, "radial_rank": parameters.encoder.kept_ranks(parameters)[0]}
 
 
 def make_same_signatures(one: "MapParameters", other: "MapParameters") -> bool:
@@ -90,6 +91,11 @@ class Basis(ABC):
         Raises:
             SensorMismatch: If the image is of another kind or on another grid.
         """
+
+    def view(self, image: Image) -> View:
+        """Return the part of the place that the image shows, for the same."""
+        del image
+        return FULL_VIEW
 
     @abstractmethod
     def encode(self, image: Image) -> tuple[Signature, ...]:

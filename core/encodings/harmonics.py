@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from core.arrays import ComplexArray, Float32Array, FloatArray
 from core.projection.imager import Views
+from core.projection.visibility import View
 
 if TYPE_CHECKING:
     from core.parameters import MapParameters
@@ -41,16 +42,39 @@ def weights(columns: int, r2: int) -> FloatArray:
     return np.where((harmonic == 0) | (2 * harmonic == columns), 1.0, 2.0)
 
 
-ANY_VIEW_HARMONICS = 12
-"""That a map of any views keeps: what a mask mixes into those that are sent."""
+ANY_VIEW_RANKS = (10, 12)
+"""That a map of any views keeps: what a partial view mixes into those that are sent."""
+
+_TRADED = 2  # harmonics for as many radial components
+_FEWEST_LEFT = 5  # harmonics: as many as the paper's ranks
 
 
-def kept_harmonics(parameters: "MapParameters") -> int:
-    """Return how many harmonics of each rendering a map keeps, at least those that are sent."""
-    sent = parameters.ranks[1]
+def kept_ranks(parameters: "MapParameters") -> tuple[int, int]:
+    """Return the ranks of each rendering that a map keeps, at least those that are sent."""
+    (r1, r2), (rows, columns) = parameters.ranks, parameters.grid.shape
     if parameters.views == Views.FULL:
-        return sent
-    return max(sent, min(ANY_VIEW_HARMONICS, parameters.grid.columns // 2))
+        return r1, r2
+    radial, harmonics = ANY_VIEW_RANKS
+    return min(rows, max(radial, r1 + _TRADED)), max(r2, min(harmonics, columns // 2))
+
+
+def sent_ranks(parameters: "MapParameters", view: View) -> tuple[int, int]:
+    """Return the ranks of a query of this view, in about as many numbers as `ranks`.
+
+    What is left of a narrow view differs between places by its rings more than by its azimuths:
+    where harmonics outnumber radial components, it has two fewer of these, but five at least, and
+    two more of those.
+
+    Examples:
+        >>> from core.parameters import MapParameters
+        >>> any_views = MapParameters.for_sensor(ranks=(6, 7), views=Views.ANY)
+        >>> sent_ranks(any_views, View()), sent_ranks(any_views, View(tuple(range(20))))
+        ((6, 7), (8, 5))
+    """
+    r1, r2 = parameters.ranks
+    if parameters.views == Views.FULL or not view.is_narrow or r2 <= max(r1, _FEWEST_LEFT + 1):
+        return r1, r2
+    return min(r1 + _TRADED, kept_ranks(parameters)[0]), r2 - _TRADED
 
 
 def harmonic_elements(scans: int, renderings: int, rows: int, ranks: tuple[int, int]) -> int:

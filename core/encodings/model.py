@@ -15,6 +15,7 @@ from core.encodings.signature import Signature
 from core.errors import InvalidMap, UnknownSegment
 from core.projection.imager import Image
 from core.projection.probe import Displacement
+from core.projection.visibility import FULL_VIEW, View
 
 if TYPE_CHECKING:
     from core.parameters import MapParameters
@@ -210,12 +211,12 @@ class Model(ABC):
         """
 
     @abstractmethod
-    def search_values(self, values: NDArray[Any], hidden: Sequence[int] = ()) -> Search:
+    def search_values(self, values: NDArray[Any], view: View = FULL_VIEW) -> Search:
         """Compare an image that the basis of all segments projected, without checks.
 
         Args:
             values: As `Basis.project` returns them.
-            hidden: The image's hidden sectors; only in an encoding that masks.
+            view: What the image shows; full but in an encoding that masks.
         """
 
     def search_image(self, image: Image, basis: Basis) -> Search:
@@ -228,7 +229,7 @@ class Model(ABC):
         Raises:
             SensorMismatch: If the image is of another kind or on another grid.
         """
-        return self.search_values(basis.project(image), image.hidden)
+        return self.search_values(basis.project(image), basis.view(image))
 
     @abstractmethod
     def own_queries(

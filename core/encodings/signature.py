@@ -1,6 +1,5 @@
 """A signature, which a vehicle sends instead of its scan, and its packing."""
 
-import operator
 import re
 import struct
 from collections.abc import Sequence
@@ -12,7 +11,7 @@ import numpy as np
 from core.arrays import Complex64Array, Float32Array, frozen
 from core.encodings.registry import encoding_named, encoding_of_layout
 from core.errors import InvalidSignature
-from core.projection.visibility import SECTORS
+from core.projection.visibility import FULL_VIEW, View
 
 REVISION_PREFIX_BYTES = 8
 """Of the digest of a basis or revision in a packed query: 64 bits are unique among billions."""
@@ -42,15 +41,14 @@ class Signature:
         revision: Digest (or its first digits) of its basis, or of a map revision that has it: no
             two digests are equal, so one field names either.
         encoding: Its name; by default the paper's with a segment, the harmonic one without.
-        hidden: Sectors of azimuth that its scan did not see, rising; the values are of the others
-            (`core.projection.visibility`).
+        view: What its scan saw; the values are of that part of its image.
     """
 
     values: Float32Array | Complex64Array
     segment: int | None
     revision: str
     encoding: str = ""
-    hidden: tuple[int, ...] = ()
+    view: View = FULL_VIEW
 
     def __post_init__(self) -> None:
         if not self.encoding:
@@ -73,18 +71,8 @@ class Signature:
         if self.segment is not None and not 0 <= self.segment <= _MAX_SEGMENT:
             raise InvalidSignature(f"segment is {self.segment}, wanted 0..{_MAX_SEGMENT}")
         object.__setattr__(self, "values", frozen(values, dtype))
-        object.__setattr__(self, "hidden", tuple(map(operator.index, self.hidden)))
-        if not self.hidden:
-            return
-        if not encoding.masks:
-            raise InvalidSignature(f"a {self.encoding} signature has no hidden sectors")
-        if len(self.hidden) >= SECTORS or not set(self.hidden) <= set(range(SECTORS)):
-            raise InvalidSignature(
-                f"{len(self.hidden)} sectors are hidden, wanted fewer than {SECTORS} of"
-                f" 0..{SECTORS - 1}"
-            )
-        if list(self.hidden) != sorted(set(self.hidden)):
-            raise InvalidSignature("hidden sectors do not rise")
+        if not self.view.is_full and not encoding.masks:
+            raise InvalidSignature(f"a {self.encoding} signature is of a full view")
 
 
 def pack_signatures(signatures: Sequence[Signature], packing: Packing | None = None) -> bytes:

@@ -89,7 +89,7 @@ def calibrate(
         search = (
             tensor_map.model.search_image(image, basis)
             if by_images
-            else tensor_map.model.search_values(basis.project(image), image.hidden)
+            else tensor_map.model.search_values(basis.project(image), basis.view(image))
         )
         least_cells = min(least_cells, image.occupied_cells)
         beside, here = own_place(trajectory, row)

@@ -15,7 +15,7 @@ from core.projection.levelling import level
 from core.projection.range_image import project_scan
 from core.projection.reducer import HEIGHT_REDUCERS, RANGE_REDUCERS, Reducer
 from core.projection.rings import RingGrid
-from core.projection.visibility import HIDDEN, hidden_sectors, hide, visible_sectors
+from core.projection.visibility import FULL_VIEW, HIDDEN, View, hide, visible_sectors
 from core.scans.displacement import seen_from_beside
 from core.scans.scan import Scan
 from core.scans.sensor import AngularGrid
@@ -87,9 +87,9 @@ class Image:
         return int(np.count_nonzero(self.seen))
 
     @cached_property
-    def hidden(self) -> tuple[int, ...]:
-        """The sectors that the scan did not see, rising."""
-        return hidden_sectors(self.cells)
+    def view(self) -> View:
+        """The part that the scan saw; a range image's is the whole."""
+        return View.of(self.cells) if self.kind == ImageKind.HEIGHT else FULL_VIEW
 
 
 @dataclass(frozen=True)

@@ -1,13 +1,18 @@
-"""Which way a scan sees: sectors of azimuth that something near hides, or that no return covers.
+"""The view of a scan: sectors of azimuth that are hidden from it, and rings within its reach.
 
-A truck beside the vehicle, a narrow sensor or its mounting hide a part of a place. An image marks
-the columns of hidden sectors, and a query is compared with a map only where it sees. The sectors
-travel with a signature, 60 bits (docs/reference/signature.md).
+A truck beside the vehicle, a narrow sensor or its mounting hide a part of a place, and rain or a
+small sensor end before others do. An image marks the columns of hidden sectors, and a query is
+compared with a map only where it sees. The view travels with a signature, 8 bytes
+(docs/reference/signature.md).
 """
+
+import operator
+from dataclasses import dataclass
 
 import numpy as np
 
 from core.arrays import BoolArray, Float32Array, IntArray
+from core.errors import InvalidSignature
 from core.projection.angles import azimuth_steps
 
 SECTORS = 60
@@ -16,8 +21,59 @@ SECTORS = 60
 HIDDEN = np.float32(-1.0)
 """The cells of a hidden column."""
 
+MOST_RINGS = 15
+"""To which a view is limited at most: beyond, and in all other scans, no ring is left out."""
+
 _FAR_M = 6.0  # a truck in the next lane is nearer, most walls are not
 _FEWEST = 10  # sectors: 60 degrees
+_FEWEST_RINGS = 3
+_SHORT = 0.6  # of the rings: what ends before has a short reach
+
+
+@dataclass(frozen=True)
+class View:
+    """The part of an image that a scan sees.
+
+    Attributes:
+        hidden: Sectors of azimuth that it does not see, rising.
+        rings: How many rings, from the sensor on, are within its reach; `None` if all are.
+    """
+
+    hidden: tuple[int, ...] = ()
+    rings: int | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "hidden", tuple(map(operator.index, self.hidden)))
+        if self.rings is not None:
+            object.__setattr__(self, "rings", operator.index(self.rings))
+            if not 1 <= self.rings <= MOST_RINGS:
+                raise InvalidSignature(f"rings is {self.rings}, wanted 1..{MOST_RINGS}")
+        if len(self.hidden) >= SECTORS or not set(self.hidden) <= set(range(SECTORS)):
+            raise InvalidSignature(
+                f"{len(self.hidden)} sectors are hidden, wanted fewer than {SECTORS} of"
+                f" 0..{SECTORS - 1}"
+            )
+        if list(self.hidden) != sorted(set(self.hidden)):
+            raise InvalidSignature("hidden sectors do not rise")
+
+    @property
+    def is_full(self) -> bool:
+        """Whether it leaves nothing out."""
+        return self == FULL_VIEW
+
+    @property
+    def is_narrow(self) -> bool:
+        """Whether it leaves out a third of the azimuths or more, or rings."""
+        return 3 * len(self.hidden) >= SECTORS or self.rings is not None
+
+    @classmethod
+    def of(cls, cells: Float32Array) -> "View":
+        """Return the view of an image, `(I, J)` cells."""
+        return cls(hidden_sectors(cells), rings_in_reach(cells))
+
+
+FULL_VIEW = View()
+"""Of a scan that sees all around."""
 
 
 def sector_of_column(columns: int) -> IntArray:
@@ -67,6 +123,25 @@ def hidden_sectors(cells: Float32Array) -> tuple[int, ...]:
     """Return the sectors whose columns are marked as hidden in `(I, J)` cells."""
     hidden = np.unique(sector_of_column(cells.shape[-1])[cells[0] < 0])
     return tuple(hidden.tolist())
+
+
+def rings_in_reach(cells: Float32Array) -> int | None:
+    """Return how many rings of `(I, J)` cells lie within the reach of their scan, `None` if all do.
+
+    Nothing is above the ground beyond the last ring in which something is, and that one is seen in
+    part. Where it is one of the outer 40 percent, the scan is not short of reach: in most places
+    something stands between 48 and 80 m.
+
+    Examples:
+        >>> far, near = np.zeros((2, 20, 360), np.float32)
+        >>> far[12], near[7] = 1.0, 1.0
+        >>> rings_in_reach(far), rings_in_reach(near)
+        (None, 7)
+    """
+    last = int(np.flatnonzero((cells > 0).any(axis=1))[-1])
+    if last >= _SHORT * len(cells) or last > MOST_RINGS:
+        return None
+    return min(max(last, _FEWEST_RINGS), len(cells))
 
 
 def bits_of_hidden(cells: Float32Array) -> IntArray:

@@ -70,7 +70,7 @@ def as_json(signatures):
         else {
             "values_real": s.values.real.tolist(),
             "values_imag": s.values.imag.tolist(),
-            "hidden": list(s.hidden),
+            "hidden": list(s.view.hidden),
         }
         for s in signatures
     ]

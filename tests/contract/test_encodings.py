@@ -161,7 +161,7 @@ class TestEncodings:
         assert np.isinf(search.distances(among)[~among]).all()
         assert len(search.nearest(5, np.zeros(len(built), bool))) == 0
         image = basis.image(drive.scan(3))
-        by_values = built.model.search_values(basis.project(image), image.hidden)
+        by_values = built.model.search_values(basis.project(image), basis.view(image))
         assert by_values.segments == search.segments
         np.testing.assert_array_equal(by_values.distances(), distances)
 

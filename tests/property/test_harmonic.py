@@ -43,6 +43,7 @@ def model_of(seed, scans, renderings, r2=5, measure=Distance.NORMALISED, twins=F
         np.array([0, scans]),
         COLUMNS,
         measure,
+        (3, r2),
     )
 
 
@@ -87,7 +88,8 @@ def test_the_correlation_finds_the_relative_yaw_of_a_scan_of_the_map(seed, s, me
     images = images_of(seed, 8)
     u = leading_basis(row_gram(images), 3).astype(np.float32)
     signatures = encode(images, u, 5)[:, None].astype(np.complex64)
-    model = HarmonicModel(u, signatures, np.zeros(1), np.array([0, 8]), COLUMNS, measure)
+    start = np.array([0, 8])
+    model = HarmonicModel(u, signatures, np.zeros(1), start, COLUMNS, measure, (3, 5))
     found = query(model, np.roll(images[3], -s, axis=1)).nearest(1)
     assert found.rows.tolist() == [3]
     error = (found.relative_yaw_deg[0] - s * 360 / COLUMNS + 180) % 360 - 180

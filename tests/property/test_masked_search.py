@@ -11,7 +11,9 @@ from core.encodings.harmonics import azimuth_factor, encode, energy
 from core.encodings.signature import Packing, Signature, pack_signatures, unpack_signatures
 from core.errors import InvalidSignature
 from core.projection.visibility import (
+    MOST_RINGS,
     SECTORS,
+    View,
     bits_of_hidden,
     hidden_sectors,
     hide,
@@ -32,7 +34,9 @@ def a_map(seed, hidden_of_map=None, scans=9):
     signatures = encode(images, U, KEPT).astype(np.complex64)
     hidden = np.zeros((scans, 3), np.int64) if hidden_of_map is None else hidden_of_map
     offsets_m, start = np.array([-2.0, 0.0, 2.0]), np.array([0, scans])
-    return HarmonicModel(U, signatures, offsets_m, start, COLUMNS, Distance.NORMALISED, hidden)
+    return HarmonicModel(
+        U, signatures, offsets_m, start, COLUMNS, Distance.NORMALISED, (4, SENT), hidden
+    )
 
 
 def as_columns(signatures):
@@ -54,7 +58,7 @@ def test_the_distance_is_that_of_the_definition(seed, hidden, turned):
     model = a_map(seed)
     query = seen(as_columns(model.signatures[4, 1]), hidden, turned)
     assume(energy(query, COLUMNS) > 1e-3)
-    distances, _ = model.search_values(query, hidden).exact(np.arange(len(model)))
+    distances, _ = model.search_values(query, View(hidden)).exact(np.arange(len(model)))
     pairs = np.where(np.arange(SENT) > 0, 2.0, 1.0)
     for row, rendering in ((4, 1), (7, 0)):
         columns = as_columns(model.signatures[row, rendering])
@@ -66,7 +70,7 @@ def test_the_distance_is_that_of_the_definition(seed, hidden, turned):
         assert 1.0 - distances[row, rendering] == pytest.approx(scores.max(), abs=0.03)
     assert distances[4, 1] < 1e-4
     if len(hidden) < 30:
-        found = model.search_values(query, hidden).nearest(1)
+        found = model.search_values(query, View(hidden)).nearest(1)
         assert (found.rows[0], found.lateral_m[0]) == (4, 0.0)
         expected = turned * 360.0 / COLUMNS
         assert abs((found.relative_yaw_deg[0] + expected + 180.0) % 360.0 - 180.0) < 1.0
@@ -79,7 +83,7 @@ def test_where_nothing_is_hidden_it_is_the_distance_of_full_views(seed, sent):
     query = encode(np.random.default_rng(seed).random((4, COLUMNS)), np.eye(4), sent)
     start, offsets_m = model.segment_start, model.lateral_offset_m
     cut = model.signatures[..., :sent]
-    full = HarmonicModel(U, cut, offsets_m, start, COLUMNS, Distance.NORMALISED)
+    full = HarmonicModel(U, cut, offsets_m, start, COLUMNS, Distance.NORMALISED, (4, sent))
     rows = np.arange(len(model))
     masked, _ = model.search_values(query).exact(rows)
     np.testing.assert_allclose(masked, full.search_values(query).exact(rows)[0], atol=2e-3)
@@ -103,38 +107,68 @@ def test_estimates_count_what_a_rendering_does_not_see_as_exact_scores_do(seed):
     narrow = tuple(range(20, SECTORS))  # so that much of the query is where the map is blind
     query = seen(as_columns(sighted.signatures[4, 1]), narrow)
     others, ratios = np.array([0, 1, 2, 3, 5, 6, 7, 8]), []
-    for search in (model.search_values(query, narrow) for model in (sighted, blind)):
+    for search in (model.search_values(query, View(narrow)) for model in (sighted, blind)):
         exact = 1.0 - search.exact(others)[0].min(axis=1)
         ratios.append(exact / (1.0 - search._estimates[others]))
     off = np.median(np.abs(ratios[0] / ratios[1] - 1.0))
     assert off < 0.004
 
 
-@given(hidden=some_hidden(SECTORS - 1), packing=st.sampled_from(Packing))
-def test_hidden_sectors_survive_the_wire_in_eight_bytes(hidden, packing):
-    values = np.random.default_rng(0).normal(size=(5, 8)).astype(np.complex64)
+@given(
+    view=st.builds(View, some_hidden(SECTORS - 1), st.none() | st.integers(1, MOST_RINGS)),
+    packing=st.sampled_from(Packing),
+    ranks=st.sampled_from([(5, 5), (6, 7), (8, 5)]),
+)
+def test_a_partial_view_survives_the_wire_in_eight_bytes(view, packing, ranks):
+    rng = np.random.default_rng(0)
+    values = (rng.normal(size=ranks) + 1j * rng.normal(size=ranks)).astype(np.complex64)
     values.imag[:, 0] = 0.0
-    signature = Signature(values, None, "0f" * 32, hidden=hidden)
+    signature = Signature(values, None, "0f" * 32, view=view)
     packed = pack_signatures([signature], packing)
     plain = pack_signatures([Signature(values, None, "0f" * 32)], packing)
-    assert len(packed) - len(plain) == (8 if hidden else 0)
+    shorter = 2 if packing == Packing.INT8 else 0  # of the scale
+    assert len(packed) - len(plain) == (0 if view.is_full else 8 - shorter)
     assert packing == Packing.FLOAT16 or len(packed) <= 100
     [again] = unpack_signatures(packed)
-    assert again.hidden == hidden
+    assert again.view == view
+    step = np.abs(values).max() * 2 / 127
+    np.testing.assert_allclose(again.values, values, atol=step)
+
+
+@given(seed=st.integers(0, 1000), rings=st.integers(2, 7), r1=st.integers(2, 4))
+def test_a_scan_of_short_reach_is_compared_with_the_rings_within_it(seed, rings, r1):
+    model = a_map(seed)
+    whole = U @ as_columns(model.signatures[4, 1])  # an image that the basis describes wholly
+    query = encode(whole[:rings], U[:rings, :r1], SENT)
+    distances, _ = model.search_values(query, View(rings=rings)).exact(np.arange(len(model)))
+    assert distances[4, 1] < 1e-4
+    assert distances[4, 1] == distances.min()
+
+
+@pytest.mark.parametrize("rings", [0, -1, 16, 1.5])
+def test_rings_that_cannot_be_are_rejected(rings):
+    with pytest.raises((InvalidSignature, TypeError), match=r"rings is .*wanted 1\.\.15|integer"):
+        View(rings=rings)
 
 
 @pytest.mark.parametrize("hidden", [range(SECTORS), (60,), (-1,), (3, 3), (4, 3)])
 def test_hidden_sectors_that_cannot_be_are_rejected(hidden):
     with pytest.raises(InvalidSignature, match="sectors"):
-        Signature(np.eye(5, dtype=np.complex64), None, "0f" * 32, hidden=tuple(hidden))
+        View(tuple(hidden))
 
 
 def test_a_map_of_full_views_rejects_a_signature_of_a_part():
     model = a_map(1)
     full = HarmonicModel(
-        U, model.signatures, model.lateral_offset_m, model.segment_start, COLUMNS, model.measure
+        U,
+        model.signatures,
+        model.lateral_offset_m,
+        model.segment_start,
+        COLUMNS,
+        model.measure,
+        (4, KEPT),
     )
-    query = Signature(model.signatures[0, 0], None, "0f" * 32, hidden=(1, 2))
+    query = Signature(model.signatures[0, 0], None, "0f" * 32, view=View((1, 2)))
     with pytest.raises(InvalidSignature, match=r"2 sectors are hidden.* views = any"):
         full.search([query])
 

@@ -19,6 +19,7 @@ from core.encodings.signature import Packing, Signature
 from core.errors import InvalidSignature
 from core.projection.imager import ImageKind
 from core.projection.reducer import Reducer
+from core.projection.visibility import FULL_VIEW
 from core.revision import content_digest
 
 NAME = "block-means"
@@ -86,7 +87,7 @@ class BlockMeansModel(Model):
             raise InvalidSignature(f"wanted one signature of the {NAME} encoding")
         return self.search_values(signatures[0].values)
 
-    def search_values(self, values, hidden=()):
+    def search_values(self, values, view=FULL_VIEW):
         apart = np.linalg.norm(self.signatures - values.astype(float), axis=(1, 2))
         rows = np.arange(len(self))
         return DistanceSearch(tuple(range(self.segments)), rows, apart, len(self))

@@ -9,10 +9,11 @@ import numpy as np
 from core.arrays import Complex64Array, Float32Array, FloatArray, freeze
 from core.encodings.basis import Basis, BasisFit, signature_parameters
 from core.encodings.grams import fit_radial_basis, radial_error
-from core.encodings.harmonics import encode
+from core.encodings.harmonics import encode, kept_ranks, sent_ranks
 from core.encodings.signature import Signature
 from core.errors import InvalidMap
-from core.projection.imager import Image
+from core.projection.imager import Image, Views
+from core.projection.visibility import View
 from core.revision import content_digest
 
 if TYPE_CHECKING:
@@ -29,14 +30,14 @@ class HarmonicBasis(Basis):
     """The one basis of a revision in the harmonic encoding.
 
     Attributes:
-        radial_basis: `(I, r1)` float32.
+        radial_basis: `(I, r1)` float32, r1 being what maps keep.
     """
 
     radial_basis: Float32Array
 
     def __post_init__(self) -> None:
         freeze(self, radial_basis=np.float32)
-        wanted = (self.parameters.grid.rows, self.parameters.ranks[0])
+        wanted = (self.parameters.grid.rows, kept_ranks(self.parameters)[0])
         if self.radial_basis.shape != wanted:
             raise InvalidMap(f"radial_basis has shape {self.radial_basis.shape}, wanted {wanted}")
         own = harmonic_basis_digest(self.parameters, self.radial_basis)
@@ -60,11 +61,19 @@ class HarmonicBasis(Basis):
         )
 
     def project(self, image: Image) -> Complex64Array:
-        """Return U^T S F, `(r1, r2)`, S being 0 where it is hidden."""
+        """Return U^T S F, `(r1, r2)`, S being 0 where its view does not show it."""
         self.require_grid(image)
-        values = encode(image.seen, self.radial_basis, self.parameters.ranks[1])
+        view = self.view(image)
+        r1, r2 = sent_ranks(self.parameters, view)
+        values = encode(image.seen[: view.rings], self.radial_basis[: view.rings, :r1], r2)
         return values.astype(np.complex64)
+
+    def view(self, image: Image) -> View:
+        """Return what the image shows; a map of full views takes every ring as within reach."""
+        if self.parameters.views == Views.ANY:
+            return image.view
+        return View(image.view.hidden)
 
     def encode(self, image: Image) -> tuple[Signature, ...]:
         """Return the image's one signature, good for all segments."""
-        return (Signature(self.project(image), None, self.digest, hidden=image.hidden),)
+        return (Signature(self.project(image), None, self.digest, view=self.view(image)),)

@@ -21,7 +21,7 @@ from core.encodings.harmonics import (
     encode,
     energy,
     harmonic_elements,
-    kept_harmonics,
+    kept_ranks,
     weights,
 )
 from core.encodings.model import Model
@@ -34,15 +34,15 @@ from core.projection.images import ImageSource
 from core.projection.reducer import Reducer
 from core.projection.rings import RingGrid
 from core.projection.small_image import small_image
-from core.projection.visibility import bits_of_hidden, hidden_sectors
+from core.projection.visibility import FULL_VIEW, SECTORS, View, bits_of_hidden
 from core.scans.trajectory import Trajectory
 
 if TYPE_CHECKING:
     from core.parameters import MapParameters
 
 _FLOAT16, _INT8 = 3, 4  # layouts
-_MASKED_INT8, _MASKED_FLOAT16 = 5, 6  # with the sectors that are hidden
-_MASK_BYTES = 8
+_PARTIAL_INT8, _PARTIAL_FLOAT16 = 5, 6  # with their view
+_VIEW_BYTES, _SHORT_SCALE_BYTES = 8, 2
 _HIDDEN = "hidden_sectors"
 _IMAGES = "verification_images"
 _SCALE = struct.Struct("<f")
@@ -61,8 +61,8 @@ class HarmonicEncoding(Encoding):
     layouts: ClassVar = {
         _FLOAT16: "harmonic float16",
         _INT8: "harmonic int8",
-        _MASKED_INT8: "harmonic int8, partly hidden",
-        _MASKED_FLOAT16: "harmonic float16, partly hidden",
+        _PARTIAL_INT8: "harmonic int8, partial view",
+        _PARTIAL_FLOAT16: "harmonic float16, partial view",
     }
     packings = (Packing.INT8, Packing.FLOAT16)
     signature_dtype = np.dtype(np.complex64)
@@ -85,21 +85,22 @@ class HarmonicEncoding(Encoding):
             )
 
     def kept_ranks(self, parameters: "MapParameters") -> tuple[int, int]:
-        """Return r1 and how many harmonics are kept."""
-        return parameters.ranks[0], kept_harmonics(parameters)
+        """Return those that are sent or, for any views, more."""
+        return kept_ranks(parameters)
 
     def require_shape(self, shape: tuple[int, ...], parameters: "MapParameters") -> None:
-        """Reject values of another r1 and, unless a map is of any views, of another r2."""
-        r1, kept = self.kept_ranks(parameters)
+        """Reject values of other ranks or, in a map of any views, of higher ones than it keeps."""
         if parameters.views == Views.FULL:
             super().require_shape(shape, parameters)
-        elif shape[0] != r1 or shape[1] > kept:
+            return
+        r1, r2 = self.kept_ranks(parameters)
+        if shape[0] > r1 or shape[1] > r2:
             raise InvalidSignature(
-                f"the signature has shape {shape}, wanted r1 = {r1} and r2 up to {kept}"
+                f"the signature has shape {shape}, wanted r1 up to {r1} and r2 up to {r2}"
             )
 
     def elements(self, parameters: "MapParameters", segments: int, scans: int) -> int:
-        """Return I r1 + D + K D r1 (2 r2 - 1), r2 being how many harmonics are kept."""
+        """Return I r1 + D + K D r1 (2 r2 - 1), r1 and r2 being those that are kept."""
         renderings, rows = len(parameters.lateral_renderings_m or ()), parameters.grid.rows
         return harmonic_elements(scans, renderings, rows, self.kept_ranks(parameters))
 
@@ -185,7 +186,7 @@ class HarmonicEncoding(Encoding):
                 raise InvalidParameters(
                     f"the sum of drive {name} is {gram.shape}, wanted {rows} rows"
                 )
-        return fit_radial_basis(grams, parameters.ranks[0])
+        return fit_radial_basis(grams, kept_ranks(parameters)[0])
 
     @staticmethod
     def _model(
@@ -201,7 +202,16 @@ class HarmonicEncoding(Encoding):
         grid = parameters.grid
         ring_m = grid.ring_m if isinstance(grid, RingGrid) else 1.0
         return HarmonicModel(
-            u, signatures, offsets_m, segment_start, grid.columns, measure, hidden, small, ring_m
+            u,
+            signatures,
+            offsets_m,
+            segment_start,
+            grid.columns,
+            measure,
+            parameters.ranks,
+            hidden,
+            small,
+            ring_m,
         )
 
     def rank_sweep(
@@ -222,30 +232,37 @@ class HarmonicEncoding(Encoding):
             seen = np.maximum(block, 0.0)
             gram += detail_gram(seen.reshape(-1, image_rows, columns))
             squared_norm += float(np.square(seen, dtype=np.float64).sum())
-        u = leading_basis(gram, r1s[-1]).astype(np.float32)
         most = replace(parameters, ranks=(r1s[-1], r2s[-1]))
+        r1, r2 = kept_ranks(most)
+        u = leading_basis(gram, r1).astype(np.float32)
         encoded_blocks, hidden_blocks = [], []
         for _, block in read_blocks(images, 0, scans, shape, progress):
             seen = np.maximum(block, 0.0)
-            encoded_blocks.append(encode(seen, u, kept_harmonics(most)).astype(np.complex64))
+            encoded_blocks.append(encode(seen, u, r2).astype(np.complex64))
             hidden_blocks.append(bits_of_hidden(block))
         stored, hidden = np.concatenate(encoded_blocks), np.concatenate(hidden_blocks)
-        encoded = encode(np.maximum(queries, 0.0), u, r2s[-1]).astype(np.complex64)
-        hidden_of_query = [hidden_sectors(cells) for cells in queries]
+        partial = parameters.views == Views.ANY
+        views = [View.of(cells) if partial else FULL_VIEW for cells in queries]
+        encoded = [
+            encode(np.maximum(cells[: view.rings], 0.0), u[: view.rings, : r1s[-1]], r2s[-1])
+            for cells, view in zip(queries, views, strict=True)
+        ]
         rows = np.zeros((len(queries), len(r1s), len(r2s)), dtype=np.int64)
         errors = np.zeros((len(r1s), len(r2s)))
         offsets_m = np.array(parameters.lateral_renderings_m)
         progress.start("sweeping", rows.size)
         for (a, r1), (b, r2) in itertools.product(enumerate(r1s), enumerate(r2s)):
             tried = replace(parameters, ranks=(r1, r2))
-            kept = stored[..., :r1, : kept_harmonics(tried)]
-            of_map = None if tried.views == Views.FULL else hidden
+            radial, harmonics = kept_ranks(tried)
+            kept = stored[..., :radial, :harmonics]
+            of_map = hidden if partial else None
             start = np.array([0, scans])
-            model = self._model(u[:, :r1], kept, offsets_m, start, tried, of_map)
+            model = self._model(u[:, :radial], kept, offsets_m, start, tried, of_map)
             covered = float(energy(kept, columns).sum())
             errors[a, b] = np.sqrt(max(0.0, 1.0 - covered / squared_norm))
-            for q, values in enumerate(encoded[:, :r1, :r2]):
-                rows[q, a, b] = model.search_values(values, hidden_of_query[q]).nearest(1).rows[0]
+            for q, (values, view) in enumerate(zip(encoded, views, strict=True)):
+                sent = values[:r1, :r2].astype(np.complex64)
+                rows[q, a, b] = model.search_values(sent, view).nearest(1).rows[0]
                 progress.advance()
         count = len(cuts)
         return np.broadcast_to(rows, (count, *rows.shape)), np.broadcast_to(
@@ -303,7 +320,8 @@ class HarmonicEncoding(Encoding):
     def pack(self, signatures: Sequence[Signature], packing: Packing) -> tuple[int, bytes]:
         """Return the layout and the numbers: the first column, then real and imaginary parts.
 
-        Before them the hidden sectors, if there are any: bit s of a number of 8 bytes.
+        Before them its view, if that is partial: a number of 8 bytes, of which bit s is hidden
+        sector s, and the upper four how many rings are within reach, 0 if all are.
         """
         if len(signatures) > 1:
             raise InvalidSignature("a harmonic signature is packed alone")
@@ -312,13 +330,14 @@ class HarmonicEncoding(Encoding):
         numbers = np.concatenate(
             [values[:, 0].real, values[:, 1:].real.ravel(), values[:, 1:].imag.ravel()]
         ).astype(np.float64)
-        as_float16 = packing == Packing.FLOAT16
-        packed = _as_float16(numbers) if as_float16 else _as_int8(numbers)
-        if not signature.hidden:
-            return _FLOAT16 if as_float16 else _INT8, packed
-        mask = sum(1 << sector for sector in signature.hidden)
-        layout = _MASKED_FLOAT16 if as_float16 else _MASKED_INT8
-        return layout, mask.to_bytes(_MASK_BYTES, "little") + packed
+        as_float16, view = packing == Packing.FLOAT16, signature.view
+        if view.is_full:
+            return (_FLOAT16, _as_float16(numbers)) if as_float16 else (_INT8, _as_int8(numbers, 4))
+        bits = sum(1 << sector for sector in view.hidden) + ((view.rings or 0) << SECTORS)
+        packed = bits.to_bytes(_VIEW_BYTES, "little")
+        if as_float16:
+            return _PARTIAL_FLOAT16, packed + _as_float16(numbers)
+        return _PARTIAL_INT8, packed + _as_int8(numbers, _SHORT_SCALE_BYTES)
 
     def unpack(
         self, layout: int, body: bytes, shape: tuple[int, int], revision: str
@@ -326,21 +345,24 @@ class HarmonicEncoding(Encoding):
         """Read what `pack` returned."""
         r1, r2 = shape
         count = r1 * (2 * r2 - 1)
-        as_float16 = layout in {_FLOAT16, _MASKED_FLOAT16}
-        mask_bytes = _MASK_BYTES if layout in {_MASKED_INT8, _MASKED_FLOAT16} else 0
-        wanted = mask_bytes + (2 * count if as_float16 else _SCALE.size + count)
+        as_float16 = layout in {_FLOAT16, _PARTIAL_FLOAT16}
+        partial = layout in {_PARTIAL_INT8, _PARTIAL_FLOAT16}
+        view_bytes = _VIEW_BYTES if partial else 0
+        scale_bytes = _SHORT_SCALE_BYTES if partial else _SCALE.size
+        wanted = view_bytes + (2 * count if as_float16 else scale_bytes + count)
         if len(body) != wanted:
             raise InvalidSignature(
                 f"{HEADER_BYTES + len(body)} bytes came, wanted {HEADER_BYTES + wanted}"
             )
-        mask, body = int.from_bytes(body[:mask_bytes], "little"), body[mask_bytes:]
-        hidden = tuple(sector for sector in range(8 * mask_bytes) if mask >> sector & 1)
+        bits, body = int.from_bytes(body[:view_bytes], "little"), body[view_bytes:]
+        hidden = tuple(sector for sector in range(SECTORS) if bits >> sector & 1)
+        view = View(hidden, (bits >> SECTORS) or None)
         if as_float16:
             numbers: FloatArray = np.frombuffer(body, "<f2").astype(np.float64)
         else:
-            (scale,) = _SCALE.unpack_from(body)
+            (scale,) = _SCALE.unpack(body[:scale_bytes].rjust(_SCALE.size, b"\0"))
             with np.errstate(invalid="ignore"):  # infinity times 0: NaN, rejected as not finite
-                roots = np.frombuffer(body, np.int8, offset=_SCALE.size).astype(np.float64)
+                roots = np.frombuffer(body, np.int8, offset=scale_bytes).astype(np.float64)
                 numbers = scale * roots * np.abs(roots)
         first, real, imag = np.split(numbers, [r1, r1 * r2])
         values = np.zeros((r1, r2), np.complex64)
@@ -349,16 +371,18 @@ class HarmonicEncoding(Encoding):
             values.real[:, 0] = first
             # Part by part: infinity times 1j would make a NaN of the other part.
             values.real[:, 1:], values.imag[:, 1:] = real.reshape(r1, -1), imag.reshape(r1, -1)
-        return (Signature(values, None, revision, hidden=hidden),)
+        return (Signature(values, None, revision, view=view),)
 
     def as_values(self, signature: Signature) -> dict[str, Any]:
         """Return `values_real` and `values_imag`, r1 rows of r2 numbers each.
 
-        And `hidden`, if sectors are.
+        And `hidden` and `rings` of a partial view.
         """
         values = signature.values
         parts = {"values_real": values.real.tolist(), "values_imag": values.imag.tolist()}
-        return parts | ({"hidden": list(signature.hidden)} if signature.hidden else {})
+        if signature.view.hidden:
+            parts["hidden"] = list(signature.view.hidden)
+        return parts if signature.view.rings is None else parts | {"rings": signature.view.rings}
 
     def from_values(self, values: Mapping[str, Any], revision: str) -> Signature:
         """Return the signature of these parts.
@@ -373,7 +397,8 @@ class HarmonicEncoding(Encoding):
         found = np.zeros((len(real), lengths.pop()), np.complex64)
         with np.errstate(over="ignore"):  # infinite then, and rejected as not finite
             found.real, found.imag = real, imag
-        return Signature(found, None, revision, hidden=tuple(values.get("hidden", ())))
+        view = View(tuple(values.get("hidden", ())), values.get("rings"))
+        return Signature(found, None, revision, view=view)
 
 
 def _as_float16(numbers: FloatArray) -> bytes:
@@ -383,14 +408,18 @@ def _as_float16(numbers: FloatArray) -> bytes:
     return numbers.astype("<f2").tobytes()
 
 
-def _as_int8(numbers: FloatArray) -> bytes:
+def _as_int8(numbers: FloatArray, scale_bytes: int) -> bytes:
     # Rounded roots, not rounded numbers: most numbers are small, and places differ by these.
     # Near 0 a step is a hundredth of an even step, at the largest number twice an even step.
-    scale = float(np.float32(float(np.abs(numbers).max()) / _INT8_MAX**2))
-    if scale == 0.0:
-        return _SCALE.pack(0.0) + bytes(len(numbers))
-    roots = np.minimum(np.rint(np.sqrt(np.abs(numbers) / scale)), _INT8_MAX)
-    return _SCALE.pack(scale) + np.copysign(roots, numbers).astype(np.int8).tobytes()
+    packed = _SCALE.pack(float(np.abs(numbers).max()) / _INT8_MAX**2)
+    if scale_bytes < _SCALE.size:  # the upper half of the float32, rounded up
+        whole = int.from_bytes(packed, "little") + 0xFFFF
+        packed = (whole & ~0xFFFF).to_bytes(_SCALE.size, "little")
+    scale: float = _SCALE.unpack(packed)[0]
+    roots = np.zeros_like(numbers)
+    if scale > 0.0:
+        roots = np.minimum(np.rint(np.sqrt(np.abs(numbers) / scale)), _INT8_MAX)
+    return packed[-scale_bytes:] + np.copysign(roots, numbers).astype(np.int8).tobytes()
 
 
 ENCODING = HarmonicEncoding()

@@ -5,9 +5,9 @@ harmonic m by a phase. So a signature of any heading is compared with the map's 
 and the best one is the relative yaw.
 """
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
@@ -31,15 +31,17 @@ from core.encodings.harmonic.masked_search import MaskedSearch
 from core.encodings.harmonic.search import HarmonicSearch
 from core.encodings.harmonic.verified_search import VerifiedSearch
 from core.encodings.harmonics import as_real, circular_energy, encode, energy, weights
-from core.encodings.model import Model, require_sane
+from core.encodings.model import Model, Search, require_sane
 from core.encodings.signature import Signature
 from core.errors import InvalidMap, InvalidSignature
 from core.projection.imager import Image
 from core.projection.small_image import DisplacedView
-from core.projection.visibility import SECTORS, seen_of_bits
+from core.projection.visibility import FULL_VIEW, SECTORS, View, seen_of_bits
 
 if TYPE_CHECKING:
     from core.parameters import MapParameters
+
+_LIMITED_KEPT = 4  # models of limited queries, each about as large as this one
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,6 +55,7 @@ class HarmonicModel(Model):
         segment_start: `(L + 1,)` row of each segment's first scan, and K.
         columns: J, how many azimuths an image has.
         measure: How signatures are compared.
+        sent_ranks: `(r1, r2)` of a query of the whole image, up to those of `signatures`.
         hidden_sectors: `(K, D)` of a map of any views: bit s of each number is 1 if the rendering
             does not see sector s; `None` of a map of full views.
         verification_images: `(K, I, 60)` uint8, `small_image` of each scan from its line; `None`
@@ -68,6 +71,7 @@ class HarmonicModel(Model):
     segment_start: IntArray
     columns: int
     measure: Distance
+    sent_ranks: tuple[int, int]
     hidden_sectors: IntArray | None = None
     verification_images: NDArray[np.uint8] | None = None
     ring_m: float = 1.0
@@ -135,26 +139,26 @@ class HarmonicModel(Model):
             raise InvalidSignature(
                 "a harmonic map expects exactly one harmonic signature, without a segment"
             )
-        return self.search_values(signatures[0].values, signatures[0].hidden)
+        return self.search_values(signatures[0].values, signatures[0].view)
 
-    def search_values(self, values: NDArray[Any], hidden: Sequence[int] = ()) -> HarmonicSearch:
-        """Compare an image's values, `(r1, r2)`; in a map of any views r2 can be lower than kept.
+    def search_values(self, values: NDArray[Any], view: View = FULL_VIEW) -> HarmonicSearch:
+        """Compare an image's values, `(r1, r2)`; in a map of any views fewer than kept as well.
 
         Raises:
-            InvalidSignature: If sectors are hidden, and this is a map of full views.
+            InvalidSignature: If the view is partial, and this is a map of full views.
         """
         query = values.astype(np.complex128)
         if self.hidden_sectors is not None:
-            return MaskedSearch(self, query, hidden)
-        if hidden:
+            return MaskedSearch(self.seen_within(view.rings, len(values)), query, view.hidden)
+        if not view.is_full:
             raise InvalidSignature(
-                f"{len(hidden)} sectors are hidden; this map answers full views only, one built"
-                " with views = any answers partial ones"
+                f"the signature is of a partial view ({len(view.hidden)} sectors are hidden); this"
+                " map answers full views only, one built with views = any answers partial ones"
             )
         return HarmonicSearch(self, query)
 
-    def search_image(self, image: Image, basis: Basis) -> HarmonicSearch:
-        """Compare an image with the map's: with all kept harmonics, and the best cell by cell.
+    def search_image(self, image: Image, basis: Basis) -> Search:
+        """Compare an image with the map's: with all that is kept, and the best cell by cell.
 
         In a map without verification images, as its signature is compared.
 
@@ -162,10 +166,12 @@ class HarmonicModel(Model):
             SensorMismatch: If the image is of another kind or on another grid.
         """
         if self.verification_images is None:
-            return self.search_values(basis.project(image), image.hidden)
+            return super().search_image(image, basis)
         basis.require_grid(image)
-        values = encode(image.seen, self.radial_basis, self.ranks[1])
-        return VerifiedSearch(self, values, image.hidden, image.cells)
+        (r1, r2), rings = self.ranks, image.view.rings
+        values = encode(image.seen[:rings], self.radial_basis[:rings], r2)
+        model = self.seen_within(rings, r1)
+        return VerifiedSearch(model, values, image.view.hidden, image.cells)
 
     def small_images(self, rows: IntArray) -> NDArray[np.uint8]:
         """Return the verification images of some scans, `(n, I, 60)`."""
@@ -186,6 +192,27 @@ class HarmonicModel(Model):
     def displaced(self, ahead_m: FloatArray, left_m: FloatArray) -> DisplacedView:
         """Return how small images are seen from some places, relative to their own."""
         return DisplacedView(self.grid_shape[0], self.ring_m, self.columns, ahead_m, left_m)
+
+    def seen_within(self, rings: int | None, r1: int) -> "HarmonicModel":
+        """Return what queries of so many radial components can see of this within so many rings.
+
+        Of a rendering S, of which U^T S is known, such a query would contain U^T P S, P leaving
+        those rings. U^T P U (U^T S) is that, but for what U leaves out of S.
+        """
+        if rings is None and r1 == self.ranks[0]:
+            return self
+        return self._limited(rings, r1)
+
+    @cached_property
+    def _limited(self) -> Callable[[int | None, int], "HarmonicModel"]:
+        return lru_cache(_LIMITED_KEPT)(self._limit)
+
+    def _limit(self, rings: int | None, r1: int) -> "HarmonicModel":
+        signatures = self.signatures[:, :, :r1]
+        if rings is not None:
+            near = self.radial_basis[:rings]
+            signatures = (near.T @ near)[:r1] @ self.signatures
+        return replace(self, radial_basis=self.radial_basis[:, :r1], signatures=signatures)
 
     @property
     def recorded(self) -> Complex64Array:
@@ -210,9 +237,13 @@ class HarmonicModel(Model):
         self, rows: Iterable[int], named: str, segments: IntArray | None = None
     ) -> Iterator[tuple[Signature, ...]]:
         """Yield each scan's recorded signature: one for all segments."""
-        recorded = self.recorded
+        recorded, (r1, r2) = self.recorded, self.sent_ranks
         for row in rows:
-            yield (Signature(recorded[row], None, named),)
+            view = FULL_VIEW
+            if self.hidden_sectors is not None:
+                bits = int(self.hidden_sectors[row, self._on_line])
+                view = View(tuple(sector for sector in range(SECTORS) if bits >> sector & 1))
+            yield (Signature(recorded[row, :r1, :r2], None, named, view=view),)
 
     def basis_digests(self, parameters: "MapParameters") -> tuple[str, ...]:
         """Return the digest of the one basis."""

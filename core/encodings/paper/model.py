@@ -12,6 +12,7 @@ from core.encodings.model import DistanceSearch, Model, require_sane
 from core.encodings.paper.basis import PaperBasis, paper_basis_digests
 from core.encodings.signature import Signature
 from core.errors import InvalidMap, InvalidSignature
+from core.projection.visibility import FULL_VIEW, View
 
 if TYPE_CHECKING:
     from core.parameters import MapParameters
@@ -82,9 +83,9 @@ class PaperModel(Model):
         rows, distances = self.distances(values, np.array(segments, dtype=np.int64))
         return DistanceSearch(tuple(sorted(segments)), rows, distances, len(self))
 
-    def search_values(self, values: NDArray[Any], hidden: Sequence[int] = ()) -> DistanceSearch:
+    def search_values(self, values: NDArray[Any], view: View = FULL_VIEW) -> DistanceSearch:
         """Compare an image's values in the bases of all segments, `(L, r1, r2)`."""
-        del hidden  # images of such maps have no hidden columns
+        del view  # of such maps it is full
         segments = np.arange(self.segments)
         rows, distances = self.distances(values.astype(np.float64), segments)
         return DistanceSearch(tuple(segments.tolist()), rows, distances, len(self))

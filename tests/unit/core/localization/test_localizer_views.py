@@ -47,16 +47,22 @@ def test_a_map_of_any_views_answers_them_and_one_of_full_views_often_does_not(ma
     assert right(maps[Views.ANY], disturb) > right(maps[Views.FULL], disturb)
 
 
-def test_a_vehicle_may_send_more_or_fewer_harmonics_than_the_ranks_say(maps):
+def test_a_vehicle_may_send_any_ranks_up_to_those_that_the_map_keeps(maps):
     tensor_map = maps[Views.ANY]
     localizer, row = Localizer(tensor_map), 20
     kept = tensor_map.model.recorded[row]
-    assert kept.shape == (5, 12)
-    for harmonics in (3, 5, 8, 12):
-        signature = Signature(kept[:, :harmonics], None, tensor_map.basis_digest)
+    assert kept.shape == (10, 12)
+    for r1, r2 in ((5, 5), (6, 7), (8, 5), (10, 12)):
+        signature = Signature(kept[:r1, :r2], None, tensor_map.basis_digest)
         assert localizer.localize_signatures([signature]).best.row == row
-    with pytest.raises(InvalidSignature, match=r"shape \(4, 5\), wanted r1 = 5 and r2 up to 12"):
-        localizer.localize_signatures([Signature(kept[:4, :5], None, tensor_map.basis_digest)])
+    more = np.concatenate([kept, kept[:1]])
+    with pytest.raises(InvalidSignature, match=r"\(11, 12\), wanted r1 up to 10 and r2 up to 12"):
+        localizer.localize_signatures([Signature(more, None, tensor_map.basis_digest)])
+
+
+def test_a_scan_of_short_reach_is_found_among_scans_of_longer_reach(maps):
+    assert right(maps[Views.ANY], "reach:30") >= 0.9 * len(ASKED)
+    assert right(maps[Views.ANY], "reach:30") > right(maps[Views.FULL], "reach:30")
 
 
 def test_sensors_at_any_height_share_a_basis_of_any_views(maps):
@@ -65,7 +71,8 @@ def test_sensors_at_any_height_share_a_basis_of_any_views(maps):
     assert basis.serves(higher)
     assert not maps[Views.FULL].basis().serves(MapParameters.for_sensor(sensor_height_m=2.5))
     assert not basis.serves(MapParameters.for_sensor(views=Views.FULL))
-    assert not basis.serves(MapParameters.for_sensor(ranks=(4, 5), views=Views.ANY))
+    assert basis.serves(MapParameters.for_sensor(ranks=(4, 5), views=Views.ANY))
+    assert not basis.serves(MapParameters.for_sensor(ranks=(9, 5), views=Views.ANY))
 
 
 @pytest.mark.parametrize(

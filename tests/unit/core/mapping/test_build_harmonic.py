@@ -201,7 +201,8 @@ def test_a_map_whose_parts_do_not_fit_is_rejected():
 
 def vars_of(model):
     names = ("radial_basis", "signatures", "lateral_offset_m", "segment_start", "columns")
-    return {**{name: getattr(model, name) for name in names}, "measure": model.measure}
+    others = {"measure": model.measure, "sent_ranks": model.sent_ranks}
+    return {**{name: getattr(model, name) for name in names}, **others}
 
 
 # Answering

@@ -31,7 +31,7 @@ def test_cells_that_are_no_image_are_rejected(grid, kind, change, reason):
 def test_a_column_of_heights_is_hidden_as_a_whole_and_none_of_ranges_is():
     cells = np.ones((20, 360), np.float32)
     cells[:, 6:12] = -1.0
-    assert Image(cells, RingGrid()).hidden == (1,)
+    assert Image(cells, RingGrid()).view.hidden == (1,)
     cells[5, 7] = 0.0
     with pytest.raises(InvalidImage, match="hidden in some rows"):
         Image(cells, RingGrid())

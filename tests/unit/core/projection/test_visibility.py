@@ -65,7 +65,7 @@ def test_hidden_columns_of_an_image_and_of_renderings_are_marked(street):
     scan = disturbed(street, "hidden:120")
     image = IMAGER.image(scan)
     assert set(np.unique(image.cells[:, image.cells[0] < 0])) == {-1.0}
-    assert 18 <= len(image.hidden) <= 25
+    assert 18 <= len(image.view.hidden) <= 25
     assert (image.seen[:, image.cells[0] < 0] == 0.0).all()
     assert image.occupied_cells == np.count_nonzero(image.cells > 0)
     np.testing.assert_array_equal(IMAGER.render(scan)[1], image.cells)
@@ -73,7 +73,7 @@ def test_hidden_columns_of_an_image_and_of_renderings_are_marked(street):
 
 def test_a_map_of_full_views_has_images_without_marks(street):
     full = Imager(IMAGER.grid, IMAGER.reducer, 1.73, IMAGER.lateral_renderings_m)
-    assert full.image(disturbed(street, "hidden:120")).hidden == ()
+    assert full.image(disturbed(street, "hidden:120")).view.hidden == ()
     assert "views" not in full.as_attributes()
     assert IMAGER.as_attributes()["views"] == "any"
 
