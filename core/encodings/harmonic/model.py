@@ -30,7 +30,14 @@ from core.encodings.harmonic.basis import HarmonicBasis, harmonic_basis_digest
 from core.encodings.harmonic.masked_search import MaskedSearch
 from core.encodings.harmonic.search import HarmonicSearch
 from core.encodings.harmonic.verified_search import VerifiedSearch
-from core.encodings.harmonics import as_real, circular_energy, encode, energy, weights
+from core.encodings.harmonics import (
+    as_real,
+    circular_energy,
+    encode,
+    energy,
+    sent_ranks,
+    weights,
+)
 from core.encodings.model import Model, Search, require_sane
 from core.encodings.signature import Signature
 from core.errors import InvalidMap, InvalidSignature
@@ -41,6 +48,7 @@ from core.projection.visibility import FULL_VIEW, SECTORS, View, seen_of_bits
 if TYPE_CHECKING:
     from core.parameters import MapParameters
 
+_BEYOND_M = 2.0  # the outermost viewpoints: images of two lanes farther cost nothing to keep
 _LIMITED_KEPT = 4  # models of limited queries, each about as large as this one
 
 
@@ -158,9 +166,10 @@ class HarmonicModel(Model):
         return HarmonicSearch(self, query)
 
     def search_image(self, image: Image, basis: Basis) -> Search:
-        """Compare an image with the map's: with all that is kept, and the best cell by cell.
+        """Compare an image with the map's: with all kept harmonics, and the best cell by cell.
 
-        In a map without verification images, as its signature is compared.
+        More radial components than are sent would find fewer vehicles beside the viewpoints. In a
+        map without verification images an image is compared as its signature.
 
         Raises:
             SensorMismatch: If the image is of another kind or on another grid.
@@ -168,10 +177,12 @@ class HarmonicModel(Model):
         if self.verification_images is None:
             return super().search_image(image, basis)
         basis.require_grid(image)
-        (r1, r2), rings = self.ranks, image.view.rings
-        values = encode(image.seen[:rings], self.radial_basis[:rings], r2)
-        model = self.seen_within(rings, r1)
-        return VerifiedSearch(model, values, image.view.hidden, image.cells)
+        view = image.view
+        r1, _ = sent_ranks(basis.parameters, view)
+        near = slice(view.rings)
+        values = encode(image.seen[near], self.radial_basis[near, :r1], self.ranks[1])
+        model = self.seen_within(view.rings, r1)
+        return VerifiedSearch(model, values, view.hidden, image.cells)
 
     def small_images(self, rows: IntArray) -> NDArray[np.uint8]:
         """Return the verification images of some scans, `(n, I, 60)`."""
@@ -185,8 +196,9 @@ class HarmonicModel(Model):
 
     @cached_property
     def beside(self) -> DisplacedView:
-        """From a small image on the line to those of all viewpoints."""
+        """From a small image on the line to those of all viewpoints, and of one beyond each end."""
         left_m = self.lateral_offset_m - self.recorded_lateral_m
+        left_m = np.array([left_m[0] - _BEYOND_M, *left_m, left_m[-1] + _BEYOND_M])
         return self.displaced(np.zeros_like(left_m), left_m)
 
     def displaced(self, ahead_m: FloatArray, left_m: FloatArray) -> DisplacedView:

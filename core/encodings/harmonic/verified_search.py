@@ -51,6 +51,10 @@ class VerifiedSearch(MaskedSearch):
         views = model.beside.of(model.small_images(rows))
         correlation = self._query.correlation(views, model.seen_on_line(rows))
         best = np.take_along_axis(correlation, turned[:, None], axis=2).max(axis=2)
+        # What is seen from beyond the outermost viewpoints counts for these.
+        best[:, 1] = best[:, :2].max(axis=1)
+        best[:, -2] = best[:, -2:].max(axis=1)
+        best = best[:, 1:-1]
         of_images = np.maximum(1.0 - best.astype(np.float64), 0.0)
         return 0.5 * (of_images + distances), yaw_deg
 
