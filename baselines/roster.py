@@ -44,7 +44,7 @@ def methods_named(
     sensor: str,
     sensor_height_m: float,
     segment_length: int,
-    ranks: tuple[int, int] = (5, 5),
+    ranks: tuple[int, int] | None = None,
     views: Views | None = None,
 ) -> tuple[Method, ...]:
     """Return the methods of these names, each with its defaults for this sensor.
@@ -54,18 +54,18 @@ def methods_named(
         sensor: That recorded the drives.
         sensor_height_m: Of it above ground.
         segment_length: k of our maps.
-        ranks: `(r1, r2)` of our signatures.
+        ranks: `(r1, r2)` of our signatures; those of the encoding if `None`.
         views: Which ones our maps answer, in encodings that can answer them; their default if
             `None`.
 
     Raises:
         InvalidParameters: If a name is unknown, the sensor is, or a package is not installed; or
-            if queries are whole scans and views are not `any`.
+            if queries are whole scans and views are `full`.
     """
     grid = sensor_named(sensor).grid
 
     def mapped(encoding: str, *, by_scan: bool = False) -> Method:
-        if by_scan and views != Views.ANY:
+        if by_scan and views == Views.FULL:
             raise InvalidParameters(
                 f"the method {encoding}-scan wants views any; of other maps it is {encoding}"
             )

@@ -113,7 +113,7 @@ class MapParameters:
         sensor: str = HDL_64E.name,
         *,
         encoding: str = DEFAULT_ENCODING,
-        ranks: tuple[int, int] = (5, 5),
+        ranks: tuple[int, int] | None = None,
         reducer: Reducer | None = None,
         sensor_height_m: float | None = None,
         image: ImageKind | None = None,
@@ -126,8 +126,9 @@ class MapParameters:
         """Return parameters for a known sensor; what is not given is the encoding's default.
 
         The paper's are range images, `last`; the harmonic's are heights, `highest`, or on request
-        ranges, `mean`, `normalised`, and five renderings. Maps of any views have verification
-        images. A sensor without a usual height is assumed as high as an HDL-64E.
+        ranges, `mean`, `normalised`, and five renderings. Maps answer any views where they can, and
+        then have verification images. A sensor without a usual height is assumed as high as an
+        HDL-64E.
 
         Raises:
             InvalidParameters: If the sensor or encoding is unknown, a value is out of its range or
@@ -138,19 +139,22 @@ class MapParameters:
         offsets_m = encoder.lateral_renderings_m
         if lateral_renderings_m is not None:
             offsets_m = tuple(lateral_renderings_m)
+        measure = encoder.distance if distance is None else distance
+        if views is None:
+            views = encoder.default_views(kind, measure)
         return cls(
             encoding,
-            ranks,
+            encoder.default_ranks(views) if ranks is None else ranks,
             encoder.default_reducer(kind) if reducer is None else reducer,
             known.name,
             RingGrid()
             if kind == ImageKind.HEIGHT
             else replace(known.grid, wraps=encoder.wraps or known.grid.wraps),
             known.height_or_assumed_m(sensor_height_m),
-            encoder.distance if distance is None else distance,
+            measure,
             offsets_m,
             segmentation,
-            Views.FULL if views is None else views,
+            views,
             views == Views.ANY if verification_images is None else verification_images,
         )
 

@@ -93,7 +93,10 @@ class BuildParameters(BaseModel):
         description="`harmonic`: one basis for the map, answers in any direction and lane; `paper`:"
         " bases of each segment.",
     )
-    ranks: tuple[int, int] = Field((5, 5), description="r1 and r2: the shape of a signature.")
+    ranks: tuple[int, int] | None = Field(
+        None,
+        description="r1 and r2: the shape of a signature; 6 and 7 for any views, else 5 and 5.",
+    )
     segmentation: Segmentation = Field(
         Segmentation.FIXED,
         description="`fixed`: k scans each; `unequal`: k/2 to 2k, ending where the drive turns or"
@@ -133,7 +136,7 @@ class BuildParameters(BaseModel):
         None,
         description="`any`: scans are levelled, and queries say which sectors are hidden from them;"
         " `full`: queries are level and see all around. By default as the live revision of the"
-        " same encoding and image, else `full`. `any` wants harmonic maps of heights.",
+        " same encoding and image, else `any` where they can be: in harmonic maps of heights.",
     )
     verification_images: Flag | None = Field(
         None,

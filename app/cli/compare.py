@@ -23,6 +23,7 @@ from core.evaluation.condition import conditions
 from core.evaluation.disturbances import Recording
 from core.evaluation.pairing import RECENT_SCANS, HeldOut, LoopClosing, Pairing, SecondPass
 from core.evaluation.retrieval import Counting
+from core.projection.imager import Views
 from core.scans.drive import Drive
 from core.scans.sensor import HDL_64E, sensor_named
 from core.segmentation.fixed import segment_length_for
@@ -80,7 +81,7 @@ def compare(
             " [all that are installed]"
         ),
     ] = None,
-    ranks_text: options.RanksOption = "5,5",
+    ranks_text: options.RanksOption = None,
     views: options.ViewsOption = None,
     segment_length: options.SegmentLengthOption = None,
     segments: options.SegmentsOption = None,
@@ -116,7 +117,7 @@ def compare(
     length = segment_length_for(
         max(1, len(mapped)), segment_length=segment_length, segments=segments
     )
-    names = default_methods(views) if methods is None else tuple(methods.split(","))
+    names = default_methods(views or Views.ANY) if methods is None else tuple(methods.split(","))
     chosen = methods_named(
         names,
         sensor=sensor,

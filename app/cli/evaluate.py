@@ -40,7 +40,7 @@ def evaluate(
         ),
     ] = None,
     encoding: options.EncodingOption = None,
-    ranks_text: options.RanksOption = "5,5",
+    ranks_text: options.RanksOption = None,
     segmentation: options.SegmentationOption = Segmentation.FIXED,
     views: options.ViewsOption = None,
     verification_images: options.VerificationOption = None,

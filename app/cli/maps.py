@@ -44,7 +44,7 @@ def build(
         Path, typer.Option("-o", "--output", metavar="MAP.h5", help="The map file to write.")
     ],
     encoding: options.EncodingOption = None,
-    ranks_text: options.RanksOption = "5,5",
+    ranks_text: options.RanksOption = None,
     segmentation: options.SegmentationOption = Segmentation.FIXED,
     views: options.ViewsOption = None,
     verification_images: options.VerificationOption = None,
@@ -295,6 +295,14 @@ def signature(
     packing: Annotated[
         Packing | None, typer.Option(help="How numbers are packed. [float16; harmonic: int8]")
     ] = None,
+    ranks_text: Annotated[
+        str | None,
+        typer.Option(
+            "--ranks",
+            help="r1,r2 to send, if not the map's; for maps of any views.",
+            callback=options.checked(options.ranks),
+        ),
+    ] = None,
     mounting: options.MountingOption = None,
     format_name: options.FormatOption = None,
 ) -> None:
@@ -305,7 +313,9 @@ def signature(
             f"a {tensor_map.parameters.encoding} signature is one for all segments: leave --segment"
             " out"
         )
-    basis = tensor_map.basis(segments)
+    basis, ranks = tensor_map.basis(segments), options.ranks(ranks_text)
+    if ranks is not None:
+        basis = basis.sending(ranks)
     media_type = None if format_name is None else media_type_of(format_name)
     read = _read(scan, media_type, mounting, tensor_map.parameters.sensor_height_m)
     signatures = basis.encode(basis.image(read))
@@ -328,6 +338,7 @@ def inspect(
         "scans": len(tensor_map),
         "segments": tensor_map.model.segments,
         "segmentation": tensor_map.parameters.segmentation.value,
+        "views": tensor_map.parameters.views.value,
         "elements": tensor_map.elements,
         "size_bytes": map_file.stat().st_size,
         "verification_bytes": tensor_map.verification_bytes,
@@ -341,7 +352,7 @@ def inspect(
     if as_json:
         sys.stdout.write(f"{json.dumps(facts, indent=2)}\n")
         return
-    for name in (*_FACTS, "scans", "segmentation"):
+    for name in (*_FACTS, "views", "scans", "segmentation"):
         say(f"{name:>12}  {facts[name]}")
     size = f"{facts['size_bytes']} bytes{options.of_verification(tensor_map.verification_bytes)}"
     say(f"{'size':>12}  {size}")

@@ -229,8 +229,8 @@ def numbers(text: str) -> tuple[float, ...]:
         raise typer.BadParameter(f"{text!r} is no comma-separated list of numbers") from None
 
 
-def ranks(text: str) -> tuple[int, int]:
-    """Read `r1,r2`.
+def ranks(text: str | None) -> tuple[int, int] | None:
+    """Read `r1,r2`, the encoding's default if there is no text.
 
     Raises:
         typer.BadParameter: If it is something else.
@@ -239,6 +239,8 @@ def ranks(text: str) -> tuple[int, int]:
         >>> ranks("5,5")
         (5, 5)
     """
+    if text is None:
+        return None
     first, comma, second = text.partition(",")
     if not (comma and first.strip().isdecimal() and second.strip().isdecimal()):
         raise typer.BadParameter(f"{text!r} is no pair of whole numbers r1,r2")
@@ -246,8 +248,12 @@ def ranks(text: str) -> tuple[int, int]:
 
 
 RanksOption = Annotated[
-    str,
-    _build("--ranks", help="r1,r2: the shape of a signature.", callback=checked(ranks)),
+    str | None,
+    _build(
+        "--ranks",
+        help="r1,r2: the shape of a signature; 6,7 for any views, else 5,5.",
+        callback=checked(ranks),
+    ),
 ]
 
 

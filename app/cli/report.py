@@ -80,7 +80,7 @@ def report(
             for each in dict.fromkeys(encoding or encoding_names())
         ),
         max_queries=max_questions or (60 if quick else 200),
-        ranks=None if ranks_text is None else options.ranks(ranks_text),
+        ranks=options.ranks(ranks_text),
         segment_length=segment_length,
         segment_lengths=_sizes(k) or None,
         split=evaluation.split_of(split),

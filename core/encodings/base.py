@@ -23,6 +23,9 @@ from core.scans.trajectory import Trajectory
 if TYPE_CHECKING:
     from core.parameters import MapParameters
 
+PAPER_RANKS = (5, 5)
+"""The paper's, `(r1, r2)`."""
+
 
 class Encoding(ABC):
     """Encodes images as signatures and searches signatures. It has no state.
@@ -81,6 +84,16 @@ class Encoding(ABC):
                 f" not {image} images"
             )
         return self.reducers[image]
+
+    def default_views(self, image: ImageKind, distance: Distance | None) -> Views:
+        """Return which views a map of such images answers where none are named."""
+        del image, distance
+        return Views.FULL
+
+    def default_ranks(self, views: Views) -> tuple[int, int]:
+        """Return the ranks where none are named: the paper's."""
+        del views
+        return PAPER_RANKS
 
     def largest_ranks(self, grid_shape: tuple[int, int]) -> tuple[int, int]:
         """Return the largest `(r1, r2)` on a grid of `(I, J)` cells."""

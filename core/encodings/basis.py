@@ -2,14 +2,14 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Self
 
 from numpy.typing import NDArray
 
 from core.arrays import FloatArray, arrays_of
 from core.encodings.signature import Signature
-from core.errors import SensorMismatch
+from core.errors import InvalidParameters, SensorMismatch
 from core.projection.imager import Image, Views
 from core.projection.visibility import FULL_VIEW, View
 from core.scans.scan import Scan
@@ -127,6 +127,21 @@ class Basis(ABC):
     def serves(self, parameters: "MapParameters") -> bool:
         """Return whether a map of these parameters can keep this basis and its signatures."""
         return make_same_signatures(self.parameters, parameters)
+
+    def sending(self, ranks: tuple[int, int]) -> Self:
+        """Return the same basis for signatures of other ranks.
+
+        Raises:
+            InvalidParameters: If its maps do not take them.
+        """
+        parameters = replace(self.parameters, ranks=ranks)
+        if not self.serves(parameters):
+            r1, r2 = self.parameters.encoder.kept_ranks(self.parameters)
+            up_to = "up to " if self.parameters.views == Views.ANY else ""
+            raise InvalidParameters(
+                f"ranks are {ranks[0]} x {ranks[1]}, this map takes {up_to}{r1} x {r2}"
+            )
+        return replace(self, parameters=parameters)
 
     def image(self, scan: Scan, sensor_height_m: float | None = None) -> Image:
         """Project a scan as the map's own scans were.

@@ -238,10 +238,14 @@ def _fraction(tracker: Tracker, segment: int, position: float) -> float:
 
 
 def _share_of(tracker: Tracker, place: Place, segment: int) -> float:
-    """Return the share of a place's belief that is in one segment."""
-    rows = range(place.rows.start, place.rows.stop)
-    within = [tracker.graph.segment_at(row) == segment for row in rows]
-    return min(1.0, float(place.weight[within].sum()))
+    """Return the share of a place's belief that is in one segment.
+
+    A row is the path half-way to its neighbours, and a cut can be anywhere on it.
+    """
+    first, end = tracker.graph.cut_position[segment : segment + 2].tolist()
+    rows = np.arange(place.rows.start, place.rows.stop)
+    within = np.minimum(rows + 0.5, end) - np.maximum(rows - 0.5, first)
+    return min(1.0, float(place.weight @ np.clip(within, 0.0, 1.0)))
 
 
 def _direction(place: Place) -> Direction | None:

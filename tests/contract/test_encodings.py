@@ -231,7 +231,7 @@ class TestEncodings:
         else:
             with pytest.raises(InvalidParameters, match="cannot be kept"):
                 part(parameters, "b", 7, 2, kept=first.basis())
-        other = part(MapParameters.for_sensor(encoding=name, ranks=(2, 4)), "c", 7, 3)
+        other = part(MapParameters.for_sensor(encoding=name, ranks=(12, 4)), "c", 7, 3)
         with pytest.raises(InvalidParameters, match="cannot be kept"):
             part(parameters, "b", 7, 2, kept=other.basis())
 

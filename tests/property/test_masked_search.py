@@ -68,7 +68,7 @@ def test_the_distance_is_that_of_the_definition(seed, hidden, turned):
         scores = np.real(query * others.conj() * pairs).sum(axis=(1, 2)) / np.maximum(both, 1e-9)
         # Between the headings that were tried a peak can be a little higher.
         assert 1.0 - distances[row, rendering] == pytest.approx(scores.max(), abs=0.03)
-    assert distances[4, 1] < 1e-4
+    assert distances[4, 1] < 1e-3  # a parabola between 128 headings
     if len(hidden) < 30:
         found = model.search_values(query, View(hidden)).nearest(1)
         assert (found.rows[0], found.lateral_m[0]) == (4, 0.0)

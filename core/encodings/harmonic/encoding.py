@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from core.arrays import Float32Array, FloatArray, IntArray
-from core.encodings.base import Encoding
+from core.encodings.base import PAPER_RANKS, Encoding
 from core.encodings.basis import Basis
 from core.encodings.blocks import read_blocks
 from core.encodings.distance import Distance
@@ -45,6 +45,7 @@ _PARTIAL_INT8, _PARTIAL_FLOAT16 = 5, 6  # with their view
 _VIEW_BYTES, _SHORT_SCALE_BYTES = 8, 2
 _HIDDEN = "hidden_sectors"
 _IMAGES = "verification_images"
+_RANKS_OF_ANY_VIEWS = (6, 7)  # 78 numbers: a partial view is 99 bytes
 _SCALE = struct.Struct("<f")
 _INT8_MAX = 127
 
@@ -70,6 +71,15 @@ class HarmonicEncoding(Encoding):
     masks = True
     yaw_invariant = True
     sharper = 1.4
+
+    def default_views(self, image: ImageKind, distance: Distance | None) -> Views:
+        """Return any of heights, compared by the normalised distance."""
+        whole = image != ImageKind.HEIGHT or distance != Distance.NORMALISED
+        return Views.FULL if whole else Views.ANY
+
+    def default_ranks(self, views: Views) -> tuple[int, int]:
+        """Return more for any views: docs/decisions/0030-any-view.md."""
+        return PAPER_RANKS if views == Views.FULL else _RANKS_OF_ANY_VIEWS
 
     def largest_ranks(self, grid_shape: tuple[int, int]) -> tuple[int, int]:
         """Return I and how many harmonics J columns have."""
@@ -295,6 +305,8 @@ class HarmonicEncoding(Encoding):
             raise InvalidMap("the model's distance is not that of the parameters")
         if parameters.verification_images != (model.verification_images is not None):
             raise InvalidMap("the model has no verification images, or should have none")
+        if model.sent_ranks != parameters.ranks:
+            raise InvalidMap(f"queries are {model.sent_ranks}, by the ranks {parameters.ranks}")
         offsets = tuple(model.lateral_offset_m.tolist())
         if offsets != parameters.lateral_renderings_m:
             raise InvalidMap(f"lateral_offset_m is {offsets}, not that of the parameters")

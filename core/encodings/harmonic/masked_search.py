@@ -26,18 +26,20 @@ import scipy.fft
 
 from core.arrays import BoolArray, ComplexArray, Float32Array, FloatArray, IntArray
 from core.encodings.harmonic.search import HarmonicSearch, peaks
-from core.encodings.harmonics import as_real, circular_energy, two_sided
+from core.encodings.harmonics import circular_energy, energy, two_sided
 from core.encodings.model import Neighbours, nearest
 from core.projection.visibility import sector_of_column
 
 if TYPE_CHECKING:
     from core.encodings.harmonic.model import HarmonicModel
 
-_ESTIMATED_SAMPLES = 64  # headings of an estimate: six a wave of twelve harmonics
+_ESTIMATED_SAMPLES_A_WAVE = 6  # headings of an estimate
+_BLOCK = 2048  # renderings whose headings are estimated at once, in the processor's cache
 _EXACT_SAMPLES = 128  # between which the peak is found by a parabola
-_EXACT_SCANS = 24  # that are compared exactly: the best are among these estimates
+_EXACT_ONCE = 192  # scans of which the best rendering is compared exactly
+_EXACT_SCANS = 24  # of which all renderings are
 _EXACT_DISTANCES = 1024  # scans: 0.1 s
-_LEAST_SEEN = 0.02  # of a rendering's energy: with less to compare, everything is alike
+_LEAST_SEEN = np.float32(0.02)  # of a rendering's energy: with less to compare, everything is alike
 _TRUSTING_HARMONICS = 48  # with as many the share of the query's energy would be trusted
 
 
@@ -50,6 +52,7 @@ class MaskedSearch(HarmonicSearch):
     def __init__(self, model: "HarmonicModel", values: ComplexArray, hidden: Sequence[int]) -> None:
         super().__init__(model, values)
         columns, kept, sent = model.columns, model.ranks[1], values.shape[1]
+        self._partial = len(hidden) > 0
         seen = ~np.isin(sector_of_column(columns), hidden)
         self._mask = np.fft.fft(seen) / columns
         sent_harmonics = np.arange(1 - sent, sent)
@@ -84,9 +87,18 @@ class MaskedSearch(HarmonicSearch):
         return distances
 
     def _preferred(self, k: int, among: BoolArray | None) -> IntArray:
-        """Return the rows with the nearest estimates, rising."""
+        """Return the rows of the scans to compare exactly, rising.
+
+        Of partial views estimates are worse: of more scans, the rendering with the best estimate is
+        compared first.
+        """
         rows = np.arange(len(self._model)) if among is None else np.flatnonzero(among)
-        return np.sort(rows[nearest(self._estimates[rows], max(k, _EXACT_SCANS))])
+        count = _EXACT_ONCE if self._partial else _EXACT_SCANS
+        some = rows[nearest(self._estimates[rows], max(k, count))]
+        if self._partial and len(some) > max(k, _EXACT_SCANS):
+            rendering = self._best_renderings[some][:, None]
+            some = some[nearest(self.exact(some, rendering)[0][:, 0], max(k, _EXACT_SCANS))]
+        return np.sort(some)
 
     @cached_property
     def _seen_by_map(self) -> Float32Array:
@@ -98,41 +110,80 @@ class MaskedSearch(HarmonicSearch):
     @cached_property
     def _estimates(self) -> FloatArray:
         """Estimated distance of every scan, the nearest of its renderings, `(K,)`."""
-        model = self._model
-        pairs = np.sqrt(self._weights)
-        query = (self._spread / (self._norm or 1.0) / pairs).astype(np.complex64)
-        waves = np.stack([q @ units for q, units in zip(query.T, model.units, strict=True)])
-        score = _in_headings(np.ones(len(waves))) @ as_real(waves.conj())
-        count = len(model.unit_energies) // 2 + 1
-        seen = _in_headings(self._mask[:count]) @ model.unit_energies
-        np.maximum(seen, np.float32(_LEAST_SEEN), out=seen)
-        score /= np.sqrt(seen, out=seen)
-        score /= self._part_seen(_in_headings(self._unit_energy) @ self._seen_by_map)
-        best = score.max(axis=0).reshape(len(model.lateral_offset_m), -1).max(axis=0)
+        best = np.sqrt(np.maximum(self._squared_scores.max(axis=0), 0.0))
         estimates: FloatArray = np.maximum(1.0 - best.astype(np.float64), 0.0)
         return estimates
 
-    def exact(self, rows: IntArray) -> tuple[FloatArray, FloatArray]:
-        """Compare all renderings of some scans in all headings.
+    @cached_property
+    def _best_renderings(self) -> IntArray:
+        """Which of its renderings that is, `(K,)`."""
+        return np.asarray(self._squared_scores.argmax(axis=0))
+
+    @cached_property
+    def _squared_scores(self) -> Float32Array:
+        """Estimated squares of the best score of every rendering over headings, `(D, K)`."""
+        model, sent = self._model, self._values.shape[1]
+        mixed = model.ranks[1] if self._partial else sent  # harmonics of the map that it contains
+        samples = _ESTIMATED_SAMPLES_A_WAVE * max(1, mixed - 1)
+        query = (self._spread / (self._norm or 1.0) / np.sqrt(self._weights)).astype(np.complex64)
+        correlation = np.empty((2 * mixed - 1, model.norms.size), np.float32)
+        for harmonic in range(mixed):
+            wave = query[:, harmonic] @ model.units[harmonic]
+            correlation[harmonic] = wave.real
+            if harmonic:
+                np.negative(wave.imag, out=correlation[mixed + harmonic - 1])
+        correlated = _in_headings(np.ones(mixed), samples)
+        energies, seen_waves = model.unit_energies(sent), model.seen_waves
+        of_mask = _in_headings(self._mask[: len(energies) // 2 + 1], samples)
+        of_energy = _in_headings(_padded(self._unit_energy, len(seen_waves) // 2 + 1), samples)
+        best = np.empty(correlation.shape[1], np.float32)
+        for start in range(0, len(best), _BLOCK):
+            block = slice(start, start + _BLOCK)
+            score = correlated @ correlation[:, block]
+            score *= np.abs(score)
+            seen = of_mask @ energies[:, block] if self._partial else energies[:1, block]
+            score /= seen + _LEAST_SEEN
+            if not model.sees_all:
+                part = self._part_seen(of_energy @ seen_waves[:, block])
+                score /= np.square(part, out=part)
+            best[block] = score.max(axis=0)
+        return best.reshape(len(model.lateral_offset_m), -1)
+
+    def exact(
+        self, rows: IntArray, renderings: IntArray | None = None
+    ) -> tuple[FloatArray, FloatArray]:
+        """Compare renderings of some scans in all headings.
+
+        Args:
+            rows: `(n,)` scans.
+            renderings: `(n, d)` of each; all D by default.
 
         Returns:
-            Distances and relative yaws in degrees, counter-clockwise from the map's scan, `(n, D)`
+            Distances and relative yaws in degrees, counter-clockwise from the map's scan, `(n, d)`
             each.
         """
         model, samples = self._model, _EXACT_SAMPLES
-        stored = model.signatures[rows].astype(np.complex128)
+        if renderings is None:
+            renderings = np.arange(len(model.lateral_offset_m))[None]
+        chosen = rows[:, None], renderings
+        stored = model.signatures[chosen].astype(np.complex128)
         waves = (self._spread * stored.conj()).sum(axis=2)
-        whole = two_sided(stored)
-        products = (whole.conj().swapaxes(-1, -2) @ whole) * self._gram
-        seen = scipy.fft.irfft(_diagonal_sums(products), samples, axis=-1) * samples
-        floor = _LEAST_SEEN * np.square(model.norms[rows])[..., None]
+        if self._partial:
+            whole = two_sided(stored)
+            products = (whole.conj().swapaxes(-1, -2) @ whole) * self._gram
+            seen = scipy.fft.irfft(_diagonal_sums(products), samples, axis=-1) * samples
+        else:
+            seen = energy(stored[..., : self._values.shape[1]], model.columns)[..., None]
+        floor = _LEAST_SEEN * np.square(model.norms[chosen])[..., None]
         denominator = self._norm * np.sqrt(np.maximum(seen, floor))
-        by_map = self._seen_by_map.reshape(len(self._seen_by_map), -1, len(model))[..., rows]
-        shares = np.einsum("tm,mdn->ndt", _in_headings(self._unit_energy, samples), by_map)
-        denominator *= self._part_seen(shares)
+        if not model.sees_all:
+            by_map = self._seen_by_map.reshape(len(self._seen_by_map), -1, len(model))
+            of_energy = _in_headings(self._unit_energy, samples)
+            shares = np.tensordot(by_map[:, renderings, rows[:, None]], of_energy, (0, 1))
+            denominator = denominator * self._part_seen(shares)
         correlation = scipy.fft.irfft(waves, samples, axis=-1) * samples
         score = np.divide(
-            correlation, denominator, out=np.zeros_like(denominator), where=denominator > 0
+            correlation, denominator, out=np.zeros_like(correlation), where=denominator > 0
         )
         best, yaw_deg = peaks(score)
         return np.maximum(1.0 - best, 0.0), yaw_deg
@@ -142,9 +193,11 @@ class MaskedSearch(HarmonicSearch):
         return np.asarray(np.float32(1.0) - trust * (np.float32(1.0) - shares))
 
 
-def _in_headings(
-    waves: ComplexArray | FloatArray, samples: int = _ESTIMATED_SAMPLES
-) -> Float32Array:
+def _padded(waves: ComplexArray, count: int) -> ComplexArray:
+    return np.concatenate([waves, np.zeros(count)])[:count]
+
+
+def _in_headings(waves: ComplexArray | FloatArray, samples: int) -> Float32Array:
     """Return the matrix from `as_real` of x to sum_d w_d conj(x_d) e^(i d t) in each heading t.
 
     Args:

@@ -49,6 +49,7 @@ if TYPE_CHECKING:
     from core.parameters import MapParameters
 
 _BEYOND_M = 2.0  # the outermost viewpoints: images of two lanes farther cost nothing to keep
+_ESTIMATED_WAVES = 12  # of energies in estimates
 _LIMITED_KEPT = 4  # models of limited queries, each about as large as this one
 
 
@@ -301,11 +302,30 @@ class HarmonicModel(Model):
         return np.sqrt(energy(self.signatures, self.columns))
 
     @cached_property
-    def unit_energies(self) -> Float32Array:
-        """Where on the circle the energy of each rendering is, `(4 r2 - 3, D K)`; E_0 = 1."""
-        found = circular_energy(self.signatures)
-        found /= np.where(found[..., :1].real > 0, found[..., :1].real, 1.0)
+    def unit_energies(self) -> Callable[[int], Float32Array]:
+        """Where on the circle the energy of the first r2 harmonics is, `(2 n - 1, D K)`, of r2.
+
+        As a share of the energy of all that are kept: at most 1 in row 0.
+        """
+        return lru_cache(_LIMITED_KEPT)(self._unit_energies)
+
+    def _unit_energies(self, r2: int) -> Float32Array:
+        found = circular_energy(self.signatures[..., :r2])[..., :_ESTIMATED_WAVES]
+        found /= np.where(self.norms > 0, np.square(self.norms), 1.0)[..., None]
         return self._by_harmonic(found)
+
+    @cached_property
+    def seen_waves(self) -> Float32Array:
+        """The first of `seen_harmonics`, which change little from one heading to the next."""
+        kept = len(self.seen_harmonics) // 2 + 1
+        real, imag = np.split(self.seen_harmonics, [kept])
+        count = min(_ESTIMATED_WAVES, kept)
+        return frozen(np.concatenate([real[:count], imag[: count - 1]]), np.float32)
+
+    @cached_property
+    def sees_all(self) -> bool:
+        """Whether no rendering has hidden sectors."""
+        return not np.any(self.hidden_sectors)
 
     @cached_property
     def seen_harmonics(self) -> Float32Array:

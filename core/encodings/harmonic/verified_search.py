@@ -42,9 +42,16 @@ class VerifiedSearch(MaskedSearch):
         super().__init__(model, values, hidden)
         self._query = SmallQuery(cells)
 
-    def exact(self, rows: IntArray) -> tuple[FloatArray, FloatArray]:
-        """Compare the signatures and images of some scans, from all their viewpoints."""
-        distances, yaw_deg = super().exact(rows)
+    def exact(
+        self, rows: IntArray, renderings: IntArray | None = None
+    ) -> tuple[FloatArray, FloatArray]:
+        """Compare the signatures and images of some scans, from all their viewpoints.
+
+        Of single renderings only the signatures are compared: that chooses candidates.
+        """
+        distances, yaw_deg = super().exact(rows, renderings)
+        if renderings is not None:
+            return distances, yaw_deg
         model = self._model
         nearest = yaw_deg[np.arange(len(rows)), distances.argmin(axis=1)]
         turned = (np.rint(nearest / _SECTOR_DEG).astype(np.int64)[:, None] + _BESIDE) % SECTORS

@@ -108,19 +108,22 @@ def test_a_build_on_a_base_takes_its_height_over_and_notes_nothing(store, map_id
 
 
 def test_a_map_keeps_the_views_of_its_live_revision_unless_others_are_requested(store, map_id):
-    assert plan_build(store, map_id, BuildParameters()).parameters.views == Views.FULL
-    partial = plan_build(store, map_id, BuildParameters(views=Views.ANY))
-    live = build_revision(store, map_id, partial).digest
+    assert plan_build(store, map_id, BuildParameters()).parameters.views == Views.ANY
+    whole = plan_build(store, map_id, BuildParameters(views=Views.FULL))
+    live = build_revision(store, map_id, whole).digest
     again = plan_build(store, map_id, BuildParameters())
-    assert (again.parameters.views, again.basis_kept_from) == (Views.ANY, live)
-    for others in ({"views": Views.FULL}, {"image": "range"}, {"encoding": "paper"}):
+    assert (again.parameters.views, again.basis_kept_from) == (Views.FULL, live)
+    assert again.parameters.ranks == (5, 5)
+    changed = plan_build(store, map_id, BuildParameters(views=Views.ANY))
+    assert (changed.parameters.views, changed.basis_kept_from) == (Views.ANY, None)
+    for others in ({"image": "range"}, {"encoding": "paper"}):
         changed = plan_build(store, map_id, BuildParameters(**others))
         assert (changed.parameters.views, changed.basis_kept_from) == (Views.FULL, None)
     put(store, "alpha")
     on_base = plan_build(store, map_id, BuildParameters(base="live", add=["alpha"]))
-    assert on_base.parameters.views == Views.ANY
-    with pytest.raises(InvalidParameters, match="views is full, that of base"):
-        plan_build(store, map_id, BuildParameters(base="live", add=["alpha"], views=Views.FULL))
+    assert on_base.parameters.views == Views.FULL
+    with pytest.raises(InvalidParameters, match="views is any, that of base"):
+        plan_build(store, map_id, BuildParameters(base="live", add=["alpha"], views=Views.ANY))
 
 
 def test_a_map_keeps_verification_images_as_its_live_revision_has_them(store, map_id):

@@ -106,7 +106,7 @@ def test_files_that_cannot_be_merged_are_rejected_and_nothing_is_written(maps, f
     with pytest.raises(InvalidParameters, match="called 'monday': rename"):
         run("build", folders[0], folders[0], "-o", out)
     with pytest.raises(InvalidParameters, match="makes signatures otherwise"):
-        run("build", folders[1], "-o", out, *HARMONIC, "--ranks", "4,4", "--keep-basis", maps[0])
+        run("build", folders[1], "-o", out, *HARMONIC, "--views", "full", "--keep-basis", maps[0])
     run("build", folders[0], "-o", tmp_path / "paper.h5", "--encoding", "paper")
     with pytest.raises(InvalidParameters, match="no basis to keep"):
         run("build", folders[1], "-o", out, *HARMONIC, "--keep-basis", tmp_path / "paper.h5")

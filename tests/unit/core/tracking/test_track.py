@@ -37,6 +37,17 @@ def test_the_first_observations_are_not_yet_a_fix(tracker):
     assert track.last == steps[-1]
 
 
+def test_beside_a_cut_that_is_between_scans_no_segment_is_sure(tracker):
+    start = tracker.map.model.segment_start
+    beside = np.where(np.arange(len(start)) == 1, start, start - 0.5)  # at a scan, not half-way
+    for cuts, sure in ((start - 0.5, True), (beside, False)):
+        track = Track(Tracker(tracker.localizer, cut_position=cuts))
+        steps = [track.observe(observed(tracker, row)) for row in (*range(start[1]), start[1])]
+        assert steps[-1].row == start[1]
+        assert steps[-1].localized
+        assert steps[-1].segment_sure == sure
+
+
 @pytest.mark.parametrize("name", ["timestamp_s", "sequence"])
 def test_an_observation_that_is_not_newer_is_rejected_and_changes_nothing(tracker, name):
     track = Track(tracker)
