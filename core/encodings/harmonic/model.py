@@ -48,7 +48,8 @@ from core.projection.visibility import FULL_VIEW, SECTORS, View, seen_of_bits
 if TYPE_CHECKING:
     from core.parameters import MapParameters
 
-_BEYOND_M = 2.0  # the outermost viewpoints: images of two lanes farther cost nothing to keep
+_ACROSS = 5  # places from which a small image is compared
+_BEYOND_M = 1.5  # the outermost viewpoints: such images need not be kept
 _ESTIMATED_WAVES = 12  # of energies in estimates
 _LIMITED_KEPT = 4  # models of limited queries, each about as large as this one
 
@@ -197,9 +198,9 @@ class HarmonicModel(Model):
 
     @cached_property
     def beside(self) -> DisplacedView:
-        """From a small image on the line to those of all viewpoints, and of one beyond each end."""
-        left_m = self.lateral_offset_m - self.recorded_lateral_m
-        left_m = np.array([left_m[0] - _BEYOND_M, *left_m, left_m[-1] + _BEYOND_M])
+        """From a small image on the line to those across it, beyond the viewpoints too."""
+        first, last = (self.lateral_offset_m[[0, -1]] - self.recorded_lateral_m).tolist()
+        left_m = np.linspace(first - _BEYOND_M, last + _BEYOND_M, _ACROSS)
         return self.displaced(np.zeros_like(left_m), left_m)
 
     def displaced(self, ahead_m: FloatArray, left_m: FloatArray) -> DisplacedView:

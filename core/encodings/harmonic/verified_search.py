@@ -45,7 +45,7 @@ class VerifiedSearch(MaskedSearch):
     def exact(
         self, rows: IntArray, renderings: IntArray | None = None
     ) -> tuple[FloatArray, FloatArray]:
-        """Compare the signatures and images of some scans, from all their viewpoints.
+        """Compare the signatures of some scans from all their viewpoints, and their images.
 
         Of single renderings only the signatures are compared: that chooses candidates.
         """
@@ -57,12 +57,8 @@ class VerifiedSearch(MaskedSearch):
         turned = (np.rint(nearest / _SECTOR_DEG).astype(np.int64)[:, None] + _BESIDE) % SECTORS
         views = model.beside.of(model.small_images(rows))
         correlation = self._query.correlation(views, model.seen_on_line(rows))
-        best = np.take_along_axis(correlation, turned[:, None], axis=2).max(axis=2)
-        # What is seen from beyond the outermost viewpoints counts for these.
-        best[:, 1] = best[:, :2].max(axis=1)
-        best[:, -2] = best[:, -2:].max(axis=1)
-        best = best[:, 1:-1]
-        of_images = np.maximum(1.0 - best.astype(np.float64), 0.0)
+        best = np.take_along_axis(correlation, turned[:, None], axis=2).max(axis=(1, 2))
+        of_images = np.maximum(1.0 - best.astype(np.float64), 0.0)[:, None]
         return 0.5 * (of_images + distances), yaw_deg
 
     def distances(self, among: BoolArray | None = None) -> FloatArray:
