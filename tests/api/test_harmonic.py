@@ -31,6 +31,7 @@ def client(tmp_path_factory, views):
             "encoding": "harmonic",
             "lateral_renderings_m": [-1.5, 0, 1.5],
             "views": views,
+            "ranks": [5, 5],
         }
         queued = client.post("/v1/maps/campus/builds", json=parameters)
         assert wait_for(client, queued.json()["job"])["state"] == "done"

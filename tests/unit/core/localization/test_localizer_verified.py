@@ -69,13 +69,13 @@ def errors(tensor_map, **condition):
 
 def test_maps_of_any_views_have_images_by_default_and_others_cannot():
     assert PARAMETERS.verification_images
-    assert not MapParameters.for_sensor().verification_images
+    assert not MapParameters.for_sensor(views=Views.FULL).verification_images
     assert not MapParameters.for_sensor(
         views=Views.ANY, verification_images=False
     ).verification_images
     for encoding in ("harmonic", "paper"):
         with pytest.raises(InvalidParameters, match="wants views = any"):
-            MapParameters.for_sensor(encoding=encoding, verification_images=True)
+            MapParameters.for_sensor(encoding=encoding, views=Views.FULL, verification_images=True)
 
 
 def test_the_images_are_of_the_recorded_line_and_counted_apart(verified, signatures_only):
