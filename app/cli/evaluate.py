@@ -187,6 +187,7 @@ _COLUMNS = (
     ("moving", "errors_moving", "d"),
     ("R@1 {:g} m", "recall_at_1", ".3f"),
     ("error m", "position_error_m_median", ".2f"),
+    ("to scan m", "nearest_scan_m_median", ".2f"),
 )
 _ESTIMATES = (
     ("heading deg", "heading_error_deg_median", ".2f"),

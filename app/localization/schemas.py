@@ -197,8 +197,7 @@ class MatchOut(Shown):
         description="Estimated heading of the query in the world; null likewise or without poses."
     )
     estimated_pose: PoseOut | None = Field(
-        description="Estimated pose of the query: that scan's pose, displaced and turned; null"
-        " likewise."
+        description="Estimated pose of the query, between scans and beside them; null likewise."
     )
 
 

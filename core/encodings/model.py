@@ -56,16 +56,20 @@ class Neighbours:
 
 @dataclass(frozen=True, eq=False)
 class Viewpoints:
-    """The comparison of a query with every virtual viewpoint of some scans.
+    """A query, and what it would be from every virtual viewpoint of some scans.
+
+    As real numbers, whose inner products are those that the encoding compares.
 
     Attributes:
-        distances: `(n, D)`.
-        relative_yaw_deg: `(n, D)` of the query, counter-clockwise, -180..180.
-        lateral_m: `(D,)` how far to the left of the scans each viewpoint is.
+        query: `(d,)`.
+        renderings: `(3, n, D, d)` in the heading of the query, and `step_deg` before and after it.
+        step_deg: So little that a parabola gives the headings between.
+        lateral_m: `(D,)` how far to the left of the scans each viewpoint is, rising.
     """
 
-    distances: FloatArray
-    relative_yaw_deg: FloatArray
+    query: FloatArray
+    renderings: FloatArray
+    step_deg: float
     lateral_m: FloatArray
 
 
@@ -99,10 +103,14 @@ class Search(ABC):
             among: `(K,)` which rows are compared; all of them without it.
         """
 
-    def viewpoints(self, rows: IntArray) -> Viewpoints | None:
-        """Return the comparison with all viewpoints of some scans, `None` if they have only one.
+    def viewpoints(self, rows: IntArray, relative_yaw_deg: FloatArray) -> Viewpoints | None:
+        """Return all renderings of some scans, `None` if they have only one.
 
-        It refines the pose of a match, between viewpoints and scans.
+        Between them the pose of a query is estimated.
+
+        Args:
+            rows: `(n,)`.
+            relative_yaw_deg: `(n,)` of the query to each scan, counter-clockwise.
         """
         return None
 

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from scipy.spatial import KDTree
 
 from core.arrays import FloatArray
 from core.confidence.places import AWAY_M
@@ -17,7 +18,7 @@ from core.localization.localizer import Localization
 from core.mapping.tensormap import TensorMap
 from core.scans.displacement import left_of_m
 from core.scans.drive import scan_index_of
-from core.scans.pose import heading_deg
+from core.scans.pose import heading_deg, is_known
 
 
 @dataclass(frozen=True)
@@ -56,6 +57,8 @@ class ConditionResult(Plain):
         recall_at_1: Share of answers whose map scan was recorded within so many metres.
         position_error_m_median: Median distance of the estimated position, or of the matched scan
             where none is estimated, from the displaced vehicle.
+        nearest_scan_m_median: Median distance of the map's nearest scan from the displaced vehicle:
+            the error of a position that is always a scan's.
         heading_error_deg_median: Median error of the estimated heading; the paper's encoding
             estimates none.
         lateral_error_m_median: Median error of the estimated offset to the left of the matched
@@ -73,6 +76,7 @@ class ConditionResult(Plain):
     errors_stationary: int | None
     recall_at_1: dict[float, float | None]
     position_error_m_median: float | None
+    nearest_scan_m_median: float | None
     heading_error_deg_median: float | None
     lateral_error_m_median: float | None
     ms_per_query: float | None
@@ -160,6 +164,7 @@ def summarize(
         errors_stationary=standing,
         recall_at_1={metres: share_within(recorded_m, metres) for metres in tolerances_m},
         position_error_m_median=median(apart_m(estimated, true)),
+        nearest_scan_m_median=median(_nearest_scan_m(tensor_map, true)),
         heading_error_deg_median=median(
             heading_error_deg(heading_deg(estimated[has_heading]), heading_deg(true[has_heading]))
         ),
@@ -167,6 +172,16 @@ def summarize(
         ms_per_query=1e3 * float(np.mean([a.seconds for a in given])) if given else None,
         reliability=_reliability([answer.found for answer in given], elsewhere, matched, true),
     )
+
+
+def _nearest_scan_m(tensor_map: TensorMap, true: FloatArray) -> FloatArray:
+    """Return how far the nearest scan of the map is from each place, NaN where unknown."""
+    trajectory, known = tensor_map.trajectory, is_known(true)
+    found = np.full(len(true), np.nan)
+    if trajectory.known.any() and known.any():
+        tree = KDTree(trajectory.poses[trajectory.known, :3])
+        found[known] = tree.query(true[known, :3])[0]
+    return found
 
 
 def _reliability(

@@ -16,6 +16,7 @@ from core.confidence.logistic import fit_logistic
 from core.confidence.places import away_from, close_along_m
 from core.confidence.spread import Spread, along_spread_m, fit_variance
 from core.encodings.model import Neighbours, Search
+from core.mapping.estimate import estimate
 from core.mapping.own_place import image_of, own_place
 from core.mapping.tensormap import TensorMap
 from core.progress import NO_PROGRESS, Progress
@@ -165,11 +166,9 @@ def _error(
     near = close_along_m(tensor_map.trajectory, int(found.rows[0]))
     if near is None or not np.isfinite(true).all():
         return []
-    placed = search.displacement(int(found.rows[0]))
-    if placed is None:
-        placed = 0.0, *np.nan_to_num([found.lateral_m[0], found.relative_yaw_deg[0]]).tolist()
-    along_of_scan_m, beside_m, yaw_deg = placed
-    estimated = pose_beside(matched, beside_m, yaw_deg, along_of_scan_m)
+    yaw_deg = None if np.isnan(found.relative_yaw_deg[0]) else float(found.relative_yaw_deg[0])
+    pose = estimate(search, tensor_map.trajectory, int(found.rows[0]), yaw_deg, among).pose
+    estimated = matched if pose is None else np.array(pose.as_tuple())
     rows, along_m = near
     kept = among[rows]
     compared = np.zeros(len(poses), dtype=bool)

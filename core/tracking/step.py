@@ -47,8 +47,8 @@ class TrackStep:
         stationary: Whether the vehicle is stationary, by its signatures alone.
         along_sigma_m: Standard deviation of the place along the path; `None` without poses.
         along_sigma_scans: The same in scans of the map.
-        pose: Of the vehicle: on the path between the scans, displaced and turned as the match is,
-            or where the images are most alike; `None` without poses.
+        pose: Of the vehicle: the match's estimated pose; in an encoding without one the place on
+            the path between the scans. `None` without poses.
     """
 
     revision: str

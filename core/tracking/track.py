@@ -11,10 +11,10 @@ from core.encodings.model import Neighbours, Search
 from core.encodings.signature import Signature
 from core.errors import StaleObservation
 from core.localization.localizer import Localizer
-from core.localization.match import Match, match_at, pose_at
+from core.localization.match import Match, match_at
+from core.mapping.estimate import estimate
 from core.numbers import require_at_least, require_finite
 from core.projection.imager import Image
-from core.scans.displacement import pose_beside
 from core.scans.pose import Pose
 from core.tracking.belief import Belief
 from core.tracking.emission import Emission
@@ -194,7 +194,6 @@ class Track:
         if not len(found):
             found = Neighbours.of_distances(np.array([row]), np.array([np.inf]))
         match = match_at(tracker.map, search, found)
-        poses, placed = tracker.map.trajectory.poses, seen.displacement(row)
         reason = self._doubt(place)
         segment = tracker.graph.segment_at(position)
         return TrackStep(
@@ -212,7 +211,11 @@ class Track:
             stationary=stationary,
             along_sigma_m=_sigma_m(tracker.graph.along_m, place),
             along_sigma_scans=place.sigma,
-            pose=_pose(poses, position, match) if placed is None else pose_at(poses[row], placed),
+            pose=(
+                estimate(seen, tracker.map.trajectory, row, match.relative_yaw_deg).pose
+                if seen.verified
+                else _pose(tracker.map.trajectory.poses, position, match)
+            ),
         )
 
     def _held(self, place: Place) -> float:
@@ -263,7 +266,9 @@ def _sigma_m(along_m: FloatArray, place: Place) -> float | None:
 
 
 def _pose(poses: FloatArray, position: float, match: Match) -> Pose | None:
-    """Return the pose at a position between rows, displaced and turned as the match is."""
+    """Return the estimated pose, or that at a position between rows where none is estimated."""
+    if match.estimated_pose is not None:
+        return match.estimated_pose
     low = min(max(math.floor(position), 0), match.row)
     high = min(low + 1, len(poses) - 1)
     pair = poses[[low, high]]
@@ -274,6 +279,4 @@ def _pose(poses: FloatArray, position: float, match: Match) -> Pose | None:
     between = np.concatenate(
         [(1.0 - share) * pair[0, :3] + share * pair[1, :3], rotation.as_quat(canonical=True)]
     )
-    return Pose.from_row(
-        pose_beside(between, match.lateral_m or 0.0, match.relative_yaw_deg or 0.0)
-    )
+    return Pose.from_row(between)

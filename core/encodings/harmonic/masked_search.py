@@ -13,8 +13,8 @@ the correlation of w with where on the circle the energy of M is.
 
 A rendering does not see everything either, and only the part of q should count that it sees. How
 much of q's energy that is, its share, is known from few harmonics and so not exactly: the score is
-divided by 1 - r2 / 48 (1 - share), which trusts it the more the more harmonics there are
-(docs/decisions/0030-any-view.md).
+divided by 1 - r2 / 48 (1 - share), which trusts it the more the more harmonics there are, and the
+distance becomes half at most (docs/decisions/0030-any-view.md).
 """
 
 from collections.abc import Sequence
@@ -57,6 +57,7 @@ class MaskedSearch(HarmonicSearch):
         self._mask = np.fft.fft(seen) / columns
         sent_harmonics = np.arange(1 - sent, sent)
         toeplitz = self._mask[(sent_harmonics[:, None] - np.arange(1 - kept, kept)) % columns]
+        self._toeplitz = toeplitz[sent - 1 :]
         self._spread = (two_sided(values) @ toeplitz.conj())[:, kept - 1 :]
         self._gram = toeplitz.conj().T @ toeplitz
         # Of the query's energy, as of a map's: where on the circle it is, and 1 in all.
@@ -176,17 +177,21 @@ class MaskedSearch(HarmonicSearch):
             seen = energy(stored[..., : self._values.shape[1]], model.columns)[..., None]
         floor = _LEAST_SEEN * np.square(model.norms[chosen])[..., None]
         denominator = self._norm * np.sqrt(np.maximum(seen, floor))
-        if not model.sees_all:
-            by_map = self._seen_by_map.reshape(len(self._seen_by_map), -1, len(model))
-            of_energy = _in_headings(self._unit_energy, samples)
-            shares = np.tensordot(by_map[:, renderings, rows[:, None]], of_energy, (0, 1))
-            denominator = denominator * self._part_seen(shares)
         correlation = scipy.fft.irfft(waves, samples, axis=-1) * samples
         score = np.divide(
             correlation, denominator, out=np.zeros_like(correlation), where=denominator > 0
         )
+        if not model.sees_all:
+            by_map = self._seen_by_map.reshape(len(self._seen_by_map), -1, len(model))
+            of_energy = _in_headings(self._unit_energy, samples)
+            shares = np.tensordot(by_map[:, renderings, rows[:, None]], of_energy, (0, 1))
+            # A share that is not exact must not make two alike that are not.
+            score = np.minimum(score / self._part_seen(shares), (1.0 + score) / 2.0)
         best, yaw_deg = peaks(score)
         return np.maximum(1.0 - best, 0.0), yaw_deg
+
+    def _seen(self, renderings: ComplexArray) -> ComplexArray:
+        return np.asarray(two_sided(renderings) @ self._toeplitz.T)
 
     def _part_seen(self, shares: Float32Array) -> Float32Array:
         trust = np.float32(self._values.shape[1] / _TRUSTING_HARMONICS)

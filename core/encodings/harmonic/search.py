@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from core.encodings.harmonic.model import HarmonicModel
 
 _SAMPLES_A_WAVE = 12  # of the shortest wave: the parabola then errs by less than 0.1 deg
+_MOST_STEP_DEG = 4.0  # between headings of an estimate: of few harmonics, those of a mask count
 _FIRST = 4  # scans that are searched before the bound excludes others
 _EXACT_SCANS = 1024  # searched over headings at once, in 10 MB
 _SLACK = 1e-5  # of the bound, in single precision, as a share of |g| |G|: ten times its rounding
@@ -36,9 +37,29 @@ class HarmonicSearch(Search):
         self._norm = float(np.sqrt(energy(values, model.columns)))
         self.segments = tuple(range(model.segments))  # all of them: the basis is shared
 
-    def viewpoints(self, rows: IntArray) -> Viewpoints:
-        """Return the comparison with all renderings of some scans."""
-        return Viewpoints(*self.exact(rows), self._model.lateral_offset_m)
+    def viewpoints(self, rows: IntArray, relative_yaw_deg: FloatArray) -> Viewpoints:
+        """Return the renderings of some scans as the query would see them."""
+        model, harmonic = self._model, np.arange(self._model.ranks[1])
+        step_deg = min(_MOST_STEP_DEG, 360.0 / (_SAMPLES_A_WAVE * max(1, len(harmonic) - 1)))
+        headings_deg = relative_yaw_deg + step_deg * np.array([[-1.0], [0.0], [1.0]])
+        turned = np.exp(1j * np.radians(headings_deg)[..., None] * harmonic)
+        seen = self._seen(model.signatures[rows].astype(np.complex128) * turned[:, :, None, None])
+        return Viewpoints(
+            self._as_numbers(self._values),
+            self._as_numbers(seen),
+            step_deg,
+            model.lateral_offset_m,
+        )
+
+    def _seen(self, renderings: ComplexArray) -> ComplexArray:
+        """Return what the query's scan would have seen of `(..., r1, r2)` renderings."""
+        return renderings
+
+    def _as_numbers(self, signatures: ComplexArray) -> FloatArray:
+        """Return r1 (2 r2 - 1) real numbers of the same norm for each signature."""
+        weighted = signatures * np.sqrt(self._weights[: signatures.shape[-1]])
+        parts = np.concatenate([weighted.real, weighted.imag[..., 1:]], axis=-1)
+        return parts.reshape(*parts.shape[:-2], -1)
 
     def nearest(self, k: int, among: BoolArray | None = None) -> Neighbours:
         """Return the `k` nearest scans, each by its nearest rendering, nearest first."""

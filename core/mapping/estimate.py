@@ -1,0 +1,175 @@
+"""The pose of a query between the scans of a map and between their virtual viewpoints.
+
+What a scan between two places is like is about the mean of what it is like at both, weighted by how
+near each is. Such means are computed on a lattice along the path and across it, and the estimate is
+the mean of its places, each as likely as the query is there: for noise in a signature of d numbers,
+of unknown strength, the likelihood is that of the part of the query that the mean does not explain,
+(1 - cos^2)^(-d / 2). Beyond the outermost viewpoints the change from the line to them continues.
+
+Measurements: docs/decisions/0032-position-between-scans.md.
+"""
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from core.arrays import BoolArray, FloatArray, IntArray, frozen
+from core.encodings.model import Search
+from core.scans.angles import wrapped_deg
+from core.scans.displacement import left_of_m, places_beside_m, pose_beside
+from core.scans.pose import Pose, heading_deg
+from core.scans.trajectory import Trajectory
+
+_SAME_PLACE_M = 10.0  # after an interruption a drive continues elsewhere
+_STEPS_ALONG, _STEPS_ACROSS = 8, 4  # of the lattice, between two scans and between two viewpoints
+_MOST_STEPS = 1.5  # of heading: the best rendering's is within a few degrees
+_ROUNDS = 2  # of place and heading in turn; more change nothing
+_LEAST_LEFT = 1e-9  # of the query's energy; an equal scan leaves only rounding
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """An estimate relative to a scan of the map.
+
+    Attributes:
+        relative_yaw_deg: Of the query, counter-clockwise, -180..180; `None` if it was not known.
+        lateral_m: Offset of the query to the left of the scan; `None` in an encoding without
+            virtual viewpoints.
+        pose: Of the query; `None` likewise and where the scan's is unknown.
+    """
+
+    relative_yaw_deg: float | None = None
+    lateral_m: float | None = None
+    pose: Pose | None = None
+
+
+def estimate(
+    search: Search,
+    trajectory: Trajectory,
+    row: int,
+    yaw_deg: float | None,
+    among: BoolArray | None = None,
+) -> Estimate:
+    """Estimate the pose of a query near a scan that it matches.
+
+    A search that compares images knows it from these.
+
+    Args:
+        search: The query's search.
+        trajectory: Of the map.
+        row: The scan's.
+        yaw_deg: Relative yaw of the query to it, `None` where the encoding does not give it.
+        among: `(K,)` which scans may be used, `row` one of them; all without it.
+    """
+    poses, known = trajectory.poses, bool(trajectory.known[row])
+    placed = search.displacement(row)
+    if placed is not None:
+        ahead_m, beside_m, turned_deg = placed
+        placed_pose = pose_beside(poses[row], beside_m, turned_deg, ahead_m)
+        return Estimate(turned_deg, beside_m, Pose.from_row(placed_pose))
+    rows = _rows_beside(trajectory, row, among) if known else np.array([row])
+    # Poses bring the scans into one heading.
+    turn_deg = heading_deg(poses[rows]) - heading_deg(poses[[row]]) if known else np.zeros(1)
+    seen = search.viewpoints(rows, (yaw_deg or 0.0) - turn_deg)
+    if seen is None:
+        return Estimate()
+    along = _along(len(rows))
+    across, lateral_m = _across(tuple(seen.lateral_m.tolist()))
+    length = np.linalg.norm(seen.renderings[1], axis=-1, keepdims=True)
+    units = seen.renderings / np.where(length > 0.0, length, 1.0)
+    query = seen.query / (float(np.linalg.norm(seen.query)) or 1.0)
+    step = 0.0
+    for _ in range(_ROUNDS):
+        likely = _likelihood(across @ np.tensordot(along, _at(step, units), 1), query)
+        of_rendering = along.T @ likely @ across
+        step = _best_step(_cosine(np.einsum("sv,hsvx->hx", of_rendering, units), query))
+    if yaw_deg is not None:
+        yaw_deg = wrapped_deg(yaw_deg + step * seen.step_deg)
+    if not known:
+        return Estimate(yaw_deg, float(likely.sum(axis=0) @ lateral_m), None)
+    on_line_m, left_m = places_beside_m(poses[rows], np.array([0.0, 1.0])).transpose(1, 0, 2)
+    pose = pose_beside(poses[row], 0.0, yaw_deg or 0.0)
+    pose[:3] = (likely.sum(axis=1) @ along) @ on_line_m
+    pose[:3] += (likely @ lateral_m @ along) @ (left_m - on_line_m)
+    return Estimate(yaw_deg, left_of_m(poses[row], pose), Pose.from_row(pose))
+
+
+def _rows_beside(trajectory: Trajectory, row: int, among: BoolArray | None) -> IntArray:
+    """Return `row` and the rows before and after it in its drive that were recorded near it."""
+    rows = np.arange(len(trajectory)) if among is None else np.flatnonzero(among)
+    at = int(np.searchsorted(rows, row))
+    rows = rows[max(0, at - 1) : at + 2]
+    apart_m = np.linalg.norm(trajectory.poses[rows, :3] - trajectory.poses[row, :3], axis=1)
+    same_drive = trajectory.drive_of_scan[rows] == trajectory.drive_of_scan[row]
+    near = same_drive & (apart_m <= _SAME_PLACE_M)  # an unknown distance is NaN and not near
+    return np.asarray(rows[near])
+
+
+@lru_cache(maxsize=8)
+def _along(scans: int) -> FloatArray:
+    """Return the weights of some scans at each place of the lattice along them, `(a, n)`."""
+    return frozen(_between(scans, _STEPS_ALONG), np.float64)
+
+
+@lru_cache(maxsize=8)
+def _across(offsets_m: tuple[float, ...]) -> tuple[FloatArray, FloatArray]:
+    """Return the weights of viewpoints at each place of the lattice across the path.
+
+    It continues as far beyond the outermost ones as these are from the one on the line.
+
+    Returns:
+        `(c, D)` weights and `(c,)` how far to the left the places are.
+    """
+    offset_m, viewpoints = np.array(offsets_m), np.eye(len(offsets_m))
+    line = int(np.abs(offset_m).argmin())
+    weights = [_between(len(offset_m), _STEPS_ACROSS)]
+    places_m = [weights[0] @ offset_m]
+    steps = line * _STEPS_ACROSS
+    for end, within_m in ((0, places_m[0][1 : steps + 1]), (-1, places_m[0][steps:-1])):
+        places_m.append(2.0 * offset_m[end] - within_m)
+        share = (offset_m[end] - within_m) / (offset_m[end] - offset_m[line])
+        weights.append(viewpoints[end] + share[:, None] * (viewpoints[end] - viewpoints[line]))
+    return (
+        frozen(np.concatenate(weights), np.float64),
+        frozen(np.concatenate(places_m), np.float64),
+    )
+
+
+def _between(places: int, steps: int) -> FloatArray:
+    """Return the weights of some places at each of `steps` steps from one to the next.
+
+    Examples:
+        >>> _between(2, 2).tolist()
+        [[1.0, 0.0], [0.5, 0.5], [0.0, 1.0]]
+    """
+    at = np.linspace(0.0, places - 1.0, steps * (places - 1) + 1)
+    return np.maximum(0.0, 1.0 - np.abs(at[:, None] - np.arange(places)))
+
+
+def _at(step: float, headings: FloatArray) -> FloatArray:
+    """Return what is `step` steps from the middle of three headings, by a parabola."""
+    weights = [step * (step - 1.0) / 2.0, 1.0 - step * step, step * (step + 1.0) / 2.0]
+    return np.tensordot(weights, headings, 1)
+
+
+def _cosine(renderings: FloatArray, query: FloatArray) -> FloatArray:
+    """Return the cosine of `(..., d)` renderings with a query of length 1."""
+    length = np.sqrt(np.einsum("...x,...x->...", renderings, renderings))
+    return (renderings @ query) / np.where(length > 0.0, length, 1.0)
+
+
+def _likelihood(renderings: FloatArray, query: FloatArray) -> FloatArray:
+    """Return how likely a query is to be of each of `(a, c, d)` renderings; the sum is 1."""
+    left = np.maximum(1.0 - np.maximum(_cosine(renderings, query), 0.0) ** 2, _LEAST_LEFT)
+    likely = (left.min() / left) ** (len(query) / 2.0)
+    return np.asarray(likely / likely.sum())
+
+
+def _best_step(cosine: FloatArray) -> float:
+    """Return where the parabola through three headings is highest, in steps from the middle one."""
+    before, at, after = cosine.tolist()
+    curvature = 2.0 * at - before - after
+    if curvature <= 0.0:
+        return 0.0
+    return float(np.clip(0.5 * (after - before) / curvature, -_MOST_STEPS, _MOST_STEPS))
