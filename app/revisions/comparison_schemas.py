@@ -148,5 +148,6 @@ def _parameters(record: RevisionRecord, tensor_map: TensorMap) -> dict[str, Any]
     return {
         **tensor_map.parameters.as_attributes(),
         "segmentation": tensor_map.parameters.segmentation.value,
+        "views": tensor_map.parameters.views.value,
         "segment_length": record.parameters.get("segment_length"),
     }

@@ -11,7 +11,7 @@ from tests.support.service import damage, problem_of, running, upload
 
 MAP = "/v1/maps/campus"
 HDF5 = {"Content-Type": "application/vnd.tensormap.map+hdf5"}
-PLAIN = {"lateral_renderings_m": [0], "segment_length": 12}
+PLAIN = {"views": "full", "lateral_renderings_m": [0], "segment_length": 12}
 
 
 @pytest.fixture(scope="module")
