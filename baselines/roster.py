@@ -22,12 +22,20 @@ METHODS = (
     "m2dp",
     "map-closures",
 )
+_MASKED = tuple(name for name in encoding_names() if encoding_named(name).masks)
+BY_SCAN = tuple(f"{name}-scan" for name in _MASKED)
+"""Queries by whole scans, of maps of any views."""
 _SCAN_CONTEXT_CANDIDATES = 10  # the fewer of the paper's two, 10 and 50
 
 
-def default_methods() -> tuple[str, ...]:
-    """Return all methods; `map-closures` only where its package is installed."""
-    return METHODS if is_installed() else METHODS[:-1]
+def default_methods(views: Views | None = None) -> tuple[str, ...]:
+    """Return all methods; `map-closures` only where its package is installed.
+
+    Args:
+        views: Which ones our maps answer: of `any`, queries by whole scans too.
+    """
+    installed = METHODS if is_installed() else METHODS[:-1]
+    return (*BY_SCAN, *installed) if views == Views.ANY else installed
 
 
 def methods_named(
@@ -51,11 +59,16 @@ def methods_named(
             `None`.
 
     Raises:
-        InvalidParameters: If a name is unknown, the sensor is, or a package is not installed.
+        InvalidParameters: If a name is unknown, the sensor is, or a package is not installed; or
+            if queries are whole scans and views are `full`.
     """
     grid = sensor_named(sensor).grid
 
-    def mapped(encoding: str) -> Method:
+    def mapped(encoding: str, *, by_scan: bool = False) -> Method:
+        if by_scan and views == Views.FULL:
+            raise InvalidParameters(
+                f"the method {encoding}-scan wants views any; of other maps it is {encoding}"
+            )
         parameters = MapParameters.for_sensor(
             sensor,
             encoding=encoding,
@@ -63,7 +76,7 @@ def methods_named(
             sensor_height_m=sensor_height_m,
             views=views if encoding_named(encoding).masks else None,
         )
-        return MappedPlaces(parameters, segment_length)
+        return MappedPlaces(parameters, segment_length, by_scan)
 
     def solid() -> Method:
         lowest_deg, highest_deg = grid.elevations_deg[[0, -1]].tolist()
@@ -76,6 +89,7 @@ def methods_named(
     context = partial(ScanContext, sensor_height_m=sensor_height_m)
     made: dict[str, Callable[[], Method]] = {
         **{name: partial(mapped, name) for name in encoding_names()},
+        **{f"{name}-scan": partial(mapped, name, by_scan=True) for name in _MASKED},
         "scan-context": context,
         "scan-context-ring-key": partial(context, candidates=_SCAN_CONTEXT_CANDIDATES),
         "solid": solid,
@@ -85,7 +99,7 @@ def methods_named(
     unknown = [name for name in names if name not in made]
     if unknown:
         raise InvalidParameters(
-            f"there is no method {unknown[0]!r}; known are {', '.join(METHODS)}"
+            f"there is no method {unknown[0]!r}; known are {', '.join((*METHODS, *BY_SCAN))}"
         )
     chosen = tuple(made[name]() for name in names)
     for method in chosen:

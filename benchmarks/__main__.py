@@ -7,6 +7,7 @@ _ALL = (
     "fit_segment",
     "localize",
     "match_harmonic",
+    "match_scan",
     "answer_overhead",
     "http_answers",
     "build_memory",

@@ -48,6 +48,8 @@ class MapParameters:
             `None` in an encoding without virtual viewpoints.
         segmentation: How drives were cut into segments. Queries do not depend on it.
         views: Which views the map answers; `any` in an encoding that can mask signatures only.
+        verification_images: Whether a map of any views keeps small images of its scans, with which
+            the best candidates of scan queries are compared.
     """
 
     encoding: str = "paper"
@@ -60,6 +62,7 @@ class MapParameters:
     lateral_renderings_m: tuple[float, ...] | None = None
     segmentation: Segmentation = Segmentation.FIXED
     views: Views = Views.FULL
+    verification_images: bool = False
 
     def __post_init__(self) -> None:
         # 2 and 2.0 metres are one choice, and must be one digest; a list of ranks is no tuple.
@@ -71,6 +74,10 @@ class MapParameters:
         flaw = flaw_in(self.sensor, _LONGEST_SENSOR)
         if flaw is not None:
             raise InvalidParameters(f"sensor is {ascii(self.sensor)[:80]}: {flaw}")
+        if not isinstance(self.verification_images, bool):
+            raise InvalidParameters(
+                f"verification_images is {self.verification_images!r}, wanted true or false"
+            )
         if len(self.ranks) != 2:
             raise InvalidParameters(f"ranks is {self.ranks}, wanted (r1, r2)")
         # The imager rejects a reducer of other images, and normalizes renderings.
@@ -114,12 +121,14 @@ class MapParameters:
         lateral_renderings_m: Sequence[float] | None = None,
         segmentation: Segmentation = Segmentation.FIXED,
         views: Views | None = None,
+        verification_images: bool | None = None,
     ) -> "MapParameters":
         """Return parameters for a known sensor; what is not given is the encoding's default.
 
         The paper's are range images, `last`; the harmonic's are heights, `highest`, or on request
-        ranges, `mean`, `normalised`, and five renderings. Maps answer any views where they can.
-        A sensor without a usual height is assumed as high as an HDL-64E.
+        ranges, `mean`, `normalised`, and five renderings. Maps answer any views where they can, and
+        then have verification images. A sensor without a usual height is assumed as high as an
+        HDL-64E.
 
         Raises:
             InvalidParameters: If the sensor or encoding is unknown, a value is out of its range or
@@ -146,6 +155,7 @@ class MapParameters:
             offsets_m,
             segmentation,
             views,
+            views == Views.ANY if verification_images is None else verification_images,
         )
 
     def as_attributes(self) -> dict[str, Any]:
@@ -167,6 +177,8 @@ class MapParameters:
             attributes["segmentation"] = self.segmentation.value
         if self.views != Views.FULL:
             attributes["views"] = self.views.value
+        if self.verification_images:
+            attributes["verification_images"] = True
         return attributes
 
     @classmethod
@@ -190,6 +202,7 @@ class MapParameters:
                 None if offsets_m is None else tuple(map(float, offsets_m)),
                 Segmentation(attributes.get("segmentation", Segmentation.FIXED)),
                 Views(attributes.get("views", Views.FULL)),
+                attributes.get("verification_images", False),
             )
         except (KeyError, TypeError, ValueError, OverflowError, InvalidParameters) as error:
             raise InvalidMap(f"the map's parameters cannot be read: {error!r}") from error

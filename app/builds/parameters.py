@@ -28,6 +28,7 @@ _OF_MAP = (
     "distance",
     "lateral_renderings_m",
     "views",
+    "verification_images",
     "sensor",
     "sensor_height_m",
 )
@@ -137,6 +138,12 @@ class BuildParameters(BaseModel):
         " `full`: queries are level and see all around. By default as the live revision of the"
         " same encoding and image, else `any` where they can be: in harmonic maps of heights.",
     )
+    verification_images: Flag | None = Field(
+        None,
+        description="Whether a map of `any` views keeps a small image of each scan, 60 bytes a"
+        " ring: the best candidates of a scan or image query are compared with them cell by cell."
+        " By default as the live revision, if its `views` are taken, else where `views` is `any`.",
+    )
     sensor: str = Field(HDL_64E.name, description=f"One of {', '.join(sorted(SENSORS))}.")
     sensor_height_m: Number | None = Field(
         None,
@@ -210,7 +217,7 @@ class BuildParameters(BaseModel):
             InvalidParameters: If one is given that differs from that of the revision.
         """
         # Records of releases that knew full views only do not name them.
-        taken = {"views": Views.FULL.value}
+        taken: dict[str, Any] = {"views": Views.FULL.value, "verification_images": False}
         taken |= {name: value for name, value in of_base.items() if name in _OF_BASE}
         given = self.model_dump(mode="json", exclude_unset=True, exclude_none=True)
         for name in sorted(given.keys() & _OF_BASE):

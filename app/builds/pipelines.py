@@ -154,6 +154,7 @@ def _publish(
                 ],
             },
             "returns": built.returns,
+            "verification_bytes": tensor_map.verification_bytes,
             "calibrated": tensor_map.calibration is not None,
             "skipped": {name: len(skipped) for name, skipped in built.skipped.items() if skipped},
             **_setups(drives),

@@ -37,7 +37,7 @@ class Plan(BaseModel):
     def _of_an_earlier_release(cls, parameters: object) -> object:
         """Take plans that were stored when full views were the only ones as they were meant."""
         if isinstance(parameters, Mapping):
-            return {"views": Views.FULL.value, **parameters}
+            return {"views": Views.FULL.value, "verification_images": False, **parameters}
         return parameters
 
 
@@ -108,13 +108,17 @@ def _with_views_of_live(store: Store, map_id: str, parameters: BuildParameters) 
         return parameters
     with suppress(CorruptFile):
         live = _live(store, map_id)
-        wanted = parameters.map_parameters()
+        # Images that are requested need the views that are to be taken.
+        wanted = parameters.model_copy(update={"verification_images": None}).map_parameters()
         if live is not None and (live[1].encoding, live[1].image, live[1].distance) == (
             wanted.encoding,
             wanted.image,
             wanted.distance,
         ):
-            return parameters.model_copy(update={"views": live[1].views})
+            taken: dict[str, object] = {"views": live[1].views}
+            if parameters.verification_images is None:
+                taken["verification_images"] = live[1].verification_images
+            return parameters.model_copy(update=taken)
     return parameters
 
 

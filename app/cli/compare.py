@@ -10,7 +10,7 @@ import typer
 from app.cli import evaluation, options
 from app.cli.console import figure, progress_bar, say
 from app.provenance import provenance
-from baselines.roster import METHODS, default_methods, methods_named
+from baselines.roster import BY_SCAN, METHODS, default_methods, methods_named
 from core.errors import InvalidParameters
 from core.evaluation.compare import (
     Comparison,
@@ -23,6 +23,7 @@ from core.evaluation.condition import conditions
 from core.evaluation.disturbances import Recording
 from core.evaluation.pairing import RECENT_SCANS, HeldOut, LoopClosing, Pairing, SecondPass
 from core.evaluation.retrieval import Counting
+from core.projection.imager import Views
 from core.scans.drive import Drive
 from core.scans.sensor import HDL_64E, sensor_named
 from core.segmentation.fixed import segment_length_for
@@ -75,7 +76,10 @@ def compare(
     ] = 1,
     methods: Annotated[
         str | None,
-        evaluation.protocol_option(help=f"Some of {','.join(METHODS)}. [all that are installed]"),
+        evaluation.protocol_option(
+            help=f"Some of {','.join(METHODS)}; of any views {','.join(BY_SCAN)} too."
+            " [all that are installed]"
+        ),
     ] = None,
     ranks_text: options.RanksOption = None,
     views: options.ViewsOption = None,
@@ -113,7 +117,7 @@ def compare(
     length = segment_length_for(
         max(1, len(mapped)), segment_length=segment_length, segments=segments
     )
-    names = default_methods() if methods is None else tuple(methods.split(","))
+    names = default_methods(views or Views.ANY) if methods is None else tuple(methods.split(","))
     chosen = methods_named(
         names,
         sensor=sensor,

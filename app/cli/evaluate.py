@@ -43,6 +43,7 @@ def evaluate(
     ranks_text: options.RanksOption = None,
     segmentation: options.SegmentationOption = Segmentation.FIXED,
     views: options.ViewsOption = None,
+    verification_images: options.VerificationOption = None,
     segment_length: options.SegmentLengthOption = None,
     segments: options.SegmentsOption = None,
     reducer: options.ReducerOption = None,
@@ -89,6 +90,7 @@ def evaluate(
             ),
             segmentation=segmentation,
             views=views,
+            verification_images=verification_images,
         ),
         segment_length=segment_length,
         segments=segments,
@@ -168,10 +170,11 @@ def _show(result: Evaluation) -> None:
             f" {figure(standing, '.4f')} standing, {figure(moving, '.4f')} moving"
         )
     errors = result.relative_error
+    verification = options.of_verification(result.compression.verification_bytes)
     say(
         f"relative error {min(errors):.3f}..{max(errors):.3f}; compression"
         f" 1 : {result.compression.tensor_ratio:.1f} : {result.compression.returns_ratio:.0f},"
-        f" {result.compression.elements} elements"
+        f" {result.compression.elements} elements{verification}"
     )
     for skipped in result.skipped:
         say(f"left out scan {skipped.scan}: {skipped.reason}")

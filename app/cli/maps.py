@@ -47,6 +47,7 @@ def build(
     ranks_text: options.RanksOption = None,
     segmentation: options.SegmentationOption = Segmentation.FIXED,
     views: options.ViewsOption = None,
+    verification_images: options.VerificationOption = None,
     segment_length: options.SegmentLengthOption = None,
     segments: options.SegmentsOption = None,
     reducer: options.ReducerOption = None,
@@ -79,6 +80,7 @@ def build(
             ranks=options.ranks(ranks_text),
             segmentation=segmentation,
             views=views,
+            verification_images=verification_images,
             segment_length=segment_length,
             segments=segments,
             reducer=reducer,
@@ -111,10 +113,11 @@ def build(
     for note in (*parameters.assumptions, *built.notes):
         say(note)
     compression = built.compression
+    verification = options.of_verification(compression.verification_bytes)
     say(
         f"{output_file}: {len(tensor_map)} scans, {tensor_map.model.segments} segments,"
         f" 1 : {compression.tensor_ratio:.1f} : {compression.returns_ratio:.0f}"
-        f" in {output_file.stat().st_size} bytes, revision {tensor_map.revision}"
+        f" in {output_file.stat().st_size} bytes{verification}, revision {tensor_map.revision}"
     )
     if tensor_map.calibration is None:
         say("not calibrated: too few scans, or too close together, to learn trust from")
@@ -338,6 +341,7 @@ def inspect(
         "views": tensor_map.parameters.views.value,
         "elements": tensor_map.elements,
         "size_bytes": map_file.stat().st_size,
+        "verification_bytes": tensor_map.verification_bytes,
         "arrays": {
             name: {"shape": list(array.shape), "dtype": str(array.dtype)}
             for name, array in tensor_map.arrays().items()
@@ -350,6 +354,8 @@ def inspect(
         return
     for name in (*_FACTS, "views", "scans", "segmentation"):
         say(f"{name:>12}  {facts[name]}")
+    size = f"{facts['size_bytes']} bytes{options.of_verification(tensor_map.verification_bytes)}"
+    say(f"{'size':>12}  {size}")
     edges = facts["edges"]
     say(f"{'graph':>12}  {facts['nodes']} nodes, {len(edges)} edges")
     table = Table("edge", "nodes", "segment", "scans", "length m", "relative error")

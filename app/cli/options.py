@@ -88,6 +88,14 @@ ViewsOption = Annotated[
         " are level and see all around. [full]"
     ),
 ]
+VerificationOption = Annotated[
+    bool | None,
+    _build(
+        "--verification-images/--no-verification-images",
+        help="Keep a small image of each scan: the best candidates of a scan query are compared"
+        " with them cell by cell. [where views are any]",
+    ),
+]
 LateralRenderingsOption = Annotated[
     str | None,
     _build(
@@ -247,3 +255,8 @@ RanksOption = Annotated[
         callback=checked(ranks),
     ),
 ]
+
+
+def of_verification(size_bytes: int) -> str:
+    """Return how many bytes are of verification images, as the end of a phrase."""
+    return f", {size_bytes} of verification images" if size_bytes else ""

@@ -23,6 +23,7 @@ class ComparedOut(BaseModel):
     revision: str
     created_at: datetime
     size_bytes: int
+    verification_bytes: int = Field(description="Of them, of verification images.")
     drives: list[str]
     scans: int
     segments: int
@@ -50,6 +51,7 @@ class ComparedOut(BaseModel):
             revision=tensor_map.revision,
             created_at=record.created_at,
             size_bytes=record.size_bytes,
+            verification_bytes=tensor_map.verification_bytes,
             drives=list(tensor_map.trajectory.drives),
             scans=len(tensor_map),
             segments=tensor_map.model.segments,

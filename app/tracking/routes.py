@@ -27,6 +27,7 @@ from app.tracking.tracks import LiveTrack
 from core import errors as core
 from core.encodings.signature import Signature
 from core.localization.localizer import Localizer
+from core.projection.imager import Image
 from storage import errors as stored
 from storage.formats.errors import EmptyBody
 
@@ -129,8 +130,8 @@ def observe(
 ) -> TrackStepOut:
     """Take the next observation: a scan, several that become one, an image or signatures."""
     found, live = track_of(running, map_slug, track_id)
-    signatures = _signatures(found.localizer, body, content_type, running, query)
-    step = found.observe(query.to_core(signatures))
+    observed = _observed(found.localizer, body, content_type, running, query)
+    step = found.observe(query.to_core(*observed))
     running.metrics.localized("track", step.reason)
     return TrackStepOut.from_core(found.id, step, live)
 
@@ -146,18 +147,21 @@ def track_of(running: Service, map_slug: str, track_id: str) -> tuple[LiveTrack,
     return running.tracks.get(record.id, track_id), record.live_revision
 
 
-def _signatures(
+def _observed(
     localizer: Localizer,
     body: bytes,
     content_type: str | None,
     running: Service,
     query: ObservationQuery,
-) -> tuple[Signature, ...]:
+) -> tuple[tuple[Signature, ...], Image | None]:
+    """Return the signatures of an observation, and its image unless signatures came."""
     kind = media_type(content_type)
     if kind in {"application/json", SIGNATURE_TYPE}:
-        return read_signatures(body, content_type)
+        return read_signatures(body, content_type), None
     if kind == IMAGE_TYPE:
-        return localizer.basis.encode(read_image(body, localizer.map.parameters.grid))
+        image = read_image(body, localizer.map.parameters.grid)
+        return localizer.basis.encode(image), image
     height_m = localizer.map.parameters.sensor_height_m
     scan = read_query(body, content_type, query, running.settings, height_m)
-    return localizer.basis.encode(localizer.basis.image(scan, query.sensor_height_m))
+    image = localizer.basis.image(scan, query.sensor_height_m)
+    return localizer.basis.encode(image), image

@@ -11,6 +11,7 @@ from app.localization.schemas import SignaturesIn
 from app.localization.sensor_schemas import SensorIn
 from app.tracking.tracks import LiveTrack
 from core.encodings.signature import Signature
+from core.projection.imager import Image
 from core.tracking.step import Direction, Doubt, TrackStep
 from core.tracking.track import Observation
 
@@ -52,9 +53,9 @@ class ObservationQuery(SensorIn):
         description="Odometry since the last observation, negative backwards.",
     )
 
-    def to_core(self, signatures: tuple[Signature, ...]) -> Observation:
-        """Return the observation of some signatures."""
-        return Observation(signatures, self.timestamp_s, self.sequence, self.travelled_m)
+    def to_core(self, signatures: tuple[Signature, ...], image: Image | None) -> Observation:
+        """Return the observation of a scan's signatures, and of its image if it came."""
+        return Observation(signatures, self.timestamp_s, self.sequence, self.travelled_m, image)
 
 
 class TrackStepOut(Shown):

@@ -113,6 +113,8 @@ class Encoding(ABC):
             )
         if parameters.views != Views.FULL:
             self.require_any_views(parameters)
+        elif parameters.verification_images:
+            raise InvalidParameters("verification_images is true, which wants views = any")
         for name in ("distance", "lateral_renderings_m"):
             default, given = getattr(self, name), getattr(parameters, name)
             if default is None and given is not None:

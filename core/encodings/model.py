@@ -13,6 +13,8 @@ from core.arrays import BoolArray, FloatArray, IntArray, arrays_of, frozen
 from core.encodings.basis import Basis
 from core.encodings.signature import Signature
 from core.errors import InvalidMap, UnknownSegment
+from core.projection.imager import Image
+from core.projection.probe import Displacement
 from core.projection.visibility import FULL_VIEW, View
 
 if TYPE_CHECKING:
@@ -76,9 +78,11 @@ class Search(ABC):
 
     Attributes:
         segments: The segments that are searched, rising.
+        verified: Whether distances are of images too, and not of signatures alone.
     """
 
     segments: tuple[int, ...]
+    verified: ClassVar[bool] = False
 
     @abstractmethod
     def nearest(self, k: int, among: BoolArray | None = None) -> Neighbours:
@@ -107,6 +111,13 @@ class Search(ABC):
         Args:
             rows: `(n,)`.
             relative_yaw_deg: `(n,)` of the query to each scan, counter-clockwise.
+        """
+        return None
+
+    def displacement(self, row: int) -> Displacement | None:
+        """Return how far the query is ahead of a scan and to its left, and its relative yaw.
+
+        `None` of a search that does not compare images.
         """
         return None
 
@@ -215,6 +226,18 @@ class Model(ABC):
             values: As `Basis.project` returns them.
             view: What the image shows; full but in an encoding that masks.
         """
+
+    def search_image(self, image: Image, basis: Basis) -> Search:
+        """Compare an image, by all that the map has for that: at least by its signatures.
+
+        Args:
+            image: Of the map's kind and grid.
+            basis: Of all segments.
+
+        Raises:
+            SensorMismatch: If the image is of another kind or on another grid.
+        """
+        return self.search_values(basis.project(image), basis.view(image))
 
     @abstractmethod
     def own_queries(

@@ -8,7 +8,8 @@ from typing import Any, Protocol
 import numpy as np
 
 from core.arrays import IntArray
-from core.encodings.signature import Signature, pack_signatures
+from core.encodings.model import Search
+from core.encodings.signature import pack_signatures
 from core.mapping.pipeline import build, project_scans
 from core.mapping.tensormap import TensorMap
 from core.parameters import MapParameters
@@ -89,15 +90,17 @@ class MappedPlaces:
     Attributes:
         parameters: What the map is built with.
         segment_length: k in scans of the drive, as in an evaluation.
+        by_scan: Whether queries are whole scans, and not signatures.
     """
 
     parameters: MapParameters
     segment_length: int
+    by_scan: bool = False
 
     @property
     def name(self) -> str:
-        """The encoding."""
-        return self.parameters.encoding
+        """The encoding; of whole scans `-scan` after it."""
+        return f"{self.parameters.encoding}{'-scan' if self.by_scan else ''}"
 
     def configuration(self) -> dict[str, Any]:
         """Return the map's parameters."""
@@ -117,18 +120,27 @@ class MappedPlaces:
         basis = tensor_map.basis()
         first = basis.encode(basis.image(drive.scan(int(kept[0]))))
         stored = sum(array.nbytes for array in tensor_map.model.arrays().values())
+        if not self.by_scan:
+            stored -= tensor_map.verification_bytes
 
         def describe(scan: Scan) -> Match:
-            return partial(_nearest_in_map, tensor_map, basis.encode(basis.image(scan)))
+            image, model = basis.image(scan), tensor_map.model
+            if self.by_scan:
+                return partial(
+                    _nearest_in_map, tensor_map, lambda: model.search_image(image, basis)
+                )
+            signatures = basis.encode(image)
+            return partial(_nearest_in_map, tensor_map, lambda: model.search(signatures))
 
-        return Enrolled(kept, len(pack_signatures(first)), stored / len(kept), describe)
+        sent = None if self.by_scan else len(pack_signatures(first))
+        return Enrolled(kept, sent, stored / len(kept), describe)
 
 
 def _nearest_in_map(
-    tensor_map: TensorMap, signatures: tuple[Signature, ...], before: int | None
+    tensor_map: TensorMap, search: Callable[[], Search], before: int | None
 ) -> Nearest | None:
     among = None if before is None else np.arange(len(tensor_map)) < before
-    found = tensor_map.model.search(signatures).nearest(1, among)
+    found = search().nearest(1, among)
     if not len(found):
         return None
     yaw_deg = found.relative_yaw_deg[0]

@@ -140,7 +140,8 @@ def evaluate_tracks(
     basis = tracker.localizer.basis
 
     def observe(_: int, scan: Scan) -> Observation:
-        return Observation(basis.encode(basis.image(scan)))
+        image = basis.image(scan)
+        return Observation(basis.encode(image), image=image)
 
     (observed,) = queries.answers([observe], "tracking", progress)
     return tuple(

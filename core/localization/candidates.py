@@ -109,7 +109,7 @@ def _most_likely(
 ) -> Neighbours:
     """Return the nearest scans within a prior, most likely first; by distance if not calibrated."""
     found = nearest_within(search, k, prior, among)
-    calibration = tensor_map.calibration
+    calibration = tensor_map.calibration_of(search)
     if calibration is None:
         return found
     log_odds = calibration.log_likelihood_ratio(found.distances) + prior.log_weight(found)
@@ -118,7 +118,7 @@ def _most_likely(
 
 def deviation_of(tensor_map: TensorMap, search: Search, found: Neighbours) -> Deviation | None:
     """Return the standard deviations of the first match if it is right, `None` if not known."""
-    calibration = tensor_map.calibration
+    calibration = tensor_map.calibration_of(search)
     if calibration is None or calibration.spread is None:
         return None
     near = close_along_m(tensor_map.trajectory, int(found.rows[0]))

@@ -114,7 +114,7 @@ class Localizer:
             InvalidParameters: As `localize_scan`.
             UnknownSegment: Likewise.
         """
-        search = self.map.model.search_values(self.basis.project(image), self.basis.view(image))
+        search = self.search_image(image)
         return self._localize(search, k, priors, min_probability, image.occupied_cells)
 
     def localize_signatures(
@@ -148,7 +148,9 @@ class Localizer:
         require_at_least(1, k=k)
         prior = None if priors == NO_PRIORS else MapPrior(priors, self.map)
         candidates = find_candidates(self.map, search, k, prior)
-        decision = candidates.decide(self.map.calibration, min_probability, occupied_cells)
+        decision = candidates.decide(
+            self.map.calibration_of(search), min_probability, occupied_cells
+        )
         return Localization(
             self.map.revision,
             tuple(
@@ -191,6 +193,14 @@ class Localizer:
         """
         self._require_answerable(signatures)
         return self.map.model.search(signatures)
+
+    def search_image(self, image: Image) -> Search:
+        """Return the comparison of an image with the map's scans.
+
+        Raises:
+            SensorMismatch: If the image is of another kind or grid.
+        """
+        return self.map.model.search_image(image, self.basis)
 
     def _require_answerable(self, signatures: Sequence[Signature]) -> None:
         if not signatures:

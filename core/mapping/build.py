@@ -70,7 +70,11 @@ def fit_map(
     )
     if probes is None:
         return tensor_map
-    return replace(tensor_map, calibration=calibrate(tensor_map, probes, progress))
+    calibration = calibrate(tensor_map, probes, progress)
+    if not parameters.verification_images:
+        return replace(tensor_map, calibration=calibration)
+    of_images = calibrate(tensor_map, probes, progress, by_images=True)
+    return replace(tensor_map, calibration=calibration, image_calibration=of_images)
 
 
 def _require_cuts(trajectory: Trajectory, segment_start: IntArray) -> None:

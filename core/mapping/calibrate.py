@@ -57,7 +57,11 @@ class _Error:
 
 
 def calibrate(
-    tensor_map: TensorMap, probes: Probes, progress: Progress = NO_PROGRESS
+    tensor_map: TensorMap,
+    probes: Probes,
+    progress: Progress = NO_PROGRESS,
+    *,
+    by_images: bool = False,
 ) -> Calibration | None:
     """Return the calibration of a map; it depends only on the map and its probes.
 
@@ -65,6 +69,8 @@ def calibrate(
         tensor_map: The map.
         probes: Of its own scans.
         progress: Receives each probe.
+        by_images: Whether for queries by images, which are compared with verification images, and
+            not for signatures.
 
     Returns:
         The calibration; `None` if the map is too small: fewer than ten right answers or ten wrong
@@ -81,7 +87,11 @@ def calibrate(
     for probe in used:
         row = int(probes.rows[probe])
         image = image_of(tensor_map, probes.images, probe)
-        search = tensor_map.model.search_values(basis.project(image), basis.view(image))
+        search = (
+            tensor_map.model.search_image(image, basis)
+            if by_images
+            else tensor_map.model.search_values(basis.project(image), basis.view(image))
+        )
         least_cells = min(least_cells, image.occupied_cells)
         beside, here = own_place(trajectory, row)
         elsewhere = away_from(trajectory, row, _ELSEWHERE_M, _ELSEWHERE_SCANS)

@@ -53,6 +53,8 @@ def estimate(
 ) -> Estimate:
     """Estimate the pose of a query near a scan that it matches.
 
+    A search that compares images knows it from these.
+
     Args:
         search: The query's search.
         trajectory: Of the map.
@@ -61,6 +63,11 @@ def estimate(
         among: `(K,)` which scans may be used, `row` one of them; all without it.
     """
     poses, known = trajectory.poses, bool(trajectory.known[row])
+    placed = search.displacement(row)
+    if placed is not None:
+        ahead_m, beside_m, turned_deg = placed
+        placed_pose = pose_beside(poses[row], beside_m, turned_deg, ahead_m)
+        return Estimate(turned_deg, beside_m, Pose.from_row(placed_pose))
     rows = _rows_beside(trajectory, row, among) if known else np.array([row])
     # Poses bring the scans into one heading.
     turn_deg = heading_deg(poses[rows]) - heading_deg(poses[[row]]) if known else np.zeros(1)

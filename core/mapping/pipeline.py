@@ -102,6 +102,7 @@ class Build:
             scans=len(self.tensor_map),
             grid_shape=self.tensor_map.parameters.grid.shape,
             returns=self.returns,
+            verification_bytes=self.tensor_map.verification_bytes,
         )
 
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from core.arrays import FloatArray, IntArray, freeze
 from core.confidence.calibration import Calibration
 from core.encodings.basis import Basis
-from core.encodings.model import Model
+from core.encodings.model import Model, Search
 from core.errors import EmptyDrive, InvalidMap, InvalidParameters
 from core.parameters import MapParameters
 from core.revision import content_digest
@@ -28,6 +28,7 @@ _WHOLE = {
     "edge_of_segment",
     "segment_reversed",
     "hidden_sectors",
+    "verification_images",
 }
 
 
@@ -42,6 +43,8 @@ class TensorMap:
         topology: Nodes, edges, and the edge along which each segment runs.
         relative_error: `(L,)` |X - X^| / |X| of each segment's images, renderings included.
         calibration: From distances to probabilities; `None` if the map is not calibrated.
+        image_calibration: The same of queries that verification images are compared with; `None`
+            without them too.
     """
 
     parameters: MapParameters
@@ -50,6 +53,7 @@ class TensorMap:
     topology: Topology
     relative_error: FloatArray
     calibration: Calibration | None = None
+    image_calibration: Calibration | None = None
 
     def __post_init__(self) -> None:
         freeze(self, relative_error=np.float64)
@@ -111,6 +115,16 @@ class TensorMap:
         """The digest of the basis of all segments."""
         return self.basis_digests[-1]
 
+    def calibration_of(self, search: Search) -> Calibration | None:
+        """Return the calibration of a search's distances; `None` if the map is not calibrated."""
+        return self.image_calibration if search.verified else self.calibration
+
+    @property
+    def verification_bytes(self) -> int:
+        """The size of its verification images, which `elements` does not count."""
+        images = self.model.arrays().get("verification_images")
+        return 0 if images is None else images.nbytes
+
     @property
     def elements(self) -> int:
         """How many numbers the bases and signatures are (paper, sec. 2.4)."""
@@ -147,6 +161,8 @@ class TensorMap:
         attributes = {**self.parameters.as_attributes(), "drives": list(self.trajectory.drives)}
         if self.calibration is not None:
             attributes["calibration"] = self.calibration.as_attributes()
+        if self.image_calibration is not None:
+            attributes["image_calibration"] = self.image_calibration.as_attributes()
         return attributes
 
     @classmethod
@@ -182,7 +198,8 @@ class TensorMap:
                 ),
                 _topology(a),
                 a["relative_error"],
-                _calibration(attributes),
+                _calibration(attributes, "calibration"),
+                _calibration(attributes, "image_calibration"),
             )
         except KeyError as error:
             raise InvalidMap(f"the map lacks {error}") from error
@@ -213,10 +230,10 @@ def _numbers(name: str, array: NDArray[Any], dtype: str) -> NDArray[Any]:
     return values
 
 
-def _calibration(attributes: Mapping[str, Any]) -> Calibration | None:
-    if "calibration" not in attributes:  # an older file, or one of dropped returns
+def _calibration(attributes: Mapping[str, Any], name: str) -> Calibration | None:
+    if name not in attributes:  # an older file, or one of dropped returns
         return None
-    return Calibration.from_attributes(attributes["calibration"])
+    return Calibration.from_attributes(attributes[name])
 
 
 def _topology(a: dict[str, NDArray[Any]]) -> Topology:

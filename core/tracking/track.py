@@ -12,7 +12,9 @@ from core.encodings.signature import Signature
 from core.errors import StaleObservation
 from core.localization.localizer import Localizer
 from core.localization.match import Match, match_at
+from core.mapping.estimate import estimate
 from core.numbers import require_at_least, require_finite
+from core.projection.imager import Image
 from core.scans.pose import Pose
 from core.tracking.belief import Belief
 from core.tracking.emission import Emission
@@ -38,6 +40,8 @@ class Observation:
         timestamp_s: Its time by the vehicle's own clock; rises if given.
         sequence: Its number; rises if given.
         travelled_m: Odometry since the last observation, negative backwards.
+        image: Of the same scan, if there is one: in a map with verification images the vehicle's
+            pose is where they are most alike.
 
     Raises:
         InvalidParameters: If a number is not finite or below its range.
@@ -47,6 +51,7 @@ class Observation:
     timestamp_s: float | None = None
     sequence: int | None = None
     travelled_m: float | None = None
+    image: Image | None = None
 
     def __post_init__(self) -> None:
         require_finite(timestamp_s=self.timestamp_s, travelled_m=self.travelled_m)
@@ -150,9 +155,12 @@ class Track:
             StaleSignature: If a signature was made with another revision's bases.
             UnknownSegment: If the map has no such segment.
             InvalidSignature: If the signatures are not of this map or not of one scan.
+            SensorMismatch: If the image is of another kind or grid.
         """
         self._order.require_newer(observation)
-        search = self._tracker.localizer.search(observation.signatures)
+        localizer, image = self._tracker.localizer, observation.image
+        search = localizer.search(observation.signatures)
+        seen = search if image is None else localizer.search_image(image)
         distances = search.distances()
         belief = self._belief
         if self._observations:
@@ -170,10 +178,10 @@ class Track:
         self._order.keep(observation)
         self._observations += 1
         self._belief = belief
-        self.last = self._step(search, stationary=stationary)
+        self.last = self._step(search, seen, stationary=stationary)
         return self.last
 
-    def _step(self, search: Search, *, stationary: bool) -> TrackStep:
+    def _step(self, search: Search, seen: Search, *, stationary: bool) -> TrackStep:
         tracker = self._tracker
         place = Place.most_likely(self._belief, tracker.map)
         position = self._held(place) if stationary else place.position
@@ -203,7 +211,11 @@ class Track:
             stationary=stationary,
             along_sigma_m=_sigma_m(tracker.graph.along_m, place),
             along_sigma_scans=place.sigma,
-            pose=_pose(tracker.map.trajectory.poses, position, match),
+            pose=(
+                estimate(seen, tracker.map.trajectory, row, match.relative_yaw_deg).pose
+                if seen.verified
+                else _pose(tracker.map.trajectory.poses, position, match)
+            ),
         )
 
     def _held(self, place: Place) -> float:

@@ -11,6 +11,7 @@ from storage.hdf5.source import Fields
 _FLOAT32 = bytes.fromhex("11201f000400000000002000170800177f000000")
 
 CODES: Final = {
+    "|u1": bytes.fromhex("100000000100000000000800"),
     "|i1": bytes.fromhex("100800000100000000000800"),
     "<i2": bytes.fromhex("100800000200000000001000"),
     "<i4": bytes.fromhex("100800000400000000002000"),

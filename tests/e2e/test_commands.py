@@ -63,7 +63,9 @@ def test_evaluate_writes_every_figure(drive: Path, tmp_path: Path) -> None:
     assert (found["encoding"], found["ranks"], found["reducer"]) == ("harmonic", [5, 5], "highest")
     assert (found["segments"], found["sensor"], found["seed"]) == (2, "hdl-64e", 0)
     assert found["sensor_height_m"] == 1.73
-    assert set(found["compression"]) == {"elements", "tensor_ratio", "returns_ratio"}
+    assert set(found["compression"]) == {
+        "elements", "tensor_ratio", "returns_ratio", "verification_bytes"
+    }  # fmt: skip
     assert len(found["relative_error"]) == 2
     assert [(row["yaw_deg"], row["lateral_m"], row["noise_m"]) for row in found["conditions"]] == [
         (y, d, n) for y in (0, -90) for d in (-1, 1) for n in (0, 0.1)

@@ -67,13 +67,14 @@ def golden_harmonic_map() -> TensorMap:
     )
 
 
-def golden_map_of_any_views() -> TensorMap:
+def golden_map_of_any_views(*, verification_images: bool = False) -> TensorMap:
     """Return the same drives in a map of any views; a column of every third scan is hidden."""
     paper = golden_map()
     parameters = replace(
         golden_harmonic_map().parameters,
         grid=RingGrid(ring_m=10.0, rings=4, azimuth_step_deg=6.0),
         views=Views.ANY,
+        verification_images=verification_images,
     )
     heights_m = np.random.default_rng(4).uniform(0.0, 5.0, size=(6, *parameters.imager.shape))
     heights_m[::3, :, :, 7] = -1.0
@@ -91,6 +92,8 @@ def make(folder: Path) -> None:
     write_map(folder / "harmonic-v1.h5", golden_harmonic_map(), datetime(2026, 1, 1, tzinfo=UTC))
     any_views = golden_map_of_any_views()
     write_map(folder / "harmonic-v2.h5", any_views, datetime(2026, 11, 23, tzinfo=UTC))
+    verified = golden_map_of_any_views(verification_images=True)
+    write_map(folder / "harmonic-v2-images.h5", verified, datetime(2026, 11, 23, tzinfo=UTC))
 
 
 if __name__ == "__main__":

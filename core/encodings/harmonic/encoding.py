@@ -32,6 +32,8 @@ from core.progress import Progress
 from core.projection.imager import LATERAL_RENDERINGS_M, ImageKind, Views
 from core.projection.images import ImageSource
 from core.projection.reducer import Reducer
+from core.projection.rings import RingGrid
+from core.projection.small_image import small_image
 from core.projection.visibility import FULL_VIEW, SECTORS, View, bits_of_hidden
 from core.scans.trajectory import Trajectory
 
@@ -42,6 +44,7 @@ _FLOAT16, _INT8 = 3, 4  # layouts
 _PARTIAL_INT8, _PARTIAL_FLOAT16 = 5, 6  # with their view
 _VIEW_BYTES, _SHORT_SCALE_BYTES = 8, 2
 _HIDDEN = "hidden_sectors"
+_IMAGES = "verification_images"
 _RANKS_OF_ANY_VIEWS = (6, 7)  # 78 numbers: a partial view is 99 bytes
 _SCALE = struct.Struct("<f")
 _INT8_MAX = 127
@@ -139,6 +142,8 @@ class HarmonicEncoding(Encoding):
         hidden = (
             None if parameters.views == Views.FULL else np.zeros(signatures.shape[:2], np.int64)
         )
+        small: list[NDArray[np.uint8]] = []
+        on_line = int(np.abs(np.array(parameters.lateral_renderings_m)).argmin())
         errors = np.zeros(len(segment_start) - 1)
         for segment, (start, end) in enumerate(itertools.pairwise(segment_start.tolist())):
             covered = whole = 0.0
@@ -149,12 +154,23 @@ class HarmonicEncoding(Encoding):
                 signatures[rows] = encoded
                 if hidden is not None:
                     hidden[rows] = bits_of_hidden(block)
+                if parameters.verification_images:
+                    small.append(small_image(block[:, on_line]))
                 covered += float(energy(encoded, columns).sum())
                 whole += float(np.square(seen, dtype=np.float64).sum())
             if whole > 0.0:
                 errors[segment] = np.sqrt(max(0.0, 1.0 - covered / whole))
         offsets = np.array(parameters.lateral_renderings_m)
-        return self._model(u, signatures, offsets, segment_start, parameters, hidden), errors
+        model = self._model(
+            u,
+            signatures,
+            offsets,
+            segment_start,
+            parameters,
+            hidden,
+            np.concatenate(small) if small else None,
+        )
+        return model, errors
 
     @staticmethod
     def _fit_basis(
@@ -190,17 +206,22 @@ class HarmonicEncoding(Encoding):
         segment_start: IntArray,
         parameters: "MapParameters",
         hidden: IntArray | None,
+        small: NDArray[np.uint8] | None = None,
     ) -> HarmonicModel:
         measure = parameters.distance or Distance.NORMALISED  # parameters always have one
+        grid = parameters.grid
+        ring_m = grid.ring_m if isinstance(grid, RingGrid) else 1.0
         return HarmonicModel(
             u,
             signatures,
             offsets_m,
             segment_start,
-            parameters.grid.columns,
+            grid.columns,
             measure,
             parameters.ranks,
             hidden,
+            small,
+            ring_m,
         )
 
     def rank_sweep(
@@ -259,10 +280,11 @@ class HarmonicEncoding(Encoding):
         )
 
     def arrays_of(self, attributes: Mapping[str, Any]) -> Mapping[str, str]:
-        """Return them, and that of the hidden sectors in a map of any views."""
+        """Return them, and in a map of any views those of hidden sectors and images."""
         if attributes.get("views") != Views.ANY:
             return self.dtypes
-        return {**self.dtypes, _HIDDEN: "<i8"}
+        images = {_IMAGES: "|u1"} if attributes.get(_IMAGES) is True else {}
+        return {**self.dtypes, _HIDDEN: "<i8", **images}
 
     def read_model(self, parameters: "MapParameters", arrays: Mapping[str, NDArray[Any]]) -> Model:
         """Return the model of these arrays."""
@@ -273,6 +295,7 @@ class HarmonicEncoding(Encoding):
             arrays["segment_start"],
             parameters,
             None if parameters.views == Views.FULL else arrays[_HIDDEN],
+            arrays[_IMAGES] if parameters.verification_images else None,
         )
 
     def require_model(self, model: Model, parameters: "MapParameters") -> None:
@@ -280,6 +303,8 @@ class HarmonicEncoding(Encoding):
         super().require_model(model, parameters)
         if not isinstance(model, HarmonicModel) or model.measure != parameters.distance:
             raise InvalidMap("the model's distance is not that of the parameters")
+        if parameters.verification_images != (model.verification_images is not None):
+            raise InvalidMap("the model has no verification images, or should have none")
         if model.sent_ranks != parameters.ranks:
             raise InvalidMap(f"queries are {model.sent_ranks}, by the ranks {parameters.ranks}")
         offsets = tuple(model.lateral_offset_m.tolist())

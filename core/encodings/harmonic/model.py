@@ -15,6 +15,7 @@ import scipy.fft
 from numpy.typing import NDArray
 
 from core.arrays import (
+    BoolArray,
     Complex64Array,
     ComplexArray,
     Float32Array,
@@ -23,19 +24,32 @@ from core.arrays import (
     freeze,
     frozen,
 )
+from core.encodings.basis import Basis
 from core.encodings.distance import Distance
 from core.encodings.harmonic.basis import HarmonicBasis, harmonic_basis_digest
 from core.encodings.harmonic.masked_search import MaskedSearch
 from core.encodings.harmonic.search import HarmonicSearch
-from core.encodings.harmonics import as_real, circular_energy, energy, weights
-from core.encodings.model import Model, require_sane
+from core.encodings.harmonic.verified_search import VerifiedSearch
+from core.encodings.harmonics import (
+    as_real,
+    circular_energy,
+    encode,
+    energy,
+    sent_ranks,
+    weights,
+)
+from core.encodings.model import Model, Search, require_sane
 from core.encodings.signature import Signature
 from core.errors import InvalidMap, InvalidSignature
+from core.projection.imager import Image
+from core.projection.small_image import DisplacedView
 from core.projection.visibility import FULL_VIEW, SECTORS, View, seen_of_bits
 
 if TYPE_CHECKING:
     from core.parameters import MapParameters
 
+_ACROSS = 5  # places from which a small image is compared
+_BEYOND_M = 1.5  # the outermost viewpoints: such images need not be kept
 _ESTIMATED_WAVES = 12  # of energies in estimates
 _LIMITED_KEPT = 4  # models of limited queries, each about as large as this one
 
@@ -54,6 +68,9 @@ class HarmonicModel(Model):
         sent_ranks: `(r1, r2)` of a query of the whole image, up to those of `signatures`.
         hidden_sectors: `(K, D)` of a map of any views: bit s of each number is 1 if the rendering
             does not see sector s; `None` of a map of full views.
+        verification_images: `(K, I, 60)` uint8, `small_image` of each scan from its line; `None`
+            of a map without them.
+        ring_m: How wide a ring of them is; of a map without them it is not used.
     """
 
     encoding: ClassVar[str] = "harmonic"
@@ -66,6 +83,8 @@ class HarmonicModel(Model):
     measure: Distance
     sent_ranks: tuple[int, int]
     hidden_sectors: IntArray | None = None
+    verification_images: NDArray[np.uint8] | None = None
+    ring_m: float = 1.0
 
     def __post_init__(self) -> None:
         freeze(self, radial_basis=np.float32, signatures=np.complex64)
@@ -95,6 +114,20 @@ class HarmonicModel(Model):
                 )
             if (self.hidden_sectors >> SECTORS).any():  # a negative number has bits beyond too
                 raise InvalidMap(f"hidden_sectors has bits of others than {SECTORS} sectors")
+        self._require_images(scans)
+
+    def _require_images(self, scans: int) -> None:
+        if self.verification_images is None:
+            return
+        wanted = (scans, self.grid_shape[0], SECTORS)
+        images = np.asarray(self.verification_images)
+        if self.hidden_sectors is None or images.shape != wanted:
+            raise InvalidMap(
+                f"verification_images has shape {images.shape}, wanted {wanted} of any views"
+            )
+        if images.dtype != np.uint8:
+            raise InvalidMap(f"verification_images holds {images.dtype}, wanted uint8")
+        freeze(self, verification_images=np.uint8)
 
     @property
     def ranks(self) -> tuple[int, int]:
@@ -133,6 +166,46 @@ class HarmonicModel(Model):
                 " map answers full views only, one built with views = any answers partial ones"
             )
         return HarmonicSearch(self, query)
+
+    def search_image(self, image: Image, basis: Basis) -> Search:
+        """Compare an image with the map's: with all kept harmonics, and the best cell by cell.
+
+        More radial components than are sent would find fewer vehicles beside the viewpoints. In a
+        map without verification images an image is compared as its signature.
+
+        Raises:
+            SensorMismatch: If the image is of another kind or on another grid.
+        """
+        if self.verification_images is None:
+            return super().search_image(image, basis)
+        basis.require_grid(image)
+        view = image.view
+        r1, _ = sent_ranks(basis.parameters, view)
+        near = slice(view.rings)
+        values = encode(image.seen[near], self.radial_basis[near, :r1], self.ranks[1])
+        model = self.seen_within(view.rings, r1)
+        return VerifiedSearch(model, values, view.hidden, image.cells)
+
+    def small_images(self, rows: IntArray) -> NDArray[np.uint8]:
+        """Return the verification images of some scans, `(n, I, 60)`."""
+        assert self.verification_images is not None  # noqa: S101 - for mypy
+        return self.verification_images[rows]
+
+    def seen_on_line(self, rows: IntArray) -> BoolArray:
+        """Return the sectors that some scans see from their line, `(n, 60)`."""
+        assert self.hidden_sectors is not None  # noqa: S101 - for mypy
+        return seen_of_bits(self.hidden_sectors[rows, self._on_line], SECTORS)
+
+    @cached_property
+    def beside(self) -> DisplacedView:
+        """From a small image on the line to those across it, beyond the viewpoints too."""
+        first, last = (self.lateral_offset_m[[0, -1]] - self.recorded_lateral_m).tolist()
+        left_m = np.linspace(first - _BEYOND_M, last + _BEYOND_M, _ACROSS)
+        return self.displaced(np.zeros_like(left_m), left_m)
+
+    def displaced(self, ahead_m: FloatArray, left_m: FloatArray) -> DisplacedView:
+        """Return how small images are seen from some places, relative to their own."""
+        return DisplacedView(self.grid_shape[0], self.ring_m, self.columns, ahead_m, left_m)
 
     def seen_within(self, rings: int | None, r1: int) -> "HarmonicModel":
         """Return what queries of so many radial components can see of this within so many rings.
@@ -200,23 +273,28 @@ class HarmonicModel(Model):
         self, rows: IntArray, segments: IntArray, segment_start: IntArray
     ) -> "HarmonicModel":
         """Return the model of some scans, unchanged."""
-        hidden = None if self.hidden_sectors is None else self.hidden_sectors[rows]
+        hidden, images = self.hidden_sectors, self.verification_images
         return replace(
             self,
             signatures=self.signatures[rows],
             segment_start=segment_start,
-            hidden_sectors=hidden,
+            hidden_sectors=None if hidden is None else hidden[rows],
+            verification_images=None if images is None else images[rows],
         )
 
     def joined(self, others: Sequence["HarmonicModel"], segment_start: IntArray) -> "HarmonicModel":
         """Return one model of this one's scans and those of others of the same basis."""
         signatures = np.concatenate([model.signatures for model in (self, *others)])
         hidden = [m.hidden_sectors for m in (self, *others) if m.hidden_sectors is not None]
+        images = [
+            m.verification_images for m in (self, *others) if m.verification_images is not None
+        ]
         return replace(
             self,
             signatures=signatures,
             segment_start=segment_start,
             hidden_sectors=np.concatenate(hidden) if hidden else None,
+            verification_images=np.concatenate(images) if images else None,
         )
 
     @cached_property

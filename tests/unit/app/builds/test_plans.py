@@ -126,7 +126,27 @@ def test_a_map_keeps_the_views_of_its_live_revision_unless_others_are_requested(
         plan_build(store, map_id, BuildParameters(base="live", add=["alpha"], views=Views.ANY))
 
 
+def test_a_map_keeps_verification_images_as_its_live_revision_has_them(store, map_id):
+    bare = BuildParameters(views=Views.ANY, verification_images=False)
+    live = build_revision(store, map_id, plan_build(store, map_id, bare)).digest
+    again = plan_build(store, map_id, BuildParameters())
+    assert (again.parameters.verification_images, again.basis_kept_from) == (False, live)
+    for chosen in ({"views": Views.ANY}, {"verification_images": True}):
+        changed = plan_build(store, map_id, BuildParameters(**chosen))
+        assert (changed.parameters.verification_images, changed.basis_kept_from) == (True, live)
+    put(store, "alpha")
+    on_base = plan_build(store, map_id, BuildParameters(base="live", add=["alpha"]))
+    assert on_base.parameters.verification_images is False
+    with pytest.raises(InvalidParameters, match="verification_images is True, that of base"):
+        plan_build(
+            store, map_id, BuildParameters(base="live", add=["alpha"], verification_images=True)
+        )
+    with pytest.raises(InvalidParameters, match="which wants views = any"):
+        BuildParameters(views=Views.FULL, verification_images=True).map_parameters()
+
+
 def test_a_plan_of_a_release_that_knew_full_views_only_is_one_of_full_views(store, map_id):
     stored = plan_build(store, map_id, BuildParameters()).model_dump(mode="json")
-    del stored["parameters"]["views"]
-    assert Plan.model_validate(stored).parameters.views == Views.FULL
+    del stored["parameters"]["views"], stored["parameters"]["verification_images"]
+    taken = Plan.model_validate(stored).parameters
+    assert (taken.views, taken.verification_images) == (Views.FULL, False)

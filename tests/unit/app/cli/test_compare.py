@@ -4,8 +4,9 @@ import json
 
 import pytest
 
-from baselines.roster import METHODS
+from baselines.roster import BY_SCAN, METHODS, default_methods
 from core.errors import InvalidParameters, TensorMapError
+from core.projection.imager import Views
 from storage.formats.drives.kitti_drive import write_kitti_drive
 from tests.support.commands import run
 from tests.support.samples import sample_drive
@@ -43,6 +44,20 @@ def test_every_method_is_queried_and_the_figures_are_written(folders, tmp_path):
         assert 0.0 <= method["conditions"][0]["novelty_auroc"] <= 1.0
         assert method["conditions"][0]["describe_ms_median"] > 0
     assert "average precision" in printed
+
+
+def test_of_any_views_whole_scans_are_queries_beside_signatures(folders, tmp_path):
+    out = tmp_path / "figures.json"
+    options = ["--split", "every:2", "--segments", "2", "--json", out]
+    run("compare", folders / "monday", "--views", "any", "--methods", "harmonic,harmonic-scan",
+        *options)  # fmt: skip
+    signature, scan = json.loads(out.read_text())["methods"]
+    assert (signature["name"], scan["name"]) == ("harmonic", "harmonic-scan")
+    assert (scan["sent_bytes"], scan["stored_bytes"]) == (None, signature["stored_bytes"] + 1200)
+    assert set(BY_SCAN) <= set(default_methods(Views.ANY))
+    with pytest.raises(InvalidParameters, match="harmonic-scan wants views any"):
+        run("compare", folders / "monday", "--methods", "harmonic-scan", "--views", "full",
+            *options)  # fmt: skip
 
 
 def test_a_second_pass_finds_itself(folders, tmp_path):

@@ -1,5 +1,7 @@
 """Files of released versions stay readable, to the bit."""
 
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import h5py
@@ -7,9 +9,11 @@ import numpy as np
 import pytest
 
 from core.localization.localizer import Localizer
+from core.mapping.tensormap import TensorMap
 from core.projection.imager import Image
 from core.projection.rings import RingGrid
 from core.scans.sensor import AngularGrid
+from storage.errors import CorruptFile
 from storage.files.map_file import read_map
 from tests import golden
 from tests.golden.make import golden_harmonic_map, golden_map, golden_map_of_any_views
@@ -20,13 +24,20 @@ RELEASED = {
     "map-v1.h5": "88c7c859161582505ada0c7eb33147ff88eaadab915a5ad414975b2cd813e9db",
     "harmonic-v1.h5": "1816d48cfae92fe00cb73253f623f52c6fc6d287615bfc16c426f9414c60f9ba",
     "harmonic-v2.h5": "31982d7f6c359917f3f420158a43fb85700c11b3f53ae6ba20e7692ca6a73b9a",
+    "harmonic-v2-images.h5": "1cb061f6db8e0a230e20728691cae9cddf5f0e60b82d1fc156001cc3e3ed905a",
 }
-MADE = {
+MADE: dict[str, Callable[[], TensorMap]] = {
     "map-v1.h5": golden_map,
     "harmonic-v1.h5": golden_harmonic_map,
     "harmonic-v2.h5": golden_map_of_any_views,
+    "harmonic-v2-images.h5": partial(golden_map_of_any_views, verification_images=True),
 }
-SHAPES = {"map-v1.h5": (4, 9), "harmonic-v1.h5": (4, 8), "harmonic-v2.h5": (4, 60)}
+SHAPES = {
+    "map-v1.h5": (4, 9),
+    "harmonic-v1.h5": (4, 8),
+    "harmonic-v2.h5": (4, 60),
+    "harmonic-v2-images.h5": (4, 60),
+}
 
 
 @pytest.mark.parametrize(("name", "digest"), RELEASED.items())
@@ -74,14 +85,15 @@ def test_a_released_harmonic_map_still_answers():
 
 
 def test_a_map_of_any_views_has_version_2_and_others_have_1():
-    versions = {"map-v1.h5": 1, "harmonic-v1.h5": 1, "harmonic-v2.h5": 2}
-    for name, version in versions.items():
+    for name in RELEASED:
+        version = 1 + name.startswith("harmonic-v2")
         with h5py.File(FOLDER / name) as file:
             assert file.attrs["format_version"] == version
 
 
-def test_a_released_map_of_any_views_still_answers_a_part_of_a_place():
-    tensor_map = read_map(FOLDER / "harmonic-v2.h5")
+@pytest.mark.parametrize("name", ["harmonic-v2.h5", "harmonic-v2-images.h5"])
+def test_a_released_map_of_any_views_still_answers_a_part_of_a_place(name):
+    tensor_map = read_map(FOLDER / name)
     heights_m = np.random.default_rng(4).uniform(0.0, 5.0, size=(6, 2, 4, 60)).astype(np.float32)
     heights_m[..., 7] = -1.0
     heights_m[..., 20:40] = -1.0
@@ -90,3 +102,25 @@ def test_a_released_map_of_any_views_still_answers_a_part_of_a_place():
         image = Image(heights_m[row, 1], grid)
         assert image.view.hidden == (7, *range(20, 40))
         assert localizer.localize_image(image).best.row == row
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        (lambda images: images + np.uint8(1), "its digest is"),
+        (lambda images: images.astype(np.int8), "verification_images holds int8"),
+        (lambda images: images.astype(np.float32), "verification_images holds float32"),
+        (lambda images: images[:, :, :59], "its digest is|verification_images has shape"),
+        (lambda images: None, "it lacks or should not hold verification_images"),
+    ],
+)
+def test_verification_images_that_were_changed_are_rejected(tmp_path, changed, message):
+    path = tmp_path / "map.h5"
+    path.write_bytes((FOLDER / "harmonic-v2-images.h5").read_bytes())
+    with h5py.File(path, "r+") as file:
+        images = changed(file["verification_images"][()])
+        del file["verification_images"]
+        if images is not None:
+            file["verification_images"] = images
+    with pytest.raises(CorruptFile, match=message):
+        read_map(path)

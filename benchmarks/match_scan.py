@@ -1,0 +1,83 @@
+"""Verify the 25 best candidates of a scan among 3,800 scans of five renderings each.
+
+Bar: at most 8 times a full-view match of a signature among the same scans; beside it, a whole
+scan query of a map of any views.
+"""
+
+import sys
+from collections.abc import Callable, Sequence
+from functools import partial
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from benchmarks.maps import localizer_of
+from benchmarks.timing import machine, medians_s
+from core.arrays import IntArray
+from core.encodings.harmonic.model import HarmonicModel
+from core.encodings.harmonic.small_query import SmallQuery
+from core.localization.localizer import Localizer
+from core.parameters import MapParameters
+from core.projection.imager import Image, Views
+from core.simulation import SimulatedDrive
+from core.simulation.raycast import SimulatedSensor
+
+BAR = 8.0
+SCANS = 3800
+CANDIDATES = 25
+ROUNDS = 7
+
+
+def main() -> int:
+    """Print the times; return 1 if verification is above the bar."""
+    threadpool_limits(limits=1)
+    drive = SimulatedDrive(
+        seed=1, scans=2 * SCANS, loop_m=4000.0, sensor=SimulatedSensor(firings=360)
+    )
+    mapped = np.arange(0, 2 * SCANS, 2)
+    full, views = (
+        localizer_of(drive, mapped, MapParameters.for_sensor(views=views)) for views in Views
+    )
+    times_s = np.median(
+        [_times_s(drive, index, full, views) for index in range(1, 2 * SCANS, 2 * SCANS // 8)],
+        axis=0,
+    )
+    match_ms, verify_ms, whole_ms = (1e3 * times_s).tolist()
+    print(
+        f"among {SCANS} scans: a full-view match {match_ms:.2f} ms; the verification of"
+        f" {CANDIDATES} scans {verify_ms:.2f} ms, {verify_ms / match_ms:.1f} times (bar {BAR:g});"
+        f" a whole scan query of any views {whole_ms:.1f} ms; {machine()}"
+    )
+    return int(verify_ms > BAR * match_ms)
+
+
+def _times_s(
+    drive: SimulatedDrive, index: int, full: Localizer, views: Localizer
+) -> Sequence[float]:
+    scan = drive.scan(index)
+    signatures = full.basis.encode(full.basis.image(scan))
+    image = views.basis.image(scan)
+    match_s, verify_s = medians_s(
+        lambda: full.map.model.search(signatures).nearest(1), _verification(views, image), ROUNDS
+    )
+    whole_s, _ = medians_s(
+        lambda: views.map.model.search_image(image, views.basis).nearest(1), lambda: None, ROUNDS
+    )
+    return match_s, verify_s, whole_s
+
+
+def _verification(localizer: Localizer, image: Image) -> Callable[[], object]:
+    """Return the cell by cell comparison of a query with its candidates, without a search."""
+    model = localizer.map.model
+    assert isinstance(model, HarmonicModel)  # noqa: S101 - for the reader and mypy
+    rows = model.search_image(image, localizer.basis).nearest(CANDIDATES).rows
+    return partial(_verify, model, image, rows)
+
+
+def _verify(model: HarmonicModel, image: Image, rows: IntArray) -> object:
+    views = model.beside.of(model.small_images(rows))
+    return SmallQuery(image.cells).correlation(views, model.seen_on_line(rows))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,119 @@
+"""A scan query: the best candidates of its signature, compared cell by cell."""
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from core.arrays import BoolArray, ComplexArray, Float32Array, FloatArray, IntArray
+from core.encodings.harmonic.masked_search import MaskedSearch
+from core.encodings.harmonic.small_query import SmallQuery
+from core.projection.probe import Displacement
+from core.projection.visibility import SECTORS
+from core.scans.angles import wrapped_deg
+
+if TYPE_CHECKING:
+    from core.encodings.harmonic.model import HarmonicModel
+
+_SECTOR_DEG = 360.0 / SECTORS
+_BESIDE = np.array([-1, 0, 1])  # sectors around the heading that the signature found
+_BLOCK = 64  # scans that are compared at once, in 20 MB
+_LATTICE_M = np.stack(np.meshgrid([-1.0, 0.0, 1.0], [-1.0, 0.0, 1.0], indexing="ij"), -1)
+_LATTICE_M = _LATTICE_M.reshape(9, 2)  # ahead, left
+_HERE, _ALONG, _ACROSS = 4, [1, 4, 7], [3, 4, 5]  # in it
+_MOST_STEPS = 8
+
+
+class VerifiedSearch(MaskedSearch):
+    """An image, compared by its signature first, and the best candidates cell by cell.
+
+    A distance is the mean of the signatures' and the images', which is 1 - correlation.
+    """
+
+    verified = True
+
+    def __init__(
+        self,
+        model: "HarmonicModel",
+        values: ComplexArray,
+        hidden: Sequence[int],
+        cells: Float32Array,
+    ) -> None:
+        super().__init__(model, values, hidden)
+        self._query = SmallQuery(cells)
+
+    def exact(
+        self, rows: IntArray, renderings: IntArray | None = None
+    ) -> tuple[FloatArray, FloatArray]:
+        """Compare the signatures of some scans from all their viewpoints, and their images.
+
+        Of single renderings only the signatures are compared: that chooses candidates.
+        """
+        distances, yaw_deg = super().exact(rows, renderings)
+        if renderings is not None:
+            return distances, yaw_deg
+        model = self._model
+        nearest = yaw_deg[np.arange(len(rows)), distances.argmin(axis=1)]
+        turned = (np.rint(nearest / _SECTOR_DEG).astype(np.int64)[:, None] + _BESIDE) % SECTORS
+        views = model.beside.of(model.small_images(rows))
+        correlation = self._query.correlation(views, model.seen_on_line(rows))
+        best = np.take_along_axis(correlation, turned[:, None], axis=2).max(axis=(1, 2))
+        of_images = np.maximum(1.0 - best.astype(np.float64), 0.0)[:, None]
+        return 0.5 * (of_images + distances), yaw_deg
+
+    def distances(self, among: BoolArray | None = None) -> FloatArray:
+        """Return each scan's distance, infinite outside `among`: all are compared cell by cell."""
+        distances = np.full(len(self._model), np.inf)
+        rows = np.arange(len(distances)) if among is None else np.flatnonzero(among)
+        for start in range(0, len(rows), _BLOCK):
+            block = rows[start : start + _BLOCK]
+            distances[block] = self.exact(block)[0].min(axis=1)
+        return distances
+
+    def displacement(self, row: int) -> Displacement:
+        """Return where the query is relative to a scan: where their images are most alike.
+
+        From the nearest viewpoint in steps of a metre to the place whose neighbours are all less
+        alike; between places, and between headings, by the triangle through three of them.
+        """
+        distances, yaw_deg = self.exact(np.array([row]))
+        nearest = int(distances.argmin())
+        sectors = int(np.rint(yaw_deg[0, nearest] / _SECTOR_DEG)) + _BESIDE
+        ahead_m, left_m = 0.0, float(self._model.lateral_offset_m[nearest])
+        for _ in range(_MOST_STEPS):
+            alike = self._alike(row, ahead_m, left_m)
+            by_place = alike[:, sectors % SECTORS].max(axis=1)
+            best = int(by_place.argmax())
+            if best == _HERE:
+                break
+            ahead_m += float(_LATTICE_M[best, 0])
+            left_m += float(_LATTICE_M[best, 1])
+        sector = int(sectors[alike[best, sectors % SECTORS].argmax()])
+        between = _peak(alike[best, (sector + _BESIDE) % SECTORS])
+        if best == _HERE:
+            ahead_m += _peak(by_place[_ALONG])
+            left_m += _peak(by_place[_ACROSS])
+        return ahead_m, left_m, wrapped_deg((sector + between) * _SECTOR_DEG)
+
+    def _alike(self, row: int, ahead_m: float, left_m: float) -> Float32Array:
+        """Return the correlation with a scan seen from nine places, `(9, 60)`."""
+        model, rows = self._model, np.array([row])
+        left_m -= model.recorded_lateral_m
+        places = model.displaced(ahead_m + _LATTICE_M[:, 0], left_m + _LATTICE_M[:, 1])
+        views = places.of(model.small_images(rows))
+        return np.asarray(self._query.correlation(views, model.seen_on_line(rows))[0])
+
+
+def _peak(values: Float32Array) -> float:
+    """Return where values at -1, 0 and 1 are highest, within half a step.
+
+    Cells are means over boxes, whose correlation falls to both sides as a triangle; a parabola
+    would be too near to 0.
+
+    Examples:
+        >>> _peak(np.array([0.4, 0.9, 0.6], np.float32))
+        0.2...
+    """
+    before, here, after = values.astype(np.float64).tolist()
+    drop = here - min(before, after)
+    return float(np.clip(0.5 * (after - before) / drop, -0.5, 0.5)) if drop > 0.0 else 0.0

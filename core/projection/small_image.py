@@ -1,0 +1,92 @@
+"""Small images: a height image in one byte a cell, one column a sector, seen from any place.
+
+A map of any views keeps one of each scan, to compare the best candidates of a scan query cell by
+cell (docs/decisions/0031-verification.md).
+"""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from core.arrays import Float32Array, FloatArray, IntArray
+from core.projection.visibility import SECTORS
+
+_STEPS_A_ROOT_METRE = 64.0  # square roots: low cells differ as much as high ones; 15.9 m is a byte
+_MOST = 255
+
+
+def sector_starts(columns: int) -> IntArray:
+    """Return the first of J columns in each sector, `(60,)`; below 60, one is in several.
+
+    Examples:
+        >>> sector_starts(360)[:3].tolist(), sector_starts(40)[:4].tolist()
+        ([0, 6, 12], [0, 1, 2, 2])
+    """
+    return np.minimum(-(-np.arange(SECTORS) * columns // SECTORS), columns - 1)
+
+
+def small_image(cells: Float32Array) -> NDArray[np.uint8]:
+    """Return 64 times the square root of the greatest height in each sector, `(..., I, 60)`.
+
+    Args:
+        cells: `(..., I, J)` of height images; what is below 0 is hidden and becomes 0.
+
+    Examples:
+        >>> cells = np.zeros((1, 360), np.float32)
+        >>> cells[0, [5, 6, 359]] = 1.0, 4.0, 100.0
+        >>> small_image(cells)[0, [0, 1, 2, 59]].tolist()
+        [64, 128, 0, 255]
+    """
+    starts = sector_starts(cells.shape[-1])
+    highest = np.maximum.reduceat(np.maximum(cells, 0.0), starts, axis=-1)
+    roots = _STEPS_A_ROOT_METRE * np.sqrt(highest, dtype=np.float64)
+    return np.minimum(np.rint(roots), _MOST).astype(np.uint8)
+
+
+class DisplacedView:
+    """From small images to those of places beside, between cells: nearest returns do not move.
+
+    Args:
+        rings: I.
+        ring_m: How wide a ring is.
+        columns: J of the images that the small ones were made of.
+        ahead_m: How far ahead of the scans each place is, `(V,)`.
+        left_m: How far to the left, `(V,)`.
+    """
+
+    def __init__(
+        self, rings: int, ring_m: float, columns: int, ahead_m: FloatArray, left_m: FloatArray
+    ) -> None:
+        step = 2.0 * np.pi / SECTORS
+        first = 0.5 * step - np.pi / columns  # the middle of sector 0; column 0 of J is at 0
+        azimuth = first + step * np.arange(SECTORS)
+        distance_m = ring_m * (0.5 + np.arange(rings))
+        x_m = np.multiply.outer(distance_m, np.cos(azimuth)) + ahead_m[:, None, None]
+        y_m = np.multiply.outer(distance_m, np.sin(azimuth)) + left_m[:, None, None]
+        ring = np.hypot(x_m, y_m) / ring_m - 0.5
+        sector = (np.arctan2(y_m, x_m) - first) / step
+        in_ring, in_sector = np.floor(ring), np.floor(sector)
+        corners: list[IntArray] = []
+        weights: list[FloatArray] = []
+        for beyond in (0, 1):
+            for beside in (0, 1):
+                row = in_ring + beyond
+                inside = (row >= 0) & (row < rings)
+                cell = row * SECTORS + (in_sector + beside) % SECTORS
+                corners.append(np.where(inside, cell, 0).astype(np.int64))
+                weights.append(
+                    inside
+                    * np.abs(1 - beyond - (ring - in_ring))
+                    * np.abs(1 - beside - (sector - in_sector))
+                )
+        self._corners, self._weights = corners, np.array(weights, np.float32)
+
+    def of(self, small: NDArray[Any]) -> Float32Array:
+        """Return what `(n, I, 60)` small images are from each place, `(n, V, I, 60)`."""
+        # Cell by cell, the images of all scans side by side: rows are read as a whole.
+        cells = small.reshape(len(small), -1).T.astype(np.float32)
+        seen = np.zeros((*self._corners[0].shape, len(small)), np.float32)
+        for corner, weight in zip(self._corners, self._weights, strict=True):
+            seen += cells[corner] * weight[..., None]
+        return np.moveaxis(seen, -1, 0)

@@ -1,0 +1,188 @@
+"""Scan queries of maps of any views: their best candidates are compared with small images."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from core.confidence.decision import Refusal
+from core.errors import InvalidMap, InvalidParameters
+from core.evaluation.condition import Condition
+from core.evaluation.disturbances import KITTI_RECORDING
+from core.localization.localizer import Localizer
+from core.mapping.merge import merge_maps, without_drives
+from core.mapping.pipeline import build, build_map
+from core.mapping.tensormap import TensorMap
+from core.parameters import MapParameters
+from core.projection.imager import Views
+from core.projection.small_image import small_image
+from core.scans.angles import wrapped_deg
+from core.scans.drive import MemoryDrive
+from core.scans.pose import heading_deg
+from core.simulation import SimulatedDrive
+
+RECORDED = SimulatedDrive(seed=913, scans=160)
+MAPPED, ASKED = range(0, 160, 2), range(1, 160, 8)
+PARAMETERS = MapParameters.for_sensor(views=Views.ANY)
+
+
+def drive(name, scans):
+    return MemoryDrive(name, [RECORDED.scan(i) for i in scans])
+
+
+@pytest.fixture(scope="module")
+def verified():
+    return build([drive("monday", MAPPED)], PARAMETERS, segments=2).tensor_map
+
+
+@pytest.fixture(scope="module")
+def signatures_only(verified):
+    """The same map without images and their calibration."""
+    return TensorMap(
+        replace(PARAMETERS, verification_images=False),
+        replace(verified.model, verification_images=None),
+        verified.trajectory,
+        verified.topology,
+        verified.relative_error,
+        verified.calibration,
+    )
+
+
+def query(index, **condition):
+    disturbed = Condition(**condition)
+    rng = np.random.default_rng(index)
+    pose = disturbed.pose(RECORDED.poses[index])
+    return disturbed.apply(RECORDED.scan(index), rng, KITTI_RECORDING), pose
+
+
+def errors(tensor_map, **condition):
+    """Return the position and heading errors of the estimates."""
+    localizer, found = Localizer(tensor_map), []
+    for index in ASKED:
+        scan, pose = query(index, **condition)
+        estimated = localizer.localize_scan(scan).best.estimated_pose
+        assert estimated is not None
+        turned = wrapped_deg(estimated.yaw_deg - float(heading_deg(pose[None])[0]))
+        found.append((np.hypot(estimated.x_m - pose[0], estimated.y_m - pose[1]), abs(turned)))
+    return np.array(found).T
+
+
+def test_maps_of_any_views_have_images_by_default_and_others_cannot():
+    assert PARAMETERS.verification_images
+    assert not MapParameters.for_sensor(views=Views.FULL).verification_images
+    assert not MapParameters.for_sensor(
+        views=Views.ANY, verification_images=False
+    ).verification_images
+    for encoding in ("harmonic", "paper"):
+        with pytest.raises(InvalidParameters, match="wants views = any"):
+            MapParameters.for_sensor(encoding=encoding, views=Views.FULL, verification_images=True)
+
+
+def test_the_images_are_of_the_recorded_line_and_counted_apart(verified, signatures_only):
+    image = PARAMETERS.imager.image(RECORDED.scan(10))
+    np.testing.assert_array_equal(
+        verified.model.small_images(np.array([5]))[0], small_image(image.cells)
+    )
+    assert verified.verification_bytes == 80 * 20 * 60
+    assert (verified.elements, signatures_only.verification_bytes) == (signatures_only.elements, 0)
+    assert verified.basis_digest == signatures_only.basis_digest
+
+
+@pytest.mark.parametrize("condition", [{"disturb": "fov:120"}, {"disturb": "truck:2"}])
+def test_more_scans_of_which_little_is_seen_are_found(verified, signatures_only, condition):
+    def right(tensor_map):
+        return (errors(tensor_map, **condition)[0] < 4.0).sum()
+
+    assert right(verified) >= 0.95 * len(ASKED)
+    assert right(verified) >= right(signatures_only)
+
+
+@pytest.mark.parametrize(
+    "condition", [{}, {"lateral_m": 2.0, "yaw_deg": 90.0}, {"disturb": "hidden:120"}]
+)
+def test_positions_and_headings_are_those_between_scans(verified, condition):
+    metres, degrees = errors(verified, **condition)
+    assert np.median(metres) < 0.5
+    assert np.median(degrees) < 0.8
+
+
+def test_without_images_a_scan_is_localized_as_its_signature(signatures_only):
+    localizer = Localizer(signatures_only)
+    for index in ASKED:
+        scan, _ = query(index, disturb="hidden:60")
+        by_signature = localizer.localize_signatures(
+            localizer.basis.encode(localizer.basis.image(scan)), k=3
+        )
+        by_scan = localizer.localize_scan(scan, k=3)
+        assert by_scan.matches == by_signature.matches
+
+
+def test_signatures_are_answered_as_without_images(verified, signatures_only):
+    one, other = Localizer(verified), Localizer(signatures_only)
+    for index in ASKED:
+        scan, _ = query(index, disturb="hidden:60")
+        signatures = one.basis.encode(one.basis.image(scan))
+        ours = [of.localize_signatures(signatures, k=3) for of in (one, other)]
+        assert ours[0].matches == ours[1].matches
+        assert ours[0].decision == ours[1].decision
+
+
+def test_scan_queries_have_a_calibration_of_their_own(verified):
+    assert verified.image_calibration is not None
+    assert verified.image_calibration != verified.calibration
+    localizer = Localizer(verified)
+    unknown = SimulatedDrive(seed=914, scans=40)
+    inside = [localizer.localize_scan(query(index)[0]) for index in ASKED]
+    outside = [localizer.localize_scan(unknown.scan(index)) for index in range(0, 40, 4)]
+    assert sum(found.localized for found in inside) >= 0.9 * len(inside)
+    assert not any(found.localized for found in outside)
+    assert {found.decision.reason for found in outside} <= {
+        Refusal.UNKNOWN_PLACE,
+        Refusal.AMBIGUOUS,
+    }
+
+
+def test_an_uncalibrated_map_has_no_probability_of_scans(verified):
+    uncalibrated = replace(verified, image_calibration=None)
+    scan, _ = query(ASKED[3])
+    assert Localizer(uncalibrated).localize_scan(scan).decision.probability is None
+
+
+def test_a_query_of_a_few_rings_is_compared_as_far_as_it_reaches(verified):
+    metres, _ = errors(verified, disturb="reach:40")
+    assert np.median(metres) < 1.0
+
+
+def test_merged_maps_have_the_images_of_both_and_selected_ones_their_own():
+    first = build_map(drive("monday", range(0, 60, 2)), PARAMETERS)
+    second = build_map(drive("tuesday", range(60, 120, 2)), PARAMETERS, kept=first.basis())
+    merged = merge_maps([first, second])
+    both = np.concatenate([of.model.arrays()["verification_images"] for of in (first, second)])
+    np.testing.assert_array_equal(merged.model.arrays()["verification_images"], both)
+    left = without_drives(merged, ["monday"])
+    np.testing.assert_array_equal(left.model.arrays()["verification_images"], both[len(first) :])
+    bare = replace(PARAMETERS, verification_images=False)
+    other = build_map(drive("wednesday", range(120, 160, 2)), bare, kept=first.basis())
+    with pytest.raises(InvalidParameters, match=r"verification_images is None .*, True in that"):
+        merge_maps([first, other])
+
+
+@pytest.mark.parametrize(
+    ("images", "message"),
+    [
+        (np.zeros((79, 20, 60), np.uint8), r"has shape \(79, 20, 60\), wanted \(80, 20, 60\)"),
+        (np.zeros((80, 20, 360), np.uint8), r"wanted \(80, 20, 60\)"),
+        (np.zeros((80, 20, 60), np.int64), "holds int64, wanted uint8"),
+        (None, "has no verification images"),
+    ],
+)
+def test_images_that_do_not_fit_the_map_are_rejected(verified, images, message):
+    with pytest.raises(InvalidMap, match=message):
+        replace(verified, model=replace(verified.model, verification_images=images))
+
+
+@pytest.mark.parametrize("value", [1, "yes", None])
+def test_a_parameter_that_is_not_true_or_false_is_rejected(verified, value):
+    attributes = {**verified.attributes(), "verification_images": value}
+    with pytest.raises(InvalidMap, match="wanted true or false"):
+        TensorMap.from_parts(verified.arrays(), attributes)
