@@ -68,7 +68,9 @@ class Calibration(Attributes):
         """Return the ratios of distances, 1 where the runner-up's is 0."""
         return np.divide(distance, runner_up, out=np.ones_like(distance), where=runner_up > 0)
 
-    def probability(self, distance: float, ratio: float | None, share: float = 1.0) -> float:
+    def probability(
+        self, distance: float, ratio: float | None, share: float = 1.0, evidence: float = 1.0
+    ) -> float:
         """Return the probability that the best match is right, above 0 and below 1.
 
         With a share s of the scans searched, wrong matches this near are s times as frequent, so
@@ -78,6 +80,8 @@ class Calibration(Attributes):
             distance: Of the best match, at least 0.
             ratio: Of it to the runner-up's, 0..1, `None` without one.
             share: Of the map's scans that were searched; above 0, at most 1.
+            evidence: How much the logarithm of the odds counts, 0..1: less where distances say less
+                than those that this was fitted to.
 
         Raises:
             InvalidParameters: If one is NaN or out of its range.
@@ -101,7 +105,7 @@ class Calibration(Attributes):
         # The odds of a single scan are its likelihood ratio: no share raises them above that.
         alone = float(self.log_likelihood_ratio(np.array(distance)))
         odds = max(odds, min(odds - math.log(share), alone))
-        return min(max(float(expit(odds)), math.ulp(0.0)), _SURE)
+        return min(max(float(expit(evidence * odds)), math.ulp(0.0)), _SURE)
 
     def log_likelihood_ratio(self, distances: FloatArray) -> FloatArray:
         """Return log p(d | the query is at this scan) - log p(d | elsewhere), of any shape.

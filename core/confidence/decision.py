@@ -46,6 +46,7 @@ def decide(
     ratio: float | None,
     *,
     share: float = 1.0,
+    evidence: float = 1.0,
     min_probability: float | None = None,
     occupied_cells: int | None = None,
 ) -> Decision:
@@ -59,6 +60,7 @@ def decide(
         distance: Of the best match.
         ratio: To the runner-up's, at most 1, `None` without one.
         share: Of the map's scans that were searched.
+        evidence: How much the query's distances say, 0..1.
         min_probability: Least probability to accept; the calibration's threshold by default.
         occupied_cells: Of the query's image, `None` if the query is a signature.
 
@@ -70,10 +72,10 @@ def decide(
     if calibration is None:
         return Decision(None, Refusal.NOT_CALIBRATED if min_probability else None)
     least = calibration.threshold if min_probability is None else min_probability
-    probability = calibration.probability(distance, ratio, share)
+    probability = calibration.probability(distance, ratio, share, evidence)
     if occupied_cells is not None and occupied_cells < calibration.least_cells:
         return Decision(probability, Refusal.TOO_FEW_RETURNS)
     if probability >= least:
         return Decision(probability, None)
-    near = calibration.probability(distance, None, share) >= least
+    near = calibration.probability(distance, None, share, evidence) >= least
     return Decision(probability, Refusal.AMBIGUOUS if near else Refusal.UNKNOWN_PLACE)

@@ -79,10 +79,13 @@ class Search(ABC):
     Attributes:
         segments: The segments that are searched, rising.
         verified: Whether distances are of images too, and not of signatures alone.
+        evidence: How much distances say of whether a match is right, beside those that calibrate a
+            map, 0..1.
     """
 
     segments: tuple[int, ...]
     verified: ClassVar[bool] = False
+    evidence: float = 1.0
 
     @abstractmethod
     def nearest(self, k: int, among: BoolArray | None = None) -> Neighbours:

@@ -26,6 +26,7 @@ class Candidates:
         matches: The k best, best first; at least one.
         away: The best away from the first match, none or one.
         share: Of the map's scans that were searched.
+        evidence: How much distances of this search say, as `Search.evidence`.
         outside: The candidates of the whole map, if the nearest of them is outside of the priors.
         within_priors: Whether `matches` are within the priors; if no scan is, they are of the whole
             map.
@@ -34,6 +35,7 @@ class Candidates:
     matches: Neighbours
     away: Neighbours
     share: float
+    evidence: float
     outside: "Candidates | None" = None
     within_priors: bool = True
 
@@ -62,6 +64,7 @@ class Candidates:
             float(self.matches.distances[0]),
             self.ratio,
             share=self.share,
+            evidence=self.evidence,
             min_probability=min_probability,
             occupied_cells=occupied_cells,
         )
@@ -86,7 +89,7 @@ def find_candidates(
     if prior is None:
         matches = search.nearest(k)
         away = search.nearest(1, away_from(tensor_map.trajectory, int(matches.rows[0])))
-        return Candidates(matches, away, float(searched.mean()))
+        return Candidates(matches, away, float(searched.mean()), search.evidence)
     whole = find_candidates(tensor_map, search, k)
     matches = _most_likely(tensor_map, search, max(k, _WEIGHTED), prior)[:k]
     if not len(matches):
@@ -96,6 +99,7 @@ def find_candidates(
         matches,
         _most_likely(tensor_map, search, _WEIGHTED, prior, away_mask)[:1],
         prior.share * float(searched[prior.rows].mean()),
+        search.evidence,
         None if prior.allows(whole.matches)[0] else whole,
     )
 

@@ -51,6 +51,7 @@ if TYPE_CHECKING:
 _ACROSS = 5  # places from which a small image is compared
 _BEYOND_M = 1.5  # the outermost viewpoints: such images need not be kept
 _ESTIMATED_WAVES = 12  # of energies in estimates
+_EVIDENCE_OF_NARROW = 0.5  # where less is compared, more is alike by chance: decision 30
 _LIMITED_KEPT = 4  # models of limited queries, each about as large as this one
 
 
@@ -159,7 +160,10 @@ class HarmonicModel(Model):
         """
         query = values.astype(np.complex128)
         if self.hidden_sectors is not None:
-            return MaskedSearch(self.seen_within(view.rings, len(values)), query, view.hidden)
+            search = MaskedSearch(self.seen_within(view.rings, len(values)), query, view.hidden)
+            if view.is_narrow:
+                search.evidence = _EVIDENCE_OF_NARROW
+            return search
         if not view.is_full:
             raise InvalidSignature(
                 f"the signature is of a partial view ({len(view.hidden)} sectors are hidden); this"

@@ -25,6 +25,13 @@ def test_a_probability_is_the_logistic_of_the_logarithm_of_the_distance_and_of_t
     assert CALIBRATION.probability(0.05, None) == pytest.approx(1 / (1 + np.exp(-odds)))
 
 
+def test_half_the_evidence_is_half_the_logarithm_of_the_odds():
+    whole, half = (CALIBRATION.probability(0.05, 0.4, evidence=of_it) for of_it in (1.0, 0.5))
+    odds = [np.log(p / (1.0 - p)) for p in (whole, half)]
+    assert odds[1] == pytest.approx(0.5 * odds[0])
+    assert CALIBRATION.probability(0.05, 0.4, evidence=0.0) == 0.5
+
+
 def test_a_likelihood_ratio_keeps_the_shape_and_rules_out_what_was_not_compared():
     ratios = CALIBRATION.log_likelihood_ratio(np.array([[0.0, 0.05], [0.5, np.inf]]))
     assert ratios.shape == (2, 2)

@@ -65,6 +65,15 @@ def test_a_scan_of_short_reach_is_found_among_scans_of_longer_reach(maps):
     assert right(maps[Views.ANY], "reach:30") > right(maps[Views.FULL], "reach:30")
 
 
+def test_distances_of_a_narrow_view_say_less_than_those_of_a_wide_one(maps):
+    tensor_map = maps[Views.ANY]
+    basis, scan = tensor_map.basis(), RECORDED.scan(21)
+    for disturb, evidence in (("", 1.0), ("hidden:60", 1.0), ("fov:180", 0.5), ("reach:30", 0.5)):
+        query = Condition(disturb=disturb).apply(scan, np.random.default_rng(0))
+        [signature] = basis.encode(basis.image(query))
+        assert tensor_map.model.search([signature]).evidence == evidence
+
+
 def test_sensors_at_any_height_share_a_basis_of_any_views(maps):
     basis = maps[Views.ANY].basis()
     higher = MapParameters.for_sensor("os1-64", sensor_height_m=2.5, views=Views.ANY)
