@@ -83,7 +83,7 @@ def calibrate(
     at_scan: list[tuple[float, bool]] = []
     errors: list[_Error] = []
     least_cells = math.inf
-    progress.start("calibrating", len(used))
+    progress.start("calibrating scans" if by_images else "calibrating", len(used))
     for probe in used:
         row = int(probes.rows[probe])
         image = image_of(tensor_map, probes.images, probe)

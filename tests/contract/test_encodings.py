@@ -293,7 +293,11 @@ class TestEncodings:
             assert answer["best"]["scan_index"] == 20
             values = [basis.parameters.encoder.as_values(s) for s in signatures]
             body = {"basis": basis.digest, "signatures": values}
-            assert client.post(f"{places}/signature", json=body).json() == by_scan
+            by_values = client.post(f"{places}/signature", json=body).json()
+            if name == "harmonic":  # a scan is compared by more than its signature
+                assert by_values["best"]["scan_index"] == 20
+            else:
+                assert by_values == by_scan
 
 
 @pytest.mark.parametrize(

@@ -60,7 +60,7 @@ def test_evaluate_writes_every_figure(drive: Path, tmp_path: Path) -> None:
     tensormap("evaluate", drive, "--segments", "2", *lists, "--tolerance-m", "2.5", "--json", out)
     found = json.loads(out.read_text())
     assert found["drive"] == "monday"
-    assert (found["encoding"], found["ranks"], found["reducer"]) == ("harmonic", [5, 5], "highest")
+    assert (found["encoding"], found["ranks"], found["reducer"]) == ("harmonic", [6, 7], "highest")
     assert (found["segments"], found["sensor"], found["seed"]) == (2, "hdl-64e", 0)
     assert found["sensor_height_m"] == 1.73
     assert set(found["compression"]) == {

@@ -142,12 +142,13 @@ def test_a_live_revision_that_cannot_be_read_does_not_hold_up_its_successor(stor
 
 def test_images_that_were_damaged_are_made_anew_and_the_revision_is_the_same(store):
     _, whole = stages_of(store)
-    assert stages_of(store)[0] == ["fitting", "calibrating"]  # from the images that are kept
+    kept = ["fitting", "calibrating", "calibrating scans"]  # from the images that are kept
+    assert stages_of(store)[0] == kept
     damage(store)
     seen, again = stages_of(store)
-    assert seen == ["fitting", "projecting", "fitting", "calibrating"]
+    assert seen == ["fitting", "projecting", "fitting", "calibrating", "calibrating scans"]
     assert again.digest == whole.digest
-    assert stages_of(store)[0] == ["fitting", "calibrating"]
+    assert stages_of(store)[0] == ["fitting", "calibrating", "calibrating scans"]
 
 
 def test_images_that_are_damaged_each_time_end_the_build(store, monkeypatch):
@@ -188,12 +189,12 @@ def test_images_without_probes_are_made_anew_and_without_returns_the_map_is_not_
     store, monkeypatch
 ):
     seen, _ = stages_of(store)
-    assert seen == ["projecting", "fitting", "calibrating"]
+    assert seen == ["projecting", "fitting", "calibrating", "calibrating scans"]
     seen, _ = stages_of(store)
-    assert seen == ["fitting", "calibrating"]
+    assert seen == ["fitting", "calibrating", "calibrating scans"]
     drop_probes(store)
     seen, _ = stages_of(store)
-    assert seen == ["projecting", "fitting", "calibrating"]
+    assert seen == ["projecting", "fitting", "calibrating", "calibrating scans"]
     drop_probes(store)
 
     def gone(*_):

@@ -42,6 +42,7 @@ def parameters(encoding, ranks=(5, 5)):
         encoding=encoding,
         ranks=ranks,
         lateral_renderings_m=(-1.5, 0.0, 1.5) if encoding == "harmonic" else None,
+        verification_images=False,  # a sweep is of signatures
     )
 
 

@@ -231,7 +231,11 @@ def test_a_vehicle_with_an_offset_and_relative_yaw_is_found_at_its_place(
     condition = Condition(yaw_deg=yaw_deg, lateral_m=lateral_m)
     for index in range(4, 60, 10):  # scans of the map itself: the answer is exact
         scan = condition.apply(drive.scan(index), np.random.default_rng(0))
-        best = localizer.localize_scan(scan).best
+        of_scan = localizer.localize_scan(scan).best  # by images, whose cells are metres wide
+        assert of_scan.scan_index == index
+        assert of_scan.lateral_m == pytest.approx(lateral_m, abs=0.5)
+        signatures = localizer.basis.encode(localizer.basis.image(scan))
+        best = localizer.localize_signatures(signatures).best
         assert best.scan_index == index
         assert best.lateral_m == pytest.approx(lateral_m, abs=1e-6)
         assert best.estimated_pose is not None
