@@ -1,10 +1,11 @@
 """Probabilities of answers to disturbed queries, in simulated cities whose seeds a commit gives.
 
-    python -m benchmarks.trust_views COMMIT [--queries 5000]
+    python -m benchmarks.trust_views COMMIT [--queries 5000] [--scans]
 
 The seeds derive from the digest of COMMIT, the one that froze the defaults: nothing was chosen on
 them. Every query is of a second pass beside the line or of another city, under one disturbance
-drawn at random. Correct is a match within 5 m. It returns 1 if a bar is missed.
+drawn at random; vehicles send signatures or, with --scans, scans. Correct is a match within 5 m. It
+returns 1 if a bar is missed.
 """
 
 import argparse
@@ -45,6 +46,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("commit")
     parser.add_argument("--queries", type=int, default=5000)
+    parser.add_argument("--scans", action="store_true")
     given = parser.parse_args()
     threadpool_limits(limits=1)
     seeds = [_seed(given.commit, city) for city in range(CITIES)]
@@ -62,7 +64,7 @@ def main() -> int:
             calibrated=True,
         )
         for known, of_city in ((True, seed), (False, seeds[(number + 1) % CITIES])):
-            _query(localizer, passes[of_city], seed, known=known, found=found)
+            _query(localizer, passes[of_city], seed, scans=given.scans, known=known, found=found)
     rows: list[list[str]] = []
     missed = False
     for disturbance in ("all", *DISTURBANCES):
@@ -109,6 +111,7 @@ def _query(
     drives: list[SimulatedDrive | MemoryDrive],
     seed: int,
     *,
+    scans: bool,
     known: bool,
     found: dict[str, list[tuple[float, bool, bool]]],
 ) -> None:
@@ -119,10 +122,13 @@ def _query(
             scan = drive.scan(index)
             try:
                 disturbed = Condition(disturb=disturbance).apply(scan, rng)
-                signatures = localizer.basis.encode(localizer.basis.image(disturbed))
+                image = localizer.basis.image(disturbed)
             except InvalidScan:
                 continue
-            answer = localizer.localize_signatures(signatures)
+            if scans:
+                answer = localizer.localize_image(image)
+            else:
+                answer = localizer.localize_signatures(localizer.basis.encode(image))
             assert answer.decision.probability is not None  # noqa: S101 - the map is calibrated
             assert answer.best.pose is not None  # noqa: S101 - and has poses
             place = np.array(answer.best.pose.as_tuple()[:3])
