@@ -188,7 +188,10 @@ class HarmonicModel(Model):
         near = slice(view.rings)
         values = encode(image.seen[near], self.radial_basis[near, :r1], self.ranks[1])
         model = self.seen_within(view.rings, r1)
-        return VerifiedSearch(model, values, view.hidden, image.cells)
+        search = VerifiedSearch(model, values, view.hidden, image.cells)
+        if view.is_narrow:
+            search.evidence = _EVIDENCE_OF_NARROW
+        return search
 
     def small_images(self, rows: IntArray) -> NDArray[np.uint8]:
         """Return the verification images of some scans, `(n, I, 60)`."""

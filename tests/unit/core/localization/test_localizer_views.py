@@ -70,8 +70,10 @@ def test_distances_of_a_narrow_view_say_less_than_those_of_a_wide_one(maps):
     basis, scan = tensor_map.basis(), RECORDED.scan(21)
     for disturb, evidence in (("", 1.0), ("hidden:60", 1.0), ("fov:180", 0.5), ("reach:30", 0.5)):
         query = Condition(disturb=disturb).apply(scan, np.random.default_rng(0))
-        [signature] = basis.encode(basis.image(query))
+        image = basis.image(query)
+        [signature] = basis.encode(image)
         assert tensor_map.model.search([signature]).evidence == evidence
+        assert tensor_map.model.search_image(image, basis).evidence == evidence
 
 
 def test_sensors_at_any_height_share_a_basis_of_any_views(maps):
