@@ -101,7 +101,7 @@ class PostgresqlChanges:
 
     def _listen(self) -> None:
         while not self._closed.is_set():
-            # Whatever ends it: what is kept expires, and the catalog is asked.
+            # Whatever ends it: what is kept expires, and the catalog is queried.
             with suppress(Exception):
                 self._listen_once()
             self._closed.wait(_RETRY_S)

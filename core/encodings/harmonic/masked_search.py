@@ -17,7 +17,6 @@ divided by 1 - r2 / 48 (1 - share), which trusts it the more the more harmonics 
 distance becomes half at most (docs/decisions/0030-any-view.md).
 """
 
-from collections.abc import Sequence
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -28,7 +27,7 @@ from core.arrays import BoolArray, ComplexArray, Float32Array, FloatArray, IntAr
 from core.encodings.harmonic.search import HarmonicSearch, peaks
 from core.encodings.harmonics import circular_energy, energy, two_sided
 from core.encodings.model import Neighbours, nearest
-from core.projection.visibility import sector_of_column
+from core.projection.visibility import View, sector_of_column
 
 if TYPE_CHECKING:
     from core.encodings.harmonic.model import HarmonicModel
@@ -40,6 +39,7 @@ _EXACT_ONCE = 192  # scans of which the best rendering is compared exactly
 _EXACT_SCANS = 24  # of which all renderings are
 _EXACT_DISTANCES = 1024  # scans: 0.1 s
 _LEAST_SEEN = np.float32(0.02)  # of a rendering's energy: with less to compare, everything is alike
+_EVIDENCE_OF_NARROW = 0.5  # where less is compared, more is alike by chance: decision 30
 _TRUSTING_HARMONICS = 48  # with as many the share of the query's energy would be trusted
 
 
@@ -49,11 +49,13 @@ class MaskedSearch(HarmonicSearch):
     The nearest scans are found among the best estimates and compared exactly.
     """
 
-    def __init__(self, model: "HarmonicModel", values: ComplexArray, hidden: Sequence[int]) -> None:
+    def __init__(self, model: "HarmonicModel", values: ComplexArray, view: View) -> None:
         super().__init__(model, values)
+        if view.is_narrow:
+            self.evidence = _EVIDENCE_OF_NARROW
         columns, kept, sent = model.columns, model.ranks[1], values.shape[1]
-        self._partial = len(hidden) > 0
-        seen = ~np.isin(sector_of_column(columns), hidden)
+        self._partial = len(view.hidden) > 0
+        seen = ~np.isin(sector_of_column(columns), view.hidden)
         self._mask = np.fft.fft(seen) / columns
         sent_harmonics = np.arange(1 - sent, sent)
         toeplitz = self._mask[(sent_harmonics[:, None] - np.arange(1 - kept, kept)) % columns]

@@ -51,7 +51,6 @@ if TYPE_CHECKING:
 _ACROSS = 5  # places from which a small image is compared
 _BEYOND_M = 1.5  # the outermost viewpoints: such images need not be kept
 _ESTIMATED_WAVES = 12  # of energies in estimates
-_EVIDENCE_OF_NARROW = 0.5  # where less is compared, more is alike by chance: decision 30
 _LIMITED_KEPT = 4  # models of limited queries, each about as large as this one
 
 
@@ -160,10 +159,7 @@ class HarmonicModel(Model):
         """
         query = values.astype(np.complex128)
         if self.hidden_sectors is not None:
-            search = MaskedSearch(self.seen_within(view.rings, len(values)), query, view.hidden)
-            if view.is_narrow:
-                search.evidence = _EVIDENCE_OF_NARROW
-            return search
+            return MaskedSearch(self.seen_within(view.rings, len(values)), query, view)
         if not view.is_full:
             raise InvalidSignature(
                 f"the signature is of a partial view ({len(view.hidden)} sectors are hidden); this"
@@ -188,10 +184,7 @@ class HarmonicModel(Model):
         near = slice(view.rings)
         values = encode(image.seen[near], self.radial_basis[near, :r1], self.ranks[1])
         model = self.seen_within(view.rings, r1)
-        search = VerifiedSearch(model, values, view.hidden, image.cells)
-        if view.is_narrow:
-            search.evidence = _EVIDENCE_OF_NARROW
-        return search
+        return VerifiedSearch(model, values, view, image.cells)
 
     def small_images(self, rows: IntArray) -> NDArray[np.uint8]:
         """Return the verification images of some scans, `(n, I, 60)`."""

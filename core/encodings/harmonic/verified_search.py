@@ -1,6 +1,5 @@
 """A scan query: the best candidates of its signature, compared cell by cell."""
 
-from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -9,7 +8,7 @@ from core.arrays import BoolArray, ComplexArray, Float32Array, FloatArray, IntAr
 from core.encodings.harmonic.masked_search import MaskedSearch
 from core.encodings.harmonic.small_query import SmallQuery
 from core.projection.probe import Displacement
-from core.projection.visibility import SECTORS
+from core.projection.visibility import SECTORS, View
 from core.scans.angles import wrapped_deg
 
 if TYPE_CHECKING:
@@ -36,10 +35,10 @@ class VerifiedSearch(MaskedSearch):
         self,
         model: "HarmonicModel",
         values: ComplexArray,
-        hidden: Sequence[int],
+        view: View,
         cells: Float32Array,
     ) -> None:
-        super().__init__(model, values, hidden)
+        super().__init__(model, values, view)
         self._query = SmallQuery(cells)
 
     def exact(
