@@ -18,7 +18,7 @@ distance becomes half at most (docs/decisions/0030-any-view.md).
 """
 
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 import scipy.fft
@@ -37,7 +37,6 @@ _BLOCK = 2048  # renderings whose headings are estimated at once, in the process
 _EXACT_SAMPLES = 128  # between which the peak is found by a parabola
 _EXACT_ONCE = 192  # scans of which the best rendering is compared exactly
 _EXACT_SCANS = 24  # of which all renderings are
-_EXACT_DISTANCES = 1024  # scans: 0.1 s
 _LEAST_SEEN = np.float32(0.02)  # of a rendering's energy: with less to compare, everything is alike
 _EVIDENCE_OF_NARROW = 0.5  # where less is compared, more is alike by chance: decision 30
 _TRUSTING_HARMONICS = 48  # with as many the share of the query's energy would be trusted
@@ -48,6 +47,9 @@ class MaskedSearch(HarmonicSearch):
 
     The nearest scans are found among the best estimates and compared exactly.
     """
+
+    block_scans = _EXACT_SCANS
+    most_exact: ClassVar[float] = 1024  # scans, in 0.1 s
 
     def __init__(self, model: "HarmonicModel", values: ComplexArray, view: View) -> None:
         super().__init__(model, values)
@@ -79,15 +81,10 @@ class MaskedSearch(HarmonicSearch):
         Of many scans all are estimates: exact ones among them would be nearer or farther than
         others by more than scans differ.
         """
-        distances = np.full(len(self._model), np.inf)
-        rows = np.arange(len(distances)) if among is None else np.flatnonzero(among)
-        if len(rows) > _EXACT_DISTANCES:
-            distances[rows] = self._estimates[rows]
-            return distances
-        for start in range(0, len(rows), _EXACT_SCANS):
-            block = rows[start : start + _EXACT_SCANS]
-            distances[block] = self.exact(block)[0].min(axis=1)
-        return distances
+        among = np.ones(len(self._model), bool) if among is None else among
+        if np.count_nonzero(among) <= self.most_exact:
+            return super().distances(among)
+        return np.where(among, self._estimates, np.inf)
 
     def _preferred(self, k: int, among: BoolArray | None) -> IntArray:
         """Return the rows of the scans to compare exactly, rising.

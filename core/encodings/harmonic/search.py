@@ -1,7 +1,7 @@
 """One harmonic signature, compared with every rendering of every scan."""
 
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
@@ -17,7 +17,6 @@ if TYPE_CHECKING:
 _SAMPLES_A_WAVE = 12  # of the shortest wave: the parabola then errs by less than 0.1 deg
 _MOST_STEP_DEG = 4.0  # between headings of an estimate: of few harmonics, those of a mask count
 _FIRST = 4  # scans that are searched before the bound excludes others
-_EXACT_SCANS = 1024  # searched over headings at once, in 10 MB
 _SLACK = 1e-5  # of the bound, in single precision, as a share of |g| |G|: ten times its rounding
 _ROUNDING = 1e-12  # of sums in double precision
 
@@ -29,6 +28,8 @@ class HarmonicSearch(Search):
     c_m = sum_r g_rm conj(G_rm), and never more than sum_m w_m |c_m|. That bound costs little and
     leaves few renderings whose headings have to be searched; the result is that of searching all.
     """
+
+    block_scans: ClassVar[int] = 1024  # compared at once, in 10 MB
 
     def __init__(self, model: "HarmonicModel", values: ComplexArray) -> None:
         self._model = model
@@ -85,8 +86,8 @@ class HarmonicSearch(Search):
         """Return each scan's distance, that of its nearest rendering, infinite outside `among`."""
         distances = np.full(len(self._model), np.inf)
         rows = np.arange(len(distances)) if among is None else np.flatnonzero(among)
-        for start in range(0, len(rows), _EXACT_SCANS):
-            block = rows[start : start + _EXACT_SCANS]
+        for start in range(0, len(rows), self.block_scans):
+            block = rows[start : start + self.block_scans]
             distances[block] = self.exact(block)[0].min(axis=1)
         return distances
 

@@ -1,10 +1,11 @@
 """A scan query: the best candidates of its signature, compared cell by cell."""
 
+import math
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from core.arrays import BoolArray, ComplexArray, Float32Array, FloatArray, IntArray
+from core.arrays import ComplexArray, Float32Array, FloatArray, IntArray
 from core.encodings.harmonic.masked_search import MaskedSearch
 from core.encodings.harmonic.small_query import SmallQuery
 from core.projection.probe import Displacement
@@ -16,7 +17,6 @@ if TYPE_CHECKING:
 
 _SECTOR_DEG = 360.0 / SECTORS
 _BESIDE = np.array([-1, 0, 1])  # sectors around the heading that the signature found
-_BLOCK = 64  # scans that are compared at once, in 20 MB
 _LATTICE_M = np.stack(np.meshgrid([-1.0, 0.0, 1.0], [-1.0, 0.0, 1.0], indexing="ij"), -1)
 _LATTICE_M = _LATTICE_M.reshape(9, 2)  # ahead, left
 _HERE, _ALONG, _ACROSS = 4, [1, 4, 7], [3, 4, 5]  # in it
@@ -30,6 +30,8 @@ class VerifiedSearch(MaskedSearch):
     """
 
     verified = True
+    block_scans = 64  # in 20 MB
+    most_exact = math.inf  # estimates are of signatures alone
 
     def __init__(
         self,
@@ -59,15 +61,6 @@ class VerifiedSearch(MaskedSearch):
         best = np.take_along_axis(correlation, turned[:, None], axis=2).max(axis=(1, 2))
         of_images = np.maximum(1.0 - best.astype(np.float64), 0.0)[:, None]
         return 0.5 * (of_images + distances), yaw_deg
-
-    def distances(self, among: BoolArray | None = None) -> FloatArray:
-        """Return each scan's distance, infinite outside `among`: all are compared cell by cell."""
-        distances = np.full(len(self._model), np.inf)
-        rows = np.arange(len(distances)) if among is None else np.flatnonzero(among)
-        for start in range(0, len(rows), _BLOCK):
-            block = rows[start : start + _BLOCK]
-            distances[block] = self.exact(block)[0].min(axis=1)
-        return distances
 
     def displacement(self, row: int) -> Displacement:
         """Return where the query is relative to a scan: where their images are most alike.
