@@ -1,7 +1,6 @@
 """The harmonic encoding: one radial basis for the map, harmonics in azimuth."""
 
 import itertools
-import struct
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -17,6 +16,7 @@ from core.encodings.distance import Distance
 from core.encodings.grams import detail_gram, drive_gram, fit_radial_basis
 from core.encodings.harmonic.basis import HarmonicBasis
 from core.encodings.harmonic.model import HarmonicModel
+from core.encodings.harmonic.packing import LAYOUTS, pack, unpack
 from core.encodings.harmonics import (
     encode,
     energy,
@@ -25,7 +25,7 @@ from core.encodings.harmonics import (
     weights,
 )
 from core.encodings.model import Model
-from core.encodings.signature import HEADER_BYTES, Packing, Signature
+from core.encodings.signature import Packing, Signature
 from core.encodings.tucker import leading_basis
 from core.errors import InvalidMap, InvalidParameters, InvalidSignature
 from core.progress import Progress
@@ -34,20 +34,15 @@ from core.projection.images import ImageSource
 from core.projection.reducer import Reducer
 from core.projection.rings import RingGrid
 from core.projection.small_image import small_image
-from core.projection.visibility import FULL_VIEW, SECTORS, View, bits_of_hidden
+from core.projection.visibility import FULL_VIEW, View, bits_of_hidden
 from core.scans.trajectory import Trajectory
 
 if TYPE_CHECKING:
     from core.parameters import MapParameters
 
-_FLOAT16, _INT8 = 3, 4  # layouts
-_PARTIAL_INT8, _PARTIAL_FLOAT16 = 5, 6  # with their view
-_VIEW_BYTES, _SHORT_SCALE_BYTES = 8, 2
 _HIDDEN = "hidden_sectors"
 _IMAGES = "verification_images"
 _RANKS_OF_ANY_VIEWS = (6, 7)  # 78 numbers: a partial view is 99 bytes
-_SCALE = struct.Struct("<f")
-_INT8_MAX = 127
 
 
 class HarmonicEncoding(Encoding):
@@ -59,12 +54,7 @@ class HarmonicEncoding(Encoding):
     distance = Distance.NORMALISED
     lateral_renderings_m = LATERAL_RENDERINGS_M
     dtypes: ClassVar = {"radial_basis": "<f4", "signatures": "<c8", "lateral_offset_m": "<f8"}
-    layouts: ClassVar = {
-        _FLOAT16: "harmonic float16",
-        _INT8: "harmonic int8",
-        _PARTIAL_INT8: "harmonic int8, partial view",
-        _PARTIAL_FLOAT16: "harmonic float16, partial view",
-    }
+    layouts: ClassVar = LAYOUTS
     packings = (Packing.INT8, Packing.FLOAT16)
     signature_dtype = np.dtype(np.complex64)
     fits_to_grams = True
@@ -330,60 +320,16 @@ class HarmonicEncoding(Encoding):
         return values.astype(np.complex128) * np.sqrt(weights(2 * harmonics, harmonics))
 
     def pack(self, signatures: Sequence[Signature], packing: Packing) -> tuple[int, bytes]:
-        """Return the layout and the numbers: the first column, then real and imaginary parts.
-
-        Before them its view, if that is partial: a number of 8 bytes, of which bit s is hidden
-        sector s, and the upper four how many rings are within reach, 0 if all are.
-        """
+        """Return the layout and the bytes of the one signature of a scan."""
         if len(signatures) > 1:
             raise InvalidSignature("a harmonic signature is packed alone")
-        (signature,) = signatures
-        values = signature.values
-        numbers = np.concatenate(
-            [values[:, 0].real, values[:, 1:].real.ravel(), values[:, 1:].imag.ravel()]
-        ).astype(np.float64)
-        as_float16, view = packing == Packing.FLOAT16, signature.view
-        if view.is_full:
-            return (_FLOAT16, _as_float16(numbers)) if as_float16 else (_INT8, _as_int8(numbers, 4))
-        bits = sum(1 << sector for sector in view.hidden) + ((view.rings or 0) << SECTORS)
-        packed = bits.to_bytes(_VIEW_BYTES, "little")
-        if as_float16:
-            return _PARTIAL_FLOAT16, packed + _as_float16(numbers)
-        return _PARTIAL_INT8, packed + _as_int8(numbers, _SHORT_SCALE_BYTES)
+        return pack(signatures[0], packing)
 
     def unpack(
         self, layout: int, body: bytes, shape: tuple[int, int], revision: str
     ) -> tuple[Signature, ...]:
         """Read what `pack` returned."""
-        r1, r2 = shape
-        count = r1 * (2 * r2 - 1)
-        as_float16 = layout in {_FLOAT16, _PARTIAL_FLOAT16}
-        partial = layout in {_PARTIAL_INT8, _PARTIAL_FLOAT16}
-        view_bytes = _VIEW_BYTES if partial else 0
-        scale_bytes = _SHORT_SCALE_BYTES if partial else _SCALE.size
-        wanted = view_bytes + (2 * count if as_float16 else scale_bytes + count)
-        if len(body) != wanted:
-            raise InvalidSignature(
-                f"{HEADER_BYTES + len(body)} bytes came, wanted {HEADER_BYTES + wanted}"
-            )
-        bits, body = int.from_bytes(body[:view_bytes], "little"), body[view_bytes:]
-        hidden = tuple(sector for sector in range(SECTORS) if bits >> sector & 1)
-        view = View(hidden, (bits >> SECTORS) or None)
-        if as_float16:
-            numbers: FloatArray = np.frombuffer(body, "<f2").astype(np.float64)
-        else:
-            (scale,) = _SCALE.unpack(body[:scale_bytes].rjust(_SCALE.size, b"\0"))
-            with np.errstate(invalid="ignore"):  # infinity times 0: NaN, rejected as not finite
-                roots = np.frombuffer(body, np.int8, offset=scale_bytes).astype(np.float64)
-                numbers = scale * roots * np.abs(roots)
-        first, real, imag = np.split(numbers, [r1, r1 * r2])
-        values = np.zeros((r1, r2), np.complex64)
-        # Beyond float32 is infinite, and a signalling NaN is a NaN: both are rejected.
-        with np.errstate(over="ignore", invalid="ignore"):
-            values.real[:, 0] = first
-            # Part by part: infinity times 1j would make a NaN of the other part.
-            values.real[:, 1:], values.imag[:, 1:] = real.reshape(r1, -1), imag.reshape(r1, -1)
-        return (Signature(values, None, revision, view=view),)
+        return (unpack(layout, body, shape, revision),)
 
     def as_values(self, signature: Signature) -> dict[str, Any]:
         """Return `values_real` and `values_imag`, r1 rows of r2 numbers each.
@@ -411,27 +357,6 @@ class HarmonicEncoding(Encoding):
             found.real, found.imag = real, imag
         view = View(tuple(values.get("hidden", ())), values.get("rings"))
         return Signature(found, None, revision, view=view)
-
-
-def _as_float16(numbers: FloatArray) -> bytes:
-    largest = float(np.abs(numbers).max())
-    if largest > float(np.finfo(np.float16).max):
-        raise InvalidSignature(f"{largest:.3g} is beyond float16; int8 carries a scale")
-    return numbers.astype("<f2").tobytes()
-
-
-def _as_int8(numbers: FloatArray, scale_bytes: int) -> bytes:
-    # Rounded roots, not rounded numbers: most numbers are small, and places differ by these.
-    # Near 0 a step is a hundredth of an even step, at the largest number twice an even step.
-    packed = _SCALE.pack(float(np.abs(numbers).max()) / _INT8_MAX**2)
-    if scale_bytes < _SCALE.size:  # the upper half of the float32, rounded up
-        whole = int.from_bytes(packed, "little") + 0xFFFF
-        packed = (whole & ~0xFFFF).to_bytes(_SCALE.size, "little")
-    scale: float = _SCALE.unpack(packed)[0]
-    roots = np.zeros_like(numbers)
-    if scale > 0.0:
-        roots = np.minimum(np.rint(np.sqrt(np.abs(numbers) / scale)), _INT8_MAX)
-    return packed[-scale_bytes:] + np.copysign(roots, numbers).astype(np.int8).tobytes()
 
 
 ENCODING = HarmonicEncoding()
