@@ -37,7 +37,7 @@ from storage.catalog.database import Database
 from storage.catalog.kept import Kept
 from storage.catalog.pages import one_more, page_of
 from storage.catalog.records import Page
-from storage.errors import StorageError, StorageUnavailable
+from storage.errors import StorageUnavailable
 
 _LOCK = 7_665_108  # any number; only the making of this table asks PostgreSQL for it
 
@@ -113,7 +113,7 @@ class SavedTracks:
         path = make_url(url).database if url.startswith("sqlite") else None
         try:
             self._database = _opened(path, url)
-        except StorageError:
+        except StorageUnavailable:
             if path is None:
                 raise
             _log.exception("%s is damaged and is replaced: tracks before this start are gone", path)
