@@ -35,7 +35,7 @@ coverage: $(DEVELOP) ## Run all tests, and fail where they run less of the code 
 
 # What `make torture` attacks with, unless the environment says otherwise; with SHORT=1 the tests' own
 # sizes, which take four minutes. Starvation: seconds that each load is measured for, and how many
-# WebSockets, tracks and builds one key asks for.
+# WebSockets, tracks and builds one key asks for; seconds that vehicles are tracked before a restart.
 ifndef SHORT
 torture: export TENSORMAP_TORTURE_KILLS ?= 300
 torture: export TENSORMAP_TORTURE_FAULTS ?= 0
