@@ -206,7 +206,7 @@ def localize(
     queries = [
         query
         for path in scans
-        for query in _queries(path, media_type, mounting, height_m, accumulate)
+        for query in queries_of(path, media_type, mounting, height_m, accumulate)
     ]
     answers: list[tuple[str, Localization]] = []
     unusable: list[str] = []
@@ -227,7 +227,7 @@ def localize(
         raise typer.Exit(1)
 
 
-def _queries(
+def queries_of(
     path: Path,
     media_type: str | None,
     mounting: Mounting | None,
