@@ -13,6 +13,7 @@ from app.access import audit_routes, key_routes
 from app.access.access import Access, make_first_key
 from app.access.admission import Admission
 from app.access.trail import AuditTrail
+from app.bases import routes as bases
 from app.builds import job_routes
 from app.builds import routes as builds
 from app.builds.job_events import JobEvents
@@ -29,7 +30,9 @@ from app.http.pools import Pools
 from app.http.problems import add_handlers
 from app.http.route_index import RouteIndex
 from app.http.streams import Streams
+from app.localization import among_routes
 from app.localization import routes as localizations
+from app.localization.among import AmongMaps
 from app.loop_closures import routes as loop_closures
 from app.maps import routes as maps
 from app.maps.collector import GarbageCollector
@@ -61,7 +64,10 @@ _ROUTERS = (
     job_routes.reading,
     job_routes.writing,
     revisions.router,
+    bases.reading,
+    bases.writing,
     localizations.router,
+    among_routes.router,
     loop_closures.router,
     tracks.router,
     key_routes.keys,
@@ -165,10 +171,12 @@ def _start(settings: Settings, metrics: Metrics, pools: Pools) -> Service:
     )
     saver = TrackSaver(tracks)
     saver.start()
+    revisions = LoadedRevisions(store, settings.loaded_revisions)
     return Service(
         settings=settings,
         store=store,
-        revisions=LoadedRevisions(store, settings.loaded_revisions),
+        revisions=revisions,
+        among=AmongMaps(store, revisions, settings.max_maps_opened),
         runner=runner,
         access=access,
         tracks=tracks,

@@ -13,6 +13,7 @@ from app.http.direct import known
 from app.http.metrics import Metrics
 from app.http.pools import Pools
 from app.http.streams import Streams
+from app.localization.among import AmongMaps
 from app.maps.collector import GarbageCollector
 from app.revisions.loaded import LoadedRevisions
 from app.scrub import Scrub
@@ -31,6 +32,7 @@ class Service:
         settings: Of the service.
         store: Maps, drives, revisions and jobs.
         revisions: Those that answer queries.
+        among: Searches all maps.
         runner: Runs builds.
         access: Checks keys.
         tracks: Tracked vehicles.
@@ -47,6 +49,7 @@ class Service:
     settings: Settings
     store: Store
     revisions: LoadedRevisions
+    among: AmongMaps
     runner: JobRunner
     access: Access
     tracks: Tracks

@@ -1,7 +1,8 @@
 """TensorMap's method: numpy and scipy only, no files, no HTTP, no HDF5.
 
 These names are its public API. Each is loaded when it is first used, so that importing one module
-of `core` loads no other.
+of `core` loads no other. SciPy is imported where it is used, since answers do without: it takes
+45 MB and 0.3 s (docs/decisions/0033-hot-path.md).
 """
 
 from importlib import import_module
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
     from core.scans.mounting import vehicle_drive as vehicle_drive
     from core.scans.pose import Pose as Pose
     from core.scans.scan import Scan as Scan
+    from core.scans.tilt import Tilt as Tilt
     from core.tracking.track import Observation as Observation
     from core.tracking.track import Track as Track
     from core.tracking.track import Tracker as Tracker
@@ -55,6 +57,7 @@ _MODULE_OF = {
         ("core.scans.mounting", "Mounting vehicle_drive"),
         ("core.scans.pose", "Pose"),
         ("core.scans.scan", "Scan"),
+        ("core.scans.tilt", "Tilt"),
         ("core.tracking.track", "Observation Track Tracker"),
     )
     for name in names.split()

@@ -7,8 +7,10 @@ from storage.catalog.acts import Act, on_behalf
 from storage.catalog.audit import AuditCheck, AuditState
 from storage.catalog.catalog import Catalog
 from storage.catalog.kept import NotKept
+from storage.catalog.live_maps import LiveMap
 from storage.catalog.models import (
     AuditRecord,
+    BasisRecord,
     JobRecord,
     JobState,
     KeyRecord,
@@ -33,12 +35,14 @@ __all__ = [
     "AuditCheck",
     "AuditRecord",
     "AuditState",
+    "BasisRecord",
     "Catalog",
     "DriveRecord",
     "IndexRange",
     "JobRecord",
     "JobState",
     "KeyRecord",
+    "LiveMap",
     "MapRecord",
     "NotKept",
     "Page",

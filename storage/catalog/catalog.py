@@ -5,11 +5,13 @@ from contextlib import AbstractContextManager, nullcontext
 from typing import TypeVar
 
 from storage.catalog.audit import Audit
+from storage.catalog.bases import Bases
 from storage.catalog.collection import Collector
 from storage.catalog.database import Database
 from storage.catalog.drives import Drives
 from storage.catalog.jobs import Jobs
 from storage.catalog.keys import Keys
+from storage.catalog.live_maps import LiveMaps
 from storage.catalog.maps import Maps
 from storage.catalog.revisions import Revisions
 from storage.catalog.saved_tracks import SavedTracks
@@ -38,9 +40,11 @@ class Catalog:
         self._database = Database(url, migrating)
         self.store_id = StoreIds(self._database)
         self.maps = Maps(self._database)
+        self.live_maps = LiveMaps(self._database)
         self.drives = Drives(self._database)
         self.scans = Scans(self._database)
         self.revisions = Revisions(self._database)
+        self.bases = Bases(self._database)
         self.collector = Collector(self._database)
         self.jobs = Jobs(self._database)
         self.keys = Keys(self._database)

@@ -9,6 +9,7 @@ from typing import Self
 from storage.catalog import Catalog, SavedTracks
 from storage.closing import Closing
 from storage.files.files import make_folder, named_disk_errors
+from storage.store.bases import Bases
 from storage.store.drives import Drives
 from storage.store.identity import check_identity, require_own_folder
 from storage.store.layout import Layout
@@ -44,6 +45,7 @@ class Store(Closing):
         maps: The maps.
         drives: Their drives and scans.
         revisions: Their revisions, and which is live.
+        bases: The shared bases.
         jobs: Their builds.
         keys: The API keys.
         tokens: The tokens of keys.
@@ -84,6 +86,7 @@ class Store(Closing):
         self.maps = Maps(self.catalog, self.layout)
         self.drives = Drives(self.catalog, self.layout)
         self.revisions = Revisions(self.catalog, self.layout)
+        self.bases = Bases(self.catalog, self.layout)
         self.jobs = self.catalog.jobs
         self.keys = self.catalog.keys
         self.tokens = self.catalog.tokens
