@@ -1,5 +1,6 @@
 """The data directory of an earlier version starts, answers and verifies as before."""
 
+import base64
 import json
 import tarfile
 from pathlib import Path
@@ -20,7 +21,16 @@ from tests.support.service import problem_of, running, wait_for
 from tests.upgrade.make import ADMIN, ADMIN_KEY, digest_of, query
 
 FOLDER = Path(golden.__file__).parent
-RELEASED = ["data-83290e7.tar.xz"]
+RELEASED = ["data-83290e7.tar.xz", "data-2ea395c.tar.xz", "data-77f57f6.tar.xz"]
+WITH_ANSWERS = RELEASED[1:]
+"""Those that have answers to localizations, interrupted builds, and a backup."""
+UNCHANGED = {
+    # Decision 32 estimates poses between scans.
+    "data-2ea395c.tar.xz": {"revision", "localized", "reason", "probability", "segments_searched"},
+}
+"""What of an answer is still the same, where it is not all."""
+REJUDGED = {"probability", "localized", "reason"}
+"""What decision 11 changed in maps of any views after 77f57f6: what their distances are worth."""
 
 
 @pytest.fixture(params=RELEASED)
@@ -31,6 +41,14 @@ def released(request, tmp_path):
     return tmp_path / "data", json.loads((tmp_path / "answers.json").read_text())
 
 
+@pytest.fixture(params=WITH_ANSWERS)
+def answered(request, tmp_path):
+    """Return a folder of a release with its data, its backup and its answers, and its name."""
+    with tarfile.open(FOLDER / request.param) as tar:
+        tar.extractall(tmp_path, filter="tar")
+    return tmp_path, request.param
+
+
 def holds(now, before):
     """Return whether a response has all that it had before; it may have more."""
     if isinstance(before, dict):
@@ -39,7 +57,54 @@ def holds(now, before):
         )
     if isinstance(before, list):
         return len(now) == len(before) and all(map(holds, now, before))
+    if isinstance(before, float):
+        return now == pytest.approx(before, rel=1e-5, abs=1e-6)
     return now == before
+
+
+def require_answers(client, recorded, name):
+    """Send what was localized again, to the same live revisions, and require the same answers."""
+    views = {item["revision"]: item["parameters"].get("views") for item in revisions_of(client)}
+    for sent in recorded["localized"]:
+        client.put("/v1/maps/plaza/live", json={"revision": sent["revision"]})
+        body, headers = base64.b64decode(sent["body"]), {"Content-Type": sent["type"]}
+        now, before = (
+            client.post(sent["path"], content=body, headers=headers).json(),
+            sent["answer"],
+        )
+        compared = UNCHANGED.get(name, before.keys())
+        if views[sent["revision"]] == "any":
+            compared = compared - REJUDGED
+        for field in compared:
+            assert holds(now[field], before[field]), (sent["path"], field)
+        for which in ("best", "runner_up"):
+            for field in ("drive", "scan_index", "distance", "segment"):
+                assert holds(now[which][field], before[which][field]), (sent["path"], field)
+
+
+def revisions_of(client):
+    return client.get("/v1/maps/plaza/revisions").json()["items"]
+
+
+def test_it_localizes_as_before_and_ends_the_builds_that_were_interrupted(answered):
+    folder, name = answered
+    recorded = json.loads((folder / "answers.json").read_text())
+    with running(folder / "data", admin_key=ADMIN_KEY) as client:
+        client.headers.update(ADMIN)
+        require_answers(client, recorded, name)
+        for job in ("interrupted", "waiting"):
+            assert wait_for(client, recorded[job])["state"] == "done"
+        require_answers(client, recorded, name)
+
+
+def test_its_backup_is_restored_and_answers(answered):
+    folder, name = answered
+    recorded = json.loads((folder / "answers.json").read_text())
+    restore_backup(folder / "backup.tar", folder / "restored")
+    with running(folder / "restored", admin_key=ADMIN_KEY) as client:
+        client.headers.update(ADMIN)
+        require_answers(client, recorded, name)
+        assert wait_for(client, recorded["waiting"])["state"] == "done"
 
 
 def test_it_starts_answers_as_before_and_can_be_written(released):
