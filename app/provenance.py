@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import scipy
 
 _SOURCE = Path(__file__).parents[1]
 
@@ -21,7 +20,7 @@ def provenance() -> dict[str, Any]:
         "machine": machine(),
         "python": platform.python_version(),
         "numpy": np.__version__,
-        "scipy": scipy.__version__,
+        "scipy": version("scipy"),
         "threads": 1,
     }
 

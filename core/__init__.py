@@ -1,7 +1,8 @@
 """TensorMap's method: numpy and scipy only, no files, no HTTP, no HDF5.
 
 These names are its public API. Each is loaded when it is first used, so that importing one module
-of `core` loads no other.
+of `core` loads no other. SciPy is imported where it is used, since answers do without: it takes
+45 MB and 0.3 s (docs/decisions/0033-hot-path.md).
 """
 
 from importlib import import_module

@@ -19,7 +19,15 @@ from storage.catalog import JobRecord
 from storage.errors import JobNotFound
 from storage.store import Store
 
-IMPORTED_LATE = ("h5py", "scipy.optimize", "sqlalchemy.dialects.sqlite")
+IMPORTED_LATE = (
+    "h5py",
+    "scipy.linalg",
+    "scipy.optimize",
+    "scipy.sparse.csgraph",
+    "scipy.spatial.transform",
+    "scipy.special",
+    "sqlalchemy.dialects.sqlite",
+)
 """Modules that every build needs; their importers import them only when they are used."""
 
 _REPORT_EVERY_S = 0.2

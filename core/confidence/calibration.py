@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from typing import Any, Self
 
 import numpy as np
-from scipy.special import expit
 
 from core.arrays import FloatArray
 from core.confidence.attributes import Attributes
+from core.confidence.logistic import logistic
 from core.confidence.spread import Spread
 from core.errors import InvalidParameters
 from core.numbers import require_above
@@ -105,7 +105,7 @@ class Calibration(Attributes):
         # The odds of a single scan are its likelihood ratio: no share raises them above that.
         alone = float(self.log_likelihood_ratio(np.array(distance)))
         odds = max(odds, min(odds - math.log(share), alone))
-        return min(max(float(expit(evidence * odds)), math.ulp(0.0)), _SURE)
+        return min(max(logistic(evidence * odds), math.ulp(0.0)), _SURE)
 
     def log_likelihood_ratio(self, distances: FloatArray) -> FloatArray:
         """Return log p(d | the query is at this scan) - log p(d | elsewhere), of any shape.

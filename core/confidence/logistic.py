@@ -1,12 +1,26 @@
 """Logistic regression with finite weights for separable classes."""
 
+import math
+
 import numpy as np
-from scipy.special import expit
 
 from core.arrays import BoolArray, FloatArray
 from core.errors import InvalidParameters
 
 _RIDGE = 1.0  # of slopes in standard deviations of their feature, against one sample's loss
+_EXP_FROM = -700.0  # e^-odds is a number from here on, and 1 does not count before
+
+
+def logistic(odds: float) -> float:
+    """Return the probability of log-odds, 1 / (1 + e^-odds).
+
+    SciPy's `expit` is the same and has to be imported: 30 MB (docs/decisions/0033-hot-path.md).
+
+    Examples:
+        >>> logistic(0.0), logistic(-1e9), logistic(1e9)
+        (0.5, 0.0, 1.0)
+    """
+    return 1.0 / (1.0 + math.exp(-odds)) if odds > _EXP_FROM else math.exp(odds)
 
 
 def fit_logistic(features: FloatArray, right: BoolArray, falling: BoolArray) -> FloatArray:
@@ -35,6 +49,7 @@ def fit_logistic(features: FloatArray, right: BoolArray, falling: BoolArray) -> 
         (True, 0.5)
     """
     from scipy.optimize import minimize  # takes long to import, and only builds need it
+    from scipy.special import expit
 
     samples, count = features.shape
     if right.shape != (samples,) or falling.shape != (count,):

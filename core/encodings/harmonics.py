@@ -3,7 +3,6 @@
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import scipy.fft
 from numpy.typing import NDArray
 
 from core.arrays import ComplexArray, Float32Array, FloatArray
@@ -128,9 +127,9 @@ def circular_energy(signatures: NDArray[np.complexfloating[Any, Any]]) -> Comple
     """
     harmonics = 2 * signatures.shape[-1] - 1
     samples = 4 * harmonics
-    waves = scipy.fft.irfft(signatures, samples, axis=-1)
+    waves = np.fft.irfft(signatures, samples, axis=-1)
     squared = np.square(waves).sum(axis=-2)
-    return np.asarray(scipy.fft.rfft(squared, axis=-1)[..., :harmonics] * samples)
+    return np.asarray(np.fft.rfft(squared, axis=-1)[..., :harmonics] * samples)
 
 
 def energy(signatures: NDArray[np.complexfloating[Any, Any]], columns: int) -> FloatArray:

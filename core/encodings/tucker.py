@@ -9,7 +9,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import eigh
 
 from core.arrays import Float32Array, FloatArray
 from core.encodings.blocks import BLOCK_SCANS
@@ -87,6 +86,8 @@ def leading_basis(gram: FloatArray, rank: int) -> FloatArray:
     Raises:
         InvalidParameters: If `rank` is not within 1..n.
     """
+    from scipy.linalg import eigh  # only builds need it: decision 33
+
     n = len(gram)
     if not 1 <= rank <= n:
         raise InvalidParameters(f"the rank is {rank}, wanted 1..{n}")

@@ -4,7 +4,6 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from core.arrays import BoolArray, FloatArray, IntArray, frozen
 from core.scans.angles import wrapped_deg
@@ -193,6 +192,8 @@ def _proper(product: FloatArray) -> FloatArray:
 
 
 def _about_vertical(angle: FloatArray) -> FloatArray:
+    from scipy.spatial.transform import Rotation  # no answer needs it: decision 33
+
     return np.asarray(Rotation.from_euler("z", angle[:, None]).as_matrix())
 
 

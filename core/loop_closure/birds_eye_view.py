@@ -8,8 +8,6 @@ from dataclasses import dataclass
 from operator import attrgetter
 
 import numpy as np
-from scipy import fft
-from scipy.ndimage import gaussian_filter
 
 from core.arrays import Complex64Array, Float32Array, FloatArray, IntArray
 from core.projection.angles import azimuth_steps
@@ -83,6 +81,8 @@ def birds_eye_view(places_m: FloatArray, turn_deg: float = 0.0) -> Float32Array:
     inside = (row >= 0) & (row < _CELLS) & (column >= 0) & (column < _CELLS)
     view = np.zeros((_CELLS, _CELLS), np.float32)
     view[row[inside], column[inside]] = 1.0
+    from scipy.ndimage import gaussian_filter  # no answer needs it: decision 33
+
     blurred: Float32Array = gaussian_filter(view, _BLUR_CELLS, mode="constant")
     return blurred
 
@@ -138,8 +138,10 @@ _ROWS, _COLUMNS = _to_shifts()
 
 def _spectra(view: Float32Array, seen: Float32Array) -> Complex64Array:
     """Return the transforms of a view, its squares and the seen cells, `(3, 180, 91)`."""
+    from scipy.fft import rfft2  # of float32, seven times faster than NumPy's
+
     stacked = np.stack([view, view * view, seen])
-    return np.asarray(fft.rfft2(stacked, (_PADDED, _PADDED)))
+    return np.asarray(rfft2(stacked, (_PADDED, _PADDED)))
 
 
 def align_views(

@@ -5,10 +5,9 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
-from scipy.ndimage import gaussian_filter1d
-from scipy.special import expit
 
 from core.arrays import BoolArray, ComplexArray, FloatArray
+from core.confidence.logistic import logistic
 from core.encodings.signature import Signature
 from core.errors import InvalidParameters
 from core.localization.localizer import Localizer
@@ -141,7 +140,7 @@ def check_signatures(
     found = localizer.compare(signatures, row)
     probability = None
     if (calibration := localizer.map.calibration) is not None:
-        probability = float(expit(calibration.log_likelihood_ratio(found.distances)[0]))
+        probability = logistic(float(calibration.log_likelihood_ratio(found.distances)[0]))
     return LoopClosure(
         probability,
         turn_deg=_given(found.relative_yaw_deg),
@@ -161,7 +160,7 @@ def closure_probability(image_similarity: float, overlap: float) -> float:
         >>> closure_probability(0.7, 0.7) > 0.99, closure_probability(0.2, 0.2) < 0.1
         (True, True)
     """
-    return float(expit(_INTERCEPT + _OF_SIMILARITY * image_similarity + _OF_OVERLAP * overlap))
+    return logistic(_INTERCEPT + _OF_SIMILARITY * image_similarity + _OF_OVERLAP * overlap)
 
 
 def _similarity(first: Scan, second: Scan, sensor_height_m: float) -> tuple[float, FloatArray]:
@@ -209,6 +208,8 @@ class _View:
 
 
 def _view(scan: Scan, seen: BoolArray, sensor_height_m: float) -> _View:
+    from scipy.ndimage import gaussian_filter1d  # no answer needs it: decision 33
+
     heights = project_heights(scan, _GRID, Reducer.MEAN, sensor_height_m).astype(np.float64)
     heights = gaussian_filter1d(heights * seen, _BLUR_COLUMNS, axis=1, mode="wrap") * seen
     squares = (heights * heights).sum(axis=0)

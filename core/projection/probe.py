@@ -1,7 +1,6 @@
 """Probes: disturbed scans of the map, as of another vehicle on another day, that calibrate it."""
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from core.arrays import BoolArray, FloatArray, IntArray
 from core.errors import InvalidScan
@@ -129,6 +128,8 @@ def _way_to_neighbour_m(poses: FloatArray, row: int, rng: np.random.Generator) -
     neighbour = neighbours[rng.integers(len(neighbours))]
     way_m = poses[neighbour, :3] - poses[row, :3]
     way_m *= min(1.0, _FARTHEST_M / away_m[neighbour])
+    from scipy.spatial.transform import Rotation  # no answer needs it: decision 33
+
     return np.asarray(Rotation.from_quat(poses[row, 3:]).inv().apply(way_m)[:2])
 
 

@@ -7,7 +7,6 @@ times.
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from core.arrays import FloatArray, IntArray, frozen
 from core.errors import InvalidParameters, InvalidScan
@@ -61,6 +60,8 @@ def accumulate(scans: Sequence[Scan], poses: FloatArray) -> Scan:
             f"scan {apart_m.argmax()} of {len(scans)} that become one is {apart_m.max():.4g} m from"
             f" the last one, wanted at most {FARTHEST_M:g}"
         )
+    from scipy.spatial.transform import Rotation  # only several scans need it: decision 33
+
     to_last = Rotation.from_quat(poses[-1, 3:]).inv()
     turns = to_last * Rotation.from_quat(poses[:-1, 3:])
     shifts_m = to_last.apply(poses[:-1, :3] - poses[-1, :3])

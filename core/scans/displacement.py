@@ -7,7 +7,6 @@ every answer needs a dozen.
 import math
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from core.arrays import Float32Array, FloatArray
 
@@ -29,6 +28,8 @@ def seen_from_beside(
     points[:, 1] -= left_m
     if turn_deg == 0.0:
         return points
+    from scipy.spatial.transform import Rotation  # no answer needs it: decision 33
+
     return np.asarray(Rotation.from_euler("z", -turn_deg, degrees=True).apply(points))
 
 

@@ -6,9 +6,9 @@ those of a mounted drive, and answers to mounted queries, are the vehicle's.
 """
 
 from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from core.arrays import FloatArray, IntArray, frozen
 from core.errors import InvalidParameters
@@ -16,6 +16,9 @@ from core.scans.accumulation import AccumulatedDrive
 from core.scans.drive import Drive, scan_index_of
 from core.scans.pose import Pose, is_known, pose_rows
 from core.scans.scan import Scan
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import Rotation
 
 FARTHEST_M = 50.0
 """Of a sensor from the vehicle's origin, ahead or to the side."""
@@ -127,17 +130,19 @@ class Mounting:
         return np.array([self.x_m, self.y_m, self.z_m])
 
     @property
-    def _rotation(self) -> Rotation:
+    def _rotation(self) -> "Rotation":
+        from scipy.spatial.transform import Rotation  # only such scans need it: decision 33
+
         angles_deg = (self.roll_deg, self.pitch_deg, self.yaw_deg)
         return Rotation.from_euler("xyz", angles_deg, degrees=True)
 
 
-def _composed(rows: FloatArray, position_m: FloatArray, rotation: Rotation) -> FloatArray:
+def _composed(rows: FloatArray, position_m: FloatArray, rotation: "Rotation") -> FloatArray:
     """Return the poses of a frame that is at a position, rotated, in the frame of each pose row."""
     composed = np.full(rows.shape, np.nan)
     known = is_known(rows)
     if known.any():
-        turned = Rotation.from_quat(rows[known, 3:])
+        turned = type(rotation).from_quat(rows[known, 3:])
         composed[known, :3] = rows[known, :3] + turned.apply(position_m)
         composed[known, 3:] = (turned * rotation).as_quat(canonical=True)
     return composed

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.spatial.transform import Rotation
 
 from core.arrays import BoolArray, FloatArray
 from core.errors import InvalidPose
@@ -91,6 +90,8 @@ def rows_from_matrices(matrices: ArrayLike) -> FloatArray:
         raise InvalidPose("a pose matrix is no rotation: it mirrors")
     rows[known, :3] = m[known, :3, 3]
     if known.any():
+        from scipy.spatial.transform import Rotation  # no answer needs it: decision 33
+
         rows[known, 3:] = Rotation.from_matrix(rotations).as_quat(canonical=True)
     return rows
 

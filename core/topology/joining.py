@@ -4,8 +4,6 @@ import itertools
 from collections.abc import Iterator
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from core.arrays import BoolArray, FloatArray, IntArray
 from core.scans.pose import path_length_m
@@ -171,6 +169,10 @@ class _Nodes:
 
     def numbers(self) -> IntArray:
         """Return each plain node's number in the joined graph, in the order of first nodes."""
+        # No answer needs them: decision 33.
+        from scipy.sparse import coo_array
+        from scipy.sparse.csgraph import connected_components
+
         nodes = len(self._row)
         one, other = np.array(self._links, dtype=np.int64).reshape(-1, 2).T
         links = coo_array((np.ones(len(one)), (one, other)), shape=(nodes, nodes))

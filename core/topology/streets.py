@@ -13,7 +13,6 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial import KDTree
 
 from core.arrays import BoolArray, FloatArray
 from core.scans.trajectory import Trajectory
@@ -274,6 +273,8 @@ def _without_gaps(stretches: list[Stretch]) -> tuple[list[Stretch], list[Meeting
 
 def _crossings(lines: tuple[Line, ...], first_time: list[BoolArray]) -> Iterator[Meeting]:
     """Yield the places where streets cross on one level, in order."""
+    from scipy.spatial import KDTree  # no answer needs it: decision 33
+
     pieces = [np.flatnonzero(first[:-1] & first[1:]) for first in first_time]
     of_line = np.repeat(np.arange(len(lines)), [len(at) for at in pieces]).tolist()
     if len(of_line) < 2:

@@ -2,14 +2,17 @@
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
 
 from core.arrays import FloatArray, IntArray
 from core.errors import InvalidParameters
 from core.mapping.tensormap import TensorMap
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,6 +71,8 @@ class TravelGraph:
         Raises:
             InvalidParameters: If a cut is not between the scans of its segments.
         """
+        from scipy.sparse import csr_array  # only tracks need it: decision 33
+
         starts = tensor_map.model.segment_start
         cuts: FloatArray = np.asarray(starts - 0.5 if cut_position is None else cut_position)
         if cuts.shape != starts.shape or (cuts > starts).any() or (cuts < starts - 1).any():

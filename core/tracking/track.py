@@ -4,7 +4,6 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.spatial.transform import Rotation, Slerp
 
 from core.arrays import FloatArray
 from core.encodings.model import Neighbours, Search
@@ -275,6 +274,8 @@ def _pose(poses: FloatArray, position: float, match: Match) -> Pose | None:
     if not np.isfinite(pair).all():
         return match.pose
     share = min(max(position - low, 0.0), 1.0)
+    from scipy.spatial.transform import Rotation, Slerp  # most answers have an estimate
+
     rotation = Slerp([0.0, 1.0], Rotation.from_quat(pair[:, 3:]))(share)
     between = np.concatenate(
         [(1.0 - share) * pair[0, :3] + share * pair[1, :3], rotation.as_quat(canonical=True)]

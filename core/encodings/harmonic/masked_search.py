@@ -21,7 +21,6 @@ from functools import cached_property
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
-import scipy.fft
 
 from core.arrays import BoolArray, Complex64Array, ComplexArray, Float32Array, FloatArray, IntArray
 from core.encodings.harmonic.search import HarmonicSearch, peaks
@@ -173,12 +172,12 @@ class MaskedSearch(HarmonicSearch):
         if self._partial:
             products = stored.conj().swapaxes(-1, -2) @ two_sided(stored)
             sums = products.reshape(*products.shape[:2], -1).view(np.float32) @ self._diagonal_sums
-            seen = scipy.fft.irfft(sums.view(np.complex64), samples, axis=-1) * samples
+            seen = np.fft.irfft(sums.view(np.complex64), samples, axis=-1) * samples
         else:
             seen = energy(stored[..., : self._values.shape[1]], model.columns)[..., None]
         floor = _LEAST_SEEN * np.square(model.norms[chosen])[..., None]
         denominator = self._norm * np.sqrt(np.maximum(seen, floor))
-        correlation = scipy.fft.irfft(waves, samples, axis=-1) * samples
+        correlation = np.fft.irfft(waves, samples, axis=-1) * samples
         score = np.divide(
             correlation, denominator, out=np.zeros_like(correlation), where=denominator > 0
         )

@@ -11,7 +11,6 @@ from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
-import scipy.fft
 from numpy.typing import NDArray
 
 from core.arrays import (
@@ -332,7 +331,7 @@ class HarmonicModel(Model):
     def seen_harmonics(self) -> Float32Array:
         """The same of 1 in the columns that each rendering sees and 0 elsewhere."""
         distinct, which = np.unique(np.asarray(self.hidden_sectors), return_inverse=True)
-        seen = scipy.fft.rfft(seen_of_bits(distinct, self.columns).astype(np.float64), axis=-1)
+        seen = np.fft.rfft(seen_of_bits(distinct, self.columns).astype(np.float64), axis=-1)
         harmonics = seen[:, : 2 * self.ranks[1] - 1] / self.columns
         return self._by_harmonic(harmonics[which.reshape(self.norms.shape)])
 
