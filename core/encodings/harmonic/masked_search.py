@@ -35,7 +35,7 @@ _ESTIMATED_HEADINGS = 24  # with 66 the same scans are preferred: decision 30
 _MIXED = 4  # harmonics beyond those that are sent, which a mask mixes into them, in an estimate
 _ESTIMATED_ONCE = 1024  # renderings, in the processor's cache
 _EXACT_SAMPLES = 128  # between which the peak is found by a parabola
-_EXACT_ONCE = 192  # scans of which the best rendering is compared exactly
+_EXACT_ONCE = 128  # scans of which the best rendering is compared exactly
 _EXACT_SCANS = 24  # of which all renderings are
 _LEAST_SEEN = np.float32(0.02)  # of a rendering's energy: with less to compare, everything is alike
 _EVIDENCE_OF_NARROW = 0.5  # where less is compared, more is alike by chance: decision 30
@@ -195,21 +195,20 @@ class MaskedSearch(HarmonicSearch):
         """From the products M_m* M_k, m not negative, to the waves of |T M(t)|^2.
 
         Each product counts with (T* T)_mk for the wave m - k, and so does that of -m and -k, which
-        is its conjugate: twice the real part in each heading, of m = 0 once.
+        is its conjugate: twice the real part in each heading, of m = 0 once. As real numbers,
+        `(2 r2 (2 r2 - 1), 2 (2 r2 - 1))`, real and imaginary parts in turn.
         """
         kept = self._model.ranks[1]
-        first, second = np.arange(kept)[:, None], np.arange(1 - kept, kept)
-        factor = self._gram[kept - 1 :] * np.where(first > 0, 1.0, 0.5)
-        wave = first - second
-        sums = np.zeros((*wave.shape, 2, 2 * kept - 1, 2))
-        m, k = np.indices(wave.shape)
+        m, k = np.indices((kept, 2 * kept - 1))
+        wave = m - (k - (kept - 1))
+        weight = np.where(m > 0, 1.0, 0.5) * np.where(wave == 0, 2.0, 1.0)
+        factor = self._gram[kept - 1 :] * weight
         # A wave of a negative number is the conjugate of that of the positive one.
-        sign = np.where(wave >= 0, 1.0, -1.0)
-        at = np.abs(wave)
-        sums[m, k, 0, at, 0], sums[m, k, 0, at, 1] = factor.real, sign * factor.imag
-        sums[m, k, 1, at, 0], sums[m, k, 1, at, 1] = -factor.imag, sign * factor.real
-        sums[m, k, :, 0] *= np.where(wave == 0, 2.0, 1.0)[..., None, None]
-        return sums.reshape(2 * wave.size, -1).astype(np.float32)
+        sign, wave = np.where(wave < 0, -1.0, 1.0), np.abs(wave)
+        sums = np.zeros((*wave.shape, 2, 2 * kept - 1, 2), np.float32)
+        sums[m, k, 0, wave, 0], sums[m, k, 0, wave, 1] = factor.real, sign * factor.imag
+        sums[m, k, 1, wave, 0], sums[m, k, 1, wave, 1] = -factor.imag, sign * factor.real
+        return sums.reshape(2 * wave.size, -1)
 
     def _seen(self, renderings: ComplexArray) -> ComplexArray:
         return np.asarray(two_sided(renderings) @ self._toeplitz.T)
