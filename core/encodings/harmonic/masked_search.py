@@ -144,21 +144,20 @@ class MaskedSearch(HarmonicSearch):
         r2 = self._values.shape[1]
         energies = model.unit_energies(r2) if self._partial else model.energy_shares(r2)[None]
         of_mask = _in_headings(self._mask[: len(energies) // 2 + 1], samples)
+        of_energy = _in_headings(self._unit_energy[: model.seen.slow], samples)
+        correlated = _in_headings(np.ones(self._estimated.shape[1]), samples)
         best = np.empty(energies.shape[1], np.float32)
         for whole in model.blocks:
             waves = self._waves(whole)
             correlation = np.concatenate([waves.real, -waves.imag[1:]])
-            correlated = _in_headings(np.ones(len(waves)), samples)
             for start in range(whole.start, whole.stop, _ESTIMATED_ONCE):
                 block = slice(start, min(start + _ESTIMATED_ONCE, whole.stop))
                 score = correlated @ correlation[:, start - whole.start :][:, :_ESTIMATED_ONCE]
                 score *= np.abs(score)
                 seen = of_mask @ energies[:, block] if self._partial else energies[:, block]
                 score /= seen + _LEAST_SEEN
-                if not model.sees_all:
-                    seen_waves = model.seen_waves(block)
-                    of_energy = _in_headings(self._unit_energy[: len(seen_waves) // 2 + 1], samples)
-                    part = self._part_seen(of_energy @ seen_waves)
+                if not model.seen.all:
+                    part = self._part_seen(of_energy @ model.seen.waves(block))
                     score /= np.square(part, out=part)
                 best[block] = score.max(axis=0)
         return best.reshape(len(model.lateral_offset_m), -1)
@@ -193,9 +192,9 @@ class MaskedSearch(HarmonicSearch):
         score = np.divide(
             correlation, denominator, out=np.zeros_like(correlation), where=denominator > 0
         )
-        if not model.sees_all:
+        if not model.seen.all:
             of_energy = _in_headings(self._unit_energy, samples)
-            by_map = model.seen_harmonics(rows[:, None], renderings)
+            by_map = model.seen.harmonics(rows[:, None], renderings)
             shares = np.tensordot(by_map, of_energy, (0, 1))
             # A share that is not exact must not make two alike that are not.
             score = np.minimum(score / self._part_seen(shares), (1.0 + score) / 2.0)

@@ -29,6 +29,7 @@ from core.encodings.harmonic.basis import HarmonicBasis, harmonic_basis_digest
 from core.encodings.harmonic.codes import SignatureCodes, blocks_of
 from core.encodings.harmonic.masked_search import MaskedSearch
 from core.encodings.harmonic.search import HarmonicSearch
+from core.encodings.harmonic.seen import Seen
 from core.encodings.harmonic.verified_search import VerifiedSearch
 from core.encodings.harmonics import (
     as_real,
@@ -144,15 +145,19 @@ class HarmonicModel(Model):
     @property
     def signatures(self) -> Complex64Array:
         """All signatures as numbers, `(K, D, r1, r2)`; of a large map decoded each time."""
-        if isinstance(self.stored, SignatureCodes) and self.is_large:
-            return self.stored.at(np.arange(len(self)))
-        return self._numbers
+        return self._numbers if self._codes is None else self._codes.at(np.arange(len(self)))
 
     @property
     def is_large(self) -> bool:
         """Whether it has so many codes that each query decodes them, and none are kept decoded."""
         scans, renderings, *_ = self.stored.shape
         return isinstance(self.stored, SignatureCodes) and scans * renderings > _MOST_DECODED
+
+    @property
+    def _codes(self) -> SignatureCodes | None:
+        """Those of a large map."""
+        codes = self.stored if isinstance(self.stored, SignatureCodes) else None
+        return codes if self.is_large else None
 
     @cached_property
     def _numbers(self) -> Complex64Array:
@@ -167,8 +172,8 @@ class HarmonicModel(Model):
             rows: `(n,)` scans.
             renderings: `(n, d)` of each; all D by default.
         """
-        if isinstance(self.stored, SignatureCodes) and self.is_large:
-            return self.stored.at(rows, renderings)
+        if self._codes is not None:
+            return self._codes.at(rows, renderings)
         if renderings is None:
             return self._numbers[rows]
         return self._numbers[rows[:, None], renderings]
@@ -366,8 +371,8 @@ class HarmonicModel(Model):
     @cached_property
     def norms(self) -> FloatArray:
         """|G| of every rendering, `(K, D)`."""
-        if isinstance(self.stored, SignatureCodes) and self.is_large:
-            return np.sqrt(self.stored.squared_norms(self.columns, self.ranks[1]))
+        if self._codes is not None:
+            return np.sqrt(self._codes.squared_norms(self.columns, self.ranks[1]))
         return np.sqrt(energy(self._numbers, self.columns))
 
     @cached_property
@@ -385,9 +390,9 @@ class HarmonicModel(Model):
             query: `(r1, m)`, m up to r2; its products with `units`.
             block: One of `blocks`.
         """
-        if isinstance(self.stored, SignatureCodes) and self.is_large:
+        if self._codes is not None:
             weighted = query * np.sqrt(weights(self.columns, query.shape[1])).astype(np.float32)
-            for product in self.stored.waves(weighted, block):
+            for product in self._codes.waves(weighted, block):
                 product *= self._inverse_norms[block]
                 yield product
         else:
@@ -405,9 +410,9 @@ class HarmonicModel(Model):
         return lru_cache(_LIMITED_KEPT)(self._energy_shares)
 
     def _energy_shares(self, r2: int) -> Float32Array:
-        if not (isinstance(self.stored, SignatureCodes) and self.is_large):
+        if self._codes is None:
             return np.asarray(self.unit_energies(r2)[0])
-        squared = self.stored.squared_norms(self.columns, r2).T.reshape(-1)
+        squared = self._codes.squared_norms(self.columns, r2).T.reshape(-1)
         return frozen(squared * np.square(self._inverse_norms, dtype=np.float64), np.float32)
 
     @cached_property
@@ -429,41 +434,11 @@ class HarmonicModel(Model):
             found[..., rows] = as_real(energies.transpose(2, 1, 0))
         return frozen(found.reshape(count, -1), np.float32)
 
-    def seen_waves(self, block: slice) -> Float32Array:
-        """The first of `seen_harmonics`, which change little from one heading to the next."""
-        if self.is_large:
-            return self._seen_waves[:, self._seen[1][block]]
-        return self._waves_seen[:, block]
-
     @cached_property
-    def _seen_waves(self) -> Float32Array:
-        of_distinct, _ = self._seen
-        kept = len(of_distinct) // 2 + 1
-        count = min(_ESTIMATED_WAVES, kept)
-        real, imag = np.split(of_distinct, [kept])
-        return frozen(np.concatenate([real[:count], imag[: count - 1]]), np.float32)
-
-    @cached_property
-    def _waves_seen(self) -> Float32Array:
-        return frozen(self._seen_waves[:, self._seen[1]], np.float32)
-
-    @cached_property
-    def sees_all(self) -> bool:
-        """Whether no rendering has hidden sectors."""
-        return not np.any(self.hidden_sectors)
-
-    def seen_harmonics(self, rows: IntArray, renderings: IntArray) -> Float32Array:
-        """Return the harmonics of 1 in the columns that renderings see and 0 elsewhere, as real."""
-        of_distinct, which = self._seen
-        return np.asarray(of_distinct[:, which[renderings * len(self) + rows]])
-
-    @cached_property
-    def _seen(self) -> tuple[Float32Array, NDArray[np.int32]]:
-        """Those of each way in which a rendering sees, and which of them each rendering has."""
-        distinct, which = np.unique(np.asarray(self.hidden_sectors).T, return_inverse=True)
-        seen = np.fft.rfft(seen_of_bits(distinct, self.columns).astype(np.float64), axis=-1)
-        harmonics = seen[:, : 2 * self.ranks[1] - 1] / self.columns
-        return frozen(as_real(harmonics.T), np.float32), which.reshape(-1).astype(np.int32)
+    def seen(self) -> Seen:
+        """What the renderings of a map of any views see."""
+        hidden, r2 = np.asarray(self.hidden_sectors), self.ranks[1]
+        return Seen(hidden, self.columns, r2, _ESTIMATED_WAVES, each=not self.is_large)
 
     @cached_property
     def units(self) -> Complex64Array:

@@ -69,11 +69,12 @@ def test_a_map_is_still_built_as_it_was(name):
     arrays = released.arrays()
     if isinstance(built.model, HarmonicModel):
         # A code may be the next one; before version 3 numbers were not rounded to codes.
-        codes, numbers = arrays.pop("signature_codes", None), arrays.pop("signatures", None)
-        if codes is not None:
+        if "signature_codes" in arrays:
+            codes = arrays.pop("signature_codes")
             difference = codes.astype(int) - built.arrays()["signature_codes"]
             assert np.abs(difference).max() <= 1
         else:
+            numbers = arrays.pop("signatures")
             largest = np.abs(numbers).max(axis=(2, 3), keepdims=True)
             rounded = np.abs(built.model.signatures - numbers)
             assert (rounded <= 0.75 * largest / 127).all()  # of half a code in both parts
@@ -100,7 +101,8 @@ def test_a_released_harmonic_map_still_answers(name):
     assert isinstance(grid, RingGrid)
     for row in range(6):
         best = localizer.localize_image(Image(heights_m[row, 0], grid)).best
-        assert (best.row, best.lateral_m) == (row, pytest.approx(-1.5))
+        assert best.row == row
+        assert best.lateral_m == pytest.approx(-1.5)
 
 
 def test_a_map_of_codes_has_version_3_and_of_numbers_2_of_any_views_else_1():
