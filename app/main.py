@@ -13,6 +13,7 @@ from app.access import audit_routes, key_routes
 from app.access.access import Access, make_first_key
 from app.access.admission import Admission
 from app.access.trail import AuditTrail
+from app.bases import routes as bases
 from app.builds import job_routes
 from app.builds import routes as builds
 from app.builds.job_events import JobEvents
@@ -29,7 +30,9 @@ from app.http.pools import Pools
 from app.http.problems import add_handlers
 from app.http.route_index import RouteIndex
 from app.http.streams import Streams
+from app.localization import among_routes
 from app.localization import routes as localizations
+from app.localization.among import AmongMaps
 from app.loop_closures import routes as loop_closures
 from app.maps import routes as maps
 from app.maps.collector import GarbageCollector
@@ -42,6 +45,7 @@ from app.settings import Settings
 from app.systemd import supervised
 from app.tracking import routes as tracks
 from app.tracking import stream_routes
+from app.tracking.saver import TrackSaver
 from app.tracking.tracks import Tracks
 from storage.catalog import JobRecord
 from storage.store import Store
@@ -60,7 +64,10 @@ _ROUTERS = (
     job_routes.reading,
     job_routes.writing,
     revisions.router,
+    bases.reading,
+    bases.writing,
     localizations.router,
+    among_routes.router,
     loop_closures.router,
     tracks.router,
     key_routes.keys,
@@ -136,6 +143,7 @@ def _start(settings: Settings, metrics: Metrics, pools: Pools) -> Service:
     store = Store.serving(settings.data_dir, settings.catalog_url)
     try:
         made = make_first_key(store, settings)
+        saved_tracks = store.saved_tracks()
     except BaseException:
         store.close()
         raise
@@ -155,13 +163,24 @@ def _start(settings: Settings, metrics: Metrics, pools: Pools) -> Service:
     collector.start()
     scrub = Scrub(store, metrics, settings.scrub_days)
     scrub.start()
+    tracks = Tracks(
+        settings.max_tracks,
+        settings.track_idle_s,
+        settings.max_tracks_per_key,
+        saved=saved_tracks,
+    )
+    saver = TrackSaver(tracks)
+    saver.start()
+    revisions = LoadedRevisions(store, settings.loaded_revisions)
     return Service(
         settings=settings,
         store=store,
-        revisions=LoadedRevisions(store, settings.loaded_revisions),
+        revisions=revisions,
+        among=AmongMaps(store, revisions, settings.max_maps_opened),
         runner=runner,
         access=access,
-        tracks=Tracks(settings.max_tracks, settings.track_idle_s, settings.max_tracks_per_key),
+        tracks=tracks,
+        track_saver=saver,
         streams=Streams(settings.max_streams, settings.max_streams_per_key),
         job_events=JobEvents(store, access),
         metrics=metrics,
@@ -176,4 +195,6 @@ def _stop(service: Service) -> None:
     service.runner.stop()
     service.collector.stop()
     service.scrub.stop()
+    service.track_saver.stop()
+    service.tracks.close()
     service.store.close()

@@ -13,10 +13,12 @@ from app.http.direct import known
 from app.http.metrics import Metrics
 from app.http.pools import Pools
 from app.http.streams import Streams
+from app.localization.among import AmongMaps
 from app.maps.collector import GarbageCollector
 from app.revisions.loaded import LoadedRevisions
 from app.scrub import Scrub
 from app.settings import Settings
+from app.tracking.saver import TrackSaver
 from app.tracking.tracks import Tracks
 from storage.names import SLUG_PATTERN
 from storage.store import Store
@@ -30,9 +32,11 @@ class Service:
         settings: Of the service.
         store: Maps, drives, revisions and jobs.
         revisions: Those that answer queries.
+        among: Searches all maps.
         runner: Runs builds.
         access: Checks keys.
         tracks: Tracked vehicles.
+        track_saver: Saves them.
         streams: Open streams.
         job_events: Events of jobs that clients follow.
         metrics: Its metrics.
@@ -45,9 +49,11 @@ class Service:
     settings: Settings
     store: Store
     revisions: LoadedRevisions
+    among: AmongMaps
     runner: JobRunner
     access: Access
     tracks: Tracks
+    track_saver: TrackSaver
     streams: Streams
     job_events: JobEvents
     metrics: Metrics

@@ -107,6 +107,9 @@ class Settings(BaseSettings):
     machine's, or the control group's, memory by default; 0 limits nothing."""
     loaded_revisions: Count = 8
     """How many revisions are kept in memory to answer queries."""
+    max_maps_opened: Count = 64
+    """How many maps a query that names no map may open; those of one shared basis are one index, of
+    which few are opened. A query that would need more is rejected."""
     retained_revisions: Annotated[int, Field(ge=0, le=MOST_REVISIONS)] | Literal["all"] = "all"
     """How many revisions of a map are kept besides the live and the newest one, or `all`; a map may
     choose otherwise."""

@@ -11,14 +11,13 @@ DRIVES is a folder of drives in the KITTI odometry layout that holds `kitti00` a
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
 
 from threadpoolctl import threadpool_limits
 
 from app.provenance import commit, machine, provenance
 from baselines.roster import METHODS, default_methods, methods_named
 from benchmarks.accuracy import print_table
-from core.arrays import IntArray
+from benchmarks.maps import Once
 from core.evaluation.compare import (
     Comparison,
     ComparisonProtocol,
@@ -27,10 +26,9 @@ from core.evaluation.compare import (
     compare,
 )
 from core.evaluation.condition import Condition, conditions
-from core.evaluation.methods import Enrolled, Method
+from core.evaluation.methods import Method
 from core.evaluation.pairing import HeldOut, LoopClosing, SecondPass
 from core.evaluation.split import Every
-from core.progress import NO_PROGRESS, Progress
 from core.scans.drive import Drive, MemoryDrive
 from core.scans.sensor import HDL_64E
 from core.simulation import SimulatedDrive
@@ -155,7 +153,7 @@ def _cities() -> None:
     for seed in SEEDS:
         city = _in_memory(SimulatedDrive(seed=seed, scans=SCANS))
         other = _in_memory(SimulatedDrive(seed=seed + 100, scans=SCANS), QUERY_EVERY)
-        methods = [_Once(one) for one in _methods(city, METHODS[:-1])]
+        methods = [Once(one) for one in _methods(city, METHODS[:-1])]
         for number, (offset_m, reverse) in enumerate(PASSES):
             second = SimulatedDrive(
                 seed=seed,
@@ -198,23 +196,6 @@ def _loops() -> None:
     of = ", ".join(f"{row.findable[3.0]} of {row.queries}" for row in queried)
     print(f"Findable within 3 m: {of} queries.\n")
     _print_means(found, 3.0)
-
-
-class _Once:
-    """A method that enrols one drive once and keeps the result."""
-
-    def __init__(self, method: Method) -> None:
-        self._method = method
-        self._enrolled: Enrolled | None = None
-        self.name = method.name
-
-    def configuration(self) -> dict[str, Any]:
-        return self._method.configuration()
-
-    def enrol(self, drive: Drive, scans: IntArray, progress: Progress = NO_PROGRESS) -> Enrolled:
-        if self._enrolled is None:
-            self._enrolled = self._method.enrol(drive, scans, progress)
-        return self._enrolled
 
 
 def _in_memory(drive: SimulatedDrive, every: int = 1) -> MemoryDrive:

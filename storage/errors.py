@@ -6,6 +6,7 @@ StorageError                 a TensorMapError
 │   ├── DriveNotFound
 │   ├── ScanNotFound
 │   ├── RevisionNotFound
+│   ├── BasisNotFound
 │   ├── JobNotFound
 │   └── KeyNotFound
 ├── Conflict                 what is stored does not allow it
@@ -18,6 +19,8 @@ StorageError                 a TensorMapError
 │   ├── NoLiveRevision       the map has no revision to answer with yet
 │   ├── RevisionIsLive       the live revision cannot be deleted
 │   ├── AmbiguousRevision    several digests begin with this prefix
+│   ├── BasisExists          another shared basis has this name, or this one another
+│   ├── BasisInUse           revisions have this shared basis, or a build uses it
 │   ├── JobNotRunning        only a running job makes progress or ends
 │   └── RequestKeyReused     another request was made under this idempotency key
 ├── TooManyBuilds            a key has as many builds queued as it may
@@ -57,6 +60,10 @@ class ScanNotFound(NotFound):
 
 class RevisionNotFound(NotFound):
     """A revision that the map does not have, or no longer."""
+
+
+class BasisNotFound(NotFound):
+    """A shared basis that is not there."""
 
 
 class JobNotFound(NotFound):
@@ -105,6 +112,14 @@ class RevisionIsLive(Conflict):
 
 class AmbiguousRevision(Conflict):
     """Several digests begin with this prefix."""
+
+
+class BasisExists(Conflict):
+    """Another shared basis has this name, or this one has another name."""
+
+
+class BasisInUse(Conflict):
+    """A shared basis that revisions have, or that a queued or running build uses."""
 
 
 class JobNotRunning(Conflict):

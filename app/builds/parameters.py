@@ -88,6 +88,11 @@ class BuildParameters(BaseModel):
         description="Fit a new basis of a harmonic map: vehicles have to download it again. By"
         " default that of `base`, or of the live revision if its parameters are the same, is kept.",
     )
+    basis: Annotated[str, Field(pattern="^[0-9a-z._-]{1,64}$")] | None = Field(
+        None,
+        description="Name or digest of a shared basis to use instead: vehicles with it are answered"
+        " by all maps that have it, also by `POST /v1/localizations/signature` without a map.",
+    )
     encoding: EncodingName = Field(
         DEFAULT_ENCODING,
         description="`harmonic`: one basis for the map, answers in any direction and lane; `paper`:"
@@ -195,8 +200,16 @@ class BuildParameters(BaseModel):
         both = sorted(set(self.add or ()) & set(self.remove or ()))
         if both:
             raise ValueError(f"drive {both[0]} is in add and in remove")
-        if not (self.add or self.remove or self.max_age_days or self.refit):
-            raise ValueError("base wants something that changes: add, remove, max_age_days, refit")
+        if not (self.add or self.remove or self.max_age_days or self.refit or self.basis):
+            raise ValueError(
+                "base wants something that changes: add, remove, max_age_days, refit, basis"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _one_basis(self) -> "BuildParameters":
+        if self.refit and self.basis is not None:
+            raise ValueError("give refit, to fit a basis, or the shared basis to use, not both")
         return self
 
     @field_validator("drives", "add", "remove")

@@ -68,6 +68,7 @@ def build_revision(
         DriveNotFound: If the map lacks one of the drives, or no longer has it.
         EmptyDrive: If one has no usable scan.
         RevisionNotFound: If the revision whose basis is kept was deleted.
+        BasisNotFound: If the shared basis was deleted.
         CorruptFile: If its file is damaged.
         ReturnsGone: If images are not kept, and the returns for them were dropped.
         FramesDisagree: If the poses of two drives are in different world frames.
@@ -100,7 +101,9 @@ def build_revision(
 
 
 def _kept_basis(store: Store, map_id: str, plan: Plan) -> Basis | None:
-    """Return the basis that the plan keeps, `None` if it fits one."""
+    """Return the basis that the plan uses or keeps, `None` if it fits one."""
+    if plan.basis is not None:
+        return store.bases.read(plan.basis)
     if plan.basis_kept_from is None:
         return None
     record = store.revisions.of_map(map_id, plan.basis_kept_from)
@@ -144,6 +147,7 @@ def _publish(
             "basis": {
                 "digest": tensor_map.basis_digest,
                 "kept_from": plan.basis_kept_from,
+                **({} if plan.basis is None else {"shared": plan.parameters.basis}),
                 "fits": [
                     {
                         "drive": fit.drive,

@@ -7,7 +7,7 @@ from datetime import UTC, datetime, timedelta
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from app.builds.parameters import BuildParameters
-from core.encodings.basis import make_same_signatures
+from core.encodings.basis import Basis, make_same_signatures, signature_parameters
 from core.errors import EmptyDrive, InvalidParameters, UnknownDrive
 from core.parameters import MapParameters
 from core.projection.imager import Views
@@ -25,6 +25,9 @@ class Plan(BaseModel):
     drives: list[str] = Field(description="The drives that it is built from, in their order.")
     basis_kept_from: str | None = Field(
         description="The revision whose basis it keeps; null if it fits one."
+    )
+    basis: str | None = Field(
+        None, description="Digest of the shared basis that it uses; null if it uses none."
     )
     parameters: BuildParameters = Field(
         description="The requested ones, with defaults filled in; with `base`, those of that"
@@ -60,11 +63,16 @@ def plan_build(store: Store, map_id: str, parameters: BuildParameters) -> Plan:
         UnknownDrive: If a drive of `remove` is not in the base.
         DriveNotFound: If the map lacks one of the drives.
         EmptyDrive: If no drive is left, or a named one has no scan.
-        InvalidParameters: If parameters do not fit, or differ from the base's.
+        InvalidParameters: If parameters do not fit, or differ from those of the base or the shared
+            basis.
+        BasisNotFound: If there is no such shared basis.
         CorruptFile: If the file of the revision whose basis would be kept is damaged.
     """
     names: Sequence[str] = parameters.drives or ()
     notes: list[str] = []
+    shared = None if parameters.basis is None else store.bases.read(parameters.basis)
+    if shared is not None and parameters.base is None and parameters.views is None:
+        parameters = parameters.model_copy(update={"views": shared.parameters.views})
     if parameters.base is None:
         base = None
         parameters = _with_views_of_live(store, map_id, parameters)
@@ -84,7 +92,9 @@ def plan_build(store: Store, map_id: str, parameters: BuildParameters) -> Plan:
         names = _changed(store, map_id, base, parameters)
     drives = _stored(store, map_id, names, parameters.max_age_days)
     basis_kept_from = None
-    if of_map.encoder.shares_basis and not parameters.refit:
+    if shared is not None:
+        _require_serves(shared, of_map)
+    elif of_map.encoder.shares_basis and not parameters.refit:
         try:
             kept = base or _live(store, map_id)
         except CorruptFile as error:
@@ -94,8 +104,21 @@ def plan_build(store: Store, map_id: str, parameters: BuildParameters) -> Plan:
     return Plan(
         drives=[drive.slug for drive in drives],
         basis_kept_from=basis_kept_from,
+        basis=None if shared is None else shared.digest,
         parameters=parameters.resolved(),
         notes=[*notes, *parameters.assumptions],
+    )
+
+
+def _require_serves(shared: Basis, of_map: MapParameters) -> None:
+    """Raise `InvalidParameters` unless a shared basis is one for maps of these parameters."""
+    if shared.serves(of_map):
+        return
+    wanted, given = signature_parameters(shared.parameters), signature_parameters(of_map)
+    name = next(name for name in wanted if wanted[name] != given.get(name))
+    raise InvalidParameters(
+        f"{name} is {given.get(name)}, that of the shared basis {shared.digest[:12]} is"
+        f" {wanted[name]}: build with that, or without the basis"
     )
 
 

@@ -40,6 +40,7 @@ IdempotencyKey = Annotated[
     responses=problems(
         stored.MapNotFound,
         stored.DriveNotFound,
+        stored.BasisNotFound,
         UnknownDrive,
         *REVISION,
         EmptyDrive,

@@ -23,6 +23,7 @@ _MODULES = {
     "build": "maps",
     "merge": "merge",
     "localize": "maps",
+    "where": "where",
     "loop-closure": "loop_closure",
     "signature": "maps",
     "inspect": "maps",

@@ -111,6 +111,10 @@ class TooManyTracksOfKey(AppError):
     """A new track of a key, while as many of its tracks are kept as may be."""
 
 
+class TooManyMaps(AppError):
+    """A query that names no map, and would need more maps opened than one may."""
+
+
 class TooManyStreams(AppError):
     """A new stream, of a track or of a job's events, while as many are open as may be."""
 
@@ -171,6 +175,7 @@ STATUS: dict[type[core.TensorMapError], HTTPStatus] = {
     stored.DriveNotFound: S.NOT_FOUND,
     stored.ScanNotFound: S.NOT_FOUND,
     stored.RevisionNotFound: S.NOT_FOUND,
+    stored.BasisNotFound: S.NOT_FOUND,
     stored.JobNotFound: S.NOT_FOUND,
     stored.KeyNotFound: S.NOT_FOUND,
     stored.MapExists: S.CONFLICT,
@@ -182,6 +187,8 @@ STATUS: dict[type[core.TensorMapError], HTTPStatus] = {
     stored.NoLiveRevision: S.CONFLICT,
     stored.RevisionIsLive: S.CONFLICT,
     stored.AmbiguousRevision: S.CONFLICT,
+    stored.BasisExists: S.CONFLICT,
+    stored.BasisInUse: S.CONFLICT,
     stored.JobNotRunning: S.CONFLICT,
     stored.RequestKeyReused: S.CONFLICT,
     stored.TooManyBuilds: S.TOO_MANY_REQUESTS,
@@ -212,6 +219,7 @@ STATUS: dict[type[core.TensorMapError], HTTPStatus] = {
     TrackNotFound: S.NOT_FOUND,
     TooManyTracks: S.SERVICE_UNAVAILABLE,
     TooManyTracksOfKey: S.TOO_MANY_REQUESTS,
+    TooManyMaps: S.UNPROCESSABLE_ENTITY,
     TooManyStreams: S.SERVICE_UNAVAILABLE,
     TooManyStreamsOfKey: S.TOO_MANY_REQUESTS,
     TooManyConnections: S.SERVICE_UNAVAILABLE,

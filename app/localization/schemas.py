@@ -279,7 +279,7 @@ class LocalizationOut(Shown):
         Of plain values: each heading is computed once, and pydantic validates all in one call.
         """
         deviation, decision = found.deviation, found.decision
-        matches = [_match(match) for match in found.matches]
+        matches = [match_values(match) for match in found.matches]
         best = matches[0]
         pose = best["pose"]
         return cls.model_validate(
@@ -299,14 +299,15 @@ class LocalizationOut(Shown):
                 and deviation.covariance_m2(pose["yaw_deg"]),
                 "best": best,
                 "matches": matches,
-                "runner_up": None if found.runner_up is None else _match(found.runner_up),
+                "runner_up": None if found.runner_up is None else match_values(found.runner_up),
                 "ratio": found.ratio,
                 "segments_searched": found.segments,
             }
         )
 
 
-def _match(match: Match) -> dict[str, Any]:
+def match_values(match: Match) -> dict[str, Any]:
+    """Return plain values of a `MatchOut`."""
     estimated = _pose(match.estimated_pose)
     yaw_known = match.relative_yaw_deg is not None
     return {

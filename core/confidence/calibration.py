@@ -21,6 +21,7 @@ MIN_PROBABILITY = 0.5
 _MOST_CELLS = 4_000_000  # as of a grid
 _LARGEST = 1e12  # of a coefficient: with any distance that has a logarithm, sums stay finite
 _SURE = 1.0 - 2.0**-53  # the largest float64 below 1: no probability is 1
+_LITTLE, _MOST_OF_LITTLE = 0.5, 0.99  # of a quarter of a view: docs/decisions/0030-any-view.md
 
 
 @dataclass(frozen=True)
@@ -74,14 +75,15 @@ class Calibration(Attributes):
         """Return the probability that the best match is right, above 0 and below 1.
 
         With a share s of the scans searched, wrong matches this near are s times as frequent, so
-        the odds are divided by s, up to those of a single scan's likelihood ratio.
+        the odds are divided by s, up to those of a single scan's likelihood ratio. Where other maps
+        were searched too, s is above 1.
 
         Args:
             distance: Of the best match, at least 0.
             ratio: Of it to the runner-up's, 0..1, `None` without one.
-            share: Of the map's scans that were searched; above 0, at most 1.
+            share: How many scans were searched, as a multiple of the map's; above 0.
             evidence: How much the logarithm of the odds counts, 0..1: less where distances say less
-                than those that this was fitted to.
+                than those that this was fitted to. Below a half, no probability is above 0.99.
 
         Raises:
             InvalidParameters: If one is NaN or out of its range.
@@ -93,8 +95,8 @@ class Calibration(Attributes):
         """
         if not distance >= 0.0:
             raise InvalidParameters(f"distance is {distance}, wanted at least 0")
-        if not 0.0 < share <= 1.0:
-            raise InvalidParameters(f"share is {share}, wanted above 0 and at most 1")
+        if not 0.0 < share < math.inf:
+            raise InvalidParameters(f"share is {share}, wanted above 0 and finite")
         far = math.log(distance + self.floor)
         if ratio is None:
             odds = self.alone[0] + self.alone[1] * far
@@ -103,9 +105,13 @@ class Calibration(Attributes):
         else:
             raise InvalidParameters(f"ratio is {ratio}, wanted 0..1")
         # The odds of a single scan are its likelihood ratio: no share raises them above that.
-        alone = float(self.log_likelihood_ratio(np.array(distance)))
-        odds = max(odds, min(odds - math.log(share), alone))
-        return min(max(logistic(evidence * odds), math.ulp(0.0)), _SURE)
+        if share > 1.0:
+            odds -= math.log(share)
+        else:
+            alone = float(self.log_likelihood_ratio(np.array(distance)))
+            odds = max(odds, min(odds - math.log(share), alone))
+        most = _MOST_OF_LITTLE if evidence < _LITTLE else _SURE
+        return min(max(logistic(evidence * odds), math.ulp(0.0)), most)
 
     def log_likelihood_ratio(self, distances: FloatArray) -> FloatArray:
         """Return log p(d | the query is at this scan) - log p(d | elsewhere), of any shape.

@@ -182,6 +182,18 @@ class Encoding(ABC):
             InvalidImage: If the source returns images of another number or shape.
         """
 
+    def basis_of_grams(self, grams: Mapping[str, FloatArray], parameters: "MapParameters") -> Basis:
+        """Return the basis that is fitted to the sums of some drives, of no map.
+
+        Args:
+            grams: The result of `drive_gram` for every drive, by name.
+            parameters: Of the maps that will use it.
+
+        Raises:
+            InvalidParameters: If this encoding does not fit its basis to such sums.
+        """
+        raise InvalidParameters(f"a basis of the {self.name} encoding is fitted to no sums")
+
     def explaining_grams(self, images: Float32Array) -> tuple[FloatArray, ...]:
         """Return `(n, I, J)` images' Gram matrix for each mode that a segment's model has.
 

@@ -1,6 +1,7 @@
 """Backups: one tar file of a data directory, made while the service runs.
 
     maps/...           every file that the catalog names, as in the data directory, and images
+    bases/...          likewise
     store-id           the id that the catalog and its directory share
     catalog.sqlite3    the catalog as it was at one moment
     manifest.json      size and SHA-256 of all that belongs to the backup, and what it lacks
@@ -50,6 +51,8 @@ _SCANS = """SELECT drives.map_id, drives.id, chunk, chunk_row, scan_index, diges
 _WITHOUT_RETURNS = """SELECT DISTINCT drives.map_id, drives.id FROM scans
                       JOIN drives ON drives.id = scans.drive_id WHERE chunk = '' ORDER BY 1, 2"""
 _SLUGS = "SELECT id, slug FROM maps UNION ALL SELECT id, slug FROM drives"
+_BASES = "SELECT file_name, digest FROM bases ORDER BY 1"
+_HAS_BASES = "SELECT 1 FROM sqlite_master WHERE name = 'bases'"  # catalogs before 0013 have none
 _REVISIONS = "SELECT map_id, file_name, digest FROM revisions ORDER BY 1, 2"
 
 
@@ -59,7 +62,7 @@ class Backup:
 
     Attributes:
         path: The backup's file.
-        files: Number of files of scans and revisions.
+        files: Number of files of scans, revisions and shared bases.
         size_bytes: Size of the backup.
         damaged: Descriptions of files that are not as they were stored; the backup has them as
             they are.
@@ -125,7 +128,7 @@ def write_backup(data_dir: Path, output: Path) -> Backup:
             path = output.with_name(f"{output.stem}.incomplete{output.suffix}")
     return Backup(
         path,
-        sum(1 for path in kept if path.startswith("maps/") and "/images/" not in path),
+        sum(1 for path in kept if path.startswith(("maps/", "bases/")) and "/images/" not in path),
         size_bytes,
         tuple(f"{what} ({path})" for path, what in damaged.items()),
         tuple(f"{what} ({path})" for path, what in missing.items()),
@@ -269,7 +272,11 @@ def named_files(catalog: Path) -> list[StoredFile]:
         StoredFile(str(layout.revisions(map_id) / name), revision=digest)
         for map_id, name, digest in _query(catalog, _REVISIONS)
     )
-    return [*chunks, *revisions]
+    bases = [
+        StoredFile(str(layout.bases / name), basis=digest)
+        for name, digest in (_query(catalog, _BASES) if _query(catalog, _HAS_BASES) else ())
+    ]
+    return [*chunks, *revisions, *bases]
 
 
 def store_id_of(catalog: Path) -> str:

@@ -34,6 +34,7 @@ _NAMES = re.compile(
     r"|maps/[0-9a-f]{32}/drives/[0-9a-f]{32}/chunks/[0-9a-f]{32}\.h5"
     r"|maps/[0-9a-f]{32}/drives/[0-9a-f]{32}/images/[a-z]{1,20}-[0-9a-f]{16}-[0-9a-f]{32}\.h5"
     r"|maps/[0-9a-f]{32}/revisions/[0-9a-f]{64}\.[0-9a-f]{8}\.h5"
+    r"|bases/[0-9a-f]{64}\.[0-9a-f]{8}\.h5"
 )
 
 
@@ -42,7 +43,7 @@ class Restored:
     """What was restored.
 
     Attributes:
-        files: Number of files of scans and revisions.
+        files: Number of files of scans, revisions and shared bases.
         damaged: Descriptions of files that were damaged before the backup; restored as they were.
         missing: Descriptions of files that the backup lacks: gone, or not readable, before it.
     """

@@ -7,8 +7,10 @@ from storage.catalog.acts import Act, on_behalf
 from storage.catalog.audit import AuditCheck, AuditState
 from storage.catalog.catalog import Catalog
 from storage.catalog.kept import NotKept
+from storage.catalog.live_maps import LiveMap
 from storage.catalog.models import (
     AuditRecord,
+    BasisRecord,
     JobRecord,
     JobState,
     KeyRecord,
@@ -25,6 +27,7 @@ from storage.catalog.records import (
     RevisionFacts,
     ScanRecord,
 )
+from storage.catalog.saved_tracks import SavedTrack, SavedTracks
 from storage.catalog.scan_poses import ScanPoses
 
 __all__ = [
@@ -32,12 +35,14 @@ __all__ = [
     "AuditCheck",
     "AuditRecord",
     "AuditState",
+    "BasisRecord",
     "Catalog",
     "DriveRecord",
     "IndexRange",
     "JobRecord",
     "JobState",
     "KeyRecord",
+    "LiveMap",
     "MapRecord",
     "NotKept",
     "Page",
@@ -45,6 +50,8 @@ __all__ = [
     "RequestKey",
     "RevisionFacts",
     "RevisionRecord",
+    "SavedTrack",
+    "SavedTracks",
     "ScanPoses",
     "ScanRecord",
     "TokenRecord",

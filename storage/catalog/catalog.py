@@ -5,13 +5,16 @@ from contextlib import AbstractContextManager, nullcontext
 from typing import TypeVar
 
 from storage.catalog.audit import Audit
+from storage.catalog.bases import Bases
 from storage.catalog.collection import Collector
 from storage.catalog.database import Database
 from storage.catalog.drives import Drives
 from storage.catalog.jobs import Jobs
 from storage.catalog.keys import Keys
+from storage.catalog.live_maps import LiveMaps
 from storage.catalog.maps import Maps
 from storage.catalog.revisions import Revisions
+from storage.catalog.saved_tracks import SavedTracks
 from storage.catalog.scans import Scans
 from storage.catalog.store_id import StoreIds
 from storage.catalog.tokens import Tokens
@@ -37,9 +40,11 @@ class Catalog:
         self._database = Database(url, migrating)
         self.store_id = StoreIds(self._database)
         self.maps = Maps(self._database)
+        self.live_maps = LiveMaps(self._database)
         self.drives = Drives(self._database)
         self.scans = Scans(self._database)
         self.revisions = Revisions(self._database)
+        self.bases = Bases(self._database)
         self.collector = Collector(self._database)
         self.jobs = Jobs(self._database)
         self.keys = Keys(self._database)
@@ -52,6 +57,10 @@ class Catalog:
         What another process changes is seen at once on SQLite, and within a second on PostgreSQL.
         """
         self._database.watch()
+
+    def saved_tracks(self, url: str) -> SavedTracks:
+        """Open the tracks that are saved beside the catalog; whoever opens them closes them."""
+        return SavedTracks(url, self._database.kept)
 
     def kept(self, name: tuple[str, ...], read: Callable[[], T]) -> T:
         """Return what `read` makes of the catalog; it is kept by that name until a change."""

@@ -191,6 +191,19 @@ class RevisionBasis(Base):
     digest: Mapped[str] = mapped_column(Digest, primary_key=True)
 
 
+class BasisRecord(Base):
+    """A shared basis, which builds of any map can use; named by its digest or by a name."""
+
+    __tablename__ = "bases"
+
+    digest: Mapped[str] = mapped_column(Digest, primary_key=True)
+    name: Mapped[str] = mapped_column(Slug, unique=True)
+    file_name: Mapped[str] = mapped_column(PlainString(100))
+    encoding: Mapped[str] = mapped_column(PlainString(32))
+    size_bytes: Mapped[int] = mapped_column(BigInteger)
+    created_at: Mapped[datetime]
+
+
 class LiveRevision(Base):
     """Which revision of a map is live.
 

@@ -6,6 +6,7 @@ from itertools import groupby
 from pathlib import Path, PurePosixPath
 
 from storage.errors import CorruptFile
+from storage.files.basis_file import read_basis
 from storage.files.drive_chunks import ChunkFile, scan_digest
 from storage.files.map_file import read_map
 from storage.hdf5 import FileSource, Hdf5File
@@ -23,12 +24,14 @@ class StoredFile:
         scans: Digests of its scans in the catalog, by row.
         indices: Indices of these scans in their drive, by row.
         revision: Digest of the revision that it holds, `None` if it holds none.
+        basis: Digest of the shared basis that it holds, `None` likewise.
     """
 
     path: str
     scans: Mapping[int, str] = field(default_factory=dict)
     indices: Mapping[int, int] = field(default_factory=dict)
     revision: str | None = None
+    basis: str | None = None
 
     @property
     def name(self) -> str:
@@ -37,17 +40,17 @@ class StoredFile:
 
     @property
     def kind(self) -> str:
-        """Its kind, the name of its folder: `revisions`, `chunks` or `images`."""
+        """Its kind, the name of its folder: `revisions`, `chunks`, `images` or `bases`."""
         return PurePosixPath(self.path).parent.name
 
     @property
     def map_id(self) -> str:
-        """The map that it belongs to."""
+        """The map that it belongs to, if it is no basis."""
         return PurePosixPath(self.path).parts[1]
 
     @property
     def drive_id(self) -> str:
-        """The drive that it belongs to, if it is no revision."""
+        """The drive that it belongs to, if it is no revision or basis."""
         return PurePosixPath(self.path).parts[3]
 
     def described(self, slugs: Mapping[str, str], good_rows: Collection[int] = ()) -> str:
@@ -62,6 +65,8 @@ class StoredFile:
             >>> file.described({"a1": "campus", "b2": "monday"})
             'map campus, drive monday, scans 7-8, 10'
         """
+        if self.basis is not None:
+            return f"shared basis {self.basis[:12]}"
         of_map = f"map {slugs.get(self.map_id, self.map_id)}"
         if self.revision is not None:
             return f"{of_map}, revision {self.revision[:12]}"
@@ -103,6 +108,8 @@ def fault_of(path: Path, file: StoredFile) -> Fault | None:
     try:
         if file.kind == "images":
             _read_images(path)
+        elif file.basis is not None:
+            read_basis(path, file.basis)
         elif file.revision is not None:
             found = read_map(path).revision
             if found != file.revision:

@@ -28,6 +28,9 @@ class Inventory:
             folder = self._path(self._layout.revisions(map_id))
             for name, digest in sorted(self._catalog.revisions.files(map_id).items()):
                 yield StoredFile(f"{folder}/{name}", revision=digest)
+        folder = self._path(self._layout.bases)
+        for name, digest in sorted(self._catalog.bases.files().items()):
+            yield StoredFile(f"{folder}/{name}", basis=digest)
 
     def paths(self) -> list[str]:
         """Return the paths of all files, in the order of `files`, without reading rows of scans."""
@@ -40,11 +43,15 @@ class Inventory:
                 found += self._images(map_id, drive_id)
             folder = self._path(self._layout.revisions(map_id))
             found += [f"{folder}/{name}" for name in sorted(self._catalog.revisions.files(map_id))]
-        return found
+        folder = self._path(self._layout.bases)
+        return [*found, *(f"{folder}/{name}" for name in sorted(self._catalog.bases.files()))]
 
     def file(self, path: str) -> StoredFile | None:
         """Return the file of a path, `None` if nothing names it, or no longer."""
         named = StoredFile(path)
+        if named.kind == "bases":
+            digest = self._catalog.bases.files().get(named.name)
+            return None if digest is None else StoredFile(path, basis=digest)
         if named.kind == "revisions":
             digest = self._catalog.revisions.files(named.map_id).get(named.name)
             return None if digest is None else StoredFile(path, revision=digest)

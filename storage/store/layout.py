@@ -1,11 +1,13 @@
 """The layout of the data directory; paths are built from ids, never from a client's names.
 
 catalog.sqlite3
+catalog.sqlite3-tracks                         what running tracks need after a restart
 store-id                                       the same as in the catalog
 server.lock                                    held by the one server of this directory
 maps/<map id>/drives/<drive id>/chunks/*.h5    raw scans
 maps/<map id>/drives/<drive id>/images/        what builds cache
 maps/<map id>/revisions/<digest>.<id>.h5
+bases/<digest>.<id>.h5                         shared bases
 orphans/<day>/maps/...                         files that no row names, found at a start
 damaged/<day>/maps/...                         damaged files, found by a repair
 """
@@ -19,9 +21,11 @@ class Layout:
     Attributes:
         data_dir: The data directory.
         catalog: The default catalog's file.
+        tracks: The file of the tracks, where the catalog is the default one.
         lock: The file that the server of this directory holds locked.
         store_id: The file with the id that this directory shares with its catalog.
         maps: The folder with one folder per map.
+        bases: The folder of the files of shared bases.
         orphans: The folder of files that no row names, under their former paths.
         damaged: The folder of damaged files that a repair moved, under their former paths.
     """
@@ -29,9 +33,11 @@ class Layout:
     def __init__(self, data_dir: Path) -> None:
         self.data_dir = data_dir
         self.catalog = data_dir / "catalog.sqlite3"
+        self.tracks = data_dir / f"{self.catalog.name}-tracks"
         self.lock = data_dir / "server.lock"
         self.store_id = data_dir / "store-id"
         self.maps = data_dir / "maps"
+        self.bases = data_dir / "bases"
         self.orphans = data_dir / "orphans"
         self.damaged = data_dir / "damaged"
 

@@ -121,6 +121,7 @@ def _expire(layout: Layout) -> None:
 def _half_written(layout: Layout) -> Iterator[Path]:
     yield from layout.maps.rglob(".*.part")
     yield from layout.data_dir.glob(".*.part")
+    yield from layout.bases.glob(".*.part")
     yield from abandoned_copies(layout.data_dir)
 
 
@@ -128,6 +129,7 @@ def _unnamed(catalog: Catalog, layout: Layout) -> Iterator[Path]:
     known = catalog.drives.known()
     maps = {map_id for map_id, _ in known}
     yield from _others(layout.maps, maps)
+    yield from _others(layout.bases, set(catalog.bases.files()))
     for map_id in maps:
         yield from _others(layout.revisions(map_id), set(catalog.revisions.files(map_id)))
         drives = {drive_id for of_map, drive_id in known if of_map == map_id}

@@ -35,7 +35,7 @@ def make_private(layout: Layout) -> int:
 
 def _ours(layout: Layout) -> list[Path]:
     found = [*layout.data_dir.glob(f"{layout.catalog.name}*"), layout.store_id, layout.lock]
-    for top in (layout.maps, layout.orphans, layout.damaged):
+    for top in (layout.maps, layout.bases, layout.orphans, layout.damaged):
         for folder, folders, files in os.walk(top):
             found += [Path(folder, name) for name in (*files, *folders)]
         if top != layout.maps:

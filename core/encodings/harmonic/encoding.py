@@ -162,6 +162,13 @@ class HarmonicEncoding(Encoding):
         )
         return model, errors
 
+    def basis_of_grams(
+        self, grams: Mapping[str, FloatArray], parameters: "MapParameters"
+    ) -> HarmonicBasis:
+        """Return the basis of U fitted to these sums."""
+        u = fit_radial_basis(grams, kept_ranks(parameters)[0])
+        return HarmonicBasis.of(parameters, u)
+
     @staticmethod
     def _fit_basis(
         images: ImageSource,

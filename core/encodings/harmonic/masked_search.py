@@ -15,8 +15,12 @@ A rendering does not see everything either, and only the part of q should count 
 much of q's energy that is, its share, is known from few harmonics and so not exactly: the score is
 divided by 1 - r2 / 48 (1 - share), which trusts it the more the more harmonics there are, and the
 distance becomes half at most (docs/decisions/0030-any-view.md).
+
+Where less is compared, more is alike by chance: distances say the less of whether a match is right,
+as the root of the share of the cells that the query sees.
 """
 
+import math
 from functools import cached_property
 from typing import TYPE_CHECKING, ClassVar
 
@@ -37,7 +41,6 @@ _EXACT_SAMPLES = 128  # between which the peak is found by a parabola
 _EXACT_ONCE = 192  # scans of which the best rendering is compared exactly
 _EXACT_SCANS = 24  # of which all renderings are
 _LEAST_SEEN = np.float32(0.02)  # of a rendering's energy: with less to compare, everything is alike
-_EVIDENCE_OF_NARROW = 0.5  # where less is compared, more is alike by chance: decision 30
 _TRUSTING_HARMONICS = 48  # with as many the share of the query's energy would be trusted
 
 
@@ -52,8 +55,7 @@ class MaskedSearch(HarmonicSearch):
 
     def __init__(self, model: "HarmonicModel", values: ComplexArray, view: View) -> None:
         super().__init__(model, values)
-        if view.is_narrow:
-            self.evidence = _EVIDENCE_OF_NARROW
+        self.evidence = math.sqrt(view.share_of(model.grid_shape[0]))
         columns, kept, sent = model.columns, model.ranks[1], values.shape[1]
         self._partial = len(view.hidden) > 0
         seen = ~np.isin(sector_of_column(columns), view.hidden)

@@ -1,0 +1,1 @@
+"""Shared bases: stored objects, which builds of any map can use."""

@@ -1,0 +1,73 @@
+"""A basis to be shared: of one map, or fitted to the drives of several."""
+
+from collections.abc import Sequence
+
+from app.drives.stored_images import images_path
+from core.arrays import FloatArray
+from core.encodings.basis import Basis, make_same_signatures
+from core.errors import InvalidParameters
+from core.mapping.tensormap import TensorMap
+from storage.catalog import RevisionRecord
+from storage.errors import CorruptFile
+from storage.files.image_file import ImageFile
+from storage.files.map_file import read_parameters, read_revision
+from storage.store import Store
+
+
+def basis_of_maps(store: Store, map_slugs: Sequence[str]) -> Basis:
+    """Return the basis of a map's live revision, or one fitted to those of several maps.
+
+    It is fitted to the sums that are stored with the images of their drives; no scan is read.
+
+    Args:
+        store: The store.
+        map_slugs: At least one.
+
+    Raises:
+        MapNotFound: If there is no such map.
+        NoLiveRevision: If one has no revision yet.
+        InvalidParameters: If one makes signatures otherwise than the first, or is not built of
+            drives that are still stored.
+        CorruptFile: If a file is damaged.
+    """
+    records = [store.revisions.live(slug) for slug in map_slugs]
+    if len(records) == 1:
+        return _read(store, records[0]).basis()
+    grams: dict[str, FloatArray] = {}
+    first, *_ = parameters = [
+        read_parameters(store.revisions.path_of(record), record.digest)[0] for record in records
+    ]
+    for slug, record, of_map in zip(map_slugs, records, parameters, strict=True):
+        if not make_same_signatures(first, of_map):
+            raise InvalidParameters(
+                f"map {slug!r} makes signatures otherwise than map {map_slugs[0]!r}: a basis can be"
+                " fitted to maps of one encoding, image and grid"
+            )
+        drives = store.drives.open_of_map(record.map_id, _drives(store, slug, record))
+        for drive in drives:
+            path = images_path(store, drive, of_map)
+            if not path.exists():
+                raise InvalidParameters(
+                    f"the images of drive {drive.name!r} of map {slug!r} are no longer kept: build"
+                    " the map again"
+                )
+            with ImageFile(path, of_map.imager) as images:
+                grams[f"{slug}/{drive.name}"] = images.detail_gram()
+    return first.encoder.basis_of_grams(grams, first)
+
+
+def _drives(store: Store, slug: str, record: RevisionRecord) -> list[str]:
+    stored = {drive.slug: drive.id for drive in store.drives.of_map(record.map_id)}
+    if not record.drive_ids or not record.drive_ids.items() <= stored.items():
+        raise InvalidParameters(
+            f"the live revision of map {slug!r} is not built of drives that are stored: a basis"
+            " cannot be fitted to it"
+        )
+    return sorted(record.drive_ids)
+
+
+def _read(store: Store, record: RevisionRecord) -> TensorMap:
+    try:
+        return read_revision(store.revisions.path_of(record), record.digest)
+    except FileNotFoundError as error:
+        raise CorruptFile(f"the file of revision {record.digest} is gone") from error

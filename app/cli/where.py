@@ -1,0 +1,104 @@
+"""`tensormap where`: in which of several maps, and where in it, scans were recorded."""
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.table import Table
+
+from app.cli import options
+from app.cli.console import figure, output, progress_bar
+from app.cli.maps import queries_of
+from app.localization.among import Among
+from app.localization.among_schemas import AmongOut
+from core.errors import InvalidParameters, InvalidScan
+from core.localization.among_maps import LocalizationAmong, SearchedMap, localize_among
+from core.localization.localizer import Localizer
+from storage.files.map_file import read_map
+from storage.formats.errors import UnknownFormat
+from storage.formats.scans.registry import media_type_of
+
+
+def where(
+    scans: Annotated[
+        list[Path], typer.Argument(help="Scan files, or folders of drives.", metavar="SCAN...")
+    ],
+    maps: Annotated[
+        list[Path],
+        typer.Option("--map", metavar="MAP.h5", help="A map to search; repeatable."),
+    ],
+    k: Annotated[int, typer.Option("-k", min=1, help="How many nearest scans to answer.")] = 1,
+    mounting: options.MountingOption = None,
+    accumulate: options.AccumulateOption = 1,
+    min_probability: Annotated[
+        float | None,
+        typer.Option(min=0, max=1, help="Reject answers below it. [the best map's threshold]"),
+    ] = None,
+    format_name: options.FormatOption = None,
+    as_json: Annotated[bool, typer.Option("--json", help="One JSON answer a line.")] = False,
+) -> None:
+    """Localize scans among several maps; the answer names the map."""
+    names = [path.stem for path in maps]
+    if twice := {name for name in names if names.count(name) > 1}:
+        raise InvalidParameters(f"two of the maps are called {min(twice)!r}: rename a file")
+    media_type = None if format_name is None else media_type_of(format_name)
+    localizers = {name: Localizer(read_map(path)) for name, path in zip(names, maps, strict=True)}
+    heights_m = {one.map.parameters.sensor_height_m for one in localizers.values()}
+    # A mounted scan depends on the height that its map assumes.
+    queries = {
+        height_m: [
+            query
+            for path in scans
+            for query in queries_of(path, media_type, mounting, height_m, accumulate)
+        ]
+        for height_m in heights_m
+    }
+    answers: list[tuple[str, LocalizationAmong]] = []
+    unusable: list[str] = []
+    listed = next(iter(queries.values()))
+    with progress_bar() as progress:
+        progress.start("localizing", len(listed))
+        for number, (name, _) in enumerate(listed):
+            try:
+                searched = []
+                for slug, localizer in localizers.items():
+                    read = queries[localizer.map.parameters.sensor_height_m][number][1]
+                    image = localizer.basis.image(read())
+                    search = localizer.search_image(image)
+                    searched.append(SearchedMap(slug, localizer.map, search, image.occupied_cells))
+                found = localize_among(searched, k, min_probability=min_probability)
+                answers.append((name, found))
+            except (InvalidScan, UnknownFormat) as error:
+                unusable.append(str(error))
+            progress.advance()
+    if as_json:
+        for _, found in answers:
+            answer = AmongOut.from_core(Among(found, len(maps), ()))
+            sys.stdout.write(f"{answer.model_dump_json()}\n")
+    elif answers:
+        _show(answers)
+    for reason in unusable:
+        sys.stderr.write(f"tensormap: {reason}\n")
+    if unusable:
+        raise typer.Exit(1)
+
+
+def _show(answers: list[tuple[str, LocalizationAmong]]) -> None:
+    table = Table("scan", "map", "map scan", "x m", "y m", "distance", "ratio", "probable")
+    for name, found in answers:
+        for one in found.matches:
+            match = one.match
+            place = match.estimated_pose or match.pose
+            probable = figure(found.decision.probability, ".2f")
+            table.add_row(
+                name,
+                one.name,
+                f"{match.drive} {match.scan_index}",
+                "-" if place is None else f"{place.x_m:.2f}",
+                "-" if place is None else f"{place.y_m:.2f}",
+                f"{match.distance:.4f}",
+                figure(found.ratio, ".2f"),
+                probable + ("" if found.decision.localized else f" no: {found.decision.reason}"),
+            )
+    output().print(table)

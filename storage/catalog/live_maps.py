@@ -1,0 +1,95 @@
+"""All maps with what they answer from, for queries that name no map."""
+
+from dataclasses import dataclass
+
+from sqlalchemy import and_, select
+
+from storage.catalog.database import Repository
+from storage.catalog.models import BasisRecord, LiveRevision, Map, RevisionBasis, RevisionRecord
+
+
+@dataclass(frozen=True)
+class LiveMap:
+    """A map and its live revision.
+
+    Attributes:
+        map_id: Its id.
+        slug: Its name.
+        revision: Digest of the live revision, `None` before the first.
+        file_name: Of that revision's file, empty likewise.
+        scans: That it has.
+        basis: Digest of the shared basis that it has, `None` if it has none.
+    """
+
+    map_id: str
+    slug: str
+    revision: str | None
+    file_name: str
+    scans: int
+    basis: str | None
+
+
+class LiveMaps(Repository):
+    """All maps, in the order of their slugs."""
+
+    def all(self) -> tuple[LiveMap, ...]:
+        """Return all maps."""
+        shared = (
+            select(RevisionBasis.map_id, RevisionBasis.digest, RevisionBasis.basis)
+            .join(BasisRecord, BasisRecord.digest == RevisionBasis.basis)
+            .subquery()
+        )
+        query = (
+            select(
+                Map.id,
+                Map.slug,
+                LiveRevision.digest,
+                RevisionRecord.file_name,
+                RevisionRecord.scans,
+                shared.c.basis,
+            )
+            .outerjoin(LiveRevision, LiveRevision.map_id == Map.id)
+            .outerjoin(
+                RevisionRecord,
+                and_(RevisionRecord.map_id == Map.id, RevisionRecord.digest == LiveRevision.digest),
+            )
+            .outerjoin(
+                shared, and_(shared.c.map_id == Map.id, shared.c.digest == LiveRevision.digest)
+            )
+            .order_by(Map.slug)
+        )
+
+        def read() -> tuple[LiveMap, ...]:
+            with self._database.reading() as session:
+                rows = session.execute(query).all()
+            return tuple(
+                LiveMap(map_id, slug, digest, file_name or "", scans or 0, basis)
+                for map_id, slug, digest, file_name, scans, basis in rows
+            )
+
+        return self._database.kept.get(("live maps",), read)
+
+    def with_basis(self, named: str) -> frozenset[str]:
+        """Return the ids of the maps whose live revision has a basis.
+
+        Args:
+            named: Digest of the basis, or its first digits.
+        """
+
+        def read() -> frozenset[str]:
+            begins = RevisionBasis.basis.startswith(named.lower(), autoescape=True)
+            query = (
+                select(LiveRevision.map_id)
+                .join(
+                    RevisionBasis,
+                    and_(
+                        RevisionBasis.map_id == LiveRevision.map_id,
+                        RevisionBasis.digest == LiveRevision.digest,
+                    ),
+                )
+                .where(begins)
+            )
+            with self._database.reading() as session:
+                return frozenset(session.scalars(query))
+
+        return self._database.kept.get(("maps with basis", named), read)
