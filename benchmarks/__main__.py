@@ -6,10 +6,9 @@ Without names all are run, and `RESULTS.md` is written.
 import sys
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
-from importlib import import_module
 from multiprocessing import get_context
 
-from benchmarks.results import RESULTS, Row, committed, show, table, this_machine
+from benchmarks.results import RESULTS, Row, committed, measured, show, table, this_machine
 
 _ALL = (
     "fit_segment",
@@ -32,7 +31,7 @@ def main(names: Sequence[str]) -> int:
     missed, worse = 0, []
     for name in names or _ALL:
         with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as alone:
-            rows[name] = alone.submit(_rows_of, name).result()
+            rows[name] = alone.submit(measured, name).result()
         missed += show(rows[name], name)
         worse += before.worse(name, rows[name], machine)
     if not names:
@@ -41,11 +40,6 @@ def main(names: Sequence[str]) -> int:
     for line in worse:
         print(f"worse: {line}")
     return missed + len(worse)
-
-
-def _rows_of(name: str) -> list[Row]:
-    measured: list[Row] = import_module(f"benchmarks.{name}").measure()
-    return measured
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
 """Project a scan of 60,000 returns, against plain NumPy: whole arrays, `arctan2`, `hypot`.
 
-At most two thirds of its time; three times as fast needs a compiled kernel, see
-docs/decisions/0034-projection-without-a-compiler.md.
+At most its time; why it is not three times as fast:
+docs/decisions/0035-projection-without-a-compiler.md.
 """
 
 import sys
@@ -21,7 +21,7 @@ from core.projection.rings import RingGrid
 from core.scans.scan import Scan
 from core.scans.sensor import AngularGrid
 
-BAR = 2 / 3
+BAR = 1.0
 RUNS = 41
 HEIGHT_M = 1.73
 

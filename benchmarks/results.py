@@ -7,6 +7,7 @@ the row where that is possible, so that ratios of another machine are comparable
 import subprocess
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
 
 from app.provenance import provenance
@@ -141,6 +142,12 @@ def committed() -> Committed:
     except (OSError, subprocess.CalledProcessError):
         return Committed.of_text("")
     return Committed.of_text(shown.stdout)
+
+
+def measured(benchmark: str) -> list[Row]:
+    """Return what a benchmark measures; in the process that imports it here."""
+    rows: list[Row] = import_module(f"benchmarks.{benchmark}").measure()
+    return rows
 
 
 def show(rows: Sequence[Row], benchmark: str = "") -> int:

@@ -23,17 +23,12 @@ def away_from(
     drive, and all of other drives.
     """
     if trajectory.all_known:
-        return _distance_m(trajectory, row) >= metres
+        return trajectory.apart_m(row) >= metres
     index, drive, known = trajectory.scan_index, trajectory.drive_of_scan, trajectory.known
     by_scans: BoolArray = (drive != drive[row]) | (np.abs(index - index[row]) >= scans)
     if not known[row]:
         return by_scans
-    return np.where(known, _distance_m(trajectory, row) >= metres, by_scans)
-
-
-def _distance_m(trajectory: Trajectory, row: int) -> FloatArray:
-    x, y, z = trajectory.positions_m - trajectory.positions_m[:, row, None]
-    return np.asarray(np.sqrt(x * x + y * y + z * z))
+    return np.where(known, trajectory.apart_m(row) >= metres, by_scans)
 
 
 def close_along_m(trajectory: Trajectory, row: int) -> tuple[IntArray, FloatArray] | None:

@@ -98,6 +98,11 @@ class Trajectory:
         """Whether every scan has a pose."""
         return bool(self.known.all())
 
+    def apart_m(self, row: int) -> FloatArray:
+        """Return the distance of each scan from that of a row, `(K,)`, NaN where one is unknown."""
+        x, y, z = self.positions_m - self.positions_m[:, row, None]
+        return np.asarray(np.sqrt(x * x + y * y + z * z))
+
     def path_m(self, first: int, last: int) -> float:
         """Return the length of the path from one row to another, NaN if a pose on it is unknown."""
         if not self.known[first : last + 1].all():
