@@ -11,6 +11,7 @@ from websockets.asyncio.client import connect
 from tests.torture.support.load import Request, answer_to
 
 RATE_HZ = 10.0
+_LATEST_S = 5.0  # the service does not keep up
 _NEAR_SCANS = 10  # of the map, between a vehicle's place and the answer
 _PACKED = {"Content-Type": "application/vnd.tensormap.signature"}
 
@@ -88,6 +89,9 @@ async def drive(
                     await stream.send(bodies[index])
                     answer = json.loads(await stream.recv())
                     fleet.seconds.append(time.perf_counter() - due)
+                    if fleet.seconds[-1] > _LATEST_S:
+                        fleet.faults.append(f"an answer came {fleet.seconds[-1]:.1f} s late")
+                        return
                     _check(fleet, answer, track, 1 + index - begins, index)
             await answer_to(port, Request("DELETE", of_track, headers))
             begins = 0
