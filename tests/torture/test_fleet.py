@@ -33,7 +33,7 @@ P99_S = seconds("TENSORMAP_FLEET_P99_MS", 50.0) / 1e3
 VEHICLES, SCANS = size("vehicles", 50), size("fleet_scans", 1200)
 LEFT_M = 0.7  # of the mapped line
 WARM_SHARE, EVERY_S = 0.3, 1.0
-LEAST_LOCALIZED, MOST_ASTRAY = 0.5, 0.01
+LEAST_LOCALIZED, MOST_ASTRAY = 0.5, 0.03
 
 
 def streets(noise_seed: int | None = None, left_m: float = 0.0) -> SimulatedDrive:
