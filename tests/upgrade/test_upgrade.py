@@ -24,13 +24,11 @@ FOLDER = Path(golden.__file__).parent
 RELEASED = ["data-83290e7.tar.xz", "data-2ea395c.tar.xz", "data-77f57f6.tar.xz"]
 WITH_ANSWERS = RELEASED[1:]
 """Those that have answers to localizations, interrupted builds, and a backup."""
-UNCHANGED = {
-    # Decision 32 estimates poses between scans.
-    "data-2ea395c.tar.xz": {"revision", "localized", "reason", "probability", "segments_searched"},
-}
-"""What of an answer is still the same, where it is not all."""
-REJUDGED = {"probability", "localized", "reason"}
-"""What decision 11 changed in maps of any views after 77f57f6: what their distances are worth."""
+PLACE = ("segment", "fraction", "along_m", "drive", "scan_index", "distance", "timestamp_s", "pose")
+"""What of a match is the same; how far the vehicle is from it decision 32 estimates better."""
+TRUST = ("localized", "reason", "probability")
+"""Of maps of any views decision 30 changed since what their distances are worth."""
+NEAR_M = 1.0
 
 
 @pytest.fixture(params=RELEASED)
@@ -43,10 +41,10 @@ def released(request, tmp_path):
 
 @pytest.fixture(params=WITH_ANSWERS)
 def answered(request, tmp_path):
-    """Return a folder of a release with its data, its backup and its answers, and its name."""
+    """Return a folder with a release's data and backup, and what it answered."""
     with tarfile.open(FOLDER / request.param) as tar:
         tar.extractall(tmp_path, filter="tar")
-    return tmp_path, request.param
+    return tmp_path, json.loads((tmp_path / "answers.json").read_text())
 
 
 def holds(now, before):
@@ -62,8 +60,8 @@ def holds(now, before):
     return now == before
 
 
-def require_answers(client, recorded, name):
-    """Send what was localized again, to the same live revisions, and require the same answers."""
+def require_answers(client, recorded):
+    """Send what was localized again, to the same live revisions, and require the same places."""
     views = {item["revision"]: item["parameters"].get("views") for item in revisions_of(client)}
     for sent in recorded["localized"]:
         client.put("/v1/maps/plaza/live", json={"revision": sent["revision"]})
@@ -72,14 +70,17 @@ def require_answers(client, recorded, name):
             client.post(sent["path"], content=body, headers=headers).json(),
             sent["answer"],
         )
-        compared = UNCHANGED.get(name, before.keys())
-        if views[sent["revision"]] == "any":
-            compared = compared - REJUDGED
-        for field in compared:
+        same = ("revision", "live_revision", "ratio", "segments_searched")
+        for field in same if views[sent["revision"]] == "any" else (*same, *TRUST):
             assert holds(now[field], before[field]), (sent["path"], field)
-        for which in ("best", "runner_up"):
-            for field in ("drive", "scan_index", "distance", "segment"):
-                assert holds(now[which][field], before[which][field]), (sent["path"], field)
+        found = [
+            [answer["best"], answer["runner_up"], *answer["matches"]] for answer in (now, before)
+        ]
+        for match, earlier in zip(*found, strict=True):
+            assert all(holds(match[field], earlier[field]) for field in PLACE), sent["path"]
+        at, earlier_at = (answer["best"]["estimated_pose"] for answer in (now, before))
+        for axis in ("x_m", "y_m"):
+            assert at[axis] == pytest.approx(earlier_at[axis], abs=NEAR_M), sent["path"]
 
 
 def revisions_of(client):
@@ -87,23 +88,21 @@ def revisions_of(client):
 
 
 def test_it_localizes_as_before_and_ends_the_builds_that_were_interrupted(answered):
-    folder, name = answered
-    recorded = json.loads((folder / "answers.json").read_text())
+    folder, recorded = answered
     with running(folder / "data", admin_key=ADMIN_KEY) as client:
         client.headers.update(ADMIN)
-        require_answers(client, recorded, name)
+        require_answers(client, recorded)
         for job in ("interrupted", "waiting"):
             assert wait_for(client, recorded[job])["state"] == "done"
-        require_answers(client, recorded, name)
+        require_answers(client, recorded)
 
 
 def test_its_backup_is_restored_and_answers(answered):
-    folder, name = answered
-    recorded = json.loads((folder / "answers.json").read_text())
+    folder, recorded = answered
     restore_backup(folder / "backup.tar", folder / "restored")
     with running(folder / "restored", admin_key=ADMIN_KEY) as client:
         client.headers.update(ADMIN)
-        require_answers(client, recorded, name)
+        require_answers(client, recorded)
         assert wait_for(client, recorded["waiting"])["state"] == "done"
 
 
