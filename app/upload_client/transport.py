@@ -29,6 +29,7 @@ class Transport:
         key: Sent as `Authorization: Bearer`, if given.
         patience_s: How long a request is repeated once the service has answered any.
         wait: Waits so many seconds.
+        connections: Instead of those over the network.
     """
 
     def __init__(
@@ -38,13 +39,16 @@ class Transport:
         *,
         patience_s: float = PATIENCE_S,
         wait: Callable[[float], None] = time.sleep,
+        connections: httpx2.BaseTransport | None = None,
     ) -> None:
         parts = urlsplit(url)
         if parts.scheme not in {"http", "https"} or not parts.netloc:
             raise UploadFailed(f"{url!r} is no URL of a service, as http://127.0.0.1:8000")
         headers = {} if key is None else {"Authorization": f"Bearer {key}"}
         self._url, self._patience_s, self._wait = url, patience_s, wait
-        self._client = httpx2.Client(base_url=url, headers=headers, timeout=_TIMEOUT)
+        self._client = httpx2.Client(
+            base_url=url, headers=headers, timeout=_TIMEOUT, transport=connections
+        )
         self._answered = False
 
     def __enter__(self) -> Self:
