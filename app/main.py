@@ -45,6 +45,7 @@ from app.settings import Settings
 from app.systemd import supervised
 from app.tracking import routes as tracks
 from app.tracking import stream_routes
+from app.tracking.saver import TrackSaver
 from app.tracking.tracks import Tracks
 from storage.catalog import JobRecord
 from storage.store import Store
@@ -142,6 +143,7 @@ def _start(settings: Settings, metrics: Metrics, pools: Pools) -> Service:
     store = Store.serving(settings.data_dir, settings.catalog_url)
     try:
         made = make_first_key(store, settings)
+        saved_tracks = store.saved_tracks()
     except BaseException:
         store.close()
         raise
@@ -161,6 +163,14 @@ def _start(settings: Settings, metrics: Metrics, pools: Pools) -> Service:
     collector.start()
     scrub = Scrub(store, metrics, settings.scrub_days)
     scrub.start()
+    tracks = Tracks(
+        settings.max_tracks,
+        settings.track_idle_s,
+        settings.max_tracks_per_key,
+        saved=saved_tracks,
+    )
+    saver = TrackSaver(tracks)
+    saver.start()
     revisions = LoadedRevisions(store, settings.loaded_revisions)
     return Service(
         settings=settings,
@@ -169,7 +179,8 @@ def _start(settings: Settings, metrics: Metrics, pools: Pools) -> Service:
         among=AmongMaps(store, revisions, settings.max_maps_opened),
         runner=runner,
         access=access,
-        tracks=Tracks(settings.max_tracks, settings.track_idle_s, settings.max_tracks_per_key),
+        tracks=tracks,
+        track_saver=saver,
         streams=Streams(settings.max_streams, settings.max_streams_per_key),
         job_events=JobEvents(store, access),
         metrics=metrics,
@@ -184,4 +195,6 @@ def _stop(service: Service) -> None:
     service.runner.stop()
     service.collector.stop()
     service.scrub.stop()
+    service.track_saver.stop()
+    service.tracks.close()
     service.store.close()

@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from core.arrays import BoolArray, ComplexArray, Float32Array, FloatArray, IntArray
+from core.arrays import BoolArray, Complex64Array, ComplexArray, Float32Array, FloatArray, IntArray
 from core.encodings.harmonic.search import HarmonicSearch, peaks
 from core.encodings.harmonics import circular_energy, energy, two_sided
 from core.encodings.model import Neighbours, nearest
@@ -35,10 +35,11 @@ from core.projection.visibility import View, sector_of_column
 if TYPE_CHECKING:
     from core.encodings.harmonic.model import HarmonicModel
 
-_ESTIMATED_SAMPLES_A_WAVE = 6  # headings of an estimate
-_BLOCK = 2048  # renderings whose headings are estimated at once, in the processor's cache
+_ESTIMATED_HEADINGS = 24  # with 66 the same scans are preferred: decision 30
+_MIXED = 4  # harmonics beyond those that are sent, which a mask mixes into them, in an estimate
+_ESTIMATED_ONCE = 1024  # renderings, in the processor's cache
 _EXACT_SAMPLES = 128  # between which the peak is found by a parabola
-_EXACT_ONCE = 192  # scans of which the best rendering is compared exactly
+_EXACT_ONCE = 128  # scans of which the best rendering is compared exactly
 _EXACT_SCANS = 24  # of which all renderings are
 _LEAST_SEEN = np.float32(0.02)  # of a rendering's energy: with less to compare, everything is alike
 _TRUSTING_HARMONICS = 48  # with as many the share of the query's energy would be trusted
@@ -66,7 +67,8 @@ class MaskedSearch(HarmonicSearch):
         self._spread = (two_sided(values) @ toeplitz.conj())[:, kept - 1 :]
         self._gram = toeplitz.conj().T @ toeplitz
         # Of the query's energy, as of a map's: where on the circle it is, and 1 in all.
-        found = circular_energy(values)[: 2 * kept - 1]
+        found = np.zeros(2 * kept - 1, np.complex128)
+        found[: 2 * sent - 1] = circular_energy(values)
         self._unit_energy = found / (found[0].real or 1.0)
 
     def nearest(self, k: int, among: BoolArray | None = None) -> Neighbours:
@@ -95,18 +97,12 @@ class MaskedSearch(HarmonicSearch):
         """
         rows = np.arange(len(self._model)) if among is None else np.flatnonzero(among)
         count = _EXACT_ONCE if self._partial else _EXACT_SCANS
-        some = rows[nearest(self._estimates[rows], max(k, count))]
+        scores = self._squared_scores if self._partial else self._phase_free_scores
+        some = rows[nearest(-scores.max(axis=0)[rows], max(k, count))]
         if self._partial and len(some) > max(k, _EXACT_SCANS):
-            rendering = self._best_renderings[some][:, None]
+            rendering = scores.argmax(axis=0)[some][:, None]
             some = some[nearest(self.exact(some, rendering)[0][:, 0], max(k, _EXACT_SCANS))]
         return np.sort(some)
-
-    @cached_property
-    def _seen_by_map(self) -> Float32Array:
-        """What the renderings see, in as many harmonics as the energy of the query has."""
-        real, imag = np.split(self._model.seen_harmonics, [2 * self._model.ranks[1] - 1])
-        count = len(self._unit_energy)
-        return np.concatenate([real[:count], imag[: count - 1]])
 
     @cached_property
     def _estimates(self) -> FloatArray:
@@ -116,30 +112,36 @@ class MaskedSearch(HarmonicSearch):
         return estimates
 
     @cached_property
-    def _best_renderings(self) -> IntArray:
-        """Which of its renderings that is, `(K,)`."""
-        return np.asarray(self._squared_scores.argmax(axis=0))
+    def _waves(self) -> Complex64Array:
+        """The correlation with every rendering as waves over headings, `(r2, D K)`."""
+        model = self._model
+        sent, kept = self._values.shape[1], model.ranks[1]
+        mixed = min(kept, sent + _MIXED) if self._partial else sent
+        query = (self._spread / (self._norm or 1.0) / np.sqrt(self._weights)).astype(np.complex64)
+        waves = np.empty((mixed, model.norms.size), np.complex64)
+        for harmonic in range(mixed):
+            np.matmul(query[:, harmonic], model.units[harmonic], out=waves[harmonic])
+        return waves
+
+    @cached_property
+    def _phase_free_scores(self) -> Float32Array:
+        """What the scores of a whole view would be with all waves in phase, `(D, K)`."""
+        seen = self._model.unit_energies(self._values.shape[1])[0]
+        at_most = np.abs(self._waves).sum(axis=0) / np.sqrt(seen + _LEAST_SEEN)
+        return np.asarray(at_most.reshape(len(self._model.lateral_offset_m), -1))
 
     @cached_property
     def _squared_scores(self) -> Float32Array:
         """Estimated squares of the best score of every rendering over headings, `(D, K)`."""
-        model, sent = self._model, self._values.shape[1]
-        mixed = model.ranks[1] if self._partial else sent  # harmonics of the map that it contains
-        samples = _ESTIMATED_SAMPLES_A_WAVE * max(1, mixed - 1)
-        query = (self._spread / (self._norm or 1.0) / np.sqrt(self._weights)).astype(np.complex64)
-        correlation = np.empty((2 * mixed - 1, model.norms.size), np.float32)
-        for harmonic in range(mixed):
-            wave = query[:, harmonic] @ model.units[harmonic]
-            correlation[harmonic] = wave.real
-            if harmonic:
-                np.negative(wave.imag, out=correlation[mixed + harmonic - 1])
-        correlated = _in_headings(np.ones(mixed), samples)
-        energies, seen_waves = model.unit_energies(sent), model.seen_waves
+        model, waves, samples = self._model, self._waves, _ESTIMATED_HEADINGS
+        correlation = np.concatenate([waves.real, -waves.imag[1:]])
+        correlated = _in_headings(np.ones(len(waves)), samples)
+        energies, seen_waves = model.unit_energies(self._values.shape[1]), model.seen_waves
         of_mask = _in_headings(self._mask[: len(energies) // 2 + 1], samples)
-        of_energy = _in_headings(_padded(self._unit_energy, len(seen_waves) // 2 + 1), samples)
+        of_energy = _in_headings(self._unit_energy[: len(seen_waves) // 2 + 1], samples)
         best = np.empty(correlation.shape[1], np.float32)
-        for start in range(0, len(best), _BLOCK):
-            block = slice(start, start + _BLOCK)
+        for start in range(0, len(best), _ESTIMATED_ONCE):
+            block = slice(start, start + _ESTIMATED_ONCE)
             score = correlated @ correlation[:, block]
             score *= np.abs(score)
             seen = of_mask @ energies[:, block] if self._partial else energies[:1, block]
@@ -167,12 +169,12 @@ class MaskedSearch(HarmonicSearch):
         if renderings is None:
             renderings = np.arange(len(model.lateral_offset_m))[None]
         chosen = rows[:, None], renderings
-        stored = model.signatures[chosen].astype(np.complex128)
+        stored = model.signatures[chosen]
         waves = (self._spread * stored.conj()).sum(axis=2)
         if self._partial:
-            whole = two_sided(stored)
-            products = (whole.conj().swapaxes(-1, -2) @ whole) * self._gram
-            seen = np.fft.irfft(_diagonal_sums(products), samples, axis=-1) * samples
+            products = stored.conj().swapaxes(-1, -2) @ two_sided(stored)
+            sums = products.reshape(*products.shape[:2], -1).view(np.float32) @ self._diagonal_sums
+            seen = np.fft.irfft(sums.view(np.complex64), samples, axis=-1) * samples
         else:
             seen = energy(stored[..., : self._values.shape[1]], model.columns)[..., None]
         floor = _LEAST_SEEN * np.square(model.norms[chosen])[..., None]
@@ -182,13 +184,33 @@ class MaskedSearch(HarmonicSearch):
             correlation, denominator, out=np.zeros_like(correlation), where=denominator > 0
         )
         if not model.sees_all:
-            by_map = self._seen_by_map.reshape(len(self._seen_by_map), -1, len(model))
             of_energy = _in_headings(self._unit_energy, samples)
-            shares = np.tensordot(by_map[:, renderings, rows[:, None]], of_energy, (0, 1))
+            by_map = model.seen_harmonics[:, renderings * len(model) + rows[:, None]]
+            shares = np.tensordot(by_map, of_energy, (0, 1))
             # A share that is not exact must not make two alike that are not.
             score = np.minimum(score / self._part_seen(shares), (1.0 + score) / 2.0)
         best, yaw_deg = peaks(score)
         return np.maximum(1.0 - best, 0.0), yaw_deg
+
+    @cached_property
+    def _diagonal_sums(self) -> Float32Array:
+        """From the products M_m* M_k, m not negative, to the waves of |T M(t)|^2.
+
+        Each product counts with (T* T)_mk for the wave m - k, and so does that of -m and -k, which
+        is its conjugate: twice the real part in each heading, of m = 0 once. As real numbers,
+        `(2 r2 (2 r2 - 1), 2 (2 r2 - 1))`, real and imaginary parts in turn.
+        """
+        kept = self._model.ranks[1]
+        m, k = np.indices((kept, 2 * kept - 1))
+        wave = m - (k - (kept - 1))
+        weight = np.where(m > 0, 1.0, 0.5) * np.where(wave == 0, 2.0, 1.0)
+        factor = self._gram[kept - 1 :] * weight
+        # A wave of a negative number is the conjugate of that of the positive one.
+        sign, wave = np.where(wave < 0, -1.0, 1.0), np.abs(wave)
+        sums = np.zeros((*wave.shape, 2, 2 * kept - 1, 2), np.float32)
+        sums[m, k, 0, wave, 0], sums[m, k, 0, wave, 1] = factor.real, sign * factor.imag
+        sums[m, k, 1, wave, 0], sums[m, k, 1, wave, 1] = -factor.imag, sign * factor.real
+        return sums.reshape(2 * wave.size, -1)
 
     def _seen(self, renderings: ComplexArray) -> ComplexArray:
         return np.asarray(two_sided(renderings) @ self._toeplitz.T)
@@ -196,10 +218,6 @@ class MaskedSearch(HarmonicSearch):
     def _part_seen(self, shares: Float32Array) -> Float32Array:
         trust = np.float32(self._values.shape[1] / _TRUSTING_HARMONICS)
         return np.asarray(np.float32(1.0) - trust * (np.float32(1.0) - shares))
-
-
-def _padded(waves: ComplexArray, count: int) -> ComplexArray:
-    return np.concatenate([waves, np.zeros(count)])[:count]
 
 
 def _in_headings(waves: ComplexArray | FloatArray, samples: int) -> Float32Array:
@@ -213,18 +231,3 @@ def _in_headings(waves: ComplexArray | FloatArray, samples: int) -> Float32Array
     pairs = np.where(harmonic > 0, 2.0, 1.0)
     turned = pairs * waves * np.exp(2j * np.pi / samples * np.outer(np.arange(samples), harmonic))
     return np.concatenate([turned.real, turned.imag[:, 1:]], axis=1).astype(np.float32)
-
-
-def _diagonal_sums(matrices: ComplexArray) -> ComplexArray:
-    """Return sum over i of `(..., n, n)` a_(i + d)i, from d = 0 on, `(..., n)`.
-
-    Examples:
-        >>> _diagonal_sums(np.arange(4.0).reshape(2, 2)).tolist()
-        [3.0, 2.0]
-    """
-    n = matrices.shape[-1]
-    # In rows one number longer than they are, each row is one column further than the last.
-    skewed = np.zeros((*matrices.shape[:-1], 2 * n), matrices.dtype)
-    skewed[..., :n] = matrices[..., ::-1]
-    flat = skewed.reshape(*matrices.shape[:-2], -1)[..., : n * (2 * n - 1)]
-    return np.asarray(flat.reshape(*matrices.shape[:-1], 2 * n - 1).sum(axis=-2)[..., n - 1 :])
