@@ -1,5 +1,6 @@
 """What a service's processes use, and for how long the service does not answer."""
 
+import os
 import threading
 import time
 from collections import defaultdict
@@ -48,6 +49,12 @@ def used_by(pid: int) -> Used | None:
         )
     except (FileNotFoundError, ProcessLookupError):
         return None
+
+
+def cpu_s(pid: int) -> float:
+    """Return the CPU seconds of a process and of its threads, so far."""
+    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 @dataclass
