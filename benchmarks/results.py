@@ -22,9 +22,9 @@ _MACHINE, _OF_MACHINE = "Machine: ", "(\\*)"
 _PAGE = """# Results of the benchmarks
 
 Written by `make bench`, or by `python -m benchmarks NAME` for one. The ratio is the share of its
-bar that a row takes. Where the bar is a time or a size, marked (\\*), it is compared with the committed
-one on the same machine only; other bars were measured in the same run. A run fails if a ratio is
-{worse:g} times the committed one.
+bar that a row takes. Where the bar is a time or a size, marked (\\*), it is compared with the
+committed one on the same machine only; other bars were measured in the same run. A run fails if a
+ratio is {worse:g} times the committed one.
 """
 
 
