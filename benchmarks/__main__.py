@@ -15,6 +15,7 @@ _ALL = (
     "localize",
     "projection",
     "match_harmonic",
+    "match_views",
     "match_scan",
     "answer_overhead",
     "http_answers",

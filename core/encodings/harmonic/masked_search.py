@@ -21,12 +21,20 @@ as the root of the share of the cells that the query sees.
 """
 
 import math
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from core.arrays import BoolArray, Complex64Array, ComplexArray, Float32Array, FloatArray, IntArray
+from core.arrays import (
+    BoolArray,
+    Complex64Array,
+    ComplexArray,
+    Float32Array,
+    FloatArray,
+    IntArray,
+    frozen,
+)
 from core.encodings.harmonic.search import HarmonicSearch, peaks
 from core.encodings.harmonics import as_real, circular_energy, energy, two_sided
 from core.encodings.model import Neighbours, nearest
@@ -63,9 +71,8 @@ class MaskedSearch(HarmonicSearch):
         self._mask = np.fft.fft(seen) / columns
         sent_harmonics = np.arange(1 - sent, sent)
         toeplitz = self._mask[(sent_harmonics[:, None] - np.arange(1 - kept, kept)) % columns]
-        self._toeplitz = toeplitz[sent - 1 :]
+        self._toeplitz = toeplitz
         self._spread = (two_sided(values) @ toeplitz.conj())[:, kept - 1 :]
-        self._gram = toeplitz.conj().T @ toeplitz
         # Of the query's energy, as of a map's: where on the circle it is, and 1 in all.
         found = np.zeros(2 * kept - 1, np.complex128)
         found[: 2 * sent - 1] = circular_energy(values)
@@ -204,7 +211,8 @@ class MaskedSearch(HarmonicSearch):
         m, k = np.indices((kept, 2 * kept - 1))
         wave = m - (k - (kept - 1))
         weight = np.where(m > 0, 1.0, 0.5) * np.where(wave == 0, 2.0, 1.0)
-        factor = self._gram[kept - 1 :] * weight
+        gram = self._toeplitz[:, kept - 1 :].conj().T @ self._toeplitz
+        factor = gram * weight
         # A wave of a negative number is the conjugate of that of the positive one.
         sign, wave = np.where(wave < 0, -1.0, 1.0), np.abs(wave)
         sums = np.zeros((*wave.shape, 2, 2 * kept - 1, 2), np.float32)
@@ -213,7 +221,7 @@ class MaskedSearch(HarmonicSearch):
         return sums.reshape(2 * wave.size, -1)
 
     def _seen(self, renderings: ComplexArray) -> ComplexArray:
-        return np.asarray(two_sided(renderings) @ self._toeplitz.T)
+        return np.asarray(two_sided(renderings) @ self._toeplitz[len(self._toeplitz) // 2 :].T)
 
     def _part_seen(self, shares: Float32Array) -> Float32Array:
         """Return 1 - r2 / 48 (1 - share), in place of the shares."""
@@ -230,7 +238,13 @@ def _in_headings(waves: ComplexArray | FloatArray, samples: int) -> Float32Array
         waves: `(m,)` w_d, from d = 0 on; those below 0 are their conjugates.
         samples: Evenly spaced headings, from 0 on.
     """
-    harmonic = np.arange(len(waves))
-    pairs = np.where(harmonic > 0, 2.0, 1.0)
-    turned = pairs * waves * np.exp(2j * np.pi / samples * np.outer(np.arange(samples), harmonic))
+    turned = _turns(samples, len(waves)) * waves
     return np.concatenate([turned.real, turned.imag[:, 1:]], axis=1).astype(np.float32)
+
+
+@lru_cache(maxsize=16)
+def _turns(samples: int, count: int) -> ComplexArray:
+    """Return e^(i d t) in each heading t, twice for harmonics with a conjugate, `(samples, d)`."""
+    harmonic = np.arange(count)
+    turns = np.exp(2j * np.pi / samples * np.outer(np.arange(samples), harmonic))
+    return frozen(turns * np.where(harmonic > 0, 2.0, 1.0), np.complex128)
