@@ -57,8 +57,14 @@ torture: $(DEVELOP) ## Attack the service for hours: kills, disk faults, damage,
 	$(BIN)/python -m pytest -n 2 -q -m 'not alone' tests/torture
 	$(BIN)/python -m pytest -n 0 -q -m 'alone and not soak' $(if $(SHORT),tests/torture/test_starvation.py tests/torture/test_track_restarts.py,tests/torture)
 
-soak: $(DEVELOP) ## Use the service for TENSORMAP_SOAK_S seconds (600): nothing may grow or fail.
-	TENSORMAP_SOAK_S=$${TENSORMAP_SOAK_S:-600} $(BIN)/python -m pytest -n 0 -q -m soak tests/torture
+ifndef SHORT
+soak: export TENSORMAP_SOAK_S ?= 1800
+soak: export TENSORMAP_FLEET_S ?= 600
+soak: export TENSORMAP_TORTURE_VEHICLES ?= 50
+endif
+
+soak: $(DEVELOP) ## Use the service for half an hour, and drive 50 vehicles for ten minutes. SHORT=1 takes 2 minutes.
+	$(BIN)/python -m pytest -n 0 -q -m soak tests/torture
 
 install: $(DEVELOP) ## Install the service and all that its development needs into .venv.
 
@@ -69,7 +75,7 @@ lint: $(DEVELOP) ## Check style, types, spelling and the direction of imports.
 	$(BIN)/lint-imports
 	$(BIN)/codespell
 
-bench: $(DEVELOP) ## Measure against the bars in benchmarks/.
+bench: $(DEVELOP) ## Measure against the bars and the committed ratios; writes benchmarks/RESULTS.md.
 	$(BIN)/python -m benchmarks
 
 constraints: ## Renew constraints.txt with the newest versions that pyproject.toml allows.

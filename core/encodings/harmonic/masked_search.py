@@ -21,14 +21,22 @@ as the root of the share of the cells that the query sees.
 """
 
 import math
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from core.arrays import BoolArray, Complex64Array, ComplexArray, Float32Array, FloatArray, IntArray
+from core.arrays import (
+    BoolArray,
+    Complex64Array,
+    ComplexArray,
+    Float32Array,
+    FloatArray,
+    IntArray,
+    frozen,
+)
 from core.encodings.harmonic.search import HarmonicSearch, peaks
-from core.encodings.harmonics import circular_energy, energy, two_sided
+from core.encodings.harmonics import as_real, circular_energy, energy, two_sided
 from core.encodings.model import Neighbours, nearest
 from core.projection.visibility import View, sector_of_column
 
@@ -39,7 +47,7 @@ _ESTIMATED_HEADINGS = 24  # with 66 the same scans are preferred: decision 30
 _MIXED = 4  # harmonics beyond those that are sent, which a mask mixes into them, in an estimate
 _ESTIMATED_ONCE = 1024  # renderings, in the processor's cache
 _EXACT_SAMPLES = 128  # between which the peak is found by a parabola
-_EXACT_ONCE = 128  # scans of which the best rendering is compared exactly
+_EXACT_ONCE = 192  # scans of which the best rendering is compared exactly
 _EXACT_SCANS = 24  # of which all renderings are
 _LEAST_SEEN = np.float32(0.02)  # of a rendering's energy: with less to compare, everything is alike
 _TRUSTING_HARMONICS = 48  # with as many the share of the query's energy would be trusted
@@ -58,14 +66,13 @@ class MaskedSearch(HarmonicSearch):
         super().__init__(model, values)
         self.evidence = math.sqrt(view.share_of(model.grid_shape[0]))
         columns, kept, sent = model.columns, model.ranks[1], values.shape[1]
-        self._partial = len(view.hidden) > 0
+        self._partial, self._narrow = len(view.hidden) > 0, view.is_narrow
         seen = ~np.isin(sector_of_column(columns), view.hidden)
         self._mask = np.fft.fft(seen) / columns
         sent_harmonics = np.arange(1 - sent, sent)
         toeplitz = self._mask[(sent_harmonics[:, None] - np.arange(1 - kept, kept)) % columns]
-        self._toeplitz = toeplitz[sent - 1 :]
+        self._toeplitz = toeplitz
         self._spread = (two_sided(values) @ toeplitz.conj())[:, kept - 1 :]
-        self._gram = toeplitz.conj().T @ toeplitz
         # Of the query's energy, as of a map's: where on the circle it is, and 1 in all.
         found = np.zeros(2 * kept - 1, np.complex128)
         found[: 2 * sent - 1] = circular_energy(values)
@@ -92,14 +99,14 @@ class MaskedSearch(HarmonicSearch):
     def _preferred(self, k: int, among: BoolArray | None) -> IntArray:
         """Return the rows of the scans to compare exactly, rising.
 
-        Of partial views estimates are worse: of more scans, the rendering with the best estimate is
+        Of narrow views estimates are worse: of more scans, the rendering with the best estimate is
         compared first.
         """
         rows = np.arange(len(self._model)) if among is None else np.flatnonzero(among)
-        count = _EXACT_ONCE if self._partial else _EXACT_SCANS
+        count = _EXACT_ONCE if self._narrow else _EXACT_SCANS
         scores = self._squared_scores if self._partial else self._phase_free_scores
         some = rows[nearest(-scores.max(axis=0)[rows], max(k, count))]
-        if self._partial and len(some) > max(k, _EXACT_SCANS):
+        if len(some) > max(k, _EXACT_SCANS):
             rendering = scores.argmax(axis=0)[some][:, None]
             some = some[nearest(self.exact(some, rendering)[0][:, 0], max(k, _EXACT_SCANS))]
         return np.sort(some)
@@ -134,18 +141,18 @@ class MaskedSearch(HarmonicSearch):
     def _squared_scores(self) -> Float32Array:
         """Estimated squares of the best score of every rendering over headings, `(D, K)`."""
         model, waves, samples = self._model, self._waves, _ESTIMATED_HEADINGS
-        correlation = np.concatenate([waves.real, -waves.imag[1:]])
         correlated = _in_headings(np.ones(len(waves)), samples)
         energies, seen_waves = model.unit_energies(self._values.shape[1]), model.seen_waves
         of_mask = _in_headings(self._mask[: len(energies) // 2 + 1], samples)
         of_energy = _in_headings(self._unit_energy[: len(seen_waves) // 2 + 1], samples)
-        best = np.empty(correlation.shape[1], np.float32)
+        best = np.empty(waves.shape[1], np.float32)
         for start in range(0, len(best), _ESTIMATED_ONCE):
             block = slice(start, start + _ESTIMATED_ONCE)
-            score = correlated @ correlation[:, block]
+            score = correlated @ as_real(waves[:, block].conj())
             score *= np.abs(score)
-            seen = of_mask @ energies[:, block] if self._partial else energies[:1, block]
-            score /= seen + _LEAST_SEEN
+            seen = of_mask @ energies[:, block] if self._partial else energies[:1, block].copy()
+            seen += _LEAST_SEEN
+            score /= seen
             if not model.sees_all:
                 part = self._part_seen(of_energy @ seen_waves[:, block])
                 score /= np.square(part, out=part)
@@ -204,7 +211,8 @@ class MaskedSearch(HarmonicSearch):
         m, k = np.indices((kept, 2 * kept - 1))
         wave = m - (k - (kept - 1))
         weight = np.where(m > 0, 1.0, 0.5) * np.where(wave == 0, 2.0, 1.0)
-        factor = self._gram[kept - 1 :] * weight
+        gram = self._toeplitz[:, kept - 1 :].conj().T @ self._toeplitz
+        factor = gram * weight
         # A wave of a negative number is the conjugate of that of the positive one.
         sign, wave = np.where(wave < 0, -1.0, 1.0), np.abs(wave)
         sums = np.zeros((*wave.shape, 2, 2 * kept - 1, 2), np.float32)
@@ -213,11 +221,14 @@ class MaskedSearch(HarmonicSearch):
         return sums.reshape(2 * wave.size, -1)
 
     def _seen(self, renderings: ComplexArray) -> ComplexArray:
-        return np.asarray(two_sided(renderings) @ self._toeplitz.T)
+        return np.asarray(two_sided(renderings) @ self._toeplitz[len(self._toeplitz) // 2 :].T)
 
     def _part_seen(self, shares: Float32Array) -> Float32Array:
+        """Return 1 - r2 / 48 (1 - share), in place of the shares."""
         trust = np.float32(self._values.shape[1] / _TRUSTING_HARMONICS)
-        return np.asarray(np.float32(1.0) - trust * (np.float32(1.0) - shares))
+        shares *= trust
+        shares += np.float32(1.0) - trust
+        return shares
 
 
 def _in_headings(waves: ComplexArray | FloatArray, samples: int) -> Float32Array:
@@ -227,7 +238,13 @@ def _in_headings(waves: ComplexArray | FloatArray, samples: int) -> Float32Array
         waves: `(m,)` w_d, from d = 0 on; those below 0 are their conjugates.
         samples: Evenly spaced headings, from 0 on.
     """
-    harmonic = np.arange(len(waves))
-    pairs = np.where(harmonic > 0, 2.0, 1.0)
-    turned = pairs * waves * np.exp(2j * np.pi / samples * np.outer(np.arange(samples), harmonic))
+    turned = _turns(samples, len(waves)) * waves
     return np.concatenate([turned.real, turned.imag[:, 1:]], axis=1).astype(np.float32)
+
+
+@lru_cache(maxsize=16)
+def _turns(samples: int, count: int) -> ComplexArray:
+    """Return e^(i d t) in each heading t, twice for harmonics with a conjugate, `(samples, d)`."""
+    harmonic = np.arange(count)
+    turns = np.exp(2j * np.pi / samples * np.outer(np.arange(samples), harmonic))
+    return frozen(turns * np.where(harmonic > 0, 2.0, 1.0), np.complex128)
