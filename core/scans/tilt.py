@@ -3,7 +3,6 @@
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from core.errors import InvalidParameters
 from core.scans.scan import Scan
@@ -67,6 +66,8 @@ class Tilt:
         Raises:
             TooFewReturns: If no return is left that is finite and away from the origin.
         """
+        from scipy.spatial.transform import Rotation  # few answers need it: decision 33
+
         angles_deg = (self.roll_deg, self.pitch_deg)
         rotation = Rotation.from_euler("xy", angles_deg, degrees=True)
         points_m = rotation.apply(scan.points_m.astype(np.float64))
