@@ -22,7 +22,7 @@ from storage.catalog import LiveMap
 from storage.errors import CorruptFile, MapNotFound, NoLiveRevision
 from storage.store import Store
 
-_LIKELY = 4  # maps of an index that are opened
+_LIKELY = 3  # maps of an index that are opened
 
 _log = logging.getLogger("tensormap.localization")
 
@@ -53,10 +53,9 @@ class Among:
 
 @dataclass(frozen=True)
 class _Chosen:
-    """The maps to open, how many places the index has besides theirs, and what is left out."""
+    """The maps to open, and those that are not indexed yet."""
 
     to_open: Sequence[LiveMap]
-    indexed_places: int
     not_indexed: Mapping[str, Reason]
 
 
@@ -118,7 +117,7 @@ class AmongMaps:
         for one in maps:
             if one.map_id not in having:
                 left_out[one.slug] = _without_basis(one)
-        return _answer(searched, k, min_probability, maps, left_out, chosen.indexed_places)
+        return _answer(searched, k, min_probability, maps, left_out)
 
     def scan(
         self,
@@ -164,7 +163,7 @@ class AmongMaps:
         for one in maps:
             if one.revision is None:
                 left_out[one.slug] = Reason.NO_LIVE_REVISION
-        return _answer(searched, k, min_probability, maps, left_out, chosen.indexed_places)
+        return _answer(searched, k, min_probability, maps, left_out)
 
     def _visible(self, caller: Caller) -> Sequence[LiveMap]:
         maps = self._store.catalog.live_maps.all(caller.maps)
@@ -190,7 +189,6 @@ class AmongMaps:
         alone = of_bases.pop(None, [])
         waiting: list[LiveMap] = []
         likely: list[LiveMap] = []
-        places = 0
         for basis, having in of_bases.items():
             if basis is None or len(having) < FEWEST_MAPS:
                 alone += having
@@ -207,8 +205,6 @@ class AmongMaps:
             by_id = {one.map_id: one for one in indexed}
             found = index.nearest_maps(indexed, signature)
             likely += [by_id[map_id] for map_id in found[:_LIKELY]]
-            places += sum(one.scans for one in indexed)
-            places -= sum(by_id[map_id].scans for map_id in found[:_LIKELY])
         if len(alone) + len(likely) > self._most_opened:
             raise TooManyMaps(
                 f"{len(alone) + len(likely)} maps would have to be opened, at most"
@@ -217,7 +213,6 @@ class AmongMaps:
         room = self._most_opened - len(alone) - len(likely)
         return _Chosen(
             [*likely, *alone, *waiting[:room]],
-            places,
             {one.slug: Reason.NOT_INDEXED for one in waiting[room:]},
         )
 
@@ -242,16 +237,10 @@ def _answer(
     min_probability: float | None,
     maps: Sequence[LiveMap],
     left_out: dict[str, Reason],
-    indexed_places: int,
 ) -> Among:
     if not searched:
         raise CorruptFile(f"none of {len(maps)} maps could be searched")
-    found = localize_among(
-        searched,
-        k,
-        places=indexed_places + sum(len(one.tensor_map) for one in searched),
-        min_probability=min_probability,
-    )
+    found = localize_among(searched, k, min_probability=min_probability)
     return Among(found, len(maps) - len(left_out), tuple(sorted(left_out.items())))
 
 

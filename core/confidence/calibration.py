@@ -21,6 +21,7 @@ MIN_PROBABILITY = 0.5
 _MOST_CELLS = 4_000_000  # as of a grid
 _LARGEST = 1e12  # of a coefficient: with any distance that has a logarithm, sums stay finite
 _SURE = 1.0 - 2.0**-53  # the largest float64 below 1: no probability is 1
+_LITTLE, _MOST_OF_LITTLE = 0.5, 0.99  # of a quarter of a view: docs/decisions/0030-any-view.md
 
 
 @dataclass(frozen=True)
@@ -82,7 +83,7 @@ class Calibration(Attributes):
             ratio: Of it to the runner-up's, 0..1, `None` without one.
             share: How many scans were searched, as a multiple of the map's; above 0.
             evidence: How much the logarithm of the odds counts, 0..1: less where distances say less
-                than those that this was fitted to.
+                than those that this was fitted to. Below a half, no probability is above 0.99.
 
         Raises:
             InvalidParameters: If one is NaN or out of its range.
@@ -109,7 +110,8 @@ class Calibration(Attributes):
         else:
             alone = float(self.log_likelihood_ratio(np.array(distance)))
             odds = max(odds, min(odds - math.log(share), alone))
-        return min(max(logistic(evidence * odds), math.ulp(0.0)), _SURE)
+        most = _MOST_OF_LITTLE if evidence < _LITTLE else _SURE
+        return min(max(logistic(evidence * odds), math.ulp(0.0)), most)
 
     def log_likelihood_ratio(self, distances: FloatArray) -> FloatArray:
         """Return log p(d | the query is at this scan) - log p(d | elsewhere), of any shape.

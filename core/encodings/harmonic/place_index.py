@@ -13,10 +13,12 @@ from core.encodings.basis import Basis
 from core.encodings.distance import Distance
 from core.encodings.harmonic.model import HarmonicModel
 from core.encodings.harmonic.place_code import RENDERINGS, Int8Array, PlaceCode, beside
+from core.encodings.harmonics import two_sided, weights
 from core.encodings.model import Model
 from core.encodings.signature import Signature
 from core.errors import InvalidMap
 from core.projection.imager import Views
+from core.projection.visibility import sector_of_column
 
 if TYPE_CHECKING:
     from core.parameters import MapParameters
@@ -24,9 +26,13 @@ if TYPE_CHECKING:
 _OF_LISTS = {"members", "list_start"}
 _FEW_HIDDEN = 6  # sectors: with more a code says less
 _VISITED, _VISITED_PARTIAL = 48, 192  # lists
-_CHOSEN, _CHOSEN_PARTIAL = 384, 768  # places that are compared exactly
+_CHOSEN, _CHOSEN_PARTIAL = 2000, 6000  # places whose signatures are compared
+_EXACT, _EXACT_PARTIAL = 192, 640  # of which so many are compared as in a map
+_HEADINGS = 48
 _FEW_PLACES = 10_000  # of which all codes are compared
 _BLOCK = 8192  # codes, in the processor's cache
+_PLACES = 512  # likewise, with their signatures
+_LEAST_NORM = np.float32(1e-6)
 
 
 @dataclass(frozen=True, eq=False)
@@ -214,22 +220,58 @@ class PlaceIndex:
             For each of them, the places that were compared and their distances.
         """
         far = np.concatenate([one for _, _, one in found])
-        kept = np.zeros(len(far), bool)
-        kept[_least(far, self._chosen(signature))] = True
-        ends = np.cumsum([len(one) for _, _, one in found])[:-1]
-        compared = [
-            np.sort(places[of_it])
-            for (_, places, _), of_it in zip(found, np.split(kept, ends), strict=True)
-        ]
+        part = np.repeat(np.arange(len(found)), [len(one) for _, _, one in found])
+        place = np.concatenate([one for _, one, _ in found])
+        kept = _least(far, self._chosen(signature))
+        kept = kept[np.lexsort((place[kept], part[kept]))]  # in the order of the files
+        part, place = part[kept], place[kept]
         parts = [
-            entries.of_places(places)
-            for (entries, _, _), places in zip(found, compared, strict=True)
+            entries.of_places(place[part == number]) for number, (entries, _, _) in enumerate(found)
         ]
-        joined = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
-        distances = self._model(joined).search_values(signature.values, signature.view).distances()
-        return list(
-            zip(compared, np.split(distances, np.cumsum([*map(len, compared)])[:-1]), strict=True)
-        )
+        arrays = {
+            name: np.concatenate([one[name] for one in parts])
+            for name in ("signatures", "scales", "hidden")
+        }
+        exact = _EXACT_PARTIAL if _is_partial(signature) else _EXACT
+        nearest = np.sort(_least(-self._likeness(signature, arrays), exact))
+        model = self._model({name: array[nearest] for name, array in arrays.items()})
+        distances = model.search_values(signature.values, signature.view).distances()
+        part, place = part[nearest], place[nearest]
+        return [(place[part == number], distances[part == number]) for number in range(len(found))]
+
+    def _likeness(self, signature: Signature, arrays: Mapping[str, NDArray[Any]]) -> Float32Array:
+        """Return the best correlation of places with a query over headings, estimated, `(n,)`.
+
+        Of a partial view the norm of what it would have seen is taken as that of the whole.
+        """
+        columns, values = self.parameters.grid.columns, signature.values.astype(np.complex128)
+        harmonics = (arrays["signatures"].shape[-1] + 1) // 2
+        sent = values.shape[1]
+        query = values
+        if signature.view.hidden:
+            seen = ~np.isin(sector_of_column(columns), signature.view.hidden)
+            mask = np.fft.fft(seen) / columns
+            sent_harmonics = np.arange(1 - sent, sent)
+            mixed = mask[(sent_harmonics[:, None] - np.arange(1 - harmonics, harmonics)) % columns]
+            query = (two_sided(values) @ mixed.conj())[:, harmonics - 1 :]
+        count = query.shape[1]
+        turns = np.exp(2j * np.pi / _HEADINGS * np.outer(np.arange(_HEADINGS), np.arange(count)))
+        turned = (query * turns[:, None] * weights(columns, count)).astype(np.complex64)
+        kept = [*range(count), *range(harmonics, harmonics + count - 1)]
+        products = np.concatenate([turned.real, turned.imag[..., 1:]], axis=-1)
+        products = products.reshape(_HEADINGS, -1).T
+        counted = weights(columns, count)
+        counted = np.concatenate([counted, counted[1:]]).astype(np.float32)
+        best = np.empty(len(arrays["signatures"]), np.float32)
+        for start in range(0, len(best), _PLACES):
+            block = slice(start, start + _PLACES)
+            roots = arrays["signatures"][block, :, : len(values)][..., kept].astype(np.float32)
+            numbers = roots * np.abs(roots)
+            norm = np.sqrt((np.square(numbers) @ counted).sum(axis=-1))
+            score = numbers.reshape(-1, products.shape[0]) @ products
+            score = score.max(axis=1).reshape(norm.shape) / np.maximum(norm, _LEAST_NORM)
+            best[block] = score.max(axis=1)
+        return best
 
     def _model(self, arrays: Mapping[str, NDArray[Any]]) -> HarmonicModel:
         """Return a map of some places; from where their renderings are is not known."""
