@@ -43,16 +43,19 @@ class PlaceCode:
 
     Attributes:
         projection: `(f, v)` float32, from the features of a signature to steps of a byte.
+        mean: `(v,)` float32, which is subtracted: a byte has no room for it.
         centres: `(c, v)` float32, of the lists.
         ranks: `(2,)`, how many radial components and harmonics are coded.
     """
 
     projection: Float32Array
+    mean: Float32Array
     centres: Float32Array
     ranks: IntArray
 
     def __post_init__(self) -> None:
-        freeze(self, projection=np.float32, centres=np.float32, ranks=np.int64)
+        freeze(self, projection=np.float32, mean=np.float32)
+        freeze(self, centres=np.float32, ranks=np.int64)
         radial, harmonics = self.ranks.tolist()
         if self.projection.shape != (radial * radial * harmonics, self.centres.shape[1]):
             raise InvalidMap(
@@ -86,28 +89,35 @@ class PlaceCode:
         kept = models[0].ranks
         radial, harmonics = min(CODED_RANKS[0], kept[0]), min(CODED_RANKS[1], kept[1])
         each = max(2, _MOST_TRAINED // len(models))
-        of_places, within = [], []
+        of_places, rendered, within = [], [], []
         for model in models[:: max(1, len(models) * 2 // _MOST_TRAINED)]:
             rows = np.sort(rng.permutation(max(1, len(model) - 1))[:each])
             coded = beside(model, model.signatures)
             here = features(coded[rows], radial, harmonics)
             ahead = features(coded[np.minimum(rows + 1, len(model) - 1), 2], radial, harmonics)
             of_places.append(here[:, 2])
+            rendered.append(here.reshape(-1, here.shape[-1]))
             within += [here[:, 1] - here[:, 2], here[:, 3] - here[:, 2], ahead - here[:, 2]]
         found = np.concatenate(of_places)
         projection = _discriminant(found, np.concatenate(within))
-        codes = found @ projection
+        mean = (found @ projection).mean(axis=0)
+        codes = np.concatenate(rendered) @ projection - mean
         step = float(np.quantile(np.abs(codes), 1.0 - _CLIPPED)) / 127.0 or 1.0
         lists = int(np.clip(places // _PLACES_A_LIST, 1, _MOST_LISTS))
-        lists = min(lists, max(1, len(codes) // 4))  # of few maps there are few samples
+        lists = min(lists, max(1, len(codes) // 8))  # of few maps there are few samples
         samples = codes[rng.permutation(len(codes))[: lists * _SAMPLES_A_LIST]] / step
         centres = _k_means(samples.astype(np.float32), lists, rng)
-        return cls((projection / step).astype(np.float32), centres, np.array([radial, harmonics]))
+        return cls(
+            (projection / step).astype(np.float32),
+            (mean / step).astype(np.float32),
+            centres,
+            np.array([radial, harmonics]),
+        )
 
     def of(self, signatures: NDArray[Any]) -> Int8Array:
         """Return the codes of `(..., r1, r2)` signatures, `(..., v)`."""
         found = features(signatures, self.radial, self.harmonics) @ self.projection
-        codes = np.clip(np.rint(found), -127, 127)
+        codes = np.clip(np.rint(found - self.mean), -127, 127)
         return np.asarray(codes.astype(np.int8))
 
     def of_query(self, values: NDArray[Any]) -> Float32Array:
@@ -116,7 +126,7 @@ class PlaceCode:
         sent = values[: self.radial, : self.harmonics]
         whole[: sent.shape[0], : sent.shape[1]] = sent
         found = features(whole, self.radial, self.harmonics) @ self.projection
-        return np.asarray(found, dtype=np.float32)
+        return np.asarray(found - self.mean, dtype=np.float32)
 
     def lists_of(self, codes: Int8Array) -> IntArray:
         """Return the list of each of `(n, v)` codes, `(n,)`."""
