@@ -35,7 +35,7 @@ coverage: $(DEVELOP) ## Run all tests, and fail where they run less of the code 
 
 # What `make torture` attacks with, unless the environment says otherwise; with SHORT=1 the tests' own
 # sizes, which take four minutes. Starvation: seconds that each load is measured for, and how many
-# WebSockets, tracks and builds one key asks for.
+# WebSockets, tracks and builds one key asks for; seconds that vehicles are tracked before a restart.
 ifndef SHORT
 torture: export TENSORMAP_TORTURE_KILLS ?= 300
 torture: export TENSORMAP_TORTURE_FAULTS ?= 0
@@ -50,14 +50,21 @@ torture: export TENSORMAP_TORTURE_STARVATION_S ?= 60
 torture: export TENSORMAP_TORTURE_WEBSOCKETS ?= 5000
 torture: export TENSORMAP_TORTURE_TRACKS ?= 1000
 torture: export TENSORMAP_TORTURE_BUILDS ?= 300
+torture: export TENSORMAP_TORTURE_TRACKED_S ?= 15
 endif
 
 torture: $(DEVELOP) ## Attack the service for hours: kills, disk faults, damage, starvation. SHORT=1 takes 4 minutes.
 	$(BIN)/python -m pytest -n 2 -q -m 'not alone' tests/torture
-	$(BIN)/python -m pytest -n 0 -q -m 'alone and not soak' $(if $(SHORT),tests/torture/test_starvation.py,tests/torture)
+	$(BIN)/python -m pytest -n 0 -q -m 'alone and not soak' $(if $(SHORT),tests/torture/test_starvation.py tests/torture/test_track_restarts.py,tests/torture)
 
-soak: $(DEVELOP) ## Use the service for TENSORMAP_SOAK_S seconds (600): nothing may grow or fail.
-	TENSORMAP_SOAK_S=$${TENSORMAP_SOAK_S:-600} $(BIN)/python -m pytest -n 0 -q -m soak tests/torture
+ifndef SHORT
+soak: export TENSORMAP_SOAK_S ?= 1800
+soak: export TENSORMAP_FLEET_S ?= 600
+soak: export TENSORMAP_TORTURE_VEHICLES ?= 50
+endif
+
+soak: $(DEVELOP) ## Use the service for half an hour, and drive 50 vehicles for ten minutes. SHORT=1 takes 2 minutes.
+	$(BIN)/python -m pytest -n 0 -q -m soak tests/torture
 
 install: $(DEVELOP) ## Install the service and all that its development needs into .venv.
 
@@ -68,7 +75,7 @@ lint: $(DEVELOP) ## Check style, types, spelling and the direction of imports.
 	$(BIN)/lint-imports
 	$(BIN)/codespell
 
-bench: $(DEVELOP) ## Measure against the bars in benchmarks/.
+bench: $(DEVELOP) ## Measure against the bars and the committed ratios; writes benchmarks/RESULTS.md.
 	$(BIN)/python -m benchmarks
 
 constraints: ## Renew constraints.txt with the newest versions that pyproject.toml allows.

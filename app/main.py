@@ -46,6 +46,7 @@ from app.settings import Settings
 from app.systemd import supervised
 from app.tracking import routes as tracks
 from app.tracking import stream_routes
+from app.tracking.saver import TrackSaver
 from app.tracking.tracks import Tracks
 from storage.catalog import JobRecord
 from storage.store import Store
@@ -143,6 +144,7 @@ def _start(settings: Settings, metrics: Metrics, pools: Pools) -> Service:
     store = Store.serving(settings.data_dir, settings.catalog_url)
     try:
         made = make_first_key(store, settings)
+        saved_tracks = store.saved_tracks()
     except BaseException:
         store.close()
         raise
@@ -164,6 +166,14 @@ def _start(settings: Settings, metrics: Metrics, pools: Pools) -> Service:
     scrub.start()
     indexes = PlaceIndexes(store)
     indexes.start()
+    tracks = Tracks(
+        settings.max_tracks,
+        settings.track_idle_s,
+        settings.max_tracks_per_key,
+        saved=saved_tracks,
+    )
+    saver = TrackSaver(tracks)
+    saver.start()
     revisions = LoadedRevisions(store, settings.loaded_revisions)
     return Service(
         settings=settings,
@@ -173,7 +183,8 @@ def _start(settings: Settings, metrics: Metrics, pools: Pools) -> Service:
         indexes=indexes,
         runner=runner,
         access=access,
-        tracks=Tracks(settings.max_tracks, settings.track_idle_s, settings.max_tracks_per_key),
+        tracks=tracks,
+        track_saver=saver,
         streams=Streams(settings.max_streams, settings.max_streams_per_key),
         job_events=JobEvents(store, access),
         metrics=metrics,
@@ -189,4 +200,6 @@ def _stop(service: Service) -> None:
     service.collector.stop()
     service.scrub.stop()
     service.indexes.stop()
+    service.track_saver.stop()
+    service.tracks.close()
     service.store.close()

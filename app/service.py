@@ -19,6 +19,7 @@ from app.maps.collector import GarbageCollector
 from app.revisions.loaded import LoadedRevisions
 from app.scrub import Scrub
 from app.settings import Settings
+from app.tracking.saver import TrackSaver
 from app.tracking.tracks import Tracks
 from storage.names import SLUG_PATTERN
 from storage.store import Store
@@ -37,6 +38,7 @@ class Service:
         runner: Runs builds.
         access: Checks keys.
         tracks: Tracked vehicles.
+        track_saver: Saves them.
         streams: Open streams.
         job_events: Events of jobs that clients follow.
         metrics: Its metrics.
@@ -54,6 +56,7 @@ class Service:
     runner: JobRunner
     access: Access
     tracks: Tracks
+    track_saver: TrackSaver
     streams: Streams
     job_events: JobEvents
     metrics: Metrics

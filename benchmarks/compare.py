@@ -11,14 +11,13 @@ DRIVES is a folder of drives in the KITTI odometry layout that holds `kitti00` a
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
 
 from threadpoolctl import threadpool_limits
 
 from app.provenance import commit, machine, provenance
-from baselines.roster import METHODS, default_methods, methods_named
+from baselines.roster import BY_SCAN, METHODS, default_methods, methods_named
 from benchmarks.accuracy import print_table
-from core.arrays import IntArray
+from benchmarks.maps import Once
 from core.evaluation.compare import (
     Comparison,
     ComparisonProtocol,
@@ -27,10 +26,10 @@ from core.evaluation.compare import (
     compare,
 )
 from core.evaluation.condition import Condition, conditions
-from core.evaluation.methods import Enrolled, Method
+from core.evaluation.methods import Method
 from core.evaluation.pairing import HeldOut, LoopClosing, SecondPass
 from core.evaluation.split import Every
-from core.progress import NO_PROGRESS, Progress
+from core.projection.imager import Views
 from core.scans.drive import Drive, MemoryDrive
 from core.scans.sensor import HDL_64E
 from core.simulation import SimulatedDrive
@@ -49,6 +48,8 @@ CONDITIONS: tuple[Condition, ...] = (
     *conditions((0,), (0,), (0.5, 1.0)),
 )
 HALF = HeldOut(Every(2))
+SINGLE = (*BY_SCAN, *METHODS[:-1])
+"""All but map-closures, which is made for maps of many scans."""
 
 
 def main(folder: Path, part: str = "") -> None:
@@ -86,12 +87,19 @@ def _head() -> None:
     print("  and from descriptor to answer.")
     print("- `map-closures` describes and matches in one call. It is made for maps of many scans;")
     print("  here it gets single scans like all methods, leaves most queries unanswered, and is")
-    print("  therefore in the first table only.\n")
+    print("  therefore in the first table only.")
+    print(
+        "- `harmonic` and `harmonic-scan` are of one map of any views, queried with signatures and"
+    )
+    print("  with whole scans.\n")
     print("Configuration: every method's defaults, five segments.\n")
     rows = [
         [f"`{one.name}`", _described_parameters(one)]
         for one in methods_named(
-            default_methods(), sensor=HDL_64E.name, sensor_height_m=1.73, segment_length=SCANS
+            default_methods(Views.ANY),
+            sensor=HDL_64E.name,
+            sensor_height_m=1.73,
+            segment_length=SCANS,
         )
     ]
     print_table(["method", "configuration"], rows)
@@ -118,7 +126,7 @@ def _kitti00(folder: Path) -> None:
     drive = open_drive(folder / "kitti00", min_returns=100)
     unknown = open_drive(folder / "kit_muehlburger", min_returns=100)
     protocol = ComparisonProtocol(HALF, unknown_every=QUERY_EVERY)
-    every = _methods(drive, default_methods())
+    every = _methods(drive, default_methods(Views.ANY))
     _print_means([compare(drive, every, protocol, unknown_drive=unknown)], 3.0)
 
 
@@ -128,9 +136,7 @@ def _conditions(folder: Path) -> None:
     print("are moved, nothing new is seen), or every coordinate has noise. M2DP centres returns:")
     print("moved ones are the same to it; only a real second pass (below) tests it.\n")
     drive = open_drive(folder / "kitti00", min_returns=100)
-    found = compare(
-        drive, _methods(drive, METHODS[:-1]), ComparisonProtocol(HALF, conditions=CONDITIONS)
-    )
+    found = compare(drive, _methods(drive, SINGLE), ComparisonProtocol(HALF, conditions=CONDITIONS))
     _print_conditions(found)
 
 
@@ -138,7 +144,7 @@ def _muehlburger(folder: Path) -> None:
     print("## `kit_muehlburger`\n")
     print("Recorded, 501 scans at 10 Hz, the first 188 while standing; even scans are places.\n")
     drive = open_drive(folder / "kit_muehlburger", min_returns=100)
-    found = compare(drive, _methods(drive, METHODS[:-1]), ComparisonProtocol(HALF))
+    found = compare(drive, _methods(drive, SINGLE), ComparisonProtocol(HALF))
     _print_means([found], 3.0)
 
 
@@ -155,7 +161,7 @@ def _cities() -> None:
     for seed in SEEDS:
         city = _in_memory(SimulatedDrive(seed=seed, scans=SCANS))
         other = _in_memory(SimulatedDrive(seed=seed + 100, scans=SCANS), QUERY_EVERY)
-        methods = [_Once(one) for one in _methods(city, METHODS[:-1])]
+        methods = [Once(one) for one in _methods(city, SINGLE)]
         for number, (offset_m, reverse) in enumerate(PASSES):
             second = SimulatedDrive(
                 seed=seed,
@@ -177,7 +183,7 @@ def _cities() -> None:
                     ),
                 ]
             )
-    print_table(["seed, offset", *(f"`{name}`" for name in METHODS[:-1])], rows)
+    print_table(["seed, offset", *(f"`{name}`" for name in SINGLE)], rows)
     print(
         "Means over these passes; the AUROC is of the first of each seed, against another city.\n"
     )
@@ -192,29 +198,12 @@ def _loops() -> None:
     found = []
     for seed in SEEDS:
         drive = _in_memory(SimulatedDrive(seed=seed, scans=SCANS))
-        methods = _methods(drive, METHODS[:-1])
+        methods = _methods(drive, SINGLE)
         found.append(compare(drive, methods, ComparisonProtocol(LoopClosing(recent_scans=50))))
     queried = [result.methods[0].conditions[0] for result in found]
     of = ", ".join(f"{row.findable[3.0]} of {row.queries}" for row in queried)
     print(f"Findable within 3 m: {of} queries.\n")
     _print_means(found, 3.0)
-
-
-class _Once:
-    """A method that enrols one drive once and keeps the result."""
-
-    def __init__(self, method: Method) -> None:
-        self._method = method
-        self._enrolled: Enrolled | None = None
-        self.name = method.name
-
-    def configuration(self) -> dict[str, Any]:
-        return self._method.configuration()
-
-    def enrol(self, drive: Drive, scans: IntArray, progress: Progress = NO_PROGRESS) -> Enrolled:
-        if self._enrolled is None:
-            self._enrolled = self._method.enrol(drive, scans, progress)
-        return self._enrolled
 
 
 def _in_memory(drive: SimulatedDrive, every: int = 1) -> MemoryDrive:

@@ -59,6 +59,14 @@ def request(
     return f"{method} {path} HTTP/1.1\r\n{head}\r\n".encode() + body
 
 
+def once(port: int, asked: bytes) -> bytes:
+    """Return the answer to one request on a connection of its own."""
+    connection = Connection(port)
+    answer = connection.ask(asked)
+    connection.close()
+    return answer
+
+
 def cpu_s(pid: int) -> float:
     """Return the CPU seconds of a process and of its threads."""
     fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()

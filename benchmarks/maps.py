@@ -1,18 +1,46 @@
-"""Maps that benchmarks query: of some scans of a drive, or random ones."""
+"""Maps and methods that benchmarks query: of some scans of a drive, or random ones."""
+
+from typing import Any
 
 import numpy as np
 
 from core.arrays import IntArray
 from core.encodings.basis import Basis
 from core.encodings.paper.model import PaperModel
+from core.evaluation.methods import Enrolled, Method
 from core.localization.localizer import Localizer
 from core.mapping.pipeline import build, project_scans
 from core.mapping.tensormap import TensorMap
 from core.parameters import MapParameters
+from core.progress import NO_PROGRESS, Progress
 from core.scans.drive import Drive
 from core.scans.trajectory import Trajectory
 from core.segmentation.fixed import cut_fixed, segment_length_for
 from core.topology import join_segments
+
+
+class Once:
+    """A method that enrols one drive once and keeps the result.
+
+    Args:
+        method: The method.
+        name: Another name than its own.
+    """
+
+    def __init__(self, method: Method, name: str | None = None) -> None:
+        self._method = method
+        self._enrolled: Enrolled | None = None
+        self.name = name or method.name
+
+    def configuration(self) -> dict[str, Any]:
+        """Return the method's."""
+        return self._method.configuration()
+
+    def enrol(self, drive: Drive, scans: IntArray, progress: Progress = NO_PROGRESS) -> Enrolled:
+        """Enrol the scans, or return what was enrolled."""
+        if self._enrolled is None:
+            self._enrolled = self._method.enrol(drive, scans, progress)
+        return self._enrolled
 
 
 def localizer_of(

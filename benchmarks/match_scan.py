@@ -1,6 +1,6 @@
 """Verify the 25 best candidates of a scan among 3,800 scans of five renderings each.
 
-Bar: at most 8 times a full-view match of a signature among the same scans; beside it, a whole
+At most 8 times a full-view match of a signature among the same scans; beside it, a whole
 scan query of a map of any views.
 """
 
@@ -12,7 +12,8 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from benchmarks.maps import localizer_of
-from benchmarks.timing import machine, medians_s
+from benchmarks.results import Row, show
+from benchmarks.timing import medians_s
 from core.arrays import IntArray
 from core.encodings.harmonic.model import HarmonicModel
 from core.encodings.harmonic.small_query import SmallQuery
@@ -28,8 +29,8 @@ CANDIDATES = 25
 ROUNDS = 7
 
 
-def main() -> int:
-    """Print the times; return 1 if verification is above the bar."""
+def measure() -> list[Row]:
+    """Return the row."""
     threadpool_limits(limits=1)
     drive = SimulatedDrive(
         seed=1, scans=2 * SCANS, loop_m=4000.0, sensor=SimulatedSensor(firings=360)
@@ -43,12 +44,9 @@ def main() -> int:
         axis=0,
     )
     match_ms, verify_ms, whole_ms = (1e3 * times_s).tolist()
-    print(
-        f"among {SCANS} scans: a full-view match {match_ms:.2f} ms; the verification of"
-        f" {CANDIDATES} scans {verify_ms:.2f} ms, {verify_ms / match_ms:.1f} times (bar {BAR:g});"
-        f" a whole scan query of any views {whole_ms:.1f} ms; {machine()}"
-    )
-    return int(verify_ms > BAR * match_ms)
+    what = f"verification of {CANDIDATES} of {SCANS} scans, ms"
+    beside = f"full-view match {match_ms:.2f}; whole scan query of any views {whole_ms:.1f}"
+    return [Row(what, verify_ms, BAR * match_ms, beside)]
 
 
 def _times_s(
@@ -80,4 +78,4 @@ def _verify(model: HarmonicModel, image: Image, rows: IntArray) -> object:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(show(measure()))

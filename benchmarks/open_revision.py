@@ -1,6 +1,6 @@
 """Open the file of a revision of 1,000 segments: bounds and checksums, without the digest.
 
-Bar: under 10 ms of this process's time when the digest was checked before in this process, as for
+Under 10 ms of this process's time when the digest was checked before in this process, as for
 a query that finds the revision no longer in memory. The time with the digest, and h5py's for the
 arrays alone, are beside.
 """
@@ -15,7 +15,7 @@ from pathlib import Path
 import h5py
 
 from benchmarks.maps import random_paper_map
-from benchmarks.timing import machine
+from benchmarks.results import Row, show
 from storage.files.map_file import read_map, read_revision, write_map
 
 BAR_MS = 10.0
@@ -23,8 +23,8 @@ SEGMENTS, SCANS_A_SEGMENT = 1000, 20
 RUNS = 31
 
 
-def main() -> int:
-    """Print the times; return 1 if opening takes as long as the bar."""
+def measure() -> list[Row]:
+    """Return the row."""
     tensor_map = random_paper_map(SEGMENTS, SCANS_A_SEGMENT, poses=False)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, "map.h5")
@@ -39,12 +39,9 @@ def main() -> int:
         opened_s = _median_s(lambda: read_revision(path, digest))
         checked_s, h5py_s = _median_s(lambda: read_map(path)), _median_s(by_h5py)
         size_mb = path.stat().st_size / 1e6
-    print(
-        f"open {SEGMENTS} segments, {len(tensor_map)} scans, {size_mb:.1f} MB:"
-        f" {1e3 * opened_s:.1f} ms (bar {BAR_MS:g}), {1e3 * checked_s:.1f} ms with the digest;"
-        f" h5py reads the arrays alone in {1e3 * h5py_s:.1f} ms; {machine()}"
-    )
-    return int(1e3 * opened_s >= BAR_MS)
+    what = f"open {SEGMENTS} segments, {len(tensor_map)} scans, {size_mb:.1f} MB, ms"
+    beside = f"{1e3 * checked_s:.1f} with the digest; h5py, arrays alone {1e3 * h5py_s:.1f}"
+    return [Row(what, 1e3 * opened_s, BAR_MS, beside, of_machine=True)]
 
 
 def _median_s(function: Callable[[], object]) -> float:
@@ -58,4 +55,4 @@ def _median_s(function: Callable[[], object]) -> float:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(show(measure()))

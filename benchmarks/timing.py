@@ -1,4 +1,4 @@
-"""Two functions timed in turn, so that a machine that drifts drifts for both."""
+"""Two functions timed in turn, so that a machine that drifts drifts for both; of CPU time."""
 
 import platform
 import statistics
@@ -9,14 +9,14 @@ from collections.abc import Callable
 def medians_s(
     ours: Callable[[], object], other: Callable[[], object], runs: int
 ) -> tuple[float, float]:
-    """Return the median seconds of both, after one run each that is not counted."""
+    """Return the median CPU seconds of both, after one run each that is not counted."""
     times: tuple[list[float], list[float]] = ([], [])
     for run in range(runs + 1):
         for function, of_it in zip((ours, other), times, strict=True):
-            begun = time.perf_counter()
+            begun = time.process_time()
             function()
             if run:
-                of_it.append(time.perf_counter() - begun)
+                of_it.append(time.process_time() - begun)
     return statistics.median(times[0]), statistics.median(times[1])
 
 

@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from core.scans.mounting import vehicle_drive as vehicle_drive
     from core.scans.pose import Pose as Pose
     from core.scans.scan import Scan as Scan
+    from core.scans.tilt import Tilt as Tilt
     from core.tracking.track import Observation as Observation
     from core.tracking.track import Track as Track
     from core.tracking.track import Tracker as Tracker
@@ -56,6 +57,7 @@ _MODULE_OF = {
         ("core.scans.mounting", "Mounting vehicle_drive"),
         ("core.scans.pose", "Pose"),
         ("core.scans.scan", "Scan"),
+        ("core.scans.tilt", "Tilt"),
         ("core.tracking.track", "Observation Track Tracker"),
     )
     for name in names.split()

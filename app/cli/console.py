@@ -2,12 +2,15 @@
 
 import os
 import sys
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 
 from rich import progress
 from rich.console import Console
+from rich.text import Text
 
+_LINE_EVERY_S = 5.0
 _FILE_COLUMNS = 160  # a file or pipe has no width; Rich's 80 would cut figures off
 
 
@@ -25,6 +28,22 @@ def say(line: str) -> None:
 def figure(value: float | str | None, form: str) -> str:
     """Return a number for a table, `-` if it is unknown."""
     return "-" if value is None else format(value, form)
+
+
+_SENT = "sent_bytes"
+
+
+class _Rate(progress.ProgressColumn):
+    """The rate of a transfer, empty for other work."""
+
+    def render(self, task: progress.Task) -> Text:
+        """Return bytes in a second, since the stage began."""
+        sent, elapsed_s = task.fields.get(_SENT), task.elapsed
+        return Text(_rate(sent, elapsed_s) if sent and elapsed_s else "")
+
+
+def _rate(sent_bytes: int, elapsed_s: float) -> str:
+    return f"{sent_bytes / elapsed_s / 1e6:.1f} MB/s"
 
 
 class BarProgress:
@@ -49,6 +68,12 @@ class BarProgress:
         if self._task is not None:
             self._bars.update(self._task, completed=done)
 
+    def sent(self, size_bytes: int) -> None:
+        """Count bytes for the rate of a transfer."""
+        if self._task is not None:
+            before = self._bars.tasks[self._task].fields.get(_SENT, 0)
+            self._bars.update(self._task, **{_SENT: before + size_bytes})
+
     def finish(self) -> None:
         """Fill the bar: its stage is over, also if units were skipped."""
         if self._task is not None:
@@ -65,6 +90,79 @@ def progress_bar() -> Iterator[BarProgress]:
         progress.TimeRemainingColumn(),
     )
     with progress.Progress(*columns, console=Console(stderr=True)) as bars:
+        bar = BarProgress(bars)
+        yield bar
+        bar.finish()
+
+
+class LineProgress:
+    """A `core.progress.Progress` that writes a line now and then, where there is no terminal."""
+
+    def __init__(self) -> None:
+        self._stage = ""
+        self._done = self._total = self._sent_bytes = self._first = 0
+        self._began_s = self._shown_s = time.monotonic()
+
+    def start(self, stage: str, total: int) -> None:
+        """Begin a new stage; the one before is done."""
+        self.finish()
+        self._stage, self._total = stage, total
+        self._done = self._sent_bytes = self._first = 0
+        self._began_s = self._shown_s = time.monotonic()
+
+    def advance(self, units: int = 1) -> None:
+        """Count units."""
+        self._done += units
+        if self._stage and time.monotonic() - self._shown_s >= _LINE_EVERY_S:
+            self._show()
+
+    def move_to(self, done: int) -> None:
+        """Set the number of units; the first ones of a stage were done before."""
+        if not self._done:
+            self._first = done
+        self.advance(done - self._done)
+
+    def sent(self, size_bytes: int) -> None:
+        """Count bytes for the rate of a transfer."""
+        self._sent_bytes += size_bytes
+
+    def finish(self) -> None:
+        """Write the last line of a stage: it is over, also if units were skipped."""
+        if self._stage:
+            self._done = self._total
+            self._show()
+            self._stage = ""
+
+    def _show(self) -> None:
+        self._shown_s = time.monotonic()
+        elapsed_s = self._shown_s - self._began_s
+        line = f"{self._stage}: {self._done} of {self._total}"
+        if self._sent_bytes and elapsed_s:
+            line += f", {_rate(self._sent_bytes, elapsed_s)}"
+        if self._done > self._first and self._done < self._total:
+            left_s = elapsed_s / (self._done - self._first) * (self._total - self._done)
+            line += f", {left_s:.0f} s left"
+        sys.stderr.write(f"{line}\n")
+        sys.stderr.flush()
+
+
+@contextmanager
+def transfer_progress() -> Iterator[BarProgress | LineProgress]:
+    """Show progress with the rate of transfers while the block runs; lines without a terminal."""
+    console = Console(stderr=True)
+    if not console.is_terminal:
+        lines = LineProgress()
+        yield lines
+        lines.finish()
+        return
+    columns = (
+        progress.TextColumn("{task.description:>12}"),
+        progress.BarColumn(),
+        progress.MofNCompleteColumn(),
+        _Rate(),
+        progress.TimeRemainingColumn(),
+    )
+    with progress.Progress(*columns, console=console) as bars:
         bar = BarProgress(bars)
         yield bar
         bar.finish()

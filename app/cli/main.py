@@ -12,6 +12,7 @@ from rich.markup import escape
 
 from app.demo.errors import DemoFailed
 from app.process import keep_freed_memory, one_blas_thread
+from app.upload_client.errors import UploadFailed
 from core.errors import TensorMapError
 
 _MODULES = {
@@ -20,6 +21,7 @@ _MODULES = {
     "restore": "backup",
     "verify": "verify",
     "demo": "demo",
+    "upload": "upload",
     "build": "maps",
     "merge": "merge",
     "localize": "maps",
@@ -114,7 +116,7 @@ def main() -> None:
         keep_freed_memory()
     try:
         cli()
-    except (TensorMapError, DemoFailed) as error:
+    except (TensorMapError, DemoFailed, UploadFailed) as error:
         sys.stderr.write(f"tensormap: {error}\n")
         sys.exit(1)
     except OSError as error:

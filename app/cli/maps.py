@@ -29,6 +29,7 @@ from core.scans.mounting import Mounting
 from core.scans.pose import path_length_m
 from core.scans.scan import Scan
 from core.scans.sensor import HDL_64E
+from core.scans.tilt import Tilt
 from storage.files.files import publish
 from storage.files.map_file import read_map, write_map
 from storage.formats.errors import UnknownFormat
@@ -151,6 +152,8 @@ def localize(
         ),
     ] = None,
     mounting: options.MountingOption = None,
+    roll_deg: options.RollOption = None,
+    pitch_deg: options.PitchOption = None,
     accumulate: options.AccumulateOption = 1,
     min_probability: Annotated[
         float | None,
@@ -177,8 +180,8 @@ def localize(
 ) -> None:
     """Localize scans in a map; unusable ones are reported, the others are answered.
 
-    The priors apply to all scans. A scan that is not localized is no error: its answer has the
-    reason.
+    The priors and the tilt apply to all scans. A scan that is not localized is no error: its answer
+    has the reason.
     """
     priors = PriorsIn.model_construct(  # typer has checked the types
         x_m=x_m,
@@ -196,6 +199,7 @@ def localize(
     ).to_core()
     if mounting is not None and sensor_height_m is not None:
         raise InvalidParameters("--mounting has a height too: leave --sensor-height-m out")
+    tilt = Tilt.of(roll_deg, pitch_deg)
     media_type = None if format_name is None else media_type_of(format_name)
     localizer = Localizer(read_map(map_file))
     height_m = localizer.map.parameters.sensor_height_m
@@ -210,7 +214,8 @@ def localize(
         progress.start("localizing", len(queries))
         for name, read in queries:
             try:
-                found = localizer.localize_scan(read(), k, sensor_height_m, priors, min_probability)
+                scan = read() if tilt is None else tilt.level(read())
+                found = localizer.localize_scan(scan, k, sensor_height_m, priors, min_probability)
                 answers.append((name, found))
             except (InvalidScan, UnknownFormat) as error:
                 unusable.append(str(error))
@@ -304,6 +309,8 @@ def signature(
         ),
     ] = None,
     mounting: options.MountingOption = None,
+    roll_deg: options.RollOption = None,
+    pitch_deg: options.PitchOption = None,
     format_name: options.FormatOption = None,
 ) -> None:
     """Print a scan's signatures as JSON, ready to post."""
@@ -314,11 +321,12 @@ def signature(
             " out"
         )
     basis, ranks = tensor_map.basis(segments), options.ranks(ranks_text)
+    tilt = Tilt.of(roll_deg, pitch_deg)
     if ranks is not None:
         basis = basis.sending(ranks)
     media_type = None if format_name is None else media_type_of(format_name)
     read = _read(scan, media_type, mounting, tensor_map.parameters.sensor_height_m)
-    signatures = basis.encode(basis.image(read))
+    signatures = basis.encode(basis.image(read if tilt is None else tilt.level(read)))
     if packed is not None:
         packed.write_bytes(pack_signatures(signatures, packing))
     body = SignaturesIn.from_core(signatures)

@@ -148,6 +148,13 @@ QueryMountingOption = Annotated[
         help="Of DRIVE2's and DRIVE3's sensor, if it is another.", rich_help_panel="Protocol"
     ),
 ]
+RollOption = Annotated[
+    float | None,
+    typer.Option(help="Of the vehicle against gravity, right side down; with --pitch-deg."),
+]
+PitchOption = Annotated[
+    float | None, typer.Option(help="The same, front down: both level the scan.")
+]
 AccumulateOption = Annotated[
     int,
     typer.Option(

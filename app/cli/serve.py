@@ -38,7 +38,7 @@ def serve(
     from app.http import connections
     from app.http.logs import configure_logging
     from app.main import create_app
-    from app.process import private_files
+    from app.process import answer_beside_large_work, private_files
     from storage.store import Store
 
     private_files()
@@ -63,6 +63,7 @@ def serve(
         **connections.connection_options(settings),
     )
     gc.enable()
+    answer_beside_large_work()
     with _listen(settings.host, settings.port) as listening:
         connections.close_unread(listening)
         # An error at start is one line here; from inside Uvicorn it would be a traceback.

@@ -1,31 +1,36 @@
 """Many scans in one body: a tar stream of scan files that are named by their index."""
 
+import math
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import PurePosixPath
 from tempfile import SpooledTemporaryFile
 
+import numpy as np
 from starlette.requests import ClientDisconnect
 
-from app.drives.schemas import SetAsideOut, UploadOut, index_ranges
+from app.drives.kitti_files import SCANS, KittiFiles
+from app.drives.schemas import PosesPutOut, SetAsideOut, UploadOut, index_ranges
 from app.drives.tar_stream import TarFeed, TarMember
+from app.drives.time_order import TimeOrder, member_time_s
 from app.http.client import require_client
 from app.http.errors import BodyTooLarge, MalformedBody, MalformedUpload
 from app.http.problems import problem_type
 from app.settings import Settings
 from core.errors import InvalidScan, TensorMapError
 from core.scans.scan import Scan
-from storage.errors import DriveClosed, ScanConflict, StorageError
+from storage.errors import DriveClosed, DriveNotFound, ScanConflict, StorageError
 from storage.files.files import named_disk_errors
 from storage.formats.errors import ScanTooLarge, UnknownFormat
+from storage.formats.scans.kitti import KittiFormat
 from storage.formats.scans.registry import read_scan, suffix_of
 from storage.store import Store
 
 _NAME = re.compile(r"(\d{1,16})\.\w+(\.\w+)?", re.ASCII)
-_PLAIN = ".bin"
+_PLAIN, _IMAGES = ".bin", frozenset({".png", ".jpg", ".jpeg"})
 _LAST_INDEX = 2**53
 # Making a small scan durable costs more than writing it: scans are stored in groups.
 _GROUP_BYTES, _GROUP_SCANS = 4 * 2**20, 256
@@ -44,8 +49,9 @@ class _Waiting:
 class ScanUpload:
     """Stores the scans of a tar stream as its bytes arrive, small ones in groups.
 
-    A file's name is its scan's index, `000012.pcd`; its format is that of `media_type`, or of its
-    suffix. A file that cannot be used is set aside and the next one is read. Its methods are called
+    A file's name is its scan's index, `000012.pcd`, or its time, `1679000000.1.pcd`; its format is
+    that of `media_type`, or of its suffix. KITTI's times, poses and calibration are used at the
+    end. A file that cannot be used is set aside and the next one is read. Its methods are called
     from threads, one after another.
 
     Args:
@@ -75,7 +81,27 @@ class ScanUpload:
         self._set_aside: list[SetAsideOut] = []
         self._set_aside_count = 0
         place = partial(SpooledTemporaryFile, _PART_BYTES, dir=settings.data_dir)
+        self._order: TimeOrder | None = None
+        self._kitti = KittiFiles()
+        self._last_name = ""
         self._feed = TarFeed(settings.max_body_bytes, place)
+
+    def order_by_time(self, read: Callable[[], Iterable[bytes]]) -> None:
+        """Give files that are named by times their rank in order of time as index.
+
+        Args:
+            read: Returns the pieces of the whole tar stream; called several times.
+
+        Raises:
+            MalformedUpload: If that cannot be; see `TimeOrder`.
+            TensorMapError: What `read` raises.
+        """
+        try:
+            drive = self._drives.open(*self._target)
+            stored = drive.scan_index, drive.timestamp_s
+        except DriveNotFound:
+            stored = np.empty(0, np.int64), np.empty(0)
+        self._order = TimeOrder(read, is_index, *stored)
 
     def take(self, pieces: Iterable[bytes]) -> None:
         """Store the scans that end within the next bytes; the last ones may wait for more.
@@ -133,7 +159,8 @@ class ScanUpload:
         """
         self._take(b"")
         self.store()
-        if not (self._stored or self._present or self._set_aside):
+        poses = self._kitti.put(self._drives, *self._target, self._refuse)
+        if not (self._stored or self._present or self._set_aside or poses):
             raise MalformedUpload("the tar stream has no file, wanted scans named by their index")
         return UploadOut(
             scans_stored=len(self._stored),
@@ -142,15 +169,18 @@ class ScanUpload:
             stored=index_ranges(self._stored),
             present=index_ranges(self._present),
             set_aside=self._set_aside,
+            poses=None if poses is None else PosesPutOut.of(poses),
         )
 
     def _take(self, piece: bytes) -> None:
         try:
             for member in self._feed.take(piece):
                 require_client()
+                if self._kitti.take(member):
+                    continue
                 try:
-                    index = member_index(member)
-                    scan = member_scan(member, self._media_type, self._min_returns)
+                    index, time_s = self._place(member)
+                    scan = member_scan(member, self._media_type, self._min_returns, time_s)
                 except (InvalidScan, UnknownFormat) as error:
                     self._refuse(member.name, error)
                 else:
@@ -158,6 +188,25 @@ class ScanUpload:
         except MalformedUpload as error:
             self.store()
             raise MalformedUpload(f"{error}; {self._so_far()}") from error
+
+    def _place(self, member: TarMember) -> tuple[int, float]:
+        """Return the index and time of a file, NaN if its name is no time.
+
+        Raises:
+            MalformedUpload: If it is named by a time in a stream that began with indices.
+            UnknownFormat: If the name is no index, and no time.
+        """
+        time_s = member_time_s(member)
+        if time_s is None:
+            self._last_name = member.name
+            return member_index(member), math.nan
+        if self._order is None:
+            raise MalformedUpload(
+                f"{member.name[:80]!r} is named by a time and comes after"
+                f" {self._last_name[:80]!r}, which is not: wanted names that are all times or all"
+                " indices"
+            )
+        return self._order.index(time_s), time_s
 
     def _add(self, item: _Waiting) -> None:
         self._waiting.append(item)
@@ -204,8 +253,17 @@ def member_index(member: TarMember) -> int:
     return int(found[1])
 
 
-def member_scan(member: TarMember, media_type: str | None, min_returns: int) -> Scan:
+def is_index(name: str) -> bool:
+    """Return whether a file's name is an index."""
+    return _NAME.fullmatch(PurePosixPath(name).name) is not None
+
+
+def member_scan(
+    member: TarMember, media_type: str | None, min_returns: int, time_s: float = math.nan
+) -> Scan:
     """Read a file of a tar stream, its format by `media_type` or else by its suffix.
+
+    Those in a folder `velodyne` are KITTI's.
 
     Raises:
         UnknownFormat: If that names no format, or several.
@@ -214,8 +272,18 @@ def member_scan(member: TarMember, media_type: str | None, min_returns: int) -> 
     if member.content is None:
         raise ScanTooLarge(member.reason)
     suffix = suffix_of(member.name)
+    if suffix in _IMAGES:
+        raise UnknownFormat(f"{suffix} is an image of a camera, wanted a scan")
+    if suffix == _PLAIN and PurePosixPath(member.name).parent.name == SCANS:
+        media_type = media_type or KittiFormat.media_type
     if media_type is None and suffix == _PLAIN:
         raise UnknownFormat(
             "records in .bin may be KITTI's, nuScenes' or NCLT's; name the format, as ?format=kitti"
         )
-    return read_scan(member.content, media_type=media_type, suffix=suffix, min_returns=min_returns)
+    return read_scan(
+        member.content,
+        media_type=media_type,
+        suffix=suffix,
+        min_returns=min_returns,
+        timestamp_s=time_s,
+    )

@@ -11,6 +11,7 @@ from core.arrays import FloatArray, IntArray
 from core.errors import InvalidPose
 from core.scans.pose import UNKNOWN_POSE, Pose, first_invalid, is_known, rows_from_matrices
 from storage.catalog import ScanPoses
+from storage.formats.drives.kitti_drive import camera_to_lidar_poses
 from storage.formats.scans.text_numbers import blocks_of_lines, number_rows
 
 KITTI = "application/vnd.tensormap.poses.kitti"
@@ -41,13 +42,16 @@ class _Rows:
     poses: FloatArray
 
 
-def read_poses(body: bytes, media_type: str, first: int = 0) -> ScanPoses:
+def read_poses(
+    body: bytes, media_type: str, first: int = 0, *, to_camera: FloatArray | None = None
+) -> ScanPoses:
     """Read a file of poses.
 
     Args:
         body: The file.
         media_type: One of `POSE_TYPES`.
         first: The scan of the first line, if the file names no scans.
+        to_camera: KITTI's `Tr`, `(3, 4)`, if the poses are the camera's.
 
     Raises:
         InvalidPose: If a line has no valid pose; the message names it.
@@ -59,7 +63,11 @@ def read_poses(body: bytes, media_type: str, first: int = 0) -> ScanPoses:
     """
     text = memoryview(body.removeprefix(b"\xef\xbb\xbf"))
     parts: list[_Rows] = []
-    parse: Callable[[bytes], _Rows] | None = {KITTI: _kitti, TUM: _tum}.get(media_type)
+    known: dict[str, Callable[[bytes], _Rows]] = {
+        KITTI: partial(_kitti, to_camera=to_camera),
+        TUM: _tum,
+    }
+    parse = known.get(media_type)
     number = 1
     for block in blocks_of_lines(text, _BLOCK_BYTES):
         if block is None:
@@ -129,10 +137,12 @@ def _block(parse: Callable[[bytes], _Rows], block: bytes, number: int) -> _Rows:
     raise InvalidPose(f"line {number}: {wrong}") from wrong
 
 
-def _kitti(block: bytes) -> _Rows:
+def _kitti(block: bytes, to_camera: FloatArray | None) -> _Rows:
     matrices = number_rows(block, range(12), 12, None).reshape(-1, 3, 4)
     matrices[~np.isfinite(matrices).all(axis=(1, 2))] = np.nan
     poses = rows_from_matrices(matrices)
+    if to_camera is not None:
+        poses = rows_from_matrices(camera_to_lidar_poses(matrices, to_camera))
     return _checked(np.full(len(poses), -1), np.full(len(poses), np.nan), poses)
 
 

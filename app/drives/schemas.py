@@ -169,6 +169,9 @@ class UploadOut(BaseModel):
     set_aside: list[SetAsideOut] = Field(
         description="Files that were not stored, with the reason; the first thousand."
     )
+    poses: PosesPutOut | None = Field(
+        description="What a `poses.txt` in the archive changed; null without one that fits."
+    )
 
 
 def index_ranges(indices: Iterable[int]) -> list[IndexRangeOut]:

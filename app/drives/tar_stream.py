@@ -112,10 +112,11 @@ class TarFeed:
                 if kind != _FOLDER:
                     yield TarMember(name, None, "it is a link or device, no file")
             elif size > self._most_bytes:
-                yield from self._skip(_padded(size))
                 yield TarMember(
                     name, None, f"it has {size} bytes, at most {self._most_bytes} are read"
                 )
+                yield from self._skip(_padded(size))
+                self._file_bytes += size
             else:
                 self._file_bytes += size
                 yield TarMember(name, (yield from self._content(size)))

@@ -10,10 +10,11 @@ from starlette.requests import ClientDisconnect
 
 from app.access.api_router import api_router
 from app.access.scopes import Scope, needs
-from app.drives.many_scans import ScanUpload
+from app.drives.many_scans import ScanUpload, is_index
 from app.drives.pose_files import CSV, POSE_TYPES, read_poses
 from app.drives.pose_schemas import PosesIn
 from app.drives.schemas import DriveOut, DriveWithPosesOut, PosesPutOut, PresentOut, UploadOut
+from app.drives.time_order import listed, member_time_s
 from app.http import errors
 from app.http.bodies.bodies import AsItComes, Body, ContentType, described_body, required_type
 from app.http.bodies.incoming import Incoming
@@ -70,7 +71,7 @@ def list_scans(map_slug: MapSlug, drive_slug: DriveSlug, running: Running) -> Pr
 @writing.post(
     "/maps/{map}/drives/{drive}/scans",
     openapi_extra=described_body(
-        {_TAR: "A tar stream of scan files, each named by its index, as `000012.pcd`."}
+        {_TAR: "A tar stream of scan files, each named by its index or time, as `000012.pcd`."}
     ),
     responses=problems(
         MapNotFound,
@@ -97,6 +98,10 @@ async def post_scans(
     on disk; without an answer, request which are stored and send the others, or send all again.
     With a `Content-Digest` nothing is stored before the whole body was received and its digest is
     right; a packed body is unpacked when it is complete, or as far as it was received.
+
+    Files are named by their scan's index, or by its time, `1679000000.1.pcd` or nanoseconds since
+    1970: then their index is the rank in order of time, and nothing is stored before the whole body
+    was received. Of a folder of KITTI odometry the times, poses and calibration are used.
     """
     required_type(content_type, *_TYPES)
     scan_type = None if format_name is None else media_type_of(format_name)
@@ -107,6 +112,7 @@ async def post_scans(
     upload = ScanUpload(running.store, running.settings, map_slug, drive_slug, scan_type)
     # A decompressor takes megabytes: none waits for the rest of a slow body.
     up_to = None if body.packed or body.has_digest else _BATCH_BYTES
+    is_first = True
     with body.spool() as spool:
         while not body.ended:
             try:
@@ -115,6 +121,14 @@ async def post_scans(
                 if not body.has_digest:
                     await run_heavy(request, partial(_store_rest, upload, body, spool), begun=True)
                 raise
+            if is_first:
+                is_first = False
+                if await run_heavy(request, partial(_named_by_times, body, spool), begun=True):
+                    up_to = None
+                    await body.fill(spool)
+                    order = partial(upload.order_by_time, partial(_again, body, spool))
+                    await run_heavy(request, order, begun=True)
+                body.rewind()
             await _store(request, upload, body, spool)
     return await run_heavy(request, upload.finish, begun=True)
 
@@ -163,6 +177,23 @@ def put_poses(
         put = drives.put_poses(map_slug, drive_slug, poses, timestamps_s)
     drive = DriveOut.from_record(drives.get(map_slug, drive_slug))
     return DriveWithPosesOut(**dict(drive), poses=PosesPutOut.of(put))
+
+
+def _again(body: Incoming, spool: Spool) -> Iterator[bytes]:
+    """Return the bytes of a spooled body from its first one on."""
+    body.rewind()
+    return body.unpacked(spool.pieces())
+
+
+def _named_by_times(body: Incoming, spool: Spool) -> bool:
+    """Return whether the first scan of a body, whose beginning is spooled, is named by its time."""
+    with suppress(TensorMapError):  # is reported when its scans are stored
+        for member in listed(_again(body, spool)):
+            if member_time_s(member) is not None:
+                return True
+            if is_index(member.name):
+                return False
+    return False
 
 
 async def _store(request: Request, upload: ScanUpload, body: Incoming, spool: Spool) -> None:

@@ -42,7 +42,7 @@ def read_query(
     settings: Settings,
     sensor_height_m: float,
 ) -> Scan:
-    """Return the scan of a query in the vehicle's frame.
+    """Return the scan of a query in the vehicle's frame, level where its tilt came.
 
     Args:
         body: A scan file, or a tar of several with the vehicle's odometry.
@@ -54,12 +54,12 @@ def read_query(
     Raises:
         InvalidScan: If the scans cannot be used, or cannot become one.
         InvalidPose: If the odometry cannot be used, or does not fit the scans.
-        InvalidParameters: If the mounting cannot be used.
+        InvalidParameters: If the mounting or the tilt cannot be used.
         EmptyBody: If there is no body.
         UnknownFormat: If a scan is of no known format.
         MalformedUpload: If several are no tar, or one that breaks off.
     """
-    mounting = sensor.to_mounting()
+    mounting, tilt = sensor.to_mounting(), sensor.to_tilt()
     if media_type(content_type) == TAR:
         scans, poses = _read_tar(body, sensor.format_name, settings)
         scan = accumulate(scans, poses if mounting is None else mounting.sensor_poses(poses))
@@ -70,7 +70,9 @@ def read_query(
             )
     else:
         scan = read_scan(body, media_type=content_type, min_returns=settings.min_returns)
-    return scan if mounting is None else mounting.mount(scan, sensor_height_m)
+    if mounting is not None:
+        scan = mounting.mount(scan, sensor_height_m)
+    return scan if tilt is None else tilt.level(scan)
 
 
 def _read_tar(

@@ -1,14 +1,19 @@
-"""Query parameters of scans: the sensor of the query, and how it is mounted."""
+"""Query parameters of scans: the sensor of the query, how it is mounted and tilted."""
+
+from typing import Any
 
 from pydantic import BaseModel, Field, field_validator
 
 from core.errors import InvalidParameters
 from core.scans.mounting import Mounting
+from core.scans.tilt import STEEPEST_DEG, Tilt
 from storage.formats.scans.registry import FORMAT_NAMES
+
+_angle_deg: dict[str, Any] = {"ge": -STEEPEST_DEG, "le": STEEPEST_DEG, "allow_inf_nan": False}
 
 
 class SensorIn(BaseModel):
-    """How the query's sensor is mounted, and what its files are."""
+    """How the query's sensor is mounted and tilted, and what its files are."""
 
     sensor_height_m: float | None = Field(
         None,
@@ -24,6 +29,16 @@ class SensorIn(BaseModel):
         " degrees; z is its height above ground. The answer is then the vehicle's pose. Without it"
         " the vehicle's frame is the sensor's.",
         examples=["1.2,0,1.9,0,5,0"],
+    )
+    roll_deg: float | None = Field(
+        None,
+        **_angle_deg,
+        description="Of the vehicle against gravity, right side down, with `pitch_deg`; of the"
+        " sensor where there is no mounting. The scan is levelled by both, and not by the ground"
+        " that it sees.",
+    )
+    pitch_deg: float | None = Field(
+        None, **_angle_deg, description="The same, front down; with `roll_deg`."
     )
     format_name: str | None = Field(
         None,
@@ -54,3 +69,11 @@ class SensorIn(BaseModel):
                 " give one of them"
             )
         return Mounting.from_text(self.mounting)
+
+    def to_tilt(self) -> Tilt | None:
+        """Return the tilt against gravity, `None` if it did not come.
+
+        Raises:
+            InvalidParameters: If only one of the angles came.
+        """
+        return Tilt.of(self.roll_deg, self.pitch_deg)

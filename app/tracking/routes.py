@@ -1,5 +1,6 @@
 """Tracks: the observations of a vehicle, one at a time."""
 
+from functools import partial
 from http import HTTPStatus
 from typing import Annotated
 
@@ -10,6 +11,7 @@ from app.access.dependency import CurrentCaller
 from app.access.scopes import Scope, needs
 from app.http import errors
 from app.http.bodies.bodies import Body, ContentType, described_body, media_type
+from app.http.pages import After, Limit, PageOut, page_out
 from app.http.pooled_route import light
 from app.http.problems import problems
 from app.localization.routes import (
@@ -22,8 +24,8 @@ from app.localization.routes import (
 from app.localization.scan_queries import BAD_SCAN_QUERY, SCAN_QUERY_TYPES, read_query
 from app.localization.schemas import SignaturesIn
 from app.service import MapSlug, Running, Service
-from app.tracking.schemas import ObservationQuery, TrackOut, TrackStepOut
-from app.tracking.tracks import LiveTrack
+from app.tracking.live_track import LiveTrack
+from app.tracking.schemas import ObservationQuery, TrackListed, TrackOut, TrackStepOut
 from core import errors as core
 from core.encodings.signature import Signature
 from core.localization.localizer import Localizer
@@ -52,7 +54,7 @@ _OBSERVATION_TYPES = {
         errors.TooManyTracks,
         errors.TooManyTracksOfKey,
         errors.InvalidRequest,
-        *errors.READING,
+        *errors.WRITING,
     ),
 )
 def create_track(
@@ -80,8 +82,31 @@ def create_track(
 
 
 @router.get(
+    "",
+    responses=problems(
+        stored.MapNotFound, core.InvalidParameters, errors.InvalidRequest, *errors.READING
+    ),
+)
+def list_tracks(
+    map_slug: MapSlug,
+    running: Running,
+    caller: CurrentCaller,
+    after: After = "",
+    limit: Limit = 100,
+) -> PageOut[TrackListed]:
+    """List the tracks of a map in the order of their names: those of the caller's key.
+
+    A key with scope `admin` lists the tracks of all keys. Who has a track's name can go on with it.
+    """
+    record = running.store.maps.get(map_slug)
+    key_id = None if caller.may(Scope.ADMIN) else caller.key_id
+    page = running.tracks.page(record.id, after, limit, key_id)
+    return page_out(page, TrackListed.from_saved)
+
+
+@router.get(
     "/{track}",
-    responses=problems(stored.MapNotFound, errors.TrackNotFound, *errors.READING),
+    responses=problems(errors.TrackNotFound, *errors.REVISION, *errors.READING),
 )
 @light
 def get_track(map_slug: MapSlug, track_id: TrackId, running: Running) -> TrackOut:
@@ -93,7 +118,7 @@ def get_track(map_slug: MapSlug, track_id: TrackId, running: Running) -> TrackOu
 @router.delete(
     "/{track}",
     status_code=HTTPStatus.NO_CONTENT,
-    responses=problems(stored.MapNotFound, errors.TrackNotFound, *errors.READING),
+    responses=problems(stored.MapNotFound, errors.TrackNotFound, *errors.WRITING),
 )
 @light
 def delete_track(map_slug: MapSlug, track_id: TrackId, running: Running) -> None:
@@ -105,7 +130,7 @@ def delete_track(map_slug: MapSlug, track_id: TrackId, running: Running) -> None
     "/{track}/observations",
     openapi_extra=described_body(_OBSERVATION_TYPES, SignaturesIn),
     responses=problems(
-        stored.MapNotFound,
+        *errors.REVISION,
         errors.TrackNotFound,
         core.StaleObservation,
         core.StaleSignature,
@@ -142,9 +167,15 @@ def track_of(running: Service, map_slug: str, track_id: str) -> tuple[LiveTrack,
     Raises:
         MapNotFound: If there is no such map.
         TrackNotFound: If the map has no such track, or it was removed.
+        TensorMapError: What `LoadedRevisions.named` raises, if an earlier process had the track.
     """
     record = running.store.maps.get(map_slug)
-    return running.tracks.get(record.id, track_id), record.live_revision
+    found = running.tracks.get(record.id, track_id, partial(_localizer, running, map_slug))
+    return found, record.live_revision
+
+
+def _localizer(running: Service, map_slug: str, revision: str) -> Localizer:
+    return running.revisions.named(map_slug, revision).localizer
 
 
 def _observed(

@@ -1,19 +1,22 @@
 """Tracks on the wire."""
 
 import math
+from datetime import UTC, datetime
+from typing import Any, Self
 
-from pydantic import Field, field_validator
+from pydantic import BaseModel, Field, field_validator
 
 from app.drives.pose_schemas import PoseOut
 from app.http.exact_types import Number, integers
 from app.http.shown import Shown
 from app.localization.schemas import SignaturesIn
 from app.localization.sensor_schemas import SensorIn
-from app.tracking.tracks import LiveTrack
+from app.tracking.live_track import LiveTrack
 from core.encodings.signature import Signature
 from core.projection.imager import Image
 from core.tracking.step import Direction, Doubt, TrackStep
 from core.tracking.track import Observation
+from storage.catalog import SavedTrack
 
 
 class ObservationIn(SignaturesIn):
@@ -140,12 +143,60 @@ class TrackOut(Shown):
         cls, found: LiveTrack, map_slug: str, live_revision: str | None, idle_s: float
     ) -> "TrackOut":
         """Return the model of a track."""
-        last = found.last
+        last = None if found.last is None else saved_answer(found.last)
+        if (shown := last or found.saved.last) is not None:
+            shown = {**shown, "track": found.id, "live_revision": live_revision}
         return cls.of(
             found,
             track=found.id,
             map=map_slug,
             live_revision=live_revision,
             idle_s=idle_s,
-            last=None if last is None else TrackStepOut.from_core(found.id, last, live_revision),
+            last=shown,
         )
+
+
+class TrackPlaceOut(BaseModel):
+    """The place in a track's last answer."""
+
+    localized: bool
+    reason: Doubt | None = Field(description="Why not; null if it is.")
+    segment: int
+    fraction: float = Field(description="Position in the segment: 0 at its start, 1 at its end.")
+    drive: str
+    scan_index: int = Field(description="Of the nearest scan, in that drive.")
+    pose: PoseOut | None = Field(description="Where the vehicle is; null without poses.")
+
+
+class TrackListed(BaseModel):
+    """A track in a list."""
+
+    track: str = Field(description="Its name.")
+    key: str = Field(description="Id of the key that created it.")
+    revision: str = Field(description="The revision that the track is pinned to.")
+    created_at: datetime
+    last_observation_at: datetime | None = Field(description="Null before the first observation.")
+    observations: int = Field(description="How many the track has had.")
+    place: TrackPlaceOut | None = Field(
+        description="Of its last answer; null before the first observation."
+    )
+
+    @classmethod
+    def from_saved(cls, found: SavedTrack) -> Self:
+        """Return the model of a track as it is saved."""
+        at_s = found.observed_s
+        return cls(
+            track=found.id,
+            key=found.key_id,
+            revision=found.revision,
+            created_at=found.created_at,
+            last_observation_at=None if at_s is None else datetime.fromtimestamp(at_s, UTC),
+            observations=found.observations,
+            place=None if found.last is None else TrackPlaceOut.model_validate(found.last),
+        )
+
+
+def saved_answer(step: TrackStep) -> dict[str, Any]:
+    """Return an answer in plain values, without what is not the track's own."""
+    shown = TrackStepOut.from_core("", step, None)
+    return shown.model_dump(mode="json", exclude={"track", "live_revision"})

@@ -22,13 +22,14 @@ from app.tracking.schemas import ObservationIn, TrackStepOut
 from core.encodings.signature import unpack_signatures
 from core.errors import TensorMapError
 from core.tracking.track import Observation
-from storage.errors import MapNotFound
+from storage.errors import MapNotFound, RevisionNotFound
 
 router = APIRouter(tags=["tracks"], prefix="/v1")
 
 _ENDING = (
     errors.TrackNotFound,
     MapNotFound,
+    RevisionNotFound,
     errors.HostNotAllowed,
     errors.KeyNeeded,
     errors.KeyRefused,

@@ -1,46 +1,24 @@
-"""Tracks in memory, each of one vehicle in one revision, removed when idle.
+"""The tracks of a service, each of one vehicle in one revision, removed when idle.
 
-The number of all tracks and of each key's is limited. At the limit of all, a key with less than its
-share replaces a track of the key with the most.
+A track that this process has not in memory was saved by another one, or by an earlier process of
+this service: it goes on from there. The number of all tracks and of each key's is limited. At the
+limit of all, a key with less than its share replaces a track of the key with the most.
 """
 
-import secrets
 import threading
 import time
 from collections import Counter
 from collections.abc import Callable
+from dataclasses import replace
 from weakref import WeakValueDictionary
 
 from app.http.errors import TooManyTracks, TooManyTracksOfKey, TrackNotFound
+from app.tracking.live_track import LiveTrack, new_track
+from app.tracking.schemas import saved_answer
+from core.errors import InvalidParameters
 from core.localization.localizer import Localizer
-from core.tracking.step import TrackStep
-from core.tracking.track import Observation, Track, Tracker
-
-_ID_BYTES = 12
-
-
-class LiveTrack(Track):
-    """A track of the service; safe to share between threads.
-
-    Attributes:
-        id: Its name, hard to guess.
-        map_id: The map it belongs to, whatever its slug becomes.
-        key_id: Of the key that created it.
-        used_s: Time of its last use, by the clock of `Tracks`.
-    """
-
-    def __init__(self, tracker: Tracker, map_id: str, key_id: str, used_s: float) -> None:
-        super().__init__(tracker)
-        self.id = secrets.token_hex(_ID_BYTES)
-        self.map_id = map_id
-        self.key_id = key_id
-        self.used_s = used_s
-        self._lock = threading.Lock()
-
-    def observe(self, observation: Observation) -> TrackStep:
-        """Take an observation, one at a time; see `Track.observe`."""
-        with self._lock:
-            return super().observe(observation)
+from core.tracking.track import Tracker
+from storage.catalog import Page, SavedTrack, SavedTracks
 
 
 class Tracks:
@@ -50,7 +28,8 @@ class Tracks:
         limit: Most tracks.
         idle_s: Time after its last use when a track is removed.
         per_key: Most tracks of one key.
-        clock: Monotonic seconds.
+        clock: Unix time in seconds: the tracks of an earlier process have it too.
+        saved: Those of other processes, and where this one's are saved; none without it.
     """
 
     def __init__(
@@ -58,17 +37,23 @@ class Tracks:
         limit: int,
         idle_s: float,
         per_key: int,
-        clock: Callable[[], float] = time.monotonic,
+        clock: Callable[[], float] = time.time,
+        saved: SavedTracks | None = None,
     ) -> None:
         self._limit = limit
         self._per_key = per_key
         self.idle_s = idle_s
         self._clock = clock
-        self._tracks: dict[str, LiveTrack] = {}
+        self._saved = saved or _NothingSaved()
+        # Those of an earlier process count too; they are in memory from their next use on.
+        self._tracks: dict[str, LiveTrack | SavedTrack] = {
+            track.id: track for track in self._saved.used_since(clock() - idle_s)
+        }
         # The tracker of a revision is shared by its tracks, and freed with the last of them.
         self._trackers: WeakValueDictionary[tuple[str, str], Tracker] = WeakValueDictionary()
         self._lock = threading.Lock()
         self._preparing = threading.Lock()
+        self._saving = threading.Lock()
 
     def __len__(self) -> int:
         with self._lock:
@@ -87,34 +72,44 @@ class Tracks:
         """
         with self._lock:
             self._to_evict(key_id)  # before a tracker is made, which takes long
-        revision = (map_id, localizer.map.revision)
-        with self._preparing:
-            tracker = self._trackers.get(revision)
-            if tracker is None:
-                tracker = self._trackers[revision] = Tracker(localizer)
+        tracker = self._tracker(map_id, localizer)
         with self._lock:
             if (evicted := self._to_evict(key_id)) is not None:
                 del self._tracks[evicted.id]
-            created = LiveTrack(tracker, map_id, key_id, self._clock())
+            now_s = self._clock()
+            saved = new_track(map_id, key_id, tracker.map.revision, now_s)
+            created = LiveTrack(tracker, saved, self._clock)
             self._tracks[created.id] = created
+        try:
+            if evicted is not None:
+                self._saved.remove(evicted.id)
+            self._saved.add(saved, now_s - self.idle_s)
+        except BaseException:
+            with self._lock:
+                self._tracks.pop(created.id, None)
+            raise
         return created
 
-    def get(self, map_id: str, track_id: str) -> LiveTrack:
+    def get(
+        self, map_id: str, track_id: str, localizer_of: Callable[[str], Localizer] | None = None
+    ) -> LiveTrack:
         """Return a track and renew its time of use.
+
+        Args:
+            map_id: The map.
+            track_id: The track.
+            localizer_of: Returns that of a revision, for a track that another process had.
 
         Raises:
             TrackNotFound: If the map has no such track, or it was removed.
         """
-        with self._lock:
-            self._remove_idle()
-            found = self._tracks.get(track_id)
-            if found is None or found.map_id != map_id:
-                raise TrackNotFound(
-                    f"there is no track {track_id[:40]!r} of this map; a track is removed"
-                    f" {self.idle_s:g} s after its last use"
-                )
-            found.used_s = self._clock()
-            return found
+        found = self._find(map_id, track_id)
+        if not isinstance(found, LiveTrack):
+            if localizer_of is None:
+                raise self._not_found(track_id)
+            found = self._resumed(found, localizer_of)
+        found.used_s = self._clock()
+        return found
 
     def delete(self, map_id: str, track_id: str) -> None:
         """Remove a track.
@@ -122,11 +117,88 @@ class Tracks:
         Raises:
             TrackNotFound: If the map has no such track.
         """
-        self.get(map_id, track_id)
+        self._find(map_id, track_id)
+        self._saved.remove(track_id)
         with self._lock:
             self._tracks.pop(track_id, None)
 
-    def _to_evict(self, key_id: str) -> LiveTrack | None:
+    def page(
+        self, map_id: str, after: str, limit: int, key_id: str | None = None
+    ) -> Page[SavedTrack]:
+        """Return the tracks of a map as they are now, of all keys or of one, ordered by name."""
+        since_s = self._clock() - self.idle_s
+        page = self._saved.page(map_id, after, limit, used_since_s=since_s, key_id=key_id)
+        with self._lock:
+            own = [self._tracks.get(track.id) for track in page.items]
+        items = (
+            mine.to_save(saved_answer) if isinstance(mine, LiveTrack) else track
+            for mine, track in zip(own, page.items, strict=True)
+        )
+        return replace(page, items=tuple(items))
+
+    def save(self) -> None:
+        """Save what changed; a track that another process has gone on with is read anew."""
+        with self._saving:
+            with self._lock:
+                changed = [
+                    track
+                    for track in self._tracks.values()
+                    if isinstance(track, LiveTrack) and track.is_changed
+                ]
+            if not changed:
+                return
+            now = [track.to_save(saved_answer) for track in changed]
+            before = [track.saved.observations for track in changed]
+            lost = self._saved.update(list(zip(before, now, strict=True)))
+            with self._lock:
+                for track, saved in zip(changed, now, strict=True):
+                    track.saved = saved
+                    if track.id in lost and self._tracks.get(track.id) is track:
+                        del self._tracks[track.id]
+
+    def close(self) -> None:
+        """Close what they are saved in."""
+        self._saved.close()
+
+    def _find(self, map_id: str, track_id: str) -> LiveTrack | SavedTrack:
+        """Return a track: of this process if it has it, else as another one saved it."""
+        with self._lock:
+            self._remove_idle()
+            found = self._tracks.get(track_id)
+        if not isinstance(found, LiveTrack):
+            found = self._saved.get(track_id)
+        if found is None or found.map_id != map_id or found.used_s < self._clock() - self.idle_s:
+            raise self._not_found(track_id)
+        return found
+
+    def _resumed(self, saved: SavedTrack, localizer_of: Callable[[str], Localizer]) -> LiveTrack:
+        tracker = self._tracker(saved.map_id, localizer_of(saved.revision))
+        try:
+            resumed = LiveTrack(tracker, saved, self._clock)
+        except InvalidParameters as error:  # saved by another version
+            raise self._not_found(saved.id) from error
+        with self._lock:
+            found = self._tracks.get(saved.id)
+            if isinstance(found, LiveTrack):  # another thread was first
+                return found
+            self._tracks[saved.id] = resumed
+        return resumed
+
+    def _tracker(self, map_id: str, localizer: Localizer) -> Tracker:
+        revision = (map_id, localizer.map.revision)
+        with self._preparing:
+            tracker = self._trackers.get(revision)
+            if tracker is None:
+                tracker = self._trackers[revision] = Tracker(localizer)
+        return tracker
+
+    def _not_found(self, track_id: str) -> TrackNotFound:
+        return TrackNotFound(
+            f"there is no track {track_id[:40]!r} of this map; a track is removed"
+            f" {self.idle_s:g} s after its last use"
+        )
+
+    def _to_evict(self, key_id: str) -> LiveTrack | SavedTrack | None:
         """Return the track to remove for a new one of this key, `None` if there is room."""
         self._remove_idle()
         kept = Counter(track.key_id for track in self._tracks.values())
@@ -147,3 +219,28 @@ class Tracks:
         oldest_s = self._clock() - self.idle_s
         for idle in [t.id for t in self._tracks.values() if t.used_s < oldest_s]:
             del self._tracks[idle]
+
+
+class _NothingSaved:
+    """As `SavedTracks`, where no other process goes on with tracks."""
+
+    def used_since(self, *_: object) -> tuple[SavedTrack, ...]:
+        return ()
+
+    def get(self, *_: object) -> SavedTrack | None:
+        return None
+
+    def page(self, *_: object, **__: object) -> Page[SavedTrack]:
+        return Page((), None)
+
+    def update(self, *_: object) -> set[str]:
+        return set()
+
+    def add(self, *_: object) -> None:
+        pass
+
+    def remove(self, *_: object) -> None:
+        pass
+
+    def close(self) -> None:
+        pass

@@ -22,13 +22,13 @@ def away_from(
     Those at least `metres` from it; where a pose is unknown those at least `scans` from it in its
     drive, and all of other drives.
     """
-    index, poses, known = trajectory.scan_index, trajectory.poses, trajectory.known
-    drive = trajectory.drive_of_scan
+    if trajectory.all_known:
+        return trajectory.apart_m(row) >= metres
+    index, drive, known = trajectory.scan_index, trajectory.drive_of_scan, trajectory.known
     by_scans: BoolArray = (drive != drive[row]) | (np.abs(index - index[row]) >= scans)
     if not known[row]:
         return by_scans
-    distance_m = np.linalg.norm(poses[:, :3] - poses[row, :3], axis=1)
-    return np.where(known, distance_m >= metres, by_scans)
+    return np.where(known, trajectory.apart_m(row) >= metres, by_scans)
 
 
 def close_along_m(trajectory: Trajectory, row: int) -> tuple[IntArray, FloatArray] | None:

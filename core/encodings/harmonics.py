@@ -96,7 +96,7 @@ def encode(
     return np.asarray(radial @ factor.real + 1j * (radial @ factor.imag))
 
 
-def two_sided(signatures: ComplexArray) -> ComplexArray:
+def two_sided(signatures: NDArray[np.complexfloating[Any, Any]]) -> NDArray[Any]:
     """Return `(..., r2)` harmonics with those of negative numbers before them, `(..., 2 r2 - 1)`.
 
     Examples:

@@ -85,7 +85,7 @@ def find_candidates(
     tensor_map: TensorMap, search: Search, k: int, prior: MapPrior | None = None
 ) -> Candidates:
     """Return the k best matches and the runner-up of a search, within a prior if there is one."""
-    searched = np.isin(tensor_map.model.segment_of_scan, search.segments)
+    searched = _searched(tensor_map, search)
     if prior is None:
         matches = search.nearest(k)
         away = search.nearest(1, away_from(tensor_map.trajectory, int(matches.rows[0])))
@@ -102,6 +102,13 @@ def find_candidates(
         search.evidence,
         None if prior.allows(whole.matches)[0] else whole,
     )
+
+
+def _searched(tensor_map: TensorMap, search: Search) -> BoolArray:
+    """Return which scans are of the segments that are searched, `(K,)`."""
+    if len(search.segments) == tensor_map.model.segments:
+        return np.ones(len(tensor_map), np.bool_)
+    return np.isin(tensor_map.model.segment_of_scan, search.segments)
 
 
 def _most_likely(

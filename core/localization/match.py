@@ -8,7 +8,7 @@ import numpy as np
 from core.encodings.model import Neighbours, Search
 from core.mapping.estimate import estimate
 from core.mapping.tensormap import TensorMap
-from core.scans.pose import Pose, path_length_m
+from core.scans.pose import Pose
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ def match_at(tensor_map: TensorMap, search: Search, found: Neighbours, position:
     return Match(
         segment=segment,
         fraction=(row - first) / max(1, last - first),
-        along_m=_known(path_length_m(trajectory.poses[first : row + 1])),
+        along_m=_known(trajectory.path_m(first, row)),
         drive=trajectory.drives[int(np.searchsorted(trajectory.drive_start, row, "right")) - 1],
         scan_index=int(trajectory.scan_index[row]),
         row=row,

@@ -4,7 +4,7 @@ What a scan between two places is like is about the mean of what it is like at b
 near each is. Such means are computed on a lattice along the path and across it, and the estimate is
 the mean of its places, each as likely as the query is there: for noise in a signature of d numbers,
 of unknown strength, the likelihood is that of the part of the query that the mean does not explain,
-(1 - cos^2)^(-d / 2). Beyond the outermost viewpoints the change from the line to them continues.
+(1 - cos^2)^(-d / 2). Beyond the outermost viewpoints the change from those before them continues.
 
 Measurements: docs/decisions/0032-position-between-scans.md.
 """
@@ -126,10 +126,12 @@ def _across(offsets_m: tuple[float, ...]) -> tuple[FloatArray, FloatArray]:
     weights = [_between(len(offset_m), _STEPS_ACROSS)]
     places_m = [weights[0] @ offset_m]
     steps = line * _STEPS_ACROSS
-    for end, within_m in ((0, places_m[0][1 : steps + 1]), (-1, places_m[0][steps:-1])):
+    ends = (0, min(1, line)), (-1, max(-2, line - len(offset_m)))
+    within = places_m[0][1 : steps + 1], places_m[0][steps:-1]
+    for (end, before), within_m in zip(ends, within, strict=True):
         places_m.append(2.0 * offset_m[end] - within_m)
-        share = (offset_m[end] - within_m) / (offset_m[end] - offset_m[line])
-        weights.append(viewpoints[end] + share[:, None] * (viewpoints[end] - viewpoints[line]))
+        share = (offset_m[end] - within_m) / (offset_m[end] - offset_m[before])
+        weights.append(viewpoints[end] + share[:, None] * (viewpoints[end] - viewpoints[before]))
     return (
         frozen(np.concatenate(weights), np.float64),
         frozen(np.concatenate(places_m), np.float64),

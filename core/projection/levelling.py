@@ -7,6 +7,9 @@ With a plane of the normal n = (nx, ny, nz), depth below the sensor and c = 1 + 
     z' = nx * x + ny * y + nz * z + (depth - height)
 
 in float64, from left to right, each operation rounded by itself, and is then rounded to float32.
+
+Of a scan that is level by gravity the plane only gives how far below the sensor the ground is:
+z' = z + (-offset - height).
 """
 
 from dataclasses import replace
@@ -25,7 +28,7 @@ def level(scan: Scan, sensor_height_m: float) -> Scan:
 
     The smallest rotation that brings the ground's normal to +z, and then a move up or down that
     brings the ground to -`sensor_height_m`. A return that becomes zero or infinite is dropped. The
-    pose stays that of the recording.
+    pose stays that of the recording. A scan that `is_level` is moved and not rotated.
 
     Args:
         scan: The returns, sensor at the origin.
@@ -48,7 +51,9 @@ def level(scan: Scan, sensor_height_m: float) -> Scan:
     if plane is None:
         return scan
     levelled = Scan.from_returns(
-        _levelled(scan.points_m, plane, sensor_height_m),
+        _lifted(scan.points_m, -plane.offset_m - sensor_height_m)
+        if scan.is_level
+        else _levelled(scan.points_m, plane, sensor_height_m),
         min_returns=0,
         timestamp_s=scan.timestamp_s,
         pose=scan.pose,
@@ -72,3 +77,10 @@ def _levelled(points_m: Float32Array, plane: GroundPlane, sensor_height_m: float
             out[:, 1] = xy * x + yy * y - ny * z
             out[:, 2] = nx * x + ny * y + nz * z + up_m
     return levelled
+
+
+def _lifted(points_m: Float32Array, up_m: float) -> Float32Array:
+    lifted = points_m.copy()
+    with np.errstate(over="ignore"):
+        lifted[:, 2] = points_m[:, 2].astype(np.float64) + up_m
+    return lifted

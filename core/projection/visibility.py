@@ -66,6 +66,16 @@ class View:
         """Whether it leaves out a third of the azimuths or more, or rings."""
         return 3 * len(self.hidden) >= SECTORS or self.rings is not None
 
+    def share_of(self, rings: int) -> float:
+        """Return the share of the cells of an image of so many rings that it sees.
+
+        Examples:
+            >>> View(tuple(range(30)), rings=10).share_of(20)
+            0.25
+        """
+        within = rings if self.rings is None else min(self.rings, rings)
+        return (1.0 - len(self.hidden) / SECTORS) * within / rings
+
     @classmethod
     def of(cls, cells: Float32Array) -> "View":
         """Return the view of an image, `(I, J)` cells."""

@@ -20,6 +20,7 @@ class Scan:
         timestamp_s: Seconds, NaN where unknown.
         pose: Sensor to world, `None` where unknown.
         dropped_returns: Returns that were not finite or zero, and were left out.
+        is_level: Whether z is known to be up, as from gravity.
 
     Examples:
         >>> scan = Scan.from_returns([[10.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
@@ -31,6 +32,7 @@ class Scan:
     timestamp_s: float = math.nan
     pose: Pose | None = None
     dropped_returns: int = 0
+    is_level: bool = False
 
     def __post_init__(self) -> None:
         points = np.asarray(self.points_m)

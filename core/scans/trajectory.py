@@ -1,5 +1,6 @@
 """The drive, time and pose of each scan of a map."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -81,6 +82,32 @@ class Trajectory:
     def known(self) -> BoolArray:
         """Which scans have a pose, `(K,)`."""
         return frozen(is_known(self.poses), np.bool_)
+
+    @cached_property
+    def positions_m(self) -> FloatArray:
+        """x, y and z of each scan, `(3, K)`: whole columns are read faster than rows of poses."""
+        return frozen(self.poses[:, :3].T.copy(), np.float64)
+
+    @cached_property
+    def steps_m(self) -> FloatArray:
+        """Distances from each scan to the next row, `(K - 1,)`, NaN where one is unknown."""
+        return frozen(np.linalg.norm(np.diff(self.poses[:, :3], axis=0), axis=1), np.float64)
+
+    @cached_property
+    def all_known(self) -> bool:
+        """Whether every scan has a pose."""
+        return bool(self.known.all())
+
+    def apart_m(self, row: int) -> FloatArray:
+        """Return the distance of each scan from that of a row, `(K,)`, NaN where one is unknown."""
+        x, y, z = self.positions_m - self.positions_m[:, row, None]
+        return np.asarray(np.sqrt(x * x + y * y + z * z))
+
+    def path_m(self, first: int, last: int) -> float:
+        """Return the length of the path from one row to another, NaN if a pose on it is unknown."""
+        if not self.known[first : last + 1].all():
+            return math.nan
+        return float(self.steps_m[first:last].sum())
 
     @cached_property
     def drive_of_scan(self) -> IntArray:

@@ -74,5 +74,4 @@ def _near(tensor_map: TensorMap, row: int) -> BoolArray:
     by_scans: BoolArray = (drive == drive[row]) & (np.abs(rows - row) <= NEAR_SCANS)
     if not trajectory.known[row]:
         return by_scans
-    apart_m = np.linalg.norm(trajectory.poses[:, :3] - trajectory.poses[row, :3], axis=1)
-    return np.asarray(np.where(trajectory.known, apart_m <= NEAR_M, by_scans))
+    return np.where(trajectory.known, trajectory.apart_m(row) <= NEAR_M, by_scans)

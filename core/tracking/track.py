@@ -20,6 +20,7 @@ from core.tracking.emission import Emission
 from core.tracking.graph import TravelGraph
 from core.tracking.motion import Motion
 from core.tracking.place import Place
+from core.tracking.state import TrackState, likeliest
 from core.tracking.stationary import StationaryDetector, StationaryModel
 from core.tracking.step import SURE, Direction, Doubt, TrackStep
 
@@ -119,14 +120,30 @@ class Track:
 
     A Bayes filter over the scans of the map, the direction of travel and the pace. An observation
     that is refused changes nothing.
+
+    Args:
+        tracker: Of the revision.
+        state: Of an earlier track of the same revision that this one continues. Its place is
+            accepted when three observations agree again.
+        gap_s: Seconds since that track's last observation.
+
+    Raises:
+        InvalidParameters: If the state is of another map.
     """
 
-    def __init__(self, tracker: Tracker) -> None:
+    def __init__(
+        self, tracker: Tracker, state: TrackState | None = None, gap_s: float = 0.0
+    ) -> None:
         self._tracker = tracker
         self._order = _Order()
         self._belief = Belief.unknown(tracker.graph, tracker.motion)
-        self._detector = StationaryDetector(tracker.stationary)
         self._observations = 0
+        if state is not None and state.observations:
+            self._order = _Order(state.timestamp_s, state.sequence, list(state.periods_s))
+            self._belief = state.belief(tracker.graph, tracker.motion, gap_s)
+            self._observations = state.observations
+        self._taken = 0
+        self._detector = StationaryDetector(tracker.stationary)
         self._agreeing = 0
         self._position: float | None = None
         self.last: TrackStep | None = None
@@ -142,9 +159,26 @@ class Track:
         return self._tracker.localizer
 
     @property
+    def observations(self) -> int:
+        """How many it has had."""
+        return self._observations
+
+    @property
     def belief(self) -> Belief:
         """The belief after the last observation."""
         return self._belief
+
+    @property
+    def state(self) -> TrackState:
+        """What a later track needs to continue this one."""
+        return TrackState(
+            observations=self._observations,
+            places=likeliest(self._belief) if self._observations else (),
+            elsewhere=self._belief.elsewhere,
+            timestamp_s=self._order.timestamp_s,
+            sequence=self._order.sequence,
+            periods_s=tuple(self._order.periods_s),
+        )
 
     def observe(self, observation: Observation) -> TrackStep:
         """Take the next observation.
@@ -176,6 +210,7 @@ class Track:
         )
         self._order.keep(observation)
         self._observations += 1
+        self._taken += 1
         self._belief = belief
         self.last = self._step(search, seen, stationary=stationary)
         return self.last
@@ -229,7 +264,7 @@ class Track:
         self._agreeing = self._agreeing + 1 if place.probability >= SURE else 0
         if self._agreeing >= _FIRST_FIX:
             return None
-        if self._agreeing or self._observations < _FIRST_FIX:
+        if self._agreeing or self._taken < _FIRST_FIX:
             return Doubt.CONVERGING
         return Doubt.UNKNOWN_PLACE if self._belief.elsewhere > _ELSEWHERE else Doubt.AMBIGUOUS
 

@@ -27,6 +27,7 @@ from storage.catalog.records import (
     RevisionFacts,
     ScanRecord,
 )
+from storage.catalog.saved_tracks import SavedTrack, SavedTracks
 from storage.catalog.scan_poses import ScanPoses
 
 __all__ = [
@@ -49,6 +50,8 @@ __all__ = [
     "RequestKey",
     "RevisionFacts",
     "RevisionRecord",
+    "SavedTrack",
+    "SavedTracks",
     "ScanPoses",
     "ScanRecord",
     "TokenRecord",

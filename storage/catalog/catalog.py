@@ -14,6 +14,7 @@ from storage.catalog.keys import Keys
 from storage.catalog.live_maps import LiveMaps
 from storage.catalog.maps import Maps
 from storage.catalog.revisions import Revisions
+from storage.catalog.saved_tracks import SavedTracks
 from storage.catalog.scans import Scans
 from storage.catalog.store_id import StoreIds
 from storage.catalog.tokens import Tokens
@@ -56,6 +57,10 @@ class Catalog:
         What another process changes is seen at once on SQLite, and within a second on PostgreSQL.
         """
         self._database.watch()
+
+    def saved_tracks(self, url: str) -> SavedTracks:
+        """Open the tracks that are saved beside the catalog; whoever opens them closes them."""
+        return SavedTracks(url, self._database.kept)
 
     def kept(self, name: tuple[str, ...], read: Callable[[], T]) -> T:
         """Return what `read` makes of the catalog; it is kept by that name until a change."""

@@ -84,10 +84,16 @@ class Database:
         # Records are used after the commit, detached.
         self._new_writer = sessionmaker(writing_engine, expire_on_commit=False)
         with _named_errors(), self.engine.connect() as connection:
-            newest = is_newest(connection)
+            newest = self._is_newest(connection)
         if not newest:
             with migrating, _named_errors(), self._writer, writing_engine.begin() as connection:
-                upgrade(connection)
+                self._upgrade(connection)
+
+    def _is_newest(self, connection: Connection) -> bool:
+        return is_newest(connection)
+
+    def _upgrade(self, connection: Connection) -> None:
+        upgrade(connection)
 
     @contextmanager
     def reading(self) -> Iterator[Session]:

@@ -1,6 +1,7 @@
 """The layout of the data directory; paths are built from ids, never from a client's names.
 
 catalog.sqlite3
+catalog.sqlite3-tracks                         what running tracks need after a restart
 store-id                                       the same as in the catalog
 server.lock                                    held by the one server of this directory
 maps/<map id>/drives/<drive id>/chunks/*.h5    raw scans
@@ -21,6 +22,7 @@ class Layout:
     Attributes:
         data_dir: The data directory.
         catalog: The default catalog's file.
+        tracks: The file of the tracks, where the catalog is the default one.
         lock: The file that the server of this directory holds locked.
         store_id: The file with the id that this directory shares with its catalog.
         maps: The folder with one folder per map.
@@ -33,6 +35,7 @@ class Layout:
     def __init__(self, data_dir: Path) -> None:
         self.data_dir = data_dir
         self.catalog = data_dir / "catalog.sqlite3"
+        self.tracks = data_dir / f"{self.catalog.name}-tracks"
         self.lock = data_dir / "server.lock"
         self.store_id = data_dir / "store-id"
         self.maps = data_dir / "maps"

@@ -6,7 +6,7 @@ from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Self
 
-from storage.catalog import Catalog
+from storage.catalog import Catalog, SavedTracks
 from storage.closing import Closing
 from storage.files.files import make_folder, named_disk_errors
 from storage.store.bases import Bases
@@ -75,7 +75,9 @@ class Store(Closing):
         if catalog_url is None and not self.layout.catalog.exists():
             with named_disk_errors():
                 self.layout.catalog.touch(0o600)  # SQLite would make it readable by others
-        self.catalog = Catalog(catalog_url or f"sqlite:///{self.layout.catalog}", self._lock.held())
+        url = catalog_url or f"sqlite:///{self.layout.catalog}"
+        self._tracks_url = f"sqlite:///{self.layout.tracks}" if url.startswith("sqlite") else url
+        self.catalog = Catalog(url, self._lock.held())
         try:
             check_identity(self.catalog, self.layout)
         except BaseException:
@@ -136,6 +138,13 @@ class Store(Closing):
             DataDirInUse: If another server runs on it.
         """
         return self._lock.held()
+
+    def saved_tracks(self) -> SavedTracks:
+        """Open the tracks of this service and of its earlier processes; the caller closes them.
+
+        On SQLite they are in a file of this data directory, else in the catalog's database.
+        """
+        return self.catalog.saved_tracks(self._tracks_url)
 
     def lacking(self) -> list[str]:
         """Return the reasons why the data directory cannot be written, none if it can."""

@@ -9,13 +9,15 @@ from core.loop_closure.closure import check_scans
 from core.scans.accumulation import accumulated_scan
 from core.scans.mounting import Mounting, vehicle_drive
 from core.scans.scan import Scan
+from core.scans.tilt import Tilt
 from tests.support.campus import MAP, build, keep, localize
-from tests.support.mounted import ASKEW, mounted_recording, vehicle_poses
+from tests.support.mounted import ASKEW, mounted_recording, tilted, vehicle_poses
 from tests.support.recording import KITTI, TAR, Recording, kitti, recording, tar
 from tests.support.service import problem_of, running, upload
 
 DRIVES = f"{MAP}/drives"
 TEXT = "1.1,-0.4,1.9,3,-6,120"
+LEANING = Tilt(roll_deg=-5.0, pitch_deg=8.0)
 ONE_TUM = ("poses.tum", b"0 0 0 0 0 0 0 1")
 SENT = {"x_m": 1.1, "y_m": -0.4, "z_m": 1.9, "roll_deg": 3.0, "pitch_deg": -6.0, "yaw_deg": 120.0}
 
@@ -264,6 +266,59 @@ class TestQueries:
         )
         assert problem_of(answer) == (422 if problem != "unknown-format" else 415, problem)
         assert detail in answer.json()["detail"]
+
+    def test_gravity_levels_what_sees_no_ground(self, client):
+        """The mounting says how the sensor is on the vehicle, gravity how the vehicle is tilted."""
+        scan = mounted_recording().scan(20)
+
+        def distance(tilt, **params):
+            found = localize(
+                client,
+                "scan",
+                content=kitti(tilted(scan, tilt)),
+                headers=KITTI,
+                params={"mounting": TEXT, **params},
+            )
+            return found["best"]["distance"]
+
+        level = distance(Tilt(0.0, 0.0))
+        assert distance(LEANING, **vars(LEANING)) == pytest.approx(level, abs=1e-3)
+        assert distance(LEANING) > 2.0 * level
+
+    def test_a_track_takes_gravity_too(self, client):
+        content = kitti(tilted(mounted_recording().scan(20), LEANING))
+
+        def distance(**params):
+            track = client.post(f"{MAP}/tracks").headers["Location"]
+            answer = client.post(
+                f"{track}/observations",
+                content=content,
+                headers=KITTI,
+                params={"mounting": TEXT, **params},
+            )
+            assert answer.status_code == 200, answer.text
+            return answer.json()["distance"]
+
+        assert distance(**vars(LEANING)) < 0.5 * distance()
+
+    @pytest.mark.parametrize(
+        ("params", "problem"),
+        [
+            ({"roll_deg": 1.0}, "invalid-parameters"),
+            ({"pitch_deg": 1.0}, "invalid-parameters"),
+            ({"roll_deg": 45.1, "pitch_deg": 0}, "invalid-request"),
+            ({"roll_deg": 0, "pitch_deg": -46}, "invalid-request"),
+            ({"roll_deg": "nan", "pitch_deg": 0}, "invalid-request"),
+            ({"roll_deg": 0, "pitch_deg": "inf"}, "invalid-request"),
+            ({"roll_deg": "left", "pitch_deg": 0}, "invalid-request"),
+        ],
+    )
+    def test_what_is_no_tilt_is_rejected(self, client, params, problem):
+        content = kitti(recording().scans[20])
+        track = client.post(f"{MAP}/tracks").headers["Location"]
+        for url in (f"{MAP}/localizations/scan", f"{track}/observations"):
+            answer = client.post(url, content=content, headers=KITTI, params=params)
+            assert problem_of(answer) == (422, problem)
 
     def test_a_format_that_is_not_known_is_rejected(self, client):
         content = kitti(recording().scans[20])

@@ -51,6 +51,7 @@ OPENED_BY = {
     "POST /v1/maps/{map}/localizations/batch": {LOCALIZE},
     "POST /v1/maps/{map}/loop-closures": {LOCALIZE},
     "POST /v1/maps/{map}/tracks": {LOCALIZE},
+    "GET /v1/maps/{map}/tracks": {LOCALIZE},
     "GET /v1/maps/{map}/tracks/{track}": {LOCALIZE},
     "DELETE /v1/maps/{map}/tracks/{track}": {LOCALIZE},
     "POST /v1/maps/{map}/tracks/{track}/observations": {LOCALIZE},

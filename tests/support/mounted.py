@@ -11,6 +11,7 @@ from core.scans.drive import MemoryDrive
 from core.scans.mounting import Mounting
 from core.scans.pose import Pose
 from core.scans.scan import Scan
+from core.scans.tilt import Tilt
 from core.simulation import SimulatedDrive
 from core.simulation.raycast import SimulatedSensor, cast
 
@@ -62,6 +63,21 @@ def mounted_recording(
             points_m = points_m[seen & (rng.random(len(points_m)) < 0.2)]
         recorded.append(Scan.from_returns(points_m, timestamp_s=time_s, pose=Pose(*row.tolist())))
     return MemoryDrive(name, recorded)
+
+
+def tilted(
+    scan: Scan, tilt: Tilt, mounting: Mounting = ASKEW, above_ground_m: float = 1.73
+) -> Scan:
+    """Return a scan, less the ground, as its mounted sensor has it while the vehicle is tilted."""
+    vehicle_m = mounting.mount(scan, above_ground_m).points_m.astype(np.float64)
+    vehicle_m = vehicle_m[vehicle_m[:, 2] > 1.0 - above_ground_m]
+    turn = Rotation.from_euler("xy", [tilt.roll_deg, tilt.pitch_deg], degrees=True)
+    tilted_m = turn.inv().apply(vehicle_m)
+    tilted_m -= np.array([mounting.x_m, mounting.y_m, mounting.z_m - above_ground_m])
+    angles_deg = (mounting.roll_deg, mounting.pitch_deg, mounting.yaw_deg)
+    return Scan.from_returns(
+        Rotation.from_euler("xyz", angles_deg, degrees=True).inv().apply(tilted_m)
+    )
 
 
 @functools.cache

@@ -1,23 +1,22 @@
 """Hours of ordinary use in minutes: memory, threads and descriptors stay flat, and nothing fails.
 
-`make soak` takes ten minutes, or `TENSORMAP_SOAK_S`. Less than a few minutes shows little about
-memory, which is why `.ci/run` leaves it out.
+`make soak` takes half an hour, or `TENSORMAP_SOAK_S`; `.ci/run` takes a minute, which shows threads
+and descriptors, and little about memory.
 """
 
 import threading
 import time
-from collections import Counter, defaultdict
+from collections import Counter
 from pathlib import Path
 
 import httpx2
-import numpy as np
 import pytest
 
 from tests.support.recording import KITTI, NPY, TAR, kitti
 from tests.torture.support.bodies import HDF5, driven, driven_tar, map_file, noise, noise_tar
 from tests.torture.support.service import Tortured, tortured
 from tests.torture.support.sizes import chance, seconds
-from tests.torture.support.watching import Used, used_by
+from tests.torture.support.watching import Meter
 from tests.torture.support.writes import ended_job
 
 pytestmark = [pytest.mark.torture, pytest.mark.alone, pytest.mark.soak]
@@ -28,8 +27,6 @@ _EVERY_S = 1.0
 _CLIENTS = 4
 _SCANS = 12
 _KEPT = 3  # drives and revisions of a client, so that what is stored stays as much
-_GROWN_BYTES = 30 * 2**20  # of a process, over the measured part of ten minutes
-_MORE_THREADS, _MORE_DESCRIPTORS = 4, 16
 
 
 class User:
@@ -122,49 +119,6 @@ class User:
         answer = self._send("POST", f"/v1/maps/{self.map}/builds", json=parameters)
         if answer.is_success:
             assert ended_job(self.client, answer.json()["job"])["state"] == "done"
-
-
-class Meter:
-    """What every lasting process of a service used, time after time."""
-
-    def __init__(self, service: Tortured) -> None:
-        self._service = service
-        self._seen: defaultdict[int, list[tuple[float, Used]]] = defaultdict(list)
-
-    def look(self) -> None:
-        """Note what each process uses now."""
-        for pid in self._service.processes():
-            used = used_by(pid)
-            if used is not None:
-                self._seen[pid].append((time.monotonic(), used))
-
-    def faults(self, since: float) -> list[str]:
-        """Return what grew in processes that were there from then to the end."""
-        wrong = []
-        last = max(at for seen in self._seen.values() for at, _ in seen)
-        for pid, seen in self._seen.items():
-            late = [(at, used) for at, used in seen if at >= since]
-            if len(late) < 5 or seen[0][0] > since or seen[-1][0] < last - 2 * _EVERY_S:
-                continue  # a build's, which ends with it
-            grown = self._grown_bytes(late)
-            print(f"process {pid}: {grown / 2**20:+.1f} MB, {late[-1][1]}")
-            if grown > _GROWN_BYTES:
-                wrong.append(f"process {pid} grew by {grown / 2**20:.0f} MB")
-            first = max((used for _, used in late[: len(late) // 3]), key=lambda u: u.threads)
-            if late[-1][1].threads > first.threads + _MORE_THREADS:
-                wrong.append(f"process {pid}: {first.threads}, then {late[-1][1].threads} threads")
-            most = max(used.descriptors for _, used in late[: len(late) // 3])
-            if late[-1][1].descriptors > most + _MORE_DESCRIPTORS:
-                wrong.append(f"process {pid}: {most}, then {late[-1][1].descriptors} descriptors")
-        return wrong
-
-    @staticmethod
-    def _grown_bytes(late: list[tuple[float, Used]]) -> float:
-        """Return the slope of memory over time, times that time."""
-        times = np.array([at for at, _ in late])
-        memory = np.array([float(used.memory_bytes) for _, used in late])
-        slope = float(np.polyfit(times - times[0], memory, 1)[0])
-        return slope * float(times[-1] - times[0])
 
 
 def test_a_service_in_use_does_not_grow(tmp_path: Path) -> None:

@@ -1,5 +1,6 @@
 """The data directory of an earlier version starts, answers and verifies as before."""
 
+import base64
 import json
 import tarfile
 from pathlib import Path
@@ -20,7 +21,14 @@ from tests.support.service import problem_of, running, wait_for
 from tests.upgrade.make import ADMIN, ADMIN_KEY, digest_of, query
 
 FOLDER = Path(golden.__file__).parent
-RELEASED = ["data-83290e7.tar.xz"]
+RELEASED = ["data-83290e7.tar.xz", "data-2ea395c.tar.xz", "data-77f57f6.tar.xz"]
+WITH_ANSWERS = RELEASED[1:]
+"""Those that have answers to localizations, interrupted builds, and a backup."""
+PLACE = ("segment", "fraction", "along_m", "drive", "scan_index", "distance", "timestamp_s", "pose")
+"""What of a match is the same; how far the vehicle is from it decision 32 estimates better."""
+TRUST = ("localized", "reason", "probability")
+"""Of maps of any views decision 30 changed since what their distances are worth."""
+NEAR_M = 1.0
 
 
 @pytest.fixture(params=RELEASED)
@@ -31,6 +39,14 @@ def released(request, tmp_path):
     return tmp_path / "data", json.loads((tmp_path / "answers.json").read_text())
 
 
+@pytest.fixture(params=WITH_ANSWERS)
+def answered(request, tmp_path):
+    """Return a folder with a release's data and backup, and what it answered."""
+    with tarfile.open(FOLDER / request.param) as tar:
+        tar.extractall(tmp_path, filter="tar")
+    return tmp_path, json.loads((tmp_path / "answers.json").read_text())
+
+
 def holds(now, before):
     """Return whether a response has all that it had before; it may have more."""
     if isinstance(before, dict):
@@ -39,7 +55,55 @@ def holds(now, before):
         )
     if isinstance(before, list):
         return len(now) == len(before) and all(map(holds, now, before))
+    if isinstance(before, float):
+        return now == pytest.approx(before, rel=1e-5, abs=1e-6)
     return now == before
+
+
+def require_answers(client, recorded):
+    """Send what was localized again, to the same live revisions, and require the same places."""
+    views = {item["revision"]: item["parameters"].get("views") for item in revisions_of(client)}
+    for sent in recorded["localized"]:
+        client.put("/v1/maps/plaza/live", json={"revision": sent["revision"]})
+        body, headers = base64.b64decode(sent["body"]), {"Content-Type": sent["type"]}
+        now, before = (
+            client.post(sent["path"], content=body, headers=headers).json(),
+            sent["answer"],
+        )
+        same = ("revision", "live_revision", "ratio", "segments_searched")
+        for field in same if views[sent["revision"]] == "any" else (*same, *TRUST):
+            assert holds(now[field], before[field]), (sent["path"], field)
+        found = [
+            [answer["best"], answer["runner_up"], *answer["matches"]] for answer in (now, before)
+        ]
+        for match, earlier in zip(*found, strict=True):
+            assert all(holds(match[field], earlier[field]) for field in PLACE), sent["path"]
+        at, earlier_at = (answer["best"]["estimated_pose"] for answer in (now, before))
+        for axis in ("x_m", "y_m"):
+            assert at[axis] == pytest.approx(earlier_at[axis], abs=NEAR_M), sent["path"]
+
+
+def revisions_of(client):
+    return client.get("/v1/maps/plaza/revisions").json()["items"]
+
+
+def test_it_localizes_as_before_and_ends_the_builds_that_were_interrupted(answered):
+    folder, recorded = answered
+    with running(folder / "data", admin_key=ADMIN_KEY) as client:
+        client.headers.update(ADMIN)
+        require_answers(client, recorded)
+        for job in ("interrupted", "waiting"):
+            assert wait_for(client, recorded[job])["state"] == "done"
+        require_answers(client, recorded)
+
+
+def test_its_backup_is_restored_and_answers(answered):
+    folder, recorded = answered
+    restore_backup(folder / "backup.tar", folder / "restored")
+    with running(folder / "restored", admin_key=ADMIN_KEY) as client:
+        client.headers.update(ADMIN)
+        require_answers(client, recorded)
+        assert wait_for(client, recorded["waiting"])["state"] == "done"
 
 
 def test_it_starts_answers_as_before_and_can_be_written(released):

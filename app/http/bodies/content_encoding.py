@@ -44,6 +44,10 @@ class Decoder:
         self._unpacker = begin()
         self._sent = self._unpacked = self._members = 0
 
+    def again(self) -> "Decoder":
+        """Return a decoder of the same encoding that has read nothing."""
+        return Decoder(self._encoding, self._begin, self._unpack, self._slice_bytes)
+
     def feed(self, chunk: bytes) -> Iterator[bytes]:
         """Yield a chunk decompressed, in pieces.
 

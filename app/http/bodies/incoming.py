@@ -135,6 +135,11 @@ class Incoming:
                 self.ended = True
                 self.digest.check()
 
+    def rewind(self) -> None:
+        """Decompress from the first byte again: a spool is read a second time."""
+        if self.decoder is not None:
+            self.decoder = self.decoder.again()
+
     def unpacked(self, pieces: Iterator[bytes]) -> Iterator[bytes]:
         """Yield its decompressed bytes; in a thread, because a few bytes may become many.
 

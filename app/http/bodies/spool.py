@@ -18,7 +18,8 @@ _RETRY_S = 5
 _SMALL_BYTES = 128 * 2**10  # of each body in memory
 _LARGE_BYTES = 8 * 2**20  # of a body that finds room in the memory that all share
 _SHARED_BYTES = 64 * 2**20
-_PIECE_BYTES = 2**20
+_PIECE_BYTES = 2**20  # read and written at once
+_JOINED_BYTES = 16 * 2**10
 _KEPT_FREE_BYTES = 2**30  # of a large disk; of a small one a twentieth
 
 
@@ -111,7 +112,8 @@ class Spool:
 
     def __init__(self, room: SpoolRoom, key: str) -> None:
         self._room, self._key = room, key
-        self._memory = bytearray()
+        self._memory: list[bytes] = []
+        self._held = 0  # bytes in memory
         self._lent = 0
         self._length = 0
         self._file: IO[bytes] | None = None
@@ -129,8 +131,8 @@ class Spool:
         """
         self._room.take(self._key, len(chunk))
         self._length += len(chunk)
-        self._memory += chunk
-        if len(self._memory) > _SMALL_BYTES + self._lent and not self._grows():
+        self._keep(chunk)
+        if self._held > _SMALL_BYTES + self._lent and not self._grows():
             # In a thread: a slow disk must not delay other requests.
             await to_thread.run_sync(self._write_out, limiter=self._room.limiter)
             self._return_memory()
@@ -142,22 +144,33 @@ class Spool:
             while piece := self._file.read(_PIECE_BYTES):
                 yield piece
             self._file.seek(0, 2)
-        if self._memory:
-            yield bytes(self._memory)
+        yield from self._memory
 
     def clear(self) -> None:
         """Discard the bytes, and release their room."""
         self._room.give_back(self._key, self._length)
-        self._length = 0
-        self._memory = bytearray()
+        self._length = self._held = 0
+        self._memory = []
         self._return_memory()
         if self._file is not None:
             self._file.close()
             self._file = None
 
+    def _keep(self, chunk: bytes) -> None:
+        """Keep a chunk in memory; small ones are joined, since each takes some bytes more.
+
+        One growing array would be copied again and again, on the event loop.
+        """
+        self._held += len(chunk)
+        if self._memory and len(self._memory[-1]) + len(chunk) <= _JOINED_BYTES:
+            self._memory[-1] += chunk
+        elif chunk:
+            self._memory.append(chunk)
+
     def _grows(self) -> bool:
-        more = len(self._memory) - _SMALL_BYTES - self._lent
-        if self._file is not None or len(self._memory) > _LARGE_BYTES or not self._room.lend(more):
+        more = self._held - _SMALL_BYTES - self._lent
+        most = _LARGE_BYTES if self._file is None else _PIECE_BYTES
+        if self._held > most or not self._room.lend(more):
             return False
         self._lent += more
         return True
@@ -169,22 +182,22 @@ class Spool:
                 self._file = TemporaryFile(dir=self._room.folder, buffering=0)  # noqa: SIM115
             self._require_room_on_disk()
             begin = self._file.tell()
-            view = memoryview(self._memory)
             try:
-                while view:
-                    view = view[self._file.write(view) :]
+                for chunk in self._memory:
+                    view = memoryview(chunk)
+                    while view:
+                        view = view[self._file.write(view) :]
             except OSError:  # a part would be read twice: it is still in memory
                 self._file.seek(begin)
                 self._file.truncate()
                 raise
-        view.release()
-        self._memory = bytearray()
+        self._memory, self._held = [], 0
 
     def _require_room_on_disk(self) -> None:
         """Leave space on the disk for the catalog and for acknowledged scans."""
         disk = shutil.disk_usage(self._room.folder)
         kept_free = min(disk.total // 20, _KEPT_FREE_BYTES)
-        if disk.free < kept_free + len(self._memory):
+        if disk.free < kept_free + self._held:
             raise StorageFull(
                 f"the disk has {disk.free} bytes left, {kept_free} are kept free of bodies that"
                 " still come"

@@ -15,29 +15,41 @@ A rendering does not see everything either, and only the part of q should count 
 much of q's energy that is, its share, is known from few harmonics and so not exactly: the score is
 divided by 1 - r2 / 48 (1 - share), which trusts it the more the more harmonics there are, and the
 distance becomes half at most (docs/decisions/0030-any-view.md).
+
+Where less is compared, more is alike by chance: distances say the less of whether a match is right,
+as the root of the share of the cells that the query sees.
 """
 
-from functools import cached_property
+import math
+from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from core.arrays import BoolArray, ComplexArray, Float32Array, FloatArray, IntArray
+from core.arrays import (
+    BoolArray,
+    Complex64Array,
+    ComplexArray,
+    Float32Array,
+    FloatArray,
+    IntArray,
+    frozen,
+)
 from core.encodings.harmonic.search import HarmonicSearch, peaks
-from core.encodings.harmonics import circular_energy, energy, two_sided
+from core.encodings.harmonics import as_real, circular_energy, energy, two_sided
 from core.encodings.model import Neighbours, nearest
 from core.projection.visibility import View, sector_of_column
 
 if TYPE_CHECKING:
     from core.encodings.harmonic.model import HarmonicModel
 
-_ESTIMATED_SAMPLES_A_WAVE = 6  # headings of an estimate
-_BLOCK = 2048  # renderings whose headings are estimated at once, in the processor's cache
+_ESTIMATED_HEADINGS = 24  # with 66 the same scans are preferred: decision 30
+_MIXED = 4  # harmonics beyond those that are sent, which a mask mixes into them, in an estimate
+_ESTIMATED_ONCE = 1024  # renderings, in the processor's cache
 _EXACT_SAMPLES = 128  # between which the peak is found by a parabola
 _EXACT_ONCE = 192  # scans of which the best rendering is compared exactly
 _EXACT_SCANS = 24  # of which all renderings are
 _LEAST_SEEN = np.float32(0.02)  # of a rendering's energy: with less to compare, everything is alike
-_EVIDENCE_OF_NARROW = 0.5  # where less is compared, more is alike by chance: decision 30
 _TRUSTING_HARMONICS = 48  # with as many the share of the query's energy would be trusted
 
 
@@ -52,19 +64,18 @@ class MaskedSearch(HarmonicSearch):
 
     def __init__(self, model: "HarmonicModel", values: ComplexArray, view: View) -> None:
         super().__init__(model, values)
-        if view.is_narrow:
-            self.evidence = _EVIDENCE_OF_NARROW
+        self.evidence = math.sqrt(view.share_of(model.grid_shape[0]))
         columns, kept, sent = model.columns, model.ranks[1], values.shape[1]
-        self._partial = len(view.hidden) > 0
+        self._partial, self._narrow = len(view.hidden) > 0, view.is_narrow
         seen = ~np.isin(sector_of_column(columns), view.hidden)
         self._mask = np.fft.fft(seen) / columns
         sent_harmonics = np.arange(1 - sent, sent)
         toeplitz = self._mask[(sent_harmonics[:, None] - np.arange(1 - kept, kept)) % columns]
-        self._toeplitz = toeplitz[sent - 1 :]
+        self._toeplitz = toeplitz
         self._spread = (two_sided(values) @ toeplitz.conj())[:, kept - 1 :]
-        self._gram = toeplitz.conj().T @ toeplitz
         # Of the query's energy, as of a map's: where on the circle it is, and 1 in all.
-        found = circular_energy(values)[: 2 * kept - 1]
+        found = np.zeros(2 * kept - 1, np.complex128)
+        found[: 2 * sent - 1] = circular_energy(values)
         self._unit_energy = found / (found[0].real or 1.0)
 
     def nearest(self, k: int, among: BoolArray | None = None) -> Neighbours:
@@ -88,23 +99,17 @@ class MaskedSearch(HarmonicSearch):
     def _preferred(self, k: int, among: BoolArray | None) -> IntArray:
         """Return the rows of the scans to compare exactly, rising.
 
-        Of partial views estimates are worse: of more scans, the rendering with the best estimate is
+        Of narrow views estimates are worse: of more scans, the rendering with the best estimate is
         compared first.
         """
         rows = np.arange(len(self._model)) if among is None else np.flatnonzero(among)
-        count = _EXACT_ONCE if self._partial else _EXACT_SCANS
-        some = rows[nearest(self._estimates[rows], max(k, count))]
-        if self._partial and len(some) > max(k, _EXACT_SCANS):
-            rendering = self._best_renderings[some][:, None]
+        count = _EXACT_ONCE if self._narrow else _EXACT_SCANS
+        scores = self._squared_scores if self._partial else self._phase_free_scores
+        some = rows[nearest(-scores.max(axis=0)[rows], max(k, count))]
+        if len(some) > max(k, _EXACT_SCANS):
+            rendering = scores.argmax(axis=0)[some][:, None]
             some = some[nearest(self.exact(some, rendering)[0][:, 0], max(k, _EXACT_SCANS))]
         return np.sort(some)
-
-    @cached_property
-    def _seen_by_map(self) -> Float32Array:
-        """What the renderings see, in as many harmonics as the energy of the query has."""
-        real, imag = np.split(self._model.seen_harmonics, [2 * self._model.ranks[1] - 1])
-        count = len(self._unit_energy)
-        return np.concatenate([real[:count], imag[: count - 1]])
 
     @cached_property
     def _estimates(self) -> FloatArray:
@@ -114,34 +119,40 @@ class MaskedSearch(HarmonicSearch):
         return estimates
 
     @cached_property
-    def _best_renderings(self) -> IntArray:
-        """Which of its renderings that is, `(K,)`."""
-        return np.asarray(self._squared_scores.argmax(axis=0))
+    def _waves(self) -> Complex64Array:
+        """The correlation with every rendering as waves over headings, `(r2, D K)`."""
+        model = self._model
+        sent, kept = self._values.shape[1], model.ranks[1]
+        mixed = min(kept, sent + _MIXED) if self._partial else sent
+        query = (self._spread / (self._norm or 1.0) / np.sqrt(self._weights)).astype(np.complex64)
+        waves = np.empty((mixed, model.norms.size), np.complex64)
+        for harmonic in range(mixed):
+            np.matmul(query[:, harmonic], model.units[harmonic], out=waves[harmonic])
+        return waves
+
+    @cached_property
+    def _phase_free_scores(self) -> Float32Array:
+        """What the scores of a whole view would be with all waves in phase, `(D, K)`."""
+        seen = self._model.unit_energies(self._values.shape[1])[0]
+        at_most = np.abs(self._waves).sum(axis=0) / np.sqrt(seen + _LEAST_SEEN)
+        return np.asarray(at_most.reshape(len(self._model.lateral_offset_m), -1))
 
     @cached_property
     def _squared_scores(self) -> Float32Array:
         """Estimated squares of the best score of every rendering over headings, `(D, K)`."""
-        model, sent = self._model, self._values.shape[1]
-        mixed = model.ranks[1] if self._partial else sent  # harmonics of the map that it contains
-        samples = _ESTIMATED_SAMPLES_A_WAVE * max(1, mixed - 1)
-        query = (self._spread / (self._norm or 1.0) / np.sqrt(self._weights)).astype(np.complex64)
-        correlation = np.empty((2 * mixed - 1, model.norms.size), np.float32)
-        for harmonic in range(mixed):
-            wave = query[:, harmonic] @ model.units[harmonic]
-            correlation[harmonic] = wave.real
-            if harmonic:
-                np.negative(wave.imag, out=correlation[mixed + harmonic - 1])
-        correlated = _in_headings(np.ones(mixed), samples)
-        energies, seen_waves = model.unit_energies(sent), model.seen_waves
+        model, waves, samples = self._model, self._waves, _ESTIMATED_HEADINGS
+        correlated = _in_headings(np.ones(len(waves)), samples)
+        energies, seen_waves = model.unit_energies(self._values.shape[1]), model.seen_waves
         of_mask = _in_headings(self._mask[: len(energies) // 2 + 1], samples)
-        of_energy = _in_headings(_padded(self._unit_energy, len(seen_waves) // 2 + 1), samples)
-        best = np.empty(correlation.shape[1], np.float32)
-        for start in range(0, len(best), _BLOCK):
-            block = slice(start, start + _BLOCK)
-            score = correlated @ correlation[:, block]
+        of_energy = _in_headings(self._unit_energy[: len(seen_waves) // 2 + 1], samples)
+        best = np.empty(waves.shape[1], np.float32)
+        for start in range(0, len(best), _ESTIMATED_ONCE):
+            block = slice(start, start + _ESTIMATED_ONCE)
+            score = correlated @ as_real(waves[:, block].conj())
             score *= np.abs(score)
-            seen = of_mask @ energies[:, block] if self._partial else energies[:1, block]
-            score /= seen + _LEAST_SEEN
+            seen = of_mask @ energies[:, block] if self._partial else energies[:1, block].copy()
+            seen += _LEAST_SEEN
+            score /= seen
             if not model.sees_all:
                 part = self._part_seen(of_energy @ seen_waves[:, block])
                 score /= np.square(part, out=part)
@@ -165,12 +176,12 @@ class MaskedSearch(HarmonicSearch):
         if renderings is None:
             renderings = np.arange(len(model.lateral_offset_m))[None]
         chosen = rows[:, None], renderings
-        stored = model.signatures[chosen].astype(np.complex128)
+        stored = model.signatures[chosen]
         waves = (self._spread * stored.conj()).sum(axis=2)
         if self._partial:
-            whole = two_sided(stored)
-            products = (whole.conj().swapaxes(-1, -2) @ whole) * self._gram
-            seen = np.fft.irfft(_diagonal_sums(products), samples, axis=-1) * samples
+            products = stored.conj().swapaxes(-1, -2) @ two_sided(stored)
+            sums = products.reshape(*products.shape[:2], -1).view(np.float32) @ self._diagonal_sums
+            seen = np.fft.irfft(sums.view(np.complex64), samples, axis=-1) * samples
         else:
             seen = energy(stored[..., : self._values.shape[1]], model.columns)[..., None]
         floor = _LEAST_SEEN * np.square(model.norms[chosen])[..., None]
@@ -180,24 +191,44 @@ class MaskedSearch(HarmonicSearch):
             correlation, denominator, out=np.zeros_like(correlation), where=denominator > 0
         )
         if not model.sees_all:
-            by_map = self._seen_by_map.reshape(len(self._seen_by_map), -1, len(model))
             of_energy = _in_headings(self._unit_energy, samples)
-            shares = np.tensordot(by_map[:, renderings, rows[:, None]], of_energy, (0, 1))
+            by_map = model.seen_harmonics[:, renderings * len(model) + rows[:, None]]
+            shares = np.tensordot(by_map, of_energy, (0, 1))
             # A share that is not exact must not make two alike that are not.
             score = np.minimum(score / self._part_seen(shares), (1.0 + score) / 2.0)
         best, yaw_deg = peaks(score)
         return np.maximum(1.0 - best, 0.0), yaw_deg
 
+    @cached_property
+    def _diagonal_sums(self) -> Float32Array:
+        """From the products M_m* M_k, m not negative, to the waves of |T M(t)|^2.
+
+        Each product counts with (T* T)_mk for the wave m - k, and so does that of -m and -k, which
+        is its conjugate: twice the real part in each heading, of m = 0 once. As real numbers,
+        `(2 r2 (2 r2 - 1), 2 (2 r2 - 1))`, real and imaginary parts in turn.
+        """
+        kept = self._model.ranks[1]
+        m, k = np.indices((kept, 2 * kept - 1))
+        wave = m - (k - (kept - 1))
+        weight = np.where(m > 0, 1.0, 0.5) * np.where(wave == 0, 2.0, 1.0)
+        gram = self._toeplitz[:, kept - 1 :].conj().T @ self._toeplitz
+        factor = gram * weight
+        # A wave of a negative number is the conjugate of that of the positive one.
+        sign, wave = np.where(wave < 0, -1.0, 1.0), np.abs(wave)
+        sums = np.zeros((*wave.shape, 2, 2 * kept - 1, 2), np.float32)
+        sums[m, k, 0, wave, 0], sums[m, k, 0, wave, 1] = factor.real, sign * factor.imag
+        sums[m, k, 1, wave, 0], sums[m, k, 1, wave, 1] = -factor.imag, sign * factor.real
+        return sums.reshape(2 * wave.size, -1)
+
     def _seen(self, renderings: ComplexArray) -> ComplexArray:
-        return np.asarray(two_sided(renderings) @ self._toeplitz.T)
+        return np.asarray(two_sided(renderings) @ self._toeplitz[len(self._toeplitz) // 2 :].T)
 
     def _part_seen(self, shares: Float32Array) -> Float32Array:
+        """Return 1 - r2 / 48 (1 - share), in place of the shares."""
         trust = np.float32(self._values.shape[1] / _TRUSTING_HARMONICS)
-        return np.asarray(np.float32(1.0) - trust * (np.float32(1.0) - shares))
-
-
-def _padded(waves: ComplexArray, count: int) -> ComplexArray:
-    return np.concatenate([waves, np.zeros(count)])[:count]
+        shares *= trust
+        shares += np.float32(1.0) - trust
+        return shares
 
 
 def _in_headings(waves: ComplexArray | FloatArray, samples: int) -> Float32Array:
@@ -207,22 +238,13 @@ def _in_headings(waves: ComplexArray | FloatArray, samples: int) -> Float32Array
         waves: `(m,)` w_d, from d = 0 on; those below 0 are their conjugates.
         samples: Evenly spaced headings, from 0 on.
     """
-    harmonic = np.arange(len(waves))
-    pairs = np.where(harmonic > 0, 2.0, 1.0)
-    turned = pairs * waves * np.exp(2j * np.pi / samples * np.outer(np.arange(samples), harmonic))
+    turned = _turns(samples, len(waves)) * waves
     return np.concatenate([turned.real, turned.imag[:, 1:]], axis=1).astype(np.float32)
 
 
-def _diagonal_sums(matrices: ComplexArray) -> ComplexArray:
-    """Return sum over i of `(..., n, n)` a_(i + d)i, from d = 0 on, `(..., n)`.
-
-    Examples:
-        >>> _diagonal_sums(np.arange(4.0).reshape(2, 2)).tolist()
-        [3.0, 2.0]
-    """
-    n = matrices.shape[-1]
-    # In rows one number longer than they are, each row is one column further than the last.
-    skewed = np.zeros((*matrices.shape[:-1], 2 * n), matrices.dtype)
-    skewed[..., :n] = matrices[..., ::-1]
-    flat = skewed.reshape(*matrices.shape[:-2], -1)[..., : n * (2 * n - 1)]
-    return np.asarray(flat.reshape(*matrices.shape[:-1], 2 * n - 1).sum(axis=-2)[..., n - 1 :])
+@lru_cache(maxsize=16)
+def _turns(samples: int, count: int) -> ComplexArray:
+    """Return e^(i d t) in each heading t, twice for harmonics with a conjugate, `(samples, d)`."""
+    harmonic = np.arange(count)
+    turns = np.exp(2j * np.pi / samples * np.outer(np.arange(samples), harmonic))
+    return frozen(turns * np.where(harmonic > 0, 2.0, 1.0), np.complex128)

@@ -49,7 +49,7 @@ if TYPE_CHECKING:
 
 _ACROSS = 5  # places from which a small image is compared
 _BEYOND_M = 1.5  # the outermost viewpoints: such images need not be kept
-_ESTIMATED_WAVES = 12  # of energies in estimates
+_ESTIMATED_WAVES = 6  # of energies in estimates
 _LIMITED_KEPT = 4  # models of limited queries, each about as large as this one
 
 

@@ -12,6 +12,7 @@ from core.errors import EmptyDrive
 from core.scans.pose import UNKNOWN_POSE, Pose
 from core.scans.scan import Scan
 from storage.formats.errors import MalformedDrive
+from storage.formats.scans.file_names import time_s_of
 from storage.formats.scans.registry import is_scan_file, read_scan_file
 
 
@@ -66,19 +67,55 @@ class FileDrive:
 
 
 def open_scan_folder(path: Path, *, min_returns: int = 1) -> FileDrive:
-    """Open a flat folder of scan files; timestamps and poses are unknown.
+    """Open a flat folder of scan files; timestamps are known where they are the names.
 
     Raises:
         EmptyDrive: If it holds no scan file.
+        MalformedDrive: If some names are times and others are not, or two are the same time.
     """
-    files = in_order(file for file in path.iterdir() if is_scan_file(file))
+    files, timestamp_s = in_time_order(file for file in path.iterdir() if is_scan_file(file))
     return FileDrive(
         path.resolve().name,
         files,
-        np.full(len(files), np.nan),
+        timestamp_s,
         np.full((len(files), 7), UNKNOWN_POSE),
         min_returns,
     )
+
+
+def in_time_order(files: Iterable[Path]) -> tuple[tuple[Path, ...], FloatArray]:
+    """Sort files by the times that are their names, or else as `in_order`.
+
+    Returns:
+        The files, and their times, `(n,)` seconds, NaN if the names are none.
+
+    Raises:
+        MalformedDrive: If some names are times and others are not, or two are the same time.
+
+    Examples:
+        >>> files, timestamp_s = in_time_order([Path("1.5.npy"), Path("1.45.npy")])
+        >>> [file.name for file in files], timestamp_s.tolist()
+        (['1.45.npy', '1.5.npy'], [1.45, 1.5])
+    """
+    files = in_order(files)
+    times = [time_s_of(file.name) for file in files]
+    known = [time_s is not None for time_s in times]
+    if not any(known):
+        return files, np.full(len(files), np.nan)
+    if not all(known):
+        raise MalformedDrive(
+            f"{files[known.index(True)].name} is named by a time,"
+            f" {files[known.index(False)].name} is not: wanted one or the other"
+        )
+    timestamp_s = np.array(times, dtype=np.float64)
+    order = np.argsort(timestamp_s, kind="stable")
+    files, timestamp_s = tuple(files[at] for at in order), timestamp_s[order]
+    same = np.flatnonzero(np.diff(timestamp_s) == 0.0)
+    if len(same):
+        raise MalformedDrive(
+            f"{files[same[0]].name} and {files[same[0] + 1].name} are the same time"
+        )
+    return files, timestamp_s
 
 
 def in_order(files: Iterable[Path]) -> tuple[Path, ...]:

@@ -53,17 +53,21 @@ class FordDrive:
     """A drive of `Scan*.mat` files.
 
     Timestamps and poses are inside the files: their first use reads every file once.
+
+    Attributes:
+        name: A short name.
+        files: The scan files in order.
     """
 
     def __init__(self, name: str, files: tuple[Path, ...], *, min_returns: int = 1) -> None:
         if not files:
             raise EmptyDrive(f"drive {name!r} has no files Scan*.mat")
         self.name = name
-        self._files = files
+        self.files = files
         self._min_returns = min_returns
 
     def __len__(self) -> int:
-        return len(self._files)
+        return len(self.files)
 
     @property
     def timestamp_s(self) -> FloatArray:
@@ -81,13 +85,13 @@ class FordDrive:
         Raises:
             InvalidScan: If the file cannot be used; a subclass says why.
         """
-        return read_ford_scan(self._files[index], min_returns=self._min_returns)
+        return read_ford_scan(self.files[index], min_returns=self._min_returns)
 
     @cached_property
     def _facts(self) -> tuple[FloatArray, FloatArray]:
         timestamp_s = np.full(len(self), np.nan)
         poses: list[Pose | None] = [None] * len(self)
-        for index, file in enumerate(self._files):
+        for index, file in enumerate(self.files):
             # What is damaged raises when its scan is read; the rest of the drive is usable.
             with suppress(InvalidScan, InvalidPose):
                 scan = read_ford_scan(file, min_returns=0)

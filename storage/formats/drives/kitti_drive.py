@@ -13,6 +13,7 @@ the lidar's already; drives are written so.
 import errno
 import secrets
 import shutil
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -24,7 +25,7 @@ from core.progress import NO_PROGRESS, Progress
 from core.scans.drive import Drive
 from core.scans.pose import UNKNOWN_POSE, Pose, is_known, rows_from_matrices
 from storage.files.files import named_disk_errors
-from storage.formats.drives.file_drive import FileDrive, in_order
+from storage.formats.drives.file_drive import FileDrive, in_time_order
 from storage.formats.drives.text_rows import line_numbers, lines_of
 from storage.formats.errors import MalformedDrive
 from storage.formats.scans.kitti import kitti_body
@@ -37,11 +38,12 @@ def open_kitti_drive(path: Path, *, min_returns: int = 1) -> FileDrive:
         EmptyDrive: If there are no scans.
         MalformedDrive: If times, poses or calibration do not parse or do not fit the scans.
     """
-    files = in_order((path / "velodyne").glob("[!.]*.bin"))
+    files, named_s = in_time_order((path / "velodyne").glob("[!.]*.bin"))
+    times = path / "times.txt"
     return FileDrive(
         path.resolve().name,
         files,
-        _times(path / "times.txt", len(files)),
+        _numbers(times, len(files), columns=1)[:, 0] if times.exists() else named_s,
         _poses(path / "poses.txt", path / "calib.txt", len(files)),
         min_returns,
     )
@@ -127,12 +129,6 @@ def _homogeneous(matrices: FloatArray) -> FloatArray:
     return whole
 
 
-def _times(file: Path, scans: int) -> FloatArray:
-    if not file.exists():
-        return np.full(scans, np.nan)
-    return _numbers(file, scans, columns=1)[:, 0]
-
-
 def _poses(file: Path, calibration: Path, scans: int) -> FloatArray:
     if not file.exists():
         return np.full((scans, 7), UNKNOWN_POSE)
@@ -147,8 +143,9 @@ def _poses(file: Path, calibration: Path, scans: int) -> FloatArray:
         raise
     if not calibration.exists():
         return rows
+    to_camera = lidar_to_camera(calibration, lines_of(calibration))
     try:
-        return rows_from_matrices(camera_to_lidar_poses(matrices, _lidar_to_camera(calibration)))
+        return rows_from_matrices(camera_to_lidar_poses(matrices, to_camera))
     except InvalidPose as error:  # each is nearly a rotation, their product is not
         raise MalformedDrive(f"{file.name} and {calibration.name} together: {error}") from error
 
@@ -160,9 +157,17 @@ def _require_rotation(file: Path, number: int, matrix: FloatArray) -> None:
         raise MalformedDrive(f"{file.name}, line {number}: {error}") from error
 
 
-def _lidar_to_camera(file: Path) -> FloatArray:
-    """Return the `Tr` of a calibration, `(3, 4)`."""
-    for number, line in enumerate(lines_of(file), start=1):
+def lidar_to_camera(file: Path, lines: Iterable[str]) -> FloatArray:
+    """Return the `Tr` of a calibration, `(3, 4)`.
+
+    Args:
+        file: Its name, for messages.
+        lines: What it holds.
+
+    Raises:
+        MalformedDrive: If it has none, or one that is no rigid motion.
+    """
+    for number, line in enumerate(lines, start=1):
         key, _, values = line.partition(":")
         if key.strip() == "Tr":
             matrix = line_numbers(file, number, values, columns=12).reshape(3, 4)

@@ -110,19 +110,35 @@ def read_scan_file(
         UnknownFormat: If no reader claims the file.
         InvalidScan: If the reader cannot use it; a subclass says why.
     """
-    metadata = path.with_suffix(".json")
-    body = path.read_bytes()
-    if path.suffix.lower() == ".pcap" and media_type is None and metadata.is_file():
-        body, media_type = metadata.read_bytes() + body, OusterFormat().media_type
+    body, media_type = scan_file_body(path, media_type)
     try:
         return read_scan(
             body,
             media_type=media_type,
-            suffix=suffix_of(path.name),
             min_returns=min_returns,
             timestamp_s=timestamp_s,
             pose=pose,
         )
+    except (InvalidScan, UnknownFormat) as error:
+        raise type(error)(f"{path.name}: {error}") from error
+
+
+def scan_file_body(path: Path, media_type: str | None = None) -> tuple[bytes, str]:
+    """Return a scan file's bytes and media type, as a service takes them.
+
+    Args:
+        path: The file; its metadata precede an Ouster's capture.
+        media_type: Instead of that of its suffix.
+
+    Raises:
+        UnknownFormat: If no reader claims the file.
+    """
+    metadata = path.with_suffix(".json")
+    body = path.read_bytes()
+    if path.suffix.lower() == ".pcap" and media_type is None and metadata.is_file():
+        return metadata.read_bytes() + body, OusterFormat().media_type
+    try:
+        return body, _choose(body, media_type, suffix_of(path.name)).media_type
     except (InvalidScan, UnknownFormat) as error:
         raise type(error)(f"{path.name}: {error}") from error
 

@@ -1,18 +1,23 @@
 """What a service's processes use, and for how long the service does not answer."""
 
+import os
 import threading
 import time
+from collections import defaultdict
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import httpx2
+import numpy as np
 
 from tests.torture.support.service import Tortured
 
 _EVERY_S = 0.05
-_PAGE_BYTES = 4096
+_LOOKED_S = 1.0  # between two looks of a meter
+_GROWN_BYTES = 30 * 2**20  # of a process, over the measured part of ten minutes
+_MORE_THREADS, _MORE_DESCRIPTORS = 4, 16
 
 
 @dataclass(frozen=True)
@@ -44,6 +49,12 @@ def used_by(pid: int) -> Used | None:
         )
     except (FileNotFoundError, ProcessLookupError):
         return None
+
+
+def cpu_s(pid: int) -> float:
+    """Return the CPU seconds of a process and of its threads, so far."""
+    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 @dataclass
@@ -102,3 +113,46 @@ def watching(service: Tortured, *, every_s: float = _EVERY_S) -> Iterator[Watch]
     finally:
         done.set()
         looking.join()
+
+
+class Meter:
+    """What every lasting process of a service used, time after time."""
+
+    def __init__(self, service: Tortured) -> None:
+        self._service = service
+        self._seen: defaultdict[int, list[tuple[float, Used]]] = defaultdict(list)
+
+    def look(self) -> None:
+        """Note what each process uses now."""
+        for pid in self._service.processes():
+            used = used_by(pid)
+            if used is not None:
+                self._seen[pid].append((time.monotonic(), used))
+
+    def faults(self, since: float) -> list[str]:
+        """Return what grew in processes that were there from then to the end."""
+        wrong = []
+        last = max(at for seen in self._seen.values() for at, _ in seen)
+        for pid, seen in self._seen.items():
+            late = [(at, used) for at, used in seen if at >= since]
+            if len(late) < 5 or seen[0][0] > since or seen[-1][0] < last - 2 * _LOOKED_S:
+                continue  # a build's, which ends with it
+            grown = self._grown_bytes(late)
+            print(f"process {pid}: {grown / 2**20:+.1f} MB, {late[-1][1]}")
+            if grown > _GROWN_BYTES:
+                wrong.append(f"process {pid} grew by {grown / 2**20:.0f} MB")
+            first = max((used for _, used in late[: len(late) // 3]), key=lambda u: u.threads)
+            if late[-1][1].threads > first.threads + _MORE_THREADS:
+                wrong.append(f"process {pid}: {first.threads}, then {late[-1][1].threads} threads")
+            most = max(used.descriptors for _, used in late[: len(late) // 3])
+            if late[-1][1].descriptors > most + _MORE_DESCRIPTORS:
+                wrong.append(f"process {pid}: {most}, then {late[-1][1].descriptors} descriptors")
+        return wrong
+
+    @staticmethod
+    def _grown_bytes(late: list[tuple[float, Used]]) -> float:
+        """Return the slope of memory over time, times that time."""
+        times = np.array([at for at, _ in late])
+        memory = np.array([float(used.memory_bytes) for _, used in late])
+        slope = float(np.polyfit(times - times[0], memory, 1)[0])
+        return slope * float(times[-1] - times[0])

@@ -8,12 +8,13 @@ import pytest
 from core import MapParameters, MemoryDrive, build_map
 from core.errors import InvalidParameters
 from core.scans.mounting import vehicle_drive
+from core.scans.tilt import Tilt
 from storage.files.map_file import read_map
 from storage.formats.drives.kitti_drive import write_kitti_drive
 from storage.formats.drives.layouts import open_drive
 from tests.support.commands import run
-from tests.support.mounted import ASKEW, mounted_recording, vehicle_poses
-from tests.support.recording import recording
+from tests.support.mounted import ASKEW, mounted_recording, tilted, vehicle_poses
+from tests.support.recording import kitti, recording
 
 pytestmark = pytest.mark.slow
 
@@ -121,3 +122,33 @@ def test_options_that_do_not_fit_are_refused(folders, map_file):
         run("localize", map_file, scan, "--sensor-height-m", "2", *AS_MOUNTED)
     with pytest.raises(SystemExit):
         run("localize", map_file, scan, "--mounting", "1,2")
+
+
+def test_gravity_levels_a_scan_that_sees_no_ground(folders, map_file, tmp_path):
+    tilt = Tilt(roll_deg=-5.0, pitch_deg=8.0)
+    level, leaning = tmp_path / "level.bin", tmp_path / "leaning.bin"
+    for path, each in ((level, Tilt(0.0, 0.0)), (leaning, tilt)):
+        path.write_bytes(kitti(tilted(mounted_recording().scan(20), each, ASKEW, ASKEW.z_m)))
+    gravity = ("--roll-deg=-5", "--pitch-deg=8")
+    [expected] = answers(map_file, level, *AS_MOUNTED)
+    [with_it] = answers(map_file, leaning, *AS_MOUNTED, *gravity)
+    [without] = answers(map_file, leaning, *AS_MOUNTED)
+    assert with_it["best"]["distance"] == pytest.approx(expected["best"]["distance"], abs=1e-3)
+    assert without["best"]["distance"] > 2.0 * expected["best"]["distance"]
+    signed, wanted = (
+        json.loads(run("signature", map_file, *words, *AS_MOUNTED))["signatures"][0]
+        for words in ((leaning, *gravity), (level,))
+    )
+    largest = np.abs(wanted["values_real"]).max()
+    np.testing.assert_allclose(signed["values_real"], wanted["values_real"], atol=1e-2 * largest)
+
+
+@pytest.mark.parametrize("command", ["localize", "signature"])
+@pytest.mark.parametrize(
+    "words",
+    [["--roll-deg=3"], ["--roll-deg=nan", "--pitch-deg=0"], ["--roll-deg=0", "--pitch-deg=60"]],
+)
+def test_what_is_no_tilt_is_rejected(folders, map_file, command, words):
+    scan = folders / "askew" / "velodyne" / "000020.bin"
+    with pytest.raises(InvalidParameters, match="wanted"):
+        run(command, map_file, scan, *words)

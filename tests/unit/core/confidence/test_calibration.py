@@ -32,6 +32,13 @@ def test_half_the_evidence_is_half_the_logarithm_of_the_odds():
     assert CALIBRATION.probability(0.05, 0.4, evidence=0.0) == 0.5
 
 
+def test_with_little_evidence_nothing_is_surer_than_99_percent():
+    assert CALIBRATION.probability(0.0, 0.0, evidence=0.5) > 0.99
+    assert CALIBRATION.probability(0.0, 0.0, evidence=0.49) == 0.99
+    least = CALIBRATION.probability(5.0, 1.0, evidence=0.49)
+    assert 0.0 < least < CALIBRATION.probability(5.0, 1.0, evidence=0.4) < 0.5
+
+
 def test_a_likelihood_ratio_keeps_the_shape_and_rules_out_what_was_not_compared():
     ratios = CALIBRATION.log_likelihood_ratio(np.array([[0.0, 0.05], [0.5, np.inf]]))
     assert ratios.shape == (2, 2)

@@ -68,12 +68,17 @@ def test_a_scan_of_short_reach_is_found_among_scans_of_longer_reach(maps):
 def test_distances_of_a_narrow_view_say_less_than_those_of_a_wide_one(maps):
     tensor_map = maps[Views.ANY]
     basis, scan = tensor_map.basis(), RECORDED.scan(21)
-    for disturb, evidence in (("", 1.0), ("hidden:60", 1.0), ("fov:180", 0.5), ("reach:30", 0.5)):
+    found = []
+    for disturb in ("", "hidden:60", "fov:180", "reach:30", "fov:70"):
         query = Condition(disturb=disturb).apply(scan, np.random.default_rng(0))
         image = basis.image(query)
         [signature] = basis.encode(image)
-        assert tensor_map.model.search([signature]).evidence == evidence
-        assert tensor_map.model.search_image(image, basis).evidence == evidence
+        found.append(tensor_map.model.search([signature]).evidence)
+        assert found[-1] ** 2 == pytest.approx(image.view.share_of(20))
+        assert tensor_map.model.search_image(image, basis).evidence == found[-1]
+    assert found == sorted(found, reverse=True)
+    assert found[0] > 0.95  # it sees nearly all
+    assert found[-1] < 0.5
 
 
 def test_sensors_at_any_height_share_a_basis_of_any_views(maps):

@@ -1,6 +1,7 @@
 """The ground below a sensor, and scans rotated level above it."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from core.projection.ground import ground_plane
 from core.projection.levelling import level
 from core.scans.pose import Pose
 from core.scans.scan import Scan
+from core.scans.tilt import Tilt
 from core.simulation.drive import SimulatedDrive
 
 HEIGHT_M = 1.73
@@ -184,3 +186,25 @@ def test_what_else_a_scan_has_stays_and_dropped_returns_are_counted():
 def test_a_sensor_that_is_not_above_the_ground_is_refused(height_m):
     with pytest.raises(InvalidParameters, match="sensor_height_m"):
         level(seen(street()), height_m)
+
+
+@settings(deadline=None, max_examples=20)
+@given(tilts_deg, tilts_deg, st.floats(1.3, 2.6))
+def test_what_gravity_levelled_is_moved_to_its_ground_and_not_rotated(slope_x, slope_y, depth_m):
+    """A street that rises or falls: its plane is not level, and its ground is below the sensor."""
+    slope = Rotation.from_euler("yx", [slope_x, slope_y], degrees=True)
+    level_axes = replace(seen(slope.apply(street(0, depth_m))), is_level=True)
+    levelled = level(level_axes, HEIGHT_M).points_m
+    moved_m = levelled - level_axes.points_m
+    assert np.abs(moved_m[:, :2]).max() == 0.0
+    vertical_m = depth_m / slope.apply([0.0, 0.0, 1.0])[2]
+    np.testing.assert_allclose(moved_m[:, 2], vertical_m - HEIGHT_M, atol=0.04)
+
+
+def test_gravity_levels_where_no_ground_is_seen():
+    walls = street()[street()[:, 2] > -1.0]
+    tilt = Tilt(roll_deg=-4.0, pitch_deg=7.0)
+    turn = Rotation.from_euler("xy", [-4.0, 7.0], degrees=True)
+    tilted = seen(turn.inv().apply(walls))
+    assert level(tilted, HEIGHT_M) is tilted
+    np.testing.assert_allclose(level(tilt.level(tilted), HEIGHT_M).points_m, walls, atol=1e-4)

@@ -1,9 +1,12 @@
 """Trajectories of one or more drives: what is rejected, joined and selected."""
 
+import math
+
 import numpy as np
 import pytest
 
 from core.errors import EmptyDrive, InvalidMap
+from core.scans.pose import path_length_m
 from core.scans.trajectory import Trajectory
 from tests.support.samples import straight_poses
 
@@ -87,3 +90,14 @@ def test_a_selection_leaves_out_drives_left_empty():
     assert chosen.drive_start.tolist() == [0, 2]
     assert chosen.scan_index.tolist() == [0, 2]
     assert chosen.poses[:, 0].tolist() == [2.0, 4.0]
+
+
+def test_a_path_between_rows_is_that_of_their_poses_and_unknown_where_one_is():
+    poses = straight_poses(6, step_m=2.0)
+    poses[:, 2] = np.array([0.0, 1.0, -1.0, 3.0, 0.0, 2.0])
+    poses[4] = np.nan
+    trajectory = Trajectory.of_drive("d", np.arange(6.0), poses, np.arange(6))
+    assert trajectory.path_m(0, 3) == path_length_m(poses[:4])
+    assert trajectory.path_m(2, 2) == 0.0
+    assert math.isnan(trajectory.path_m(2, 4))
+    assert math.isnan(trajectory.path_m(4, 4))

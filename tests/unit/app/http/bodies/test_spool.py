@@ -48,6 +48,20 @@ def test_a_spool_returns_its_content_any_number_of_times(tmp_path, chunks):
     asyncio.run(run())
 
 
+@pytest.mark.parametrize("length", [1, 700, 20_000])
+def test_a_body_in_small_chunks_takes_little_more_memory_than_it_has(tmp_path, length):
+    async def run():
+        spool, body = Spool(room_in(tmp_path), "a"), CHUNK + CHUNK[::-1][: 40 * length % 2**16]
+        for begin in range(0, len(body), length):
+            await spool.write(body[begin : begin + length])
+        await spool.write(b"")
+        pieces = list(spool.pieces())
+        assert b"".join(pieces) == body
+        assert len(pieces) <= 1 + 2 * len(body) / 2**14
+
+    asyncio.run(run())
+
+
 class Filling:
     """A file on a disk that takes half of the next bytes, and no more."""
 

@@ -1,5 +1,6 @@
 """Folders of recorded scans: KITTI's layout, Ford's, and none."""
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,8 @@ from storage.formats.errors import (
     TruncatedScan,
     UnknownDriveLayout,
 )
+from tests.support import scan_files
+from tests.support.samples import sample_points
 
 IDENTITY = "1 0 0 0 0 1 0 0 0 0 1 0"
 # Lidar x forward, y left, z up to camera x right, y down, z forward; the camera sits 0.3 m ahead
@@ -203,3 +206,40 @@ class TestFolder:
         for path in (tmp_path, tmp_path / "absent", tmp_path / "a.xyz"):
             with pytest.raises(UnknownDriveLayout, match=r"velodyne/.*SCANS/.*\.npy"):
                 open_drive(path)
+
+
+class TestFilesNamedByTimes:
+    @staticmethod
+    def folder(path: Path, *names: str) -> Path:
+        for index, name in enumerate(names):
+            (path / name).write_bytes(scan_files.npy(sample_points(index)))
+        return path
+
+    def test_they_are_in_order_of_time_and_keep_it(self, tmp_path: Path) -> None:
+        drive = open_drive(self.folder(tmp_path, "9.45.npy", "9.5.npy", "10.000001.npy", "9.0.npy"))
+        assert drive.timestamp_s.tolist() == [9.0, 9.45, 9.5, 10.000001]
+        np.testing.assert_array_equal(drive.scan(1).points_m, sample_points(0))
+        assert drive.scan(1).timestamp_s == 9.45
+
+    def test_those_of_kitti_have_the_times_of_times_txt_where_there_is_one(
+        self, tmp_path: Path
+    ) -> None:
+        (tmp_path / "velodyne").mkdir()
+        for name in ("1.50.bin", "1.5000001.bin"):
+            (tmp_path / "velodyne" / name).write_bytes(scan_files.kitti(sample_points(0)))
+        assert open_drive(tmp_path).timestamp_s.tolist() == [1.5, 1.5000001]
+        (tmp_path / "times.txt").write_text("7\n8\n")
+        assert open_drive(tmp_path).timestamp_s.tolist() == [7.0, 8.0]
+
+    @pytest.mark.parametrize(
+        ("names", "message"),
+        [
+            (["1.5.npy", "000002.npy"], "1.5.npy is named by a time, 000002.npy is not"),
+            (["1.5.npy", "1.50.npy"], "1.5.npy and 1.50.npy are the same time"),
+        ],
+    )
+    def test_mixed_and_colliding_names_are_an_error_with_both(
+        self, tmp_path: Path, names: list[str], message: str
+    ) -> None:
+        with pytest.raises(MalformedDrive, match=re.escape(message)):
+            open_drive(self.folder(tmp_path, *names))

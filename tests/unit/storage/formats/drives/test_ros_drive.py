@@ -1,81 +1,15 @@
 """Bags of ROS 1 and ROS 2: every kind gives the same drive."""
 
 import sys
-from typing import Any
 
 import numpy as np
 import pytest
-from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import StoragePlugin
-from rosbags.rosbag2 import Writer as Writer2
-from rosbags.typesys import Stores, get_typestore
 
 from core.errors import EmptyDrive, TooFewReturns
 from storage.formats.drives.layouts import open_drive
 from storage.formats.errors import MalformedDrive, MalformedScan, TruncatedScan, WrongDtype
-
-CLOUD = "sensor_msgs/msg/PointCloud2"
-BEGIN_NS = 1_700_000_000_000_000_000
-STORES = {1: get_typestore(Stores.ROS1_NOETIC), 2: get_typestore(Stores.ROS2_HUMBLE)}
-RECORD = np.dtype(
-    {
-        "names": ["ring", "x", "y", "z"],
-        "formats": ["<u2", "<f4", "<f4", "<f4"],
-        "offsets": [0, 4, 8, 12],
-        "itemsize": 22,
-    }
-)
-DRIVE = [np.random.default_rng(seed).normal(0, 9, (40, 3)).astype("<f4") for seed in range(4)]
-TIMES_NS = [BEGIN_NS, BEGIN_NS + 5, BEGIN_NS + 5, BEGIN_NS + 10**8]  # two at once
-
-
-def cloud(points, ros=2, *, record=RECORD, lines=2, padding=3, **changed):
-    """Return a message: points with padding, in rows with padding."""
-    types = STORES[ros].types
-    rows = np.zeros(len(points), record)
-    for column, axis in enumerate("xyz"):
-        rows[axis] = points[:, column]
-    width = len(points) // lines
-    data = rows.view(np.uint8).reshape(lines, width * record.itemsize)
-    data = np.pad(data, ((0, 0), (0, padding)))
-    stamp = types["builtin_interfaces/msg/Time"](sec=0, nanosec=0)
-    counted = {"seq": 0} if ros == 1 else {}
-    kinds = {"f4": 7, "f8": 8, "u2": 4, "i4": 5}
-    message = {
-        "header": types["std_msgs/msg/Header"](stamp=stamp, frame_id="velodyne", **counted),
-        "height": lines,
-        "width": width,
-        "fields": [
-            types["sensor_msgs/msg/PointField"](
-                name=name,
-                offset=record.fields[name][1],
-                datatype=kinds[record[name].str[1:]],
-                count=1,
-            )
-            for name in record.names
-        ],
-        "is_bigendian": any(record[name].str[0] == ">" for name in record.names),
-        "point_step": record.itemsize,
-        "row_step": data.shape[1],
-        "data": data.reshape(-1),
-        "is_dense": True,
-    }
-    return types[CLOUD](**{**message, **changed})
-
-
-def record_bag(path, messages, topics=("/points",), ros=2, plugin=StoragePlugin.MCAP):
-    """Write each message to every topic; return what a user would name."""
-    store = STORES[ros]
-    writer: Any = Writer1(path.with_suffix(".bag"))
-    if ros == 2:
-        writer = Writer2(path, version=9, storage_plugin=plugin)
-    with writer:
-        to = [writer.add_connection(topic, CLOUD, typestore=store) for topic in topics]
-        write = store.serialize_ros1 if ros == 1 else store.serialize_cdr
-        for message, time_ns in zip(messages, TIMES_NS, strict=False):
-            for connection in to:
-                writer.write(connection, time_ns, write(message, CLOUD))
-    return path.with_suffix(".bag") if ros == 1 else path
+from tests.support.bags import DRIVE, TIMES_NS, cloud, record_bag
 
 
 @pytest.fixture(scope="module")

@@ -1,0 +1,106 @@
+"""The files beside the scans in a folder of KITTI odometry: times, poses and calibration."""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path, PurePosixPath
+
+import numpy as np
+
+from app.drives.pose_files import KITTI, MOST_LINES, read_poses
+from app.drives.tar_stream import TarMember
+from core.arrays import FloatArray
+from core.errors import InvalidPose, TensorMapError
+from storage.catalog import PosesPut
+from storage.errors import DriveNotFound, PosesDoNotFit, ScanNotFound
+from storage.formats.drives.kitti_drive import lidar_to_camera
+from storage.formats.drives.text_rows import line_numbers
+from storage.formats.errors import MalformedDrive
+from storage.store import Drives
+
+TIMES, POSES, CALIBRATION = "times.txt", "poses.txt", "calib.txt"
+SCANS = "velodyne"
+_GONE = (DriveNotFound, ScanNotFound)
+
+
+class KittiFiles:
+    """Times, poses and calibration of an upload, until its scans are stored."""
+
+    def __init__(self) -> None:
+        self._bodies: dict[str, bytes] = {}
+        self._names: dict[str, str] = {}
+
+    def take(self, member: TarMember) -> bool:
+        """Keep a file of an archive if it is one of these, and return whether it is."""
+        name = PurePosixPath(member.name).name
+        if name not in {TIMES, POSES, CALIBRATION} or member.content is None:
+            return False
+        self._bodies[name], self._names[name] = member.content, member.name
+        return True
+
+    def put(
+        self,
+        drives: Drives,
+        map_slug: str,
+        drive_slug: str,
+        refuse: Callable[[str, TensorMapError], None],
+    ) -> PosesPut | None:
+        """Set what the files hold, and return what the poses changed; `None` without poses.
+
+        Args:
+            drives: Those of the store.
+            map_slug: The map.
+            drive_slug: The drive.
+            refuse: Called with each file that cannot be used, and the reason.
+        """
+        times_s = poses = put = None
+        with self._refused(TIMES, refuse):
+            if TIMES in self._bodies:
+                times_s = _times(self._bodies[TIMES])
+        with self._refused(POSES, refuse):
+            if POSES in self._bodies:
+                poses = read_poses(self._bodies[POSES], KITTI, to_camera=self._to_camera())
+                if times_s is not None and len(times_s) == len(poses):
+                    poses = replace(poses, timestamps_s=times_s)
+                put = drives.expect_poses(map_slug, drive_slug, poses, consecutive=True)
+        if times_s is None or (put and poses and poses.timestamps_s is times_s):
+            return put
+        with self._refused(TIMES, refuse):
+            stored = drives.open(map_slug, drive_slug).scan_index.tolist()
+            if stored and stored[-1] >= len(times_s):
+                raise InvalidPose(
+                    f"it has {len(times_s)} lines, drive {drive_slug!r} has scans up to"
+                    f" {stored[-1]}"
+                )
+            known = {index: float(times_s[index]) for index in stored}
+            drives.put_poses(map_slug, drive_slug, {}, known)
+        return put
+
+    def _to_camera(self) -> FloatArray | None:
+        if CALIBRATION not in self._bodies:
+            return None
+        text = self._bodies[CALIBRATION].decode("utf-8", "replace")
+        return lidar_to_camera(Path(CALIBRATION), text.rstrip().splitlines())
+
+    @contextmanager
+    def _refused(self, file: str, refuse: Callable[[str, TensorMapError], None]) -> Iterator[None]:
+        try:
+            yield
+        except (InvalidPose, MalformedDrive, PosesDoNotFit, *_GONE) as error:
+            refuse(self._names[file], error)
+
+
+def _times(body: bytes) -> FloatArray:
+    """Return the seconds of each line, NaN where unknown.
+
+    Raises:
+        InvalidPose: If there are too many.
+        MalformedDrive: If a line is no number.
+    """
+    lines = body.decode("utf-8", "replace").rstrip().splitlines()
+    if len(lines) > MOST_LINES:
+        raise InvalidPose(f"the file has {len(lines)} lines, at most {MOST_LINES} are read")
+    numbers = [line_numbers(Path(TIMES), at, line, 1)[0] for at, line in enumerate(lines, 1)]
+    times_s = np.array(numbers, dtype=np.float64)
+    times_s[~np.isfinite(times_s)] = np.nan
+    return times_s

@@ -1,0 +1,114 @@
+"""The indices of scans whose files are named by times: their ranks in order of time."""
+
+from array import array
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import PurePosixPath
+
+import numpy as np
+
+from app.drives.tar_stream import TarFeed, TarMember
+from app.http.errors import MalformedUpload
+from core.arrays import FloatArray, IntArray
+from storage.formats.scans.file_names import time_s_of
+
+_LISTED_BYTES = 0  # of each file: only its name is read
+
+
+def member_time_s(member: TarMember) -> float | None:
+    """Return the time that a file's name is, `None` if it is none."""
+    return time_s_of(PurePosixPath(member.name).name)
+
+
+def listed(pieces: Iterable[bytes]) -> Iterator[TarMember]:
+    """Yield the files of a tar stream, or of its beginning, without their content.
+
+    Raises:
+        MalformedUpload: If it is no tar stream.
+    """
+    feed = TarFeed(_LISTED_BYTES)
+    for piece in pieces:
+        if piece:
+            yield from feed.take(piece)
+
+
+class TimeOrder:
+    """The index of each file of an upload by its time.
+
+    Stored scans keep their indices. A scan between two of them gets one between theirs, a later one
+    continues; so an upload that was interrupted can be sent again, and another one appended.
+
+    Args:
+        read: Returns the pieces of the whole tar stream; called once, or twice to name files.
+        is_index: Whether a name is an index instead.
+        stored_scans: `(K,)` indices of the drive's scans, ascending.
+        stored_s: `(K,)` their times, NaN where unknown.
+
+    Raises:
+        MalformedUpload: If some names are times and others indices, two are the same time, or a
+            scan has no index left between those of stored ones.
+    """
+
+    def __init__(
+        self,
+        read: Callable[[], Iterable[bytes]],
+        is_index: Callable[[str], bool],
+        stored_scans: IntArray,
+        stored_s: FloatArray,
+    ) -> None:
+        self._read = read
+        times = array("d")
+        by_index = ""
+        for member in listed(read()):
+            time_s = member_time_s(member)
+            if time_s is not None:
+                times.append(time_s)
+            elif not by_index and is_index(member.name):
+                by_index = member.name
+            if by_index and times:
+                raise MalformedUpload(
+                    f"{self._name_of(times[0])} is named by a time, {by_index} by an index: wanted"
+                    " one or the other; nothing was stored"
+                )
+        self._times_s = np.sort(np.array(times))
+        same = np.flatnonzero(np.diff(self._times_s) == 0.0)
+        if len(same):
+            time_s = float(self._times_s[same[0]])
+            raise MalformedUpload(
+                f"{self._name_of(time_s)} and {self._name_of(time_s, 1)} are the same time; nothing"
+                " was stored"
+            )
+        self._indices = self._among(stored_scans, stored_s)
+
+    def index(self, time_s: float) -> int:
+        """Return the index of the scan of this time, one of the stream's."""
+        return int(self._indices[np.searchsorted(self._times_s, time_s)])
+
+    def _among(self, stored_scans: IntArray, stored_s: FloatArray) -> IntArray:
+        """Return the index of each time, given those of stored scans."""
+        if not (np.diff(stored_s) > 0.0).all() or np.isnan(stored_s).any():
+            raise MalformedUpload(
+                "the drive has scans without times, or not in order of time: upload files that are"
+                " named by times as another drive; nothing was stored"
+            )
+        after = np.searchsorted(stored_s, self._times_s, side="right")
+        before = np.concatenate([[-1], stored_scans])[after]
+        is_stored = np.concatenate([[np.nan], stored_s])[after] == self._times_s
+        # Its rank among the new ones between the same two stored scans.
+        first = np.searchsorted(after, after)
+        new = np.cumsum(~is_stored)
+        rank = new - np.concatenate([[0], new])[first]
+        indices = before + np.where(is_stored, 0, rank)
+        following = np.concatenate([stored_scans, [2**53]])[after]
+        beyond = np.flatnonzero(indices >= following)
+        if len(beyond):
+            time_s, scan = float(self._times_s[beyond[0]]), int(following[beyond[0]])
+            raise MalformedUpload(
+                f"{self._name_of(time_s)} is before scan {scan} of the drive, and no index is left"
+                " before that: upload a drive in order of time, or whole; nothing was stored"
+            )
+        return np.asarray(indices, dtype=np.int64)
+
+    def _name_of(self, time_s: float, number: int = 0) -> str:
+        """Return the name of the file of a time; of several the one of that number."""
+        named = (member.name for member in listed(self._read()) if member_time_s(member) == time_s)
+        return next(name for at, name in enumerate(named) if at == number)[:200]

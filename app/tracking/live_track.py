@@ -1,0 +1,101 @@
+"""A track in memory, and the same one as it is saved."""
+
+import secrets
+import threading
+from collections.abc import Callable
+from dataclasses import asdict
+from datetime import UTC, datetime
+from typing import Any
+
+from core.errors import InvalidParameters
+from core.tracking.state import TrackState
+from core.tracking.step import TrackStep
+from core.tracking.track import Observation, Track, Tracker
+from storage.catalog import SavedTrack
+
+_ID_BYTES = 12
+
+
+def new_track(map_id: str, key_id: str, revision: str, now_s: float) -> SavedTrack:
+    """Return a new track, with a name that is hard to guess."""
+    name = secrets.token_hex(_ID_BYTES)
+    return SavedTrack(name, map_id, key_id, revision, datetime.now(UTC), now_s)
+
+
+class LiveTrack(Track):
+    """A track of the service; safe to share between threads.
+
+    Args:
+        tracker: Of its revision.
+        saved: As it was saved; it goes on from there.
+        clock: Unix time in seconds.
+
+    Raises:
+        InvalidParameters: If what was saved is of another version or map.
+
+    Attributes:
+        id: Its name, hard to guess.
+        map_id: The map it belongs to, whatever its slug becomes.
+        key_id: Of the key that created it.
+        used_s: Unix time of its last use.
+        saved: As it was saved last.
+    """
+
+    def __init__(self, tracker: Tracker, saved: SavedTrack, clock: Callable[[], float]) -> None:
+        super().__init__(
+            tracker, _state_of(saved.state), clock() - (saved.observed_s or saved.used_s)
+        )
+        self.id, self.map_id, self.key_id = saved.id, saved.map_id, saved.key_id
+        self.used_s = saved.used_s
+        self.saved = saved
+        self._clock = clock
+        self._observed_s = saved.observed_s
+        self._lock = threading.Lock()
+
+    @property
+    def is_changed(self) -> bool:
+        """Whether it was used since it was saved."""
+        now, before = (self.used_s, self.observations), (self.saved.used_s, self.saved.observations)
+        return now != before
+
+    def observe(self, observation: Observation) -> TrackStep:
+        """Take an observation, one at a time; see `Track.observe`."""
+        with self._lock:
+            step = super().observe(observation)
+            self._observed_s = self._clock()
+            return step
+
+    def to_save(self, answer: Callable[[TrackStep], dict[str, Any]]) -> SavedTrack:
+        """Return the track as it is now.
+
+        Args:
+            answer: Returns an answer in plain values.
+        """
+        with self._lock:
+            return SavedTrack(
+                self.id,
+                self.map_id,
+                self.key_id,
+                self.revision,
+                self.saved.created_at,
+                self.used_s,
+                self._observed_s,
+                self.observations,
+                asdict(self.state),
+                self.saved.last if self.last is None else answer(self.last),
+            )
+
+
+def _state_of(saved: dict[str, Any] | None) -> TrackState | None:
+    """Return a saved state.
+
+    Raises:
+        InvalidParameters: If it has other fields or values.
+    """
+    if saved is None:
+        return None
+    try:
+        places = tuple((int(place), float(share)) for place, share in saved["places"])
+        return TrackState(**{**saved, "places": places, "periods_s": tuple(saved["periods_s"])})
+    except (KeyError, TypeError, ValueError) as error:
+        raise InvalidParameters(f"the saved state of a track cannot be read: {error!r}") from error

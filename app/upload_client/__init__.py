@@ -1,0 +1,1 @@
+"""A client that uploads recorded drives to a service: `tensormap upload`."""

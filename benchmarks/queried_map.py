@@ -1,0 +1,78 @@
+"""A map of 3,800 simulated scans with queries to it, kept in a file for the next run."""
+
+import hashlib
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.maps import localizer_of
+from core.encodings.signature import pack_signatures
+from core.localization.localizer import Localizer
+from core.parameters import MapParameters
+from core.projection.imager import Views
+from core.scans.scan import Scan
+from core.simulation import SimulatedDrive
+from core.simulation.raycast import SimulatedSensor
+from storage.files.map_file import read_map, write_map
+
+ANY_VIEWS = MapParameters.for_sensor(encoding="harmonic")
+FULL_VIEWS = MapParameters.for_sensor(encoding="harmonic", views=Views.FULL)
+SCANS, QUERIES, RETURNS = 3800, 32, 60_000
+_LOOP_M = 1.05 * SCANS
+_QUERY_SEED, _LATERAL_M = 7, 0.7
+
+
+@dataclass(frozen=True)
+class QueriedMap:
+    """A calibrated map with poses, and packed signatures of scans near its line.
+
+    Attributes:
+        path: Of its file.
+        localizer: Of the map.
+        bodies: The queries, `QUERIES` of them.
+    """
+
+    path: Path
+    localizer: Localizer
+    bodies: tuple[bytes, ...]
+
+
+def queried_map(parameters: MapParameters) -> QueriedMap:
+    """Return the map, built or read, and its queries."""
+    named = hashlib.sha256(repr((parameters, SCANS)).encode()).hexdigest()[:12]
+    path = Path(tempfile.gettempdir(), f"tensormap-benchmark-{named}.h5")
+    if path.exists():
+        localizer = Localizer(read_map(path))
+    else:
+        mapped = _drive(firings=180)
+        localizer = localizer_of(mapped, np.arange(SCANS), parameters, segments=5, calibrated=True)
+        write_map(path, localizer.map)
+    beside, basis = _drive(180, _QUERY_SEED, _LATERAL_M), localizer.basis
+    bodies = tuple(
+        pack_signatures(basis.encode(basis.image(beside.scan(index))))
+        for index in np.linspace(3, SCANS - 3, QUERIES).astype(int).tolist()
+    )
+    return QueriedMap(path, localizer, bodies)
+
+
+def large_scan() -> bytes:
+    """Return a scan of `RETURNS` in KITTI's layout, recorded in the map."""
+    points = np.resize(_dense_scan().points_m, (RETURNS, 3))
+    return bytes(np.pad(points, ((0, 0), (0, 1))).astype("<f4").tobytes())
+
+
+def _dense_scan() -> Scan:
+    return _drive(1800, _QUERY_SEED).scan(5)
+
+
+def _drive(firings: int, noise_seed: int = 0, lateral_offset_m: float = 0.0) -> SimulatedDrive:
+    return SimulatedDrive(
+        seed=1,
+        scans=SCANS,
+        loop_m=_LOOP_M,
+        sensor=SimulatedSensor(firings=firings),
+        noise_seed=noise_seed,
+        lateral_offset_m=lateral_offset_m,
+    )

@@ -1,0 +1,157 @@
+"""Rows of benchmarks, each with its bar, and the committed table that they are compared with.
+
+The ratio of a row is the share of its bar that it takes: at most 1 holds. Bars are measured beside
+the row where that is possible, so that ratios of another machine are comparable.
+"""
+
+import subprocess
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+
+from app.provenance import provenance
+
+RESULTS = Path(__file__).with_name("RESULTS.md")
+WORSE = 1.3
+"""By so much a ratio may exceed the committed one."""
+_HEAD = "| benchmark | what | measured | bar | ratio | holds | beside it |"
+_MACHINE, _OF_MACHINE = "Machine: ", "(\\*)"
+
+
+_PAGE = """# Results of the benchmarks
+
+Written by `{command}` at commit {commit}. The ratio is the share of its bar that a row takes. Where
+the bar is a time or a size, marked (\\*), it is compared with the committed one on the same machine
+only; other bars were measured in the same run. A run fails if a ratio is {worse:g} times the
+committed one.
+"""
+
+
+@dataclass(frozen=True)
+class Row:
+    """One measurement.
+
+    Attributes:
+        name: What was measured, and its unit.
+        measured: Its value.
+        bar: The most that it may be.
+        beside: What it cannot be less than, or what others take, measured in the same run.
+        at_least: Whether the bar is the least instead.
+        of_machine: Whether the bar is a time, so that another machine has another ratio.
+    """
+
+    name: str
+    measured: float
+    bar: float
+    beside: str = ""
+    at_least: bool = False
+    of_machine: bool = False
+
+    @property
+    def ratio(self) -> float:
+        """The share of the bar that is taken, at most 1 if it holds."""
+        return self.bar / self.measured if self.at_least else self.measured / self.bar
+
+    @property
+    def holds(self) -> bool:
+        """Whether the bar is kept."""
+        return self.ratio <= 1.0
+
+    def line(self, benchmark: str) -> str:
+        """Return the row of the table."""
+        bar = f"{'>=' if self.at_least else '<='} {self.bar:.3g}"
+        if self.of_machine:
+            bar += f" {_OF_MACHINE}"
+        holds = "yes" if self.holds else "**no**"
+        cells = (benchmark, self.name, f"{self.measured:.3g}", bar, f"{self.ratio:.2f}", holds)
+        return f"| {' | '.join(cells)} | {self.beside} |"
+
+
+@dataclass(frozen=True)
+class Committed:
+    """The ratios of an earlier run.
+
+    Attributes:
+        machine: That it was measured on.
+        ratios: By benchmark and name of the row.
+        of_machine: Which of them another machine does not have.
+    """
+
+    machine: str
+    ratios: Mapping[tuple[str, str], float]
+    of_machine: frozenset[tuple[str, str]]
+
+    @classmethod
+    def of_text(cls, text: str) -> "Committed":
+        """Return what a table says, nothing of an empty one.
+
+        Examples:
+            >>> text = table({"walk": [Row("steps", 4.0, 8.0)]}, "slow", "python -m walk")
+            >>> Committed.of_text(text).ratios
+            {('walk', 'steps'): 0.5}
+        """
+        lines = text.splitlines()
+        found = [line.removeprefix(_MACHINE) for line in lines if line.startswith(_MACHINE)]
+        rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in _rows_of(lines)]
+        return cls(
+            found[0] if found else "",
+            {(row[0], row[1]): float(row[4]) for row in rows},
+            frozenset((row[0], row[1]) for row in rows if row[3].endswith(_OF_MACHINE)),
+        )
+
+    def worse(self, benchmark: str, rows: Iterable[Row], machine: str) -> list[str]:
+        """Return which rows take more of their bar than they did, by more than `WORSE`."""
+        return [
+            f"{benchmark}: {row.name}: {row.ratio:.2f} of its bar, committed {before:.2f}"
+            for row in rows
+            if (before := self._comparable((benchmark, row.name), machine)) is not None
+            and row.ratio > WORSE * before
+        ]
+
+    def _comparable(self, key: tuple[str, str], machine: str) -> float | None:
+        if key in self.of_machine and machine != self.machine:
+            return None
+        return self.ratios.get(key)
+
+
+def _rows_of(lines: Sequence[str]) -> Sequence[str]:
+    if _HEAD not in lines:
+        return ()
+    return [line for line in lines[lines.index(_HEAD) + 2 :] if line.startswith("| ")]
+
+
+def table(rows: Mapping[str, Sequence[Row]], machine: str, command: str) -> str:
+    """Return the page of all rows, by benchmark."""
+    lines = [row.line(benchmark) for benchmark, some in rows.items() for row in some]
+    page = _PAGE.format(command=command, commit=provenance()["commit"], worse=WORSE)
+    return "\n".join([page, _MACHINE + machine, "", _HEAD, "|---" * 7 + "|", *lines, ""])
+
+
+def this_machine() -> str:
+    """Return processor and versions, without the name of the host or a path."""
+    of = provenance()
+    return f"{of['machine']}, Python {of['python']}, NumPy {of['numpy']}"
+
+
+def committed() -> Committed:
+    """Return the results of the commit that is checked out, none outside a checkout."""
+    command = ["git", "-C", str(RESULTS.parent), "show", f"HEAD:./{RESULTS.name}"]
+    try:
+        shown = subprocess.run(command, capture_output=True, text=True, check=True)
+    except (OSError, subprocess.CalledProcessError):
+        return Committed.of_text("")
+    return Committed.of_text(shown.stdout)
+
+
+def measured(benchmark: str) -> list[Row]:
+    """Return what a benchmark measures; in the process that imports it here."""
+    rows: list[Row] = import_module(f"benchmarks.{benchmark}").measure()
+    return rows
+
+
+def show(rows: Sequence[Row], benchmark: str = "") -> int:
+    """Print rows and return how many miss their bar."""
+    for row in rows:
+        print(row.line(benchmark), flush=True)
+    return sum(not row.holds for row in rows)

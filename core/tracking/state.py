@@ -1,0 +1,97 @@
+"""The state of a track as it is stored: small, and good for another start only."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from core.arrays import FloatArray
+from core.errors import InvalidParameters
+from core.numbers import require_at_least, require_finite
+from core.tracking.belief import Belief
+from core.tracking.graph import TravelGraph
+from core.tracking.motion import Motion
+
+_PLACES = 64  # the most likely ones; the rest of the belief is as good as anywhere
+_TRUSTED = 0.5  # share of the stored belief in a resumed one; the rest is that of a new track
+_SCANS_PER_S = (
+    20.0  # passed at most in a gap: a metre each at 20 m/s, or a 10 Hz map at twice its pace
+)
+
+
+@dataclass(frozen=True)
+class TrackState:
+    """What another process needs to go on with a track.
+
+    Attributes:
+        observations: How many the track has had.
+        places: The most likely places of `TravelGraph`, and the probability of each.
+        elsewhere: Probability of being outside of the map.
+        timestamp_s: Of the last observation that had one.
+        sequence: Likewise its number.
+        periods_s: The last times between two observations.
+
+    Raises:
+        InvalidParameters: If a number is out of its range.
+    """
+
+    observations: int
+    places: tuple[tuple[int, float], ...]
+    elsewhere: float
+    timestamp_s: float | None = None
+    sequence: int | None = None
+    periods_s: tuple[float, ...] = ()
+
+    def __post_init__(self) -> None:
+        require_at_least(0, observations=self.observations, elsewhere=self.elsewhere)
+        require_finite(timestamp_s=self.timestamp_s, sequence=self.sequence)
+        for place, probability in self.places:
+            require_at_least(0, place=place, probability=probability)
+        for period_s in self.periods_s:
+            require_at_least(0, period_s=period_s)
+
+    def belief(self, graph: TravelGraph, motion: Motion, gap_s: float) -> Belief:
+        """Return what is believed after a gap in which nothing was observed.
+
+        The vehicle may have advanced by any number of scans up to a fast one's, at any pace. Half
+        of the belief is that of a new track: so three observations place a vehicle that is
+        elsewhere meanwhile.
+
+        Args:
+            graph: Of the map.
+            motion: Its paces.
+            gap_s: Seconds since the last observation.
+
+        Raises:
+            InvalidParameters: If a place is not of this map.
+        """
+        at = np.zeros(graph.places)
+        for place, probability in self.places:
+            if place >= graph.places:
+                raise InvalidParameters(f"the map has {graph.places} places, the state {place}")
+            at[place] = probability
+        at += max(0.0, 1.0 - self.elsewhere - float(at.sum())) / graph.places
+        at = _spread(at, graph, min(math.ceil(max(gap_s, 0.0) * _SCANS_PER_S), len(graph)))
+        total, paces = float(at.sum()) + self.elsewhere, len(motion.pace)
+        new = Belief.unknown(graph, motion)
+        known = np.repeat(at[:, None] / (paces * total), paces, axis=1)
+        return Belief(
+            _TRUSTED * known + (1.0 - _TRUSTED) * new.at,
+            _TRUSTED * self.elsewhere / total + (1.0 - _TRUSTED) * new.elsewhere,
+        )
+
+
+def likeliest(belief: Belief) -> tuple[tuple[int, float], ...]:
+    """Return the most likely places of a belief, and the probability of each."""
+    at = belief.at.sum(axis=1)
+    kept = np.argpartition(at, -_PLACES)[-_PLACES:] if len(at) > _PLACES else np.arange(len(at))
+    return tuple((int(place), float(at[place])) for place in kept if at[place] > 0.0)
+
+
+def _spread(at: FloatArray, graph: TravelGraph, scans: int) -> FloatArray:
+    """Return the mean of what is believed after 0 to so many scans."""
+    moved, total = at, at.copy()
+    for _ in range(scans):
+        moved = np.asarray(graph.ahead @ moved)
+        total += moved
+    return np.asarray(total / (scans + 1))

@@ -1,0 +1,192 @@
+"""Folders as recordings are: named by times, or KITTI's with what lies beside the scans."""
+
+import gzip
+import random
+
+import numpy as np
+import pytest
+
+from storage.formats.drives.kitti_drive import write_kitti_drive
+from storage.formats.drives.layouts import open_drive
+from tests.support.recording import TAR, npy, recording, tar
+from tests.support.samples import sample_drive
+from tests.support.service import problem_of
+
+SCANS = recording(scans=6).scans
+DRIVE = "/v1/maps/campus/drives/monday"
+TIMES = ["1679000000.100000", "1679000000.200000", "1679000000.95", "1679000001.0"]
+
+
+def named(names, first=0):
+    return [(f"{name}.npy", npy(SCANS[first + at].points_m)) for at, name in enumerate(names)]
+
+
+def post(client, files, **options):
+    options.setdefault("headers", TAR)
+    return client.post(f"{DRIVE}/scans", content=tar(files), **options)
+
+
+def refused(response):
+    assert problem_of(response) == (422, "malformed-upload")
+    return response.json()["detail"]
+
+
+def stored(client):
+    """Return the digests and times of the scans, by index."""
+    drive = client.service.store.drives.open("campus", "monday")
+    return {
+        int(index): (digest, float(time_s))
+        for index, digest, time_s in zip(
+            drive.scan_index, drive.digests, drive.timestamp_s, strict=True
+        )
+    }
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_scans_named_by_times_are_stored_in_order_of_time_whatever_their_order(empty, seed):
+    files = named(TIMES)
+    shuffled = random.Random(seed).sample(files, len(files))
+    answer = post(empty, shuffled)
+    assert answer.json()["stored"] == [{"first": 0, "last": 3}]
+    found = stored(empty)
+    assert [time_s for _, time_s in found.values()] == [float(time) for time in TIMES]
+    for index in range(4):
+        got = empty.get(f"{DRIVE}/scans/{index}")
+        assert npy(SCANS[index].points_m) == got.content
+    again = post(empty, files).json()
+    assert (again["scans_stored"], again["scans_present"]) == (0, 4)
+    assert stored(empty) == found
+
+
+def test_nanoseconds_are_times_and_a_packed_body_is_ordered_too(empty):
+    names = ["1561000444500000000", "1561000444390857630"]
+    packed = gzip.compress(tar(named(names)))
+    headers = {**TAR, "Content-Encoding": "gzip"}
+    answer = empty.post(f"{DRIVE}/scans", content=packed, headers=headers)
+    assert answer.json()["scans_stored"] == 2
+    assert [time_s for _, time_s in stored(empty).values()] == [1561000444.3908576, 1561000444.5]
+
+
+def test_later_scans_follow_and_missing_ones_take_their_place(empty):
+    files = named(TIMES)
+    post(empty, files)
+    whole = stored(empty)
+    empty.delete(DRIVE)
+    post(empty, files[:2])
+    assert post(empty, files[2:]).json()["stored"] == [{"first": 2, "last": 3}]
+    assert stored(empty) == whole
+
+
+def test_of_an_upload_that_is_repeated_unusable_files_keep_their_place(empty):
+    files = named(TIMES)
+    broken = [files[0], (files[1][0], b"no scan"), *files[2:]]
+    assert post(empty, broken).json()["files_set_aside"] == 1
+    assert sorted(stored(empty)) == [0, 2, 3]
+    assert post(empty, files).json()["stored"] == [{"first": 1, "last": 1}]
+
+
+def test_a_scan_before_stored_ones_without_an_index_left_is_an_error(empty):
+    post(empty, named(TIMES[1:]))
+    found = refused(post(empty, named(TIMES)))
+    assert "1679000000.100000.npy is before scan 0" in found
+    assert len(stored(empty)) == 3
+
+
+@pytest.mark.parametrize(
+    ("names", "words"),
+    [
+        (["1.5", "0003"], ["1.5.npy", "0003.npy", "nothing was stored"]),
+        (["1.5", "1.7", "a/1.50"], ["1.5.npy", "a/1.50.npy", "the same time"]),
+        (["0003", "1.5"], ["'1.5.npy'", "'0003.npy'"]),
+    ],
+)
+def test_mixed_and_colliding_names_are_an_error_with_both(empty, names, words):
+    found = refused(post(empty, named(names)))
+    for word in words:
+        assert word in found
+
+
+def test_times_do_not_continue_a_drive_of_indices(empty):
+    post(empty, named(["0", "1"]))
+    found = refused(post(empty, named(TIMES)))
+    assert "scans without times" in found
+
+
+@pytest.fixture
+def folder(tmp_path):
+    drive = sample_drive(4, returns=200)
+    write_kitti_drive(drive, tmp_path / "monday")
+    return tmp_path / "monday"
+
+
+def files_of(folder):
+    """Return the files of a folder by name, as `tar` lists them, images included."""
+    found = [
+        (f"./{file.relative_to(folder)}", file.read_bytes())
+        for file in sorted(folder.rglob("*"))
+        if file.is_file()
+    ]
+    return [*found, ("./image_0/000000.png", b"\x89PNG....")]
+
+
+def require_same(client, folder):
+    recorded, uploaded = open_drive(folder), client.service.store.drives.open("campus", "monday")
+    np.testing.assert_array_equal(uploaded.timestamp_s, recorded.timestamp_s)
+    np.testing.assert_array_equal(uploaded.poses, recorded.poses)
+    for index in range(len(recorded)):
+        np.testing.assert_array_equal(uploaded.scan(index).points_m, recorded.scan(index).points_m)
+
+
+TR = "P0: 1 0 0 0 0 1 0 0 0 0 1 0\nTr: 0 -1 0 0.1 0 0 -1 0.2 1 0 0 0.3\n"
+
+
+@pytest.mark.parametrize("calibration", ["", TR])
+@pytest.mark.parametrize("order", [1, -1])
+def test_a_folder_of_kitti_is_read_from_a_tar_as_by_the_commands(empty, folder, calibration, order):
+    if calibration:
+        (folder / "calib.txt").write_text(calibration)
+    answer = post(empty, files_of(folder)[::order]).json()
+    assert (answer["scans_stored"], answer["files_set_aside"]) == (4, 1)
+    assert answer["set_aside"][0]["file"] == "./image_0/000000.png"
+    assert answer["poses"]["set"] == 4
+    require_same(empty, folder)
+    assert post(empty, files_of(folder)).json()["poses"]["replaced"] == 0
+
+
+def test_times_alone_are_set_and_keep_poses(empty, folder):
+    files = files_of(folder)
+    post(empty, files)
+    later = "".join(f"{100 + at}\n" for at in range(4)).encode()
+    answer = post(empty, [("times.txt", later), files[-2]]).json()
+    assert answer["poses"] is None
+    assert [time_s for _, time_s in stored(empty).values()] == [100.0, 101.0, 102.0, 103.0]
+    assert empty.get(DRIVE).json()["scans_with_pose"] == 4
+
+
+@pytest.mark.parametrize(
+    ("file", "content", "kind", "message"),
+    [
+        ("poses.txt", b"1 0 0 0 0 1 0 0 0 0 1 0\n", "poses-do-not-fit", "has 1 lines"),
+        ("poses.txt", b"1 0 0\n", "invalid-pose", "line 1"),
+        ("calib.txt", b"P0: 1\n", "malformed-drive", "no line 'Tr:'"),
+        ("times.txt", b"0.1\n0.2\n", "invalid-pose", "has 2 lines"),
+        ("times.txt", b"noon\n", "malformed-drive", "line 1"),
+    ],
+)
+def test_what_does_not_fit_is_set_aside_and_the_scans_are_stored(
+    empty, folder, file, content, kind, message
+):
+    (folder / file).write_bytes(content)
+    answer = post(empty, files_of(folder)[:-1]).json()
+    assert answer["scans_stored"] == 4
+    [aside] = answer["set_aside"]
+    assert aside["file"] == ("./poses.txt" if file == "calib.txt" else f"./{file}")
+    assert aside["type"] == f"/problems/{kind}"
+    assert message in aside["detail"]
+
+
+def test_poses_alone_may_come_in_an_archive(empty, folder):
+    files = dict(files_of(folder))
+    poses = files.pop("./poses.txt")
+    post(empty, files.items())
+    assert post(empty, [("poses.txt", poses)]).json()["poses"]["set"] == 4

@@ -1,0 +1,182 @@
+"""Vehicles are tracked while the service is stopped or killed, and started again."""
+
+import asyncio
+import json
+import os
+import time
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import pytest
+from websockets.asyncio.client import ClientConnection, connect
+from websockets.exceptions import WebSocketException
+
+from app.revisions.schemas import BasisOut
+from core.encodings.signature import pack_signatures
+from core.scans.pose import Pose
+from core.scans.scan import Scan
+from core.simulation import SimulatedDrive
+from core.simulation.raycast import SimulatedSensor
+from tests.support.access import ADMIN
+from tests.support.recording import Recording
+from tests.support.service import upload, wait_for
+from tests.torture.support.service import Tortured, tortured
+from tests.torture.support.sizes import seconds, size
+
+pytestmark = [pytest.mark.torture, pytest.mark.alone]
+
+TRACKS = "/v1/maps/campus/tracks"
+VEHICLES = size("vehicles", 50)
+PERIOD_S = 0.1
+BEFORE_S = seconds("TENSORMAP_TORTURE_TRACKED_S", 5.0)
+AFTER_S = 5.0  # within which each goes on, from the service's readiness
+LOST_S = 2.0  # they are saved each second, and a second for that
+RIGHT_M = 5.0
+SCANS = 360
+
+
+def simulated(noise_seed: int) -> Recording:
+    drive = SimulatedDrive(
+        seed=1,
+        scans=SCANS,
+        stops=False,
+        noise_seed=noise_seed,
+        sensor=SimulatedSensor(firings=180),
+    )
+    poses = [Pose.from_row(row) for row in drive.poses]
+    return Recording(
+        tuple(
+            Scan(drive.scan(index).points_m, float(drive.timestamp_s[index]), pose)
+            for index, pose in enumerate(poses)
+        )
+    )
+
+
+@dataclass(frozen=True)
+class Campus:
+    """What vehicles send at each scan of the map's drive, and where that is."""
+
+    packed: list[bytes]
+    positions_m: np.ndarray
+
+    def apart_m(self, scan: int, other: int) -> float:
+        return float(np.linalg.norm(self.positions_m[scan] - self.positions_m[other]))
+
+
+@dataclass
+class Vehicle:
+    """One that passes a scan of the map's drive with each observation, and drives on without.
+
+    Attributes:
+        track: Its name.
+        scan: Where it is.
+        answers: When each came, at which scan it was asked, and what came.
+        refused: What was no answer of a track.
+    """
+
+    track: str
+    scan: int
+    answers: list[tuple[float, int, dict[str, Any]]] = field(default_factory=list)
+    refused: list[str] = field(default_factory=list)
+
+    async def drive(self, service: Tortured, campus: Campus, end: asyncio.Event) -> None:
+        left_s = time.monotonic()
+        while not end.is_set():
+            try:
+                url = f"ws://127.0.0.1:{service.port}{TRACKS}/{self.track}/stream"
+                async with connect(url, additional_headers=ADMIN, open_timeout=30) as stream:
+                    self.scan += int((time.monotonic() - left_s) / PERIOD_S)
+                    while not end.is_set():
+                        left_s = time.monotonic()
+                        await self._observe(stream, campus)
+                        await asyncio.sleep(max(0.0, left_s + PERIOD_S - time.monotonic()))
+            except (OSError, TimeoutError, WebSocketException):  # it is down
+                await asyncio.sleep(PERIOD_S)
+
+    async def _observe(self, stream: ClientConnection, campus: Campus) -> None:
+        scan = min(self.scan, SCANS - 1)
+        await stream.send(campus.packed[scan])
+        answer = json.loads(await stream.recv())
+        if "observations" in answer:
+            self.answers.append((time.monotonic(), scan, answer))
+        else:
+            self.refused.append(answer["type"])
+        self.scan += 1
+
+    def counted(self, down_s: float, ready_s: float) -> tuple[int, int]:
+        """Return how many observations the track had before and after the service was down."""
+        before = [answer["observations"] for at_s, _, answer in self.answers if at_s < down_s]
+        after = [answer["observations"] for at_s, _, answer in self.answers if at_s > ready_s]
+        return before[-1], after[0]
+
+    def localized_s(self, ready_s: float) -> float:
+        """Return when it had a place again."""
+        places = (at_s for at_s, _, answer in self.answers if answer["localized"])
+        return min((at_s for at_s in places if at_s > ready_s), default=np.inf)
+
+
+@pytest.fixture(scope="module")
+def fleet(tmp_path_factory):
+    """A service with a map, and what vehicles send to it."""
+    with tortured(tmp_path_factory.mktemp("restarts")) as service:
+        mapped = simulated(0)
+        with service.client() as client:
+            client.post("/v1/maps", json={"map": "campus"}).raise_for_status()
+            upload(client, "monday", mapped)
+            body = {"segment_length": 60, "encoding": "harmonic"}
+            job = client.post("/v1/maps/campus/builds", json=body).raise_for_status().json()["job"]
+            assert wait_for(client, job)["state"] == "done"
+            basis = BasisOut.model_validate(client.get("/v1/maps/campus/basis").json()).to_core()
+        packed = [pack_signatures(basis.encode(basis.image(scan))) for scan in simulated(7).scans]
+        positions_m = np.array([mapped.pose(scan).as_tuple()[:3] for scan in range(SCANS)])
+        yield service, Campus(packed, positions_m)
+
+
+@pytest.mark.parametrize("how", ["SIGTERM", "SIGKILL"])
+def test_tracks_go_on_after_a_restart_without_a_wrong_answer(fleet, how):
+    service, campus = fleet
+    with service.client() as client:
+        begun = [client.post(TRACKS).raise_for_status().json()["track"] for _ in range(VEHICLES)]
+    vehicles = [Vehicle(track, 2 * number) for number, track in enumerate(begun)]
+    down_s, ready_s = asyncio.run(restarted(service, campus, vehicles, how))
+    wrong = [
+        (vehicle.track, at_s - ready_s, scan, answer)
+        for vehicle in vehicles
+        for at_s, scan, answer in vehicle.answers
+        if answer["localized"] and campus.apart_m(answer["scan_index"], scan) > RIGHT_M
+    ]
+    refused = [name for vehicle in vehicles for name in vehicle.refused]
+    again_s = max(vehicle.localized_s(ready_s) for vehicle in vehicles) - ready_s
+    counts = [vehicle.counted(down_s, ready_s) for vehicle in vehicles]
+    lost = max(before + 1 - after for before, after in counts)
+    print(
+        f"{how}: {sum(len(vehicle.answers) for vehicle in vehicles)} answers, {len(wrong)} wrong,"
+        f" down {ready_s - down_s:.1f} s, all localized {again_s:.1f} s after readiness, at most"
+        f" {lost} observations lost (load {os.getloadavg()[0]:.1f})"
+    )
+    with service.client() as client:
+        for track in begun:
+            client.delete(f"{TRACKS}/{track}").raise_for_status()
+    assert not wrong, wrong[:3]
+    assert not refused, refused[:3]
+    assert again_s <= AFTER_S
+    assert lost <= (0 if how == "SIGTERM" else LOST_S / PERIOD_S)
+    assert "Traceback" not in service.log.read_text()
+
+
+async def restarted(
+    service: Tortured, campus: Campus, vehicles: list[Vehicle], how: str
+) -> tuple[float, float]:
+    """Restart the service under driving vehicles; return when it ended and when it was ready."""
+    end = asyncio.Event()
+    driving = [asyncio.create_task(v.drive(service, campus, end)) for v in vehicles]
+    await asyncio.sleep(BEFORE_S)
+    down_s = time.monotonic()
+    await asyncio.to_thread(service.stop if how == "SIGTERM" else service.kill)
+    await asyncio.to_thread(service.start)
+    ready_s = time.monotonic()
+    await asyncio.sleep(AFTER_S + 1.0)
+    end.set()
+    await asyncio.gather(*driving)
+    return down_s, ready_s

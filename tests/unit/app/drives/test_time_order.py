@@ -1,0 +1,40 @@
+"""Scans named by times take indices between those that are stored."""
+
+import numpy as np
+import pytest
+
+from app.drives.time_order import TimeOrder
+from app.http.errors import MalformedUpload
+from tests.support.recording import tar
+
+
+def order(times, scans=(), stored_s=()):
+    body = tar((f"{time_s}.npy", b"returns") for time_s in times)
+    names = lambda: iter([body])  # noqa: E731
+    stored = np.array(scans, dtype=np.int64), np.array(stored_s, dtype=np.float64)
+    found = TimeOrder(names, str.isdecimal, *stored)
+    return [found.index(time_s) for time_s in times]
+
+
+def test_of_a_new_drive_the_index_is_the_rank() -> None:
+    assert order([3.5, 1.5, 2.5]) == [2, 0, 1]
+
+
+def test_stored_scans_keep_theirs_and_others_take_what_is_free_between() -> None:
+    assert order([0.5, 1.5, 2.5, 3.5, 4.5], [1, 4], [1.5, 4.5]) == [0, 1, 2, 3, 4]
+    assert order([5.5, 6.5], [1, 4], [1.5, 4.5]) == [5, 6]
+
+
+@pytest.mark.parametrize(
+    ("times", "message"),
+    [([0.25, 0.5], "0.5.npy is before scan 1"), ([2.5, 2.75, 3.5], "3.5.npy is before scan 4")],
+)
+def test_without_a_free_index_they_are_an_error(times, message) -> None:
+    with pytest.raises(MalformedUpload, match=message):
+        order(times, [1, 4], [1.5, 4.5])
+
+
+def test_stored_scans_must_be_in_order_of_time() -> None:
+    for stored_s in ([2.5, 1.5], [np.nan, 1.5]):
+        with pytest.raises(MalformedUpload, match="without times, or not in order"):
+            order([3.5], [0, 1], stored_s)

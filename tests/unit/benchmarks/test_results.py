@@ -1,0 +1,86 @@
+"""Rows against bars, and against the committed table."""
+
+import subprocess
+
+import pytest
+
+from benchmarks import results
+from benchmarks.results import Committed, Row, committed, show, table, this_machine
+
+SLOW, FAST = (
+    Row("walk, s", 4.0, 8.0, "floor 1.00"),
+    Row("runs a second", 200.0, 300.0, at_least=True),
+)
+HERE = Row("ready, s", 1.0, 2.0, of_machine=True)
+ROWS = {"legs": [SLOW, FAST], "start": [HERE]}
+
+
+def before(machine: str = "this one") -> Committed:
+    return Committed.of_text(table(ROWS, machine, "make bench"))
+
+
+def test_a_ratio_is_the_share_of_the_bar_that_is_taken():
+    assert SLOW.ratio == 0.5
+    assert FAST.ratio == 1.5
+    assert [row.holds for row in (SLOW, FAST)] == [True, False]
+
+
+def test_the_table_is_read_as_it_was_written():
+    read = before()
+    assert read.machine == "this one"
+    assert read.ratios == {
+        ("legs", "walk, s"): 0.5,
+        ("legs", "runs a second"): 1.5,
+        ("start", "ready, s"): 0.5,
+    }
+    assert read.of_machine == {("start", "ready, s")}
+
+
+def test_the_table_shows_bars_beside_what_they_were_made_of():
+    lines = table(ROWS, "this one", "make bench").splitlines()
+    assert "| legs | walk, s | 4 | <= 8 | 0.50 | yes | floor 1.00 |" in lines
+    assert "| legs | runs a second | 200 | >= 300 | 1.50 | **no** |  |" in lines
+
+
+@pytest.mark.parametrize(("measured", "is_worse"), [(1.0, False), (5.1, False), (5.3, True)])
+def test_a_ratio_may_grow_by_less_than_a_third(measured, is_worse):
+    worse = before().worse("legs", [Row("walk, s", measured, 8.0)], "this one")
+    assert bool(worse) == is_worse
+    assert all("0.66 of its bar, committed 0.50" in line for line in worse)
+
+
+def test_a_row_that_is_new_or_of_another_benchmark_is_not_compared():
+    rows = [Row("jump, s", 100.0, 1.0)]
+    assert before().worse("legs", rows, "this one") == []
+    assert before().worse("start", [Row("walk, s", 100.0, 1.0)], "this one") == []
+
+
+def test_a_time_is_compared_on_the_same_machine_only():
+    rows = [Row("ready, s", 2.0, 2.0, of_machine=True)]
+    assert len(before().worse("start", rows, "this one")) == 1
+    assert before().worse("start", rows, "another") == []
+
+
+def test_without_an_earlier_table_nothing_is_worse():
+    assert Committed.of_text("").worse("legs", ROWS["legs"], "") == []
+
+
+def test_as_many_bars_are_missed_as_do_not_hold(capsys):
+    assert show([SLOW, FAST], "legs") == 1
+    assert "**no**" in capsys.readouterr().out
+
+
+def test_the_committed_table_is_that_of_the_commit_not_of_the_folder(tmp_path, monkeypatch):
+    monkeypatch.setattr(results, "RESULTS", tmp_path / "RESULTS.md")
+    assert committed().ratios == {}
+    results.RESULTS.write_text(table(ROWS, "this one", "make bench"))
+    identity = ("-c", "user.name=a", "-c", "user.email=a@b.c")
+    for words in (["init", "-q"], ["add", "."], [*identity, "commit", "-qm", "results"]):
+        subprocess.run(["git", "-C", str(tmp_path), *words], check=True)
+    results.RESULTS.write_text("")
+    assert committed().ratios[("legs", "walk, s")] == 0.5
+
+
+def test_the_machine_is_named_without_its_host_or_a_path():
+    assert "Python" in this_machine()
+    assert "/" not in this_machine()

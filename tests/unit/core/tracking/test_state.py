@@ -1,0 +1,108 @@
+"""The stored state of a track, and the track that continues it."""
+
+import json
+from dataclasses import asdict, replace
+
+import numpy as np
+import pytest
+
+from core.encodings.harmonic.model import HarmonicModel
+from core.errors import InvalidParameters, StaleObservation
+from core.localization.localizer import Localizer
+from core.tracking.state import TrackState
+from core.tracking.track import Observation, Track, Tracker
+from tests.support.samples import own_signatures, sample_harmonic_map, sample_map
+
+
+@pytest.fixture(scope="module", params=[sample_map, sample_harmonic_map])
+def tracker(request):
+    return Tracker(Localizer(request.param(count=120, segment_length=30)[0]))
+
+
+def observed(tracker, row, **given):
+    return Observation(own_signatures(tracker.map, row), **given)
+
+
+def driven(tracker, rows, **given):
+    """Return a track that passed these rows."""
+    track = Track(tracker)
+    for row in rows:
+        track.observe(observed(tracker, row, **given))
+    return track
+
+
+@pytest.mark.parametrize("gap_s", [0.0, 1.0, 600.0])
+@pytest.mark.parametrize("first", [10, 12, 25, 90])
+def test_a_continued_track_has_its_place_after_a_few_observations_and_no_wrong_one(
+    tracker, gap_s, first
+):
+    track = Track(tracker, driven(tracker, range(10)).state, gap_s)
+    rows = range(first, first + 10)
+    steps = [track.observe(observed(tracker, row)) for row in rows]
+    assert [step.observations for step in steps] == list(range(11, 21))
+    assert not any(step.localized for step in steps[:2])
+    assert {step.reason for step in steps[:2]} == {"converging"}
+    assert all(step.localized for step in steps[6:])
+    right = [abs(step.row - row) <= 1 for step, row in zip(steps, rows, strict=True)]
+    assert all(right[i] for i in range(10) if steps[i].localized)
+
+
+def test_of_two_places_that_look_alike_the_one_that_can_be_reached_is_taken():
+    mapped, _ = sample_harmonic_map(count=60, segment_length=30, poses=False)
+    stored = np.array(mapped.model.signatures)
+    stored[42:] = stored[12:30]
+    assert isinstance(mapped.model, HarmonicModel)
+    model = replace(mapped.model, signatures=stored)
+    tracker = Tracker(Localizer(replace(mapped, model=model)))
+    seen = [observed(tracker, row) for row in range(12, 24)]
+    new, continued = Track(tracker), Track(tracker, driven(tracker, range(12)).state, 0.1)
+    assert not any(new.observe(observation).localized for observation in seen)
+    steps = [continued.observe(observation) for observation in seen]
+    assert [step.row for step in steps if step.localized][-1] == 23
+
+
+def test_what_was_observed_before_is_rejected_by_the_track_that_continues(tracker):
+    before = driven(tracker, [3], timestamp_s=5.0, sequence=7)
+    track = Track(tracker, before.state, 1.0)
+    for stale in ({"timestamp_s": 5.0}, {"sequence": 7}):
+        with pytest.raises(StaleObservation):
+            track.observe(observed(tracker, 4, **stale))
+    step = track.observe(observed(tracker, 4, timestamp_s=5.1, sequence=8))
+    assert step.observations == 2
+
+
+def test_a_track_without_observations_continues_as_a_new_one(tracker):
+    track = Track(tracker, Track(tracker).state, 30.0)
+    assert track.observations == 0
+    assert (track.belief.at == Track(tracker).belief.at).all()
+
+
+def test_a_state_is_small_and_plain(tracker):
+    state = driven(tracker, range(20)).state
+    written = json.dumps(asdict(state))
+    assert len(written) < 4000
+    read = json.loads(written)
+    read |= {"places": tuple(map(tuple, read["places"])), "periods_s": tuple(read["periods_s"])}
+    assert TrackState(**read) == state
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"observations": -1},
+        {"elsewhere": np.nan},
+        {"places": ((-1, 0.5),)},
+        {"places": ((0, np.inf),)},
+        {"periods_s": (-1.0,)},
+        {"timestamp_s": np.inf},
+    ],
+)
+def test_a_state_rejects_impossible_values(wrong):
+    with pytest.raises(InvalidParameters):
+        TrackState(**{"observations": 1, "places": (), "elsewhere": 0.5, **wrong})
+
+
+def test_a_state_of_a_larger_map_is_rejected(tracker):
+    state = TrackState(observations=1, places=((10_000, 1.0),), elsewhere=0.0)
+    with pytest.raises(InvalidParameters, match="the map has 240 places, the state 10000"):
+        Track(tracker, state)
