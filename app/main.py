@@ -18,8 +18,8 @@ from app.builds import job_routes
 from app.builds import routes as builds
 from app.builds.job_events import JobEvents
 from app.builds.runner import JobRunner
+from app.drives import pose_routes, upload_routes
 from app.drives import routes as drives
-from app.drives import upload_routes
 from app.http import health_routes
 from app.http.bodies.spool import SpoolRoom
 from app.http.bodies.unread import UnreadBody
@@ -61,6 +61,8 @@ _ROUTERS = (
     drives.scans,
     upload_routes.reading,
     upload_routes.writing,
+    pose_routes.reading,
+    pose_routes.writing,
     builds.router,
     job_routes.reading,
     job_routes.writing,

@@ -1,6 +1,6 @@
-"""`python -m benchmarks [NAME ...]`: every measurement against its bar and the committed ratio.
+"""`python -m benchmarks [--check] [NAME ...]`: measurements against bars and the committed ratios.
 
-Without names all are run, and `RESULTS.md` is written.
+Without names all are run. The rows are written to `RESULTS.md`, with `--check` they are not.
 """
 
 import sys
@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 
-from benchmarks.results import RESULTS, Row, committed, measured, show, table, this_machine
+from benchmarks.results import Row, committed, measured, renew, show, this_machine
 
 _ALL = (
     "fit_segment",
@@ -25,7 +25,7 @@ _ALL = (
 )
 
 
-def main(names: Sequence[str]) -> int:
+def main(names: Sequence[str], *, check: bool) -> int:
     """Run each benchmark in a process of its own; return how many rows missed or got worse."""
     before, machine = committed(), this_machine()
     rows: dict[str, list[Row]] = {}
@@ -35,8 +35,8 @@ def main(names: Sequence[str]) -> int:
             rows[name] = alone.submit(measured, name).result()
         missed += show(rows[name], name)
         worse += before.worse(name, rows[name], machine)
-    if not names:
-        RESULTS.write_text(table(rows, machine, "make bench"))
+        if not check:
+            renew(rows, machine)
     print(f"{missed} bars missed")
     for line in worse:
         print(f"worse: {line}")
@@ -44,4 +44,5 @@ def main(names: Sequence[str]) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    words = sys.argv[1:]
+    sys.exit(main([word for word in words if word != "--check"], check="--check" in words))

@@ -117,13 +117,13 @@ class _Measured:
         """Return the rows of a fix by a signature, answered as JSON and packed."""
         packed = self._requests("localizations/signature", Accept="application/vnd.tensormap.fix")
         rows = []
-        for requests in (self._fixes, packed):
+        for form, requests in (("JSON", self._fixes), ("packed", packed)):
             ms, floor, m, search = self._in_turn(
                 self._asked(requests), self._floored(), self._matched(), self._searched()
             )
             size = len(once(self._service[1], requests[0]))
-            beside = f"floor {floor:.2f}, match {m:.2f}, of which search {search:.2f}"
-            what = f"fix by {len(self._bodies[0])} bytes, answer of {size}, CPU ms"
+            beside = f"floor {floor:.2f}, match {m:.2f}, of which search {search:.2f}; {size} bytes"
+            what = f"fix by {len(self._bodies[0])} bytes, {form}, CPU ms"
             rows.append(self._row(what, ms, 2 * floor + 1.5 * m, beside))
         return rows
 

@@ -15,16 +15,16 @@ from app.provenance import provenance
 RESULTS = Path(__file__).with_name("RESULTS.md")
 WORSE = 1.3
 """By so much a ratio may exceed the committed one."""
-_HEAD = "| benchmark | what | measured | bar | ratio | holds | beside it |"
+_HEAD = "| benchmark | what | measured | bar | ratio | holds | beside it | commit |"
 _MACHINE, _OF_MACHINE = "Machine: ", "(\\*)"
 
 
 _PAGE = """# Results of the benchmarks
 
-Written by `{command}` at commit {commit}. The ratio is the share of its bar that a row takes. Where
-the bar is a time or a size, marked (\\*), it is compared with the committed one on the same machine
-only; other bars were measured in the same run. A run fails if a ratio is {worse:g} times the
-committed one.
+Written by `make bench`, or by `python -m benchmarks NAME` for one. The ratio is the share of its
+bar that a row takes. Where the bar is a time or a size, marked (\\*), it is compared with the
+committed one on the same machine only; other bars were measured in the same run. A run fails if a
+ratio is {worse:g} times the committed one.
 """
 
 
@@ -58,14 +58,14 @@ class Row:
         """Whether the bar is kept."""
         return self.ratio <= 1.0
 
-    def line(self, benchmark: str) -> str:
+    def line(self, benchmark: str, commit: str = "") -> str:
         """Return the row of the table."""
         bar = f"{'>=' if self.at_least else '<='} {self.bar:.3g}"
         if self.of_machine:
             bar += f" {_OF_MACHINE}"
         holds = "yes" if self.holds else "**no**"
         cells = (benchmark, self.name, f"{self.measured:.3g}", bar, f"{self.ratio:.2f}", holds)
-        return f"| {' | '.join(cells)} | {self.beside} |"
+        return f"| {' | '.join(cells)} | {self.beside} | {commit} |"
 
 
 @dataclass(frozen=True)
@@ -74,11 +74,13 @@ class Committed:
 
     Attributes:
         machine: That it was measured on.
+        lines: Of its table, by benchmark.
         ratios: By benchmark and name of the row.
         of_machine: Which of them another machine does not have.
     """
 
     machine: str
+    lines: Mapping[str, Sequence[str]]
     ratios: Mapping[tuple[str, str], float]
     of_machine: frozenset[tuple[str, str]]
 
@@ -87,15 +89,20 @@ class Committed:
         """Return what a table says, nothing of an empty one.
 
         Examples:
-            >>> text = table({"walk": [Row("steps", 4.0, 8.0)]}, "slow", "python -m walk")
+            >>> text = table({"walk": [Row("steps", 4.0, 8.0).line("walk")]}, "slow")
             >>> Committed.of_text(text).ratios
             {('walk', 'steps'): 0.5}
         """
         lines = text.splitlines()
         found = [line.removeprefix(_MACHINE) for line in lines if line.startswith(_MACHINE)]
-        rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in _rows_of(lines)]
+        kept = _rows_of(lines)
+        rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in kept]
+        by_benchmark: dict[str, list[str]] = {}
+        for row, line in zip(rows, kept, strict=True):
+            by_benchmark.setdefault(row[0], []).append(line)
         return cls(
             found[0] if found else "",
+            by_benchmark,
             {(row[0], row[1]): float(row[4]) for row in rows},
             frozenset((row[0], row[1]) for row in rows if row[3].endswith(_OF_MACHINE)),
         )
@@ -121,11 +128,20 @@ def _rows_of(lines: Sequence[str]) -> Sequence[str]:
     return [line for line in lines[lines.index(_HEAD) + 2 :] if line.startswith("| ")]
 
 
-def table(rows: Mapping[str, Sequence[Row]], machine: str, command: str) -> str:
+def table(lines: Mapping[str, Sequence[str]], machine: str) -> str:
     """Return the page of all rows, by benchmark."""
-    lines = [row.line(benchmark) for benchmark, some in rows.items() for row in some]
-    page = _PAGE.format(command=command, commit=provenance()["commit"], worse=WORSE)
-    return "\n".join([page, _MACHINE + machine, "", _HEAD, "|---" * 7 + "|", *lines, ""])
+    rows = [line for some in lines.values() for line in some]
+    page = _PAGE.format(worse=WORSE)
+    return "\n".join([page, _MACHINE + machine, "", _HEAD, "|---" * 8 + "|", *rows, ""])
+
+
+def renew(rows: Mapping[str, Sequence[Row]], machine: str) -> None:
+    """Write these benchmarks' rows; those of others stay, if they are of the same machine."""
+    before = Committed.of_text(RESULTS.read_text() if RESULTS.exists() else "")
+    commit = provenance()["commit"] or ""
+    lines = {name: [row.line(name, commit) for row in some] for name, some in rows.items()}
+    kept = before.lines if before.machine == machine else {}
+    RESULTS.write_text(table({**kept, **lines}, machine))
 
 
 def this_machine() -> str:

@@ -3,7 +3,6 @@
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from core.errors import InvalidParameters
 from core.scans.scan import Scan
@@ -30,7 +29,8 @@ class Tilt:
         Of a vehicle whose front is down by 30 degrees, what is straight ahead is below it.
 
         >>> ahead = Scan.from_returns([[10.0, 0.0, 0.0]])
-        >>> Tilt(roll_deg=0.0, pitch_deg=30.0).level(ahead).points_m.round(2).tolist()
+        >>> levelled = Tilt(roll_deg=0.0, pitch_deg=30.0).level(ahead)
+        >>> levelled.points_m.astype(float).round(2).tolist()
         [[8.66, 0.0, -5.0]]
     """
 
@@ -66,6 +66,8 @@ class Tilt:
         Raises:
             TooFewReturns: If no return is left that is finite and away from the origin.
         """
+        from scipy.spatial.transform import Rotation  # few answers need it: decision 33
+
         angles_deg = (self.roll_deg, self.pitch_deg)
         rotation = Rotation.from_euler("xy", angles_deg, degrees=True)
         points_m = rotation.apply(scan.points_m.astype(np.float64))

@@ -17,7 +17,6 @@ from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from core.arrays import FloatArray
 from core.errors import InvalidPose
@@ -88,6 +87,8 @@ def write_kitti_drive(drive: Drive, path: Path, progress: Progress = NO_PROGRESS
 
 def _matrices(rows: FloatArray) -> FloatArray:
     """Return `(n, 3, 4)` matrices `[R | t]` of `(n, 7)` pose rows; NaN stays NaN."""
+    from scipy.spatial.transform import Rotation  # the service does without it: decision 33
+
     matrices = np.full((len(rows), 3, 4), np.nan)
     known = is_known(rows)
     matrices[known, :, :3] = Rotation.from_quat(rows[known, 3:]).as_matrix()

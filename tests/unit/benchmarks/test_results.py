@@ -5,7 +5,7 @@ import subprocess
 import pytest
 
 from benchmarks import results
-from benchmarks.results import Committed, Row, committed, show, table, this_machine
+from benchmarks.results import Committed, Row, committed, renew, show, table, this_machine
 
 SLOW, FAST = (
     Row("walk, s", 4.0, 8.0, "floor 1.00"),
@@ -15,8 +15,11 @@ HERE = Row("ready, s", 1.0, 2.0, of_machine=True)
 ROWS = {"legs": [SLOW, FAST], "start": [HERE]}
 
 
+LINES = {name: [row.line(name, "abc123") for row in rows] for name, rows in ROWS.items()}
+
+
 def before(machine: str = "this one") -> Committed:
-    return Committed.of_text(table(ROWS, machine, "make bench"))
+    return Committed.of_text(table(LINES, machine))
 
 
 def test_a_ratio_is_the_share_of_the_bar_that_is_taken():
@@ -37,9 +40,9 @@ def test_the_table_is_read_as_it_was_written():
 
 
 def test_the_table_shows_bars_beside_what_they_were_made_of():
-    lines = table(ROWS, "this one", "make bench").splitlines()
-    assert "| legs | walk, s | 4 | <= 8 | 0.50 | yes | floor 1.00 |" in lines
-    assert "| legs | runs a second | 200 | >= 300 | 1.50 | **no** |  |" in lines
+    lines = table(LINES, "this one").splitlines()
+    assert "| legs | walk, s | 4 | <= 8 | 0.50 | yes | floor 1.00 | abc123 |" in lines
+    assert "| legs | runs a second | 200 | >= 300 | 1.50 | **no** |  | abc123 |" in lines
 
 
 @pytest.mark.parametrize(("measured", "is_worse"), [(1.0, False), (5.1, False), (5.3, True)])
@@ -73,12 +76,23 @@ def test_as_many_bars_are_missed_as_do_not_hold(capsys):
 def test_the_committed_table_is_that_of_the_commit_not_of_the_folder(tmp_path, monkeypatch):
     monkeypatch.setattr(results, "RESULTS", tmp_path / "RESULTS.md")
     assert committed().ratios == {}
-    results.RESULTS.write_text(table(ROWS, "this one", "make bench"))
+    results.RESULTS.write_text(table(LINES, "this one"))
     identity = ("-c", "user.name=a", "-c", "user.email=a@b.c")
     for words in (["init", "-q"], ["add", "."], [*identity, "commit", "-qm", "results"]):
         subprocess.run(["git", "-C", str(tmp_path), *words], check=True)
     results.RESULTS.write_text("")
     assert committed().ratios[("legs", "walk, s")] == 0.5
+
+
+def test_rows_of_one_benchmark_are_renewed_and_others_stay(tmp_path, monkeypatch):
+    monkeypatch.setattr(results, "RESULTS", tmp_path / "RESULTS.md")
+    renew(ROWS, "this one")
+    renew({"start": [Row("ready, s", 1.5, 2.0, of_machine=True)]}, "this one")
+    ratios = Committed.of_text(results.RESULTS.read_text()).ratios
+    assert ratios[("legs", "walk, s")] == 0.5
+    assert ratios[("start", "ready, s")] == 0.75
+    renew({"start": [HERE]}, "another")
+    assert list(Committed.of_text(results.RESULTS.read_text()).lines) == ["start"]
 
 
 def test_the_machine_is_named_without_its_host_or_a_path():
