@@ -33,6 +33,7 @@ from app.http.streams import Streams
 from app.localization import among_routes
 from app.localization import routes as localizations
 from app.localization.among import AmongMaps
+from app.localization.place_indexes import PlaceIndexes
 from app.loop_closures import routes as loop_closures
 from app.maps import routes as maps
 from app.maps.collector import GarbageCollector
@@ -165,6 +166,8 @@ def _start(settings: Settings, metrics: Metrics, pools: Pools) -> Service:
     collector.start()
     scrub = Scrub(store, metrics, settings.scrub_days)
     scrub.start()
+    indexes = PlaceIndexes(store)
+    indexes.start()
     tracks = Tracks(
         settings.max_tracks,
         settings.track_idle_s,
@@ -178,7 +181,8 @@ def _start(settings: Settings, metrics: Metrics, pools: Pools) -> Service:
         settings=settings,
         store=store,
         revisions=revisions,
-        among=AmongMaps(store, revisions, settings.max_maps_opened),
+        among=AmongMaps(store, revisions, indexes, settings.max_maps_opened),
+        indexes=indexes,
         runner=runner,
         access=access,
         tracks=tracks,
@@ -197,6 +201,7 @@ def _stop(service: Service) -> None:
     service.runner.stop()
     service.collector.stop()
     service.scrub.stop()
+    service.indexes.stop()
     service.track_saver.stop()
     service.tracks.close()
     service.store.close()
