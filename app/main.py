@@ -18,8 +18,8 @@ from app.builds import job_routes
 from app.builds import routes as builds
 from app.builds.job_events import JobEvents
 from app.builds.runner import JobRunner
+from app.drives import pose_routes, upload_routes
 from app.drives import routes as drives
-from app.drives import upload_routes
 from app.http import health_routes
 from app.http.bodies.spool import SpoolRoom
 from app.http.bodies.unread import UnreadBody
@@ -33,6 +33,7 @@ from app.http.streams import Streams
 from app.localization import among_routes
 from app.localization import routes as localizations
 from app.localization.among import AmongMaps
+from app.localization.place_indexes import PlaceIndexes
 from app.loop_closures import routes as loop_closures
 from app.maps import routes as maps
 from app.maps.collector import GarbageCollector
@@ -60,6 +61,8 @@ _ROUTERS = (
     drives.scans,
     upload_routes.reading,
     upload_routes.writing,
+    pose_routes.reading,
+    pose_routes.writing,
     builds.router,
     job_routes.reading,
     job_routes.writing,
@@ -163,6 +166,8 @@ def _start(settings: Settings, metrics: Metrics, pools: Pools) -> Service:
     collector.start()
     scrub = Scrub(store, metrics, settings.scrub_days)
     scrub.start()
+    indexes = PlaceIndexes(store)
+    indexes.start()
     tracks = Tracks(
         settings.max_tracks,
         settings.track_idle_s,
@@ -176,7 +181,8 @@ def _start(settings: Settings, metrics: Metrics, pools: Pools) -> Service:
         settings=settings,
         store=store,
         revisions=revisions,
-        among=AmongMaps(store, revisions, settings.max_maps_opened),
+        among=AmongMaps(store, revisions, indexes, settings.max_maps_opened),
+        indexes=indexes,
         runner=runner,
         access=access,
         tracks=tracks,
@@ -195,6 +201,7 @@ def _stop(service: Service) -> None:
     service.runner.stop()
     service.collector.stop()
     service.scrub.stop()
+    service.indexes.stop()
     service.track_saver.stop()
     service.tracks.close()
     service.store.close()

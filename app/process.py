@@ -29,6 +29,8 @@ def one_blas_thread() -> None:
     same drive would get another digest on another machine.
     """
     threadpool_limits(limits=1)
+    # SciPy has a library of its own, which is loaded later, where it is first needed.
+    os.environ["OPENBLAS_NUM_THREADS"] = "1"
 
 
 def private_files() -> None:

@@ -14,6 +14,7 @@ from app.http.metrics import Metrics
 from app.http.pools import Pools
 from app.http.streams import Streams
 from app.localization.among import AmongMaps
+from app.localization.place_indexes import PlaceIndexes
 from app.maps.collector import GarbageCollector
 from app.revisions.loaded import LoadedRevisions
 from app.scrub import Scrub
@@ -33,6 +34,7 @@ class Service:
         store: Maps, drives, revisions and jobs.
         revisions: Those that answer queries.
         among: Searches all maps.
+        indexes: Of the places of maps with a shared basis.
         runner: Runs builds.
         access: Checks keys.
         tracks: Tracked vehicles.
@@ -50,6 +52,7 @@ class Service:
     store: Store
     revisions: LoadedRevisions
     among: AmongMaps
+    indexes: PlaceIndexes
     runner: JobRunner
     access: Access
     tracks: Tracks

@@ -4,13 +4,15 @@ import math
 from collections import Counter
 from typing import Annotated
 
+import numpy as np
 from fastapi import Query
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from app.http.exact_types import Number, integers
 from app.http.shown import Shown
 from core.errors import InvalidPose
-from core.scans.pose import Pose
+from core.scans.pose import Pose, is_known
+from storage.catalog import DriveRecord, ScanPoses
 
 _ORDER = "x,y,z,qx,qy,qz,qw: metres and a unit quaternion, sensor to world"
 
@@ -80,6 +82,47 @@ class PosesIn(BaseModel):
         }
         times = {i.scan: i.timestamp_s for i in self.poses if i.timestamp_s is not None}
         return poses, times
+
+
+class ScanPoseOut(BaseModel):
+    """Where and when one scan of a drive was taken."""
+
+    scan: int = Field(description="Its index in the drive.")
+    pose: list[float] | None = Field(description=f"{_ORDER}; null where unknown.")
+    timestamp_s: float | None = Field(description="Seconds; null where unknown.")
+
+
+class PosesOut(Shown):
+    """Where and when scans of a drive were taken."""
+
+    drive: str
+    scans: int = Field(description="Of the drive.")
+    scans_with_pose: int
+    poses_waiting: int = Field(description="Poses of scans that are not stored yet.")
+    poses: list[ScanPoseOut]
+    next_first: int | None = Field(description="`first` of the next scans; null at the end.")
+
+    @classmethod
+    def from_core(cls, drive: DriveRecord, found: ScanPoses, limit: int) -> "PosesOut":
+        """Show the first scans of those that were found; there may be one more."""
+        posed, timed = is_known(found.poses), np.isfinite(found.timestamps_s)
+        columns = (found.scans, posed, found.poses, timed, found.timestamps_s)
+        rows = zip(*(column[:limit].tolist() for column in columns), strict=True)
+        return cls.of(
+            drive,
+            drive=drive.slug,
+            scans_with_pose=drive.posed_scans,
+            poses_waiting=0 if drive.closed else drive.expected_poses,
+            poses=[
+                ScanPoseOut(
+                    scan=scan,
+                    pose=pose if has_pose else None,
+                    timestamp_s=timestamp_s if has_time else None,
+                )
+                for scan, has_pose, pose, has_time, timestamp_s in rows
+            ],
+            next_first=int(found.scans[limit]) if len(found) > limit else None,
+        )
 
 
 def pose_from_query(text: str | None) -> Pose | None:

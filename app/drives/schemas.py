@@ -146,6 +146,7 @@ class PresentOut(Shown):
     scans_without_returns: int = Field(
         description="Those whose returns were dropped after a build; they need not be sent again."
     )
+    scans_with_pose: int
     present: list[IndexRangeOut] = Field(description="The indices that are stored.")
     gaps: list[IndexRangeOut] = Field(description="The indices that are missing in between.")
 

@@ -1,4 +1,4 @@
-"""Uploads of a drive: many scans in one archive, the stored indices, and poses."""
+"""Uploads of a drive: many scans in one archive, and the stored indices."""
 
 from collections.abc import Iterator
 from contextlib import suppress
@@ -11,28 +11,25 @@ from starlette.requests import ClientDisconnect
 from app.access.api_router import api_router
 from app.access.scopes import Scope, needs
 from app.drives.many_scans import ScanUpload, is_index
-from app.drives.pose_files import CSV, POSE_TYPES, read_poses
-from app.drives.pose_schemas import PosesIn
-from app.drives.schemas import DriveOut, DriveWithPosesOut, PosesPutOut, PresentOut, UploadOut
+from app.drives.schemas import PresentOut, UploadOut
 from app.drives.time_order import listed, member_time_s
 from app.http import errors
-from app.http.bodies.bodies import AsItComes, Body, ContentType, described_body, required_type
+from app.http.bodies.bodies import AsItComes, ContentType, described_body, required_type
 from app.http.bodies.incoming import Incoming
-from app.http.bodies.json_body import read_json
 from app.http.bodies.spool import Spool
 from app.http.context import context_of
 from app.http.pooled_route import run_heavy
 from app.http.problems import problems
 from app.service import DriveSlug, MapSlug, Running
-from core.errors import InvalidPose, TensorMapError
-from storage.errors import DriveNotFound, InvalidSlug, MapNotFound, PosesDoNotFit, ScanNotFound
+from core.errors import TensorMapError
+from storage.errors import DriveNotFound, InvalidSlug, MapNotFound
 from storage.formats.errors import UnknownFormat
 from storage.formats.scans.registry import FORMAT_NAMES, media_type_of
 
 reading = api_router(tags=["drives"], dependencies=(needs(Scope.MAPS_READ, Scope.MAPS_WRITE),))
 writing = api_router(tags=["drives"], dependencies=(needs(Scope.MAPS_WRITE),))
 
-_TAR, _JSON = "application/x-tar", "application/json"
+_TAR = "application/x-tar"
 _BATCH_BYTES = 4 * 2**20
 _TYPES = (_TAR, "application/tar", "application/octet-stream", "")
 
@@ -45,17 +42,6 @@ FormatName = Annotated[
         json_schema_extra={"enum": list(FORMAT_NAMES)},  # any other is an unknown format
     ),
 ]
-First = Annotated[
-    int,
-    Query(ge=0, lt=2**52, description="The scan of the first line, of KITTI's and TUM's files."),
-]
-Partial = Annotated[
-    bool | None,
-    Query(
-        description="Set a file's poses even if their number, or scans that would lose theirs, show"
-        " that they are not those of all scans."
-    ),
-]
 
 
 @reading.get(
@@ -65,7 +51,12 @@ Partial = Annotated[
 def list_scans(map_slug: MapSlug, drive_slug: DriveSlug, running: Running) -> PresentOut:
     """Return which scans are stored, as ranges: an upload continues with the others."""
     record = running.store.drives.get(map_slug, drive_slug)
-    return PresentOut.of(record, drive=record.slug, scans_without_returns=record.dropped_scans)
+    return PresentOut.of(
+        record,
+        drive=record.slug,
+        scans_without_returns=record.dropped_scans,
+        scans_with_pose=record.posed_scans,
+    )
 
 
 @writing.post(
@@ -131,52 +122,6 @@ async def post_scans(
                 body.rewind()
             await _store(request, upload, body, spool)
     return await run_heavy(request, upload.finish, begun=True)
-
-
-@writing.put(
-    "/maps/{map}/drives/{drive}/poses",
-    openapi_extra=described_body(POSE_TYPES, PosesIn),
-    responses=problems(
-        MapNotFound,
-        DriveNotFound,
-        InvalidSlug,
-        ScanNotFound,
-        PosesDoNotFit,
-        InvalidPose,
-        *errors.JSON_BODY,
-        *errors.WRITING,
-    ),
-)
-def put_poses(
-    map_slug: MapSlug,
-    drive_slug: DriveSlug,
-    body: Body,
-    running: Running,
-    content_type: ContentType = None,
-    first: First = 0,
-    partial: Partial = None,
-) -> DriveWithPosesOut:
-    """Set poses and timestamps of scans, all or none; those of a file also for future scans.
-
-    JSON sets those of stored scans only. A file also sets what a scan that is stored later does not
-    have itself. A file whose lines count scans is rejected if it has fewer than the drive has
-    scans, or if it has more and would replace other poses: it is another drive's, or cut off.
-    """
-    kind = required_type(content_type, _JSON, *POSE_TYPES)
-    drives = running.store.drives
-    if kind in POSE_TYPES:
-        put = drives.expect_poses(
-            map_slug,
-            drive_slug,
-            read_poses(body, kind, first),
-            consecutive=kind != CSV,
-            partial=bool(partial),
-        )
-    else:
-        poses, timestamps_s = read_json(body, PosesIn).to_core()
-        put = drives.put_poses(map_slug, drive_slug, poses, timestamps_s)
-    drive = DriveOut.from_record(drives.get(map_slug, drive_slug))
-    return DriveWithPosesOut(**dict(drive), poses=PosesPutOut.of(put))
 
 
 def _again(body: Incoming, spool: Spool) -> Iterator[bytes]:

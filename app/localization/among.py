@@ -1,7 +1,7 @@
 """Where among all maps: which maps a query searches, and the answer of these."""
 
 import logging
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from enum import StrEnum
@@ -9,7 +9,9 @@ from enum import StrEnum
 from app.access.caller import Caller
 from app.http.client import require_client
 from app.http.errors import TooManyMaps
+from app.localization.place_indexes import FEWEST_MAPS, PlaceIndexes
 from app.revisions.loaded import LoadedRevisions
+from core.encodings.basis import Basis
 from core.encodings.signature import REVISION_PREFIX_BYTES, Signature
 from core.errors import StaleSignature
 from core.localization.among_maps import LocalizationAmong, SearchedMap, localize_among
@@ -20,6 +22,8 @@ from storage.catalog import LiveMap
 from storage.errors import CorruptFile, MapNotFound, NoLiveRevision
 from storage.store import Store
 
+_LIKELY = 3  # maps of an index that are opened
+
 _log = logging.getLogger("tensormap.localization")
 
 
@@ -28,6 +32,7 @@ class Reason(StrEnum):
 
     NO_LIVE_REVISION = "no_live_revision"
     OTHER_BASIS = "other_basis"
+    NOT_INDEXED = "not_indexed"
     DAMAGED = "damaged"
 
 
@@ -46,18 +51,34 @@ class Among:
     not_searched: tuple[tuple[str, Reason], ...]
 
 
+@dataclass(frozen=True)
+class _Chosen:
+    """The maps to open, and those that are not indexed yet."""
+
+    to_open: Sequence[LiveMap]
+    not_indexed: Mapping[str, Reason]
+
+
 class AmongMaps:
     """Searches all maps that a caller may see.
 
     Args:
         store: With the maps.
         revisions: Opened ones.
+        indexes: Of shared bases.
         most_opened: How many maps one query may open.
     """
 
-    def __init__(self, store: Store, revisions: LoadedRevisions, most_opened: int) -> None:
+    def __init__(
+        self,
+        store: Store,
+        revisions: LoadedRevisions,
+        indexes: PlaceIndexes,
+        most_opened: int,
+    ) -> None:
         self._store = store
         self._revisions = revisions
+        self._indexes = indexes
         self._most_opened = most_opened
 
     def signature(
@@ -86,14 +107,17 @@ class AmongMaps:
             raise StaleSignature(
                 f"no live revision of a map that this key may see has basis {named[:64]!r}"
             )
-        self._require_few(with_basis)
-        damaged: set[str] = set()
+        chosen = self._chosen(with_basis, lambda _: signatures)
+        left_out = dict(chosen.not_indexed)
         searched = []
-        for slug, localizer in self._opened(with_basis, damaged):
+        for slug, localizer in self._opened(chosen.to_open, left_out):
             with suppress(StaleSignature):  # another revision became live meanwhile
                 search = localizer.search(signatures)
                 searched.append(SearchedMap(slug, localizer.map, search))
-        return _answer(searched, k, min_probability, maps, with_basis, damaged)
+        for one in maps:
+            if one.map_id not in having:
+                left_out[one.slug] = _without_basis(one)
+        return _answer(searched, k, min_probability, maps, left_out)
 
     def scan(
         self,
@@ -120,46 +144,89 @@ class AmongMaps:
         """
         maps = self._visible(caller)
         live = [one for one in maps if one.revision is not None]
-        self._require_few(live)
         images: dict[Imager, Image] = {}
-        damaged: set[str] = set()
-        searched = []
-        for slug, localizer in self._opened(live, damaged):
-            imager = localizer.map.parameters.imager
+
+        def image_of(basis: Basis) -> Image:
+            imager = basis.parameters.imager
             if imager not in images:
                 scan = read(imager.sensor_height_m)
-                images[imager] = localizer.basis.image(scan, sensor_height_m)
-            image = images[imager]
+                images[imager] = basis.image(scan, sensor_height_m)
+            return images[imager]
+
+        chosen = self._chosen(live, lambda basis: basis.encode(image_of(basis)))
+        left_out = dict(chosen.not_indexed)
+        searched = []
+        for slug, localizer in self._opened(chosen.to_open, left_out):
+            image = image_of(localizer.basis)
             search = localizer.search_image(image)
             searched.append(SearchedMap(slug, localizer.map, search, image.occupied_cells))
-        return _answer(searched, k, min_probability, maps, live, damaged)
+        for one in maps:
+            if one.revision is None:
+                left_out[one.slug] = Reason.NO_LIVE_REVISION
+        return _answer(searched, k, min_probability, maps, left_out)
 
-    def _visible(self, caller: Caller) -> list[LiveMap]:
-        maps = [one for one in self._store.catalog.live_maps.all() if caller.sees(one.slug)]
+    def _visible(self, caller: Caller) -> Sequence[LiveMap]:
+        maps = self._store.catalog.live_maps.all(caller.maps)
         if not maps:
             raise MapNotFound("there is no map that this key may see")
         if all(one.revision is None for one in maps):
             raise NoLiveRevision("none of the maps that this key may see has a revision yet")
         return maps
 
-    def _require_few(self, maps: Sequence[LiveMap]) -> None:
-        if len(maps) > self._most_opened:
+    def _chosen(
+        self,
+        maps: Sequence[LiveMap],
+        signatures_of: Callable[[Basis], Sequence[Signature]],
+    ) -> _Chosen:
+        """Return which of some maps are opened: the most likely of each index, and all others.
+
+        Raises:
+            TooManyMaps: If there are too many of these.
+        """
+        of_bases: dict[str | None, list[LiveMap]] = {}
+        for one in maps:
+            of_bases.setdefault(one.basis, []).append(one)
+        alone = of_bases.pop(None, [])
+        waiting: list[LiveMap] = []
+        likely: list[LiveMap] = []
+        for basis, having in of_bases.items():
+            if basis is None or len(having) < FEWEST_MAPS:
+                alone += having
+                continue
+            index = self._indexes.open(basis)
+            indexed = [] if index is None else [one for one in having if index.has(one)]
+            if len(indexed) < len(having):
+                self._indexes.wake(basis)
+                known = {one.map_id for one in indexed}
+                waiting += [one for one in having if one.map_id not in known]
+            if index is None or not indexed:
+                continue
+            [signature] = signatures_of(index.basis)
+            by_id = {one.map_id: one for one in indexed}
+            found = index.nearest_maps(indexed, signature)
+            likely += [by_id[map_id] for map_id in found[:_LIKELY]]
+        if len(alone) + len(likely) > self._most_opened:
             raise TooManyMaps(
-                f"{len(maps)} maps would have to be opened, at most {self._most_opened} may be:"
-                " name a map, or build the maps with one shared basis"
+                f"{len(alone) + len(likely)} maps would have to be opened, at most"
+                f" {self._most_opened} may be: name a map, or build the maps with one shared basis"
             )
+        room = self._most_opened - len(alone) - len(likely)
+        return _Chosen(
+            [*likely, *alone, *waiting[:room]],
+            {one.slug: Reason.NOT_INDEXED for one in waiting[room:]},
+        )
 
     def _opened(
-        self, maps: Iterable[LiveMap], damaged: set[str]
+        self, maps: Iterable[LiveMap], left_out: dict[str, Reason]
     ) -> Iterator[tuple[str, Localizer]]:
-        """Yield the live revisions of maps; add the names of those that cannot be read."""
+        """Yield the live revisions of maps; add those that cannot be read to `left_out`."""
         for one in maps:
             require_client()
             try:
                 yield one.slug, self._revisions.live(one.slug).localizer
             except CorruptFile:
                 _log.exception("map %s cannot be searched", one.slug)
-                damaged.add(one.slug)
+                left_out[one.slug] = Reason.DAMAGED
             except (MapNotFound, NoLiveRevision):  # deleted meanwhile
                 pass
 
@@ -169,24 +236,13 @@ def _answer(
     k: int,
     min_probability: float | None,
     maps: Sequence[LiveMap],
-    chosen: Sequence[LiveMap],
-    damaged: set[str],
+    left_out: dict[str, Reason],
 ) -> Among:
     if not searched:
-        raise CorruptFile(
-            f"none of {len(chosen)} maps could be searched, {len(damaged)} cannot be read"
-        )
-    slugs = {one.slug for one in chosen}
-    left_out = [
-        (one.slug, _reason(one, damaged))
-        for one in maps
-        if one.slug in damaged or one.slug not in slugs
-    ]
+        raise CorruptFile(f"none of {len(maps)} maps could be searched")
     found = localize_among(searched, k, min_probability=min_probability)
-    return Among(found, len(slugs - damaged), tuple(left_out))
+    return Among(found, len(maps) - len(left_out), tuple(sorted(left_out.items())))
 
 
-def _reason(one: LiveMap, damaged: set[str]) -> Reason:
-    if one.revision is None:
-        return Reason.NO_LIVE_REVISION
-    return Reason.DAMAGED if one.slug in damaged else Reason.OTHER_BASIS
+def _without_basis(one: LiveMap) -> Reason:
+    return Reason.NO_LIVE_REVISION if one.revision is None else Reason.OTHER_BASIS

@@ -21,6 +21,7 @@ from core.projection.reducer import Reducer
 from core.scans.trajectory import Trajectory
 
 if TYPE_CHECKING:
+    from core.encodings.harmonic.place_index import PlaceIndex
     from core.parameters import MapParameters
 
 PAPER_RANKS = (5, 5)
@@ -193,6 +194,10 @@ class Encoding(ABC):
             InvalidParameters: If this encoding does not fit its basis to such sums.
         """
         raise InvalidParameters(f"a basis of the {self.name} encoding is fitted to no sums")
+
+    def place_index(self) -> "type[PlaceIndex] | None":
+        """Return how places of many maps of one basis are indexed, `None` if they are not."""
+        return None
 
     def explaining_grams(self, images: Float32Array) -> tuple[FloatArray, ...]:
         """Return `(n, I, J)` images' Gram matrix for each mode that a segment's model has.

@@ -1,5 +1,7 @@
 """One query in several maps: the best match in any of them, and the runner-up away from it.
 
+Among more places a wrong one is nearer by chance, and so is the runner-up: a probability that takes
+its ratio from all maps falls as their number grows (docs/decisions/0035-where-among-all-maps.md).
 Frames of different maps are not compared: a match in another map is away from the best one, also
 where the maps overlap.
 """
@@ -82,7 +84,6 @@ def localize_among(
     searched: Sequence[SearchedMap],
     k: int = 1,
     *,
-    places: int | None = None,
     min_probability: float | None = None,
 ) -> LocalizationAmong:
     """Return the best match of a query in several maps.
@@ -93,8 +94,6 @@ def localize_among(
     Args:
         searched: At least one map.
         k: Number of matches.
-        places: How many scans could have been the best match: also those of maps that a prefilter
-            left out. By default those of `searched`.
         min_probability: Least probability to accept; the map's threshold by default.
 
     Raises:
@@ -123,12 +122,11 @@ def localize_among(
     ratio = None
     if second is not None:
         ratio = _ratio(best, of_best, searched[second[1]], second[2], alike=alike)
-    scans = sum(len(one.tensor_map) for one in searched) if places is None else places
     decision = decide(
         best.tensor_map.calibration_of(best.search),
         float(of_best.matches.distances[0]),
         ratio,
-        share=max(of_best.share, scans / len(best.tensor_map)),
+        share=of_best.share,
         evidence=of_best.evidence,
         min_probability=min_probability,
         occupied_cells=best.occupied_cells,

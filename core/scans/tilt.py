@@ -29,7 +29,8 @@ class Tilt:
         Of a vehicle whose front is down by 30 degrees, what is straight ahead is below it.
 
         >>> ahead = Scan.from_returns([[10.0, 0.0, 0.0]])
-        >>> Tilt(roll_deg=0.0, pitch_deg=30.0).level(ahead).points_m.round(2).tolist()
+        >>> levelled = Tilt(roll_deg=0.0, pitch_deg=30.0).level(ahead)
+        >>> levelled.points_m.astype(float).round(2).tolist()
         [[8.66, 0.0, -5.0]]
     """
 

@@ -1,7 +1,7 @@
 """Poses and times of many scans as arrays, and their rows in the catalog."""
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -63,29 +63,46 @@ def at_indices(
 
 def stored_poses(session: Session, drive_id: str, scans: IntArray) -> ScanPoses:
     """Return poses and times of those of these scans that are stored, in ascending order."""
-    found = [ScanPoses(np.empty(0, np.int64), np.empty((0, 7)), np.empty(0))]
-    for clause in at_indices(Scan.index, scans.tolist()):
-        query = (
-            select(Scan.index, Scan.pose, Scan.timestamp_s)
-            .where(Scan.drive_id == drive_id, clause)
-            .order_by(Scan.index)
-            .execution_options(yield_per=_ROWS_AT_ONCE)
+    parts = [
+        part
+        for at in at_indices(Scan.index, scans.tolist())
+        for part in _read(session, drive_id, at)
+    ]
+    selected = _joined(parts)
+    return selected.only(np.isin(selected.scans, scans))
+
+
+def poses_from(session: Session, drive_id: str, first: int, limit: int) -> ScanPoses:
+    """Return poses and times of the first stored scans from an index on, in ascending order."""
+    return _joined(_read(session, drive_id, Scan.index >= first, limit))
+
+
+def _read(
+    session: Session, drive_id: str, which: ColumnElement[bool], limit: int | None = None
+) -> Iterator[ScanPoses]:
+    query = (
+        select(Scan.index, Scan.pose, Scan.timestamp_s)
+        .where(Scan.drive_id == drive_id, which)
+        .order_by(Scan.index)
+        .limit(limit)
+        .execution_options(yield_per=_ROWS_AT_ONCE)
+    )
+    for rows in session.execute(query).partitions():
+        indices, poses, timestamps_s = zip(*rows, strict=True)
+        yield ScanPoses(
+            np.array(indices, dtype=np.int64),
+            np.array([pose or UNKNOWN_POSE for pose in poses], dtype=np.float64),
+            np.array(timestamps_s, dtype=np.float64),  # None becomes NaN
         )
-        for rows in session.execute(query).partitions():
-            indices, poses, timestamps_s = zip(*rows, strict=True)
-            found.append(
-                ScanPoses(
-                    np.array(indices, dtype=np.int64),
-                    np.array([pose or UNKNOWN_POSE for pose in poses], dtype=np.float64),
-                    np.array(timestamps_s, dtype=np.float64),  # None becomes NaN
-                )
-            )
-    selected = ScanPoses(
+
+
+def _joined(parts: Iterable[ScanPoses]) -> ScanPoses:
+    found = [ScanPoses(np.empty(0, np.int64), np.empty((0, 7)), np.empty(0)), *parts]
+    return ScanPoses(
         np.concatenate([part.scans for part in found]),
         np.concatenate([part.poses for part in found]),
         np.concatenate([part.timestamps_s for part in found]),
     )
-    return selected.only(np.isin(selected.scans, scans))
 
 
 def update_poses(session: Session, drive_id: str, before: ScanPoses, after: ScanPoses) -> None:

@@ -17,7 +17,14 @@ from storage.catalog.expected_poses import expect, forget, require_fit, with_exp
 from storage.catalog.maps import map_named
 from storage.catalog.models import Drive, Map, Scan
 from storage.catalog.records import BYTES_PER_RETURN, PosesPut, ScanRecord
-from storage.catalog.scan_poses import ScanPoses, at_indices, poses_put, stored_poses, update_poses
+from storage.catalog.scan_poses import (
+    ScanPoses,
+    at_indices,
+    poses_from,
+    poses_put,
+    stored_poses,
+    update_poses,
+)
 from storage.errors import ScanNotFound, StorageBusy
 from storage.names import checked_slug, new_id
 
@@ -124,6 +131,11 @@ class Scans(Repository):
         query = select(Scan).where(Scan.drive_id == drive_id).order_by(Scan.index)
         with self._database.reading() as session:
             return [_record(row) for row in session.scalars(query)]
+
+    def poses(self, drive_id: str, first: int, limit: int) -> ScanPoses:
+        """Return poses and times of the first scans of a drive from an index on."""
+        with self._database.reading() as session:
+            return poses_from(session, drive_id, first, limit)
 
     def set_poses(
         self,

@@ -54,6 +54,7 @@ class Drives:
         self.slugs = catalog.drives.slugs
         self.put = catalog.drives.put
         self.of_map = catalog.drives.of_map
+        self.poses = catalog.scans.poses
 
     @property
     def stored_scans(self) -> int:

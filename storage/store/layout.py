@@ -8,6 +8,7 @@ maps/<map id>/drives/<drive id>/chunks/*.h5    raw scans
 maps/<map id>/drives/<drive id>/images/        what builds cache
 maps/<map id>/revisions/<digest>.<id>.h5
 bases/<digest>.<id>.h5                         shared bases
+index/<basis>/...                              indexes of places, made of the revisions
 orphans/<day>/maps/...                         files that no row names, found at a start
 damaged/<day>/maps/...                         damaged files, found by a repair
 """
@@ -26,6 +27,7 @@ class Layout:
         store_id: The file with the id that this directory shares with its catalog.
         maps: The folder with one folder per map.
         bases: The folder of the files of shared bases.
+        index: The folder of indexes of places, which are made again if they are missing.
         orphans: The folder of files that no row names, under their former paths.
         damaged: The folder of damaged files that a repair moved, under their former paths.
     """
@@ -38,6 +40,7 @@ class Layout:
         self.store_id = data_dir / "store-id"
         self.maps = data_dir / "maps"
         self.bases = data_dir / "bases"
+        self.index = data_dir / "index"
         self.orphans = data_dir / "orphans"
         self.damaged = data_dir / "damaged"
 

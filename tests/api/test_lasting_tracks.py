@@ -27,7 +27,7 @@ def harmonic(tmp_path_factory):
     with running(data_dir) as client:
         client.post("/v1/maps", json={"map": "campus"})
         upload(client, "monday", recording())
-        build(client, segments=3, encoding="harmonic")
+        build(client, segments=3, encoding="harmonic", views="full")
         basis = BasisOut.model_validate(client.get(f"{MAP}/basis").json()).to_core()
     scans = recording(noise_seed=7).scans
     return data_dir, [pack_signatures(basis.encode(basis.image(scan))) for scan in scans]
@@ -225,7 +225,7 @@ def test_a_track_of_a_revision_that_is_gone_ends_with_its_name(service, drive, h
     with service() as client:
         track = new_track(client)
         revision = drive(client, track, [3])[0]["revision"]
-        build(client, segments=2, encoding="harmonic", make_live=True)
+        build(client, segments=2, encoding="harmonic", views="full", make_live=True)
         assert client.delete(f"{MAP}/revisions/{revision}").status_code == 204
         drive(client, track, [4])  # it is in memory
     with service() as client:

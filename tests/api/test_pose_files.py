@@ -223,3 +223,34 @@ def test_poses_for_a_map_that_is_not_there_are_refused(empty):
         headers={"Content-Type": TUM},
     )
     assert problem_of(refused) == (404, "map-not-found")
+
+
+def test_poses_and_times_are_read_back_and_can_be_put_back(posed):
+    upload_scan(posed, "campus", "monday", 7, SCANS[3], params={"timestamp_s": 0.7})
+    put(posed, "scan,x,y,z,qx,qy,qz,qw\n9,1,2,3,0,0,0,1\n", CSV)
+    found = posed.get(f"{DRIVE}/poses").json()
+    counts = {name: found[name] for name in ("scans", "scans_with_pose", "poses_waiting")}
+    assert counts == {"scans": 4, "scans_with_pose": 3, "poses_waiting": 1}
+    assert [item["scan"] for item in found["poses"]] == [0, 1, 2, 7]
+    assert found["poses"][2] == {"scan": 2, "pose": [2, 0, 0, 0, 0, 0, 1], "timestamp_s": None}
+    assert found["poses"][3] == {"scan": 7, "pose": None, "timestamp_s": 0.7}
+    before = records(posed)
+    put(posed, "1 0 0 0 0 0 0 1\n" * 3, TUM, partial="true")
+    answer = posed.put(f"{DRIVE}/poses", json={"poses": found["poses"]})
+    assert answer.json()["poses"]["set"] == 3
+    assert [record.pose for record in records(posed)] == [record.pose for record in before]
+
+
+def test_poses_are_read_in_parts(posed):
+    found = posed.get(f"{DRIVE}/poses", params={"limit": 2}).json()
+    assert ([item["scan"] for item in found["poses"]], found["next_first"]) == ([0, 1], 2)
+    found = posed.get(f"{DRIVE}/poses", params={"limit": 2, "first": 2}).json()
+    assert ([item["scan"] for item in found["poses"]], found["next_first"]) == ([2], None)
+    assert problem_of(posed.get(f"{DRIVE}x/poses")) == (404, "drive-not-found")
+
+
+def test_lists_count_the_scans_with_a_pose(posed):
+    upload_scan(posed, "campus", "monday", 7, SCANS[3])
+    [drive] = posed.get("/v1/maps/campus/drives").json()["items"]
+    assert (drive["scans"], drive["scans_with_pose"]) == (4, 3)
+    assert posed.get(f"{DRIVE}/scans").json()["scans_with_pose"] == 3

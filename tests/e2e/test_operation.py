@@ -76,7 +76,7 @@ def test_the_service_stops_with_requests_answered_and_its_build_queued(tmp_path,
 
         server.client.post("/v1/maps", json={"map": "campus"})
         upload(server.client, "monday", recording(scans=40))
-        sent = {"encoding": "harmonic", "segments": 2}
+        sent = {"encoding": "harmonic", "segments": 2, "views": "full"}
         job = server.client.post("/v1/maps/campus/builds", json=sent).json()["job"]
         wait_for(server.client, job, {"running", "done"})
         children = server.children()

@@ -22,7 +22,7 @@ def server(tmp_path_factory):
     with serving(folder / "data", folder / "log") as server:
         server.client.post("/v1/maps", json={"map": "campus"})
         upload(server.client, "monday", recording())
-        body = {"segments": 2, "encoding": "harmonic"}
+        body = {"segments": 2, "encoding": "harmonic", "views": "full"}
         job = server.client.post("/v1/maps/campus/builds", json=body).json()["job"]
         assert wait_for(server.client, job)["state"] == "done"
         yield server

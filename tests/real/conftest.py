@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.support.locks import one_at_a_time
 from tests.support.recorded_drives import Drives
 
 
@@ -22,13 +23,16 @@ def data_folder() -> Path:
 
 
 @pytest.fixture(scope="session")
-def drives_folder(data_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def drives_folder(data_folder: Path, shared: Path) -> Path:
     """A folder of drives in the KITTI odometry layout; packed ones are unpacked."""
     unpack = data_folder / "unpack.py"
     if not unpack.is_file():
         return data_folder
-    folder = tmp_path_factory.mktemp("drives")
-    subprocess.run([sys.executable, unpack, folder], check=True, stdout=subprocess.DEVNULL)
+    folder, unpacked = shared / "drives", shared / "drives.unpacked"
+    with one_at_a_time(shared / "drives.lock"):
+        if not unpacked.exists():
+            subprocess.run([sys.executable, unpack, folder], check=True, stdout=subprocess.DEVNULL)
+            unpacked.touch()
     return folder
 
 

@@ -22,6 +22,9 @@ DRIVEN, TURNED, LEFT, RIGHT, NOISY = CONDITIONS = (
 )
 
 
+one_worker = pytest.mark.xdist_group("scan_context")
+
+
 @pytest.fixture(scope="module")
 def scan_context(drives: Drives) -> dict[Condition, MethodUnderCondition]:
     protocol = ComparisonProtocol(HeldOut(Every(2)), conditions=CONDITIONS)
@@ -30,6 +33,7 @@ def scan_context(drives: Drives) -> dict[Condition, MethodUnderCondition]:
     return {row.condition: row for row in method.conditions}
 
 
+@one_worker
 @pytest.mark.parametrize(
     ("condition", "recall"),
     [(DRIVEN, 1.00), (TURNED, 1.00), (LEFT, 0.21), (RIGHT, 0.35), (NOISY, 0.97)],
@@ -44,6 +48,7 @@ def test_scan_context_is_as_good_as_it_was_measured(
     assert row.recall_at_1[3.0] == pytest.approx(recall, abs=0.02)
 
 
+@one_worker
 def test_scan_context_finds_the_relative_yaw_to_half_a_sector(
     scan_context: dict[Condition, MethodUnderCondition],
 ) -> None:

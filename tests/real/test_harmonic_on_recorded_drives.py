@@ -31,6 +31,9 @@ NOISY = conditions((0,), (0,), (0.5, 1.0))
 DEFAULT = MapParameters.for_sensor(encoding="harmonic")
 
 
+one_worker = pytest.mark.xdist_group("found")
+
+
 @pytest.fixture(scope="module")
 def found(drives: Drives) -> dict[Condition, ConditionResult]:
     """One setting, the default, for every row."""
@@ -39,6 +42,7 @@ def found(drives: Drives) -> dict[Condition, ConditionResult]:
     return {row.condition: row for row in result.conditions}
 
 
+@one_worker
 @pytest.mark.parametrize("condition", [*TURNED, *BESIDE, *NOISY], ids=str)
 def test_a_place_is_recalled_whatever_the_heading_lane_and_noise(
     found: dict[Condition, ConditionResult], condition: Condition
@@ -52,6 +56,7 @@ def test_a_place_is_recalled_whatever_the_heading_lane_and_noise(
     assert row.heading_error_deg_median <= 2.0
 
 
+@one_worker
 @pytest.mark.parametrize("condition", BESIDE, ids=str)
 def test_the_answer_contains_the_lateral_offset_of_the_vehicle(
     found: dict[Condition, ConditionResult], condition: Condition

@@ -12,7 +12,7 @@ from core.evaluation.study_drive import StudyProtocol, study_drive
 from core.parameters import MapParameters
 from tests.support.recorded_drives import Drives
 
-pytestmark = pytest.mark.real_data
+pytestmark = [pytest.mark.real_data, pytest.mark.xdist_group("study")]
 
 FEW = {
     "r1": (2, 5, 8),

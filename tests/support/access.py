@@ -24,6 +24,7 @@ OPENED_BY = {
     "POST /v1/maps/{map}/drives/{drive}/scans": {WRITE},
     "GET /v1/maps/{map}/drives/{drive}/scans/{index}": {READ},
     "PUT /v1/maps/{map}/drives/{drive}/scans/{index}": {WRITE},
+    "GET /v1/maps/{map}/drives/{drive}/poses": {READ},
     "PUT /v1/maps/{map}/drives/{drive}/poses": {WRITE},
     "POST /v1/maps/{map}/builds": {WRITE},
     "GET /v1/jobs": {READ, WRITE},

@@ -94,7 +94,6 @@ def test_it_localizes_as_before_and_ends_the_builds_that_were_interrupted(answer
         require_answers(client, recorded)
         for job in ("interrupted", "waiting"):
             assert wait_for(client, recorded[job])["state"] == "done"
-        require_answers(client, recorded)
 
 
 def test_its_backup_is_restored_and_answers(answered):

@@ -17,6 +17,7 @@ from core.encodings.grams import detail_gram, drive_gram, fit_radial_basis
 from core.encodings.harmonic.basis import HarmonicBasis
 from core.encodings.harmonic.model import HarmonicModel
 from core.encodings.harmonic.packing import LAYOUTS, pack, unpack
+from core.encodings.harmonic.place_index import PlaceIndex
 from core.encodings.harmonics import (
     encode,
     energy,
@@ -161,6 +162,10 @@ class HarmonicEncoding(Encoding):
             np.concatenate(small) if small else None,
         )
         return model, errors
+
+    def place_index(self) -> type[PlaceIndex]:
+        """Return the index of phase-free codes."""
+        return PlaceIndex
 
     def basis_of_grams(
         self, grams: Mapping[str, FloatArray], parameters: "MapParameters"

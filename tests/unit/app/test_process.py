@@ -71,3 +71,23 @@ def test_objects_from_before_the_start_are_left_out_of_garbage_collections() -> 
     finally:
         gc.set_threshold(*before)
         gc.unfreeze()
+
+
+def test_blas_has_one_thread_also_in_a_library_that_is_loaded_later():
+    program = """
+from app.process import one_blas_thread
+one_blas_thread()
+import numpy, scipy.linalg, threadpoolctl
+print({found["num_threads"] for found in threadpoolctl.threadpool_info()})
+"""
+    environment = {k: v for k, v in os.environ.items() if not k.endswith("_NUM_THREADS")}
+    done = subprocess.run(
+        [sys.executable, "-c", program],
+        cwd=ROOT,
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=True,
+    )
+    assert done.stdout.strip() == "{1}"

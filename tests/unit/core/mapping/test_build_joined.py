@@ -14,6 +14,7 @@ from core.localization.localizer import Localizer
 from core.mapping.build import fit_map
 from core.mapping.tensormap import TensorMap
 from core.parameters import MapParameters, Segmentation
+from core.projection.imager import Views
 from core.projection.images import MemoryImages
 from core.scans.trajectory import Trajectory
 from core.segmentation.fixed import cut_drives
@@ -148,7 +149,8 @@ def rounds():
 
 @pytest.mark.parametrize("segmentation", Segmentation)
 def test_a_drive_that_closes_a_loop_joins_its_own_graph(rounds, segmentation):
-    built = build_drives([rounds], BuildParameters(segment_length=30, segmentation=segmentation))
+    parameters = BuildParameters(segment_length=30, segmentation=segmentation, views=Views.FULL)
+    built = build_drives([rounds], parameters)
     graph = built.tensor_map.topology
     assert built.tensor_map.parameters.segmentation == segmentation
     assert graph.edges < len(graph.edge_of_segment)

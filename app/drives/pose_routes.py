@@ -1,0 +1,105 @@
+"""Poses and times of a drive's scans."""
+
+from typing import Annotated
+
+from fastapi import Query
+
+from app.access.api_router import api_router
+from app.access.scopes import Scope, needs
+from app.drives.pose_files import CSV, POSE_TYPES, read_poses
+from app.drives.pose_schemas import PosesIn, PosesOut
+from app.drives.schemas import DriveOut, DriveWithPosesOut, PosesPutOut
+from app.http import errors
+from app.http.bodies.bodies import Body, ContentType, described_body, required_type
+from app.http.bodies.json_body import read_json
+from app.http.pooled_route import heavy
+from app.http.problems import problems
+from app.service import DriveSlug, MapSlug, Running
+from core.errors import InvalidPose
+from storage.errors import DriveNotFound, InvalidSlug, MapNotFound, PosesDoNotFit, ScanNotFound
+
+reading = api_router(tags=["drives"], dependencies=(needs(Scope.MAPS_READ),))
+writing = api_router(tags=["drives"], dependencies=(needs(Scope.MAPS_WRITE),))
+
+_JSON = "application/json"
+
+First = Annotated[
+    int,
+    Query(ge=0, lt=2**52, description="The scan of the first line, of KITTI's and TUM's files."),
+]
+FirstShown = Annotated[int, Query(alias="first", ge=0, lt=2**53, description="The first scan.")]
+Limit = Annotated[int, Query(ge=1, le=10_000, description="How many scans, at most.")]
+Partial = Annotated[
+    bool | None,
+    Query(
+        description="Set a file's poses even if their number, or scans that would lose theirs, show"
+        " that they are not those of all scans."
+    ),
+]
+
+
+@reading.get(
+    "/maps/{map}/drives/{drive}/poses",
+    responses=problems(MapNotFound, DriveNotFound, errors.InvalidRequest, *errors.READING),
+)
+@heavy
+def get_poses(
+    map_slug: MapSlug,
+    drive_slug: DriveSlug,
+    running: Running,
+    first: FirstShown = 0,
+    limit: Limit = 1000,
+) -> PosesOut:
+    """Return poses and timestamps of stored scans, in the order of their indices.
+
+    `poses` of the answer can be put back as it is.
+    """
+    drives = running.store.drives
+    drive = drives.get(map_slug, drive_slug)
+    return PosesOut.from_core(drive, drives.poses(drive.id, first, limit + 1), limit)
+
+
+@writing.put(
+    "/maps/{map}/drives/{drive}/poses",
+    openapi_extra=described_body(POSE_TYPES, PosesIn),
+    responses=problems(
+        MapNotFound,
+        DriveNotFound,
+        InvalidSlug,
+        ScanNotFound,
+        PosesDoNotFit,
+        InvalidPose,
+        *errors.JSON_BODY,
+        *errors.WRITING,
+    ),
+)
+def put_poses(
+    map_slug: MapSlug,
+    drive_slug: DriveSlug,
+    body: Body,
+    running: Running,
+    content_type: ContentType = None,
+    first: First = 0,
+    partial: Partial = None,
+) -> DriveWithPosesOut:
+    """Set poses and timestamps of scans, all or none; those of a file also for future scans.
+
+    JSON sets those of stored scans only. A file also sets what a scan that is stored later does not
+    have itself. A file whose lines count scans is rejected if it has fewer than the drive has
+    scans, or if it has more and would replace other poses: it is another drive's, or cut off.
+    """
+    kind = required_type(content_type, _JSON, *POSE_TYPES)
+    drives = running.store.drives
+    if kind in POSE_TYPES:
+        put = drives.expect_poses(
+            map_slug,
+            drive_slug,
+            read_poses(body, kind, first),
+            consecutive=kind != CSV,
+            partial=bool(partial),
+        )
+    else:
+        poses, timestamps_s = read_json(body, PosesIn).to_core()
+        put = drives.put_poses(map_slug, drive_slug, poses, timestamps_s)
+    drive = DriveOut.from_record(drives.get(map_slug, drive_slug))
+    return DriveWithPosesOut(**dict(drive), poses=PosesPutOut.of(put))

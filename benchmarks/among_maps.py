@@ -1,0 +1,309 @@
+"""Where among all maps: recall, trust and time in a city of simulated districts.
+
+    python -m benchmarks.among_maps FOLDER [--maps 10000] [--districts 132]
+
+Each district is a map of 100 scans, all with one shared basis, kept in FOLDER once it is simulated.
+Every sixth is not mapped: its queries are of unknown places. Of the mapped ones half are queried,
+on another day and up to 3 m beside the line. Each further map joins the left half of the scans of
+one of the other half with the right half of those of another: a street has two sides. A query is
+answered by the service's own search, without HTTP; the map that it is of is asked alone too.
+"""
+
+import argparse
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from app.access.caller import Caller
+from app.localization.among import AmongMaps
+from app.localization.place_indexes import PlaceIndexes
+from app.revisions.loaded import LoadedRevisions
+from benchmarks.accuracy import print_table
+from benchmarks.timing import machine
+from core.arrays import BoolArray, FloatArray, IntArray
+from core.encodings.basis import Basis
+from core.encodings.harmonic.model import HarmonicModel
+from core.encodings.harmonics import two_sided
+from core.errors import InvalidMap
+from core.evaluation.retrieval import auroc
+from core.localization.localizer import Localizer
+from core.mapping.pipeline import build
+from core.mapping.tensormap import TensorMap
+from core.parameters import MapParameters
+from core.projection.imager import Image
+from core.projection.visibility import HIDDEN, SECTORS, sector_of_column
+from core.scans.drive import MemoryDrive
+from core.simulation import SimulatedDrive
+from core.simulation.raycast import SimulatedSensor
+from storage.catalog import RevisionFacts
+from storage.files.basis_file import read_basis, write_basis
+from storage.files.map_file import read_map, write_map
+from storage.store import Store
+
+SCANS, SPEED_M_S, FIRINGS = 100, 20.0, 400
+FIRST_SEED, BASIS_SEED, ANOTHER_DAY = 6000, 5000, 100_000
+UNKNOWN_EVERY = 6
+# Left of the line in metres, and whether against its direction.
+PASSES = ((0.0, False), (1.0, True), (2.0, False), (-3.0, True), (-1.5, False), (3.0, False))
+QUERY_EVERY = 45
+WITHIN_M, BINS = 5.0, 15
+HIDDEN_SECTORS = {"as recorded": 0, "36 deg hidden": 6, "60 deg hidden": 10, "120 deg hidden": 20}
+_LEFT = (1 << SECTORS // 2) - 1  # bits of the sectors of the left half
+ALL_MAPS = Caller("benchmark", frozenset())
+
+
+@dataclass(frozen=True, eq=False)
+class District:
+    """A district: its map, `None` if it is not mapped, and its queries' images and poses."""
+
+    tensor_map: TensorMap | None
+    cells: FloatArray
+    poses: FloatArray
+
+
+def main() -> int:
+    """Print the tables."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--maps", type=int, default=10_000)
+    parser.add_argument("--districts", type=int, default=132)
+    parser.add_argument("--every", type=int, default=4, help="Take every so-many-th query.")
+    given = parser.parse_args()
+    threadpool_limits(limits=1)
+    given.folder.mkdir(exist_ok=True)
+    basis = _basis(given.folder)
+    districts = [_district(given.folder, basis, n) for n in range(given.districts)]
+    mapped = [one for one in districts if one.tensor_map is not None]
+    queried, sides = mapped[: len(mapped) // 2], mapped[len(mapped) // 2 :]
+    unknown = [one for one in districts if one.tensor_map is None]
+    with tempfile.TemporaryDirectory(dir=given.folder) as data:
+        store = Store(Path(data))
+        store.catalog.watch()
+        store.bases.add("city", basis)
+        _fill(store, queried, sides, given.maps)
+        indexes = PlaceIndexes(store)
+        started = time.perf_counter()
+        indexes.update(basis.digest)
+        print(f"{given.maps} maps indexed in {time.perf_counter() - started:.0f} s; {machine()}.\n")
+        localizers = LoadedRevisions(store, 8)
+        among = AmongMaps(store, localizers, indexes, 64)
+        _report(among, localizers, basis, queried, unknown, given.every)
+        store.close()
+    return 0
+
+
+def _drive(
+    seed: int, lateral_m: float = 0.0, *, reverse: bool = False, day: int = 0
+) -> MemoryDrive:
+    drive = SimulatedDrive(
+        seed=seed,
+        scans=SCANS,
+        speed_m_s=SPEED_M_S,
+        sensor=SimulatedSensor(firings=FIRINGS),
+        lateral_offset_m=lateral_m,
+        reverse=reverse,
+        traffic_seed=seed + day,
+    )
+    return MemoryDrive(drive.name, list(drive))
+
+
+def _basis(folder: Path) -> Basis:
+    parameters = MapParameters.for_sensor()
+    [*paths] = folder.glob("basis-*.h5")
+    if paths:
+        return read_basis(paths[0], paths[0].stem.removeprefix("basis-"))
+    drives = [_drive(BASIS_SEED + number) for number in range(3)]
+    basis = build(drives, parameters, calibrated=False).tensor_map.basis()
+    write_basis(folder / f"basis-{basis.digest}.h5", basis)
+    return basis
+
+
+def _district(folder: Path, basis: Basis, number: int) -> District:
+    seed, is_mapped = FIRST_SEED + number, number % UNKNOWN_EVERY != UNKNOWN_EVERY - 1
+    map_file, query_file = folder / f"m{number:04}.h5", folder / f"q{number:04}.npz"
+    if not query_file.exists():
+        if is_mapped and not map_file.exists():
+            made = build([_drive(seed)], MapParameters.for_sensor(), kept=basis)
+            write_map(map_file, made.tensor_map)
+        cells, poses = [], []
+        for order, (lateral_m, reverse) in enumerate(PASSES):
+            drive = _drive(seed, lateral_m, reverse=reverse, day=ANOTHER_DAY)
+            for index in range(5 + order, SCANS, QUERY_EVERY):
+                cells.append(basis.image(drive.scan(index)).cells)
+                poses.append(drive.poses[index])
+        np.savez(query_file, cells=np.array(cells), poses=np.array(poses))
+    found = np.load(query_file)
+    return District(read_map(map_file) if is_mapped else None, found["cells"], found["poses"])
+
+
+def _fill(store: Store, queried: list[District], sides: list[District], count: int) -> None:
+    for number, tensor_map in enumerate(_maps(queried, sides, count)):
+        record = store.maps.create(f"d{number:05}")
+        facts = RevisionFacts("harmonic", len(tensor_map), 1, {}, bases=tensor_map.basis_digests)
+        store.revisions.add(
+            record.id,
+            tensor_map.revision,
+            lambda path, written=tensor_map: write_map(path, written),  # type: ignore[misc]
+            facts,
+        )
+
+
+def _maps(queried: list[District], sides: list[District], count: int) -> Iterator[TensorMap]:
+    for one in queried:
+        assert one.tensor_map is not None  # noqa: S101 - it is mapped
+        yield one.tensor_map
+    rng = np.random.default_rng(0)
+    maps = [one.tensor_map for one in sides if one.tensor_map is not None]
+    for _ in range(count - len(queried)):
+        left, right = rng.choice(len(maps), 2, replace=False)
+        yield _joined(maps[left], maps[right], rng)
+
+
+def _joined(left: TensorMap, right: TensorMap, rng: np.random.Generator) -> TensorMap:
+    """Return a map whose scans have the left half of one map's and the right half of another's."""
+    one, other = left.model, right.model
+    if not (isinstance(one, HarmonicModel) and isinstance(other, HarmonicModel)):
+        raise InvalidMap("the maps are not harmonic")
+    columns, kept = one.columns, one.ranks[1]
+    sees = np.arange(columns) < columns // 2
+    rows, of_other = np.arange(len(one)), (np.arange(len(one)) + rng.integers(SCANS)) % len(other)
+    signatures = np.zeros_like(one.signatures)
+    for model, of_it, half in ((one, rows, sees), (other, of_other, ~sees)):
+        mask = np.fft.fft(half) / columns
+        mixed = mask[(np.arange(kept)[:, None] - np.arange(1 - kept, kept)) % columns]
+        signatures += (two_sided(model.signatures[of_it].astype(np.complex128)) @ mixed.T).astype(
+            np.complex64
+        )
+    signatures.imag[..., 0] = 0.0
+    hidden = _bits(one, rows) & _LEFT | _bits(other, of_other) & ~_LEFT
+    parameters = replace(left.parameters, verification_images=False)
+    model = replace(one, signatures=signatures, hidden_sectors=hidden, verification_images=None)
+    return replace(left, parameters=parameters, model=model, image_calibration=None)
+
+
+def _bits(model: HarmonicModel, rows: IntArray) -> IntArray:
+    assert model.hidden_sectors is not None  # noqa: S101 - it is of any views
+    return model.hidden_sectors[rows]
+
+
+@dataclass(frozen=True)
+class _Answer:
+    """Of one query: whether it is right, its probability, and that of the map alone."""
+
+    known: bool
+    right: bool
+    probability: float
+    own: float  # the probability if the runner-up were of the best map only
+    alone_right: bool
+    alone: float
+    seconds: float
+
+
+def _report(
+    among: AmongMaps,
+    localizers: LoadedRevisions,
+    basis: Basis,
+    queried: list[District],
+    unknown: list[District],
+    every: int,
+) -> None:
+    rows = []
+    for name, hidden in HIDDEN_SECTORS.items():
+        answers = [
+            answer
+            for number, one in enumerate([*queried, *unknown])
+            for answer in _ask(among, localizers, basis, one, number, queried, hidden, every)
+        ]
+        known = [one for one in answers if one.known]
+        seconds = np.array([one.seconds for one in answers])
+        right = np.array([one.right for one in answers])
+        rows.append(
+            [
+                name,
+                f"{len(known)} + {len(answers) - len(known)}",
+                f"{np.mean([one.alone_right for one in known]):.3f}",
+                f"{np.mean([one.right for one in known]):.3f}",
+                _trust(
+                    np.array([one.alone for one in answers]),
+                    np.array([one.alone_right for one in answers]),
+                ),
+                _trust(np.array([one.probability for one in answers]), right),
+                _trust(np.array([one.own for one in answers]), right),
+                f"{1e3 * np.median(seconds):.0f} / {1e3 * np.quantile(seconds, 0.99):.0f}",
+            ]
+        )
+    print_table(
+        [
+            "queries",
+            "known + unknown",
+            "recall@1 alone",
+            "among all",
+            "ECE, AUROC alone",
+            "among all",
+            "runner-up of one map",
+            "CPU ms, 50 % / 99 %",
+        ],
+        rows,
+    )
+
+
+def _ask(
+    among: AmongMaps,
+    localizers: LoadedRevisions,
+    basis: Basis,
+    district: District,
+    number: int,
+    queried: list[District],
+    hidden: int,
+    every: int,
+) -> Iterator[_Answer]:
+    rng = np.random.default_rng([number, hidden])
+    of_map = district.tensor_map or queried[number % len(queried)].tensor_map
+    assert of_map is not None  # noqa: S101 - it is mapped
+    alone = Localizer(of_map)
+    for cells, pose in list(zip(district.cells, district.poses, strict=True))[
+        number % every :: every
+    ]:
+        columns = (sector_of_column(cells.shape[1]) - rng.integers(SECTORS)) % SECTORS < hidden
+        image = Image(np.where(columns, HIDDEN, cells).astype(np.float32), basis.parameters.grid)
+        signatures = basis.encode(image)
+        started = time.thread_time()  # the machine is shared
+        answer = among.signature(ALL_MAPS, signatures, 1, None).found
+        seconds = time.thread_time() - started
+        best = answer.best
+        of_one = alone.localize_signatures(signatures)
+        is_known = district.tensor_map is not None
+        yield _Answer(
+            is_known,
+            is_known and best.name == f"d{number:05}" and _near(best.match.pose, pose),
+            answer.decision.probability or 0.0,
+            localizers.live(best.name)
+            .localizer.localize_signatures(signatures)
+            .decision.probability
+            or 0.0,
+            is_known and _near(of_one.best.pose, pose),
+            of_one.decision.probability or 0.0,
+            seconds,
+        )
+
+
+def _near(found: object, pose: FloatArray) -> bool:
+    place = np.array([getattr(found, name) for name in ("x_m", "y_m", "z_m")])
+    return bool(np.linalg.norm(place - pose[:3]) <= WITHIN_M)
+
+
+def _trust(probability: FloatArray, right: BoolArray) -> str:
+    bins = np.minimum((probability * BINS).astype(np.int64), BINS - 1)
+    gaps = np.bincount(bins, weights=probability - right, minlength=BINS)
+    area = auroc(probability[right], probability[~right])
+    return f"{np.abs(gaps).sum() / len(right):.3f}, {'-' if area is None else f'{area:.3f}'}"
+
+
+if __name__ == "__main__":
+    sys.exit(main())
