@@ -1,7 +1,7 @@
 """Project a scan of 60,000 returns, against plain NumPy: whole arrays, `arctan2`, `hypot`.
 
 At most its time; why it is not three times as fast:
-docs/decisions/0035-projection-without-a-compiler.md.
+docs/decisions/0036-projection-without-a-compiler.md.
 """
 
 import sys

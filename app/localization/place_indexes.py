@@ -277,6 +277,8 @@ class PlaceIndexes:
     def _models(self, maps: Iterable[LiveMap]) -> Iterator[tuple[LiveMap, Model]]:
         """Yield the models of maps; one that cannot be read is left out, and opened by queries."""
         for one in maps:
+            if self._stopping:
+                return
             path = self._store.layout.revisions(one.map_id) / one.file_name
             try:
                 yield one, read_revision(path, str(one.revision)).model

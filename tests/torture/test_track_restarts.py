@@ -31,6 +31,7 @@ VEHICLES = size("vehicles", 50)
 PERIOD_S = 0.1
 BEFORE_S = seconds("TENSORMAP_TORTURE_TRACKED_S", 5.0)
 AFTER_S = 5.0  # within which each goes on, from the service's readiness
+LONGEST_S = 60.0
 LOST_S = 2.0  # they are saved each second, and a second for that
 RIGHT_M = 5.0
 SCANS = 360
@@ -110,10 +111,13 @@ class Vehicle:
         after = [answer["observations"] for at_s, _, answer in self.answers if at_s > ready_s]
         return before[-1], after[0]
 
-    def localized_s(self, ready_s: float) -> float:
-        """Return when it had a place again."""
-        places = (at_s for at_s, _, answer in self.answers if answer["localized"])
-        return min((at_s for at_s in places if at_s > ready_s), default=np.inf)
+    def localized(self, ready_s: float) -> tuple[float, int]:
+        """Return how long it took from then until it had a place, and how many observations."""
+        after = [(at_s, answer["localized"]) for at_s, _, answer in self.answers if at_s > ready_s]
+        for taken, (at_s, localized) in enumerate(after, 1):
+            if localized:
+                return at_s - ready_s, taken
+        return np.inf, len(after)
 
 
 @pytest.fixture(scope="module")
@@ -147,20 +151,23 @@ def test_tracks_go_on_after_a_restart_without_a_wrong_answer(fleet, how):
         if answer["localized"] and campus.apart_m(answer["scan_index"], scan) > RIGHT_M
     ]
     refused = [name for vehicle in vehicles for name in vehicle.refused]
-    again_s = max(vehicle.localized_s(ready_s) for vehicle in vehicles) - ready_s
+    again = [vehicle.localized(ready_s) for vehicle in vehicles]
     counts = [vehicle.counted(down_s, ready_s) for vehicle in vehicles]
     lost = max(before + 1 - after for before, after in counts)
     print(
         f"{how}: {sum(len(vehicle.answers) for vehicle in vehicles)} answers, {len(wrong)} wrong,"
-        f" down {ready_s - down_s:.1f} s, all localized {again_s:.1f} s after readiness, at most"
-        f" {lost} observations lost (load {os.getloadavg()[0]:.1f})"
+        f" down {ready_s - down_s:.1f} s, all localized {max(again)[0]:.1f} s after readiness,"
+        f" by {max(taken for _, taken in again)} observations at most, {lost} lost at most"
+        f" (load {os.getloadavg()[0]:.1f})"
     )
     with service.client() as client:
         for track in begun:
             client.delete(f"{TRACKS}/{track}").raise_for_status()
     assert not wrong, wrong[:3]
     assert not refused, refused[:3]
-    assert again_s <= AFTER_S
+    # A machine that answers fewer than ten a second gets the time for as many observations.
+    assert all(s <= AFTER_S or taken <= AFTER_S / PERIOD_S for s, taken in again), again
+    assert max(again)[0] < LONGEST_S
     assert lost <= (0 if how == "SIGTERM" else LOST_S / PERIOD_S)
     assert "Traceback" not in service.log.read_text()
 
@@ -176,7 +183,10 @@ async def restarted(
     await asyncio.to_thread(service.stop if how == "SIGTERM" else service.kill)
     await asyncio.to_thread(service.start)
     ready_s = time.monotonic()
-    await asyncio.sleep(AFTER_S + 1.0)
+    while time.monotonic() < ready_s + LONGEST_S:
+        await asyncio.sleep(1.0)
+        if all(vehicle.localized(ready_s)[0] < np.inf for vehicle in vehicles):
+            break
     end.set()
     await asyncio.gather(*driving)
     return down_s, ready_s

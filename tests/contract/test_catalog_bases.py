@@ -1,0 +1,73 @@
+"""Shared bases in the catalog, and all maps with what they answer from, on each database."""
+
+import pytest
+
+from storage.catalog import LiveMap, RevisionFacts
+from storage.errors import BasisExists, BasisInUse, BasisNotFound, InvalidSlug
+
+CITY, TOWN = "c" * 64, "d" * 64
+
+
+def add(catalog, slug, revision, *bases, **options):
+    of_map = catalog.maps.get(slug) if options else catalog.maps.create(slug)
+    facts = RevisionFacts("harmonic", 7, 1, {}, bases=bases)
+    catalog.revisions.add(of_map.id, revision, f"{revision[:8]}.h5", 10, facts, **options)
+    return of_map.id
+
+
+def test_a_basis_is_found_by_its_name_and_its_digest(catalog):
+    added = catalog.bases.add("city", CITY, "c.h5", "harmonic", 800)
+    for named in ("city", CITY, CITY[:16].upper()):
+        assert catalog.bases.get(named).digest == added.digest
+    for named in ("cit", CITY[:11], TOWN, "100%"):
+        with pytest.raises(BasisNotFound):
+            catalog.bases.get(named)
+    assert catalog.bases.files() == {"c.h5": CITY}
+
+
+def test_a_name_has_one_basis_and_a_basis_one_name(catalog):
+    catalog.bases.add("city", CITY, "c.h5", "harmonic", 800)
+    assert catalog.bases.add("city", CITY, "other.h5", "harmonic", 800).file_name == "c.h5"
+    for name, digest in (("city", TOWN), ("town", CITY)):
+        with pytest.raises(BasisExists):
+            catalog.bases.add(name, digest, "d.h5", "harmonic", 800)
+    with pytest.raises(InvalidSlug):
+        catalog.bases.add("A city", TOWN, "d.h5", "harmonic", 800)
+    catalog.bases.add("town", TOWN, "d.h5", "harmonic", 800)
+    page = catalog.bases.list(limit=1)
+    assert ([one.name for one in page.items], page.next_after) == (["city"], "city")
+    assert [one.name for one in catalog.bases.list(after="city").items] == ["town"]
+
+
+def test_a_basis_stays_while_a_revision_has_it_or_a_job_will_use_it(catalog):
+    catalog.bases.add("city", CITY, "c.h5", "harmonic", 800)
+    add(catalog, "north", "1" * 64, CITY)
+    with pytest.raises(BasisInUse):
+        catalog.bases.delete("city")
+    catalog.maps.delete("north")
+    catalog.maps.create("south")
+    job = catalog.jobs.create("south", {}, plan={"basis": CITY})
+    with pytest.raises(BasisInUse):
+        catalog.bases.delete("city")
+    catalog.jobs.request_cancel(job.id)
+    assert catalog.bases.delete("city").file_name == "c.h5"
+    with pytest.raises(BasisNotFound):
+        catalog.bases.delete("city")
+
+
+def test_all_maps_are_listed_with_their_live_revision_and_shared_basis(catalog):
+    catalog.bases.add("city", CITY, "c.h5", "harmonic", 800)
+    north = add(catalog, "north", "1" * 64, CITY)
+    south = add(catalog, "south", "2" * 64, TOWN)
+    empty = catalog.maps.create("empty").id
+    maps = catalog.live_maps.all()
+    assert list(maps) == [
+        LiveMap(empty, "empty", None, "", 0, None),
+        LiveMap(north, "north", "1" * 64, "11111111.h5", 7, CITY),
+        LiveMap(south, "south", "2" * 64, "22222222.h5", 7, None),
+    ]
+    assert list(catalog.live_maps.all({"south", "none"})) == [maps[2]]
+    add(catalog, "south", "3" * 64, CITY, make_live=True)
+    assert catalog.live_maps.all()[2].basis == CITY
+    assert catalog.live_maps.with_basis(CITY[:16]) == {north, south}
+    assert catalog.live_maps.with_basis(TOWN) == frozenset()
