@@ -60,6 +60,7 @@ torture: $(DEVELOP) ## Attack the service for hours: kills, disk faults, damage,
 ifndef SHORT
 soak: export TENSORMAP_SOAK_S ?= 1800
 soak: export TENSORMAP_FLEET_S ?= 600
+soak: export TENSORMAP_FLEET_P99_MS ?= 50
 soak: export TENSORMAP_TORTURE_VEHICLES ?= 50
 endif
 

@@ -183,7 +183,7 @@ def _joined(left: TensorMap, right: TensorMap, rng: np.random.Generator) -> Tens
     signatures.imag[..., 0] = 0.0
     hidden = _bits(one, rows) & _LEFT | _bits(other, of_other) & ~_LEFT
     parameters = replace(left.parameters, verification_images=False)
-    model = replace(one, signatures=signatures, hidden_sectors=hidden, verification_images=None)
+    model = replace(one, stored=signatures, hidden_sectors=hidden, verification_images=None)
     return replace(left, parameters=parameters, model=model, image_calibration=None)
 
 

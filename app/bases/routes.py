@@ -79,7 +79,9 @@ def list_bases(running: Running, after: After = "", limit: Limit = 100) -> PageO
 
 @reading.get(
     "/bases/{basis}",
-    responses=problems(stored.BasisNotFound, stored.CorruptFile, *errors.READING),
+    responses=problems(
+        stored.BasisNotFound, stored.CorruptFile, errors.InvalidRequest, *errors.READING
+    ),
 )
 def get_shared_basis(basis: BasisName, running: Running) -> BasisOut:
     """Download a shared basis to make signatures with; it names no revision."""
@@ -89,7 +91,9 @@ def get_shared_basis(basis: BasisName, running: Running) -> BasisOut:
 @writing.delete(
     "/bases/{basis}",
     status_code=status.HTTP_204_NO_CONTENT,
-    responses=problems(stored.BasisNotFound, stored.BasisInUse, *errors.WRITING),
+    responses=problems(
+        stored.BasisNotFound, stored.BasisInUse, errors.InvalidRequest, *errors.WRITING
+    ),
 )
 def delete_basis(basis: BasisName, running: Running, caller: CurrentCaller) -> None:
     """Remove a shared basis that no revision has and no build uses."""

@@ -236,9 +236,14 @@ class Encoding(ABC):
 
     # --- Files and wire
 
-    def arrays_of(self, attributes: Mapping[str, Any]) -> Mapping[str, str]:
-        """Return the dtype of each own array in the file of a map of these attributes."""
-        del attributes
+    def arrays_of(self, attributes: Mapping[str, Any], *, coded: bool = True) -> Mapping[str, str]:
+        """Return the dtype of each own array in the file of a map of these attributes.
+
+        Args:
+            attributes: Of the map.
+            coded: Whether signatures are codes, in an encoding that has them.
+        """
+        del attributes, coded
         return self.dtypes
 
     @abstractmethod

@@ -166,8 +166,13 @@ class Model(ABC):
     """
 
     encoding: ClassVar[str]
-    signatures: NDArray[Any]
     segment_start: IntArray
+
+    if TYPE_CHECKING:  # a field of some models, computed by others
+
+        @property
+        def signatures(self) -> NDArray[Any]:
+            """All of them."""
 
     def __len__(self) -> int:
         return int(self.segment_start[-1])

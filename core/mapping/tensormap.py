@@ -28,6 +28,7 @@ _WHOLE = {
     "edge_of_segment",
     "segment_reversed",
     "hidden_sectors",
+    "signature_codes",
     "verification_images",
 }
 
@@ -184,7 +185,8 @@ class TensorMap:
         """
         try:
             parameters = MapParameters.from_attributes(dict(attributes))
-            dtypes = parameters.encoder.arrays_of(attributes)
+            coded = "signature_codes" in arrays
+            dtypes = parameters.encoder.arrays_of(attributes, coded=coded)
             a = {name: _numbers(name, arrays[name], dtypes.get(name, "")) for name in arrays}
             tensor_map = cls(
                 parameters,

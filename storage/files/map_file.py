@@ -24,9 +24,10 @@ from storage.hdf5 import BytesSource, ContiguousDataset, Dataset, FileSource, Hd
 from storage.hdf5.writer import hdf5_in_memory
 
 FORMAT = "tensormap"
-FORMAT_VERSION = 2
-"""Of maps of any views; others have version 1, which older releases can read."""
+FORMAT_VERSION = 3
+"""Of maps whose signatures are codes; others have version 1, or 2 of any views."""
 
+_CODED = 3  # since when signatures of encodings that have codes are codes
 _MOST_WORD_BYTES = 256  # of an attribute that is a word or a digest
 _REMEMBERED = 4096  # files whose digest was checked
 
@@ -61,12 +62,16 @@ def write_map(path: Path, tensor_map: TensorMap, created_at: datetime | None = N
     """
     attributes = tensor_map.attributes()
     parameters = tensor_map.parameters
-    dtypes = {**parameters.encoder.arrays_of(attributes), **_OF_ALL, **_OF_JOINED}
+    arrays = tensor_map.arrays()
+    coded = "signature_codes" in arrays
+    version = FORMAT_VERSION if coded else 1 if parameters.views == Views.FULL else 2
+    own = parameters.encoder.arrays_of(attributes, coded=coded)
+    dtypes = {**own, **_OF_ALL, **_OF_JOINED}
     content = hdf5_in_memory(
-        {name: [np.asarray(array, dtypes[name])] for name, array in tensor_map.arrays().items()},
+        {name: [np.asarray(array, dtypes[name])] for name, array in arrays.items()},
         {
             "format": FORMAT,
-            "format_version": 1 if parameters.views == Views.FULL else FORMAT_VERSION,
+            "format_version": version,
             "attributes": json.dumps(attributes, sort_keys=True),
             "digest": tensor_map.revision,
             "created_at": (created_at or datetime.now(UTC)).isoformat(),
@@ -137,7 +142,7 @@ def read_parameters(path: Path, digest: str) -> tuple[MapParameters, tuple[str, 
         FileNotFoundError: If there is no such file.
     """
     with _named(path.name), FileSource(path) as source:
-        attributes, found = _head(Hdf5File(source))
+        attributes, found, _ = _head(Hdf5File(source))
         if found != digest:
             raise CorruptFile(f"its digest is {found}, not that of revision {digest}")
         parameters = MapParameters.from_attributes(attributes)
@@ -187,8 +192,8 @@ def _whole(source: Source) -> TensorMap:
 
 def _parts(source: Source) -> tuple[dict[str, NDArray[Any]], dict[str, Any], str]:
     file = Hdf5File(source)
-    attributes, digest = _head(file)
-    dtypes = _dtypes(attributes)
+    attributes, digest, version = _head(file)
+    dtypes = _dtypes(attributes, version)
     if not file.names.isdisjoint(_OF_JOINED):
         dtypes = {**dtypes, **_OF_JOINED}
     if odd := file.names ^ dtypes.keys():
@@ -199,12 +204,16 @@ def _parts(source: Source) -> tuple[dict[str, NDArray[Any]], dict[str, Any], str
     size_bytes = sum(dataset.size_bytes for dataset in datasets.values())
     if size_bytes > source.size_bytes:
         raise CorruptFile(f"its arrays take {size_bytes} bytes, the file {source.size_bytes}")
-    arrays = {name: dataset.read() for name, dataset in datasets.items()}
+    arrays = {
+        # Codes and images: all that is large. Other numbers may not lie where a processor wants.
+        name: dataset.mapped() if dataset.dtype.itemsize == 1 else dataset.read()
+        for name, dataset in datasets.items()
+    }
     return arrays, attributes, digest
 
 
-def _head(file: Hdf5File) -> tuple[dict[str, Any], str]:
-    """Return the map's attributes, and the digest in the file."""
+def _head(file: Hdf5File) -> tuple[dict[str, Any], str, int]:
+    """Return the map's attributes, and the digest and the format's version in the file."""
     found = file.attributes
     if "format" not in found or found.text("format", _MOST_WORD_BYTES) != FORMAT:
         raise CorruptFile("it has no attribute format = tensormap")
@@ -212,16 +221,17 @@ def _head(file: Hdf5File) -> tuple[dict[str, Any], str]:
     if not 1 <= version <= FORMAT_VERSION:
         raise CorruptFile(f"its format version is {version}, 1 to {FORMAT_VERSION} are read here")
     attributes = parse_json(found.text("attributes", MOST_JSON_BYTES), "its attribute attributes")
-    return attributes, found.text("digest", _MOST_WORD_BYTES)
+    return attributes, found.text("digest", _MOST_WORD_BYTES), version
 
 
-def _dtypes(attributes: object) -> dict[str, str]:
+def _dtypes(attributes: object, version: int) -> dict[str, str]:
     if not isinstance(attributes, dict):
         raise CorruptFile(f"its attributes are {attributes!r:.80}, wanted names and values")
     name = attributes.get("encoding")
     if not isinstance(name, str) or name not in encoding_names():
         raise CorruptFile(f"its encoding is {name!r:.80}, wanted {', '.join(encoding_names())}")
-    return {**encoding_named(name).arrays_of(attributes), **_OF_ALL}
+    own = encoding_named(name).arrays_of(attributes, coded=version >= _CODED)
+    return {**own, **_OF_ALL}
 
 
 def _plain(dataset: Dataset, dtype: str) -> ContiguousDataset:

@@ -78,6 +78,10 @@ class ContiguousDataset(Dataset):
         """Return all numbers, or the only one."""
         return self.source.array(self.at, self.dtype, self.shape, self.name)
 
+    def mapped(self) -> NDArray[Any]:
+        """Return all numbers, of a large array in memory that processes share."""
+        return self.source.mapped(self.at, self.dtype, self.shape, self.name)
+
 
 @dataclass(frozen=True, eq=False)
 class ChunkedDataset(Dataset):

@@ -1,6 +1,7 @@
 """Bytes of a file, on a disk or in memory, and the fields of its structures, bounds checked."""
 
 import math
+import mmap
 import os
 from abc import abstractmethod
 from pathlib import Path
@@ -17,6 +18,10 @@ UNDEFINED = 2**64 - 1
 """The address of what was never allocated."""
 
 _STRUCTURE_BYTES = 2**19  # ours take 10 kB; their checksums are computed in Python, 4 MB/s
+
+
+_MAPPED_FROM_BYTES = 2**20  # a mapping keeps a descriptor open
+_READ_ONCE_BYTES = 2**22
 
 
 class Fields:
@@ -146,6 +151,16 @@ class Source(Closing):
         self.read_into(at, array.reshape(-1).view(np.uint8).data, name)
         return array
 
+    def mapped(
+        self, at: int, dtype: np.dtype[Any], shape: tuple[int, ...], name: str
+    ) -> NDArray[Any]:
+        """Return a contiguous array, in shared memory where that is possible and worth it.
+
+        Raises:
+            CorruptFile: If it is not within the file, or cannot be read.
+        """
+        return self.array(at, dtype, shape, name)
+
     def read_into(self, at: int, target: memoryview, name: str) -> None:
         """Fill `target` with bytes of the file.
 
@@ -183,6 +198,8 @@ class BytesSource(Source):
 class FileSource(Source):
     """A file on a disk, read with `preadv`, since a bad sector under `mmap` raises a signal.
 
+    Large arrays are mapped after all of them could be read.
+
     Raises:
         FileNotFoundError: If there is no such file.
         CorruptFile: If it cannot be read.
@@ -205,6 +222,30 @@ class FileSource(Source):
         status = os.fstat(self._descriptor)
         times_ns = status.st_mtime_ns, status.st_ctime_ns
         return status.st_dev, status.st_ino, status.st_size, *times_ns
+
+    def mapped(
+        self, at: int, dtype: np.dtype[Any], shape: tuple[int, ...], name: str
+    ) -> NDArray[Any]:
+        """Return a large array as pages of the file, read-only; a small one as `array` does.
+
+        The pages stay those of this file when it is removed or another one takes its name.
+        """
+        count = dtype.itemsize * math.prod(shape)
+        if count < _MAPPED_FROM_BYTES:
+            return self.array(at, dtype, shape, name)
+        self.require(at, count, name)
+        block = bytearray(min(count, _READ_ONCE_BYTES))
+        for start in range(0, count, len(block)):
+            length = min(len(block), count - start)
+            self.read_into(at + start, memoryview(block)[:length], name)
+        before = at % mmap.ALLOCATIONGRANULARITY
+        try:
+            pages = mmap.mmap(
+                self._descriptor, before + count, access=mmap.ACCESS_READ, offset=at - before
+            )
+        except (OSError, ValueError) as error:  # of a file that became shorter
+            raise CorruptFile(f"{name} cannot be mapped: {error}") from error
+        return np.frombuffer(pages, dtype, math.prod(shape), before).reshape(shape)
 
     def close(self) -> None:
         """Close the file."""

@@ -89,11 +89,10 @@ def golden_map_of_any_views(*, verification_images: bool = False) -> TensorMap:
 def make(folder: Path) -> None:
     """Write this release's golden files."""
     write_map(folder / "map-v1.h5", golden_map(), datetime(2026, 1, 1, tzinfo=UTC))
-    write_map(folder / "harmonic-v1.h5", golden_harmonic_map(), datetime(2026, 1, 1, tzinfo=UTC))
-    any_views = golden_map_of_any_views()
-    write_map(folder / "harmonic-v2.h5", any_views, datetime(2026, 11, 23, tzinfo=UTC))
+    now = datetime(2026, 11, 23, tzinfo=UTC)
+    write_map(folder / "harmonic-v3.h5", golden_harmonic_map(), now)
     verified = golden_map_of_any_views(verification_images=True)
-    write_map(folder / "harmonic-v2-images.h5", verified, datetime(2026, 11, 23, tzinfo=UTC))
+    write_map(folder / "harmonic-v3-images.h5", verified, now)
 
 
 if __name__ == "__main__":

@@ -8,13 +8,14 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from core.arrays import Float32Array, FloatArray, IntArray
+from core.arrays import Complex64Array, Float32Array, FloatArray, IntArray
 from core.encodings.base import PAPER_RANKS, Encoding
 from core.encodings.basis import Basis
 from core.encodings.blocks import read_blocks
 from core.encodings.distance import Distance
 from core.encodings.grams import detail_gram, drive_gram, fit_radial_basis
 from core.encodings.harmonic.basis import HarmonicBasis
+from core.encodings.harmonic.codes import SignatureCodes
 from core.encodings.harmonic.model import HarmonicModel
 from core.encodings.harmonic.packing import LAYOUTS, pack, unpack
 from core.encodings.harmonic.place_index import PlaceIndex
@@ -41,6 +42,7 @@ from core.scans.trajectory import Trajectory
 if TYPE_CHECKING:
     from core.parameters import MapParameters
 
+_CODES, _SCALES = "signature_codes", "rendering_scales"
 _HIDDEN = "hidden_sectors"
 _IMAGES = "verification_images"
 _RANKS_OF_ANY_VIEWS = (6, 7)  # 78 numbers: a partial view is 99 bytes
@@ -54,7 +56,12 @@ class HarmonicEncoding(Encoding):
     wraps = True
     distance = Distance.NORMALISED
     lateral_renderings_m = LATERAL_RENDERINGS_M
-    dtypes: ClassVar = {"radial_basis": "<f4", "signatures": "<c8", "lateral_offset_m": "<f8"}
+    dtypes: ClassVar = {
+        "radial_basis": "<f4",
+        _CODES: "|i1",
+        _SCALES: "<f4",
+        "lateral_offset_m": "<f8",
+    }
     layouts: ClassVar = LAYOUTS
     packings = (Packing.INT8, Packing.FLOAT16)
     signature_dtype = np.dtype(np.complex64)
@@ -129,10 +136,9 @@ class HarmonicEncoding(Encoding):
             u = self._fit_basis(images, trajectory, parameters, progress, grams)
         columns, (r1, r2) = parameters.grid.columns, self.kept_ranks(parameters)
         shape = parameters.imager.shape
-        signatures = np.empty((len(images), shape[0], r1, r2), np.complex64)
-        hidden = (
-            None if parameters.views == Views.FULL else np.zeros(signatures.shape[:2], np.int64)
-        )
+        codes = np.empty((2 * r2 - 1, r1, shape[0], len(images)), np.int8)
+        scales = np.empty((len(images), shape[0]), np.float32)
+        hidden = None if parameters.views == Views.FULL else np.zeros(scales.shape, np.int64)
         small: list[NDArray[np.uint8]] = []
         on_line = int(np.abs(np.array(parameters.lateral_renderings_m)).argmin())
         errors = np.zeros(len(segment_start) - 1)
@@ -142,7 +148,8 @@ class HarmonicEncoding(Encoding):
                 seen = np.maximum(block, 0.0)
                 encoded = encode(seen, u, r2)
                 rows = slice(first, first + len(block))
-                signatures[rows] = encoded
+                coded = SignatureCodes.of(encoded.astype(np.complex64))
+                codes[..., rows], scales[rows] = coded.codes, coded.scales
                 if hidden is not None:
                     hidden[rows] = bits_of_hidden(block)
                 if parameters.verification_images:
@@ -154,7 +161,7 @@ class HarmonicEncoding(Encoding):
         offsets = np.array(parameters.lateral_renderings_m)
         model = self._model(
             u,
-            signatures,
+            SignatureCodes(codes, scales),
             offsets,
             segment_start,
             parameters,
@@ -203,7 +210,7 @@ class HarmonicEncoding(Encoding):
     @staticmethod
     def _model(
         u: Float32Array,
-        signatures: NDArray[Any],
+        signatures: Complex64Array | SignatureCodes,
         offsets_m: FloatArray,
         segment_start: IntArray,
         parameters: "MapParameters",
@@ -281,18 +288,27 @@ class HarmonicEncoding(Encoding):
             errors, (count, *errors.shape)
         )
 
-    def arrays_of(self, attributes: Mapping[str, Any]) -> Mapping[str, str]:
-        """Return them, and in a map of any views those of hidden sectors and images."""
+    def arrays_of(self, attributes: Mapping[str, Any], *, coded: bool = True) -> Mapping[str, str]:
+        """Return them, with numbers instead of codes, and with those of any views."""
+        dtypes = dict(self.dtypes)
+        if not coded:
+            del dtypes[_CODES], dtypes[_SCALES]
+            dtypes["signatures"] = "<c8"
         if attributes.get("views") != Views.ANY:
-            return self.dtypes
+            return dtypes
         images = {_IMAGES: "|u1"} if attributes.get(_IMAGES) is True else {}
-        return {**self.dtypes, _HIDDEN: "<i8", **images}
+        return {**dtypes, _HIDDEN: "<i8", **images}
 
     def read_model(self, parameters: "MapParameters", arrays: Mapping[str, NDArray[Any]]) -> Model:
         """Return the model of these arrays."""
+        signatures: Complex64Array | SignatureCodes
+        if _CODES in arrays:
+            signatures = SignatureCodes(arrays[_CODES], arrays[_SCALES])
+        else:
+            signatures = arrays["signatures"]
         return self._model(
             arrays["radial_basis"],
-            arrays["signatures"],
+            signatures,
             arrays["lateral_offset_m"],
             arrays["segment_start"],
             parameters,

@@ -73,6 +73,10 @@ class MaskedSearch(HarmonicSearch):
         toeplitz = self._mask[(sent_harmonics[:, None] - np.arange(1 - kept, kept)) % columns]
         self._toeplitz = toeplitz
         self._spread = (two_sided(values) @ toeplitz.conj())[:, kept - 1 :]
+        mixed = min(kept, sent + _MIXED) if self._partial else sent
+        unit = self._spread[:, :mixed] / (self._norm or 1.0) / np.sqrt(self._weights[:mixed])
+        self._estimated = unit.astype(np.complex64)
+        self._last: tuple[slice, Complex64Array] | None = None
         # Of the query's energy, as of a map's: where on the circle it is, and 1 in all.
         found = np.zeros(2 * kept - 1, np.complex128)
         found[: 2 * sent - 1] = circular_energy(values)
@@ -118,45 +122,52 @@ class MaskedSearch(HarmonicSearch):
         estimates: FloatArray = np.maximum(1.0 - best.astype(np.float64), 0.0)
         return estimates
 
-    @cached_property
-    def _waves(self) -> Complex64Array:
-        """The correlation with every rendering as waves over headings, `(r2, D K)`."""
-        model = self._model
-        sent, kept = self._values.shape[1], model.ranks[1]
-        mixed = min(kept, sent + _MIXED) if self._partial else sent
-        query = (self._spread / (self._norm or 1.0) / np.sqrt(self._weights)).astype(np.complex64)
-        waves = np.empty((mixed, model.norms.size), np.complex64)
-        for harmonic in range(mixed):
-            np.matmul(query[:, harmonic], model.units[harmonic], out=waves[harmonic])
-        return waves
+    def _waves(self, block: slice) -> Complex64Array:
+        """Return the correlation with some renderings as waves over headings, `(r2, n)`.
+
+        The last block is kept: of a small map, the only one.
+        """
+        if self._last is None or self._last[0] != block:
+            waves = np.empty((self._estimated.shape[1], block.stop - block.start), np.complex64)
+            for harmonic, product in enumerate(self._model.waves(self._estimated, block)):
+                waves[harmonic] = product
+            self._last = block, waves
+        return self._last[1]
 
     @cached_property
     def _phase_free_scores(self) -> Float32Array:
         """What the scores of a whole view would be with all waves in phase, `(D, K)`."""
-        seen = self._model.unit_energies(self._values.shape[1])[0]
-        at_most = np.abs(self._waves).sum(axis=0) / np.sqrt(seen + _LEAST_SEEN)
-        return np.asarray(at_most.reshape(len(self._model.lateral_offset_m), -1))
+        seen = self._model.energy_shares(self._values.shape[1])
+        at_most = np.empty(len(seen), np.float32)
+        for block in self._model.blocks:
+            at_most[block] = np.abs(self._waves(block)).sum(axis=0)
+        at_most /= np.sqrt(seen + _LEAST_SEEN)
+        return at_most.reshape(len(self._model.lateral_offset_m), -1)
 
     @cached_property
     def _squared_scores(self) -> Float32Array:
         """Estimated squares of the best score of every rendering over headings, `(D, K)`."""
-        model, waves, samples = self._model, self._waves, _ESTIMATED_HEADINGS
-        correlated = _in_headings(np.ones(len(waves)), samples)
-        energies, seen_waves = model.unit_energies(self._values.shape[1]), model.seen_waves
+        model, samples = self._model, _ESTIMATED_HEADINGS
+        r2 = self._values.shape[1]
+        energies = model.unit_energies(r2) if self._partial else model.energy_shares(r2)[None]
         of_mask = _in_headings(self._mask[: len(energies) // 2 + 1], samples)
-        of_energy = _in_headings(self._unit_energy[: len(seen_waves) // 2 + 1], samples)
-        best = np.empty(waves.shape[1], np.float32)
-        for start in range(0, len(best), _ESTIMATED_ONCE):
-            block = slice(start, start + _ESTIMATED_ONCE)
-            score = correlated @ as_real(waves[:, block].conj())
-            score *= np.abs(score)
-            seen = of_mask @ energies[:, block] if self._partial else energies[:1, block].copy()
-            seen += _LEAST_SEEN
-            score /= seen
-            if not model.sees_all:
-                part = self._part_seen(of_energy @ seen_waves[:, block])
-                score /= np.square(part, out=part)
-            best[block] = score.max(axis=0)
+        of_energy = _in_headings(self._unit_energy[: model.seen.slow], samples)
+        correlated = _in_headings(np.ones(self._estimated.shape[1]), samples)
+        best = np.empty(energies.shape[1], np.float32)
+        for whole in model.blocks:
+            waves = self._waves(whole)
+            for start in range(whole.start, whole.stop, _ESTIMATED_ONCE):
+                block = slice(start, min(start + _ESTIMATED_ONCE, whole.stop))
+                near = slice(start - whole.start, block.stop - whole.start)
+                score = correlated @ as_real(waves[:, near].conj())
+                score *= np.abs(score)
+                seen = of_mask @ energies[:, block] if self._partial else energies[:, block].copy()
+                seen += _LEAST_SEEN
+                score /= seen
+                if not model.seen.all:
+                    part = self._part_seen(of_energy @ model.seen.waves(block))
+                    score /= np.square(part, out=part)
+                best[block] = score.max(axis=0)
         return best.reshape(len(model.lateral_offset_m), -1)
 
     def exact(
@@ -175,8 +186,7 @@ class MaskedSearch(HarmonicSearch):
         model, samples = self._model, _EXACT_SAMPLES
         if renderings is None:
             renderings = np.arange(len(model.lateral_offset_m))[None]
-        chosen = rows[:, None], renderings
-        stored = model.signatures[chosen]
+        stored = model.signatures_at(rows, renderings)
         waves = (self._spread * stored.conj()).sum(axis=2)
         if self._partial:
             products = stored.conj().swapaxes(-1, -2) @ two_sided(stored)
@@ -184,15 +194,15 @@ class MaskedSearch(HarmonicSearch):
             seen = np.fft.irfft(sums.view(np.complex64), samples, axis=-1) * samples
         else:
             seen = energy(stored[..., : self._values.shape[1]], model.columns)[..., None]
-        floor = _LEAST_SEEN * np.square(model.norms[chosen])[..., None]
+        floor = _LEAST_SEEN * np.square(model.norms[rows[:, None], renderings])[..., None]
         denominator = self._norm * np.sqrt(np.maximum(seen, floor))
         correlation = np.fft.irfft(waves, samples, axis=-1) * samples
         score = np.divide(
             correlation, denominator, out=np.zeros_like(correlation), where=denominator > 0
         )
-        if not model.sees_all:
+        if not model.seen.all:
             of_energy = _in_headings(self._unit_energy, samples)
-            by_map = model.seen_harmonics[:, renderings * len(model) + rows[:, None]]
+            by_map = model.seen.harmonics(rows[:, None], renderings)
             shares = np.tensordot(by_map, of_energy, (0, 1))
             # A share that is not exact must not make two alike that are not.
             score = np.minimum(score / self._part_seen(shares), (1.0 + score) / 2.0)

@@ -16,18 +16,20 @@ from numpy.typing import NDArray
 from core.arrays import (
     BoolArray,
     Complex64Array,
-    ComplexArray,
     Float32Array,
     FloatArray,
     IntArray,
+    arrays_of,
     freeze,
     frozen,
 )
 from core.encodings.basis import Basis
 from core.encodings.distance import Distance
 from core.encodings.harmonic.basis import HarmonicBasis, harmonic_basis_digest
+from core.encodings.harmonic.codes import SignatureCodes, blocks_of
 from core.encodings.harmonic.masked_search import MaskedSearch
 from core.encodings.harmonic.search import HarmonicSearch
+from core.encodings.harmonic.seen import Seen
 from core.encodings.harmonic.verified_search import VerifiedSearch
 from core.encodings.harmonics import (
     as_real,
@@ -50,7 +52,9 @@ if TYPE_CHECKING:
 _ACROSS = 5  # places from which a small image is compared
 _BEYOND_M = 1.5  # the outermost viewpoints: such images need not be kept
 _ESTIMATED_WAVES = 6  # of energies in estimates
-_LIMITED_KEPT = 4  # models of limited queries, each about as large as this one
+_LIMITED_KEPT = 4  # models of limited queries, of a small map each about as large as this one
+_DECODED_SCANS = 1024  # at once, in 5 MB
+_MOST_DECODED = 20_000  # renderings whose signatures are kept as numbers too, in 40 MB
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +63,8 @@ class HarmonicModel(Model):
 
     Attributes:
         radial_basis: `(I, r1)` float32, orthonormal columns; U of all segments.
-        signatures: `(K, D, r1, r2)` complex64, the first column real; D renderings of each scan.
+        stored: Signatures as codes or, from a file of an older version, as numbers, `(K, D, r1,
+            r2)` complex64, the first column real; D renderings of each scan.
         lateral_offset_m: `(D,)` of the viewpoint of each rendering.
         segment_start: `(L + 1,)` row of each segment's first scan, and K.
         columns: J, how many azimuths an image has.
@@ -75,7 +80,7 @@ class HarmonicModel(Model):
     encoding: ClassVar[str] = "harmonic"
 
     radial_basis: Float32Array
-    signatures: Complex64Array
+    stored: Complex64Array | SignatureCodes
     lateral_offset_m: FloatArray
     segment_start: IntArray
     columns: int
@@ -86,23 +91,27 @@ class HarmonicModel(Model):
     ring_m: float = 1.0
 
     def __post_init__(self) -> None:
-        freeze(self, radial_basis=np.float32, signatures=np.complex64)
+        freeze(self, radial_basis=np.float32)
         freeze(self, lateral_offset_m=np.float64, segment_start=np.int64)
-        if self.radial_basis.ndim != 2 or self.signatures.ndim != 4:
+        if not isinstance(self.stored, SignatureCodes):
+            freeze(self, stored=np.complex64)
+        if self.radial_basis.ndim != 2 or len(self.stored.shape) != 4:
             raise InvalidMap("the radial basis has two axes, signatures have four")
-        scans, renderings, r1, r2 = self.signatures.shape
+        scans, renderings, r1, r2 = self.stored.shape
         if self.radial_basis.shape[1] != r1 or self.lateral_offset_m.shape != (renderings,):
             raise InvalidMap(
-                f"radial_basis {self.radial_basis.shape}, signatures {self.signatures.shape} and"
+                f"radial_basis {self.radial_basis.shape}, signatures {self.stored.shape} and"
                 f" lateral_offset_m {self.lateral_offset_m.shape} do not fit together"
             )
         if not 1 <= r2 <= self.columns // 2 + 1 or r1 < 1:
             raise InvalidMap(f"signatures have {r2} harmonics of {self.columns} columns")
         self._require_rising(scans)
-        require_sane({"radial_basis": self.radial_basis}, self.signatures)
+        coded = isinstance(self.stored, SignatureCodes)  # which checks itself
+        numbers = np.empty(0, np.complex64) if coded else np.asarray(self.stored)
+        require_sane({"radial_basis": self.radial_basis}, numbers)
         if not np.isfinite(self.lateral_offset_m).all():
             raise InvalidMap("lateral_offset_m has numbers that are not finite")
-        if self.signatures[..., 0].imag.any():
+        if numbers[..., :1].imag.any():
             raise InvalidMap("the first column of a harmonic signature is real")
         if self.hidden_sectors is not None:
             freeze(self, hidden_sectors=np.int64)
@@ -131,7 +140,50 @@ class HarmonicModel(Model):
     @property
     def ranks(self) -> tuple[int, int]:
         """`(r1, r2)`, the shape of a signature."""
-        return self.signatures.shape[2], self.signatures.shape[3]
+        return self.stored.shape[2], self.stored.shape[3]
+
+    @property
+    def signatures(self) -> Complex64Array:
+        """All signatures as numbers, `(K, D, r1, r2)`; of a large map decoded each time."""
+        return self._numbers if self._codes is None else self._codes.at(np.arange(len(self)))
+
+    @property
+    def is_large(self) -> bool:
+        """Whether it has so many codes that each query decodes them, and none are kept decoded."""
+        scans, renderings, *_ = self.stored.shape
+        return isinstance(self.stored, SignatureCodes) and scans * renderings > _MOST_DECODED
+
+    @property
+    def _codes(self) -> SignatureCodes | None:
+        """Those of a large map."""
+        codes = self.stored if isinstance(self.stored, SignatureCodes) else None
+        return codes if self.is_large else None
+
+    @cached_property
+    def _numbers(self) -> Complex64Array:
+        if isinstance(self.stored, SignatureCodes):
+            return frozen(self.stored.at(np.arange(len(self))), np.complex64)
+        return self.stored
+
+    def signatures_at(self, rows: IntArray, renderings: IntArray | None = None) -> Complex64Array:
+        """Return the signatures of some renderings, `(n, d, r1, r2)`.
+
+        Args:
+            rows: `(n,)` scans.
+            renderings: `(n, d)` of each; all D by default.
+        """
+        if self._codes is not None:
+            return self._codes.at(rows, renderings)
+        if renderings is None:
+            return self._numbers[rows]
+        return self._numbers[rows[:, None], renderings]
+
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """Return every array by its name in the file."""
+        arrays = arrays_of(self)
+        if isinstance(self.stored, SignatureCodes):
+            return {**arrays, **self.stored.arrays()}
+        return {"signatures": arrays.pop("stored"), **arrays}
 
     @property
     def grid_shape(self) -> tuple[int, int]:
@@ -221,16 +273,20 @@ class HarmonicModel(Model):
         return lru_cache(_LIMITED_KEPT)(self._limit)
 
     def _limit(self, rings: int | None, r1: int) -> "HarmonicModel":
-        signatures = self.signatures[:, :, :r1]
-        if rings is not None:
-            near = self.radial_basis[:rings]
-            signatures = (near.T @ near)[:r1] @ self.signatures
-        return replace(self, radial_basis=self.radial_basis[:, :r1], signatures=signatures)
+        near = self.radial_basis[:rings]
+        mixing = (near.T @ near)[:r1]
+        stored: Complex64Array | SignatureCodes
+        if isinstance(self.stored, SignatureCodes):
+            stored = self.stored.limited(r1) if rings is None else self.stored.mixed(mixing)
+        else:
+            stored = self.stored[:, :, :r1] if rings is None else mixing @ self.stored
+        return replace(self, radial_basis=self.radial_basis[:, :r1], stored=stored)
 
     @property
     def recorded(self) -> Complex64Array:
         """Signatures from the viewpoint nearest to the recorded line, `(K, r1, r2)`."""
-        return self.signatures[:, self._on_line]
+        rows = np.arange(len(self))
+        return self.signatures_at(rows, np.array([[self._on_line]]))[:, 0]
 
     @property
     def recorded_lateral_m(self) -> float:
@@ -250,13 +306,14 @@ class HarmonicModel(Model):
         self, rows: Iterable[int], named: str, segments: IntArray | None = None
     ) -> Iterator[tuple[Signature, ...]]:
         """Yield each scan's recorded signature: one for all segments."""
-        recorded, (r1, r2) = self.recorded, self.sent_ranks
+        (r1, r2), on_line = self.sent_ranks, np.array([[self._on_line]])
         for row in rows:
+            recorded = self.signatures_at(np.array([row]), on_line)[0, 0]
             view = FULL_VIEW
             if self.hidden_sectors is not None:
                 bits = int(self.hidden_sectors[row, self._on_line])
                 view = View(tuple(sector for sector in range(SECTORS) if bits >> sector & 1))
-            yield (Signature(recorded[row, :r1, :r2], None, named, view=view),)
+            yield (Signature(recorded[:r1, :r2], None, named, view=view),)
 
     def basis_digests(self, parameters: "MapParameters") -> tuple[str, ...]:
         """Return the digest of the one basis."""
@@ -272,34 +329,91 @@ class HarmonicModel(Model):
         self, rows: IntArray, segments: IntArray, segment_start: IntArray
     ) -> "HarmonicModel":
         """Return the model of some scans, unchanged."""
-        hidden, images = self.hidden_sectors, self.verification_images
+        hidden, images, stored = self.hidden_sectors, self.verification_images, self.stored
         return replace(
             self,
-            signatures=self.signatures[rows],
+            stored=stored.select(rows) if isinstance(stored, SignatureCodes) else stored[rows],
             segment_start=segment_start,
             hidden_sectors=None if hidden is None else hidden[rows],
             verification_images=None if images is None else images[rows],
         )
 
     def joined(self, others: Sequence["HarmonicModel"], segment_start: IntArray) -> "HarmonicModel":
-        """Return one model of this one's scans and those of others of the same basis."""
-        signatures = np.concatenate([model.signatures for model in (self, *others)])
+        """Return one model of this one's scans and those of others of the same basis.
+
+        Codes stay what they are; numbers stay numbers where all are.
+        """
+        models = (self, *others)
+        coded = [m.stored for m in models if isinstance(m.stored, SignatureCodes)]
+        stored: Complex64Array | SignatureCodes
+        if coded:
+            stored = SignatureCodes.joined([m.as_codes() for m in models])
+        else:
+            stored = np.concatenate([m.signatures for m in models])
         hidden = [m.hidden_sectors for m in (self, *others) if m.hidden_sectors is not None]
         images = [
             m.verification_images for m in (self, *others) if m.verification_images is not None
         ]
         return replace(
             self,
-            signatures=signatures,
+            stored=stored,
             segment_start=segment_start,
             hidden_sectors=np.concatenate(hidden) if hidden else None,
             verification_images=np.concatenate(images) if images else None,
         )
 
+    def as_codes(self) -> SignatureCodes:
+        """Return the signatures as codes; numbers of an older file are rounded."""
+        if isinstance(self.stored, SignatureCodes):
+            return self.stored
+        return SignatureCodes.of(self.stored)
+
     @cached_property
     def norms(self) -> FloatArray:
         """|G| of every rendering, `(K, D)`."""
-        return np.sqrt(energy(self.signatures, self.columns))
+        if self._codes is not None:
+            return np.sqrt(self._codes.squared_norms(self.columns, self.ranks[1]))
+        return np.sqrt(energy(self._numbers, self.columns))
+
+    @cached_property
+    def blocks(self) -> list[slice]:
+        """Slices of all renderings, in the order `(D, K)`, to be compared at once: a small map's.
+
+        Those of a large map are decoded one block after another.
+        """
+        return blocks_of(self.norms.size) if self.is_large else [slice(0, self.norms.size)]
+
+    def waves(self, query: Complex64Array, block: slice) -> Iterator[Complex64Array]:
+        """Yield the correlation of harmonics with some renderings of norm 1, `(n,)` of each.
+
+        Args:
+            query: `(r1, m)`, m up to r2; its products with `units`.
+            block: One of `blocks`.
+        """
+        if self._codes is not None:
+            weighted = query * np.sqrt(weights(self.columns, query.shape[1])).astype(np.float32)
+            for product in self._codes.waves(weighted, block):
+                product *= self._inverse_norms[block]
+                yield product
+        else:
+            for of_query, of_map in zip(query.T, self.units, strict=False):
+                yield of_query @ of_map
+
+    @cached_property
+    def _inverse_norms(self) -> Float32Array:
+        norms = self.norms.T.reshape(-1)
+        return frozen(1.0 / np.where(norms > 0, norms, 1.0), np.float32)
+
+    @cached_property
+    def energy_shares(self) -> Callable[[int], Float32Array]:
+        """Share of the energy of all harmonics that the first r2 have, `(D K,)`, of r2."""
+        return lru_cache(_LIMITED_KEPT)(self._energy_shares)
+
+    def _energy_shares(self, r2: int) -> Float32Array:
+        if self._codes is None:
+            return np.asarray(self.unit_energies(r2)[0])
+        squared = self._codes.squared_norms(self.columns, r2).T.reshape(-1)
+        return frozen(squared * np.square(self._inverse_norms, dtype=np.float64), np.float32)
 
     @cached_property
     def unit_energies(self) -> Callable[[int], Float32Array]:
@@ -310,36 +424,21 @@ class HarmonicModel(Model):
         return lru_cache(_LIMITED_KEPT)(self._unit_energies)
 
     def _unit_energies(self, r2: int) -> Float32Array:
-        found = circular_energy(self.signatures[..., :r2])[..., :_ESTIMATED_WAVES]
-        found /= np.where(self.norms > 0, np.square(self.norms), 1.0)[..., None]
-        return self._by_harmonic(found)
+        count = 2 * min(_ESTIMATED_WAVES, 2 * r2 - 1) - 1
+        found = np.empty((count, *self.norms.shape[::-1]), np.float32)
+        for start in range(0, len(self), _DECODED_SCANS):
+            rows = np.arange(start, min(start + _DECODED_SCANS, len(self)))
+            energies = circular_energy(self.signatures_at(rows)[..., :r2])[..., :_ESTIMATED_WAVES]
+            norms = self.norms[rows]
+            energies /= np.where(norms > 0, np.square(norms), 1.0)[..., None]
+            found[..., rows] = as_real(energies.transpose(2, 1, 0))
+        return frozen(found.reshape(count, -1), np.float32)
 
     @cached_property
-    def seen_waves(self) -> Float32Array:
-        """The first of `seen_harmonics`, which change little from one heading to the next."""
-        kept = len(self.seen_harmonics) // 2 + 1
-        real, imag = np.split(self.seen_harmonics, [kept])
-        count = min(_ESTIMATED_WAVES, kept)
-        return frozen(np.concatenate([real[:count], imag[: count - 1]]), np.float32)
-
-    @cached_property
-    def sees_all(self) -> bool:
-        """Whether no rendering has hidden sectors."""
-        return not np.any(self.hidden_sectors)
-
-    @cached_property
-    def seen_harmonics(self) -> Float32Array:
-        """The same of 1 in the columns that each rendering sees and 0 elsewhere."""
-        distinct, which = np.unique(np.asarray(self.hidden_sectors), return_inverse=True)
-        seen = np.fft.rfft(seen_of_bits(distinct, self.columns).astype(np.float64), axis=-1)
-        harmonics = seen[:, : 2 * self.ranks[1] - 1] / self.columns
-        return self._by_harmonic(harmonics[which.reshape(self.norms.shape)])
-
-    @staticmethod
-    def _by_harmonic(of_renderings: ComplexArray) -> Float32Array:
-        """Return `(K, D, n)` waves as `as_real`, renderings in the order of `units`."""
-        count = of_renderings.shape[-1]
-        return frozen(as_real(of_renderings.transpose(2, 1, 0).reshape(count, -1)), np.float32)
+    def seen(self) -> Seen:
+        """What the renderings of a map of any views see."""
+        hidden, r2 = np.asarray(self.hidden_sectors), self.ranks[1]
+        return Seen(hidden, self.columns, r2, _ESTIMATED_WAVES, each=not self.is_large)
 
     @cached_property
     def units(self) -> Complex64Array:
@@ -348,7 +447,7 @@ class HarmonicModel(Model):
         Ordered by harmonic, then by rendering, each row contiguous: the bound is then r2 products
         with long vectors, and the maximum over D of them.
         """
-        scaled = np.conj(self.signatures.astype(np.complex128))
+        scaled = np.conj(self._numbers.astype(np.complex128))
         scaled *= np.sqrt(weights(self.columns, self.ranks[1]))
         scaled /= np.where(self.norms > 0, self.norms, 1.0)[..., None, None]
         r1, r2 = self.ranks

@@ -44,7 +44,9 @@ class HarmonicSearch(Search):
         step_deg = min(_MOST_STEP_DEG, 360.0 / (_SAMPLES_A_WAVE * max(1, len(harmonic) - 1)))
         headings_deg = relative_yaw_deg + step_deg * np.array([[-1.0], [0.0], [1.0]])
         turned = np.exp(1j * np.radians(headings_deg)[..., None] * harmonic)
-        seen = self._seen(model.signatures[rows].astype(np.complex128) * turned[:, :, None, None])
+        seen = self._seen(
+            model.signatures_at(rows).astype(np.complex128) * turned[:, :, None, None]
+        )
         return Viewpoints(
             self._as_numbers(self._values),
             self._as_numbers(seen),
@@ -112,11 +114,11 @@ class HarmonicSearch(Search):
         model = self._model
         unit = (self._values / (self._norm or 1.0) * np.sqrt(self._weights)).astype(np.complex64)
         correlation = np.zeros(model.norms.size, np.float32)
-        for of_query, of_map in zip(unit.T, model.units, strict=True):
-            product = of_query @ of_map
-            squared = product.real**2
-            squared += product.imag**2
-            correlation += np.sqrt(squared, out=squared)
+        for block in model.blocks:
+            for product in model.waves(unit, block):
+                squared = product.real**2
+                squared += product.imag**2
+                correlation[block] += np.sqrt(squared, out=squared)
         norms = model.norms.T
         share = correlation.reshape(norms.shape)
         if model.measure == Distance.NORMALISED:
@@ -135,7 +137,7 @@ class HarmonicSearch(Search):
             each.
         """
         model = self._model
-        stored = model.signatures[rows]
+        stored = model.signatures_at(rows)
         real, imag = stored.real.astype(np.float64), stored.imag.astype(np.float64)
         g = self._values
         c_real = (g.real * real + g.imag * imag).sum(axis=2)

@@ -38,7 +38,7 @@ def test_inspect_shows_what_it_was_built_with(map_file):
         "highest",
     )
     assert facts["lateral_renderings_m"] == [-1.5, 0.0, 1.5]
-    assert facts["arrays"]["signatures"] == {"shape": [12, 3, 10, 12], "dtype": "complex64"}
+    assert facts["arrays"]["signature_codes"] == {"shape": [23, 10, 3, 12], "dtype": "int8"}
     assert "harmonic" in run("inspect", map_file)
 
 

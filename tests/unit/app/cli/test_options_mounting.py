@@ -90,7 +90,8 @@ def test_a_signature_is_of_the_mounted_scan(folders, map_file):
     [shown] = json.loads(run("signature", map_file, scan, *AS_MOUNTED))["signatures"]
     stored = read_map(map_file).model.signatures[20]
     viewpoint = stored[len(stored) // 2, :6, :7]
-    np.testing.assert_allclose(shown["values_real"], viewpoint.real, rtol=1e-4, atol=1e-3)
+    step = np.abs(stored[len(stored) // 2]).max() / 127
+    np.testing.assert_allclose(shown["values_real"], viewpoint.real, atol=0.51 * step)
 
 
 def test_loop_closures_are_between_vehicles(folders):

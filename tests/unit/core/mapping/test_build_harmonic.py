@@ -133,7 +133,8 @@ def test_one_basis_is_the_best_for_the_detail_in_all_renderings_of_all_segments(
     assert (model.radial_basis[np.abs(model.radial_basis).argmax(axis=0), range(3)] > 0).all()
     factor = azimuth_factor(images.shape[-1], 4)
     expected = np.einsum("ir,kdij,jm->kdrm", model.radial_basis, images, factor, optimize=True)
-    np.testing.assert_allclose(model.signatures, expected, rtol=1e-4, atol=1e-4)
+    largest = np.abs(expected).max(axis=(2, 3), keepdims=True)
+    assert (np.abs(model.signatures - expected) <= 0.75 * largest / 127).all()  # of half a code
 
 
 def test_the_relative_error_is_what_the_reconstruction_misses():
@@ -149,7 +150,7 @@ def test_the_relative_error_is_what_the_reconstruction_misses():
     for segment in range(2):
         own = slice(10 * segment, 10 * segment + 10)
         error = np.linalg.norm(images[own] - rebuilt[own]) / np.linalg.norm(images[own])
-        assert tensor_map.relative_error[segment] == pytest.approx(error, abs=1e-5)
+        assert tensor_map.relative_error[segment] == pytest.approx(error, abs=1e-4)
 
 
 def test_streamed_is_whole_and_parts_are_one():
@@ -179,10 +180,12 @@ def test_a_map_whose_parts_do_not_fit_is_rejected():
     imaginary = model.signatures.copy()
     imaginary[0, 0, 0, 0] += 1j
     for name, value in (
-        ("signatures", imaginary),
-        ("signatures", np.full_like(imaginary, np.nan)),
-        ("signatures", model.signatures[:9]),
-        ("signatures", model.signatures[:, :2]),
+        ("stored", imaginary),
+        ("stored", np.full_like(imaginary, np.nan)),
+        ("stored", model.signatures[:9]),
+        ("stored", model.signatures[:, :2]),
+        ("stored", model.as_codes().select(np.arange(9))),
+        ("stored", model.as_codes().limited(2)),
         ("radial_basis", model.radial_basis[:, :2]),
         ("radial_basis", model.radial_basis[0]),
         ("lateral_offset_m", np.array([-2.0, 0.0, np.inf])),
@@ -200,7 +203,7 @@ def test_a_map_whose_parts_do_not_fit_is_rejected():
 
 
 def vars_of(model):
-    names = ("radial_basis", "signatures", "lateral_offset_m", "segment_start", "columns")
+    names = ("radial_basis", "stored", "lateral_offset_m", "segment_start", "columns")
     others = {"measure": model.measure, "sent_ranks": model.sent_ranks}
     return {**{name: getattr(model, name) for name in names}, **others}
 

@@ -185,7 +185,7 @@ def test_a_signature_of_the_held_basis_is_answered_after_a_drive_was_added():
         image = Image(cells, held.parameters.grid)
         found = Localizer(after).localize_signatures(held.encode(image))
         assert (found.best.row, found.revision) == (row, after.revision)
-        assert found.best.distance == pytest.approx(0.0, abs=1e-6)
+        assert found.best.distance == pytest.approx(0.0, abs=1e-4)  # of rounding to 8 bits
     refitted = built([first, second])
     with pytest.raises(StaleSignature, match=refitted.basis_digest):
         Localizer(refitted).localize_signatures(held.encode(image))

@@ -52,7 +52,7 @@ def test_of_two_places_that_look_alike_the_one_that_can_be_reached_is_taken():
     stored = np.array(mapped.model.signatures)
     stored[42:] = stored[12:30]
     assert isinstance(mapped.model, HarmonicModel)
-    model = replace(mapped.model, signatures=stored)
+    model = replace(mapped.model, stored=stored)
     tracker = Tracker(Localizer(replace(mapped, model=model)))
     seen = [observed(tracker, row) for row in range(12, 24)]
     new, continued = Track(tracker), Track(tracker, driven(tracker, range(12)).state, 0.1)

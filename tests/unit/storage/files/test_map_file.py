@@ -266,7 +266,7 @@ def test_an_array_larger_than_its_file_is_corrupt_before_memory_is_taken(path, s
         read_map(path)
 
 
-@pytest.mark.parametrize("version", [0, 3, "1.5", [1, 2]])
+@pytest.mark.parametrize("version", [0, 4, "1.5", [1, 2]])
 def test_another_format_version_is_corrupt(path, version):
     with h5py.File(path, "r+") as file:
         file.attrs["format_version"] = version

@@ -1,0 +1,68 @@
+"""What the renderings of a map see, as harmonics over the columns."""
+
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from core.arrays import Float32Array, IntArray, frozen
+from core.encodings.harmonics import as_real
+from core.projection.visibility import seen_of_bits
+
+
+class Seen:
+    """The harmonics of 1 in the columns that each rendering sees and 0 elsewhere, as real numbers.
+
+    Many renderings see alike: one row is kept of each way to see.
+
+    Args:
+        hidden_sectors: `(K, D)`, the bits of the sectors that each rendering does not see.
+        columns: J.
+        r2: How many harmonics a rendering has: of what it sees there are `2 r2 - 1`.
+        slow: How many change little from one heading to the next.
+        each: Whether to keep these of each rendering, 44 bytes.
+
+    Attributes:
+        slow: How many of them there are.
+    """
+
+    def __init__(
+        self, hidden_sectors: IntArray, columns: int, r2: int, slow: int, *, each: bool
+    ) -> None:
+        self._hidden = hidden_sectors
+        self._columns, self._harmonics, self._each = columns, 2 * r2 - 1, each
+        self.slow = min(slow, self._harmonics)
+
+    @cached_property
+    def all(self) -> bool:
+        """Whether no rendering has hidden sectors."""
+        return not np.any(self._hidden)
+
+    def harmonics(self, rows: IntArray, renderings: IntArray) -> Float32Array:
+        """Return those of some scans' renderings."""
+        of_distinct, which = self._ways
+        return np.asarray(of_distinct[:, which[renderings * len(self._hidden) + rows]])
+
+    def waves(self, block: slice) -> Float32Array:
+        """Return the slow ones of some renderings, in the order `(D, K)`."""
+        if self._each:
+            return np.asarray(self._of_each[:, block])
+        return np.asarray(self._slow_of_ways[:, self._ways[1][block]])
+
+    @cached_property
+    def _ways(self) -> tuple[Float32Array, NDArray[np.int32]]:
+        """The harmonics of each way to see, and which of them each rendering has."""
+        distinct, which = np.unique(self._hidden.T, return_inverse=True)
+        seen = np.fft.rfft(seen_of_bits(distinct, self._columns).astype(np.float64), axis=-1)
+        harmonics = seen[:, : self._harmonics] / self._columns
+        return frozen(as_real(harmonics.T), np.float32), which.reshape(-1).astype(np.int32)
+
+    @cached_property
+    def _slow_of_ways(self) -> Float32Array:
+        of_ways, _ = self._ways
+        real, imag = np.split(of_ways, [self._harmonics])
+        return frozen(np.concatenate([real[: self.slow], imag[: self.slow - 1]]), np.float32)
+
+    @cached_property
+    def _of_each(self) -> Float32Array:
+        return frozen(self._slow_of_ways[:, self._ways[1]], np.float32)
