@@ -1,8 +1,8 @@
 """Vehicles at 10 Hz over WebSockets: all answered in time, nothing lost and nothing mixed up.
 
 `make soak` drives fifty for ten minutes, `.ci/run` five for one: each observation takes some
-milliseconds of CPU. The vehicles are a process of their own. The bar of `make soak`, 50 ms, is for two
-cores that do nothing else; without it an answer may take a second.
+milliseconds of CPU. The vehicles are a process of their own. The bar of `make soak`, 50 ms, is for
+two cores that do nothing else; without it an answer may take a second.
 """
 
 import os
