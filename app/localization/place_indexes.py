@@ -6,13 +6,14 @@ from bisect import bisect_right
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 
 from core.arrays import IntArray
 from core.encodings.basis import Basis
 from core.encodings.model import Model
+from core.encodings.place_index import PlaceEntries, PlaceIndex
 from core.encodings.signature import Signature
 from core.errors import InvalidMap, TensorMapError
 from storage.catalog import LiveMap
@@ -20,9 +21,6 @@ from storage.errors import BasisNotFound, CorruptFile
 from storage.files.map_file import read_revision
 from storage.files.place_files import VERSION, IndexedMap, Manifest, Part, PlaceFiles
 from storage.store import Store
-
-if TYPE_CHECKING:
-    from core.encodings.harmonic.place_index import PlaceEntries, PlaceIndex
 
 FEWEST_MAPS = 9
 """Of one basis that are indexed: fewer are opened, and stay open."""
@@ -50,8 +48,8 @@ class OpenIndex:
     """
 
     basis: Basis
-    index: "PlaceIndex"
-    parts: tuple[tuple["PlaceEntries", Part], ...]
+    index: PlaceIndex[Any]
+    parts: tuple[tuple[PlaceEntries, Part], ...]
     places_of: Mapping[str, tuple[int, IndexedMap]]
 
     def has(self, one: LiveMap) -> bool:

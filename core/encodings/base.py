@@ -21,7 +21,7 @@ from core.projection.reducer import Reducer
 from core.scans.trajectory import Trajectory
 
 if TYPE_CHECKING:
-    from core.encodings.harmonic.place_index import PlaceIndex
+    from core.encodings.place_index import PlaceIndex
     from core.parameters import MapParameters
 
 PAPER_RANKS = (5, 5)
@@ -195,7 +195,7 @@ class Encoding(ABC):
         """
         raise InvalidParameters(f"a basis of the {self.name} encoding is fitted to no sums")
 
-    def place_index(self) -> "type[PlaceIndex] | None":
+    def place_index(self) -> "type[PlaceIndex[Any]] | None":
         """Return how places of many maps of one basis are indexed, `None` if they are not."""
         return None
 

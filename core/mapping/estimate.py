@@ -4,7 +4,7 @@ What a scan between two places is like is about the mean of what it is like at b
 near each is. Such means are computed on a lattice along the path and across it, and the estimate is
 the mean of its places, each as likely as the query is there: for noise in a signature of d numbers,
 of unknown strength, the likelihood is that of the part of the query that the mean does not explain,
-(1 - cos^2)^(-d / 2). Beyond the outermost viewpoints the change from those before them continues.
+(1 - cos^2)^(-d / 2). Beyond the outermost viewpoints the change up to them continues.
 
 Measurements: docs/decisions/0032-position-between-scans.md.
 """
@@ -116,7 +116,8 @@ def _along(scans: int) -> FloatArray:
 def _across(offsets_m: tuple[float, ...]) -> tuple[FloatArray, FloatArray]:
     """Return the weights of viewpoints at each place of the lattice across the path.
 
-    It continues as far beyond the outermost ones as these are from the one on the line.
+    It continues as far beyond the outermost ones as these are from the one on the line, by the mean
+    of the changes from that one and from the one before the outermost.
 
     Returns:
         `(c, D)` weights and `(c,)` how far to the left the places are.
@@ -130,8 +131,15 @@ def _across(offsets_m: tuple[float, ...]) -> tuple[FloatArray, FloatArray]:
     within = places_m[0][1 : steps + 1], places_m[0][steps:-1]
     for (end, before), within_m in zip(ends, within, strict=True):
         places_m.append(2.0 * offset_m[end] - within_m)
-        share = (offset_m[end] - within_m) / (offset_m[end] - offset_m[before])
-        weights.append(viewpoints[end] + share[:, None] * (viewpoints[end] - viewpoints[before]))
+        beyond = [
+            viewpoints[end]
+            + np.outer(
+                (offset_m[end] - within_m) / (offset_m[end] - offset_m[of]),
+                viewpoints[end] - viewpoints[of],
+            )
+            for of in (line, before)
+        ]
+        weights.append(np.mean(beyond, axis=0))
     return (
         frozen(np.concatenate(weights), np.float64),
         frozen(np.concatenate(places_m), np.float64),

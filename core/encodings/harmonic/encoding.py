@@ -18,7 +18,7 @@ from core.encodings.harmonic.basis import HarmonicBasis
 from core.encodings.harmonic.codes import SignatureCodes
 from core.encodings.harmonic.model import HarmonicModel
 from core.encodings.harmonic.packing import LAYOUTS, pack, unpack
-from core.encodings.harmonic.place_index import PlaceIndex
+from core.encodings.harmonic.place_index import HarmonicPlaceIndex
 from core.encodings.harmonics import (
     encode,
     energy,
@@ -170,9 +170,9 @@ class HarmonicEncoding(Encoding):
         )
         return model, errors
 
-    def place_index(self) -> type[PlaceIndex]:
+    def place_index(self) -> type[HarmonicPlaceIndex]:
         """Return the index of phase-free codes."""
-        return PlaceIndex
+        return HarmonicPlaceIndex
 
     def basis_of_grams(
         self, grams: Mapping[str, FloatArray], parameters: "MapParameters"

@@ -15,6 +15,7 @@ from core.encodings.harmonic.model import HarmonicModel
 from core.encodings.harmonic.place_code import RENDERINGS, Int8Array, PlaceCode, beside
 from core.encodings.harmonics import two_sided, weights
 from core.encodings.model import Model
+from core.encodings.place_index import PlaceEntries, PlaceIndex
 from core.encodings.signature import Signature
 from core.errors import InvalidMap
 from core.projection.imager import Views
@@ -36,7 +37,7 @@ _LEAST_NORM = np.float32(1e-6)
 
 
 @dataclass(frozen=True, eq=False)
-class PlaceEntries:
+class HarmonicPlaces(PlaceEntries):
     """The places of some maps, map after map.
 
     Attributes:
@@ -59,7 +60,7 @@ class PlaceEntries:
         return len(self.codes)
 
     @classmethod
-    def of(cls, arrays: Mapping[str, NDArray[Any]]) -> "PlaceEntries":
+    def of(cls, arrays: Mapping[str, NDArray[Any]]) -> "HarmonicPlaces":
         """Return the entries of these `arrays`, checked."""
         entries = cls(**arrays)
         found = [len(array) for name, array in arrays.items() if name not in _OF_LISTS]
@@ -83,7 +84,7 @@ class PlaceEntries:
 
 
 @dataclass(frozen=True, eq=False)
-class PlaceIndex:
+class HarmonicPlaceIndex(PlaceIndex[HarmonicPlaces]):
     """How the places of all maps of one basis are indexed and found.
 
     Attributes:
@@ -97,7 +98,7 @@ class PlaceIndex:
     parameters: "MapParameters"
 
     @classmethod
-    def train(cls, basis: Basis, models: Sequence[Model], places: int) -> "PlaceIndex":
+    def train(cls, basis: Basis, models: Sequence[Model], places: int) -> "HarmonicPlaceIndex":
         """Return an index for maps of a basis, and places like those of some of them.
 
         Args:
@@ -109,7 +110,7 @@ class PlaceIndex:
         return cls.of(basis, code.arrays())
 
     @classmethod
-    def of(cls, basis: Basis, arrays: Mapping[str, NDArray[Any]]) -> "PlaceIndex":
+    def of(cls, basis: Basis, arrays: Mapping[str, NDArray[Any]]) -> "HarmonicPlaceIndex":
         """Return the index of these `arrays`."""
         return cls(PlaceCode(**arrays), basis.arrays()["radial_basis"], basis.parameters)
 
@@ -117,26 +118,26 @@ class PlaceIndex:
         """Return what is stored of the index besides its entries, by name."""
         return self.code.arrays()
 
-    def entries(self, models: Sequence[Model]) -> PlaceEntries:
+    def entries(self, models: Sequence[Model]) -> HarmonicPlaces:
         """Return the entries of all scans of some maps."""
         parts = [self._of_model(one) for one in models if isinstance(one, HarmonicModel)]
         return self.listed({name: np.concatenate([p[name] for p in parts]) for name in parts[0]})
 
-    def read(self, arrays: Mapping[str, NDArray[Any]]) -> PlaceEntries:
+    def read(self, arrays: Mapping[str, NDArray[Any]]) -> HarmonicPlaces:
         """Return stored entries of these `arrays`.
 
         Raises:
             InvalidMap: If they do not fit together.
             TypeError: If one is missing.
         """
-        return PlaceEntries.of(arrays)
+        return HarmonicPlaces.of(arrays)
 
-    def listed(self, arrays: Mapping[str, NDArray[Any]]) -> PlaceEntries:
+    def listed(self, arrays: Mapping[str, NDArray[Any]]) -> HarmonicPlaces:
         """Return entries with these arrays, and lists that are made of them."""
         codes = arrays["codes"]
         lists = self.code.lists_of(codes.reshape(-1, codes.shape[-1]))
         counts = np.bincount(lists, minlength=len(self.code.centres))
-        return PlaceEntries(
+        return HarmonicPlaces(
             members=np.argsort(lists, kind="stable").astype(np.int32),
             list_start=np.concatenate([[0], np.cumsum(counts)]).astype(np.int64),
             **arrays,
@@ -160,7 +161,7 @@ class PlaceIndex:
         }
 
     def candidates(
-        self, entries: PlaceEntries, signature: Signature, places: IntArray | None = None
+        self, entries: HarmonicPlaces, signature: Signature, places: IntArray | None = None
     ) -> tuple[IntArray, Float32Array]:
         """Return the places that a signature may be of, and how far their codes are from its own.
 
@@ -182,7 +183,7 @@ class PlaceIndex:
 
     def _in_lists(
         self,
-        entries: PlaceEntries,
+        entries: HarmonicPlaces,
         signature: Signature,
         query: Float32Array,
         places: IntArray | None,
@@ -208,7 +209,7 @@ class PlaceIndex:
         return _CHOSEN_PARTIAL if _is_partial(signature) else _CHOSEN
 
     def most_alike(
-        self, signature: Signature, found: Sequence[tuple[PlaceEntries, IntArray, Float32Array]]
+        self, signature: Signature, found: Sequence[tuple[HarmonicPlaces, IntArray, Float32Array]]
     ) -> list[tuple[IntArray, FloatArray]]:
         """Compare the best candidates of several entries exactly.
 
