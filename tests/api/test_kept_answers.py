@@ -85,7 +85,7 @@ def settled(client, asked):
 
 
 def test_answers_make_no_query_while_nothing_changed(client, asked, monkeypatch):
-    # Each second the state of a track that was observed is saved, which is a change.
+    # Statements of all threads are counted: without this one the service has fewer of its own.
     monkeypatch.setattr(client.service.tracks, "save", lambda: None)
     for _ in range(5):  # threads of the service look into the catalog too, seldom
         settled(client, asked)
