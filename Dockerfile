@@ -1,4 +1,5 @@
-# Build the wheel from the source, and an environment that holds nothing but it and its dependencies.
+# Build the wheels of the service and its client, and an environment that holds nothing but them and
+# their dependencies.
 FROM python:3.13-slim AS build
 WORKDIR /source
 # What builds the wheel is pinned too.
@@ -8,9 +9,11 @@ COPY core core
 COPY storage storage
 COPY app app
 COPY baselines baselines
-RUN python -m pip wheel --no-cache-dir --no-deps --wheel-dir /wheel . \
+COPY clients clients
+RUN python -m pip wheel --no-cache-dir --no-deps --wheel-dir /wheel clients/python . \
  && python -m venv /opt/tensormap \
- && /opt/tensormap/bin/pip install --no-cache-dir "$(echo /wheel/*.whl)[postgresql]"
+ && /opt/tensormap/bin/pip install --no-cache-dir /wheel/tensormap_client-*.whl \
+    "$(echo /wheel/tensormap_server-*.whl)[odometry,postgresql,ros]"
 
 FROM python:3.13-slim
 COPY --from=build /opt/tensormap /opt/tensormap

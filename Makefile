@@ -13,7 +13,7 @@ FAST := tests/test_layout.py tests/unit tests/property tests/contract \
 	tests/api/test_flow.py tests/api/test_keys.py tests/api/test_openapi.py tests/api/test_problems.py
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-fast coverage torture soak install lint bench constraints clean
+.PHONY: help demo test test-fast coverage torture soak install lint bench wheels constraints clean
 
 help: ## Show this list.
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  make %-12s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -44,6 +44,7 @@ torture: export TENSORMAP_TORTURE_FLIPS ?= 20000
 torture: export TENSORMAP_TORTURE_IMPORTS ?= 5000
 torture: export TENSORMAP_TORTURE_STORED ?= 500
 torture: export TENSORMAP_TORTURE_HOSTILE ?= 100000
+torture: export TENSORMAP_TORTURE_JSON ?= 100000
 torture: export TENSORMAP_TORTURE_TRUNCATION_STEP ?= 1
 torture: export TENSORMAP_TORTURE_INPUTS ?= 50000
 torture: export TENSORMAP_TORTURE_STARVATION_S ?= 60
@@ -62,6 +63,7 @@ soak: export TENSORMAP_SOAK_S ?= 1800
 soak: export TENSORMAP_FLEET_S ?= 600
 soak: export TENSORMAP_FLEET_P99_MS ?= 50
 soak: export TENSORMAP_TORTURE_VEHICLES ?= 50
+soak: export TENSORMAP_TORTURE_FLEET_SCANS ?= 1200
 endif
 
 soak: $(DEVELOP) ## Use the service for half an hour, and drive 50 vehicles for ten minutes. SHORT=1 takes 2 minutes.
@@ -79,6 +81,9 @@ lint: $(DEVELOP) ## Check style, types, spelling and the direction of imports.
 bench: $(DEVELOP) ## Measure against the bars and the committed ratios; writes benchmarks/RESULTS.md.
 	$(BIN)/python -m benchmarks
 
+wheels: | $(BIN)/python ## Build the wheels of the service and of its client in dist/.
+	PIP_BUILD_CONSTRAINT=constraints.txt $(BIN)/python -m pip wheel --quiet --no-deps --wheel-dir dist clients/python .
+
 constraints: ## Renew constraints.txt with the newest versions that pyproject.toml allows.
 	tools/make-constraints
 
@@ -88,10 +93,10 @@ clean: ## Remove what was installed and made.
 $(BIN)/python:
 	PYTHON='$(PYTHON)' tools/make-venv $(VENV)
 
-$(RUNTIME): pyproject.toml constraints.txt | $(BIN)/python
-	$(PIP_INSTALL) --editable .
+$(RUNTIME): pyproject.toml clients/python/pyproject.toml constraints.txt | $(BIN)/python
+	$(PIP_INSTALL) --editable clients/python --editable '.[odometry,ros]'
 	@touch $@
 
-$(DEVELOP): pyproject.toml constraints.txt | $(BIN)/python
-	$(PIP_INSTALL) --editable '.[dev]'
+$(DEVELOP): pyproject.toml clients/python/pyproject.toml constraints.txt | $(BIN)/python
+	$(PIP_INSTALL) --editable clients/python --editable '.[dev]'
 	@touch $@ $(RUNTIME)

@@ -18,6 +18,7 @@ from app.builds import job_routes
 from app.builds import routes as builds
 from app.builds.job_events import JobEvents
 from app.builds.runner import JobRunner
+from app.captures import routes as captures
 from app.drives import pose_routes, upload_routes
 from app.drives import routes as drives
 from app.http import health_routes
@@ -30,14 +31,16 @@ from app.http.pools import Pools
 from app.http.problems import add_handlers
 from app.http.route_index import RouteIndex
 from app.http.streams import Streams
-from app.localization import among_routes
+from app.localization import all_maps_routes
 from app.localization import routes as localizations
-from app.localization.among import AmongMaps
+from app.localization.all_maps import AllMapsSearch
 from app.localization.place_indexes import PlaceIndexes
 from app.loop_closures import routes as loop_closures
+from app.maps import anchor_routes
 from app.maps import routes as maps
 from app.maps.collector import GarbageCollector
 from app.process import one_blas_thread
+from app.recycle_bin import routes as recycle_bin
 from app.revisions import routes as revisions
 from app.revisions.loaded import LoadedRevisions
 from app.scrub import Scrub
@@ -48,7 +51,7 @@ from app.tracking import routes as tracks
 from app.tracking import stream_routes
 from app.tracking.saver import TrackSaver
 from app.tracking.tracks import Tracks
-from storage.catalog import JobRecord
+from storage.catalog import BUILD, JobRecord
 from storage.store import Store
 
 _DESCRIPTION = """Stores LiDAR topological maps and answers *where am I?* from one scan, or from a
@@ -56,6 +59,10 @@ signature of some 60 bytes. Post scans to a drive, build, localize."""
 _ROUTERS = (
     maps.reading,
     maps.writing,
+    anchor_routes.router,
+    recycle_bin.reading,
+    recycle_bin.writing,
+    recycle_bin.purging,
     drives.reading,
     drives.writing,
     drives.scans,
@@ -63,6 +70,8 @@ _ROUTERS = (
     upload_routes.writing,
     pose_routes.reading,
     pose_routes.writing,
+    captures.reading,
+    captures.writing,
     builds.router,
     job_routes.reading,
     job_routes.writing,
@@ -70,7 +79,7 @@ _ROUTERS = (
     bases.reading,
     bases.writing,
     localizations.router,
-    among_routes.router,
+    all_maps_routes.router,
     loop_closures.router,
     tracks.router,
     key_routes.keys,
@@ -120,6 +129,7 @@ def create_app(settings: Settings | None = None) -> FastAPI:
         description=_DESCRIPTION,
         lifespan=lifespan,
         separate_input_output_schemas=False,
+        redoc_url=None,  # its script loads a logo from elsewhere
     )
     add_handlers(app)
     app.add_middleware(Admission)
@@ -158,7 +168,8 @@ def _start(settings: Settings, metrics: Metrics, pools: Pools) -> Service:
     collector = GarbageCollector(settings, store)
 
     def ended(job: JobRecord) -> None:
-        metrics.built(job)
+        if job.kind == BUILD:
+            metrics.built(job)
         collector.wake()
 
     runner = JobRunner(settings, store, ended=ended)
@@ -181,7 +192,7 @@ def _start(settings: Settings, metrics: Metrics, pools: Pools) -> Service:
         settings=settings,
         store=store,
         revisions=revisions,
-        among=AmongMaps(store, revisions, indexes, settings.max_maps_opened),
+        all_maps=AllMapsSearch(store, revisions, indexes, settings.max_maps_opened),
         indexes=indexes,
         runner=runner,
         access=access,

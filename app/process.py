@@ -94,6 +94,19 @@ def limited_memory(limit_bytes: int) -> Iterator[None]:
         resource.setrlimit(resource.RLIMIT_DATA, (soft, hard))
 
 
+@contextmanager
+def limited_files(limit_bytes: int) -> Iterator[None]:
+    """Limit the length of files that this process writes in the block: more raises `OSError`."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    unlimited = resource.RLIM_INFINITY
+    bounds = [bound for bound in (max(limit_bytes, 0), soft, hard) if bound != unlimited]
+    resource.setrlimit(resource.RLIMIT_FSIZE, (min(bounds), hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+
 def most_build_memory_bytes() -> int:
     """Return three quarters of the memory of this machine, or of its control group; 1 GB at least.
 

@@ -13,7 +13,7 @@ from app.http.direct import known
 from app.http.metrics import Metrics
 from app.http.pools import Pools
 from app.http.streams import Streams
-from app.localization.among import AmongMaps
+from app.localization.all_maps import AllMapsSearch
 from app.localization.place_indexes import PlaceIndexes
 from app.maps.collector import GarbageCollector
 from app.revisions.loaded import LoadedRevisions
@@ -33,7 +33,7 @@ class Service:
         settings: Of the service.
         store: Maps, drives, revisions and jobs.
         revisions: Those that answer queries.
-        among: Searches all maps.
+        all_maps: Searches all maps.
         indexes: Of the places of maps with a shared basis.
         runner: Runs builds.
         access: Checks keys.
@@ -51,7 +51,7 @@ class Service:
     settings: Settings
     store: Store
     revisions: LoadedRevisions
-    among: AmongMaps
+    all_maps: AllMapsSearch
     indexes: PlaceIndexes
     runner: JobRunner
     access: Access

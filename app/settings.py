@@ -67,6 +67,14 @@ class Settings(BaseSettings):
     max_upload_bytes: Kilobytes = 64 * 2**30
     """The largest body of many scans, unpacked; each scan in it may have
     TENSORMAP_MAX_BODY_BYTES."""
+    max_capture_bytes_per_key: Kilobytes = 128 * 2**30
+    """How many bytes of captures that are uploaded in parts, and not read yet, a key may have; a
+    single one has at most TENSORMAP_MAX_UPLOAD_BYTES, and its returns as well."""
+    capture_hours: Above0 = Field(72.0, le=LONGEST_DAYS * 24.0)
+    """How many hours after its last part, or after its job, a capture is deleted; scans that it
+    became stay."""
+    capture_read_s: Above0 = 21_600.0
+    """How many seconds it may take to read a capture; one that takes longer fails."""
     max_json_bytes: Kilobytes = 4 * 2**20
     """The largest JSON body that is read: it is parsed whole, scans are not."""
     body_idle_s: float = Field(20.0, gt=0.0)
@@ -97,13 +105,13 @@ class Settings(BaseSettings):
     min_returns: Count = 100
     """A scan with fewer finite, non-zero returns is rejected."""
     build_workers: Count = Field(1, le=64)
-    """How many builds run at once."""
+    """How many jobs run at once: builds, and captures that are read."""
     max_queued_builds_per_key: Count = 50
-    """How many builds a key may have in the queue; another is rejected."""
+    """How many jobs a key may have in the queue; another is rejected."""
     build_stall_s: Above0 = 3600.0
-    """How many seconds a build may make no progress; then its process is ended, and it fails."""
+    """How many seconds a job may make no progress; then its process is ended, and it fails."""
     build_memory_bytes: int | None = Field(None, ge=0)
-    """How many bytes a build may allocate; one that needs more fails. Three quarters of the
+    """How many bytes a job may allocate; one that needs more fails. Three quarters of the
     machine's, or the control group's, memory by default; 0 limits nothing."""
     loaded_revisions: Count = 8
     """How many revisions are kept in memory to answer queries."""
@@ -119,6 +127,9 @@ class Settings(BaseSettings):
     raw_scans: RawScans = RawScans.KEEP
     """`drop` removes the returns of closed drives that the live revision was built of; a map may
     choose otherwise."""
+    recycle_bin_days: AtLeast0 = Field(7.0, le=LONGEST_DAYS)
+    """How many days deleted maps and drives can be restored; then they are removed. 0 removes them
+    at once."""
     max_tracks: Count = 1000
     """How many vehicles are tracked at once; another is rejected."""
     max_tracks_per_key: Count = 500

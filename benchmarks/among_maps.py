@@ -6,7 +6,7 @@ Each district is a map of 100 scans, all with one shared basis, kept in FOLDER o
 Every sixth is not mapped: its queries are of unknown places. Of the mapped ones half are queried,
 on another day and up to 3 m beside the line. Each further map joins the left half of the scans of
 one of the other half with the right half of those of another: a street has two sides. A query is
-answered by the service's own search, without HTTP; the map that it is of is asked alone too.
+answered by the service's own search, without HTTP; the map that it is of also answers alone.
 """
 
 import argparse
@@ -15,13 +15,14 @@ import tempfile
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
 from app.access.caller import Caller
-from app.localization.among import AmongMaps
+from app.localization.all_maps import AllMapsSearch
 from app.localization.place_indexes import PlaceIndexes
 from app.revisions.loaded import LoadedRevisions
 from benchmarks.accuracy import print_table
@@ -29,6 +30,7 @@ from benchmarks.timing import machine
 from core.arrays import BoolArray, FloatArray, IntArray
 from core.encodings.basis import Basis
 from core.encodings.harmonic.model import HarmonicModel
+from core.encodings.harmonic.numbers import SignatureNumbers
 from core.encodings.harmonics import two_sided
 from core.errors import InvalidMap
 from core.evaluation.retrieval import auroc
@@ -59,12 +61,19 @@ ALL_MAPS = Caller("benchmark", frozenset())
 
 
 @dataclass(frozen=True, eq=False)
-class District:
-    """A district: its map, `None` if it is not mapped, and its queries' images and poses."""
+class Queries:
+    """The images and the true poses of a district's queries."""
 
-    tensor_map: TensorMap | None
     cells: FloatArray
     poses: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class District:
+    """A district that is mapped."""
+
+    tensor_map: TensorMap
+    queries: Queries
 
 
 def main() -> int:
@@ -78,10 +87,11 @@ def main() -> int:
     threadpool_limits(limits=1)
     given.folder.mkdir(exist_ok=True)
     basis = _basis(given.folder)
-    districts = [_district(given.folder, basis, n) for n in range(given.districts)]
-    mapped = [one for one in districts if one.tensor_map is not None]
+    numbers = range(given.districts)
+    unmapped = numbers[UNKNOWN_EVERY - 1 :: UNKNOWN_EVERY]
+    mapped = [_district(given.folder, basis, n) for n in numbers if n not in unmapped]
     queried, sides = mapped[: len(mapped) // 2], mapped[len(mapped) // 2 :]
-    unknown = [one for one in districts if one.tensor_map is None]
+    unknown = [_queries(given.folder, basis, n) for n in unmapped]
     with tempfile.TemporaryDirectory(dir=given.folder) as data:
         store = Store(Path(data))
         store.catalog.watch()
@@ -92,8 +102,8 @@ def main() -> int:
         indexes.update(basis.digest)
         print(f"{given.maps} maps indexed in {time.perf_counter() - started:.0f} s; {machine()}.\n")
         localizers = LoadedRevisions(store, 8)
-        among = AmongMaps(store, localizers, indexes, 64)
-        _report(among, localizers, basis, queried, unknown, given.every)
+        all_maps = AllMapsSearch(store, localizers, indexes, 64)
+        _report(all_maps, localizers, basis, queried, unknown, given.every)
         store.close()
     return 0
 
@@ -125,21 +135,25 @@ def _basis(folder: Path) -> Basis:
 
 
 def _district(folder: Path, basis: Basis, number: int) -> District:
-    seed, is_mapped = FIRST_SEED + number, number % UNKNOWN_EVERY != UNKNOWN_EVERY - 1
-    map_file, query_file = folder / f"m{number:04}.h5", folder / f"q{number:04}.npz"
-    if not query_file.exists():
-        if is_mapped and not map_file.exists():
-            made = build([_drive(seed)], MapParameters.for_sensor(), kept=basis)
-            write_map(map_file, made.tensor_map)
+    map_file = folder / f"m{number:04}.h5"
+    if not map_file.exists():
+        made = build([_drive(FIRST_SEED + number)], MapParameters.for_sensor(), kept=basis)
+        write_map(map_file, made.tensor_map)
+    return District(read_map(map_file), _queries(folder, basis, number))
+
+
+def _queries(folder: Path, basis: Basis, number: int) -> Queries:
+    file = folder / f"q{number:04}.npz"
+    if not file.exists():
         cells, poses = [], []
         for order, (lateral_m, reverse) in enumerate(PASSES):
-            drive = _drive(seed, lateral_m, reverse=reverse, day=ANOTHER_DAY)
+            drive = _drive(FIRST_SEED + number, lateral_m, reverse=reverse, day=ANOTHER_DAY)
             for index in range(5 + order, SCANS, QUERY_EVERY):
                 cells.append(basis.image(drive.scan(index)).cells)
                 poses.append(drive.poses[index])
-        np.savez(query_file, cells=np.array(cells), poses=np.array(poses))
-    found = np.load(query_file)
-    return District(read_map(map_file) if is_mapped else None, found["cells"], found["poses"])
+        np.savez(file, cells=np.array(cells), poses=np.array(poses))
+    found = np.load(file)
+    return Queries(found["cells"], found["poses"])
 
 
 def _fill(store: Store, queried: list[District], sides: list[District], count: int) -> None:
@@ -149,20 +163,17 @@ def _fill(store: Store, queried: list[District], sides: list[District], count: i
         store.revisions.add(
             record.id,
             tensor_map.revision,
-            lambda path, written=tensor_map: write_map(path, written),  # type: ignore[misc]
+            partial(write_map, tensor_map=tensor_map),
             facts,
         )
 
 
 def _maps(queried: list[District], sides: list[District], count: int) -> Iterator[TensorMap]:
-    for one in queried:
-        assert one.tensor_map is not None  # noqa: S101 - it is mapped
-        yield one.tensor_map
+    yield from (one.tensor_map for one in queried)
     rng = np.random.default_rng(0)
-    maps = [one.tensor_map for one in sides if one.tensor_map is not None]
     for _ in range(count - len(queried)):
-        left, right = rng.choice(len(maps), 2, replace=False)
-        yield _joined(maps[left], maps[right], rng)
+        left, right = rng.choice(len(sides), 2, replace=False)
+        yield _joined(sides[left].tensor_map, sides[right].tensor_map, rng)
 
 
 def _joined(left: TensorMap, right: TensorMap, rng: np.random.Generator) -> TensorMap:
@@ -183,13 +194,14 @@ def _joined(left: TensorMap, right: TensorMap, rng: np.random.Generator) -> Tens
     signatures.imag[..., 0] = 0.0
     hidden = _bits(one, rows) & _LEFT | _bits(other, of_other) & ~_LEFT
     parameters = replace(left.parameters, verification_images=False)
-    model = replace(one, stored=signatures, hidden_sectors=hidden, verification_images=None)
+    model = replace(
+        one, stored=SignatureNumbers(signatures), hidden_sectors=hidden, verification_images=None
+    )
     return replace(left, parameters=parameters, model=model, image_calibration=None)
 
 
 def _bits(model: HarmonicModel, rows: IntArray) -> IntArray:
-    assert model.hidden_sectors is not None  # noqa: S101 - it is of any views
-    return model.hidden_sectors[rows]
+    return np.asarray(model.hidden_sectors)[rows]
 
 
 @dataclass(frozen=True)
@@ -206,20 +218,24 @@ class _Answer:
 
 
 def _report(
-    among: AmongMaps,
+    all_maps: AllMapsSearch,
     localizers: LoadedRevisions,
     basis: Basis,
     queried: list[District],
-    unknown: list[District],
+    unknown: list[Queries],
     every: int,
 ) -> None:
     rows = []
     for name, hidden in HIDDEN_SECTORS.items():
+        ask = partial(_ask, all_maps, localizers, basis, hidden, every)
         answers = [
             answer
-            for number, one in enumerate([*queried, *unknown])
-            for answer in _ask(among, localizers, basis, one, number, queried, hidden, every)
+            for number, one in enumerate(queried)
+            for answer in ask(one.queries, number, one.tensor_map, is_known=True)
         ]
+        for number, queries in enumerate(unknown, len(queried)):
+            other = queried[number % len(queried)].tensor_map
+            answers += ask(queries, number, other, is_known=False)
         known = [one for one in answers if one.known]
         seconds = np.array([one.seconds for one in answers])
         right = np.array([one.right for one in answers])
@@ -254,31 +270,29 @@ def _report(
 
 
 def _ask(
-    among: AmongMaps,
+    all_maps: AllMapsSearch,
     localizers: LoadedRevisions,
     basis: Basis,
-    district: District,
-    number: int,
-    queried: list[District],
     hidden: int,
     every: int,
+    queries: Queries,
+    number: int,
+    tensor_map: TensorMap,
+    *,
+    is_known: bool,
 ) -> Iterator[_Answer]:
     rng = np.random.default_rng([number, hidden])
-    of_map = district.tensor_map or queried[number % len(queried)].tensor_map
-    assert of_map is not None  # noqa: S101 - it is mapped
-    alone = Localizer(of_map)
-    for cells, pose in list(zip(district.cells, district.poses, strict=True))[
-        number % every :: every
-    ]:
+    alone = Localizer(tensor_map)
+    some = slice(number % every, None, every)
+    for cells, pose in zip(queries.cells[some], queries.poses[some], strict=True):
         columns = (sector_of_column(cells.shape[1]) - rng.integers(SECTORS)) % SECTORS < hidden
         image = Image(np.where(columns, HIDDEN, cells).astype(np.float32), basis.parameters.grid)
         signatures = basis.encode(image)
         started = time.thread_time()  # the machine is shared
-        answer = among.signature(ALL_MAPS, signatures, 1, None).found
+        answer = all_maps.signature(ALL_MAPS, signatures, 1, None).found
         seconds = time.thread_time() - started
         best = answer.best
         of_one = alone.localize_signatures(signatures)
-        is_known = district.tensor_map is not None
         yield _Answer(
             is_known,
             is_known and best.name == f"d{number:05}" and _near(best.match.pose, pose),

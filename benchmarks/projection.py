@@ -34,7 +34,7 @@ def measure() -> list[Row]:
     kinds: dict[str, tuple[Callable[[], Float32Array], Callable[[], Float32Array]]] = {
         "heights": (
             lambda: project_heights(scan, rings, Reducer.HIGHEST, HEIGHT_M),
-            lambda: _plain_heights(scan.points_m, rings),
+            lambda: plain_heights(scan.points_m, rings),
         ),
         "ranges": (
             lambda: project_scan(scan, angles, Reducer.NEAREST),
@@ -50,7 +50,8 @@ def measure() -> list[Row]:
     return rows
 
 
-def _plain_heights(points_m: Float32Array, grid: RingGrid) -> Float32Array:
+def plain_heights(points_m: Float32Array, grid: RingGrid) -> Float32Array:
+    """Return the height image as a few lines of NumPy make it."""
     x, y, z = points_m.T.astype(np.float64)
     ring = np.floor(np.hypot(x, y) / grid.ring_m).astype(np.int64)
     column = np.rint(np.degrees(np.arctan2(y, x)) / grid.azimuth_step_deg).astype(np.int64)

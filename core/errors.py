@@ -11,6 +11,8 @@ TensorMapError
 ├── StaleSignature          a signature made with another revision's bases
 ├── BasisMismatch           maps whose bases differ, where one is needed
 ├── FramesDisagree          drives of one map whose poses are in different world frames
+├── PosesContradictScans    poses of a drive that its scans contradict
+├── AnchorDoesNotFit        a GNSS track that does not fit the drive, or gives no heading
 ├── UnknownDrive            a drive the map does not have
 ├── StaleObservation        an observation that is not newer than the track's last one
 ├── UnknownSegment          a segment the map does not have
@@ -33,7 +35,7 @@ class TooFewReturns(InvalidScan):
 
 
 class InvalidPose(TensorMapError):
-    """A pose that is not a rigid motion."""
+    """Poses or times that cannot be read, or a pose that is not a rigid motion."""
 
 
 class InvalidImage(TensorMapError):
@@ -62,6 +64,14 @@ class BasisMismatch(TensorMapError):
 
 class FramesDisagree(TensorMapError):
     """Drives of one map whose poses are in different world frames."""
+
+
+class PosesContradictScans(TensorMapError):
+    """The scans of a drive show another motion than its poses."""
+
+
+class AnchorDoesNotFit(TensorMapError):
+    """The track of a GNSS receiver does not fit a drive, or does not give its heading."""
 
 
 class UnknownDrive(TensorMapError):

@@ -8,22 +8,32 @@ StorageError                 a TensorMapError
 │   ├── RevisionNotFound
 │   ├── BasisNotFound
 │   ├── JobNotFound
+│   ├── NotInRecycleBin
+│   ├── CaptureNotFound
 │   └── KeyNotFound
 ├── Conflict                 what is stored does not allow it
 │   ├── MapExists            another map has this slug
+│   ├── DriveExists          another drive of the map has this slug
 │   ├── MapChanged           the map is no longer at the version the caller saw
 │   ├── ScanConflict         other content is stored at this index
 │   ├── PosesDoNotFit        poses that cannot be those of the scans that are stored
 │   ├── DriveClosed          a closed drive takes no new scans
 │   ├── ReturnsGone          the returns of a scan were dropped after a build
 │   ├── NoLiveRevision       the map has no revision to answer with yet
+│   ├── MapNotAnchored       where the map is on the Earth is not set
 │   ├── RevisionIsLive       the live revision cannot be deleted
 │   ├── AmbiguousRevision    several digests begin with this prefix
 │   ├── BasisExists          another shared basis has this name, or this one another
 │   ├── BasisInUse           revisions have this shared basis, or a build uses it
 │   ├── JobNotRunning        only a running job makes progress or ends
+│   ├── PartConflict         other bytes are stored as this part of a capture
+│   ├── PartsMissing         a capture of which parts are missing cannot be read
+│   ├── CaptureMismatch      files of a capture with another digest than was announced
+│   ├── CaptureQueued        a capture that is read, or was, takes no more parts
 │   └── RequestKeyReused     another request was made under this idempotency key
-├── TooManyBuilds            a key has as many builds queued as it may
+├── PartDoesNotFit           a part of another size or number than the capture has
+├── TooManyBuilds            a key has as many jobs queued as it may
+├── TooManyCaptures          a key has as many bytes of captures as it may
 ├── InvalidSlug              a name that is no slug
 ├── CorruptFile              a file that is not what was written
 │   └── CorruptImages        cached images that are not; a build makes them anew
@@ -70,6 +80,14 @@ class JobNotFound(NotFound):
     """A job that is not there."""
 
 
+class NotInRecycleBin(NotFound):
+    """A deleted map or drive that is not in the recycle bin, or no longer."""
+
+
+class CaptureNotFound(NotFound):
+    """An uploaded capture that is not there, or no longer."""
+
+
 class KeyNotFound(NotFound):
     """A key that is not there."""
 
@@ -82,6 +100,10 @@ class MapExists(Conflict):
     """Another map has this slug."""
 
 
+class DriveExists(Conflict):
+    """Another drive of the map has this slug."""
+
+
 class MapChanged(Conflict):
     """The map is no longer at the version that the caller saw."""
 
@@ -91,7 +113,7 @@ class ScanConflict(Conflict):
 
 
 class PosesDoNotFit(Conflict):
-    """Poses that cannot be those of the scans that are stored: too few, or of another drive."""
+    """Poses that cannot be those of the stored scans: too few, too many, or of another drive."""
 
 
 class DriveClosed(Conflict):
@@ -104,6 +126,10 @@ class ReturnsGone(Conflict):
 
 class NoLiveRevision(Conflict):
     """The map has no revision to answer with yet."""
+
+
+class MapNotAnchored(Conflict):
+    """Where the map is on the Earth is not set."""
 
 
 class RevisionIsLive(Conflict):
@@ -126,12 +152,36 @@ class JobNotRunning(Conflict):
     """Only a running job makes progress or ends."""
 
 
+class PartConflict(Conflict):
+    """Other bytes are stored as this part of a capture."""
+
+
+class PartsMissing(Conflict):
+    """A capture of which parts are missing or were lost; it cannot be read without them."""
+
+
+class CaptureMismatch(Conflict):
+    """A capture whose files have another digest than was announced."""
+
+
+class CaptureQueued(Conflict):
+    """A capture that waits to be read, is read, or was read takes no more parts."""
+
+
 class RequestKeyReused(Conflict):
     """Another request was made under this idempotency key."""
 
 
+class PartDoesNotFit(StorageError):
+    """A part of another size, or of another number, than the capture has."""
+
+
 class TooManyBuilds(StorageError):
-    """A new build, while its key has as many queued as it may."""
+    """A new job, while its key has as many queued as it may."""
+
+
+class TooManyCaptures(StorageError):
+    """A new capture, while its key has as many bytes of captures as it may."""
 
 
 class InvalidSlug(StorageError):

@@ -9,6 +9,10 @@ SLUG_PATTERN = r"^[a-z0-9][a-z0-9._-]{0,63}$"
 _SLUG = re.compile(r"[a-z0-9][a-z0-9._-]{0,63}")
 
 
+RECYCLED = "~"
+"""Slugs of what is in the recycle bin begin with it; all that clients choose sort before it."""
+
+
 def checked_slug(slug: str) -> str:
     """Return `slug` if it is one.
 
@@ -28,6 +32,16 @@ def checked_slug(slug: str) -> str:
             " beginning with a letter or digit"
         )
     return slug
+
+
+def recycled_slug(row_id: str) -> str:
+    """Return the slug of a map or drive that is in the recycle bin."""
+    return f"{RECYCLED}{row_id}"
+
+
+def is_recycled(slug: str) -> bool:
+    """Return whether a slug is that of a map or drive in the recycle bin."""
+    return slug.startswith(RECYCLED)
 
 
 def new_id() -> str:

@@ -2,7 +2,7 @@
 
 from datetime import UTC, datetime
 
-from pydantic import BaseModel, Field
+from pydantic import BaseModel, ConfigDict, Field
 
 from app.builds.parameters import BuildParameters
 from app.builds.plans import Plan
@@ -31,20 +31,37 @@ class LiveGateOut(BaseModel):
     )
     asked: int | None = Field(description="How many scans both were queried with.")
     recall: float | None = Field(description="Share of them that it finds, 0..1.")
-    recall_of_live: float | None = Field(description="Share that the live revision found.")
+    recall_of_live: float | None = Field(
+        description="Share that the live revision found of them or, if there are none, of its own."
+    )
     recall_unknown: NoRecall | None = Field(
         description="Why recall is unknown, as in a comparison."
+    )
+    asked_new: int | None = Field(
+        None, description="How many scans of drives that the live revision lacks were queries."
+    )
+    recall_of_new: float | None = Field(
+        None, description="Share of them that it finds; at most .05 lower than `recall_of_live`."
     )
     reason: str | None = Field(
         description="Why it was not made live, or was made live without a comparison; also a note."
     )
 
 
+class CaptureJobParameters(BaseModel):
+    """What a job of kind `capture` reads."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    capture: str = Field(description="Id of the capture.")
+    drive: str = Field(description="The drive that gets its scans.")
+
+
 class JobOut(Shown):
-    """A build and its progress."""
+    """A job and its progress."""
 
     job: str
-    kind: str
+    kind: str = Field(description="`build`, or `capture`: it reads a capture into a drive.")
     state: JobState
     stage: str = Field(description="Its current stage.", examples=["projecting", "fitting"])
     done: int = Field(description="Units of this stage that are done.")
@@ -52,10 +69,10 @@ class JobOut(Shown):
     remaining_s: float | None = Field(
         description="Seconds until this stage is done at its pace so far; null if unknown."
     )
-    parameters: BuildParameters
+    parameters: BuildParameters | CaptureJobParameters
     plan: Plan | None = Field(
         description="What it is built from, chosen when it was queued; null for a build that an"
-        " earlier version queued."
+        " earlier version queued, and for a capture."
     )
     revision: str | None = Field(description="The revision that it built, when it is done.")
     notes: list[str] = Field(description="Notes for the client, such as a basis that fits badly.")

@@ -2,9 +2,16 @@
 
 from collections.abc import Mapping
 from enum import StrEnum
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    computed_field,
+    field_validator,
+    model_validator,
+)
 from pydantic_core import to_jsonable_python
 
 from app.builds.encoding_names import EncodingName
@@ -16,6 +23,7 @@ from core.parameters import MapParameters, Segmentation
 from core.projection.imager import LATERAL_RENDERINGS_M, ImageKind, Views
 from core.projection.reducer import Reducer
 from core.scans.sensor import HDL_64E, SENSORS, sensor_named
+from core.segmentation.fitting import SEGMENT_M, SEGMENT_SCANS
 from core.segmentation.fixed import PAPER_SEGMENT_LENGTH
 
 _MOST = 2**31 - 1  # scans
@@ -37,11 +45,19 @@ _OF_BASE = frozenset({*_OF_MAP, "segment_length"})
 """Those that a build takes from its `base`."""
 
 
-class PoseCheck(StrEnum):
-    """Whether the poses of several drives must agree."""
+class Align(StrEnum):
+    """What a build does with drives whose poses are in different world frames."""
 
-    CHECKED = "checked"
-    UNCHECKED = "unchecked"
+    AUTO = "auto"
+    CHECK = "check"
+    OFF = "off"
+
+
+_OF_POSES: dict[object, tuple[Align, ...]] = {
+    "checked": (Align.CHECK, Align.AUTO),
+    "unchecked": (Align.OFF,),
+}
+"""What `poses` of earlier releases means, and what it may stand beside."""
 
 
 DriveNames = Annotated[
@@ -50,19 +66,29 @@ DriveNames = Annotated[
 ]
 
 
+def _describe(schema: dict[str, Any]) -> None:
+    """Add examples, and `poses`: one schema describes what is sent and what is answered."""
+    schema["example"] = {"drives": ["monday"], "segments": 5}
+    schema["examples"] = [
+        {"encoding": "harmonic", "lateral_renderings_m": [-3, -1.5, 0, 1.5, 3]},
+        {"base": "live", "add": ["tuesday"], "remove": ["monday"]},
+    ]
+    schema["properties"]["poses"] = {
+        "type": "string",
+        "enum": ["checked", "unchecked"],
+        "description": "`align` as earlier releases had it; it may be sent, too.",
+        "deprecated": True,
+        "readOnly": True,
+    }
+
+
 class BuildParameters(BaseModel):
     """How a map is built; the paper's values are the defaults, or the harmonic encoding's own."""
 
     model_config = ConfigDict(
         extra="forbid",
         frozen=True,
-        json_schema_extra={
-            "example": {"drives": ["monday"], "segments": 5},
-            "examples": [
-                {"encoding": "harmonic", "lateral_renderings_m": [-3, -1.5, 0, 1.5, 3]},
-                {"base": "live", "add": ["tuesday"], "remove": ["monday"]},
-            ],
-        },
+        json_schema_extra=_describe,
     )
 
     drives: DriveNames | None = Field(
@@ -111,13 +137,15 @@ class BuildParameters(BaseModel):
         None,
         ge=1,
         le=_MOST,
-        description=f"k, scans in a segment; {PAPER_SEGMENT_LENGTH} without it and `segments`.",
+        description="k, scans in a segment. Without it and `segments` a fifth of the longest drive,"
+        f" but at least {SEGMENT_M:g} m, without poses {SEGMENT_SCANS} scans, and at most"
+        f" {PAPER_SEGMENT_LENGTH} scans.",
     )
     segments: int | None = Field(
         None,
         ge=1,
         le=_MOST,
-        description="L instead: k = ceil(K / L) of the longest drive's K scans.",
+        description="L instead: k = ceil(K / L) of the longest drive's K scans; at most K / 2.",
     )
     reducer: Reducer | None = Field(
         None,
@@ -157,16 +185,25 @@ class BuildParameters(BaseModel):
         description=f"Sensor above ground; {HDL_64E.height_m} by default, the usual height of"
         f" {HDL_64E.name}. Of another sensor that is an assumption, which the job notes.",
     )
-    poses: PoseCheck = Field(
-        PoseCheck.CHECKED,
-        description="`checked`: the scans of each drive are matched with those before it, and the"
+    align: Align = Field(
+        Align.CHECK,
+        description="`check`: the scans of each drive are matched with those before it, and the"
         " build fails with `frames-disagree` if the poses of one are in another world frame;"
-        " `unchecked` omits this. It is not taken from `base`.",
+        " `auto`: such poses are brought into one frame in the map, if one transform of a drive"
+        " explains its matches; `off` omits both. Without `off`, a build also fails with"
+        " `poses-contradict-scans` if the poses of a drive are not those of its scans. It is not"
+        " taken from `base`, whose transforms stay. Drives whose poses were computed from"
+        " their scans are always aligned.",
+    )
+    odometry: Flag = Field(
+        default=True,
+        description="Compute the poses of drives that came without, once: they are stored with the"
+        " drive until poses are put. Without, everything of such a drive is in scan indices.",
     )
     make_live: Flag = Field(
         default=False,
-        description="Make the result live unless its recall is below the live revision's; the first"
-        " one always becomes live.",
+        description="Make the result live unless its recall is below the live revision's, on old or"
+        " on new drives, or cannot be measured; the first one always becomes live.",
     )
     max_recall_loss: Number = Field(
         0.02,
@@ -177,10 +214,27 @@ class BuildParameters(BaseModel):
     )
     force: Flag = Field(
         default=False,
-        description="Make the result of `make_live` live whatever its recall. Only with it.",
+        description="Make the result of `make_live` live whatever its recall, and if that cannot be"
+        " measured. Only with it.",
     )
 
     _integers = field_validator("ranks", "segment_length", "segments", mode="before")(integers)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _poses_of_an_earlier_release(cls, given: object) -> object:
+        if not isinstance(given, Mapping) or not isinstance(given.get("poses"), str):
+            return given
+        meant = _OF_POSES.get(given["poses"], ())
+        if not meant or given.get("align", meant[0]) not in meant:
+            return given  # and `poses` is rejected
+        return {"align": meant[0], **{name: of for name, of in given.items() if name != "poses"}}
+
+    @computed_field(description="`align` as earlier releases had it; it may be sent, too.")  # type: ignore[prop-decorator]
+    @property
+    def poses(self) -> Literal["checked", "unchecked"]:
+        """`align` as earlier releases had it: `unchecked` is `off`."""
+        return "unchecked" if self.align == Align.OFF else "checked"
 
     @model_validator(mode="after")
     def _one_way_to_cut(self) -> "BuildParameters":

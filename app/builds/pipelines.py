@@ -1,23 +1,33 @@
 """Builds of stored maps and of drives: one function for jobs, one for commands."""
 
 import logging
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+import numpy as np
+
+from app.builds.drive_notes import drive_notes
 from app.builds.live_gate import pass_gate
-from app.builds.parameters import BuildParameters, PoseCheck
+from app.builds.odometry import pose_stored
+from app.builds.parameters import Align, BuildParameters
+from app.builds.placed_poses import kept_placements, placed_poses
 from app.builds.plans import Plan, unreadable_basis
+from app.builds.pose_checks import check_stored
 from app.drives.mapped_drives import mapped_drive
 from app.drives.stored_images import images_path, open_images
 from core.encodings.basis import Basis
-from core.frames.agreement import FrameCheck, check_frames, require_one_frame
-from core.mapping.pipeline import Build, build
+from core.frames.agreement import check_frames, require_one_frame
+from core.frames.alignment import align_drives
+from core.mapping.pipeline import Build, DriveImages, build
+from core.mapping.placement import Placement, composed
 from core.progress import NO_PROGRESS, Progress
 from core.scans.drive import Drive
+from core.scans.pose import PoseSource
+from core.segmentation.fitting import fitting_length, require_segments
 from storage.catalog import Act, RevisionFacts, RevisionRecord, on_behalf
 from storage.catalog.scans import LostRace
 from storage.errors import CorruptFile, CorruptImages, DriveNotFound, StorageBusy
@@ -28,6 +38,10 @@ from storage.store import Store, StoredDrive
 _log = logging.getLogger("tensormap.builds")
 
 _ATTEMPTS = 20  # each lost race is another revision that became live
+_NOT_CALIBRATED = (
+    "too few scans for a calibration, or too close together, or their returns are gone: every"
+    " answer is localized, without a probability; a longer drive gives one"
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,17 +49,17 @@ class Built(Build):
     """A map and what is known of its drives.
 
     Attributes:
-        frames: The check of the world frame of each drive after the first.
+        of_frames: Notes on the world frames of the drives.
     """
 
-    frames: tuple[FrameCheck, ...] = ()
+    of_frames: tuple[str, ...] = ()
 
     @property
     def notes(self) -> tuple[str, ...]:
         """Notes for the client that requested the build."""
         return (
             *(f"{fit}: consider to fit it anew" for fit in self.fits if fit.much_worse),
-            *(note for check in self.frames if (note := check.note) is not None),
+            *self.of_frames,
         )
 
 
@@ -72,21 +86,35 @@ def build_revision(
         CorruptFile: If its file is damaged.
         ReturnsGone: If images are not kept, and the returns for them were dropped.
         FramesDisagree: If the poses of two drives are in different world frames.
+        PosesContradictScans: If the poses of a drive are not those of its scans.
         Cancelled: If `progress` raises it; nothing is published.
     """
-    drives = store.drives.open_of_map(map_id, plan.drives)
+    drives: Sequence[StoredDrive] = store.drives.open_of_map(map_id, plan.drives)
     kept = _kept_basis(store, map_id, plan)
     map_parameters = plan.parameters.map_parameters()
+    height_m = map_parameters.sensor_height_m
+    notes = check_stored(store, drives, height_m, plan.parameters.align, progress)
+    if plan.parameters.odometry:
+        drives, of_odometry = pose_stored(store, map_id, drives, height_m, progress)
+        notes += of_odometry
+    placements, of_placements = kept_placements(plan, drives)
+    notes += of_placements
     stored = {drive.name: drive for drive in drives}
-    mapped = [mapped_drive(drive, map_parameters.sensor_height_m) for drive in drives]
+    parameters = plan.parameters
+    mapped = [mapped_drive(drive, height_m) for drive in drives]
+
+    if plan.fits_segments:
+        parameters = _with_fitting_segments(parameters, mapped)
 
     def build_stored() -> Built:
         return _build(
             mapped,
             lambda drive: open_images(store, stored[drive.name], map_parameters, progress),
-            plan.parameters,
+            parameters,
             progress,
             kept,
+            placements,
+            [drive.name for drive in drives if drive.pose_source == PoseSource.ODOMETRY],
         )
 
     try:
@@ -97,7 +125,7 @@ def build_revision(
             if drive.has_returns.all():
                 images_path(store, drive, map_parameters).unlink(missing_ok=True)
         built = build_stored()
-    return _publish(store, map_id, plan, built, drives, progress, job_id)
+    return _publish(store, map_id, plan, built, drives, progress, job_id, notes)
 
 
 def _kept_basis(store: Store, map_id: str, plan: Plan) -> Basis | None:
@@ -124,6 +152,7 @@ def _publish(
     drives: Sequence[StoredDrive],
     progress: Progress,
     job_id: str | None,
+    notes: tuple[str, ...],
 ) -> RevisionRecord:
     """Add the revision to the map, and make it live if that is requested and the gate is passed."""
     tensor_map = built.tensor_map
@@ -136,6 +165,9 @@ def _publish(
             if drive.expected_poses
         ]
     drive_ids = {drive.name: drive.id for drive in drives}
+    found = [*left_over, *drive_notes(built, drives)]
+    if tensor_map.calibration is None:
+        found.append(_NOT_CALIBRATED)
     facts = RevisionFacts(
         encoding=tensor_map.parameters.encoding,
         scans=len(tensor_map),
@@ -161,11 +193,13 @@ def _publish(
             "verification_bytes": tensor_map.verification_bytes,
             "calibrated": tensor_map.calibration is not None,
             "skipped": {name: len(skipped) for name, skipped in built.skipped.items() if skipped},
+            "placements": tensor_map.attributes().get("placements", {}),
+            "placed_poses": placed_poses(tensor_map.placements, drives),
             **_setups(drives),
         },
         job_id=job_id,
         bases=tensor_map.basis_digests,
-        notes=(*plan.notes, *left_over, *built.notes),
+        notes=(*plan.notes, *notes, *found, *built.notes),
         drive_ids=drive_ids,
     )
     subject = "the store" if job_id is None else f"/v1/jobs/{job_id}"
@@ -195,10 +229,11 @@ def _publish(
 
 
 def _setups(drives: Sequence[StoredDrive]) -> dict[str, Any]:
-    """Return the drives' mountings, and how many of their scans became one, where they have any."""
+    """Return how drives are read where it is not plain: mountings, scans in one, odometry."""
     found = {
         "mountings": {d.name: asdict(d.mounting) for d in drives if d.mounting is not None},
         "accumulate": {d.name: d.accumulate for d in drives if d.accumulate != 1},
+        "odometry_of": {d.name: dict(d.odometry) for d in drives if d.odometry is not None},
     }
     return {name: of_drives for name, of_drives in found.items() if of_drives}
 
@@ -209,6 +244,7 @@ def build_drives(
     progress: Progress = NO_PROGRESS,
     *,
     kept: Basis | None = None,
+    frameless: Collection[str] = (),
 ) -> Built:
     """Build a map of drives of any length: their images are kept in temporary files.
 
@@ -217,6 +253,7 @@ def build_drives(
         parameters: Of the map and its segments; those of stored drives and revisions are not used.
         progress: Advanced with every scan.
         kept: The basis of another map, to keep.
+        frameless: Names of drives whose poses are odometry, in a frame of their own.
 
     Raises:
         EmptyDrive: If a drive has no usable scan.
@@ -225,6 +262,9 @@ def build_drives(
         FramesDisagree: If the poses of two drives are in different world frames.
     """
     imager = parameters.map_parameters().imager
+    require_segments(parameters.segments, max(map(len, drives), default=0))
+    if parameters.segment_length is None and parameters.segments is None:
+        parameters = _with_fitting_segments(parameters, drives)
 
     @contextmanager
     def temporary_images(drive: Drive) -> Iterator[ImageFile]:
@@ -234,7 +274,15 @@ def build_drives(
             with ImageFile(path, imager) as images:
                 yield images
 
-    return _build(drives, temporary_images, parameters, progress, kept)
+    return _build(drives, temporary_images, parameters, progress, kept, frameless=frameless)
+
+
+def _with_fitting_segments(parameters: BuildParameters, drives: Sequence[Drive]) -> BuildParameters:
+    """Return parameters with segments that fit the longest drive."""
+    longest = max(drives, key=len)
+    steps_m = np.linalg.norm(np.diff(longest.poses[:, :3], axis=0), axis=1)
+    length = fitting_length(len(longest), float(steps_m.sum()))
+    return parameters.model_copy(update={"segment_length": length})
 
 
 def _build(
@@ -243,19 +291,41 @@ def _build(
     parameters: BuildParameters,
     progress: Progress,
     kept: Basis | None,
+    placements: Mapping[str, Placement] | None = None,
+    frameless: Collection[str] = (),
 ) -> Built:
+    """Build the map of drives, their poses as placed before, and check or align their frames."""
     with ExitStack() as stack:
-        made = build(
-            drives,
-            parameters.map_parameters(),
-            lambda drive: stack.enter_context(images_of(drive)),
-            segment_length=parameters.segment_length,
-            segments=parameters.segments,
-            kept=kept,
-            progress=progress,
-        )
-        if parameters.poses == PoseCheck.UNCHECKED:
-            return Built(**vars(made))
-        frames = check_frames(made.tensor_map, progress)
-    require_one_frame(frames)
-    return Built(**vars(made), frames=frames)
+        images: dict[str, DriveImages] = {}  # a build that aligns reads them twice
+
+        def opened(drive: Drive) -> DriveImages:
+            if drive.name not in images:
+                images[drive.name] = stack.enter_context(images_of(drive))
+            return images[drive.name]
+
+        def made(placements: Mapping[str, Placement], *, calibrated: bool = True) -> Build:
+            return build(
+                drives,
+                parameters.map_parameters(),
+                opened,
+                segment_length=parameters.segment_length,
+                segments=parameters.segments,
+                kept=kept,
+                calibrated=calibrated,
+                placements=placements,
+                progress=progress,
+            )
+
+        before, notes = dict(placements or {}), tuple[str, ...]()
+        names = [drive.name for drive in drives]
+        movable = names if parameters.align == Align.AUTO else frameless
+        if movable and len(drives) > 1:
+            rough = made(before, calibrated=False).tensor_map
+            aligned = align_drives(rough, movable, frameless, progress)
+            before, notes = composed(before, aligned.placements), aligned.notes
+        result = made(before)
+        if parameters.align == Align.CHECK:
+            checks = check_frames(result.tensor_map, progress, frameless=frameless)
+            require_one_frame(checks)
+            notes += tuple(filter(None, (check.note for check in checks)))
+    return Built(**vars(result), of_frames=notes)

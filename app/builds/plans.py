@@ -3,14 +3,17 @@
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from datetime import UTC, datetime, timedelta
+from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from app.builds.parameters import BuildParameters
 from core.encodings.basis import Basis, make_same_signatures, signature_parameters
 from core.errors import EmptyDrive, InvalidParameters, UnknownDrive
+from core.mapping.placement import Placement
 from core.parameters import MapParameters
 from core.projection.imager import Views
+from core.segmentation.fitting import require_segments
 from storage.catalog import DriveRecord, RevisionRecord
 from storage.errors import CorruptFile, DriveNotFound, NoLiveRevision
 from storage.files.map_file import read_parameters
@@ -34,6 +37,21 @@ class Plan(BaseModel):
         " revision."
     )
     notes: list[str] = Field(description="Notes on these choices for the client.")
+    fits_segments: bool = Field(
+        default=False,
+        description="Whether the length of segments is chosen by that of the longest drive; false"
+        " where it was given, and for a build that an earlier version queued.",
+    )
+    placements: dict[str, dict[str, Any]] = Field(
+        default_factory=dict,
+        description="The transforms of poses in the base, by drive: they stay, but of drives in"
+        " `add`.",
+    )
+    placed_poses: dict[str, dict[str, Any]] = Field(
+        default_factory=dict,
+        description="Which poses these transform, by drive: the last scan, and the digest of the"
+        " poses up to it. A transform is not applied to others.",
+    )
 
     @field_validator("parameters", mode="before")
     @classmethod
@@ -44,7 +62,7 @@ class Plan(BaseModel):
         return parameters
 
 
-_Based = tuple[RevisionRecord, MapParameters, tuple[str, ...]]
+_Based = tuple[RevisionRecord, MapParameters, Mapping[str, Placement | None]]
 """A revision, and the parameters and drives of its file."""
 
 
@@ -70,6 +88,8 @@ def plan_build(store: Store, map_id: str, parameters: BuildParameters) -> Plan:
     """
     names: Sequence[str] = parameters.drives or ()
     notes: list[str] = []
+    placements: dict[str, Placement] = {}
+    placed_poses: Mapping[str, Any] = {}
     shared = None if parameters.basis is None else store.bases.read(parameters.basis)
     if shared is not None and parameters.base is None and parameters.views is None:
         parameters = parameters.model_copy(update={"views": shared.parameters.views})
@@ -81,7 +101,7 @@ def plan_build(store: Store, map_id: str, parameters: BuildParameters) -> Plan:
             names, notes = _all_with_scans(store, map_id)
     else:
         base = _base(store, map_id, parameters.base)
-        record, built_with, _ = base
+        record, built_with, of_base = base
         parameters = parameters.on_base(record.digest, record.parameters)
         of_map = parameters.map_parameters()
         if of_map != built_with:
@@ -90,7 +110,11 @@ def plan_build(store: Store, map_id: str, parameters: BuildParameters) -> Plan:
                 " build without base"
             )
         names = _changed(store, map_id, base, parameters)
+        anew = parameters.add or ()
+        placements = {n: of for n, of in of_base.items() if of and n in names and n not in anew}
+        placed_poses = record.parameters.get("placed_poses", {})
     drives = _stored(store, map_id, names, parameters.max_age_days)
+    require_segments(parameters.segments, max(_mapped_scans(drive) for drive in drives))
     basis_kept_from = None
     if shared is not None:
         _require_serves(shared, of_map)
@@ -106,8 +130,20 @@ def plan_build(store: Store, map_id: str, parameters: BuildParameters) -> Plan:
         basis_kept_from=basis_kept_from,
         basis=None if shared is None else shared.digest,
         parameters=parameters.resolved(),
+        fits_segments=parameters.segment_length is None and parameters.segments is None,
         notes=[*notes, *parameters.assumptions],
+        placements={
+            drive.slug: placements[drive.slug].as_attributes()
+            for drive in drives
+            if drive.slug in placements
+        },
+        placed_poses={name: of for name, of in placed_poses.items() if name in placements},
     )
+
+
+def _mapped_scans(drive: DriveRecord) -> int:
+    """Return the number of scans of a map that a drive's become."""
+    return max(1, drive.scans // drive.accumulate)
 
 
 def _require_serves(shared: Basis, of_map: MapParameters) -> None:

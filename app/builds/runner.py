@@ -1,4 +1,4 @@
-"""Starts a process for each queued build, and makes sure that each one ends."""
+"""Starts a process for each queued job, and makes sure that each one ends."""
 
 import logging
 import signal
@@ -16,7 +16,7 @@ from app.http.logs import fields
 from app.process import most_build_memory_bytes
 from app.settings import Settings
 from core.errors import TensorMapError
-from storage.catalog import JobRecord
+from storage.catalog import CAPTURE, JobRecord
 from storage.errors import JobNotFound, JobNotRunning
 from storage.files.forking import forkserver
 from storage.store import Store
@@ -98,7 +98,7 @@ class JobRunner:
                 self._run(job)
             except (OSError, RuntimeError):  # no process: it may work for the next build
                 _log.exception("job %s cannot be run", job.id)
-                reason = "no process could be started for the build; see the log"
+                reason = "no process could be started for it; see the log"
                 self._settle(job.id, WorkerDied.__name__, reason)
             self._report_end(job.id)
 
@@ -117,6 +117,8 @@ class JobRunner:
             finally:
                 worker.kill()
                 worker.join(_KILL_S)
+            if job.kind == CAPTURE:
+                self._store.captures.remove_abandoned(job.map_id, job.parameters["capture"])
             if not self._stopping.is_set():
                 self._settle(job.id, *(stalled or _reported(reports) or _death(worker)))
         if worker.is_alive():
@@ -173,8 +175,8 @@ class JobRunner:
                 seen, since_s = now, time.monotonic()
             elif time.monotonic() - since_s > self._settings.build_stall_s:
                 return BuildStalled.__name__, (
-                    f"the build made no progress for {self._settings.build_stall_s:g} s, in stage"
-                    f" {job.stage!r} after {job.done_units} of {job.total_units} units"
+                    f"the {job.kind} made no progress for {self._settings.build_stall_s:g} s, in"
+                    f" stage {job.stage!r} after {job.done_units} of {job.total_units} units"
                 )
         return None
 
@@ -208,7 +210,7 @@ def _reported(reports: Connection) -> tuple[str, str] | None:
 
 
 def _death(worker: BaseProcess) -> tuple[str, str]:
-    reason = f"the build process ended with exit code {worker.exitcode}; see the log"
+    reason = f"the process ended with exit code {worker.exitcode}; see the log"
     if worker.exitcode == -signal.SIGKILL:
         reason += ", and the system's, which ends processes that take too much memory this way"
     return WorkerDied.__name__, reason

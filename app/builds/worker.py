@@ -1,4 +1,4 @@
-"""The process of one build."""
+"""The process of one job: a build, or the reading of a capture."""
 
 import os
 import threading
@@ -10,12 +10,14 @@ from multiprocessing.connection import Connection, wait
 from app.builds.parameters import BuildParameters
 from app.builds.pipelines import build_revision
 from app.builds.plans import Plan, plan_build
+from app.captures.reading import read_capture
 from app.http.errors import BuildOutOfMemory
 from app.http.logs import configure_logging
 from app.process import keep_freed_memory, limited_memory, one_blas_thread, private_files
 from app.settings import Settings
 from core.errors import Cancelled, TensorMapError
-from storage.catalog import JobRecord
+from core.progress import Progress
+from storage.catalog import CAPTURE, JobRecord
 from storage.errors import JobNotFound
 from storage.store import Store
 
@@ -69,17 +71,25 @@ def _run(settings: Settings, job: JobRecord, memory_bytes: int) -> None:
         progress = _JobProgress(store, job.id)
         try:
             with limited_memory(memory_bytes):
-                plan = _plan(store, job)
-                record = build_revision(store, job.map_id, plan, progress, job_id=job.id)
+                _work(store, settings, job, progress)
         except MemoryError as error:
-            detail = f"the build needs more than the {memory_bytes} bytes that it may take: {error}"
+            detail = (
+                f"the {job.kind} needs more than the {memory_bytes} bytes that it may take: {error}"
+            )
             store.jobs.fail(job.id, BuildOutOfMemory.__name__, detail)
         except Cancelled:
             store.jobs.cancelled(job.id)
         except TensorMapError as error:
             store.jobs.fail(job.id, type(error).__name__, str(error))
-        else:
-            store.jobs.finish(job.id, record.digest)
+
+
+def _work(store: Store, settings: Settings, job: JobRecord, progress: Progress) -> None:
+    if job.kind == CAPTURE:
+        read = read_capture(store, settings, job, progress)
+        store.jobs.finish(job.id, None, notes=read.notes, result=read.counts())
+        return
+    record = build_revision(store, job.map_id, _plan(store, job), progress, job_id=job.id)
+    store.jobs.finish(job.id, record.digest)
 
 
 def _plan(store: Store, job: JobRecord) -> Plan:

@@ -1,5 +1,10 @@
 """The command line: `tensormap`."""
 
-from app.cli.main import main
+import sys
+
+try:
+    from app.cli.main import main
+except KeyboardInterrupt:  # imports take a while
+    sys.exit(130)
 
 __all__ = ["main"]

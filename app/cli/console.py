@@ -46,6 +46,10 @@ def _rate(sent_bytes: int, elapsed_s: float) -> str:
     return f"{sent_bytes / elapsed_s / 1e6:.1f} MB/s"
 
 
+def _position(stage: str, done: int, total: int) -> str:
+    return f"{stage}: {done} of {total}"
+
+
 class BarProgress:
     """A `core.progress.Progress` that draws one bar a stage."""
 
@@ -73,6 +77,14 @@ class BarProgress:
         if self._task is not None:
             before = self._bars.tasks[self._task].fields.get(_SENT, 0)
             self._bars.update(self._task, **{_SENT: before + size_bytes})
+
+    @property
+    def position(self) -> str:
+        """How far the stage is, as `uploading: 57 of 501`."""
+        if self._task is None:
+            return "nothing"
+        task = self._bars.tasks[self._task]
+        return _position(task.description, int(task.completed), int(task.total or 0))
 
     def finish(self) -> None:
         """Fill the bar: its stage is over, also if units were skipped."""
@@ -126,6 +138,11 @@ class LineProgress:
         """Count bytes for the rate of a transfer."""
         self._sent_bytes += size_bytes
 
+    @property
+    def position(self) -> str:
+        """How far the stage is, as `uploading: 57 of 501`."""
+        return _position(self._stage, self._done, self._total) if self._stage else "nothing"
+
     def finish(self) -> None:
         """Write the last line of a stage: it is over, also if units were skipped."""
         if self._stage:
@@ -136,7 +153,7 @@ class LineProgress:
     def _show(self) -> None:
         self._shown_s = time.monotonic()
         elapsed_s = self._shown_s - self._began_s
-        line = f"{self._stage}: {self._done} of {self._total}"
+        line = self.position
         if self._sent_bytes and elapsed_s:
             line += f", {_rate(self._sent_bytes, elapsed_s)}"
         if self._done > self._first and self._done < self._total:

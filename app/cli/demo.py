@@ -8,7 +8,8 @@ from typing import Annotated
 import typer
 from rich.table import Table
 
-from app.cli.console import figure, output, progress_bar, say
+from app.cli.console import figure, output, say, transfer_progress
+from app.cli.errors import CommandFailed
 from app.cli.options import MIN_RETURNS
 from app.demo.outcome import MAX_SCANS, RECALL_M, Outcome
 from core.encodings.registry import DEFAULT_ENCODING, encoding_names
@@ -35,7 +36,9 @@ def demo(
     ] = DEFAULT_ENCODING,
 ) -> None:
     """Record a drive, post it, build the map, localize held-out scans, and print a table."""
-    from app.demo.client import Client  # here: no other command needs an HTTP client
+    from tensormap_client import ClientError, Mapper  # here, as few commands need a client
+
+    from app.demo.client import Client
     from app.demo.run import hold_out, run_demo
     from app.demo.server import free_port, running_server
 
@@ -51,8 +54,15 @@ def demo(
         TemporaryDirectory(prefix="tensormap-demo-") as folder,
         running_server(Path(folder), free_port(port)) as url,
     ):
-        with Client(url, _MAP) as client, progress_bar() as progress:
-            outcome = run_demo(client, recorded, held_out, progress, encoding)
+        try:
+            with (
+                Mapper(url, None, _MAP) as mapper,
+                Client(url, _MAP) as client,
+                transfer_progress() as progress,
+            ):
+                outcome = run_demo(mapper, client, recorded, held_out, progress, encoding)
+        except ClientError as error:
+            raise CommandFailed(str(error)) from error
         _show(recorded.name, outcome)
         if not once:
             say(f"\nThe service runs at {url} (documentation: {url}/docs).")
@@ -103,3 +113,5 @@ def _show(name: str, outcome: Outcome) -> None:
             f"{fixes.ms_per_fix:.1f}",
         )
     output().print(table)
+    if all(fixes.recall_at_1 is None for fixes in outcome.fixes):
+        say("the drive has no poses of its own: metres cannot be checked, segments can")

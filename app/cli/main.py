@@ -10,9 +10,9 @@ from typing import Annotated, Any
 import typer
 from rich.markup import escape
 
+from app.cli.errors import CommandFailed
 from app.demo.errors import DemoFailed
 from app.process import keep_freed_memory, one_blas_thread
-from app.upload_client.errors import UploadFailed
 from core.errors import TensorMapError
 
 _MODULES = {
@@ -22,6 +22,7 @@ _MODULES = {
     "verify": "verify",
     "demo": "demo",
     "upload": "upload",
+    "anchor": "anchor",
     "build": "maps",
     "merge": "merge",
     "localize": "maps",
@@ -34,6 +35,7 @@ _MODULES = {
     "report": "report",
     "simulate": "simulate",
     "audit": "audit",
+    "recycle-bin": "recycle_bin",
 }
 """The module of this package with each command."""
 
@@ -116,7 +118,9 @@ def main() -> None:
         keep_freed_memory()
     try:
         cli()
-    except (TensorMapError, DemoFailed, UploadFailed) as error:
+    except KeyboardInterrupt:
+        sys.exit(130)
+    except (TensorMapError, DemoFailed, CommandFailed) as error:
         sys.stderr.write(f"tensormap: {error}\n")
         sys.exit(1)
     except OSError as error:

@@ -12,7 +12,7 @@ import typer
 from pydantic import ValidationError
 from rich.table import Table
 
-from app.builds.parameters import BuildParameters, PoseCheck
+from app.builds.parameters import Align, BuildParameters
 from app.cli import options
 from app.cli.console import figure, output, progress_bar, say
 from app.localization.prior_schemas import PriorsIn
@@ -25,13 +25,14 @@ from core.errors import InvalidParameters, InvalidScan
 from core.localization.localizer import Localization, Localizer
 from core.parameters import Segmentation
 from core.scans.drive import scan_index_of
-from core.scans.mounting import Mounting
+from core.scans.mounting import Mounting, vehicle_drive
 from core.scans.pose import path_length_m
 from core.scans.scan import Scan
 from core.scans.sensor import HDL_64E
 from core.scans.tilt import Tilt
 from storage.files.files import publish
 from storage.files.map_file import read_map, write_map
+from storage.formats.drives.layouts import open_drive
 from storage.formats.errors import UnknownFormat
 from storage.formats.scans.registry import media_type_of, read_scan_file
 
@@ -68,13 +69,18 @@ def build(
             rich_help_panel="Map",
         ),
     ] = None,
-    poses: options.PosesOption = PoseCheck.CHECKED,
+    align: options.AlignOption = Align.CHECK,
+    odometry: options.OdometryOption = True,
+    force: options.ForceOption = False,
 ) -> None:
     """Build a map of one or more recorded drives."""
     # Here: it imports the store, which the other commands do not need.
+    from app.builds.odometry import pose_recorded
     from app.builds.pipelines import build_drives
+    from app.builds.pose_checks import check_recorded
+    from core.odometry.posed_drive import PosedDrive
 
-    options.require_folder(output_file)
+    options.require_new_file(output_file, force)
     try:
         parameters = BuildParameters(
             encoding=encoding or encoding_with(reducer),
@@ -87,7 +93,8 @@ def build(
             reducer=reducer,
             sensor=sensor,
             sensor_height_m=options.given_height_m(sensor_height_m, mounting),
-            poses=poses,
+            align=align,
+            odometry=odometry,
             image=image,
             distance=distance,
             lateral_renderings_m=(
@@ -98,12 +105,21 @@ def build(
         raise InvalidParameters(error.errors()[0]["msg"]) from None
     kept = None if keep_basis is None else _basis_of(keep_basis, parameters)
     height_m = parameters.map_parameters().sensor_height_m
-    recorded = [options.open_mapped(drive, mounting, height_m, accumulate) for drive in drives]
+    recorded = [open_drive(drive, min_returns=options.MIN_RETURNS) for drive in drives]
     twice = {drive.name for drive in recorded if [d.name for d in recorded].count(drive.name) > 1}
     if twice:
         raise InvalidParameters(f"two of the drives are called {min(twice)!r}: rename a folder")
+    notes: list[str] = []
     with progress_bar() as progress:
-        built = build_drives(recorded, parameters, progress, kept=kept)
+        for drive in recorded:
+            notes += check_recorded(drive, height_m, align, progress)
+        if odometry:
+            posed = [pose_recorded(drive, height_m, progress) for drive in recorded]
+            recorded = [drive for drive, _ in posed]
+            notes += [note for _, of_drive in posed for note in of_drive]
+        mapped = [vehicle_drive(drive, mounting, height_m, accumulate) for drive in recorded]
+        frameless = [drive.name for drive in recorded if isinstance(drive, PosedDrive)]
+        built = build_drives(mapped, parameters, progress, kept=kept, frameless=frameless)
     tensor_map = built.tensor_map
     with publish(output_file) as part:
         write_map(part, tensor_map)
@@ -111,7 +127,7 @@ def build(
         of_drive = f" of {name}" if len(recorded) > 1 else ""
         for skipped in of_it:
             say(f"left out scan {skipped.scan}{of_drive}: {skipped.reason}")
-    for note in (*parameters.assumptions, *built.notes):
+    for note in (*parameters.assumptions, *notes, *built.notes):
         say(note)
     compression = built.compression
     verification = options.of_verification(compression.verification_bytes)
@@ -362,6 +378,8 @@ def inspect(
         return
     for name in (*_FACTS, "views", "scans", "segmentation"):
         say(f"{name:>12}  {facts[name]}")
+    for drive, placement in tensor_map.placements.items():
+        say(f"{'placed':>12}  {drive}: {placement}")
     size = f"{facts['size_bytes']} bytes{options.of_verification(tensor_map.verification_bytes)}"
     say(f"{'size':>12}  {size}")
     edges = facts["edges"]

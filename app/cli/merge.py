@@ -5,11 +5,12 @@ from typing import Annotated
 
 import typer
 
-from app.builds.parameters import PoseCheck
+from app.builds.parameters import Align
 from app.cli.console import progress_bar, say
-from app.cli.options import PosesOption, require_folder
+from app.cli.options import AlignOption, ForceOption, require_new_file
 from core.errors import UnknownDrive
 from core.frames.agreement import check_frames, require_one_frame
+from core.frames.alignment import aligned_map
 from core.mapping.merge import merge_maps, without_drives
 from storage.files.files import publish
 from storage.files.map_file import read_map, write_map
@@ -24,13 +25,27 @@ def merge(
         list[str] | None,
         typer.Option("--without", metavar="DRIVE", help="Leave this drive out; repeatable."),
     ] = None,
-    poses: PosesOption = PoseCheck.CHECKED,
+    align: AlignOption = Align.CHECK,
+    computed: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="DRIVE",
+            help="The poses of this drive were computed from its scans, which a map file does not"
+            " know: it is aligned whatever --align says; repeatable.",
+        ),
+    ] = None,
+    force: ForceOption = False,
 ) -> None:
-    """Merge maps of one encoding and basis, drive after drive, without changing their numbers."""
-    require_folder(output_file)
+    """Merge maps of one encoding and basis, drive after drive, without changing their signatures.
+
+    Poses change only where drives are aligned.
+    """
+    require_new_file(output_file, force)
     maps = [read_map(path) for path in map_files]
     left_out = set(without or ())
-    unknown = left_out.difference(*(part.trajectory.drives for part in maps))
+    frameless = set(computed or ())
+    names = {name for part in maps for name in part.trajectory.drives}
+    unknown = (left_out | frameless) - names
     if unknown:
         raise UnknownDrive(f"none of the maps has a drive {min(unknown)!r}")
     # Maps without a remaining drive are left out; if that is true of all, the last one raises.
@@ -38,13 +53,21 @@ def merge(
     merged = merge_maps(
         [without_drives(part, left_out & set(part.trajectory.drives)) for part in kept]
     )
-    if poses == PoseCheck.CHECKED and len(kept) > 1:
+    if (frameless or align != Align.OFF) and len(kept) > 1:
+        notes: tuple[str, ...] = ()
         with progress_bar() as progress:
-            checks = check_frames(merged, progress)
-        require_one_frame(checks)
-        for check in checks:
-            if check.note is not None:
-                say(check.note)
+            if align == Align.AUTO:
+                merged, notes = aligned_map(merged, progress, frameless=frameless)
+            elif frameless:
+                merged, notes = aligned_map(
+                    merged, progress, movable=frameless, frameless=frameless
+                )
+            if align == Align.CHECK:
+                checks = check_frames(merged, progress, frameless=frameless)
+                require_one_frame(checks)
+                notes += tuple(filter(None, (check.note for check in checks)))
+        for note in notes:
+            say(note)
     with publish(output_file) as part:
         write_map(part, merged)
     say(

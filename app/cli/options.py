@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from app.builds.parameters import PoseCheck
+from app.builds.parameters import Align
 from core.encodings.distance import Distance
 from core.encodings.registry import encoding_names
 from core.errors import InvalidParameters
@@ -67,7 +67,7 @@ SegmentationOption = Annotated[
 SegmentLengthOption = Annotated[int | None, _build(min=1, help="k, scans in a segment.")]
 SegmentsOption = Annotated[
     int | None,
-    _build(min=1, help="L instead: k = ceil(K / L). Default: k = 760, the paper's."),
+    _build(min=1, help="L instead: k = ceil(K / L). Default: k = 760; maps fit short drives."),
 ]
 ReducerOption = Annotated[
     Reducer | None,
@@ -104,11 +104,11 @@ LateralRenderingsOption = Annotated[
         " comma-separated. [-3,-1.5,0,1.5,3]",
     ),
 ]
-PosesOption = Annotated[
-    PoseCheck,
+AlignOption = Annotated[
+    Align,
     _build(
-        help="`checked` rejects drives whose poses are in different world frames, `unchecked`"
-        " does not check them."
+        help="`check` rejects drives whose poses are in different world frames, `auto` aligns them,"
+        " `off` does neither."
     ),
 ]
 SensorOption = Annotated[str, _build(help=f"One of {', '.join(sorted(SENSORS))}.")]
@@ -165,6 +165,16 @@ AccumulateOption = Annotated[
 ]
 
 
+ForceOption = Annotated[bool, typer.Option("--force", help="Replace the map file if it is there.")]
+OdometryOption = Annotated[
+    bool,
+    _build(
+        "--odometry/--no-odometry",
+        help="Compute the poses of drives that have none; the extra `odometry` does.",
+    ),
+]
+
+
 def open_mapped(
     path: Path, mounting: Mounting | None, sensor_height_m: float, accumulate: int = 1
 ) -> Drive:
@@ -208,6 +218,17 @@ def require_folder(path: Path) -> None:
         raise typer.BadParameter(f"{path} is a folder, wanted a file to write")
     if not path.absolute().parent.is_dir():
         raise typer.BadParameter(f"{path} cannot be written: there is no folder {path.parent}")
+
+
+def require_new_file(path: Path, force: bool) -> None:
+    """Check, before long work, that its result can be written and replaces no file.
+
+    Raises:
+        typer.BadParameter: As of `require_folder`, and if `path` is there without `--force`.
+    """
+    require_folder(path)
+    if path.exists() and not force:
+        raise typer.BadParameter(f"{path} is there already; --force replaces it")
 
 
 def checked(read: Callable[[Any], object]) -> Callable[[Any], Any]:

@@ -1,23 +1,25 @@
 """`tensormap upload`: a recorded drive into a running service."""
 
-from collections.abc import Mapping
+import sys
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 from pydantic import ValidationError
+from tensormap_client import ClientError, Mapper, Rejected, Uploaded
+from tensormap_client.problems import ScopeMissing
 
 from app.builds.parameters import BuildParameters
-from app.cli.console import say, transfer_progress
+from app.cli.console import BarProgress, LineProgress, say, transfer_progress
+from app.cli.errors import CommandFailed
 from app.cli.options import FormatOption
-from app.upload_client.build import build_map
-from app.upload_client.drive_requests import DriveRequests
-from app.upload_client.errors import Rejected, UploadFailed
-from app.upload_client.sources import open_source
-from app.upload_client.transport import Transport
-from app.upload_client.upload import Uploaded, upload_drive
+from app.cli.service_options import KeyFile, ServiceUrl, read_key
+from app.cli.upload_sources import open_source
 
 _MOST_SHOWN = 10
+_INTERRUPTED = 130  # as shells have it: 128 and SIGINT
 _HINTS = {
     "map-not-found": "; --create creates it",
     "key-needed": "; --key-file names the file with one",
@@ -44,17 +46,14 @@ def upload(
         Path,
         typer.Argument(
             metavar="SOURCE",
-            help="A drive: a folder in any layout, a Velodyne .pcap, or a ROS bag.",
+            help="A drive: a folder in any layout, a Velodyne .pcap, or a ROS bag;"
+            " 'monday.bag#/points' names the topic of one with several.",
         ),
     ],
-    url: Annotated[
-        str, typer.Argument(metavar="URL", help="Of the service, as http://127.0.0.1:8000.")
-    ],
+    url: ServiceUrl,
     map_slug: Annotated[str, typer.Option("--map", help="Its map.")],
     drive_slug: Annotated[str, typer.Option("--drive", help="The drive's name in the map.")],
-    key_file: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="A file with the key to send.")
-    ] = None,
+    key_file: KeyFile = None,
     format_name: FormatOption = None,
     create: Annotated[bool, typer.Option("--create", help="Create the map if it is new.")] = False,
     build: Annotated[
@@ -72,22 +71,47 @@ def upload(
     """Upload a recorded drive to a service, continue an interrupted upload, and build the map."""
     if parameters is not None and not build:
         raise typer.BadParameter("--parameters are those of --build, which is missing")
-    key = None if key_file is None else key_file.read_text(encoding="utf-8").strip()
-    opened = open_source(source, format_name)
-    with Transport(url, key) as transport:
-        requests = DriveRequests(transport, map_slug, drive_slug)
-        try:
-            if create and requests.create_map():
+    key = read_key(key_file)
+    try:
+        opened = open_source(source, format_name)
+        with Mapper(url, key, map_slug) as mapper:
+            if create and mapper.create_map():
                 say(f"map {map_slug} is new")
-            with transfer_progress() as progress:
-                done = upload_drive(requests, opened, progress)
-            _show_upload(drive_slug, done, requests.drive())
+            with transfer_progress() as progress, _interrupted(lambda: _rest(progress)):
+                done = mapper.upload(opened, drive_slug, progress)
+            _show_upload(drive_slug, done, mapper.drive(drive_slug))
             if build:
-                with transfer_progress() as progress:
-                    job = build_map(requests, parameters or {}, progress)
-                _show_build(job, requests.revision(job["revision"]))
-        except Rejected as error:
-            raise UploadFailed(f"{error}{_HINTS.get(error.problem, '')}") from error
+                job = mapper.start_build(parameters)
+                name = f"/v1/jobs/{job['job']}"
+                rest = f"build {name} continues on the service; DELETE {url}{name} cancels it"
+                with transfer_progress() as progress, _interrupted(lambda: rest):
+                    job = mapper.finish_build(job, progress)
+                _show_build(job, _revision(mapper, job["revision"]))
+    except ClientError as error:
+        hint = _HINTS.get(error.problem, "") if isinstance(error, Rejected) else ""
+        raise CommandFailed(f"{error}{hint}") from error
+
+
+@contextmanager
+def _interrupted(rest: Callable[[], str]) -> Iterator[None]:
+    """Name what remains after Ctrl-C, and end as one does."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        sys.stderr.write(f"tensormap: {rest()}\n")
+        raise typer.Exit(_INTERRUPTED) from None
+
+
+def _rest(progress: BarProgress | LineProgress) -> str:
+    return f"{progress.position} done; the same command continues"
+
+
+def _revision(mapper: Mapper, revision: str) -> Mapping[str, Any] | None:
+    """Return a revision; `None` if the key may not read it."""
+    try:
+        return mapper.revision(revision)
+    except ScopeMissing:
+        return None
 
 
 def _show_upload(drive: str, done: Uploaded, shown: Mapping[str, Any]) -> None:
@@ -98,8 +122,10 @@ def _show_upload(drive: str, done: Uploaded, shown: Mapping[str, Any]) -> None:
     )
     for one in done.skipped[:_MOST_SHOWN]:
         say(f"  skipped scan {one.index}: {one.reason}")
-    if done.skipped_scans > _MOST_SHOWN:
+    if len(done.skipped) > _MOST_SHOWN:
         say(f"  and {done.skipped_scans - _MOST_SHOWN} more")
+    for note in done.notes:
+        say(f"  note: {note}")
 
 
 def _show_build(job: Mapping[str, Any], revision: Mapping[str, Any] | None) -> None:

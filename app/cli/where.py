@@ -10,10 +10,10 @@ from rich.table import Table
 from app.cli import options
 from app.cli.console import figure, output, progress_bar
 from app.cli.maps import queries_of
-from app.localization.among import Among
-from app.localization.among_schemas import AmongOut
+from app.localization.all_maps import AllMapsAnswer
+from app.localization.all_maps_schemas import AllMapsAnswerOut
 from core.errors import InvalidParameters, InvalidScan
-from core.localization.among_maps import LocalizationAmong, SearchedMap, localize_among
+from core.localization.all_maps import AllMapsLocalization, SearchedMap, localize_in_maps
 from core.localization.localizer import Localizer
 from storage.files.map_file import read_map
 from storage.formats.errors import UnknownFormat
@@ -54,7 +54,7 @@ def where(
         ]
         for height_m in heights_m
     }
-    answers: list[tuple[str, LocalizationAmong]] = []
+    answers: list[tuple[str, AllMapsLocalization]] = []
     unusable: list[str] = []
     listed = next(iter(queries.values()))
     with progress_bar() as progress:
@@ -67,14 +67,14 @@ def where(
                     image = localizer.basis.image(read())
                     search = localizer.search_image(image)
                     searched.append(SearchedMap(slug, localizer.map, search, image.occupied_cells))
-                found = localize_among(searched, k, min_probability=min_probability)
+                found = localize_in_maps(searched, k, min_probability=min_probability)
                 answers.append((name, found))
             except (InvalidScan, UnknownFormat) as error:
                 unusable.append(str(error))
             progress.advance()
     if as_json:
         for _, found in answers:
-            answer = AmongOut.from_core(Among(found, len(maps), ()))
+            answer = AllMapsAnswerOut.from_core(AllMapsAnswer(found, len(maps), ()))
             sys.stdout.write(f"{answer.model_dump_json()}\n")
     elif answers:
         _show(answers)
@@ -84,7 +84,7 @@ def where(
         raise typer.Exit(1)
 
 
-def _show(answers: list[tuple[str, LocalizationAmong]]) -> None:
+def _show(answers: list[tuple[str, AllMapsLocalization]]) -> None:
     table = Table("scan", "map", "map scan", "x m", "y m", "distance", "ratio", "probable")
     for name, found in answers:
         for one in found.matches:

@@ -3,16 +3,20 @@
 import time
 from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from itertools import accumulate
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
+from tensormap_client import Mapper
+from tensormap_client import Progress as TransferProgress
 
 from app.builds.parameters import BuildParameters
 from app.demo.client import Client
 from app.demo.errors import DemoFailed
+from app.demo.mapped_scans import MappedScans
 from app.demo.outcome import MAX_SCANS, RECALL_M, Fixes, Outcome
 from app.revisions.topology_schemas import EdgeOut
 from core.arrays import BoolArray
@@ -27,19 +31,11 @@ from core.projection.reducer import Reducer
 from core.scans.drive import Drive
 from core.scans.scan import Scan
 from core.segmentation.fixed import cut_fixed, segment_length_for
-from storage.catalog import JobState
 from storage.formats.scans.kitti import kitti_body
 
 _DRIVE = "recorded"
 # Longer segments have a higher recall (paper, sec. 3.2); with one, none could be wrong.
 _SEGMENTS = 2
-
-
-class BuildProgress(Progress, Protocol):
-    """A progress that can also be set, as of a job."""
-
-    def move_to(self, done: int) -> None:
-        """Set how many units of the stage are done."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,51 +69,42 @@ def hold_out(drive: Drive) -> BoolArray:
 
 
 def run_demo(
+    mapper: Mapper,
     client: Client,
     drive: Drive,
     held_out: BoolArray,
-    progress: BuildProgress,
+    progress: TransferProgress,
     encoding: str = DEFAULT_ENCODING,
 ) -> Outcome:
     """Record a drive, map four fifths of it over HTTP and localize the rest.
 
     Args:
-        client: Of a service that does not have the client's map yet.
+        mapper: Of a map that its service does not have yet.
+        client: Of the same map.
         drive: The drive.
         held_out: Of its scans, from `hold_out`; later scans are not used.
         progress: Receives each stage.
         encoding: Of the map.
 
     Raises:
-        DemoFailed: If the service refuses a request.
+        DemoFailed: If the service refuses a query.
+        ClientError: If it refuses another request.
     """
-    client.create_map(f"Demonstration: {drive.name}")
-    posted, returns = 0, 0
-    recorded: list[int] = []
-    queries: list[tuple[int, Scan]] = []
-    progress.start("recording and posting", len(held_out))
-    for index in range(len(held_out)):
-        try:
-            scan = drive.scan(index)
-        except InvalidScan:
-            progress.advance()
-            continue
-        if held_out[index]:
-            queries.append((index, scan))
-        else:
-            body = kitti_body(scan)
-            client.put_scan(_DRIVE, index, body, scan)
-            recorded.append(index)
-            posted += len(body)
-            returns += len(scan)
-        progress.advance()
-    mapped = _build(client, progress, encoding)
+    mapper.create_map(f"Demonstration: {drive.name}")
+    mapped_scans = MappedScans(drive, held_out)
+    posted = mapper.upload(mapped_scans, _DRIVE, progress).sent_bytes
+    mapper.build(_parameters(encoding).as_json(), progress)
+    queries = []
+    for index in np.flatnonzero(held_out).tolist():
+        with suppress(InvalidScan):
+            queries.append((index, drive.scan(index)))
+    mapped = client.mapped_scans()
     basis = client.basis().to_core()
     edges = client.topology().edges
     edge_of = {along.segment: edge.edge for edge in edges for along in edge.segments}
     starts = _segment_starts(edges)
     usable = [
-        _Query(index, _segment_at(starts, recorded, index), scan, kitti_body(scan))
+        _Query(index, _segment_at(starts, mapped_scans.recorded, index), scan, kitti_body(scan))
         for index, scan in queries
         if _is_usable(basis, scan)
     ]
@@ -132,7 +119,7 @@ def run_demo(
             basis.parameters.encoder.elements(basis.parameters, segments, mapped),
             scans=mapped,
             grid_shape=basis.parameters.grid.shape,
-            returns=returns,
+            returns=mapped_scans.returns,
         ),
         segments=segments,
         mapped_scans=mapped,
@@ -163,21 +150,12 @@ def _ways(basis: Basis) -> list[_Way]:
     ]
 
 
-def _build(client: Client, progress: BuildProgress, encoding: str) -> int:
-    """Build the map as a job, and return the number of its scans."""
+def _parameters(encoding: str) -> BuildParameters:
+    """Return the parameters of the map."""
     parameters = BuildParameters(encoding=encoding, segments=_SEGMENTS)
     if parameters.map_parameters().reducer == Reducer.LAST:  # depends on the order of returns
-        parameters = parameters.model_copy(update={"reducer": Reducer.NEAREST})
-    job = client.build(parameters)
-    stage = ""
-    while job.state != JobState.DONE:
-        job = client.follow(job)
-        if job.stage and job.stage != stage:
-            stage = job.stage
-            progress.start(f"build: {stage}", job.total)
-        if stage:
-            progress.move_to(job.done)
-    return client.mapped_scans()
+        return parameters.model_copy(update={"reducer": Reducer.NEAREST})
+    return parameters
 
 
 def _localize(
@@ -196,9 +174,12 @@ def _localize(
         # Where a drive passes a street twice, both passes are segments of one edge.
         right.append(edge_of[best.segment] == edge_of[query.segment])
         sent.append(len(body))
-        if best.pose is not None:  # of the map's scan: recall is of places, not of estimates
+        true_m = drive.poses[query.index, :3]
+        # Of the map's scan: recall is of places, not of estimates. Without poses of its own a drive
+        # is mapped with those of the odometry, and the held-out scans have none.
+        if best.pose is not None and np.isfinite(true_m).all():
             place = (best.pose.x_m, best.pose.y_m, best.pose.z_m)
-            error_m.append(float(np.linalg.norm(drive.poses[query.index, :3] - place)))
+            error_m.append(float(np.linalg.norm(true_m - place)))
         progress.advance()
     seconds = time.perf_counter() - begun
     return Fixes(

@@ -7,7 +7,7 @@ from pathlib import Path, PurePosixPath
 
 import numpy as np
 
-from app.drives.pose_files import KITTI, MOST_LINES, read_poses
+from app.drives.pose_files import KITTI, MOST_LINES, read_poses, require_rising
 from app.drives.tar_stream import TarMember
 from core.arrays import FloatArray
 from core.errors import InvalidPose, TensorMapError
@@ -62,7 +62,9 @@ class KittiFiles:
                 poses = read_poses(self._bodies[POSES], KITTI, to_camera=self._to_camera())
                 if times_s is not None and len(times_s) == len(poses):
                     poses = replace(poses, timestamps_s=times_s)
-                put = drives.expect_poses(map_slug, drive_slug, poses, consecutive=True)
+                put = drives.expect_poses(
+                    map_slug, drive_slug, poses, of_all_scans=True, with_scans=True
+                )
         if times_s is None or (put and poses and poses.timestamps_s is times_s):
             return put
         with self._refused(TIMES, refuse):
@@ -94,7 +96,7 @@ def _times(body: bytes) -> FloatArray:
     """Return the seconds of each line, NaN where unknown.
 
     Raises:
-        InvalidPose: If there are too many.
+        InvalidPose: If there are too many, or they fall.
         MalformedDrive: If a line is no number.
     """
     lines = body.decode("utf-8", "replace").rstrip().splitlines()
@@ -102,5 +104,7 @@ def _times(body: bytes) -> FloatArray:
         raise InvalidPose(f"the file has {len(lines)} lines, at most {MOST_LINES} are read")
     numbers = [line_numbers(Path(TIMES), at, line, 1)[0] for at, line in enumerate(lines, 1)]
     times_s = np.array(numbers, dtype=np.float64)
-    times_s[~np.isfinite(times_s)] = np.nan
+    known = np.isfinite(times_s)
+    times_s[~known] = np.nan
+    require_rising(np.flatnonzero(known), times_s[known])
     return times_s

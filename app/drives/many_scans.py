@@ -13,7 +13,8 @@ import numpy as np
 from starlette.requests import ClientDisconnect
 
 from app.drives.kitti_files import SCANS, KittiFiles
-from app.drives.schemas import PosesPutOut, SetAsideOut, UploadOut, index_ranges
+from app.drives.scan_group import ScanGroup
+from app.drives.schemas import IndexRangeOut, PosesPutOut, SetAsideOut, UploadOut
 from app.drives.tar_stream import TarFeed, TarMember
 from app.drives.time_order import TimeOrder, member_time_s
 from app.http.client import require_client
@@ -28,12 +29,10 @@ from storage.formats.errors import ScanTooLarge, UnknownFormat
 from storage.formats.scans.kitti import KittiFormat
 from storage.formats.scans.registry import read_scan, suffix_of
 from storage.store import Store
+from storage.store.put_scans import MOST_SCANS
 
-_NAME = re.compile(r"(\d{1,16})\.\w+(\.\w+)?", re.ASCII)
+_NAME = re.compile(r"(\d{1,19})\.\w+(\.\w+)?", re.ASCII)
 _PLAIN, _IMAGES = ".bin", frozenset({".png", ".jpg", ".jpeg"})
-_LAST_INDEX = 2**53
-# Making a small scan durable costs more than writing it: scans are stored in groups.
-_GROUP_BYTES, _GROUP_SCANS = 4 * 2**20, 256
 _PART_BYTES = 64 * 2**10  # of an incomplete file, in memory
 _MOST_REPORTED = 1000
 _MOST_CHARACTERS = 200
@@ -74,8 +73,7 @@ class ScanUpload:
         self._drives = store.drives
         self._target = map_slug, drive_slug
         self._media_type, self._min_returns = media_type, settings.min_returns
-        self._waiting: list[_Waiting] = []
-        self._waiting_bytes = 0
+        self._waiting = ScanGroup[_Waiting]()
         self._stored: list[int] = []
         self._present: list[int] = []
         self._set_aside: list[SetAsideOut] = []
@@ -110,6 +108,7 @@ class ScanUpload:
             MalformedUpload: If the stream is no tar; earlier scans are stored.
             MapNotFound: If there is no such map.
             InvalidSlug: If the drive is new, and its name is no slug.
+            DriveNotFound: If the drive was deleted meanwhile, with the earlier scans.
             StorageFull: If no space is left; earlier scans are stored.
             TensorMapError: What `pieces` raises; earlier scans are stored.
             ClientDisconnect: If the client left; earlier scans are stored.
@@ -132,13 +131,14 @@ class ScanUpload:
 
     def store(self) -> None:
         """Store the complete scans that wait for others."""
-        waiting, self._waiting, self._waiting_bytes = self._waiting, [], 0
+        waiting = self._waiting.take()
         first: dict[int, _Waiting] = {}
         repeated = [item for item in waiting if first.setdefault(item.index, item) is not item]
         scans: Sequence[_Waiting] = tuple(first.values())
         while scans:
             try:
-                results = self._drives.put_scans(*self._target, [(s.index, s.scan) for s in scans])
+                indexed = [(item.index, item.scan) for item in scans]
+                results = self._waiting.put(self._drives, *self._target, indexed)
             except (ScanConflict, DriveClosed):
                 scans = self._without_refused(scans)
                 continue
@@ -166,8 +166,8 @@ class ScanUpload:
             scans_stored=len(self._stored),
             scans_present=len(self._present),
             files_set_aside=self._set_aside_count,
-            stored=index_ranges(self._stored),
-            present=index_ranges(self._present),
+            stored=IndexRangeOut.all_of(self._stored),
+            present=IndexRangeOut.all_of(self._present),
             set_aside=self._set_aside,
             poses=None if poses is None else PosesPutOut.of(poses),
         )
@@ -209,9 +209,7 @@ class ScanUpload:
         return self._order.index(time_s), time_s
 
     def _add(self, item: _Waiting) -> None:
-        self._waiting.append(item)
-        self._waiting_bytes += item.scan.points_m.nbytes
-        if self._waiting_bytes >= _GROUP_BYTES or len(self._waiting) >= _GROUP_SCANS:
+        if self._waiting.add(item, item.scan):
             self.store()
 
     def _without_refused(self, scans: Sequence[_Waiting]) -> Sequence[_Waiting]:
@@ -248,8 +246,13 @@ def member_index(member: TarMember) -> int:
     """
     name = PurePosixPath(member.name).name
     found = _NAME.fullmatch(name)
-    if found is None or int(found[1]) >= _LAST_INDEX:
+    if found is None:
         raise UnknownFormat(f"the name {name[:80]!r} is no index with a suffix, as 000012.pcd")
+    if int(found[1]) >= MOST_SCANS:
+        raise UnknownFormat(
+            f"the name {name[:80]!r} is no index, wanted less than {MOST_SCANS}, and no time: that"
+            " has a fraction, or 10, 13, 16 or 19 digits since 1970"
+        )
     return int(found[1])
 
 

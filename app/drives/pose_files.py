@@ -100,12 +100,16 @@ def _joined(parts: list[_Rows], first: int) -> ScanPoses:
     timestamps_s = np.concatenate([part.timestamps_s for part in parts])[order]
     known = np.isfinite(timestamps_s)
     poses = np.concatenate([part.poses for part in parts])[order]
-    _require_rising(scans[known], timestamps_s[known])
+    require_rising(scans[known], timestamps_s[known])
     return ScanPoses(scans, poses, np.where(known, timestamps_s, np.nan))
 
 
-def _require_rising(scans: IntArray, timestamps_s: FloatArray) -> None:
-    """Reject times that fall from one scan to the next: the lines are in another order."""
+def require_rising(scans: IntArray, timestamps_s: FloatArray) -> None:
+    """Reject times that fall from one scan to the next: the lines are in another order.
+
+    Raises:
+        InvalidPose: Naming the first two such scans.
+    """
     falls = np.flatnonzero(np.diff(timestamps_s) < 0.0)
     if len(falls):
         before, after = falls[0], falls[0] + 1

@@ -2,13 +2,14 @@
 
 from typing import Annotated
 
+import numpy as np
 from fastapi import Query
 
 from app.access.api_router import api_router
 from app.access.scopes import Scope, needs
-from app.drives.pose_files import CSV, POSE_TYPES, read_poses
+from app.drives.pose_files import MOST_LINES, POSE_TYPES, read_poses
 from app.drives.pose_schemas import PosesIn, PosesOut
-from app.drives.schemas import DriveOut, DriveWithPosesOut, PosesPutOut
+from app.drives.schemas import MOST_JUMPS, DriveOut, DriveWithPosesOut, PosesPutOut
 from app.http import errors
 from app.http.bodies.bodies import Body, ContentType, described_body, required_type
 from app.http.bodies.json_body import read_json
@@ -16,12 +17,14 @@ from app.http.pooled_route import heavy
 from app.http.problems import problems
 from app.service import DriveSlug, MapSlug, Running
 from core.errors import InvalidPose
+from core.scans.pose_steps import jumps
 from storage.errors import DriveNotFound, InvalidSlug, MapNotFound, PosesDoNotFit, ScanNotFound
 
 reading = api_router(tags=["drives"], dependencies=(needs(Scope.MAPS_READ),))
 writing = api_router(tags=["drives"], dependencies=(needs(Scope.MAPS_WRITE),))
 
 _JSON = "application/json"
+_AROUND = 10  # scans beside those that were put: their steps show what is usual
 
 First = Annotated[
     int,
@@ -84,22 +87,32 @@ def put_poses(
 ) -> DriveWithPosesOut:
     """Set poses and timestamps of scans, all or none; those of a file also for future scans.
 
-    JSON sets those of stored scans only. A file also sets what a scan that is stored later does not
-    have itself. A file whose lines count scans is rejected if it has fewer than the drive has
-    scans, or if it has more and would replace other poses: it is another drive's, or cut off.
+    JSON sets those of the stored scans that it names. A file also sets what a scan that is stored
+    later does not have itself, and is rejected if it ends before or behind the drive's last scan:
+    it is another drive's, or cut off. Before the first scan it may have any number of lines.
     """
     kind = required_type(content_type, _JSON, *POSE_TYPES)
     drives = running.store.drives
     if kind in POSE_TYPES:
+        sent = read_poses(body, kind, first)
+        scans = sent.scans
         put = drives.expect_poses(
             map_slug,
             drive_slug,
-            read_poses(body, kind, first),
-            consecutive=kind != CSV,
+            sent,
+            of_all_scans=True,
             partial=bool(partial),
         )
     else:
         poses, timestamps_s = read_json(body, PosesIn).to_core()
+        scans = np.array(sorted({*poses, *timestamps_s}) or [0])
         put = drives.put_poses(map_slug, drive_slug, poses, timestamps_s)
-    drive = DriveOut.from_record(drives.get(map_slug, drive_slug))
-    return DriveWithPosesOut(**dict(drive), poses=PosesPutOut.of(put))
+    record = drives.get(map_slug, drive_slug)
+    begin, end = max(0, int(scans[0]) - _AROUND), int(scans[-1]) + _AROUND
+    around = drives.poses(record.id, begin, min(end - begin, MOST_LINES))
+    around = around.only(around.scans <= end)
+    return DriveWithPosesOut(
+        **dict(DriveOut.from_record(record)),
+        poses=PosesPutOut.of(put),
+        jumps=jumps(around.scans, around.timestamps_s, around.poses).tolist()[:MOST_JUMPS],
+    )

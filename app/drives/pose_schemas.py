@@ -1,25 +1,34 @@
 """Poses over the wire."""
 
-import math
 from collections import Counter
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
-from fastapi import Query
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from app.http.exact_types import Number, integers
 from app.http.shown import Shown
 from core.errors import InvalidPose
-from core.scans.pose import Pose, is_known
-from storage.catalog import DriveRecord, ScanPoses
+from core.scans.pose import Pose, PoseSource, is_known
+from core.scans.pose_steps import jumps
 
-_ORDER = "x,y,z,qx,qy,qz,qw: metres and a unit quaternion, sensor to world"
+if TYPE_CHECKING:  # commands show poses too, and have no catalog to import
+    from storage.catalog import DriveRecord, ScanPoses
 
-PoseQuery = Annotated[
-    str | None,
-    Query(description=f"Where the scan was taken, {_ORDER}.", examples=["1.5,-2,1.73,0,0,0,1"]),
-]
+POSE_ORDER = "x,y,z,qx,qy,qz,qw: metres and a unit quaternion, sensor to world"
+
+
+def _is_none(value: object) -> bool:
+    return value is None
+
+
+class Wgs84Out(BaseModel):
+    """A place on the Earth."""
+
+    latitude_deg: float
+    longitude_deg: float
+    altitude_m: float = Field(description="Above the ellipsoid.")
+    bearing_deg: float = Field(description="Heading, clockwise from true north, 0..360.")
 
 
 class PoseOut(Shown):
@@ -33,11 +42,11 @@ class PoseOut(Shown):
     qz: float
     qw: float
     yaw_deg: float = Field(description="Heading of its x axis, counter-clockwise.")
-
-    @classmethod
-    def from_core(cls, pose: Pose) -> "PoseOut":
-        """Show a pose."""
-        return cls.of(pose)
+    wgs84: Wgs84Out | None = Field(
+        None,
+        exclude_if=_is_none,
+        description="The same on the Earth, if the map has an anchor and the drive a place in it.",
+    )
 
 
 class ScanPoseIn(BaseModel):
@@ -47,7 +56,7 @@ class ScanPoseIn(BaseModel):
 
     scan: int = Field(ge=0, lt=2**53, description="Its index in the drive.")
     pose: Annotated[list[Number], Field(min_length=7, max_length=7, fail_fast=True)] | None = Field(
-        None, description=f"{_ORDER}; null removes it, without it nothing changes."
+        None, description=f"{POSE_ORDER}; null removes it, without it nothing changes."
     )
     timestamp_s: Number | None = Field(None, description="Seconds; without it nothing changes.")
 
@@ -88,8 +97,45 @@ class ScanPoseOut(BaseModel):
     """Where and when one scan of a drive was taken."""
 
     scan: int = Field(description="Its index in the drive.")
-    pose: list[float] | None = Field(description=f"{_ORDER}; null where unknown.")
+    pose: list[float] | None = Field(description=f"{POSE_ORDER}; null where unknown.")
     timestamp_s: float | None = Field(description="Seconds; null where unknown.")
+
+
+class ScanSigmaOut(BaseModel):
+    """How far a pose by odometry may be trusted: standard deviations against the first scan's."""
+
+    scan: int = Field(description="Its index in the drive.")
+    sigma_m: float = Field(description="Of the position in x and y, each.")
+    sigma_deg: float = Field(description="Of the heading.")
+
+
+class MotionOut(BaseModel):
+    """How the sensor moved from one scan to another, in the level frame of the first."""
+
+    forward_m: float
+    left_m: float
+    up_m: float
+    turn_deg: float = Field(description="Angle of the rotation, whatever its axis.")
+
+
+class ContradictionOut(BaseModel):
+    """Two scans between which the sensor moved otherwise than the poses say."""
+
+    first: int = Field(description="Index of the one scan.")
+    last: int = Field(description="Of the other.")
+    by_poses: MotionOut
+    by_scans: MotionOut
+
+
+class PoseCheckOut(BaseModel):
+    """Given poses beside the motion that the scans show, of up to eight pairs of scans."""
+
+    agreeing: int = Field(description="Pairs between which the sensor moved as the poses say.")
+    contradictions: list[ContradictionOut]
+    still: int = Field(description="Pairs between which it did not move.")
+    unmeasured: int = Field(
+        description="Pairs too far apart, or in surroundings that do not show the motion."
+    )
 
 
 class PosesOut(Shown):
@@ -98,16 +144,29 @@ class PosesOut(Shown):
     drive: str
     scans: int = Field(description="Of the drive.")
     scans_with_pose: int
+    pose_source: PoseSource = Field(description="`given`, or by a build's `odometry`.")
+    odometry: dict[str, Any] | None = Field(
+        description="How odometry computed them: versions, parameters, closures; null if given."
+    )
+    pose_check: PoseCheckOut | None = Field(
+        description="Given poses as the last build checked them; null before, and if computed."
+    )
     poses_waiting: int = Field(description="Poses of scans that are not stored yet.")
     poses: list[ScanPoseOut]
+    sigmas: list[ScanSigmaOut] = Field(description="Of those of `poses` that are by odometry.")
+    jumps: list[int] = Field(
+        description="Those of `poses` that are farther from the one before than a vehicle moves."
+    )
     next_first: int | None = Field(description="`first` of the next scans; null at the end.")
 
     @classmethod
-    def from_core(cls, drive: DriveRecord, found: ScanPoses, limit: int) -> "PosesOut":
+    def from_core(cls, drive: "DriveRecord", found: "ScanPoses", limit: int) -> "PosesOut":
         """Show the first scans of those that were found; there may be one more."""
         posed, timed = is_known(found.poses), np.isfinite(found.timestamps_s)
         columns = (found.scans, posed, found.poses, timed, found.timestamps_s)
         rows = zip(*(column[:limit].tolist() for column in columns), strict=True)
+        shown = found.only(np.arange(len(found)) < limit)
+        computed = shown.only(np.isfinite(shown.sigmas[:, 0]))
         return cls.of(
             drive,
             drive=drive.slug,
@@ -121,22 +180,12 @@ class PosesOut(Shown):
                 )
                 for scan, has_pose, pose, has_time, timestamp_s in rows
             ],
+            sigmas=[
+                ScanSigmaOut(scan=scan, sigma_m=sigma_m, sigma_deg=sigma_deg)
+                for scan, (sigma_m, sigma_deg) in zip(
+                    computed.scans.tolist(), computed.sigmas.tolist(), strict=True
+                )
+            ],
+            jumps=jumps(shown.scans, shown.timestamps_s, shown.poses).tolist(),
             next_first=int(found.scans[limit]) if len(found) > limit else None,
         )
-
-
-def pose_from_query(text: str | None) -> Pose | None:
-    """Read `x,y,z,qx,qy,qz,qw`.
-
-    Raises:
-        InvalidPose: If it is not seven numbers with a unit quaternion.
-    """
-    if text is None:
-        return None
-    try:
-        values = [float(part) for part in text.split(",")]
-    except ValueError:
-        values = []
-    if len(values) != 7 or not all(math.isfinite(value) for value in values):
-        raise InvalidPose(f"pose is {text[:120]!r}, wanted {_ORDER}")
-    return Pose(*values)

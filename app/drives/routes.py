@@ -8,17 +8,19 @@ import numpy as np
 from fastapi import Path, Query, Response, status
 
 from app.access.api_router import api_router
+from app.access.dependency import CurrentCaller
 from app.access.scopes import Scope, needs
 from app.access.trail import note
-from app.drives.pose_schemas import PoseQuery, pose_from_query
+from app.drives.pose_query import PoseQuery, pose_from_query
 from app.drives.schemas import DriveIn, DriveOut, DrivePatch, ScanOut
 from app.http import errors
 from app.http.bodies.bodies import SCAN_TYPES, Body, ContentType, Json, described_body
 from app.http.pages import After, Limit, PageOut, page_out
 from app.http.pooled_route import heavy
 from app.http.problems import problems
+from app.recycle_bin.purging import Purge, require_purge
 from app.service import DriveSlug, MapSlug, Running
-from core.errors import InvalidPose, InvalidScan, TooFewReturns
+from core.errors import InvalidParameters, InvalidPose, InvalidScan, TooFewReturns
 from storage import errors as stored
 from storage.formats import errors as formats
 from storage.formats.scans.registry import read_scan
@@ -126,11 +128,23 @@ def close_drive(
 @writing.delete(
     "/maps/{map}/drives/{drive}",
     status_code=status.HTTP_204_NO_CONTENT,
-    responses=problems(*_DRIVE, *errors.WRITING),
+    responses=problems(*_DRIVE, errors.InvalidRequest, *errors.WRITING),
 )
-def delete_drive(map_slug: MapSlug, drive_slug: DriveSlug, running: Running) -> None:
-    """Delete a drive and its scans; revisions that were built from it stay."""
-    running.store.drives.delete(map_slug, drive_slug)
+def delete_drive(
+    map_slug: MapSlug,
+    drive_slug: DriveSlug,
+    running: Running,
+    caller: CurrentCaller,
+    purge: Purge = None,
+) -> None:
+    """Delete a drive and its scans; it can be restored from the recycle bin.
+
+    Revisions that were built from it stay.
+    """
+    drives = running.store.drives
+    require_purge(caller, purge=purge)
+    (drives.purge if purge else drives.delete)(map_slug, drive_slug)
+    running.collector.wake()
 
 
 @writing.put(
@@ -144,6 +158,7 @@ def delete_drive(map_slug: MapSlug, drive_slug: DriveSlug, running: Running) -> 
             stored.InvalidSlug,
             stored.ScanConflict,
             stored.DriveClosed,
+            InvalidParameters,
             InvalidPose,
             errors.InvalidRequest,
             *BAD_SCAN,
@@ -166,7 +181,7 @@ def put_scan(
     """Store one scan; the first scan of a drive creates the drive.
 
     The scan is on disk before the answer is sent. Safe to repeat: the same returns at the same
-    index answer 200 and change nothing, others are rejected.
+    index answer 200 and change nothing, others are rejected. A new scan's index is below 10^9.
     """
     scan = read_scan(
         body,

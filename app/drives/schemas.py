@@ -11,7 +11,12 @@ from app.drives.mounting_schemas import MountingIn, MountingOut
 from app.http.exact_types import integers
 from app.http.shown import Shown
 from core.scans.accumulation import MOST_SCANS
+from core.scans.pose import PoseSource
 from storage.catalog import DriveRecord, ScanRecord
+from storage.index_ranges import index_ranges
+
+MOST_JUMPS = 1000
+"""Listed in an answer."""
 
 
 class IndexRangeOut(Shown):
@@ -19,6 +24,11 @@ class IndexRangeOut(Shown):
 
     first: int
     last: int
+
+    @classmethod
+    def all_of(cls, indices: Iterable[int]) -> "list[IndexRangeOut]":
+        """Return the ranges that indices make, in rising order."""
+        return list(map(cls.of, index_ranges(indices)))
 
 
 class DriveOut(Shown):
@@ -35,6 +45,10 @@ class DriveOut(Shown):
         " stay listed, and are recognized if sent again; builds use the images that were kept."
     )
     scans_with_pose: int
+    pose_source: PoseSource = Field(
+        description="`given`, or `odometry`: a build computed them from the scans, in a frame that"
+        " begins with the first one. Poses that are put take their place."
+    )
     poses_waiting: int = Field(description="Poses of scans that are not stored yet.")
     poses_left_over: int = Field(
         description="Poses of scans that the closed drive does not have: another drive's?"
@@ -75,6 +89,10 @@ class DriveWithPosesOut(DriveOut):
     """A drive, and what poses that were put changed."""
 
     poses: PosesPutOut
+    jumps: list[int] = Field(
+        description="Scans that are now farther from the one before than a vehicle moves, among"
+        " those that were put and ten beside them; the first thousand."
+    )
 
 
 class DriveIn(BaseModel):
@@ -173,19 +191,3 @@ class UploadOut(BaseModel):
     poses: PosesPutOut | None = Field(
         description="What a `poses.txt` in the archive changed; null without one that fits."
     )
-
-
-def index_ranges(indices: Iterable[int]) -> list[IndexRangeOut]:
-    """Return the ranges that indices make, in rising order.
-
-    Examples:
-        >>> [(r.first, r.last) for r in index_ranges([7, 1, 2, 2, 3])]
-        [(1, 3), (7, 7)]
-    """
-    ranges: list[IndexRangeOut] = []
-    for index in sorted(set(indices)):
-        if ranges and ranges[-1].last == index - 1:
-            ranges[-1].last = index
-        else:
-            ranges.append(IndexRangeOut(first=index, last=index))
-    return ranges

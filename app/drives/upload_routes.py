@@ -66,6 +66,7 @@ def list_scans(map_slug: MapSlug, drive_slug: DriveSlug, running: Running) -> Pr
     ),
     responses=problems(
         MapNotFound,
+        DriveNotFound,
         InvalidSlug,
         errors.InvalidRequest,
         errors.MalformedUpload,

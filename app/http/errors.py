@@ -47,6 +47,14 @@ class MalformedUpload(AppError):
     """A body of many scans that is no tar stream, or incomplete; an upload keeps earlier scans."""
 
 
+class CaptureTooLarge(AppError):
+    """A capture of more bytes, parts or returns than the service reads."""
+
+
+class CaptureTooSlow(AppError):
+    """A capture that takes longer to read than one may; its job was ended."""
+
+
 class KeyNeeded(AppError):
     """A request without a key, to a service that needs one."""
 
@@ -130,15 +138,15 @@ class TooManyConnections(AppError):
 
 
 class WorkerDied(AppError):
-    """The process of a build ended before the build did."""
+    """The process of a job ended before the job did."""
 
 
 class BuildStalled(AppError):
-    """A build that made no progress for as long as one may; its process was ended."""
+    """A job that made no progress for as long as one may; its process was ended."""
 
 
 class BuildOutOfMemory(AppError):
-    """A build that needed more memory than one may take; its process was ended."""
+    """A job that needed more memory than one may take; its process was ended."""
 
 
 class InternalError(AppError):
@@ -157,6 +165,8 @@ STATUS: dict[type[core.TensorMapError], HTTPStatus] = {
     core.StaleSignature: S.CONFLICT,
     core.BasisMismatch: S.CONFLICT,
     core.FramesDisagree: S.CONFLICT,
+    core.PosesContradictScans: S.CONFLICT,
+    core.AnchorDoesNotFit: S.CONFLICT,
     core.UnknownDrive: S.NOT_FOUND,
     core.StaleObservation: S.CONFLICT,
     core.UnknownSegment: S.UNPROCESSABLE_ENTITY,
@@ -177,21 +187,31 @@ STATUS: dict[type[core.TensorMapError], HTTPStatus] = {
     stored.RevisionNotFound: S.NOT_FOUND,
     stored.BasisNotFound: S.NOT_FOUND,
     stored.JobNotFound: S.NOT_FOUND,
+    stored.NotInRecycleBin: S.NOT_FOUND,
+    stored.CaptureNotFound: S.NOT_FOUND,
     stored.KeyNotFound: S.NOT_FOUND,
     stored.MapExists: S.CONFLICT,
+    stored.DriveExists: S.CONFLICT,
     stored.MapChanged: S.PRECONDITION_FAILED,
     stored.ScanConflict: S.CONFLICT,
     stored.PosesDoNotFit: S.CONFLICT,
     stored.DriveClosed: S.CONFLICT,
     stored.ReturnsGone: S.CONFLICT,
     stored.NoLiveRevision: S.CONFLICT,
+    stored.MapNotAnchored: S.CONFLICT,
     stored.RevisionIsLive: S.CONFLICT,
     stored.AmbiguousRevision: S.CONFLICT,
     stored.BasisExists: S.CONFLICT,
     stored.BasisInUse: S.CONFLICT,
     stored.JobNotRunning: S.CONFLICT,
+    stored.PartConflict: S.CONFLICT,
+    stored.PartsMissing: S.CONFLICT,
+    stored.CaptureMismatch: S.CONFLICT,
+    stored.CaptureQueued: S.CONFLICT,
     stored.RequestKeyReused: S.CONFLICT,
+    stored.PartDoesNotFit: S.UNPROCESSABLE_ENTITY,
     stored.TooManyBuilds: S.TOO_MANY_REQUESTS,
+    stored.TooManyCaptures: S.TOO_MANY_REQUESTS,
     stored.InvalidSlug: S.UNPROCESSABLE_ENTITY,
     stored.CorruptFile: S.INTERNAL_SERVER_ERROR,
     stored.CorruptImages: S.INTERNAL_SERVER_ERROR,
@@ -208,6 +228,8 @@ STATUS: dict[type[core.TensorMapError], HTTPStatus] = {
     DigestMismatch: S.BAD_REQUEST,
     SlowBody: S.REQUEST_TIMEOUT,
     MalformedUpload: S.UNPROCESSABLE_ENTITY,
+    CaptureTooLarge: S.REQUEST_ENTITY_TOO_LARGE,
+    CaptureTooSlow: S.INTERNAL_SERVER_ERROR,
     KeyNeeded: S.UNAUTHORIZED,
     KeyRefused: S.UNAUTHORIZED,
     ScopeMissing: S.FORBIDDEN,

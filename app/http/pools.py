@@ -1,8 +1,10 @@
 """Pools of threads, shared fairly between keys."""
 
 import asyncio
+import os
 from collections import Counter, OrderedDict, deque
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any, TypeVar
 
 from anyio import CapacityLimiter, to_thread
@@ -19,6 +21,7 @@ _ADMISSION_THREADS = 8  # looking a key up takes a fraction of a millisecond
 _SPOOL_THREADS = 8
 _AUDIT_THREADS = 2  # the catalog allows one writer at a time
 _OPENING_THREADS = 1  # each more would delay the threads of requests
+_QUIET_S = 0.01  # a match takes less
 _INNER_THREADS = 40  # of the framework: files that are sent, streams
 
 
@@ -40,6 +43,18 @@ class Pool:
         self._limiter = CapacityLimiter(threads)
         self._running: Counter[str] = Counter()
         self._waiting: OrderedDict[str, deque[asyncio.Future[None]]] = OrderedDict()
+        self._quiet = asyncio.Event()
+
+    async def quiet(self) -> None:
+        """Return when nothing runs, or after some milliseconds.
+
+        Who moves many bytes on the event loop waits here between two pieces: the threads that
+        answer would wait for the interpreter's lock at each of their dozens of large arrays.
+        """
+        if self._running:
+            self._quiet.clear()
+            with suppress(TimeoutError):
+                await asyncio.wait_for(self._quiet.wait(), _QUIET_S)
 
     @property
     def waiting(self) -> int:
@@ -121,6 +136,8 @@ class Pool:
         self._running[key] -= 1
         if not self._running[key]:
             del self._running[key]
+        if not self._running:
+            self._quiet.set()
         waiting = next(filter(self._has_room, self._waiting), None)
         if waiting is None:
             return
@@ -138,6 +155,8 @@ class Pools:
 
     Attributes:
         short: Work of milliseconds: the catalog, localizing by signature.
+        matching: Observations of streams. They compute only: with more threads than processors each
+            takes longer, and so does all that the event loop does, as opening other streams.
         heavy: Longer work: scans, archives, closures, imports, comparisons, large JSON.
         admission: Threads that look up keys, and do nothing else.
         spool: Threads that write bodies to disk.
@@ -153,6 +172,11 @@ class Pools:
             max(1, settings.short_threads * 3 // 4),
             settings.queued_requests,
         )
+        cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+        threads = min((cores or 1) + 1, settings.short_threads)
+        self.matching = Pool(
+            "an observation", threads, max(1, threads - 1), settings.queued_requests
+        )
         self.heavy = Pool(
             "heavy work",
             settings.heavy_threads,
@@ -167,6 +191,15 @@ class Pools:
     def of_body(self, length: int) -> Pool:
         """Return the pool of work on a body: work on large ones takes longer."""
         return self.heavy if length > _SMALL_BYTES else self.short
+
+    def of_observation(self, length: int) -> Pool:
+        """Return the pool of work on a message of a stream."""
+        return self.heavy if length > _SMALL_BYTES else self.matching
+
+    async def quiet(self) -> None:
+        """Return when no answer is computed, or after some milliseconds: see `Pool.quiet`."""
+        await self.short.quiet()
+        await self.matching.quiet()
 
     def size_the_default(self) -> None:
         """Size the pool that the framework itself uses."""

@@ -12,6 +12,7 @@ from typing import Annotated, Any
 from fastapi import Header, Response
 from pydantic import BaseModel
 
+from app.localization.answer_fields import included
 from app.localization.schemas import BatchOut, LocalizationOut
 from app.revisions.loaded import Answering
 from core.confidence.decision import Refusal
@@ -80,57 +81,22 @@ class Form:
         """Return the answer to one query."""
         if self.packed:
             return Response(pack(found, by), media_type=FIX_TYPE)
-        whole = LocalizationOut.from_core(found, by.live_revision)
+        whole = LocalizationOut.from_core(found, by.live_revision, by.georeference)
         return whole if self.fields is None else _part(whole, self.fields)
 
     def many(self, found: Sequence[tuple[Localization, Answering]]) -> BatchOut | Response:
         """Return the answers to several queries, in their order."""
         if self.packed:
             return Response(b"".join(pack(*one) for one in found), media_type=FIX_TYPE)
-        items = [LocalizationOut.from_core(one, by.live_revision) for one, by in found]
+        items = [
+            LocalizationOut.from_core(one, by.live_revision, by.georeference) for one, by in found
+        ]
         whole = BatchOut(items=items)
         return whole if self.fields is None else _part(whole, {"items": {"__all__": self.fields}})
 
 
 def _part(whole: BaseModel, include: dict[str, Any]) -> Response:
     return Response(whole.model_dump_json(include=include), media_type=PART_TYPE)
-
-
-def included(fields: str) -> dict[str, Any]:
-    """Return `fields` as pydantic's `include`.
-
-    Raises:
-        ValueError: If one is no field of an answer.
-
-    Examples:
-        >>> included("localized,best.drive,best.pose")
-        {'localized': True, 'best': {'drive': True, 'pose': True}}
-    """
-    include: dict[str, Any] = {}
-    for field in fields.split(","):
-        names, at = field.strip().split("."), include
-        model: type[BaseModel] | None = LocalizationOut
-        for depth, name in enumerate(names):
-            if model is None or name not in model.model_fields:
-                raise ValueError(f"an answer has no field {field[:80]!r}")
-            nested, many = _nested(model.model_fields[name].annotation)
-            if depth == len(names) - 1:
-                at[name] = True
-                break
-            if at.get(name) is True:
-                break  # all of it is included already
-            at = at.setdefault(name, {})
-            if many:
-                at = at.setdefault("__all__", {})
-            model = nested
-    return include
-
-
-def _nested(annotation: Any) -> tuple[type[BaseModel] | None, bool]:  # noqa: ANN401 - a type
-    """Return the model within a field's type, and whether the field is a list of them."""
-    kinds = (annotation, *getattr(annotation, "__args__", ()))
-    models = [kind for kind in kinds if isinstance(kind, type) and issubclass(kind, BaseModel)]
-    return (models[0] if models else None), getattr(annotation, "__origin__", None) is list
 
 
 def pack(found: Localization, by: Answering) -> bytes:

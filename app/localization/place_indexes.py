@@ -1,22 +1,16 @@
-"""Indexes of the places of all maps of a shared basis: kept up to date, and searched."""
+"""The indexes of the places of all maps of shared bases, kept up to date."""
 
 import logging
 import threading
-from bisect import bisect_right
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
-from core.arrays import IntArray
-from core.encodings.basis import Basis
+from app.localization.open_index import OpenIndex, places_of_maps
 from core.encodings.model import Model
-from core.encodings.place_index import PlaceEntries, PlaceIndex
-from core.encodings.signature import Signature
 from core.errors import InvalidMap, TensorMapError
-from storage.catalog import LiveMap
+from storage.catalog import MapSummary
 from storage.errors import BasisNotFound, CorruptFile
 from storage.files.map_file import read_revision
 from storage.files.place_files import VERSION, IndexedMap, Manifest, Part, PlaceFiles
@@ -25,8 +19,9 @@ from storage.store import Store
 FEWEST_MAPS = 9
 """Of one basis that are indexed: fewer are opened, and stay open."""
 
-_AT_ONCE = 200  # maps that are read before their part is written, in some 300 MB
-_MOST_SAMPLES = 80  # maps of which a code is made
+_AT_ONCE = 20_000  # places that are read before their part is written, 1.5 kB each
+_MOST_SAMPLES = 80  # maps of which a code is made,
+_MOST_SAMPLED = 40_000  # and their scans, in some 50 MB
 _GROWN = 4  # times as many places: another code, with more lists, is worth while
 _MOST_DEAD = 0.25  # of the places of a part
 _SMALLER = 4  # a part that is not so many times larger than a new one is joined with it
@@ -34,62 +29,6 @@ _MOST_JOINED = 200_000  # places: a part is made in memory, 1.5 kB each
 _ATTEMPTS = 3
 
 _log = logging.getLogger("tensormap.localization")
-
-
-@dataclass(frozen=True, eq=False)
-class OpenIndex:
-    """An index whose files are mapped into memory.
-
-    Attributes:
-        basis: Of its maps.
-        index: How it is searched.
-        parts: Each part's entries and maps.
-        places_of: Part and places of each map by its id.
-    """
-
-    basis: Basis
-    index: PlaceIndex[Any]
-    parts: tuple[tuple[PlaceEntries, Part], ...]
-    places_of: Mapping[str, tuple[int, IndexedMap]]
-
-    def has(self, one: LiveMap) -> bool:
-        """Return whether the live revision of a map is indexed."""
-        found = self.places_of.get(one.map_id)
-        return found is not None and found[1].revision == one.revision
-
-    def nearest_maps(self, maps: Sequence[LiveMap], signature: Signature) -> list[str]:
-        """Return the ids of the maps that a signature may be of, the most likely first.
-
-        Args:
-            maps: Those that may be found, all of them indexed.
-            signature: Of this basis.
-        """
-        searched = []
-        for number, (entries, part) in enumerate(self.parts):
-            spans = [
-                place
-                for one in maps
-                for of_part, place in [self.places_of[one.map_id]]
-                if of_part == number
-            ]
-            if spans:
-                places = None if len(spans) == len(part.maps) else _all_of(spans)
-                found = self.index.candidates(entries, signature, places)
-                searched.append((part, (entries, *found)))
-        compared = self.index.most_alike(signature, [found for _, found in searched])
-        nearest: dict[str, float] = {}
-        for (part, _), (places, distances) in zip(searched, compared, strict=True):
-            starts = [one.start for one in part.maps]
-            for place, distance in zip(places.tolist(), distances.tolist(), strict=True):
-                one = part.maps[bisect_right(starts, place) - 1]
-                if one.start <= place < one.end:  # else its map is gone
-                    nearest[one.map_id] = min(distance, nearest.get(one.map_id, np.inf))
-        return sorted(nearest, key=lambda map_id: nearest[map_id])
-
-
-def _all_of(spans: Iterable[IndexedMap]) -> IntArray:
-    ordered = sorted((one.start, one.end) for one in spans)
-    return np.concatenate([np.arange(start, end) for start, end in ordered])
 
 
 class PlaceIndexes:
@@ -102,15 +41,21 @@ class PlaceIndexes:
     def __init__(self, store: Store) -> None:
         self._store = store
         self._open: dict[str, tuple[tuple[int, int], OpenIndex]] = {}
+        self._left_out: set[tuple[str, str | None]] = set()
         self._pending: set[str] = set()
         self._changed = threading.Condition()
         self._stopping = False
         self._thread = threading.Thread(target=self._loop, name="place indexes", daemon=True)
 
     def start(self) -> None:
-        """Bring all indexes up to date, then those that `wake` names."""
+        """Bring all indexes up to date, then those that `wake` names; remove those of no basis."""
+        bases = {one.basis for one in self._store.catalog.map_summaries.all()} - {None}
+        if self._store.layout.index.exists():
+            for folder in self._store.layout.index.iterdir():
+                if folder.name not in bases:
+                    PlaceFiles(folder).remove()
         self._thread.start()
-        for basis in {one.basis for one in self._store.catalog.live_maps.all()} - {None}:
+        for basis in bases:
             self.wake(str(basis))
 
     def stop(self) -> None:
@@ -121,11 +66,22 @@ class PlaceIndexes:
         if self._thread.ident is not None:
             self._thread.join()
 
-    def wake(self, basis: str) -> None:
-        """Bring the index of a basis up to date soon: a map is not in it, or no longer live."""
+    def wake(self, basis: str, missing: Iterable[MapSummary] | None = None) -> None:
+        """Bring the index of a basis up to date soon.
+
+        Args:
+            basis: Digest of the basis.
+            missing: Maps that are not in it: if each was left out when it was read, nothing is
+                done. A restart reads them again, and so does an update for another map.
+        """
+        if missing is not None and all(map(self._is_left_out, missing)):
+            return
         with self._changed:
             self._pending.add(basis)
             self._changed.notify()
+
+    def _is_left_out(self, one: MapSummary) -> bool:
+        return (one.map_id, one.revision) in self._left_out
 
     def open(self, basis: str) -> OpenIndex | None:
         """Return the index of a basis, `None` if there is none that can be read."""
@@ -133,12 +89,16 @@ class PlaceIndexes:
         for _ in range(_ATTEMPTS):
             written = files.written()
             if written is None:
+                self._open.pop(basis, None)
                 return None
             known = self._open.get(basis)
             if known is not None and known[0] == written:
                 return known[1]
             try:
-                opened = self._read(basis, files)
+                manifest = files.manifest()
+                if manifest is None:
+                    raise InvalidMap("the index has no manifest")
+                opened = self._read(basis, files, manifest)
             except (OSError, ValueError, TypeError, InvalidMap, TensorMapError):
                 continue  # replaced meanwhile, or damaged: then it is made again
             self._open[basis] = written, opened
@@ -146,16 +106,16 @@ class PlaceIndexes:
         _log.warning("the index of basis %s cannot be read: it is made again", basis[:12])
         return None
 
-    def _read(self, basis: str, files: PlaceFiles) -> OpenIndex:
-        manifest = files.manifest()
-        if manifest is None:
-            raise InvalidMap("the index has no manifest")
+    def _read(self, basis: str, files: PlaceFiles, manifest: Manifest) -> OpenIndex:
         of_maps = self._store.bases.read(basis)
         kind = of_maps.parameters.encoder.place_index()
         if kind is None:
             raise InvalidMap(f"{of_maps.parameters.encoding} maps have no index")
         index = kind.of(of_maps, files.read(manifest.code))
         parts = tuple((index.read(files.read(part.folder)), part) for part in manifest.parts)
+        for entries, part in parts:
+            if max((one.end for one in part.maps), default=0) > len(entries):
+                raise InvalidMap(f"{part.folder} has {len(entries)} places, its maps have more")
         return OpenIndex(
             of_maps,
             index,
@@ -179,7 +139,7 @@ class PlaceIndexes:
                 basis = self._pending.pop()
             try:
                 self.update(basis)
-            except (TensorMapError, OSError):
+            except Exception:  # noqa: BLE001 - other bases need the thread, and this one tries again
                 _log.exception("the index of basis %s cannot be brought up to date", basis[:12])
 
     def update(self, basis: str) -> None:
@@ -193,7 +153,7 @@ class PlaceIndexes:
         files = self._files(basis)
         live = {
             one.map_id: one
-            for one in self._store.catalog.live_maps.all()
+            for one in self._store.catalog.map_summaries.all()
             if one.basis == basis and one.revision is not None
         }
         if len(live) < FEWEST_MAPS:
@@ -204,49 +164,68 @@ class PlaceIndexes:
                 with suppress(BasisNotFound):  # deleted meanwhile
                     self._update(basis, files, live)
 
-    def _update(self, basis: str, files: PlaceFiles, live: Mapping[str, LiveMap]) -> None:
-        opened, manifest = self.open(basis), files.manifest()
+    def _update(self, basis: str, files: PlaceFiles, live: Mapping[str, MapSummary]) -> None:
+        manifest = files.manifest() if self.open(basis) is not None else None
         places = sum(one.scans for one in live.values())
-        if opened is None or manifest is None or places > _GROWN * manifest.trained:
-            of_maps = self._store.bases.read(basis)
-            kind = of_maps.parameters.encoder.place_index()
-            if kind is None:
+        has_grown = manifest is not None and places > _GROWN * manifest.trained
+        if manifest is None or has_grown:
+            manifest = self._trained(basis, files, list(live.values()))
+            if manifest is None:
                 return
-            maps = list(live.values())
-            sample = [model for _, model in self._models(maps[:: -(-len(maps) // _MOST_SAMPLES)])]
-            if not sample:
-                return
-            index = kind.train(of_maps, sample, places)
-            code = files.write("code", index.arrays())
-            manifest = Manifest(version=VERSION, code=code, trained=places, parts=[])
-            files.replace(manifest)
         indexed = {
             one.map_id for part in manifest.parts for one in part.maps if _is_live(one, live)
         }
         missing = [one for one in live.values() if one.map_id not in indexed]
-        for start in range(0, max(len(missing), 1), _AT_ONCE):
-            found = list(self._models(missing[start : start + _AT_ONCE]))
-            self._add(self._read(basis, files), manifest, files, live, found)
-            manifest = files.manifest() or manifest
+        batches = _batches(missing)
+        for number, maps in enumerate(batches, 1):
+            manifest = self._with(maps, self._read(basis, files, manifest), manifest, files, live)
             if self._stopping:
                 return
+            # One that has grown serves as it was until all maps are in the new one.
+            is_whole = number == len(batches) or not has_grown
+            if is_whole and manifest != files.manifest():
+                files.replace(manifest)
 
-    @staticmethod
-    def _add(
+    def _trained(
+        self, basis: str, files: PlaceFiles, maps: Sequence[MapSummary]
+    ) -> Manifest | None:
+        """Return an index without maps, its code made of some; `None` if there can be none."""
+        of_maps = self._store.bases.read(basis)
+        kind = of_maps.parameters.encoder.place_index()
+        if kind is None:
+            return None
+        sample: list[Model] = []
+        for _, model in self._models(maps[:: -(-len(maps) // _MOST_SAMPLES)]):
+            sample.append(model)
+            if sum(map(len, sample)) >= _MOST_SAMPLED:
+                break
+        if not sample:
+            return None
+        places = sum(one.scans for one in maps)
+        code = files.write("code", kind.train(of_maps, sample, places).arrays())
+        return Manifest(version=VERSION, code=code, trained=places, parts=[])
+
+    def _with(
+        self,
+        added: Sequence[MapSummary],
         opened: OpenIndex,
         manifest: Manifest,
         files: PlaceFiles,
-        live: Mapping[str, LiveMap],
-        found: Sequence[tuple[LiveMap, Model]],
-    ) -> None:
-        """Add some maps in a part of their own, joined with parts that are small or mostly gone."""
+        live: Mapping[str, MapSummary],
+    ) -> Manifest:
+        """Write some maps to a part of their own, joined with parts that are small or mostly gone.
+
+        Returns:
+            The index with that part.
+        """
         index = opened.index
         arrays = []
-        maps = [(one.map_id, str(one.revision), len(model)) for one, model in found]
-        size = sum(count for _, _, count in maps)
-        if found:
-            entries = index.entries([model for _, model in found])
+        maps: list[tuple[str, str, int]] = []
+        for one, model in self._models(added):
+            entries = index.entries([model])
             arrays.append(entries.of_places(np.arange(len(entries))))
+            maps.append((one.map_id, str(one.revision), len(entries)))
+        size = sum(count for _, _, count in maps)
         stay = []
         for entries, part in sorted(opened.parts, key=lambda one: len(one[0])):
             kept = [one for one in part.maps if _is_live(one, live)]
@@ -256,7 +235,7 @@ class PlaceIndexes:
                 stay.append(part.model_copy(update={"maps": kept}))
             elif kept:
                 kept = sorted(kept, key=lambda one: one.start)
-                arrays.append(entries.of_places(_all_of(kept)))
+                arrays.append(entries.of_places(places_of_maps(kept)))
                 maps += [(one.map_id, one.revision, one.end - one.start) for one in kept]
                 size += alive
         if arrays:
@@ -269,20 +248,33 @@ class PlaceIndexes:
                 for (map_id, revision, count), end in zip(maps, ends, strict=True)
             ]
             stay.append(Part(folder=files.write("part", joined.arrays()), maps=listed))
-        if stay != manifest.parts:
-            files.replace(manifest.model_copy(update={"parts": stay}))
+        return manifest.model_copy(update={"parts": stay})
 
-    def _models(self, maps: Iterable[LiveMap]) -> Iterator[tuple[LiveMap, Model]]:
+    def _models(self, maps: Iterable[MapSummary]) -> Iterator[tuple[MapSummary, Model]]:
         """Yield the models of maps; one that cannot be read is left out, and opened by queries."""
         for one in maps:
             if self._stopping:
                 return
             path = self._store.layout.revisions(one.map_id) / one.file_name
             try:
-                yield one, read_revision(path, str(one.revision)).model
+                model = read_revision(path, str(one.revision)).model
             except (CorruptFile, OSError) as error:
+                self._left_out.add((one.map_id, one.revision))
                 _log.info("map %s is not indexed: %s", one.slug, error)
+            else:
+                self._left_out.discard((one.map_id, one.revision))
+                yield one, model
 
 
-def _is_live(one: IndexedMap, live: Mapping[str, LiveMap]) -> bool:
+def _is_live(one: IndexedMap, live: Mapping[str, MapSummary]) -> bool:
     return one.map_id in live and live[one.map_id].revision == one.revision
+
+
+def _batches(maps: Sequence[MapSummary]) -> list[list[MapSummary]]:
+    """Return the maps that are read at once; one batch, without maps, if there are none."""
+    batches: list[list[MapSummary]] = [[]]
+    for one in maps:
+        if batches[-1] and sum(of.scans for of in batches[-1]) + one.scans > _AT_ONCE:
+            batches.append([])
+        batches[-1].append(one)
+    return batches

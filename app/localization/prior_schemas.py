@@ -4,7 +4,7 @@ from typing import Annotated
 
 from pydantic import AfterValidator, BaseModel, Field
 
-from app.localization.answers import included
+from app.localization.answer_fields import included
 from app.localization.sensor_schemas import SensorIn
 from core.errors import InvalidParameters
 from core.localization.priors import (

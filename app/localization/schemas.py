@@ -24,8 +24,8 @@ from core.encodings.registry import encoding_named, encoding_names
 from core.encodings.signature import Signature
 from core.localization.localizer import Localization
 from core.localization.match import Match
+from core.mapping.georeference import NOWHERE, Georeference
 from core.projection.visibility import MOST_RINGS, SECTORS
-from core.scans.pose import Pose
 
 MOST_QUERIES = 1000
 """Of one batch."""
@@ -273,13 +273,15 @@ class LocalizationOut(Shown):
     segments_searched: list[int]
 
     @classmethod
-    def from_core(cls, found: Localization, live_revision: str) -> "LocalizationOut":
+    def from_core(
+        cls, found: Localization, live_revision: str, georeference: Georeference = NOWHERE
+    ) -> "LocalizationOut":
         """Return the model of a localization.
 
         Of plain values: each heading is computed once, and pydantic validates all in one call.
         """
         deviation, decision = found.deviation, found.decision
-        matches = [match_values(match) for match in found.matches]
+        matches = [match_values(match, georeference) for match in found.matches]
         best = matches[0]
         pose = best["pose"]
         return cls.model_validate(
@@ -299,27 +301,23 @@ class LocalizationOut(Shown):
                 and deviation.covariance_m2(pose["yaw_deg"]),
                 "best": best,
                 "matches": matches,
-                "runner_up": None if found.runner_up is None else match_values(found.runner_up),
+                "runner_up": found.runner_up and match_values(found.runner_up, georeference),
                 "ratio": found.ratio,
                 "segments_searched": found.segments,
             }
         )
 
 
-def match_values(match: Match) -> dict[str, Any]:
+def match_values(match: Match, georeference: Georeference = NOWHERE) -> dict[str, Any]:
     """Return plain values of a `MatchOut`."""
-    estimated = _pose(match.estimated_pose)
+    estimated = georeference.pose(match.drive, match.estimated_pose)
     yaw_known = match.relative_yaw_deg is not None
     return {
         **vars(match),
-        "pose": _pose(match.pose),
+        "pose": georeference.pose(match.drive, match.pose),
         "estimated_pose": estimated,
         "heading_deg": estimated["yaw_deg"] if estimated and yaw_known else None,
     }
-
-
-def _pose(pose: Pose | None) -> dict[str, float] | None:
-    return None if pose is None else {**vars(pose), "yaw_deg": pose.yaw_deg}
 
 
 class BatchOut(BaseModel):

@@ -1,7 +1,8 @@
-"""Retention: removes old revisions, and the returns of mapped scans."""
+"""Retention: removes old revisions, returns of mapped scans, used captures and what was deleted."""
 
 import logging
 import threading
+from datetime import UTC, datetime, timedelta
 
 import numpy as np
 
@@ -12,11 +13,12 @@ from core.errors import TensorMapError
 from core.mapping.tensormap import TensorMap
 from storage.catalog import Act, MapRecord, on_behalf
 from storage.catalog.scans import LostRace
-from storage.errors import CorruptImages, MapNotFound
+from storage.errors import CorruptImages, MapNotFound, NotInRecycleBin
 from storage.files.image_file import ImageFile
 from storage.files.map_file import read_map
 from storage.retention import RawScans
 from storage.store import Store, StoredDrive
+from storage.store.recycle_bin import horizon
 
 _EVERY_S = 3600.0  # revisions expire by age without any request
 
@@ -27,12 +29,14 @@ class GarbageCollector:
     """Collects at the start, when it is woken, and every hour.
 
     Args:
-        settings: With the retention of maps that do not set their own.
+        settings: With the retention of maps that do not set their own, and of captures.
         store: With the revisions and scans.
     """
 
     def __init__(self, settings: Settings, store: Store) -> None:
         self._default = settings.retention
+        self._recycled_days = settings.recycle_bin_days
+        self._captures_kept = timedelta(hours=settings.capture_hours)
         self._store = store
         self._wake = threading.Event()
         self._stopping = threading.Event()
@@ -44,7 +48,7 @@ class GarbageCollector:
         self._thread.start()
 
     def wake(self) -> None:
-        """Collect now: a revision was added or replaced, or a retention changed."""
+        """Collect now: a revision was added or replaced, a retention changed, or a map deleted."""
         self._wake.set()
 
     def stop(self) -> None:
@@ -56,12 +60,23 @@ class GarbageCollector:
     def collect(self) -> None:
         """Remove what no retention keeps; what cannot be removed is logged and stays."""
         with self._one:
+            self._empty_recycle_bin()
             after: str | None = ""
             while after is not None and not self._stopping.is_set():
                 page = self._store.maps.list(after)
                 for of_map in page.items:
                     self._collect_of(of_map)
                 after = page.next_after
+            self._clear_captures()
+
+    def _clear_captures(self) -> None:
+        try:
+            cleared = self._store.captures.clear(datetime.now(UTC) - self._captures_kept)
+        except TensorMapError:
+            _log.exception("captures that were read or expired cannot be removed")
+        else:
+            if cleared:
+                _log.info("%d captures that were read or expired were removed", cleared)
 
     def _loop(self) -> None:
         while not self._stopping.is_set():
@@ -71,6 +86,24 @@ class GarbageCollector:
                 _log.exception("the maps cannot be listed")
             self._wake.wait(_EVERY_S)
             self._wake.clear()
+
+    def _empty_recycle_bin(self) -> None:
+        """Remove the maps and drives that were deleted long enough ago."""
+        before = horizon(self._recycled_days)
+        for entry in self._store.recycle_bin.expired(before):
+            if self._stopping.is_set():
+                return
+            subject = f"/v1/recycle-bin/{entry.id}"
+            act = Act("service", "purge_deleted", subject, entry.map_slug, str(entry))
+            try:
+                with on_behalf(act):
+                    self._store.recycle_bin.purge(entry.id, before=before)
+            except NotInRecycleBin:
+                continue  # restored or removed meanwhile, or removed with its map
+            except (TensorMapError, OSError):
+                _log.exception("%s, which was deleted, cannot be removed", entry)
+            else:
+                _log.info("%s, which was deleted, is removed", entry, extra=fields(entry=entry.id))
 
     def _collect_of(self, of_map: MapRecord) -> None:
         try:

@@ -14,9 +14,11 @@ from app.http.bodies.bodies import Json
 from app.http.pages import After, Limit, PageOut, page_out
 from app.http.pooled_route import light
 from app.http.problems import problems
-from app.maps.schemas import MapIn, MapOut, MapPatch
+from app.maps.schemas import MapAnchorIn, MapIn, MapOut, MapPatch
+from app.recycle_bin.purging import Purge, require_purge
 from app.service import MapSlug, Running, Service
-from storage.catalog import MapRecord
+from core.mapping.anchor import Anchor
+from storage.catalog import Keep, MapRecord
 from storage.errors import InvalidSlug, MapChanged, MapExists, MapNotFound
 
 reading = api_router(tags=["maps"], dependencies=(needs(Scope.MAPS_READ),))
@@ -76,14 +78,18 @@ def update_map(
     response: Response,
     if_match: IfMatch = None,
 ) -> MapOut:
-    """Change a map's description or retention."""
+    """Change a map's description, retention or anchor."""
     kept = None if change.retention is None else change.retention.model_dump(exclude_unset=True)
     if kept:
         note("retention " + ", ".join(f"{name}={value}" for name, value in kept.items()))
+    anchor = Keep.AS_IT_IS if "anchor" not in change.model_fields_set else _anchor(change.anchor)
+    if anchor is not Keep.AS_IT_IS:
+        note(f"anchor {anchor}")
     record = running.store.maps.update(
         map_slug,
         description=change.description,
         retention=kept,
+        anchor=anchor,
         if_version=version_seen(if_match),
     )
     if kept:
@@ -96,9 +102,22 @@ def update_map(
     status_code=status.HTTP_204_NO_CONTENT,
     responses=problems(MapNotFound, MapChanged, errors.InvalidRequest, *errors.WRITING),
 )
-def delete_map(map_slug: MapSlug, running: Running, if_match: IfMatch = None) -> None:
-    """Delete a map with its drives, revisions and jobs."""
-    running.store.maps.delete(map_slug, if_version=version_seen(if_match))
+def delete_map(
+    map_slug: MapSlug,
+    running: Running,
+    caller: CurrentCaller,
+    if_match: IfMatch = None,
+    purge: Purge = None,
+) -> None:
+    """Delete a map with its drives, revisions and jobs; it can be restored from the recycle bin."""
+    maps = running.store.maps
+    require_purge(caller, purge=purge)
+    (maps.purge if purge else maps.delete)(map_slug, if_version=version_seen(if_match))
+    running.collector.wake()
+
+
+def _anchor(sent: MapAnchorIn | None) -> Anchor | None:
+    return None if sent is None else Anchor(**sent.model_dump())
 
 
 def shown_map(record: MapRecord, running: Service, response: Response) -> MapOut:

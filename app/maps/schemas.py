@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from app.http.exact_types import Lines, SlugText
+from app.http.exact_types import Lines, Number, SlugText
 from app.http.shown import Shown
 from storage.catalog import MapRecord
 from storage.retention import LONGEST_DAYS, MOST_REVISIONS, RawScans, Retention
@@ -61,6 +61,56 @@ class RetentionOut(Shown):
     raw_scans: RawScans = Field(description=_RAW)
 
 
+class MapAnchorIn(BaseModel):
+    """A point of a map whose place on the Earth is known, and how the map is turned."""
+
+    model_config = ConfigDict(
+        extra="forbid",
+        allow_inf_nan=False,
+        json_schema_extra={"example": {"latitude_deg": 49.01, "longitude_deg": 8.4}},
+    )
+
+    latitude_deg: Number = Field(ge=-90, le=90, description="Of the point, WGS84.")
+    longitude_deg: Number = Field(ge=-180, le=180, description="Likewise.")
+    altitude_m: Number = Field(0.0, ge=-1e5, le=1e5, description="Above the ellipsoid.")
+    heading_deg: Number = Field(
+        0.0, ge=-360, le=360, description="Of the map's x axis, counter-clockwise from east."
+    )
+    x_m: Number = Field(0.0, ge=-1e8, le=1e8, description="Of the point in the map.")
+    y_m: Number = Field(0.0, ge=-1e8, le=1e8, description="Likewise.")
+    z_m: Number = Field(0.0, ge=-1e8, le=1e8, description="Likewise.")
+
+
+class AnchorFitOut(Shown):
+    """How an anchor was fitted to the track of a GNSS receiver."""
+
+    drive: str
+    fixes: int = Field(description="Fixes that were compared, some metres apart.")
+    agreeing: int = Field(description="Of these, the ones that it was fitted to.")
+    spread_m: float = Field(description="Standard deviation of a fix in x and y, each.")
+    error_m: float = Field(description="Standard deviation of the anchor's point.")
+    error_deg: float = Field(description="Of its heading.")
+
+
+def _is_none(value: object) -> bool:
+    return value is None
+
+
+class MapAnchorOut(Shown):
+    """The anchor of a map."""
+
+    latitude_deg: float
+    longitude_deg: float
+    altitude_m: float
+    heading_deg: float
+    x_m: float
+    y_m: float
+    z_m: float
+    fitted: AnchorFitOut | None = Field(
+        None, exclude_if=_is_none, description="If it was fitted to a track."
+    )
+
+
 class MapPatch(BaseModel):
     """Changes of a map; what is not given stays."""
 
@@ -77,10 +127,17 @@ class MapPatch(BaseModel):
         None, description="What is kept; what is no longer kept is removed at once."
     )
 
+    anchor: MapAnchorIn | None = Field(
+        None,
+        description="Where the map is on the Earth: answers, tracks and graphs then have WGS84"
+        " beside metres. Null removes it.",
+    )
+
     @model_validator(mode="after")
     def _changes_something(self) -> "MapPatch":
-        if self.description is None and self.retention is None:
-            raise ValueError("wanted description or retention")
+        anchored = "anchor" in self.model_fields_set
+        if self.description is None and self.retention is None and not anchored:
+            raise ValueError("wanted description, retention or anchor")
         return self
 
 
@@ -98,6 +155,7 @@ class MapOut(Shown):
         description="The map's own retention; null where the service's default is in force."
     )
     retention_in_force: RetentionOut
+    anchor: MapAnchorOut | None = Field(description="Where it is on the Earth; null if not set.")
 
     @classmethod
     def from_record(cls, record: MapRecord, default: Retention) -> "MapOut":

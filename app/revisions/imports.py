@@ -1,6 +1,10 @@
 """Import of a revision from a map file."""
 
-from app.builds.parameters import as_built
+from dataclasses import dataclass
+
+from app.builds.live_gate import Gate, compare_with_live
+from app.builds.parameters import BuildParameters, as_built
+from app.revisions.recall import drives_stored_here
 from core.errors import InvalidMap
 from storage.catalog import RevisionFacts, RevisionRecord
 from storage.errors import CorruptFile, RevisionNotFound
@@ -8,10 +12,23 @@ from storage.files.map_file import map_of_bytes, write_map
 from storage.store import Store
 
 
-def import_revision(
-    store: Store, map_slug: str, body: bytes, *, make_live: bool
-) -> tuple[RevisionRecord, bool]:
-    """Add a map file to a map as a revision.
+@dataclass(frozen=True)
+class Imported:
+    """An imported revision.
+
+    Attributes:
+        record: The revision.
+        added: Whether it is new to the map.
+        gate: Whether a build of this content would have become live.
+    """
+
+    record: RevisionRecord
+    added: bool
+    gate: Gate
+
+
+def import_revision(store: Store, map_slug: str, body: bytes, *, make_live: bool) -> Imported:
+    """Add a map file to a map as a revision, and compare its recall with the live one's.
 
     The stored file is written from the values that were read and checked, so that nothing else in
     the body is stored. The scans of its drives are not stored, so no build can be based on it.
@@ -21,9 +38,6 @@ def import_revision(
         map_slug: The map.
         body: The bytes of an HDF5 file.
         make_live: Make it live even if it is not the map's first.
-
-    Returns:
-        The revision, and whether it is new to the map.
 
     Raises:
         MapNotFound: If there is no such map.
@@ -45,8 +59,16 @@ def import_revision(
             **as_built(parameters),
             "drives": list(tensor_map.trajectory.drives),
             "calibrated": tensor_map.calibration is not None,
+            "placements": tensor_map.attributes().get("placements", {}),
         },
         bases=tensor_map.basis_digests,
+    )
+    gate = compare_with_live(
+        store,
+        map_id,
+        drives_stored_here(store, map_id, tensor_map),
+        tensor_map,
+        max_recall_loss=BuildParameters.model_fields["max_recall_loss"].default,
     )
     try:
         store.revisions.get(map_slug, tensor_map.revision)
@@ -60,4 +82,4 @@ def import_revision(
         facts,
         make_live=make_live,
     )
-    return record, added
+    return Imported(record, added, gate)

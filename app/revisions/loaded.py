@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from core.encodings.signature import REVISION_PREFIX_BYTES
 from core.errors import StaleSignature
 from core.localization.localizer import Localizer
+from core.mapping.anchor import Anchor
+from core.mapping.georeference import Georeference
 from core.mapping.tensormap import TensorMap
 from storage.catalog import MapRecord
 from storage.errors import (
@@ -30,10 +32,17 @@ class Answering:
     Attributes:
         localizer: Of the revision that answers.
         live_revision: Digest of the live one.
+        anchor: Of the map, `None` without one.
     """
 
     localizer: Localizer
     live_revision: str
+    anchor: Anchor | None = None
+
+    @property
+    def georeference(self) -> Georeference:
+        """Where the drives of the revision that answers are on the Earth."""
+        return Georeference(self.anchor, self.localizer.map.placements)
 
 
 class LoadedRevisions:
@@ -46,7 +55,7 @@ class LoadedRevisions:
 
     def __init__(self, store: Store, limit: int) -> None:
         self._store = store
-        self._limit = limit
+        self.limit = limit
         self._loaded: OrderedDict[tuple[str, str], Localizer] = OrderedDict()
         self._lock = threading.Lock()
         self._reading: dict[tuple[str, str], threading.Lock] = {}
@@ -55,8 +64,12 @@ class LoadedRevisions:
         """Return the revision of that name, without one the live one; see `named` and `live`."""
         return self.live(map_slug) if revision is None else self.named(map_slug, revision)
 
-    def live(self, map_slug: str) -> Answering:
+    def live(self, map_slug: str, *, keep: bool = True) -> Answering:
         """Return the live revision of a map.
+
+        Args:
+            map_slug: The map.
+            keep: Whether it is kept if it was not, instead of the one used longest ago.
 
         Raises:
             MapNotFound: If there is no such map.
@@ -67,7 +80,9 @@ class LoadedRevisions:
         for _ in range(_ATTEMPTS):
             of_map, live = self._live(map_slug)
             with suppress(RevisionNotFound):  # another one became live, and this one was removed
-                return Answering(self._get(map_slug, of_map.id, live), live)
+                return Answering(
+                    self._get(map_slug, of_map.id, live, keep=keep), live, of_map.anchor
+                )
         raise StorageBusy(f"another revision of {map_slug!r} became live {_ATTEMPTS} times")
 
     def named(self, map_slug: str, revision: str) -> Answering:
@@ -82,7 +97,7 @@ class LoadedRevisions:
         """
         of_map, live = self._live(map_slug)
         digest = self._store.revisions.get(map_slug, revision).digest
-        return Answering(self._get(map_slug, of_map.id, digest), live)
+        return Answering(self._get(map_slug, of_map.id, digest), live, of_map.anchor)
 
     def of_signature(self, map_slug: str, revision: str) -> Answering:
         """Return the revision for signatures that name a basis or a revision.
@@ -101,14 +116,14 @@ class LoadedRevisions:
             CorruptFile: If its file is damaged.
         """
 
-        def names() -> tuple[str, str, str]:
+        def names() -> tuple[MapRecord, str, str]:
             answering = self._of_signature(map_slug, revision)
             of_map, live = self._live(map_slug)
-            return of_map.id, answering.localizer.map.revision, live
+            return of_map, answering.localizer.map.revision, live
 
-        map_id, digest, live = self._store.catalog.kept(("of signature", map_slug, revision), names)
+        of_map, digest, live = self._store.catalog.kept(("of signature", map_slug, revision), names)
         try:
-            return Answering(self._get(map_slug, map_id, digest), live)
+            return Answering(self._get(map_slug, of_map.id, digest), live, of_map.anchor)
         except RevisionNotFound:  # removed meanwhile
             return self._of_signature(map_slug, revision)
 
@@ -141,11 +156,12 @@ class LoadedRevisions:
             raise NoLiveRevision(f"map {map_slug!r} has no revision yet: post a build")
         return record, record.live_revision
 
-    def _get(self, map_slug: str, map_id: str, digest: str) -> Localizer:
+    def _get(self, map_slug: str, map_id: str, digest: str, *, keep: bool = True) -> Localizer:
         key = (map_id, digest)
         with self._lock:
             if (found := self._loaded.get(key)) is not None:
-                self._loaded.move_to_end(key)
+                if keep:
+                    self._loaded.move_to_end(key)
                 return found
             reading = self._reading.setdefault(key, threading.Lock())
         with reading:  # only requests for this revision wait for its reader
@@ -154,9 +170,10 @@ class LoadedRevisions:
                     return found
             localizer = Localizer(self._read(map_slug, digest))
             with self._lock:
-                self._loaded[key] = localizer
                 self._reading.pop(key, None)
-                while len(self._loaded) > self._limit:
+                if keep:
+                    self._loaded[key] = localizer
+                while len(self._loaded) > self.limit:
                     self._loaded.popitem(last=False)
         return localizer
 

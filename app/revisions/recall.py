@@ -1,6 +1,6 @@
-"""Recall of two maps on the scans that both have."""
+"""Recall of maps on their own scans, and of two on those that both have."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
 from enum import StrEnum
@@ -15,8 +15,8 @@ from core.evaluation.self_recall import finds_own, is_findable
 from core.mapping.diff import drive_overlaps
 from core.mapping.tensormap import TensorMap
 from core.projection.images import ImageSource
-from core.projection.probe import spread_evenly
 from core.scans.drive import scan_index_of
+from core.scans.sampling import spread_evenly
 from storage.errors import CorruptImages, DriveNotFound
 from storage.files.image_file import ImageFile
 from storage.store import Store, StoredDrive
@@ -51,6 +51,19 @@ class Recall:
     this: float
     other: float
     same_questions: bool
+
+
+@dataclass(frozen=True)
+class OwnRecall:
+    """Self-recall of one map on scans of its drives.
+
+    Attributes:
+        asked: How many scans were queries.
+        share: Share that it finds, 0..1.
+    """
+
+    asked: int
+    share: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,15 +102,10 @@ def measure_recall(
         return NoRecall.NO_SCAN_IN_BOTH
     pairs: list[tuple[_Query, _Query]] = []
     with ExitStack() as stack:
-        for name in shared:
-            try:
-                (drive,) = store.drives.open_of_map(map_id, [name])
-            except DriveNotFound:
-                continue
-            if drive.id == drive_ids[name]:
-                mine = _queries(store, drive, tensor_map, stack)
-                theirs = _queries(store, drive, other_map, stack)
-                pairs += [(mine[scan], theirs[scan]) for scan in sorted(mine.keys() & theirs)]
+        for drive in _stored_as(store, map_id, {name: drive_ids[name] for name in shared}):
+            mine = _queries(store, drive, tensor_map, stack)
+            theirs = _queries(store, drive, other_map, stack)
+            pairs += [(mine[scan], theirs[scan]) for scan in sorted(mine.keys() & theirs)]
         if not pairs:
             return NoRecall.IMAGES_NOT_KEPT
         chosen = [pairs[i] for i in spread_evenly(np.arange(len(pairs)), MOST_ASKED)]
@@ -114,6 +122,80 @@ def measure_recall(
             _share_found(other_map, [theirs for _, theirs in findable]),
             all(np.array_equal(mine.standing, theirs.standing) for mine, theirs in findable),
         )
+
+
+def measure_own_recall(
+    store: Store, map_id: str, side: tuple[Mapping[str, str], TensorMap], names: Iterable[str]
+) -> OwnRecall | NoRecall:
+    """Return the recall of a map on the scans of some of its drives.
+
+    Args:
+        store: With the images of its drives.
+        map_id: Of the map.
+        side: Ids of its drives by slug, and its content.
+        names: Of the drives.
+
+    Raises:
+        MapNotFound: If the map is gone.
+    """
+    drive_ids, tensor_map = side
+    if not drive_ids:
+        return NoRecall.NOT_BUILT_HERE
+    with ExitStack() as stack:
+        queries = [
+            query
+            for drive in _stored_as(store, map_id, {name: drive_ids[name] for name in names})
+            for query in _queries(store, drive, tensor_map, stack).values()
+        ]
+        if not queries:
+            return NoRecall.IMAGES_NOT_KEPT
+        chosen = [queries[i] for i in spread_evenly(np.arange(len(queries)), MOST_ASKED)]
+        findable = [query for query in chosen if is_findable(tensor_map, query.row)]
+        if not findable:
+            return NoRecall.NOTHING_TO_FIND
+        return OwnRecall(len(findable), _share_found(tensor_map, findable))
+
+
+def drives_stored_here(store: Store, map_id: str, tensor_map: TensorMap) -> dict[str, str]:
+    """Return the ids of the stored drives that a map from a file was built of, by slug.
+
+    They have the same name, scans of the same indices and times and, where times are unknown, the
+    same poses.
+
+    Raises:
+        MapNotFound: If the map is gone.
+    """
+    trajectory = tensor_map.trajectory
+    found: dict[str, str] = {}
+    for drive in store.drives.open_of_map(map_id):
+        if drive.name not in trajectory.drives or not len(drive):
+            continue
+        mapped = mapped_drive(drive, tensor_map.parameters.sensor_height_m)
+        rows = slice(*trajectory.drive_start[trajectory.drives.index(drive.name) :][:2])
+        index, wanted = scan_index_of(mapped), trajectory.scan_index[rows]
+        at = np.minimum(np.searchsorted(index, wanted), len(index) - 1)
+        timestamp_s = trajectory.timestamp_s[rows]
+        if (
+            np.array_equal(index[at], wanted)
+            and np.array_equal(mapped.timestamp_s[at], timestamp_s, equal_nan=True)
+            and (
+                np.isfinite(timestamp_s).all()
+                or np.array_equal(mapped.poses[at], trajectory.poses[rows], equal_nan=True)
+            )
+        ):
+            found[drive.name] = drive.id
+    return found
+
+
+def _stored_as(store: Store, map_id: str, drive_ids: Mapping[str, str]) -> Iterator[StoredDrive]:
+    """Yield those of these drives that are still stored."""
+    for name, drive_id in drive_ids.items():
+        try:
+            (drive,) = store.drives.open_of_map(map_id, [name])
+        except DriveNotFound:
+            continue
+        if drive.id == drive_id:
+            yield drive
 
 
 def _share_found(tensor_map: TensorMap, queries: list[_Query]) -> float:

@@ -1,10 +1,8 @@
 """Revisions: immutable builds of a map, one of them live, with their bases and graphs."""
 
-import io
 import json
 from typing import Annotated, Any
 
-import numpy as np
 from fastapi import Header, Path, Query, Response, status
 from fastapi.responses import FileResponse
 from pydantic import Field
@@ -20,7 +18,10 @@ from app.http.pooled_route import heavy
 from app.http.problems import problems
 from app.maps.routes import IfMatch, shown_map, version_seen
 from app.maps.schemas import MapOut
+from app.revisions.basis_file import NPZ, basis_file
 from app.revisions.comparison_schemas import ComparisonOut
+from app.revisions.geojson import GEOJSON, features_of
+from app.revisions.import_schemas import ImportedOut
 from app.revisions.imports import import_revision
 from app.revisions.recall import measure_recall
 from app.revisions.schemas import BasisOut, LiveIn, RevisionOut
@@ -47,7 +48,6 @@ MakeLive = Annotated[
     bool | None, Query(description="Make it live; the first one of a map always is.")
 ]
 
-_NPZ = "application/vnd.tensormap.basis+npz"
 _HDF5 = "application/vnd.tensormap.map+hdf5"
 
 
@@ -72,7 +72,7 @@ def list_revisions(
     dependencies=[needs(Scope.MAPS_WRITE)],
     status_code=status.HTTP_201_CREATED,
     responses={
-        200: {"model": RevisionOut, "description": "The map has it already."},
+        200: {"model": ImportedOut, "description": "The map has it already."},
         **problems(
             stored.MapNotFound,
             InvalidMap,
@@ -93,21 +93,23 @@ def import_a_revision(
     body: Body,
     content_type: ContentType = None,
     make_live: MakeLive = None,
-) -> RevisionOut:
+) -> ImportedOut:
     """Import a revision from a map's file, which is checked and rewritten.
 
     It has the same digest and gives the same answers. No build can be based on it, as the scans of
-    its drives are not stored.
+    its drives are not stored. Its recall is compared with the live revision's where the map has the
+    drives that it was built of, with their images; `make_live` is not subject to that.
     """
     required_type(content_type, _HDF5)
     if not body:
         raise EmptyBody("the body is empty, wanted a map's file")
-    record, added = import_revision(running.store, map_slug, body, make_live=bool(make_live))
+    imported = import_revision(running.store, map_slug, body, make_live=bool(make_live))
+    record = imported.record
     running.collector.wake()
-    if not added:
+    if not imported.added:
         response.status_code = status.HTTP_200_OK
     response.headers["Location"] = f"/v1/maps/{map_slug}/revisions/{record.digest}"
-    return RevisionOut.from_record(record, running.store.maps.get(map_slug).live_revision)
+    return ImportedOut.from_import(imported, running.store.maps.get(map_slug).live_revision)
 
 
 @router.get(
@@ -214,7 +216,7 @@ def make_live(
     dependencies=[needs(Scope.MAPS_READ, Scope.LOCALIZE)],
     response_model=BasisOut,
     responses={
-        200: {"content": {_NPZ: {"schema": {"type": "string", "format": "binary"}}}},
+        200: {"content": {NPZ: {"schema": {"type": "string", "format": "binary"}}}},
         304: {"description": "The vehicle's copy is the basis of this revision."},
         **problems(*errors.REVISION, *errors.READING, UnknownSegment, errors.InvalidRequest),
     },
@@ -238,7 +240,7 @@ def get_basis(
     for any of them.
     """
     tensor_map = running.revisions.get(map_slug, revision).localizer.map
-    as_npz = _NPZ in accept
+    as_npz = NPZ in accept
     headers = {"Vary": "Accept"}
     if segments is None:
         headers["ETag"] = f'W/"{tensor_map.basis_digest}{"-npz" if as_npz else ""}"'
@@ -251,16 +253,7 @@ def get_basis(
             media_type="application/json",
             headers=headers,
         )
-    file = io.BytesIO()
-    np.savez(
-        file,
-        # None of the arrays is named allow_pickle.
-        **basis.arrays(),  # type: ignore[arg-type]
-        revision=np.array(basis.revision),
-        basis=np.array(basis.digest),
-        parameters=np.array(json.dumps(basis.parameters.as_attributes())),
-    )
-    return Response(file.getvalue(), media_type=_NPZ, headers=headers)
+    return Response(basis_file(basis), media_type=NPZ, headers=headers)
 
 
 @router.get(
@@ -271,7 +264,32 @@ def get_basis(
 @heavy
 def get_topology(map_slug: MapSlug, running: Running, revision: OneRevision = None) -> TopologyOut:
     """Return a map as a graph: nodes where segments end and drives meet, edges along streets."""
-    return TopologyOut.from_core(running.revisions.get(map_slug, revision).localizer.map)
+    answering = running.revisions.get(map_slug, revision)
+    return TopologyOut.from_core(answering.localizer.map, answering.georeference)
+
+
+@router.get(
+    "/maps/{map}/geojson",
+    dependencies=[needs(Scope.MAPS_READ)],
+    response_class=Response,
+    responses={
+        200: {"content": {GEOJSON: {"schema": {"type": "object"}}}},
+        **problems(*errors.REVISION, stored.MapNotAnchored, *errors.READING),
+    },
+)
+@heavy
+def get_geojson(map_slug: MapSlug, running: Running, revision: OneRevision = None) -> Response:
+    """Return the drives, streets and nodes of a map on the Earth, as GeoJSON (RFC 7946).
+
+    Positions are longitude, latitude and altitude; nodes also have metres. The map needs an anchor;
+    drives without poses, and those that lie beside the others, have no place and are left out.
+    """
+    answering = running.revisions.get(map_slug, revision)
+    if answering.anchor is None:
+        raise stored.MapNotAnchored(f"map {map_slug!r} has no anchor: set one with PATCH")
+    features = features_of(answering.localizer.map, answering.georeference)
+    body = json.dumps({"type": "FeatureCollection", "features": features})
+    return Response(body, media_type=GEOJSON)
 
 
 def _is_held(etag: str, if_none_match: str | None) -> bool:

@@ -5,6 +5,7 @@ import math
 from pydantic import BaseModel, Field
 
 from app.drives.pose_schemas import PoseOut
+from core.mapping.georeference import NOWHERE, Georeference
 from core.mapping.tensormap import TensorMap
 from core.scans.pose import Pose
 
@@ -47,7 +48,9 @@ class TopologyOut(BaseModel):
     edges: list[EdgeOut]
 
     @classmethod
-    def from_core(cls, tensor_map: TensorMap) -> "TopologyOut":
+    def from_core(
+        cls, tensor_map: TensorMap, georeference: Georeference = NOWHERE
+    ) -> "TopologyOut":
         """Return the model of a map's graph."""
         topology, trajectory = tensor_map.topology, tensor_map.trajectory
         lengths = tensor_map.segment_ends[:, 1] - tensor_map.segment_ends[:, 0]
@@ -64,12 +67,15 @@ class TopologyOut(BaseModel):
         nodes = []
         for node, row in enumerate(topology.node_scan.tolist()):
             pose = Pose.from_row(trajectory.poses[row])
+            drive = trajectory.drives[trajectory.drive_of_scan[row]]
             nodes.append(
-                NodeOut(
-                    node=node,
-                    drive=trajectory.drives[trajectory.drive_of_scan[row]],
-                    scan_index=int(trajectory.scan_index[row]),
-                    pose=None if pose is None else PoseOut.from_core(pose),
+                NodeOut.model_validate(
+                    {
+                        "node": node,
+                        "drive": drive,
+                        "scan_index": int(trajectory.scan_index[row]),
+                        "pose": georeference.pose(drive, pose),
+                    }
                 )
             )
         edges = []

@@ -29,6 +29,7 @@ from app.tracking.schemas import ObservationQuery, TrackListed, TrackOut, TrackS
 from core import errors as core
 from core.encodings.signature import Signature
 from core.localization.localizer import Localizer
+from core.mapping.georeference import Georeference
 from core.projection.imager import Image
 from storage import errors as stored
 from storage.formats.errors import EmptyBody
@@ -111,8 +112,8 @@ def list_tracks(
 @light
 def get_track(map_slug: MapSlug, track_id: TrackId, running: Running) -> TrackOut:
     """Return a track and its last answer."""
-    found, live = track_of(running, map_slug, track_id)
-    return TrackOut.from_track(found, map_slug, live, running.tracks.idle_s)
+    found, live, georeference = track_of(running, map_slug, track_id)
+    return TrackOut.from_track(found, map_slug, live, running.tracks.idle_s, georeference)
 
 
 @router.delete(
@@ -154,15 +155,17 @@ def observe(
     content_type: ContentType = None,
 ) -> TrackStepOut:
     """Take the next observation: a scan, several that become one, an image or signatures."""
-    found, live = track_of(running, map_slug, track_id)
+    found, live, georeference = track_of(running, map_slug, track_id)
     observed = _observed(found.localizer, body, content_type, running, query)
     step = found.observe(query.to_core(*observed))
     running.metrics.localized("track", step.reason)
-    return TrackStepOut.from_core(found.id, step, live)
+    return TrackStepOut.from_core(found.id, step, live, georeference)
 
 
-def track_of(running: Service, map_slug: str, track_id: str) -> tuple[LiveTrack, str | None]:
-    """Return a track, and the live revision of its map.
+def track_of(
+    running: Service, map_slug: str, track_id: str
+) -> tuple[LiveTrack, str | None, Georeference]:
+    """Return a track, the live revision of its map, and where its revision is on the Earth.
 
     Raises:
         MapNotFound: If there is no such map.
@@ -171,7 +174,8 @@ def track_of(running: Service, map_slug: str, track_id: str) -> tuple[LiveTrack,
     """
     record = running.store.maps.get(map_slug)
     found = running.tracks.get(record.id, track_id, partial(_localizer, running, map_slug))
-    return found, record.live_revision
+    placements = found.localizer.map.placements
+    return found, record.live_revision, Georeference(record.anchor, placements)
 
 
 def _localizer(running: Service, map_slug: str, revision: str) -> Localizer:

@@ -4,7 +4,6 @@ import logging
 import threading
 
 from app.tracking.tracks import Tracks
-from core.errors import TensorMapError
 
 _EVERY_S = 1.0  # what a killed process loses; fifty vehicles at 10 Hz are one commit a second then
 
@@ -38,5 +37,5 @@ class TrackSaver:
             last = self._stopping.wait(_EVERY_S)
             try:
                 self._tracks.save()
-            except TensorMapError:  # the next attempt saves what this one did not
+            except Exception:  # noqa: BLE001 - the next attempt saves what this one did not
                 _log.exception("the tracks cannot be saved")

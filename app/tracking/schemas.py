@@ -1,10 +1,11 @@
 """Tracks on the wire."""
 
 import math
+from contextlib import suppress
 from datetime import UTC, datetime
 from typing import Any, Self
 
-from pydantic import BaseModel, Field, field_validator
+from pydantic import BaseModel, Field, ValidationError, field_validator
 
 from app.drives.pose_schemas import PoseOut
 from app.http.exact_types import Number, integers
@@ -13,9 +14,10 @@ from app.localization.schemas import SignaturesIn
 from app.localization.sensor_schemas import SensorIn
 from app.tracking.live_track import LiveTrack
 from core.encodings.signature import Signature
+from core.mapping.georeference import NOWHERE, Georeference
 from core.projection.imager import Image
 from core.tracking.step import Direction, Doubt, TrackStep
-from core.tracking.track import Observation
+from core.tracking.track import MOST_S, Observation
 from storage.catalog import SavedTrack
 
 
@@ -23,7 +25,7 @@ class ObservationIn(SignaturesIn):
     """One scan's signatures and, if known, their time and the odometry since the last one."""
 
     timestamp_s: Number | None = Field(
-        None, allow_inf_nan=False, description="By the vehicle's own clock; rises."
+        None, ge=-MOST_S, le=MOST_S, description="By the vehicle's own clock; rises."
     )
     sequence: int | None = Field(None, ge=0, lt=2**53, description="Its number; rises.")
     travelled_m: Number | None = Field(
@@ -45,7 +47,7 @@ class ObservationQuery(SensorIn):
     """Query parameters of an observation."""
 
     timestamp_s: float | None = Field(
-        None, allow_inf_nan=False, description="By the vehicle's own clock; rises in a track."
+        None, ge=-MOST_S, le=MOST_S, description="By the vehicle's own clock; rises in a track."
     )
     sequence: int | None = Field(
         None, ge=0, lt=2**53, description="The observation's number; rises."
@@ -71,6 +73,10 @@ class TrackStepOut(Shown):
     revision: str = Field(description="The revision that the track is pinned to.")
     live_revision: str | None = Field(description="The revision that is live now.")
     observations: int = Field(description="How many the track has had.")
+    timestamp_s: float | None = Field(
+        None, description="Of the observation that is answered; null if it had none."
+    )
+    sequence: int | None = Field(None, description="Likewise.")
     localized: bool
     reason: Doubt | None = Field(description="Why not; null if it is.")
     segment: int
@@ -111,7 +117,13 @@ class TrackStepOut(Shown):
     pose: PoseOut | None = Field(description="Where the vehicle is; null without poses.")
 
     @classmethod
-    def from_core(cls, track: str, step: TrackStep, live_revision: str | None) -> "TrackStepOut":
+    def from_core(
+        cls,
+        track: str,
+        step: TrackStep,
+        live_revision: str | None,
+        georeference: Georeference = NOWHERE,
+    ) -> "TrackStepOut":
         """Return the model of an answer."""
         sigma_m, match = step.along_sigma_m, step.match
         return cls.of(
@@ -125,6 +137,7 @@ class TrackStepOut(Shown):
             turn_deg=match.relative_yaw_deg,
             standing=step.stationary,
             lateral_m=match.lateral_m,
+            pose=georeference.pose(match.drive, step.pose),
         )
 
 
@@ -140,12 +153,22 @@ class TrackOut(Shown):
 
     @classmethod
     def from_track(
-        cls, found: LiveTrack, map_slug: str, live_revision: str | None, idle_s: float
+        cls,
+        found: LiveTrack,
+        map_slug: str,
+        live_revision: str | None,
+        idle_s: float,
+        georeference: Georeference = NOWHERE,
     ) -> "TrackOut":
         """Return the model of a track."""
-        last = None if found.last is None else saved_answer(found.last)
-        if (shown := last or found.saved.last) is not None:
-            shown = {**shown, "track": found.id, "live_revision": live_revision}
+        last = found.saved.last if found.last is None else saved_answer(found.last)
+        shown = None
+        if last is not None:
+            with suppress(KeyError, ValidationError):  # saved by another version
+                pose = georeference.with_wgs84(last["drive"], last["pose"])
+                shown = TrackStepOut.model_validate(
+                    {**last, "track": found.id, "live_revision": live_revision, "pose": pose}
+                )
         return cls.of(
             found,
             track=found.id,
@@ -184,7 +207,10 @@ class TrackListed(BaseModel):
     @classmethod
     def from_saved(cls, found: SavedTrack) -> Self:
         """Return the model of a track as it is saved."""
-        at_s = found.observed_s
+        at_s, place = found.observed_s, None
+        if found.last is not None:
+            with suppress(ValidationError):  # saved by another version
+                place = TrackPlaceOut.model_validate(found.last)
         return cls(
             track=found.id,
             key=found.key_id,
@@ -192,7 +218,7 @@ class TrackListed(BaseModel):
             created_at=found.created_at,
             last_observation_at=None if at_s is None else datetime.fromtimestamp(at_s, UTC),
             observations=found.observations,
-            place=None if found.last is None else TrackPlaceOut.model_validate(found.last),
+            place=place,
         )
 
 

@@ -7,22 +7,23 @@ from typing import Annotated, NoReturn
 
 from anyio import to_thread
 from fastapi import APIRouter, Path, WebSocket, WebSocketDisconnect, status
-from fastapi.exceptions import RequestValidationError
 from starlette.types import Message
 
 from app.access.access import sent_hash
 from app.access.dependency import stream_caller
 from app.access.scopes import Scope
 from app.http import errors
-from app.http.bodies.json_body import read_json
 from app.http.problems import problem_response
 from app.service import Service
 from app.tracking.routes import track_of
-from app.tracking.schemas import ObservationIn, TrackStepOut
-from core.encodings.signature import unpack_signatures
+from app.tracking.schemas import TrackStepOut
+from app.tracking.stream_messages import problem_message, read_observation
 from core.errors import TensorMapError
 from core.tracking.track import Observation
 from storage.errors import MapNotFound, RevisionNotFound
+
+LAST_SEQUENCE = b"tensormap-last-sequence"
+"""Header of an opened stream: number of the last observation that the track has had, or `none`."""
 
 router = APIRouter(tags=["tracks"], prefix="/v1")
 
@@ -45,21 +46,24 @@ async def stream(
 ) -> None:
     """Answer each observation.
 
-    A binary message is packed signatures, a text message is the JSON of `ObservationIn`. A refused
-    observation is answered with the problem that HTTP would return, and the stream stays open. It
-    is closed if the track was removed or the key revoked, which is checked with each message, and
-    if no message comes for a time.
+    A binary message is packed signatures, after number, time and odometry or without; a text
+    message is the JSON of `ObservationIn`. A refused observation is answered with the problem that
+    HTTP would return, and the stream stays open. It is closed if the track was removed or the key
+    revoked, which is checked with each message, and if no message comes for a time.
+
+    `TensorMap-Last-Sequence` in the answer that opens it is the number of the track's last
+    observation: a vehicle that comes back need not ask for it.
     """
     service: Service = websocket.app.state.service
     with ExitStack() as counted:
         check = partial(_open, websocket, service, map_slug, track_id, counted)
         try:
             service.streams.require_room(sent_hash(websocket))
-            key_id = await to_thread.run_sync(check, limiter=service.pools.opening)
+            key_id, last = await to_thread.run_sync(check, limiter=service.pools.opening)
         except TensorMapError as error:
             await websocket.send_denial_response(problem_response(error))
             return
-        await websocket.accept()
+        await websocket.accept(headers=[(LAST_SEQUENCE, str(last).encode())])
         with suppress(WebSocketDisconnect):
             while True:
                 await _answer(websocket, service, map_slug, track_id, key_id)
@@ -72,11 +76,12 @@ async def _answer(
     if message["type"] == "websocket.disconnect":
         raise WebSocketDisconnect(message.get("code", status.WS_1000_NORMAL_CLOSURE))
     body: bytes | str = message.get("bytes") or message.get("text") or b""
-    work = partial(_observe, websocket, service, map_slug, track_id, body)
+    read: list[Observation] = []
+    work = partial(_observe, websocket, service, map_slug, track_id, body, read)
     try:
-        answer = await service.pools.of_body(len(body)).run(key_id, work)
+        answer = await service.pools.of_observation(len(body)).run(key_id, work)
     except TensorMapError as error:
-        await websocket.send_text(bytes(problem_response(error).body).decode())
+        await websocket.send_text(problem_message(error, read[0] if read else None))
         if isinstance(error, errors.BodyTooLarge):
             await _close(websocket, status.WS_1009_MESSAGE_TOO_BIG)
         if isinstance(error, _ENDING):
@@ -101,33 +106,32 @@ async def _close(websocket: WebSocket, code: int, reason: str | None = None) -> 
 
 def _open(
     websocket: WebSocket, service: Service, map_slug: str, track_id: str, counted: ExitStack
-) -> str:
-    """Return the id of the stream's key, and count the stream until `counted` is closed."""
+) -> tuple[str, int | str]:
+    """Return the id of the stream's key, and the number of the track's last observation.
+
+    The stream counts until `counted` is closed.
+    """
     caller = stream_caller(websocket, Scope.LOCALIZE, map_slug=map_slug)
     counted.enter_context(service.streams.opened(caller.key_id, sent_hash(websocket)))
-    track_of(service, map_slug, track_id)
-    return caller.key_id
+    found, _, _ = track_of(service, map_slug, track_id)
+    return caller.key_id, "none" if found.sequence is None else found.sequence
 
 
 def _observe(
-    websocket: WebSocket, service: Service, map_slug: str, track_id: str, body: bytes | str
+    websocket: WebSocket,
+    service: Service,
+    map_slug: str,
+    track_id: str,
+    body: bytes | str,
+    read: list[Observation],
 ) -> str:
+    """Return the answer to a message; `read` receives its observation, for a problem's answer."""
     stream_caller(websocket, Scope.LOCALIZE, map_slug=map_slug)
     limit = service.settings.max_json_bytes
     if len(body) > limit:
         raise errors.BodyTooLarge(f"the message has {len(body)} bytes, at most {limit} are read")
-    found, live = track_of(service, map_slug, track_id)
-    step = found.observe(_observation(body))
+    read.append(read_observation(body))
+    found, live, georeference = track_of(service, map_slug, track_id)
+    step = found.observe(read[0])
     service.metrics.localized("track", step.reason)
-    return TrackStepOut.from_core(found.id, step, live).model_dump_json()
-
-
-def _observation(body: bytes | str) -> Observation:
-    if isinstance(body, bytes):
-        return Observation(unpack_signatures(body))
-    try:
-        return read_json(body.encode(), ObservationIn).to_observation()
-    except RequestValidationError as error:
-        found = error.errors()[0]
-        where = "/".join(map(str, found["loc"][1:]))
-        raise errors.InvalidRequest(f"{where}: {found['msg']}"[:200]) from None
+    return TrackStepOut.from_core(found.id, step, live, georeference).model_dump_json()

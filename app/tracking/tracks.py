@@ -5,6 +5,7 @@ this service: it goes on from there. The number of all tracks and of each key's 
 limit of all, a key with less than its share replaces a track of the key with the most.
 """
 
+import logging
 import threading
 import time
 from collections import Counter
@@ -20,6 +21,8 @@ from core.localization.localizer import Localizer
 from core.tracking.track import Tracker
 from storage.catalog import Page, SavedTrack, SavedTracks
 
+_log = logging.getLogger("tensormap.tracks")
+
 
 class Tracks:
     """All tracks of a service; safe to share between threads.
@@ -28,8 +31,8 @@ class Tracks:
         limit: Most tracks.
         idle_s: Time after its last use when a track is removed.
         per_key: Most tracks of one key.
+        saved: Those of other processes, and where this one's are saved.
         clock: Unix time in seconds: the tracks of an earlier process have it too.
-        saved: Those of other processes, and where this one's are saved; none without it.
     """
 
     def __init__(
@@ -37,14 +40,14 @@ class Tracks:
         limit: int,
         idle_s: float,
         per_key: int,
+        saved: SavedTracks,
         clock: Callable[[], float] = time.time,
-        saved: SavedTracks | None = None,
     ) -> None:
         self._limit = limit
         self._per_key = per_key
         self.idle_s = idle_s
         self._clock = clock
-        self._saved = saved or _NothingSaved()
+        self._saved = saved
         # Those of an earlier process count too; they are in memory from their next use on.
         self._tracks: dict[str, LiveTrack | SavedTrack] = {
             track.id: track for track in self._saved.used_since(clock() - idle_s)
@@ -53,6 +56,7 @@ class Tracks:
         self._trackers: WeakValueDictionary[tuple[str, str], Tracker] = WeakValueDictionary()
         self._lock = threading.Lock()
         self._preparing = threading.Lock()
+        self._resuming: dict[str, threading.Lock] = {}
         self._saving = threading.Lock()
 
     def __len__(self) -> int:
@@ -131,13 +135,16 @@ class Tracks:
         with self._lock:
             own = [self._tracks.get(track.id) for track in page.items]
         items = (
-            mine.to_save(saved_answer) if isinstance(mine, LiveTrack) else track
+            (isinstance(mine, LiveTrack) and _now(mine)) or track
             for mine, track in zip(own, page.items, strict=True)
         )
         return replace(page, items=tuple(items))
 
     def save(self) -> None:
-        """Save what changed; a track that another process has gone on with is read anew."""
+        """Save what changed; a track that another process has gone on with is read anew.
+
+        A track that cannot be saved stays as it is, in memory and saved.
+        """
         with self._saving:
             with self._lock:
                 changed = [
@@ -145,13 +152,12 @@ class Tracks:
                     for track in self._tracks.values()
                     if isinstance(track, LiveTrack) and track.is_changed
                 ]
-            if not changed:
+            now = [(track, saved) for track in changed if (saved := _now(track)) is not None]
+            if not now:
                 return
-            now = [track.to_save(saved_answer) for track in changed]
-            before = [track.saved.observations for track in changed]
-            lost = self._saved.update(list(zip(before, now, strict=True)))
+            lost = self._saved.update((track.saved.observations, saved) for track, saved in now)
             with self._lock:
-                for track, saved in zip(changed, now, strict=True):
+                for track, saved in now:
                     track.saved = saved
                     if track.id in lost and self._tracks.get(track.id) is track:
                         del self._tracks[track.id]
@@ -172,17 +178,24 @@ class Tracks:
         return found
 
     def _resumed(self, saved: SavedTrack, localizer_of: Callable[[str], Localizer]) -> LiveTrack:
-        tracker = self._tracker(saved.map_id, localizer_of(saved.revision))
-        try:
-            resumed = LiveTrack(tracker, saved, self._clock)
-        except InvalidParameters as error:  # saved by another version
-            raise self._not_found(saved.id) from error
         with self._lock:
-            found = self._tracks.get(saved.id)
+            resuming = self._resuming.setdefault(saved.id, threading.Lock())
+        with resuming:
+            with self._lock:
+                found = self._tracks.get(saved.id)
             if isinstance(found, LiveTrack):  # another thread was first
                 return found
-            self._tracks[saved.id] = resumed
-        return resumed
+            try:
+                tracker = self._tracker(saved.map_id, localizer_of(saved.revision))
+                resumed = LiveTrack(tracker, saved, self._clock)
+                with self._lock:
+                    self._tracks[saved.id] = resumed
+            except InvalidParameters as error:  # saved by another version
+                raise self._not_found(saved.id) from error
+            finally:
+                with self._lock:
+                    self._resuming.pop(saved.id, None)
+            return resumed
 
     def _tracker(self, map_id: str, localizer: Localizer) -> Tracker:
         revision = (map_id, localizer.map.revision)
@@ -221,26 +234,10 @@ class Tracks:
             del self._tracks[idle]
 
 
-class _NothingSaved:
-    """As `SavedTracks`, where no other process goes on with tracks."""
-
-    def used_since(self, *_: object) -> tuple[SavedTrack, ...]:
-        return ()
-
-    def get(self, *_: object) -> SavedTrack | None:
+def _now(track: LiveTrack) -> SavedTrack | None:
+    """Return a track as it is now, `None` if it cannot be saved."""
+    try:
+        return track.to_save(saved_answer)
+    except Exception:  # noqa: BLE001 - whatever is wrong with one track, the others are saved
+        _log.exception("track %s cannot be saved", track.id)
         return None
-
-    def page(self, *_: object, **__: object) -> Page[SavedTrack]:
-        return Page((), None)
-
-    def update(self, *_: object) -> set[str]:
-        return set()
-
-    def add(self, *_: object) -> None:
-        pass
-
-    def remove(self, *_: object) -> None:
-        pass
-
-    def close(self) -> None:
-        pass

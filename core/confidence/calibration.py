@@ -9,7 +9,7 @@ from typing import Any, Self
 import numpy as np
 
 from core.arrays import FloatArray
-from core.confidence.attributes import Attributes
+from core.attributes import Attributes
 from core.confidence.logistic import logistic
 from core.confidence.spread import Spread
 from core.errors import InvalidParameters
@@ -75,13 +75,12 @@ class Calibration(Attributes):
         """Return the probability that the best match is right, above 0 and below 1.
 
         With a share s of the scans searched, wrong matches this near are s times as frequent, so
-        the odds are divided by s, up to those of a single scan's likelihood ratio. Where other maps
-        were searched too, s is above 1.
+        the odds are divided by s, up to those of a single scan's likelihood ratio.
 
         Args:
             distance: Of the best match, at least 0.
             ratio: Of it to the runner-up's, 0..1, `None` without one.
-            share: How many scans were searched, as a multiple of the map's; above 0.
+            share: Of the map's scans that were searched, above 0 and at most 1.
             evidence: How much the logarithm of the odds counts, 0..1: less where distances say less
                 than those that this was fitted to. Below a half, no probability is above 0.99.
 
@@ -95,8 +94,8 @@ class Calibration(Attributes):
         """
         if not distance >= 0.0:
             raise InvalidParameters(f"distance is {distance}, wanted at least 0")
-        if not 0.0 < share < math.inf:
-            raise InvalidParameters(f"share is {share}, wanted above 0 and finite")
+        if not 0.0 < share <= 1.0:
+            raise InvalidParameters(f"share is {share}, wanted above 0 and at most 1")
         far = math.log(distance + self.floor)
         if ratio is None:
             odds = self.alone[0] + self.alone[1] * far
@@ -105,11 +104,8 @@ class Calibration(Attributes):
         else:
             raise InvalidParameters(f"ratio is {ratio}, wanted 0..1")
         # The odds of a single scan are its likelihood ratio: no share raises them above that.
-        if share > 1.0:
-            odds -= math.log(share)
-        else:
-            alone = float(self.log_likelihood_ratio(np.array(distance)))
-            odds = max(odds, min(odds - math.log(share), alone))
+        alone = float(self.log_likelihood_ratio(np.array(distance)))
+        odds = max(odds, min(odds - math.log(share), alone))
         most = _MOST_OF_LITTLE if evidence < _LITTLE else _SURE
         return min(max(logistic(evidence * odds), math.ulp(0.0)), most)
 

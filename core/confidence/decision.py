@@ -59,7 +59,7 @@ def decide(
         calibration: Of the map.
         distance: Of the best match.
         ratio: To the runner-up's, at most 1, `None` without one.
-        share: How many scans were searched, as a multiple of the map's.
+        share: Of the map's scans that were searched.
         evidence: How much the query's distances say, 0..1.
         min_probability: Least probability to accept; the calibration's threshold by default.
         occupied_cells: Of the query's image, `None` if the query is a signature.

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from core.arrays import FloatArray
-from core.confidence.attributes import Attributes
+from core.attributes import Attributes
 from core.numbers import require_at_least
 
 # Deviations and their squares stay finite: a distance over the least typical one is below 1e110.

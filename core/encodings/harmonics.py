@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from core.arrays import ComplexArray, Float32Array, FloatArray
+from core.arrays import Complex64Array, ComplexArray, Float32Array, FloatArray
 from core.projection.imager import Views
 from core.projection.visibility import View
 
@@ -114,6 +114,27 @@ def as_real(waves: NDArray[np.complexfloating[Any, Any]]) -> Float32Array:
         [[1.0, 2.0, 3.0]]
     """
     return np.concatenate([waves.real, waves.imag[1:]]).astype(np.float32)
+
+
+def correlating(queries: Complex64Array) -> Float32Array:
+    """Return what multiplies the parts of G to those of sum_r q_rm conj(G_rm), `(m, 2, 2 r1)`.
+
+    The parts of G_m are its r1 real ones, then its imaginary ones; a product has one of each.
+
+    Args:
+        queries: q, `(r1, m)`.
+
+    Examples:
+        >>> q, g = np.array([[1 + 2j]], np.complex64), np.array([[3 + 4j]])
+        >>> (correlating(q)[0] @ [3.0, 4.0]).tolist(), (q * g.conj()).tolist()
+        ([11.0, 2.0], [[(11+2j)]])
+    """
+    real, imag = queries.real.T, queries.imag.T
+    harmonics, components = real.shape
+    matrix = np.empty((harmonics, 2, 2 * components), np.float32)  # `np.block` takes 0.1 ms
+    matrix[:, 0, :components], matrix[:, 0, components:] = real, imag
+    matrix[:, 1, :components], matrix[:, 1, components:] = imag, -real
+    return matrix
 
 
 def circular_energy(signatures: NDArray[np.complexfloating[Any, Any]]) -> ComplexArray:

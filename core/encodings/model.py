@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from core.arrays import BoolArray, FloatArray, IntArray, arrays_of, frozen
+from core.arrays import BoolArray, Float32Array, FloatArray, IntArray, arrays_of, frozen
 from core.encodings.basis import Basis
 from core.encodings.signature import Signature
 from core.errors import InvalidMap, UnknownSegment
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from core.parameters import MapParameters
 
 _LARGEST_SIGNATURE = 1e12  # sums of squares stay finite in single precision too
+_BLOCK = 4096  # distances of which only the least may be among the nearest
 _LARGEST_OF_BASIS = 1.001  # its columns have length 1
 
 
@@ -105,6 +106,10 @@ class Search(ABC):
         Args:
             among: `(K,)` which rows are compared; all of them without it.
         """
+
+    def distances_of(self, rows: IntArray) -> FloatArray:
+        """Return the exact distance of some scans, `(n,)`, infinite where one is not compared."""
+        return self.distances()[rows]
 
     def viewpoints(self, rows: IntArray, relative_yaw_deg: FloatArray) -> Viewpoints | None:
         """Return all renderings of some scans, `None` if they have only one.
@@ -259,6 +264,13 @@ class Model(ABC):
             segments: In whose bases; all without it.
         """
 
+    def search_own(self, row: int) -> Search | None:
+        """Return the search of a query at one of its scans, by the small image that it keeps of it.
+
+        `None` of a map without such images.
+        """
+        return None
+
     @abstractmethod
     def basis_digests(self, parameters: "MapParameters") -> tuple[str, ...]:
         """Return the digests of the bases that this map has, 64 hexadecimal digits each."""
@@ -311,10 +323,19 @@ def require_sane(bases: Mapping[str, NDArray[Any]], signatures: NDArray[Any]) ->
             raise InvalidMap(f"{name} holds numbers beyond {most:g}")
 
 
-def nearest(distances: FloatArray, k: int) -> IntArray:
+def nearest(distances: FloatArray | Float32Array, k: int) -> IntArray:
     """Return the indices of the `k` smallest, nearest first, earlier ones first among equals."""
     if k >= len(distances):
         return np.argsort(distances, kind="stable")
+    blocks = len(distances) // _BLOCK
+    if blocks > k:  # of many numbers only those up to the k-th least of the blocks' least
+        least = distances[: blocks * _BLOCK].reshape(blocks, _BLOCK).min(axis=1)
+        candidates = np.flatnonzero(distances <= np.partition(least, k - 1)[k - 1])
+        return candidates[_nearest(distances[candidates], k)]
+    return _nearest(distances, k)
+
+
+def _nearest(distances: FloatArray | Float32Array, k: int) -> IntArray:
     bound = np.partition(distances, k - 1)[k - 1]
     candidates = np.flatnonzero(distances <= bound)
     return candidates[np.argsort(distances[candidates], kind="stable")][:k]

@@ -21,8 +21,8 @@ from core.numbers import require_above, require_at_least
 from core.parameters import MapParameters
 from core.progress import NO_PROGRESS, Progress
 from core.projection.images import Skipped
-from core.projection.probe import spread_evenly
 from core.scans.drive import Drive
+from core.scans.sampling import spread_evenly
 from core.scans.scan import Scan
 from core.segmentation.fixed import cut_fixed
 

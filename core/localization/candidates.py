@@ -136,9 +136,7 @@ def deviation_of(tensor_map: TensorMap, search: Search, found: Neighbours) -> De
     if near is None:
         return None
     rows, along_m = near
-    among = np.zeros(len(tensor_map), dtype=bool)
-    among[rows] = True
-    distances = search.distances(among)[rows]
+    distances = search.distances_of(rows)
     compared = np.isfinite(distances)
     ratios = calibration.log_likelihood_ratio(distances[compared])
     return calibration.spread.deviation(

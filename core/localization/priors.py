@@ -178,10 +178,13 @@ class MapPrior:
         sigma_m: float,
     ) -> None:
         """Require scans within `travelled_m` of a place, and weight those beyond it."""
-        off_m = np.hypot(places_m[:, 0] - from_m[0], places_m[:, 1] - from_m[1])
+        with np.errstate(over="ignore"):  # as far as can be then
+            off_m = np.hypot(places_m[:, 0] - from_m[0], places_m[:, 1] - from_m[1])
         self.rows &= off_m <= travelled_m + _GATE * sigma_m + _REACH_M
         beyond_m = np.where(np.isnan(off_m), 0.0, off_m) - travelled_m - _REACH_M
-        sigmas = np.minimum(np.maximum(beyond_m, 0.0) / sigma_m, 1e6)  # its square stays finite
+        with np.errstate(over="ignore"):
+            sigmas = np.maximum(beyond_m, 0.0) / sigma_m
+        sigmas = np.minimum(sigmas, 1e6)  # its square stays finite
         self._log_weight -= 0.5 * sigmas**2
 
     @property

@@ -20,6 +20,7 @@ from core.projection.rings import RingGrid
 from core.projection.visibility import sector_of_column, visible_sectors
 from core.scans.angles import wrapped_deg
 from core.scans.displacement import seen_from_beside
+from core.scans.rigid import planar
 from core.scans.scan import Scan
 
 ACCEPT_FROM = 0.99
@@ -72,6 +73,14 @@ class LoopClosure:
     def __post_init__(self) -> None:
         if self.probability is not None and not 0.0 <= self.probability <= 1.0:
             raise InvalidParameters(f"probability is {self.probability}, wanted 0..1")
+
+    @property
+    def planar_pose(self) -> FloatArray:
+        """The `(4, 4)` pose of the second scan in the levelled frame of the first.
+
+        What is not known counts as the same place and heading.
+        """
+        return planar(self.forward_m or 0.0, self.lateral_m or 0.0, self.turn_deg or 0.0)
 
     def decide(self, accept_from: float = ACCEPT_FROM) -> Verdict:
         """Accept or reject the closure, or leave it undecided.

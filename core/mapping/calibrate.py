@@ -21,10 +21,10 @@ from core.mapping.own_place import image_of, own_place
 from core.mapping.tensormap import TensorMap
 from core.progress import NO_PROGRESS, Progress
 from core.projection.images import Probes
-from core.projection.probe import spread_evenly
 from core.scans.angles import wrapped_deg
 from core.scans.displacement import pose_beside
 from core.scans.pose import heading_deg
+from core.scans.sampling import spread_evenly
 
 MOST_PROBES = 400
 """How many probes of a map are used at most, evenly spread over its drives."""

@@ -15,7 +15,7 @@ from functools import lru_cache
 import numpy as np
 
 from core.arrays import BoolArray, FloatArray, IntArray, frozen
-from core.encodings.model import Search
+from core.encodings.model import Search, Viewpoints
 from core.scans.angles import wrapped_deg
 from core.scans.displacement import left_of_m, places_beside_m, pose_beside
 from core.scans.pose import Pose, heading_deg
@@ -74,24 +74,20 @@ def estimate(
     seen = search.viewpoints(rows, (yaw_deg or 0.0) - turn_deg)
     if seen is None:
         return Estimate()
-    along = _along(len(rows))
-    across, lateral_m = _across(tuple(seen.lateral_m.tolist()))
-    length = np.linalg.norm(seen.renderings[1], axis=-1, keepdims=True)
-    units = seen.renderings / np.where(length > 0.0, length, 1.0)
-    query = seen.query / (float(np.linalg.norm(seen.query)) or 1.0)
+    lattice = _lattice(len(rows), tuple(seen.lateral_m.tolist()))
+    vectors = _Vectors.of(seen)
     step = 0.0
     for _ in range(_ROUNDS):
-        likely = _likelihood(across @ np.tensordot(along, _at(step, units), 1), query)
-        of_rendering = along.T @ likely @ across
-        step = _best_step(_cosine(np.einsum("sv,hsvx->hx", of_rendering, units), query))
+        likely = _likelihood(vectors.cosines(lattice.weights, step), len(seen.query))
+        step = _best_step(vectors.cosines_of_headings(likely @ lattice.weights))
     if yaw_deg is not None:
         yaw_deg = wrapped_deg(yaw_deg + step * seen.step_deg)
     if not known:
-        return Estimate(yaw_deg, float(likely.sum(axis=0) @ lateral_m), None)
+        return Estimate(yaw_deg, float(likely @ lattice.lateral_m), None)
     on_line_m, left_m = places_beside_m(poses[rows], np.array([0.0, 1.0])).transpose(1, 0, 2)
     pose = pose_beside(poses[row], 0.0, yaw_deg or 0.0)
-    pose[:3] = (likely.sum(axis=1) @ along) @ on_line_m
-    pose[:3] += (likely @ lateral_m @ along) @ (left_m - on_line_m)
+    pose[:3] = (likely @ lattice.along) @ on_line_m
+    pose[:3] += ((likely * lattice.lateral_m) @ lattice.along) @ (left_m - on_line_m)
     return Estimate(yaw_deg, left_of_m(poses[row], pose), Pose.from_row(pose))
 
 
@@ -106,13 +102,33 @@ def _rows_beside(trajectory: Trajectory, row: int, among: BoolArray | None) -> I
     return np.asarray(rows[near])
 
 
-@lru_cache(maxsize=8)
-def _along(scans: int) -> FloatArray:
-    """Return the weights of some scans at each place of the lattice along them, `(a, n)`."""
-    return frozen(_between(scans, _STEPS_ALONG), np.float64)
+@dataclass(frozen=True, eq=False)
+class _Lattice:
+    """The places of a lattice, as means of the renderings of some scans.
+
+    Attributes:
+        weights: `(p, n D)` of each rendering at each place.
+        along: `(p, n)` of each scan.
+        lateral_m: `(p,)` how far to the left of the path the places are.
+    """
+
+    weights: FloatArray
+    along: FloatArray
+    lateral_m: FloatArray
 
 
 @lru_cache(maxsize=8)
+def _lattice(scans: int, offsets_m: tuple[float, ...]) -> _Lattice:
+    """Return the lattice along some scans and across their viewpoints."""
+    along = _between(scans, _STEPS_ALONG)
+    across, lateral_m = _across(offsets_m)
+    return _Lattice(
+        frozen(np.kron(along, across), np.float64),
+        frozen(np.repeat(along, len(across), axis=0), np.float64),
+        frozen(np.tile(lateral_m, len(along)), np.float64),
+    )
+
+
 def _across(offsets_m: tuple[float, ...]) -> tuple[FloatArray, FloatArray]:
     """Return the weights of viewpoints at each place of the lattice across the path.
 
@@ -140,10 +156,7 @@ def _across(offsets_m: tuple[float, ...]) -> tuple[FloatArray, FloatArray]:
             for of in (line, before)
         ]
         weights.append(np.mean(beyond, axis=0))
-    return (
-        frozen(np.concatenate(weights), np.float64),
-        frozen(np.concatenate(places_m), np.float64),
-    )
+    return np.concatenate(weights), np.concatenate(places_m)
 
 
 def _between(places: int, steps: int) -> FloatArray:
@@ -157,22 +170,64 @@ def _between(places: int, steps: int) -> FloatArray:
     return np.maximum(0.0, 1.0 - np.abs(at[:, None] - np.arange(places)))
 
 
-def _at(step: float, headings: FloatArray) -> FloatArray:
-    """Return what is `step` steps from the middle of three headings, by a parabola."""
-    weights = [step * (step - 1.0) / 2.0, 1.0 - step * step, step * (step + 1.0) / 2.0]
-    return np.tensordot(weights, headings, 1)
+@dataclass(frozen=True, eq=False)
+class _Vectors:
+    """Inner products of a query and renderings, of length 1 in the middle heading.
+
+    With them the cosine of a mean of renderings needs only its weights: these are a fifth as many
+    numbers as a rendering has.
+
+    Attributes:
+        of_each: `(3, m, 3, m)` of all renderings in all headings.
+        with_query: `(3, m)`.
+    """
+
+    of_each: FloatArray
+    with_query: FloatArray
+
+    @classmethod
+    def of(cls, seen: Viewpoints) -> "_Vectors":
+        """Return the products of what is seen of some scans."""
+        vectors = seen.renderings.reshape(3, -1, len(seen.query))
+        length = np.linalg.norm(vectors[1], axis=-1, keepdims=True)
+        units = vectors / np.where(length > 0.0, length, 1.0)
+        query = seen.query / (float(np.linalg.norm(seen.query)) or 1.0)
+        flat = units.reshape(-1, len(query))
+        shape = units.shape[:2]
+        return cls((flat @ flat.T).reshape(*shape, *shape), units @ query)
+
+    def cosines(self, weights: FloatArray, step: float) -> FloatArray:
+        """Return the cosines of means with the query, `(p,)`.
+
+        Args:
+            weights: `(p, m)` of each rendering.
+            step: Heading of the renderings, in steps from the middle one of three, by a parabola.
+        """
+        of_heading = np.array([step * (step - 1.0), 2.0 - 2.0 * step * step, step * (step + 1.0)])
+        of_heading /= 2.0
+        of_each = of_heading @ np.tensordot(of_heading, self.of_each, 1)
+        squared = np.einsum("px,px->p", weights @ of_each, weights)
+        return _divided(weights @ (of_heading @ self.with_query), squared)
+
+    def cosines_of_headings(self, weights: FloatArray) -> FloatArray:
+        """Return the cosine of one mean in each of three headings with the query, `(3,)`.
+
+        Args:
+            weights: `(m,)` of each rendering.
+        """
+        squared = [weights @ self.of_each[at, :, at] @ weights for at in range(3)]
+        return _divided(self.with_query @ weights, np.array(squared))
 
 
-def _cosine(renderings: FloatArray, query: FloatArray) -> FloatArray:
-    """Return the cosine of `(..., d)` renderings with a query of length 1."""
-    length = np.sqrt(np.einsum("...x,...x->...", renderings, renderings))
-    return (renderings @ query) / np.where(length > 0.0, length, 1.0)
+def _divided(products: FloatArray, squared_lengths: FloatArray) -> FloatArray:
+    positive = squared_lengths > 0.0
+    return products / np.sqrt(np.where(positive, squared_lengths, 1.0))
 
 
-def _likelihood(renderings: FloatArray, query: FloatArray) -> FloatArray:
-    """Return how likely a query is to be of each of `(a, c, d)` renderings; the sum is 1."""
-    left = np.maximum(1.0 - np.maximum(_cosine(renderings, query), 0.0) ** 2, _LEAST_LEFT)
-    likely = (left.min() / left) ** (len(query) / 2.0)
+def _likelihood(cosines: FloatArray, numbers: int) -> FloatArray:
+    """Return how likely a query of so many numbers is at each place, `(p,)`; the sum is 1."""
+    left = np.maximum(1.0 - np.maximum(cosines, 0.0) ** 2, _LEAST_LEFT)
+    likely = (left.min() / left) ** (numbers / 2.0)
     return np.asarray(likely / likely.sum())
 
 

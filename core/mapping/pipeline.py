@@ -5,7 +5,7 @@ the comparison call it; the service adds where images are kept between builds.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -16,6 +16,7 @@ from core.encodings.compression import Compression
 from core.encodings.grams import drive_gram
 from core.errors import InvalidParameters
 from core.mapping.build import fit_map
+from core.mapping.placement import Placement, placed
 from core.mapping.tensormap import TensorMap
 from core.parameters import MapParameters, Segmentation
 from core.progress import NO_PROGRESS, Progress
@@ -153,6 +154,7 @@ def build(
     segment_start: IntArray | None = None,
     kept: Basis | None = None,
     calibrated: bool = True,
+    placements: Mapping[str, Placement] | None = None,
     progress: Progress = NO_PROGRESS,
 ) -> Build:
     """Build the map of drives, and return what is known of them besides.
@@ -171,6 +173,7 @@ def build(
             instead of cuts over usable scans, at turns and where drives meet.
         kept: The basis of another map to keep; its signatures stay valid.
         calibrated: Whether the map is calibrated with its probes.
+        placements: Transforms of the poses of some drives, by name; none by default.
         progress: Receives every stage; may raise `Cancelled`.
 
     Raises:
@@ -184,9 +187,11 @@ def build(
             return project_scans(drive, np.arange(len(drive)), parameters, progress)
 
     images = [images_of(drive) for drive in drives]
-    trajectory = Trajectory.concatenate(
+    given = Trajectory.concatenate(
         [trajectory_of(drive, of_it.scans) for drive, of_it in zip(drives, images, strict=True)]
     )
+    placements = placements or {}
+    trajectory = placed(given, {name: of.transform for name, of in placements.items()})
     joined = ConcatenatedImages(images)
     length: int | None = None
     if segment_start is None:
@@ -209,7 +214,7 @@ def build(
         grams=grams,
     )
     return Build(
-        tensor_map,
+        replace(tensor_map, placements=placements),
         sum(of_it.returns for of_it in images),
         {drive.name: of_it.skipped for drive, of_it in zip(drives, images, strict=True)},
         () if kept is None or grams is None else kept.fits(grams),

@@ -1,7 +1,7 @@
 """A TensorMap: the immutable content of one map revision (paper, fig. 2d)."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -13,6 +13,7 @@ from core.confidence.calibration import Calibration
 from core.encodings.basis import Basis
 from core.encodings.model import Model, Search
 from core.errors import EmptyDrive, InvalidMap, InvalidParameters
+from core.mapping.placement import Placement, placements_from_attributes
 from core.parameters import MapParameters
 from core.revision import content_digest
 from core.scans.trajectory import Trajectory
@@ -46,6 +47,7 @@ class TensorMap:
         calibration: From distances to probabilities; `None` if the map is not calibrated.
         image_calibration: The same of queries that verification images are compared with; `None`
             without them too.
+        placements: Of drives whose poses in the trajectory are not those that were given, by name.
     """
 
     parameters: MapParameters
@@ -55,6 +57,7 @@ class TensorMap:
     relative_error: FloatArray
     calibration: Calibration | None = None
     image_calibration: Calibration | None = None
+    placements: Mapping[str, Placement] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         freeze(self, relative_error=np.float64)
@@ -164,6 +167,10 @@ class TensorMap:
             attributes["calibration"] = self.calibration.as_attributes()
         if self.image_calibration is not None:
             attributes["image_calibration"] = self.image_calibration.as_attributes()
+        if self.placements:
+            attributes["placements"] = {
+                name: placement.as_attributes() for name, placement in self.placements.items()
+            }
         return attributes
 
     @classmethod
@@ -202,6 +209,7 @@ class TensorMap:
                 a["relative_error"],
                 _calibration(attributes, "calibration"),
                 _calibration(attributes, "image_calibration"),
+                placements_from_attributes(attributes),
             )
         except KeyError as error:
             raise InvalidMap(f"the map lacks {error}") from error

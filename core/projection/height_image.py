@@ -5,7 +5,7 @@ import numpy as np
 from core.arrays import Float32Array, FloatArray, IntArray
 from core.errors import InvalidScan
 from core.projection.angles import azimuth_steps
-from core.projection.reducer import Reducer, reduce_returns
+from core.projection.reducer import MOST_M, Reducer, reduce_returns
 from core.projection.rings import RingGrid
 from core.scans.scan import Scan
 
@@ -26,7 +26,7 @@ def project_heights(
         sensor_height_m: The sensor's height above ground.
 
     Raises:
-        InvalidScan: If no return within the last ring is above the ground.
+        InvalidScan: If no return within the last ring is above the ground, or one is above 1e30 m.
 
     Examples:
         >>> wall = Scan(np.array([[0.0, 10.0, 0.5], [0.0, 11.0, 1.5]]))
@@ -42,8 +42,8 @@ def project_heights(
     )
     if not reduced.inside:
         raise InvalidScan(f"none of the {len(scan)} returns is within {grid.reach_m:g} m")
-    if reduced.largest > float(np.finfo(np.float32).max):
-        raise InvalidScan(f"a return is {reduced.largest:.3g} m high, beyond float32")
+    if reduced.largest > MOST_M:
+        raise InvalidScan(f"a return is {reduced.largest:.3g} m high, wanted at most {MOST_M:g}")
     if not reduced.cells.any():
         raise InvalidScan(f"none of the {len(scan)} returns is above the ground")
     return reduced.cells

@@ -13,7 +13,7 @@ from core.errors import InvalidImage, InvalidParameters, InvalidScan
 from core.projection.height_image import project_heights
 from core.projection.levelling import level
 from core.projection.range_image import project_scan
-from core.projection.reducer import HEIGHT_REDUCERS, RANGE_REDUCERS, Reducer
+from core.projection.reducer import HEIGHT_REDUCERS, MOST_M, RANGE_REDUCERS, Reducer
 from core.projection.rings import RingGrid
 from core.projection.visibility import FULL_VIEW, HIDDEN, View, hide, visible_sectors
 from core.scans.displacement import seen_from_beside
@@ -50,8 +50,8 @@ class Image:
     """A scan on a grid: a range image, the paper's matrix S, or a height image.
 
     Attributes:
-        cells: `(I, J)` float32 metres, finite, 0 where nothing is; one is above 0. In every row of
-            a column of a height image that is hidden from the scan they are -1.
+        cells: `(I, J)` float32 metres up to 1e30, 0 where nothing is; one is above 0. In every row
+            of a column of a height image that is hidden from the scan they are -1.
         grid: The lattice; an angular one has ranges, one of rings heights.
     """
 
@@ -64,8 +64,10 @@ class Image:
             raise InvalidImage(f"the {self.kind} image has shape {shape}, wanted {self.grid.shape}")
         freeze(self, cells=np.float32)
         hidden = (self.cells[0] == HIDDEN) & (self.kind == ImageKind.HEIGHT)
-        if not np.isfinite(self.cells).all() or (self.cells[:, ~hidden] < 0).any():
-            raise InvalidImage(f"the {self.kind} image has cells that are negative or not finite")
+        if not (self.cells <= MOST_M).all() or (self.cells[:, ~hidden] < 0).any():
+            raise InvalidImage(
+                f"the {self.kind} image has cells that are negative, above {MOST_M:g} or not finite"
+            )
         if (self.cells[:, hidden] != HIDDEN).any():
             raise InvalidImage(f"the {self.kind} image has columns that are hidden in some rows")
         if not (self.cells > 0).any():

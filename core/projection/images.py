@@ -10,8 +10,9 @@ from core.arrays import Float32Array, FloatArray, IntArray, freeze, frozen
 from core.errors import EmptyDrive, InvalidImage, InvalidParameters, InvalidScan
 from core.progress import NO_PROGRESS, Progress
 from core.projection.imager import Grid, Imager
-from core.projection.probe import Displacement, displacement_of_probe, probe_image, spread_evenly
+from core.projection.probe import PROBES, Displacement, displacement_of_probe, probe_image
 from core.scans.drive import Drive
+from core.scans.sampling import spread_evenly
 from core.scans.scan import Scan
 
 
@@ -213,7 +214,7 @@ def project_into(
 
     Args:
         cells: `(n, [D,] I, J)` for n scans.
-        probe_cells: `(p, I, J)` for as many of them as `spread_evenly` returns.
+        probe_cells: `(p, I, J)` for at most `PROBES` of them, evenly spread.
         drive: The drive.
         scans: Which of its scans, rising.
         imager: How a scan becomes an image.
@@ -227,7 +228,7 @@ def project_into(
     probed: list[int] = []
     displacements: list[Displacement] = []
     skipped: list[Skipped] = []
-    to_probe = set(spread_evenly(np.array(scans, dtype=np.int64)).tolist())
+    to_probe = set(spread_evenly(np.array(scans, dtype=np.int64), PROBES).tolist())
     row_of = {index: row for row, index in enumerate(scans)}
     poses = drive.poses[list(scans)]
     returns = 0
@@ -265,7 +266,7 @@ def project_drive(
         EmptyDrive: If not one of them is usable; the message has the first reason.
     """
     cells = np.empty((len(scans), *imager.shape), np.float32)
-    probe_cells = np.empty((len(spread_evenly(scans)), *imager.grid.shape), np.float32)
+    probe_cells = np.empty((len(spread_evenly(scans, PROBES)), *imager.grid.shape), np.float32)
     projected = project_into(cells, probe_cells, drive, scans.tolist(), imager, progress)
     return ProjectedDrive(
         **vars(projected),

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from core.arrays import BoolArray, FloatArray, IntArray
+from core.arrays import BoolArray, FloatArray
 from core.errors import InvalidScan
 from core.projection.imager import Image, Imager, Views
 from core.scans.angles import wrapped_deg
@@ -31,18 +31,6 @@ _PAST_M = 0.5  # beyond the outermost rendering
 _TOWARDS = (0.25, 1.0)  # how much of the way to the next scan that is searched
 _FARTHEST_M = 6.0  # that a scan can be moved and still be realistic
 _PAPER_TURN_DEG = 2.0  # standard deviation: the paper's encoding answers who drives as was mapped
-
-
-def spread_evenly(scans: IntArray, at_most: int = PROBES) -> IntArray:
-    """Return at most so many of some scans, evenly spread, with the first and the last.
-
-    Examples:
-        >>> spread_evenly(np.arange(10), 4).tolist()
-        [0, 3, 6, 9]
-    """
-    if len(scans) <= at_most:
-        return scans
-    return scans[np.linspace(0, len(scans) - 1, at_most).round().astype(np.int64)]
 
 
 def probe_image(

@@ -5,7 +5,7 @@ import numpy as np
 from core.arrays import Float32Array, FloatArray, IntArray
 from core.errors import InvalidScan
 from core.projection.angles import azimuth_steps, elevation_steps
-from core.projection.reducer import Reducer, reduce_returns
+from core.projection.reducer import MOST_M, Reducer, reduce_returns
 from core.scans.scan import Scan
 from core.scans.sensor import AngularGrid, whole_and_fraction
 
@@ -27,7 +27,7 @@ def project_scan(scan: Scan, grid: AngularGrid, reducer: Reducer) -> Float32Arra
         `(I, J)` metres, 0 where no return is.
 
     Raises:
-        InvalidScan: If no return falls inside the grid, or a range is beyond float32.
+        InvalidScan: If no return falls inside the grid, or a range is above 1e30 m.
 
     Examples:
         >>> ahead = Scan(np.array([[10.0, 0.0, 0.0], [12.0, 0.0, 0.0]]))
@@ -43,8 +43,8 @@ def project_scan(scan: Scan, grid: AngularGrid, reducer: Reducer) -> Float32Arra
             f"none of the {len(scan)} returns falls inside the grid, elevations"
             f" {grid.elevations_deg[0]:.4g}..{grid.elevations_deg[-1]:.4g} deg"
         )
-    if reduced.largest > float(np.finfo(np.float32).max):
-        raise InvalidScan(f"a return is {reduced.largest:.3g} m away, beyond float32")
+    if reduced.largest > MOST_M:
+        raise InvalidScan(f"a return is {reduced.largest:.3g} m away, wanted at most {MOST_M:g}")
     return reduced.cells
 
 

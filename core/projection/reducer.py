@@ -9,6 +9,9 @@ import numpy as np
 
 from core.arrays import Float32Array, FloatArray, IntArray
 
+MOST_M = 1e30
+"""Largest number in a cell: its products with a basis, in float32, stay finite."""
+
 _BLOCK = 8192  # returns; 64 kB a number: the ten or so that a projection works with stay in cache
 
 
@@ -78,7 +81,7 @@ def reduce_returns(
             _KEEP[reducer](kept, cells, _float32(values))
     if reducer == Reducer.MEAN:
         kept = _float32(sums / np.maximum(counts, 1))
-    kept[np.isinf(kept)] = 0.0  # empty; callers reject returns beyond float32
+    kept[np.isinf(kept)] = 0.0  # empty; callers reject returns above MOST_M
     return Reduced(kept.reshape(shape), inside, largest)
 
 
@@ -89,7 +92,7 @@ def _overwrite(kept: Float32Array, cells: IntArray, values: Float32Array) -> Non
 
 
 def _float32(values: FloatArray) -> Float32Array:
-    with np.errstate(over="ignore"):  # callers reject what is beyond float32
+    with np.errstate(over="ignore"):  # callers reject what is above MOST_M
         return values.astype(np.float32)
 
 

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from core.arrays import Float32Array, FloatArray, IntArray
 from core.projection.visibility import SECTORS
 
-_STEPS_A_ROOT_METRE = 64.0  # square roots: low cells differ as much as high ones; 15.9 m is a byte
+STEPS_A_ROOT_METRE = 64.0
+"""Of square roots: low cells differ as much as high ones; 15.9 m is a byte."""
 _MOST = 255
 
 
@@ -40,7 +41,7 @@ def small_image(cells: Float32Array) -> NDArray[np.uint8]:
     """
     starts = sector_starts(cells.shape[-1])
     highest = np.maximum.reduceat(np.maximum(cells, 0.0), starts, axis=-1)
-    roots = _STEPS_A_ROOT_METRE * np.sqrt(highest, dtype=np.float64)
+    roots = STEPS_A_ROOT_METRE * np.sqrt(highest, dtype=np.float64)
     return np.minimum(np.rint(roots), _MOST).astype(np.uint8)
 
 

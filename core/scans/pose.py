@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from enum import StrEnum
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -11,8 +12,16 @@ from core.errors import InvalidPose
 
 UNKNOWN_POSE: tuple[float, ...] = (math.nan,) * 7
 
+
 _FARTHEST_M = 1e8  # beyond every frame of the Earth; lengths of paths stay finite
 _UNIT_TOLERANCE = 1e-3  # of a quaternion's norm and a matrix's orthonormality: text files round
+
+
+class PoseSource(StrEnum):
+    """Where the poses of a drive come from."""
+
+    GIVEN = "given"
+    ODOMETRY = "odometry"
 
 
 @dataclass(frozen=True)
@@ -112,9 +121,36 @@ def first_invalid(rows: FloatArray) -> int | None:
     return int(wrong.argmax()) if wrong.any() else None
 
 
+def matrices_from_rows(rows: FloatArray) -> FloatArray:
+    """Turn `(n, 7)` pose rows into `(n, 4, 4)` matrices; NaN stays NaN.
+
+    Examples:
+        >>> rows = np.array([[1.0, 2.0, 3.0, 0.0, 0.0, 0.0, 1.0], [np.nan] * 7])
+        >>> bool(np.array_equal(rows_from_matrices(matrices_from_rows(rows)), rows, equal_nan=True))
+        True
+    """
+    poses = np.tile(np.eye(4), (len(rows), 1, 1))
+    known = is_known(rows)
+    poses[~known, :3] = np.nan
+    if known.any():
+        from scipy.spatial.transform import Rotation  # no answer needs it: decision 33
+
+        poses[known, :3, :3] = Rotation.from_quat(rows[known, 3:]).as_matrix()
+        poses[known, :3, 3] = rows[known, :3]
+    return poses
+
+
 def is_known(rows: FloatArray) -> BoolArray:
     """Return which of `(n, 7)` pose rows are known, `(n,)`."""
     return np.asarray(np.isfinite(rows).all(axis=1))
+
+
+def verticals(rows: FloatArray) -> FloatArray:
+    """Return the z axes of the sensors of `(n, 7)` pose rows, `(n, 3)`, NaN where unknown."""
+    x, y, z, w = rows[:, 3:].T
+    return np.column_stack(
+        [2.0 * (x * z + y * w), 2.0 * (y * z - x * w), 1.0 - 2.0 * (x**2 + y**2)]
+    )
 
 
 def heading_deg(rows: FloatArray) -> FloatArray:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from core.arrays import FloatArray, IntArray
 from core.errors import InvalidParameters
 from core.mapping.tensormap import TensorMap
+from core.tracking.walks import Walks
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -53,6 +54,16 @@ class TravelGraph:
     def reverse(self) -> IntArray:
         """The place of the same scan in the other direction, `(2K,)`."""
         return np.arange(self.places) ^ 1
+
+    @cached_property
+    def has_lengths(self) -> bool:
+        """Whether the length of every step is known."""
+        return not np.isnan(self.step_m).any()
+
+    @cached_property
+    def walks(self) -> Walks:
+        """Where each place leads."""
+        return Walks(self)
 
     def segment_at(self, position: float) -> int:
         """Return the segment of a position in rows, which may be between scans."""

@@ -5,16 +5,20 @@ observation, which is mostly constant.
 """
 
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
-from core.arrays import FloatArray, frozen
+from core.arrays import FloatArray, IntArray, frozen
 from core.errors import InvalidParameters
 from core.numbers import require_above
 from core.tracking.graph import TravelGraph
+from core.tracking.walks import MAX_STEPS
 
-MAX_STEPS = 24
-"""Most scans of the map that are passed between two observations."""
+_UNLIKELY = 1e-5  # of the belief in the map, in all places together that are not advanced
+# Times fewer places than the map has are advanced one by one: at a quarter of them this took three
+# times the memory of all and longer, at a tenth it is faster.
+_FEW = 10
 
 
 def _default_paces() -> FloatArray:
@@ -61,8 +65,9 @@ class Motion:
         require_above(0, spread=self.spread, metres_spread=self.metres_spread)
         require_above(0, metres_floor=self.metres_floor)
 
+    @cached_property
     def pace_change(self) -> FloatArray:
-        """Return the probabilities of one pace after another, `(P, P)`, rows sum to 1."""
+        """The probabilities of one pace after another, `(P, P)`, rows sum to 1."""
         paces = len(self.pace)
         rest = 1.0 - self.keeps - self.drifts - self.stops
         change = np.full((paces, paces), rest / paces) + self.keeps * np.eye(paces)
@@ -70,7 +75,7 @@ class Motion:
         for step in (-1, 1):
             neighbour = np.clip(np.arange(paces) + step, 0, paces - 1)
             np.add.at(change, (np.arange(paces), neighbour), self.drifts / 2.0)
-        return change
+        return frozen(change, np.float64)
 
     def passed(self, scale: float = 1.0) -> FloatArray:
         """Return the probability of each number of passed scans by pace, `(P, MAX_STEPS + 1)`.
@@ -87,20 +92,18 @@ class Motion:
         weights[0, 0] = 1.0
         return np.asarray(weights / weights.sum(axis=1, keepdims=True))
 
-    def passed_m(self, graph: TravelGraph, travelled_m: float) -> FloatArray:
-        """Return the probability of each number of scans from each place, `(MAX_STEPS + 1, 2K)`.
+    def passed_m(self, length_m: FloatArray, travelled_m: float) -> FloatArray:
+        """Return the probability of each number of scans from some places, `(MAX_STEPS + 1, n)`.
 
         By odometry: a number of scans is weighted by the difference between its length in metres
         and the distance driven.
+
+        Args:
+            length_m: `(MAX_STEPS + 1, n)`, some columns of `Walks.length_m`.
+            travelled_m: Odometry since the last observation.
         """
         sigma = self.metres_floor + self.metres_spread * abs(travelled_m)
-        weights = np.empty((MAX_STEPS + 1, graph.places))
-        known = np.where(np.isnan(graph.step_m), 1.0, graph.step_m)
-        back = graph.ahead.T.tocsr()
-        distance_m = np.zeros(graph.places)
-        for step in range(MAX_STEPS + 1):
-            weights[step] = np.exp(-0.5 * ((distance_m - abs(travelled_m)) / sigma) ** 2)
-            distance_m = known + back @ distance_m
+        weights = np.exp(-0.5 * ((length_m - abs(travelled_m)) / sigma) ** 2)
         weights += 1e-12  # where no number fits, all are equally probable
         return np.asarray(weights / weights.sum(axis=0))
 
@@ -113,6 +116,9 @@ class Motion:
     ) -> FloatArray:
         """Return the probabilities after the motion to the next observation, without jumps.
 
+        Of a belief in few places only these are advanced. The others, a hundred-thousandth of it in
+        all, stay where they are: they are nearly even, and advance when they become likely.
+
         Args:
             at: `(2K, P)`, of each place and pace.
             graph: Of the map.
@@ -120,14 +126,36 @@ class Motion:
             travelled_m: Odometry since the last observation, negative backwards; used if the map
                 has poses.
         """
-        at = (1.0 - self.turns_round) * at + self.turns_round * at[graph.reverse]
-        at = at @ self.pace_change()
-        if travelled_m is None or np.isnan(graph.step_m).any():
-            return _advance(at, graph, self.passed(scale).T[:, None, :])
-        weights = self.passed_m(graph, travelled_m)[:, :, None]
-        if travelled_m < 0:
-            return np.asarray(_advance(at[graph.reverse], graph, weights)[graph.reverse])
-        return _advance(at, graph, weights)
+        places = _likely_places(at, graph)
+        both = at[places].reshape(-1, 2, len(self.pace))
+        both = (1.0 - self.turns_round) * both + self.turns_round * both[:, ::-1]
+        metres = travelled_m if graph.has_lengths else None
+        backwards = metres is not None and metres < 0.0
+        if backwards:
+            both = both[:, ::-1]
+        begin = both.reshape(-1, len(self.pace)) @ self.pace_change
+        weights = self.passed(scale).T[:, None, :]
+        if metres is not None:
+            weights = self.passed_m(graph.walks.length_m[:, places], metres)[:, :, None]
+        if len(places) < graph.places:
+            moved = graph.walks.moved(places, begin, weights)
+        else:
+            moved = _advance(begin, graph, weights)
+        if backwards:
+            moved = moved[graph.reverse]
+        rest = at.copy()
+        rest[places] = 0.0
+        moved += rest
+        return moved
+
+
+def _likely_places(at: FloatArray, graph: TravelGraph) -> IntArray:
+    """Return the places, in both directions, that hold nearly all of a belief if these are few."""
+    of_scan = at.reshape(len(graph), -1).sum(axis=1)
+    likely = np.flatnonzero(of_scan > _UNLIKELY * of_scan.mean())
+    if _FEW * len(likely) >= len(graph):
+        return np.arange(graph.places)
+    return (2 * likely[:, None] + np.arange(2)).reshape(-1)
 
 
 def _advance(at: FloatArray, graph: TravelGraph, weights: FloatArray) -> FloatArray:

@@ -17,6 +17,7 @@ _TRUSTED = 0.5  # share of the stored belief in a resumed one; the rest is that 
 _SCANS_PER_S = (
     20.0  # passed at most in a gap: a metre each at 20 m/s, or a 10 Hz map at twice its pace
 )
+_MOST_SCANS = 500  # passed in a gap; after a longer one the vehicle may be anywhere
 
 
 @dataclass(frozen=True)
@@ -53,9 +54,9 @@ class TrackState:
     def belief(self, graph: TravelGraph, motion: Motion, gap_s: float) -> Belief:
         """Return what is believed after a gap in which nothing was observed.
 
-        The vehicle may have advanced by any number of scans up to a fast one's, at any pace. Half
-        of the belief is that of a new track: so three observations place a vehicle that is
-        elsewhere meanwhile.
+        The vehicle may have advanced by any number of scans up to a fast one's, at any pace; after
+        half a minute it may be anywhere. Half of the belief is that of a new track: so three
+        observations place a vehicle that is elsewhere meanwhile.
 
         Args:
             graph: Of the map.
@@ -70,8 +71,13 @@ class TrackState:
             if place >= graph.places:
                 raise InvalidParameters(f"the map has {graph.places} places, the state {place}")
             at[place] = probability
-        at += max(0.0, 1.0 - self.elsewhere - float(at.sum())) / graph.places
-        at = _spread(at, graph, min(math.ceil(max(gap_s, 0.0) * _SCANS_PER_S), len(graph)))
+        rest = max(0.0, 1.0 - self.elsewhere - float(at.sum())) / graph.places
+        scans = min(math.ceil(max(gap_s, 0.0) * _SCANS_PER_S), len(graph))
+        if scans > _MOST_SCANS:
+            at = np.full(graph.places, float(at.mean()))
+        else:
+            at = _spread(at, graph, scans)
+        at += rest
         total, paces = float(at.sum()) + self.elsewhere, len(motion.pace)
         new = Belief.unknown(graph, motion)
         known = np.repeat(at[:, None] / (paces * total), paces, axis=1)
@@ -90,8 +96,20 @@ def likeliest(belief: Belief) -> tuple[tuple[int, float], ...]:
 
 def _spread(at: FloatArray, graph: TravelGraph, scans: int) -> FloatArray:
     """Return the mean of what is believed after 0 to so many scans."""
-    moved, total = at, at.copy()
+    from scipy.sparse.csgraph import dijkstra  # only tracks need it: decision 33
+
+    likely = np.flatnonzero(at)
+    if not scans or not len(likely):
+        return at
+    # Of a large map only the places that can be reached are multiplied, once for each scan.
+    away = dijkstra(graph.ahead.T, indices=likely, unweighted=True, limit=scans, min_only=True)
+    reached = np.flatnonzero(np.isfinite(away))
+    ahead = graph.ahead[reached][:, reached]
+    moved = at[reached]
+    total = moved.copy()
     for _ in range(scans):
-        moved = np.asarray(graph.ahead @ moved)
+        moved = np.asarray(ahead @ moved)
         total += moved
-    return np.asarray(total / (scans + 1))
+    spread = np.zeros_like(at)
+    spread[reached] = total / (scans + 1)
+    return spread

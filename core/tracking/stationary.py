@@ -20,7 +20,8 @@ _FIRM = 2  # small changes in a row before a vehicle counts as stationary
 def change(before: Sequence[Signature], after: Sequence[Signature]) -> float | None:
     """Return the change of signatures, 1 - <g, h> / (|g| |h|), without a search over headings.
 
-    `None` if they have no segment in common or one is zero.
+    Of those of other ranks, as a vehicle sends when its view becomes narrow, the numbers count that
+    both have. `None` if they have no segment in common or one is zero.
     """
     earlier = {s.segment: s.values for s in before}
     product = one = other = 0.0
@@ -28,7 +29,8 @@ def change(before: Sequence[Signature], after: Sequence[Signature]) -> float | N
         if (values := earlier.get(signature.segment)) is None:
             continue
         encoding = encoding_named(signature.encoding)
-        g, h = encoding.weighted(values), encoding.weighted(signature.values)
+        r1, r2 = np.minimum(values.shape, signature.values.shape)
+        g, h = encoding.weighted(values[:r1, :r2]), encoding.weighted(signature.values[:r1, :r2])
         product += float(np.vdot(g, h).real)
         one += float(np.vdot(g, g).real)
         other += float(np.vdot(h, h).real)

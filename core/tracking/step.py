@@ -49,6 +49,8 @@ class TrackStep:
         along_sigma_scans: The same in scans of the map.
         pose: Of the vehicle: the match's estimated pose; in an encoding without one the place on
             the path between the scans. `None` without poses.
+        timestamp_s: Of the observation, `None` if it had none.
+        sequence: Likewise.
     """
 
     revision: str
@@ -66,6 +68,8 @@ class TrackStep:
     along_sigma_m: float | None
     along_sigma_scans: float
     pose: Pose | None
+    timestamp_s: float | None = None
+    sequence: int | None = None
 
     @property
     def row(self) -> int:

@@ -1,14 +1,14 @@
 """Tracks: the observations of one vehicle in one revision of a map."""
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from core.arrays import FloatArray
 from core.encodings.model import Neighbours, Search
 from core.encodings.signature import Signature
-from core.errors import StaleObservation
+from core.errors import InvalidParameters, StaleObservation
 from core.localization.localizer import Localizer
 from core.localization.match import Match, match_at
 from core.mapping.estimate import estimate
@@ -24,6 +24,9 @@ from core.tracking.state import TrackState, likeliest
 from core.tracking.stationary import StationaryDetector, StationaryModel
 from core.tracking.step import SURE, Direction, Doubt, TrackStep
 
+MOST_S = 1e300
+"""The latest timestamp: times between such, and means of these, are finite."""
+
 _FIRST_FIX = 3  # certain observations in a row: two may have the same error
 _ELSEWHERE = 0.5  # probability of being outside of the map, for `unknown_place`
 _MOVE_ODDS = 0.9  # belief beyond a stationary vehicle's last position from which it is moved
@@ -37,14 +40,14 @@ class Observation:
 
     Attributes:
         signatures: Of one scan.
-        timestamp_s: Its time by the vehicle's own clock; rises if given.
+        timestamp_s: Its time by the vehicle's own clock, within `MOST_S` of 0; rises if given.
         sequence: Its number; rises if given.
         travelled_m: Odometry since the last observation, negative backwards.
         image: Of the same scan, if there is one: in a map with verification images the vehicle's
             pose is where they are most alike.
 
     Raises:
-        InvalidParameters: If a number is not finite or below its range.
+        InvalidParameters: If a number is not finite or out of its range.
     """
 
     signatures: tuple[Signature, ...]
@@ -56,6 +59,10 @@ class Observation:
     def __post_init__(self) -> None:
         require_finite(timestamp_s=self.timestamp_s, travelled_m=self.travelled_m)
         require_at_least(0, sequence=self.sequence)
+        if self.timestamp_s is not None and abs(self.timestamp_s) > MOST_S:
+            raise InvalidParameters(
+                f"timestamp_s is {self.timestamp_s}, wanted within {MOST_S} of 0"
+            )
 
 
 class Tracker:
@@ -164,6 +171,11 @@ class Track:
         return self._observations
 
     @property
+    def sequence(self) -> int | None:
+        """Number of the last observation, `None` without one."""
+        return self._order.sequence
+
+    @property
     def belief(self) -> Belief:
         """The belief after the last observation."""
         return self._belief
@@ -212,7 +224,10 @@ class Track:
         self._observations += 1
         self._taken += 1
         self._belief = belief
-        self.last = self._step(search, seen, stationary=stationary)
+        step = self._step(search, seen, stationary=stationary)
+        self.last = replace(
+            step, timestamp_s=observation.timestamp_s, sequence=observation.sequence
+        )
         return self.last
 
     def _step(self, search: Search, seen: Search, *, stationary: bool) -> TrackStep:

@@ -51,6 +51,8 @@ _SCANS = """SELECT drives.map_id, drives.id, chunk, chunk_row, scan_index, diges
 _WITHOUT_RETURNS = """SELECT DISTINCT drives.map_id, drives.id FROM scans
                       JOIN drives ON drives.id = scans.drive_id WHERE chunk = '' ORDER BY 1, 2"""
 _SLUGS = "SELECT id, slug FROM maps UNION ALL SELECT id, slug FROM drives"
+_DELETED_SLUGS = "SELECT id, slug FROM recycle_bin"
+_HAS_RECYCLE_BIN = "SELECT 1 FROM sqlite_master WHERE name = 'recycle_bin'"  # since 0016
 _BASES = "SELECT file_name, digest FROM bases ORDER BY 1"
 _HAS_BASES = "SELECT 1 FROM sqlite_master WHERE name = 'bases'"  # catalogs before 0013 have none
 _REVISIONS = "SELECT map_id, file_name, digest FROM revisions ORDER BY 1, 2"
@@ -172,6 +174,8 @@ class _Copier:
             _copy_catalog(self._layout.catalog, catalog)
             files = named_files(catalog)
             self._slugs = dict(_query(catalog, _SLUGS))
+            if _query(catalog, _HAS_RECYCLE_BIN):
+                self._slugs |= dict(_query(catalog, _DELETED_SLUGS))
             is_complete = True
             for file in files:
                 if file.path in self.written or file.path in self.missing:

@@ -7,8 +7,11 @@ from storage.catalog.acts import Act, on_behalf
 from storage.catalog.audit import AuditCheck, AuditState
 from storage.catalog.catalog import Catalog
 from storage.catalog.kept import NotKept
-from storage.catalog.live_maps import LiveMap
+from storage.catalog.map_summaries import MapSummary
+from storage.catalog.maps import Keep
 from storage.catalog.models import (
+    BUILD,
+    CAPTURE,
     AuditRecord,
     BasisRecord,
     JobRecord,
@@ -18,35 +21,46 @@ from storage.catalog.models import (
     TokenRecord,
 )
 from storage.catalog.records import (
+    Capture,
+    CaptureState,
+    CaptureSummary,
     DriveRecord,
-    IndexRange,
     MapRecord,
+    NewCapture,
     Page,
     PosesPut,
     RequestKey,
     RevisionFacts,
     ScanRecord,
 )
+from storage.catalog.recycle_bin import Recycled
 from storage.catalog.saved_tracks import SavedTrack, SavedTracks
 from storage.catalog.scan_poses import ScanPoses
 
 __all__ = [
+    "BUILD",
+    "CAPTURE",
     "Act",
     "AuditCheck",
     "AuditRecord",
     "AuditState",
     "BasisRecord",
+    "Capture",
+    "CaptureState",
+    "CaptureSummary",
     "Catalog",
     "DriveRecord",
-    "IndexRange",
     "JobRecord",
     "JobState",
+    "Keep",
     "KeyRecord",
-    "LiveMap",
     "MapRecord",
+    "MapSummary",
+    "NewCapture",
     "NotKept",
     "Page",
     "PosesPut",
+    "Recycled",
     "RequestKey",
     "RevisionFacts",
     "RevisionRecord",

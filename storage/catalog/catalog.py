@@ -6,13 +6,15 @@ from typing import TypeVar
 
 from storage.catalog.audit import Audit
 from storage.catalog.bases import Bases
+from storage.catalog.captures import Captures
 from storage.catalog.collection import Collector
 from storage.catalog.database import Database
 from storage.catalog.drives import Drives
 from storage.catalog.jobs import Jobs
 from storage.catalog.keys import Keys
-from storage.catalog.live_maps import LiveMaps
+from storage.catalog.map_summaries import MapSummaries
 from storage.catalog.maps import Maps
+from storage.catalog.recycle_bin import RecycleBin
 from storage.catalog.revisions import Revisions
 from storage.catalog.saved_tracks import SavedTracks
 from storage.catalog.scans import Scans
@@ -40,12 +42,14 @@ class Catalog:
         self._database = Database(url, migrating)
         self.store_id = StoreIds(self._database)
         self.maps = Maps(self._database)
-        self.live_maps = LiveMaps(self._database)
+        self.map_summaries = MapSummaries(self._database)
         self.drives = Drives(self._database)
         self.scans = Scans(self._database)
         self.revisions = Revisions(self._database)
         self.bases = Bases(self._database)
+        self.recycle_bin = RecycleBin(self._database)
         self.collector = Collector(self._database)
+        self.captures = Captures(self._database)
         self.jobs = Jobs(self._database)
         self.keys = Keys(self._database)
         self.tokens = Tokens(self._database)

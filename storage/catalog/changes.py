@@ -1,7 +1,7 @@
 """Whether anything in the catalog changed: a number that does not, or `None` if that is not known.
 
-SQLite counts the commits of all processes itself. On PostgreSQL every change that answers depend on
-is announced with its commit, and a thread listens.
+Every change that answers depend on is announced with its commit: on SQLite it is counted in the
+database's header, on PostgreSQL a thread listens.
 """
 
 import sqlite3
@@ -12,7 +12,8 @@ from contextlib import suppress
 from functools import partial
 from typing import Any, Protocol
 
-from sqlalchemy import Engine
+from sqlalchemy import Engine, text
+from sqlalchemy.orm import Session
 
 CHANNEL = "tensormap_catalog"
 """PostgreSQL's channel; each database has its own."""
@@ -22,6 +23,7 @@ VALID_S = 1.0
 
 _BEAT_S = 0.3  # between two checks that the channel still works
 _RETRY_S = 1.0
+_MOST_COUNTED = 2**31  # SQLite keeps it as a signed number of four bytes
 
 
 class Changes(Protocol):
@@ -38,7 +40,11 @@ class Changes(Protocol):
 
 
 class SqliteChanges:
-    """SQLite's `data_version` on a connection of its own, so that all commits are of others.
+    """The number of changes in the database's header, read again after each commit of a process.
+
+    SQLite's `data_version` says that there was one, on a connection of its own also of this
+    process. Most are of scans that were stored, on which no answer depends and which leave the
+    number as it is.
 
     Args:
         path: Of the database.
@@ -50,22 +56,30 @@ class SqliteChanges:
             path, timeout=0.0, isolation_level=None, check_same_thread=False
         )
         self._lock = threading.Lock()
+        self._commit: int | None = None
+        self._count = 0
 
     def version(self) -> int | None:
-        """Return the number of the catalog's state; this takes microseconds."""
+        """Return the number of changes; this takes microseconds."""
         try:
             with self._lock:
-                return int(self._connection.execute("PRAGMA data_version").fetchone()[0])
+                commit = self._read("data_version")
+                if commit != self._commit:
+                    self._count, self._commit = self._read("user_version"), commit
+                return self._count
         except sqlite3.Error:
             return None
 
     def changed(self) -> None:
-        """Do nothing: SQLite counted it."""
+        """Do nothing: the number was written with the change."""
 
     def close(self) -> None:
         """Close the connection."""
         with self._lock:
             self._connection.close()
+
+    def _read(self, pragma: str) -> int:
+        return int(self._connection.execute(f"PRAGMA {pragma}").fetchone()[0])
 
 
 class PostgresqlChanges:
@@ -117,6 +131,15 @@ class PostgresqlChanges:
                     self._valid_until_s = asked_s + VALID_S
                 for _ in connection.notifies(timeout=_BEAT_S):
                     self.changed()
+
+
+def announce(session: Session) -> None:
+    """Announce a change with the commit of its session."""
+    if session.get_bind().dialect.name == "postgresql":
+        session.execute(text(f"NOTIFY {CHANNEL}"))
+        return
+    count = session.scalar(text("PRAGMA user_version")) or 0
+    session.execute(text(f"PRAGMA user_version = {(count + 1) % _MOST_COUNTED}"))
 
 
 def changes_of(engine: Engine) -> Changes | None:

@@ -18,6 +18,7 @@ from storage.catalog.models import (
     Scan,
 )
 from storage.catalog.scans import LostRace, chunks_of
+from storage.names import is_recycled
 from storage.retention import Candidate, OwnRetention, RawScans, Retention, to_collect
 
 
@@ -97,6 +98,7 @@ class Collector(Repository):
                 live is None
                 or live.digest != live_revision
                 or drive is None
+                or is_recycled(drive.slug)
                 or not drive.closed
                 or _policy(of_map, default).raw_scans != RawScans.DROP
                 or session.scalar(_open_jobs(map_id).limit(1)) is not None

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import AbstractContextManager, closing, contextmanager, nullcontext
 from typing import Any
 
-from sqlalchemy import Connection, Engine, create_engine, event, make_url, text
+from sqlalchemy import Connection, Engine, create_engine, event, make_url
 from sqlalchemy.exc import (
     ArgumentError,
     DBAPIError,
@@ -19,7 +19,7 @@ from sqlalchemy.orm import Session, sessionmaker
 
 from storage.catalog import audit_chain
 from storage.catalog.acts import current_act
-from storage.catalog.changes import CHANNEL, changes_of
+from storage.catalog.changes import announce, changes_of
 from storage.catalog.kept import Kept
 from storage.catalog.migrations import is_newest, upgrade
 from storage.errors import (
@@ -124,8 +124,8 @@ class Database:
             yield session
             if act is not None and not act.recorded:
                 audit_chain.append(session, act, audit_chain.DONE)
-            if announced and self.engine.dialect.name == "postgresql":
-                session.execute(text(f"NOTIFY {CHANNEL}"))
+            if announced:
+                announce(session)
         if announced:
             self.kept.changed()
         if act is not None:
@@ -177,7 +177,7 @@ def _engine(url: str) -> Engine:
         return create_engine(url, pool_size=16, max_overflow=32, pool_pre_ping=backend != "sqlite")
     except ModuleNotFoundError as error:
         raise StorageUnavailable(
-            f"a {backend} catalog needs {error.name}: pip install '.[postgresql]' in a clone"
+            f"a {backend} catalog needs {error.name}: pip install -e '.[postgresql]' in a clone"
         ) from error
     except NoSuchModuleError as error:
         raise StorageUnavailable(f"there is no such driver of a catalog: {error}") from None

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from datetime import UTC, datetime
 
-from sqlalchemy import case, delete, func, select
+from sqlalchemy import ColumnElement, and_, case, delete, func, select
 from sqlalchemy.exc import IntegrityError
 from sqlalchemy.orm import Session
 
@@ -13,11 +13,12 @@ from core.scans.accumulation import require_count
 from core.scans.mounting import Mounting
 from storage.catalog.database import Repository
 from storage.catalog.maps import map_named, map_of_id
-from storage.catalog.models import Drive, ExpectedPose, Map, Scan
+from storage.catalog.models import Drive, ExpectedPose, Map, RecycledRecord, Scan
 from storage.catalog.pages import DEFAULT_LIMIT, one_more, page_of
-from storage.catalog.records import DriveRecord, IndexRange, Page
+from storage.catalog.records import DriveRecord, Page
 from storage.errors import DriveNotFound, ReturnsGone
-from storage.names import checked_slug, new_id
+from storage.index_ranges import IndexRange
+from storage.names import RECYCLED, checked_slug, is_recycled, new_id
 
 
 class Drives(Repository):
@@ -42,7 +43,7 @@ class Drives(Repository):
         with self._database.reading() as session:
             query = (
                 select(Drive)
-                .where(Drive.map_id == map_named(session, map_slug).id, Drive.slug > after)
+                .where(_in_use(map_named(session, map_slug)), Drive.slug > after)
                 .order_by(Drive.slug)
                 .limit(one_more(limit))
             )
@@ -56,8 +57,8 @@ class Drives(Repository):
             MapNotFound: If there is no such map.
         """
         with self._database.reading() as session:
-            of_map = Drive.map_id == map_named(session, map_slug).id
-            return tuple(session.scalars(select(Drive.slug).where(of_map).order_by(Drive.slug)))
+            in_use = _in_use(map_named(session, map_slug))
+            return tuple(session.scalars(select(Drive.slug).where(in_use).order_by(Drive.slug)))
 
     def of_map(self, map_id: str, slugs: Sequence[str] | None = None) -> Sequence[DriveRecord]:
         """Return drives of the map of that id in the given order, or all in that of their slugs.
@@ -68,7 +69,7 @@ class Drives(Repository):
         """
         with self._database.reading() as session:
             of_map = map_of_id(session, map_id)
-            query = select(Drive).where(Drive.map_id == of_map.id).order_by(Drive.slug)
+            query = select(Drive).where(_in_use(of_map)).order_by(Drive.slug)
             rows = {row.slug: row for row in session.scalars(query)}
             for slug in slugs or ():
                 if slug not in rows:
@@ -78,8 +79,21 @@ class Drives(Repository):
     def require(self, drive_id: str) -> None:
         """Raise `DriveNotFound` if the drive of that id is gone."""
         with self._database.reading() as session:
-            if session.get(Drive, drive_id) is None:
+            row = session.get(Drive, drive_id)
+            if row is None or is_recycled(row.slug):
                 raise DriveNotFound(f"the drive with id {drive_id} is gone")
+
+    def with_id(self, drive_id: str) -> DriveRecord:
+        """Return the drive of that id, also one that is in the recycle bin.
+
+        Raises:
+            DriveNotFound: If it is gone.
+        """
+        with self._database.reading() as session:
+            row = session.get(Drive, drive_id)
+            if row is None:
+                raise DriveNotFound(f"the drive with id {drive_id} is gone")
+            return _records(session, [row])[0]
 
     def put(
         self, map_slug: str, slug: str, mounting: Mounting | None, accumulate: int
@@ -113,14 +127,14 @@ class Drives(Repository):
         values = None if mounting is None else asdict(mounting)
         with self._database.writing() as session:
             map_id = map_named(session, map_slug).id
-            query = select(Drive).where(Drive.map_id == map_id, Drive.slug == slug)
+            query = select(Drive).where(Drive.map_id == map_id, Drive.slug == checked_slug(slug))
             row = session.scalar(query.with_for_update())
             is_new = row is None
             if row is None:
                 row = Drive(
                     id=new_id(),
                     map_id=map_id,
-                    slug=checked_slug(slug),
+                    slug=slug,
                     created_at=datetime.now(UTC),
                 )
                 session.add(row)
@@ -143,7 +157,7 @@ class Drives(Repository):
             return _records(session, [row])[0]
 
     def delete(self, map_slug: str, slug: str) -> DriveRecord:
-        """Remove a drive and the facts about its scans; return its record.
+        """Remove a drive and the facts about its scans for good; return its record.
 
         Raises:
             MapNotFound: If there is no such map.
@@ -156,17 +170,27 @@ class Drives(Repository):
             return record
 
     def known(self) -> set[tuple[str, str]]:
-        """Return `(map id, drive id)` of every drive; the latter is empty for a map without."""
+        """Return `(map id, drive id)` of every drive; the latter is empty for a map without.
+
+        Also of those in the recycle bin: their files are still named.
+        """
         with self._database.reading() as session:
             query = select(Map.id, Drive.id).outerjoin(Drive, Drive.map_id == Map.id)
             return {(map_id, drive_id or "") for map_id, drive_id in session.execute(query)}
 
     def slugs_by_id(self) -> dict[str, str]:
-        """Return the slugs of all maps and of all drives, by their ids."""
+        """Return the slugs of all maps and of all drives, by their ids; deleted ones' as before."""
         with self._database.reading() as session:
-            of_maps = session.execute(select(Map.id, Map.slug))
-            of_drives = session.execute(select(Drive.id, Drive.slug))
-            return {row.id: row.slug for row in (*of_maps, *of_drives)}
+            tables = (Map, Drive, RecycledRecord)
+            rows = (
+                row for table in tables for row in session.execute(select(table.id, table.slug))
+            )
+            return {row.id: row.slug for row in rows}
+
+
+def _in_use(of_map: Map) -> ColumnElement[bool]:
+    """Return the condition of the drives of a map that are not in the recycle bin."""
+    return and_(Drive.map_id == of_map.id, Drive.slug < RECYCLED)
 
 
 def drive_named(session: Session, map_slug: str, slug: str, *, lock: bool = False) -> Drive:
@@ -179,7 +203,7 @@ def drive_named(session: Session, map_slug: str, slug: str, *, lock: bool = Fals
     of_map = map_named(session, map_slug)
     query = select(Drive).where(Drive.map_id == of_map.id, Drive.slug == slug)
     row = session.scalar(query.with_for_update() if lock else query)
-    if row is None:
+    if row is None or is_recycled(row.slug):
         raise DriveNotFound(f"map {map_slug!r} has no drive {slug[:80]!r}")
     return row
 
@@ -257,4 +281,6 @@ def _record(row: Drive, islands: Sequence[Sequence[int]], expected_poses: int) -
         expected_poses=expected_poses,
         mounting=None if row.mounting is None else Mounting(**row.mounting),
         accumulate=row.accumulate,
+        odometry=row.odometry,
+        pose_check=row.pose_check,
     )

@@ -35,7 +35,8 @@ def require_fit(
     before: ScanPoses,
     last_index: int | None,
     *,
-    consecutive: bool,
+    of_all_scans: bool,
+    with_scans: bool = False,
 ) -> None:
     """Reject a file of poses that cannot be those of a drive's scans.
 
@@ -44,16 +45,19 @@ def require_fit(
         poses: The file's, at least one.
         before: The stored poses of those of its scans that are stored.
         last_index: Last index of the drive's scans, `None` without one.
-        consecutive: Whether lines count scans, so that a wrong number shows another drive's file.
+        of_all_scans: Whether they should be of all scans, so that a last one that is another than
+            the drive's shows another drive's file.
+        with_scans: Whether the file came with scans of the drive: more of them may follow.
 
     Raises:
-        PosesDoNotFit: If stored poses would be forgotten; or lines count scans, and there are too
-            few for the drive, or too many and other poses would be replaced.
+        PosesDoNotFit: If stored poses would be forgotten; or they should be of all scans, and end
+            before or behind the last one. More are allowed if the others are those that are
+            stored, or if the file came with scans and replaces no other poses.
     """
     advice = "; partial=true sets them nevertheless"
     after = poses.only(np.isin(poses.scans, before.scans))
     put = poses_put(before, after)
-    if last_index is not None and consecutive:
+    if last_index is not None and of_all_scans:
         first, last = int(poses.scans[0]), int(poses.scans[-1])
         counted = f"the file has {len(poses)} lines, of scans {first} to {last}"
         if last < last_index:
@@ -61,10 +65,12 @@ def require_fit(
                 f"{counted}, drive {drive_slug!r} has scans up to {last_index}{advice}"
             )
         others = put.replaced + put.forgotten
-        if last > last_index and others:
+        confirmed = is_known(before.poses).any() or not is_known(poses.poses).any()
+        if last > last_index and (others or not (confirmed or with_scans)):
+            having = f" and other poses of {others} of them" if others else ""
             raise PosesDoNotFit(
-                f"{counted}, drive {drive_slug!r} has scans up to {last_index} and other poses of"
-                f" {others} of them{advice}"
+                f"{counted}, drive {drive_slug!r} has scans up to {last_index}{having}: another"
+                f" drive's? If more scans are to come, put poses before the first{advice}"
             )
     if put.forgotten:
         forgotten = is_known(before.poses) & ~is_known(after.poses)

@@ -5,11 +5,12 @@ queued --claim--> running --finish--> done
   |--request_cancel--|---cancelled-> cancelled
 """
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from datetime import UTC, datetime
+from types import MappingProxyType
 from typing import Any
 
-from sqlalchemy import ColumnElement, func, select
+from sqlalchemy import ColumnElement, Select, func, select
 from sqlalchemy.exc import IntegrityError
 from sqlalchemy.orm import Session
 
@@ -19,7 +20,7 @@ from storage.catalog.models import OPEN_STATES, JobRecord, JobState, Map
 from storage.catalog.pages import DEFAULT_LIMIT, page_by_age
 from storage.catalog.records import Page, RequestKey, RevisionFacts
 from storage.errors import JobNotFound, JobNotRunning, RequestKeyReused, TooManyBuilds
-from storage.names import new_id
+from storage.names import RECYCLED, is_recycled, new_id
 
 _NEVER = datetime.min.replace(tzinfo=UTC)
 
@@ -66,9 +67,7 @@ class Jobs(Repository):
         try:
             with self._database.writing(announced=False) as session:
                 job.map_id = map_named(session, map_slug, shared=True).id
-                if most_queued is not None:
-                    _require_room(session, key_id, most_queued)
-                session.add(job)
+                queue_job(session, job, most_queued)
         except (IntegrityError, TooManyBuilds):
             made = None if request is None else self.made_by(map_slug, request)
             if made is None:
@@ -118,7 +117,7 @@ class Jobs(Repository):
     def with_ids(self, job_ids: Collection[str]) -> Mapping[str, JobRecord]:
         """Return those of these jobs that exist, by their ids."""
         with self._database.reading() as session:
-            jobs = session.scalars(select(JobRecord).where(JobRecord.id.in_(job_ids)))
+            jobs = session.scalars(_of_maps().where(JobRecord.id.in_(job_ids)))
             return {job.id: job for job in jobs}
 
     def list(
@@ -133,14 +132,14 @@ class Jobs(Repository):
 
         Raises:
             MapNotFound: If there is no such map.
-            InvalidParameters: If `after` is no job.
+            InvalidParameters: If `after` is no cursor of such a list.
         """
         with self._database.reading() as session:
-            query = select(JobRecord)
+            query = _of_maps()
             if map_slug is not None:
                 query = query.where(JobRecord.map_id == map_named(session, map_slug).id)
             if slugs is not None:
-                query = query.where(JobRecord.map_id.in_(select(Map.id).where(Map.slug.in_(slugs))))
+                query = query.where(Map.slug.in_(slugs))
             return page_by_age(session, query, JobRecord.id, after, limit)
 
     def counts(self) -> Mapping[JobState, int]:
@@ -167,8 +166,21 @@ class Jobs(Repository):
             job.stage, job.done_units, job.total_units = stage, done_units, total_units
             return job
 
-    def finish(self, job_id: str, revision: str) -> JobRecord:
+    def finish(
+        self,
+        job_id: str,
+        revision: str | None,
+        *,
+        notes: Sequence[str] = (),
+        result: Mapping[str, Any] = MappingProxyType({}),
+    ) -> JobRecord:
         """End a running job that built `revision`; one that ended so before stays as it is.
+
+        Args:
+            job_id: The job.
+            revision: Digest of what it built, `None` for a job that is no build.
+            notes: Remarks on what it did, in addition.
+            result: What it found, in plain values.
 
         Raises:
             JobNotFound: If there is none of that id.
@@ -178,6 +190,7 @@ class Jobs(Repository):
             job = _found(session, job_id, lock=True)
             if (job.state, job.revision) != (JobState.DONE, revision):
                 _end(_running(session, job_id), JobState.DONE).revision = revision
+                job.notes, job.result = [*job.notes, *notes], {**job.result, **result}
             return job
 
     def fail(self, job_id: str, error_type: str, error_detail: str) -> JobRecord:
@@ -209,12 +222,8 @@ class Jobs(Repository):
             JobNotFound: If there is none of that id.
         """
         with self._database.writing(announced=False) as session:
-            job = _found(session, job_id, lock=True)
-            if job.state == JobState.QUEUED:
-                _end(job, JobState.CANCELLED)
-            elif job.state == JobState.RUNNING:
-                job.cancel_requested = True
-            return job
+            cancel_job(session, job_id)
+            return _found(session, job_id)
 
     def requeue_interrupted(self) -> int:
         """Queue again what ran when the server stopped; return the number of these jobs.
@@ -243,6 +252,31 @@ def finish_if_running(session: Session, job_id: str, revision: str, facts: Revis
         _end(job, JobState.DONE).revision = revision
 
 
+def _of_maps() -> Select[JobRecord]:
+    """Return the query of the jobs of maps that are not in the recycle bin."""
+    return select(JobRecord).join(Map, Map.id == JobRecord.map_id).where(Map.slug < RECYCLED)
+
+
+def queue_job(session: Session, job: JobRecord, most_queued: int | None) -> None:
+    """Queue a job within a transaction.
+
+    Raises:
+        TooManyBuilds: If its key has as many queued as it may.
+    """
+    if most_queued is not None:
+        _require_room(session, job.key_id, most_queued)
+    session.add(job)
+
+
+def cancel_job(session: Session, job_id: str) -> None:
+    """Cancel a queued job, or request the end of a running one, within a transaction."""
+    job = session.get(JobRecord, job_id, with_for_update=True)
+    if job is not None and job.state == JobState.QUEUED:
+        _end(job, JobState.CANCELLED)
+    elif job is not None and job.state == JobState.RUNNING:
+        job.cancel_requested = True
+
+
 def _end(job: JobRecord, state: JobState) -> JobRecord:
     job.state = state
     job.finished_at = datetime.now(UTC)
@@ -255,14 +289,14 @@ def _require_room(session: Session, key_id: str | None, most_queued: int) -> Non
     queued = session.scalar(query) or 0
     if queued >= most_queued:
         raise TooManyBuilds(
-            f"key {key_id} has {queued} builds in the queue, as many as it may: wait until one has"
+            f"key {key_id} has {queued} jobs in the queue, as many as it may: wait until one has"
             " run, or cancel one"
         )
 
 
 def _found(session: Session, job_id: str, *, lock: bool = False) -> JobRecord:
     job = session.get(JobRecord, job_id, with_for_update=lock)
-    if job is None:
+    if job is None or is_recycled(session.get_one(Map, job.map_id).slug):
         raise JobNotFound(f"there is no job {job_id[:80]!r}")
     return job
 

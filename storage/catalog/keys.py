@@ -84,7 +84,7 @@ class Keys(Repository):
         """Return the keys that were made after key `after`, revoked ones included.
 
         Raises:
-            InvalidParameters: If `after` is no key.
+            InvalidParameters: If `after` is no cursor of such a list.
         """
         with self._database.reading() as session:
             name = KeyRecord.id

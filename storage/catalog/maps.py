@@ -4,20 +4,28 @@ from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from datetime import UTC, datetime
+from enum import Enum, auto
 from typing import Any
 
 from sqlalchemy import delete, select
 from sqlalchemy.exc import IntegrityError
 from sqlalchemy.orm import Session
 
+from core.mapping.anchor import Anchor, AnchorFit
 from storage.catalog.columns import plain
 from storage.catalog.database import Repository
 from storage.catalog.models import LiveRevision, Map
 from storage.catalog.pages import DEFAULT_LIMIT, one_more, page_of
 from storage.catalog.records import MapRecord, Page
 from storage.errors import MapChanged, MapExists, MapNotFound
-from storage.names import checked_slug, new_id
+from storage.names import RECYCLED, checked_slug, is_recycled, new_id
 from storage.retention import OwnRetention
+
+
+class Keep(Enum):
+    """No change of a value that may become `None`."""
+
+    AS_IT_IS = auto()
 
 
 class Maps(Repository):
@@ -73,7 +81,7 @@ class Maps(Repository):
         query = (
             select(Map, LiveRevision.digest)
             .outerjoin(LiveRevision, LiveRevision.map_id == Map.id)
-            .where(Map.slug > after)
+            .where(Map.slug > after, Map.slug < RECYCLED)
             .order_by(Map.slug)
             .limit(one_more(limit))
         )
@@ -90,6 +98,7 @@ class Maps(Repository):
         new_slug: str | None = None,
         description: str | None = None,
         retention: Mapping[str, Any] | None = None,
+        anchor: Anchor | Keep | None = Keep.AS_IT_IS,
         if_version: int | None = None,
     ) -> MapRecord:
         """Change what is given; a change increments the map's version.
@@ -99,6 +108,7 @@ class Maps(Repository):
             new_slug: Its new slug.
             description: Its new description.
             retention: Changes of its `OwnRetention`; the rest of that stays.
+            anchor: Its new anchor, `None` to remove it.
             if_version: Change it only if this is still its version.
 
         Raises:
@@ -118,12 +128,14 @@ class Maps(Repository):
                 chosen = replace(OwnRetention(**row.retention), **retention).chosen()
                 if chosen != row.retention:
                     row.retention = chosen
+            if anchor is not Keep.AS_IT_IS:
+                row.anchor = None if anchor is None else _anchor_values(anchor)
             if session.is_modified(row):
                 row.version += 1
             return _record(row, _live(session, row))
 
     def delete(self, slug: str, *, if_version: int | None = None) -> MapRecord:
-        """Remove a map and all that belongs to it; return its record.
+        """Remove a map and all that belongs to it for good; return its record.
 
         Raises:
             MapNotFound: If there is none of that slug.
@@ -153,7 +165,7 @@ def map_named(session: Session, slug: str, *, lock: bool = False, shared: bool =
     if lock or shared:
         query = query.with_for_update(read=shared, key_share=shared)
     row = session.scalar(query)
-    if row is None:
+    if row is None or is_recycled(row.slug):
         raise MapNotFound(f"there is no map {slug[:80]!r}")
     return row
 
@@ -161,7 +173,7 @@ def map_named(session: Session, slug: str, *, lock: bool = False, shared: bool =
 def map_of_id(session: Session, map_id: str, *, lock: bool = False) -> Map:
     """Return the row of a map by its id, locked with `lock`, or raise `MapNotFound`."""
     row = session.get(Map, map_id, with_for_update=lock)
-    if row is None:
+    if row is None or is_recycled(row.slug):
         raise MapNotFound(f"the map with id {map_id[:80]!r} is gone")
     return row
 
@@ -207,4 +219,18 @@ def _record(row: Map, live_revision: str | None) -> MapRecord:
         row.version,
         live_revision,
         OwnRetention(**row.retention),
+        None if row.anchor is None else _anchor(row.anchor),
     )
+
+
+def _anchor_values(anchor: Anchor) -> dict[str, Any]:
+    """Return the plain values of an anchor; earlier releases read those of one that was set."""
+    values = anchor.as_attributes()
+    if anchor.fitted is None:
+        del values["fitted"]
+    return values
+
+
+def _anchor(values: Mapping[str, Any]) -> Anchor:
+    fitted = values.get("fitted")
+    return Anchor(**{**values, "fitted": None if fitted is None else AnchorFit(**fitted)})

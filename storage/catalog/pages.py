@@ -1,6 +1,8 @@
 """Cursor pagination."""
 
+import re
 from collections.abc import Callable, Sequence
+from datetime import UTC, datetime, timedelta
 from typing import Any, TypeVar
 
 from sqlalchemy import Select, tuple_
@@ -12,6 +14,10 @@ from storage.catalog.records import Page
 T = TypeVar("T")
 
 DEFAULT_LIMIT = 100
+
+_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+_MICROSECOND = timedelta(microseconds=1)
+_CURSOR = re.compile(r"([0-9]{1,17})-(.+)", re.ASCII | re.DOTALL)
 
 
 def one_more(limit: int) -> int:
@@ -38,32 +44,42 @@ def page_by_age(
     after: str,
     limit: int,
     *,
-    of_map: str | None = None,
     newest_first: bool = True,
 ) -> Page[T]:
     """Return a page of rows in the order in which they were created.
 
+    A cursor has the time and name of a row, and stays good when that is gone.
+
     Args:
         session: The transaction.
         query: The rows; each has a `created_at`.
-        name: The column that is their cursor; it orders rows of the same time.
+        name: The column that orders rows of the same time.
         after: The cursor of the row before the page, empty for the first page.
         limit: Number of rows in a page.
-        of_map: The map whose id is the other half of the rows' primary key, if they have one.
         newest_first: Whether the newest row is the first.
 
     Raises:
-        InvalidParameters: If `after` is no row, or the page would be empty.
+        InvalidParameters: If `after` is no cursor, or the page would be empty.
     """
     model: Any = name.class_
     columns = (model.created_at, name)
     if after:
-        last = session.get(model, after if of_map is None else (of_map, after))
-        if last is None:
-            kind = model.__name__.removesuffix("Record").lower()
-            raise InvalidParameters(f"the cursor {after[:80]!r} is no {kind}")
-        rows, cursor = tuple_(*columns), tuple_(last.created_at, after)
+        rows, cursor = tuple_(*columns), tuple_(*_read(after))
         query = query.where(rows < cursor if newest_first else rows > cursor)
     query = query.order_by(*(column.desc() if newest_first else column for column in columns))
     found = session.scalars(query.limit(one_more(limit))).all()
-    return page_of(found, limit, lambda row: str(getattr(row, name.key)))
+    return page_of(found, limit, lambda row: _cursor(row, getattr(row, name.key)))
+
+
+def _cursor(row: Any, name: str) -> str:  # noqa: ANN401 - of any model with a `created_at`
+    return f"{(row.created_at - _EPOCH) // _MICROSECOND}-{name}"
+
+
+def _read(cursor: str) -> tuple[datetime, str]:
+    found = _CURSOR.fullmatch(cursor)
+    if found is None:
+        raise InvalidParameters(
+            f"the cursor {cursor[:80]!r} is none of this list: wanted `next_after` of the page"
+            " before"
+        )
+    return _EPOCH + int(found[1]) * _MICROSECOND, found[2]

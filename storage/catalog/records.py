@@ -3,10 +3,14 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from datetime import datetime
+from enum import StrEnum
 from typing import Any, Generic, TypeVar
 
+from core.mapping.anchor import Anchor
 from core.scans.mounting import Mounting
-from core.scans.pose import Pose
+from core.scans.pose import Pose, PoseSource
+from storage.catalog.models import JobRecord, JobState
+from storage.index_ranges import IndexRange
 from storage.retention import OwnRetention
 
 T = TypeVar("T")
@@ -35,6 +39,7 @@ class MapRecord:
         version: Counts the changes of this record, including the live revision; for ETags.
         live_revision: Digest of the revision that scan queries use, `None` before the first.
         retention: What it keeps, where that is not the service's default.
+        anchor: Where it is on the Earth, `None` if that is not set.
     """
 
     id: str
@@ -44,14 +49,7 @@ class MapRecord:
     version: int
     live_revision: str | None
     retention: OwnRetention
-
-
-@dataclass(frozen=True)
-class IndexRange:
-    """Scan indices `first` to `last`, both included."""
-
-    first: int
-    last: int
+    anchor: Anchor | None = None
 
 
 @dataclass(frozen=True)
@@ -68,6 +66,8 @@ class DriveRecord:
         expected_poses: Number of poses of scans that are not stored yet.
         mounting: Of its sensor, `None` if the vehicle's frame is the sensor's.
         accumulate: How many consecutive scans become one of a map.
+        odometry: How its poses were computed, in plain values; `None` if they were given.
+        pose_check: How given poses agree with the scans, in plain values; `None` if not checked.
     """
 
     id: str
@@ -84,6 +84,13 @@ class DriveRecord:
     expected_poses: int = 0
     mounting: Mounting | None = None
     accumulate: int = 1
+    odometry: Mapping[str, Any] | None = None
+    pose_check: Mapping[str, Any] | None = None
+
+    @property
+    def pose_source(self) -> PoseSource:
+        """Where its poses come from."""
+        return PoseSource.GIVEN if self.odometry is None else PoseSource.ODOMETRY
 
     @property
     def gaps(self) -> tuple[IndexRange, ...]:
@@ -142,6 +149,114 @@ class ScanRecord:
     def has_returns(self) -> bool:
         """Whether its returns are stored; they may be dropped after a build."""
         return bool(self.chunk)
+
+
+class CaptureState(StrEnum):
+    """State of an uploaded capture: before its job, and then that of its job."""
+
+    RECEIVING = "receiving"
+    QUEUED = JobState.QUEUED.value
+    RUNNING = JobState.RUNNING.value
+    DONE = JobState.DONE.value
+    FAILED = JobState.FAILED.value
+    CANCELLED = JobState.CANCELLED.value
+
+
+@dataclass(frozen=True)
+class NewCapture:
+    """What is announced of a capture before its parts are sent."""
+
+    drive: str
+    """Slug of the drive; it is made with the first scan."""
+    files: tuple[tuple[str, int], ...]
+    """Name and size in bytes of each file."""
+    part_bytes: int
+    """Size of every part but the last."""
+    topic: str | None = None
+    """Of the scans in a bag."""
+    first_scan: int = 0
+    """Index in the drive of the first scan."""
+    digest: str | None = None
+    """SHA-256 of all files together."""
+    key_id: str | None = None
+    """Id of the key that uploads it."""
+
+    @property
+    def size_bytes(self) -> int:
+        """Of all files together."""
+        return sum(size for _, size in self.files)
+
+
+@dataclass(frozen=True)
+class CaptureSummary:
+    """A capture or bag that is uploaded in parts, as in a list.
+
+    Attributes:
+        drive: Slug of the drive that its scans are for.
+        files: Name and size in bytes of each file, in the order in which they are sent.
+        part_bytes: Size of every part but the last.
+        topic: Of the scans in a bag, where several have clouds.
+        first_scan: Index in the drive of the first scan.
+        digest: SHA-256 of all files together, if the client gave it.
+        touched_at: When it was made, its last part came, or it was queued.
+        parts_received: The number of parts that are stored.
+        job: The last job that reads it, `None` before it is complete.
+    """
+
+    id: str
+    map_id: str
+    drive: str
+    files: tuple[tuple[str, int], ...]
+    size_bytes: int
+    part_bytes: int
+    topic: str | None
+    first_scan: int
+    digest: str | None
+    created_at: datetime
+    touched_at: datetime
+    parts_received: int
+    job: JobRecord | None
+
+    @property
+    def state(self) -> CaptureState:
+        """Its state."""
+        return CaptureState.RECEIVING if self.job is None else CaptureState(self.job.state.value)
+
+    @property
+    def takes_parts(self) -> bool:
+        """Whether parts of it can be stored."""
+        return self.state not in {CaptureState.QUEUED, CaptureState.RUNNING, CaptureState.DONE}
+
+    @property
+    def parts(self) -> int:
+        """The number of its parts, counted from 0."""
+        return -(-self.size_bytes // self.part_bytes)
+
+    def size_of(self, number: int) -> int | None:
+        """Return the size of a part in bytes, `None` if there is no part of this number."""
+        if not 0 <= number < self.parts:
+            return None
+        return min(self.part_bytes, self.size_bytes - number * self.part_bytes)
+
+
+@dataclass(frozen=True)
+class Capture(CaptureSummary):
+    """A capture or bag that is uploaded in parts.
+
+    Attributes:
+        received: Numbers of the parts that are stored, as ranges in ascending order.
+    """
+
+    received: tuple[IndexRange, ...]
+
+    @property
+    def missing(self) -> tuple[IndexRange, ...]:
+        """The numbers of the parts that are not stored."""
+        if self.state == CaptureState.DONE:  # they were stored, and are no longer needed
+            return ()
+        ends = [-1, *(part for run in self.received for part in (run.first, run.last)), self.parts]
+        pairs = zip(ends[::2], ends[1::2], strict=True)
+        return tuple(IndexRange(left + 1, right - 1) for left, right in pairs if right > left + 1)
 
 
 @dataclass(frozen=True)

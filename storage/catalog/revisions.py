@@ -164,12 +164,12 @@ class Revisions(Repository):
 
         Raises:
             MapNotFound: If there is no such map.
-            InvalidParameters: If `after` is none of its revisions.
+            InvalidParameters: If `after` is no cursor of such a list.
         """
         with self._database.reading() as session:
             map_id = map_named(session, map_slug).id
             query = select(RevisionRecord).where(RevisionRecord.map_id == map_id)
-            return page_by_age(session, query, RevisionRecord.digest, after, limit, of_map=map_id)
+            return page_by_age(session, query, RevisionRecord.digest, after, limit)
 
     def set_live(
         self, map_slug: str, digest: str, *, if_version: int | None = None

@@ -6,8 +6,9 @@ it, and no migration changes their table. One that has another form has another 
 """
 
 import logging
+import sqlite3
 from collections.abc import Iterable
-from contextlib import nullcontext
+from contextlib import nullcontext, suppress
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -30,6 +31,7 @@ from sqlalchemy import (
     text,
     update,
 )
+from sqlalchemy.exc import DBAPIError
 
 from storage.catalog.acts import on_behalf
 from storage.catalog.columns import Digest, Id, UtcDateTime
@@ -40,6 +42,10 @@ from storage.catalog.records import Page
 from storage.errors import StorageUnavailable
 
 _LOCK = 7_665_108  # any number; only the making of this table asks PostgreSQL for it
+
+_DAMAGE = (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB)
+_ASIDE = ".damaged"
+_SUFFIXES = ("", "-wal", "-shm")
 
 _log = logging.getLogger("tensormap.storage")
 
@@ -95,6 +101,13 @@ class _TracksDatabase(Database):
     def _is_newest(self, connection: Connection) -> bool:
         return inspect(connection).has_table(_TRACKS.name)
 
+    def require_integrity(self) -> None:
+        """Raise `StorageUnavailable`, without a cause, if SQLite finds that its file is damaged."""
+        with self.reading() as session:
+            found = session.scalars(text("PRAGMA integrity_check")).all()
+        if found != ["ok"]:
+            raise StorageUnavailable(f"the file of tracks is damaged: {found[0]}")
+
     def _upgrade(self, connection: Connection) -> None:
         if connection.dialect.name == "postgresql":  # of two that start at once the second waits
             connection.execute(text("SELECT pg_advisory_xact_lock(:key)"), {"key": _LOCK})
@@ -105,7 +118,7 @@ class SavedTracks:
     """The tracks of all processes of a service, each as its process saved it last.
 
     Args:
-        url: Of the database; a SQLite file that is damaged is replaced by an empty one.
+        url: Of the database; a SQLite file that is damaged is renamed, and an empty one made.
         kept: Of the catalog, which says where no query may be made.
     """
 
@@ -113,12 +126,13 @@ class SavedTracks:
         path = make_url(url).database if url.startswith("sqlite") else None
         try:
             self._database = _opened(path, url)
-        except StorageUnavailable:
-            if path is None:
+        except StorageUnavailable as error:
+            if path is None or not _is_damage(error):
                 raise
-            _log.exception("%s is damaged and is replaced: tracks before this start are gone", path)
-            for file in Path(path).parent.glob(f"{Path(path).name}*"):
-                file.unlink()
+            _log.exception("%s is damaged and is set aside: its tracks are gone", path)
+            for suffix in _SUFFIXES:
+                with suppress(FileNotFoundError):
+                    Path(path + suffix).replace(f"{path}{_ASIDE}{suffix}")
             self._database = _opened(path, url)
         self._database.kept = kept
 
@@ -195,10 +209,25 @@ def _opened(path: str | None, url: str) -> Database:
     if path is not None:
         Path(path).touch(0o600)  # SQLite would make it readable by others
     database = _TracksDatabase(url, nullcontext())
-    if faults := database.faults():
-        database.engine.dispose()
-        raise StorageUnavailable(faults[0])
+    if path is not None:
+        try:
+            database.require_integrity()
+        except BaseException:
+            database.engine.dispose()
+            raise
     return database
+
+
+def _is_damage(error: StorageUnavailable) -> bool:
+    """Return whether a file is damaged: a disk that fails once, or is full, may not be.
+
+    The driver cannot decode some of SQLite's messages about a damaged file.
+    """
+    cause = error.__cause__
+    if isinstance(cause, DBAPIError):
+        cause = cause.orig
+    code = getattr(cause, "sqlite_errorcode", 0) & 0xFF
+    return cause is None or isinstance(cause, UnicodeDecodeError) or code in _DAMAGE
 
 
 def _saved(row: Row[Any]) -> SavedTrack:

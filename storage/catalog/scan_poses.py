@@ -1,8 +1,9 @@
 """Poses and times of many scans as arrays, and their rows in the catalog."""
 
 import json
+import math
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,7 @@ from storage.catalog.records import PosesPut
 _ROWS_AT_ONCE = 5_000  # as Python objects
 _MOST_LISTED = 500
 _SPARSE = 4
+_UNKNOWN_SIGMAS = (math.nan, math.nan)
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,11 +29,17 @@ class ScanPoses:
         scans: `(n,)` int64 indices, strictly ascending.
         poses: `(n, 7)` poses, NaN where unknown.
         timestamps_s: `(n,)` seconds, NaN where unknown.
+        sigmas: `(n, 2)` standard deviations of computed poses, metres and degrees, NaN of others.
     """
 
     scans: IntArray
     poses: FloatArray
     timestamps_s: FloatArray
+    sigmas: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
+
+    def __post_init__(self) -> None:
+        if not len(self.sigmas):  # of given poses
+            object.__setattr__(self, "sigmas", np.full((len(self.scans), 2), np.nan))
 
     def __len__(self) -> int:
         """Return the number of scans."""
@@ -39,7 +47,9 @@ class ScanPoses:
 
     def only(self, which: BoolArray) -> "ScanPoses":
         """Return those of the selected scans, `(n,)`."""
-        return ScanPoses(self.scans[which], self.poses[which], self.timestamps_s[which])
+        return ScanPoses(
+            self.scans[which], self.poses[which], self.timestamps_s[which], self.sigmas[which]
+        )
 
 
 def at_indices(
@@ -81,18 +91,19 @@ def _read(
     session: Session, drive_id: str, which: ColumnElement[bool], limit: int | None = None
 ) -> Iterator[ScanPoses]:
     query = (
-        select(Scan.index, Scan.pose, Scan.timestamp_s)
+        select(Scan.index, Scan.pose, Scan.timestamp_s, Scan.pose_sigma)
         .where(Scan.drive_id == drive_id, which)
         .order_by(Scan.index)
         .limit(limit)
         .execution_options(yield_per=_ROWS_AT_ONCE)
     )
     for rows in session.execute(query).partitions():
-        indices, poses, timestamps_s = zip(*rows, strict=True)
+        indices, poses, timestamps_s, sigmas = zip(*rows, strict=True)
         yield ScanPoses(
             np.array(indices, dtype=np.int64),
             np.array([pose or UNKNOWN_POSE for pose in poses], dtype=np.float64),
             np.array(timestamps_s, dtype=np.float64),  # None becomes NaN
+            np.array([sigma or _UNKNOWN_SIGMAS for sigma in sigmas], dtype=np.float64),
         )
 
 
@@ -102,6 +113,7 @@ def _joined(parts: Iterable[ScanPoses]) -> ScanPoses:
         np.concatenate([part.scans for part in found]),
         np.concatenate([part.poses for part in found]),
         np.concatenate([part.timestamps_s for part in found]),
+        np.concatenate([part.sigmas for part in found]),
     )
 
 

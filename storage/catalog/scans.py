@@ -4,6 +4,7 @@ import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
+from typing import Any
 
 import numpy as np
 from sqlalchemy import func, insert, select, update
@@ -11,6 +12,7 @@ from sqlalchemy.exc import IntegrityError
 from sqlalchemy.orm import Session
 
 from core.scans.pose import Pose, is_known, pose_rows
+from storage.catalog.computed_poses import forget_computed, store_computed
 from storage.catalog.database import Repository
 from storage.catalog.drives import drive_named
 from storage.catalog.expected_poses import expect, forget, require_fit, with_expected
@@ -26,7 +28,7 @@ from storage.catalog.scan_poses import (
     update_poses,
 )
 from storage.errors import ScanNotFound, StorageBusy
-from storage.names import checked_slug, new_id
+from storage.names import checked_slug, is_recycled, new_id
 
 
 class LostRace(StorageBusy):
@@ -58,14 +60,15 @@ class Scans(Repository):
 
         Raises:
             MapNotFound: If there is no such map.
-            InvalidSlug: If there is no such drive, and its name is no slug.
+            InvalidSlug: If the drive's name is no slug.
         """
         with self._database.reading() as session:
             map_id = map_named(session, map_slug).id
-            row = _drive(session, map_id, drive_slug)
+            row = _drive(session, map_id, checked_slug(drive_slug))
             if row is None:
-                slug = checked_slug(drive_slug)
-                return PutTarget(map_id, new_id(), slug, exists=False, closed=False, stored={})
+                return PutTarget(
+                    map_id, new_id(), drive_slug, exists=False, closed=False, stored={}
+                )
             stored = _among(session, row.id, indices)
             return PutTarget(
                 map_id, row.id, drive_slug, exists=True, closed=row.closed, stored=stored
@@ -85,34 +88,39 @@ class Scans(Repository):
         """
         try:
             with self._database.writing(announced=False) as session:
-                self._hold(session, target)
+                drive = self._hold(session, target)
                 if _among(session, target.drive_id, {record.index for record in records}):
                     raise LostRace(f"drive {target.drive_slug!r} got some of these scans meanwhile")
                 records = with_expected(session, target.drive_id, records)
+                if any(record.pose is not None for record in records):
+                    forget_computed(session, drive)
                 session.execute(insert(Scan), [_values(target.drive_id, one) for one in records])
                 return list(records)
         except IntegrityError as error:  # on databases with concurrent writers
             raise LostRace(f"drive {target.drive_slug!r} changed meanwhile") from error
 
     @staticmethod
-    def _hold(session: Session, target: PutTarget) -> None:
-        """Lock the target's drive, or make it."""
+    def _hold(session: Session, target: PutTarget) -> Drive:
+        """Lock the target's drive, or make it; return its row."""
+        of_map = session.get(Map, target.map_id)
+        if of_map is None or is_recycled(of_map.slug):
+            raise LostRace(f"the map of drive {target.drive_slug!r} was removed meanwhile")
         row = _drive(session, target.map_id, target.drive_slug, lock=True)
         if target.exists:
             if row is None or row.id != target.drive_id or row.closed != target.closed:
                 raise LostRace(f"drive {target.drive_slug!r} was closed or removed meanwhile")
-            return
-        if row is not None or session.get(Map, target.map_id) is None:
-            raise LostRace(f"drive {target.drive_slug!r} was made, or its map removed, meanwhile")
-        session.add(
-            Drive(
-                id=target.drive_id,
-                map_id=target.map_id,
-                slug=target.drive_slug,
-                created_at=datetime.now(UTC),
-            )
+            return row
+        if row is not None:
+            raise LostRace(f"drive {target.drive_slug!r} was made meanwhile")
+        row = Drive(
+            id=target.drive_id,
+            map_id=target.map_id,
+            slug=target.drive_slug,
+            created_at=datetime.now(UTC),
         )
+        session.add(row)
         session.flush()
+        return row
 
     def get(self, drive_id: str, index: int) -> ScanRecord:
         """Return one scan's facts.
@@ -154,7 +162,10 @@ class Scans(Repository):
         indices = sorted({*poses, *timestamps_s})
         scans = np.array(indices, dtype=np.int64)
         with self._database.writing(announced=False) as session:
-            drive_id = drive_named(session, map_slug, drive_slug, lock=True).id
+            drive = drive_named(session, map_slug, drive_slug, lock=True)
+            drive_id = drive.id
+            if poses:
+                forget_computed(session, drive)
             before = stored_poses(session, drive_id, scans)
             if len(before) < len(scans):
                 missing = np.setdiff1d(scans, before.scans)
@@ -175,17 +186,19 @@ class Scans(Repository):
         target: PutTarget,
         poses: ScanPoses,
         *,
-        consecutive: bool = False,
+        of_all_scans: bool = False,
         partial: bool = False,
+        with_scans: bool = False,
     ) -> PosesPut:
         """Set poses and timestamps of stored scans; keep those of scans that are not stored yet.
 
         Args:
             target: The drive.
             poses: At least one; an unknown time is left as it is.
-            consecutive: Whether they are of consecutive scans, one in each line.
+            of_all_scans: Whether they should be of all scans of the drive.
             partial: Set them even if they do not fit all scans; those of scans that a closed drive
                 lacks are left over.
+            with_scans: Whether they came with scans of the drive: more of them may follow.
 
         Raises:
             LostRace: If the target has changed.
@@ -195,7 +208,9 @@ class Scans(Repository):
         slug, drive_id = target.drive_slug, target.drive_id
         try:
             with self._database.writing(announced=False) as session:
-                self._hold(session, target)
+                drive = self._hold(session, target)
+                if is_known(poses.poses).any():
+                    forget_computed(session, drive)
                 before = stored_poses(session, drive_id, poses.scans)
                 is_stored = np.isin(poses.scans, before.scans)
                 missing = poses.only(~is_stored)
@@ -204,7 +219,9 @@ class Scans(Repository):
                 if not partial:
                     last_index = select(func.max(Scan.index)).where(Scan.drive_id == drive_id)
                     last = session.scalar(last_index)
-                    require_fit(slug, poses, before, last, consecutive=consecutive)
+                    require_fit(
+                        slug, poses, before, last, of_all_scans=of_all_scans, with_scans=with_scans
+                    )
                 given = poses.only(is_stored)
                 timed = np.isfinite(given.timestamps_s)
                 timestamps_s = np.where(timed, given.timestamps_s, before.timestamps_s)
@@ -219,6 +236,31 @@ class Scans(Repository):
                 return replace(put, waiting=extra)
         except IntegrityError as error:  # on databases with concurrent writers
             raise LostRace(f"drive {slug!r} changed meanwhile") from error
+
+    def set_computed(self, drive_id: str, poses: ScanPoses, odometry: Mapping[str, Any]) -> bool:
+        """Set the poses of a drive's scans to computed ones: all or nothing.
+
+        Args:
+            drive_id: The drive.
+            poses: Of the scans that it had, with their standard deviations.
+            odometry: How they were computed, in plain values.
+
+        Returns:
+            False if nothing is set: the drive lacks some of them by now, has given poses, or is
+            gone.
+        """
+        with self._database.writing(announced=False) as session:
+            drive = session.get(Drive, drive_id, with_for_update=True)
+            if drive is None or is_recycled(drive.slug):
+                return False
+            return store_computed(session, drive, poses, odometry)
+
+    def set_pose_check(self, drive_id: str, check: Mapping[str, Any]) -> None:
+        """Store how the given poses of a drive agree with its scans, in plain values."""
+        with self._database.writing(announced=False) as session:
+            drive = session.get(Drive, drive_id, with_for_update=True)
+            if drive is not None:
+                drive.pose_check = dict(check)
 
     def move(self, drive_id: str, scans: Sequence[ScanRecord], chunk: str) -> set[str]:
         """Set the chunk file of scans, whose rows are in the given order.

@@ -65,9 +65,10 @@ def write_chunk(path: Path, scans: Sequence[tuple[int, Scan]]) -> None:
         with reading_back():
             written = ChunkFile(part)
             for row, (_, scan) in enumerate(scans):
-                found, expected = scan_digest(written.points_m(row)), scan_digest(scan.points_m)
-                if found != expected:
-                    raise CorruptFile(f"row {row} has digest {found}, {expected} was written")
+                expected = np.ascontiguousarray(scan.points_m, dtype="<f4")
+                # Bit by bit: a third of the time of two digests.
+                if not np.array_equal(written.points_m(row).view("<u4"), expected.view("<u4")):
+                    raise CorruptFile(f"row {row} has other returns than were written")
 
 
 class ChunkFile:

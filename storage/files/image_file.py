@@ -13,9 +13,10 @@ from core.errors import EmptyDrive
 from core.progress import NO_PROGRESS, Progress
 from core.projection.imager import Grid, Imager
 from core.projection.images import ImageSource, Skipped, project_into
-from core.projection.probe import spread_evenly
+from core.projection.probe import PROBES
 from core.revision import content_digest
 from core.scans.drive import Drive
+from core.scans.sampling import spread_evenly
 from storage.closing import Closing
 from storage.errors import CorruptFile, CorruptImages
 from storage.files.durable_file import reading_back
@@ -219,7 +220,7 @@ def _write(writer: FileWriter, drive: Drive, imager: Imager, progress: Progress)
     renderings = imager.shape[0] if imager.lateral_renderings_m is not None else 1
     block = min(max(1, _BLOCK // renderings), len(scans))
     images = writer.add_rows("images", "<f4", len(scans), (block, *imager.shape))
-    most_probes = len(spread_evenly(scans))
+    most_probes = len(spread_evenly(scans, PROBES))
     probes = writer.add_rows("probes", "<f4", most_probes, (1, *imager.grid.shape))
     result = project_into(images, probes, drive, range(len(scans)), imager, progress)
     images.end()

@@ -3,7 +3,7 @@
 import json
 import threading
 from collections import OrderedDict
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from core.encodings.registry import encoding_named, encoding_names
 from core.errors import TensorMapError
+from core.mapping.placement import Placement, placements_from_attributes
 from core.mapping.tensormap import TensorMap
 from core.parameters import MapParameters
 from core.projection.imager import Views
@@ -134,8 +135,12 @@ def read_revision(path: Path, digest: str) -> TensorMap:
     return tensor_map
 
 
-def read_parameters(path: Path, digest: str) -> tuple[MapParameters, tuple[str, ...]]:
+def read_parameters(
+    path: Path, digest: str
+) -> tuple[MapParameters, Mapping[str, Placement | None]]:
     """Return the parameters and the drives of a stored revision; no array is read.
+
+    Drives are in their order, each with the transform of its poses, `None` without one.
 
     Raises:
         CorruptFile: If the file is no map, or has the digest of another revision.
@@ -149,7 +154,8 @@ def read_parameters(path: Path, digest: str) -> tuple[MapParameters, tuple[str, 
         drives = attributes.get("drives")
         if not isinstance(drives, list) or not all(isinstance(name, str) for name in drives):
             raise CorruptFile(f"its drives are {drives!r:.80}, wanted a list of names")
-        return parameters, tuple(drives)
+        placements = placements_from_attributes(attributes)
+        return parameters, {name: placements.get(name) for name in drives}
 
 
 class _CheckedFiles:

@@ -119,10 +119,10 @@ class PlaceFiles:
             ValueError: If one is no array, or cut off.
         """
         paths = sorted((self._folder / name).glob("*.npy"))
-        return {
-            path.stem: np.load(path, mmap_mode="r" if path.stat().st_size else None)
-            for path in paths
-        }
+        try:
+            return {path.stem: np.load(path, mmap_mode="r") for path in paths}
+        except EOFError as error:
+            raise ValueError(f"an array of {name} is cut off: {error}") from error
 
     def replace(self, manifest: Manifest) -> None:
         """Put a manifest in the place of the last one, and remove what it does not name.

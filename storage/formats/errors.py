@@ -30,7 +30,7 @@ def short(value: object) -> str:
 
 
 class EmptyBody(InvalidScan):
-    """No bytes where a scan was wanted."""
+    """An empty body where a scan, a signature or a file was wanted."""
 
 
 class TruncatedScan(InvalidScan):

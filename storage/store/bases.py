@@ -6,6 +6,7 @@ from storage.catalog import BasisRecord, Catalog
 from storage.errors import CorruptFile
 from storage.files.basis_file import read_basis, write_basis
 from storage.files.files import discard, make_folder, named_disk_errors, publish, sync
+from storage.files.place_files import PlaceFiles
 from storage.names import new_id
 from storage.store.layout import Layout
 
@@ -67,7 +68,7 @@ class Bases:
             raise CorruptFile(f"the file of shared basis {record.name!r} is gone") from error
 
     def delete(self, named: str) -> BasisRecord:
-        """Remove a basis that nothing uses: its row, then its file.
+        """Remove a basis that nothing uses: its row, then its file and index.
 
         Raises:
             BasisNotFound: If there is none.
@@ -75,4 +76,5 @@ class Bases:
         """
         record = self._catalog.bases.delete(named)
         discard(self._layout.bases / record.file_name)
+        PlaceFiles(self._layout.index / record.digest).remove()
         return record

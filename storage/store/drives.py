@@ -4,15 +4,28 @@ import shutil
 import threading
 from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
 
-from core.errors import InvalidParameters
 from core.scans.pose import Pose
 from core.scans.scan import Scan
-from storage.catalog import Catalog, DriveRecord, PosesPut, ScanPoses, ScanRecord, on_behalf
+from storage.catalog import (
+    Catalog,
+    DriveRecord,
+    PosesPut,
+    Recycled,
+    ScanPoses,
+    ScanRecord,
+    on_behalf,
+)
 from storage.catalog.scans import LostRace, PutTarget
-from storage.errors import DriveClosed, ScanConflict, ScanNotFound, StorageBusy, StorageError
+from storage.errors import (
+    DriveClosed,
+    DriveNotFound,
+    ScanConflict,
+    ScanNotFound,
+    StorageBusy,
+    StorageError,
+)
 from storage.files.drive_chunks import scan_digest, write_chunk
 from storage.files.files import discard, make_folder
 from storage.files.stored_file import Fault, StoredFile, fault_of
@@ -20,25 +33,18 @@ from storage.names import new_id
 from storage.retention import Retention
 from storage.store.compaction import compact, in_chunks, move_into_one
 from storage.store.layout import Layout
+from storage.store.put_scans import (
+    PutResult,
+    check_indices,
+    new_record,
+    refusal_of,
+    require_plausible,
+)
 from storage.store.scan_reader import ScanReader
 from storage.store.stored_drive import StoredDrive
 
 # Each lost race is another writer's progress; so many in a row have another cause.
 _ATTEMPTS = 20
-_LAST_INDEX = 2**53  # beyond, JSON readers round
-
-
-@dataclass(frozen=True)
-class PutResult:
-    """The result of putting a scan.
-
-    Attributes:
-        created: False if the same content was stored already.
-        record: What is stored.
-    """
-
-    created: bool
-    record: ScanRecord
 
 
 class Drives:
@@ -55,6 +61,8 @@ class Drives:
         self.put = catalog.drives.put
         self.of_map = catalog.drives.of_map
         self.poses = catalog.scans.poses
+        self.set_computed_poses = catalog.scans.set_computed
+        self.set_pose_check = catalog.scans.set_pose_check
 
     @property
     def stored_scans(self) -> int:
@@ -66,7 +74,12 @@ class Drives:
         return self.put_scans(map_slug, drive_slug, [(index, scan)])[0]
 
     def put_scans(
-        self, map_slug: str, drive_slug: str, scans: Sequence[tuple[int, Scan]]
+        self,
+        map_slug: str,
+        drive_slug: str,
+        scans: Sequence[tuple[int, Scan]],
+        *,
+        drive_id: str | None = None,
     ) -> list[PutResult]:
         """Store scans, all or none; the first scan of a drive makes the drive.
 
@@ -74,25 +87,38 @@ class Drives:
         returns at the same index again is no error and changes nothing, also in a closed drive:
         poses and timestamps of stored scans are set with `put_poses`.
 
+        Args:
+            map_slug: The map.
+            drive_slug: The drive.
+            scans: Index and scan of each.
+            drive_id: Id of the drive that must have that name, `None` for any or none.
+
         Raises:
             MapNotFound: If there is no such map.
+            DriveNotFound: If the drive with `drive_id` was deleted.
             InvalidSlug: If the drive is new, and its name is no slug.
-            InvalidParameters: If an index is negative, too large or given twice.
+            InvalidParameters: If an index is negative, too large for a new scan or given twice.
             ScanConflict: If other content is stored at an index; the message has both digests.
             DriveClosed: If one of the scans is new and the drive is closed.
             StorageFull: If no space is left; nothing is changed.
         """
-        _check_indices([index for index, _ in scans])
+        check_indices([index for index, _ in scans])
         by_index = {index: (scan, scan_digest(scan.points_m)) for index, scan in scans}
         for _ in range(_ATTEMPTS):
             target = self._catalog.scans.target(map_slug, drive_slug, by_index)
-            refusals = [_refusal(target, i, digest) for i, (_, digest) in by_index.items()]
+            if drive_id is not None and (target.drive_id, target.exists) != (drive_id, True):
+                raise DriveNotFound(
+                    f"drive {drive_slug!r} of map {map_slug!r} was deleted while its scans were"
+                    " stored; those that were stored are deleted with it"
+                )
+            refusals = [refusal_of(target, i, digest) for i, (_, digest) in by_index.items()]
             if refused := [refusal for refusal in refusals if refusal is not None]:
                 raise min(refused, key=lambda refusal: isinstance(refusal, DriveClosed))
             fresh = [(index, scan) for index, scan in scans if index not in target.stored]
+            require_plausible(fresh)
             name = f"{new_id()}.h5"
             records = [
-                _new_record(name, row, index, scan, by_index[index][1])
+                new_record(name, row, index, scan, by_index[index][1])
                 for row, (index, scan) in enumerate(fresh)
             ]
             try:
@@ -104,7 +130,9 @@ class Drives:
                 self._stored_scans += len(records)
             created = {record.index: record for record in records}
             return [
-                PutResult(index in created, created.get(index) or target.stored[index])
+                PutResult(
+                    index in created, created.get(index) or target.stored[index], target.drive_id
+                )
                 for index, _ in scans
             ]
         raise StorageBusy(f"drive {drive_slug!r} changed {_ATTEMPTS} times while a scan was put")
@@ -117,7 +145,7 @@ class Drives:
         An index may occur several times.
         """
         target = self._catalog.scans.target(map_slug, drive_slug, {index for index, _ in scans})
-        return [_refusal(target, index, scan_digest(scan.points_m)) for index, scan in scans]
+        return [refusal_of(target, index, scan_digest(scan.points_m)) for index, scan in scans]
 
     def _write(
         self,
@@ -185,8 +213,9 @@ class Drives:
         drive_slug: str,
         poses: ScanPoses,
         *,
-        consecutive: bool = False,
+        of_all_scans: bool = False,
         partial: bool = False,
+        with_scans: bool = False,
     ) -> PosesPut:
         """Set poses, and timestamps, of stored scans and of those to come: all or none.
 
@@ -196,10 +225,11 @@ class Drives:
             map_slug: The map.
             drive_slug: The drive.
             poses: At least one; an unknown time is left as it is.
-            consecutive: Whether they are of consecutive scans, so that their number shows whether
-                they are this drive's.
+            of_all_scans: Whether they should be of all its scans, so that their last one shows
+                whether they are this drive's.
             partial: Set them whatever their number; those of scans that a closed drive lacks are
                 left over.
+            with_scans: Whether they came with scans of the drive: more of them may follow.
 
         Raises:
             MapNotFound: If there is no such map.
@@ -211,7 +241,11 @@ class Drives:
             target = self._catalog.scans.target(map_slug, drive_slug, ())
             with suppress(LostRace):
                 return self._catalog.scans.expect_poses(
-                    target, poses, consecutive=consecutive, partial=partial
+                    target,
+                    poses,
+                    of_all_scans=of_all_scans,
+                    partial=partial,
+                    with_scans=with_scans,
                 )
         raise StorageBusy(f"drive {drive_slug!r} changed {_ATTEMPTS} times while poses were put")
 
@@ -265,7 +299,16 @@ class Drives:
         ):
             discard(chunks / chunk)
 
-    def delete(self, map_slug: str, drive_slug: str) -> DriveRecord:
+    def delete(self, map_slug: str, drive_slug: str) -> Recycled:
+        """Move a drive to the recycle bin.
+
+        Raises:
+            MapNotFound: If there is no such map.
+            DriveNotFound: If it has no such drive.
+        """
+        return self._catalog.recycle_bin.put_drive(map_slug, drive_slug)
+
+    def purge(self, map_slug: str, drive_slug: str) -> DriveRecord:
         """Remove a drive: its rows at once, then its files.
 
         Raises:
@@ -321,38 +364,3 @@ class Drives:
 
     def _reader(self, drive: DriveRecord) -> ScanReader:
         return ScanReader(self._catalog, drive, self._layout.chunks(drive.map_id, drive.id))
-
-
-def _check_indices(indices: Sequence[int]) -> None:
-    for index in indices:
-        if not 0 <= index < _LAST_INDEX:
-            raise InvalidParameters(f"the scan index is {index}, wanted 0 <= index < 2**53")
-    if len(set(indices)) != len(indices):
-        raise InvalidParameters("a scan index is given twice")
-
-
-def _refusal(target: PutTarget, index: int, digest: str) -> ScanConflict | DriveClosed | None:
-    stored = target.stored.get(index)
-    if stored is None:
-        if not target.closed:
-            return None
-        return DriveClosed(f"drive {target.drive_slug!r} is closed and has no scan {index}")
-    if stored.digest == digest:
-        return None
-    return ScanConflict(
-        f"scan {index} of drive {target.drive_slug!r} is stored with digest {stored.digest}, the"
-        f" one put has {digest}"
-    )
-
-
-def _new_record(chunk: str, row: int, index: int, scan: Scan, digest: str) -> ScanRecord:
-    return ScanRecord(
-        index=index,
-        chunk=chunk,
-        row=row,
-        digest=digest,
-        returns=len(scan),
-        dropped_returns=scan.dropped_returns,
-        timestamp_s=scan.timestamp_s,
-        pose=scan.pose,
-    )

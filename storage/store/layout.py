@@ -6,6 +6,7 @@ store-id                                       the same as in the catalog
 server.lock                                    held by the one server of this directory
 maps/<map id>/drives/<drive id>/chunks/*.h5    raw scans
 maps/<map id>/drives/<drive id>/images/        what builds cache
+maps/<map id>/captures/<id>/<part>.<id>.bin    captures in parts, until they are read
 maps/<map id>/revisions/<digest>.<id>.h5
 bases/<digest>.<id>.h5                         shared bases
 index/<basis>/...                              indexes of places, made of the revisions
@@ -63,3 +64,11 @@ class Layout:
     def revisions(self, map_id: str) -> Path:
         """The folder of a map's revisions."""
         return self.map(map_id) / "revisions"
+
+    def captures(self, map_id: str) -> Path:
+        """The folder of the captures that are uploaded for a map's drives."""
+        return self.map(map_id) / "captures"
+
+    def capture(self, map_id: str, capture_id: str) -> Path:
+        """The folder of a capture's parts."""
+        return self.captures(map_id) / capture_id

@@ -18,6 +18,7 @@ from storage.store.layout import Layout
 ORPHANS_KEPT_DAYS = 30
 """As long as revisions are retained by default: enough time to notice that one is missing."""
 
+_HALF_WRITTEN = "half-written"
 _DAY = re.compile(r"\d{4}-\d{2}-\d{2}")
 _IN_USE_S = 86_400.0  # a build writes for hours, and its file changes continuously
 
@@ -51,16 +52,22 @@ def leftovers(catalog: Catalog, layout: Layout, *, alone: bool) -> list[Leftover
             out.
     """
     found = [
-        *(Leftover(path, "half-written", useless=True) for path in _half_written(layout)),
+        *(Leftover(path, _HALF_WRITTEN, useless=True) for path in _half_written(layout)),
         *(Leftover(path, "no row names it", useless=False) for path in _unnamed(catalog, layout)),
+        *(
+            Leftover(path, "of no capture that is uploaded", useless=True)
+            for path in _unnamed_captures(catalog, layout)
+        ),
     ]
     kept = [item for item in found if alone or _age_s(item.path) > _IN_USE_S]
     # Half-written files first: else they are moved with their folder, and kept.
-    return sorted(kept, key=lambda item: (not item.useless, item.path))
+    return sorted(kept, key=lambda item: (not item.useless, item.what != _HALF_WRITTEN, item.path))
 
 
 def sweep(catalog: Catalog, layout: Layout) -> list[Leftover]:
     """Remove half-written files, and move what no row names to `orphans/`; return what was done.
+
+    Parts of captures that no row names are removed, too.
 
     Usually a crash left it. Should the catalog be wrong, as after a partial restore, nothing is
     lost: it stays there under the day and its former path, for `ORPHANS_KEPT_DAYS`.
@@ -136,6 +143,15 @@ def _unnamed(catalog: Catalog, layout: Layout) -> Iterator[Path]:
         yield from _others(layout.map(map_id) / "drives", drives)
         for drive_id in drives:
             yield from _others(layout.chunks(map_id, drive_id), catalog.scans.chunks(drive_id))
+
+
+def _unnamed_captures(catalog: Catalog, layout: Layout) -> Iterator[Path]:
+    """Yield parts that no row names: they can be sent again, and may take as much as a map."""
+    for map_id in {map_id for map_id, _ in catalog.drives.known()}:
+        captures = catalog.captures.named_files(map_id)
+        yield from _others(layout.captures(map_id), set(captures))
+        for capture_id, files in captures.items():
+            yield from _others(layout.capture(map_id, capture_id), set(files))
 
 
 def _others(folder: Path, names: set[str]) -> Iterator[Path]:

@@ -2,7 +2,7 @@
 
 import shutil
 
-from storage.catalog import Catalog, MapRecord
+from storage.catalog import Catalog, MapRecord, Recycled
 from storage.store.layout import Layout
 
 
@@ -18,7 +18,16 @@ class Maps:
         self.list = catalog.maps.list
         self.update = catalog.maps.update
 
-    def delete(self, slug: str, *, if_version: int | None = None) -> MapRecord:
+    def delete(self, slug: str, *, if_version: int | None = None) -> Recycled:
+        """Move a map with its drives, revisions and jobs to the recycle bin.
+
+        Raises:
+            MapNotFound: If there is none of that slug.
+            MapChanged: If its version is another than `if_version`.
+        """
+        return self._catalog.recycle_bin.put_map(slug, if_version=if_version)
+
+    def purge(self, slug: str, *, if_version: int | None = None) -> MapRecord:
         """Remove a map with its drives, revisions and jobs: the rows at once, then the files.
 
         What a crash leaves of the files, the next start moves to `orphans/`.

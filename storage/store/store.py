@@ -10,6 +10,7 @@ from storage.catalog import Catalog, SavedTracks
 from storage.closing import Closing
 from storage.files.files import make_folder, named_disk_errors
 from storage.store.bases import Bases
+from storage.store.captures import Captures
 from storage.store.drives import Drives
 from storage.store.identity import check_identity, require_own_folder
 from storage.store.layout import Layout
@@ -17,6 +18,7 @@ from storage.store.leftovers import sweep
 from storage.store.maps import Maps
 from storage.store.permissions import make_private
 from storage.store.recovery import ServerLock
+from storage.store.recycle_bin import RecycleBin
 from storage.store.revisions import Revisions
 
 _LEAST_FREE_BYTES = 2**20  # a scan of an HDL-64E has 1.5 million bytes
@@ -46,6 +48,8 @@ class Store(Closing):
         drives: Their drives and scans.
         revisions: Their revisions, and which is live.
         bases: The shared bases.
+        recycle_bin: Deleted maps and drives.
+        captures: Uploads of captures in parts.
         jobs: Their builds.
         keys: The API keys.
         tokens: The tokens of keys.
@@ -87,6 +91,8 @@ class Store(Closing):
         self.drives = Drives(self.catalog, self.layout)
         self.revisions = Revisions(self.catalog, self.layout)
         self.bases = Bases(self.catalog, self.layout)
+        self.recycle_bin = RecycleBin(self.catalog, self.layout)
+        self.captures = Captures(self.catalog, self.layout)
         self.jobs = self.catalog.jobs
         self.keys = self.catalog.keys
         self.tokens = self.catalog.tokens
@@ -129,6 +135,7 @@ class Store(Closing):
         self._lock.take()
         make_private(self.layout)
         sweep(self.catalog, self.layout)
+        self.captures.forget_lost()
         self.jobs.requeue_interrupted()
 
     def owned(self) -> AbstractContextManager[None]:
@@ -156,7 +163,10 @@ class Store(Closing):
         return []
 
     def stored_bytes(self) -> dict[str, int]:
-        """Return the size of all raw returns, `scans`, and of the files of all `revisions`."""
+        """Return the size of all raw returns, `scans`, and of the files of all `revisions`.
+
+        What is in the recycle bin counts: it takes space until it is removed.
+        """
         return {
             "scans": self.catalog.scans.size_bytes(),
             "revisions": self.catalog.revisions.size_bytes(),

@@ -28,6 +28,9 @@ class StoredDrive:
         mounting: Of its sensor, `None` if the vehicle's frame is the sensor's.
         accumulate: How many consecutive scans become one of a map.
         has_returns: `(K,)` whether a scan's returns are still stored.
+        odometry: How its poses were computed, `None` if they were given.
+        pose_source: Where its poses come from.
+        pose_check: How given poses agree with the scans, `None` if not checked.
     """
 
     def __init__(
@@ -40,6 +43,8 @@ class StoredDrive:
         self.digests = tuple(record.digest for record in records)
         self.closed = drive.closed
         self.mounting, self.accumulate = drive.mounting, drive.accumulate
+        self.odometry, self.pose_source = drive.odometry, drive.pose_source
+        self.pose_check = drive.pose_check
         self.has_returns: BoolArray = frozen([r.has_returns for r in records], np.bool_)
         self._read = read
 

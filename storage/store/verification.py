@@ -157,9 +157,7 @@ def _save(store: Store, file: StoredFile, rows: tuple[int, ...]) -> None:
         for record in store.catalog.scans.of_drive(file.drive_id)
         if record.chunk == file.name and record.row in good
     ]
-    [drive] = [
-        drive for drive in store.catalog.drives.of_map(file.map_id) if drive.id == file.drive_id
-    ]
+    drive = store.catalog.drives.with_id(file.drive_id)
     chunks = store.layout.chunks(file.map_id, file.drive_id)
     read = ScanReader(store.catalog, drive, chunks).scan
     for group in in_chunks(records):

@@ -63,7 +63,7 @@ def test_a_key_or_token_in_a_path_is_not_in_the_log(client):
         client.delete(f"/v1/maps/{secret}", headers=ADMIN)
     for prefix, secret, answer in zip(("tm", "tmt"), secrets, entries(client)[-2:], strict=True):
         assert answer["subject"] == f"/v1/maps/{prefix}_(hidden)"
-        assert secret.rpartition("_")[2] not in str(entries(client))
+        assert secret.split("_", 2)[2] not in str(entries(client))
 
 
 def test_what_is_refused_to_a_key_is_there_and_what_comes_without_one_is_not(client):
@@ -82,7 +82,9 @@ def test_what_a_build_published_is_there_as_the_services(client):
     client.headers.update(ADMIN)
     client.post("/v1/maps", json={"map": "campus"})
     upload(client, "monday", recording())
-    job = client.post("/v1/maps/campus/builds", json={"segments": 3}).json()["job"]
+    job = client.post("/v1/maps/campus/builds", json={"segments": 3, "encoding": "paper"}).json()[
+        "job"
+    ]
     revision = wait_for(client, job)["revision"]
     [entry] = entries(client, "key=service")
     assert in_short(entry) == ("service", "publish_revision", "campus", "done")

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from core.scans.pose import Pose
+from core.scans.pose import Pose, pose_rows
 from core.scans.scan import Scan
-from tests.support.recording import Recording, kitti, recording, upload_scan
+from storage.catalog import ScanPoses
+from tests.support.recording import TAR, Recording, kitti, recording, tar, upload_scan
 from tests.support.service import copy_of, problem_of, running, upload, wait_for
 
 MAP = "/v1/maps/campus"
@@ -87,6 +88,65 @@ def test_a_second_drive_in_another_world_frame_does_not_reach_the_map(foreign):
     assert live(foreign) == was_live
 
 
+def test_a_drive_in_another_frame_is_aligned_on_request_and_stays_aligned(foreign):
+    stored = foreign.get(f"{MAP}/drives/tuesday/poses").json()["poses"]
+    job = build(foreign, **ADDED, align="auto")
+    assert (job["state"], job["gate"]["live"]) == ("done", True)
+    assert job["gate"]["recall"] >= job["gate"]["recall_of_live"] - 0.02
+    assert found(foreign) == 16
+    (note,) = job["notes"]
+    assert "tuesday were turned by -30.0 deg" in note
+    assert foreign.get(f"{MAP}/drives/tuesday/poses").json()["poses"] == stored
+    revision = foreign.get(f"{MAP}/revisions/{job['revision']}").json()
+    placement = revision["parameters"]["placements"]["tuesday"]
+    assert placement["others"] == ["monday"]
+    assert placement["error_m"] < 0.5
+    again = build(foreign, base="live", refit=True)  # checks, with the transform of its base
+    assert (again["state"], again["notes"]) == ("done", [])
+    kept = foreign.get(f"{MAP}/revisions/{again['revision']}").json()["parameters"]["placements"]
+    assert kept == {"tuesday": placement}
+
+
+@pytest.mark.parametrize(("poses", "align"), [("unchecked", "off"), ("checked", "check")])
+def test_a_body_of_an_earlier_release_is_read_as_it_was_meant(campus, poses, align):
+    queued = campus.post(f"{MAP}/builds", json={"base": "live", "refit": True, "poses": poses})
+    parameters = campus.get(f"/v1/jobs/{queued.json()['job']}").json()["parameters"]
+    assert (parameters["align"], parameters["poses"]) == (align, poses)
+    wait_for(campus, queued.json()["job"])
+    other = {"off": "check", "check": "off"}[align]
+    contradicting = {"base": "live", "refit": True, "poses": poses, "align": other}
+    assert problem_of(campus.post(f"{MAP}/builds", json=contradicting)) == (422, "invalid-request")
+
+
+def test_poses_that_a_build_computed_are_aligned_without_a_request(campus):
+    scans = moved(recording(noise_seed=1), turn_deg=-70.0, x_m=90.0).scans
+    files = tar((f"{index:06}.bin", kitti(scan)) for index, scan in enumerate(scans))
+    sent = campus.post(
+        f"{MAP}/drives/tuesday/scans", content=files, headers=TAR, params={"format": "kitti"}
+    )
+    assert sent.status_code == 200, sent.text
+    drives = campus.service.store.drives
+    unknown, sigmas = np.full(len(scans), np.nan), np.full((len(scans), 2), 0.1)
+    poses = pose_rows([scan.pose for scan in scans])
+    computed = ScanPoses(np.arange(len(scans)), poses, unknown, sigmas)
+    tuesday = drives.get("campus", "tuesday").id
+    assert drives.set_computed_poses(tuesday, computed, {"registration": "a test"})
+    job = build(campus, **ADDED, odometry=False)
+    assert (job["state"], job["gate"]["live"]) == ("done", True)
+    assert any("tuesday were turned by 70.0 deg" in note for note in job["notes"])
+    assert found(campus) == 16
+    # Poses in the frame of the map are put: the computed ones were transformed, these are not.
+    surveyed = recording(noise_seed=1)
+    rows = [{"scan": at, "pose": list(surveyed.pose(at).as_tuple())} for at in range(len(scans))]
+    assert campus.put(f"{MAP}/drives/tuesday/poses", json={"poses": rows}).status_code == 200
+    again = build(campus, base="live", refit=True, make_live=True)
+    assert again["state"] == "done", again["error"]
+    assert any("the transform is not applied" in note for note in again["notes"])
+    revision = campus.get(f"{MAP}/revisions/{again['revision']}").json()
+    assert revision["parameters"]["placements"] == {}
+    assert found(campus) == 16
+
+
 def test_a_drive_that_is_moved_by_20_metres_is_refused_too(campus):
     upload(campus, "tuesday", moved(recording(noise_seed=1), x_m=20.0))
     assert build(campus, **ADDED)["error"]["type"] == "/problems/frames-disagree"
@@ -115,9 +175,9 @@ def test_a_drive_without_poses_has_no_frame_to_check(campus):
     assert job["gate"] is None
 
 
-def test_a_build_with_unchecked_poses_is_not_live_if_its_recall_is_lower(foreign):
+def test_a_build_that_does_not_check_frames_is_not_live_if_its_recall_is_lower(foreign):
     was_live = live(foreign)
-    job = build(foreign, **ADDED, poses="unchecked")
+    job = build(foreign, **ADDED, align="off")
     assert job["state"] == "done"
     gate = job["gate"]
     assert gate["live"] is False
@@ -133,7 +193,7 @@ def test_a_build_with_unchecked_poses_is_not_live_if_its_recall_is_lower(foreign
 
 @pytest.mark.parametrize("insisting", [{"force": True}, {"max_recall_loss": 1.0}])
 def test_a_loss_of_recall_can_be_accepted(foreign, insisting):
-    job = build(foreign, **ADDED, poses="unchecked", **insisting)
+    job = build(foreign, **ADDED, align="off", **insisting)
     assert (job["state"], job["gate"]["live"]) == ("done", True)
     assert live(foreign) == job["revision"]
 
@@ -157,15 +217,15 @@ def test_the_defaults_of_a_job_may_be_sent_again(campus):
     assert build(campus, drives=["monday"], segments=3, **defaults)["state"] == "done"
 
 
-def test_unchecked_poses_are_not_inherited_by_the_next_build(foreign):
-    job = build(foreign, **ADDED, poses="unchecked", force=True)
+def test_align_off_is_not_inherited_by_the_next_build(foreign):
+    job = build(foreign, **ADDED, align="off", force=True)
     parameters = foreign.get(f"/v1/jobs/{job['job']}").json()["parameters"]
-    assert (parameters["poses"], parameters["force"]) == ("unchecked", True)
+    assert (parameters["align"], parameters["force"]) == ("off", True)
     again = build(foreign, base="live", refit=True)
     assert again["error"]["type"] == "/problems/frames-disagree"
 
 
-def test_the_first_build_of_a_map_is_live_and_an_unmeasured_one_gives_its_reason(campus):
+def test_the_first_build_of_a_map_is_live_and_one_of_another_drive_is_compared_with_it(campus):
     campus.post("/v1/maps", json={"map": "other"})
     upload(campus, "monday", recording(), slug="other")
     queued = campus.post("/v1/maps/other/builds", json={"segments": 3, "make_live": True}).json()
@@ -173,9 +233,52 @@ def test_the_first_build_of_a_map_is_live_and_an_unmeasured_one_gives_its_reason
     assert (gate["live"], gate["compared_with"], gate["reason"]) == (True, None, None)
     upload(campus, "tuesday", recording(noise_seed=1))
     job = build(campus, drives=["tuesday"], segments=3, make_live=True)
-    assert job["gate"]["live"] is True
-    assert job["gate"]["recall_unknown"] == "no-scan-in-both"
-    assert job["gate"]["reason"] in job["notes"]
+    gate = job["gate"]  # of another drive alone: that is compared with what the live one finds
+    assert (gate["live"], gate["recall_unknown"], gate["reason"]) == (True, "no-scan-in-both", None)
+    assert gate["asked_new"] > 20
+    assert gate["recall_of_new"] >= gate["recall_of_live"] - 0.05
+
+
+def test_a_new_drive_that_the_map_does_not_find_is_not_made_live(campus):
+    good = recording(noise_seed=1).scans
+    streets = [good[i].points_m for i in np.random.default_rng(1).permutation(len(good))]
+    mixed = [Scan(p, s.timestamp_s, s.pose) for p, s in zip(streets, good, strict=True)]
+    upload(campus, "tuesday", Recording(tuple(mixed)))
+    was_live = live(campus)
+    job = build(campus, **ADDED, poses="unchecked", max_recall_loss=0.04)
+    gate = job["gate"]
+    assert (job["state"], gate["live"]) == ("done", False)
+    assert gate["asked_new"] > 20
+    assert gate["recall_of_new"] < gate["recall_of_live"] - 0.05
+    assert live(campus) == was_live
+
+
+@pytest.mark.parametrize("force", [False, True])
+def test_a_build_whose_recall_cannot_be_measured_is_live_only_if_it_is_forced(campus, force):
+    data = campus.service.store.layout.data_dir
+    upload(campus, "tuesday", recording(noise_seed=1))
+    for images in data.rglob("images/*.h5"):
+        images.unlink()
+    job = build(campus, drives=["tuesday"], segments=3, make_live=True, force=force)
+    assert (job["state"], job["gate"]["live"]) == ("done", force)
+    if not force:
+        assert job["gate"]["reason"] in job["notes"]
+        assert "images-not-kept; force makes it live" in job["gate"]["reason"]
+
+
+def test_an_import_reports_the_recall_that_a_build_would_be_measured_by(campus):
+    revisions, kind = f"{MAP}/revisions", {"Content-Type": "application/vnd.tensormap.map+hdf5"}
+    worse = build(campus, segments=3, views="full", ranks=[1, 1], make_live=True)
+    file = campus.get(f"{revisions}/{worse['revision']}/file").content
+    campus.delete(f"{revisions}/{worse['revision']}")
+    imported = campus.post(revisions, content=file, headers=kind).json()
+    for figure in ("compared_with", "asked", "recall", "recall_of_live"):
+        assert imported["gate"][figure] == worse["gate"][figure], figure
+    assert imported["gate"]["reason"] in worse["gate"]["reason"]
+    again = campus.post(revisions, content=file, headers=kind, params={"make_live": True}).json()
+    assert (again["live"], again["gate"]["live"]) == (True, True)  # a request is not gated
+    back = build(campus, segments=3, views="full", make_live=True)  # than an imported live one
+    assert (back["gate"]["live"], back["gate"]["asked"]) == (True, worse["gate"]["asked"])
 
 
 def test_unused_poses_are_noted_by_a_build(campus):
@@ -183,7 +286,10 @@ def test_unused_poses_are_noted_by_a_build(campus):
     lines = "".join(f"1 0 0 {i} 0 1 0 0 0 0 1 0\n" for i in range(2))
     kind = {"Content-Type": "application/vnd.tensormap.poses.kitti"}
     put = campus.put(
-        f"{MAP}/drives/tuesday/poses", content=lines, headers=kind, params={"first": 48}
+        f"{MAP}/drives/tuesday/poses",
+        content=lines,
+        headers=kind,
+        params={"first": 48, "partial": True},
     )
     assert put.json()["poses"]["waiting"] == 2
     (note,) = build(campus, **ADDED)["notes"]

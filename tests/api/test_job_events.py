@@ -26,7 +26,9 @@ def follow(client, job, **headers):
 
 
 def test_a_build_is_followed_to_its_end(own):
-    job = own.post("/v1/maps/campus/builds", json={"segments": 2}).json()["job"]
+    job = own.post("/v1/maps/campus/builds", json={"segments": 2, "encoding": "paper"}).json()[
+        "job"
+    ]
     events = follow(own, job)
     ids = [one for one, _ in events]
     assert len(set(ids)) == len(ids)

@@ -7,6 +7,7 @@ import pytest
 from starlette.testclient import WebSocketDenialResponse
 
 from app.revisions.schemas import BasisOut
+from app.tracking.live_track import LiveTrack
 from app.tracking.tracks import Tracks
 from core.encodings.signature import pack_signatures, unpack_signatures
 from core.tracking.track import Observation
@@ -125,6 +126,26 @@ def test_an_idle_track_is_not_listed(service):
         new_track(client)
         client.service.tracks._clock = lambda: FAR
         assert listed(client)["items"] == []
+
+
+def test_a_track_that_cannot_be_saved_does_not_stop_the_others(service, drive, monkeypatch, caplog):
+    def failing(track, answer):
+        if track.id == broken:
+            raise ValueError("no number")
+        return to_save(track, answer)
+
+    with service() as client:
+        broken, whole = new_track(client), new_track(client)
+        for track in (broken, whole):
+            drive(client, track, [3])
+        to_save = LiveTrack.to_save
+        monkeypatch.setattr(LiveTrack, "to_save", failing)
+        client.service.tracks.save()
+        saved = client.service.tracks._saved
+        assert (saved.get(broken).observations, saved.get(whole).observations) == (0, 1)
+        assert f"track {broken} cannot be saved" in caplog.text
+        observed = {one["track"]: one["observations"] for one in listed(client)["items"]}
+        assert observed == {broken: 0, whole: 1}
 
 
 # Restarts
@@ -254,6 +275,24 @@ def test_a_state_that_cannot_be_read_is_no_track(service, drive):
         client.service.tracks.save = lambda: None
     with service() as client:
         assert problem_of(client.get(f"{TRACKS}/{track}")) == (404, "track-not-found")
+
+
+def test_an_answer_of_another_version_is_not_shown(service, drive):
+    with service() as client:
+        track = new_track(client)
+        drive(client, track, range(4))
+        client.service.tracks.save()
+        saved = client.service.tracks._saved
+        found = saved.get(track)
+        del found.last["drive"], found.last["scan_index"]
+        saved.update([(4, found)])
+        client.service.tracks.save = lambda: None
+    with service() as client:
+        [item] = listed(client)["items"]
+        assert (item["observations"], item["place"]) == (4, None)
+        assert client.get(f"{TRACKS}/{track}").json()["last"] is None
+        assert drive(client, track, [4])[0]["observations"] == 5
+        assert client.get(f"{TRACKS}/{track}").json()["last"]["observations"] == 5
 
 
 def test_two_processes_on_one_database_share_their_tracks(service, drive, harmonic):

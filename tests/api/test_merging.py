@@ -74,7 +74,7 @@ def settled(tmp_path_factory):
 def test_a_vehicle_keeps_its_basis_when_a_drive_is_added(campus, encoding):
     held = basis_of(campus)
     etag = campus.get("/v1/maps/campus/basis").headers["ETag"]
-    added = build(campus, base="live", add=["alpha"], make_live=True)
+    added = build(campus, base="live", add=["alpha"], make_live=True, force=True)
     assert added["revision"] != held.revision
     assert added["plan"]["drives"] == ["monday", "alpha"]
     kept_from = held.revision if encoding == "harmonic" else None
@@ -138,7 +138,7 @@ def test_a_basis_is_refitted_on_request_only_and_a_rollback_answers_the_old_one(
 
 
 def test_removing_a_drive_leaves_it_stored_and_the_others_as_they_were(campus):
-    both = build(campus, base="live", add=["alpha"], make_live=True)
+    both = build(campus, base="live", add=["alpha"], make_live=True, force=True)
     one = build(campus, base="live", remove=["alpha"])
     first = campus.get("/v1/maps/campus/revisions").json()["items"][-1]
     assert one["revision"] == first["revision"]  # the same content is the same revision
@@ -149,7 +149,7 @@ def test_removing_a_drive_leaves_it_stored_and_the_others_as_they_were(campus):
 
 
 def test_old_drives_are_left_out_when_an_age_is_given(campus, encoding):
-    build(campus, base="live", add=["alpha"], make_live=True)
+    build(campus, base="live", add=["alpha"], make_live=True, force=True)
     with campus.service.store.catalog._database.writing() as session:
         monday = session.query(Drive).filter_by(slug="monday").one()
         monday.created_at = datetime.now(UTC) - timedelta(days=40)

@@ -116,9 +116,9 @@ class Assets(HTMLParser):
             self.found.append(given["href"])
 
 
-@pytest.mark.parametrize("page", ["/docs", "/redoc"])
-def test_the_documentation_is_read_without_the_internet(client, page):
-    response = client.get(page)
+def test_the_documentation_is_read_without_the_internet(client):
+    assert client.get("/redoc").status_code == 404  # its script loads a logo from elsewhere
+    response = client.get("/docs")
     assert response.status_code == 200
     assets = Assets()
     assets.feed(response.text)

@@ -7,7 +7,7 @@ from app.drives.pose_files import CSV, KITTI, TUM
 from core.scans.pose import Pose
 from tests.support.catalog_rows import stored_scans
 from tests.support.recording import recording, upload_scan
-from tests.support.service import pose_text, problem_of, whole_store
+from tests.support.service import pose_text, problem_of, wait_for, whole_store
 
 DRIVE = "/v1/maps/campus/drives/monday"
 SCANS = recording(scans=4).scans
@@ -33,7 +33,7 @@ def test_kittis_poses_are_those_of_scans_that_are_in_and_to_come(empty, when):
     early = {"before": 0, "between": 1, "after": 3}[when]
     for index in range(early):
         upload_scan(empty, "campus", "monday", index, SCANS[index])
-    answer = put(empty, KITTI_LINES, KITTI)
+    answer = put(empty, KITTI_LINES, KITTI, partial=when == "between")
     assert (answer.status_code, answer.json()["scans"]) == (200, early)
     stored = [upload_scan(empty, "campus", "monday", i, SCANS[i]).json() for i in range(early, 3)]
     assert [item["has_pose"] for item in stored] == [True, False, True][early:]
@@ -46,7 +46,7 @@ def test_kittis_poses_are_those_of_scans_that_are_in_and_to_come(empty, when):
 def test_tums_lines_have_times_and_begin_at_the_given_scan(empty):
     upload_scan(empty, "campus", "monday", 2, SCANS[2])
     body = "# t x y z qx qy qz qw\n10.5 1 2 3 0 0 0 1\n\n11.5 4 5 6 0 0 1 0 # rotated\n"
-    put(empty, body, TUM, first=2)
+    put(empty, body, TUM, first=2, partial=True)
     upload_scan(empty, "campus", "monday", 3, SCANS[3])
     second, third = records(empty)
     assert (second.index, second.timestamp_s, third.index, third.timestamp_s) == (2, 10.5, 3, 11.5)
@@ -57,7 +57,7 @@ def test_tums_lines_have_times_and_begin_at_the_given_scan(empty):
 def test_a_table_names_its_scans(empty):
     upload_scan(empty, "campus", "monday", 0, SCANS[0])
     body = "x,y,z,qw,qx,qy,qz,scan,timestamp_s\r\n7,8,9,1,0,0,0,3,3.5\r\n1,2,3,1,0,0,0,0,\r\n"
-    put(empty, body, CSV)
+    put(empty, body, CSV, partial=True)
     upload_scan(empty, "campus", "monday", 3, SCANS[3])
     first, last = records(empty)
     assert np.isnan(first.timestamp_s)
@@ -132,7 +132,11 @@ def posed(empty):
 
 def test_an_upload_of_poses_answers_how_many_were_set_and_how_many_wait(empty):
     upload_scan(empty, "campus", "monday", 0, SCANS[0])
-    answer = put(empty, lines(3), KITTI).json()
+    refused = put(empty, lines(3), KITTI)  # of another drive? 501 lines for 60 scans are too
+    assert problem_of(refused) == (409, "poses-do-not-fit")
+    assert "3 lines, of scans 0 to 2, drive 'monday' has scans up to 0" in refused.json()["detail"]
+    assert empty.get(DRIVE).json()["poses_waiting"] == 0
+    answer = put(empty, lines(3), KITTI, partial=True).json()
     counts = {"set": 1, "replaced": 0, "forgotten": 0, "waiting": 2, "left_over": 0}
     assert answer["poses"] == counts
     assert (answer["scans_with_pose"], answer["poses_waiting"], answer["poses_left_over"]) == (
@@ -169,6 +173,17 @@ def test_too_few_poses_are_refused_also_where_there_were_none(empty):
     assert put(empty, lines(1, 2.0), KITTI, first=2).json()["scans_with_pose"] == 3
 
 
+@pytest.mark.parametrize("last", [1, 7])
+def test_a_table_that_ends_before_or_behind_the_last_scan_is_refused(empty, last):
+    for index in range(3):
+        upload_scan(empty, "campus", "monday", index, SCANS[index])
+    table = f"scan,x,y,z,qx,qy,qz,qw\n0,0,0,0,0,0,0,1\n{last},1,0,0,0,0,0,1\n"
+    refused = put(empty, table, CSV)
+    assert problem_of(refused) == (409, "poses-do-not-fit")
+    assert f"of scans 0 to {last}, drive 'monday' has scans up to 2" in refused.json()["detail"]
+    assert put(empty, table, CSV, partial=True).status_code == 200
+
+
 def test_a_file_does_not_take_poses_away(posed):
     body = f"{lines(1)}{'nan ' * 12}\n{lines(1, 2.0)}"
     refused = put(posed, body, KITTI)
@@ -201,6 +216,21 @@ def test_poses_that_wait_are_removed_by_lines_that_are_unknown(posed, closed):
     assert answer["scans_with_pose"] == 3
 
 
+def test_poses_that_no_vehicle_follows_are_reported_with_the_poses_and_by_a_build(empty):
+    for index, scan in enumerate(recording().scans[:6]):
+        upload_scan(empty, "campus", "monday", index, scan)
+    answer = put(empty, lines(4) + lines(2, first_m=900.0), KITTI).json()
+    assert (answer["poses"]["set"], answer["jumps"]) == (6, [4])
+    back = {"poses": [{"scan": 2, "pose": [2, 0, 0, 0, 0, 0, 1]}]}
+    assert empty.put(f"{DRIVE}/poses", json=back).json()["jumps"] == [4]
+    listed = empty.get(f"{DRIVE}/poses").json()
+    assert (listed["scans_with_pose"], listed["jumps"]) == (6, [4])
+    assert empty.get(f"{DRIVE}/poses?first=4&limit=1").json()["jumps"] == []
+    job = empty.post("/v1/maps/campus/builds", json={"encoding": "paper"}).json()["job"]
+    [note] = [one for one in wait_for(empty, job)["notes"] if "jump" in one]
+    assert "drive monday jump farther than a vehicle moves at 1 of 6 scans, first at scan 4" in note
+
+
 def test_poses_as_json_are_counted_too(posed):
     own = {"scan": 1, "pose": [9, 9, 9, 0, 0, 0, 1]}
     answer = posed.put(f"{DRIVE}/poses", json={"poses": [own, {"scan": 2, "pose": None}]}).json()
@@ -227,7 +257,7 @@ def test_poses_for_a_map_that_is_not_there_are_refused(empty):
 
 def test_poses_and_times_are_read_back_and_can_be_put_back(posed):
     upload_scan(posed, "campus", "monday", 7, SCANS[3], params={"timestamp_s": 0.7})
-    put(posed, "scan,x,y,z,qx,qy,qz,qw\n9,1,2,3,0,0,0,1\n", CSV)
+    put(posed, "scan,x,y,z,qx,qy,qz,qw\n9,1,2,3,0,0,0,1\n", CSV, partial=True)
     found = posed.get(f"{DRIVE}/poses").json()
     counts = {name: found[name] for name in ("scans", "scans_with_pose", "poses_waiting")}
     assert counts == {"scans": 4, "scans_with_pose": 3, "poses_waiting": 1}

@@ -67,6 +67,13 @@ def test_nanoseconds_are_times_and_a_packed_body_is_ordered_too(empty):
     assert [time_s for _, time_s in stored(empty).values()] == [1561000444.3908576, 1561000444.5]
 
 
+def test_times_since_1970_may_be_of_any_unit(empty):
+    names = ["1561000446", "1561000444390", "1561000444390858", "1561000444500000000"]
+    assert post(empty, named(names)).json()["scans_stored"] == 4
+    times_s = [time_s for _, time_s in stored(empty).values()]
+    assert times_s == [1561000444.39, 1561000444.390858, 1561000444.5, 1561000446.0]
+
+
 def test_later_scans_follow_and_missing_ones_take_their_place(empty):
     files = named(TIMES)
     post(empty, files)
@@ -169,6 +176,7 @@ def test_times_alone_are_set_and_keep_poses(empty, folder):
         ("poses.txt", b"1 0 0 0 0 1 0 0 0 0 1 0\n", "poses-do-not-fit", "has 1 lines"),
         ("poses.txt", b"1 0 0\n", "invalid-pose", "line 1"),
         ("calib.txt", b"P0: 1\n", "malformed-drive", "no line 'Tr:'"),
+        ("times.txt", b"0.3\n0.2\n0.1\n0.0\n", "invalid-pose", "times that rise"),
         ("times.txt", b"0.1\n0.2\n", "invalid-pose", "has 2 lines"),
         ("times.txt", b"noon\n", "malformed-drive", "line 1"),
     ],

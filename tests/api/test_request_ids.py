@@ -68,7 +68,7 @@ def test_a_fault_is_logged_with_its_traceback_under_the_requests_id(own, logged,
     def fall_over(*_, **__):
         raise ZeroDivisionError("not foreseen")
 
-    monkeypatch.setattr(own.service.store.maps, "list", fall_over)
+    monkeypatch.setattr("app.maps.routes.page_out", fall_over)
     failed = own.get("/v1/maps")
     assert problem_of(failed) == (500, "internal-error")
     fault, request = logged()

@@ -37,6 +37,8 @@ OF_MEANING = {
     # Numbers that belong together: a prior's, a quaternion's, a signature's rows, ranks and a grid;
     # and cursors, which are made by the list that they are for.
     *("invalid-parameters", "invalid-pose", "invalid-signature"),
+    # Files that are no recording together, and what a capture has announced.
+    *("unknown-drive-layout", "capture-too-large", "part-does-not-fit"),
     # Not of this map, or no longer.
     *("unknown-segment", "sensor-mismatch", "empty-drive", "map-changed"),
 }

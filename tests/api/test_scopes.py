@@ -24,7 +24,7 @@ from tests.support.access import (
 )
 from tests.support.service import Client, problem_of
 
-PARTS = {"index": "0"}
+PARTS = {"index": "0", "part": "0"}
 
 NEED_NO_KEY = {
     "GET /",
@@ -34,7 +34,6 @@ NEED_NO_KEY = {
     "GET /problems/{name}",
     "GET /docs",
     "GET /docs/oauth2-redirect",
-    "GET /redoc",
 }
 
 

@@ -100,7 +100,7 @@ def test_a_large_message_of_a_stream_is_heavy_work(sparing, monkeypatch):
     track = begin_track(sparing, one)
     pools = sparing.service.pools
     ran = []
-    for pool in (pools.short, pools.heavy):
+    for pool in (pools.matching, pools.heavy):
 
         async def run(key, work, pool=pool, in_pool=pool.run):
             ran.append(pool)
@@ -111,7 +111,7 @@ def test_a_large_message_of_a_stream_is_heavy_work(sparing, monkeypatch):
         for spaces in (0, 2**17):
             stream.send_text("{" + " " * spaces + "}")
             assert stream.receive_json()["type"] == "/problems/invalid-request"
-    assert ran == [pools.short, pools.heavy]
+    assert ran == [pools.matching, pools.heavy]
 
 
 def test_a_refused_stream_takes_nothing(sparing):

@@ -139,6 +139,21 @@ def test_a_repeated_or_older_observation_is_refused_and_changes_nothing(client, 
     assert observe(client, track, 1, timestamp_s=1.1, sequence=5)["observations"] == 2
 
 
+def test_a_time_whose_difference_to_others_is_not_finite_is_refused(client, basis, track):
+    scan = {"content": kitti(recording().scans[1]), "headers": KITTI}
+    stream_path = f"{track}/stream"
+    for time_s in (-1.7e308, 1.7e308):
+        refused = client.post(f"{track}/observations", params={"timestamp_s": time_s}, **scan)
+        assert problem_of(refused) == (422, "invalid-request")
+        with open_stream(client, stream_path) as stream:
+            stream.send_json({**as_json(signatures(basis, 1)), "timestamp_s": time_s})
+            assert stream.receive_json()["type"] == "/problems/invalid-request"
+    for time_s in (-1e300, 0.0, 1e300):
+        observe(client, track, 1, timestamp_s=time_s)
+    client.service.tracks.save()
+    assert {one["observations"] for one in client.get(TRACKS).json()["items"]} == {3}
+
+
 def test_an_invalid_observation_is_refused_with_its_problem_and_changes_nothing(
     client, basis, track
 ):

@@ -13,6 +13,7 @@ import zstandard
 from app.drives.many_scans import ScanUpload
 from app.http.errors import BodyTooLarge
 from app.settings import Settings
+from storage.errors import DriveNotFound
 from tests.support.recording import KITTI, TAR, kitti, npy, recording, tar
 from tests.support.service import problem_of, running, whole_store
 
@@ -62,13 +63,14 @@ def test_unusable_files_are_set_aside_with_their_reason_and_the_others_are_store
         ("000003.npy", npy(SCANS[3].points_m[:9])),
         ("000004.npy", npy(SCANS[3].points_m)),
         ("000005.xyz", b"1 2 3"),
-        (f"{2**53}.npy", npy(SCANS[0].points_m)),
+        ("99999999999.npy", npy(SCANS[0].points_m)),
+        ("000007.npy", npy(SCANS[0].points_m * 1000)),
         ("000006.npy", b""),
         ("5.npy", npy(SCANS[5].points_m)),
     ]
     answer = empty.post(f"{DRIVE}/scans", content=tar(files), headers=TAR).json()
     assert answer["stored"] == ranges((0, 0), (5, 5))
-    assert answer["files_set_aside"] == 8
+    assert answer["files_set_aside"] == 9
     assert [
         (item["file"], item["type"].removeprefix("/problems/")) for item in answer["set_aside"]
     ] == [
@@ -77,12 +79,23 @@ def test_unusable_files_are_set_aside_with_their_reason_and_the_others_are_store
         ("readme.txt", "unknown-format"),
         ("000003.npy", "too-few-returns"),
         ("000005.xyz", "unknown-format"),
-        (f"{2**53}.npy", "unknown-format"),
+        ("99999999999.npy", "unknown-format"),
+        ("000007.npy", "wrong-dtype"),
         ("000006.npy", "empty-body"),
         ("000004.npy", "scan-conflict"),
     ]
     assert "?format=kitti" in answer["set_aside"][1]["detail"]
     assert empty.get(f"{DRIVE}/scans").json()["present"] == ranges((0, 0), (4, 5))
+
+
+def test_an_index_that_is_no_number_of_a_scan_is_rejected(empty):
+    for index in (10**9, 99999999999, 2**53 - 1):
+        refused = empty.put(f"{DRIVE}/scans/{index}", content=kitti(SCANS[0]), headers=KITTI)
+        assert problem_of(refused) == (422, "invalid-parameters")
+        assert f"the scan index is {index}, wanted less than 1000000000" in refused.json()["detail"]
+    assert problem_of(empty.get(DRIVE)) == (404, "drive-not-found")
+    last = empty.put(f"{DRIVE}/scans/{10**9 - 1}", content=kitti(SCANS[0]), headers=KITTI)
+    assert last.status_code == 201
 
 
 @pytest.mark.parametrize("style", [tarfile.USTAR_FORMAT, tarfile.GNU_FORMAT, tarfile.PAX_FORMAT])
@@ -125,6 +138,18 @@ def test_scans_before_a_limit_was_reached_are_stored(empty, tmp_path):
     with pytest.raises(BodyTooLarge):
         upload.take(pieces())
     assert empty.get(f"{DRIVE}/scans").json()["present"] == ranges((0, 2))
+
+
+def test_an_upload_whose_drive_is_deleted_ends_and_makes_no_second_drive(empty, tmp_path):
+    upload = ScanUpload(empty.service.store, Settings(data_dir=tmp_path), "campus", "monday")
+    body = tar(npy_files())
+    upload.take([body[: len(body) // 2]])
+    upload.store()
+    assert empty.delete(DRIVE).status_code == 204
+    upload.take([body[len(body) // 2 :]])
+    with pytest.raises(DriveNotFound, match="deleted while its scans were stored"):
+        upload.finish()
+    assert problem_of(empty.get(DRIVE)) == (404, "drive-not-found")
 
 
 @pytest.mark.parametrize("cut", [100, 512, 700, -1024 - 100])

@@ -2,6 +2,7 @@
 
 import math
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from datetime import UTC
 
 import numpy as np
@@ -11,10 +12,9 @@ from alembic.migration import MigrationContext
 
 from core.errors import InvalidParameters
 from core.scans.mounting import Mounting
-from core.scans.pose import Pose
+from core.scans.pose import Pose, PoseSource
 from storage.catalog import (
     Catalog,
-    IndexRange,
     database,
     migrations,
 )
@@ -32,6 +32,7 @@ from storage.errors import (
     RevisionNotFound,
     ScanNotFound,
 )
+from storage.index_ranges import IndexRange
 from tests.support.catalog_rows import FACTS, A, add_scans, scan_record
 
 
@@ -277,6 +278,55 @@ class TestDrivesAndScans:
         assert (found[30].timestamp_s, found[20].pose) == (3.0, Pose(20 / 7, 3.0, 3.0))
         assert math.isnan(found[59_990].timestamp_s)
         assert catalog.drives.get("campus", "monday").expected_poses == 3997
+
+    @pytest.mark.parametrize("given", ["a pose", "a file", "a scan with a pose"])
+    def test_given_poses_take_the_place_of_all_computed_ones(self, catalog, given):
+        catalog.maps.create("campus")
+        add_scans(catalog, "campus", "monday", range(4))
+        drive = catalog.drives.get("campus", "monday")
+        assert drive.pose_source == PoseSource.GIVEN
+        poses = np.array([Pose(float(at), 2.0, 3.0).as_tuple() for at in range(4)])
+        sigmas = np.array([[0.0, 0.0], [0.1, 0.2], [0.2, 0.3], [np.nan, np.nan]])
+        computed = ScanPoses(np.arange(4), poses, np.full(4, np.nan), sigmas)
+        made = {"version": "1", "closures": 2}
+        lacking = replace(computed, scans=np.arange(1, 5))
+        assert not catalog.scans.set_computed(drive.id, lacking, made)
+        assert not catalog.scans.set_computed("gone", computed, made)
+        assert catalog.scans.set_computed(drive.id, computed.only(poses[:, 0] < 2), made)
+        assert catalog.drives.get("campus", "monday").posed_scans == 2
+        assert catalog.scans.set_computed(drive.id, computed, made)
+        found = catalog.scans.poses(drive.id, 0, 10)
+        assert np.array_equal(found.poses, poses)
+        assert np.array_equal(found.sigmas, sigmas, equal_nan=True)
+        drive = catalog.drives.get("campus", "monday")
+        assert (drive.pose_source, drive.odometry, drive.posed_scans) == ("odometry", made, 4)
+        add_scans(catalog, "campus", "monday", [4])
+        assert catalog.drives.get("campus", "monday").odometry == made
+        if given == "a pose":
+            catalog.scans.set_poses("campus", "monday", {1: Pose(7.0, 7.0, 7.0)}, {})
+        elif given == "a file":
+            target = catalog.scans.target("campus", "monday", [])
+            put = catalog.scans.expect_poses(target, computed, of_all_scans=True, partial=True)
+            assert (put.set, put.replaced, put.forgotten) == (4, 0, 0)
+        else:
+            target = catalog.scans.target("campus", "monday", [9])
+            record = replace(scan_record(9), pose=Pose(7.0, 7.0, 7.0))
+            catalog.scans.add(target, [record])
+        drive = catalog.drives.get("campus", "monday")
+        assert (drive.pose_source, drive.odometry) == (PoseSource.GIVEN, None)
+        assert drive.posed_scans == (4 if given == "a file" else 1)
+        assert np.isnan(catalog.scans.poses(drive.id, 0, 10).sigmas).all()
+        assert not catalog.scans.set_computed(drive.id, computed, made)
+
+    def test_a_deleted_drive_gets_no_computed_poses(self, catalog):
+        catalog.maps.create("campus")
+        add_scans(catalog, "campus", "monday", [0])
+        drive = catalog.drives.get("campus", "monday")
+        pose = ScanPoses(np.arange(1), np.eye(7)[-1:], np.full(1, np.nan), np.zeros((1, 2)))
+        entry = catalog.recycle_bin.put_drive("campus", "monday")
+        assert not catalog.scans.set_computed(drive.id, pose, {})
+        catalog.recycle_bin.restore(entry.id)
+        assert catalog.scans.set_computed(drive.id, pose, {})
 
     def test_a_drive_is_not_read_from_end_to_end_for_the_scans_at_its_ends(self, catalog):
         clauses = [str(clause) for clause in at_indices(Scan.index, [0, 10**6])]

@@ -2,7 +2,7 @@
 
 import pytest
 
-from storage.catalog import LiveMap, RevisionFacts
+from storage.catalog import MapSummary, RevisionFacts
 from storage.errors import BasisExists, BasisInUse, BasisNotFound, InvalidSlug
 
 CITY, TOWN = "c" * 64, "d" * 64
@@ -60,14 +60,14 @@ def test_all_maps_are_listed_with_their_live_revision_and_shared_basis(catalog):
     north = add(catalog, "north", "1" * 64, CITY)
     south = add(catalog, "south", "2" * 64, TOWN)
     empty = catalog.maps.create("empty").id
-    maps = catalog.live_maps.all()
+    maps = catalog.map_summaries.all()
     assert list(maps) == [
-        LiveMap(empty, "empty", None, "", 0, None),
-        LiveMap(north, "north", "1" * 64, "11111111.h5", 7, CITY),
-        LiveMap(south, "south", "2" * 64, "22222222.h5", 7, None),
+        MapSummary(empty, "empty", None, "", 0, None),
+        MapSummary(north, "north", "1" * 64, "11111111.h5", 7, CITY),
+        MapSummary(south, "south", "2" * 64, "22222222.h5", 7, None),
     ]
-    assert list(catalog.live_maps.all({"south", "none"})) == [maps[2]]
+    assert list(catalog.map_summaries.all({"south", "none"})) == [maps[2]]
     add(catalog, "south", "3" * 64, CITY, make_live=True)
-    assert catalog.live_maps.all()[2].basis == CITY
-    assert catalog.live_maps.with_basis(CITY[:16]) == {north, south}
-    assert catalog.live_maps.with_basis(TOWN) == frozenset()
+    assert catalog.map_summaries.all()[2].basis == CITY
+    assert catalog.map_summaries.with_basis(CITY[:16]) == {north, south}
+    assert catalog.map_summaries.with_basis(TOWN) == frozenset()

@@ -8,6 +8,7 @@ import pytest
 
 from storage.catalog import Catalog, NotKept
 from storage.errors import MapNotFound
+from tests.support.catalog_rows import add_scans
 
 SECRET_HASH = "0f" * 32
 SEEN_S = 1.0
@@ -53,6 +54,13 @@ def test_without_watching_nothing_is_kept(catalog):
     assert catalog.maps.get("campus").slug == "campus"  # the block has ended
 
 
+def test_an_unknown_basis_is_not_kept(watched):
+    for _ in range(2):
+        assert watched.map_summaries.with_basis("0" * 64) == frozenset()
+        with pytest.raises(NotKept), watched.kept_only():
+            watched.map_summaries.with_basis("0" * 64)
+
+
 def test_what_was_read_is_not_read_again(watched):
     key = watched.keys.add(SECRET_HASH, ["localize"])
     for _ in range(2):
@@ -78,6 +86,18 @@ def test_a_change_of_this_process_holds_at_once(watched):
     watched.maps.delete("campus")
     with pytest.raises(MapNotFound):
         watched.maps.get("campus")
+
+
+def test_scans_that_are_stored_discard_nothing(watched):
+    add_scans(watched, "campus", "monday", [0, 1])
+    watched.maps.get("campus")
+    with watched.kept_only():
+        watched.maps.get("campus")
+    add_scans(watched, "campus", "monday", [2, 3], "two.h5")
+    with watched.kept_only():
+        assert watched.maps.get("campus").slug == "campus"
+    watched.maps.update("campus", description="changed")
+    assert watched.maps.get("campus").description == "changed"
 
 
 def test_what_is_not_there_is_read_each_time(watched):

@@ -1,13 +1,15 @@
 """What every database of saved tracks promises."""
 
+import sqlite3
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from datetime import UTC, datetime
 
 import pytest
 
-from storage.catalog import NotKept, SavedTrack, SavedTracks
+from storage.catalog import NotKept, SavedTrack, SavedTracks, database
 from storage.catalog.kept import Kept
+from storage.errors import StorageUnavailable
 
 NOW = datetime(2026, 11, 23, tzinfo=UTC)
 
@@ -96,10 +98,41 @@ def test_processes_that_start_at_once_share_one_table(database_url):
         saved.close()
 
 
-def test_a_damaged_file_of_tracks_is_replaced(tmp_path, caplog):
+@pytest.fixture
+def tracks_file(tmp_path):
+    """A SQLite file with one track."""
     file = tmp_path / "tracks"
-    file.write_bytes(b"no database" * 1000)
     saved = SavedTracks(f"sqlite:///{file}", Kept())
-    assert saved.used_since(0.0) == ()
-    assert "is damaged and is replaced" in caplog.text
+    saved.add(track(), 0.0)
+    saved.close()
+    return file
+
+
+def test_a_damaged_file_of_tracks_is_set_aside(tracks_file, caplog):
+    whole = tracks_file.read_bytes()
+    for damaged in (b"no database" * 1000, whole[:4096] + bytes(len(whole) - 4096), whole[:5000]):
+        tracks_file.write_bytes(damaged)
+        saved = SavedTracks(f"sqlite:///{tracks_file}", Kept())
+        assert saved.used_since(0.0) == ()
+        saved.close()
+        assert "is damaged and is set aside" in caplog.text
+        aside = tracks_file.with_name("tracks.damaged")
+        assert aside.read_bytes() == damaged
+        assert {file.name for file in tracks_file.parent.iterdir()} == {"tracks", "tracks.damaged"}
+
+
+def test_a_file_of_tracks_that_cannot_be_read_now_stays(tracks_file, monkeypatch):
+    error = sqlite3.OperationalError("disk I/O error")
+    error.sqlite_errorcode = sqlite3.SQLITE_IOERR_READ
+
+    def failing(self):
+        with database._named_errors():
+            raise error
+
+    with monkeypatch.context() as patched:
+        patched.setattr(database.Database, "reading", failing)
+        with pytest.raises(StorageUnavailable, match="disk I/O error"):
+            SavedTracks(f"sqlite:///{tracks_file}", Kept())
+    saved = SavedTracks(f"sqlite:///{tracks_file}", Kept())
+    assert [found.id for found in saved.used_since(0.0)] == ["a"]
     saved.close()

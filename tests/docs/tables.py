@@ -86,6 +86,31 @@ def sensors_table() -> Iterator[str]:
         )
 
 
+def client_problems() -> Iterator[str]:
+    """Yield the client's error classes, each below the one that it is in the service."""
+    yield '"""The types of the service\'s problems, as errors; made by `tests.docs.tables`."""'
+    yield ""
+    yield "from tensormap_client.errors import Rejected"
+    ordered = sorted(STATUS, key=lambda kind: len(kind.__mro__))  # bases first, else as they are
+    for kind in ordered:
+        parent = next((base for base in kind.__mro__[1:] if base in STATUS), None)
+        meaning = (kind.__doc__ or "").strip().splitlines()[0]
+        yield ""
+        yield ""
+        yield f"class {kind.__name__}({'Rejected' if parent is None else parent.__name__}):"
+        yield f'    """{meaning}"""'
+        yield ""
+        yield f'    problem = "{problem_name(kind)}"'
+        yield f"    usual_status = {STATUS[kind].value}"
+    yield ""
+    yield ""
+    yield "PROBLEMS: dict[str, type[Rejected]] = {"
+    yield from (f"    {kind.__name__}.problem: {kind.__name__}," for kind in ordered)
+    yield "}"
+
+
+CLIENT_PROBLEMS = ROOT / "clients/python/tensormap_client/problems.py"
+
 TABLES: dict[str, tuple[Path, Callable[[], Iterator[str]]]] = {
     "settings": (ROOT / "docs/how-to/run-the-service.md", settings_table),
     "routes": (ROOT / "docs/reference/http-api.md", routes_table),
@@ -120,3 +145,8 @@ if __name__ == "__main__":
             sys.exit(f"{path} is out of date") if found != expected else None
         else:
             path.write_text(expected)
+    classes = "\n".join([*client_problems(), ""])
+    if "--check" not in sys.argv:
+        CLIENT_PROBLEMS.write_text(classes)
+    elif CLIENT_PROBLEMS.read_text() != classes:
+        sys.exit(f"{CLIENT_PROBLEMS} is out of date")

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from tests.docs.blocks import READ_ONLY, Block, Runner, blocks_of
-from tests.docs.tables import TABLES, with_table
+from tests.docs.tables import CLIENT_PROBLEMS, TABLES, client_problems, with_table
 from tests.support.commands import ROOT
 
 DOCUMENTS = [
@@ -97,3 +97,8 @@ def test_every_module_and_path_that_is_named_exists() -> None:
             assert (ROOT / file.partition(":")[0]).exists(), f"{path.name} names {named}"
             if test:
                 assert f"def {test}(" in (ROOT / file).read_text(), f"{path.name} names {named}"
+
+
+def test_the_clients_errors_are_the_services() -> None:
+    expected = "\n".join([*client_problems(), ""])
+    assert CLIENT_PROBLEMS.read_text() == expected, "run `python -m tests.docs.tables`"

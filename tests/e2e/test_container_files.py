@@ -78,7 +78,7 @@ def test_the_postgresql_of_compose_is_the_one_that_the_catalog_is_on() -> None:
     assert f"POSTGRES_USER: {user}\n" in text
     assert f"POSTGRES_DB: {database}\n" in text
     assert f"{password}: ${{{password}:?choose one}}" in text
-    assert "[postgresql]" in DOCKERFILE
+    assert "[odometry,postgresql,ros]" in DOCKERFILE
     assert "ports:" not in text  # only the service reaches it
 
 

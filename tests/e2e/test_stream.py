@@ -1,9 +1,13 @@
 """The stream of a track through the real server: its library, its limits, its refusals."""
 
 import json
+import math
 import os
+import struct
 
 import pytest
+from tensormap_client import Vehicle
+from tensormap_client.problems import StaleObservation
 from websockets.exceptions import ConnectionClosedError, InvalidStatus
 from websockets.sync.client import connect
 
@@ -44,6 +48,50 @@ def test_packed_signatures_are_answered_one_by_one(server, url):
     log = server.log.read_text()
     assert "Traceback" not in log, log
     assert "Warning" not in log, log
+
+
+def test_a_vehicle_with_the_client_is_tracked_and_its_numbers_come_back(server):
+    with Vehicle(f"http://127.0.0.1:{server.port}", None, "campus") as vehicle:
+        track = vehicle.track()
+        for index in range(6):
+            points_m = recording().scans[index].points_m
+            answer = track.observe(points_m, timestamp_s=7.0 + index, travelled_m=1.0)
+            assert answer is not None
+            assert (answer.sequence, answer.timestamp_s) == (index + 1, 7.0 + index)
+        assert answer is not None
+        assert (answer.localized, answer.scan_index) == (True, 5)
+        with pytest.raises(StaleObservation):
+            track.observe(points_m, timestamp_s=3.0)
+        answer = track.observe(points_m, timestamp_s=20.0)
+        assert answer is not None
+        assert answer.sequence == 8
+        track.close()
+
+
+def test_a_rejected_message_is_answered_with_its_number_and_time(server, url):
+    body = struct.pack("<BQdd", 64, 5, 2.5, math.nan)
+    with connect(url) as stream:
+        for message in (body[:9], body + b"no signature", struct.pack("<BQdd", 64, 2**60, 0, 0)):
+            stream.send(message)
+            assert json.loads(stream.recv())["status"] == 422
+        basis = BasisOut.model_validate(server.client.get("/v1/maps/campus/basis").json()).to_core()
+        packed = pack_signatures(basis.encode(basis.image(recording().scans[3])))
+        for status in (None, 409):
+            stream.send(body + packed)
+            answer = json.loads(stream.recv())
+            assert (answer["sequence"], answer["timestamp_s"]) == (5, 2.5)
+            assert answer.get("status") == status
+        stream.send(packed)
+        answer = json.loads(stream.recv())
+        assert (answer["sequence"], answer["timestamp_s"]) == (None, None)
+        assert last_sequence(stream) == "none"
+    with connect(url) as again:
+        assert last_sequence(again) == "5"
+
+
+def last_sequence(stream):
+    assert stream.response is not None
+    return stream.response.headers["TensorMap-Last-Sequence"]
 
 
 def test_a_message_beyond_the_limit_closes_the_stream(url):

@@ -57,3 +57,11 @@ def test_parameters_that_are_none_are_a_wrong_option(drive: Path) -> None:
     words = ("upload", drive, "http://127.0.0.1:9", "--map", "campus", "--drive", "monday")
     assert "segmentz" in tensormap(*words, "--build", "--parameters", '{"segmentz": 2}', status=2)
     assert "--build" in tensormap(*words, "--parameters", "{}", status=2)
+
+
+def test_a_folder_without_its_recording_is_refused_in_one_line(tmp_path: Path) -> None:
+    (tmp_path / "metadata.yaml").touch()
+    words = ("upload", tmp_path, "http://127.0.0.1:9", "--map", "campus", "--drive", "monday")
+    shown = tensormap(*words, status=1)
+    assert shown.startswith("tensormap: ")
+    assert "has a metadata.yaml and no .db3 or .mcap" in shown

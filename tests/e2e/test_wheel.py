@@ -1,4 +1,4 @@
-"""The wheel has all that a service needs: it runs from an empty folder, without the source."""
+"""The wheels have all that a service or a client needs: they run from an empty folder."""
 
 import contextlib
 import os
@@ -13,12 +13,15 @@ import venv
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from importlib.metadata import distribution
 from pathlib import Path
 from zipfile import ZipFile
 
 import httpx2
 import numpy as np
 import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
 
 ROOT = Path(__file__).parents[2]
 PACKAGES = ("app", "baselines", "core", "storage")
@@ -26,9 +29,10 @@ PACKAGES = ("app", "baselines", "core", "storage")
 
 @dataclass(frozen=True)
 class Installed:
-    """A wheel, and an environment where nothing but it is installed."""
+    """The wheels, and environments where nothing but they are installed."""
 
     wheel: Path
+    client: Path
     folder: Path
 
     @property
@@ -51,22 +55,47 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Installed:
     for name in ("pyproject.toml", "README.md", "LICENSE"):
         shutil.copy(ROOT / name, source)
     for name in PACKAGES:
-        shutil.copytree(ROOT / name, source / name)
+        shutil.copytree(ROOT / name, source / name, ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copytree(ROOT / "clients/python", source / "clients/python")
     subprocess.run(
-        [sys.executable, "-m", "pip", "wheel", "-q", "--no-deps", "--wheel-dir", str(folder), "."]
-        + (["--no-build-isolation"] if shutil.which("hatchling", path=_bin()) else []),
+        [sys.executable, "-m", "pip", "wheel", "-q", "--no-deps", "--wheel-dir", str(folder)]
+        + (["--no-build-isolation"] if shutil.which("hatchling", path=_bin()) else [])
+        + ["clients/python", "."],
         cwd=source,
         check=True,
     )
     shutil.rmtree(source)
-    (wheel,) = folder.glob("*.whl")
-    venv.create(folder / "env", with_pip=False)
-    python = folder / "env/bin/python"
-    subprocess.run(
-        [sys.executable, "-m", "pip", "--python", str(python), "install", "-q", "--no-deps", wheel],
-        check=True,
-    )
-    return Installed(wheel, folder)
+    (wheel,), (client,) = folder.glob("tensormap_server*.whl"), folder.glob("tensormap_client*.whl")
+    install(folder / "env", client, wheel)
+    install(folder / "vehicle", client)
+    return Installed(wheel, client, folder)
+
+
+def install(environment: Path, *wheels: Path) -> None:
+    """Make an environment of nothing but these wheels."""
+    venv.create(environment, with_pip=False)
+    python = str(environment / "bin/python")
+    pip = [sys.executable, "-m", "pip", "--python", python]
+    # What is imported is compiled then: that is a third of it.
+    subprocess.run([*pip, "install", "-q", "--no-deps", "--no-compile", *wheels], check=True)
+
+
+def link_needed(of: str, folder: Path) -> set[str]:
+    """Link the packages that a distribution needs, and nothing else; return their names."""
+    wanted: list[str] = [of]
+    found = {of}
+    while wanted:
+        for line in distribution(wanted.pop()).requires or ():
+            needed = Requirement(line)
+            name = canonicalize_name(needed.name)
+            if name in found or (needed.marker and not needed.marker.evaluate({"extra": ""})):
+                continue
+            found.add(name)
+            wanted.append(name)
+    for package in map(distribution, found - {of}):
+        for top in {file.parts[0] for file in package.files or ()} - {"..", "__pycache__"}:
+            (folder / top).symlink_to(Path(str(package.locate_file(top))))
+    return found - {of}
 
 
 def _bin() -> str:
@@ -126,6 +155,60 @@ def test_the_wheel_holds_the_packages_the_migrations_and_the_licence(installed: 
     rest = names - expected
     assert {name.partition("/")[0] for name in rest} == {"tensormap_server-0.1.0.dist-info"}
     assert any(name.endswith("licenses/LICENSE") for name in rest)
+
+
+def test_the_clients_wheel_is_pure_and_typed_and_has_the_licence(installed: Installed) -> None:
+    assert installed.client.name.endswith("-py3-none-any.whl")
+    with ZipFile(installed.client) as file:
+        names = set(file.namelist())
+    package = ROOT / "clients/python/tensormap_client"
+    expected = {str(path.relative_to(package.parent)) for path in package.rglob("*.py")}
+    assert expected | {"tensormap_client/py.typed"} <= names
+    rest = {name.partition("/")[0] for name in names} - {"tensormap_client"}
+    assert rest == {"tensormap_client-0.1.0.dist-info"}
+    assert any(name.endswith("licenses/LICENSE") for name in names)
+
+
+def test_the_client_alone_localizes_with_three_libraries(
+    installed: Installed, tmp_path: Path
+) -> None:
+    needed = tmp_path / "needed"
+    needed.mkdir()
+    names = link_needed("tensormap-client", needed)
+    assert {"numpy", "httpx2", "websockets"} <= names
+    assert not names & {"scipy", "h5py", "pydantic", "fastapi", "tensormap-server"}
+    points = np.random.default_rng(1).normal(scale=9.0, size=(4000, 3)).astype("<f4")
+    (tmp_path / "scans").mkdir()
+    for index in range(6):
+        (tmp_path / f"scans/{index}.bin").write_bytes(
+            np.pad(points + index, ((0, 0), (0, 1))).tobytes()
+        )
+    code = """
+import sys
+from tensormap_client import Mapper, Vehicle
+url = sys.argv[1]
+with Mapper(url, None, "campus") as mapper:
+    mapper.create_map()
+    print(mapper.upload("scans", "monday").stored)
+    mapper.build({"segments": 1})
+import numpy
+scan = numpy.fromfile("scans/3.bin", "<f4").reshape(-1, 4)
+with Vehicle(url, None, "campus") as vehicle:
+    print(vehicle.locate(scan).best.scan_index)
+    track = vehicle.track()
+    print(track.observe(scan).scan_index)
+    track.close()
+"""
+    with serving(installed, tmp_path, "data") as url:
+        shown = subprocess.run(
+            [installed.folder / "vehicle/bin/python", "-W", "error", "-c", code, url],
+            cwd=tmp_path,
+            env={"PYTHONPATH": str(needed)},
+            check=True,
+            capture_output=True,
+            text=True,
+        ).stdout
+    assert shown.split() == ["6", "3", "3"]
 
 
 def test_what_is_imported_is_what_was_installed(installed: Installed, tmp_path: Path) -> None:

@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 
 from core.encodings.distance import Distance
 from core.encodings.harmonic.model import HarmonicModel
+from core.encodings.harmonic.numbers import SignatureNumbers
 from core.encodings.harmonics import azimuth_factor, encode, energy, weights
 from core.encodings.signature import Packing, Signature, pack_signatures, unpack_signatures
 from core.encodings.tucker import leading_basis, row_gram
@@ -38,7 +39,7 @@ def model_of(seed, scans, renderings, r2=5, measure=Distance.NORMALISED, twins=F
     signatures = encode(images, u, r2).reshape(scans, renderings, 3, r2)
     return HarmonicModel(
         u,
-        signatures.astype(np.complex64),
+        SignatureNumbers(signatures.astype(np.complex64)),
         np.arange(renderings) - renderings // 2,
         np.array([0, scans]),
         COLUMNS,
@@ -87,14 +88,14 @@ def test_a_yaw_of_s_columns_multiplies_harmonic_m_by_a_phase(seed, s):
 def test_the_correlation_finds_the_relative_yaw_of_a_scan_of_the_map(seed, s, measure):
     images = images_of(seed, 8)
     u = leading_basis(row_gram(images), 3).astype(np.float32)
-    signatures = encode(images, u, 5)[:, None].astype(np.complex64)
+    signatures = SignatureNumbers(encode(images, u, 5)[:, None].astype(np.complex64))
     start = np.array([0, 8])
     model = HarmonicModel(u, signatures, np.zeros(1), start, COLUMNS, measure, (3, 5))
     found = query(model, np.roll(images[3], -s, axis=1)).nearest(1)
     assert found.rows.tolist() == [3]
     error = (found.relative_yaw_deg[0] - s * 360 / COLUMNS + 180) % 360 - 180
     assert abs(error) < 0.2
-    scale = 1.0 if measure == Distance.NORMALISED else float(model.norms[3, 0]) ** 2
+    scale = 1.0 if measure == Distance.NORMALISED else float(model.renderings.norms[3, 0]) ** 2
     assert found.distances[0] < 1e-3 * scale
 
 

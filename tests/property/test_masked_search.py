@@ -1,5 +1,7 @@
 """A signature of a part of a place is compared with what its scan would have seen of a map."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import assume, given, settings
@@ -7,7 +9,8 @@ from hypothesis import strategies as st
 
 from core.encodings.distance import Distance
 from core.encodings.harmonic.model import HarmonicModel
-from core.encodings.harmonics import azimuth_factor, encode, energy
+from core.encodings.harmonic.numbers import SignatureNumbers
+from core.encodings.harmonics import azimuth_factor, encode, energy, two_sided
 from core.encodings.signature import Packing, Signature, pack_signatures, unpack_signatures
 from core.errors import InvalidSignature
 from core.projection.visibility import (
@@ -31,7 +34,7 @@ def some_hidden(most=45):
 def a_map(seed, hidden_of_map=None, scans=9):
     rng = np.random.default_rng(seed)
     images = np.maximum(rng.normal(size=(scans, 3, 8, COLUMNS)).cumsum(axis=-1), 0.0)
-    signatures = encode(images, U, KEPT).astype(np.complex64)
+    signatures = SignatureNumbers(encode(images, U, KEPT).astype(np.complex64))
     hidden = np.zeros((scans, 3), np.int64) if hidden_of_map is None else hidden_of_map
     offsets_m, start = np.array([-2.0, 0.0, 2.0]), np.array([0, scans])
     return HarmonicModel(
@@ -44,6 +47,16 @@ def as_columns(signatures):
     factor = azimuth_factor(COLUMNS, KEPT).conj()
     pairs = np.where(np.arange(KEPT) > 0, 2.0, 1.0)
     return np.real(signatures.astype(np.complex128) * pairs @ factor.T)
+
+
+def products_in_window(hidden):
+    """Return the weights of `q* A p`, of two-sided q and p in the columns that are not hidden."""
+    visible = ~np.isin(sector_of_column(COLUMNS), hidden)
+    apart = np.arange(1 - SENT, SENT)[:, None] - np.arange(1 - SENT, SENT)
+    left = (np.exp(-2j * np.pi / COLUMNS * apart[..., None] * np.arange(COLUMNS)) * visible).mean(
+        -1
+    )
+    return np.linalg.inv(left + 0.005 * np.eye(2 * SENT - 1))
 
 
 def seen(columns, hidden, turned=0):
@@ -59,13 +72,15 @@ def test_the_distance_is_that_of_the_definition(seed, hidden, turned):
     query = seen(as_columns(model.signatures[4, 1]), hidden, turned)
     assume(energy(query, COLUMNS) > 1e-3)
     distances, _ = model.search_values(query, View(hidden)).exact(np.arange(len(model)))
-    pairs = np.where(np.arange(SENT) > 0, 2.0, 1.0)
+    inner = products_in_window(hidden)
+    of_query = two_sided(query) @ inner.T
     for row, rendering in ((4, 1), (7, 0)):
         columns = as_columns(model.signatures[row, rendering])
         turns = (np.arange(COLUMNS) - np.arange(COLUMNS)[:, None]) % COLUMNS
-        others = seen(columns[:, turns].transpose(1, 0, 2), hidden)
-        both = np.sqrt(energy(query, COLUMNS) * energy(others, COLUMNS))
-        scores = np.real(query * others.conj() * pairs).sum(axis=(1, 2)) / np.maximum(both, 1e-9)
+        others = two_sided(seen(columns[:, turns].transpose(1, 0, 2), hidden))
+        of_others = np.real(others.conj() * (others @ inner.T)).sum(axis=(1, 2))
+        both = np.sqrt(np.real(two_sided(query).conj() * of_query).sum() * of_others)
+        scores = np.real(of_query * others.conj()).sum(axis=(1, 2)) / np.maximum(both, 1e-9)
         # Between the headings that were tried a peak can be a little higher.
         assert 1.0 - distances[row, rendering] == pytest.approx(scores.max(), abs=0.03)
     assert distances[4, 1] < 1e-3  # a parabola between 128 headings
@@ -77,16 +92,47 @@ def test_the_distance_is_that_of_the_definition(seed, hidden, turned):
 
 
 @settings(max_examples=20, deadline=None)
+@given(seed=st.integers(0, 1000), hidden=some_hidden(30))
+def test_images_of_few_harmonics_are_as_alike_as_in_the_columns_that_are_seen(seed, hidden):
+    model = a_map(seed)
+    few = model.signatures.copy()
+    few[..., 3:] = 0.0
+    model = replace(model, stored=SignatureNumbers(few))
+    visible = ~np.isin(sector_of_column(COLUMNS), hidden)
+    columns = as_columns(few[:, 1]) * visible
+    query = encode(columns[4], np.eye(4), SENT)
+    search = model.search_values(query, View(hidden))
+    at_no_turn = search.viewpoints(np.arange(len(model)), np.zeros(len(model)))
+    alike = at_no_turn.renderings[1, :, 1] @ at_no_turn.query
+    alike /= np.linalg.norm(at_no_turn.renderings[1, :, 1], axis=-1)
+    of_columns = np.einsum("rj,nrj->n", columns[4], columns) / np.linalg.norm(columns, axis=(1, 2))
+    both = np.linalg.norm(at_no_turn.query), np.linalg.norm(columns[4])
+    np.testing.assert_allclose(alike / both[0], of_columns / both[1], atol=0.02)
+
+
+@settings(max_examples=20, deadline=None)
 @given(seed=st.integers(0, 1000), sent=st.integers(2, KEPT))
 def test_where_nothing_is_hidden_it_is_the_distance_of_full_views(seed, sent):
     model = a_map(seed)
     query = encode(np.random.default_rng(seed).random((4, COLUMNS)), np.eye(4), sent)
     start, offsets_m = model.segment_start, model.lateral_offset_m
-    cut = model.signatures[..., :sent]
+    cut = SignatureNumbers(model.signatures[..., :sent])
     full = HarmonicModel(U, cut, offsets_m, start, COLUMNS, Distance.NORMALISED, (4, sent))
     rows = np.arange(len(model))
     masked, _ = model.search_values(query).exact(rows)
     np.testing.assert_allclose(masked, full.search_values(query).exact(rows)[0], atol=2e-3)
+
+
+@settings(max_examples=20, deadline=None)
+@given(seed=st.integers(0, 1000), sent=st.integers(1, KEPT))
+def test_no_heading_of_a_full_view_scores_more_than_all_waves_in_phase(seed, sent):
+    model = a_map(seed)
+    query = encode(np.random.default_rng(seed).random((4, COLUMNS)), np.eye(4), sent)
+    search = model.search_values(query)
+    distances, _ = search.exact(np.arange(len(model)))
+    share = model.renderings.energy_share(sent).reshape(distances.shape[::-1])
+    floored = np.sqrt(np.maximum(share, 0.02) / (share + 0.02))
+    assert ((1.0 - distances.T) * floored <= search._phase_free_scores + 1e-4).all()
 
 
 def test_what_a_rendering_does_not_see_counts_less_against_it():
@@ -171,7 +217,7 @@ def test_a_map_of_full_views_rejects_a_signature_of_a_part():
     model = a_map(1)
     full = HarmonicModel(
         U,
-        model.signatures,
+        model.stored,
         model.lateral_offset_m,
         model.segment_start,
         COLUMNS,

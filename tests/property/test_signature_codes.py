@@ -1,5 +1,6 @@
 """A large map is searched by its codes, and answers as if they were decoded."""
 
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -8,10 +9,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from core.encodings.distance import Distance
-from core.encodings.harmonic import codes, model
+from core.encodings.harmonic import codes, in_phase, renderings
 from core.encodings.harmonic.codes import SignatureCodes
 from core.encodings.harmonic.model import HarmonicModel
+from core.encodings.harmonic.numbers import SignatureNumbers
+from core.encodings.harmonic.renderings import CodedRenderings
 from core.encodings.harmonics import encode
+from core.encodings.model import nearest
 from core.errors import InvalidMap
 from core.projection.visibility import View
 
@@ -36,12 +40,12 @@ def a_map(seed, scans=40, measure=Distance.NORMALISED, hidden=None, views="any")
 
 def large(small, monkeypatch):
     """Return the same map, decoded for each query in blocks of a few renderings."""
-    monkeypatch.setattr(model, "_MOST_DECODED", 0)
+    monkeypatch.setattr(renderings, "_MOST_DECODED", 0)
     monkeypatch.setattr(codes, "BLOCK_RENDERINGS", 50)
-    monkeypatch.setattr(model, "_DECODED_SCANS", 7)
+    monkeypatch.setattr(renderings, "_DECODED_SCANS", 7)
     again = replace(small)
-    assert again.is_large
-    assert len(again.blocks) == 3
+    assert again.renderings.is_large
+    assert len(again.renderings.blocks) == 3
     return again
 
 
@@ -81,7 +85,69 @@ def test_a_large_map_of_full_views_answers_as_a_small_one(monkeypatch, measure):
     values = encode(images(2, 40)[17, 2], U, 12)
     expected = small.search_values(values).nearest(9)
     found = large(small, monkeypatch).search_values(values).nearest(9)
-    same(found, expected, small.norms.max() ** 2 if measure == Distance.PLAIN else 1.0)
+    same(found, expected, small.renderings.norms.max() ** 2 if measure == Distance.PLAIN else 1.0)
+
+
+@pytest.mark.parametrize("least_compiled", [0, 10**9])
+def test_waves_in_phase_are_those_of_the_numbers(monkeypatch, least_compiled):
+    monkeypatch.setattr(in_phase, "_LEAST_COMPILED", least_compiled)
+    rng = np.random.default_rng(5)
+    scans = in_phase._COMPILED_BLOCK_SCANS + 1000  # two blocks, the last one short
+    some = rng.integers(-127, 128, (11, 6, 3, scans), np.int8)[:, :4]
+    factor = rng.uniform(0.0, 2.0, (3, scans)).astype(np.float32)
+    query = (rng.normal(size=(4, 5)) + 1j * rng.normal(size=(4, 5))).astype(np.complex64)
+    query.imag[:, 0] = 0.0
+    numbers = np.concatenate([some[:1], some[1:9:2] + 1j * some[2:9:2]])
+    waves = np.einsum("rm,mrdk->mdk", query, numbers.conj())
+    expected = (np.abs(waves).sum(axis=0) * factor).max(axis=0)
+    found = in_phase.best_in_phase(some, query, factor)
+    np.testing.assert_allclose(found, expected, rtol=1e-5)
+    apart = np.asfortranarray(some)  # as nothing stores them: NumPy reads these
+    np.testing.assert_allclose(in_phase.best_in_phase(apart, query, factor), expected, rtol=1e-5)
+
+
+@pytest.mark.parametrize("least_compiled", [0, 10**9])
+@settings(max_examples=20, deadline=None)
+@given(seed=st.integers(0, 1000), known=st.booleans(), k=st.integers(1, 9))
+def test_a_large_map_finds_what_comparing_every_scan_finds(least_compiled, seed, known, k):
+    rng = np.random.default_rng(seed)
+    u, scans = U[:, :4], 60
+    stored = SignatureCodes.of(encode(images(seed, scans), u, 6).astype(np.complex64))
+    start = np.array([0, scans])
+    model = HarmonicModel(
+        u, stored, np.array([-2.0, 0.0, 2.0]), start, COLUMNS, Distance.NORMALISED, (4, 6)
+    )
+    cells = images(seed, scans)[7, 1] if known else images(seed + 5000, 1)[0, 0]
+    values = encode(np.roll(cells, 30, axis=-1) + rng.normal(size=cells.shape), u, 6)
+    among = rng.random(scans) < rng.choice([0.05, 0.7])
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(in_phase, "_LEAST_COMPILED", least_compiled)
+        patch.setattr(in_phase, "_BLOCK_SCANS", 17)
+        patch.setattr(renderings, "_MOST_DECODED", 0)
+        search = model.search_values(values)
+        assert model.renderings.is_large
+        for some in None, among:
+            rows = np.arange(scans) if some is None else np.flatnonzero(some)
+            wanted = search.ranked(rows, *search.exact(rows), k)
+            found = search.nearest(k, some)
+            for one, other in zip(vars(found).values(), vars(wanted).values(), strict=True):
+                np.testing.assert_array_equal(one, other)
+
+
+def test_without_numba_numpy_compares_large_maps(monkeypatch):
+    monkeypatch.setitem(sys.modules, "numba", None)
+    assert in_phase._compiled.__wrapped__(4) is None
+
+
+@settings(max_examples=20, deadline=None)
+@given(seed=st.integers(0, 1000), k=st.integers(1, 20), alike=st.booleans())
+def test_the_nearest_of_many_are_those_of_sorting_them(seed, k, alike):
+    rng = np.random.default_rng(seed)
+    distances = rng.random(100_000).astype(np.float32)
+    if alike:
+        distances = np.floor(distances * 10)
+    distances[rng.random(100_000) < 0.5] = np.inf
+    np.testing.assert_array_equal(nearest(distances, k), np.argsort(distances, kind="stable")[:k])
 
 
 def test_a_large_map_keeps_nothing_decoded(monkeypatch):
@@ -91,8 +157,9 @@ def test_a_large_map_keeps_nothing_decoded(monkeypatch):
         tensor_map.search_values(values, view).nearest(3)
         limited = tensor_map.seen_within(view.rings, 4)
         assert np.shares_memory(limited.stored.codes, tensor_map.stored.codes)
-        for kept in (tensor_map, limited, tensor_map.seen, limited.seen):
-            assert not {"units", "_numbers", "_of_each"} & vars(kept).keys()
+        for one in (tensor_map, limited):
+            assert isinstance(one.renderings, CodedRenderings)
+            assert not {"numbers", "_units", "_of_each"} & {*vars(one.renderings), *vars(one.seen)}
 
 
 @settings(max_examples=30, deadline=None)
@@ -127,12 +194,12 @@ def test_scans_that_are_selected_and_joined_keep_their_codes():
 
 def test_numbers_of_an_older_map_become_codes_where_they_are_joined_with_codes():
     one, other = a_map(1), a_map(2)
-    older = replace(other, stored=other.signatures)
+    older = replace(other, stored=SignatureNumbers(other.signatures))
     start = np.array([0, 40, 80])
     joined = older.joined([one], start)
     assert isinstance(joined.stored, SignatureCodes)
-    np.testing.assert_array_equal(joined.stored.codes[..., :40], other.as_codes().codes)
-    assert isinstance(older.joined([older], start).stored, np.ndarray)
+    np.testing.assert_array_equal(joined.stored.codes[..., :40], other.stored.as_codes().codes)
+    assert isinstance(older.joined([older], start).stored, SignatureNumbers)
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 
-from storage.errors import DriveClosed, DriveNotFound, ScanConflict
+from storage.errors import DriveClosed, DriveExists, DriveNotFound, ScanConflict
 from storage.store import Store
 from tests.support.catalog_rows import stored_scans
 from tests.support.small_scans import sample_scan
@@ -28,6 +28,7 @@ class StoreMachine(RuleBasedStateMachine):
         self.store.maps.create("campus")
         self.drives: dict[str, dict[int, int]] = {}
         self.closed: set[str] = set()
+        self.deleted: dict[str, tuple[dict[int, int], bool]] = {}  # by entry of the recycle bin
 
     def teardown(self):
         self.store.close()
@@ -59,12 +60,32 @@ class StoreMachine(RuleBasedStateMachine):
 
     @rule(slug=slugs)
     def delete(self, slug):
-        if self.drives.pop(slug, None) is None:
+        held = self.drives.pop(slug, None)
+        if held is None:
             with pytest.raises(DriveNotFound):
                 self.store.drives.delete("campus", slug)
         else:
-            self.store.drives.delete("campus", slug)
+            entry = self.store.drives.delete("campus", slug)
+            self.deleted[entry.id] = (held, slug in self.closed)
             self.closed.discard(slug)
+
+    @rule(slug=slugs, first=st.booleans())
+    def restore(self, slug, first):
+        if self.deleted:
+            entry = list(self.deleted)[0 if first else -1]
+            if slug in self.drives:
+                with pytest.raises(DriveExists):
+                    self.store.recycle_bin.restore(entry, slug)
+            else:
+                self.store.recycle_bin.restore(entry, slug)
+                self.drives[slug], was_closed = self.deleted.pop(entry)
+                self.closed |= {slug} if was_closed else set()
+
+    @rule()
+    def purge(self):
+        if self.deleted:
+            entry, _ = self.deleted.popitem()
+            self.store.recycle_bin.purge(entry)
 
     @rule()
     def restart(self):
@@ -86,6 +107,12 @@ class StoreMachine(RuleBasedStateMachine):
                 assert drive.scan(position).points_m.tobytes() == expected.tobytes()
         kept = {path.name for path in self.store.layout.maps.rglob("*.h5")}
         named = {r.chunk for s in self.drives for r in stored_scans(self.store, "campus", s)}
+        in_bin = self.store.recycle_bin.list().items
+        assert {entry.id for entry in in_bin} == set(self.deleted)
+        for entry in in_bin:
+            records = self.store.catalog.scans.of_drive(entry.id)
+            assert [record.index for record in records] == sorted(self.deleted[entry.id][0])
+            named |= {record.chunk for record in records}
         assert kept == named
 
 

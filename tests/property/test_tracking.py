@@ -1,5 +1,7 @@
 """Laws of the filter: probabilities sum to 1, and a map's own drive is tracked."""
 
+from unittest.mock import patch
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -54,6 +56,23 @@ def require_probabilities(belief):
 def test_a_predicted_belief_sums_to_one(tracker, seed, scale, travelled_m):
     belief = belief_of(seed, tracker)
     require_probabilities(belief.predicted(tracker.graph, tracker.motion, scale, travelled_m))
+
+
+@few
+@given(trackers, st.integers(0, 39), seeds, scales, metres)
+def test_a_belief_in_few_places_advances_as_one_in_all_of_them(
+    tracker, row, seed, scale, travelled_m
+):
+    graph, motion = tracker.graph, tracker.motion
+    rng = np.random.default_rng(seed)
+    at = rng.uniform(size=(graph.places, len(motion.pace))) * 1e-12
+    at[2 * row : 2 * row + 2] = rng.uniform(size=(2, len(motion.pace)))
+    at /= at.sum()
+    advanced = motion.advance(at, graph, scale, travelled_m)
+    with patch("core.tracking.motion._FEW", len(graph)):  # there are never as few
+        in_all = motion.advance(at, graph, scale, travelled_m)
+    assert advanced.sum() == pytest.approx(1.0)
+    np.testing.assert_allclose(advanced, in_all, atol=1e-8)
 
 
 @few
@@ -141,4 +160,4 @@ def test_the_numbers_of_passed_scans_at_each_pace_are_a_distribution(scale):
     assert passed.min() >= 0.0
     assert passed.sum(axis=1) == pytest.approx(1.0)
     assert passed[0, 0] == 1.0
-    assert Motion().pace_change().sum(axis=1) == pytest.approx(1.0)
+    assert Motion().pace_change.sum(axis=1) == pytest.approx(1.0)

@@ -17,6 +17,7 @@ from app.main import create_app
 from app.service import Service
 from app.settings import Settings
 from core.scans.pose import Pose
+from tests.support.new_catalog import put_new_catalog
 from tests.support.recording import TAR, Recording, kitti, tar
 
 PROBLEM = "application/problem+json"
@@ -102,7 +103,10 @@ def problem_of(response) -> tuple[int, str]:
 
 @contextmanager
 def running(data_dir: Path, **settings: Any) -> Iterator[Client]:
-    """Run a service on a data directory."""
+    """Run a service on a data directory; a new one has an empty catalog already."""
+    if not data_dir.exists() and settings.get("catalog_url") is None:
+        data_dir.mkdir(parents=True)
+        put_new_catalog(data_dir / "catalog.sqlite3")
     with Client(create_app(Settings(data_dir=data_dir, **settings))) as client:
         yield client
 

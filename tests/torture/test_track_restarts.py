@@ -1,4 +1,8 @@
-"""Vehicles are tracked while the service is stopped or killed, and started again."""
+"""Vehicles are tracked while the service is stopped or killed, and started again.
+
+As programs of their own, which send signatures that were made before, and with the client, which
+makes them: both on the processors of the service.
+"""
 
 import asyncio
 import json
@@ -9,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tensormap_client import AsyncTrack, AsyncVehicle, TrackAnswer
 from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import WebSocketException
 
@@ -18,7 +23,7 @@ from core.scans.pose import Pose
 from core.scans.scan import Scan
 from core.simulation import SimulatedDrive
 from core.simulation.raycast import SimulatedSensor
-from tests.support.access import ADMIN
+from tests.support.access import ADMIN, ADMIN_KEY
 from tests.support.recording import Recording
 from tests.support.service import upload, wait_for
 from tests.torture.support.service import Tortured, tortured
@@ -59,6 +64,7 @@ class Campus:
     """What vehicles send at each scan of the map's drive, and where that is."""
 
     packed: list[bytes]
+    scans: list[np.ndarray]
     positions_m: np.ndarray
 
     def apart_m(self, scan: int, other: int) -> float:
@@ -132,9 +138,10 @@ def fleet(tmp_path_factory):
             job = client.post("/v1/maps/campus/builds", json=body).raise_for_status().json()["job"]
             assert wait_for(client, job)["state"] == "done"
             basis = BasisOut.model_validate(client.get("/v1/maps/campus/basis").json()).to_core()
-        packed = [pack_signatures(basis.encode(basis.image(scan))) for scan in simulated(7).scans]
+        queries = simulated(7).scans
+        packed = [pack_signatures(basis.encode(basis.image(scan))) for scan in queries]
         positions_m = np.array([mapped.pose(scan).as_tuple()[:3] for scan in range(SCANS)])
-        yield service, Campus(packed, positions_m)
+        yield service, Campus(packed, [scan.points_m for scan in queries], positions_m)
 
 
 @pytest.mark.parametrize("how", ["SIGTERM", "SIGKILL"])
@@ -172,8 +179,74 @@ def test_tracks_go_on_after_a_restart_without_a_wrong_answer(fleet, how):
     assert "Traceback" not in service.log.read_text()
 
 
+@dataclass
+class Client:
+    """A vehicle with the client; as `Vehicle`."""
+
+    track: AsyncTrack
+    scan: int
+    answers: list[tuple[float, int, TrackAnswer]] = field(default_factory=list)
+    missed: int = 0
+
+    async def drive(self, _: Tortured, campus: Campus, end: asyncio.Event) -> None:
+        began_s, begun_at = time.monotonic(), self.scan
+        while not end.is_set():
+            asked_s = time.monotonic()
+            # It drives on, whether it is answered or not.
+            self.scan = min(begun_at + int((asked_s - began_s) / PERIOD_S / 4), SCANS - 1)
+            answer = await self.track.observe(campus.scans[self.scan], timestamp_s=asked_s)
+            if answer is None:
+                self.missed += 1
+            else:
+                assert answer.timestamp_s == asked_s
+                self.answers.append((time.monotonic(), self.scan, answer))
+            await asyncio.sleep(max(0.0, asked_s + PERIOD_S - time.monotonic()))
+        await self.track.close()
+
+    def localized(self, ready_s: float) -> tuple[float, int]:
+        after = [(at_s, a.localized) for at_s, _, a in self.answers if at_s > ready_s]
+        for taken, (at_s, localized) in enumerate(after, 1):
+            if localized:
+                return at_s - ready_s, taken
+        return np.inf, len(after)
+
+
+@pytest.mark.parametrize("how", ["SIGTERM", "SIGKILL"])
+def test_vehicles_with_the_client_go_on_after_a_restart_without_a_wrong_answer(fleet, how):
+    service, campus = fleet
+    url = f"http://127.0.0.1:{service.port}"
+
+    async def driven() -> tuple[list[Client], float, float]:
+        with_client = [AsyncVehicle(url, ADMIN_KEY, "campus") for _ in range(VEHICLES)]
+        clients = [Client(one.track(), 4 * number) for number, one in enumerate(with_client)]
+        down_s, ready_s = await restarted(service, campus, clients, how)
+        for one in with_client:
+            await one.close()
+        return clients, down_s, ready_s
+
+    clients, down_s, ready_s = asyncio.run(driven())
+    wrong = [
+        (at_s - ready_s, scan, answer)
+        for client in clients
+        for at_s, scan, answer in client.answers
+        if answer.localized and campus.apart_m(answer.scan_index, scan) > RIGHT_M
+    ]
+    again = [client.localized(ready_s) for client in clients]
+    before = sum(at_s < down_s for client in clients for at_s, _, _ in client.answers)
+    print(
+        f"{how}, {VEHICLES} clients: {sum(len(client.answers) for client in clients)} answers,"
+        f" {before} before, {len(wrong)} wrong, down {ready_s - down_s:.1f} s, all localized"
+        f" {max(again)[0]:.1f} s after readiness, by {max(taken for _, taken in again)}"
+        f" observations at most (load {os.getloadavg()[0]:.1f})"
+    )
+    assert not wrong, wrong[:3]
+    assert all(s <= AFTER_S or taken <= AFTER_S / PERIOD_S for s, taken in again), again
+    assert max(again)[0] < LONGEST_S
+    assert "Traceback" not in service.log.read_text()
+
+
 async def restarted(
-    service: Tortured, campus: Campus, vehicles: list[Vehicle], how: str
+    service: Tortured, campus: Campus, vehicles: list[Any], how: str
 ) -> tuple[float, float]:
     """Restart the service under driving vehicles; return when it ended and when it was ready."""
     end = asyncio.Event()
@@ -181,7 +254,7 @@ async def restarted(
     await asyncio.sleep(BEFORE_S)
     down_s = time.monotonic()
     await asyncio.to_thread(service.stop if how == "SIGTERM" else service.kill)
-    await asyncio.to_thread(service.start)
+    await asyncio.to_thread(service.start, service.port)
     ready_s = time.monotonic()
     while time.monotonic() < ready_s + LONGEST_S:
         await asyncio.sleep(1.0)

@@ -117,6 +117,7 @@ def _members(content: bytes, name: str = "{}.bin") -> Callable[[], bytes]:
 
 def _scan(returns: int) -> bytes:
     points = np.random.default_rng(0).normal(scale=20.0, size=(returns, 4))
+    points[:, 3] = np.abs(points[:, 3])  # no reflectance is negative
     return points.astype("<f4").tobytes()
 
 

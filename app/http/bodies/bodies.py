@@ -25,6 +25,9 @@ from storage.formats.scans.registry import SCAN_FORMATS
 T = TypeVar("T")
 
 _MANY_SCANS = re.compile(r"/v1/maps/[^/]+/drives/[^/]+/scans")
+_CAPTURE_PART = re.compile(r"/v1/maps/[^/]+/drives/[^/]+/captures/[^/]+/parts/[^/]+")
+LARGEST_PART_BYTES = 16 * 2**20
+"""Of a capture, as sent and decompressed."""
 _JSON = re.compile(r"application/(json|[^;\s]+\+json)")
 
 ContentType = Annotated[str | None, Header(include_in_schema=False)]
@@ -59,6 +62,7 @@ def prepared_body(scope: Scope, receive: Receive) -> Incoming:
         spend=partial(service.access.spend_bytes, context),
         room=service.spool_room,
         key=context.sender,
+        give_way=service.pools.quiet,
     )
 
 
@@ -66,6 +70,9 @@ def _limits(settings: Settings, scope: Scope, headers: Headers, *, packed: bool)
     """Return the largest body in bytes, as sent and decompressed."""
     if scope["method"] == "POST" and _MANY_SCANS.fullmatch(scope["path"]):
         return settings.max_upload_bytes, settings.max_upload_bytes
+    if scope["method"] == "PUT" and _CAPTURE_PART.fullmatch(scope["path"]):
+        largest = min(LARGEST_PART_BYTES, settings.max_body_bytes)
+        return largest, largest
     sent = settings.max_body_bytes
     unpacked = settings.max_decoded_bytes if packed else sent
     if "json" in headers.get("content-type", "").lower():

@@ -2,7 +2,7 @@
 
 import asyncio
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Awaitable, Callable, Iterator
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 
@@ -14,6 +14,8 @@ from app.http.bodies.content_encoding import Decoder
 from app.http.bodies.spool import Spool, SpoolRoom
 from app.http.errors import BodyTooLarge, SlowBody
 from app.settings import Settings
+
+_SMALL_BYTES = 64 * 2**10
 
 
 class Pace:
@@ -67,6 +69,7 @@ class Incoming:
         spend: Counts bytes against the quota of the sender.
         room: Where it is kept until it is complete.
         key: Whose it is.
+        give_way: Called between two pieces of a large body: answers go first.
         ended: Whether all of it was received.
     """
 
@@ -79,6 +82,7 @@ class Incoming:
     spend: Callable[[int], None]
     room: SpoolRoom
     key: str
+    give_way: Callable[[], Awaitable[None]]
     ended: bool = field(default=False, init=False)
     _received: int = field(default=0, init=False)
 
@@ -134,6 +138,8 @@ class Incoming:
             if not message.get("more_body", False):
                 self.ended = True
                 self.digest.check()
+            elif self._received > _SMALL_BYTES:
+                await self.give_way()
 
     def rewind(self) -> None:
         """Decompress from the first byte again: a spool is read a second time."""

@@ -1,6 +1,5 @@
 """Where bodies are kept until they are complete: small ones in memory, then in a file."""
 
-import shutil
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -11,8 +10,8 @@ from anyio import CapacityLimiter, to_thread
 
 from app.http.errors import ServiceBusy, TooManyRequests
 from app.settings import Settings
-from storage.errors import StorageFull
 from storage.files.files import named_disk_errors
+from storage.files.free_space import require_free
 
 _RETRY_S = 5
 _SMALL_BYTES = 128 * 2**10  # of each body in memory
@@ -20,7 +19,6 @@ _LARGE_BYTES = 8 * 2**20  # of a body that finds room in the memory that all sha
 _SHARED_BYTES = 64 * 2**20
 _PIECE_BYTES = 2**20  # read and written at once
 _JOINED_BYTES = 16 * 2**10
-_KEPT_FREE_BYTES = 2**30  # of a large disk; of a small one a twentieth
 
 
 class SpoolRoom:
@@ -180,7 +178,7 @@ class Spool:
             if self._file is None:
                 # `clear` closes it.
                 self._file = TemporaryFile(dir=self._room.folder, buffering=0)  # noqa: SIM115
-            self._require_room_on_disk()
+            require_free(self._room.folder, self._held, "the next piece of a body")
             begin = self._file.tell()
             try:
                 for chunk in self._memory:
@@ -192,16 +190,6 @@ class Spool:
                 self._file.truncate()
                 raise
         self._memory, self._held = [], 0
-
-    def _require_room_on_disk(self) -> None:
-        """Leave space on the disk for the catalog and for acknowledged scans."""
-        disk = shutil.disk_usage(self._room.folder)
-        kept_free = min(disk.total // 20, _KEPT_FREE_BYTES)
-        if disk.free < kept_free + self._held:
-            raise StorageFull(
-                f"the disk has {disk.free} bytes left, {kept_free} are kept free of bodies that"
-                " still come"
-            )
 
     def _return_memory(self) -> None:
         self._room.return_memory(self._lent)

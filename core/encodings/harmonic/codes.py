@@ -1,16 +1,18 @@
 """The signatures of a map as int8 codes (docs/decisions/0037-large-maps.md)."""
 
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from core.arrays import Complex64Array, Float32Array, FloatArray, IntArray, frozen
-from core.encodings.harmonics import weights
+from core.encodings.harmonic.in_phase import best_in_phase
+from core.encodings.harmonic.stored import StoredSignatures
+from core.encodings.harmonics import correlating, weights
 from core.errors import InvalidMap
 
 BLOCK_RENDERINGS = 8192
@@ -21,7 +23,7 @@ _LARGEST_SCALE = 1e10  # a number is at most 1e12
 
 
 @dataclass(frozen=True, eq=False)
-class SignatureCodes:
+class SignatureCodes(StoredSignatures):
     """Numbers as int8, each rendering's times a scale of its own.
 
     Ordered by harmonic: a search reads those that were sent, each as one long row. Renderings are
@@ -72,13 +74,17 @@ class SignatureCodes:
         codes = np.clip(np.rint(parts), -_LARGEST_CODE, _LARGEST_CODE).astype(np.int8)
         return cls(codes, scales.T)
 
-    @classmethod
-    def joined(cls, parts: Sequence["SignatureCodes"]) -> "SignatureCodes":
-        """Return the codes of all scans of some, one after another, unchanged."""
-        return cls(
+    def joined(self, others: Sequence[StoredSignatures]) -> "SignatureCodes":
+        """Return codes one after another, unchanged; numbers are rounded."""
+        parts = (self, *(one.as_codes() for one in others))
+        return SignatureCodes(
             np.concatenate([part.codes for part in parts], axis=-1),
             np.concatenate([part.scales for part in parts]),
         )
+
+    def as_codes(self) -> "SignatureCodes":
+        """Return themselves."""
+        return self
 
     @property
     def shape(self) -> tuple[int, int, int, int]:
@@ -86,8 +92,8 @@ class SignatureCodes:
         rows, r1, renderings, scans = self.codes.shape
         return scans, renderings, r1 if self.mixing is None else len(self.mixing), rows // 2 + 1
 
-    def arrays(self) -> dict[str, NDArray[np.generic]]:
-        """Return both arrays by their names in the file."""
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """Return both arrays."""
         return {"signature_codes": self.codes, "rendering_scales": self.scales}
 
     def select(self, rows: IntArray) -> "SignatureCodes":
@@ -102,13 +108,13 @@ class SignatureCodes:
         """Return signatures with other radial components, in the same memory."""
         return replace(self, mixing=mixing)
 
-    def at(self, rows: IntArray, renderings: IntArray | None = None) -> Complex64Array:
-        """Return the signatures of some renderings, `(n, d, r1, r2)`.
+    @property
+    def numbers(self) -> Complex64Array:
+        """All of them, decoded each time."""
+        return self.at(np.arange(self.shape[0]))
 
-        Args:
-            rows: `(n,)` scans.
-            renderings: `(n, d)` of each; all D by default.
-        """
+    def at(self, rows: IntArray, renderings: IntArray | None = None) -> Complex64Array:
+        """Decode the signatures of some renderings."""
         if renderings is None:
             renderings = np.arange(self.shape[1])[None]
         codes = self.codes[:, :, renderings, rows[:, None]]
@@ -120,26 +126,34 @@ class SignatureCodes:
             signatures = self.mixing @ signatures
         return np.ascontiguousarray(signatures)
 
-    def waves(self, query: Complex64Array, block: slice) -> Iterator[Complex64Array]:
-        """Yield sum_r q_rm conj(G_rm) of some renderings, `(n,)`, for each harmonic m of `query`.
+    def waves(self, query: Complex64Array, block: slice) -> Float32Array:
+        """Return sum_r q_rm conj(G_rm) of some renderings, `(m, 2, n)`: real and imaginary parts.
 
         Args:
             query: `(r1, m)`, m up to r2.
             block: Which renderings, in the order `(D, K)`.
         """
-        if self.mixing is not None:
-            query = (self.mixing.T @ query).astype(np.complex64)
-        real, imag, scales = query.real, query.imag, self._scale_of[block]
-        for harmonic in range(query.shape[1]):
-            g = real[:, harmonic], imag[:, harmonic]
-            factor = np.array([g[0], g[1]])[:, None]
-            if harmonic:
-                factor = np.array([[g[0], g[1]], [g[1], -g[0]]])
+        query = self._of_components(query)
+        waves = np.empty((query.shape[1], 2, len(self._scale_of[block])), np.float32)
+        for harmonic, factor in enumerate(correlating(query)):
             codes = self._by_rendering[max(0, 2 * harmonic - 1) : 2 * harmonic + 1, :, block]
             numbers = codes.astype(np.float32).reshape(-1, codes.shape[-1])
-            products = factor.reshape(2, -1) @ numbers
-            products *= scales
-            yield products[0] + np.complex64(1j) * products[1]
+            np.matmul(factor[:, : len(numbers)], numbers, out=waves[harmonic])
+        waves *= self._scale_of[block]
+        return waves
+
+    def best_in_phase(self, query: Complex64Array, factor: Float32Array) -> Float32Array:
+        """Return the largest sum of magnitudes of `waves` of each scan's renderings, `(K,)`.
+
+        Args:
+            query: `(r1, m)`, m up to r2.
+            factor: `(D, K)` by which each rendering's codes are multiplied, not negative.
+        """
+        return best_in_phase(self.codes, self._of_components(query), factor)
+
+    def _of_components(self, query: Complex64Array) -> Complex64Array:
+        """Return what multiplies codes, of what multiplies signatures."""
+        return query if self.mixing is None else (self.mixing.T @ query).astype(np.complex64)
 
     def squared_norms(self, columns: int, harmonics: int) -> FloatArray:
         """Return |G|^2 of the first harmonics of every rendering, `(K, D)`."""

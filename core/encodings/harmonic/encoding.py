@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from core.arrays import Complex64Array, Float32Array, FloatArray, IntArray
+from core.arrays import Float32Array, FloatArray, IntArray
 from core.encodings.base import PAPER_RANKS, Encoding
 from core.encodings.basis import Basis
 from core.encodings.blocks import read_blocks
@@ -17,8 +17,10 @@ from core.encodings.grams import detail_gram, drive_gram, fit_radial_basis
 from core.encodings.harmonic.basis import HarmonicBasis
 from core.encodings.harmonic.codes import SignatureCodes
 from core.encodings.harmonic.model import HarmonicModel
+from core.encodings.harmonic.numbers import SignatureNumbers
 from core.encodings.harmonic.packing import LAYOUTS, pack, unpack
 from core.encodings.harmonic.place_index import HarmonicPlaceIndex
+from core.encodings.harmonic.stored import StoredSignatures
 from core.encodings.harmonics import (
     encode,
     energy,
@@ -210,7 +212,7 @@ class HarmonicEncoding(Encoding):
     @staticmethod
     def _model(
         u: Float32Array,
-        signatures: Complex64Array | SignatureCodes,
+        stored: StoredSignatures,
         offsets_m: FloatArray,
         segment_start: IntArray,
         parameters: "MapParameters",
@@ -222,7 +224,7 @@ class HarmonicEncoding(Encoding):
         ring_m = grid.ring_m if isinstance(grid, RingGrid) else 1.0
         return HarmonicModel(
             u,
-            signatures,
+            stored,
             offsets_m,
             segment_start,
             grid.columns,
@@ -276,7 +278,9 @@ class HarmonicEncoding(Encoding):
             kept = stored[..., :radial, :harmonics]
             of_map = hidden if partial else None
             start = np.array([0, scans])
-            model = self._model(u[:, :radial], kept, offsets_m, start, tried, of_map)
+            model = self._model(
+                u[:, :radial], SignatureNumbers(kept), offsets_m, start, tried, of_map
+            )
             covered = float(energy(kept, columns).sum())
             errors[a, b] = np.sqrt(max(0.0, 1.0 - covered / squared_norm))
             for q, (values, view) in enumerate(zip(encoded, views, strict=True)):
@@ -301,14 +305,14 @@ class HarmonicEncoding(Encoding):
 
     def read_model(self, parameters: "MapParameters", arrays: Mapping[str, NDArray[Any]]) -> Model:
         """Return the model of these arrays."""
-        signatures: Complex64Array | SignatureCodes
+        stored: StoredSignatures
         if _CODES in arrays:
-            signatures = SignatureCodes(arrays[_CODES], arrays[_SCALES])
+            stored = SignatureCodes(arrays[_CODES], arrays[_SCALES])
         else:
-            signatures = arrays["signatures"]
+            stored = SignatureNumbers(arrays["signatures"])
         return self._model(
             arrays["radial_basis"],
-            signatures,
+            stored,
             arrays["lateral_offset_m"],
             arrays["segment_start"],
             parameters,

@@ -21,40 +21,40 @@ from core.arrays import (
     IntArray,
     arrays_of,
     freeze,
-    frozen,
 )
 from core.encodings.basis import Basis
 from core.encodings.distance import Distance
 from core.encodings.harmonic.basis import HarmonicBasis, harmonic_basis_digest
-from core.encodings.harmonic.codes import SignatureCodes, blocks_of
 from core.encodings.harmonic.masked_search import MaskedSearch
+from core.encodings.harmonic.renderings import ESTIMATED_WAVES, Renderings, renderings_of
 from core.encodings.harmonic.search import HarmonicSearch
 from core.encodings.harmonic.seen import Seen
+from core.encodings.harmonic.stored import StoredSignatures
 from core.encodings.harmonic.verified_search import VerifiedSearch
 from core.encodings.harmonics import (
-    as_real,
-    circular_energy,
     encode,
-    energy,
     sent_ranks,
-    weights,
 )
 from core.encodings.model import Model, Search, require_sane
 from core.encodings.signature import Signature
 from core.errors import InvalidMap, InvalidSignature
 from core.projection.imager import Image
-from core.projection.small_image import DisplacedView
-from core.projection.visibility import FULL_VIEW, SECTORS, View, seen_of_bits
+from core.projection.small_image import STEPS_A_ROOT_METRE, DisplacedView
+from core.projection.visibility import (
+    FULL_VIEW,
+    HIDDEN,
+    SECTORS,
+    View,
+    sector_of_column,
+    seen_of_bits,
+)
 
 if TYPE_CHECKING:
     from core.parameters import MapParameters
 
 _ACROSS = 5  # places from which a small image is compared
 _BEYOND_M = 1.5  # the outermost viewpoints: such images need not be kept
-_ESTIMATED_WAVES = 6  # of energies in estimates
 _LIMITED_KEPT = 4  # models of limited queries, of a small map each about as large as this one
-_DECODED_SCANS = 1024  # at once, in 5 MB
-_MOST_DECODED = 20_000  # renderings whose signatures are kept as numbers too, in 40 MB
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,8 +63,8 @@ class HarmonicModel(Model):
 
     Attributes:
         radial_basis: `(I, r1)` float32, orthonormal columns; U of all segments.
-        stored: Signatures as codes or, from a file of an older version, as numbers, `(K, D, r1,
-            r2)` complex64, the first column real; D renderings of each scan.
+        stored: Signatures of D renderings of each scan, as codes or, from a file of an older
+            version, as numbers.
         lateral_offset_m: `(D,)` of the viewpoint of each rendering.
         segment_start: `(L + 1,)` row of each segment's first scan, and K.
         columns: J, how many azimuths an image has.
@@ -80,7 +80,7 @@ class HarmonicModel(Model):
     encoding: ClassVar[str] = "harmonic"
 
     radial_basis: Float32Array
-    stored: Complex64Array | SignatureCodes
+    stored: StoredSignatures
     lateral_offset_m: FloatArray
     segment_start: IntArray
     columns: int
@@ -93,10 +93,8 @@ class HarmonicModel(Model):
     def __post_init__(self) -> None:
         freeze(self, radial_basis=np.float32)
         freeze(self, lateral_offset_m=np.float64, segment_start=np.int64)
-        if not isinstance(self.stored, SignatureCodes):
-            freeze(self, stored=np.complex64)
-        if self.radial_basis.ndim != 2 or len(self.stored.shape) != 4:
-            raise InvalidMap("the radial basis has two axes, signatures have four")
+        if self.radial_basis.ndim != 2:
+            raise InvalidMap("the radial basis has two axes")
         scans, renderings, r1, r2 = self.stored.shape
         if self.radial_basis.shape[1] != r1 or self.lateral_offset_m.shape != (renderings,):
             raise InvalidMap(
@@ -106,13 +104,9 @@ class HarmonicModel(Model):
         if not 1 <= r2 <= self.columns // 2 + 1 or r1 < 1:
             raise InvalidMap(f"signatures have {r2} harmonics of {self.columns} columns")
         self._require_rising(scans)
-        coded = isinstance(self.stored, SignatureCodes)  # which checks itself
-        numbers = np.empty(0, np.complex64) if coded else np.asarray(self.stored)
-        require_sane({"radial_basis": self.radial_basis}, numbers)
+        require_sane({"radial_basis": self.radial_basis}, np.empty(0, np.complex64))
         if not np.isfinite(self.lateral_offset_m).all():
             raise InvalidMap("lateral_offset_m has numbers that are not finite")
-        if numbers[..., :1].imag.any():
-            raise InvalidMap("the first column of a harmonic signature is real")
         if self.hidden_sectors is not None:
             freeze(self, hidden_sectors=np.int64)
             if self.hidden_sectors.shape != (scans, renderings):
@@ -145,45 +139,16 @@ class HarmonicModel(Model):
     @property
     def signatures(self) -> Complex64Array:
         """All signatures as numbers, `(K, D, r1, r2)`; of a large map decoded each time."""
-        return self._numbers if self._codes is None else self._codes.at(np.arange(len(self)))
-
-    @property
-    def is_large(self) -> bool:
-        """Whether it has so many codes that each query decodes them, and none are kept decoded."""
-        scans, renderings, *_ = self.stored.shape
-        return isinstance(self.stored, SignatureCodes) and scans * renderings > _MOST_DECODED
-
-    @property
-    def _codes(self) -> SignatureCodes | None:
-        """Those of a large map."""
-        codes = self.stored if isinstance(self.stored, SignatureCodes) else None
-        return codes if self.is_large else None
+        return self.renderings.numbers
 
     @cached_property
-    def _numbers(self) -> Complex64Array:
-        if isinstance(self.stored, SignatureCodes):
-            return frozen(self.stored.at(np.arange(len(self))), np.complex64)
-        return self.stored
-
-    def signatures_at(self, rows: IntArray, renderings: IntArray | None = None) -> Complex64Array:
-        """Return the signatures of some renderings, `(n, d, r1, r2)`.
-
-        Args:
-            rows: `(n,)` scans.
-            renderings: `(n, d)` of each; all D by default.
-        """
-        if self._codes is not None:
-            return self._codes.at(rows, renderings)
-        if renderings is None:
-            return self._numbers[rows]
-        return self._numbers[rows[:, None], renderings]
+    def renderings(self) -> Renderings:
+        """The signatures as searches compare them."""
+        return renderings_of(self.stored, self.columns)
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """Return every array by its name in the file."""
-        arrays = arrays_of(self)
-        if isinstance(self.stored, SignatureCodes):
-            return {**arrays, **self.stored.arrays()}
-        return {"signatures": arrays.pop("stored"), **arrays}
+        return {**arrays_of(self), **self.stored.arrays()}
 
     @property
     def grid_shape(self) -> tuple[int, int]:
@@ -275,18 +240,14 @@ class HarmonicModel(Model):
     def _limit(self, rings: int | None, r1: int) -> "HarmonicModel":
         near = self.radial_basis[:rings]
         mixing = (near.T @ near)[:r1]
-        stored: Complex64Array | SignatureCodes
-        if isinstance(self.stored, SignatureCodes):
-            stored = self.stored.limited(r1) if rings is None else self.stored.mixed(mixing)
-        else:
-            stored = self.stored[:, :, :r1] if rings is None else mixing @ self.stored
+        stored = self.stored.limited(r1) if rings is None else self.stored.mixed(mixing)
         return replace(self, radial_basis=self.radial_basis[:, :r1], stored=stored)
 
     @property
     def recorded(self) -> Complex64Array:
         """Signatures from the viewpoint nearest to the recorded line, `(K, r1, r2)`."""
         rows = np.arange(len(self))
-        return self.signatures_at(rows, np.array([[self._on_line]]))[:, 0]
+        return self.renderings.at(rows, np.array([[self._on_line]]))[:, 0]
 
     @property
     def recorded_lateral_m(self) -> float:
@@ -308,12 +269,33 @@ class HarmonicModel(Model):
         """Yield each scan's recorded signature: one for all segments."""
         (r1, r2), on_line = self.sent_ranks, np.array([[self._on_line]])
         for row in rows:
-            recorded = self.signatures_at(np.array([row]), on_line)[0, 0]
+            recorded = self.renderings.at(np.array([row]), on_line)[0, 0]
             view = FULL_VIEW
             if self.hidden_sectors is not None:
                 bits = int(self.hidden_sectors[row, self._on_line])
                 view = View(tuple(sector for sector in range(SECTORS) if bits >> sector & 1))
             yield (Signature(recorded[:r1, :r2], None, named, view=view),)
+
+    def search_own(self, row: int) -> Search | None:
+        """Return the search of a query at one of its scans, by the small image that it keeps of it.
+
+        `None` without one, or if it is empty. The query's cells are those that have this small
+        image, and its signature has all kept harmonics.
+        """
+        if self.verification_images is None:
+            return None
+        rows = np.array([row])
+        small, sector = self.small_images(rows)[0], sector_of_column(self.columns)
+        if not small.any():
+            return None
+        cells = (small[:, sector] / np.float32(STEPS_A_ROOT_METRE)) ** 2
+        seen = self.seen_on_line(rows)[0]
+        cells[:, ~seen[sector]] = HIDDEN
+        r1, _ = self.sent_ranks
+        recorded = self.renderings.at(rows, np.array([[self._on_line]]))[0, 0, :r1]
+        view = View(tuple(np.flatnonzero(~seen).tolist()))
+        values = recorded.astype(np.complex128)
+        return VerifiedSearch(self.seen_within(None, r1), values, view, cells)
 
     def basis_digests(self, parameters: "MapParameters") -> tuple[str, ...]:
         """Return the digest of the one basis."""
@@ -329,126 +311,31 @@ class HarmonicModel(Model):
         self, rows: IntArray, segments: IntArray, segment_start: IntArray
     ) -> "HarmonicModel":
         """Return the model of some scans, unchanged."""
-        hidden, images, stored = self.hidden_sectors, self.verification_images, self.stored
+        hidden, images = self.hidden_sectors, self.verification_images
         return replace(
             self,
-            stored=stored.select(rows) if isinstance(stored, SignatureCodes) else stored[rows],
+            stored=self.stored.select(rows),
             segment_start=segment_start,
             hidden_sectors=None if hidden is None else hidden[rows],
             verification_images=None if images is None else images[rows],
         )
 
     def joined(self, others: Sequence["HarmonicModel"], segment_start: IntArray) -> "HarmonicModel":
-        """Return one model of this one's scans and those of others of the same basis.
-
-        Codes stay what they are; numbers stay numbers where all are.
-        """
+        """Return one model of this one's scans and those of others of the same basis."""
         models = (self, *others)
-        coded = [m.stored for m in models if isinstance(m.stored, SignatureCodes)]
-        stored: Complex64Array | SignatureCodes
-        if coded:
-            stored = SignatureCodes.joined([m.as_codes() for m in models])
-        else:
-            stored = np.concatenate([m.signatures for m in models])
-        hidden = [m.hidden_sectors for m in (self, *others) if m.hidden_sectors is not None]
-        images = [
-            m.verification_images for m in (self, *others) if m.verification_images is not None
-        ]
+        hidden = [m.hidden_sectors for m in models if m.hidden_sectors is not None]
+        images = [m.verification_images for m in models if m.verification_images is not None]
         return replace(
             self,
-            stored=stored,
+            stored=self.stored.joined([m.stored for m in others]),
             segment_start=segment_start,
             hidden_sectors=np.concatenate(hidden) if hidden else None,
             verification_images=np.concatenate(images) if images else None,
         )
 
-    def as_codes(self) -> SignatureCodes:
-        """Return the signatures as codes; numbers of an older file are rounded."""
-        if isinstance(self.stored, SignatureCodes):
-            return self.stored
-        return SignatureCodes.of(self.stored)
-
-    @cached_property
-    def norms(self) -> FloatArray:
-        """|G| of every rendering, `(K, D)`."""
-        if self._codes is not None:
-            return np.sqrt(self._codes.squared_norms(self.columns, self.ranks[1]))
-        return np.sqrt(energy(self._numbers, self.columns))
-
-    @cached_property
-    def blocks(self) -> list[slice]:
-        """Slices of all renderings, in the order `(D, K)`, to be compared at once: a small map's.
-
-        Those of a large map are decoded one block after another.
-        """
-        return blocks_of(self.norms.size) if self.is_large else [slice(0, self.norms.size)]
-
-    def waves(self, query: Complex64Array, block: slice) -> Iterator[Complex64Array]:
-        """Yield the correlation of harmonics with some renderings of norm 1, `(n,)` of each.
-
-        Args:
-            query: `(r1, m)`, m up to r2; its products with `units`.
-            block: One of `blocks`.
-        """
-        if self._codes is not None:
-            weighted = query * np.sqrt(weights(self.columns, query.shape[1])).astype(np.float32)
-            for product in self._codes.waves(weighted, block):
-                product *= self._inverse_norms[block]
-                yield product
-        else:
-            for of_query, of_map in zip(query.T, self.units, strict=False):
-                yield of_query @ of_map
-
-    @cached_property
-    def _inverse_norms(self) -> Float32Array:
-        norms = self.norms.T.reshape(-1)
-        return frozen(1.0 / np.where(norms > 0, norms, 1.0), np.float32)
-
-    @cached_property
-    def energy_shares(self) -> Callable[[int], Float32Array]:
-        """Share of the energy of all harmonics that the first r2 have, `(D K,)`, of r2."""
-        return lru_cache(_LIMITED_KEPT)(self._energy_shares)
-
-    def _energy_shares(self, r2: int) -> Float32Array:
-        if self._codes is None:
-            return np.asarray(self.unit_energies(r2)[0])
-        squared = self._codes.squared_norms(self.columns, r2).T.reshape(-1)
-        return frozen(squared * np.square(self._inverse_norms, dtype=np.float64), np.float32)
-
-    @cached_property
-    def unit_energies(self) -> Callable[[int], Float32Array]:
-        """Where on the circle the energy of the first r2 harmonics is, `(2 n - 1, D K)`, of r2.
-
-        As a share of the energy of all that are kept: at most 1 in row 0.
-        """
-        return lru_cache(_LIMITED_KEPT)(self._unit_energies)
-
-    def _unit_energies(self, r2: int) -> Float32Array:
-        count = 2 * min(_ESTIMATED_WAVES, 2 * r2 - 1) - 1
-        found = np.empty((count, *self.norms.shape[::-1]), np.float32)
-        for start in range(0, len(self), _DECODED_SCANS):
-            rows = np.arange(start, min(start + _DECODED_SCANS, len(self)))
-            energies = circular_energy(self.signatures_at(rows)[..., :r2])[..., :_ESTIMATED_WAVES]
-            norms = self.norms[rows]
-            energies /= np.where(norms > 0, np.square(norms), 1.0)[..., None]
-            found[..., rows] = as_real(energies.transpose(2, 1, 0))
-        return frozen(found.reshape(count, -1), np.float32)
-
     @cached_property
     def seen(self) -> Seen:
         """What the renderings of a map of any views see."""
         hidden, r2 = np.asarray(self.hidden_sectors), self.ranks[1]
-        return Seen(hidden, self.columns, r2, _ESTIMATED_WAVES, each=not self.is_large)
-
-    @cached_property
-    def units(self) -> Complex64Array:
-        """Conjugate signatures of norm 1, weighted by sqrt(w_m), `(r2, r1, D K)`.
-
-        Ordered by harmonic, then by rendering, each row contiguous: the bound is then r2 products
-        with long vectors, and the maximum over D of them.
-        """
-        scaled = np.conj(self._numbers.astype(np.complex128))
-        scaled *= np.sqrt(weights(self.columns, self.ranks[1]))
-        scaled /= np.where(self.norms > 0, self.norms, 1.0)[..., None, None]
-        r1, r2 = self.ranks
-        return frozen(scaled.transpose(3, 2, 1, 0).reshape(r2, r1, -1), np.complex64)
+        each = not self.renderings.is_large
+        return Seen(hidden, self.columns, r2, ESTIMATED_WAVES, each=each)

@@ -92,7 +92,7 @@ class PlaceCode:
         of_places, rendered, within = [], [], []
         for model in models[:: max(1, len(models) * 2 // _MOST_TRAINED)]:
             rows = np.sort(rng.permutation(max(1, len(model) - 1))[:each])
-            coded = beside(model, model.signatures)
+            coded = beside(model, model.stored.numbers)
             here = features(coded[rows], radial, harmonics)
             ahead = features(coded[np.minimum(rows + 1, len(model) - 1), 2], radial, harmonics)
             of_places.append(here[:, 2])

@@ -12,6 +12,7 @@ from core.arrays import Float32Array, FloatArray, IntArray, arrays_of
 from core.encodings.basis import Basis
 from core.encodings.distance import Distance
 from core.encodings.harmonic.model import HarmonicModel
+from core.encodings.harmonic.numbers import SignatureNumbers
 from core.encodings.harmonic.place_code import RENDERINGS, Int8Array, PlaceCode, beside
 from core.encodings.harmonics import two_sided, weights
 from core.encodings.model import Model
@@ -99,13 +100,7 @@ class HarmonicPlaceIndex(PlaceIndex[HarmonicPlaces]):
 
     @classmethod
     def train(cls, basis: Basis, models: Sequence[Model], places: int) -> "HarmonicPlaceIndex":
-        """Return an index for maps of a basis, and places like those of some of them.
-
-        Args:
-            basis: Of the maps.
-            models: Of some maps, at least one.
-            places: How many there will be, about.
-        """
+        """Return an index whose code is trained with some maps."""
         code = PlaceCode.train([one for one in models if isinstance(one, HarmonicModel)], places)
         return cls.of(basis, code.arrays())
 
@@ -124,12 +119,7 @@ class HarmonicPlaceIndex(PlaceIndex[HarmonicPlaces]):
         return self.listed({name: np.concatenate([p[name] for p in parts]) for name in parts[0]})
 
     def read(self, arrays: Mapping[str, NDArray[Any]]) -> HarmonicPlaces:
-        """Return stored entries of these `arrays`.
-
-        Raises:
-            InvalidMap: If they do not fit together.
-            TypeError: If one is missing.
-        """
+        """Return stored entries of these `arrays`."""
         return HarmonicPlaces.of(arrays)
 
     def listed(self, arrays: Mapping[str, NDArray[Any]]) -> HarmonicPlaces:
@@ -144,7 +134,7 @@ class HarmonicPlaceIndex(PlaceIndex[HarmonicPlaces]):
         )
 
     def _of_model(self, model: HarmonicModel) -> dict[str, NDArray[Any]]:
-        chosen = beside(model, model.signatures)
+        chosen = beside(model, model.stored.numbers)  # `signatures` would be kept with the model
         numbers = np.concatenate([chosen.real, chosen.imag[..., 1:]], axis=-1)
         scales = np.abs(numbers).max(axis=(-2, -1)) / 127.0**2
         safe = np.where(scales > 0, scales, 1.0)[..., None, None]
@@ -163,13 +153,7 @@ class HarmonicPlaceIndex(PlaceIndex[HarmonicPlaces]):
     def candidates(
         self, entries: HarmonicPlaces, signature: Signature, places: IntArray | None = None
     ) -> tuple[IntArray, Float32Array]:
-        """Return the places that a signature may be of, and how far their codes are from its own.
-
-        Args:
-            entries: Of some maps.
-            signature: Of this basis.
-            places: Those that may be found, rising; all without it.
-        """
+        """Compare the codes of a few places, or of the lists nearest to the query's code."""
         query, chosen = self.code.of_query(signature.values), self._chosen(signature)
         count = len(entries) if places is None else len(places)
         if count <= _FEW_PLACES:
@@ -211,15 +195,7 @@ class HarmonicPlaceIndex(PlaceIndex[HarmonicPlaces]):
     def most_alike(
         self, signature: Signature, found: Sequence[tuple[HarmonicPlaces, IntArray, Float32Array]]
     ) -> list[tuple[IntArray, FloatArray]]:
-        """Compare the best candidates of several entries exactly.
-
-        Args:
-            signature: The query.
-            found: Entries, and what `candidates` returned of them.
-
-        Returns:
-            For each of them, the places that were compared and their distances.
-        """
+        """Compare the candidates whose signatures are most alike as a map compares them."""
         far = np.concatenate([one for _, _, one in found])
         part = np.repeat(np.arange(len(found)), [len(one) for _, _, one in found])
         place = np.concatenate([one for _, one, _ in found])
@@ -283,7 +259,7 @@ class HarmonicPlaceIndex(PlaceIndex[HarmonicPlaces]):
         signatures.imag[..., 1:] = numbers[..., harmonics:]
         return HarmonicModel(
             self.radial_basis,
-            signatures,
+            SignatureNumbers(signatures),
             np.arange(RENDERINGS, dtype=np.float64),
             np.array([0, len(signatures)]),
             self.parameters.grid.columns,

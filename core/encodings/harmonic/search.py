@@ -5,8 +5,10 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from core.arrays import BoolArray, ComplexArray, FloatArray, IntArray
+from core.arrays import BoolArray, ComplexArray, Float32Array, FloatArray, IntArray
 from core.encodings.distance import Distance
+from core.encodings.harmonic.in_phase import in_phase
+from core.encodings.harmonic.renderings import CodedRenderings
 from core.encodings.harmonics import energy, weights
 from core.encodings.model import Neighbours, Search, Viewpoints, nearest
 from core.scans.angles import wrapped_deg
@@ -17,6 +19,7 @@ if TYPE_CHECKING:
 _SAMPLES_A_WAVE = 12  # of the shortest wave: the parabola then errs by less than 0.1 deg
 _MOST_STEP_DEG = 4.0  # between headings of an estimate: of few harmonics, those of a mask count
 _FIRST = 4  # scans that are searched before the bound excludes others
+_AT_ONCE = 64  # of those that are left
 _SLACK = 1e-5  # of the bound, in single precision, as a share of |g| |G|: ten times its rounding
 _ROUNDING = 1e-12  # of sums in double precision
 
@@ -37,6 +40,8 @@ class HarmonicSearch(Search):
         self._weights = weights(model.columns, model.ranks[1])
         self._norm = float(np.sqrt(energy(values, model.columns)))
         self.segments = tuple(range(model.segments))  # all of them: the basis is shared
+        self._place_of_row: dict[int, int] = {}  # in `_compared`
+        self._compared = np.empty((2, 0, len(model.lateral_offset_m)))
 
     def viewpoints(self, rows: IntArray, relative_yaw_deg: FloatArray) -> Viewpoints:
         """Return the renderings of some scans as the query would see them."""
@@ -45,7 +50,7 @@ class HarmonicSearch(Search):
         headings_deg = relative_yaw_deg + step_deg * np.array([[-1.0], [0.0], [1.0]])
         turned = np.exp(1j * np.radians(headings_deg)[..., None] * harmonic)
         seen = self._seen(
-            model.signatures_at(rows).astype(np.complex128) * turned[:, :, None, None]
+            model.renderings.at(rows).astype(np.complex128) * turned[:, :, None, None]
         )
         return Viewpoints(
             self._as_numbers(self._values),
@@ -66,23 +71,43 @@ class HarmonicSearch(Search):
 
     def nearest(self, k: int, among: BoolArray | None = None) -> Neighbours:
         """Return the `k` nearest scans, each by its nearest rendering, nearest first."""
-        lower = self._lower_bounds if among is None else self._lower_bounds[among]
-        if not len(lower):
+        count = len(self._model) if among is None else np.count_nonzero(among)
+        if not count:
             return Neighbours.of_distances(np.empty(0, np.int64), np.empty(0))
-        rows = np.arange(len(self._model)) if among is None else np.flatnonzero(among)
-        first = nearest(lower, max(k, _FIRST))
-        distances, yaw_deg = self.exact(rows[first])
-        reached = nearest(distances.min(axis=1), k)
-        left = lower <= distances.min(axis=1)[reached[-1]]
-        left[first] = False
-        searched = rows[first]
-        if left.any():
-            more = self.exact(rows[left])
-            searched = np.concatenate([searched, rows[left]])
+        if count <= max(k, _FIRST):
+            rows = np.arange(count) if among is None else np.flatnonzero(among)
+            return self.ranked(rows, *self.compared(rows), k)
+        lower = self._lower_bounds if among is None else np.where(among, self._lower_bounds, np.inf)
+        searched = nearest(lower, max(k, _FIRST))
+        distances, yaw_deg = self.compared(searched)
+        left = lower <= _reached(distances, k)
+        left[searched] = False
+        rows = np.flatnonzero(left)
+        while len(rows):  # the likeliest ones first: they exclude others
+            likeliest = nearest(lower[rows], max(_AT_ONCE, _FIRST * len(searched)))
+            more = self.compared(rows[likeliest])
+            searched = np.concatenate([searched, rows[likeliest]])
             distances = np.concatenate([distances, more[0]])
             yaw_deg = np.concatenate([yaw_deg, more[1]])
+            rows = np.delete(rows, likeliest)
+            rows = rows[lower[rows] <= _reached(distances, k)]
         in_order = np.argsort(searched)
         return self.ranked(searched[in_order], distances[in_order], yaw_deg[in_order], k)
+
+    def distances_of(self, rows: IntArray) -> FloatArray:
+        """Return the distances of some scans; those of `nearest` are not computed again."""
+        return np.asarray(self.compared(rows)[0].min(axis=1))
+
+    def compared(self, rows: IntArray) -> tuple[FloatArray, FloatArray]:
+        """Return what `exact` does of some scans, of each computed once and kept."""
+        missing = [row for row in rows.tolist() if row not in self._place_of_row]
+        for start in range(0, len(missing), self.block_scans):
+            block = missing[start : start + self.block_scans]
+            begin = len(self._place_of_row)
+            self._place_of_row.update({row: begin + at for at, row in enumerate(block)})
+            self._compared = np.concatenate([self._compared, self.exact(np.array(block))], axis=1)
+        distances, yaw_deg = self._compared[:, [self._place_of_row[row] for row in rows.tolist()]]
+        return distances, yaw_deg
 
     def distances(self, among: BoolArray | None = None) -> FloatArray:
         """Return each scan's distance, that of its nearest rendering, infinite outside `among`."""
@@ -109,17 +134,16 @@ class HarmonicSearch(Search):
         )
 
     @cached_property
-    def _lower_bounds(self) -> FloatArray:
+    def _lower_bounds(self) -> FloatArray | Float32Array:
         """Lower bounds of the distance of every scan, the nearest of its renderings, `(K,)`."""
         model = self._model
         unit = (self._values / (self._norm or 1.0) * np.sqrt(self._weights)).astype(np.complex64)
-        correlation = np.zeros(model.norms.size, np.float32)
-        for block in model.blocks:
-            for product in model.waves(unit, block):
-                squared = product.real**2
-                squared += product.imag**2
-                correlation[block] += np.sqrt(squared, out=squared)
-        norms = model.norms.T
+        if model.measure == Distance.NORMALISED and isinstance(model.renderings, CodedRenderings):
+            return np.asarray(np.float32(1.0 - _SLACK) - model.renderings.best_in_phase(unit))
+        correlation = np.empty(model.renderings.norms.size, np.float32)
+        for block in model.renderings.blocks:
+            correlation[block] = in_phase(model.renderings.waves(unit, block))
+        norms = model.renderings.norms.T
         share = correlation.reshape(norms.shape)
         if model.measure == Distance.NORMALISED:
             return np.asarray(1.0 - (share.max(axis=0).astype(np.float64) + _SLACK))
@@ -137,7 +161,7 @@ class HarmonicSearch(Search):
             each.
         """
         model = self._model
-        stored = model.signatures_at(rows)
+        stored = model.renderings.at(rows)
         real, imag = stored.real.astype(np.float64), stored.imag.astype(np.float64)
         g = self._values
         c_real = (g.real * real + g.imag * imag).sum(axis=2)
@@ -155,7 +179,7 @@ class HarmonicSearch(Search):
         return max(8, 1 << (_SAMPLES_A_WAVE * self._model.ranks[1] - 1).bit_length())
 
     def _distance(self, correlation: FloatArray, rows: IntArray) -> FloatArray:
-        norms = self._model.norms[rows]
+        norms = self._model.renderings.norms[rows]
         if self._model.measure == Distance.PLAIN:
             return self._plain(correlation, norms)
         both = self._norm * norms
@@ -164,6 +188,12 @@ class HarmonicSearch(Search):
 
     def _plain(self, correlation: FloatArray, norms: FloatArray) -> FloatArray:
         return np.maximum(self._norm * self._norm + norms * norms - 2.0 * correlation, 0.0)
+
+
+def _reached(distances: FloatArray, k: int) -> np.float64:
+    """Return the distance within which there are `k` of the `(n, D)` compared scans."""
+    found: np.float64 = np.partition(distances.min(axis=1), k - 1)[k - 1]
+    return found
 
 
 def peaks(waves: FloatArray) -> tuple[FloatArray, FloatArray]:

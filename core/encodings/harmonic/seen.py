@@ -1,6 +1,7 @@
 """What the renderings of a map see, as harmonics over the columns."""
 
-from functools import cached_property
+from collections.abc import Callable
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,6 +9,8 @@ from numpy.typing import NDArray
 from core.arrays import Float32Array, IntArray, frozen
 from core.encodings.harmonics import as_real
 from core.projection.visibility import seen_of_bits
+
+_KEPT = 8  # counts of harmonics: of queries and of estimates
 
 
 class Seen:
@@ -38,16 +41,16 @@ class Seen:
         """Whether no rendering has hidden sectors."""
         return not np.any(self._hidden)
 
-    def harmonics(self, rows: IntArray, renderings: IntArray) -> Float32Array:
-        """Return those of some scans' renderings."""
-        of_distinct, which = self._ways
-        return np.asarray(of_distinct[:, which[renderings * len(self._hidden) + rows]])
+    def harmonics(self, rows: IntArray, renderings: IntArray, count: int) -> Float32Array:
+        """Return the first ones of some scans' renderings."""
+        of_first, which = self._of_ways(count), self._ways[1]
+        return np.asarray(of_first[:, which[renderings * len(self._hidden) + rows]])
 
     def waves(self, block: slice) -> Float32Array:
         """Return the slow ones of some renderings, in the order `(D, K)`."""
         if self._each:
             return np.asarray(self._of_each[:, block])
-        return np.asarray(self._slow_of_ways[:, self._ways[1][block]])
+        return np.asarray(self._of_ways(self.slow)[:, self._ways[1][block]])
 
     @cached_property
     def _ways(self) -> tuple[Float32Array, NDArray[np.int32]]:
@@ -58,11 +61,14 @@ class Seen:
         return frozen(as_real(harmonics.T), np.float32), which.reshape(-1).astype(np.int32)
 
     @cached_property
-    def _slow_of_ways(self) -> Float32Array:
-        of_ways, _ = self._ways
-        real, imag = np.split(of_ways, [self._harmonics])
-        return frozen(np.concatenate([real[: self.slow], imag[: self.slow - 1]]), np.float32)
+    def _of_ways(self) -> Callable[[int], Float32Array]:
+        """The first harmonics of each way to see, of how many."""
+        return lru_cache(_KEPT)(self._first_of_ways)
+
+    def _first_of_ways(self, count: int) -> Float32Array:
+        real, imag = np.split(self._ways[0], [self._harmonics])
+        return frozen(np.concatenate([real[:count], imag[: count - 1]]), np.float32)
 
     @cached_property
     def _of_each(self) -> Float32Array:
-        return frozen(self._slow_of_ways[:, self._ways[1]], np.float32)
+        return frozen(self._of_ways(self.slow)[:, self._ways[1]], np.float32)

@@ -68,7 +68,7 @@ class VerifiedSearch(MaskedSearch):
         From the nearest viewpoint in steps of a metre to the place whose neighbours are all less
         alike; between places, and between headings, by the triangle through three of them.
         """
-        distances, yaw_deg = self.exact(np.array([row]))
+        distances, yaw_deg = self.compared(np.array([row]))
         nearest = int(distances.argmin())
         sectors = int(np.rint(yaw_deg[0, nearest] / _SECTOR_DEG)) + _BESIDE
         ahead_m, left_m = 0.0, float(self._model.lateral_offset_m[nearest])

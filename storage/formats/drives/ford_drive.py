@@ -34,7 +34,6 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from core.arrays import FloatArray, frozen
 from core.errors import EmptyDrive, InvalidPose, InvalidScan
@@ -143,6 +142,8 @@ def _laser_pose(vehicle_pose: FloatArray) -> Pose | None:
 
 def _matrix(pose: FloatArray) -> FloatArray:
     """Return the `(4, 4)` matrix of `(x, y, z, roll, pitch, heading)`."""
+    from scipy.spatial.transform import Rotation  # only such drives need it: decision 33
+
     matrix = np.eye(4)
     matrix[:3, :3] = Rotation.from_euler("ZYX", pose[:2:-1]).as_matrix()
     matrix[:3, 3] = pose[:3]

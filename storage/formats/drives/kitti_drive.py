@@ -22,7 +22,7 @@ from core.arrays import FloatArray
 from core.errors import InvalidPose
 from core.progress import NO_PROGRESS, Progress
 from core.scans.drive import Drive
-from core.scans.pose import UNKNOWN_POSE, Pose, is_known, rows_from_matrices
+from core.scans.pose import UNKNOWN_POSE, Pose, is_known, matrices_from_rows, rows_from_matrices
 from storage.files.files import named_disk_errors
 from storage.formats.drives.file_drive import FileDrive, in_time_order
 from storage.formats.drives.text_rows import line_numbers, lines_of
@@ -79,21 +79,11 @@ def write_kitti_drive(drive: Drive, path: Path, progress: Progress = NO_PROGRESS
             if np.isfinite(drive.timestamp_s).any():
                 _write_numbers(part / "times.txt", drive.timestamp_s[:, None])
             if is_known(drive.poses).any():
-                _write_numbers(part / "poses.txt", _matrices(drive.poses).reshape(-1, 12))
+                matrices = matrices_from_rows(drive.poses)[:, :3]
+                _write_numbers(part / "poses.txt", matrices.reshape(-1, 12))
             part.rename(whole)
     finally:
         shutil.rmtree(part, ignore_errors=True)
-
-
-def _matrices(rows: FloatArray) -> FloatArray:
-    """Return `(n, 3, 4)` matrices `[R | t]` of `(n, 7)` pose rows; NaN stays NaN."""
-    from scipy.spatial.transform import Rotation  # the service does without it: decision 33
-
-    matrices = np.full((len(rows), 3, 4), np.nan)
-    known = is_known(rows)
-    matrices[known, :, :3] = Rotation.from_quat(rows[known, 3:]).as_matrix()
-    matrices[known, :, 3] = rows[known, :3]
-    return matrices
 
 
 def _write_numbers(file: Path, rows: FloatArray) -> None:

@@ -15,7 +15,6 @@ lack of an original recording.
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from core.arrays import FloatArray
 from storage.formats.drives.file_drive import FileDrive
@@ -61,6 +60,8 @@ def _read(file: Path) -> TimedPoses:
 
 
 def _ouster_on_vehicle() -> FloatArray:
+    from scipy.spatial.transform import Rotation  # only such drives need it: decision 33
+
     matrix = np.eye(4)
     matrix[:3, :3] = Rotation.from_euler("xyz", _OUSTER_DEG, degrees=True).as_matrix()
     matrix[:3, 3] = _OUSTER_M

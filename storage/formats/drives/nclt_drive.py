@@ -11,7 +11,6 @@ up.
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from core.arrays import FloatArray
 from storage.formats.drives.file_drive import FileDrive, in_order
@@ -61,6 +60,8 @@ def _ground_truth(path: Path) -> Path | None:
 
 def _lidar_poses(vehicle: FloatArray) -> FloatArray:
     """Return the `(n, 4, 4)` poses of the lidar, of `(n, 6)` x, y, z, roll, pitch, heading."""
+    from scipy.spatial.transform import Rotation  # only such drives need it: decision 33
+
     matrices = np.broadcast_to(np.eye(4), (len(vehicle), 4, 4)).copy()
     matrices[:, :3, :3] = Rotation.from_euler("ZYX", vehicle[:, :2:-1]).as_matrix()
     matrices[:, :3, 3] = vehicle[:, :3]

@@ -7,32 +7,56 @@ messages: https://docs.ros.org/en/api/sensor_msgs/html/msg/PointCloud2.html
 import weakref
 from collections import Counter
 from collections.abc import Iterator
+from contextlib import contextmanager
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from core.arrays import Float32Array, FloatArray, frozen
-from core.errors import EmptyDrive
+from core.errors import EmptyDrive, TensorMapError
 from core.scans.pose import UNKNOWN_POSE
 from core.scans.scan import Scan
+from storage.errors import StorageError
+from storage.files.files import named_disk_errors
+from storage.formats.budget import BUDGET
 from storage.formats.errors import MalformedDrive, MalformedScan, TruncatedScan, WrongDtype
 from storage.formats.scans.coordinates import AXES, coordinates, record_of
+from storage.formats.scans.metres import require_metres
 
 if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
     from rosbags.interfaces import Connection
 
-_SUFFIXES = frozenset({".bag", ".mcap", ".db3"})
-_METADATA = "metadata.yaml"  # in the folder of a ROS 2 recording
+BAG_SUFFIXES = frozenset({".bag", ".mcap", ".db3"})
+METADATA = "metadata.yaml"
+"""In the folder of a ROS 2 recording."""
 _CLOUD = "sensor_msgs/msg/PointCloud2"
 _FLOATS = {7: "f4", 8: "f8"}  # sensor_msgs/PointField: FLOAT32, FLOAT64
 _NANO = 1e-9
+_LIBRARY = "rosbags.highlevel"
 
 
 def is_ros_bag(path: Path) -> bool:
     """Return whether a path is a bag: a file by its suffix, a folder by its metadata."""
-    return (path.suffix.lower() in _SUFFIXES and path.is_file()) or (path / _METADATA).is_file()
+    return (path.suffix.lower() in BAG_SUFFIXES and path.is_file()) or (path / METADATA).is_file()
+
+
+def has_bag_reader() -> bool:
+    """Return whether the library that reads bags is installed."""
+    try:
+        return find_spec(_LIBRARY) is not None
+    except ModuleNotFoundError:
+        return False
+
+
+def require_bag_reader(name: str, where: str = "") -> None:
+    """Raise `MalformedDrive` if the library that reads bags is not installed; `where` it is not."""
+    if not has_bag_reader():
+        raise MalformedDrive(
+            f"to read {name}, Python's rosbags is needed{where}: pip install -e '.[ros]' in a clone"
+        )
 
 
 def split_topic(path: Path) -> tuple[Path, str | None]:
@@ -82,28 +106,42 @@ class RosDrive:
             MalformedDrive: If the bag cannot be read there.
         """
         index = range(len(self))[index]
-        if index != self._next or index == 0:
-            self._seek(index)
-        self._next = -1  # until the message was read
-        connection, _, raw = next(self._messages)
+        with _named_errors(MalformedDrive, f"{self.name} cannot be read at message {index}"):
+            if index != self._next or index == 0:
+                self._seek(index)
+            self._next = -1  # until the message was read
+            connection, _, raw = next(self._messages)
         self._next = index + 1
-        try:
+        with _named_errors(MalformedScan, f"message {index} of {self.name} cannot be read"):
             cloud = self._reader.deserialize(raw, connection.msgtype)
-        except Exception as error:  # the library raises any error of its parser
-            raise MalformedScan(
-                f"message {index} of {self.name} cannot be read: {error}"
-            ) from error
-        return Scan.from_returns(
+        scan = Scan.from_returns(
             returns_m_of(cloud),
             min_returns=self._min_returns,
             timestamp_s=float(self.timestamp_s[index]),
         )
+        require_metres(scan.points_m)
+        return scan
 
     def _seek(self, index: int) -> None:
         begin_ns = self._time_ns[index]
         self._messages = iter(self._reader.messages(self._connections, start=begin_ns))
         for _ in range(index - self._time_ns.index(begin_ns)):  # those of the same nanosecond
             next(self._messages)
+
+
+@contextmanager
+def _named_errors(malformed: type[TensorMapError], what: str) -> Iterator[None]:
+    """Raise `malformed` for any error of the library's parser.
+
+    A lack of memory or a full or failing disk is not the bag's fault, and keeps its own name.
+    """
+    try:
+        with named_disk_errors():
+            yield
+    except (MemoryError, StorageError):
+        raise
+    except Exception as error:
+        raise malformed(f"{what}: {error}") from error
 
 
 def returns_m_of(cloud: Any) -> Float32Array:  # noqa: ANN401 - its class is defined in the bag
@@ -113,6 +151,7 @@ def returns_m_of(cloud: Any) -> Float32Array:  # noqa: ANN401 - its class is def
         MalformedScan: If it has no x, y and z within its points.
         WrongDtype: If they are not floating point.
         TruncatedScan: If it has fewer bytes than its rows need.
+        ScanTooLarge: If it has more points than a scan may.
     """
     fields = {field.name: field for field in cloud.fields}
     for axis in AXES:
@@ -139,6 +178,7 @@ def returns_m_of(cloud: Any) -> Float32Array:  # noqa: ANN401 - its class is def
             f"{cloud.height} rows of {cloud.width} points of {cloud.point_step} bytes do not fit"
             f" into {len(data)} bytes, {cloud.row_step} a row"
         )
+    BUDGET.require_returns(cloud.height * cloud.width)
     rows = data[: cloud.height * cloud.row_step].reshape(cloud.height, cloud.row_step)
     packed = np.ascontiguousarray(rows[:, : cloud.width * cloud.point_step])
     return coordinates(packed.reshape(-1).view(record))
@@ -156,36 +196,67 @@ def open_ros_drive(path: Path, topic: str | None = None, *, min_returns: int = 1
         MalformedDrive: If the library is not installed, the bag cannot be read, or several topics
             have clouds and none is given.
         EmptyDrive: If the topic has no message.
+        StorageError: If the disk is full, fails or cannot be read.
     """
+    require_bag_reader(path.name)
+    with _named_errors(MalformedDrive, f"{path.name} cannot be read as a bag"):
+        reader, clouds = _opened(path)
     try:
-        from rosbags.highlevel import AnyReader
-        from rosbags.typesys import Stores, get_typestore
-    except ModuleNotFoundError as error:
-        raise MalformedDrive(
-            f"to read {path.name}, Python's {error.name} is needed: pip install '.[ros]' in a clone"
-        ) from error
-    drive = None
-    topics: Counter[str] = Counter()
-    try:
-        # Bags as SQLite may hold no definitions: PointCloud2 has been the same in all of ROS 2.
-        reader = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
-        reader.open()
-        clouds = [one for one in reader.connections if one.msgtype == _CLOUD]
-        for one in clouds:
-            topics[one.topic] += one.msgcount
-        if topic is None and len(topics) == 1:
-            [topic] = topics
-        of_topic = [one for one in clouds if one.topic == topic]
-        if of_topic:
-            drive = RosDrive(path.stem, reader, of_topic, min_returns=min_returns)
-        else:
-            reader.close()
-    except Exception as error:
-        raise MalformedDrive(f"{path.name} cannot be read as a bag: {error}") from error
-    if drive is None:
-        has = ", ".join(f"{name} ({count})" for name, count in sorted(topics.items())) or "none"
-        choice = f"topic {topic}" if topic is not None else "one topic, or its name after a #"
-        raise MalformedDrive(f"{path.name} has these topics of PointCloud2: {has}; wanted {choice}")
+        of_topic = _of_topic(path.name, clouds, topic)
+    except MalformedDrive:
+        reader.close()
+        raise
+    with _named_errors(MalformedDrive, f"{path.name} cannot be read as a bag"):
+        drive = RosDrive(path.stem, reader, of_topic, min_returns=min_returns)
     if not len(drive):
-        raise EmptyDrive(f"topic {topic} of {path.name} has no message")
+        raise EmptyDrive(f"topic {of_topic[0].topic} of {path.name} has no message")
     return drive
+
+
+def require_topic(path: Path, topic: str | None) -> None:
+    """Check the topics of a bag; nothing if it cannot be opened here.
+
+    Raises:
+        MalformedDrive: If it lacks the topic, or several have clouds and none is given.
+    """
+    if not has_bag_reader():
+        return
+    try:
+        with _named_errors(MalformedDrive, path.name):
+            reader, clouds = _opened(path)
+    except MalformedDrive:  # who reads it says why not
+        return
+    reader.close()
+    _of_topic(path.name, clouds, topic)
+
+
+def _opened(path: Path) -> tuple["AnyReader", list["Connection"]]:
+    """Return a bag, and its connections with clouds."""
+    from rosbags.highlevel import AnyReader
+    from rosbags.typesys import Stores, get_typestore
+
+    # Bags as SQLite may hold no definitions: PointCloud2 has been the same in all of ROS 2.
+    reader = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
+    reader.open()
+    return reader, [one for one in reader.connections if one.msgtype == _CLOUD]
+
+
+def _of_topic(name: str, clouds: list["Connection"], topic: str | None) -> list["Connection"]:
+    """Return the connections of a topic, by default of the only one.
+
+    Raises:
+        MalformedDrive: If there are none, or several topics to choose from.
+    """
+    topics: Counter[str] = Counter()
+    for one in clouds:
+        topics[one.topic] += one.msgcount
+    if topic is None and len(topics) == 1:
+        return clouds
+    of_topic = [one for one in clouds if one.topic == topic]
+    if not of_topic:
+        has = ", ".join(f"{found} ({count})" for found, count in sorted(topics.items())) or "none"
+        choice = "one topic" if topic is None else f"topic {topic}"
+        if topic is None and topics:
+            choice += f", or its name after a #, as tensormap upload 'BAG#{min(topics)}' ..."
+        raise MalformedDrive(f"{name} has these topics of PointCloud2: {has}; wanted {choice}")
+    return of_topic

@@ -4,7 +4,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial.transform import Rotation, Slerp
 
 from core.arrays import FloatArray, freeze
 from core.errors import EmptyDrive, InvalidPose
@@ -51,6 +50,8 @@ class TimedPoses:
         Raises:
             MalformedDrive: If not one is known: the file is of another drive.
         """
+        from scipy.spatial.transform import Rotation, Slerp  # only such drives need it
+
         found = np.full((len(time_s), 7), np.nan)
         after = np.searchsorted(self.time_s, time_s).clip(0, len(self.time_s) - 1)
         before = np.maximum(after - (self.time_s[after] > time_s), 0)

@@ -5,14 +5,17 @@ import re
 from storage.formats.scans.registry import suffix_of
 
 _TIME = re.compile(r"\d{1,10}\.\d{1,9}", re.ASCII)
-_NANOSECONDS = re.compile(r"[1-9]\d{18}", re.ASCII)
+_SINCE_1970 = re.compile(r"[1-9]\d*", re.ASCII)
+_TICKS_PER_S = {10: 1, 13: 10**3, 16: 10**6, 19: 10**9}
+"""By the number of digits, as of any moment between 2001 and 2286."""
+_LATEST_S = 2**32  # in 2106: larger numbers are none of our times
 
 
 def time_s_of(name: str) -> float | None:
     """Return the seconds that a file's name is, `None` if it is no time.
 
-    A time has a fraction, or is in nanoseconds since 1970: 19 digits. Whole numbers of fewer digits
-    are indices.
+    A time has a fraction, or is a whole number since 1970: of seconds with 10 digits, milliseconds
+    with 13, microseconds with 16 or nanoseconds with 19. Other whole numbers are indices.
 
     Args:
         name: Without folders, with the suffix.
@@ -20,10 +23,16 @@ def time_s_of(name: str) -> float | None:
     Examples:
         >>> time_s_of("1679000000.100000.bin"), time_s_of("1679000000100000000.pcd")
         (1679000000.1, 1679000000.1)
+        >>> time_s_of("1326652795280148.bin"), time_s_of("1679000000.npy")
+        (1326652795.280148, 1679000000.0)
         >>> time_s_of("000012.pcd.bin") is None
         True
     """
     stem = name[: len(name) - len(suffix_of(name))]
     if _TIME.fullmatch(stem):
         return float(stem)
-    return int(stem) / 10**9 if _NANOSECONDS.fullmatch(stem) else None
+    ticks_per_s = _TICKS_PER_S.get(len(stem))
+    if ticks_per_s is None or not _SINCE_1970.fullmatch(stem):
+        return None
+    time_s = int(stem) / ticks_per_s
+    return time_s if time_s < _LATEST_S else None

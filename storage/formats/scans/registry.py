@@ -19,6 +19,7 @@ from storage.formats.scans.helipr import (
 )
 from storage.formats.scans.kitti import KittiFormat
 from storage.formats.scans.las import LasFormat
+from storage.formats.scans.metres import require_metres
 from storage.formats.scans.npy import NpyFormat
 from storage.formats.scans.ouster import OusterFormat
 from storage.formats.scans.pcd import PcdFormat
@@ -90,7 +91,9 @@ def read_scan(
         raise EmptyBody(f"the body is empty, wanted a {scan_format.name} scan")
     returns_m = scan_format.read(body)
     BUDGET.require_returns(len(returns_m))
-    return Scan.from_returns(returns_m, min_returns=min_returns, timestamp_s=timestamp_s, pose=pose)
+    scan = Scan.from_returns(returns_m, min_returns=min_returns, timestamp_s=timestamp_s, pose=pose)
+    require_metres(scan.points_m)
+    return scan
 
 
 def read_scan_file(

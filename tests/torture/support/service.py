@@ -61,10 +61,11 @@ class Tortured:
         options.setdefault("timeout", 60)
         return httpx2.Client(base_url=self.url, headers=headers, verify=NO_TLS, **options)
 
-    def start(self, *, ready: bool = True) -> None:
-        """Start it on a free port, and wait until it answers.
+    def start(self, port: int = 0, *, ready: bool = True) -> None:
+        """Start it, by default on a free port, and wait until it answers.
 
         Args:
+            port: Where it listens.
             ready: Whether to wait; a kill may come before that.
         """
         logged_before = self.log.stat().st_size if self.log.exists() else 0
@@ -72,7 +73,7 @@ class Tortured:
             self._process = subprocess.Popen(
                 [
                     *(*self._within, sys.executable, "-m", "app.cli", "serve"),
-                    *("--port", "0", "--data", self.data_dir),
+                    *("--port", str(port), "--data", self.data_dir),
                 ],
                 cwd=TREE,
                 env=environment_of(**self._more),

@@ -15,6 +15,7 @@ from storage.catalog import JobState
 from storage.errors import CorruptFile, JobNotRunning, MapNotFound
 from storage.files.image_file import write_image_file
 from storage.store import Store
+from tests.support.new_catalog import put_new_catalog
 from tests.support.recording import recording
 from tests.support.samples import sample_harmonic_map
 
@@ -24,6 +25,7 @@ PARAMETERS = BuildParameters(segments=2)
 
 @pytest.fixture
 def store(tmp_path):
+    put_new_catalog(tmp_path / "catalog.sqlite3")
     with Store.serving(tmp_path) as opened:
         opened.maps.create("campus")
         put(opened)
@@ -77,10 +79,10 @@ def files_of(store):
     )
 
 
-@pytest.mark.parametrize("stage", ["projecting", "fitting"])
-def test_a_map_that_is_made_anew_during_a_build_gets_nothing_of_the_old_one(store, stage):
+@pytest.mark.parametrize(("stage", "how"), [("projecting", "purge"), ("fitting", "delete")])
+def test_a_map_that_is_made_anew_during_a_build_gets_nothing_of_the_old_one(store, stage, how):
     def make_anew():
-        store.maps.delete("campus")
+        getattr(store.maps, how)("campus")
         store.maps.create("campus")
         put(store)
 
@@ -91,7 +93,9 @@ def test_a_map_that_is_made_anew_during_a_build_gets_nothing_of_the_old_one(stor
     assert made.id != map_id
     assert made.live_revision is None
     assert store.revisions.list("campus").items == ()
-    assert {path.parts[0] for path in files_of(store)} == {made.id}
+    in_bin = {entry.map_id for entry in store.recycle_bin.list().items}
+    assert {path.parts[0] for path in files_of(store)} == {made.id} | in_bin
+    assert not any("revisions" in path.parts for path in files_of(store))
     assert not any("revisions" in path.parts for path in files_of(store))
 
 
@@ -189,7 +193,7 @@ def test_images_without_probes_are_made_anew_and_without_returns_the_map_is_not_
     store, monkeypatch
 ):
     seen, _ = stages_of(store)
-    assert seen == ["projecting", "fitting", "calibrating", "calibrating scans"]
+    assert seen == ["checking poses", "projecting", "fitting", "calibrating", "calibrating scans"]
     seen, _ = stages_of(store)
     assert seen == ["fitting", "calibrating", "calibrating scans"]
     drop_probes(store)

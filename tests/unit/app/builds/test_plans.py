@@ -10,11 +10,13 @@ from core.projection.imager import Views
 from storage.errors import DriveNotFound, RevisionNotFound
 from storage.hdf5.dataset import ContiguousDataset
 from storage.store import Store
+from tests.support.new_catalog import put_new_catalog
 from tests.support.recording import recording
 
 
 @pytest.fixture
 def store(tmp_path):
+    put_new_catalog(tmp_path / "catalog.sqlite3")
     with Store.serving(tmp_path) as opened:
         opened.maps.create("campus")
         put(opened, "monday")

@@ -45,6 +45,13 @@ def test_the_list_of_commands_imports_no_library_that_computes() -> None:
     assert _printed(_RUN.format(words=["--help"]).rstrip("; ") + words) == "[]"
 
 
+def test_a_command_on_files_imports_nothing_of_the_service() -> None:
+    # A second of the start of a command that takes half of one.
+    heavy = "{'fastapi', 'sqlalchemy', 'scipy'}"
+    program = f"imported('localize'); print(sorted({heavy} & set(sys.modules)))"
+    assert _printed(_RUN.format(words=[]) + program) == "[]"
+
+
 def test_a_command_computes_in_one_thread() -> None:
     pools = "print({pool['num_threads'] for pool in threadpool_info()})"
     program = f"from threadpoolctl import threadpool_info; imported('inspect'); {pools}"

@@ -25,7 +25,7 @@ def folder(tmp_path_factory):
 @pytest.fixture(scope="module")
 def map_file(folder, tmp_path_factory):
     path = tmp_path_factory.mktemp("map") / "map.h5"
-    options = ["--encoding", "harmonic", "--lateral-renderings=-1.5,0,1.5", "--segments", "2"]
+    options = ["--lateral-renderings=-1.5,0,1.5", "--segments", "2", "--no-odometry"]
     run("build", folder, "-o", path, *options)
     return path
 
@@ -50,7 +50,11 @@ def test_inspect_counts_verification_images_apart(folder, tmp_path):
     assert facts["verification_bytes"] == 12 * 20 * 60
     assert facts["arrays"]["verification_images"] == {"shape": [12, 20, 60], "dtype": "uint8"}
     assert "14400 of verification images" in run("inspect", path)
-    run("build", folder, "-o", path, "--views", "any", "--no-verification-images")
+    options = ("--views", "any", "--no-verification-images")
+    with pytest.raises(SystemExit):  # it is there already
+        run("build", folder, "-o", path, *options)
+    assert json.loads(run("inspect", path, "--json")) == facts
+    run("build", folder, "-o", path, *options, "--force")
     facts = json.loads(run("inspect", path, "--json"))
     assert facts["verification_bytes"] == 0
     assert "verification_images" not in facts["arrays"]

@@ -22,7 +22,9 @@ from tests.support.recording import kitti, recording
 
 pytestmark = pytest.mark.slow
 
-HARMONIC = ("--encoding", "harmonic", "--lateral-renderings=-1.5,0,1.5")
+HARMONIC = ("--lateral-renderings=-1.5,0,1.5", "--no-odometry")
+FULL = (*HARMONIC, "--views", "full")
+"""Built in half of the time, where nothing depends on views."""
 
 
 @pytest.fixture(scope="module")
@@ -79,18 +81,26 @@ def frames(tmp_path_factory):
     return parent / "monday", parent / "tuesday"
 
 
-def test_drives_in_different_world_frames_are_neither_built_nor_merged(frames, tmp_path):
+def test_drives_in_different_world_frames_are_rejected_or_aligned(frames, tmp_path):
     monday, tuesday = tmp_path / "monday.h5", tmp_path / "tuesday.h5"
     out = tmp_path / "both.h5"
     with pytest.raises(FramesDisagree, match=r"tuesday .* than those of monday"):
-        run("build", *frames, "-o", out, *HARMONIC)
-    run("build", frames[0], "-o", monday, *HARMONIC)
-    run("build", frames[1], "-o", tuesday, *HARMONIC, "--keep-basis", monday)
-    with pytest.raises(FramesDisagree, match="poses unchecked"):
+        run("build", *frames, "-o", out, *FULL)
+    run("build", frames[0], "-o", monday, *FULL)
+    run("build", frames[1], "-o", tuesday, *FULL, "--keep-basis", monday)
+    with pytest.raises(FramesDisagree, match="align: off"):
         run("merge", monday, tuesday, "-o", out)
     assert not out.exists()
-    assert "96 scans" in run("merge", monday, tuesday, "-o", out, "--poses", "unchecked")
-    assert "96 scans" in run("build", *frames, "-o", out, *HARMONIC, "--poses", "unchecked")
+    assert "96 scans" in run("merge", monday, tuesday, "-o", out, "--align", "off")
+    again = ("-o", out, "--force")
+    assert "96 scans" in run("build", *frames, *again, *FULL, "--align", "off")
+    with pytest.raises(SystemExit):  # it is there already
+        run("merge", monday, tuesday, "-o", out, "--align", "auto")
+    for words in (("--computed", "tuesday"), ("--align", "auto")):
+        assert "tuesday were turned by" in run("merge", monday, tuesday, *again, *words)
+    (placement,) = json.loads(run("inspect", out, "--json"))["placements"].values()
+    assert placement["translation_m"][0] == pytest.approx(-500.0, abs=1.0)
+    assert "placed  tuesday: turned by" in run("inspect", out)
 
 
 def test_files_that_cannot_be_merged_are_rejected_and_nothing_is_written(maps, folders, tmp_path):

@@ -166,3 +166,22 @@ def test_work_stops_between_two_units_once_its_client_has_left():
         require_client()  # here nobody waits, and nobody left
 
     asyncio.run(run())
+
+
+def test_who_waits_for_quiet_waits_for_running_work_and_not_for_ever(monkeypatch):
+    async def run():
+        pool, gate = Pool("tests", threads=2, per_key=2, queue=100), Gate()
+        await pool.quiet()  # nothing runs
+        working = asyncio.create_task(pool.run("a", gate.work("a")))
+        await settled(lambda: gate.began == ["a"])
+        await pool.quiet()
+        assert not working.done()
+        monkeypatch.setattr("app.http.pools._QUIET_S", 60.0)
+        quiet = asyncio.create_task(pool.quiet())
+        await asyncio.sleep(0.01)
+        assert not quiet.done()
+        gate.open()
+        await asyncio.wait_for(quiet, 30)
+        assert working.done()
+
+    asyncio.run(run())

@@ -1,18 +1,26 @@
 """The index of all places of a shared basis."""
 
+import os
 import shutil
+import threading
+import weakref
 
 import pytest
 
 from app.localization import place_indexes
 from app.localization.place_indexes import PlaceIndexes
+from core.encodings.harmonic.model import HarmonicModel
 from core.mapping.build import fit_map
 from core.projection.images import MemoryImages
 from storage.catalog import RevisionFacts
 from storage.files import map_file
 from storage.files.map_file import write_map
+from storage.files.place_files import Manifest
 from storage.store import Store
+from tests.support.new_catalog import put_new_catalog
+from tests.support.process import until
 from tests.support.samples import own_signatures, random_images, sample_harmonic_map
+from tests.support.service import damage
 
 MAPS, SCANS = 12, 16
 
@@ -25,7 +33,7 @@ def map_of(basis, like, seed):
 
 
 def add(store, slug, tensor_map, **options):
-    known = {one.slug for one in store.catalog.live_maps.all()}
+    known = {one.slug for one in store.catalog.map_summaries.all()}
     of_map = store.maps.get(slug) if slug in known else store.maps.create(slug)
     facts = RevisionFacts("harmonic", SCANS, 2, {}, bases=tensor_map.basis_digests)
     store.revisions.add(
@@ -47,6 +55,8 @@ def maps():
 @pytest.fixture
 def store(maps, tmp_path):
     basis, of_slug = maps
+    (tmp_path / "data").mkdir()
+    put_new_catalog(tmp_path / "data/catalog.sqlite3")
     with_maps = Store(tmp_path / "data")
     with_maps.bases.add("city", basis)
     for slug in list(of_slug)[:MAPS]:
@@ -56,7 +66,7 @@ def store(maps, tmp_path):
 
 
 def live(store):
-    return [one for one in store.catalog.live_maps.all() if one.revision is not None]
+    return [one for one in store.catalog.map_summaries.all() if one.revision is not None]
 
 
 def updated(indexes, basis):
@@ -69,8 +79,8 @@ def updated(indexes, basis):
 def found(store, index, tensor_map, row, maps=None):
     """Return the slugs of the maps that a scan's own signature may be of, best first."""
     slugs = {one.map_id: one.slug for one in live(store)}
-    [signature] = own_signatures(tensor_map, row)
-    return [slugs[map_id] for map_id in index.nearest_maps(maps or live(store), signature)]
+    nearest = index.nearest_maps(maps or live(store), own_signatures(tensor_map, row))
+    return [slugs[map_id] for map_id in nearest]
 
 
 def test_a_place_is_found_in_its_map(store, maps):
@@ -125,18 +135,33 @@ def test_places_of_a_map_that_is_gone_are_not_found_before_they_are_removed(stor
     assert "d04" not in found(store, index, of_slug["d04"], 3)
 
 
+def cut_off(file, size_bytes):
+    assert file.stat().st_size > size_bytes
+    os.truncate(file, size_bytes)
+
+
+def name_more_places(file):
+    manifest = Manifest.model_validate_json(file.read_bytes())
+    manifest.parts[0].maps[-1].end += 1
+    file.write_text(manifest.model_dump_json())
+
+
 def test_what_is_damaged_or_gone_is_made_again(store, maps):
     basis, of_slug = maps
     PlaceIndexes(store).update(basis.digest)
     folder = store.layout.index / basis.digest
-    for damage in (
+    for spoil in (
         lambda: next(folder.glob("part-*/codes.npy")).write_bytes(b"nothing"),
+        lambda: cut_off(next(folder.glob("part-*/codes.npy")), 0),
+        lambda: cut_off(next(folder.glob("part-*/codes.npy")), 40),
+        lambda: cut_off(next(folder.glob("part-*/codes.npy")), 400),
+        lambda: name_more_places(folder / "index.json"),
         lambda: next(folder.glob("part-*/members.npy")).unlink(),
         lambda: shutil.rmtree(next(folder.glob("code-*"))),
         lambda: (folder / "index.json").write_bytes(b"{"),
         lambda: shutil.rmtree(folder),
     ):
-        damage()
+        spoil()
         indexes = PlaceIndexes(store)
         assert indexes.open(basis.digest) is None
         assert found(store, updated(indexes, basis), of_slug["d06"], 3)[0] == "d06"
@@ -168,7 +193,7 @@ def test_of_few_maps_there_is_no_index(store, maps, monkeypatch):
 
 def test_parts_are_joined_and_lists_find_what_all_codes_do(store, maps, monkeypatch):
     basis, of_slug = maps
-    monkeypatch.setattr(place_indexes, "_AT_ONCE", 5)
+    monkeypatch.setattr(place_indexes, "_AT_ONCE", 5 * SCANS)
     monkeypatch.setattr(place_indexes, "_MOST_JOINED", 6 * SCANS)
     indexes = PlaceIndexes(store)
     index = updated(indexes, basis)
@@ -177,3 +202,103 @@ def test_parts_are_joined_and_lists_find_what_all_codes_do(store, maps, monkeypa
     assert found(store, index, of_slug["d08"], 6)[0] == "d08"
     some = [one for one in live(store) if one.slug != "d08"]
     assert "d08" not in found(store, index, of_slug["d08"], 6, some)
+
+
+def test_no_map_is_kept_in_memory_while_an_index_is_made(store, maps, monkeypatch):
+    basis, _ = maps
+    monkeypatch.setattr(place_indexes, "_MOST_SAMPLED", 2 * SCANS)
+    alive: weakref.WeakSet[object] = weakref.WeakSet()
+    most = []
+
+    def read_revision(path, digest):
+        most.append(len(alive))
+        read = map_file.read_revision(path, digest)
+        alive.add(read.model)
+        return read
+
+    monkeypatch.setattr(place_indexes, "read_revision", read_revision)
+    monkeypatch.delattr(HarmonicModel, "signatures")  # a small map keeps them decoded
+    PlaceIndexes(store).update(basis.digest)
+    assert len(most) == MAPS + 2
+    assert max(most) <= 2  # those that train the code
+
+
+def test_an_index_that_has_grown_serves_until_the_new_one_is_whole(store, maps, monkeypatch):
+    basis, of_slug = maps
+    monkeypatch.setattr(place_indexes, "_AT_ONCE", 3 * SCANS)
+    indexes = PlaceIndexes(store)
+    updated(indexes, basis)
+    add(store, "d12", of_slug["d12"])
+    monkeypatch.setattr(place_indexes, "_GROWN", 1)
+    indexed = []
+
+    def read_revision(path, digest):
+        opened = PlaceIndexes(store).open(basis.digest)
+        indexed.append(0 if opened is None else len(opened.places_of))
+        return map_file.read_revision(path, digest)
+
+    monkeypatch.setattr(place_indexes, "read_revision", read_revision)
+    folder = store.layout.index / basis.digest
+    [code] = folder.glob("code-*")
+    index = updated(indexes, basis)
+    assert len(index.places_of) == MAPS + 1
+    assert set(indexed) == {MAPS}
+    assert not code.exists()
+    assert len(list(folder.glob("part-*"))) == len(index.parts)
+
+
+def test_a_map_that_cannot_be_indexed_is_left_out_and_wakes_nobody(store, maps):
+    basis, of_slug = maps
+    record = store.revisions.live("d03")
+    damage(store.revisions.path_of(record), b"nothing")
+    indexes = PlaceIndexes(store)
+    index = updated(indexes, basis)
+    assert len(index.places_of) == MAPS - 1
+    damaged = [one for one in live(store) if not index.has(one)]
+    indexes.wake(basis.digest, damaged)
+    assert indexes._pending == set()
+    add(store, "d12", of_slug["d12"])
+    indexes.wake(basis.digest, [one for one in live(store) if not index.has(one)])
+    assert indexes._pending == {basis.digest}
+
+
+def test_any_error_of_an_update_is_logged_and_the_next_one_is_made(
+    store, maps, monkeypatch, caplog
+):
+    basis, _ = maps
+    indexes = PlaceIndexes(store)
+    update, done = indexes.update, threading.Event()
+
+    def failing(digest):
+        monkeypatch.setattr(indexes, "update", noted)
+        raise MemoryError
+
+    def noted(digest):
+        update(digest)
+        done.set()
+
+    monkeypatch.setattr(indexes, "update", failing)
+    indexes.start()
+    until(lambda: "cannot be brought up to date" in caplog.text, "the error")
+    indexes.wake(basis.digest)
+    assert done.wait(60)
+    indexes.stop()
+    assert indexes.open(basis.digest) is not None
+
+
+def test_an_index_ends_with_its_basis(store, maps):
+    basis, of_slug = maps
+    indexes = PlaceIndexes(store)
+    updated(indexes, basis)
+    folder = store.layout.index / basis.digest
+    other = shutil.copytree(folder, folder.with_name("0" * 64))
+    indexes.start()
+    indexes.stop()
+    assert folder.exists()
+    assert not other.exists()
+    for slug in list(of_slug)[:MAPS]:
+        store.maps.purge(slug)
+    store.bases.delete("city")
+    assert not folder.exists()
+    assert indexes.open(basis.digest) is None
+    assert indexes._open == {}

@@ -55,5 +55,6 @@ def test_a_smaller_share_is_more_probable_but_not_more_than_a_single_scan():
     one = CALIBRATION.probability(0.2, 0.9, share=1e-6)
     alone = float(CALIBRATION.log_likelihood_ratio(np.array(0.2)))
     assert one == pytest.approx(1 / (1 + np.exp(-alone)))
-    with pytest.raises(InvalidParameters, match="share"):
-        CALIBRATION.probability(0.1, None, share=0.0)
+    for share in (0.0, 1.5):
+        with pytest.raises(InvalidParameters, match="share"):
+            CALIBRATION.probability(0.1, None, share=share)

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from core.encodings.harmonic.search import HarmonicSearch
 from core.encodings.signature import Signature
 from core.errors import InvalidParameters, InvalidSignature
 from core.evaluation.condition import Condition
@@ -102,3 +103,23 @@ def test_sensors_at_any_height_share_a_basis_of_any_views(maps):
 def test_any_views_of_what_cannot_compare_them_are_rejected(options, message):
     with pytest.raises(InvalidParameters, match=message):
         MapParameters.for_sensor(views=Views.ANY, **options)
+
+
+@pytest.mark.parametrize("views", list(Views))
+def test_an_answer_compares_each_scan_once(maps, views, monkeypatch):
+    tensor_map = maps[views]
+    localizer, compared = Localizer(tensor_map), []
+    [signature] = tensor_map.model.own_queries([20], tensor_map.revision)
+    search = localizer.search(signature)
+    assert isinstance(search, HarmonicSearch)
+    exact = type(search).exact
+
+    def counted(self, rows, *rest):
+        if not rest:  # of single renderings it only chooses candidates
+            compared.extend(rows.tolist())
+        return exact(self, rows, *rest)
+
+    monkeypatch.setattr(type(search), "exact", counted)
+    localizer.localize_signatures(signature, k=3)
+    assert compared
+    assert len(compared) == len(set(compared))

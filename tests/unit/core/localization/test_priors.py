@@ -56,10 +56,12 @@ def test_a_position_is_a_gate_at_three_sigma_and_a_scans_reach(made):
     assert rows == list(range(39, 62))
 
 
-def test_a_place_far_beyond_the_map_gives_no_warning(made):
-    far = (1e300, -1e300)
-    assert rows_of(Priors(position=PositionPrior(*far, 2.0)), made) == []
-    assert rows_of(Priors(odometry=OdometryPrior(far, 10.0, 1.0)), made) == []
+@pytest.mark.parametrize("far_m", [1e300, 1.7e308])
+@pytest.mark.parametrize("sigma_m", [1.0, 5e-324])
+def test_a_place_far_beyond_the_map_gives_no_warning(made, far_m, sigma_m):
+    place = (far_m, -far_m)
+    assert rows_of(Priors(position=PositionPrior(*place, sigma_m)), made) == []
+    assert rows_of(Priors(odometry=OdometryPrior(place, 1.0, sigma_m)), made) == []
 
 
 def test_odometry_allows_scans_within_the_distance_driven_from_a_place_or_a_scan(made):

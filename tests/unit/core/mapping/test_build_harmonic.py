@@ -7,6 +7,7 @@ from scipy.linalg import eigh
 from core.encodings.distance import Distance
 from core.encodings.harmonic.basis import HarmonicBasis
 from core.encodings.harmonic.model import HarmonicModel
+from core.encodings.harmonic.numbers import SignatureNumbers
 from core.encodings.harmonics import azimuth_factor
 from core.encodings.signature import Packing, Signature, pack_signatures, unpack_signatures
 from core.errors import (
@@ -177,15 +178,17 @@ def test_a_map_whose_parts_do_not_fit_is_rejected():
     tensor_map, _ = sample_harmonic_map(count=10, segment_length=5)
     model = tensor_map.model
     assert isinstance(model, HarmonicModel)
-    imaginary = model.signatures.copy()
+    numbers = model.signatures
+    imaginary = numbers.copy()
     imaginary[0, 0, 0, 0] += 1j
+    for wrong in (imaginary, np.full_like(imaginary, np.nan), numbers[0]):
+        with pytest.raises(InvalidMap):
+            SignatureNumbers(wrong)
     for name, value in (
-        ("stored", imaginary),
-        ("stored", np.full_like(imaginary, np.nan)),
-        ("stored", model.signatures[:9]),
-        ("stored", model.signatures[:, :2]),
-        ("stored", model.as_codes().select(np.arange(9))),
-        ("stored", model.as_codes().limited(2)),
+        ("stored", SignatureNumbers(numbers[:9])),
+        ("stored", SignatureNumbers(numbers[:, :2])),
+        ("stored", model.stored.select(np.arange(9))),
+        ("stored", model.stored.limited(2)),
         ("radial_basis", model.radial_basis[:, :2]),
         ("radial_basis", model.radial_basis[0]),
         ("lateral_offset_m", np.array([-2.0, 0.0, np.inf])),
@@ -197,9 +200,9 @@ def test_a_map_whose_parts_do_not_fit_is_rejected():
     other = HarmonicModel(**{**vars_of(model), "lateral_offset_m": np.array([-1.0, 0.0, 1.0])})
     plain = HarmonicModel(**{**vars_of(model), "measure": Distance.PLAIN})
     parts = (tensor_map.trajectory, tensor_map.topology, tensor_map.relative_error)
-    for wrong, message in ((other, "lateral_offset_m"), (plain, "distance")):
+    for misfit, message in ((other, "lateral_offset_m"), (plain, "distance")):
         with pytest.raises(InvalidMap, match=message):
-            TensorMap(tensor_map.parameters, wrong, *parts)
+            TensorMap(tensor_map.parameters, misfit, *parts)
 
 
 def vars_of(model):

@@ -21,6 +21,7 @@ from tests.support.samples import sample_points
         (lambda cells: cells - 1.5, "negative"),
         (lambda cells: cells * np.nan, "not finite"),
         (lambda cells: cells.astype(np.float64) * 1e300, "not finite"),
+        (lambda cells: cells * np.float32(3e38), r"above 1e\+30"),
     ],
 )
 def test_cells_that_are_no_image_are_rejected(grid, kind, change, reason):

@@ -7,11 +7,9 @@ from core.errors import InvalidParameters
 from core.projection.imager import Imager
 from core.projection.images import ConcatenatedImages, MemoryImages, Probes, project_drive
 from core.projection.probe import (
-    PROBES,
     displacement_of_probe,
     probe_image,
     probe_scan,
-    spread_evenly,
 )
 from core.projection.reducer import Reducer
 from core.projection.rings import RingGrid
@@ -111,17 +109,6 @@ def test_a_probe_without_returns_has_no_image():
     assert any(
         probe_image(far, i, RENDERED, displacement_alone(i, RENDERED)) is None for i in range(20)
     )
-
-
-@pytest.mark.parametrize("count", [1, PROBES, PROBES + 1, 5000])
-def test_probes_are_spread_evenly_and_bounded(count):
-    probed = spread_evenly(np.arange(10, 10 + count))
-    assert len(probed) == min(count, PROBES)
-    assert (np.diff(probed) >= 1).all()
-    assert probed[0] == 10
-    assert probed[-1] == 9 + count
-    if len(probed) > 1:
-        assert np.ptp(np.diff(probed)) <= 1
 
 
 def test_a_drive_is_probed_as_it_is_projected_and_unusable_scans_are_left_out():

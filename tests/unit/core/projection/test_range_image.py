@@ -93,14 +93,15 @@ def test_a_scan_wholly_outside_the_grid_is_rejected_with_the_reason():
 
 
 @pytest.mark.parametrize("reducer", list(RANGE_REDUCERS))
-def test_returns_whose_range_is_beyond_float32_make_an_invalid_scan(reducer):
-    beyond = Scan(np.full((1, 3), [3.4e38, 3.4e38, 0.0], dtype=np.float32))
-    with pytest.raises(InvalidScan, match="beyond float32"):
-        project_scan(beyond, AngularGrid(), reducer)
+def test_returns_whose_range_a_cell_cannot_hold_make_an_invalid_scan(reducer):
+    for far_m in (3.4e38, 1.1e30):
+        beyond = Scan(np.full((1, 3), [far_m, far_m, 0.0], dtype=np.float32))
+        with pytest.raises(InvalidScan, match=r"a return is .* away, wanted at most 1e\+30"):
+            project_scan(beyond, AngularGrid(), reducer)
 
 
 def test_the_smallest_and_largest_ranges_are_kept():
-    for metres in (1e-45, 3.4e38):
+    for metres in (1e-45, 9.9e29):
         scan = Scan(np.array([[metres, 0.0, 0.0]], dtype=np.float32))
         for reducer in RANGE_REDUCERS:
             assert project_scan(scan, AngularGrid(), reducer)[25, 180] == np.float32(metres)

@@ -1,14 +1,19 @@
 """The stored state of a track, and the track that continues it."""
 
 import json
+import tracemalloc
 from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
 
 from core.encodings.harmonic.model import HarmonicModel
+from core.encodings.harmonic.numbers import SignatureNumbers
 from core.errors import InvalidParameters, StaleObservation
 from core.localization.localizer import Localizer
+from core.tracking.belief import Belief
+from core.tracking.graph import TravelGraph
+from core.tracking.motion import Motion
 from core.tracking.state import TrackState
 from core.tracking.track import Observation, Track, Tracker
 from tests.support.samples import own_signatures, sample_harmonic_map, sample_map
@@ -52,7 +57,7 @@ def test_of_two_places_that_look_alike_the_one_that_can_be_reached_is_taken():
     stored = np.array(mapped.model.signatures)
     stored[42:] = stored[12:30]
     assert isinstance(mapped.model, HarmonicModel)
-    model = replace(mapped.model, stored=stored)
+    model = replace(mapped.model, stored=SignatureNumbers(stored))
     tracker = Tracker(Localizer(replace(mapped, model=model)))
     seen = [observed(tracker, row) for row in range(12, 24)]
     new, continued = Track(tracker), Track(tracker, driven(tracker, range(12)).state, 0.1)
@@ -69,6 +74,44 @@ def test_what_was_observed_before_is_rejected_by_the_track_that_continues(tracke
             track.observe(observed(tracker, 4, **stale))
     step = track.observe(observed(tracker, 4, timestamp_s=5.1, sequence=8))
     assert step.observations == 2
+
+
+@pytest.fixture(scope="module")
+def long_graph():
+    """Of a map of two drives with more scans than a vehicle passes in half a minute."""
+    return TravelGraph.of_map(sample_map(count=600, segment_length=200, drives=2)[0])
+
+
+@pytest.mark.parametrize("gap_s", [0.0, 0.1, 5.0])
+def test_in_a_gap_the_vehicle_advances_by_any_number_of_scans(long_graph, gap_s):
+    state = TrackState(4, ((100, 0.5), (101, 0.1), (1190, 0.1), (1400, 0.1)), elsewhere=0.2)
+    moved = np.zeros(long_graph.places)
+    for place, probability in state.places:
+        moved[place] = probability
+    at = [moved]
+    for _ in range(int(20 * gap_s)):
+        moved = long_graph.ahead @ moved
+        at.append(moved)
+    motion = Motion()
+    new = Belief.unknown(long_graph, motion)
+    belief = state.belief(long_graph, motion, gap_s)
+    assert belief.at.sum(axis=1) == pytest.approx(
+        0.5 * np.mean(at, axis=0) + 0.5 * new.at.sum(axis=1), rel=1e-9
+    )
+
+
+def test_after_a_long_gap_every_place_is_as_likely(long_graph):
+    state = TrackState(4, ((100, 0.5),), elsewhere=0.2)
+    products = []
+
+    class Counted:
+        def __matmul__(self, other):
+            products.append(1)
+            return long_graph.ahead @ other
+
+    belief = state.belief(replace(long_graph, ahead=Counted()), Motion(), 1e9)
+    assert belief.of_scan == pytest.approx(np.full(len(long_graph), (1 - 0.35) / len(long_graph)))
+    assert products == []
 
 
 def test_a_track_without_observations_continues_as_a_new_one(tracker):
@@ -106,3 +149,21 @@ def test_a_state_of_a_larger_map_is_rejected(tracker):
     state = TrackState(observations=1, places=((10_000, 1.0),), elsewhere=0.0)
     with pytest.raises(InvalidParameters, match="the map has 240 places, the state 10000"):
         Track(tracker, state)
+
+
+@pytest.mark.parametrize("likely", [0.24, 0.08])
+def test_a_belief_in_few_places_takes_hardly_more_memory_to_advance_than_one_in_all(
+    long_graph, likely
+):
+    motion = Motion()
+    peaks = []
+    for share in (1.0, likely):
+        at = np.full((long_graph.places, len(motion.pace)), 1e-12)
+        at[: 2 * int(share * len(long_graph))] = 1.0
+        at /= at.sum()
+        motion.advance(at, long_graph, travelled_m=3.0)  # its walks are computed once
+        tracemalloc.start()
+        motion.advance(at, long_graph, travelled_m=3.0)
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    assert peaks[1] < 1.2 * peaks[0]

@@ -1,5 +1,9 @@
 """Tracks: the order of observations, uncertain places, and maps without poses."""
 
+import threading
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -15,6 +19,8 @@ from core.tracking.motion import Motion
 from core.tracking.stationary import change
 from core.tracking.step import Doubt
 from core.tracking.track import Observation, Track, Tracker
+from storage.catalog import SavedTracks
+from storage.catalog.kept import Kept
 from tests.support.samples import own_signatures, sample_harmonic_map, sample_map
 
 
@@ -139,6 +145,14 @@ def test_the_change_is_zero_for_one_scan_and_larger_for_another(tracker):
     assert change(here, ()) is None
 
 
+def test_signatures_of_other_ranks_are_compared_in_those_that_both_have(tracker):
+    whole = own_signatures(tracker.map, 3)
+    narrow = [replace(one, values=one.values[:, :-1]) for one in whole]
+    low = [replace(one, values=one.values[:-1]) for one in whole]
+    assert change(narrow, low) == pytest.approx(0.0, abs=1e-7)
+    assert change(low, whole) == pytest.approx(0.0, abs=1e-7)
+
+
 def test_without_a_compared_scan_all_places_are_equally_likely(tracker):
     likelihood = Emission.of_map(tracker.map).likelihood(np.full(40, np.inf))
     assert (likelihood == 1.0).all()
@@ -169,9 +183,16 @@ def test_a_belief_that_does_not_sum_to_one_is_rejected():
 # Tracks of a service
 
 
-def test_tracks_of_one_revision_share_its_tracker_and_are_removed_when_idle(tracker):
+@pytest.fixture
+def saved(tmp_path):
+    opened = SavedTracks(f"sqlite:///{tmp_path}/tracks", Kept())
+    yield opened
+    opened.close()
+
+
+def test_tracks_of_one_revision_share_its_tracker_and_are_removed_when_idle(tracker, saved):
     now = [0.0]
-    tracks = Tracks(limit=2, idle_s=60.0, per_key=2, clock=lambda: now[0])
+    tracks = Tracks(limit=2, idle_s=60.0, per_key=2, saved=saved, clock=lambda: now[0])
     one, two = (tracks.create("m", key, tracker.localizer) for key in "ab")
     assert one._tracker is two._tracker
     with pytest.raises(TooManyTracks):
@@ -188,8 +209,28 @@ def test_tracks_of_one_revision_share_its_tracker_and_are_removed_when_idle(trac
     assert len(tracks) == 0
 
 
-def test_a_key_at_its_limit_of_tracks_does_not_stop_others(tracker):
-    tracks = Tracks(limit=5, idle_s=60.0, per_key=3)
+def test_of_two_requests_for_a_saved_track_one_makes_it(tracker, saved):
+    made: list[str] = []
+    at_once = threading.Barrier(2)
+
+    def localizer_of(revision):
+        made.append(revision)
+        return tracker.localizer
+
+    def resume(_):
+        at_once.wait()
+        return tracks.get("m", name, localizer_of)
+
+    name = Tracks(5, 60.0, 5, saved).create("m", "a", tracker.localizer).id
+    tracks = Tracks(5, 60.0, 5, saved)
+    with ThreadPoolExecutor(2) as pool:
+        one, two = pool.map(resume, range(2))
+    assert one is two
+    assert len(made) == 1
+
+
+def test_a_key_at_its_limit_of_tracks_does_not_stop_others(tracker, saved):
+    tracks = Tracks(limit=5, idle_s=60.0, per_key=3, saved=saved)
     for _ in range(3):
         tracks.create("m", "greedy", tracker.localizer)
     with pytest.raises(TooManyTracksOfKey, match="3 tracks of key greedy are kept"):
@@ -198,9 +239,9 @@ def test_a_key_at_its_limit_of_tracks_does_not_stop_others(tracker):
     assert len(tracks) == 4
 
 
-def test_a_key_below_its_share_replaces_the_longest_idle_track_of_the_key_with_most(tracker):
+def test_a_key_below_its_share_replaces_the_longest_idle_track_of_the_key_with_most(tracker, saved):
     now = [0.0]
-    tracks = Tracks(limit=6, idle_s=60.0, per_key=6, clock=lambda: now[0])
+    tracks = Tracks(limit=6, idle_s=60.0, per_key=6, saved=saved, clock=lambda: now[0])
     modest = [tracks.create("m", "modest", tracker.localizer) for _ in range(2)]
     greedy = [tracks.create("m", "greedy", tracker.localizer) for _ in range(4)]
     now[0] = 10.0

@@ -60,10 +60,10 @@ def test_a_backup_under_load_holds_every_scan_that_was_acknowledged_before_it(st
             put(store, [number], drive=f"drive-{number % 3}")
             acknowledged.append(number)
             if number % 7 == 6:
-                store.drives.delete("campus", "drive-0")
+                store.drives.purge("campus", "drive-0")
             if number % 5 == 4:
                 store.drives.close("campus", "drive-1")  # compacted: files change places
-                store.drives.delete("campus", "drive-1")
+                store.drives.purge("campus", "drive-1")
 
     worker = threading.Thread(target=work)
     worker.start()
@@ -86,7 +86,7 @@ def test_a_backup_under_load_holds_every_scan_that_was_acknowledged_before_it(st
         worker.join()
 
 
-def test_a_drive_that_is_deleted_while_it_is_copied_is_not_in_the_backup(
+def test_a_drive_that_is_purged_while_it_is_copied_is_not_in_the_backup(
     filled, tmp_path, monkeypatch
 ):
     put(filled, range(3), drive="tuesday")
@@ -96,7 +96,7 @@ def test_a_drive_that_is_deleted_while_it_is_copied_is_not_in_the_backup(
     def delete_after_naming(catalog):
         files = named(catalog)
         if not deleted:
-            deleted.append(filled.drives.delete("campus", "tuesday"))
+            deleted.append(filled.drives.purge("campus", "tuesday"))
         return files
 
     monkeypatch.setattr(storage.backup.backup, "named_files", delete_after_naming)
@@ -107,7 +107,7 @@ def test_a_drive_that_is_deleted_while_it_is_copied_is_not_in_the_backup(
         assert not restored.layout.orphans.exists()
 
 
-def test_no_folder_of_a_drive_that_is_deleted_after_it_was_copied_is_restored(
+def test_no_folder_of_a_drive_that_is_purged_after_it_was_copied_is_restored(
     filled, tmp_path, monkeypatch
 ):
     for drive in ("tuesday", "wednesday"):
@@ -121,7 +121,7 @@ def test_no_folder_of_a_drive_that_is_deleted_after_it_was_copied_is_restored(
         if not copied and any(drive in name for drive in of_both):
             copied.append(name)
             for drive in ("tuesday", "wednesday"):
-                filled.drives.delete("campus", drive)
+                filled.drives.purge("campus", drive)
         return written
 
     monkeypatch.setattr(storage.backup.backup, "_add", delete_after_the_first)

@@ -10,12 +10,13 @@ from alembic import command
 from sqlalchemy import create_engine, event, text
 
 from core.scans.pose import Pose
-from storage.catalog import Catalog, JobState
+from storage.catalog import Catalog, JobState, NewCapture
 from storage.catalog.migrations import alembic_config
 from storage.catalog.models import RevisionRecord
 from storage.errors import WrongCatalog
 from storage.retention import OwnRetention
 from storage.store import Store
+from tests.support.catalog_rows import FACTS
 
 AT = "2024-02-29 12:00:00.123456"
 M, D, E, J, K, S = (letter * 32 for letter in "abcdef")
@@ -142,6 +143,51 @@ def test_every_schema_can_be_left_for_the_one_before_it(database_url):
     catalog.close()
     again = Catalog(database_url)
     assert again.maps.get("campus").id == M
+    again.close()
+
+
+def test_what_is_in_the_recycle_bin_is_removed_with_its_schema_and_all_else_stays(database_url):
+    catalog = Catalog(database_url)
+    catalog.maps.create("yard")
+    for slug in ("campus", "dock"):
+        added = catalog.maps.create(slug)
+        catalog.revisions.add(added.id, DIGEST, "one.h5", 1000, FACTS)
+        for drive in ("monday", "tuesday"):
+            catalog.drives.put(slug, drive, None, 1)
+    catalog.recycle_bin.put_map("campus")
+    catalog.recycle_bin.put_drive("dock", "monday")
+    with catalog._database.engine.begin() as connection:
+        config = alembic_config()
+        config.attributes["connection"] = connection
+        command.downgrade(config, "0015")
+    catalog.close()
+    again = Catalog(database_url)
+    assert [one.slug for one in again.maps.list().items] == ["dock", "yard"]
+    assert again.drives.slugs("dock") == ("tuesday",)
+    assert len(again.drives.known()) == 2
+    assert again.recycle_bin.list().items == ()
+    again.close()
+
+
+def test_jobs_that_an_earlier_release_cannot_show_are_removed_or_lose_their_parameters(
+    database_url,
+):
+    catalog = Catalog(database_url)
+    catalog.maps.create("campus")
+    new = {"align": "auto", "odometry": True}
+    build = catalog.jobs.create("campus", {"views": "any", **new}, plan={"parameters": new})
+    planless = catalog.jobs.create("campus", new)
+    capture, _ = catalog.captures.create("campus", NewCapture("monday", (("a.bag", 9),), 9))
+    catalog.captures.add_part("campus", "monday", capture.id, 0, DIGEST, "0.bin")
+    catalog.captures.complete("campus", "monday", capture.id)
+    with catalog._database.engine.begin() as connection:
+        config = alembic_config()
+        config.attributes["connection"] = connection
+        command.downgrade(config, "0013")
+    catalog.close()
+    again = Catalog(database_url)
+    jobs = {job.id: (job.parameters, job.plan) for job in again.jobs.list().items}
+    assert jobs == {build.id: ({"views": "any"}, {"parameters": {}}), planless.id: ({}, None)}
     again.close()
 
 

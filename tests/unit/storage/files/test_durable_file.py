@@ -164,10 +164,10 @@ def test_bytes_that_are_not_on_the_disk_as_written_are_found(written, tmp_path, 
     assert found > disk.calls // 2
 
 
-def test_returns_that_are_read_back_with_another_digest_are_not_stored(tmp_path, monkeypatch):
+def test_returns_that_are_read_back_as_others_are_not_stored(tmp_path, monkeypatch):
     scan = Scan.from_returns([[1.0, 2.0, 3.0]])
     monkeypatch.setattr(ChunkFile, "points_m", lambda _self, _row: scan.points_m + 1)
-    with pytest.raises(StorageUnavailable, match="cannot be read back: row 0 has digest"):
+    with pytest.raises(StorageUnavailable, match="cannot be read back: row 0 has other returns"):
         write_chunk(tmp_path / "a.h5", [(0, scan)])
     assert not list(tmp_path.iterdir())
 

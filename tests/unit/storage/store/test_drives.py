@@ -122,9 +122,9 @@ class TestPutting:
             store.drives.put_scan("campus", "../monday", 0, sample_scan(0))
         assert files(store) == []
 
-    def test_a_deleted_drive_can_be_made_again(self, store):
+    def test_a_purged_drive_can_be_made_again(self, store):
         put_many(store, [0, 1])
-        store.drives.delete("campus", "monday")
+        store.drives.purge("campus", "monday")
         assert files(store) == []
         with pytest.raises(DriveNotFound):
             store.drives.read_scan("campus", "monday", 0)
@@ -165,19 +165,27 @@ class TestRaces:
         )
         assert len(files(store)) == 1
 
-    def test_a_drive_that_is_deleted_while_a_scan_is_put_holds_the_scan_or_is_gone(self, store):
+    @pytest.mark.parametrize("how", ["delete", "purge"])
+    def test_a_drive_that_goes_while_a_scan_is_put_holds_the_scan_or_is_gone(self, store, how):
         def put_and_delete(index):
             put_many(store, [index])
             if index % 5 == 0:
                 with contextlib.suppress(DriveNotFound):
-                    store.drives.delete("campus", "monday")
+                    getattr(store.drives, how)("campus", "monday")
 
         with ThreadPoolExecutor(8) as pool:
             list(pool.map(put_and_delete, range(60)))
         put_many(store, [99])
         present = [record.index for record in stored_scans(store, "campus", "monday")]
         assert_stored(store, present)
-        assert len(files(store)) == len(present)
+        in_bin = [
+            record.index
+            for entry in store.recycle_bin.list().items
+            for record in store.catalog.scans.of_drive(entry.id)
+        ]
+        assert len(files(store)) == len(present) + len(in_bin)
+        if how == "delete":
+            assert sorted(present + in_bin) == [*range(60), 99]
 
     def test_scans_can_be_read_while_their_drive_is_packed(self, store):
         put_many(store, range(30))
@@ -339,9 +347,9 @@ class TestStarting:
         assert len(files(store)) == 3
         assert_stored(store, [0, 1])
 
-    def test_a_deleted_map_leaves_no_file(self, store):
+    def test_a_purged_map_leaves_no_file(self, store):
         put_many(store, [0])
-        store.maps.delete("campus")
+        store.maps.purge("campus")
         assert list(store.layout.maps.iterdir()) == []
 
     def test_a_second_store_reads_what_the_first_wrote(self, store):

@@ -10,7 +10,8 @@ from anyio import CapacityLimiter
 from fastapi.exceptions import RequestValidationError
 
 from app.drives.pose_schemas import PosesIn
-from app.http.bodies.incoming import Pace
+from app.http.bodies.content_digest import ContentDigest
+from app.http.bodies.incoming import Incoming, Pace
 from app.http.bodies.json_body import MOST_DEPTH, MOST_KEYS, MOST_VALUES, read_json
 from app.http.bodies.spool import Spool, SpoolRoom
 from app.http.errors import InvalidRequest, ServiceBusy, SlowBody, TooManyRequests
@@ -240,3 +241,40 @@ def test_the_largest_poses_that_the_api_describes_are_within_the_bounds():
 def test_a_body_that_is_not_json_is_rejected(body):
     with pytest.raises(RequestValidationError):
         read_json(body, MapIn)
+
+
+def test_a_large_body_gives_way_to_answers_between_its_pieces(tmp_path):
+    async def pieces_before_each_way(folder, sizes):
+        sent = iter(
+            [{"type": "http.request", "body": bytes(n), "more_body": True} for n in sizes]
+            + [{"type": "http.request", "body": b"", "more_body": False}]
+        )
+        gave_way: list[int] = []
+
+        async def receive():
+            return next(sent)
+
+        async def give_way():
+            gave_way.append(len(spool))
+
+        incoming = Incoming(
+            receive,
+            sent_limit=2**20,
+            unpacked_limit=2**20,
+            decoder=None,
+            digest=ContentDigest(""),
+            pace=Pace(Settings()),
+            spend=lambda _count: None,
+            room=room_in(folder),
+            key="a",
+            give_way=give_way,
+        )
+        with incoming.spool() as spool:
+            await incoming.fill(spool)
+        return gave_way
+
+    assert asyncio.run(pieces_before_each_way(tmp_path, [100, 2000])) == []
+    assert asyncio.run(pieces_before_each_way(tmp_path, [2**16, 100, 100])) == [
+        2**16 + 100,
+        2**16 + 200,
+    ]

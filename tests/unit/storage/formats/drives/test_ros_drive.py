@@ -1,14 +1,26 @@
 """Bags of ROS 1 and ROS 2: every kind gives the same drive."""
 
+import errno
 import sys
+from unittest import mock
 
 import numpy as np
 import pytest
+from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import StoragePlugin
 
 from core.errors import EmptyDrive, TooFewReturns
+from storage.errors import StorageFull, StorageUnavailable
+from storage.formats.budget import Budget
+from storage.formats.drives import ros_drive
 from storage.formats.drives.layouts import open_drive
-from storage.formats.errors import MalformedDrive, MalformedScan, TruncatedScan, WrongDtype
+from storage.formats.errors import (
+    MalformedDrive,
+    MalformedScan,
+    ScanTooLarge,
+    TruncatedScan,
+    WrongDtype,
+)
 from tests.support.bags import DRIVE, TIMES_NS, cloud, record_bag
 
 
@@ -43,6 +55,18 @@ def test_each_message_of_a_bag_is_a_scan(bags, kind):
         drive.scan(len(DRIVE))
 
 
+def test_a_cloud_in_millimetres_is_rejected(tmp_path):
+    drive = open_drive(record_bag(tmp_path / "bag", [cloud(DRIVE[0] * 1000)]))
+    with pytest.raises(WrongDtype, match="millimetres"):
+        drive.scan(0)
+
+
+def test_a_cloud_of_more_points_than_a_scan_may_have_is_rejected(monkeypatch):
+    monkeypatch.setattr(ros_drive, "BUDGET", Budget(returns=39))
+    with pytest.raises(ScanTooLarge, match="40 returns, at most 39"):
+        ros_drive.returns_m_of(cloud(DRIVE[0]))
+
+
 def test_one_of_several_topics_is_named_after_the_bag(tmp_path):
     bag = record_bag(tmp_path / "bag", [cloud(DRIVE[0])], topics=("/front", "/rear"))
     with pytest.raises(MalformedDrive, match=r"/front \(1\), /rear \(1\); wanted one topic"):
@@ -67,6 +91,23 @@ def test_a_file_that_is_no_bag_is_rejected(tmp_path, suffix):
     path.write_bytes(b"\0nothing of the kind" * 40)
     with pytest.raises(MalformedDrive, match=f"broken{suffix} cannot be read as a bag"):
         open_drive(path)
+
+
+@pytest.mark.parametrize("method", ["open", "messages", "deserialize"])
+@pytest.mark.parametrize(
+    ("error", "named"),
+    [
+        (MemoryError("no memory"), MemoryError),
+        (OSError(errno.EFBIG, "File too large"), StorageFull),  # beyond `ulimit -f`
+        (OSError(errno.EIO, "Input/output error"), StorageUnavailable),
+        (KeyError("of the parser"), (MalformedDrive, MalformedScan)),
+    ],
+)
+def test_only_what_the_parser_raises_is_the_bags_fault(bags, monkeypatch, method, error, named):
+    drive = open_drive(bags["mcap"])
+    monkeypatch.setattr(AnyReader, method, mock.Mock(side_effect=error))
+    with pytest.raises(named):
+        drive.scan(0) if method != "open" else open_drive(bags["mcap"])
 
 
 def test_a_truncated_bag_raises_and_never_returns_other_scans(bags, tmp_path):
@@ -115,5 +156,5 @@ def test_coordinates_that_are_integers_are_rejected(tmp_path):
 
 def test_without_the_library_the_error_has_what_to_install(bags, monkeypatch):
     monkeypatch.setitem(sys.modules, "rosbags.highlevel", None)
-    with pytest.raises(MalformedDrive, match=r"pip install .\.\[ros\]"):
+    with pytest.raises(MalformedDrive, match=r"pip install -e .\.\[ros\]"):
         open_drive(bags["mcap"])

@@ -1,5 +1,7 @@
 """KITTI's `.bin`: raw floats, recognized by their values only."""
 
+import io
+
 import numpy as np
 import pytest
 
@@ -90,6 +92,36 @@ def test_a_scan_with_more_than_a_quarter_of_implausible_coordinates_is_rejected(
             require_plausible(returns_m, "metres")
     else:
         require_plausible(returns_m, "metres")
+
+
+def test_records_of_another_length_are_rejected_and_both_are_named() -> None:
+    xyzi = street()
+    ring = np.arange(len(xyzi), dtype="<f4") % 32
+    for other in (
+        np.column_stack([xyzi, ring]),  # nuScenes
+        xyzi[:, :3],
+        np.column_stack([xyzi, ring, np.linspace(0.0, 0.1, len(xyzi))]),
+    ):
+        with pytest.raises(WrongDtype, match=r"nuScenes' 20 bytes .* or 12 .* 16 bytes a return"):
+            read(np.ascontiguousarray(other, "<f4").tobytes())
+    unknown = xyzi.copy()
+    unknown[:, 3] = -1.0  # not measured
+    assert len(read(unknown.tobytes())) == len(xyzi)
+
+
+def test_millimetres_and_coordinates_of_a_map_are_rejected_in_any_format() -> None:
+    points = street()[:, :3]
+    file = io.BytesIO()
+    np.save(file, points * 1000)
+    with pytest.raises(WrongDtype, match="millimetres, or a map's coordinates"):
+        read_scan(file.getvalue(), suffix=".npy", min_returns=1)
+    records = street()
+    records[:, :2] += [455_000, 5_428_000]  # UTM
+    with pytest.raises(WrongDtype):
+        read(records.tobytes())
+    far = street()
+    far[::3, :3] *= 1000  # what a third of the returns are is no unit
+    assert len(read(far.tobytes())) == len(far)
 
 
 def test_the_number_of_returns_is_bounded_by_the_budget() -> None:

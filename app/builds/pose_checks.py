@@ -1,0 +1,127 @@
+"""Given poses checked against the scans of their drive, as a part of its builds."""
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+
+from app.builds.parameters import Align
+from core.errors import PosesContradictScans
+from core.odometry.pose_check import VERSION, Contradiction, Motion, PoseCheck, check_poses
+from core.odometry.posed_drive import PosedDrive
+from core.progress import NO_PROGRESS, Progress
+from core.scans.drive import Drive
+from core.scans.pose import UNKNOWN_POSE, PoseSource, is_known
+from storage.store import Store, StoredDrive
+
+_NAMED = 3  # contradictions in a note
+
+
+def check_stored(
+    store: Store,
+    drives: Sequence[StoredDrive],
+    sensor_height_m: float,
+    align: Align,
+    progress: Progress = NO_PROGRESS,
+) -> tuple[str, ...]:
+    """Check the given poses of stored drives, once for the same scans and poses; return notes.
+
+    Args:
+        store: Of the drives.
+        drives: The drives.
+        sensor_height_m: Of the map; used where a drive has no mounting.
+        align: With `off` poses that are wrong are noted only.
+        progress: Receives the stages of each drive.
+
+    Raises:
+        PosesContradictScans: If a drive's poses are not those of its scans.
+        CorruptFile: If a stored scan is not the one that was put.
+    """
+    notes: list[str] = []
+    for drive in drives:
+        posed = is_known(drive.poses)
+        if drive.pose_source != PoseSource.GIVEN or not posed.any():
+            continue
+        height_m = sensor_height_m if drive.mounting is None else drive.mounting.z_m
+        of = _digest(drive, height_m)
+        if drive.pose_check is None or drive.pose_check["of"] != of:
+            if not (posed & drive.has_returns).any():
+                notes.append(
+                    f"{_unknown(drive)}: their returns were dropped after a build before they were"
+                )
+                continue
+            kept = np.where(drive.has_returns[:, None], drive.poses, UNKNOWN_POSE)
+            check = check_poses(PosedDrive(drive, kept), height_m, progress)
+            store.drives.set_pose_check(drive.id, {"of": of, **asdict(check)})
+        else:
+            check = _from_plain(drive.pose_check)
+        notes += _notes(drive, check, align)
+    return tuple(notes)
+
+
+def check_recorded(
+    drive: Drive, sensor_height_m: float, align: Align, progress: Progress = NO_PROGRESS
+) -> tuple[str, ...]:
+    """Check the poses that came with a recorded drive; return notes.
+
+    Args:
+        drive: As its sensor recorded it.
+        sensor_height_m: Above ground.
+        align: With `off` poses that are wrong are noted only.
+        progress: Receives the stages.
+
+    Raises:
+        PosesContradictScans: If they are not the poses of its scans.
+    """
+    if not is_known(drive.poses).any():
+        return ()
+    return _notes(drive, check_poses(drive, sensor_height_m, progress), align)
+
+
+def _notes(drive: Drive, check: PoseCheck, align: Align) -> tuple[str, ...]:
+    if check.is_unknown:
+        return (f"{_unknown(drive)}: they are too far apart, or do not show how the sensor moved",)
+    if not check.contradictions:
+        return ()
+    found = check.contradictions
+    between = "; ".join(map(str, found[:_NAMED]))
+    text = (
+        f"the scans of drive {drive.name} contradict its poses, {len(found)} of"
+        f" {len(found) + check.agreeing} pairs: (forward, left, up) from {between}"
+    )
+    if not check.is_wrong:
+        return (f"{text}: is a part of the poses wrong, or late?",)
+    text += ": are they another drive's, in another order, unit or system of axes?"
+    if align == Align.OFF:
+        return (text,)
+    raise PosesContradictScans(
+        f"{text} Correct them, or remove them, so that they are computed from the scans, or do not"
+        " check them (align: off)"
+    )
+
+
+def _unknown(drive: Drive) -> str:
+    return f"whether the poses of drive {drive.name} fit its scans could not be checked"
+
+
+def _from_plain(values: Mapping[str, Any]) -> PoseCheck:
+    return PoseCheck(
+        values["agreeing"],
+        tuple(
+            Contradiction(
+                of["first"], of["last"], Motion(**of["by_poses"]), Motion(**of["by_scans"])
+            )
+            for of in values["contradictions"]
+        ),
+        values["still"],
+        values["unmeasured"],
+    )
+
+
+def _digest(drive: StoredDrive, height_m: float) -> str:
+    """Return the digest of all that a check depends on but the dropping of returns."""
+    digest = hashlib.sha256(f"{VERSION} {height_m!r} {' '.join(drive.digests)}".encode())
+    digest.update(drive.poses.astype("<f8").tobytes())
+    return digest.hexdigest()

@@ -1,0 +1,78 @@
+"""`tensormap anchor`: a map's place on the Earth, from the track of a GNSS receiver."""
+
+import csv
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from tensormap_client import Admin, ClientError
+
+from app.cli.console import say
+from app.cli.errors import CommandFailed
+from app.cli.service_options import KeyFile, ServiceUrl, read_key
+from app.maps.anchor_schemas import MOST_FIXES
+
+_NEEDED = ("time_s", "latitude_deg", "longitude_deg")
+_KNOWN = (*_NEEDED, "altitude_m", "accuracy_m")
+
+
+def anchor(
+    track: Annotated[
+        Path,
+        typer.Argument(
+            metavar="TRACK",
+            help="A .csv with the columns time_s, latitude_deg, longitude_deg and, if known,"
+            " altitude_m and accuracy_m; or a .json, a list of such objects.",
+        ),
+    ],
+    url: ServiceUrl,
+    map_slug: Annotated[str, typer.Option("--map", help="Its map.")],
+    drive_slug: Annotated[
+        str, typer.Option("--drive", help="The drive of the live revision with the receiver.")
+    ],
+    key_file: KeyFile = None,
+) -> None:
+    """Fit a map's anchor on the Earth to the GNSS track of one of its drives, and set it."""
+    fixes = read_fixes(track)
+    fixes = fixes[:: -(-len(fixes) // MOST_FIXES)]
+    key = read_key(key_file)
+    try:
+        with Admin(url, key) as admin:
+            found = admin.fit_anchor(map_slug, drive_slug, fixes)["anchor"]
+    except ClientError as error:
+        raise CommandFailed(str(error)) from error
+    fit = found["fitted"]
+    say(
+        f"{map_slug}: ({found['x_m']:.1f}, {found['y_m']:.1f}) m is at {found['latitude_deg']:.7f},"
+        f" {found['longitude_deg']:.7f}, x points {found['heading_deg']:z.2f} deg north of east;"
+        f" {fit['agreeing']} of {fit['fixes']} fixes agree within {fit['spread_m']:.2f} m, known"
+        f" to {fit['error_m']:.2f} m and {fit['error_deg']:.2f} deg (standard deviations)"
+    )
+
+
+def read_fixes(track: Path) -> Sequence[Mapping[str, Any]]:
+    """Read a track.
+
+    Raises:
+        CommandFailed: If it is none.
+    """
+    wanted = f"wanted {', '.join(_NEEDED)} and, if known, altitude_m and accuracy_m"
+    text = track.read_text("utf-8-sig", "replace")
+    try:
+        if track.suffix.lower() == ".json":
+            rows = json.loads(text)
+        else:
+            rows = [
+                {name: float(row[name]) for name in _KNOWN if (row.get(name) or "").strip()}
+                for row in csv.DictReader(text.splitlines())
+            ]
+    except ValueError as error:
+        raise CommandFailed(f"{track}: {error}; {wanted}") from error
+    if not isinstance(rows, list) or not rows:
+        raise CommandFailed(f"{track} has no fixes; {wanted}")
+    for number, row in enumerate(rows, 1):
+        if not isinstance(row, dict) or not set(_NEEDED) <= row.keys() <= set(_KNOWN):
+            raise CommandFailed(f"{track}: fix {number} is {str(row)[:120]}; {wanted}")
+    return rows

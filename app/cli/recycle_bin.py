@@ -1,0 +1,89 @@
+"""`tensormap recycle-bin`: deleted maps and drives of a data directory, whose service may run."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from datetime import timedelta
+from typing import Annotated
+
+import typer
+
+from app.access.caller import OPERATOR_ID
+from app.cli.console import say
+from app.cli.options import DataOption
+from app.process import private_files
+from app.settings import Settings
+from storage.catalog import Act, on_behalf
+from storage.errors import StorageUnavailable
+from storage.store import Store
+from storage.store.layout import Layout
+
+EntryArgument = Annotated[str, typer.Argument(metavar="ENTRY", help="First column of the list.")]
+
+recycle_bin = typer.Typer(
+    name="recycle-bin",
+    help="List, restore and purge deleted maps and drives.",
+    no_args_is_help=True,
+    add_completion=False,
+)
+
+
+@recycle_bin.callback()
+def about() -> None:
+    """List, restore and purge deleted maps and drives."""
+
+
+@recycle_bin.command("list")
+def list_entries(data: DataOption = None) -> None:
+    """List what was deleted, the last one first: entry, name, size, and until when it is kept."""
+    settings = _settings(data)
+    with _opened(settings) as store:
+        after: str | None = ""
+        while after is not None:
+            page = store.recycle_bin.list(after)
+            for entry in page.items:
+                until = entry.deleted_at + timedelta(days=settings.recycle_bin_days)
+                say(f"{entry.id}  {entry}, {entry.size_bytes} bytes, until {until:%Y-%m-%d %H:%M}Z")
+            after = page.next_after
+
+
+@recycle_bin.command()
+def restore(
+    entry: EntryArgument,
+    name: Annotated[
+        str | None, typer.Option(metavar="NAME", help="A new name, if the old one is taken.")
+    ] = None,
+    data: DataOption = None,
+) -> None:
+    """Restore a map or drive as it was when it was deleted."""
+    with _opened(_settings(data)) as store, _logged(store, "restore_deleted", entry):
+        say(f"{store.recycle_bin.restore(entry, name)} is restored")
+
+
+@recycle_bin.command()
+def purge(entry: EntryArgument, data: DataOption = None) -> None:
+    """Remove a deleted map or drive for good."""
+    with _opened(_settings(data)) as store, _logged(store, "purge_deleted", entry):
+        say(f"{store.recycle_bin.purge(entry)} is removed")
+
+
+def _settings(data: DataOption) -> Settings:
+    return Settings() if data is None else Settings(data_dir=data)
+
+
+@contextmanager
+def _opened(settings: Settings) -> Iterator[Store]:
+    layout = Layout(settings.data_dir.absolute())
+    if settings.catalog_url is None and not layout.catalog.exists():
+        raise StorageUnavailable(f"there is no catalog in {settings.data_dir}")
+    private_files()
+    with Store(settings.data_dir, settings.catalog_url) as store:
+        yield store
+
+
+@contextmanager
+def _logged(store: Store, action: str, entry_id: str) -> Iterator[None]:
+    """Log what the block does as done by who operates the service."""
+    entry = store.recycle_bin.get(entry_id)
+    subject = f"/v1/recycle-bin/{entry.id}"
+    with on_behalf(Act(OPERATOR_ID, action, subject, entry.map_slug, str(entry))):
+        yield

@@ -1,0 +1,258 @@
+"""Where among all maps: which maps a query searches, and the answer of these."""
+
+import logging
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from enum import StrEnum
+from itertools import chain
+
+from app.access.caller import Caller
+from app.http.client import require_client
+from app.http.errors import TooManyMaps
+from app.localization.place_indexes import FEWEST_MAPS, PlaceIndexes
+from app.revisions.loaded import LoadedRevisions
+from core.encodings.basis import Basis
+from core.encodings.signature import REVISION_PREFIX_BYTES, Signature
+from core.errors import StaleSignature
+from core.localization.all_maps import AllMapsLocalization, SearchedMap, localize_in_maps
+from core.localization.localizer import Localizer
+from core.projection.imager import Image, Imager
+from core.scans.scan import Scan
+from storage.catalog import MapSummary
+from storage.errors import CorruptFile, MapNotFound, NoLiveRevision
+from storage.store import Store
+
+_LIKELY = 3  # maps of an index that are opened
+
+_log = logging.getLogger("tensormap.localization")
+
+
+class Reason(StrEnum):
+    """Why a map was not searched."""
+
+    NO_LIVE_REVISION = "no_live_revision"
+    OTHER_BASIS = "other_basis"
+    NOT_INDEXED = "not_indexed"
+    DAMAGED = "damaged"
+
+
+@dataclass(frozen=True)
+class AllMapsAnswer:
+    """An answer, and what it was searched in.
+
+    Attributes:
+        found: The answer.
+        searched: How many maps were searched.
+        not_searched: The other maps that the key may see, in the order of their names, and why.
+    """
+
+    found: AllMapsLocalization
+    searched: int
+    not_searched: tuple[tuple[str, Reason], ...]
+
+
+@dataclass(frozen=True)
+class _Chosen:
+    """The maps to open, and those that are not indexed yet."""
+
+    to_open: Sequence[MapSummary]
+    not_indexed: Mapping[str, Reason]
+
+
+class AllMapsSearch:
+    """Searches all maps that a caller may see.
+
+    Args:
+        store: With the maps.
+        revisions: Opened ones.
+        indexes: Of shared bases.
+        most_opened: How many maps one query may open.
+    """
+
+    def __init__(
+        self,
+        store: Store,
+        revisions: LoadedRevisions,
+        indexes: PlaceIndexes,
+        most_opened: int,
+    ) -> None:
+        self._store = store
+        self._revisions = revisions
+        self._indexes = indexes
+        self._most_opened = most_opened
+
+    def signature(
+        self,
+        caller: Caller,
+        signatures: Sequence[Signature],
+        k: int,
+        min_probability: float | None,
+    ) -> AllMapsAnswer:
+        """Localize a scan's signatures in the maps whose live revision has their basis.
+
+        Raises:
+            MapNotFound: If the caller may see no map.
+            NoLiveRevision: If none of the maps has a revision.
+            StaleSignature: If none has the basis.
+            InvalidSignature: If the signatures do not fit their basis.
+            TooManyMaps: If more maps have to be opened than may be.
+        """
+        maps = self._visible(caller)
+        named = signatures[0].revision
+        having = frozenset[str]()
+        if len(named) >= 2 * REVISION_PREFIX_BYTES:
+            having = self._store.catalog.map_summaries.with_basis(named)
+        with_basis = [one for one in maps if one.map_id in having]
+        if not with_basis:
+            raise StaleSignature(
+                f"no live revision of a map that this key may see has basis {named[:64]!r}"
+            )
+        chosen = self._chosen(with_basis, lambda _: signatures)
+        left_out = dict(chosen.not_indexed)
+        for one in maps:
+            if one.map_id not in having:
+                left_out[one.slug] = _without_basis(one)
+
+        def searched() -> Iterator[SearchedMap]:
+            for slug, localizer in self._opened(chosen.to_open, left_out):
+                with suppress(StaleSignature):  # another revision became live meanwhile
+                    yield SearchedMap(slug, localizer.map, localizer.search(signatures))
+
+        return _answer(searched(), k, min_probability, maps, left_out)
+
+    def scan(
+        self,
+        caller: Caller,
+        read: Callable[[float], Scan],
+        sensor_height_m: float | None,
+        k: int,
+        min_probability: float | None,
+    ) -> AllMapsAnswer:
+        """Localize a scan in all maps that have a live revision.
+
+        Args:
+            caller: Who sent it.
+            read: Returns the scan as one for maps of a sensor at some height.
+            sensor_height_m: Of this scan, if it is another than the maps'.
+            k: Number of matches.
+            min_probability: Least probability to accept.
+
+        Raises:
+            MapNotFound: If the caller may see no map.
+            NoLiveRevision: If none of the maps has a revision.
+            InvalidScan: If the scan cannot be used.
+            TooManyMaps: If more maps have to be opened than may be.
+        """
+        maps = self._visible(caller)
+        live = [one for one in maps if one.revision is not None]
+        images: dict[Imager, Image] = {}
+
+        def image_of(basis: Basis) -> Image:
+            imager = basis.parameters.imager
+            if imager not in images:
+                scan = read(imager.sensor_height_m)
+                images[imager] = basis.image(scan, sensor_height_m)
+            return images[imager]
+
+        chosen = self._chosen(live, lambda basis: basis.encode(image_of(basis)))
+        left_out = dict(chosen.not_indexed)
+        for one in maps:
+            if one.revision is None:
+                left_out[one.slug] = Reason.NO_LIVE_REVISION
+
+        def searched() -> Iterator[SearchedMap]:
+            for slug, localizer in self._opened(chosen.to_open, left_out):
+                image = image_of(localizer.basis)
+                search = localizer.search_image(image)
+                yield SearchedMap(slug, localizer.map, search, image.occupied_cells)
+
+        return _answer(searched(), k, min_probability, maps, left_out)
+
+    def _visible(self, caller: Caller) -> Sequence[MapSummary]:
+        maps = self._store.catalog.map_summaries.all(caller.maps)
+        if not maps:
+            raise MapNotFound("there is no map that this key may see")
+        if all(one.revision is None for one in maps):
+            raise NoLiveRevision("none of the maps that this key may see has a revision yet")
+        return maps
+
+    def _chosen(
+        self,
+        maps: Sequence[MapSummary],
+        signatures_of: Callable[[Basis], Sequence[Signature]],
+    ) -> _Chosen:
+        """Return which of some maps are opened: the most likely of each index, and all others.
+
+        Raises:
+            InvalidSignature: If the signatures do not fit their basis.
+            TooManyMaps: If there are too many of these.
+        """
+        of_bases: dict[str | None, list[MapSummary]] = {}
+        for one in maps:
+            of_bases.setdefault(one.basis, []).append(one)
+        alone = of_bases.pop(None, [])
+        waiting: list[MapSummary] = []
+        likely: list[MapSummary] = []
+        for basis, having in of_bases.items():
+            if basis is None or len(having) < FEWEST_MAPS:
+                alone += having
+                continue
+            index = self._indexes.open(basis)
+            indexed = [] if index is None else [one for one in having if index.has(one)]
+            if len(indexed) < len(having):
+                known = {one.map_id for one in indexed}
+                missing = [one for one in having if one.map_id not in known]
+                self._indexes.wake(basis, missing)
+                waiting += missing
+            if index is None or not indexed:
+                continue
+            by_id = {one.map_id: one for one in indexed}
+            found = index.nearest_maps(indexed, signatures_of(index.basis))
+            likely += [by_id[map_id] for map_id in found[:_LIKELY]]
+        if len(alone) + len(likely) > self._most_opened:
+            raise TooManyMaps(
+                f"{len(alone) + len(likely)} maps would have to be opened, at most"
+                f" {self._most_opened} may be: name a map, or build the maps with one shared basis"
+            )
+        room = self._most_opened - len(alone) - len(likely)
+        return _Chosen(
+            [*likely, *alone, *waiting[:room]],
+            {one.slug: Reason.NOT_INDEXED for one in waiting[room:]},
+        )
+
+    def _opened(
+        self, maps: Sequence[MapSummary], left_out: dict[str, Reason]
+    ) -> Iterator[tuple[str, Localizer]]:
+        """Yield the live revisions of maps; add those that cannot be read to `left_out`."""
+        # More than are kept would put those that vehicles name out of memory.
+        keep = len(maps) <= self._revisions.limit
+        for one in maps:
+            require_client()
+            try:
+                localizer = self._revisions.live(one.slug, keep=keep).localizer
+            except CorruptFile:
+                _log.exception("map %s cannot be searched", one.slug)
+                left_out[one.slug] = Reason.DAMAGED
+            except (MapNotFound, NoLiveRevision):  # deleted meanwhile
+                pass
+            else:
+                yield one.slug, localizer
+
+
+def _answer(
+    searched: Iterator[SearchedMap],
+    k: int,
+    min_probability: float | None,
+    maps: Sequence[MapSummary],
+    left_out: dict[str, Reason],
+) -> AllMapsAnswer:
+    first = next(searched, None)
+    if first is None:
+        raise CorruptFile(f"none of {len(maps)} maps could be searched")
+    found = localize_in_maps(chain([first], searched), k, min_probability=min_probability)
+    return AllMapsAnswer(found, len(maps) - len(left_out), tuple(sorted(left_out.items())))
+
+
+def _without_basis(one: MapSummary) -> Reason:
+    return Reason.NO_LIVE_REVISION if one.revision is None else Reason.OTHER_BASIS

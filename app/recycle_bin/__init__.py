@@ -1,0 +1,1 @@
+"""The recycle bin: deleted maps and drives, to be restored or removed."""

@@ -1,0 +1,25 @@
+"""A basis as a NumPy file, for vehicles."""
+
+import io
+import json
+
+import numpy as np
+
+from core.encodings.basis import Basis
+
+NPZ = "application/vnd.tensormap.basis+npz"
+"""Its media type."""
+
+
+def basis_file(basis: Basis) -> bytes:
+    """Return the `.npz` file of a basis: its arrays, revision, digest and parameters."""
+    file = io.BytesIO()
+    np.savez(
+        file,
+        # None of the arrays is named allow_pickle.
+        **basis.arrays(),  # type: ignore[arg-type]
+        revision=np.array(basis.revision),
+        basis=np.array(basis.digest),
+        parameters=np.array(json.dumps(basis.parameters.as_attributes())),
+    )
+    return file.getvalue()

@@ -1,0 +1,23 @@
+"""Imported revisions on the wire."""
+
+from pydantic import Field
+
+from app.builds.job_schemas import LiveGateOut
+from app.revisions.imports import Imported
+from app.revisions.schemas import RevisionOut
+
+
+class ImportedOut(RevisionOut):
+    """A revision, and its recall compared with the revision that was live."""
+
+    gate: LiveGateOut = Field(
+        description="As of a build with `make_live`; `reason` is why a build of this content would"
+        " not have become live."
+    )
+
+    @classmethod
+    def from_import(cls, imported: Imported, live_revision: str | None) -> "ImportedOut":
+        """Return the model of an import."""
+        shown = RevisionOut.from_record(imported.record, live_revision)
+        gate = LiveGateOut.model_validate({**imported.gate.as_json(), "live": shown.live})
+        return cls(**dict(shown), gate=gate)

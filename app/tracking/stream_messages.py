@@ -1,0 +1,65 @@
+"""Messages of a track's stream: observations, and problems with the observation that each is of."""
+
+import json
+import math
+import struct
+
+from fastapi.exceptions import RequestValidationError
+
+from app.http import errors
+from app.http.bodies.json_body import read_json
+from app.http.problems import problem_response
+from app.tracking.schemas import ObservationIn
+from core.encodings.signature import unpack_signatures
+from core.errors import TensorMapError
+from core.tracking.track import Observation
+
+OBSERVATION_LAYOUT = 64
+"""First byte of packed signatures after their number, time and odometry; no signature's layout."""
+
+_HEADER = struct.Struct("<BQdd")  # layout, sequence, timestamp_s, travelled_m
+_MOST_SEQUENCE = 2**53 - 1
+
+
+def read_observation(body: bytes | str) -> Observation:
+    """Read a message: packed signatures, an observation of them, or the JSON of one.
+
+    Raises:
+        InvalidSignature: If signatures are malformed.
+        InvalidParameters: If a number is infinite.
+        InvalidRequest: If the JSON does not fit its schema, or the message is cut off.
+    """
+    if isinstance(body, str):
+        return _from_json(body)
+    if body[:1] != bytes([OBSERVATION_LAYOUT]):
+        return Observation(unpack_signatures(body))
+    if len(body) < _HEADER.size:
+        raise errors.InvalidRequest(
+            f"the observation has {len(body)} bytes, wanted {_HEADER.size} and its signatures"
+        )
+    _, sequence, timestamp_s, travelled_m = _HEADER.unpack_from(body)
+    if sequence > _MOST_SEQUENCE:
+        raise errors.InvalidRequest(f"sequence is {sequence}, wanted up to {_MOST_SEQUENCE}")
+    signatures = unpack_signatures(body[_HEADER.size :])
+    return Observation(signatures, _known(timestamp_s), sequence, _known(travelled_m))
+
+
+def problem_message(error: TensorMapError, observation: Observation | None) -> str:
+    """Return the problem that HTTP would answer, with number and time of the observation."""
+    problem = json.loads(bytes(problem_response(error).body))
+    if observation is not None:
+        problem |= {"sequence": observation.sequence, "timestamp_s": observation.timestamp_s}
+    return json.dumps(problem)
+
+
+def _known(number: float) -> float | None:
+    return None if math.isnan(number) else number
+
+
+def _from_json(body: str) -> Observation:
+    try:
+        return read_json(body.encode(), ObservationIn).to_observation()
+    except RequestValidationError as error:
+        found = error.errors()[0]
+        where = "/".join(map(str, found["loc"][1:]))
+        raise errors.InvalidRequest(f"{where}: {found['msg']}"[:200]) from None

@@ -1,1 +1,0 @@
-"""A client that uploads recorded drives to a service: `tensormap upload`."""

@@ -1,0 +1,65 @@
+"""The client of a TensorMap service: what a vehicle, a mapper or an administrator installs.
+
+Each class exists twice: `Vehicle`, and `AsyncVehicle` with the same methods to await.
+"""
+
+from tensormap_client._async.admin import AsyncAdmin
+from tensormap_client._async.mapper import AsyncMapper
+from tensormap_client._async.track import AsyncTrack
+from tensormap_client._async.vehicle import AsyncVehicle
+from tensormap_client._sync.admin import Admin
+from tensormap_client._sync.mapper import Mapper
+from tensormap_client._sync.track import Track
+from tensormap_client._sync.vehicle import Vehicle
+from tensormap_client.answers import Localization, Match, Pose, TrackAnswer
+from tensormap_client.captures import CaptureFiles
+from tensormap_client.errors import (
+    BuildFailed,
+    CaptureFailed,
+    ClientError,
+    InvalidArgument,
+    NothingUsable,
+    OtherDrive,
+    Rejected,
+    Unreachable,
+    UnsupportedMap,
+    UnusableScan,
+)
+from tensormap_client.progress import Progress
+from tensormap_client.signature.basis import Basis, Mounting, Tilt
+from tensormap_client.sources import FolderSource, ScanBody, Source
+from tensormap_client.uploaded import Uploaded
+
+__all__ = [
+    "Admin",
+    "AsyncAdmin",
+    "AsyncMapper",
+    "AsyncTrack",
+    "AsyncVehicle",
+    "Basis",
+    "BuildFailed",
+    "CaptureFailed",
+    "CaptureFiles",
+    "ClientError",
+    "FolderSource",
+    "InvalidArgument",
+    "Localization",
+    "Mapper",
+    "Match",
+    "Mounting",
+    "NothingUsable",
+    "OtherDrive",
+    "Pose",
+    "Progress",
+    "Rejected",
+    "ScanBody",
+    "Source",
+    "Tilt",
+    "Track",
+    "TrackAnswer",
+    "Unreachable",
+    "UnsupportedMap",
+    "UnusableScan",
+    "Uploaded",
+    "Vehicle",
+]

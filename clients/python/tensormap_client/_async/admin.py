@@ -1,0 +1,168 @@
+"""An administrator: maps, builds, revisions, keys and the audit trail of a service."""
+
+from collections.abc import AsyncIterator, Mapping, Sequence
+from typing import Any
+from urllib.parse import quote
+
+from tensormap_client._async.builds import follow, start_build
+from tensormap_client._async.session import AsyncSession
+from tensormap_client.paths import drive_path, map_path
+from tensormap_client.progress import NO_PROGRESS, Progress
+
+Answer = Mapping[str, Any]
+"""An answer of the service as JSON; docs/reference/http-api.md names its fields."""
+
+
+class AsyncAdmin(AsyncSession):
+    """Administers a service; each method needs its scope, and `admin` is all of them.
+
+    Every method raises `Rejected` if the service rejects it (a subclass says why), and
+    `Unreachable` if it does not answer. A request that would be another act the second time, as for
+    a new key, is not repeated when its connection is lost: look whether it was done.
+    """
+
+    def maps(self) -> AsyncIterator[Answer]:
+        """Yield the maps by name."""
+        return self._pages("/v1/maps")
+
+    async def map(self, map_slug: str) -> Answer:
+        """Return a map."""
+        return await self._get(map_path(map_slug))
+
+    async def create_map(self, map_slug: str, description: str = "") -> Answer:
+        """Create a map, and return it."""
+        wanted = {"map": map_slug, "description": description}
+        return await self._sent("POST", "/v1/maps", wanted, repeats=False)
+
+    async def delete_map(self, map_slug: str) -> None:
+        """Delete a map with its drives, revisions and jobs, into the recycle bin."""
+        await self._transport.request("DELETE", map_path(map_slug), repeats=False)
+
+    async def fit_anchor(
+        self, map_slug: str, drive_slug: str, fixes: Sequence[Mapping[str, float]]
+    ) -> Answer:
+        """Fit the map's place on the Earth to GNSS fixes of a drive, and return the map.
+
+        Args:
+            map_slug: The map.
+            drive_slug: A drive of its live revision.
+            fixes: `time_s` by the clock of its scans, `latitude_deg`, `longitude_deg` and, if
+                known, `altitude_m` and `accuracy_m` of each; at most 9,000.
+        """
+        track = {"drive": drive_slug, "fixes": [dict(fix) for fix in fixes]}
+        return await self._sent("POST", f"{map_path(map_slug)}/anchor", track)
+
+    def drives(self, map_slug: str) -> AsyncIterator[Answer]:
+        """Yield a map's drives by name."""
+        return self._pages(f"{map_path(map_slug)}/drives")
+
+    async def delete_drive(self, map_slug: str, drive_slug: str) -> None:
+        """Delete a drive and its scans, into the recycle bin."""
+        path = drive_path(map_slug, drive_slug)
+        await self._transport.request("DELETE", path, repeats=False)
+
+    def recycle_bin(self) -> AsyncIterator[Answer]:
+        """Yield what was deleted and can be restored, the last one first."""
+        return self._pages("/v1/recycle-bin")
+
+    async def restore(self, entry: str) -> Answer:
+        """Restore a deleted map or drive."""
+        path = f"/v1/recycle-bin/{quote(entry, safe='')}/restore"
+        return await self._sent("POST", path, repeats=False)
+
+    async def purge(self, entry: str) -> None:
+        """Remove a deleted map or drive for good."""
+        path = f"/v1/recycle-bin/{quote(entry, safe='')}"
+        await self._transport.request("DELETE", path, repeats=False)
+
+    def jobs(self, map_slug: str | None = None) -> AsyncIterator[Answer]:
+        """Yield the jobs, of all maps or of one, newest first."""
+        return self._pages("/v1/jobs", None if map_slug is None else {"map": map_slug})
+
+    async def build(
+        self,
+        map_slug: str,
+        parameters: Mapping[str, Any] | None = None,
+        progress: Progress = NO_PROGRESS,
+    ) -> Answer:
+        """Build a map, wait for the end, and return the job, with `revision`, `gate` and `notes`.
+
+        Args:
+            map_slug: The map.
+            parameters: Of `POST /v1/maps/{map}/builds`.
+            progress: Receives its stages.
+
+        Raises:
+            BuildFailed: If it fails, as at the gate before live, or is cancelled.
+        """
+        return await self.follow(await self.start_build(map_slug, parameters), progress)
+
+    async def start_build(
+        self, map_slug: str, parameters: Mapping[str, Any] | None = None
+    ) -> Answer:
+        """Queue a build, and return its job."""
+        return dict(await start_build(self._transport, map_slug, parameters))
+
+    async def follow(self, job: Answer, progress: Progress = NO_PROGRESS) -> Answer:
+        """Wait for a job's end and return it.
+
+        Raises:
+            BuildFailed: If it fails or is cancelled.
+        """
+        return await follow(self._transport, job, progress)
+
+    async def cancel(self, job: str) -> Answer:
+        """Cancel a job, and return it."""
+        return await self._sent("DELETE", f"/v1/jobs/{job}")
+
+    def revisions(self, map_slug: str) -> AsyncIterator[Answer]:
+        """Yield a map's revisions, newest first."""
+        return self._pages(f"{map_path(map_slug)}/revisions")
+
+    async def revision(self, map_slug: str, revision: str) -> Answer:
+        """Return a revision."""
+        return await self._get(f"{map_path(map_slug)}/revisions/{revision}")
+
+    async def comparison(self, map_slug: str, revision: str) -> Answer:
+        """Compare a revision and its recall with the live one."""
+        return await self._get(f"{map_path(map_slug)}/revisions/{revision}/comparison")
+
+    async def make_live(self, map_slug: str, revision: str) -> Answer:
+        """Make a revision live, and return the map."""
+        return await self._sent("PUT", f"{map_path(map_slug)}/live", {"revision": revision})
+
+    async def delete_revision(self, map_slug: str, revision: str) -> None:
+        """Remove a revision that is not live."""
+        await self._transport.request("DELETE", f"{map_path(map_slug)}/revisions/{revision}")
+
+    def keys(self) -> AsyncIterator[Answer]:
+        """Yield the keys in the order in which they were made."""
+        return self._pages("/v1/keys")
+
+    async def make_key(
+        self,
+        name: str,
+        scopes: Sequence[str],
+        maps: Sequence[str] | None = None,
+        expires_at: str | None = None,
+    ) -> Answer:
+        """Make a key, and return it with its `secret`, which is nowhere else.
+
+        Args:
+            name: What it is for.
+            scopes: What it allows, as `localize`.
+            maps: The maps that it is limited to; `None` for all.
+            expires_at: RFC 3339; `None` for never.
+        """
+        wanted = {"name": name, "scopes": list(scopes)}
+        limits = {"maps": None if maps is None else list(maps), "expires_at": expires_at}
+        known = {field: value for field, value in limits.items() if value is not None}
+        return await self._sent("POST", "/v1/keys", wanted | known, repeats=False)
+
+    async def revoke_key(self, key: str) -> Answer:
+        """Revoke a key at once and for good."""
+        return await self._sent("DELETE", f"/v1/keys/{key}")
+
+    def audit(self) -> AsyncIterator[Answer]:
+        """Yield the requested changes, oldest first, with the key of each and its outcome."""
+        return self._pages("/v1/audit")

@@ -1,0 +1,61 @@
+"""Jobs that run, until they end."""
+
+import secrets
+from collections.abc import Mapping
+from typing import Any
+
+from tensormap_client._async.transport import AsyncTransport
+from tensormap_client.errors import BuildFailed, ClientError
+from tensormap_client.io_async import sleep
+from tensormap_client.paths import map_path
+from tensormap_client.progress import Progress
+
+_POLL_S = 0.5
+
+
+async def start_build(
+    transport: AsyncTransport, map_slug: str, parameters: Mapping[str, Any] | None
+) -> Mapping[str, Any]:
+    """Queue a build, and return its job; `parameters` are those of `POST /v1/maps/{map}/builds`.
+
+    Raises:
+        ClientError: If the service cannot be reached or rejects the build.
+    """
+    headers = {"Idempotency-Key": secrets.token_hex(16)}
+    wanted = dict(parameters or {})
+    return await transport.json(
+        "POST", f"{map_path(map_slug)}/builds", json=wanted, headers=headers
+    )
+
+
+async def follow(
+    transport: AsyncTransport,
+    job: Mapping[str, Any],
+    progress: Progress,
+    failed: type[ClientError] = BuildFailed,
+) -> Mapping[str, Any]:
+    """Wait for a job's end and return it.
+
+    Args:
+        transport: Of the service.
+        job: As it was answered last.
+        progress: Receives its stages.
+        failed: Raised if it does not end as it should.
+
+    Raises:
+        failed: If it fails or is cancelled.
+        ClientError: If the service cannot be reached.
+    """
+    stage = None
+    while True:
+        if job["stage"] and job["stage"] != stage:
+            stage = job["stage"]
+            progress.start(stage, job["total"])
+        progress.move_to(job["done"])
+        if job["state"] == "done":
+            return dict(job)
+        if job["state"] in {"failed", "cancelled"}:
+            why = (job["error"] or {}).get("detail", "")
+            raise failed(f"{job['kind']} job {job['job']} {job['state']}: {why}".rstrip(": "))
+        await sleep(_POLL_S)
+        job = await transport.json("GET", f"/v1/jobs/{job['job']}")

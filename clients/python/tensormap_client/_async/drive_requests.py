@@ -1,0 +1,143 @@
+"""The requests of an upload, each for one drive of one map."""
+
+import io
+import tarfile
+from collections.abc import Mapping, Sequence
+from pathlib import Path, PurePath
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tensormap_client._async.transport import AsyncTransport
+from tensormap_client.errors import Rejected
+from tensormap_client.paths import drive_path
+from tensormap_client.problems import (
+    DriveNotFound,
+    InvalidRequest,
+    InvalidSlug,
+    ReturnsGone,
+)
+from tensormap_client.sources import ScanBody
+from tensormap_client.uploaded import StoredScans, Unusable
+
+_POSE_COLUMNS = "scan,x,y,z,qx,qy,qz,qw,timestamp_s"
+_UNUSABLE = frozenset({409, 413, 415, 422})
+_TAR = "application/x-tar"
+
+
+class AsyncDriveRequests:
+    """Requests for one drive of a map.
+
+    Args:
+        transport: Of the service.
+        map_slug: The map.
+        drive_slug: The drive.
+    """
+
+    def __init__(self, transport: AsyncTransport, map_slug: str, drive_slug: str) -> None:
+        self.drive_slug = drive_slug
+        self._transport = transport
+        self._drive = drive_path(map_slug, drive_slug)
+
+    async def stored(self) -> StoredScans:
+        """Return which scans are stored, none of a drive that does not exist.
+
+        Raises:
+            Unreachable: If what answers is another service.
+        """
+        try:
+            answer = await self._transport.json("GET", f"{self._drive}/scans")
+            ranges = tuple((run["first"], run["last"]) for run in answer["present"])
+            return StoredScans(ranges, answer["closed"])
+        except DriveNotFound:
+            return StoredScans()
+
+    async def drive(self) -> Mapping[str, Any]:
+        """Return the drive."""
+        return dict(await self._transport.json("GET", self._drive))
+
+    async def returns_m(self, index: int) -> NDArray[np.float32] | None:
+        """Return the returns of a stored scan, `(n, 3)`; `None` if the service kept none."""
+        try:
+            answer = await self._transport.request("GET", f"{self._drive}/scans/{index}")
+        except ReturnsGone:
+            return None
+        points: NDArray[np.float32] = np.load(io.BytesIO(answer.content), allow_pickle=False)
+        return points
+
+    async def put_scan(self, scan: ScanBody) -> list[Unusable]:
+        """Store one scan, with its time and pose where known; return it if it cannot be used."""
+        known: dict[str, Any] = {}
+        if scan.timestamp_s is not None:
+            known["timestamp_s"] = repr(scan.timestamp_s)
+        if scan.pose is not None:
+            known["pose"] = ",".join(map(repr, scan.pose))
+        try:
+            await self._transport.request(
+                "PUT",
+                f"{self._drive}/scans/{scan.index}",
+                content=scan.body,
+                params=known,
+                headers={"Content-Type": scan.media_type},
+            )
+        except Rejected as error:
+            if isinstance(error, InvalidSlug | InvalidRequest) or error.status not in _UNUSABLE:
+                raise
+            return [Unusable(str(scan.index), error.problem, error.detail)]
+        return []
+
+    async def put_scans(self, scans: Sequence[ScanBody]) -> list[Unusable]:
+        """Store scans of one media type in one body, and return those that cannot be used.
+
+        Times and poses are sent before: a scan without its own gets them when it is stored.
+        """
+        rows = [row for scan in scans if (row := _pose_row(scan)) is not None]
+        if rows:
+            await self._transport.request(
+                "PUT",
+                f"{self._drive}/poses",
+                content="\n".join([_POSE_COLUMNS, *rows]).encode(),
+                params={"partial": "true"},
+                headers={"Content-Type": "application/vnd.tensormap.poses.csv"},
+            )
+        named = [(f"{scan.index}.bin", scan.body) for scan in scans]
+        return await self._put_tar(named, {"format": scans[0].media_type.rpartition(".")[2]})
+
+    async def put_files(self, files: Sequence[Path]) -> list[Unusable]:
+        """Have the service read files with times, poses and calibration as KITTI has them."""
+        return await self._put_tar([(file.name, file.read_bytes()) for file in files], {})
+
+    async def _put_tar(
+        self, files: Sequence[tuple[str, bytes]], params: Mapping[str, str]
+    ) -> list[Unusable]:
+        answer = await self._transport.json(
+            "POST",
+            f"{self._drive}/scans",
+            content=_tar(files),
+            params=params,
+            headers={"Content-Type": _TAR},
+        )
+        return [
+            Unusable(PurePath(one["file"]).stem, one["type"].rpartition("/")[2], one["detail"])
+            for one in answer["set_aside"]
+        ]
+
+
+def _pose_row(scan: ScanBody) -> str | None:
+    """Return a scan's row in a table of poses, `None` if neither pose nor time is known."""
+    if scan.pose is None and scan.timestamp_s is None:
+        return None
+    pose = [""] * 7 if scan.pose is None else map(repr, scan.pose)
+    time = "" if scan.timestamp_s is None else repr(scan.timestamp_s)
+    return ",".join([str(scan.index), *pose, time])
+
+
+def _tar(files: Sequence[tuple[str, bytes]]) -> bytes:
+    packed = io.BytesIO()
+    with tarfile.open(fileobj=packed, mode="w", format=tarfile.USTAR_FORMAT) as archive:
+        for name, content in files:
+            member = tarfile.TarInfo(name)
+            member.size = len(content)
+            archive.addfile(member, io.BytesIO(content))
+    return packed.getvalue()

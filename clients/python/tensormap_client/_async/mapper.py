@@ -1,0 +1,142 @@
+"""A mapper: recorded drives go to a service and become a map."""
+
+import ssl
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import httpx2
+
+from tensormap_client._async.builds import follow, start_build
+from tensormap_client._async.capture_upload import upload_capture
+from tensormap_client._async.drive_requests import AsyncDriveRequests
+from tensormap_client._async.session import AsyncSession
+from tensormap_client._async.upload import upload_drive
+from tensormap_client.captures import CaptureFiles
+from tensormap_client.paths import map_path
+from tensormap_client.problems import MapExists
+from tensormap_client.progress import NO_PROGRESS, Progress
+from tensormap_client.sources import FolderSource, Source
+from tensormap_client.uploaded import Uploaded
+
+
+class AsyncMapper(AsyncSession):
+    """Uploads drives to one map of a service, and builds it.
+
+    Args:
+        url: Of the service, as `https://maps.example`.
+        key: With scope `maps:write`; `None` if the service needs none.
+        map_slug: The map.
+        timeout_s: For so long an answer is waited for.
+        patience_s: For so long a request is repeated: a service that restarts, or a limit.
+        tls: How the service's certificate is checked, if not as usual.
+        connections: Instead of those over the network.
+    """
+
+    def __init__(
+        self,
+        url: str,
+        key: str | None,
+        map_slug: str,
+        *,
+        timeout_s: float = 120.0,
+        patience_s: float = 300.0,
+        tls: ssl.SSLContext | None = None,
+        connections: httpx2.AsyncBaseTransport | None = None,
+    ) -> None:
+        super().__init__(
+            url,
+            key,
+            timeout_s=timeout_s,
+            patience_s=patience_s,
+            tls=tls,
+            connections=connections,
+        )
+        self._slug, self._map = map_slug, map_path(map_slug)
+
+    async def create_map(self, description: str = "") -> bool:
+        """Create the map if there is none of its name, and return whether there was none.
+
+        If the connection is lost meanwhile, the one that the first request made counts as there.
+        """
+        try:
+            await self._sent("POST", "/v1/maps", {"map": self._slug, "description": description})
+        except MapExists:
+            return False
+        return True
+
+    async def drive(self, drive_slug: str) -> Mapping[str, Any]:
+        """Return a drive: how many scans it has, how many of them with poses, and more."""
+        return await AsyncDriveRequests(self._transport, self._slug, drive_slug).drive()
+
+    async def upload(
+        self,
+        source: Source | CaptureFiles | Path | str,
+        drive_slug: str,
+        progress: Progress = NO_PROGRESS,
+    ) -> Uploaded:
+        """Store those scans of a recorded drive that the service lacks, several at a time.
+
+        A capture or bag is sent as it is, in parts, and read by the service. Repeated after an
+        interruption, it continues where the service says.
+
+        Args:
+            source: A capture or bag as `CaptureFiles.of` takes it, a folder of scans as
+                `FolderSource` does, or another source.
+            drive_slug: The drive's name in the map.
+            progress: Receives each scan, or part.
+
+        Raises:
+            OtherDrive: If the drive has scans that the source has not.
+            NothingUsable: If no scan could be stored.
+            CaptureFailed: If the service cannot read a capture.
+            ClientError: If the service cannot be reached or rejects the upload.
+            OSError: If a file cannot be read.
+        """
+        opened = _opened(Path(source)) if isinstance(source, Path | str) else source
+        if isinstance(opened, CaptureFiles):
+            return await upload_capture(self._transport, self._slug, drive_slug, opened, progress)
+        requests = AsyncDriveRequests(self._transport, self._slug, drive_slug)
+        return await upload_drive(requests, opened, progress)
+
+    async def build(
+        self, parameters: Mapping[str, Any] | None = None, progress: Progress = NO_PROGRESS
+    ) -> Mapping[str, Any]:
+        """Build the map, wait for the end, and return the job; its `revision` is the result.
+
+        Args:
+            parameters: Of `POST /v1/maps/{map}/builds`.
+            progress: Receives its stages.
+
+        Raises:
+            BuildFailed: If it fails or is cancelled.
+            ClientError: If the service cannot be reached or rejects the build.
+        """
+        return await self.finish_build(await self.start_build(parameters), progress)
+
+    async def start_build(self, parameters: Mapping[str, Any] | None = None) -> Mapping[str, Any]:
+        """Queue a build, and return its job; `parameters` as of `build`.
+
+        Raises:
+            ClientError: If the service cannot be reached or rejects the build.
+        """
+        return await start_build(self._transport, self._slug, parameters)
+
+    async def finish_build(
+        self, job: Mapping[str, Any], progress: Progress = NO_PROGRESS
+    ) -> Mapping[str, Any]:
+        """Wait for the end of a build that was queued, and return the job as `build` does.
+
+        Raises:
+            BuildFailed: If it fails or is cancelled.
+            ClientError: If the service cannot be reached.
+        """
+        return await follow(self._transport, job, progress)
+
+    async def revision(self, revision: str) -> Mapping[str, Any]:
+        """Return a revision of the map: its scans, segments, and whether it is live."""
+        return await self._get(f"{self._map}/revisions/{revision}")
+
+
+def _opened(path: Path) -> Source | CaptureFiles:
+    return CaptureFiles.of(path) or FolderSource(path)

@@ -1,0 +1,185 @@
+"""A track in one revision of a map, as the service has it."""
+
+import contextlib
+import json
+import math
+import struct
+from collections.abc import Awaitable, Callable
+from typing import Any
+
+from numpy.typing import ArrayLike
+
+from tensormap_client._async.bases import AsyncBases
+from tensormap_client._async.transport import AsyncTransport
+from tensormap_client.answers import TrackAnswer
+from tensormap_client.errors import ClientError, Unreachable
+from tensormap_client.io_async import AsyncStream
+from tensormap_client.odometer import Odometer
+from tensormap_client.problems import StaleObservation
+from tensormap_client.rejections import rejection
+from tensormap_client.signature.basis import Basis, Tilt
+
+_OBSERVATION = struct.Struct("<BQdd")  # 64, sequence, time, odometry
+_LAYOUT = 64
+_LAST_SEQUENCE = "TensorMap-Last-Sequence"
+_NO_WAIT_S = 0.0  # an observation that comes late is worth nothing
+
+
+class AsyncSent:
+    """A scan that is sent, signed once for each basis.
+
+    Args:
+        sequence: Its number.
+        timestamp_s: Its time, if known.
+        points: Its returns.
+        tilt: Of the vehicle, if known.
+        sign: Makes its signatures.
+        odometer: Of the vehicle.
+    """
+
+    def __init__(
+        self,
+        sequence: int,
+        timestamp_s: float | None,
+        points: ArrayLike,
+        tilt: Tilt | None,
+        sign: Callable[[ArrayLike, Basis, Tilt | None], Awaitable[bytes]],
+        odometer: Odometer,
+    ) -> None:
+        self.sequence = sequence
+        self._timestamp_s, self._points, self._tilt = timestamp_s, points, tilt
+        self._sign, self._odometer = sign, odometer
+        self._signed: dict[str, bytes] = {}
+
+    async def message(self, basis: Basis, since: int | None) -> bytes:
+        """Return the message of this scan (docs/reference/http-api.md, "Streams").
+
+        Args:
+            basis: Of its signatures.
+            since: The last observation that the service has.
+        """
+        if basis.digest not in self._signed:
+            self._signed[basis.digest] = await self._sign(self._points, basis, self._tilt)
+        known = (self._timestamp_s, self._odometer.since(since))
+        numbers = (math.nan if number is None else number for number in known)
+        return _OBSERVATION.pack(_LAYOUT, self.sequence, *numbers) + self._signed[basis.digest]
+
+
+class AsyncPinnedTrack:
+    """A track of the service.
+
+    Args:
+        transport: Of the service.
+        path: Of the track.
+        revision: That it is in.
+        basis: Of that revision.
+        timeout_s: For so long an answer is waited for.
+    """
+
+    def __init__(
+        self,
+        transport: AsyncTransport,
+        path: str,
+        revision: str,
+        basis: Basis,
+        timeout_s: float,
+    ) -> None:
+        self.revision = revision
+        self._transport, self._path, self._basis = transport, path, basis
+        self._timeout_s = timeout_s
+        self._stream: AsyncStream | None = None
+        self._last: int | None = None  # sequence that the service has
+        self._begun = False
+
+    @classmethod
+    async def create(
+        cls, transport: AsyncTransport, bases: AsyncBases, map_path: str, timeout_s: float
+    ) -> "AsyncPinnedTrack":
+        """Create a track in the live revision.
+
+        Raises:
+            UnsupportedMap: If this version cannot make signatures for it.
+            ClientError: If the service cannot be reached or refuses it.
+        """
+        tracks = f"{map_path}/tracks"
+        created = await transport.json("POST", tracks, patience_s=_NO_WAIT_S)
+        path, revision = f"{tracks}/{created['track']}", created["revision"]
+        try:
+            basis = await bases.get(revision, _NO_WAIT_S)
+        except ClientError:
+            await _remove(transport, path)
+            raise
+        return cls(transport, path, revision, basis, timeout_s)
+
+    async def observe(self, sent: AsyncSent) -> TrackAnswer:
+        """Return the answer to a scan.
+
+        Raises:
+            Unreachable: If the service does not answer.
+            Rejected: If it rejects the scan, or does not have this track any more.
+        """
+        if self._stream is not None:
+            try:
+                return await self._exchanged(sent, self._stream)
+            except Unreachable as error:
+                if isinstance(error.__cause__, TimeoutError):
+                    raise
+        # It was closed, perhaps a while ago: it is opened again at once, and once.
+        self._stream = await self._transport.stream(f"{self._path}/stream")
+        last_sequence = self._stream.headers.get(_LAST_SEQUENCE)
+        if last_sequence is None or last_sequence == str(
+            sent.sequence
+        ):  # an earlier service sends none: get it
+            last = await self._last_answer()
+            if last is not None and last.sequence == sent.sequence:
+                return last  # the service took it, and only the answer was lost
+        else:
+            self._last = int(last_sequence) if last_sequence.isdecimal() else None
+        try:
+            return await self._exchanged(sent, self._stream)
+        except StaleObservation:
+            last = await self._last_answer()
+            if last is None or last.sequence != sent.sequence:
+                raise
+            return last  # the service was still at work on it before
+
+    async def remove(self) -> None:
+        """Remove the track from the service, if that can be reached."""
+        await self._disconnect()
+        await _remove(self._transport, self._path)
+
+    async def _exchanged(self, sent: AsyncSent, stream: AsyncStream) -> TrackAnswer:
+        message = await sent.message(self._basis, self._last)
+        self._begun = True
+        try:
+            answer: dict[str, Any] = json.loads(await stream.exchange(message, self._timeout_s))
+            if answer.get("sequence", sent.sequence) != sent.sequence:
+                raise Unreachable(
+                    f"observation {answer['sequence']} was answered, {sent.sequence} was sent"
+                )
+        except BaseException:  # also of a caller that stops waiting: the answer comes on the stream
+            await self._disconnect()
+            raise
+        if "observations" not in answer:
+            raise rejection(f"stream {self._path}", answer["status"], json.dumps(answer))
+        self._last = sent.sequence
+        return TrackAnswer.from_json(answer)
+
+    async def _last_answer(self) -> TrackAnswer | None:
+        """Return what the service answered last, `None` if it has had nothing."""
+        if not self._begun:
+            return None
+        known = (await self._transport.json("GET", self._path, patience_s=_NO_WAIT_S))["last"]
+        last = None if known is None else TrackAnswer.from_json(known)
+        self._last = None if last is None else last.sequence
+        return last
+
+    async def _disconnect(self) -> None:
+        if self._stream is not None:
+            await self._stream.close()
+            self._stream = None
+
+
+async def _remove(transport: AsyncTransport, path: str) -> None:
+    with contextlib.suppress(ClientError):
+        await transport.request("DELETE", path, patience_s=_NO_WAIT_S)

@@ -1,0 +1,67 @@
+"""What a vehicle, a mapper and an administrator have in common: connections to one service."""
+
+import ssl
+from collections.abc import AsyncIterator, Mapping
+from typing import Any
+
+import httpx2
+
+from tensormap_client._async.closable import AsyncClosable
+from tensormap_client._async.transport import AsyncTransport
+
+
+class AsyncSession(AsyncClosable):
+    """Connections to a service, until it is closed.
+
+    Args:
+        url: Of the service, as `https://maps.example`.
+        key: Of the caller; `None` if the service needs none.
+        timeout_s: For so long an answer is waited for.
+        patience_s: For so long a request is repeated that cannot be answered now.
+        tls: How the service's certificate is checked, if not as usual.
+        connections: Instead of those over the network, but for streams.
+    """
+
+    def __init__(
+        self,
+        url: str,
+        key: str | None = None,
+        *,
+        timeout_s: float = 120.0,
+        patience_s: float = 300.0,
+        tls: ssl.SSLContext | None = None,
+        connections: httpx2.AsyncBaseTransport | None = None,
+    ) -> None:
+        self._transport = AsyncTransport(
+            url,
+            key,
+            timeout_s=timeout_s,
+            patience_s=patience_s,
+            tls=tls,
+            connections=connections,
+        )
+
+    async def close(self) -> None:
+        """Close all connections."""
+        await self._transport.close()
+
+    async def _get(self, path: str) -> Mapping[str, Any]:
+        return dict(await self._transport.json("GET", path))
+
+    async def _sent(
+        self, method: str, path: str, json: object = None, *, repeats: bool = True
+    ) -> Mapping[str, Any]:
+        return dict(await self._transport.json(method, path, json=json, repeats=repeats))
+
+    async def _pages(
+        self, path: str, params: Mapping[str, Any] | None = None
+    ) -> AsyncIterator[Mapping[str, Any]]:
+        """Yield the items of a list, page by page."""
+        query = dict(params or {})
+        while True:
+            page = await self._transport.json("GET", path, params=query)
+            for item in page["items"]:
+                yield item
+            if page["next_after"] is None:
+                return
+            query["after"] = page["next_after"]

@@ -1,0 +1,152 @@
+"""A vehicle's scans, one after another, over one WebSocket that is opened again when it breaks."""
+
+import random
+import time
+from collections.abc import Awaitable, Callable
+
+from numpy.typing import ArrayLike
+
+from tensormap_client._async.bases import AsyncBases
+from tensormap_client._async.closable import AsyncClosable
+from tensormap_client._async.pinned_track import AsyncPinnedTrack, AsyncSent
+from tensormap_client._async.transport import AsyncTransport
+from tensormap_client.answers import TrackAnswer
+from tensormap_client.errors import ClientError, Rejected, Unreachable
+from tensormap_client.odometer import Odometer
+from tensormap_client.problems import RevisionNotFound, TrackNotFound
+from tensormap_client.signature.basis import Basis, Tilt
+
+_FIRST_WAIT_S, _LONGEST_WAIT_S = 0.1, 1.0
+_HAND_OVER_WAIT_S = 5.0  # before a hand-over that failed is tried again
+_GONE = (TrackNotFound, RevisionNotFound)
+
+Sign = Callable[[ArrayLike, Basis, Tilt | None], Awaitable[bytes]]
+
+
+class AsyncTrack(AsyncClosable):
+    """A track of a vehicle, made for 10 scans a second; not for several threads or tasks at once.
+
+    It is pinned to the revision that is live at first. When another becomes live, scans go to a
+    second track there too, and that one takes over as soon as it knows the place. What the service
+    misses while it is away is left out, but for its odometry, which is added up.
+
+    Attributes:
+        failure: Why the last observation got no answer, `None` if it got one.
+    """
+
+    def __init__(
+        self,
+        transport: AsyncTransport,
+        bases: AsyncBases,
+        map_path: str,
+        sign: Sign,
+        timeout_s: float,
+    ) -> None:
+        self.failure: ClientError | None = None
+        self._transport, self._bases, self._map = transport, bases, map_path
+        self._sign, self._timeout_s = sign, timeout_s
+        self._pinned: AsyncPinnedTrack | None = None
+        self._next: AsyncPinnedTrack | None = None
+        self._odometer = Odometer()
+        self._sequence = 0
+        self._wait_s, self._not_before_s = _FIRST_WAIT_S, 0.0
+        self._hand_over_not_before_s = 0.0
+
+    async def close(self) -> None:
+        """Remove the track from the service, if that can be reached."""
+        await _remove(self._pinned)
+        await _remove(self._next)
+        self._pinned = self._next = None
+
+    async def observe(
+        self,
+        points: ArrayLike,
+        *,
+        timestamp_s: float | None = None,
+        travelled_m: float | None = None,
+        tilt: Tilt | None = None,
+    ) -> TrackAnswer | None:
+        """Return where the vehicle is, `None` if the service cannot answer now: see `failure`.
+
+        Args:
+            points: A scan, as of `Vehicle.locate`.
+            timestamp_s: Its time by the vehicle's own clock; rises.
+            travelled_m: Odometry since the last call, negative backwards.
+            tilt: Of the vehicle, if known by gravity.
+
+        Raises:
+            UnusableScan: If the scan has too few returns, or nothing of it is in the map's image.
+            UnsupportedMap: If this version cannot make signatures for the map.
+            Rejected: If the service rejects it for good; a subclass says why.
+        """
+        self._sequence += 1
+        self._odometer.add(self._sequence, travelled_m)
+        if time.monotonic() < self._not_before_s:
+            return None
+        sent = AsyncSent(self._sequence, timestamp_s, points, tilt, self._sign, self._odometer)
+        try:
+            answer = await self._observed(sent)
+        except (Unreachable, Rejected) as error:
+            if isinstance(error, Rejected) and not error.is_passing:
+                raise
+            self.failure = error
+            # Vehicles that lost the service together do not return together.
+            wait_s = self._wait_s * random.uniform(0.5, 1.0)  # noqa: S311
+            asked_s = error.retry_after_s if isinstance(error, Rejected) else 0.0
+            self._not_before_s = time.monotonic() + max(wait_s, asked_s)
+            self._wait_s = min(2.0 * self._wait_s, _LONGEST_WAIT_S)
+            return None
+        self.failure, self._wait_s = None, _FIRST_WAIT_S
+        return answer
+
+    async def _observed(self, sent: AsyncSent) -> TrackAnswer:
+        while True:
+            pinned, is_new = self._pinned, self._pinned is None
+            if pinned is None:
+                pinned = self._pinned = await self._new()
+            try:
+                answer = await pinned.observe(sent)
+                break
+            except _GONE:  # the vehicle was away for too long
+                if is_new:
+                    raise
+                self._pinned, self._next = self._next, None
+        if answer.live_revision in {None, answer.revision}:
+            return answer
+        try:
+            return await self._handed_over(sent, pinned, answer)
+        except ClientError as error:
+            if isinstance(error, _GONE):
+                self._next = None
+            self._hand_over_not_before_s = time.monotonic() + _HAND_OVER_WAIT_S
+            return answer
+
+    async def _handed_over(
+        self, sent: AsyncSent, pinned: AsyncPinnedTrack, answer: TrackAnswer
+    ) -> TrackAnswer:
+        """Return the answer of the live revision once it knows the place, else this one."""
+        if time.monotonic() < self._hand_over_not_before_s:
+            return answer
+        successor = self._next
+        if successor is not None and successor.revision != answer.live_revision:
+            self._next = None
+            await _remove(successor)
+            successor = None
+        if successor is None:
+            successor = self._next = await self._new()
+        found = await successor.observe(sent)
+        if answer.localized and not found.localized:
+            return answer
+        self._pinned, self._next = successor, None
+        await _remove(pinned)
+        return found
+
+    async def _new(self) -> AsyncPinnedTrack:
+        return await AsyncPinnedTrack.create(
+            self._transport, self._bases, self._map, self._timeout_s
+        )
+
+
+async def _remove(pinned: AsyncPinnedTrack | None) -> None:
+    if pinned is not None:
+        await pinned.remove()

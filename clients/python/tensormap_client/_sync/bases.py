@@ -1,0 +1,56 @@
+# Made by make_sync.py: change _async instead.
+"""The bases of a map's revisions, each downloaded once."""
+
+from tensormap_client._sync.transport import Transport
+from tensormap_client.errors import Unreachable
+from tensormap_client.paths import map_path
+from tensormap_client.signature.basis import MEDIA_TYPE, Basis
+
+_MOST = 8  # of a map that is rebuilt with another basis each time
+
+
+class Bases:
+    """Downloads bases with `If-None-Match`: revisions with the same basis cost it once.
+
+    Args:
+        transport: Of the service.
+        map_slug: The map.
+    """
+
+    def __init__(self, transport: Transport, map_slug: str) -> None:
+        self._transport = transport
+        self._path = f"{map_path(map_slug)}/basis"
+        self._held: dict[str, Basis] = {}  # by ETag, the last used one last
+
+    def get(self, revision: str | None = None, patience_s: float | None = None) -> Basis:
+        """Return the basis of a revision, of the live one by default.
+
+        Args:
+            revision: Its digest.
+            patience_s: As of `Transport.request`.
+
+        Raises:
+            UnsupportedMap: If signatures cannot be made with it.
+            ClientError: If the service cannot be reached or has no such revision.
+        """
+        headers = {"Accept": MEDIA_TYPE}
+        if self._held:
+            headers["If-None-Match"] = ", ".join(self._held)
+        answer = self._transport.request(
+            "GET",
+            self._path,
+            headers=headers,
+            params=None if revision is None else {"revision": revision},
+            patience_s=patience_s,
+        )
+        tag = answer.headers.get("ETag", "")
+        if answer.content:
+            basis = Basis.from_npz(answer.content)
+        elif tag in self._held:
+            basis = self._held.pop(tag)
+        else:
+            raise Unreachable(f"there is no TensorMap service: GET {self._path} sent no basis")
+        self._held[tag] = basis
+        if len(self._held) > _MOST:
+            del self._held[next(iter(self._held))]
+        return basis

@@ -1,0 +1,173 @@
+# Made by make_sync.py: change _async instead.
+"""Requests to a service that may be repeated, until they are answered."""
+
+import ssl
+import time
+from collections.abc import Mapping
+from typing import Any
+from urllib.parse import urlsplit
+
+import httpx2
+
+from tensormap_client.answers import JsonObject
+from tensormap_client.errors import ClientError, InvalidArgument, Rejected, Unreachable
+from tensormap_client.io_sync import Stream, sleep
+from tensormap_client.rejections import rejection
+
+_FIRST_WAIT_S, _LONGEST_WAIT_S = 0.25, 15.0
+_CONNECT_S = 10.0
+
+
+class Transport:
+    """Connections to one service.
+
+    Args:
+        url: Of the service, as `https://maps.example`.
+        key: Sent as `Authorization: Bearer`, if given.
+        timeout_s: For so long an answer is waited for.
+        patience_s: For so long a request is repeated where the service is away for a time or asks
+            to wait, once it has answered any.
+        tls: How its certificate is checked, if not as usual.
+        connections: Instead of those over the network.
+    """
+
+    def __init__(
+        self,
+        url: str,
+        key: str | None = None,
+        *,
+        timeout_s: float,
+        patience_s: float,
+        tls: ssl.SSLContext | None = None,
+        connections: httpx2.BaseTransport | None = None,
+    ) -> None:
+        _require_url(url)
+        if key == "":
+            raise InvalidArgument("the key is empty: None is for a service that needs none")
+        if key is not None and not (key.isascii() and key.isprintable()):
+            raise InvalidArgument(
+                "the key has characters that no key has: wanted printable ASCII in one line"
+            )
+        self._url, self._tls = url.rstrip("/"), tls
+        self._timeout_s, self._patience_s = timeout_s, patience_s
+        self._headers = {} if key is None else {"Authorization": f"Bearer {key}"}
+        self._client = httpx2.Client(
+            base_url=url,
+            headers=self._headers,
+            timeout=httpx2.Timeout(timeout_s, connect=min(timeout_s, _CONNECT_S)),
+            transport=connections,
+            verify=True if tls is None else tls,
+        )
+        self._answered = False
+
+    def close(self) -> None:
+        """Close all connections."""
+        self._client.close()
+
+    def request(
+        self,
+        method: str,
+        path: str,
+        *,
+        content: bytes | None = None,
+        json: object = None,
+        params: Mapping[str, Any] | None = None,
+        headers: Mapping[str, str] | None = None,
+        patience_s: float | None = None,
+        repeats: bool = True,
+    ) -> httpx2.Response:
+        """Send a request, and return its answer.
+
+        Lost connections and answers 408, 429, 502, 503 and 504 are followed by another attempt,
+        after `Retry-After` where the service sends it.
+
+        Args:
+            method: Of the request.
+            path: Below the service's URL.
+            content: The body.
+            json: The body, in place of `content`.
+            params: The query.
+            headers: Beside the key.
+            patience_s: In place of the transport's.
+            repeats: Whether it may be sent again after a lost connection: the first one may have
+                been received.
+
+        Raises:
+            Unreachable: If the first request gets no answer, or a later one none for `patience_s`,
+                or what answers is another service.
+            Rejected: If the service rejects it; a subclass says why.
+        """
+        patience_s = self._patience_s if patience_s is None else patience_s
+        deadline_s, wait_s = time.monotonic() + patience_s, _FIRST_WAIT_S
+        while True:
+            failure: ClientError
+            asked_s = 0.0
+            try:
+                answer = self._client.request(
+                    method, path, content=content, json=json, params=params, headers=headers
+                )
+            except httpx2.RequestError as error:
+                failure = Unreachable(f"{self._url} cannot be reached: {error or repr(error)}")
+                failure.__cause__ = error
+                if not (self._answered and repeats):
+                    raise failure from error
+            else:
+                self._answered = True
+                if answer.is_success or answer.status_code == httpx2.codes.NOT_MODIFIED:
+                    if answer.headers.get("Content-Type", "").startswith("text/html"):
+                        raise Unreachable(f"{self._url} is no TensorMap service: it sent a page")
+                    return answer
+                rejected = _rejection(f"{method} {path}", answer)
+                if not rejected.is_passing:
+                    raise rejected
+                failure, asked_s = rejected, rejected.retry_after_s
+            pause_s = max(wait_s, asked_s)
+            if time.monotonic() + pause_s > deadline_s:
+                raise failure
+            sleep(pause_s)
+            wait_s = min(2 * wait_s, _LONGEST_WAIT_S)
+
+    def json(self, method: str, path: str, **options: Any) -> JsonObject:  # noqa: ANN401
+        """Send a request, and return the object that answers it.
+
+        Args:
+            method: Of the request.
+            path: Below the service's URL.
+            options: As of `request`.
+
+        Raises:
+            Unreachable: As by `request`, and if what answers is no object, or lacks a field.
+            Rejected: If the service rejects it; a subclass says why.
+        """
+        answer = self.request(method, path, **options)
+        try:
+            return JsonObject(f"{method} {self._url}{path}", answer.json())
+        except (ValueError, TypeError) as error:
+            raise Unreachable(
+                f"{self._url} is no TensorMap service: {method} {path} was answered by no object"
+            ) from error
+
+    def stream(self, path: str) -> Stream:
+        """Open a WebSocket.
+
+        Raises:
+            Unreachable: If the service does not answer in time.
+            Rejected: If it rejects the stream.
+        """
+        url = "ws" + self._url.removeprefix("http") + path
+        return Stream.open(url, self._headers, self._tls, self._timeout_s)
+
+
+def _require_url(url: str) -> None:
+    try:
+        parts = urlsplit(url)
+        is_url = parts.scheme in {"http", "https"} and bool(parts.netloc)
+        httpx2.URL(url)
+    except (ValueError, httpx2.InvalidURL):
+        is_url = False
+    if not is_url:
+        raise InvalidArgument(f"{url!r} is no URL of a service, as http://127.0.0.1:8000")
+
+
+def _rejection(request: str, answer: httpx2.Response) -> Rejected:
+    return rejection(request, answer.status_code, answer.content, answer.headers)

@@ -1,0 +1,146 @@
+"""The service's answers; fields that a newer service adds are in `raw` only."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from typing import Any, Self
+
+from tensormap_client.errors import Unreachable
+
+
+class JsonObject(dict[str, Any]):
+    """The fields of an answer; one that is missing is an error, as of another service.
+
+    Args:
+        request: That was answered, for the message.
+        fields: As they came.
+    """
+
+    def __init__(self, request: str, fields: Mapping[str, Any]) -> None:
+        super().__init__(fields)
+        self._request = request
+
+    def __missing__(self, name: str) -> Any:  # noqa: ANN401 - of a field
+        raise Unreachable(
+            f"there is no TensorMap service: {self._request} was answered without {name!r}"
+        )
+
+
+@dataclass(frozen=True)
+class Pose:
+    """Metres in the map's frame, a unit quaternion, and the heading counter-clockwise from x."""
+
+    x_m: float
+    y_m: float
+    z_m: float
+    qx: float
+    qy: float
+    qz: float
+    qw: float
+    yaw_deg: float
+
+    @classmethod
+    def from_json(cls, answer: Mapping[str, Any] | None) -> Self | None:
+        """Read a pose, `None` of a map without poses."""
+        return None if answer is None else cls(**_of(cls, answer))
+
+
+@dataclass(frozen=True)
+class Match:
+    """A scan of the map, and where the query is relative to it; `None` is what is not known."""
+
+    segment: int
+    fraction: float
+    along_m: float | None
+    drive: str
+    scan_index: int
+    distance: float
+    turn_deg: float | None
+    lateral_m: float | None
+    heading_deg: float | None
+    pose: Pose | None
+    estimated_pose: Pose | None
+
+    @classmethod
+    def from_json(cls, answer: Mapping[str, Any]) -> Self:
+        """Read a match."""
+        poses = {name: Pose.from_json(answer[name]) for name in ("pose", "estimated_pose")}
+        return cls(**(_of(cls, answer) | poses))
+
+
+@dataclass(frozen=True)
+class Localization:
+    """Where a scan was recorded; `best` is the place only if `localized`.
+
+    Attributes:
+        revision: That answered.
+        live_revision: That is live now.
+        localized: Whether the best match is accepted.
+        reason: Why not.
+        probability: That the best match is right, `None` from a map without calibration.
+        best: The nearest scan.
+        matches: The k nearest scans.
+        raw: The answer as it came.
+    """
+
+    revision: str
+    live_revision: str
+    localized: bool
+    reason: str | None
+    probability: float | None
+    best: Match
+    matches: tuple[Match, ...]
+    raw: Mapping[str, Any]
+
+    @classmethod
+    def from_json(cls, answer: Mapping[str, Any]) -> Self:
+        """Read an answer to a query."""
+        read = {
+            "best": Match.from_json(answer["best"]),
+            "matches": tuple(map(Match.from_json, answer["matches"])),
+            "raw": answer,
+        }
+        return cls(**(_of(cls, answer) | read))
+
+
+@dataclass(frozen=True)
+class TrackAnswer:
+    """The estimated place of a vehicle; it is accepted only if `localized`.
+
+    Attributes:
+        sequence: Of the observation that is answered.
+        timestamp_s: Likewise, `None` if it had none.
+        revision: That the track is in.
+        live_revision: That is live now.
+        localized: Whether the place is accepted.
+        reason: Why not.
+        raw: The answer as it came.
+    """
+
+    sequence: int | None
+    timestamp_s: float | None
+    observations: int
+    revision: str
+    live_revision: str | None
+    localized: bool
+    reason: str | None
+    probability: float
+    segment: int
+    fraction: float
+    drive: str
+    scan_index: int
+    standing: bool
+    direction: str | None
+    along_sigma_m: float | None
+    turn_deg: float | None
+    lateral_m: float | None
+    pose: Pose | None
+    raw: Mapping[str, Any]
+
+    @classmethod
+    def from_json(cls, answer: Mapping[str, Any]) -> Self:
+        """Read an answer of a track."""
+        return cls(**(_of(cls, answer) | {"pose": Pose.from_json(answer["pose"]), "raw": answer}))
+
+
+def _of(kind: type[Any], answer: Mapping[str, Any]) -> dict[str, Any]:
+    return {field.name: answer.get(field.name) for field in fields(kind)}

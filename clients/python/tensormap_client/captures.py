@@ -1,0 +1,80 @@
+"""Captures and ROS bags to upload: files that are sent as they are, in parts."""
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from tensormap_client.errors import InvalidArgument
+
+_FILES = frozenset({".pcap", ".bag", ".mcap", ".db3"})
+_METADATA = "metadata.yaml"  # in a folder that ROS 2 recorded
+_STORAGE = frozenset({".mcap", ".db3"})
+_COMPRESSED = ".zstd"  # of a file that ROS 2 compressed as a whole
+_BLOCK_BYTES = 2**20
+
+
+@dataclass(frozen=True)
+class CaptureFiles:
+    """The files of a capture or bag, one after another as one sequence of bytes.
+
+    Attributes:
+        files: At least one.
+        sizes: Of each, in bytes.
+        topic: Of the scans in a bag, where several have clouds.
+    """
+
+    files: tuple[Path, ...]
+    sizes: tuple[int, ...]
+    topic: str | None = None
+
+    @classmethod
+    def of(cls, path: Path) -> "CaptureFiles | None":
+        """Return those of a path, `None` if it is no capture.
+
+        Args:
+            path: A `.pcap`, `.bag`, `.mcap` or `.db3`, or a folder that ROS 2 recorded; a topic may
+                follow a bag, as in `monday.bag#/velodyne_points`.
+
+        Raises:
+            InvalidArgument: If a folder has no files of its recording.
+        """
+        topic = None
+        name, mark, after = str(path).partition("#")
+        if mark and not path.exists() and Path(name).exists():
+            path, topic = Path(name), after
+        if path.is_file() and path.suffix.lower() in _FILES:
+            return cls._of_files((path,), topic)
+        if not (path / _METADATA).is_file():
+            return None
+        files = sorted(path.iterdir())
+        found = [file for file in files if file.suffix.lower() in _STORAGE]
+        if not found:
+            packed = [file.name for file in files if file.suffix.lower() == _COMPRESSED]
+            advice = f": decompress {packed[0]} first (zstd -d)" if packed else ""
+            raise InvalidArgument(f"{path} has a {_METADATA} and no .db3 or .mcap{advice}")
+        return cls._of_files((path / _METADATA, *found), topic)
+
+    @classmethod
+    def _of_files(cls, files: Sequence[Path], topic: str | None) -> "CaptureFiles":
+        return cls(tuple(files), tuple(file.stat().st_size for file in files), topic)
+
+    def sha256(self) -> str:
+        """Return the SHA-256 of all bytes, hex."""
+        digest = hashlib.sha256()
+        for file in self.files:
+            with file.open("rb") as opened:
+                while block := opened.read(_BLOCK_BYTES):
+                    digest.update(block)
+        return digest.hexdigest()
+
+    def part(self, begin: int, size_bytes: int) -> bytes:
+        """Return some of the bytes, fewer at the end."""
+        found = b""
+        for file, size in zip(self.files, self.sizes, strict=True):
+            if begin < size and len(found) < size_bytes:
+                with file.open("rb") as opened:
+                    opened.seek(begin)
+                    found += opened.read(min(size_bytes - len(found), size - begin))
+            begin = max(begin - size, 0)
+        return found

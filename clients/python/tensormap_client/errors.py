@@ -1,0 +1,78 @@
+"""The error tree of the client.
+
+ClientError
+├── InvalidArgument     an argument that no request can be made of
+├── UnusableScan        a scan of which nothing is in the map's image
+├── UnsupportedMap      a map whose signatures this version cannot make
+├── OtherDrive          a drive of the service that is not the one to upload
+├── NothingUsable       a drive of which the service can use no scan
+├── BuildFailed         a build that ended without a revision
+├── CaptureFailed       a capture that the service could not read
+├── Unreachable         a service that does not answer
+└── Rejected            a request that the service rejected
+    └── ...             a class for each type of problem: `tensormap_client.problems`
+"""
+
+from typing import ClassVar
+
+
+class ClientError(Exception):
+    """Base of the errors of this package."""
+
+
+class InvalidArgument(ClientError, ValueError):
+    """An argument that no request can be made of."""
+
+
+class UnusableScan(ClientError):
+    """A scan of which nothing is in the map's image."""
+
+
+class UnsupportedMap(ClientError):
+    """A map whose signatures this version cannot make."""
+
+
+class OtherDrive(ClientError):
+    """A drive of the service that is not the one to upload."""
+
+
+class NothingUsable(ClientError):
+    """A drive of which the service can use no scan."""
+
+
+class BuildFailed(ClientError):
+    """A build that ended without a revision."""
+
+
+class CaptureFailed(ClientError):
+    """A capture that the service could not read."""
+
+
+class Unreachable(ClientError):
+    """A service that does not answer."""
+
+
+class Rejected(ClientError):
+    """A request that the service rejected.
+
+    Attributes:
+        problem: The last word of its `type`, as `map-not-found`; empty if it is no problem.
+        status: Of the answer.
+        detail: What was expected and what was sent.
+        retry_after_s: For how long to wait, 0 if the service did not say.
+    """
+
+    problem: str = ""
+    usual_status: ClassVar[int] = 0
+
+    def __init__(
+        self, message: str, status: int, problem: str, detail: str, retry_after_s: float = 0.0
+    ) -> None:
+        super().__init__(message)
+        self.status, self.problem, self.detail = status, problem, detail
+        self.retry_after_s = retry_after_s
+
+    @property
+    def is_passing(self) -> bool:
+        """Whether the same request may be accepted later."""
+        return self.status in {408, 429, 502, 503, 504}

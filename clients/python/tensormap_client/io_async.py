@@ -1,0 +1,157 @@
+"""What is written twice, of the asynchronous client: waiting, workers, streams; see `io_sync`."""
+
+import asyncio
+import ssl
+from collections.abc import Callable, Coroutine, Mapping
+from types import TracebackType
+from typing import Any, Generic, ParamSpec, Self, TypeVar
+
+from websockets.asyncio.client import ClientConnection, connect
+from websockets.exceptions import InvalidStatus, WebSocketException
+
+from tensormap_client.errors import Unreachable
+from tensormap_client.rejections import rejection
+
+T = TypeVar("T")
+P = ParamSpec("P")
+
+
+async def sleep(seconds: float) -> None:
+    """Wait."""
+    await asyncio.sleep(seconds)
+
+
+async def computed(function: Callable[[], T]) -> T:
+    """Return what a function computes, in a thread of its own."""
+    return await asyncio.to_thread(function)
+
+
+class AsyncWork(Generic[T]):
+    """Work that was begun."""
+
+    def __init__(self, task: asyncio.Task[T], failures: list[BaseException]) -> None:
+        self._task, self._failures = task, failures
+
+    async def result(self) -> T:
+        """Wait for its end and return what it returned, or raise what it raised.
+
+        Raises:
+            BaseException: What other work raised that ended this one.
+        """
+        try:
+            return await self._task
+        except asyncio.CancelledError:
+            waiting = asyncio.current_task()
+            if self._failures and not (waiting is not None and waiting.cancelling()):
+                raise self._failures[0] from None
+            raise
+
+
+class AsyncWorkers:
+    """Does several things at a time; what still runs at the end of its block is waited for.
+
+    After a failure, or if the block is left by an error, what still runs is cancelled.
+
+    Args:
+        most: How many are begun before the first one ends.
+    """
+
+    def __init__(self, most: int) -> None:
+        self._most = asyncio.Semaphore(most)
+        self._tasks: set[asyncio.Task[Any]] = set()
+        self._failures: list[BaseException] = []
+
+    def _note(self, task: asyncio.Task[Any]) -> None:
+        self._tasks.discard(task)
+        failure = None if task.cancelled() else task.exception()
+        if failure is not None:
+            self._failures.append(failure)
+            self._cancel()
+
+    def _cancel(self) -> None:
+        for task in self._tasks:
+            task.cancel()
+
+    async def __aenter__(self) -> Self:
+        return self
+
+    async def __aexit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if error is not None:
+            self._cancel()
+        await asyncio.gather(*self._tasks, return_exceptions=True)
+
+    def start(
+        self, function: Callable[P, Coroutine[Any, Any, T]], *args: P.args, **options: P.kwargs
+    ) -> AsyncWork[T]:
+        """Begin something."""
+
+        async def limited() -> T:
+            async with self._most:
+                return await function(*args, **options)
+
+        task = asyncio.create_task(limited())
+        self._tasks.add(task)
+        task.add_done_callback(self._note)
+        return AsyncWork(task, self._failures)
+
+
+class AsyncStream:
+    """A WebSocket on which each message is answered by one."""
+
+    def __init__(self, connection: ClientConnection) -> None:
+        self._connection = connection
+
+    @classmethod
+    async def open(
+        cls, url: str, headers: dict[str, str], tls: ssl.SSLContext | None, timeout_s: float
+    ) -> "AsyncStream":
+        """Open one.
+
+        Raises:
+            Unreachable: If the service does not answer in time.
+            Rejected: If it rejects the stream.
+        """
+        try:
+            connection = await connect(
+                url,
+                additional_headers=headers,
+                ssl=tls,
+                open_timeout=timeout_s,
+                close_timeout=timeout_s,
+                compression=None,
+            )
+        except InvalidStatus as error:
+            answer = error.response
+            body = bytes(answer.body or b"")
+            raise rejection(url, answer.status_code, body, answer.headers) from error
+        except (OSError, TimeoutError, WebSocketException) as error:
+            raise Unreachable(f"{url} cannot be opened: {error or repr(error)}") from error
+        return cls(connection)
+
+    @property
+    def headers(self) -> Mapping[str, str]:
+        """Of the answer that opened it."""
+        answer = self._connection.response
+        return {} if answer is None else answer.headers
+
+    async def exchange(self, message: bytes, timeout_s: float) -> str | bytes:
+        """Send a message and return its answer.
+
+        Raises:
+            Unreachable: If none comes in time; the stream is of no more use then.
+        """
+        try:
+            async with asyncio.timeout(timeout_s):
+                await self._connection.send(message)
+                return await self._connection.recv()
+        except (OSError, TimeoutError, WebSocketException) as error:
+            raise Unreachable(f"the stream broke off: {error or repr(error)}") from error
+
+    async def close(self) -> None:
+        """Close it, without waiting for the other side."""
+        self._connection.transport.abort()

@@ -1,0 +1,165 @@
+"""What is written twice, of the synchronous client: waiting, workers, streams; see `io_async`."""
+
+import contextlib
+import ssl
+import threading
+import time
+from collections.abc import Callable, Mapping
+from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
+from types import TracebackType
+from typing import Any, Generic, ParamSpec, Self, TypeVar
+
+from websockets.exceptions import InvalidStatus, WebSocketException
+from websockets.sync.client import ClientConnection, connect
+
+from tensormap_client.errors import Unreachable
+from tensormap_client.rejections import rejection
+
+T = TypeVar("T")
+P = ParamSpec("P")
+
+
+_worker = threading.local()
+
+
+def sleep(seconds: float) -> None:
+    """Wait.
+
+    Raises:
+        CancelledError: In a worker, as soon as its block is left by an error, or other work fails.
+    """
+    ending: threading.Event | None = getattr(_worker, "ending", None)
+    if ending is None:
+        time.sleep(seconds)
+    elif ending.wait(seconds):
+        raise CancelledError
+
+
+def computed(function: Callable[[], T]) -> T:
+    """Return what a function computes."""
+    return function()
+
+
+class Work(Generic[T]):
+    """Work that was begun."""
+
+    def __init__(self, future: Future[T], failures: list[BaseException]) -> None:
+        self._future, self._failures = future, failures
+
+    def result(self) -> T:
+        """Wait for its end and return what it returned, or raise what it raised.
+
+        Raises:
+            BaseException: What other work raised that ended this one.
+        """
+        try:
+            return self._future.result()
+        except CancelledError:
+            if self._failures:
+                raise self._failures[0] from None
+            raise
+
+
+class Workers:
+    """Does several things at a time; what still runs at the end of its block is waited for.
+
+    After a failure, or if the block is left by an error, none waits for another attempt.
+
+    Args:
+        most: How many are begun before the first one ends.
+    """
+
+    def __init__(self, most: int) -> None:
+        self._ending = threading.Event()
+        self._failures: list[BaseException] = []
+        self._pool = ThreadPoolExecutor(most, initializer=self._begin)
+
+    def _begin(self) -> None:
+        _worker.ending = self._ending
+
+    def _note(self, future: Future[Any]) -> None:
+        if future.cancelled():
+            return
+        failure = future.exception()
+        if failure is not None and not isinstance(failure, CancelledError):
+            self._failures.append(failure)
+            self._ending.set()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if error is not None:
+            self._ending.set()
+        self._pool.shutdown(wait=error is None, cancel_futures=error is not None)
+
+    def start(self, function: Callable[P, T], *args: P.args, **options: P.kwargs) -> Work[T]:
+        """Begin something."""
+        future = self._pool.submit(function, *args, **options)
+        future.add_done_callback(self._note)
+        return Work(future, self._failures)
+
+
+class Stream:
+    """A WebSocket on which each message is answered by one."""
+
+    def __init__(self, connection: ClientConnection, opened: contextlib.ExitStack) -> None:
+        self._connection, self._opened = connection, opened
+
+    @classmethod
+    def open(
+        cls, url: str, headers: dict[str, str], tls: ssl.SSLContext | None, timeout_s: float
+    ) -> "Stream":
+        """Open one.
+
+        Raises:
+            Unreachable: If the service does not answer in time.
+            Rejected: If it rejects the stream.
+        """
+        opened = contextlib.ExitStack()
+        try:
+            connection = opened.enter_context(
+                connect(
+                    url,
+                    additional_headers=headers,
+                    ssl=tls,
+                    open_timeout=timeout_s,
+                    close_timeout=timeout_s,
+                    compression=None,
+                )
+            )
+        except InvalidStatus as error:
+            answer = error.response
+            body = bytes(answer.body or b"")
+            raise rejection(url, answer.status_code, body, answer.headers) from error
+        except (OSError, TimeoutError, WebSocketException) as error:
+            raise Unreachable(f"{url} cannot be opened: {error or repr(error)}") from error
+        return cls(connection, opened)
+
+    @property
+    def headers(self) -> Mapping[str, str]:
+        """Of the answer that opened it."""
+        answer = self._connection.response
+        return {} if answer is None else answer.headers
+
+    def exchange(self, message: bytes, timeout_s: float) -> str | bytes:
+        """Send a message and return its answer.
+
+        Raises:
+            Unreachable: If none comes in time; the stream is of no more use then.
+        """
+        try:
+            self._connection.send(message)
+            return self._connection.recv(timeout=timeout_s)
+        except (OSError, TimeoutError, WebSocketException) as error:
+            raise Unreachable(f"the stream broke off: {error or repr(error)}") from error
+
+    def close(self) -> None:
+        """Close it, without waiting for the other side."""
+        self._connection.close_socket()
+        self._opened.close()

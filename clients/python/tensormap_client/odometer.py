@@ -1,0 +1,30 @@
+"""The distance that a vehicle travelled since an observation that the service has."""
+
+import math
+from collections import OrderedDict
+
+_MOST = 10_000  # observations: more than a quarter of an hour at 10 Hz
+
+
+class Odometer:
+    """Sums of odometry, by the number of the observation that they were given with."""
+
+    def __init__(self) -> None:
+        self._total_m = 0.0
+        self._at_m: OrderedDict[int, float] = OrderedDict()
+
+    def add(self, sequence: int, travelled_m: float | None) -> None:
+        """Take what an observation brought; `None`, NaN or infinity is an unknown distance."""
+        if travelled_m is None or not math.isfinite(travelled_m):
+            self._at_m.clear()
+        else:
+            self._total_m += travelled_m
+        self._at_m[sequence] = self._total_m
+        if len(self._at_m) > _MOST:
+            self._at_m.popitem(last=False)
+
+    def since(self, sequence: int | None) -> float | None:
+        """Return the distance from an observation to the last one, `None` if it is not known."""
+        if sequence is None or sequence not in self._at_m:
+            return None
+        return self._total_m - self._at_m[sequence]

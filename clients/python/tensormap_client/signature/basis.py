@@ -1,0 +1,198 @@
+"""A map's basis, and the signatures of scans that are made with it."""
+
+import io
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+from zipfile import BadZipFile
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from tensormap_client.errors import InvalidArgument, UnsupportedMap, UnusableScan
+from tensormap_client.signature.images import Grid, View, returns, rings_in_reach, without_others
+from tensormap_client.signature.levelling import level, rotated
+from tensormap_client.signature.packing import pack_harmonic, pack_paper
+
+MEDIA_TYPE = "application/vnd.tensormap.basis+npz"
+_MOST_RANKS, _MOST_SEGMENTS = 255, 0xFFFF  # that can be packed
+
+
+@dataclass(frozen=True)
+class Mounting:
+    """A sensor's place in the vehicle's frame: x ahead, y to the left, z above the ground.
+
+    R = Rz(yaw) Ry(pitch) Rx(roll); with a positive pitch the sensor looks down, with a positive yaw
+    to the left.
+    """
+
+    x_m: float
+    y_m: float
+    z_m: float
+    roll_deg: float = 0.0
+    pitch_deg: float = 0.0
+    yaw_deg: float = 0.0
+
+
+@dataclass(frozen=True)
+class Tilt:
+    """A vehicle's roll (right side down) and pitch (front down) against gravity."""
+
+    roll_deg: float
+    pitch_deg: float
+
+
+@dataclass(frozen=True, eq=False)
+class Basis:
+    """What a vehicle needs to make a map's signatures; it contains no places.
+
+    Attributes:
+        digest: Of the basis, which signatures name.
+        parameters: Of the map.
+        arrays: `radial_basis (I, r1)` of a harmonic map; of one in the paper's encoding
+            `segments (S,)`, `elevation_basis (S, I, r1)` and `azimuth_basis (S, J, r2)`.
+    """
+
+    digest: str
+    parameters: Mapping[str, Any]
+    arrays: Mapping[str, NDArray[Any]]
+
+    def __post_init__(self) -> None:
+        encoding, views = self.parameters.get("encoding"), self.parameters.get("views", "full")
+        if encoding not in {"harmonic", "paper"} or views not in {"full", "any"}:
+            raise UnsupportedMap(
+                f"the map has the encoding {encoding!r} and the views {views!r}, known are harmonic"
+                " and paper, full and any"
+            )
+        r1, r2 = self.parameters["ranks"]
+        many = len(self.arrays.get("segments", ()))
+        if max(r1, r2) > _MOST_RANKS or many > _MOST_SEGMENTS:
+            raise UnsupportedMap(
+                f"the map has ranks {r1} x {r2} and {many} segments, ranks up to {_MOST_RANKS} and"
+                f" {_MOST_SEGMENTS} segments can be packed"
+            )
+        _ = self.grid
+
+    @classmethod
+    def from_npz(cls, body: bytes) -> "Basis":
+        """Read what the service answers as `MEDIA_TYPE`.
+
+        Raises:
+            UnsupportedMap: If this version cannot make signatures for such a map.
+        """
+        try:
+            with np.load(io.BytesIO(body), allow_pickle=False) as file:
+                arrays = {name: file[name] for name in file.files}
+            digest = str(arrays.pop("basis"))
+            parameters = json.loads(str(arrays.pop("parameters")))
+            arrays.pop("revision", None)
+            return cls(digest, parameters, arrays)
+        except (AttributeError, KeyError, TypeError, ValueError, OSError, BadZipFile) as error:
+            raise UnsupportedMap(f"the map's basis cannot be read: {error!r}") from error
+
+    @property
+    def grid(self) -> Grid:
+        """The lattice of the map's images."""
+        return Grid(self.parameters["grid"], self.parameters["reducer"])
+
+    def sign(
+        self,
+        points: ArrayLike,
+        *,
+        sensor_height_m: float | None = None,
+        mounting: Mounting | None = None,
+        tilt: Tilt | None = None,
+        min_returns: int = 1,
+    ) -> bytes:
+        """Return a scan's packed signatures.
+
+        Args:
+            points: `(n, 3)` metres or more columns, in the sensor's frame; returns that are not
+                finite or zero are left out.
+            sensor_height_m: Of this sensor above ground, if it is not the map's.
+            mounting: Of this sensor, in place of its height.
+            tilt: Of the vehicle, or of a sensor without mounting, if known by gravity.
+            min_returns: How many finite, non-zero returns are wanted.
+
+        Raises:
+            UnusableScan: If it has fewer returns, or nothing of it is in the map's image.
+            InvalidArgument: If the height is given twice or is not above 0.
+        """
+        height_m = float(self.parameters["sensor_height_m"])
+        if mounting is not None and sensor_height_m is not None:
+            raise InvalidArgument("a mounting has a height: leave sensor_height_m out")
+        xyz_m = returns(points)
+        if xyz_m.shape[1] < min_returns:
+            raise UnusableScan(
+                f"{xyz_m.shape[1]} returns that are finite and not zero, at least {min_returns}"
+                " wanted"
+            )
+        if mounting is not None:
+            xyz_m = _mounted(xyz_m, mounting, height_m)
+        elif sensor_height_m is not None:
+            if not 0.0 < sensor_height_m < 100.0:
+                raise InvalidArgument(
+                    f"sensor_height_m is {sensor_height_m}, wanted above 0 and below 100"
+                )
+            height_m = sensor_height_m
+        if tilt is not None:
+            xyz_m = _rounded(rotated(xyz_m, tilt.roll_deg, tilt.pitch_deg))
+        if not xyz_m.size:
+            raise UnusableScan("the scan has no return that is finite and not zero")
+        cells, view = self._image(xyz_m, height_m, is_level=tilt is not None)
+        if self.parameters["encoding"] == "harmonic":
+            return pack_harmonic(self.digest, self._harmonic(cells, view), view)
+        values = (
+            self.arrays["elevation_basis"].transpose(0, 2, 1)
+            @ cells.astype(np.float64)
+            @ self.arrays["azimuth_basis"]
+        )
+        return pack_paper(self.digest, values.astype(np.float32), self.arrays["segments"].tolist())
+
+    def _image(
+        self, xyz_m: NDArray[np.float32], height_m: float, *, is_level: bool
+    ) -> tuple[NDArray[np.float32], View]:
+        """Return the image of a scan, and the part of it that the scan saw."""
+        grid = self.grid
+        if self.parameters.get("views", "full") == "full":
+            return grid.project(xyz_m, height_m).cells, View()
+        xyz_m = level(xyz_m, height_m, is_level=is_level)
+        projected, sector = grid.project(xyz_m, height_m), grid.sector_of_column
+        visible = projected.visible
+        cells = np.where(visible[sector], projected.cells, np.float32(0.0))
+        if not cells.any():
+            raise UnusableScan(
+                f"none of the scan's {xyz_m.shape[1]} returns is above ground where it sees"
+            )
+        hidden = tuple(np.unique(sector[~visible[sector]]).tolist())
+        return cells, View(hidden, rings_in_reach(cells))
+
+    def _harmonic(self, cells: NDArray[np.float32], view: View) -> NDArray[np.complex64]:
+        """Return G = U^T S F, `(r1, r2)`; the first column is real."""
+        r1, r2 = self.parameters["ranks"]
+        radial_basis = self.arrays["radial_basis"]
+        if self.parameters.get("views") == "any" and view.is_narrow and r2 > max(r1, 6):
+            r1, r2 = min(r1 + 2, radial_basis.shape[1]), r2 - 2
+        columns = cells.shape[1]
+        turns = np.outer(np.arange(columns), np.arange(r2)) % columns / columns
+        factor = np.exp(-2j * math.pi * turns)
+        factor.imag[2.0 * turns % 1.0 == 0.0] = 0.0  # f_0 and f_{J/2} are real
+        factor = factor / math.sqrt(columns)
+        u = radial_basis[: view.rings, :r1].astype(np.float64)
+        radial = u.T @ cells[: view.rings].astype(np.float64)
+        values = radial @ factor.real + 1j * (radial @ factor.imag)
+        return np.asarray(values, np.complex64)
+
+
+def _mounted(
+    xyz_m: NDArray[np.float32], mounting: Mounting, height_m: float
+) -> NDArray[np.float32]:
+    turned = rotated(xyz_m, mounting.roll_deg, mounting.pitch_deg, mounting.yaw_deg)
+    return _rounded(turned + np.array([[mounting.x_m], [mounting.y_m], [mounting.z_m - height_m]]))
+
+
+def _rounded(xyz_m: NDArray[np.float64]) -> NDArray[np.float32]:
+    with np.errstate(over="ignore"):  # infinite then, and left out
+        return without_others(xyz_m.astype(np.float32, order="C"))

@@ -1,0 +1,173 @@
+"""The geographic anchor of a map, fitted to the track of a GNSS receiver on one of its drives.
+
+The transform is rigid and about the vertical: metres of the map are metres on the Earth, and poses
+of another scale do not fit.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from core.arrays import BoolArray, FloatArray, IntArray, freeze
+from core.errors import AnchorDoesNotFit
+from core.frames.consensus import find_consensus
+from core.mapping.anchor import Anchor, AnchorFit
+from core.scans.rigid import RigidTransform
+from core.scans.sampling import spread_evenly
+
+_GAP_S = 2.0  # most between two poses: the way in between is straight
+_APART_M = 2.0  # along the path: a stop counts once
+_MOST_FIXES = 200
+_LEAST_FIXES = 8
+_SIGMAS, _LEAST_TOLERANCE_M, _MOST_TOLERANCE_M = 3.0, 5.0, 20.0
+_USUAL_M = 3.0  # accuracy of a receiver that does not say it
+_LEAST_AGREE = 0.5  # of the fixes
+_SHARED_M = 50.0  # of path: errors of a receiver last for some seconds
+_MOST_ERROR_DEG = 1.0  # 1 km away a place is 17 m off
+_CAUCHY = 2.385  # 95 % efficient for normal errors
+_OF_RAYLEIGH = 0.8493  # from the median of two errors to sigma
+_LEAST_SPREAD_M = 0.02
+_ROUNDS = 20
+
+
+@dataclass(frozen=True, eq=False)
+class GnssTrack:
+    """Fixes of a receiver, in the order of time.
+
+    Attributes:
+        time_s: `(n,)` by the clock of the scans.
+        places: `(n, 3)` latitude and longitude in degrees, and altitude in metres above the
+            ellipsoid, NaN where unknown.
+        accuracy_m: `(n,)` standard deviation of the position, NaN where unknown.
+    """
+
+    time_s: FloatArray
+    places: FloatArray
+    accuracy_m: FloatArray
+
+    def __post_init__(self) -> None:
+        freeze(self, time_s=np.float64, places=np.float64, accuracy_m=np.float64)
+
+    def __len__(self) -> int:
+        return len(self.time_s)
+
+
+def fit_anchor(
+    drive: str, timestamp_s: FloatArray, positions_m: FloatArray, track: GnssTrack
+) -> Anchor:
+    """Return the anchor with which a drive lies where its receiver says.
+
+    Most fixes agree on it (RANSAC); to these it is fitted by least squares, reweighted as Cauchy's
+    errors. Its point is the middle of the fixes.
+
+    Args:
+        drive: Name of the drive.
+        timestamp_s: `(K,)` of its scans, rising, NaN where unknown.
+        positions_m: `(K, 3)` in the map, NaN where unknown.
+        track: The fixes.
+
+    Raises:
+        AnchorDoesNotFit: If the fixes do not fit the path, or do not give its heading.
+    """
+    points_m, used = _positions_at(drive, timestamp_s, positions_m, track.time_s)
+    chosen = _along_path(points_m)
+    points_m, used = points_m[chosen], used[chosen]
+    if len(used) < _LEAST_FIXES:
+        raise AnchorDoesNotFit(
+            f"the fixes are at {len(used)} places of drive {drive}, {_APART_M:g} m apart; wanted"
+            f" {_LEAST_FIXES} or more: is the track too short?"
+        )
+    places = track.places[used]
+    has_altitudes = bool(np.isfinite(places[:, 2]).all())
+    places = places if has_altitudes else np.column_stack([places[:, :2], np.zeros(len(used))])
+    rough = Anchor(*np.median(places, axis=0).tolist())
+    on_earth_m = rough.level_m(places)
+    flat_m, flat_on_earth_m = points_m * [1, 1, 0], on_earth_m * [1, 1, 0]
+    accuracy_m = track.accuracy_m[used]
+    usual_m = float(np.median(np.where(np.isfinite(accuracy_m), accuracy_m, _USUAL_M)))
+    tolerance_m = float(np.clip(_SIGMAS * usual_m, _LEAST_TOLERANCE_M, _MOST_TOLERANCE_M))
+    found = find_consensus(flat_m, flat_on_earth_m, None, tolerance_m)
+    agrees = np.zeros(len(used), bool) if found is None else found.agrees
+    if found is None or agrees.sum() < max(_LEAST_FIXES, _LEAST_AGREE * len(used)):
+        raise AnchorDoesNotFit(
+            f"only {agrees.sum()} of {len(used)} fixes are within {tolerance_m:g} m of drive"
+            f" {drive} in the best place for it: are they of this drive, by the clock of its scans,"
+            " and its poses in metres?"
+        )
+    transform, spread_m = _fitted(flat_m[agrees], flat_on_earth_m[agrees], found.transform)
+    middle_m = points_m[agrees].mean(axis=0)
+    arms_m = np.linalg.norm((points_m[agrees] - middle_m)[:, :2], axis=1)
+    path_m = float(np.linalg.norm(np.diff(flat_m[agrees], axis=0), axis=1).sum())
+    independent = 1.0 + path_m / _SHARED_M
+    arm_m = max(float(np.sqrt((arms_m**2).mean())), 0.1)
+    error_deg = float(np.degrees(spread_m / (arm_m * np.sqrt(independent))))
+    if error_deg > _MOST_ERROR_DEG:
+        raise AnchorDoesNotFit(
+            f"the heading is known to {error_deg:.1f} deg, wanted {_MOST_ERROR_DEG:g}: the fixes"
+            f" reach {2.0 * arms_m.max():.0f} m, and are {spread_m:.1f} m (standard deviation)"
+            f" beside drive {drive}: give a longer track, or a better one"
+        )
+    at_m = transform.apply(middle_m[None] * [1, 1, 0])
+    if has_altitudes:
+        at_m[0, 2] = float(np.median((on_earth_m - points_m)[agrees, 2])) + middle_m[2]
+    latitude_deg, longitude_deg, altitude_m = rough.wgs84(at_m)[0].tolist()
+    x_m, y_m, z_m = middle_m.tolist()
+    return Anchor(
+        latitude_deg,
+        longitude_deg,
+        altitude_m if has_altitudes else 0.0,
+        transform.yaw_deg,
+        x_m,
+        y_m,
+        z_m,
+        fitted=AnchorFit(
+            drive,
+            fixes=len(used),
+            agreeing=int(agrees.sum()),
+            spread_m=round(spread_m, 3),
+            error_m=round(spread_m * float(np.sqrt(2.0 / independent)), 3),
+            error_deg=round(error_deg, 4),
+        ),
+    )
+
+
+def _positions_at(
+    drive: str, timestamp_s: FloatArray, positions_m: FloatArray, time_s: FloatArray
+) -> tuple[FloatArray, IntArray]:
+    """Return where the drive was at the times of fixes, and which fixes these are."""
+    known = np.isfinite(positions_m).all(axis=1) & np.isfinite(timestamp_s)
+    scans_s, scans_m = timestamp_s[known], positions_m[known]
+    if len(scans_s) < 2:
+        raise AnchorDoesNotFit(f"drive {drive} has {len(scans_s)} scans with a pose and a time")
+    after = np.clip(np.searchsorted(scans_s, time_s), 1, len(scans_s) - 1)
+    between: BoolArray = (time_s >= scans_s[0]) & (time_s <= scans_s[-1])
+    between &= scans_s[after] - scans_s[after - 1] <= _GAP_S
+    if not between.any():
+        raise AnchorDoesNotFit(
+            f"no fix is between two scans of drive {drive}, from {scans_s[0]:.3f} to"
+            f" {scans_s[-1]:.3f} s, and at most {_GAP_S:g} s apart: the fixes are from"
+            f" {time_s.min():.3f} to {time_s.max():.3f} s; are both by one clock?"
+        )
+    at_s = time_s[between]
+    points_m = np.stack([np.interp(at_s, scans_s, axis_m) for axis_m in scans_m.T], axis=1)
+    return points_m, np.flatnonzero(between)
+
+
+def _along_path(points_m: FloatArray) -> IntArray:
+    """Return some points, spread along their path."""
+    steps_m = np.linalg.norm(np.diff(points_m[:, :2], axis=0), axis=1)
+    path_m = np.concatenate([[0.0], np.cumsum(steps_m)])
+    _, first = np.unique(np.floor(path_m / _APART_M), return_index=True)
+    return spread_evenly(first, _MOST_FIXES)
+
+
+def _fitted(
+    points_m: FloatArray, matched_m: FloatArray, transform: RigidTransform
+) -> tuple[RigidTransform, float]:
+    """Return the robust fit, and the standard deviation of a fix in x and y, each."""
+    for _ in range(_ROUNDS):
+        off_m = np.linalg.norm(transform.apply(points_m) - matched_m, axis=1)
+        spread_m = max(_LEAST_SPREAD_M, _OF_RAYLEIGH * float(np.median(off_m)))
+        weights = 1.0 / (1.0 + (off_m / (_CAUCHY * spread_m)) ** 2)
+        transform = RigidTransform.fit(points_m, matched_m, level=True, weights=weights)
+    return transform, spread_m

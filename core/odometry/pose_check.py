@@ -1,0 +1,333 @@
+"""Checks the poses that came with a drive against the motion that its scans show.
+
+Poses of another drive, in another order, unit or system of axes are as smooth as right ones: only
+the scans contradict them. Pairs of scans that are a few metres apart are compared.
+"""
+
+import math
+from dataclasses import dataclass
+from enum import Enum, auto
+
+import numpy as np
+
+from core.arrays import FloatArray, IntArray
+from core.errors import InvalidScan
+from core.loop_closure.closure import check_scans
+from core.odometry.level_frame import level_frame
+from core.progress import NO_PROGRESS, Progress
+from core.scans.drive import Drive, scan_index_of
+from core.scans.pose import is_known, matrices_from_rows
+from core.scans.rigid import inverse, planar, rotation_deg
+from core.scans.sampling import spread_evenly
+from core.scans.scan import Scan
+
+VERSION = 1
+"""Another version may come to another result."""
+_MOST_PAIRS = 8  # half of them spread over the drive, half where turns begin or end
+_BEND_STEPS = 3  # before and after such a place: late poses differ there
+_SCANS_A_PAIR = 6  # of a drive, at least
+_APART_M, _APART_DEG = 3.0, 20.0  # of a pair by its poses; the closure check reaches 5 m
+_MOST_BETWEEN = 20  # scans from one of a pair to the other
+_STEPS = (1, 2, 4, 8, 16)  # likewise, where the poses may be wrong
+_PROBABLE = 0.9  # of a measured motion; it has to fit better than that by the poses, too
+_GROUNDS = 5  # scans in which the ground below the sensor is looked for
+_LEAST_M, _LEAST_DEG = 2.0, 10.0  # less is no motion: two drives agree on it by chance
+
+# Poses are good to decimetres, and the measurement to half a cell of 0.5 m and a degree. Vehicles
+# that accelerate skew their scans; an antenna is beside the sensor.
+_TOLERANCE_M, _TOLERANCE_DEG, _TOLERANCE_SHARE = 0.75, 5.0, 0.15
+_LEVER_M = 2.0
+_ASKEW = 0.52  # 2 sin(30 deg / 2): a sensor that is tilted or turned on the vehicle of its poses
+
+_NEAR_M = 0.5  # between a return and one of the other scan
+_ABOVE_GROUND_M, _FARTHEST_M = 0.5, 40.0  # of returns that are compared
+_LEAST_RETURNS = 50
+_LEAST_FIT, _BETTER_FIT = 0.35, 0.05  # shares of the returns
+_AROUND = (
+    planar(1.0, 0.0, 0.0),
+    planar(-1.0, 0.0, 0.0),
+    planar(0.0, 1.0, 0.0),
+    planar(0.0, -1.0, 0.0),
+    planar(0.0, 0.0, _TOLERANCE_DEG),
+    planar(0.0, 0.0, -_TOLERANCE_DEG),
+)
+"""Other motions: poses that fit better than with each of these are right."""
+
+
+@dataclass(frozen=True)
+class Motion:
+    """How the sensor moved from one scan to another, in the level frame of the first.
+
+    Attributes:
+        forward_m: How far ahead.
+        left_m: To the left.
+        up_m: Upwards.
+        turn_deg: Angle of the rotation, whatever its axis.
+    """
+
+    forward_m: float
+    left_m: float
+    up_m: float
+    turn_deg: float
+
+    @classmethod
+    def of(cls, pose: FloatArray) -> "Motion":
+        """Return that of a `(4, 4)` pose in the frame of the first scan, rounded."""
+        forward_m, left_m, up_m = (np.round(pose[:3, 3], 2) + 0.0).tolist()  # no -0.0
+        return cls(forward_m, left_m, up_m, round(float(rotation_deg(pose)), 1))
+
+    @property
+    def metres(self) -> float:
+        """The distance."""
+        return math.hypot(self.forward_m, self.left_m, self.up_m)
+
+    @property
+    def is_one(self) -> bool:
+        """Whether it is more than what two recordings agree on by chance."""
+        return self.metres >= _LEAST_M or self.turn_deg >= _LEAST_DEG
+
+    def __str__(self) -> str:
+        return (
+            f"({self.forward_m:z.1f}, {self.left_m:z.1f}, {self.up_m:z.1f}) m and"
+            f" {self.turn_deg:.0f} deg"
+        )
+
+
+@dataclass(frozen=True)
+class Contradiction:
+    """Two scans between which the sensor moved otherwise than the poses say.
+
+    Attributes:
+        first: Index of the one.
+        last: Of the other.
+        by_poses: The motion by the poses.
+        by_scans: By the returns of both.
+    """
+
+    first: int
+    last: int
+    by_poses: Motion
+    by_scans: Motion
+
+    def __str__(self) -> str:
+        return (
+            f"scan {self.first} to {self.last}: {self.by_poses} by the poses, {self.by_scans} by"
+            " the scans"
+        )
+
+
+@dataclass(frozen=True)
+class PoseCheck:
+    """The check of a drive's poses against its scans.
+
+    Attributes:
+        agreeing: Pairs of scans between which the sensor moved as the poses say.
+        contradictions: Those where it moved otherwise.
+        still: Pairs between which it did not move, which say nothing.
+        unmeasured: Pairs too far apart, or in surroundings that do not show the motion.
+    """
+
+    agreeing: int
+    contradictions: tuple[Contradiction, ...]
+    still: int
+    unmeasured: int
+
+    @property
+    def is_wrong(self) -> bool:
+        """Whether these are not the poses of this drive: half of the pairs contradict them.
+
+        Pairs on straight roads agree with the poses of many drives; a slip of a survey is one pair.
+        """
+        return len(self.contradictions) >= max(2, self.agreeing)
+
+    @property
+    def is_unknown(self) -> bool:
+        """Whether no pair shows anything."""
+        return bool(self.unmeasured) and not (self.agreeing or self.contradictions or self.still)
+
+
+def check_poses(
+    drive: Drive, sensor_height_m: float, progress: Progress = NO_PROGRESS
+) -> PoseCheck:
+    """Compare the motion by a drive's poses with that by its scans, for a few pairs of them.
+
+    Up to eight pairs: where the poses are right, some 50 ms each; where not, five times as much.
+
+    Args:
+        drive: As its sensor recorded it, with poses of the sensor.
+        sensor_height_m: Above ground, about.
+        progress: Receives every pair.
+    """
+    rows = np.flatnonzero(is_known(drive.poses))
+    checker = _Checker(drive, rows, sensor_height_m)
+    starts = _starts(checker.poses)
+    if starts:
+        progress.start("checking poses", len(starts))
+    found: list[Contradiction | _Outcome] = []
+    for start in starts:
+        try:
+            found.append(checker.check(start))
+        except InvalidScan:  # left out of maps too, with a note
+            found.append(_Outcome.UNMEASURED)
+        progress.advance()
+    return PoseCheck(
+        found.count(_Outcome.AGREES),
+        tuple(one for one in found if isinstance(one, Contradiction)),
+        found.count(_Outcome.STILL),
+        found.count(_Outcome.UNMEASURED),
+    )
+
+
+class _Outcome(Enum):
+    """Of a pair that does not contradict the poses."""
+
+    AGREES = auto()
+    STILL = auto()
+    UNMEASURED = auto()
+
+
+def _starts(poses: FloatArray) -> list[int]:
+    """Return where pairs begin: half spread over a drive, half where its turns begin or end."""
+    pairs = min(_MOST_PAIRS, len(poses) // _SCANS_A_PAIR)
+    if not pairs:
+        return []
+    spread = np.linspace(0, len(poses), (pairs + 1) // 2, endpoint=False)
+    starts = [int(start) for start in spread]
+    turn_deg = rotation_deg(inverse(poses[:-1]) @ poses[1:])
+    edge = np.repeat([1.0, -1.0], _BEND_STEPS) / _BEND_STEPS
+    bend_deg = np.abs(np.convolve(turn_deg, edge, "valid"))
+    for at in (np.argsort(-bend_deg, kind="stable") + _BEND_STEPS).tolist():
+        if len(starts) == pairs:
+            break
+        if min(abs(at - start) for start in starts) > len(poses) // (3 * pairs):
+            starts.append(at)
+    return sorted(starts)
+
+
+class _Checker:
+    """Compares pairs of a drive's scans, in the frame of the sensor, made level."""
+
+    def __init__(self, drive: Drive, rows: IntArray, sensor_height_m: float) -> None:
+        self._drive, self._rows, self._height_m = drive, rows, sensor_height_m
+        self._scan_index = scan_index_of(drive)[rows]
+        self.poses = matrices_from_rows(drive.poses[rows])
+        self._level = level_frame(drive, spread_evenly(rows, _GROUNDS), sensor_height_m)
+
+    def check(self, start: int) -> Contradiction | _Outcome:
+        """Return what the pair that begins there shows.
+
+        Raises:
+            InvalidScan: If a scan cannot be used.
+        """
+        first = self._scan(start)
+        structure = _Structure(self._structure_m(first))
+        if structure.is_little:
+            return _Outcome.UNMEASURED
+        end = self._apart(start)
+        second_m = self._structure_m(self._scan(end))
+        if structure.confirms(second_m, given := self._given(start, end)):
+            return _Outcome.AGREES if Motion.of(given).is_one else _Outcome.STILL
+        measured = None
+        for step in _STEPS:  # scans as far apart as can be measured, whatever the poses say
+            if start + step >= len(self._rows):
+                break
+            second = self._scan(start + step)
+            found = check_scans(first, second, self._height_m)
+            if (found.probability or 0.0) < _PROBABLE:
+                break
+            end, measured, second_m = start + step, found.planar_pose, self._structure_m(second)
+            if Motion.of(measured).is_one:
+                break
+        if measured is None:
+            return _Outcome.UNMEASURED
+        given = self._given(start, end)
+        by_poses, by_scans = Motion.of(given), Motion.of(measured)
+        if not (by_poses.is_one or by_scans.is_one):
+            return _Outcome.UNMEASURED
+        if _agree(given, measured):
+            return _Outcome.AGREES
+        fit = structure.fit(second_m, measured)
+        if fit < max(_LEAST_FIT, structure.fit(second_m, given) + _BETTER_FIT):
+            return _Outcome.UNMEASURED
+        first_scan, last_scan = self._scan_index[[start, end]].tolist()
+        return Contradiction(first_scan, last_scan, by_poses, by_scans)
+
+    def _scan(self, at: int) -> Scan:
+        return self._drive.scan(int(self._rows[at]))
+
+    def _given(self, start: int, end: int) -> FloatArray:
+        """Return the pose of one scan in the frame of another by the poses, `(4, 4)`."""
+        moved = inverse(self.poses[start]) @ self.poses[end]
+        return np.asarray(self._level @ moved @ inverse(self._level))
+
+    def _apart(self, start: int) -> int:
+        """Return the first scan after one that is far enough away by the poses."""
+        last = min(start + _MOST_BETWEEN, len(self._rows) - 1)
+        for end in range(start + 1, last):
+            given = Motion.of(self._given(start, end))
+            if given.metres >= _APART_M or given.turn_deg >= _APART_DEG:
+                return end
+        return last
+
+    def _structure_m(self, scan: Scan) -> FloatArray:
+        """Return returns above the ground in the level frame, one in each half metre."""
+        points_m = scan.points_m @ self._level[:3, :3].T
+        kept = points_m[:, 2] > _ABOVE_GROUND_M - self._height_m
+        kept &= (np.abs(points_m) < _FARTHEST_M).all(axis=1)
+        points_m = points_m[kept]
+        cells = np.floor(points_m / _NEAR_M).astype(np.int64) @ [1, 1000, 1_000_000]
+        return np.asarray(points_m[np.unique(cells, return_index=True)[1]])
+
+
+class _Structure:
+    """The returns of a scan, to find those of another one near them."""
+
+    def __init__(self, points_m: FloatArray) -> None:
+        from scipy.spatial import cKDTree  # no answer needs it: decision 33
+
+        self._tree = cKDTree(points_m)
+
+    @property
+    def is_little(self) -> bool:
+        """Whether a motion cannot be seen in it."""
+        return self._tree.n < _LEAST_RETURNS
+
+    def fit(self, points_m: FloatArray, motion: FloatArray) -> float:
+        """Return the share of another scan's returns that are near one, after that motion."""
+        if len(points_m) < _LEAST_RETURNS:
+            return 0.0
+        moved_m = points_m @ motion[:3, :3].T + motion[:3, 3]
+        apart_m, _ = self._tree.query(moved_m, distance_upper_bound=_NEAR_M)
+        return float(np.isfinite(apart_m).mean())
+
+    def confirms(self, points_m: FloatArray, motion: FloatArray) -> bool:
+        """Return whether a motion fits well, and better than others around it."""
+        fit = self.fit(points_m, motion)
+        return fit >= _LEAST_FIT and all(
+            fit >= self.fit(points_m, motion @ other) + _BETTER_FIT for other in _AROUND
+        )
+
+
+def _agree(given: FloatArray, measured: FloatArray) -> bool:
+    """Return whether two `(4, 4)` motions are the same within the errors of both."""
+    turn_deg = float(rotation_deg(measured))
+    length_m = float(np.linalg.norm(measured[:3, 3]))
+    most_m = _TOLERANCE_M + _TOLERANCE_SHARE * length_m + _LEVER_M * np.radians(min(turn_deg, 60.0))
+    most_deg = _TOLERANCE_DEG + _TOLERANCE_SHARE * turn_deg
+    return _near(given[:3, 3], measured[:3, 3], most_m) and _near(
+        _vector_deg(given), _vector_deg(measured), most_deg
+    )
+
+
+def _near(given: FloatArray, measured: FloatArray, most: float) -> bool:
+    """Return whether vectors are equally long, and about in one direction."""
+    lengths = np.linalg.norm([given, measured], axis=1)
+    apart = np.linalg.norm(given - measured)
+    return bool(abs(lengths[0] - lengths[1]) <= most and apart <= most + _ASKEW * lengths.max())
+
+
+def _vector_deg(pose: FloatArray) -> FloatArray:
+    """Return the rotation of a `(4, 4)` pose as its axis times its angle."""
+    from scipy.spatial.transform import Rotation  # no answer needs it: decision 33
+
+    return np.asarray(Rotation.from_matrix(pose[:3, :3]).as_rotvec(degrees=True))

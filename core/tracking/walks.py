@@ -1,0 +1,68 @@
+"""Where each place of a travel graph leads within some scans."""
+
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from core.arrays import FloatArray, IntArray, frozen
+
+if TYPE_CHECKING:
+    from core.tracking.graph import TravelGraph
+
+MAX_STEPS = 24
+"""Most scans of the map that are passed between two observations."""
+
+
+class Walks:
+    """The places that are 0 to `MAX_STEPS` scans ahead of each place, and how probable each is.
+
+    Args:
+        graph: The places.
+    """
+
+    def __init__(self, graph: "TravelGraph") -> None:
+        from scipy.sparse import eye_array, vstack  # only tracks need it: decision 33
+
+        self._graph = graph
+        power = eye_array(graph.places, format="csr")
+        powers = [power]
+        for _ in range(MAX_STEPS):
+            power = graph.ahead @ power
+            powers.append(power)
+        walks = vstack(powers, format="csc")
+        self._first: NDArray[np.integer] = walks.indptr
+        steps, places = np.divmod(walks.indices, graph.places)
+        self._steps, self._places = steps.astype(np.uint8), places.astype(np.int32)
+        self._probability = frozen(walks.data, np.float64)
+
+    @cached_property
+    def length_m(self) -> FloatArray:
+        """The mean length of so many steps from each place, `(MAX_STEPS + 1, 2K)`."""
+        back = self._graph.ahead.T.tocsr()
+        length_m = np.zeros((MAX_STEPS + 1, self._graph.places))
+        for step in range(MAX_STEPS):
+            length_m[step + 1] = self._graph.step_m + back @ length_m[step]
+        return frozen(length_m, np.float64)
+
+    def moved(self, begin: IntArray, at: FloatArray, weights: FloatArray) -> FloatArray:
+        """Return the probabilities of all places after walks from some, `(2K, P)`.
+
+        Args:
+            begin: `(n,)` those places.
+            at: `(n, P)` the probability of each, and of each pace.
+            weights: `(MAX_STEPS + 1, n, P)` of each number of steps, or broadcast to it.
+        """
+        count = self._first[begin + 1] - self._first[begin]
+        of_walk = np.repeat(np.arange(len(begin)), count)
+        walk = np.arange(len(of_walk)) + np.repeat(
+            self._first[begin] - np.cumsum(count) + count, count
+        )
+        steps, paces = self._steps[walk], at.shape[1]
+        weights = np.broadcast_to(weights, (len(weights), *at.shape))
+        shares = weights[steps, of_walk] * at[of_walk] * self._probability[walk, None]
+        ends = self._places[walk, None] * paces + np.arange(paces)
+        size = self._graph.places * paces
+        moved = np.bincount(ends.ravel(), shares.ravel(), size)
+        return np.asarray(moved.reshape(-1, paces), np.float64)

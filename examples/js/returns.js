@@ -1,0 +1,67 @@
+// Returns of a scan, and how they are rotated level by gravity.
+
+/** There is no signature: nothing of the scan is above the ground, inside the grid or a return. */
+export class Refused extends Error {}
+
+/** Rounds to a whole number, halves to the even one. */
+export function roundEven(value) {
+  const low = Math.floor(value);
+  const rest = value - low;
+  if (rest !== 0.5) return rest < 0.5 ? low : low + 1;
+  return low % 2 === 0 ? low : low + 1;
+}
+
+// Puts a return behind `kept` others in `xyz`, if it is one; returns how many there are then.
+function put(xyz, kept, x, y, z) {
+  const at = 3 * kept;
+  xyz[at] = x; // rounded to float32
+  xyz[at + 1] = y;
+  xyz[at + 2] = z;
+  const finite =
+    Number.isFinite(xyz[at]) && Number.isFinite(xyz[at + 1]) && Number.isFinite(xyz[at + 2]);
+  return finite && (xyz[at] !== 0 || xyz[at + 1] !== 0 || xyz[at + 2] !== 0) ? kept + 1 : kept;
+}
+
+/** The numbers of a scan in KITTI's format: x, y, z and intensity of each return. */
+export function rowsOf(buffer) {
+  if (buffer.byteLength % 16 !== 0) {
+    throw new Error(`${buffer.byteLength} bytes are not a whole number of 16-byte records`);
+  }
+  return new Float32Array(buffer);
+}
+
+/**
+ * The rows that are returns, in their order, as x, y, z of each in one Float32Array.
+ *
+ * @param {ArrayLike<number>} rows Metres in the sensor's frame: x forward, y left, z up.
+ * @param {number} stride Numbers from one row to the next: 4 of KITTI's files.
+ */
+export function returnsOf(rows, stride) {
+  const xyz = new Float32Array(3 * Math.floor(rows.length / stride));
+  let kept = 0;
+  for (let at = 0; at + stride <= rows.length; at += stride) {
+    kept = put(xyz, kept, rows[at], rows[at + 1], rows[at + 2]);
+  }
+  return xyz.subarray(0, 3 * kept);
+}
+
+/** What `move(x, y, z)` makes of returns: `[x, y, z]`. */
+export function moved(returns, move) {
+  const xyz = new Float32Array(returns.length);
+  let kept = 0;
+  for (let at = 0; at < returns.length; at += 3) {
+    kept = put(xyz, kept, ...move(returns[at], returns[at + 1], returns[at + 2]));
+  }
+  return xyz.subarray(0, 3 * kept);
+}
+
+/** R = Ry(pitch) Rx(roll), for a vehicle that measures gravity. */
+export function levelledByGravity(returns, rollDeg, pitchDeg) {
+  const [cr, sr] = [Math.cos((rollDeg * Math.PI) / 180), Math.sin((rollDeg * Math.PI) / 180)];
+  const [cp, sp] = [Math.cos((pitchDeg * Math.PI) / 180), Math.sin((pitchDeg * Math.PI) / 180)];
+  return moved(returns, (x, y, z) => [
+    cp * x + sp * sr * y + sp * cr * z,
+    cr * y - sr * z,
+    -sp * x + cp * sr * y + cp * cr * z,
+  ]);
+}

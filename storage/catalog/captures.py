@@ -1,0 +1,387 @@
+"""Captures that are uploaded in parts, in the catalog: until they are read or expire."""
+
+from collections.abc import Sequence
+from datetime import UTC, datetime
+
+from sqlalchemy import delete, func, or_, select, text
+from sqlalchemy.orm import Session
+
+from storage.catalog.capture_records import capture_record, capture_summaries
+from storage.catalog.database import Repository
+from storage.catalog.jobs import cancel_job, queue_job
+from storage.catalog.maps import map_named
+from storage.catalog.models import (
+    CAPTURE,
+    OPEN_STATES,
+    CapturePart,
+    CaptureRecord,
+    Drive,
+    JobRecord,
+    JobState,
+    Map,
+)
+from storage.catalog.pages import DEFAULT_LIMIT, page_by_age
+from storage.catalog.records import Capture, CaptureSummary, NewCapture, Page
+from storage.errors import (
+    CaptureNotFound,
+    CaptureQueued,
+    PartConflict,
+    PartsMissing,
+    TooManyCaptures,
+)
+from storage.index_ranges import ranges_text
+from storage.names import RECYCLED, checked_slug, new_id
+
+_LOCK = 0x7E4504A5  # of PostgreSQL: any number, the same in every process, and of no other use
+
+
+class Captures(Repository):
+    """The captures of each map, newest first."""
+
+    def create(
+        self, map_slug: str, new: NewCapture, most_bytes: int | None = None
+    ) -> tuple[Capture, bool]:
+        """Begin a capture; return it, and whether it is new.
+
+        One of the same drive, files and digest is returned as it is: an upload is resumed without
+        its id. One that was read is only while the drive that got its scans is there.
+
+        Args:
+            map_slug: The map.
+            new: What is announced of it.
+            most_bytes: Maximum size of the key's captures that are not read yet, together.
+
+        Raises:
+            MapNotFound: If there is no such map.
+            InvalidSlug: If the drive's name is none.
+            TooManyCaptures: If the key has as many bytes of captures as it may.
+        """
+        checked_slug(new.drive)
+        now = datetime.now(UTC)
+        row = CaptureRecord(
+            id=new_id(),
+            map_id="",
+            drive=new.drive,
+            files=[list(file) for file in new.files],
+            size_bytes=new.size_bytes,
+            part_bytes=new.part_bytes,
+            topic=new.topic,
+            first_scan=new.first_scan,
+            digest=new.digest,
+            key_id=new.key_id,
+            created_at=now,
+            touched_at=now,
+        )
+        with self._database.writing(announced=False) as session:
+            if session.get_bind().dialect.name == "postgresql":  # SQLite has one writer anyway
+                session.execute(text("SELECT pg_advisory_xact_lock(:key)"), {"key": _LOCK})
+            row.map_id = map_named(session, map_slug, shared=True).id
+            found = _same(session, row.map_id, new)
+            if found is not None:
+                return found, False
+            if most_bytes is not None:
+                _require_room(session, row, most_bytes)
+            session.add(row)
+            session.flush()
+            return capture_record(session, row), True
+
+    def same(self, map_slug: str, new: NewCapture) -> Capture | None:
+        """Return the capture that `create` would return as it is, `None` if it would make one.
+
+        Raises:
+            MapNotFound: If there is no such map.
+        """
+        with self._database.reading() as session:
+            return _same(session, map_named(session, map_slug).id, new)
+
+    def get(self, map_slug: str, drive: str, capture_id: str) -> Capture:
+        """Return a capture.
+
+        Raises:
+            MapNotFound: If there is no such map.
+            CaptureNotFound: If the drive has no such capture.
+        """
+        with self._database.reading() as session:
+            return capture_record(session, _found(session, map_slug, drive, capture_id))
+
+    def list(
+        self,
+        map_slug: str,
+        drive: str | None = None,
+        after: str = "",
+        limit: int = DEFAULT_LIMIT,
+    ) -> Page[CaptureSummary]:
+        """Return the captures of a map, or of one drive, that are older than `after`.
+
+        Raises:
+            MapNotFound: If there is no such map.
+            InvalidSlug: If the drive's name is none.
+            InvalidParameters: If `after` is no cursor of such a list.
+        """
+        with self._database.reading() as session:
+            of_map = map_named(session, map_slug)
+            query = select(CaptureRecord).where(CaptureRecord.map_id == of_map.id)
+            if drive is not None:
+                query = query.where(CaptureRecord.drive == checked_slug(drive))
+            page = page_by_age(session, query, CaptureRecord.id, after, limit)
+            return Page(tuple(capture_summaries(session, page.items)), page.next_after)
+
+    def of_job(self, capture_id: str) -> Capture:
+        """Return the capture of that id, whatever its map is called now.
+
+        Raises:
+            CaptureNotFound: If it is gone.
+        """
+        with self._database.reading() as session:
+            row = session.get(CaptureRecord, capture_id)
+            if row is None:
+                raise CaptureNotFound(f"the capture with id {capture_id[:80]!r} is gone")
+            return capture_record(session, row)
+
+    def parts(self, capture_id: str) -> dict[int, tuple[str, str]]:
+        """Return the digest and file of each stored part, by its number."""
+        with self._database.reading() as session:
+            rows = session.scalars(
+                select(CapturePart)
+                .where(CapturePart.capture_id == capture_id)
+                .order_by(CapturePart.number)
+            )
+            return {row.number: (row.digest, row.file_name) for row in rows}
+
+    def part(
+        self, map_slug: str, drive: str, capture_id: str, number: int
+    ) -> tuple[CaptureSummary, tuple[str, str] | None]:
+        """Return a capture, and digest and file of one of its parts, `None` if it is not stored.
+
+        Raises:
+            MapNotFound: If there is no such map.
+            CaptureNotFound: If the drive has no such capture.
+        """
+        with self._database.reading() as session:
+            row = _found(session, map_slug, drive, capture_id)
+            part = session.get(CapturePart, (row.id, number))
+            stored = None if part is None else (part.digest, part.file_name)
+            return capture_summaries(session, [row])[0], stored
+
+    def add_part(
+        self, map_slug: str, drive: str, capture_id: str, number: int, digest: str, file_name: str
+    ) -> tuple[Capture, str]:
+        """Add a part that is stored; return its capture, and the file that holds it now.
+
+        That is another one if another writer was faster; then nothing is changed.
+
+        Raises:
+            MapNotFound: If there is no such map.
+            CaptureNotFound: If the drive has no such capture.
+            CaptureQueued: If it takes no more parts.
+            PartConflict: If other bytes are stored as this part.
+        """
+        with self._database.writing(announced=False) as session:
+            row = _found(session, map_slug, drive, capture_id, lock=True)
+            require_open(capture_summaries(session, [row])[0])
+            part = session.get(CapturePart, (row.id, number))
+            if part is not None:
+                require_same_part(row.id, number, part.digest, digest)
+            else:
+                part = CapturePart(row.id, number, digest, file_name)
+                session.add(part)
+                row.touched_at = datetime.now(UTC)
+                session.flush()
+            return capture_record(session, row), part.file_name
+
+    def forget_part(self, capture_id: str, number: int) -> None:
+        """Remove a part whose file is lost: it can be sent again."""
+        of_capture = CapturePart.capture_id == capture_id
+        with self._database.writing(announced=False) as session:
+            session.execute(delete(CapturePart).where(of_capture, CapturePart.number == number))
+
+    def complete(
+        self,
+        map_slug: str,
+        drive: str,
+        capture_id: str,
+        *,
+        topic: str | None = None,
+        key_id: str | None = None,
+        most_queued: int | None = None,
+    ) -> Capture:
+        """Queue the job that reads a complete capture; one that is queued or read stays as it is.
+
+        Args:
+            map_slug: The map.
+            drive: The drive.
+            capture_id: The capture.
+            topic: Of the scans from now on, `None` to leave it.
+            key_id: Id of the key that requests it.
+            most_queued: Maximum number of queued jobs of that key.
+
+        Raises:
+            MapNotFound: If there is no such map.
+            CaptureNotFound: If the drive has no such capture.
+            PartsMissing: If parts are missing.
+            TooManyBuilds: If the key has as many jobs queued as it may.
+        """
+        with self._database.writing(announced=False) as session:
+            row = _found(session, map_slug, drive, capture_id, lock=True)
+            capture = capture_record(session, row)
+            if not capture.takes_parts:
+                return capture
+            if capture.missing:
+                raise PartsMissing(
+                    f"capture {row.id} has {capture.parts} parts, missing are"
+                    f" {ranges_text(capture.missing)}"
+                )
+            now = datetime.now(UTC)
+            if topic is not None:
+                row.topic = topic
+            job = JobRecord(
+                id=new_id(),
+                map_id=row.map_id,
+                parameters={"capture": row.id, "drive": row.drive},
+                kind=CAPTURE,
+                key_id=key_id,
+                created_at=now,
+            )
+            queue_job(session, job, most_queued)
+            row.job_id, row.touched_at = job.id, now
+            session.flush()
+            return capture_record(session, row)
+
+    def delete(self, map_slug: str, drive: str, capture_id: str) -> CaptureSummary:
+        """Remove a capture and cancel its job; return its record. Stored scans stay.
+
+        Raises:
+            MapNotFound: If there is no such map.
+            CaptureNotFound: If the drive has no such capture.
+        """
+        with self._database.writing(announced=False) as session:
+            row = _found(session, map_slug, drive, capture_id, lock=True)
+            capture = capture_summaries(session, [row])[0]
+            if row.job_id is not None:
+                cancel_job(session, row.job_id)
+            session.execute(delete(CaptureRecord).where(CaptureRecord.id == row.id))
+            return capture
+
+    def clear(self, before: datetime) -> Sequence[tuple[str, str]]:
+        """Remove the parts of captures that were read, and captures that expired.
+
+        Args:
+            before: Those expire that were touched, and whose job ended, before this.
+
+        Returns:
+            Map and id of each capture whose files are no longer named.
+        """
+        done = JobRecord.state == JobState.DONE
+        of_job = (CaptureRecord.job_id == JobRecord.id,)
+        with self._database.writing(announced=False) as session:
+            read = select(CaptureRecord).join(JobRecord, *of_job).where(done)
+            has_parts = CaptureRecord.id.in_(select(CapturePart.capture_id))
+            emptied = session.scalars(read.where(has_parts)).all()
+            expired = session.scalars(
+                select(CaptureRecord)
+                .outerjoin(JobRecord, *of_job)
+                # One that is completed at the same time is locked, or no longer that old.
+                .with_for_update(of=CaptureRecord, skip_locked=True)
+                .where(
+                    CaptureRecord.touched_at < before,
+                    or_(
+                        JobRecord.id.is_(None),
+                        JobRecord.state.not_in(OPEN_STATES) & (JobRecord.finished_at < before),
+                    ),
+                )
+            ).all()
+            found = {(row.map_id, row.id) for row in (*emptied, *expired)}
+            ids = [row.id for row in emptied]
+            session.execute(delete(CapturePart).where(CapturePart.capture_id.in_(ids)))
+            gone = [row.id for row in expired]
+            session.execute(delete(CaptureRecord).where(CaptureRecord.id.in_(gone)))
+            return sorted(found)
+
+    def named_files(self, map_id: str) -> dict[str, dict[str, int]]:
+        """Return the files of a map's captures and their parts' numbers, by the capture's id."""
+        found: dict[str, dict[str, int]] = {}
+        with self._database.reading() as session:
+            query = (
+                select(CaptureRecord.id, CapturePart.number, CapturePart.file_name)
+                .outerjoin(CapturePart, CapturePart.capture_id == CaptureRecord.id)
+                .where(CaptureRecord.map_id == map_id)
+            )
+            for capture_id, number, file_name in session.execute(query):
+                files = found.setdefault(capture_id, {})
+                if file_name is not None:
+                    files[file_name] = number
+        return found
+
+
+def _found(
+    session: Session, map_slug: str, drive: str, capture_id: str, *, lock: bool = False
+) -> CaptureRecord:
+    of_map = map_named(session, map_slug, shared=lock)
+    row = session.get(CaptureRecord, capture_id, with_for_update=lock)
+    if row is None or (row.map_id, row.drive) != (of_map.id, drive):
+        raise CaptureNotFound(
+            f"drive {drive[:80]!r} of map {map_slug!r} has no capture {capture_id[:80]!r}"
+        )
+    return row
+
+
+def require_open(capture: CaptureSummary) -> None:
+    """Raise `CaptureQueued` if a capture takes no more parts."""
+    if not capture.takes_parts:
+        raise CaptureQueued(f"capture {capture.id} is {capture.state}, it takes no more parts")
+
+
+def require_same_part(capture_id: str, number: int, stored: str, digest: str) -> None:
+    """Raise `PartConflict` if a part that is put has another digest than the one stored."""
+    if stored != digest:
+        raise PartConflict(
+            f"part {number} of capture {capture_id} is stored with digest {stored}, the one put"
+            f" has {digest}: delete the capture to begin anew"
+        )
+
+
+def _same(session: Session, map_id: str, new: NewCapture) -> Capture | None:
+    """Return the newest capture with the same content for the same scans of a drive."""
+    if new.digest is None:
+        return None
+    files = [list(file) for file in new.files]
+    rows = session.scalars(
+        select(CaptureRecord)
+        .where(
+            CaptureRecord.map_id == map_id,
+            CaptureRecord.drive == new.drive,
+            CaptureRecord.digest == new.digest,
+            CaptureRecord.first_scan == new.first_scan,
+        )
+        .order_by(CaptureRecord.created_at.desc())
+    ).all()
+    drive = session.scalar(select(Drive).where(Drive.map_id == map_id, Drive.slug == new.drive))
+    for row in rows:
+        job = session.get(JobRecord, row.job_id) if row.job_id is not None else None
+        is_open = job is None or job.state != JobState.DONE
+        is_stored = drive and job and job.finished_at and drive.created_at <= job.finished_at
+        if row.files == files and (is_open or is_stored):
+            return capture_record(session, row)
+    return None
+
+
+def _require_room(session: Session, new: CaptureRecord, most_bytes: int) -> None:
+    held = int(
+        session.scalar(
+            select(func.sum(CaptureRecord.size_bytes))
+            .join(Map, Map.id == CaptureRecord.map_id)
+            .outerjoin(JobRecord, CaptureRecord.job_id == JobRecord.id)
+            .where(
+                CaptureRecord.key_id == new.key_id,
+                Map.slug < RECYCLED,  # of a deleted map none can be deleted
+                or_(JobRecord.id.is_(None), JobRecord.state != JobState.DONE),
+            )
+        )
+        or 0
+    )
+    if held + new.size_bytes > most_bytes:
+        raise TooManyCaptures(
+            f"key {new.key_id} has {held} bytes of captures that are not read yet, at most"
+            f" {most_bytes} with this one of {new.size_bytes}: wait until one is read, or delete"
+            " one"
+        )

@@ -1,0 +1,278 @@
+"""The recycle bin: deleted maps and drives, until they are restored or removed for good.
+
+Their rows and files stay, and nothing finds them by name: their slug is made of their id, and no
+client can choose such a slug. So the name is free, and what is deleted answers as if it were gone.
+"""
+
+from collections import defaultdict
+from collections.abc import Collection, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from datetime import UTC, datetime
+
+from sqlalchemy import BigInteger, Select, case, cast, delete, func, or_, select, update
+from sqlalchemy.exc import IntegrityError
+from sqlalchemy.orm import Session
+
+from storage.catalog.database import Repository
+from storage.catalog.drives import drive_named
+from storage.catalog.maps import locked_map, map_of_id
+from storage.catalog.models import (
+    OPEN_STATES,
+    CapturePart,
+    CaptureRecord,
+    Drive,
+    JobRecord,
+    JobState,
+    LiveRevision,
+    Map,
+    RecycledRecord,
+    RevisionRecord,
+    Scan,
+)
+from storage.catalog.pages import DEFAULT_LIMIT, page_by_age
+from storage.catalog.records import BYTES_PER_RETURN, Page
+from storage.errors import DriveExists, MapExists, MapNotFound, NotInRecycleBin
+from storage.names import RECYCLED, checked_slug, is_recycled, recycled_slug
+
+
+@dataclass(frozen=True)
+class Recycled:
+    """A deleted map or drive.
+
+    Attributes:
+        id: Its id, which identifies the entry.
+        map_id: Id of the map, or of the map that has the drive.
+        map_slug: That map's name; of a deleted map, the name that it had.
+        drive_slug: The name that the drive had, `None` for a map.
+        deleted_at: When it was deleted.
+        size_bytes: What its returns, and a map's revisions and parts of captures, take on disk.
+    """
+
+    id: str
+    map_id: str
+    map_slug: str
+    drive_slug: str | None
+    deleted_at: datetime
+    size_bytes: int
+
+    def __str__(self) -> str:
+        """Return a description for users."""
+        of_map = f"map {self.map_slug}"
+        return of_map if self.drive_slug is None else f"drive {self.drive_slug} of {of_map}"
+
+
+class RecycleBin(Repository):
+    """Deleted maps and drives, the last one first; drives of a deleted map are part of that."""
+
+    def put_map(self, slug: str, *, if_version: int | None = None) -> Recycled:
+        """Delete a map with all that belongs to it; its queued and running jobs are cancelled.
+
+        Raises:
+            MapNotFound: If there is none of that slug.
+            MapChanged: If its version is another than `if_version`.
+        """
+        with self._database.writing() as session:
+            row = locked_map(session, slug, if_version)
+            session.execute(
+                update(JobRecord)
+                .where(JobRecord.map_id == row.id, JobRecord.state.in_(OPEN_STATES))
+                .values(state=JobState.CANCELLED, finished_at=datetime.now(UTC))
+            )
+            return _put(session, row, row.id)
+
+    def put_drive(self, map_slug: str, slug: str) -> Recycled:
+        """Delete a drive; revisions that were built from it stay.
+
+        Raises:
+            MapNotFound: If there is no such map.
+            DriveNotFound: If it has no such drive.
+        """
+        with self._database.writing() as session:
+            row = drive_named(session, map_slug, slug, lock=True)
+            return _put(session, row, row.map_id, row.id)
+
+    def get(self, entry_id: str) -> Recycled:
+        """Return an entry.
+
+        Raises:
+            NotInRecycleBin: If it is not there, or no longer.
+        """
+        with self._database.reading() as session:
+            return _recycled(session, [_found(session, entry_id)])[0]
+
+    def list(
+        self, after: str = "", limit: int = DEFAULT_LIMIT, *, slugs: Collection[str] | None = None
+    ) -> Page[Recycled]:
+        """Return the entries that were deleted before the entry `after`.
+
+        Args:
+            after: Cursor of an entry, empty for the first page.
+            limit: Number of entries.
+            slugs: Only entries of maps of these names.
+
+        Raises:
+            InvalidParameters: If `after` is no cursor of such a list.
+        """
+        with self._database.reading() as session:
+            query = _visible()
+            if slugs is not None:
+                is_map = RecycledRecord.drive_id.is_(None)
+                of_map = is_map & RecycledRecord.slug.in_(slugs)
+                query = query.where(of_map | Map.slug.in_(slugs))
+            page = page_by_age(session, query, RecycledRecord.id, after, limit)
+            return Page(tuple(_recycled(session, page.items)), page.next_after)
+
+    def expired(self, before: datetime) -> Sequence[Recycled]:
+        """Return the entries that were deleted until a time, the first one first."""
+        query = (
+            select(RecycledRecord)
+            .where(RecycledRecord.created_at <= before)
+            .order_by(RecycledRecord.created_at, RecycledRecord.id)
+        )
+        with self._database.reading() as session:
+            return _recycled(session, session.scalars(query).all())
+
+    def restore(self, entry_id: str, slug: str | None = None) -> Recycled:
+        """Take a map or drive out of the bin as it was, under its name or another one.
+
+        Raises:
+            NotInRecycleBin: If it is not there, or no longer.
+            InvalidSlug: If the other name is no slug.
+            MapExists: If a map has that name now.
+            DriveExists: If a drive of the map has that name now.
+        """
+        with _named_taken(self, entry_id, slug), self._database.writing() as session:
+            entry = _found(session, entry_id, lock=True)
+            entry.slug = entry.slug if slug is None else checked_slug(slug)
+            restored = _recycled(session, [entry])[0]
+            if entry.drive_id is None:
+                of_map = session.get_one(Map, entry.map_id, with_for_update=True)
+                of_map.slug = entry.slug
+                of_map.version += 1
+            else:
+                session.get_one(Drive, entry.drive_id, with_for_update=True).slug = entry.slug
+            session.delete(entry)
+            return restored
+
+    def purge(self, entry_id: str, *, before: datetime | None = None) -> Recycled:
+        """Remove the rows of an entry for good; return what it was.
+
+        Args:
+            entry_id: The entry.
+            before: Only if it was deleted until then.
+
+        Raises:
+            NotInRecycleBin: If it is not there, or no longer, or was deleted later.
+        """
+        with self._database.writing() as session:
+            entry = session.get(RecycledRecord, entry_id, with_for_update=True)
+            if entry is None or (before is not None and entry.created_at > before):
+                raise _missing(entry_id)
+            removed = _recycled(session, [entry])[0]
+            if entry.drive_id is None:
+                session.execute(delete(LiveRevision).where(LiveRevision.map_id == entry.map_id))
+                session.execute(delete(Map).where(Map.id == entry.map_id))
+            else:
+                session.execute(delete(Drive).where(Drive.id == entry.drive_id))
+            return removed
+
+
+def _put(session: Session, row: Map | Drive, map_id: str, drive_id: str | None = None) -> Recycled:
+    entry = RecycledRecord(
+        id=row.id, map_id=map_id, drive_id=drive_id, slug=row.slug, created_at=datetime.now(UTC)
+    )
+    session.add(entry)
+    session.flush()
+    row.slug = recycled_slug(row.id)
+    session.flush()
+    return _recycled(session, [entry])[0]
+
+
+def _visible() -> Select[RecycledRecord]:
+    """Return the query of entries: not drives whose map is deleted too."""
+    is_map = RecycledRecord.drive_id.is_(None)
+    joined = select(RecycledRecord).join(Map, Map.id == RecycledRecord.map_id)
+    return joined.where(or_(is_map, Map.slug < RECYCLED))
+
+
+def _found(session: Session, entry_id: str, *, lock: bool = False) -> RecycledRecord:
+    entry = session.get(RecycledRecord, entry_id, with_for_update=lock)
+    if entry is None:
+        raise _missing(entry_id)
+    if entry.drive_id is not None:
+        try:
+            map_of_id(session, entry.map_id)
+        except MapNotFound as error:
+            raise _missing(entry_id) from error
+    return entry
+
+
+def _missing(entry_id: str) -> NotInRecycleBin:
+    return NotInRecycleBin(f"the recycle bin has no map or drive with id {entry_id[:80]!r}")
+
+
+@contextmanager
+def _named_taken(recycle_bin: RecycleBin, entry_id: str, slug: str | None) -> Iterator[None]:
+    """Raise `MapExists` or `DriveExists` if the name is taken."""
+    try:
+        yield
+    except IntegrityError as error:
+        entry = recycle_bin.get(entry_id)
+        if entry.drive_slug is None:
+            name = slug or entry.map_slug
+            raise MapExists(
+                f"there is a map {name!r} again: restore the deleted one under another name"
+            ) from error
+        raise DriveExists(
+            f"map {entry.map_slug!r} has a drive {slug or entry.drive_slug!r} again: restore the"
+            " deleted one under another name"
+        ) from error
+
+
+def _recycled(session: Session, entries: Sequence[RecycledRecord]) -> list[Recycled]:
+    maps = [entry.map_id for entry in entries if entry.drive_id is None]
+    drives = [entry.drive_id for entry in entries if entry.drive_id is not None]
+    sizes: dict[str, int] = defaultdict(int)
+    returns = (
+        select(Drive.map_id, Drive.id, func.sum(Scan.returns))
+        .join(Scan, Scan.drive_id == Drive.id)
+        .where(Scan.chunk != "", or_(Drive.map_id.in_(maps), Drive.id.in_(drives)))
+        .group_by(Drive.map_id, Drive.id)
+    )
+    for map_id, drive_id, count in session.execute(returns):
+        for name in (map_id, drive_id):
+            sizes[name] += int(count) * BYTES_PER_RETURN
+    revisions = (
+        select(RevisionRecord.map_id, func.sum(RevisionRecord.size_bytes))
+        .where(RevisionRecord.map_id.in_(maps))
+        .group_by(RevisionRecord.map_id)
+    )
+    part_bytes = CaptureRecord.part_bytes
+    rest_bytes = CaptureRecord.size_bytes - cast(CapturePart.number, BigInteger) * part_bytes
+    parts = (
+        select(
+            CaptureRecord.map_id,
+            func.sum(case((rest_bytes < part_bytes, rest_bytes), else_=part_bytes)),
+        )
+        .join(CapturePart, CapturePart.capture_id == CaptureRecord.id)
+        .where(CaptureRecord.map_id.in_(maps))
+        .group_by(CaptureRecord.map_id)
+    )
+    for map_id, size_bytes in (*session.execute(revisions), *session.execute(parts)):
+        sizes[map_id] += int(size_bytes)
+    of_maps = select(Map.id, Map.slug).where(Map.id.in_({entry.map_id for entry in entries}))
+    slugs = dict(session.execute(of_maps).all())
+    deleted = select(RecycledRecord.id, RecycledRecord.slug).where(RecycledRecord.id.in_(slugs))
+    slugs |= {row.id: row.slug for row in session.execute(deleted) if is_recycled(slugs[row.id])}
+    return [
+        Recycled(
+            entry.id,
+            entry.map_id,
+            slugs[entry.map_id],
+            None if entry.drive_id is None else entry.slug,
+            entry.created_at,
+            sizes[entry.id],
+        )
+        for entry in entries
+    ]

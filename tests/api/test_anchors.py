@@ -1,0 +1,154 @@
+"""Maps with a place on the Earth: answers, tracks and graphs have WGS84 beside metres."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from core.mapping.anchor import Anchor
+from tests.support.campus import MAP, localize
+from tests.support.recording import KITTI, kitti, recording
+from tests.support.service import problem_of
+
+ANCHOR: dict[str, Any] = {
+    "latitude_deg": 49.01,
+    "longitude_deg": 8.4,
+    "altitude_m": 115.0,
+    "heading_deg": 30.0,
+}
+
+
+def scan(index=20):
+    return kitti(recording(noise_seed=7).scans[index])
+
+
+def is_at(place, pose):
+    names = ("x_m", "y_m", "z_m", "yaw_deg")
+    return place == pytest.approx(Anchor(**ANCHOR).pose_wgs84(*(pose[name] for name in names)))
+
+
+@pytest.fixture
+def anchored(own):
+    patched = own.patch(MAP, json={"anchor": ANCHOR})
+    assert patched.status_code == 200, patched.text
+    assert patched.json()["anchor"] == {**ANCHOR, "x_m": 0.0, "y_m": 0.0, "z_m": 0.0}
+    return own
+
+
+def test_answers_of_a_map_with_an_anchor_have_wgs84_and_others_are_as_before(own):
+    before = localize(own, "scan", content=scan(), headers=KITTI)
+    assert "wgs84" not in before["best"]["pose"]
+    own.patch(MAP, json={"anchor": ANCHOR})
+    answer = localize(own, "scan", content=scan(), headers=KITTI, params={"k": 2})
+    for match in answer["matches"]:
+        assert is_at(match["pose"].pop("wgs84"), match["pose"])
+    part = localize(own, "scan", content=scan(), headers=KITTI, params={"fields": "best.pose"})
+    assert is_at(part["best"]["pose"].pop("wgs84"), part["best"]["pose"])
+    everywhere = own.post("/v1/localizations/scan", content=scan(), headers=KITTI).json()
+    assert is_at(everywhere["best"]["pose"].pop("wgs84"), everywhere["best"]["pose"])
+    own.patch(MAP, json={"anchor": None})
+    assert localize(own, "scan", content=scan(), headers=KITTI) == before
+    assert own.get(MAP).json()["anchor"] is None
+
+
+def test_tracks_of_a_map_with_an_anchor_have_wgs84(anchored):
+    track = anchored.post(f"{MAP}/tracks").headers["Location"]
+    for index in range(18, 21):
+        step = anchored.post(f"{track}/observations", content=scan(index), headers=KITTI).json()
+        assert is_at(step["pose"].pop("wgs84"), step["pose"])
+    last = anchored.get(track).json()["last"]
+    assert is_at(last["pose"].pop("wgs84"), last["pose"])
+    assert last["pose"] == step["pose"]
+
+
+def test_the_graph_of_a_map_with_an_anchor_has_wgs84_and_is_geojson(anchored):
+    nodes = anchored.get(f"{MAP}/topology").json()["nodes"]
+    for node in nodes:
+        assert is_at(node["pose"].pop("wgs84"), node["pose"])
+    answer = anchored.get(f"{MAP}/geojson")
+    assert answer.headers["Content-Type"] == "application/geo+json"
+    found = answer.json()
+    assert found["type"] == "FeatureCollection"
+
+    def of_kind(kind):
+        return [of for of in found["features"] if of["properties"]["kind"] == kind]
+
+    (drive,) = of_kind("drive")
+    assert drive["properties"]["drive"] == "monday"
+    (line,) = drive["geometry"]["coordinates"]
+    assert len(line) == 48
+    first = recording().pose(0)
+    there = Anchor(**ANCHOR).pose_wgs84(first.x_m, first.y_m, first.z_m, first.yaw_deg)
+    assert line[0] == pytest.approx(
+        [there["longitude_deg"], there["latitude_deg"], there["altitude_m"]]
+    )
+    assert len(of_kind("edge")) == 3
+    assert [feature["properties"]["pose"] for feature in of_kind("node")] == [
+        node["pose"] for node in nodes
+    ]
+
+
+def test_geojson_of_a_map_without_an_anchor_is_refused(client):
+    refused = client.get(f"{MAP}/geojson")
+    assert problem_of(refused) == (409, "map-not-anchored")
+
+
+@pytest.mark.parametrize("wrong", [{"latitude_deg": 91}, {"longitude_deg": "8"}, {"other": 1}])
+def test_an_anchor_that_is_none_is_refused(client, wrong):
+    refused = client.patch(MAP, json={"anchor": {**ANCHOR, **wrong}})
+    assert problem_of(refused) == (422, "invalid-request")
+
+
+def test_an_anchor_does_not_change_the_rest_and_counts_as_a_change(anchored):
+    before = anchored.get(MAP)
+    after = anchored.patch(
+        MAP, json={"description": "Loop"}, headers={"If-Match": before.headers["ETag"]}
+    )
+    assert after.json()["anchor"] == before.json()["anchor"]
+    assert after.json()["version"] == before.json()["version"] + 1
+
+
+def fixes(every=1, by_s=0.0):
+    """Fixes of the recording, some decimetres beside it, the last one first."""
+    rng = np.random.default_rng(5)
+    at = range(47, -1, -every)
+    scans = [recording().scans[index] for index in at]
+    places_m = np.array([recording().pose(index).as_tuple()[:3] for index in at])
+    places = Anchor(**ANCHOR).wgs84(places_m + rng.normal(scale=0.2, size=places_m.shape))
+    names = ("latitude_deg", "longitude_deg", "altitude_m")
+    return [
+        {"time_s": scan.timestamp_s + by_s, **dict(zip(names, place.tolist(), strict=True))}
+        for scan, place in zip(scans, places, strict=True)
+    ]
+
+
+def test_an_anchor_is_fitted_to_the_track_of_a_receiver(own):
+    answer = own.post(f"{MAP}/anchor", json={"drive": "monday", "fixes": fixes()})
+    assert answer.status_code == 200, answer.text
+    found = answer.json()["anchor"]
+    fit = found.pop("fitted")
+    assert (fit["drive"], fit["agreeing"]) == ("monday", fit["fixes"])
+    pose = recording().pose(20)
+    there = Anchor(**ANCHOR).pose_wgs84(pose.x_m, pose.y_m, pose.z_m, pose.yaw_deg)
+    here = Anchor(**found).pose_wgs84(pose.x_m, pose.y_m, pose.z_m, pose.yaw_deg)
+    assert here == pytest.approx(there, abs=1.5)
+    assert here["latitude_deg"] == pytest.approx(there["latitude_deg"], abs=1e-5)
+    assert own.get(MAP).json()["anchor"] == {**found, "fitted": fit}
+    match = localize(own, "scan", content=scan(), headers=KITTI)["best"]
+    assert match["pose"]["wgs84"]["latitude_deg"] == pytest.approx(there["latitude_deg"], abs=1e-4)
+    last = own.get("/v1/audit", params={"limit": 1000}).json()["items"][-1]
+    assert last["action"] == "fit_map_anchor"
+
+
+@pytest.mark.parametrize(
+    ("wanted", "sent"),
+    [
+        ((404, "unknown-drive"), {"drive": "tuesday", "fixes": fixes()}),
+        ((409, "anchor-does-not-fit"), {"drive": "monday", "fixes": fixes(by_s=3600.0)}),
+        ((409, "anchor-does-not-fit"), {"drive": "monday", "fixes": fixes(every=30)}),
+        ((422, "invalid-request"), {"drive": "monday", "fixes": []}),
+    ],
+)
+def test_a_track_that_does_not_fit_changes_nothing(client, wanted, sent):
+    assert problem_of(client.post(f"{MAP}/anchor", json=sent)) == wanted
+    assert client.get(MAP).json()["anchor"] is None

@@ -1,0 +1,212 @@
+"""A mapper and an administrator with the client, on a service in this process."""
+
+import asyncio
+import hashlib
+
+import numpy as np
+import pytest
+from httpx2 import ASGITransport
+from tensormap_client import (
+    Admin,
+    AsyncMapper,
+    BuildFailed,
+    CaptureFailed,
+    InvalidArgument,
+    Mapper,
+    NothingUsable,
+    OtherDrive,
+)
+from tensormap_client.problems import KeyNeeded, MapExists, MapNotFound, RevisionIsLive
+
+from storage.formats.drives.kitti_drive import write_kitti_drive
+from tests.support.access import ADMIN_KEY
+from tests.support.bags import cloud, record_bag
+from tests.support.recording import npy
+from tests.support.samples import sample_drive
+from tests.support.service import running
+
+CLOUDS = [np.random.default_rng(seed).normal(0, 9, (1800, 3)).astype("<f4") for seed in range(3)]
+HERE = "http://127.0.0.1"
+
+
+def mapper_of(client, slug="campus"):
+    return Mapper(HERE, None, slug, connections=client._transport)
+
+
+@pytest.fixture
+def small(tmp_path):
+    """A service that takes small scans and has the map `campus`."""
+    with running(tmp_path / "data", min_returns=1) as client:
+        client.post("/v1/maps", json={"map": "campus"})
+        yield client
+
+
+@pytest.fixture
+def kitti(tmp_path):
+    write_kitti_drive(sample_drive(5), tmp_path / "monday")
+    return tmp_path / "monday"
+
+
+class Stages:
+    """A progress that remembers."""
+
+    def __init__(self):
+        self.stages, self.done, self.bytes = [], 0, 0
+
+    def start(self, stage, total):
+        self.stages.append((stage, total))
+        self.done = 0
+
+    def advance(self, units=1):
+        self.done += units
+
+    def move_to(self, done):
+        self.done = done
+
+    def sent(self, size_bytes):
+        self.bytes += size_bytes
+
+
+def test_a_kitti_folder_is_sent_as_it_is_and_continued(small, kitti):
+    progress = Stages()
+    headers = {"Content-Type": "application/vnd.tensormap.kitti"}
+    for index in (0, 4):
+        body = (kitti / f"velodyne/{index:06}.bin").read_bytes()
+        path = f"/v1/maps/campus/drives/monday/scans/{index}"
+        assert small.put(path, content=body, headers=headers).is_success
+    with mapper_of(small) as mapper:
+        done = mapper.upload(kitti, "monday", progress)
+        assert (done.scans, done.before, done.stored, done.skipped_scans) == (5, 2, 3, 0)
+        assert not done.unused_files
+        assert (progress.stages, progress.done) == ([("uploading", 5)], 5)
+        assert progress.bytes == done.sent_bytes > 0
+        assert mapper.drive("monday")["scans_with_pose"] == 5
+        poses = small.get("/v1/maps/campus/drives/monday/poses").json()["poses"]
+        for pose, known in zip(poses, sample_drive(5).poses, strict=True):
+            np.testing.assert_allclose(pose["pose"], known, atol=1e-6)
+        (kitti / "velodyne/000000.bin").write_bytes(bytes(np.ones(80, "<f4")))
+        with pytest.raises(OtherDrive, match="upload it as another drive"):
+            mapper.upload(kitti, "monday")
+        (kitti / "velodyne/000004.bin").unlink()
+        with pytest.raises(OtherDrive, match="has a scan 4"):
+            mapper.upload(kitti, "monday")
+
+
+def test_files_that_are_named_by_times_are_stored_in_that_order(small, tmp_path):
+    times = ["1679000000.5", "1679000000.25", "1679000001.0"]
+    for number, time in enumerate(times):
+        (tmp_path / f"{time}.npy").write_bytes(npy(np.full((1, 3), number + 1.0, np.float32)))
+    with mapper_of(small) as mapper:
+        assert mapper.upload(tmp_path, "tuesday").stored == 3
+        (tmp_path / "7.npy").write_bytes(b"")
+        with pytest.raises(InvalidArgument, match="named by a time, and others"):
+            mapper.upload(tmp_path, "tuesday")
+    poses = small.get("/v1/maps/campus/drives/tuesday/poses").json()["poses"]
+    assert [pose["timestamp_s"] for pose in poses] == sorted(map(float, times))
+
+
+def test_a_bag_is_sent_in_parts_that_the_service_lacks(small, tmp_path):
+    folder = record_bag(tmp_path / "bag", [cloud(points) for points in CLOUDS])
+    [bag] = folder.glob("*.mcap")
+    content = bag.read_bytes()
+    captures = "/v1/maps/campus/drives/monday/captures"
+    files = [{"name": bag.name, "size_bytes": len(content)}]
+    digest = hashlib.sha256(content).hexdigest()
+    begun = small.post(captures, json={"files": files, "sha256": digest}).json()
+    size = begun["part_bytes"]
+    assert begun["parts"] > 1
+    small.put(f"{captures}/{begun['capture']}/parts/0", content=content[:size])
+    progress = Stages()
+    with mapper_of(small) as mapper:
+        done = mapper.upload(bag, "monday", progress)
+        assert (done.scans, done.stored, done.before, done.skipped_scans) == (3, 3, 0, 0)
+        assert done.sent_bytes == progress.bytes == len(content) - size
+        again = mapper.upload(bag, "monday")
+        assert (again.stored, again.sent_bytes) == (3, 0)  # what it became the first time
+        done = mapper.upload(folder, "tuesday")  # as ROS 2 recorded it
+        assert (done.scans, done.stored) == (3, 3)
+        bag.write_bytes(content[:-100])
+        with pytest.raises(CaptureFailed, match=r"capture job \w+ failed"):
+            mapper.upload(bag, "wednesday")
+
+
+def test_what_cannot_be_used_is_reported(small, tmp_path):
+    with mapper_of(small) as mapper:
+        with pytest.raises(InvalidArgument, match="no scan file"):
+            mapper.upload(tmp_path, "monday")
+        (tmp_path / "0.pcd").write_bytes(b"no scan")
+        with pytest.raises(NothingUsable, match="scan 0"):
+            mapper.upload(tmp_path, "monday")
+        (tmp_path / "1.npy").write_bytes(npy(np.ones((1, 3), np.float32)))
+        done = mapper.upload(tmp_path, "monday")
+    assert (done.stored, done.skipped_scans, done.skipped[0].index) == (1, 1, 0)
+
+
+def test_the_asynchronous_mapper_does_the_same(small, kitti):
+    async def uploaded():
+        connections = ASGITransport(small.app, client=("127.0.0.1", 5000))
+        async with AsyncMapper(HERE, None, "campus", connections=connections) as mapper:
+            await mapper.upload(kitti, "monday")
+            return await mapper.drive("monday")
+
+    shown = asyncio.run(uploaded())
+    assert (shown["scans"], shown["scans_with_pose"]) == (5, 5)
+
+
+def test_a_map_is_administered(own, built):
+    with Admin(HERE, connections=own._transport) as admin:
+        assert [one["map"] for one in admin.maps()] == ["campus"]
+        assert admin.create_map("dock", "by the sea")["description"] == "by the sea"
+        with pytest.raises(MapExists):
+            admin.create_map("dock")
+        admin.delete_map("dock")
+        with pytest.raises(MapNotFound):
+            admin.map("dock")
+        [deleted] = admin.recycle_bin()
+        admin.restore(deleted["entry"])
+        assert admin.map("dock")["description"] == "by the sea"
+        admin.delete_map("dock")
+        [deleted] = admin.recycle_bin()
+        admin.purge(deleted["entry"])
+        assert not list(admin.recycle_bin())
+
+        assert {one["revision"] for one in admin.revisions("campus")} == {built.live, built.other}
+        assert admin.revision("campus", built.live)["live"]
+        assert admin.make_live("campus", built.other)["live_revision"] == built.other
+        assert admin.comparison("campus", built.live)["this"]["revision"] == built.live
+        with pytest.raises(RevisionIsLive):
+            admin.delete_revision("campus", built.other)
+        admin.delete_revision("campus", built.live)
+
+        progress = Stages()
+        job = admin.build("campus", {"segments": 4, "encoding": "paper"}, progress)
+        assert admin.revision("campus", job["revision"])["segments"] == 4
+        assert progress.stages
+        with pytest.raises(BuildFailed, match="cancelled"):
+            admin.follow(admin.cancel(admin.start_build("campus")["job"]))
+        assert len(list(admin.jobs("campus"))) == 4
+        assert [one["drive"] for one in admin.drives("campus")] == ["monday"]
+        admin.delete_drive("campus", "monday")
+        assert not list(admin.drives("campus"))
+
+
+def test_keys_and_the_audit_trail(guarded):
+    with Admin(HERE, connections=guarded._transport) as nobody, pytest.raises(KeyNeeded):
+        list(nobody.maps())
+    with Admin(HERE, ADMIN_KEY, connections=guarded._transport) as admin:
+        made = admin.make_key("a fleet", ["localize"], maps=["campus"])
+        listed = {one["key"]: one for one in admin.keys()}  # noqa: SIM118 - no dict
+        assert listed[made["key"]]["maps"] == ["campus"]
+        assert admin.revoke_key(made["key"])["revoked_at"] is not None
+        acts = list(admin.audit())
+    about_keys = [(act["subject"], act["outcome"]) for act in acts if "keys" in act["subject"]]
+    assert about_keys == [("/v1/keys", "done"), (f"/v1/keys/{made['key']}", "done")]
+
+
+def test_lists_have_no_end_at_a_page(empty):
+    with Admin(HERE, connections=empty._transport) as admin:
+        for number in range(4):
+            admin.create_map(f"map-{number}")
+        listed = [one["map"] for one in admin._pages("/v1/maps", {"limit": 2})]
+        assert listed == ["campus", *(f"map-{number}" for number in range(4))]
+        assert [one["map"] for one in admin.maps()] == listed

@@ -1,0 +1,176 @@
+"""Deleted maps and drives: listed, restored, purged and removed when their time is over."""
+
+from datetime import UTC, datetime, timedelta
+from os import walk
+
+import pytest
+from typer.testing import CliRunner
+
+from app.cli.main import cli
+from storage.backup.backup import write_backup
+from storage.backup.restore import restore_backup
+from storage.catalog.models import RecycledRecord
+from storage.store import Store
+from storage.store.verification import verify
+from tests.support.access import READ, WRITE, holder
+from tests.support.campus import MAP, acts
+from tests.support.process import until
+from tests.support.recording import KITTI, kitti, recording
+from tests.support.service import problem_of, running
+
+BIN = "/v1/recycle-bin"
+SCAN = f"{MAP}/localizations/scan"
+
+
+def entries(client, **options):
+    return client.get(BIN, **options).json()["items"]
+
+
+def located(client):
+    return client.post(SCAN, content=kitti(recording().scans[20]), headers=KITTI)
+
+
+def test_a_deleted_map_answers_as_deleted_and_is_restored_with_its_answers(own):
+    before, drive = located(own).json(), own.get(f"{MAP}/drives/monday").json()
+    taken = own.service.store.stored_bytes()
+    assert own.delete(MAP).status_code == 204
+    assert problem_of(own.get(MAP)) == problem_of(located(own)) == (404, "map-not-found")
+    assert own.get("/v1/maps").json()["items"] == own.get("/v1/jobs").json()["items"] == []
+    assert own.service.store.stored_bytes() == taken
+    [entry] = entries(own)
+    assert (entry["kind"], entry["map"], entry["drive"]) == ("map", "campus", None)
+    assert entry["size_bytes"] == sum(taken.values())
+    kept = datetime.fromisoformat(entry["kept_until"]) - datetime.fromisoformat(entry["deleted_at"])
+    assert kept == timedelta(days=7)
+    restored = own.post(f"{BIN}/{entry['entry']}/restore")
+    assert restored.json() == {"kind": "map", "map": "campus", "drive": None}
+    assert restored.headers["Location"] == MAP
+    assert located(own).json()["best"] == before["best"]
+    assert own.get(f"{MAP}/drives/monday").json() == drive
+    assert entries(own) == []
+    assert [action for _, action, _ in acts(own)[-2:]] == ["delete_map", "restore_deleted"]
+
+
+def test_a_name_is_free_while_its_drive_is_in_the_bin_and_then_a_conflict(own):
+    own.delete(f"{MAP}/drives/monday")
+    put = own.put(
+        f"{MAP}/drives/monday/scans/3", content=kitti(recording().scans[3]), headers=KITTI
+    )
+    assert put.status_code == 201
+    [entry] = entries(own)
+    path = f"{BIN}/{entry['entry']}"
+    assert problem_of(own.post(f"{path}/restore")) == (409, "drive-exists")
+    restored = own.post(f"{path}/restore?name=monday-before")
+    assert restored.headers["Location"] == f"{MAP}/drives/monday-before"
+    scans = {one["drive"]: one["scans"] for one in own.get(f"{MAP}/drives").json()["items"]}
+    assert scans == {"monday": 1, "monday-before": len(recording().scans)}
+    assert problem_of(own.post(f"{path}/restore")) == (404, "not-in-recycle-bin")
+
+
+def test_purging_needs_the_administrator(guarded):
+    client, writer = guarded, holder(guarded, READ, WRITE, maps=["yard", "new"])
+    for name in ("yard", "lake"):
+        client.post("/v1/maps", json={"map": name}, headers=holder(client, WRITE))
+    refused = client.delete("/v1/maps/yard?purge=true", headers=writer)
+    assert problem_of(refused) == (403, "scope-missing")
+    assert client.delete("/v1/maps/yard", headers=writer).status_code == 204
+    assert client.delete("/v1/maps/lake", headers=holder(client, WRITE)).status_code == 204
+    lake, yard = entries(client, headers=holder(client, READ))
+    assert entries(client, headers=writer) == [yard]
+    hidden = client.post(f"{BIN}/{lake['entry']}/restore", headers=writer)
+    assert problem_of(hidden) == (404, "not-in-recycle-bin")
+    elsewhere = client.post(f"{BIN}/{yard['entry']}/restore?name=lake", headers=writer)
+    assert problem_of(elsewhere) == (403, "scope-missing")
+    purged = client.delete(f"{BIN}/{yard['entry']}", headers=writer)
+    assert problem_of(purged) == (403, "scope-missing")
+
+
+def test_a_purge_removes_rows_and_files_and_is_logged(own):
+    store = own.service.store
+    folder = store.layout.map(store.maps.get("campus").id)
+    own.post("/v1/maps", json={"map": "yard"})
+    assert own.delete("/v1/maps/yard?purge=true").status_code == 204
+    assert entries(own) == []
+    own.delete(f"{MAP}/drives/monday")
+    [entry] = entries(own)
+    assert own.delete(f"{BIN}/{entry['entry']}").status_code == 204
+    assert list((folder / "drives").iterdir()) == []
+    own.delete(MAP)
+    [entry] = entries(own)
+    assert folder.exists()
+    assert own.delete(f"{BIN}/{entry['entry']}").status_code == 204
+    assert not folder.exists()
+    assert [what for _, *what in acts(own)[-4:]] == [
+        ["delete_drive", ""],
+        ["purge_deleted", "drive monday of map campus"],
+        ["delete_map", ""],
+        ["purge_deleted", "map campus"],
+    ]
+
+
+def test_what_was_deleted_long_ago_is_removed_and_what_is_younger_stays(own):
+    own.delete(f"{MAP}/drives/monday")
+    own.post("/v1/maps", json={"map": "yard"})
+    own.delete("/v1/maps/yard")
+    yard, monday = entries(own)
+    with own.service.store.catalog._database.writing() as session:
+        row = session.get_one(RecycledRecord, monday["entry"])
+        row.created_at = datetime.now(UTC) - timedelta(days=7, minutes=1)
+    own.service.collector.collect()
+    assert entries(own) == [yard]
+    assert acts(own)[-1] == ("service", "purge_deleted", "drive monday of map campus")
+
+
+@pytest.mark.parametrize("what", ["/drives/monday", ""])
+def test_without_days_what_is_deleted_is_removed_at_once(tmp_path, what):
+    with running(tmp_path, recycle_bin_days=0) as client:
+        client.post("/v1/maps", json={"map": "campus"})
+        url = f"{MAP}/drives/monday/scans/0"
+        client.put(url, content=kitti(recording().scans[0]), headers=KITTI)
+        client.delete(f"{MAP}{what}")
+        until(lambda: not any(files for *_, files in walk(tmp_path / "maps")), "its files stay")
+        assert entries(client) == []
+
+
+def test_backup_verification_and_start_know_what_is_in_the_bin(own, tmp_path):
+    own.delete(f"{MAP}/drives/monday")
+    store = own.service.store
+    assert verify(store).findings == ()
+    [chunk, *_] = (store.layout.maps).rglob("chunks/*.h5")
+    written = write_backup(store.layout.data_dir, tmp_path / "backup.tar")
+    assert (written.damaged, written.missing) == ((), ())
+    restore_backup(tmp_path / "backup.tar", tmp_path / "new")
+    with Store.serving(tmp_path / "new") as restored:
+        assert not restored.layout.orphans.exists()
+        assert verify(restored, repair=True).findings == ()
+        [entry] = restored.recycle_bin.list().items
+        restored.recycle_bin.restore(entry.id)
+        assert restored.drives.read_scan("campus", "monday", 20).points_m.size
+        restored.drives.delete("campus", "monday")
+        path = restored.layout.data_dir / chunk.relative_to(store.layout.data_dir)
+        content = path.read_bytes()
+        path.chmod(0o600)
+        half = len(content) // 2
+        path.write_bytes(content[:half] + b"damaged!" + content[half + 8 :])
+        [found, *_] = verify(restored, repair=True).findings
+        assert found.described.startswith("map campus, drive monday,")
+        assert "good scans have a new file" in found.done
+
+
+def test_the_commands_list_restore_and_purge(own):
+    own.delete(f"{MAP}/drives/monday")
+    [entry] = entries(own)
+    data = ["--data", str(own.service.settings.data_dir)]
+
+    def run(*words):
+        result = CliRunner().invoke(cli, ["recycle-bin", *words, *data])
+        assert result.exit_code == 0, result.output
+        return result.output
+
+    assert f"{entry['entry']}  drive monday of map campus" in run("list")
+    assert "is restored" in run("restore", entry["entry"], "--name", "sunday")
+    assert own.get(f"{MAP}/drives/sunday").status_code == 200
+    own.delete(f"{MAP}/drives/sunday")
+    assert "is removed" in run("purge", entry["entry"])
+    assert run("list") == ""
+    assert [key for key, action, _ in acts(own) if action == "purge_deleted"] == ["operator"]

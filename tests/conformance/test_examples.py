@@ -1,0 +1,172 @@
+"""The examples in other languages give the outcomes of the conformance kit."""
+
+import json
+import os
+import shutil
+import subprocess
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from threading import Thread
+
+import pytest
+
+from app.localization.answers import FIX_TYPE
+from app.localization.routes import SIGNATURE_TYPE
+from tests.support.cpp import COMPILER, EXAMPLES, FAST, WITHOUT, compiled
+from tests.vectors.outcomes import FOLDER
+
+NODE = shutil.which("node")
+CASES = sum(
+    len(json.loads((FOLDER / f"{name}.json").read_text()))
+    for name in ("signatures", "planes", "packing", "answers")
+)
+
+[NARROW] = [
+    case
+    for case in json.loads((FOLDER / "signatures.json").read_text())
+    if (case["scan"], case["basis"]) == ("narrow", "any-views")
+]
+[ANSWER, *_] = json.loads((FOLDER / "answers.json").read_text())
+
+
+def require_kit_held(*command: str | Path) -> None:
+    done = subprocess.run([*command, FOLDER], capture_output=True, text=True, check=False)
+    assert done.stdout == f"{CASES} of {CASES} cases hold\n", done.stdout + done.stderr
+    assert done.returncode == 0
+
+
+@pytest.mark.skipif(COMPILER is None, reason=WITHOUT)
+def test_the_kit_holds_in_cpp(tmp_path: Path) -> None:
+    """With the flags of a vehicle: compilers make vectors of the loops then."""
+    program = compiled("check_vectors.cpp", tmp_path / "check", *FAST)
+    require_kit_held(program)
+    absent = subprocess.run([program, "absent"], capture_output=True, check=False)
+    assert (absent.returncode, absent.stderr) == (1, b"absent/signatures.json cannot be read\n")
+
+
+@pytest.mark.skipif(COMPILER is None, reason=WITHOUT)
+def test_the_cpp_program_writes_the_body_of_a_query_or_says_why_not(tmp_path: Path) -> None:
+    program = compiled("make_signature.cpp", tmp_path / "make", "-O0")
+    basis = FOLDER / "bases" / "any-views.json"
+    command = [str(program), str(basis), str(FOLDER / "scans" / "narrow.bin"), "1.73"]
+    done = subprocess.run(command, capture_output=True, check=True)
+    assert done.stdout.hex() == NARROW["packed"]["int8"]
+    nothing = subprocess.run(
+        [program, basis, FOLDER / "scans" / "nothing.bin"], capture_output=True, check=False
+    )
+    assert (nothing.returncode, nothing.stdout) == (1, b"")
+    assert nothing.stderr == b"no return is inside the grid\n"
+    (tmp_path / "part.bin").write_bytes(bytes(21))
+    for scan, height_m, reason in (
+        (FOLDER / "scans" / "narrow.bin", "nan", "the height of the sensor is nan m, wanted above"),
+        (FOLDER / "scans" / "narrow.bin", "0", "the height of the sensor is 0.000000 m, wanted"),
+        (os.devnull, "1.73", "no return is inside the grid"),
+        (tmp_path / "part.bin", "1.73", "part.bin has 21 bytes, wanted 16 a return"),
+    ):
+        refused = subprocess.run([program, basis, scan, height_m], capture_output=True, check=False)
+        assert (refused.returncode, refused.stdout) == (1, b"")
+        assert reason in refused.stderr.decode()
+    problem = tmp_path / "problem.json"
+    problem.write_text('{"status": 404, "detail": "there is no map"}')
+    refused = subprocess.run(
+        [program, problem, tmp_path / "part.bin"], capture_output=True, check=False
+    )
+    assert (refused.returncode, refused.stderr) == (1, b"that is not a basis: there is no map\n")
+
+
+@pytest.mark.skipif(NODE is None, reason="Node.js runs the JavaScript example")
+def test_the_kit_holds_in_javascript() -> None:
+    require_kit_held(str(NODE), EXAMPLES / "js" / "check-vectors.js")
+
+
+@pytest.mark.skipif(NODE is None, reason="Node.js runs the JavaScript example")
+def test_javascript_rejects_heights_that_are_none() -> None:
+    program = f"""
+        import {{ imageOfScan }} from "{(EXAMPLES / "js" / "tensormap.js").as_uri()}";
+        const basis = {{ parameters: {{ views: "any" }} }};
+        for (const heightM of [NaN, Infinity, 0, -1, 100]) {{
+            try {{ imageOfScan(new Float32Array([9, 0, 0]), basis, heightM); }}
+            catch (error) {{ console.log(`${{error.name}}: ${{error.message}}`); }}
+        }}
+    """
+    command = [str(NODE), "--input-type=module", "-e", program]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines() == [
+        f"RangeError: the height of the sensor is {height} m, wanted above 0 and below 100"
+        for height in ("NaN", "Infinity", "0", "-1", "100")
+    ]
+
+
+@pytest.mark.skipif(NODE is None, reason="Node.js runs the JavaScript example")
+def test_changed_outcomes_are_found(tmp_path: Path) -> None:
+    shutil.copytree(FOLDER, tmp_path / "kit")
+    signatures, answers = (tmp_path / "kit" / f"{name}.json" for name in ("signatures", "answers"))
+    cases = json.loads(signatures.read_text())
+    cases[0]["plane"][0] += 1e-17
+    cases[1]["image_crc32"] = "00000000"
+    cases[2]["packed"]["int8"] = cases[2]["packed"]["int8"][:-2] + "80"
+    signatures.write_text(json.dumps(cases))
+    known = json.loads(answers.read_text())
+    known[0]["decoded"]["x_m"] += 0.125
+    answers.write_text(json.dumps(known))
+    command = [str(NODE), str(EXAMPLES / "js" / "check-vectors.js"), str(tmp_path / "kit")]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 1
+    assert done.stdout.splitlines()[-1] == f"{CASES - 4} of {CASES} cases hold"
+
+
+class Service(BaseHTTPRequestHandler):
+    """Has a basis, and one answer to the body that the kit says."""
+
+    def do_GET(self) -> None:
+        assert self.path == "/v1/maps/campus/basis"
+        self._answer((FOLDER / "bases" / "any-views.json").read_bytes())
+
+    def do_POST(self) -> None:
+        sent = self.rfile.read(int(self.headers["Content-Length"]))
+        kinds = self.headers["Content-Type"], self.headers["Accept"]
+        expected = (SIGNATURE_TYPE, FIX_TYPE, "Bearer secret", NARROW["packed"]["int8"])
+        assert (*kinds, self.headers["Authorization"], sent.hex()) == expected
+        self._answer(bytes.fromhex(ANSWER["packed"]))
+
+    def _answer(self, body: bytes) -> None:
+        self.send_response(200)
+        self.send_header("Content-Length", str(len(body)))
+        self.end_headers()
+        self.wfile.write(body)
+
+    def log_message(self, *_: object) -> None:
+        pass
+
+
+@pytest.mark.skipif(NODE is None, reason="Node.js runs the JavaScript example")
+def test_javascript_fetches_a_basis_and_localizes_a_scan() -> None:
+    program = f"""
+        import {{ readFileSync }} from "node:fs";
+        import {{ query, returnsOf, rowsOf }} from "{(EXAMPLES / "js" / "tensormap.js").as_uri()}";
+        import {{ basisOf, locate }} from "{(EXAMPLES / "js" / "service.js").as_uri()}";
+        const [map, scan] = process.argv.slice(-2);
+        const rows = rowsOf(new Uint8Array(readFileSync(scan)).buffer);
+        const body = query(returnsOf(rows, 4), await basisOf(map, "secret"), 1.73);
+        const found = await locate(map, body, "secret");
+        const away = await basisOf("http://127.0.0.1:9/campus").catch((error) => error.message);
+        console.log(JSON.stringify([found, away]));
+        rowsOf(new ArrayBuffer(1000));
+    """
+    with ThreadingHTTPServer(("127.0.0.1", 0), Service) as server:
+        Thread(target=server.serve_forever).start()
+        try:
+            map_url = f"http://127.0.0.1:{server.server_port}/v1/maps/campus"
+            command = [str(NODE), "--input-type=module", "-e", program, map_url]
+            done = subprocess.run(
+                [*command, FOLDER / "scans" / "narrow.bin"],
+                capture_output=True,
+                text=True,
+                check=False,
+            )
+        finally:
+            server.shutdown()
+    assert "1000 bytes are not a whole number of 16-byte records" in done.stderr
+    found, away = json.loads(done.stdout)
+    assert found == ANSWER["decoded"]
+    assert "TENSORMAP_ALLOWED_ORIGINS" in away

@@ -1,0 +1,205 @@
+"""Captures in the catalog, on every database: their parts, their job, their end."""
+
+from concurrent.futures import Future, ThreadPoolExecutor, wait
+from datetime import UTC, datetime, timedelta
+from functools import partial
+from typing import Any
+
+import pytest
+
+from core.errors import InvalidParameters
+from storage.catalog import CaptureState, JobState, NewCapture
+from storage.catalog import captures as module
+from storage.errors import (
+    CaptureNotFound,
+    CaptureQueued,
+    InvalidSlug,
+    PartConflict,
+    PartsMissing,
+    TooManyBuilds,
+    TooManyCaptures,
+)
+from storage.index_ranges import IndexRange
+
+FILES = (("monday.bag", 90), ("metadata.yaml", 15))
+DIGEST = "d" * 64
+
+
+@pytest.fixture
+def captures(catalog):
+    catalog.maps.create("campus")
+    return catalog.captures
+
+
+def begin(captures, drive="monday", most_bytes=None, **other):
+    return captures.create("campus", NewCapture(drive, FILES, 25, **other), most_bytes)[0]
+
+
+def add(captures, capture, *numbers):
+    for number in numbers:
+        part = f"{number}.bin"
+        captures.add_part("campus", capture.drive, capture.id, number, DIGEST, part)
+    return captures.get("campus", capture.drive, capture.id)
+
+
+def test_parts_are_counted_and_what_is_missing_is_named(captures):
+    capture = begin(captures)
+    assert (capture.parts, capture.size_of(4), capture.size_of(5)) == (5, 5, None)
+    capture = add(captures, capture, 3, 0, 1)
+    assert capture.received == (IndexRange(0, 1), IndexRange(3, 3))
+    assert capture.missing == (IndexRange(2, 2), IndexRange(4, 4))
+    with pytest.raises(PartsMissing, match="missing are 2, 4"):
+        captures.complete("campus", "monday", capture.id)
+    # A part that is there stays in its file, and other bytes are not taken for it.
+    assert captures.add_part("campus", "monday", capture.id, 3, DIGEST, "x.bin")[1] == "3.bin"
+    with pytest.raises(PartConflict, match=f"part 3 .* {'e' * 64}"):
+        captures.add_part("campus", "monday", capture.id, 3, "e" * 64, "x.bin")
+    [listed] = captures.list("campus").items
+    assert listed.parts_received == capture.parts_received == 3
+    assert captures.part("campus", "monday", capture.id, 3)[1] == (DIGEST, "3.bin")
+    assert captures.part("campus", "monday", capture.id, 2)[1] is None
+    captures.forget_part(capture.id, 3)
+    assert add(captures, capture).missing == (IndexRange(2, 4),)
+    with pytest.raises(InvalidSlug):
+        begin(captures, "Monday")
+    with pytest.raises(CaptureNotFound):
+        captures.get("campus", "tuesday", capture.id)
+
+
+def test_the_same_content_is_one_capture_until_its_drive_is_gone(catalog, captures):
+    first = begin(captures, digest=DIGEST)
+    assert begin(captures, digest=DIGEST).id == first.id
+    assert len({first.id, begin(captures).id, begin(captures, digest="e" * 64).id}) == 3
+    assert begin(captures, digest=DIGEST, first_scan=9).id != first.id
+    assert begin(captures, "tuesday", digest=DIGEST).id != first.id
+    add(captures, first, *range(5))
+    captures.complete("campus", "monday", first.id)
+    job = catalog.jobs.claim()
+    catalog.drives.put("campus", "monday", None, 1)
+    catalog.jobs.finish(job.id, None)
+    assert begin(captures, digest=DIGEST).state == CaptureState.DONE
+    catalog.drives.delete("campus", "monday")
+    assert begin(captures, digest=DIGEST).state == CaptureState.RECEIVING
+
+
+def test_a_keys_captures_are_limited_in_bytes_until_they_are_read(catalog, captures):
+    limits = {"key_id": "k" * 32, "most_bytes": 209}
+    first = begin(captures, **limits)
+    with pytest.raises(TooManyCaptures, match=r"105 bytes of captures .* at most 209"):
+        begin(captures, **limits)
+    begin(captures, key_id="l" * 32, most_bytes=209)
+    add(captures, first, *range(5))
+    with pytest.raises(TooManyBuilds):
+        captures.complete("campus", "monday", first.id, most_queued=0)
+    captures.complete("campus", "monday", first.id)
+    catalog.jobs.finish(catalog.jobs.claim().id, None)
+    begin(captures, **limits)
+
+
+def test_a_page_follows_one_whose_last_capture_was_deleted(captures):
+    ids = [begin(captures, drive).id for drive in ("a", "b", "c")]
+    page = captures.list("campus", limit=1)
+    assert [one.id for one in page.items] == ids[2:]
+    captures.delete("campus", "c", ids[2])
+    rest = captures.list("campus", None, page.next_after, 2)
+    assert ([one.id for one in rest.items], rest.next_after) == ([ids[1], ids[0]], None)
+    for cursor in (ids[0], "9" * 18 + "-a", "1-"):
+        with pytest.raises(InvalidParameters, match="wanted `next_after`"):
+            captures.list("campus", None, cursor)
+
+
+def test_captures_of_a_deleted_map_leave_the_quota_and_count_in_the_size_of_its_entry(
+    catalog, captures
+):
+    limits = {"key_id": "k" * 32, "most_bytes": 105}
+    capture = add(captures, begin(captures, **limits), 0, 4)  # of 25 and 5 bytes
+    assert catalog.recycle_bin.put_map("campus").size_bytes == 30
+    catalog.maps.create("dock")
+    captures.create("dock", NewCapture("monday", FILES, 25, key_id="k" * 32), 105)
+    catalog.recycle_bin.restore(capture.map_id)
+    with pytest.raises(TooManyCaptures, match="210 bytes"):
+        begin(captures, **limits)
+
+
+def meanwhile(monkeypatch, name, call):
+    """Let `call` begin in another thread before the function `name`; return its future."""
+    function, threads = getattr(module, name), ThreadPoolExecutor()
+    begun: list[Future[Any]] = []
+
+    def hooked(*given):
+        if not begun:
+            begun.append(threads.submit(call))
+            wait(begun, 0.3)  # long enough, if nothing stops it
+        return function(*given)
+
+    monkeypatch.setattr(module, name, hooked)
+    return begun
+
+
+def test_of_two_captures_begun_at_once_one_finds_the_other_or_has_no_room(captures, monkeypatch):
+    limits = {"key_id": "k" * 32, "most_bytes": 209}
+    same = meanwhile(monkeypatch, "_same", lambda: begin(captures, digest=DIGEST, **limits))
+    first = begin(captures, digest=DIGEST, **limits)
+    assert same[0].result().id == first.id
+    captures.delete("campus", "monday", first.id)
+    other = meanwhile(monkeypatch, "_require_room", lambda: begin(captures, "other", **limits))
+    begin(captures, **limits)
+    with pytest.raises(TooManyCaptures):
+        other[0].result()
+
+
+def test_a_capture_completed_while_its_map_is_deleted_leaves_no_open_job(
+    catalog, captures, monkeypatch
+):
+    capture = add(captures, begin(captures), *range(5))
+    deleted = meanwhile(monkeypatch, "queue_job", lambda: catalog.recycle_bin.put_map("campus"))
+    captures.complete("campus", "monday", capture.id)
+    entry = deleted[0].result()
+    assert catalog.jobs.claim() is None
+    assert not catalog.collector.has_open_job(entry.id)
+
+
+def test_a_capture_that_expires_is_not_completed_at_the_same_time(catalog, captures, monkeypatch):
+    capture = add(captures, begin(captures), *range(5))
+    complete = partial(captures.complete, "campus", "monday", capture.id)
+    completed = meanwhile(monkeypatch, "delete", complete)
+    later = datetime.now(UTC) + timedelta(seconds=9)
+    assert captures.clear(later) == [(capture.map_id, capture.id)]
+    with pytest.raises(CaptureNotFound):
+        completed[0].result()
+    assert catalog.jobs.claim() is None
+
+
+def test_the_state_is_that_of_the_job_and_a_failed_one_is_queued_again(catalog, captures):
+    capture = add(captures, begin(captures, topic="/front"), *range(5))
+    job = captures.complete("campus", "monday", capture.id).job
+    assert captures.complete("campus", "monday", capture.id).job.id == job.id
+    with pytest.raises(CaptureQueued, match="is queued"):
+        add(captures, capture, 0)
+    assert catalog.jobs.claim().parameters == {"capture": capture.id, "drive": "monday"}
+    catalog.jobs.fail(job.id, "MalformedDrive", "no such topic")
+    failed = captures.of_job(capture.id)
+    assert (failed.state, failed.missing, failed.takes_parts) == (CaptureState.FAILED, (), True)
+    again = captures.complete("campus", "monday", capture.id, topic="/rear")
+    assert (again.state, again.topic) == (CaptureState.QUEUED, "/rear")
+    captures.delete("campus", "monday", capture.id)
+    assert catalog.jobs.get(again.job.id).state == JobState.CANCELLED
+    assert captures.list("campus").items == ()
+
+
+def test_what_was_read_or_expired_is_cleared_and_nothing_that_is_read(catalog, captures):
+    now = datetime.now(UTC)
+    before, later = now - timedelta(days=1), now + timedelta(days=1)
+    read, open_, idle = (
+        add(captures, begin(captures, drive), *range(5)) for drive in ("a", "b", "c")
+    )
+    for capture in (read, open_):
+        captures.complete("campus", capture.drive, capture.id)
+    catalog.jobs.finish(catalog.jobs.claim().id, None)
+    map_id = read.map_id
+    assert captures.clear(before) == [(map_id, read.id)]
+    assert captures.clear(before) == []
+    assert captures.of_job(read.id).missing == ()
+    assert set(captures.clear(later)) == {(map_id, read.id), (map_id, idle.id)}
+    assert captures.named_files(map_id) == {open_.id: {f"{n}.bin": n for n in range(5)}}
+    catalog.maps.delete("campus")

@@ -1,0 +1,144 @@
+"""What the catalog promises of deleted maps and drives, on every database that it supports."""
+
+from datetime import timedelta
+
+import pytest
+
+from storage.catalog import JobState
+from storage.errors import (
+    DriveExists,
+    DriveNotFound,
+    InvalidSlug,
+    JobNotFound,
+    MapExists,
+    MapNotFound,
+    NotInRecycleBin,
+)
+from storage.names import recycled_slug
+from tests.support.catalog_rows import FACTS, A, add_scans
+
+
+@pytest.fixture
+def campus(catalog):
+    """A catalog with a map of a revision, two drives and a queued job, and the map."""
+    made = catalog.maps.create("campus")
+    add_scans(catalog, "campus", "monday", [0, 1])
+    add_scans(catalog, "campus", "tuesday", [0])
+    catalog.revisions.add(made.id, A, "a.h5", 1000, FACTS)
+    return catalog.maps.get("campus")
+
+
+def test_a_deleted_map_is_found_by_no_name_and_no_id(catalog, campus):
+    job = catalog.jobs.create("campus", {})
+    entry = catalog.recycle_bin.put_map("campus")
+    assert (entry.id, entry.map_slug, entry.drive_slug) == (campus.id, "campus", None)
+    for slug in ("campus", recycled_slug(campus.id)):
+        for find in (catalog.maps.get, catalog.drives.list, catalog.revisions.live):
+            with pytest.raises(MapNotFound):
+                find(slug)
+    for find in (catalog.maps.get_by_id, catalog.drives.of_map):
+        with pytest.raises(MapNotFound):
+            find(campus.id)
+    with pytest.raises(JobNotFound):
+        catalog.jobs.get(job.id)
+    assert (
+        catalog.maps.list().items == catalog.map_summaries.all() == catalog.jobs.list().items == ()
+    )
+    assert catalog.jobs.with_ids([job.id]) == {}
+    assert catalog.jobs.claim() is None
+
+
+def test_a_restored_map_is_as_it_was_and_its_open_jobs_are_cancelled(catalog, campus):
+    job = catalog.jobs.create("campus", {})
+    before = catalog.drives.list("campus")
+    entry = catalog.recycle_bin.put_map("campus")
+    assert catalog.recycle_bin.restore(entry.id).map_slug == "campus"
+    restored = catalog.maps.get("campus")
+    assert (restored.id, restored.live_revision) == (campus.id, A)
+    assert restored.version == campus.version + 1
+    assert catalog.drives.list("campus") == before
+    assert catalog.jobs.get(job.id).state is JobState.CANCELLED
+    assert catalog.recycle_bin.list().items == ()
+
+
+def test_a_name_can_be_reused_and_the_deleted_map_restored_under_another(catalog, campus):
+    entry = catalog.recycle_bin.put_map("campus")
+    again = catalog.maps.create("campus")
+    with pytest.raises(MapExists, match="another name"):
+        catalog.recycle_bin.restore(entry.id)
+    with pytest.raises(InvalidSlug):
+        catalog.recycle_bin.restore(entry.id, recycled_slug(entry.id))
+    assert catalog.recycle_bin.restore(entry.id, "old").map_slug == "old"
+    assert catalog.maps.get("old").id == campus.id
+    assert catalog.maps.get("campus").id == again.id
+
+
+def test_a_deleted_drive_is_gone_from_its_map_and_restored_as_it_was(catalog, campus):
+    before = catalog.drives.get("campus", "monday")
+    entry = catalog.recycle_bin.put_drive("campus", "monday")
+    assert (entry.map_slug, entry.drive_slug) == ("campus", "monday")
+    for slug in ("monday", recycled_slug(entry.id)):
+        with pytest.raises(DriveNotFound):
+            catalog.drives.get("campus", slug)
+        with pytest.raises(DriveNotFound):
+            catalog.drives.of_map(campus.id, [slug])
+    with pytest.raises(DriveNotFound):
+        catalog.drives.require(entry.id)
+    with pytest.raises(InvalidSlug):
+        catalog.scans.target("campus", recycled_slug(entry.id), [])
+    assert catalog.drives.slugs("campus") == ("tuesday",)
+    assert [drive.slug for drive in catalog.drives.of_map(campus.id)] == ["tuesday"]
+    assert catalog.drives.known() == {(campus.id, one) for one in catalog.drives.slugs_by_id()} - {
+        (campus.id, campus.id)
+    }
+    assert catalog.drives.slugs_by_id()[entry.id] == "monday"
+    add_scans(catalog, "campus", "monday", [7])
+    with pytest.raises(DriveExists, match="another name"):
+        catalog.recycle_bin.restore(entry.id)
+    catalog.recycle_bin.restore(entry.id, "sunday")
+    restored = catalog.drives.get("campus", "sunday")
+    assert (restored.id, restored.present) == (before.id, before.present)
+
+
+def test_a_deleted_drive_of_a_deleted_map_is_part_of_that(catalog, campus):
+    drive = catalog.recycle_bin.put_drive("campus", "monday")
+    of_map = catalog.recycle_bin.put_map("campus")
+    assert [entry.id for entry in catalog.recycle_bin.list().items] == [of_map.id]
+    with pytest.raises(NotInRecycleBin):
+        catalog.recycle_bin.restore(drive.id)
+    catalog.recycle_bin.restore(of_map.id)
+    assert [entry.id for entry in catalog.recycle_bin.list().items] == [drive.id]
+    catalog.recycle_bin.put_map("campus")
+    catalog.recycle_bin.purge(of_map.id)
+    assert catalog.recycle_bin.expired(drive.deleted_at + timedelta(days=1)) == []
+    assert catalog.drives.known() == set()
+    with pytest.raises(NotInRecycleBin):
+        catalog.recycle_bin.purge(of_map.id)
+
+
+def test_entries_are_listed_the_last_one_first_and_for_maps_of_a_key(catalog, campus):
+    first = catalog.recycle_bin.put_drive("campus", "monday")
+    catalog.maps.create("dock")
+    second = catalog.recycle_bin.put_map("dock")
+    page = catalog.recycle_bin.list(limit=1)
+    assert [entry.id for entry in page.items] == [second.id]
+    assert [one.id for one in catalog.recycle_bin.list(page.next_after).items] == [first.id]
+    for slug, entry in (("campus", first), ("dock", second)):
+        assert catalog.recycle_bin.list(slugs=[slug]).items == (entry,)
+    assert catalog.recycle_bin.list(slugs=["monday"]).items == ()
+    catalog.recycle_bin.purge(second.id)  # the cursor need not be there
+    assert [one.id for one in catalog.recycle_bin.list(page.next_after).items] == [first.id]
+
+
+def test_an_entry_is_purged_once_it_is_old_enough(catalog, campus):
+    entry = catalog.recycle_bin.put_drive("campus", "monday")
+    assert entry.size_bytes == 2 * 100 * 12
+    before = entry.deleted_at - timedelta(seconds=1)
+    assert catalog.recycle_bin.expired(before) == []
+    with pytest.raises(NotInRecycleBin):
+        catalog.recycle_bin.purge(entry.id, before=before)
+    assert catalog.recycle_bin.expired(entry.deleted_at) == [entry]
+    catalog.recycle_bin.purge(entry.id, before=entry.deleted_at)
+    assert entry.id not in catalog.drives.slugs_by_id()
+    with pytest.raises(NotInRecycleBin):
+        catalog.recycle_bin.get(entry.id)

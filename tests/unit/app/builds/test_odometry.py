@@ -1,0 +1,162 @@
+"""Builds of drives that came without poses."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from app.builds import odometry
+from app.builds.parameters import BuildParameters
+from app.builds.pipelines import build_revision
+from app.builds.plans import plan_build
+from core.odometry.odometry import compute_odometry
+from core.scans.mounting import Mounting
+from core.scans.pose import PoseSource
+from storage.files.map_file import read_map
+from storage.retention import RawScans, Retention
+from storage.store import Store
+from tests.support.new_catalog import put_new_catalog
+from tests.support.recording import recording
+
+SCANS = 8
+PARAMETERS = BuildParameters(segments=2)
+DROPPED = Retention(raw_scans=RawScans.DROP)
+
+
+@pytest.fixture
+def store(tmp_path):
+    put_new_catalog(tmp_path / "catalog.sqlite3")
+    with Store.serving(tmp_path) as opened:
+        opened.maps.create("campus")
+        put(opened, range(SCANS))
+        yield opened
+
+
+def put(store, indices, drive="monday"):
+    scans = [(at, replace(recording().scans[at], pose=None)) for at in indices]
+    store.drives.put_scans("campus", drive, scans)
+
+
+def built(store, parameters=PARAMETERS):
+    """Build, and return the map, the drive and the notes of the job."""
+    map_id = store.maps.get("campus").id
+    job = store.jobs.create("campus", parameters.as_json())
+    store.jobs.claim()
+    plan = plan_build(store, map_id, parameters)
+    record = build_revision(store, map_id, plan, job_id=job.id)
+    tensor_map = read_map(store.revisions.path_of(record))
+    return tensor_map, store.drives.get("campus", "monday"), store.jobs.get(job.id).notes, record
+
+
+def test_a_build_computes_poses_once_and_stores_them_with_the_drive(store, monkeypatch):
+    tensor_map, drive, notes, record = built(store)
+    assert (drive.pose_source, drive.posed_scans) == (PoseSource.ODOMETRY, SCANS)
+    assert tensor_map.trajectory.all_known
+    assert any("drive monday: poses by odometry (kiss-icp" in note for note in notes)
+    assert drive.odometry["parameters"]["sensor_height_m"] == 1.73
+    assert record.parameters["odometry_of"] == {"monday": drive.odometry}
+    kept = store.drives.poses(drive.id, 0, SCANS)
+    assert np.array_equal(kept.poses, tensor_map.trajectory.poses)
+    assert (np.diff(kept.sigmas[:, 0]) >= 0.0).all()
+    with monkeypatch.context() as patch:
+        patch.setattr(odometry, "compute_odometry", None)  # it is not called
+        again, *_ = built(store)
+    assert again.revision == tensor_map.revision
+
+
+def test_a_drive_that_got_more_scans_gets_new_poses(store):
+    _, before, *_ = built(store)
+    put(store, range(SCANS, SCANS + 2))
+    tensor_map, drive, *_ = built(store)
+    assert tensor_map.trajectory.all_known
+    assert len(tensor_map) == drive.posed_scans == SCANS + 2
+    assert drive.odometry["scans"] != before.odometry["scans"]
+
+
+def test_poses_that_are_put_win_and_are_never_computed_again(store):
+    built(store)
+    given = {at: recording().pose(at) for at in range(SCANS)}
+    store.drives.put_poses("campus", "monday", given)
+    tensor_map, drive, notes, record = built(store)
+    assert drive.pose_source == PoseSource.GIVEN
+    assert tensor_map.trajectory.poses[3] == pytest.approx(given[3].as_tuple())
+    assert not any("odometry" in note for note in notes)
+    assert "odometry_of" not in record.parameters
+
+
+def test_the_vehicle_of_a_mounted_sensor_is_on_the_ground(store):
+    store.drives.put("campus", "monday", Mounting(1.0, 0.0, 1.73, yaw_deg=90.0), 1)
+    tensor_map, drive, *_ = built(store)
+    poses = tensor_map.trajectory.poses
+    assert np.abs(poses[:, 2] + 1.73).max() < 0.1
+    assert drive.odometry["parameters"]["sensor_height_m"] == 1.73
+
+
+@pytest.mark.parametrize(
+    "why", ["not requested", "not installed", "returns are gone", "nothing fits"]
+)
+def test_without_odometry_a_map_is_in_scan_indices_and_a_note_says_why(store, why, monkeypatch):
+    parameters, wanted = PARAMETERS, "too few scans for a calibration"
+    if why == "not requested":
+        parameters = BuildParameters(segments=2, odometry=False)
+    elif why == "not installed":
+        monkeypatch.setattr(odometry, "library_version", lambda: None)
+        wanted = "the extra `odometry`"
+    elif why == "nothing fits":
+        put(store, [47], drive="monday")
+        monkeypatch.setattr(
+            odometry,
+            "compute_odometry",
+            lambda *given: replace(compute_odometry(*given), lost=tuple(range(5))),
+        )
+        wanted = "5 of 9 scans do not fit those before them"
+    else:
+        built(store, BuildParameters(segments=2, odometry=False))
+        store.drives.close("campus", "monday")
+        record = store.drives.get("campus", "monday")
+        live = store.maps.get("campus").live_revision
+        store.drives.drop_returns(record.map_id, live, "monday", [0, 1], DROPPED)
+        wanted = "those of 2 of 8 were dropped"
+    tensor_map, drive, notes, _ = built(store, parameters)
+    assert not tensor_map.trajectory.known.any()
+    assert (drive.pose_source, drive.odometry) == (PoseSource.GIVEN, None)
+    assert any(wanted in note for note in notes)
+    assert len(notes) == (1 if why == "not requested" else 2)
+
+
+@pytest.mark.parametrize("change", ["another scan", "poses", "nothing"])
+def test_a_drive_that_changes_while_its_poses_are_computed_has_some_in_the_map(
+    store, change, monkeypatch
+):
+    given = {at: recording().pose(at) for at in range(SCANS)}
+
+    def changing(*computing):
+        if change == "another scan":
+            put(store, [SCANS])
+        elif change == "poses":
+            store.drives.put_poses("campus", "monday", given)
+        return compute_odometry(*computing)
+
+    monkeypatch.setattr(odometry, "compute_odometry", changing)
+    tensor_map, drive, notes, _ = built(store)
+    assert tensor_map.trajectory.known.sum() == drive.posed_scans == SCANS
+    wanted = {
+        "another scan": "1 of 9 scans have no pose: build again",
+        "poses": "it was changed while odometry computed its poses: they are not used",
+        "nothing": "poses by odometry",
+    }
+    assert any(wanted[change] in note for note in notes)
+    source = PoseSource.GIVEN if change == "poses" else PoseSource.ODOMETRY
+    assert drive.pose_source == source
+
+
+def test_newer_scans_without_a_pose_are_counted_where_odometry_cannot_be_repeated(
+    store, monkeypatch
+):
+    built(store)
+    put(store, [SCANS])
+    monkeypatch.setattr(odometry, "library_version", lambda: None)
+    tensor_map, _, notes, _ = built(store)
+    assert tensor_map.trajectory.known.sum() == SCANS
+    assert any("1 of 9 scans have no pose: put poses" in note for note in notes)
+    assert not any("scan indices" in note for note in notes)

@@ -1,0 +1,88 @@
+"""Builds of drives whose given poses are not those of their scans."""
+
+import numpy as np
+import pytest
+
+from app.builds import pose_checks
+from app.builds.parameters import Align
+from app.builds.pose_checks import check_recorded, check_stored
+from core.errors import PosesContradictScans
+from core.odometry.posed_drive import PosedDrive
+from core.scans.drive import MemoryDrive
+from storage.store import Store
+from tests.support.new_catalog import put_new_catalog
+from tests.support.recording import recording
+
+SCANS = 24
+
+
+@pytest.fixture
+def store(tmp_path):
+    put_new_catalog(tmp_path / "catalog.sqlite3")
+    with Store.serving(tmp_path) as opened:
+        opened.maps.create("campus")
+        opened.drives.put_scans("campus", "monday", list(enumerate(recording().scans[:SCANS])))
+        yield opened
+
+
+def check(store, align=Align.CHECK):
+    return check_stored(store, [store.drives.open("campus", "monday")], 1.73, align)
+
+
+def put_reversed(store):
+    poses = {at: recording().pose(SCANS - 1 - at) for at in range(SCANS)}
+    store.drives.put_poses("campus", "monday", poses)
+
+
+def stored(store):
+    return store.drives.get("campus", "monday").pose_check
+
+
+def test_right_poses_are_checked_once_and_anew_when_others_are_put(store, monkeypatch):
+    assert check(store) == ()
+    assert stored(store)["agreeing"] >= 3
+    assert stored(store)["contradictions"] == []
+    with monkeypatch.context() as patch:
+        patch.setattr(pose_checks, "check_poses", None)  # it is not called
+        assert check(store) == ()
+    put_reversed(store)
+    assert stored(store) is None
+    with pytest.raises(PosesContradictScans):
+        check(store)
+
+
+def test_wrong_poses_fail_with_the_evidence_and_are_noted_where_they_are_wanted(store):
+    put_reversed(store)
+    for _ in range(2):  # the second one is the stored check
+        with pytest.raises(PosesContradictScans, match=r"monday contradict its poses, 4 of 4 pair"):
+            check(store)
+    assert len(stored(store)["contradictions"]) == 4
+    [note] = check(store, Align.OFF)
+    assert "0 deg by the poses, (3.0, 0.0, 0.0) m and 0 deg by the scans" in note
+
+
+def test_a_part_of_wrong_poses_is_noted(store):
+    poses = {at: recording().pose(5 - at) for at in range(6)}
+    store.drives.put_poses("campus", "monday", poses)
+    [note] = check(store)
+    assert "pairs: (forward, left, up) from scan 0 to 2: (-3.0, 0.0, 0.0) m and" in note
+    assert note.endswith("is a part of the poses wrong, or late?")
+
+
+def test_returns_that_were_dropped_are_not_needed_again(store, monkeypatch):
+    check(store)
+    drive = store.drives.open("campus", "monday")
+    drive.has_returns = np.zeros(SCANS, bool)
+    monkeypatch.setattr(store.drives, "open", lambda *_: drive)
+    assert check(store) == ()
+    drive.pose_check = None
+    [note] = check(store)
+    assert "monday fit its scans could not be checked: their returns were dropped" in note
+
+
+def test_recorded_drives_are_checked_likewise():
+    drive = MemoryDrive("monday", recording().scans[:SCANS])
+    assert check_recorded(drive, 1.73, Align.CHECK) == ()
+    assert check_recorded(PosedDrive(drive, np.full((SCANS, 7), np.nan)), 1.73, Align.CHECK) == ()
+    with pytest.raises(PosesContradictScans):
+        check_recorded(PosedDrive(drive, drive.poses[::-1].copy()), 1.73, Align.AUTO)

@@ -1,0 +1,60 @@
+"""What an upload that Ctrl-C ends says of the rest."""
+
+import pytest
+import typer
+
+from app.cli import upload as command
+from storage.formats.drives.kitti_drive import write_kitti_drive
+from tests.support.samples import sample_drive
+
+URL = "http://127.0.0.1:9"
+
+
+class Interrupted:
+    """A mapper that is interrupted in its upload or build."""
+
+    at = ""
+
+    def __init__(self, *_):
+        pass
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        pass
+
+    def upload(self, source, drive, progress):
+        progress.start("uploading", len(source))
+        progress.move_to(2)
+        self.end("upload")
+
+    def drive(self, slug):
+        return {"scans": 3, "scans_with_pose": 3}
+
+    def start_build(self, parameters):
+        return {"job": "abc"}
+
+    def finish_build(self, job, progress):
+        self.end("build")
+
+    def end(self, part):
+        if self.at == part:
+            raise KeyboardInterrupt
+
+
+@pytest.mark.parametrize(
+    ("at", "rest"),
+    [
+        ("upload", "uploading: 2 of 3 done; the same command continues"),
+        ("build", f"build /v1/jobs/abc continues on the service; DELETE {URL}/v1/jobs/abc"),
+    ],
+)
+def test_an_interrupted_upload_names_what_remains(tmp_path, monkeypatch, capsys, at, rest):
+    write_kitti_drive(sample_drive(3), tmp_path / "monday")
+    monkeypatch.setattr(command, "Mapper", type("At", (Interrupted,), {"at": at}))
+    monkeypatch.setattr(command, "_show_upload", lambda *_: None)
+    with pytest.raises(typer.Exit) as ended:
+        command.upload(tmp_path / "monday", URL, "campus", "monday", build=True)
+    assert ended.value.exit_code == 130
+    assert f"tensormap: {rest}" in capsys.readouterr().err

@@ -1,0 +1,232 @@
+"""Tracks of a vehicle over a service that is away, loses tracks, or has a new revision."""
+
+import asyncio
+import json
+import struct
+import time
+from collections.abc import Mapping
+from typing import Any
+
+import pytest
+from tensormap_client import ClientError, TrackAnswer, Unreachable, UnsupportedMap, UnusableScan
+from tensormap_client._async import track as module
+from tensormap_client._async.track import AsyncTrack
+from tensormap_client.problems import PROBLEMS, TrackNotFound
+
+LIMITED = PROBLEMS["too-many-tracks"]
+GONE = TrackNotFound("404", 404, "track-not-found", "it is gone")
+
+
+class Basis:
+    def __init__(self, digest: str) -> None:
+        self.digest = digest
+
+
+class Service:
+    """A service that has tracks in two revisions, and loses what a test takes from it."""
+
+    def __init__(self) -> None:
+        self.live = "first"
+        self.tracks: dict[str, dict[str, Any]] = {}
+        self.made = 0
+        self.unknown: set[str] = set()  # revisions in which no place is known
+        self.without_basis: dict[str, ClientError] = {}
+        self.refused: ClientError | None = None
+        self.sent: list[tuple[int, float]] = []
+        self.waiting: asyncio.Event | None = None
+        self.breaks = False  # the next exchange, before it is received
+        self.loses = False  # the next answer
+        self.is_stale = False  # every observation, though it is received
+        self.tells = True  # the last sequence, when a stream is opened
+
+    async def get(self, revision: str, _patience_s: float) -> Basis:
+        if revision in self.without_basis:
+            raise self.without_basis[revision]
+        return Basis(revision)
+
+    async def json(self, method: str, path: str, **_options: Any) -> Mapping[str, Any]:
+        if method == "POST":
+            if self.refused is not None:
+                raise self.refused
+            self.made += 1
+            self.tracks[str(self.made)] = {"revision": self.live, "last": None, "observations": 0}
+            return {"track": str(self.made), "revision": self.live}
+        return {"last": self._track(path.rpartition("/")[2])["last"]}
+
+    async def request(self, _method: str, path: str, **_options: Any) -> None:
+        self._track(path.rpartition("/")[2])
+        del self.tracks[path.rpartition("/")[2]]
+
+    async def stream(self, path: str) -> "Stream":
+        name = path.split("/")[-2]
+        self._track(name)
+        return Stream(self, name)
+
+    def _track(self, name: str) -> dict[str, Any]:
+        if name not in self.tracks:
+            raise GONE
+        return self.tracks[name]
+
+
+class Stream:
+    def __init__(self, service: Service, track: str) -> None:
+        self._service, self._name = service, track
+        self._answers: list[str] = []
+        last = service.tracks[track]["last"]
+        told = {"TensorMap-Last-Sequence": "none" if last is None else str(last["sequence"])}
+        self.headers = told if service.tells else {}
+
+    async def exchange(self, message: bytes, _timeout_s: float) -> str:
+        if self._name not in self._service.tracks or self._service.breaks:
+            self._service.breaks = False
+            raise Unreachable("the stream broke off")
+        track = self._service.tracks[self._name]
+        _, sequence, _, travelled_m = struct.unpack_from("<BQdd", message)
+        self._service.sent.append((sequence, travelled_m))
+        track["observations"] += 1
+        track["last"] = {
+            "sequence": sequence,
+            "observations": track["observations"],
+            "revision": track["revision"],
+            "live_revision": self._service.live,
+            "localized": track["revision"] not in self._service.unknown,
+            "pose": None,
+        }
+        if self._service.is_stale:
+            stale = {"type": "/problems/stale-observation", "status": 409, "detail": "it has it"}
+            return json.dumps(stale)
+        if self._service.loses:
+            self._service.loses = False
+            raise Unreachable("the stream broke off")
+        self._answers.append(json.dumps(track["last"]))
+        if self._service.waiting is not None:
+            await self._service.waiting.wait()
+        return self._answers.pop(0)
+
+    async def close(self) -> None:
+        """Nothing is open."""
+
+
+async def _sign(_points: object, _basis: object, _tilt: object) -> bytes:
+    return b"signature"
+
+
+def _tracked(sign=_sign) -> tuple[Service, AsyncTrack]:
+    service = Service()
+    return service, AsyncTrack(service, service, "/v1/maps/campus", sign, 5.0)  # type: ignore[arg-type]
+
+
+async def _answered(track: AsyncTrack, travelled_m: float | None = None) -> TrackAnswer:
+    answer = await track.observe([], travelled_m=travelled_m)
+    assert answer is not None
+    return answer
+
+
+@pytest.mark.parametrize("tells", [True, False])
+def test_after_a_caller_that_stopped_waiting_the_next_scan_has_its_own_answer(tells) -> None:
+    async def main() -> None:
+        service, track = _tracked()
+        service.tells = tells
+        for _ in range(2):
+            await _answered(track, travelled_m=1.0)
+        service.waiting = asyncio.Event()
+        with pytest.raises(TimeoutError):
+            await asyncio.wait_for(track.observe([], travelled_m=1.0), 0.02)
+        service.waiting = None
+        assert (await _answered(track, travelled_m=1.0)).sequence == 4
+        assert service.sent[1:] == [(2, 1.0), (3, 1.0), (4, 1.0)]
+
+    asyncio.run(main())
+
+
+@pytest.mark.parametrize("error", [UnsupportedMap("newer"), Unreachable("away")])
+def test_a_revision_without_a_usable_basis_costs_no_answer_and_leaves_no_track(error) -> None:
+    async def main() -> None:
+        service, track = _tracked()
+        await _answered(track)
+        service.live, service.without_basis = "second", {"second": error}
+        revisions = {(await _answered(track)).revision for _ in range(5)}
+        assert (revisions, list(service.tracks)) == ({"first"}, ["1"])
+        assert service.made == 2  # it is not tried with each scan
+
+    asyncio.run(main())
+
+
+def test_a_scan_that_only_the_next_revision_cannot_use_is_answered() -> None:
+    async def sign(_points: object, basis: Basis, _tilt: object) -> bytes:
+        if basis.digest == "second":
+            raise UnusableScan("nothing of it is in the map's image")
+        return b"signature"
+
+    async def main() -> None:
+        service, track = _tracked(sign)
+        await _answered(track)
+        service.live = "second"
+        assert (await _answered(track)).revision == "first"
+
+    asyncio.run(main())
+
+
+def test_a_vehicle_that_was_away_during_a_hand_over_begins_a_new_track() -> None:
+    async def main() -> None:
+        service, track = _tracked()
+        await _answered(track)
+        service.live, service.unknown = "second", {"second"}
+        await _answered(track)
+        assert len(service.tracks) == 2
+        service.tracks.clear()
+        service.unknown.clear()
+        assert (await _answered(track)).revision == "second"
+
+    asyncio.run(main())
+
+
+def test_a_successor_that_the_service_lost_is_replaced(monkeypatch) -> None:
+    monkeypatch.setattr(module, "_HAND_OVER_WAIT_S", 0.0)
+
+    async def main() -> None:
+        service, track = _tracked()
+        await _answered(track)
+        service.live, service.unknown = "second", {"second"}
+        await _answered(track)
+        del service.tracks["2"]
+        service.unknown.clear()
+        assert [(await _answered(track)).revision for _ in range(2)] == ["first", "second"]
+        assert list(service.tracks) == ["3"]
+
+    asyncio.run(main())
+
+
+def test_it_waits_for_as_long_as_the_service_asks(monkeypatch) -> None:
+    async def main() -> None:
+        service, track = _tracked()
+        service.refused = LIMITED("429", 429, "too-many-tracks", "later", retry_after_s=60.0)
+        assert await track.observe([]) is None
+        assert track.failure is service.refused
+        service.refused = None
+        late_s = time.monotonic() + 50.0
+        monkeypatch.setattr(time, "monotonic", lambda: late_s)
+        assert await track.observe([]) is None
+
+    asyncio.run(main())
+
+
+def test_an_observation_whose_answer_was_lost_is_not_sent_again() -> None:
+    async def main() -> None:
+        service, track = _tracked()
+        await _answered(track)
+        service.loses = True
+        assert (await _answered(track)).sequence == 2
+        assert [sequence for sequence, _ in service.sent] == [1, 2]
+
+    asyncio.run(main())
+
+
+def test_an_observation_that_the_service_took_meanwhile_is_not_rejected() -> None:
+    async def main() -> None:
+        service, track = _tracked()
+        await _answered(track)
+        service.breaks, service.is_stale = True, True
+        assert (await _answered(track)).sequence == 2
+
+    asyncio.run(main())

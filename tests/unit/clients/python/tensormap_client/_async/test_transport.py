@@ -1,0 +1,162 @@
+"""Requests are repeated where that helps, and nowhere else."""
+
+import httpx2
+import pytest
+from tensormap_client import Admin, InvalidArgument, Rejected, Unreachable, UnsupportedMap, Vehicle
+from tensormap_client._sync import transport as module
+from tensormap_client._sync.drive_requests import DriveRequests
+from tensormap_client._sync.transport import Transport
+from tensormap_client.problems import MapNotFound
+
+
+class Service:
+    """Answers with each of some answers in turn; raises those that are errors."""
+
+    def __init__(self, *answers: httpx2.Response | Exception) -> None:
+        self.answers = list(answers)
+        self.requests: list[httpx2.Request] = []
+
+    def __call__(self, request: httpx2.Request) -> httpx2.Response:
+        self.requests.append(request)
+        answer = self.answers.pop(0)
+        if isinstance(answer, Exception):
+            raise answer
+        return answer
+
+    def transport(self, patience_s: float = 300.0) -> Transport:
+        return Transport(
+            "http://maps.example/under",
+            "the-key",
+            timeout_s=2.0,
+            patience_s=patience_s,
+            connections=httpx2.MockTransport(self),
+        )
+
+
+@pytest.fixture(autouse=True)
+def waited_s(monkeypatch) -> list[float]:
+    """What the transport waited, in no time."""
+    waited: list[float] = []
+    monkeypatch.setattr(module, "sleep", waited.append)
+    return waited
+
+
+def problem(status: int, name: str, detail: str) -> httpx2.Response:
+    return httpx2.Response(status, json={"type": f"/problems/{name}", "detail": detail})
+
+
+LOST = httpx2.ReadError("connection reset")
+OK = httpx2.Response(200, json={})
+
+
+def test_an_empty_key_is_named_before_anything_is_sent() -> None:
+    with pytest.raises(InvalidArgument, match="the key is empty"):
+        Transport("http://maps.example", "", timeout_s=2.0, patience_s=0.0)
+
+
+def test_a_request_has_the_key_and_lies_below_the_url() -> None:
+    service = Service(OK)
+    service.transport().request("GET", "/v1/maps")
+    [request] = service.requests
+    assert str(request.url) == "http://maps.example/under/v1/maps"
+    assert request.headers["Authorization"] == "Bearer the-key"
+
+
+def test_after_a_lost_connection_or_a_busy_answer_the_same_request_is_sent_again(waited_s) -> None:
+    busy = problem(503, "service-busy", "later")
+    limited = httpx2.Response(429, headers={"Retry-After": "7"}, json={})
+    service = Service(OK, LOST, busy, limited, OK)
+    transport = service.transport()
+    transport.request("GET", "/v1/maps")
+    transport.request("PUT", "/v1/scan", content=b"returns")
+    assert [request.content for request in service.requests[1:]] == [b"returns"] * 4
+    assert waited_s == [0.25, 0.5, 7.0]
+
+
+def test_a_service_that_never_answered_is_reported_at_once(waited_s) -> None:
+    service = Service(httpx2.ConnectError("refused"))
+    with pytest.raises(Unreachable, match=r"/under cannot be reached: refused"):
+        service.transport().request("GET", "/v1/maps")
+    assert not waited_s
+
+
+def test_patience_has_an_end() -> None:
+    service = Service(OK, *[LOST] * 9)
+    transport = service.transport(patience_s=0.2)
+    transport.request("GET", "/v1/maps")
+    with pytest.raises(Unreachable, match="connection reset"):
+        transport.request("GET", "/v1/maps")
+
+
+def test_a_rejection_is_an_error_with_the_problem_and_is_not_repeated() -> None:
+    service = Service(problem(404, "map-not-found", "there is no map 'campus'"))
+    with pytest.raises(MapNotFound, match="404 map-not-found: there is no map 'campus'") as caught:
+        service.transport().request("GET", "/v1/maps/campus")
+    assert (caught.value.status, caught.value.problem) == (404, "map-not-found")
+    assert len(service.requests) == 1
+
+
+def test_an_answer_of_something_else_is_an_error_with_its_text() -> None:
+    service = Service(httpx2.Response(404, text="<html>no such site</html>"))
+    with pytest.raises(Rejected, match="404 <html>no such site"):
+        service.transport().request("GET", "/v1/maps/campus")
+
+
+@pytest.mark.parametrize("url", ["127.0.0.1:8000", "maps.example", "ftp://maps.example", "http:"])
+def test_what_is_no_url_is_rejected(url) -> None:
+    with pytest.raises(InvalidArgument, match="is no URL of a service"):
+        Transport(url, timeout_s=1.0, patience_s=1.0)
+
+
+@pytest.mark.parametrize(
+    ("url", "key"),
+    [
+        ("http://[::1", None),
+        ("http://host:abc", None),
+        ("http://maps.example", "schlüssel"),
+        ("http://maps.example", "two\nlines"),
+    ],
+)
+def test_a_url_or_key_that_no_request_can_have_is_refused(url, key) -> None:
+    with pytest.raises(InvalidArgument):
+        Transport(url, key, timeout_s=2.0, patience_s=2.0)
+
+
+def test_another_web_server_is_no_service() -> None:
+    page = httpx2.Response(200, html="<html>It works!</html>")
+    with pytest.raises(Unreachable, match="no TensorMap service"):
+        Service(page).transport().request("GET", "/v1/maps")
+    for answer in ({"hello": "world"}, ["hello"], "hello"):
+        other = Service(httpx2.Response(200, json=answer)).transport()
+        with pytest.raises(Unreachable, match="no TensorMap service"):
+            DriveRequests(other, "campus", "monday").stored()
+
+
+def test_what_would_be_another_act_is_not_sent_again_after_a_lost_connection() -> None:
+    service = Service(httpx2.Response(200, json={"items": [], "next_after": None}), LOST)
+    with Admin("http://maps.example", connections=httpx2.MockTransport(service)) as admin:
+        assert list(admin.keys()) == []
+        with pytest.raises(Unreachable, match="connection reset"):
+            admin.make_key("van", ["localize"])
+    assert len(service.requests) == 2
+
+
+@pytest.mark.parametrize(
+    "answer",
+    [
+        httpx2.Response(200, text="OK"),
+        httpx2.Response(200, json=7),
+        httpx2.Response(200, json={"status": "ok"}),
+        httpx2.DecodingError("incorrect header check"),
+    ],
+)
+def test_another_service_is_named_by_an_error_of_the_client(answer) -> None:
+    connections = httpx2.MockTransport(Service(answer))
+    with Admin("http://maps.example", connections=connections) as admin, pytest.raises(Unreachable):
+        list(admin.maps())
+    connections = httpx2.MockTransport(Service(answer))
+    with (
+        Vehicle("http://maps.example", None, "campus", connections=connections) as vehicle,
+        pytest.raises((Unreachable, UnsupportedMap)),
+    ):
+        vehicle.locate([[1.0, 2.0, 3.0]])

@@ -1,0 +1,68 @@
+"""Workers of the synchronous client."""
+
+import threading
+from concurrent.futures import CancelledError
+
+import pytest
+from tensormap_client.io_sync import Work, Workers, sleep
+
+LONG_S = 20.0
+
+
+class Waiting:
+    """Work that waits as between two attempts."""
+
+    def __init__(self) -> None:
+        self.begun = threading.Event()
+        self.ended: list[str] = []
+
+    def __call__(self) -> None:
+        self.begun.set()
+        try:
+            sleep(LONG_S)
+        except CancelledError:
+            self.ended.append("cancelled")
+            raise
+        self.ended.append("waited")
+
+
+def test_an_interrupted_block_waits_for_nobody() -> None:
+    waiting, queued = Waiting(), Waiting()
+    begun: list[Work[None]] = []
+
+    def interrupted() -> None:
+        with Workers(1) as workers:
+            begun.extend((workers.start(waiting), workers.start(queued)))
+            waiting.begun.wait()
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
+    for work in begun:
+        with pytest.raises(CancelledError):
+            work.result()
+    assert (waiting.ended, queued.ended) == (["cancelled"], [])
+
+
+def test_the_first_failure_ends_the_waiting_of_the_others() -> None:
+    waiting = Waiting()
+
+    def fail() -> None:
+        waiting.begun.wait()
+        raise OSError("rejected")
+
+    def failing() -> None:
+        with Workers(2) as workers:
+            first = workers.start(waiting)
+            workers.start(fail)
+            first.result()
+
+    with pytest.raises(OSError, match="rejected"):
+        failing()
+    assert waiting.ended == ["cancelled"]
+
+
+def test_a_block_that_ends_waits_for_its_work() -> None:
+    with Workers(2) as workers:
+        works = [workers.start(pow, 2, number) for number in range(5)]
+    assert [work.result() for work in works] == [1, 2, 4, 8, 16]

@@ -1,0 +1,30 @@
+import math
+
+import pytest
+from tensormap_client.odometer import Odometer
+
+
+def test_what_the_service_missed_is_added_up():
+    odometer = Odometer()
+    for sequence, travelled_m in enumerate([1.0, 2.0, -0.5, 4.0]):
+        odometer.add(sequence, travelled_m)
+    assert [odometer.since(sequence) for sequence in range(4)] == [5.5, 3.5, 4.0, 0.0]
+
+
+@pytest.mark.parametrize("unknown_m", [None, math.nan, math.inf])
+def test_a_distance_with_an_unknown_part_is_unknown(unknown_m):
+    odometer = Odometer()
+    odometer.add(1, 1.0)
+    odometer.add(2, unknown_m)
+    odometer.add(3, 2.0)
+    assert odometer.since(None) is None
+    assert odometer.since(1) is None
+    assert odometer.since(2) == 2.0
+
+
+def test_it_does_not_grow_without_end():
+    odometer = Odometer()
+    for sequence in range(20_000):
+        odometer.add(sequence, 1.0)
+    assert odometer.since(0) is None
+    assert odometer.since(15_000) == 4999.0

@@ -1,0 +1,41 @@
+import json
+
+import pytest
+from tensormap_client import Rejected
+from tensormap_client.problems import PROBLEMS, MapNotFound, TooFewReturns
+from tensormap_client.rejections import rejection
+
+from app.http.errors import STATUS
+from app.http.problems import problem_name
+
+
+def test_the_classes_are_the_services_problems_and_lie_below_each_other_as_they_do():
+    assert set(PROBLEMS) == {problem_name(kind) for kind in STATUS}
+    for kind, status in STATUS.items():
+        mine = PROBLEMS[problem_name(kind)]
+        assert mine.usual_status == status
+        for other in STATUS:
+            assert issubclass(mine, PROBLEMS[problem_name(other)]) == issubclass(kind, other)
+    assert TooFewReturns.__base__ is PROBLEMS["invalid-scan"]
+
+
+def test_an_answer_becomes_the_error_of_its_problem():
+    body = json.dumps({"type": "/problems/map-not-found", "detail": "there is no map 'a'"})
+    error = rejection("GET /v1/maps/a", 404, body.encode())
+    assert type(error) is MapNotFound
+    assert str(error) == "GET /v1/maps/a: 404 map-not-found: there is no map 'a'"
+    assert not error.is_passing
+
+
+@pytest.mark.parametrize("body", [b"<html>bad gateway", b"[]", b"{}", b'{"type": "/problems/new"}'])
+def test_an_answer_that_is_no_known_problem_is_a_plain_rejection(body):
+    error = rejection("GET /", 502, body, {"Retry-After": "3"})
+    assert type(error) is Rejected
+    assert (error.status, error.problem, error.retry_after_s) == (502, "", 3.0)
+    assert error.is_passing
+
+
+def test_a_problem_of_a_newer_service_keeps_its_name():
+    body = json.dumps({"type": "/problems/new-one", "detail": "what came"})
+    error = rejection("GET /", 409, body)
+    assert (type(error), error.problem, error.detail) == (Rejected, "new-one", "what came")

@@ -1,0 +1,84 @@
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from core.errors import AnchorDoesNotFit
+from core.frames.gnss import GnssTrack, fit_anchor
+from core.mapping.anchor import Anchor
+from core.simulation import SimulatedDrive
+
+DRIVE = SimulatedDrive(seed=3, scans=240)
+TIMES_S, PLACES_M = DRIVE.timestamp_s, DRIVE.poses[:, :3]
+TRUE = Anchor(49.01, 8.4, 115.0, 30.0, 20.0, -10.0, 1.0)
+
+
+def track(anchor=TRUE, *, noise_m=1.0, outliers=0.2, every=2, seed=1, altitude=True):
+    """A receiver's fixes of the drive: between scans, noisy, and some beside the street."""
+    rng = np.random.default_rng(seed)
+    times_s = TIMES_S[:-1:every] + 0.04
+    points_m = np.stack([np.interp(times_s, TIMES_S, axis_m) for axis_m in PLACES_M.T], axis=1)
+    points_m += rng.normal(scale=noise_m, size=points_m.shape)
+    wrong = rng.random(len(points_m)) < outliers
+    points_m[wrong, :2] += rng.normal(scale=80.0, size=(int(wrong.sum()), 2))
+    places = anchor.wgs84(points_m)
+    if not altitude:
+        places[:, 2] = np.nan
+    return GnssTrack(times_s, places, np.full(len(times_s), noise_m))
+
+
+def fitted(track, places_m=PLACES_M):
+    return fit_anchor("monday", TIMES_S, places_m, track)
+
+
+@settings(max_examples=8)
+@given(
+    latitude_deg=st.floats(-75.0, 75.0),
+    longitude_deg=st.floats(-180.0, 180.0),
+    heading_deg=st.floats(-180.0, 180.0),
+)
+def test_an_anchor_is_found_again_among_noise_and_outliers(
+    latitude_deg, longitude_deg, heading_deg
+):
+    true = Anchor(latitude_deg, longitude_deg, 115.0, heading_deg)
+    found = fitted(track(true))
+    ends_m = PLACES_M[[0, 120, 239]]
+    apart_m = true.level_m(found.wgs84(ends_m)) - true.level_m(true.wgs84(ends_m))
+    assert np.linalg.norm(apart_m[:, :2], axis=1).max() < 1.0
+    assert abs(apart_m[:, 2]).max() < 1.0
+    fit = found.fitted
+    assert fit.drive == "monday"
+    assert 0.6 * fit.fixes < fit.agreeing < fit.fixes
+    assert fit.spread_m == pytest.approx(1.0, abs=0.3)
+    assert fit.error_deg < 1.0
+
+
+def test_without_altitudes_the_anchor_has_none():
+    assert fitted(track(altitude=False)).altitude_m == 0.0
+
+
+def test_places_are_metres_of_an_anchor_and_back():
+    points_m = np.array([[10.0, 20.0, 3.0], [-5000.0, 700.0, 90.0]])
+    level = Anchor(TRUE.latitude_deg, TRUE.longitude_deg, TRUE.altitude_m)
+    assert level.level_m(level.wgs84(points_m)) == pytest.approx(points_m, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("made", "wanted"),
+    [
+        (lambda: (track(), PLACES_M / 0.3048), "its poses in metres"),
+        (lambda: (track(), np.roll(PLACES_M, 60, axis=0)), "fixes are within 5 m of drive monday"),
+        (lambda: (track(outliers=0.8), PLACES_M), "fixes are within 5 m of drive monday"),
+        (lambda: (cut(track(), 12), PLACES_M), "give a longer track|is the track too short"),
+        (lambda: (cut(track(), 40, by=3600.0), PLACES_M), "are both by one clock"),
+        (lambda: (track(), np.full_like(PLACES_M, np.nan)), "has 0 scans with a pose and a time"),
+    ],
+)
+def test_a_track_that_does_not_fit_is_refused_with_the_figures(made, wanted):
+    fixes, places_m = made()
+    with pytest.raises(AnchorDoesNotFit, match=wanted):
+        fitted(fixes, places_m)
+
+
+def cut(of, count, by=0.0):
+    return GnssTrack(of.time_s[:count] + by, of.places[:count], of.accuracy_m[:count])

@@ -1,0 +1,95 @@
+"""One query in several maps."""
+
+import weakref
+
+import pytest
+
+from core.errors import InvalidParameters
+from core.localization.all_maps import SearchedMap, localize_in_maps
+from core.localization.localizer import Localizer
+from tests.support.samples import (
+    calibrated_map,
+    own_signatures,
+    sample_harmonic_map,
+    sample_map,
+)
+
+
+def searched(name, tensor_map, query, row):
+    return SearchedMap(name, tensor_map, tensor_map.model.search(own_signatures(query, row)))
+
+
+def test_the_map_of_the_nearest_scan_is_the_answer_and_the_others_follow():
+    north, south = (sample_map(seed=seed)[0] for seed in (1, 2))
+    for query, slug in ((north, "north"), (south, "south")):
+        found = localize_in_maps(
+            [searched("north", north, query, 5), searched("south", south, query, 5)], 3
+        )
+        assert (found.best.name, found.best.match.row) == (slug, 5)
+        assert found.best.revision == query.revision
+        distances = [one.match.distance for one in found.matches]
+        assert len(distances) == 3
+        assert distances == sorted(distances)
+        assert found.ratio == 0.0
+
+
+def test_in_one_map_the_answer_is_that_of_the_map():
+    tensor_map = calibrated_map()
+    alone = Localizer(tensor_map).localize_signatures(own_signatures(tensor_map, 31))
+    found = localize_in_maps([searched("one", tensor_map, tensor_map, 31)])
+    assert found.best.match == alone.best
+    assert found.decision == alone.decision
+    assert found.runner_up is not None
+    assert found.runner_up.match == alone.runner_up
+    assert found.deviation == alone.deviation
+
+
+def test_the_runner_up_of_another_map_lowers_the_probability():
+    tensor_map = calibrated_map()
+    [one] = [searched("one", tensor_map, tensor_map, 31)]
+    alone = localize_in_maps([one])
+    twice = localize_in_maps([one, searched("copy", tensor_map, tensor_map, 31)])
+    assert twice.runner_up is not None
+    assert (twice.best.name, twice.runner_up.name) == ("one", "copy")
+    assert twice.ratio == 1.0
+    assert (twice.decision.probability or 1.0) < (alone.decision.probability or 0.0)
+
+
+def test_maps_of_several_measures_are_compared_by_their_calibrations():
+    paper, (harmonic, _) = calibrated_map(), sample_harmonic_map()
+    found = localize_in_maps(
+        [searched("harmonic", harmonic, harmonic, 5), searched("paper", paper, paper, 31)]
+    )
+    assert found.best.name == "paper"  # the other is not calibrated
+    alone = localize_in_maps([searched("paper", paper, paper, 31)])
+    assert found.ratio == alone.ratio
+
+
+def test_a_map_that_cannot_be_in_the_answer_is_not_kept():
+    alive: weakref.WeakSet[object] = weakref.WeakSet()
+    query = own_signatures(sample_map(seed=3)[0], 5)
+
+    def searching(seeds):
+        for seed in seeds:
+            tensor_map, _ = sample_map(seed=seed)
+            alive.add(tensor_map)
+            assert len(alive) <= 8
+            yield SearchedMap(f"map {seed}", tensor_map, tensor_map.model.search(query))
+            del tensor_map
+
+    seeds = range(1, 21)
+    rising, falling = (localize_in_maps(searching(order), 2) for order in (seeds, seeds[::-1]))
+    assert rising.best.name == "map 3"
+    for name in ("matches", "runner_up", "decision", "ratio"):
+        assert getattr(rising, name) == getattr(falling, name)
+    listed = [
+        distance
+        for seed in seeds
+        for distance in sample_map(seed=seed)[0].model.search(query).nearest(2).distances
+    ]
+    assert [one.match.distance for one in rising.matches] == sorted(listed)[:2]
+
+
+def test_without_a_map_there_is_no_answer():
+    with pytest.raises(InvalidParameters, match="no map"):
+        localize_in_maps([])

@@ -1,0 +1,152 @@
+"""Odometry of simulated streets, whose poses are known."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from core.errors import EmptyDrive, InvalidScan
+from core.odometry.odometry import compute_odometry
+from core.odometry.posed_drive import PosedDrive
+from core.scans.drive import MemoryDrive
+from core.scans.pose import matrices_from_rows, path_length_m
+from core.scans.rigid import inverse
+from core.scans.scan import Scan
+from tests.support.recording import recording
+
+HEIGHT_M = 1.73
+
+
+def drive_of(scans):
+    """Return a drive without poses, and the true ones."""
+    scans = list(scans)
+    drive = MemoryDrive("street", [Scan(scan.points_m, scan.timestamp_s) for scan in scans])
+    return drive, np.array([scan.pose.as_tuple() for scan in scans])
+
+
+def matrices(rows):
+    poses = matrices_from_rows(rows)
+    return inverse(poses[0]) @ poses
+
+
+@pytest.fixture(scope="module")
+def street():
+    drive, true = drive_of(recording().scans)
+    return drive, true, compute_odometry(drive, HEIGHT_M)
+
+
+def test_the_poses_of_a_street_are_within_two_percent_of_its_length(street):
+    _, true, found = street
+    off = inverse(matrices(true)) @ matrices(found.poses)
+    length_m = path_length_m(true)
+    assert length_m > 45.0
+    assert np.linalg.norm(off[:, :3, 3], axis=1).max() < 0.02 * length_m
+    assert (found.lost, found.facts["closures"]) == ((), 0)
+    assert found.facts["path_m"] == pytest.approx(length_m, rel=0.02)
+    assert found.facts["registration"].startswith("kiss-icp 1.")
+
+
+def test_the_farther_from_the_first_scan_the_less_a_pose_is_trusted(street):
+    _, true, found = street
+    assert found.sigmas[0].tolist() == [0.0, 0.0]
+    assert (np.diff(found.sigmas, axis=0) >= 0.0).all()
+    off_m = np.linalg.norm((matrices(true) - matrices(found.poses))[:, :2, 3], axis=1)
+    assert (off_m[1:] < 3.0 * found.sigmas[1:, 0]).all()
+    assert found.sigmas[-1, 0] < 0.03 * path_length_m(true)
+
+
+def test_poses_repeat_bit_for_bit_and_do_not_depend_on_given_ones(street):
+    drive, true, _ = street
+    few = MemoryDrive("few", [drive.scan(at) for at in range(12)])
+    once, again = (compute_odometry(of, HEIGHT_M) for of in (few, PosedDrive(few, true[:12])))
+    assert once.poses.tobytes() == again.poses.tobytes()
+    assert once.sigmas.tobytes() == again.sigmas.tobytes()
+    assert once.facts == again.facts
+
+
+def test_a_tilted_sensor_drives_on_level_ground(street):
+    drive, true, _ = street
+    tilt = Rotation.from_euler("y", 8.0, degrees=True)
+    tilted = [Scan.from_returns(tilt.inv().apply(drive.scan(at).points_m)) for at in range(8)]
+    found = compute_odometry(MemoryDrive("tilted", tilted), HEIGHT_M)
+    assert np.abs(found.poses[:, 2]).max() < 0.1
+    angles = Rotation.from_quat(found.poses[0, 3:]).as_euler("xyz", degrees=True)
+    assert angles == pytest.approx([0.0, 8.0, 0.0], abs=0.5)
+    assert found.poses[-1, 0] == pytest.approx(matrices(true)[7, 0, 3], rel=0.03)
+
+
+def test_a_motion_that_starts_at_once_and_turns_on_the_spot_is_followed():
+    scans = recording().scans
+    turns_deg = [0.0, 0.0, 35.0, 70.0, 70.0, 35.0]
+    turned = [
+        Scan.from_returns(
+            Rotation.from_euler("z", -turn, degrees=True).apply(scans[2 * at].points_m)
+        )
+        for at, turn in enumerate(turns_deg)
+    ]
+    found = compute_odometry(MemoryDrive("spin", turned), HEIGHT_M)
+    steps_m = np.linalg.norm(np.diff(found.poses[:, :3], axis=0), axis=1)
+    assert steps_m == pytest.approx(np.full(5, 3.0), abs=0.15)
+    headings = Rotation.from_quat(found.poses[:, 3:]).as_euler("zyx", degrees=True)[:, 0]
+    assert headings == pytest.approx(turns_deg, abs=1.0)
+
+
+def test_scans_behind_a_gap_are_named_and_hardly_trusted():
+    scans = recording().scans
+    drive, _ = drive_of([*scans[:6], *scans[42:48]])
+    found = compute_odometry(drive, HEIGHT_M)
+    assert found.lost == (6,)
+    assert (found.sigmas[6:, 0] > 5.0).all()
+    assert found.sigmas[5, 0] < 1.0
+
+
+@pytest.mark.parametrize(("at", "lost"), [(0, (1,)), (5, (5, 6))])
+def test_a_scan_without_a_return_in_range_is_lost_and_those_after_it_are_found(at, lost):
+    scans = list(recording().scans[:10])
+    far = Scan.from_returns(np.tile([150.0, 0.0, 0.0], (200, 1)))
+    drive, true = drive_of(scans)
+    given = [drive.scan(row) for row in range(10)]
+    found = compute_odometry(MemoryDrive("far", [*given[:at], far, *given[at:]]), HEIGHT_M)
+    assert found.lost == lost
+    assert found.usable
+    after = matrices(found.poses)[at + 1 :]
+    off = inverse(inverse(after[0]) @ after) @ matrices(true[at:])
+    assert np.linalg.norm(off[:, :3, 3], axis=1).max() < 0.5
+
+
+def test_through_scans_without_a_return_in_range_the_velocity_is_kept():
+    scans = list(recording().scans[:12])
+    drive, true = drive_of(scans)
+    far = Scan.from_returns(np.tile([150.0, 0.0, 0.0], (200, 1)))
+    given = [far if at in (5, 6) else drive.scan(at) for at in range(12)]
+    found = compute_odometry(MemoryDrive("dark", given), HEIGHT_M)
+    assert found.lost == (5, 6, 7)
+    off = inverse(matrices(found.poses)) @ matrices(true)
+    assert np.linalg.norm(off[:, :3, 3], axis=1).max() < 0.5
+
+
+class Unreadable(MemoryDrive):
+    def scan(self, index):
+        if index >= 2:
+            raise InvalidScan("its file is broken")
+        return super().scan(index)
+
+
+def test_poses_are_not_usable_if_most_scans_are_not():
+    drive, _ = drive_of(recording().scans[:5])
+    found = compute_odometry(Unreadable("broken", [drive.scan(at) for at in range(5)]), HEIGHT_M)
+    assert (found.fitting, found.lost, found.usable) == (2, (), False)
+
+
+def test_a_drive_without_a_scan_has_no_odometry():
+    with pytest.raises(EmptyDrive, match="drive nothing has no scan"):
+        compute_odometry(MemoryDrive("nothing", []), HEIGHT_M)
+
+
+def test_poses_of_many_scans_stay_rigid():
+    around = np.random.default_rng(1).uniform([-30, -30, -2], [30, 30, 4], (150, 3))
+    headings = [Rotation.from_euler("z", 3.0 * at, degrees=True) for at in range(400)]
+    scans = [Scan.from_returns(heading.inv().apply(around)) for heading in headings]
+    found = compute_odometry(MemoryDrive("round", scans), HEIGHT_M)
+    true = Rotation.concatenate(headings).as_matrix()
+    off = inverse(matrices(found.poses))[:, :3, :3] @ true
+    assert np.abs(off - np.eye(3)).max() < 0.01

@@ -1,0 +1,1 @@
+"""The conformance kit: scans, bases, signatures and answers (docs/reference/conformance.md)."""
