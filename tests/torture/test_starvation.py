@@ -1,8 +1,9 @@
 """One key takes all that it can get; another is answered in time, and gets its share.
 
 The load comes from a process of its own: where the one that measures holds thousands of sockets
-too, its own delay is measured. The bar is for two cores that do nothing else; each figure has the
-machine's load beside it.
+too, its own delay is measured. The bar is for two cores that do nothing else; where the machine is
+slow before the attack, a multiple of what an answer took then. Each figure has the machine's load
+beside it.
 """
 
 import asyncio
@@ -32,6 +33,7 @@ MAP = "/v1/maps/campus"
 JSON = {"Content-Type": "application/json"}
 P99_S = 0.5
 BURST_P99_S = 1.0  # while thousands of handshakes, or megabytes of JSON, are worked on beside that
+CALM, MOST_CALM_TIMES = "nothing else", 20
 SECONDS = seconds("TENSORMAP_TORTURE_STARVATION_S", 4.0)
 FEWEST_ANSWERS, MOST_S = 100, 30.0
 UPLOADS, CLOSURES, IDLE, BODIES = 200, 100, 2000, 8
@@ -145,7 +147,10 @@ class Table:
         """Require that all was answered, and in time."""
         for row, answers in self.rows.items():
             assert set(answers.statuses) == {200}, (row, answers.statuses)
-            assert answers.quantile(0.99) < self.bars[row.partition(": ")[0]], f"{row}: {answers}"
+            phase, _, what = row.partition(": ")
+            calm_s = self.rows[f"{CALM}: {what}"].quantile(0.99)
+            most_s = max(1.0, MOST_CALM_TIMES * calm_s / P99_S) * self.bars[phase]
+            assert answers.quantile(0.99) < most_s, f"{row}: {answers}, calm {calm_s:.3f} s"
 
 
 def test_a_fix_of_another_key_is_answered_in_time_whatever_one_key_holds_open(service):
@@ -158,7 +163,7 @@ def test_a_fix_of_another_key_is_answered_in_time_whatever_one_key_holds_open(se
         watching(service, every_s=0.25) as watch,
         ThreadPoolExecutor(1) as waiting,
     ):
-        table.measure("nothing else")
+        table.measure(CALM)
         attack.hold("idle", count=IDLE)
         attack.hold("uploads", count=UPLOADS)
         attack.hold("closures", count=CLOSURES, proposals=closure_proposals())
