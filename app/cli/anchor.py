@@ -13,8 +13,11 @@ from app.cli.console import say
 from app.cli.errors import CommandFailed
 from app.cli.service_options import KeyFile, ServiceUrl, read_key
 from app.maps.anchor_schemas import MOST_FIXES
+from storage.formats.tracks.gpx import read_gpx
+from storage.formats.tracks.nmea import is_nmea, read_nmea
 
 _NEEDED = ("time_s", "latitude_deg", "longitude_deg")
+_TABLES = {".csv", ".json"}
 _KNOWN = (*_NEEDED, "altitude_m", "accuracy_m")
 
 
@@ -23,8 +26,9 @@ def anchor(
         Path,
         typer.Argument(
             metavar="TRACK",
-            help="A .csv with the columns time_s, latitude_deg, longitude_deg and, if known,"
-            " altitude_m and accuracy_m; or a .json, a list of such objects.",
+            help="A .gpx; a log of NMEA sentences (GGA, RMC); a .csv with the columns time_s,"
+            " latitude_deg, longitude_deg and, if known, altitude_m and accuracy_m; or a .json, a"
+            " list of such objects.",
         ),
     ],
     url: ServiceUrl,
@@ -53,15 +57,24 @@ def anchor(
 
 
 def read_fixes(track: Path) -> Sequence[Mapping[str, Any]]:
-    """Read a track.
+    """Read a track; a note of what was left out is printed.
 
     Raises:
         CommandFailed: If it is none.
+        MalformedDrive: If it is GPX or NMEA that cannot be used.
     """
+    suffix = track.suffix.lower()
+    if suffix == ".gpx":
+        return read_gpx(track)
     wanted = f"wanted {', '.join(_NEEDED)} and, if known, altitude_m and accuracy_m"
     text = track.read_text("utf-8-sig", "replace")
+    if suffix == ".nmea" or (suffix not in _TABLES and is_nmea(text)):
+        fixes, notes = read_nmea(track)
+        for note in notes:
+            say(note)
+        return fixes
     try:
-        if track.suffix.lower() == ".json":
+        if suffix == ".json":
             rows = json.loads(text)
         else:
             rows = [

@@ -58,4 +58,4 @@ class UnknownDriveLayout(TensorMapError):
 
 
 class MalformedDrive(TensorMapError):
-    """Poses, times or a calibration that cannot be used."""
+    """Poses, times, a calibration or a GNSS track that cannot be used."""

@@ -137,7 +137,7 @@ class UnknownDriveLayout(Rejected):
 
 
 class MalformedDrive(Rejected):
-    """Poses, times or a calibration that cannot be used."""
+    """Poses, times, a calibration or a GNSS track that cannot be used."""
 
     problem = "malformed-drive"
     usual_status = 422

@@ -31,3 +31,19 @@ def test_what_is_no_track_is_refused_with_what_is_wanted(tmp_path, name, text, w
     (tmp_path / name).write_text(text)
     with pytest.raises(CommandFailed, match=wanted):
         read_fixes(tmp_path / name)
+
+
+def test_gpx_and_nmea_are_known_by_suffix_and_by_content(tmp_path, capsys):
+    gpx = tmp_path / "a.GPX"
+    gpx.write_text(
+        '<gpx><trk><trkseg><trkpt lat="49" lon="8.4"><time>1970-01-01T00:00:01Z</time></trkpt>'
+        "</trkseg></trk></gpx>"
+    )
+    assert read_fixes(gpx) == [FIX]
+    log = tmp_path / "a.txt"
+    log.write_text(
+        "$GPRMC,000001,A,4900.0,N,00824.0,E,,,010100,,,A*72\n$GPGGA,000002\n"
+        "$GPRMC,000002,A,4900.0,N,00824.0,E,,,010100,,,A*71\n"
+    )
+    assert len(read_fixes(log)) == 2
+    assert "1 damaged sentence was left out; the first: line 2" in capsys.readouterr().out

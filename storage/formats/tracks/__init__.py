@@ -1,0 +1,1 @@
+"""Tracks of GNSS receivers: one reader for each format."""
