@@ -1,15 +1,16 @@
 """`tensormap upload`: a recorded drive into a running service."""
 
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 from pydantic import ValidationError
-from tensormap_client import ClientError, Mapper, Rejected, Uploaded
+from tensormap_client import ClientError, Mapper, NothingUsable, Rejected, Uploaded
 from tensormap_client.problems import ScopeMissing
+from tensormap_client.uploaded import SkippedScan
 
 from app.builds.parameters import BuildParameters
 from app.cli.console import BarProgress, LineProgress, say, transfer_progress
@@ -87,6 +88,9 @@ def upload(
                 with transfer_progress() as progress, _interrupted(lambda: rest):
                     job = mapper.finish_build(job, progress)
                 _show_build(job, _revision(mapper, job["revision"]))
+    except NothingUsable as error:
+        _show_skipped(error.skipped[:_MOST_SHOWN], 0)  # the error has their number
+        raise CommandFailed(str(error)) from error
     except ClientError as error:
         hint = _HINTS.get(error.problem, "") if isinstance(error, Rejected) else ""
         raise CommandFailed(f"{error}{hint}") from error
@@ -120,12 +124,16 @@ def _show_upload(drive: str, done: Uploaded, shown: Mapping[str, Any]) -> None:
         f" {done.before} were there before, {done.skipped_scans} skipped;"
         f" {shown['scans_with_pose']} of {shown['scans']} have a pose"
     )
-    for one in done.skipped[:_MOST_SHOWN]:
-        say(f"  skipped scan {one.index}: {one.reason}")
-    if len(done.skipped) > _MOST_SHOWN:
-        say(f"  and {done.skipped_scans - _MOST_SHOWN} more")
+    _show_skipped(done.skipped, done.skipped_scans)
     for note in done.notes:
         say(f"  note: {note}")
+
+
+def _show_skipped(skipped: Sequence[SkippedScan], scans: int) -> None:
+    for one in skipped[:_MOST_SHOWN]:
+        say(f"  skipped scan {one.index}: {one.reason}")
+    if len(skipped) > _MOST_SHOWN:
+        say(f"  and {scans - _MOST_SHOWN} more")
 
 
 def _show_build(job: Mapping[str, Any], revision: Mapping[str, Any] | None) -> None:

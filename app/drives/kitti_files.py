@@ -29,6 +29,8 @@ class KittiFiles:
     def __init__(self) -> None:
         self._bodies: dict[str, bytes] = {}
         self._names: dict[str, str] = {}
+        self.used = False
+        """Whether `put` changed something."""
 
     def take(self, member: TarMember) -> bool:
         """Keep a file of an archive if it is one of these, and return whether it is."""
@@ -65,6 +67,11 @@ class KittiFiles:
                 put = drives.expect_poses(
                     map_slug, drive_slug, poses, of_all_scans=True, with_scans=True
                 )
+                self.used = True
+        if POSES not in self._bodies and CALIBRATION in self._bodies:
+            refuse(
+                self._names[CALIBRATION], MalformedDrive("there is no poses.txt that it belongs to")
+            )
         if times_s is None or (put and poses and poses.timestamps_s is times_s):
             return put
         with self._refused(TIMES, refuse):
@@ -76,6 +83,7 @@ class KittiFiles:
                 )
             known = {index: float(times_s[index]) for index in stored}
             drives.put_poses(map_slug, drive_slug, {}, known)
+            self.used = True
         return put
 
     def _to_camera(self) -> FloatArray | None:

@@ -14,12 +14,12 @@ from starlette.requests import ClientDisconnect
 
 from app.drives.kitti_files import SCANS, KittiFiles
 from app.drives.scan_group import ScanGroup
-from app.drives.schemas import IndexRangeOut, PosesPutOut, SetAsideOut, UploadOut
+from app.drives.schemas import IndexRangeOut, PosesPutOut, UploadOut
 from app.drives.tar_stream import TarFeed, TarMember
 from app.drives.time_order import TimeOrder, member_time_s
 from app.http.client import require_client
-from app.http.errors import BodyTooLarge, MalformedBody, MalformedUpload
-from app.http.problems import problem_type
+from app.http.errors import BodyTooLarge, MalformedBody, MalformedUpload, NothingStored
+from app.http.problems import SetAsideOut, problem_type
 from app.settings import Settings
 from core.errors import InvalidScan, TensorMapError
 from core.scans.scan import Scan
@@ -155,13 +155,22 @@ class ScanUpload:
 
         Raises:
             MalformedUpload: If the stream is incomplete or has no file; earlier scans are stored.
+            NothingStored: If no file can be used.
             TensorMapError: What `take` raises.
         """
         self._take(b"")
         self.store()
         poses = self._kitti.put(self._drives, *self._target, self._refuse)
-        if not (self._stored or self._present or self._set_aside or poses):
-            raise MalformedUpload("the tar stream has no file, wanted scans named by their index")
+        if not (self._stored or self._present or self._kitti.used):
+            if not self._set_aside:
+                raise MalformedUpload(
+                    "the tar stream has no file, wanted scans named by their index"
+                )
+            first, files = self._set_aside[0], self._set_aside_count
+            raise NothingStored(
+                f"none of the {files} files can be used; {first.file}: {first.detail}",
+                [item.model_dump() for item in self._set_aside],
+            )
         return UploadOut(
             scans_stored=len(self._stored),
             scans_present=len(self._present),

@@ -9,6 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from app.drives.mounting_schemas import MountingIn, MountingOut
 from app.http.exact_types import integers
+from app.http.problems import SetAsideOut
 from app.http.shown import Shown
 from core.scans.accumulation import MOST_SCANS
 from core.scans.pose import PoseSource
@@ -167,14 +168,6 @@ class PresentOut(Shown):
     scans_with_pose: int
     present: list[IndexRangeOut] = Field(description="The indices that are stored.")
     gaps: list[IndexRangeOut] = Field(description="The indices that are missing in between.")
-
-
-class SetAsideOut(BaseModel):
-    """A file of an upload that was not stored."""
-
-    file: str = Field(description="Its name in the archive.")
-    type: str = Field(description="The stable name of the error.")
-    detail: str = Field(description="What was expected and what was sent.")
 
 
 class UploadOut(BaseModel):

@@ -70,6 +70,7 @@ def list_scans(map_slug: MapSlug, drive_slug: DriveSlug, running: Running) -> Pr
         InvalidSlug,
         errors.InvalidRequest,
         errors.MalformedUpload,
+        errors.NothingStored,
         UnknownFormat,
         *errors.ANY_BODY,
         *errors.WRITING,

@@ -1,8 +1,9 @@
 """The HTTP status of every error, and the errors that only a service raises."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from http import HTTPStatus
 from types import MappingProxyType
+from typing import Any
 
 from core import errors as core
 from storage import errors as stored
@@ -14,9 +15,11 @@ class AppError(core.TensorMapError):
 
     Attributes:
         headers: Additional fields of the answer's head.
+        more: Additional members of the problem.
     """
 
     headers: Mapping[str, str] = MappingProxyType({})
+    more: Mapping[str, Any] = MappingProxyType({})
 
 
 class InvalidRequest(AppError):
@@ -45,6 +48,14 @@ class SlowBody(AppError):
 
 class MalformedUpload(AppError):
     """A body of many scans that is no tar stream, or incomplete; an upload keeps earlier scans."""
+
+
+class NothingStored(AppError):
+    """A body of many scans of which no file can be used; `set_aside` has the reasons."""
+
+    def __init__(self, detail: str, set_aside: Sequence[Mapping[str, str]] = ()) -> None:
+        super().__init__(detail)
+        self.more = {"set_aside": set_aside}
 
 
 class CaptureTooLarge(AppError):
@@ -228,6 +239,7 @@ STATUS: dict[type[core.TensorMapError], HTTPStatus] = {
     DigestMismatch: S.BAD_REQUEST,
     SlowBody: S.REQUEST_TIMEOUT,
     MalformedUpload: S.UNPROCESSABLE_ENTITY,
+    NothingStored: S.UNPROCESSABLE_ENTITY,
     CaptureTooLarge: S.REQUEST_ENTITY_TOO_LARGE,
     CaptureTooSlow: S.INTERNAL_SERVER_ERROR,
     KeyNeeded: S.UNAUTHORIZED,

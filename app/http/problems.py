@@ -36,6 +36,14 @@ class FieldProblem(BaseModel):
     what: str = Field(description="What is expected.")
 
 
+class SetAsideOut(BaseModel):
+    """A file of an upload that was not stored."""
+
+    file: str = Field(description="Its name in the archive.")
+    type: str = Field(description="The stable name of the error.")
+    detail: str = Field(description="What was expected and what was sent.")
+
+
 class Problem(BaseModel):
     """An error, as in RFC 9457."""
 
@@ -55,6 +63,9 @@ class Problem(BaseModel):
     status: int
     detail: str = Field(description="What was expected and what was sent, in this case.")
     errors: list[FieldProblem] | None = None
+    set_aside: list[SetAsideOut] | None = Field(
+        None, description="Of `nothing-stored`: the files with the reasons, the first thousand."
+    )
     request_id: str | None = Field(
         None, description="Of the request, as in `X-Request-Id` and in the service's log."
     )
@@ -133,7 +144,10 @@ def problem_response(
         content["errors"] = errors
     if (request_id := current_id()) is not None:
         content["request_id"] = request_id
-    headers = error.headers if isinstance(error, own.AppError) else None
+    headers = None
+    if isinstance(error, own.AppError):
+        headers = error.headers
+        content.update(error.more)
     return JSONResponse(content, content["status"], headers, media_type=MEDIA_TYPE)
 
 

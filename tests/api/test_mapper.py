@@ -142,6 +142,35 @@ def test_what_cannot_be_used_is_reported(small, tmp_path):
     assert (done.stored, done.skipped_scans, done.skipped[0].index) == (1, 1, 0)
 
 
+def test_an_upload_of_which_nothing_can_be_used_lists_its_scans(small, tmp_path):
+    for index in range(300):  # groups of several scans, of which none is stored
+        (tmp_path / f"{index}.pcd").write_bytes(b"no scan")
+    with mapper_of(small) as mapper, pytest.raises(NothingUsable, match="none of the 300") as none:
+        mapper.upload(tmp_path, "monday")
+    assert [one.index for one in none.value.skipped] == list(range(300))
+    assert "no DATA line" in none.value.skipped[-1].reason
+
+
+def test_a_group_of_scans_that_cannot_be_used_does_not_end_an_upload(small, tmp_path):
+    for index in range(300):
+        body = b"no scan" if index < 200 else npy(np.full((1, 3), index + 1.0, np.float32))
+        (tmp_path / f"{index}.{'pcd' if index < 200 else 'npy'}").write_bytes(body)
+    with mapper_of(small) as mapper:
+        done = mapper.upload(tmp_path, "monday")
+    assert (done.stored, done.skipped_scans) == (100, 200)
+
+
+def test_a_folder_with_times_and_a_calibration_but_no_poses_is_uploaded(small, kitti):
+    (kitti / "poses.txt").unlink()
+    (kitti / "calib.txt").write_text("Tr: 1 0 0 0 0 1 0 0 0 0 1 0\n")
+    with mapper_of(small) as mapper:
+        done = mapper.upload(kitti, "monday")
+        (kitti / "times.txt").unlink()
+        again = mapper.upload(kitti, "tuesday")
+    assert done.stored == done.scans
+    assert [one.file for one in done.unused_files + again.unused_files] == ["calib", "calib"]
+
+
 def test_the_asynchronous_mapper_does_the_same(small, kitti):
     async def uploaded():
         connections = ASGITransport(small.app, client=("127.0.0.1", 5000))

@@ -193,6 +193,22 @@ def test_what_does_not_fit_is_set_aside_and_the_scans_are_stored(
     assert message in aside["detail"]
 
 
+def test_times_alone_may_come_in_an_archive(empty, folder):
+    files = dict(files_of(folder))
+    times = files.pop("./times.txt")
+    post(empty, files.items())
+    answer = post(empty, [("times.txt", times)])
+    assert answer.status_code == 200, answer.text
+    assert {time_s for _, time_s in stored(empty).values()} == {float(t) for t in times.split()}
+
+
+def test_a_calibration_without_poses_is_set_aside(empty, folder):
+    calibration = dict(files_of(folder)).get("./calib.txt", b"Tr: 1 0 0 0 0 1 0 0 0 0 1 0")
+    refused = post(empty, [("calib.txt", calibration)])
+    assert problem_of(refused) == (422, "nothing-stored")
+    assert "poses.txt" in refused.json()["set_aside"][0]["detail"]
+
+
 def test_poses_alone_may_come_in_an_archive(empty, folder):
     files = dict(files_of(folder))
     poses = files.pop("./poses.txt")

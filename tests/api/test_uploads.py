@@ -88,6 +88,35 @@ def test_unusable_files_are_set_aside_with_their_reason_and_the_others_are_store
     assert empty.get(f"{DRIVE}/scans").json()["present"] == ranges((0, 0), (4, 5))
 
 
+def test_an_upload_of_which_nothing_can_be_used_is_a_problem_that_lists_its_files(empty):
+    files = [("000000.bin", kitti(SCANS[0])), ("readme.txt", b"hello"), ("1.npy", b"no scan")]
+    refused = empty.post(f"{DRIVE}/scans", content=tar(files), headers=TAR)
+    assert problem_of(refused) == (422, "nothing-stored")
+    assert [(item["file"], item["type"]) for item in refused.json()["set_aside"]] == [
+        ("000000.bin", "/problems/unknown-format"),
+        ("readme.txt", "/problems/unknown-format"),
+        ("1.npy", "/problems/malformed-scan"),
+    ]
+    detail = refused.json()["detail"]
+    assert "none of the 3 files can be used" in detail
+    assert "000000.bin: records in .bin may be KITTI's" in detail
+    assert problem_of(empty.get(DRIVE)) == (404, "drive-not-found")
+
+
+def test_of_many_unusable_files_a_thousand_are_listed_and_all_are_counted(empty):
+    files = [(f"{index}.xyz", b"1 2 3") for index in range(1002)]
+    refused = empty.post(f"{DRIVE}/scans", content=tar(files), headers=TAR).json()
+    assert len(refused["set_aside"]) == 1000
+    assert "none of the 1002 files can be used" in refused["detail"]
+
+
+def test_an_upload_that_repeats_a_stored_scan_is_no_problem_whatever_else_is_in_it(empty):
+    empty.post(f"{DRIVE}/scans", content=tar(npy_files([0])))
+    sent = empty.post(f"{DRIVE}/scans", content=tar([*npy_files([0]), ("1.npy", b"no scan")]))
+    assert sent.status_code == 200
+    assert (sent.json()["scans_present"], sent.json()["files_set_aside"]) == (1, 1)
+
+
 def test_an_index_that_is_no_number_of_a_scan_is_rejected(empty):
     for index in (10**9, 99999999999, 2**53 - 1):
         refused = empty.put(f"{DRIVE}/scans/{index}", content=kitti(SCANS[0]), headers=KITTI)
@@ -124,6 +153,9 @@ def test_a_closed_drive_takes_what_it_has_and_nothing_else(empty):
     assert answer["present"] == ranges((0, 1))
     assert [item["type"] for item in answer["set_aside"]] == ["/problems/drive-closed"]
     assert empty.get(f"{DRIVE}/scans").json()["closed"] is True
+    refused = empty.post(f"{DRIVE}/scans", content=tar(npy_files([2])))
+    assert problem_of(refused) == (422, "nothing-stored")
+    assert [item["type"] for item in refused.json()["set_aside"]] == ["/problems/drive-closed"]
 
 
 def test_scans_before_a_limit_was_reached_are_stored(empty, tmp_path):

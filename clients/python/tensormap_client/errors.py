@@ -13,7 +13,10 @@ ClientError
     └── ...             a class for each type of problem: `tensormap_client.problems`
 """
 
+from collections.abc import Mapping, Sequence
 from typing import ClassVar
+
+from tensormap_client.uploaded import SkippedScan
 
 
 class ClientError(Exception):
@@ -37,7 +40,15 @@ class OtherDrive(ClientError):
 
 
 class NothingUsable(ClientError):
-    """A drive of which the service can use no scan."""
+    """A drive of which the service can use no scan.
+
+    Attributes:
+        skipped: The first thousand of its scans, with the reasons.
+    """
+
+    def __init__(self, message: str, skipped: Sequence[SkippedScan] = ()) -> None:
+        super().__init__(message)
+        self.skipped = tuple(skipped)
 
 
 class BuildFailed(ClientError):
@@ -60,6 +71,7 @@ class Rejected(ClientError):
         status: Of the answer.
         detail: What was expected and what was sent.
         retry_after_s: For how long to wait, 0 if the service did not say.
+        set_aside: Of `nothing-stored`: the files, with `file`, `type` and `detail` each.
     """
 
     problem: str = ""
@@ -71,6 +83,7 @@ class Rejected(ClientError):
         super().__init__(message)
         self.status, self.problem, self.detail = status, problem, detail
         self.retry_after_s = retry_after_s
+        self.set_aside: Sequence[Mapping[str, str]] = ()
 
     @property
     def is_passing(self) -> bool:

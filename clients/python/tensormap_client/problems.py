@@ -311,6 +311,13 @@ class MalformedUpload(Rejected):
     usual_status = 422
 
 
+class NothingStored(Rejected):
+    """A body of many scans of which no file can be used; `set_aside` has the reasons."""
+
+    problem = "nothing-stored"
+    usual_status = 422
+
+
 class CaptureTooLarge(Rejected):
     """A capture of more bytes, parts or returns than the service reads."""
 
@@ -706,6 +713,7 @@ PROBLEMS: dict[str, type[Rejected]] = {
     DigestMismatch.problem: DigestMismatch,
     SlowBody.problem: SlowBody,
     MalformedUpload.problem: MalformedUpload,
+    NothingStored.problem: NothingStored,
     CaptureTooLarge.problem: CaptureTooLarge,
     CaptureTooSlow.problem: CaptureTooSlow,
     KeyNeeded.problem: KeyNeeded,

@@ -21,10 +21,11 @@ def rejection(
         body: Of the answer.
         headers: Of the answer.
     """
-    problem, detail = "", ""
+    problem, detail, set_aside = "", "", ()
     try:
         answer: Any = json.loads(body)
         problem, detail = str(answer["type"]).rpartition("/")[2], str(answer["detail"])
+        set_aside = tuple(answer.get("set_aside") or ())
     except (ValueError, KeyError, TypeError):
         text = body.decode(errors="replace") if isinstance(body, bytes) else body
         detail = text[:_MOST_CHARACTERS]
@@ -33,4 +34,6 @@ def rejection(
         filter(None, [f"{request}:", str(status), problem and f"{problem}:", detail])
     )
     kind = PROBLEMS.get(problem, Rejected)
-    return kind(message, status, problem, detail, float(wait) if wait.isdecimal() else 0.0)
+    error = kind(message, status, problem, detail, float(wait) if wait.isdecimal() else 0.0)
+    error.set_aside = set_aside
+    return error

@@ -16,6 +16,7 @@ from tensormap_client.problems import (
     DriveNotFound,
     InvalidRequest,
     InvalidSlug,
+    NothingStored,
     ReturnsGone,
 )
 from tensormap_client.sources import ScanBody
@@ -111,16 +112,20 @@ class AsyncDriveRequests:
     async def _put_tar(
         self, files: Sequence[tuple[str, bytes]], params: Mapping[str, str]
     ) -> list[Unusable]:
-        answer = await self._transport.json(
-            "POST",
-            f"{self._drive}/scans",
-            content=_tar(files),
-            params=params,
-            headers={"Content-Type": _TAR},
-        )
+        try:
+            answer = await self._transport.json(
+                "POST",
+                f"{self._drive}/scans",
+                content=_tar(files),
+                params=params,
+                headers={"Content-Type": _TAR},
+            )
+            set_aside = answer["set_aside"]
+        except NothingStored as error:  # of these files; others of the drive may be usable
+            set_aside = error.set_aside
         return [
             Unusable(PurePath(one["file"]).stem, one["type"].rpartition("/")[2], one["detail"])
-            for one in answer["set_aside"]
+            for one in set_aside
         ]
 
 

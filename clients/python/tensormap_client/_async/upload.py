@@ -81,7 +81,8 @@ async def upload_drive(
     if not done.before + done.stored:
         raise NothingUsable(
             f"none of the {len(source)} scans of {source.name} can be used; scan"
-            f" {done.skipped[0].index}: {done.skipped[0].reason}"
+            f" {done.skipped[0].index}: {done.skipped[0].reason}",
+            done.skipped,
         )
     if source.beside:
         done.unused_files = tuple(await requests.put_files(source.beside))

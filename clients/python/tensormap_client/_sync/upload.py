@@ -80,7 +80,8 @@ def upload_drive(requests: DriveRequests, source: Source, progress: Progress) ->
     if not done.before + done.stored:
         raise NothingUsable(
             f"none of the {len(source)} scans of {source.name} can be used; scan"
-            f" {done.skipped[0].index}: {done.skipped[0].reason}"
+            f" {done.skipped[0].index}: {done.skipped[0].reason}",
+            done.skipped,
         )
     if source.beside:
         done.unused_files = tuple(requests.put_files(source.beside))
