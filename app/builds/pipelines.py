@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from app.builds.axis_notes import axis_notes
 from app.builds.drive_notes import drive_notes
 from app.builds.live_gate import pass_gate
 from app.builds.odometry import pose_stored
@@ -50,15 +51,18 @@ class Built(Build):
 
     Attributes:
         of_frames: Notes on the world frames of the drives.
+        of_axes: Notes on drives whose scans do not have z up.
     """
 
     of_frames: tuple[str, ...] = ()
+    of_axes: tuple[str, ...] = ()
 
     @property
     def notes(self) -> tuple[str, ...]:
         """Notes for the client that requested the build."""
         return (
             *(f"{fit}: consider to fit it anew" for fit in self.fits if fit.much_worse),
+            *self.of_axes,
             *self.of_frames,
         )
 
@@ -73,7 +77,8 @@ def build_revision(
 ) -> RevisionRecord:
     """Build a revision of a stored map as planned, and publish it.
 
-    Images are kept beside the drive: another build with the same projection reads no raw return.
+    Images are kept beside the drive: another build with the same projection reads no raw return but
+    those of some scans that show where the ground is.
     Damaged ones are projected again, once, if the returns are there. The map is the one of this id
     to the end, also if it is renamed.
 
@@ -328,4 +333,5 @@ def _build(
             checks = check_frames(result.tensor_map, progress, frameless=frameless)
             require_one_frame(checks)
             notes += tuple(filter(None, (check.note for check in checks)))
-    return Built(**vars(result), of_frames=notes)
+    of_axes = axis_notes(drives, parameters.map_parameters().sensor_height_m)
+    return Built(**vars(result), of_frames=notes, of_axes=tuple(of_axes))

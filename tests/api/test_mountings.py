@@ -111,6 +111,20 @@ class TestDrives:
         assert problem_of(empty.put("/v1/maps/no/drives/a", json={})) == (404, "map-not-found")
         assert problem_of(empty.put(f"{DRIVES}/A", json={})) == (422, "invalid-slug")
 
+    def test_a_build_notes_a_sensor_that_is_upside_down_until_its_mounting_is_set(self, empty):
+        mounting = {**dict.fromkeys(SENT, 0.0), "z_m": 1.73, "roll_deg": 180.0}
+        scans = mounted_recording(Mounting(**mounting), scans=12, name="hanging")
+        upload(empty, "monday", Recording(tuple(scans)))
+
+        def of_axes():
+            return [note for note in build(empty, segments=1)["notes"] if "points up" in note]
+
+        [note] = of_axes()
+        assert "monday: the ground is not below the sensor, -z points up in 10 of 10 scans" in note
+        assert "turn the drive's mounting by roll_deg 180 and build again" in note
+        empty.put(f"{DRIVES}/monday", json={"mounting": mounting})
+        assert of_axes() == []
+
     def test_once_returns_are_dropped_it_can_no_longer_change(self, empty):
         upload(empty, "monday", recording(scans=12))
         empty.put(f"{DRIVES}/monday", json={"mounting": SENT, "accumulate": 2})
