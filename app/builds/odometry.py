@@ -116,7 +116,7 @@ def _failure(drive: Drive, found: Odometry) -> str:
     lost = len(drive) - found.fitting
     return (
         f"{_unposed(drive)}: odometry found none, {lost} of {len(drive)} scans do not fit those"
-        " before them"
+        " before them, or have too few returns"
     )
 
 

@@ -52,8 +52,8 @@ class Odometry:
 
     @property
     def usable(self) -> bool:
-        """Whether at least half of the scans fit those before them."""
-        return 2 * self.fitting >= len(self.poses)
+        """Whether at least half of the scans fit those before them, and not only the first one."""
+        return self.fitting >= max(min(2, len(self.poses)), len(self.poses) / 2)
 
 
 def compute_odometry(

@@ -19,6 +19,7 @@ _NEAR_M = 1.0  # between a return and one of the scan before it
 _WORSE_FIT = 0.85  # of the best fit of the scans before: a vehicle that starts at once
 _FITS = 10  # of the scans before that are compared
 _LEAST_FIT = 0.35  # of the returns near one of the scan before it; less is no registration
+_LEAST_RETURNS = 20  # that are used, about 1.5 m apart: fewer fit anywhere
 _PROBABLE = 0.5  # of a guess by the images of both scans
 
 
@@ -73,6 +74,8 @@ class _Matcher:
         step, deviation, fit = np.eye(4), np.eye(4), 1.0
         if self._before is not None:
             step, fit = self._registered(few, scan, self._before)
+            if len(few) < _LEAST_RETURNS:
+                fit = 0.0
             deviation = step if self._step is None else inverse(self._step) @ step
             self._follows = fit >= _LEAST_FIT
             if self._follows:

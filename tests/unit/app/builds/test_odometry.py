@@ -11,7 +11,8 @@ from app.builds.pipelines import build_revision
 from app.builds.plans import plan_build
 from core.odometry.odometry import compute_odometry
 from core.scans.mounting import Mounting
-from core.scans.pose import PoseSource
+from core.scans.pose import PoseSource, is_known
+from core.scans.scan import Scan
 from storage.files.map_file import read_map
 from storage.retention import RawScans, Retention
 from storage.store import Store
@@ -62,6 +63,19 @@ def test_a_build_computes_poses_once_and_stores_them_with_the_drive(store, monke
         patch.setattr(odometry, "compute_odometry", None)  # it is not called
         again, *_ = built(store)
     assert again.revision == tensor_map.revision
+
+
+def test_scans_of_too_few_returns_get_no_poses_and_a_note(store):
+    few = [(at, Scan(recording().scans[at].points_m[:1])) for at in range(2)]
+    store.drives.put_scans("campus", "few", few)
+    drives, notes = odometry.pose_stored(
+        store, store.maps.get("campus").id, [store.drives.open("campus", "few")], 1.73
+    )
+    assert not is_known(drives[0].poses).any()
+    assert notes == (
+        "drive few has no poses, everything is in scan indices, no metres: odometry found none, 1"
+        " of 2 scans do not fit those before them, or have too few returns",
+    )
 
 
 def test_a_drive_that_got_more_scans_gets_new_poses(store):

@@ -137,6 +137,24 @@ def test_poses_are_not_usable_if_most_scans_are_not():
     assert (found.fitting, found.lost, found.usable) == (2, (), False)
 
 
+@pytest.mark.parametrize("returns", [1, 19])
+def test_scans_of_too_few_returns_give_no_usable_poses(returns):
+    points_m = np.column_stack([np.arange(returns) * 3.0 + 9.0, np.ones((returns, 2))])
+    found = compute_odometry(MemoryDrive("few", [Scan(points_m.astype(np.float32))] * 2), 1.73)
+    assert not found.usable
+    assert found.lost == (1,)  # the first one counts
+
+
+def test_a_scan_of_too_few_returns_is_lost_and_those_around_it_are_not():
+    drive, _ = drive_of(list(recording().scans[:8]))
+    given = [drive.scan(at) for at in range(8)]
+    given[3] = Scan(given[3].points_m[:5])
+    found = compute_odometry(MemoryDrive("gap", given), HEIGHT_M)
+    assert found.usable
+    assert 3 in found.lost
+    assert {1, 2, 5, 6, 7}.isdisjoint(found.lost)
+
+
 def test_a_drive_without_a_scan_has_no_odometry():
     with pytest.raises(EmptyDrive, match="drive nothing has no scan"):
         compute_odometry(MemoryDrive("nothing", []), HEIGHT_M)
